@@ -1,0 +1,10 @@
+"""Spacecraft tasking for reinforcement learning: BSK-RL's problems and Basilisk's physics, in batched torch operations."""
+
+from bsk_torch import act, data, obs, rand, sats, scene
+from bsk_torch.env import SatelliteTasking
+from bsk_torch.presets import make
+from bsk_torch.sim import dyn, fsw
+
+__version__ = "0.1.0"
+
+__all__ = ["SatelliteTasking", "act", "data", "dyn", "fsw", "make", "obs", "rand", "sats", "scene"]

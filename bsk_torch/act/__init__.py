@@ -1,0 +1,6 @@
+"""Actions: what an agent can tell a satellite to do."""
+
+from bsk_torch.act.base import Action, Decision
+from bsk_torch.act.discrete import Charge, Desat, DiscreteFSWAction, Downlink, Drift, NadirPoint, Scan
+
+__all__ = ["Action", "Charge", "Decision", "Desat", "DiscreteFSWAction", "Downlink", "Drift", "NadirPoint", "Scan"]

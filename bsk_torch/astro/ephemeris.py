@@ -1,0 +1,374 @@
+"""Time, the Sun's position and the Earth's orientation, as the Basilisk spacecraft simulator sees them.
+
+Epochs are ET: TDB seconds past J2000 (2000-01-01 12:00:00 TDB), float64.  Positions are geometric (no light time, no
+aberration), relative to the Earth's centre, along the J2000 (ICRF) axes.
+
+Sources:
+    UTC to TDB: leap seconds and the one-term TDB - TT formula of the NAIF kernel naif0012.tls.
+    Sun: Chebyshev series fitted to JPL DE440 by `scripts/make_tables.py`, within 0.5 m and 1e-4 m/s of it.
+    Earth: the body-fixed frame IAU_EARTH of the NAIF kernel pck00010.tpc, a uniform rotation about a slowly drifting
+    pole (no nutation, no UT1).
+
+The first call that needs the Sun on a device copies the table there; make it before capturing a CUDA graph or calling
+a function compiled with `fullgraph=True`.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from bisect import bisect_right
+from datetime import datetime, timedelta
+from functools import cache
+from importlib.resources import files
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from numpy.polynomial import chebyshev
+from numpy.typing import NDArray
+from torch import Tensor
+
+_Array = NDArray[np.float64]
+
+DAY = 86400.0
+"""Seconds in a day."""
+
+CENTURY = 36525 * DAY
+"""Seconds in a Julian century."""
+
+EARTH_ROTATION_RATE = math.radians(360.9856235) / DAY
+"""Rate of the Earth's prime meridian angle W, rad/s (pck00010, BODY399_PM)."""
+
+POLE_RIGHT_ASCENSION_RATE = math.radians(-0.641) / CENTURY
+"""Rate of the right ascension of the Earth's pole, rad/s (pck00010, BODY399_POLE_RA)."""
+
+POLE_DECLINATION_RATE = math.radians(-0.557) / CENTURY
+"""Rate of the declination of the Earth's pole, rad/s (pck00010, BODY399_POLE_DEC)."""
+
+TT_MINUS_TAI = 32.184
+"""Terrestrial time less atomic time, s."""
+
+LEAP_SECONDS = (
+    ((1988, 1), 24),
+    ((1990, 1), 25),
+    ((1991, 1), 26),
+    ((1992, 7), 27),
+    ((1993, 7), 28),
+    ((1994, 7), 29),
+    ((1996, 1), 30),
+    ((1997, 7), 31),
+    ((1999, 1), 32),
+    ((2006, 1), 33),
+    ((2009, 1), 34),
+    ((2012, 7), 35),
+    ((2015, 7), 36),
+    ((2017, 1), 37),
+)
+"""TAI - UTC in s from the first day of each (year, month) on, as far back as the Sun table needs (naif0012)."""
+
+_J2000 = datetime(2000, 1, 1, 12)
+_MONTHS = ("JAN", "FEB", "MAR", "APR", "MAY", "JUN", "JUL", "AUG", "SEP", "OCT", "NOV", "DEC")
+_CLOCK = r"(\d{1,2}):(\d{2}):(\d{2}(?:\.\d*)?)"
+_NAIF_FORM = re.compile(rf"\s*(\d{{4}})\s+([A-Z]{{3}})\s+(\d{{1,2}})\s+{_CLOCK}\s*(?:\(UTC\)|UTC)?\s*", re.I | re.A)
+_ISO_FORM = re.compile(rf"\s*(\d{{4}})-(\d{{2}})-(\d{{2}})T{_CLOCK}Z?\s*", re.I | re.A)
+_EXPECTED = "'2021 FEB 05 09:12:05.830 (UTC)' or '2021-02-05T09:12:05.830Z'"
+
+
+class _Series(NamedTuple):
+    """Chebyshev series of the Sun's position: coefficients in m of shape (terms, 3, segments), times in s of ET."""
+
+    start: float
+    segment: float
+    coefficients: _Array
+
+
+class _SunTable(NamedTuple):
+    """Power series of the Sun's state on one device: coefficients of shape (segments, 3, terms), times in s of ET."""
+
+    start: float
+    segment: float
+    position: Tensor
+    velocity: Tensor
+
+
+# Not functools.cache: torch.compile ignores it and would trace into reading the file.
+_TABLES: dict[torch.device, _SunTable] = {}
+
+
+def parse_utc(text: str) -> float:
+    """Convert a UTC string to ET.
+
+    Args:
+        text: The epoch as "2021 FEB 05 09:12:05.830 (UTC)", where the month's case, the fraction and the suffix are
+            free, or as ISO 8601 "2021-02-05T09:12:05.830Z", where the fraction and the Z are optional.  Second 60 is
+            accepted where a leap second was inserted.
+
+    Returns:
+        ET in s past J2000, rounded to about 1e-7 s.
+
+    Raises:
+        ValueError: If the text has another form, names no real date or time, or lies outside the Sun table.
+    """
+    year, month, day, hour, minute, second = _fields(text)
+    try:
+        date = datetime(year, month, day, hour, minute)
+        _check_second(date, second)
+    except (ValueError, OverflowError) as error:
+        raise ValueError(f"epoch {text!r} is not a valid UTC time, expected one like {_EXPECTED}: {error}") from error
+    et = _et(date, second)
+    _check_coverage(et, text)
+    return et
+
+
+def coverage() -> tuple[float, float]:
+    """First and last ET, in s past J2000, for which the Sun's position is known."""
+    table = _load_series()
+    return table.start, table.start + table.segment * table.coefficients.shape[-1]
+
+
+def sun_position(et: Tensor) -> Tensor:
+    """Position of the Sun relative to the Earth.
+
+    Args:
+        et: Epochs in s past J2000, float64, any shape and device.
+
+    Returns:
+        Position in m along J2000 axes, shape (*et.shape, 3); NaN outside `coverage`.
+
+    Raises:
+        TypeError: If `et` is not float64.
+    """
+    table = _sun_table(_checked(et).device)
+    index, powers = _locate(table, et)
+    return _within(table, et, _evaluate(table.position, index, powers))
+
+
+def sun_state(et: Tensor) -> tuple[Tensor, Tensor]:
+    """Position and velocity of the Sun relative to the Earth.
+
+    Args:
+        et: Epochs in s past J2000, float64, any shape and device.
+
+    Returns:
+        Position in m and velocity in m/s along J2000 axes, both of shape (*et.shape, 3); NaN outside `coverage`.
+
+    Raises:
+        TypeError: If `et` is not float64.
+    """
+    table = _sun_table(_checked(et).device)
+    index, powers = _locate(table, et)
+    position = _within(table, et, _evaluate(table.position, index, powers))
+    return position, _within(table, et, _evaluate(table.velocity, index, powers))
+
+
+def earth_angles(et: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Angles of the frame IAU_EARTH (pck00010).
+
+    Args:
+        et: Epochs in s past J2000, float64, any shape and device.
+
+    Returns:
+        Right ascension and declination of the pole and the prime meridian angle W, in rad, each shaped like `et`.  W
+        is reduced to [0, 2 pi) after rounding at about 1e-11 rad.
+
+    Raises:
+        TypeError: If `et` is not float64.
+    """
+    days, centuries = _checked(et) / DAY, et / CENTURY
+    alpha = torch.deg2rad(-0.641 * centuries)
+    delta = torch.deg2rad(90.0 - 0.557 * centuries)
+    meridian = torch.deg2rad(190.147 + 360.9856235 * days)
+    return alpha, delta, torch.remainder(meridian, 2 * math.pi)
+
+
+def earth_orientation(et: Tensor) -> Tensor:
+    """Direction cosine matrix from J2000 to the Earth-fixed frame IAU_EARTH.
+
+    Args:
+        et: Epochs in s past J2000, float64, any shape and device.
+
+    Returns:
+        C = [PN], shape (*et.shape, 3, 3): components along J2000 axes to components along Earth-fixed axes.
+
+    Raises:
+        TypeError: If `et` is not float64.
+    """
+    node, tilt, spin = _euler_angles(et)
+    return _about_z(spin) @ _about_x(tilt) @ _about_z(node)
+
+
+def earth_orientation_rate(et: Tensor) -> Tensor:
+    """Time derivative of `earth_orientation`.
+
+    Args:
+        et: Epochs in s past J2000, float64, any shape and device.
+
+    Returns:
+        dC/dt in 1/s, shape (*et.shape, 3, 3).
+
+    Raises:
+        TypeError: If `et` is not float64.
+    """
+    node, tilt, spin = _euler_angles(et)
+    r_node, r_tilt, r_spin = _about_z(node), _about_x(tilt), _about_z(spin)
+    by_spin = EARTH_ROTATION_RATE * (_about_z_derivative(spin) @ r_tilt @ r_node)
+    by_tilt = -POLE_DECLINATION_RATE * (r_spin @ _about_x_derivative(tilt) @ r_node)
+    return by_spin + by_tilt + POLE_RIGHT_ASCENSION_RATE * (r_spin @ r_tilt @ _about_z_derivative(node))
+
+
+def _fields(text: str) -> tuple[int, int, int, int, int, float]:
+    """Year, month, day, hour, minute and second of a UTC string, each as written."""
+    match = _NAIF_FORM.fullmatch(text) or _ISO_FORM.fullmatch(text)
+    month = _month(match[2]) if match else None
+    if match is None or month is None:
+        raise ValueError(f"epoch {text!r} is not a UTC time of the form {_EXPECTED}")
+    return int(match[1]), month, int(match[3]), int(match[4]), int(match[5]), float(match[6])
+
+
+def _month(name: str) -> int | None:
+    """Number of a month written as digits or as three letters, None for an unknown name."""
+    if name.isdigit():
+        return int(name)
+    return _MONTHS.index(name.upper()) + 1 if name.upper() in _MONTHS else None
+
+
+def _check_second(date: datetime, second: float) -> None:
+    """Raise ValueError unless the second exists in the minute `date`."""
+    following = date + timedelta(minutes=1)
+    length = 60 + _tai_minus_utc(following) - _tai_minus_utc(date)
+    if second >= length:
+        raise ValueError(f"second must be below {length}")
+
+
+def _tai_minus_utc(date: datetime) -> int:
+    """TAI - UTC in s; before the first entry of the table, that entry."""
+    index = bisect_right(LEAP_SECONDS, (date.year, date.month), key=lambda entry: entry[0])
+    return LEAP_SECONDS[max(index - 1, 0)][1]
+
+
+def _et(date: datetime, second: float) -> float:
+    """ET in s of a UTC minute and the second in it."""
+    minutes = (date - _J2000) // timedelta(minutes=1)
+    tt = minutes * 60.0 + second + _tai_minus_utc(date) + TT_MINUS_TAI
+    return tt + _tdb_minus_tt(tt)
+
+
+def _tdb_minus_tt(tt: float) -> float:
+    """TDB - TT in s: one term in the Earth's eccentric anomaly (naif0012, DELTET/K, EB and M)."""
+    mean_anomaly = 6.239996 + 1.99096871e-7 * tt
+    return 1.657e-3 * math.sin(mean_anomaly + 1.671e-2 * math.sin(mean_anomaly))
+
+
+def _check_coverage(et: float, text: str) -> None:
+    """Raise ValueError unless ET lies in the Sun table."""
+    first, last = coverage()
+    if not first <= et <= last:
+        begin, end = (_J2000 + timedelta(seconds=bound) for bound in (first, last))
+        covered = f"{begin:%Y-%m-%d} to {end:%Y-%m-%d}"
+        raise ValueError(f"epoch {text!r} lies outside the ephemeris table, which covers {covered} (TDB)")
+
+
+@cache
+def _load_series() -> _Series:
+    """Read the Sun table of the package."""
+    resource = files("bsk_torch.astro").joinpath("tables/sun_earth_1990_2060.npz")
+    with resource.open("rb") as stream, np.load(stream) as table:
+        integers = np.concatenate([table["low"], table["high"]])
+        return _Series(float(table["start"]), float(table["segment"]), integers * float(table["quantum"]))
+
+
+def _sun_table(device: torch.device) -> _SunTable:
+    """Sun table on a device, made at the first call there."""
+    table = _TABLES.get(device)
+    if table is None:
+        table = _TABLES[device] = _make_sun_table(device)
+    return table
+
+
+def _make_sun_table(device: torch.device) -> _SunTable:
+    """Put the Sun table on a device, as power series in the segment's time scaled to [-1, 1]."""
+    series = _load_series()
+    rate = np.zeros_like(series.coefficients)
+    rate[:-1] = chebyshev.chebder(series.coefficients) * 2 / series.segment
+    # Tensors made under inference mode could never take part in autograd later.
+    with torch.inference_mode(False):
+        position, velocity = (_power_series(array).to(device) for array in (series.coefficients, rate))
+    return _SunTable(series.start, series.segment, position, velocity)
+
+
+def _power_series(coefficients: _Array) -> Tensor:
+    """Convert Chebyshev series (terms, 3, segments) to power series (segments, 3, terms)."""
+    terms = coefficients.shape[0]
+    basis = np.zeros((terms, terms))
+    for degree in range(terms):
+        basis[degree, : degree + 1] = chebyshev.cheb2poly(np.eye(terms)[degree])[: degree + 1]
+    return torch.from_numpy(np.einsum("dxs,dp->sxp", coefficients, basis))
+
+
+def _checked(et: Tensor) -> Tensor:
+    """Return `et` if it is float64; single precision would round epochs to about a minute."""
+    if et.dtype != torch.float64:
+        raise TypeError(f"et must be a float64 tensor, got {et.dtype}")
+    return et
+
+
+def _locate(table: _SunTable, et: Tensor) -> tuple[Tensor, Tensor]:
+    """Segment index, shape of `et`, and powers of the scaled time in it, shape (*et.shape, terms)."""
+    segments, _, terms = table.position.shape
+    # The clamp follows the conversion so that NaN, too, gets an index that exists.
+    index = ((et - table.start) / table.segment).floor().long().clamp(0, segments - 1)
+    # Subtracting the segment's middle from et is exact, so the scaled time keeps all of et's precision.
+    scaled = (et - (table.start + (index + 0.5) * table.segment)) / (0.5 * table.segment)
+    exponents = torch.arange(terms, dtype=et.dtype, device=et.device)
+    return index, scaled.unsqueeze(-1) ** exponents
+
+
+def _evaluate(coefficients: Tensor, index: Tensor, powers: Tensor) -> Tensor:
+    """Sum the power series of the indexed segments, shape (*index.shape, 3)."""
+    return (coefficients[index] * powers.unsqueeze(-2)).sum(-1)
+
+
+def _within(table: _SunTable, et: Tensor, value: Tensor) -> Tensor:
+    """Replace by NaN what lies outside the table (no error, which would make the host wait for the device)."""
+    end = table.start + table.segment * table.position.shape[0]
+    inside = (et >= table.start) & (et <= end)
+    return torch.where(inside.unsqueeze(-1), value, math.nan)
+
+
+def _euler_angles(et: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Angles of the rotations about z, x and z, in that order, from J2000 to the Earth-fixed frame, in rad."""
+    alpha, delta, meridian = earth_angles(et)
+    return 0.5 * math.pi + alpha, 0.5 * math.pi - delta, meridian
+
+
+def _about_z(angle: Tensor) -> Tensor:
+    """Frame rotation about the third axis, shape (*angle.shape, 3, 3)."""
+    return _z_matrix(angle.cos(), angle.sin(), torch.ones_like(angle))
+
+
+def _about_z_derivative(angle: Tensor) -> Tensor:
+    """Derivative of `_about_z` with respect to the angle."""
+    return _z_matrix(-angle.sin(), angle.cos(), torch.zeros_like(angle))
+
+
+def _about_x(angle: Tensor) -> Tensor:
+    """Frame rotation about the first axis, shape (*angle.shape, 3, 3)."""
+    return _x_matrix(angle.cos(), angle.sin(), torch.ones_like(angle))
+
+
+def _about_x_derivative(angle: Tensor) -> Tensor:
+    """Derivative of `_about_x` with respect to the angle."""
+    return _x_matrix(-angle.sin(), angle.cos(), torch.zeros_like(angle))
+
+
+def _z_matrix(cos: Tensor, sin: Tensor, axis: Tensor) -> Tensor:
+    """Matrix [[cos, sin, 0], [-sin, cos, 0], [0, 0, axis]]."""
+    zero = torch.zeros_like(cos)
+    return torch.stack([cos, sin, zero, -sin, cos, zero, zero, zero, axis], -1).reshape(*cos.shape, 3, 3)
+
+
+def _x_matrix(cos: Tensor, sin: Tensor, axis: Tensor) -> Tensor:
+    """Matrix [[axis, 0, 0], [0, cos, sin], [0, -sin, cos]]."""
+    zero = torch.zeros_like(cos)
+    return torch.stack([axis, zero, zero, zero, cos, sin, zero, -sin, cos], -1).reshape(*cos.shape, 3, 3)

@@ -1,0 +1,79 @@
+"""Two-body orbits: elements, Hill frame. Source of the equations: Schaub and Junkins, chapters 9 and 14."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from bsk_torch.constants import MU_EARTH
+from bsk_torch.vec3 import Mat3, Vec3
+
+SMALL = 1e-11
+"""Below this eccentricity or inclination Basilisk treats an orbit as circular or equatorial."""
+
+
+class Elements(NamedTuple):
+    """Classical orbital elements: a in m, e, and i, Omega, omega, f in rad; numbers or tensors of one shape."""
+
+    a: Tensor
+    e: Tensor
+    i: Tensor
+    Omega: Tensor
+    omega: Tensor
+    f: Tensor
+
+
+def elements_to_rv(oe: Elements, mu: Tensor | float = MU_EARTH) -> tuple[Vec3, Vec3]:
+    """Position, m, and velocity, m/s, of elements, in the inertial axes that they refer to."""
+    p = oe.a * (1.0 - oe.e * oe.e)
+    radius, theta = p / (1.0 + oe.e * torch.cos(oe.f)), oe.omega + oe.f
+    c_node, s_node, c_i, s_i = torch.cos(oe.Omega), torch.sin(oe.Omega), torch.cos(oe.i), torch.sin(oe.i)
+    c, s = torch.cos(theta), torch.sin(theta)
+    r = Vec3(c * c_node - c_i * s * s_node, c * s_node + c_i * s * c_node, s * s_i) * radius
+    down, up = oe.e * torch.sin(oe.omega) + s, oe.e * torch.cos(oe.omega) + c
+    speed = mu / torch.sqrt(mu * p)
+    v = Vec3(-(c_node * down + c_i * up * s_node), -(s_node * down - c_i * up * c_node), up * s_i) * speed
+    return r, v
+
+
+def rv_to_elements(r: Vec3, v: Vec3, mu: Tensor | float = MU_EARTH) -> Elements:
+    """Elements of a bound, non-rectilinear orbit; angles in [0, 2 pi).
+
+    Circular orbits get omega = 0 and the argument of latitude as f; equatorial ones get Omega = 0.
+    """
+    radius, v2 = r.norm(), v.dot(v)
+    h = r.cross(v)
+    eccentricity = r * ((v2 - mu / radius) / mu) - v * (r.dot(v) / mu)
+    e, i = eccentricity.norm(), torch.atan2(torch.hypot(h.x, h.y), h.z)
+    zero, one = torch.zeros_like(e), torch.ones_like(e)
+    equatorial, circular = torch.hypot(h.x, h.y) < SMALL * h.norm(), e < SMALL
+    node = Vec3(torch.where(equatorial, one, -h.y), torch.where(equatorial, zero, h.x), zero)
+    apse = Vec3(*(torch.where(circular, n, k) for n, k in zip(node, eccentricity, strict=True)))
+
+    def angle(start: Vec3, end: Vec3) -> Tensor:
+        sine = start.cross(end).dot(h) / h.norm()
+        return torch.remainder(torch.atan2(sine, start.dot(end)), 2.0 * math.pi)
+
+    raan = torch.remainder(torch.atan2(node.y, node.x), 2.0 * math.pi)
+    a = 1.0 / (2.0 / radius - v2 / mu)
+    return Elements(a, torch.where(circular, zero, e), i, raan, angle(node, apse), angle(apse, r))
+
+
+def hill_frame(r: Vec3, v: Vec3) -> Mat3:
+    """DCM [HN] of the Hill frame: rows radial, along-track, orbit normal."""
+    radial, normal = r.unit(), r.cross(v).unit()
+    return Mat3(radial, normal.cross(radial), normal)
+
+
+def hill_rate(r: Vec3, v: Vec3) -> Tensor:
+    """Rate of the Hill frame about the orbit normal, rad/s: ``|r x v| / |r|^2``."""
+    return r.cross(v).norm() / r.dot(r)
+
+
+def periapsis_radius(r: Vec3, v: Vec3, mu: Tensor | float = MU_EARTH) -> Tensor:
+    """Radius of periapsis, m, of the osculating orbit."""
+    oe = rv_to_elements(r, v, mu)
+    return oe.a * (1.0 - oe.e)

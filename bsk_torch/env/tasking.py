@@ -1,0 +1,354 @@
+"""One satellite per episode, N episodes at once."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torch import Tensor
+from torchrl.data import Binary, Categorical, Composite, Unbounded
+from torchrl.envs import EnvBase
+
+from bsk_torch.data.base import GlobalReward, Log, NoReward
+from bsk_torch.env.state import restore_simulation, simulation_state
+from bsk_torch.obs.base import ObservationBuilder, Values
+from bsk_torch.rand import Distribution, Key
+from bsk_torch.sats.satellite import ArgumentTable, Satellite
+from bsk_torch.scene.base import Scenario
+from bsk_torch.sim.component import Arg, collect
+from bsk_torch.sim.params import convert
+from bsk_torch.sim.simulator import Simulator
+
+logger = logging.getLogger(__name__)
+
+TimeLimit = float | Distribution | Callable[[], float]
+
+ENDLESS = 2**31
+"""Seconds after which Basilisk's clock stops an episode without limit."""
+
+LIMIT = Arg("time_limit", float("inf"), "s", "time after which an episode is truncated", low=0.0)
+
+EXTRA_STATE = ("previous_action", "episode", "dead", "limit_ticks", "seed_rows", "requires_retasking")
+
+
+class SatelliteTasking(EnvBase):
+    """N independent episodes of one satellite type, as bsk_rl's ``SatelliteTasking`` plays one.
+
+    Keys: ``observation``, ``action``, ``action_mask``, ``reward``, ``done``, ``terminated``, ``truncated`` and ``duration``, the
+    seconds that a step took.
+    """
+
+    _supports_set_state = True
+    _has_frame_skip = True
+
+    def __init__(
+        self,
+        satellite: Satellite,
+        scenario: Scenario | None = None,
+        rewarder: GlobalReward | None = None,
+        *,
+        num_envs: int = 1,
+        world_args: dict[str, Any] | None = None,
+        sim_rate: float = 1.0,
+        max_step_duration: float = 1e9,
+        failure_penalty: float = -1.0,
+        time_limit: TimeLimit = float("inf"),
+        terminate_on_time_limit: bool = False,
+        device: torch.device | str = "cpu",
+        seed: int | None = None,
+        env_ids: Sequence[int] | Tensor | None = None,
+        dtype: torch.dtype = torch.float32,
+        sim_dtype: torch.dtype = torch.float64,
+        orbit: str | None = None,
+        backend: str = "compiled",
+        log_level: int | str | None = None,
+    ) -> None:
+        """Build the environment and check its arguments; nothing is simulated before the first reset.
+
+        Args:
+            satellite: The satellite; the environment works on a copy.
+            scenario: What is asked of it; None for nothing.
+            rewarder: What its data are worth; None for nothing.
+            num_envs: Number of episodes N.
+            world_args: Arguments of the world, like ``sat_args``; see :meth:`default_world_args`.
+            sim_rate: Length of a tick, s.
+            max_step_duration: Longest step, s.
+            failure_penalty: Added to the reward of a step at whose end the satellite is dead.
+            time_limit: Seconds after which an episode is truncated, rounded up to whole ticks; a number, a distribution or a
+                callable without arguments.
+            terminate_on_time_limit: Whether the time limit also terminates.
+            device: Where the simulation runs.
+            seed: Seed of all draws; None for a random one.
+            env_ids: Index of each episode in the draws, 0 to N - 1 unless given.
+            dtype: Type of observations, rewards and durations.
+            sim_dtype: Type of the simulation: float64 for parity with Basilisk, float32 for a rougher and smaller one.
+            orbit: ``"arc"`` (in advance), ``"integrated"`` (in every tick, with drag), or None for what the model says.
+            backend: ``"compiled"``, or ``"eager"`` for debugging.
+            log_level: Level of the package's logger; None leaves it.
+        """
+        if num_envs < 1:
+            raise ValueError(f"num_envs={num_envs} must be at least 1")
+        super().__init__(device=torch.device(device), batch_size=[num_envs])
+        self._arguments = {k: v for k, v in locals().items() if k not in ("self", "__class__")}
+        if log_level is not None:
+            logging.getLogger("bsk_torch").setLevel(log_level)
+        if failure_penalty > 0.0:
+            logger.warning("failure_penalty=%g rewards failure; it should not be positive", failure_penalty)
+        self.dtype, self.failure_penalty = dtype, float(failure_penalty)
+        self.terminate_on_time_limit, self.time_limit_generator = terminate_on_time_limit, time_limit
+        self._max_ticks_seconds = float(max_step_duration)
+        self.scenario, self.rewarder = scenario or Scenario(), rewarder or NoReward()
+        options = {"sim_rate": sim_rate, "dtype": sim_dtype, "orbit": orbit, "world_args": world_args or {}}
+        trial = self._trial(satellite, options)
+        self.simulator = self._simulator(satellite, num_envs, backend, options)
+        self._make_buffers(num_envs, env_ids)
+        self.satellite = satellite.bind(self.simulator, self.time_limit)
+        self.scenario.link_satellite(self.satellite)
+        self.rewarder.link(self.scenario, self.satellite)
+        self._make_specs(trial)
+        self.set_seed(seed)
+
+    # -- construction -------------------------------------------------------------------------------------------------
+
+    def _simulator(self, satellite: Satellite, n: int, backend: str, options: dict[str, Any]) -> Simulator:
+        zeros = torch.zeros(n, dtype=torch.int64)
+        limit = self._draw_limit(Key(zeros, torch.arange(n), zeros))
+        finite = limit[torch.isfinite(limit)]
+        return Simulator(
+            satellite.dyn_type,
+            satellite.fsw_type,
+            satellite.sat_args_generator,
+            num_envs=n,
+            device=torch.device(self.device),
+            horizon=float(satellite.generation(limit).max()),
+            backend=backend,
+            segment=satellite.segment,
+            max_time=float(finite.max()) if len(finite) else 0.0,
+            **options,
+        )
+
+    def _trial(self, satellite: Satellite, options: dict[str, Any]) -> Values:
+        """Observations of one trial episode: their shapes make the specs, and every property has been read once."""
+        simulator = self._simulator(satellite, 1, "eager", options)
+        key = Key(*(torch.zeros(1, dtype=torch.int64) for _ in range(3)))
+        limit = self._draw_limit(key).to(simulator.device)
+        bound = satellite.bind(simulator, limit)
+        simulator.reset(simulator.all_rows, simulator.draw(key), bound.generation(limit))
+        bound.is_alive()
+        return bound.observations.get_dict()
+
+    def _draw_limit(self, key: Key) -> Tensor:
+        """Time limits [n] s of the key's environments, whole ticks still to be made of them."""
+        value = self.time_limit_generator
+        if isinstance(value, Distribution):
+            return convert(LIMIT, value.draw(key.named("time_limit")), len(key))
+        values = [value() for _ in range(len(key))] if callable(value) else [value] * len(key)
+        return convert(LIMIT, values, len(key))
+
+    def _make_buffers(self, n: int, env_ids: Sequence[int] | Tensor | None) -> None:
+        ids = torch.arange(n) if env_ids is None else torch.as_tensor(env_ids, dtype=torch.int64)
+        if ids.shape != (n,) or bool((ids < 0).any()):
+            raise ValueError(f"env_ids has shape {list(ids.shape)}; it needs {n} indices that are not negative")
+        self.env_ids = ids.to(self.device)
+        counter = torch.zeros(n, dtype=torch.int64, device=self.device)
+        self.previous_action, self.episode, self.seed_rows = counter - 1, counter - 1, counter.clone()
+        self.limit_ticks, self.time_limit = counter.clone(), counter.double()
+        self.dead = torch.zeros(n, dtype=torch.bool, device=self.device)
+        self.requires_retasking = torch.ones_like(self.dead)
+
+    def _make_specs(self, trial: Values) -> None:
+        b, on = self.batch_size, {"device": self.device}
+        n_actions = self.satellite.actions.n_actions
+
+        def leaf(value: Tensor) -> Unbounded:
+            return Unbounded((*b, *value.shape[1:]), dtype=self.dtype, **on)
+
+        def tree(values: Values) -> Composite:
+            parts = {name: tree(v) if isinstance(v, dict) else leaf(v) for name, v in values.items()}
+            return Composite(parts, shape=b, **on)
+
+        vector = ObservationBuilder.vector(trial, self.dtype)
+        observed = tree(trial) if self.satellite.obs_type is dict else leaf(vector)
+        self.observation_spec = Composite(
+            observation=observed,
+            action_mask=Binary(n_actions, shape=(*b, n_actions), dtype=torch.bool, **on),
+            duration=Unbounded((*b, 1), dtype=self.dtype, **on),
+            shape=b,
+            **on,
+        )
+        self.action_spec = Categorical(n_actions, shape=b, dtype=torch.int64, **on)
+        self.reward_spec = Unbounded((*b, 1), dtype=self.dtype, **on)
+        flags = {name: Categorical(2, shape=(*b, 1), dtype=torch.bool, **on) for name in ("done", "terminated", "truncated")}
+        self.full_done_spec = Composite(flags, shape=b, **on)
+
+    # -- reset --------------------------------------------------------------------------------------------------------
+
+    def _set_seed(self, seed: int | None) -> None:
+        value = int(torch.empty((), dtype=torch.int64).random_()) if seed is None else int(seed)
+        self.seed_rows = torch.full_like(self.seed_rows, value)
+        self.episode = torch.full_like(self.episode, -1)
+
+    def _reset(self, tensordict: TensorDictBase | None = None, *, set_state: bool = False, **_: Any) -> TensorDict:
+        mask = None if tensordict is None else tensordict.get("_reset", None)
+        rows = self.simulator.all_rows if mask is None else torch.nonzero(mask.reshape(-1)).squeeze(-1)
+        if set_state and tensordict is not None and "state" in tensordict.keys():
+            self._restore(tensordict["state"], rows)
+        elif len(rows):
+            self._begin(rows)
+        false = torch.zeros(*self.batch_size, 1, dtype=torch.bool, device=self.device)
+        zero = torch.zeros(*self.batch_size, 1, dtype=self.dtype, device=self.device)
+        return self._outputs(duration=zero, done=false, terminated=false.clone(), truncated=false.clone())
+
+    @torch.no_grad()
+    def _begin(self, rows: Tensor) -> None:
+        """Start new episodes in ``rows``; everything is drawn and checked before anything changes."""
+        key = Key(self.seed_rows[rows].cpu(), self.env_ids[rows].cpu(), self.episode[rows].cpu() + 1)
+        values, limit = self.simulator.draw(key), self._draw_limit(key).to(self.device)
+        self.episode[rows] += 1
+        self.simulator.reset(rows, values, self.satellite.generation(limit))
+        seconds = torch.where(torch.isfinite(limit), limit, torch.full_like(limit, ENDLESS))
+        ticks = torch.ceil(torch.floor(seconds * 1e9 + 0.5) / self.simulator.h_ns)
+        self.limit_ticks[rows] = ticks.long()
+        self.time_limit[rows] = torch.where(torch.isfinite(limit), ticks * self.simulator.h, limit)
+        self.previous_action[rows], self.requires_retasking[rows] = -1, True
+        self.scenario.reset(rows)
+        self.dead[rows] = ~self.satellite.is_alive()[rows]
+
+    # -- step ---------------------------------------------------------------------------------------------------------
+
+    @torch.no_grad()
+    def _step(self, tensordict: TensorDictBase) -> TensorDict:
+        action = self._checked(tensordict.get("action"))
+        partial = tensordict.get("_step", None)
+        moves = torch.ones_like(self.dead) if partial is None else partial.reshape(-1)
+        before, start = self.rewarder.read_log(), self.simulator.ticks
+        self._command(action, moves)
+        reward = self._reward(before)
+        self.scenario.after_step(self.simulator.sim_time)
+        terminated, truncated = self._ends()
+        return self._outputs(
+            duration=((self.simulator.ticks - start) * self.simulator.h).to(self.dtype).unsqueeze(-1),
+            reward=reward.to(self.dtype).unsqueeze(-1),
+            terminated=terminated.unsqueeze(-1),
+            truncated=truncated.unsqueeze(-1),
+            done=(terminated | truncated).unsqueeze(-1),
+        )
+
+    def _checked(self, action: Tensor) -> Tensor:
+        n = self.satellite.actions.n_actions
+        if action.dtype.is_floating_point or action.dtype == torch.bool:
+            raise TypeError(f"action has dtype {action.dtype}; it must be an integer tensor, such as torch.int64")
+        if action.shape != self.batch_size:
+            raise ValueError(f"action has shape {list(action.shape)}; it must be {list(self.batch_size)}, one per environment")
+        action = action.long()
+        wrong = (action < 0) | (action >= n)
+        if bool(wrong.any()):
+            row = int(torch.nonzero(wrong)[0])
+            names = ", ".join(f"{k}: {name}" for k, name in enumerate(self.satellite.action_description))
+            raise ValueError(f"action {int(action[row])} of environment {row} is out of range; legal are {names}")
+        return action
+
+    def _command(self, action: Tensor, moves: Tensor) -> None:
+        """Give the satellites their commands and simulate to the end of their steps."""
+        simulator = self.simulator
+        decision = self.satellite.actions.decide(action, self.previous_action)
+        simulator.command(decision.retask & moves, decision.mode)
+        self.previous_action = torch.where(moves, action, self.previous_action)
+        wanted = self._ticks(decision.duration)
+        longest = self._ticks(torch.full_like(decision.duration, self._max_ticks_seconds))
+        ends = wanted if self.satellite.variable_interval else longest
+        left = (self.limit_ticks - simulator.ticks).clamp(min=0)
+        ticks = torch.minimum(torch.minimum(ends, longest), left) * moves
+        # the time limit stops the clock before an event of the same instant is looked at
+        asks = (wanted <= ticks) & (ticks < left)
+        self.requires_retasking = torch.where(moves, asks, self.requires_retasking)
+        simulator.run(ticks)
+
+    def _ticks(self, duration: Tensor) -> Tensor:
+        """Ticks after which a duration [N] s has passed: an event fires at the first tick at or after its time."""
+        return torch.ceil(torch.floor(duration * 1e9 + 0.5) / self.simulator.h_ns).long()
+
+    def _reward(self, before: Log) -> Tensor:
+        reward = self.rewarder.calculate_reward(before, self.rewarder.read_log())
+        self.dead = self.dead | ~self.satellite.is_alive()
+        return reward + self.failure_penalty * self.dead
+
+    def _ends(self) -> tuple[Tensor, Tensor]:
+        truncated = (self.simulator.ticks >= self.limit_ticks) | self.rewarder.is_truncated()
+        terminated = self.dead | self.rewarder.is_terminated()
+        return terminated | truncated if self.terminate_on_time_limit else terminated, truncated
+
+    @torch.no_grad()
+    def _outputs(self, **parts: Tensor) -> TensorDict:
+        values = self.satellite.observations.get_dict()
+        if self.satellite.obs_type is dict:
+            observation: Any = self._cast(values)
+        else:
+            observation = self.satellite.observations.vector(values, self.dtype)
+        parts |= {"observation": observation, "action_mask": self.satellite.actions.mask()}
+        return TensorDict(parts, self.batch_size, device=self.device)
+
+    def _cast(self, values: Values) -> TensorDict:
+        parts = {name: self._cast(v) if isinstance(v, dict) else v.to(self.dtype) for name, v in values.items()}
+        return TensorDict(parts, self.batch_size, device=self.device)
+
+    # -- state --------------------------------------------------------------------------------------------------------
+
+    def get_state(self) -> TensorDict:
+        """Everything that the future depends on; give it back with ``reset(TensorDict({"state": ...}), set_state=True)``."""
+        state = simulation_state(self.simulator)
+        for name in (*EXTRA_STATE, "time_limit"):
+            state[name] = getattr(self, name).clone()
+        return state
+
+    @torch.no_grad()
+    def _restore(self, state: TensorDictBase, rows: Tensor) -> None:
+        restore_simulation(self.simulator, state, rows)
+        for name in (*EXTRA_STATE, "time_limit"):
+            getattr(self, name)[rows] = state[name][rows]
+
+    def get_extra_state(self) -> TensorDict | None:
+        """Part of ``state_dict``: see :meth:`get_state`; None before the first reset."""
+        return self.get_state() if bool((self.episode >= 0).any()) else None
+
+    def set_extra_state(self, state: TensorDict | None) -> None:
+        """Part of ``load_state_dict``."""
+        if state is not None:
+            self._restore(state, self.simulator.all_rows)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle the arguments and the state, not the compiled tick."""
+        return _rebuild, (self._arguments, int(self.seed_rows[0]), self.get_extra_state())
+
+    # -- help ---------------------------------------------------------------------------------------------------------
+
+    def default_sat_args(self) -> ArgumentTable:
+        """Every argument that ``sat_args`` accepts, with default, unit and meaning; print it to read it."""
+        return self.satellite.default_sat_args()
+
+    def default_world_args(self) -> ArgumentTable:
+        """Every argument that ``world_args`` accepts, with default, unit and meaning; print it to read it."""
+        return ArgumentTable(collect(reversed(self.satellite.dyn_type.__mro__), "world_components"))
+
+    def check_finite(self) -> None:
+        """FloatingPointError that names environment, field and tick, if any state is not a finite number."""
+        layout = self.simulator.tick.state
+        for name in layout.fields:
+            value = self.simulator.read(name).reshape(self.simulator.num_envs, -1)
+            bad = torch.nonzero(~torch.isfinite(value).all(-1)).squeeze(-1).tolist()
+            if bad:
+                row = bad[0]
+                raise FloatingPointError(
+                    f"{name!r} of environment {row} is {value[row].tolist()} at tick {int(self.simulator.ticks[row])} "
+                    f"({len(bad)} environments in all)"
+                )
+
+
+def _rebuild(arguments: dict[str, Any], seed: int, state: TensorDict | None) -> SatelliteTasking:
+    env = SatelliteTasking(**arguments)
+    env.set_seed(seed)
+    env.set_extra_state(state)
+    return env

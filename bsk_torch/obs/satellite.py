@@ -1,0 +1,90 @@
+"""Observations of the satellite itself: its properties, the time, the next eclipse."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import torch
+from torch import Tensor
+
+from bsk_torch.obs.base import Observation, Values, check_entries, property_name
+from bsk_torch.sim.params import nearest
+
+if TYPE_CHECKING:
+    from bsk_torch.sats.satellite import Satellite
+
+
+class SatProperties(Observation):
+    """Properties of the dynamics or flight-software model, the user's own included.
+
+    Each argument is a dictionary with ``prop`` (name of the property) or ``fn`` (called with the satellite), and optionally
+    ``module`` (``"dynamics"`` or ``"fsw"``), ``norm`` (divisor) and ``name``.
+    """
+
+    def __init__(self, *entries: dict[str, Any], name: str = "sat_props") -> None:
+        """See the class; ValueError for unknown keys."""
+        super().__init__(name)
+        check_entries(entries, {"prop", "fn", "module", "norm", "name"}, "obs.SatProperties")
+        self.entries = entries
+
+    def link_satellite(self, satellite: Satellite) -> None:
+        """See :meth:`Observation.link_satellite`; ValueError for a property that does not exist."""
+        super().link_satellite(satellite)
+        for entry in self.entries:
+            if "prop" in entry:
+                self._module(entry)
+
+    def _module(self, entry: dict[str, Any]) -> Any:
+        modules = {"dynamics": self.satellite.dynamics, "fsw": self.satellite.fsw}
+        if "module" in entry:
+            if entry["module"] not in modules:
+                raise ValueError(f"module={entry['module']!r} must be one of {sorted(modules)}")
+            modules = {entry["module"]: modules[entry["module"]]}
+        for module in modules.values():
+            if hasattr(type(module), entry["prop"]):
+                return module
+        known = {n for m in modules.values() for n in dir(type(m)) if isinstance(getattr(type(m), n, None), property)}
+        raise ValueError(f"prop={entry['prop']!r} is not a property of {self.satellite.name}; {nearest(entry['prop'], known)}")
+
+    def get_obs(self) -> Values:
+        """See :meth:`Observation.get_obs`."""
+        values = {}
+        for entry in self.entries:
+            value = entry["fn"](self.satellite) if "fn" in entry else getattr(self._module(entry), entry["prop"])
+            values[property_name(entry)] = value / entry.get("norm", 1.0)
+        return values
+
+
+class Time(Observation):
+    """Time since reset, or time left, over ``norm`` seconds (None: the time limit)."""
+
+    def __init__(self, norm: float | None = None, name: str = "time", observe_time_remaining: bool = False) -> None:
+        """See the class."""
+        super().__init__(name)
+        self.norm, self.remaining = norm, observe_time_remaining
+
+    def get_obs(self) -> Tensor:
+        """See :meth:`Observation.get_obs`; with an infinite limit the elapsed fraction is 0 and the remaining one 1."""
+        limit, time = self.satellite.time_limit, self.simulator.sim_time
+        norm = limit if self.norm is None else torch.full_like(time, self.norm)
+        if not self.remaining:
+            return time / norm
+        return torch.where(torch.isfinite(limit), (limit - time) / norm, torch.ones_like(time))
+
+
+class Eclipse(Observation):
+    """Seconds to the next start and the next end of an eclipse, over ``norm``.
+
+    They need not belong to the same eclipse. The answers are on bsk_rl's 30 s grid; where there is no eclipse in sight it
+    answers with one second after the epoch.
+    """
+
+    def __init__(self, norm: float = 1.0, name: str = "eclipse") -> None:
+        """See the class."""
+        super().__init__(name)
+        self.norm = norm
+
+    def get_obs(self) -> Tensor:
+        """See :meth:`Observation.get_obs`."""
+        start, end = self.satellite.next_eclipse()
+        return (torch.stack([start, end], -1) - self.simulator.sim_time.unsqueeze(-1)) / self.norm

@@ -1,0 +1,29 @@
+"""Named, versioned environments."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from bsk_torch.env import SatelliteTasking
+from bsk_torch.presets.nadir_scan import nadir_scan
+from bsk_torch.sim.params import nearest
+
+PRESETS: dict[str, Callable[..., SatelliteTasking]] = {"NadirScan-v1": nadir_scan}
+"""Presets by name: functions that take the arguments of the environment to override."""
+
+
+def make(name: str, **options: Any) -> SatelliteTasking:
+    """The environment of a preset.
+
+    Args:
+        name: One of :data:`PRESETS`, such as ``"NadirScan-v1"``.
+        **options: Arguments of :class:`~bsk_torch.env.SatelliteTasking` to override, such as ``num_envs=1024``; ``sat_args``
+            are merged with the preset's.
+
+    Raises:
+        ValueError: For an unknown name; the message names the nearest.
+    """
+    if name not in PRESETS:
+        raise ValueError(f"name={name!r} is not a preset; {nearest(name, PRESETS)}")
+    return PRESETS[name](**options)

@@ -1,0 +1,213 @@
+"""Counter-based random numbers, and the distributions that ``sat_args`` and ``world_args`` accept.
+
+A draw depends only on the seed, the environment's index, its episode and the name of the argument: environment 7 has the same
+episodes in a batch of 8 and in one of 8192, whatever the others do. The generator is Philox4x32-10 (Salmon et al., "Parallel
+random numbers: as easy as 1, 2, 3", 2011) on int64 tensors.
+"""
+
+from __future__ import annotations
+
+import calendar
+import math
+import zlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor
+
+MASK = 0xFFFFFFFF
+
+
+def _multiply(a: int, b: Tensor) -> tuple[Tensor, Tensor]:
+    """High and low 32 bits of a 32 x 32 bit product, without overflowing int64."""
+    low, high = a * (b & 0xFFFF), a * (b >> 16)
+    middle = high + (low >> 16)
+    return (middle >> 16) & MASK, ((middle & 0xFFFF) << 16) | (low & 0xFFFF)
+
+
+def philox(counter: Sequence[Tensor], key: Sequence[Tensor], rounds: int = 10) -> tuple[Tensor, ...]:
+    """Four random 32-bit numbers (in int64) for four counter words and two key words of one shape."""
+    c0, c1, c2, c3 = counter
+    k0, k1 = key
+    for _ in range(rounds):
+        high0, low0 = _multiply(0xD2511F53, c0)
+        high1, low1 = _multiply(0xCD9E8D57, c2)
+        c0, c1, c2, c3 = high1 ^ c1 ^ k0, low1, high0 ^ c3 ^ k1, low0
+        k0, k1 = (k0 + 0x9E3779B9) & MASK, (k1 + 0xBB67AE85) & MASK
+    return c0, c1, c2, c3
+
+
+@dataclass(frozen=True)
+class Key:
+    """What the draws of n environments depend on: int64 tensors [n], and the name of what is drawn."""
+
+    seed: Tensor
+    env_id: Tensor
+    episode: Tensor
+    name: str = ""
+
+    def named(self, name: str) -> Key:
+        """The key of another quantity."""
+        return Key(self.seed, self.env_id, self.episode, name)
+
+    def __len__(self) -> int:
+        """Number of environments."""
+        return len(self.env_id)
+
+    def uniform(self, count: int) -> Tensor:
+        """Uniform float64 numbers in [0, 1), [n, count], with 53 random bits each."""
+        blocks = (count + 1) // 2
+        shape = (len(self), blocks)
+        stream = torch.full(shape, zlib.crc32(self.name.encode()), device=self.env_id.device)
+        block = torch.arange(blocks, device=self.env_id.device).expand(shape)
+        counter = [block, *((x & MASK).unsqueeze(-1).expand(shape) for x in (self.episode, self.env_id)), stream]
+        key = [(self.seed & MASK).unsqueeze(-1).expand(shape), ((self.seed >> 32) & MASK).unsqueeze(-1).expand(shape)]
+        words = torch.stack(philox(counter, key), -1).reshape(len(self), blocks * 2, 2)
+        high, low = words[..., 0] >> 5, words[..., 1] >> 6
+        return ((high * 67108864 + low).double() / 9007199254740992.0)[:, :count]
+
+    def normal(self, count: int) -> Tensor:
+        """Standard normal float64 numbers [n, count] (Box-Muller)."""
+        u = self.uniform(2 * count)
+        radius = torch.sqrt(-2.0 * torch.log1p(-u[:, :count]))
+        return radius * torch.cos(2.0 * math.pi * u[:, count:])
+
+
+class Distribution:
+    """A value drawn for each environment at each reset. Subclasses implement :meth:`draw`."""
+
+    def draw(self, key: Key) -> Tensor | list[Any]:
+        """Values of the key's n environments: a float64 tensor [n, ...] or a list of n objects."""
+        raise TypeError(f"{type(self).__name__} does not say how to draw: implement draw(key)")
+
+
+def _sized(values: Tensor, size: int | None) -> Tensor:
+    return values.squeeze(-1) if size is None else values
+
+
+@dataclass(frozen=True)
+class Uniform(Distribution):
+    """Uniform in [low, high); ``size`` numbers each, or one number if None. Bounds may be sequences of ``size`` numbers."""
+
+    low: float | Sequence[float] = 0.0
+    high: float | Sequence[float] = 1.0
+    size: int | None = None
+
+    def draw(self, key: Key) -> Tensor:
+        """See :meth:`Distribution.draw`."""
+        u = key.uniform(self.size or 1)
+        low, high = (torch.as_tensor(x, dtype=torch.float64, device=u.device) for x in (self.low, self.high))
+        return _sized(low + (high - low) * u, self.size)
+
+
+@dataclass(frozen=True)
+class Normal(Distribution):
+    """Normal with the given mean and standard deviation; ``size`` numbers each, or one number if None."""
+
+    mean: float = 0.0
+    std: float = 1.0
+    size: int | None = None
+
+    def draw(self, key: Key) -> Tensor:
+        """See :meth:`Distribution.draw`."""
+        return _sized(self.mean + self.std * key.normal(self.size or 1), self.size)
+
+
+@dataclass(frozen=True)
+class Choice(Distribution):
+    """One of ``options`` with equal probability."""
+
+    options: tuple[Any, ...]
+
+    def __init__(self, options: Sequence[Any]) -> None:
+        """Choose among ``options``, a non-empty sequence."""
+        if not options:
+            raise ValueError("options is empty; Choice needs at least one option")
+        object.__setattr__(self, "options", tuple(options))
+
+    def draw(self, key: Key) -> list[Any]:
+        """See :meth:`Distribution.draw`."""
+        picks = (key.uniform(1).squeeze(-1) * len(self.options)).long().tolist()
+        return [self.options[i] for i in picks]
+
+
+@dataclass(frozen=True)
+class PerEnv(Distribution):
+    """Row i for environment i, at every reset."""
+
+    values: Any
+
+    def draw(self, key: Key) -> Tensor | list[Any]:
+        """See :meth:`Distribution.draw`; ValueError if there are fewer rows than environments."""
+        if int(key.env_id.max()) >= len(self.values):
+            raise ValueError(f"per_env has {len(self.values)} rows, but environment {int(key.env_id.max())} needs one")
+        rows = key.env_id.tolist()
+        if isinstance(self.values, Tensor):
+            return self.values[key.env_id.to(self.values.device)]
+        return [self.values[i] for i in rows]
+
+
+def per_env(values: Any) -> PerEnv:
+    """Row i of ``values`` (a tensor, an array or a list, of strings too) for environment i, at every reset."""
+    return PerEnv(values)
+
+
+@dataclass(frozen=True)
+class RandomOrbit(Distribution):
+    """Orbital elements [n, 6] (a in m, angles in rad); None stands for a uniform draw. See :func:`random_orbit`."""
+
+    a: float
+    e: float
+    i: float | None
+    Omega: float | None
+    omega: float | None
+    f: float | None
+
+    def draw(self, key: Key) -> Tensor:
+        """See :meth:`Distribution.draw`."""
+        u = key.uniform(4)
+        columns = [torch.full_like(u[:, 0], x) for x in (self.a, self.e)]
+        for k, angle in enumerate((self.i, self.Omega, self.omega, self.f)):
+            free = math.pi * (2.0 * u[:, k] - (1.0 if k == 0 else 0.0))
+            columns.append(free if angle is None else torch.full_like(free, math.radians(angle)))
+        return torch.stack(columns, -1)
+
+
+def random_orbit(
+    i: float | None = None,
+    a: float = 6871.0,
+    e: float = 0.0,
+    Omega: float | None = None,
+    omega: float | None = None,
+    f: float | None = None,
+) -> RandomOrbit:
+    """Distribution of orbits as bsk_rl's: a in km, angles in degrees, and the angles left None are uniform.
+
+    The inclination is uniform in (-180, 180) degrees, the others in (0, 360).
+    """
+    return RandomOrbit(a * 1e3, e, i, Omega, omega, f)
+
+
+@dataclass(frozen=True)
+class RandomEpoch(Distribution):
+    """Epochs as strings. See :func:`random_epoch`."""
+
+    start: int
+    end: int
+
+    def draw(self, key: Key) -> list[str]:
+        """See :meth:`Distribution.draw`."""
+        u = key.uniform(7)
+        spans = torch.tensor([self.end - self.start, 12, 27, 23, 59, 59, 999], device=u.device)
+        rows = (u * spans).long().tolist()
+        return [
+            f"{self.start + y} {calendar.month_abbr[1 + mo].upper()} {1 + d:02d} {h:02d}:{mi:02d}:{s:02d}.{ms:03d} (UTC)"
+            for y, mo, d, h, mi, s, ms in rows
+        ]
+
+
+def random_epoch(start: int = 2000, end: int = 2022) -> RandomEpoch:
+    """Distribution of epochs over the years ``start`` to ``end - 1``, in the ranges that bsk_rl draws from."""
+    return RandomEpoch(start, end)

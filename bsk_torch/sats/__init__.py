@@ -1,0 +1,6 @@
+"""Satellites: which observations, actions and models make an agent."""
+
+from bsk_torch.sats.access import AccessSatellite, Opportunities
+from bsk_torch.sats.satellite import Satellite
+
+__all__ = ["AccessSatellite", "Opportunities", "Satellite"]

@@ -1,0 +1,13 @@
+"""Scanning whatever lies below."""
+
+from __future__ import annotations
+
+from bsk_torch.scene.base import Scenario
+
+
+class UniformNadirScanning(Scenario):
+    """Data are worth the same everywhere: ``value_per_second`` for every second of recording."""
+
+    def __init__(self, value_per_second: float = 1.0) -> None:
+        """Value of one second of recorded data."""
+        self.value_per_second = float(value_per_second)

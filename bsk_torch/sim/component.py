@@ -1,0 +1,140 @@
+"""What models are made of: components, their arguments, their state and the tick parameters that follow from them.
+
+A component is a table entry, not an object with state: it names the arguments that a user may set, the state that it carries
+from tick to tick, how both are filled at reset, and one update. During a tick all components share a :class:`Bus`, on which
+state, parameters and the messages of this tick are attributes; a component reads what earlier ones wrote, so the order of
+components is Basilisk's order of modules, and a message of the previous tick is simply one that has not been rewritten yet.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from types import SimpleNamespace
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from bsk_torch.vec3 import Vec3
+
+Values = Mapping[str, Any]
+"""Arguments of the rows being reset: tensors with leading dimension n, or 1 where all environments agree."""
+
+
+class Bus(SimpleNamespace):
+    """Everything one tick knows, by name: state, parameters, flags of the flight mode and messages; ``h`` is the tick."""
+
+    def has(self, name: str) -> bool:
+        """Whether some component has written ``name``."""
+        return name in self.__dict__
+
+
+@dataclass(frozen=True)
+class Arg:
+    """An argument that users set by name in ``sat_args`` or ``world_args``.
+
+    ``kind`` says how a value becomes a tensor: ``scalar``, ``vector`` (three numbers), ``matrix`` (nine numbers), ``choice``
+    (one of ``choices``, kept as its index), ``utc``, ``orbit``, ``stations`` or ``constant`` (kept as it is). ``low`` and
+    ``high`` bound every number (inclusive); ``missing`` stands for None.
+    """
+
+    name: str
+    default: Any
+    unit: str
+    doc: str
+    kind: str = "scalar"
+    low: float = float("-inf")
+    high: float = float("inf")
+    missing: float | None = None
+    choices: tuple[Any, ...] = ()
+
+
+@dataclass(frozen=True)
+class Field:
+    """A named quantity of ``width`` numbers: 1 is a plane, 3 is a :class:`Vec3`; others, and ``many``, are tuples of planes."""
+
+    name: str
+    width: int = 1
+    unit: str = ""
+    doc: str = ""
+    many: bool = False
+
+
+def vec(name: str, unit: str = "", doc: str = "") -> Field:
+    """A field of three components."""
+    return Field(name, 3, unit, doc)
+
+
+def _nothing(_: Values) -> dict[str, Tensor]:
+    return {}
+
+
+@dataclass(frozen=True)
+class Component:
+    """One part of a model; see the module docstring.
+
+    ``slot`` is the name under which a subclass replaces it, ``order`` its place in the tick (100: world, 200: dynamics, 300:
+    flight software). ``initial`` and ``prepare`` compute, from the arguments of the rows being reset, the state and the tick
+    parameters as float64 tensors [n or 1] and [n or 1, width]; ``check`` raises for arguments that do not fit together.
+    ``integrated_only`` components run only where the orbit is integrated in the tick.
+    """
+
+    slot: str
+    order: int
+    update: Callable[[Bus], None] | None = None
+    args: tuple[Arg, ...] = ()
+    state: tuple[Field, ...] = ()
+    params: tuple[Field, ...] = ()
+    initial: Callable[[Values], dict[str, Tensor]] = _nothing
+    prepare: Callable[[Values], dict[str, Tensor]] = _nothing
+    check: Callable[[Values], None] = field(default=_nothing)  # type: ignore[assignment]
+    integrated_only: bool = False
+
+
+def collect(classes: Iterable[type], attribute: str = "components") -> tuple[Component, ...]:
+    """Components of ``classes`` in the order of a tick; a later class replaces the slots of an earlier one."""
+    slots: dict[str, Component] = {}
+    for cls in classes:
+        for component in vars(cls).get(attribute, ()):
+            slots[component.slot] = component
+    return tuple(sorted(slots.values(), key=lambda component: component.order))
+
+
+class Layout:
+    """Where each field lies in a pack of planes [C, N]."""
+
+    def __init__(self, fields: Iterable[Field]) -> None:
+        """Lay the fields out one after the other; equal names are one field."""
+        self.fields = {f.name: f for f in fields}
+        self.slices: dict[str, slice] = {}
+        start = 0
+        for f in self.fields.values():
+            self.slices[f.name] = slice(start, start + f.width)
+            start += f.width
+        self.size = start
+
+    def put(self, bus: Bus, pack: Tensor) -> None:
+        """Write every field of the pack [C, N] to the bus."""
+        planes = pack.unbind(0)
+        for name, f in self.fields.items():
+            part = planes[self.slices[name]]
+            setattr(bus, name, part if f.many else part[0] if f.width == 1 else Vec3(*part) if f.width == 3 else part)
+
+    def gather(self, bus: Bus) -> list[Tensor]:
+        """The planes of every field, read from the bus in the order of the pack."""
+        planes: list[Tensor] = []
+        for name, f in self.fields.items():
+            value = getattr(bus, name)
+            planes.extend((value,) if f.width == 1 and not f.many else value)
+        return planes
+
+    def rows(self, values: Mapping[str, Tensor], n: int) -> Tensor:
+        """The pack [C, n] of named values [n or 1] or [n or 1, width]."""
+        parts = [values[name].reshape(-1, f.width).mT.expand(-1, n) for name, f in self.fields.items()]
+        return torch.cat(parts) if parts else torch.zeros(0, n, dtype=torch.float64)
+
+    def view(self, pack: Tensor, name: str) -> Tensor:
+        """The field in the pack: [N] for one plane, else [width, N]; a view."""
+        part = pack[self.slices[name]]
+        return part[0] if self.fields[name].width == 1 else part

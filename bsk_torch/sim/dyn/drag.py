@@ -1,0 +1,67 @@
+"""Drag on flat facets and a constant disturbance torque."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from bsk_torch.sim.component import Arg, Bus, Component, Field, Values, vec
+from bsk_torch.vec3 import Vec3
+
+
+def _facet_areas(args: Values) -> dict[str, Tensor]:
+    """Areas, m^2, and offsets, m, of the facets of bsk_rl: six sides of the box and the two faces of the panel."""
+    w, d, h, panel = (args[name] for name in ("width", "depth", "height", "panelArea"))
+    areas = torch.stack(torch.broadcast_tensors(w * d, h * w, h * d, panel / 2.0), -1)
+    offsets = torch.stack(torch.broadcast_tensors(h / 2.0, d / 2.0, w / 2.0, h), -1)
+    return {"facet_areas": areas, "facet_offsets": offsets, "drag_coefficient": args["dragCoeff"]}
+
+
+def drag(bus: Bus, v_B: Vec3) -> tuple[Vec3, Vec3]:
+    """Drag force, N, and torque, N m, in B for the inertial velocity v_B, m/s, in B.
+
+    ``F = -1/2 rho v^2 Cd A (n . v^) v^`` at the location l of every facet that faces the flow, torque ``l x F``; the
+    atmosphere does not rotate. Both x facets sit at +height/2, as bsk_rl builds them.
+    """
+    speed2 = v_B.dot(v_B)
+    flow = v_B / torch.sqrt(speed2)
+    x_side, y_side, z_side, panel = bus.facet_areas
+    x_at, y_at, z_at, panel_at = bus.facet_offsets
+    facing_x, facing_y, facing_z = torch.abs(flow.x), torch.abs(flow.y), torch.abs(flow.z)
+    pressure = -0.5 * speed2 * bus.drag_coefficient * bus.density
+    area = x_side * facing_x + (y_side + panel) * facing_y + z_side * facing_z
+    sign_y, sign_z = torch.sign(flow.y), torch.sign(flow.z)
+    arm = Vec3(
+        x_side * facing_x * x_at,
+        y_side * facing_y * y_at * sign_y + panel * facing_y * panel_at,
+        z_side * facing_z * z_at * sign_z,
+    )
+    return flow * (pressure * area), arm.cross(flow) * pressure
+
+
+def _latch_density(bus: Bus) -> None:
+    bus.density = bus.density_message
+
+
+DRAG = Component(
+    slot="drag",
+    order=210,
+    update=_latch_density,
+    args=(
+        Arg("dragCoeff", 2.2, "-", "drag coefficient", low=0.0),
+        Arg("panelArea", 1.0, "m^2", "area of the solar panel", low=0.0),
+    ),
+    state=(Field("density", 1, "kg/m^3", "density that acts over the next tick"),),
+    params=(Field("facet_areas", 4, "m^2"), Field("facet_offsets", 4, "m"), Field("drag_coefficient", 1, "-")),
+    initial=lambda args: {"density": torch.zeros(1, dtype=torch.float64)},
+    prepare=_facet_areas,
+    integrated_only=True,
+)
+
+DISTURBANCE = Component(
+    slot="disturbance",
+    order=199,
+    args=(Arg("disturbance_vector", None, "N m", "constant torque in B", kind="vector", missing=0.0),),
+    params=(vec("disturbance_torque", "N m"),),
+    prepare=lambda args: {"disturbance_torque": args["disturbance_vector"]},
+)

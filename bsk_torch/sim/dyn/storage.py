@@ -1,0 +1,110 @@
+"""Instrument, transmitter and a storage unit with a single partition that counts whole bits."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from bsk_torch.sim.component import Arg, Bus, Component, Field, Values
+from bsk_torch.sim.dyn.power import sink
+
+
+def run_instrument(bus: Bus) -> None:
+    """Data rate, bit/s, of the instrument under the command that the flight software wrote one tick ago."""
+    bus.instrument_rate = bus.instrument_baud * bus.instrument_command * bus.instrument_linked
+
+
+def transmit(bus: Bus) -> None:
+    """Data rate, bit/s (negative), of the transmitter, which works on the storage of one tick ago.
+
+    A packet starts only when the store holds a whole one, and its progress ``packet`` (negative bits) is lost with the
+    station. ``idle`` counts the time since the transmitter last ran: its first tick accounts for all of it.
+    """
+    level, rate, size = bus.storage, bus.transmitter_baud, bus.packet_size
+    zero = torch.zeros_like(level)
+    packet = torch.where(bus.packet <= size, zero, bus.packet)
+    empty = (packet != 0.0) & (level <= 0.0)
+    sent = rate * (bus.idle + bus.h)
+    starved = (packet == 0.0) & (level < -size)
+    sends = (bus.station_access > 0.0) & ~empty & ~starved
+    progress = torch.where(level + sent < 0.0, -level, packet + sent)
+    on = bus.transmitter_on > 0.0
+    bus.packet = torch.where(on, torch.where(sends, progress, zero), bus.packet)
+    bus.transmitter_rate = torch.where(on & sends, rate + zero, zero)
+    bus.idle = torch.where(on, zero, bus.idle + bus.h)
+
+
+def _stored(level: Tensor, total: Tensor, rate: Tensor, bus: Bus) -> Tensor:
+    """Level after one node; a node that would fill the store to its capacity is dropped whole."""
+    bits = rate * bus.h
+    whole = torch.sign(bits) * torch.floor(torch.abs(bits) + 0.5)
+    accepted = (total + whole < bus.storage_capacity) | (rate <= 0.0)
+    after = torch.where(level + bits >= 0.0, level + whole, torch.zeros_like(level))
+    return torch.where(accepted, after, level)
+
+
+def store(bus: Bus) -> None:
+    """Add the instrument's bits, then remove the transmitter's; both compare with the total at the start of the tick."""
+    total = bus.storage
+    bus.storage = _stored(_stored(total, total, bus.instrument_rate, bus), total, bus.transmitter_rate, bus)
+
+
+def _packet_size(args: Values) -> dict[str, Tensor]:
+    size = args["transmitterPacketSize"]
+    return {
+        "transmitter_baud": args["transmitterBaudRate"],
+        "packet_size": -args["instrumentBaudRate"] if size is None else size,
+    }
+
+
+def _initial_store(args: Values) -> dict[str, Tensor]:
+    # Basilisk's counters are integers; more than the capacity does not fit and is left out
+    level, capacity = torch.trunc(args["storageInit"]), torch.trunc(args["dataStorageCapacity"])
+    return {"storage": torch.where(level <= capacity, level, torch.zeros_like(level))}
+
+
+INSTRUMENT_POWER = sink(
+    "instrument_draw", Arg("instrumentPowerDraw", -30.0, "W", "power while imaging, negative"), "instrument_power"
+)
+TRANSMITTER_POWER = sink(
+    "transmitter_draw", Arg("transmitterPowerDraw", -15.0, "W", "power while downlinking, negative"), "transmitter_on"
+)
+
+INSTRUMENT = Component(
+    slot="instrument",
+    order=216,
+    update=run_instrument,
+    args=(Arg("instrumentBaudRate", 8e6, "bit/s", "data rate while imaging", low=0.0),),
+    params=(Field("instrument_baud", 1, "bit/s"),),
+    prepare=lambda args: {"instrument_baud": args["instrumentBaudRate"]},
+)
+
+TRANSMITTER = Component(
+    slot="transmitter",
+    order=218,
+    update=transmit,
+    args=(
+        Arg("transmitterBaudRate", -8e6, "bit/s", "data rate of the downlink, negative", high=0.0),
+        Arg("transmitterPacketSize", None, "bit", "packet, negative; None: one second of the instrument", high=0.0),
+        Arg("transmitterNumBuffers", 100.0, "-", "partitions of a partitioned store", low=1.0),
+    ),
+    state=(Field("packet", 1, "bit"), Field("idle", 1, "s")),
+    params=(Field("transmitter_baud", 1, "bit/s"), Field("packet_size", 1, "bit")),
+    initial=lambda args: {name: torch.zeros(1, dtype=torch.float64) for name in ("packet", "idle")},
+    prepare=_packet_size,
+)
+
+STORAGE = Component(
+    slot="storage",
+    order=219,
+    update=store,
+    args=(
+        Arg("dataStorageCapacity", 1.6e8, "bit", "storage capacity", low=0.0),
+        Arg("storageInit", 0.0, "bit", "initial storage level", low=0.0),
+        Arg("storageUnitValidCheck", False, "-", "whether a full store kills the spacecraft", kind="constant"),
+    ),
+    state=(Field("storage", 1, "bit"),),
+    params=(Field("storage_capacity", 1, "bit"),),
+    initial=_initial_store,
+    prepare=lambda args: {"storage_capacity": torch.trunc(args["dataStorageCapacity"])},
+)

@@ -1,0 +1,82 @@
+"""Three reaction wheels on the body axes, and the power that they draw."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from bsk_torch.constants import RPM
+from bsk_torch.rand import Uniform
+from bsk_torch.sim.component import Arg, Bus, Component, Field, Values, vec
+from bsk_torch.vec3 import Vec3
+
+MAX_SPEED = 6000.0 * RPM
+"""Speed, rad/s, at which a wheel takes no more accelerating torque (Honeywell HR16)."""
+
+SPIN_INERTIA = 50.0 / MAX_SPEED
+"""Wheel inertia about its axis, kg m^2 (Honeywell HR16, 50 N m s)."""
+
+
+def _initial(args: Values) -> dict[str, Tensor]:
+    zero = torch.zeros(1, 3, dtype=torch.float64)
+    return {"Omega": args["wheelSpeeds"] * RPM, "motor_torque": zero, "motor_torque_command": zero}
+
+
+def latch_motor_torque(bus: Bus) -> None:
+    """Limit the commanded torque; what is latched here acts over the whole next tick.
+
+    The command was written by the flight software one tick ago: Basilisk's extra tick of delay.
+    """
+    limit = bus.max_motor_torque
+
+    def limited(command: Tensor, speed: Tensor) -> Tensor:
+        torque = torch.where(limit > 0.0, torch.minimum(torch.maximum(command, -limit), limit), command)
+        saturated = (torch.abs(speed) >= MAX_SPEED) & (speed * torque >= 0.0)
+        return torch.where(saturated, torch.zeros_like(torque), torque)
+
+    bus.motor_torque = bus.motor_torque_command.map(limited, bus.Omega)
+
+
+def draw_wheel_power(bus: Bus) -> None:
+    """Electrical power of the wheels: accelerating costs, braking returns what its efficiency lets it."""
+
+    def need(speed: Tensor, torque: Tensor) -> Tensor:
+        mechanical = speed * torque
+        costs = (mechanical > 0.0) | (bus.wheel_to_battery < 0.0)
+        return torch.where(costs, torch.abs(mechanical) / bus.battery_to_wheel, bus.wheel_to_battery * mechanical)
+
+    needs: Vec3 = bus.Omega.map(need, bus.motor_torque)
+    bus.power = bus.power - (needs.x + needs.y + needs.z) - 3.0 * bus.wheel_base_power
+
+
+WHEELS = Component(
+    slot="wheels",
+    order=211,
+    update=latch_motor_torque,
+    args=(
+        Arg("wheelSpeeds", Uniform(-1500.0, 1500.0, 3), "rpm", "initial wheel speeds", kind="vector"),
+        Arg("maxWheelSpeed", float("inf"), "rpm", "a spacecraft with a wheel at or above this speed dies", low=0.0),
+        Arg("u_max", 0.2, "N m", "largest motor torque; no limit where not positive"),
+    ),
+    state=(vec("Omega", "rad/s"), vec("motor_torque", "N m"), vec("motor_torque_command", "N m")),
+    params=(Field("max_motor_torque", 1, "N m"),),
+    initial=_initial,
+    prepare=lambda args: {"max_motor_torque": args["u_max"]},
+)
+
+WHEEL_POWER = Component(
+    slot="wheel_power",
+    order=214,
+    update=draw_wheel_power,
+    args=(
+        Arg("rwBasePower", 0.4, "W", "power that each wheel always draws"),
+        Arg("rwMechToElecEfficiency", 0.0, "-", "share of braking power returned; negative: braking costs too", high=1.0),
+        Arg("rwElecToMechEfficiency", 0.5, "-", "share of electrical power that accelerates a wheel", low=1e-9, high=1.0),
+    ),
+    params=(Field("wheel_base_power", 1, "W"), Field("wheel_to_battery"), Field("battery_to_wheel")),
+    prepare=lambda args: {
+        "wheel_base_power": args["rwBasePower"],
+        "wheel_to_battery": args["rwMechToElecEfficiency"],
+        "battery_to_wheel": args["rwElecToMechEfficiency"],
+    },
+)

@@ -1,0 +1,97 @@
+"""Momentum dumping: thruster pulses that take the wheels' momentum away.
+
+Basilisk's chain thrMomentumManagement, thrForceMapping, thrMomentumDumping, on the four thruster pairs of
+:mod:`bsk_torch.sim.dyn.thrusters`.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from bsk_torch.sim.component import Arg, Bus, Component, Field, Values, vec
+from bsk_torch.sim.dyn.thrusters import ARMS, THRUST
+from bsk_torch.sim.dyn.wheels import SPIN_INERTIA
+from bsk_torch.vec3 import Vec3, select
+
+Pairs = tuple[Tensor, ...]
+
+_D = torch.tensor(ARMS, dtype=torch.float64).mT
+ALLOCATION = (_D.mT @ torch.linalg.inv(2.0 * _D @ _D.mT)).tolist()
+"""Impulse of each thruster of the four pairs, N s, per momentum, N m s, of least norm."""
+
+
+def momentum_to_dump(Omega: Vec3, keep: Tensor) -> Vec3:
+    """Change of momentum, N m s, that leaves the wheels with ``keep``; zero where they have less."""
+    h = Omega * SPIN_INERTIA
+    size = h.norm()
+    excess = torch.where(size < keep, torch.zeros_like(size), size - keep)
+    return h * (-excess / torch.where(size > 0.0, size, torch.ones_like(size)))
+
+
+def impulses(dH: Vec3) -> Pairs:
+    """Impulse, N s, of each pair's thrusters: least norm, then shifted so that none is negative."""
+    wanted = [dH.x * a + dH.y * b + dH.z * c for a, b, c in ALLOCATION]
+    least = torch.minimum(torch.minimum(wanted[0], wanted[1]), torch.minimum(wanted[2], wanted[3]))
+    least = torch.clamp(least, max=0.0)
+    return tuple(f - least for f in wanted)
+
+
+def dump_momentum(bus: Bus) -> None:
+    """Fire for one tick, wait ``maxCounterValue`` ticks, until the impulse is spent.
+
+    The momentum is measured in the first tick of the mode, the pulses start in the second. Only pulses of a whole tick
+    reach the integrator, so only those are commanded.
+    """
+    on, h = bus.desat_on > 0.0, bus.h
+    first, second = bus.dump_calls == 0.0, bus.dump_calls == 1.0
+    dH = select(on & first, momentum_to_dump(bus.Omega, bus.momentum_to_keep), bus.dump_momentum)
+    waiting = bus.dump_counter > 0.0
+    loads, fires = second, ~first & (second | ~waiting)
+    remaining = tuple(torch.where(loads, f / THRUST, left) for f, left in zip(impulses(dH), bus.dump_remaining, strict=True))
+    full = tuple((fires & on & (left >= h) & (left >= bus.shortest_pulse)).to(left.dtype) for left in remaining)
+    spent = tuple(torch.where(fires, torch.clamp(left - h, min=0.0), left) for left in remaining)
+    counter = torch.where(fires, bus.dump_wait, torch.clamp(bus.dump_counter - 1.0, min=0.0))
+    bus.pulse_command = full
+    bus.dump_momentum = dH
+    bus.dump_remaining = tuple(torch.where(on, new, old) for new, old in zip(spent, bus.dump_remaining, strict=True))
+    bus.dump_counter = torch.where(on & ~first, counter, bus.dump_counter)
+    bus.dump_calls = torch.where(on, bus.dump_calls + 1.0, bus.dump_calls)
+
+
+def _check(args: Values) -> None:
+    if bool((args["thrForceSign"] != 1.0).any()):
+        raise ValueError(f"thrForceSign={args['thrForceSign'].tolist()}: only +1 (thrusters that push) is supported")
+
+
+def _initial(args: Values) -> dict[str, Tensor]:
+    widths = {"dump_momentum": 3, "dump_remaining": 4, "dump_counter": 1, "dump_calls": 1}
+    return {name: torch.zeros(1, width).double() for name, width in widths.items()}
+
+
+DESATURATION = Component(
+    slot="desaturation",
+    order=303,
+    update=dump_momentum,
+    args=(
+        Arg("hs_min", 0.0, "N m s", "momentum left in the wheels", low=0.0),
+        Arg("maxCounterValue", 4.0, "-", "ticks between pulses", low=0.0),
+        Arg("thrMinFireTime", 0.02, "s", "shortest pulse", low=0.0),
+        Arg("desatAttitude", "sun", "-", "attitude while desaturating", "choice", choices=("sun", "nadir", None)),
+        Arg("thrForceSign", 1.0, "-", "sign of the thrusters' forces"),
+    ),
+    state=(
+        vec("dump_momentum", "N m s"),
+        Field("dump_remaining", 4, "s", "on-time left for each pair"),
+        Field("dump_counter", 1, "-", "ticks to wait"),
+        Field("dump_calls", 1, "-", "ticks since the mode was entered"),
+    ),
+    params=(Field("momentum_to_keep", 1, "N m s"), Field("dump_wait"), Field("shortest_pulse", 1, "s")),
+    initial=_initial,
+    prepare=lambda args: {
+        "momentum_to_keep": args["hs_min"],
+        "dump_wait": args["maxCounterValue"],
+        "shortest_pulse": args["thrMinFireTime"],
+    },
+    check=_check,
+)

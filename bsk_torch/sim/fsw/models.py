@@ -1,0 +1,90 @@
+"""Flight-software models: tasks, mode tables and commands. Names are bsk_rl's."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+from torch import Tensor
+
+from bsk_torch.sim.fsw import control, desaturation, guidance, instrument
+from bsk_torch.sim.fsw.modes import DUMP_RESET, SUN_RESET, Command, Mode
+from bsk_torch.sim.model import Model
+
+IDLE = "idle"
+"""The mode before the first command: nothing runs."""
+
+
+class FSWModel(Model):
+    """Flight software that can be commanded but has no actuators of its own.
+
+    ``modes`` maps names to rows of the mode table, ``commands`` maps what actions ask for to modes; both are merged with those
+    of the base classes.
+    """
+
+    components: ClassVar = (guidance.NAVIGATION,)
+    modes: ClassVar[dict[str, Mode]] = {IDLE: Mode(on=())}
+    commands: ClassVar[dict[str, Command]] = {}
+
+    @classmethod
+    def all_modes(cls) -> dict[str, Mode]:
+        """Mode table of the class and its bases."""
+        return {name: mode for base in reversed(cls.__mro__) for name, mode in vars(base).get("modes", {}).items()}
+
+    @classmethod
+    def all_commands(cls) -> dict[str, Command]:
+        """Commands of the class and its bases; every mode is a command of its own name too."""
+        table = {name: Command((name,)) for name in cls.all_modes()}
+        return table | {name: c for base in reversed(cls.__mro__) for name, c in vars(base).get("commands", {}).items()}
+
+
+class BasicFSWModel(FSWModel):
+    """MRP feedback with reaction wheels: drift, charge, nadir pointing, desaturation."""
+
+    components: ClassVar = (
+        guidance.SUN_POINTING,
+        guidance.NADIR_POINTING,
+        desaturation.DESATURATION,
+        guidance.TRACKING_ERROR,
+        control.MRP_FEEDBACK,
+    )
+    modes: ClassVar = {
+        "drift": Mode(on=()),
+        "charge": Mode(("control_on", "sun_on"), SUN_RESET),
+        "nadir_point": Mode(("control_on", "nadir_on")),
+        "desat_sun": Mode(("control_on", "desat_on", "thruster_power", "sun_on"), SUN_RESET | DUMP_RESET),
+        "desat_nadir": Mode(("control_on", "desat_on", "thruster_power", "nadir_on"), DUMP_RESET),
+        "desat_none": Mode(("control_on", "desat_on", "thruster_power"), DUMP_RESET),
+    }
+    commands: ClassVar = {"desat": Command(("desat_sun", "desat_nadir", "desat_none"), choice="desatAttitude")}
+
+
+class ImagingFSWModel(BasicFSWModel):
+    """Base of the models that point an instrument and downlink; :class:`ContinuousImagingFSWModel` completes it."""
+
+    components: ClassVar = (guidance.LOCATION_POINTING, instrument.SCANNING_CONTROLLER)
+    modes: ClassVar = {"downlink": Mode(("control_on", "nadir_on", "transmitter_on"))}
+
+    @property
+    def c_hat_P(self) -> Tensor:
+        """Instrument axis in the Earth-fixed frame, [N, 3]."""
+        return (self.satellite.dynamics.BP.mT @ self._axis).squeeze(-1)
+
+    @property
+    def c_hat_H(self) -> Tensor:
+        """Instrument axis in the Hill frame, [N, 3]."""
+        dynamics = self.satellite.dynamics
+        return (dynamics.HN @ dynamics.BN.mT @ self._axis).squeeze(-1)
+
+    @property
+    def _axis(self) -> Tensor:
+        axis = self.satellite.sat_args["inst_pHat_B"]
+        return (axis / axis.norm(dim=-1, keepdim=True)).unsqueeze(-1)
+
+
+class ContinuousImagingFSWModel(ImagingFSWModel):
+    """Scans along the ground track: the instrument records while it points at the Earth's centre."""
+
+    components: ClassVar = (guidance.EARTH_CENTRE_TARGET,)
+    modes: ClassVar = {
+        "nadir_scan": Mode(("control_on", "location_on", "controller_on", "instrument_linked", "instrument_power")),
+    }

@@ -1,0 +1,55 @@
+"""What dynamics and flight-software models share: components gathered over base classes, and read-outs by name."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
+
+from torch import Tensor
+
+from bsk_torch.sim.component import Component, collect
+
+if TYPE_CHECKING:
+    from bsk_torch.sim.simulator import Simulator
+
+Checker = TypeVar("Checker", bound=Callable[[Any], Tensor])
+
+
+def aliveness_checker(method: Checker) -> Checker:
+    """Mark a method that returns [N] booleans: a satellite for which one is False is dead."""
+    method.is_aliveness_checker = True  # type: ignore[attr-defined]
+    return method
+
+
+class Model:
+    """Base of dynamics and flight-software models.
+
+    Subclasses list ``components`` of their own; a component replaces the one that a base class has in the same slot. Methods and
+    properties read the simulation at a decision boundary and return tensors with leading dimension N.
+    """
+
+    components: ClassVar[tuple[Component, ...]] = ()
+
+    def __init__(self, simulator: Simulator) -> None:
+        """Bind the model to the simulation that it describes."""
+        self.simulator = simulator
+        self.satellite: Any = None
+
+    @classmethod
+    def all_components(cls) -> tuple[Component, ...]:
+        """Components of the class and its bases in the order of a tick."""
+        return collect(reversed(cls.__mro__))
+
+    def state(self, name: str) -> Tensor:
+        """A field of the state: [N] or [N, width]."""
+        return self.simulator.read(name)
+
+    @property
+    def world(self) -> Any:
+        """The world that the satellite moves in."""
+        return self.simulator.world
+
+    def aliveness(self) -> dict[str, Tensor]:
+        """Result [N] of every aliveness checker, by name."""
+        names = (name for name in dir(type(self)) if getattr(getattr(type(self), name), "is_aliveness_checker", False))
+        return {name: getattr(self, name)() for name in names}

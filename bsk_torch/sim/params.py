@@ -1,0 +1,148 @@
+"""From what users write in ``sat_args`` and ``world_args`` to tensors, drawn anew at each reset.
+
+A value may be a constant, a distribution of :mod:`bsk_torch.rand`, or a callable without arguments. Constants become tensors
+with leading dimension 1, the others with one row for each environment being reset.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from bsk_torch.astro.ephemeris import parse_utc
+from bsk_torch.rand import Distribution, Key
+from bsk_torch.sim.component import Arg, Component, Values
+
+SIZES = {"scalar": (), "vector": (3,), "matrix": (9,), "orbit": (6,)}
+ELEMENTS = ("a", "e", "i", "Omega", "omega", "f")
+
+
+def nearest(name: str, known: Iterable[str]) -> str:
+    """A hint that names the valid names closest to a wrong one."""
+    known = sorted(map(str, known))
+    close = difflib.get_close_matches(name, known, n=3, cutoff=0.5)
+    return f"did you mean {' or '.join(map(repr, close))}?" if close else f"valid names: {', '.join(known)}"
+
+
+def _numbers(value: Any) -> Tensor:
+    """A float64 tensor of whatever holds numbers, orbital elements by attribute included."""
+    if all(hasattr(value, name) for name in ELEMENTS):
+        value = [getattr(value, name) for name in ELEMENTS]
+    if isinstance(value, list | tuple) and any(isinstance(v, Tensor) or hasattr(v, "a") for v in value):
+        return torch.stack([_numbers(v) for v in value])
+    return torch.as_tensor(value, dtype=torch.float64)
+
+
+def _index(arg: Arg, value: Any) -> float:
+    if value not in arg.choices:
+        raise ValueError(f"{arg.name}={value!r} must be one of {list(arg.choices)}")
+    return float(arg.choices.index(value))
+
+
+def _shaped(arg: Arg, values: Tensor, rows: int) -> Tensor:
+    size = SIZES[arg.kind]
+    values = values.detach().cpu()
+    if arg.kind == "matrix" and values.shape[1:] == (3, 3):
+        values = values.flatten(1)
+    if arg.kind == "vector" and values.shape == (rows, 3, 1):
+        values = values.squeeze(-1)
+    if values.shape != (rows, *size):
+        what = {0: "one number"}.get(len(size), f"{(*size, 1)[0]} numbers")
+        raise ValueError(f"{arg.name} needs {what} for each environment ({arg.unit}); got shape {list(values.shape[1:])}")
+    bad = torch.isnan(values) | (values < arg.low) | (values > arg.high)
+    if bool(bad.any()):
+        worst = values[bad][0].item()
+        raise ValueError(f"{arg.name}={worst:g} {arg.unit} is not allowed; it must lie in [{arg.low:g}, {arg.high:g}]")
+    return values
+
+
+def convert(arg: Arg, values: Any, rows: int) -> Any:
+    """Tensors (or, for epochs and the like, lists) of ``rows`` values given for one argument."""
+    if arg.kind == "choice":
+        return torch.tensor([_index(arg, v) for v in values], dtype=torch.float64)
+    if arg.kind == "utc":
+        return torch.tensor([parse_utc(str(v)) for v in values], dtype=torch.float64)
+    try:
+        numbers = _numbers(values)
+    except (TypeError, ValueError, RuntimeError) as error:
+        raise ValueError(f"{arg.name}={values!r} is not made of numbers ({arg.unit}): {error}") from error
+    return _shaped(arg, numbers, rows)
+
+
+class Arguments:
+    """The arguments of a satellite or of the world: their table, the user's values, and how to draw them."""
+
+    def __init__(self, components: Iterable[Component], given: Mapping[str, Any], title: str) -> None:
+        """Merge the table of ``components`` with the ``given`` values; KeyError names the nearest valid name."""
+        self.title = title
+        self.table = {arg.name: arg for component in components for arg in component.args}
+        for name in given:
+            if name not in self.table:
+                raise KeyError(f"{title}[{name!r}] is unknown; {nearest(str(name), self.table)}")
+        self.given = {name: given.get(name, arg.default) for name, arg in self.table.items()}
+        replaced = {"rN", "vN"} & {name for name in given if given[name] is not None}
+        if replaced and "oe" not in given and "oe" in self.given:
+            self.given["oe"] = None  # an explicit position replaces the default elements
+
+    def is_random(self, name: str) -> bool:
+        """Whether the value differs between environments."""
+        return isinstance(self.given[name], Distribution) or callable(self.given[name])
+
+    def draw(self, key: Key) -> dict[str, Any]:
+        """Values of all arguments for the key's environments."""
+        return {name: self._draw(arg, key) for name, arg in self.table.items()}
+
+    def _draw(self, arg: Arg, key: Key) -> Any:
+        value = self.given[arg.name]
+        try:
+            if arg.kind in ("constant", "stations"):
+                return self._constant(arg, value)
+            if isinstance(value, Distribution):
+                return convert(arg, value.draw(key.named(arg.name)), len(key))
+            if callable(value):
+                return convert(arg, [value() for _ in range(len(key))], len(key))
+            if value is None and arg.kind != "choice":
+                return self._missing(arg)
+            return convert(arg, [value], 1)
+        except ValueError as error:
+            raise ValueError(f"{self.title}: {error}") from error
+
+    def _constant(self, arg: Arg, value: Any) -> Any:
+        if isinstance(value, Distribution) or callable(value):
+            raise ValueError(f"{arg.name} must be the same for all environments; it decides how the tick is built")
+        if arg.kind == "stations":
+            _check_stations(value)
+        return value
+
+    @staticmethod
+    def _missing(arg: Arg) -> Tensor | None:
+        if arg.missing is None:
+            if arg.default is not None and arg.name != "oe":
+                raise ValueError(f"{arg.name}=None is not allowed; give {arg.doc} in {arg.unit}")
+            return None
+        return torch.full((1, *SIZES[arg.kind]), arg.missing, dtype=torch.float64)
+
+
+def _check_stations(stations: Any) -> None:
+    known = {"lat", "long", "elev", "name", "groundLocationPlanetRadius", "gsMinimumElevation", "gsMaximumRange"}
+    if not stations:
+        raise ValueError("groundStationsData is empty; it needs at least one station, such as {'lat': 40.0, 'long': -105.2}")
+    for station in stations:
+        for key in station:
+            if key not in known:
+                raise ValueError(f"groundStationsData has an unknown key {key!r}; {nearest(key, known)}")
+        for key, bound in (("lat", 90.0), ("long", 360.0)):
+            if key not in station or not -bound <= station[key] <= bound:
+                raise ValueError(f"groundStationsData needs {key!r} in degrees within +-{bound:g}; got {station}")
+
+
+def merge(values: Values, components: Iterable[Component], what: str) -> dict[str, Tensor]:
+    """Everything that the components' ``initial`` or ``prepare`` computes from the values."""
+    merged: dict[str, Tensor] = {}
+    for component in components:
+        merged.update(getattr(component, what)(values))
+    return merged

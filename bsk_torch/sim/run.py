@@ -1,0 +1,97 @@
+"""Repeat the tick until each environment's own end.
+
+Durations are known when a step starts, so rows are sorted by the time that they have left and the loop works on a shrinking front
+part. Within a segment of at most a minute Sun, Earth and orbit are given by a few numbers per row.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import torch
+from torch import Tensor
+
+from bsk_torch.constants import NANO
+from bsk_torch.sim.tick import Step
+
+LONGEST_SEGMENT = 60.0
+"""Seconds after which Sun, Earth and orbit are looked up again."""
+
+SHORTEST_CUT = 10
+"""Ticks that a segment has at least, where enough are left; rows that end inside it are held by their count."""
+
+FEWEST_ROWS = 2
+"""Rows that a call has at least: the compiler specialises a batch of one."""
+
+SegmentMaker = Callable[[Tensor, float, float], tuple[Tensor, Tensor, Tensor]]
+
+
+def segments(counts: list[int], longest: int) -> Iterator[tuple[int, int, int]]:
+    """Cut a step into segments: first tick, end, and the number of rows still running.
+
+    ``counts`` are the rows' numbers of ticks in descending order.
+    """
+    start, rows = 0, len(counts)
+    while True:
+        while rows and counts[rows - 1] <= start:
+            rows -= 1
+        if not rows:
+            return
+        latest = min(counts[0], start + longest)
+        wanted = min(start + SHORTEST_CUT, latest)
+        end = next((c for c in reversed(counts[:rows]) if c >= wanted), latest)
+        end = min(end, latest)
+        yield start, end, rows
+        start = end
+
+
+def pulse_reaches(ticks: Tensor, count: int, h_ns: int) -> Tensor:
+    """Whether a pulse commanded one tick before each of the next ``count`` ticks reaches the integrator, [count, n].
+
+    Basilisk compares the pulse's end with the time of the next Runge-Kutta stage, both rounded to doubles of seconds; it is
+    missed where rounding puts the end first.
+    """
+    number = ticks + torch.arange(1, count + 1, device=ticks.device).unsqueeze(-1)
+    written, stage = (((number - k) * h_ns).double() * NANO for k in (1, 0))
+    return (written + h_ns * NANO >= stage).double()
+
+
+def run(step: Step, state: Tensor, shared: Tensor, own: Tensor, make: SegmentMaker, ticks: Tensor, h_ns: int) -> Tensor:
+    """State [C, N] after each row has run its number of ticks ``ticks`` [N].
+
+    Args:
+        step: The tick, see :meth:`bsk_torch.sim.tick.Tick.step`.
+        state: State pack [C, N]; not modified.
+        shared: Shared parameters.
+        own: Own parameters [C, N].
+        make: Gives, for rows, the seconds since the start of the step at which a segment starts, and its length, the rows'
+            flags, their segment pack, and their tick counters at the start of the step.
+        ticks: Number of ticks of each row, int64 [N].
+        h_ns: Tick, nanoseconds.
+    """
+    order = torch.argsort(ticks, descending=True, stable=True)
+    counts = ticks[order].tolist()
+    h = h_ns * NANO
+    state, own = state[:, order], own[:, order]
+    for start, end, rows in segments(counts, max(1, int(LONGEST_SEGMENT / h + 1e-9))):
+        padded = torch.cat([order[:rows], order[:1].expand(max(0, FEWEST_ROWS - rows))])
+        flags, segment, clock_ticks = make(padded, start * h, (end - start) * h)
+        left = (ticks[padded] - start).to(state.dtype)
+        reaches = pulse_reaches(clock_ticks + start, end - start, h_ns).to(state.dtype)
+        rows_in = torch.stack([left.expand_as(reaches), reaches], 1)
+        numbers = torch.arange(1, end - start + 1, device=state.device, dtype=torch.float64)
+        clocks = torch.stack([numbers * h, numbers], -1).to(state.dtype)
+        front = _front(state, rows)
+        parameters = shared, _front(own, rows), flags, segment
+        for k in range(end - start):
+            front = step(front, *parameters, clocks[k], rows_in[k])
+        state[:, :rows] = front[:, :rows]
+    result = torch.empty_like(state)
+    result[:, order] = state
+    return result
+
+
+def _front(pack: Tensor, rows: int) -> Tensor:
+    """The first rows of a pack, at least :data:`FEWEST_ROWS` of them, as a tensor of their own."""
+    front = pack[:, :rows]
+    return torch.cat([front, front[:, :1]], 1) if rows < FEWEST_ROWS else front.contiguous()

@@ -1,0 +1,115 @@
+"""One simulated tick of one satellite type: the function that is compiled.
+
+State, parameters and flags cross its boundary as packs of planes [C, n] and are separate tensors inside, so that the whole tick
+fuses into one loop over the batch. Compiled and eager ticks are the same source.
+"""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable, Sequence
+
+import torch
+from torch import Tensor
+
+from bsk_torch.sim.component import Bus, Component, Field, Layout
+from bsk_torch.sim.fsw.modes import FLAGS
+from bsk_torch.sim.orbit import position_on_arc
+from bsk_torch.sim.world import SEGMENT
+
+logger = logging.getLogger(__name__)
+
+BACKENDS = ("compiled", "eager")
+
+COMPILER_OPTIONS = {
+    "max_fusion_size": 100000,
+    "realize_cpu_opcount_threshold": 12,
+    "realize_reads_threshold": 2,
+    "cpp.enable_floating_point_contract_flag": "fast",
+}
+"""Inductor options without which the tick would be split into several loops (measured in benchmarks/)."""
+
+
+def follow_arc(bus: Bus) -> None:
+    """Take position and velocity at the end of the tick from the arc."""
+    bus.r, bus.v = position_on_arc(bus.arc_nodes, bus.arc_first, bus.tau)
+
+
+ARC_FIELDS = (Field("arc_nodes", 27), Field("arc_first", 1, "s"))
+ARC_ORBIT = Component(slot="orbit", order=195, update=follow_arc)
+
+Step = Callable[..., Tensor]
+
+
+class Tick:
+    """The tick of a list of components, and the layouts of its packs.
+
+    ``shared`` are the parameters that all environments have in common, ``own`` those that differ.
+    """
+
+    def __init__(self, components: Sequence[Component], shared: set[str], h: float, on_arc: bool) -> None:
+        """Lay out the packs of ``components``, which are in the order of a tick of ``h`` seconds."""
+        params = [field for component in components for field in component.params]
+        self.components, self.h, self.on_arc = components, h, on_arc
+        self.state = Layout(field for component in components for field in component.state)
+        self.shared = Layout(field for field in params if field.name in shared)
+        self.own = Layout(field for field in params if field.name not in shared)
+        self.flags = Layout(Field(name) for name in FLAGS)
+        self.segment = Layout((*SEGMENT, *(ARC_FIELDS if on_arc else ())))
+        self._updates = tuple(component.update for component in components if component.update)
+
+    def step(
+        self, state: Tensor, shared: Tensor, own: Tensor, flags: Tensor, segment: Tensor, clock: Tensor, row: Tensor
+    ) -> Tensor:
+        """State [C, n] after one tick; rows whose time is up keep theirs, bit for bit.
+
+        Args:
+            state: State pack [C, n].
+            shared: Shared parameters [C, 1].
+            own: Own parameters [C, n].
+            flags: Flags of the flight mode [C, n].
+            segment: Sun, Earth and orbit around this time [C, n].
+            clock: Seconds since the start of the segment and number of the tick within it, [2].
+            row: Number of ticks to run in this segment, and whether a thruster pulse reaches the integrator, [2, n].
+        """
+        bus = Bus(h=self.h)
+        packs = (self.state, state), (self.shared, shared), (self.own, own), (self.flags, flags), (self.segment, segment)
+        for layout, pack in packs:
+            layout.put(bus, pack)
+        bus.tau, number = clock.unbind(0)
+        ticks_left, bus.pulse_reaches = row.unbind(0)
+        for update in self._updates:
+            update(bus)
+        runs = number <= ticks_left
+        return torch.stack(
+            [torch.where(runs, new, old) for new, old in zip(self.state.gather(bus), state.unbind(0), strict=True)]
+        )
+
+
+def compiled(step: Step) -> Step:
+    """The step compiled into one loop per batch size class; the first call takes up to a minute and is logged."""
+    fast = torch.compile(step, fullgraph=True, options=COMPILER_OPTIONS, isolate_recompiles=True)
+    started = False
+
+    def call(state: Tensor, shared: Tensor, own: Tensor, flags: Tensor, segment: Tensor, clock: Tensor, row: Tensor) -> Tensor:
+        nonlocal started
+        if started:
+            return fast(state, shared, own, flags, segment, clock, row)
+        started = True
+        logger.info("compiling the tick for this machine; kept in torch's cache, so later starts take seconds")
+        for pack in (state, own, flags, segment, row):
+            torch._dynamo.mark_dynamic(pack, 1)
+        begin = time.perf_counter()
+        result = fast(state, shared, own, flags, segment, clock, row)
+        logger.info("compiled the tick in %.1f s", time.perf_counter() - begin)
+        return result
+
+    return call
+
+
+def make_step(tick: Tick, backend: str) -> Step:
+    """The tick's step under one of :data:`BACKENDS`."""
+    if backend not in BACKENDS:
+        raise ValueError(f"backend={backend!r} must be one of {list(BACKENDS)}")
+    return compiled(tick.step) if backend == "compiled" else tick.step

@@ -1,0 +1,163 @@
+"""The world around the spacecraft: Sun, Earth's orientation, ground stations, atmosphere, eclipse.
+
+World modules run first in a tick, so they see the spacecraft where it was one tick ago.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from bsk_torch.astro.atmosphere import exponential_density
+from bsk_torch.astro.eclipse import illumination
+from bsk_torch.astro.ephemeris import EARTH_ROTATION_RATE
+from bsk_torch.astro.frames import lla_to_fixed, rotate_z
+from bsk_torch.constants import R_EARTH
+from bsk_torch.rand import random_epoch
+from bsk_torch.sim.component import Arg, Bus, Component, Field, Values, vec
+from bsk_torch.vec3 import Mat3, Vec3
+
+DEFAULT_STATIONS: tuple[dict[str, Any], ...] = tuple(
+    {"name": name, "lat": lat, "long": long, "elev": elev}
+    for name, lat, long, elev in (
+        ("Boulder", 40.009971, -105.243895, 1624.0),
+        ("Merritt", 28.3181, -80.6660, 0.9144),
+        ("Singapore", 1.3521, 103.8198, 15.0),
+        ("Weilheim", 47.8407, 11.1421, 563.0),
+        ("Santiago", -33.4489, -70.6693, 570.0),
+        ("Dongara", -29.2452, 114.9326, 34.0),
+        ("Hawaii", 19.8968, -155.5828, 9.0),
+    )
+)
+"""Ground stations of bsk_rl: latitude and longitude in degrees, elevation in metres."""
+
+
+def station_arrays(args: Values) -> dict[str, Tensor]:
+    """Positions [1, 3 S] (all x, all y, all z), m, sines of the least elevation [1, S] and longest ranges [1, S], m."""
+    stations = args["groundStationsData"]
+
+    def numbers(key: str, default: Tensor) -> Tensor:
+        # bsk_rl takes a falsy value of a station for an unset one
+        return torch.tensor([s.get(key) or default.item() for s in stations], dtype=torch.float64)
+
+    radius = numbers("groundLocationPlanetRadius", args["groundLocationPlanetRadius"])
+    degrees = (torch.tensor([s[key] for s in stations], dtype=torch.float64) for key in ("lat", "long"))
+    r_P = lla_to_fixed(*(torch.deg2rad(d) for d in degrees), numbers("elev", torch.zeros(())), radius)
+    return {
+        "station_positions": r_P.mT.reshape(1, -1),
+        "station_sin_elevations": numbers("gsMinimumElevation", args["gsMinimumElevation"]).sin()[None],
+        "station_ranges": numbers("gsMaximumRange", args["gsMaximumRange"])[None],
+    }
+
+
+def see_stations(bus: Bus) -> None:
+    """Whether any station sees the spacecraft, both as they were one tick ago."""
+    angle = bus.earth_angle + EARTH_ROTATION_RATE * (bus.tau - bus.h)
+    r = rotate_z(bus.pole @ bus.r, torch.cos(angle), torch.sin(angle))
+    n = len(bus.station_ranges)
+    access = torch.zeros_like(r.x)
+    for i in range(n):
+        x, y, z = (bus.station_positions[i + axis * n] for axis in range(3))
+        dx, dy, dz = r.x - x, r.y - y, r.z - z
+        range2 = dx * dx + dy * dy + dz * dz
+        up = (x * dx + y * dy + z * dz) / torch.sqrt((x * x + y * y + z * z) * range2)
+        reach = bus.station_ranges[i]
+        sees = (up > bus.station_sin_elevations[i]) & ((range2 <= reach * reach) | (reach < 0.0))
+        access = torch.where(sees, torch.ones_like(access), access)
+    bus.station_access = access
+
+
+def orient_pole(bus: Bus) -> None:
+    """DCM from N to the axes whose z is the Earth's pole; it does not turn within a segment."""
+    rows = bus.pole_rows
+    bus.pole = Mat3(Vec3(*rows[:3]), Vec3(*rows[3:6]), Vec3(*rows[6:]))
+
+
+def move_sun_and_earth(bus: Bus) -> None:
+    """Sun and Earth's orientation at the end of the tick."""
+    bus.r_sun = bus.r_sun_0 + bus.v_sun * bus.tau
+    angle = bus.earth_angle + EARTH_ROTATION_RATE * bus.tau
+    bus.cos_earth, bus.sin_earth = torch.cos(angle), torch.sin(angle)
+
+
+def sample_density(bus: Bus) -> None:
+    """Density at the position of one tick ago."""
+    base = bus.atmosphere_radius, bus.atmosphere_density, bus.atmosphere_scale_height
+    bus.density_message = exponential_density(bus.r, *base)
+
+
+def cast_shadow(bus: Bus) -> None:
+    """Illumination at the position of one tick ago under the Sun of this tick."""
+    bus.illumination = illumination(bus.r, bus.r_sun)
+
+
+SEGMENT = (
+    vec("r_sun_0", "m", "Sun relative to Earth at the start of the segment"),
+    vec("v_sun", "m/s"),
+    Field("earth_angle", 1, "rad", "prime meridian at the start of the segment"),
+    Field("pole_rows", 9, "-", "DCM from N to axes with z along the Earth's pole"),
+)
+"""What every tick needs to know of Sun and Earth, for all ticks of a segment of at most a minute."""
+
+STATION_ARGS = (
+    Arg("groundStationsData", DEFAULT_STATIONS, "deg, m", "list of dictionaries lat, long, elev, name", "stations"),
+    Arg("groundLocationPlanetRadius", R_EARTH, "m", "radius of the sphere that stations stand on", low=1e-9),
+    Arg("gsMinimumElevation", math.radians(10.0), "rad", "least elevation", low=-math.pi / 2, high=math.pi / 2),
+    Arg("gsMaximumRange", -1.0, "m", "longest range; no limit where negative"),
+)
+
+
+def ground_stations(count: int) -> Component:
+    """Component for ``count`` stations, a number that is fixed when the tick is built."""
+    widths = {"station_positions": 3 * count, "station_sin_elevations": count, "station_ranges": count}
+    return Component(
+        slot="ground_stations",
+        order=100,
+        update=see_stations,
+        args=STATION_ARGS,
+        state=(Field("station_access", 1, "-", "whether any station sees the spacecraft"),),
+        params=tuple(Field(name, width, many=True) for name, width in widths.items()),
+        initial=lambda args: {"station_access": torch.zeros(1, dtype=torch.float64)},
+        prepare=station_arrays,
+    )
+
+
+GROUND_STATIONS = ground_stations(len(DEFAULT_STATIONS))
+
+EARTH_POLE = Component(slot="earth_pole", order=90, update=orient_pole)
+
+EPHEMERIS = Component(
+    slot="ephemeris",
+    order=110,
+    update=move_sun_and_earth,
+    args=(Arg("utc_init", random_epoch(), "-", "epoch, such as '2021 FEB 05 09:12:05.830 (UTC)'", kind="utc"),),
+)
+
+ATMOSPHERE = Component(
+    slot="atmosphere",
+    order=120,
+    update=sample_density,
+    args=(
+        Arg("planetRadius", R_EARTH, "m", "radius at which the base density holds", low=0.0),
+        Arg("baseDensity", 1.22, "kg/m^3", "density at that radius", low=0.0),
+        Arg("scaleHeight", 8000.0, "m", "height over which density falls by e", low=1e-6),
+    ),
+    params=(Field("atmosphere_radius"), Field("atmosphere_density"), Field("atmosphere_scale_height")),
+    prepare=lambda args: {
+        "atmosphere_radius": args["planetRadius"],
+        "atmosphere_density": args["baseDensity"],
+        "atmosphere_scale_height": args["scaleHeight"],
+    },
+    integrated_only=True,
+)
+
+ECLIPSE = Component(
+    slot="eclipse",
+    order=130,
+    update=cast_shadow,
+    state=(Field("illumination", 1, "-", "visible fraction of the solar disc"),),
+    initial=lambda args: {"illumination": torch.ones(1, dtype=torch.float64)},
+)

@@ -1,0 +1,118 @@
+"""Vectors and matrices whose components are separate tensors.
+
+Inside the simulation a vector is three tensors of one shape, not one tensor with a trailing three: the compiler then fuses
+a whole tick into a single loop over the batch. The operators keep equations readable: ``omega_BR_B = omega_BN_B - omega_RN_B``
+and ``r_P = PN @ r_N``. A scalar always stands on the right of ``*``.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+Scalar = Tensor | float
+"""A factor: a tensor that broadcasts with the components, or a number."""
+
+
+class Vec3(NamedTuple):
+    """A vector of three equally shaped tensors."""
+
+    x: Tensor
+    y: Tensor
+    z: Tensor
+
+    def __add__(self, other: Vec3) -> Vec3:  # type: ignore[override]
+        """Sum of two vectors."""
+        return Vec3(self.x + other.x, self.y + other.y, self.z + other.z)
+
+    def __sub__(self, other: Vec3) -> Vec3:
+        """Difference of two vectors."""
+        return Vec3(self.x - other.x, self.y - other.y, self.z - other.z)
+
+    def __neg__(self) -> Vec3:
+        """Opposite vector."""
+        return Vec3(-self.x, -self.y, -self.z)
+
+    def __mul__(self, factor: Scalar) -> Vec3:  # type: ignore[override]
+        """Vector times scalar."""
+        return Vec3(self.x * factor, self.y * factor, self.z * factor)
+
+    def __truediv__(self, divisor: Scalar) -> Vec3:
+        """Vector over scalar."""
+        return Vec3(self.x / divisor, self.y / divisor, self.z / divisor)
+
+    def scale(self, other: Vec3) -> Vec3:
+        """Product component by component, as of a diagonal matrix with a vector."""
+        return Vec3(self.x * other.x, self.y * other.y, self.z * other.z)
+
+    def dot(self, other: Vec3) -> Tensor:
+        """Scalar product."""
+        return self.x * other.x + self.y * other.y + self.z * other.z
+
+    def cross(self, other: Vec3) -> Vec3:
+        """Vector product."""
+        return Vec3(
+            self.y * other.z - self.z * other.y,
+            self.z * other.x - self.x * other.z,
+            self.x * other.y - self.y * other.x,
+        )
+
+    def norm(self) -> Tensor:
+        """Euclidean length."""
+        return torch.sqrt(self.dot(self))
+
+    def unit(self) -> Vec3:
+        """Vector of length one; NaN for the zero vector."""
+        return self / self.norm()
+
+    def map(self, function: object, *others: Vec3) -> Vec3:
+        """Apply ``function`` to each component (and to those of ``others`` beside it)."""
+        return Vec3(*(function(*parts) for parts in zip(self, *others, strict=True)))  # type: ignore[operator]
+
+    def stack(self) -> Tensor:
+        """The vector as one tensor ``[..., 3]``."""
+        return torch.stack((self.x, self.y, self.z), -1)
+
+    @staticmethod
+    def of(tensor: Tensor) -> Vec3:
+        """The vector from one tensor ``[..., 3]``."""
+        return Vec3(*tensor.unbind(-1))
+
+    @staticmethod
+    def zeros_like(component: Tensor) -> Vec3:
+        """The zero vector, shaped like ``component``."""
+        zero = torch.zeros_like(component)
+        return Vec3(zero, zero, zero)
+
+
+class Mat3(NamedTuple):
+    """A 3 x 3 matrix of three row vectors; ``XY`` maps Y components to X components."""
+
+    x: Vec3
+    y: Vec3
+    z: Vec3
+
+    def __matmul__(self, v: Vec3) -> Vec3:
+        """Matrix times vector."""
+        return Vec3(self.x.dot(v), self.y.dot(v), self.z.dot(v))
+
+    @property
+    def mT(self) -> Mat3:
+        """Transposed matrix."""
+        return Mat3(*(Vec3(*column) for column in zip(*self, strict=True)))
+
+    def stack(self) -> Tensor:
+        """The matrix as one tensor ``[..., 3, 3]``."""
+        return torch.stack([row.stack() for row in self], -2)
+
+    @staticmethod
+    def of(tensor: Tensor) -> Mat3:
+        """The matrix from one tensor ``[..., 3, 3]``."""
+        return Mat3(*(Vec3.of(row) for row in tensor.unbind(-2)))
+
+
+def select(condition: Tensor, yes: Vec3, no: Vec3) -> Vec3:
+    """``yes`` where ``condition`` holds, else ``no``."""
+    return Vec3(*(torch.where(condition, a, b) for a, b in zip(yes, no, strict=True)))
