@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -16,11 +16,11 @@ from bsk_torch.vec3 import Vec3
 State = tuple[Vec3, ...]
 
 
-def _advance(y: State, rate: State, step: float) -> State:
+def _advance(y: State, rate: State, step: float | Tensor) -> State:
     return tuple(a + b * step for a, b in zip(y, rate, strict=True))
 
 
-def rk4_step(rates: Callable[[int, float, State], State], y: State, h: float) -> State:
+def rk4_step(rates: Callable[[int, Any, State], State], y: State, h: float | Tensor) -> State:
     """One classical fourth-order Runge-Kutta step of length h.
 
     ``rates(stage, offset, y)`` gives dy/dt for the stage 0 to 3 whose time lies ``offset`` seconds after the start.
@@ -61,14 +61,3 @@ def quadrature(order: int, outputs: tuple[float, ...] | None = None, device: str
     twice = chebyshev.chebint(once, lbnd=-1, scl=0.5)
     arrays = [(x + 1.0) / 2.0, (x_out + 1.0) / 2.0, *(chebyshev.chebval(x_out, c).T for c in (coefficients, once, twice))]
     return Quadrature(*(torch.tensor(array, dtype=torch.float64, device=device) for array in arrays))
-
-
-def picard_path(q: Quadrature, r0: Vec3, v0: Vec3, a: Vec3, length: float) -> Vec3:
-    """Positions [K, n] at the output times of q, for the start r0, v0 [n] and accelerations a [M, n] at the nodes."""
-    time = (q.times * length).unsqueeze(-1)
-    return Vec3(*(r + time * v + length**2 * (q.position @ acc) for r, v, acc in zip(r0, v0, a, strict=True)))
-
-
-def picard_velocity(q: Quadrature, v0: Vec3, a: Vec3, length: float) -> Vec3:
-    """Velocities [K, n] at the output times of q; arguments as in :func:`picard_path`."""
-    return Vec3(*(v + length * (q.velocity @ acc) for v, acc in zip(v0, a, strict=True)))

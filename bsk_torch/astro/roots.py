@@ -24,10 +24,22 @@ def find_root(f: Function, a: Tensor, b: Tensor, f_a: Tensor, f_b: Tensor, itera
     return b
 
 
-def find_maximum(f: Function, a: Tensor, b: Tensor, iterations: int = 60) -> Tensor:
-    """Place of the maximum of f, unimodal between a and b (ternary search)."""
+GOLDEN = 0.5 * (5.0**0.5 - 1.0)
+
+
+def find_maximum(f: Function, a: Tensor, b: Tensor, iterations: int = 25) -> Tensor:
+    """Place of the maximum of f, unimodal between a and b, to 6e-6 of their distance (golden-section search)."""
+    left, right = b - GOLDEN * (b - a), a + GOLDEN * (b - a)
+    f_left, f_right = f(left), f(right)
     for _ in range(iterations):
-        left, right = a + (b - a) / 3.0, b - (b - a) / 3.0
-        higher = f(left) < f(right)
+        higher = f_left < f_right
         a, b = torch.where(higher, left, a), torch.where(higher, b, right)
+        new = torch.where(higher, a + GOLDEN * (b - a), b - GOLDEN * (b - a))
+        f_new = f(new)
+        left, f_left, right, f_right = (
+            torch.where(higher, right, new),
+            torch.where(higher, f_right, f_new),
+            torch.where(higher, new, left),
+            torch.where(higher, f_new, f_left),
+        )
     return 0.5 * (a + b)

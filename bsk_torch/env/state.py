@@ -41,7 +41,7 @@ def simulation_state(simulator: Simulator) -> TensorDict:
 def _matching_arcs(simulator: Simulator, saved: TensorDictBase) -> tuple[Tensor, Tensor]:
     """Saved arcs, made as long as the simulation's; the simulation's are made longer where the saved ones are."""
     arcs = simulator.arcs
-    other = Arcs(len(saved), 1, arcs.step, arcs.device)
+    other = Arcs(len(saved), 1, arcs.solver)
     other.flown, other.planned = saved["flown"].clone(), saved["planned"].clone()
     other.start, other.et = saved["arc_start"], saved["et"]
     while arcs.length < other.length:

@@ -194,7 +194,7 @@ class SatelliteTasking(EnvBase):
     def _reset(self, tensordict: TensorDictBase | None = None, *, set_state: bool = False, **_: Any) -> TensorDict:
         mask = None if tensordict is None else tensordict.get("_reset", None)
         rows = self.simulator.all_rows if mask is None else torch.nonzero(mask.reshape(-1)).squeeze(-1)
-        if set_state and tensordict is not None and "state" in tensordict.keys():
+        if set_state and tensordict is not None and "state" in tensordict:
             self._restore(tensordict["state"], rows)
         elif len(rows):
             self._begin(rows)

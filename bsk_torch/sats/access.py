@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from bsk_torch.sats.satellite import Satellite
-from bsk_torch.sim.orbit import PLAN_STEP
+from bsk_torch.sim.span import PLAN_STEP
 
 
 class Opportunities(NamedTuple):

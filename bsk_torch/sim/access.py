@@ -15,7 +15,8 @@ from torch import Tensor
 from bsk_torch.astro.ephemeris import earth_angles
 from bsk_torch.astro.frames import rotate_z, sin_elevation
 from bsk_torch.astro.roots import find_maximum, find_root
-from bsk_torch.sim.orbit import PLAN_STEP, Arcs, pole_matrix
+from bsk_torch.sim.orbit import Arcs
+from bsk_torch.sim.span import PLAN_STEP, pole_matrix
 from bsk_torch.vec3 import Vec3
 
 SHORTEST = 0.1
@@ -97,6 +98,9 @@ class Search:
         bend = torch.clamp(2.0 * here - before - after, min=1e-12)
         possible = (here >= before) & (here >= after) & (here <= 0.0) & (here + 0.5 * (before - after) ** 2 / bend > -0.01)
         row, place, k = torch.nonzero(possible, as_tuple=True)
+        if not len(row):
+            none = Events(row, place, torch.zeros_like(self.start[row]))
+            return none, none
         a, b = (self.start[row] + PLAN_STEP * j for j in (k, k + 2))
         peak = find_maximum(lambda t: self._at(row, place, t), a, b)
         top = self._at(row, place, peak)
@@ -105,7 +109,7 @@ class Search:
 
         def crossing(outer: Tensor) -> Events:
             f = lambda t: self._at(row, place, t)  # noqa: E731
-            return Events(row, place, find_root(f, outer, peak, f(outer), top, iterations=40))
+            return Events(row, place, find_root(f, outer, peak, f(outer), top, iterations=20))
 
         return crossing(a), crossing(b)
 

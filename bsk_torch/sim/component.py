@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
-from types import SimpleNamespace
 from typing import Any
 
 import torch
@@ -22,12 +21,24 @@ Values = Mapping[str, Any]
 """Arguments of the rows being reset: tensors with leading dimension n, or 1 where all environments agree."""
 
 
-class Bus(SimpleNamespace):
-    """Everything one tick knows, by name: state, parameters, flags of the flight mode and messages; ``h`` is the tick."""
+class Bus:
+    """Everything one tick knows, by name: state, parameters, flags of the flight mode and messages; ``h`` is the tick, s."""
+
+    def __init__(self, h: float) -> None:
+        """Start a tick of ``h`` seconds."""
+        self.h = h
+
+    def __getattr__(self, name: str) -> Any:
+        """Only reached for a name that no component has written."""
+        raise AttributeError(f"no component has written {name!r} to the bus before it is read")
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        """Write a message."""
+        object.__setattr__(self, name, value)
 
     def has(self, name: str) -> bool:
         """Whether some component has written ``name``."""
-        return name in self.__dict__
+        return hasattr(self, name)
 
 
 @dataclass(frozen=True)

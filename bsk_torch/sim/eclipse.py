@@ -8,7 +8,8 @@ from torch import Tensor
 from bsk_torch.astro.eclipse import illumination
 from bsk_torch.astro.ephemeris import sun_state
 from bsk_torch.astro.interpolate import quintic_position
-from bsk_torch.sim.orbit import PLAN_STEP, SPACING, Arcs, as_node
+from bsk_torch.sim.orbit import Arcs, as_node
+from bsk_torch.sim.span import PLAN_STEP, SPACING
 from bsk_torch.vec3 import Vec3
 
 SEARCH_STEP, SEARCHES = 6000.0, 3

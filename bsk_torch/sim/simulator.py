@@ -21,9 +21,10 @@ from bsk_torch.sim.dyn.models import DynamicsModel
 from bsk_torch.sim.eclipse import EclipseTable
 from bsk_torch.sim.fsw.models import IDLE, FSWModel
 from bsk_torch.sim.fsw.modes import ALWAYS_RESET, FLAGS
-from bsk_torch.sim.orbit import SPAN, Arcs, pole_matrix, spans_for
+from bsk_torch.sim.orbit import Arcs, spans_for
 from bsk_torch.sim.params import Arguments, merge, nearest
 from bsk_torch.sim.run import run
+from bsk_torch.sim.span import SPAN, Solver, pole_matrix
 from bsk_torch.sim.tick import ARC_ORBIT, Tick, make_step
 from bsk_torch.sim.world import ground_stations, station_arrays
 from bsk_torch.vec3 import Vec3
@@ -135,7 +136,7 @@ class Simulator:
         self.max_time = max_time
         self._parts(dyn_type, fsw_type, sat_args, world_args)
         self._layout(backend)
-        self._storage(horizon, segment)
+        self._storage(horizon, segment, backend)
 
     # -- construction -------------------------------------------------------------------------------------------------
 
@@ -179,7 +180,7 @@ class Simulator:
         update = hub.rotate if on_arc else hub.translate_and_rotate
         return dataclasses.replace(part, update=update) if part.slot == "hub" else part
 
-    def _storage(self, horizon: float, segment: float) -> None:
+    def _storage(self, horizon: float, segment: float, backend: str) -> None:
         n, make = self.num_envs, {"device": self.device, "dtype": self.dtype}
         self.pack = torch.zeros(self.tick.state.size, n, **make)
         self.own = torch.zeros(self.tick.own.size, n, **make)
@@ -187,7 +188,7 @@ class Simulator:
         self.mode, self.all_rows = torch.zeros_like(self.ticks), torch.arange(n, device=self.device)
         self.drawn: dict[str, Any] = {}
         self.world = World(self)
-        self.arcs = Arcs(n, spans_for(horizon + MARGIN), self.h, self.device)
+        self.arcs = Arcs(n, spans_for(horizon + MARGIN), Solver(self.h, backend, self.device))
         self.eclipses = EclipseTable(self.arcs)
         self.access: AccessTable | None = None
         if "groundStationsData" in self.world_args.table:

@@ -6,29 +6,16 @@ fuses into one loop over the batch. Compiled and eager ticks are the same source
 
 from __future__ import annotations
 
-import logging
-import time
 from collections.abc import Callable, Sequence
 
 import torch
 from torch import Tensor
 
+from bsk_torch.sim.compiler import BACKENDS, compiled
 from bsk_torch.sim.component import Bus, Component, Field, Layout
 from bsk_torch.sim.fsw.modes import FLAGS
 from bsk_torch.sim.orbit import position_on_arc
 from bsk_torch.sim.world import SEGMENT
-
-logger = logging.getLogger(__name__)
-
-BACKENDS = ("compiled", "eager")
-
-COMPILER_OPTIONS = {
-    "max_fusion_size": 100000,
-    "realize_cpu_opcount_threshold": 12,
-    "realize_reads_threshold": 2,
-    "cpp.enable_floating_point_contract_flag": "fast",
-}
-"""Inductor options without which the tick would be split into several loops (measured in benchmarks/)."""
 
 
 def follow_arc(bus: Bus) -> None:
@@ -87,29 +74,8 @@ class Tick:
         )
 
 
-def compiled(step: Step) -> Step:
-    """The step compiled into one loop per batch size class; the first call takes up to a minute and is logged."""
-    fast = torch.compile(step, fullgraph=True, options=COMPILER_OPTIONS, isolate_recompiles=True)
-    started = False
-
-    def call(state: Tensor, shared: Tensor, own: Tensor, flags: Tensor, segment: Tensor, clock: Tensor, row: Tensor) -> Tensor:
-        nonlocal started
-        if started:
-            return fast(state, shared, own, flags, segment, clock, row)
-        started = True
-        logger.info("compiling the tick for this machine; kept in torch's cache, so later starts take seconds")
-        for pack in (state, own, flags, segment, row):
-            torch._dynamo.mark_dynamic(pack, 1)
-        begin = time.perf_counter()
-        result = fast(state, shared, own, flags, segment, clock, row)
-        logger.info("compiled the tick in %.1f s", time.perf_counter() - begin)
-        return result
-
-    return call
-
-
 def make_step(tick: Tick, backend: str) -> Step:
     """The tick's step under one of :data:`BACKENDS`."""
     if backend not in BACKENDS:
         raise ValueError(f"backend={backend!r} must be one of {list(BACKENDS)}")
-    return compiled(tick.step) if backend == "compiled" else tick.step
+    return compiled(tick.step, "tick") if backend == "compiled" else tick.step

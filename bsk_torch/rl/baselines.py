@@ -1,0 +1,97 @@
+"""Policies that learn nothing: random actions, and rules written by hand."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import torch
+from tensordict.nn import TensorDictModule
+from torch import Tensor
+
+from bsk_torch.env import SatelliteTasking
+from bsk_torch.sim.params import nearest
+
+
+def random_policy(env: SatelliteTasking, seed: int) -> TensorDictModule:
+    """Legal actions with equal probability."""
+    generator = torch.Generator(env.device).manual_seed(seed)
+
+    def draw(mask: Tensor) -> Tensor:
+        return torch.multinomial(mask.float(), 1, generator=generator).squeeze(-1)
+
+    return TensorDictModule(draw, in_keys=["action_mask"], out_keys=["action"])
+
+
+class Columns:
+    """Entries of an observation vector by the end of their names."""
+
+    def __init__(self, observation: Tensor, description: Sequence[str]) -> None:
+        """Look into ``observation`` [N, F], whose entries are named by ``description``."""
+        self.observation, self.description = observation, description
+
+    def all(self, name: str) -> Tensor:
+        """Entries named ``name`` or ``name[k]``, [N, width]; KeyError where there is none."""
+        found = [k for k, entry in enumerate(self.description) if entry.split("[")[0].split(".")[-1] == name]
+        if not found:
+            names = {entry.split("[")[0].split(".")[-1] for entry in self.description}
+            raise KeyError(f"{name!r} is not observed; {nearest(name, names)}")
+        return self.observation[..., found]
+
+    def __getitem__(self, name: str) -> Tensor:
+        """The first entry of that name, [N]."""
+        return self.all(name)[..., 0]
+
+
+@dataclass(frozen=True)
+class ScanRule:
+    """Scan, unless something is more urgent. Fractions of capacity or of the largest speed.
+
+    Args:
+        fast: Wheel speed from which momentum is dumped.
+        low: Battery charge below which the panel is turned to the Sun.
+        enough: Charge up to which charging goes on once the panel faces the Sun.
+        facing: Angle, fraction of half a turn, within which it does.
+        worth: Data level from which a pass is used for downlink.
+        full: Data level from which scanning would be in vain.
+    """
+
+    fast: float = 0.7
+    low: float = 0.35
+    enough: float = 0.6
+    facing: float = 0.1
+    worth: float = 0.05
+    full: float = 0.95
+
+    def decide(self, observation: Tensor, description: Sequence[str], actions: Sequence[str]) -> Tensor:
+        """Actions [N] for ``observation`` [N, F], whose entries are named by ``description``."""
+        see = Columns(observation, description)
+        wish = torch.full_like(see["storage_level_fraction"], actions.index("action_nadir_scan"), dtype=torch.int64)
+        for name, wanted in self.wishes(see).items():
+            wish = torch.where(wanted, actions.index(name), wish)
+        return wish
+
+    def wishes(self, see: Columns) -> dict[str, Tensor]:
+        """Where an action other than scanning is wanted, [N] each, in ascending order of urgency."""
+        charge, level = see["battery_charge_fraction"], see["storage_level_fraction"]
+        charging = see["solar_pointing_error_normd"] < self.facing
+        passing = (see["opportunity_open_normd"] <= 0.0) & (level > self.worth)
+        needy = (charge < self.low) | (charging & (charge < self.enough))
+        return {
+            "action_downlink": passing,
+            "action_charge": (needy & ~passing) | (charge < 0.5 * self.low) | ((level > self.full) & ~passing),
+            "action_desat": see.all("wheel_speeds_fraction").abs().amax(-1) > self.fast,
+        }
+
+
+def scan_rule(env: SatelliteTasking, seed: int = 0) -> TensorDictModule:
+    """:class:`ScanRule` with its tuned thresholds, for presets that observe and act like NadirScan-v1."""
+    description, actions = env.satellite.observation_description, env.satellite.action_description
+    Columns(torch.zeros(1, len(description)), description)["storage_level_fraction"]
+    return TensorDictModule(
+        lambda observation: ScanRule().decide(observation, description, actions), in_keys=["observation"], out_keys=["action"]
+    )
+
+
+BASELINES: dict[str, Callable[[SatelliteTasking, int], TensorDictModule]] = {"random": random_policy, "rule": scan_rule}
+"""Baselines by name: functions of the environment and a seed."""

@@ -1,0 +1,174 @@
+from __future__ import annotations
+
+import math
+import re
+from itertools import pairwise
+
+import numpy as np
+import pytest
+import torch
+
+from bsk_torch import rand
+from bsk_torch.astro.ephemeris import parse_utc
+
+MANY = 40_000
+FIVE_SIGMA = 5.0 / math.sqrt(MANY)  # sampling error of a mean of MANY draws, in standard deviations
+
+
+def key(n: int = 4, seed: int = 7, episode: int = 0, name: str = "") -> rand.Key:
+    ids = torch.arange(n)
+    return rand.Key(torch.full_like(ids, seed), ids, torch.full_like(ids, episode), name)
+
+
+@pytest.mark.parametrize(
+    ("counter", "philox_key", "expected"),
+    [  # kat_vectors of Random123, philox4x32 with 10 rounds
+        ([0] * 4, [0] * 2, [0x6627E8D5, 0xE169C58D, 0xBC57AC4C, 0x9B00DBD8]),
+        ([0xFFFFFFFF] * 4, [0xFFFFFFFF] * 2, [0x408F276D, 0x41C83B0E, 0xA20BC7C6, 0x6D5451FD]),
+        (
+            [0x243F6A88, 0x85A308D3, 0x13198A2E, 0x03707344],
+            [0xA4093822, 0x299F31D0],
+            [0xD16CFE09, 0x94FDCCEB, 0x5001E420, 0x24126EA1],
+        ),
+    ],
+)
+def test_philox_known_answers(counter, philox_key, expected):
+    words = rand.philox([torch.tensor([c]) for c in counter], [torch.tensor([k]) for k in philox_key])
+    assert [int(word) for word in words] == expected
+
+
+def test_uniform_uses_53_bits_of_the_first_block():
+    """The first number of environment 0, episode 0, seed 0 follows from the generator by hand."""
+    name = torch.tensor([0])  # crc32 of the empty string is 0, so counter and key are all zero
+    words = rand.philox([name] * 4, [name] * 2)
+    expected = ((int(words[0]) >> 5) * 2**26 + (int(words[1]) >> 6)) / 2**53
+    assert key(1, seed=0).uniform(1).item() == expected
+
+
+@pytest.mark.parametrize("method", ["uniform", "normal"])
+def test_draws_depend_on_nothing_else(method):
+    """Not on the size of the batch, its order, or the number of values asked for beyond the block."""
+    big = getattr(key(64), method)(3)
+    order = torch.tensor([9, 3, 63, 0])
+    part = key(64)
+    part = rand.Key(part.seed[order], part.env_id[order], part.episode[order], "")
+    assert torch.equal(getattr(part, method)(3), big[order])
+    assert torch.equal(getattr(key(2), method)(3), big[:2])
+
+
+def test_longer_draws_begin_like_shorter_ones():
+    assert torch.equal(key(5).uniform(7)[:, :4], key(5).uniform(4))
+
+
+def test_every_part_of_the_key_matters():
+    base = key(3).uniform(2)
+    others = [key(3, seed=8), key(3, episode=1), key(3, name="a"), key(3, seed=7 + 2**32), key(3, seed=-7)]
+    for other in others:
+        assert (other.uniform(2) != base).all()
+    assert (key(3, name="a").uniform(2) != key(3).named("b").uniform(2)).all()
+    assert torch.equal(key(3, name="a").uniform(2), key(3).named("a").uniform(2))
+
+
+def test_uniform_moments_and_independence():
+    u = key(MANY).uniform(2)
+    assert ((u >= 0) & (u < 1)).all()
+    assert u.mean(0) - 0.5 == pytest.approx([0, 0], abs=FIVE_SIGMA * 12**-0.5)
+    assert u.var(0) == pytest.approx([1 / 12] * 2, abs=FIVE_SIGMA / 12)
+    assert torch.corrcoef(u.T)[0, 1].abs() < FIVE_SIGMA
+    assert torch.corrcoef(torch.stack([u[1:, 0], u[:-1, 0]]))[0, 1].abs() < FIVE_SIGMA  # neighbouring environments
+
+
+def test_normal_moments():
+    z = key(MANY).normal(1)[:, 0]
+    assert z.mean().abs() < FIVE_SIGMA
+    assert (z**2).mean() - 1 == pytest.approx(0, abs=FIVE_SIGMA * 2**0.5)
+    assert (z**3).mean() == pytest.approx(0, abs=FIVE_SIGMA * 15**0.5)
+    assert (z**4).mean() == pytest.approx(3, abs=FIVE_SIGMA * 96**0.5)
+    assert torch.isfinite(z).all()
+
+
+def test_uniform_distribution():
+    one = rand.Uniform(-2.0, 6.0).draw(key(MANY))
+    assert one.shape == (MANY,)
+    assert one.mean() == pytest.approx(2.0, abs=FIVE_SIGMA * 8 * 12**-0.5)
+    assert one.min() >= -2
+    assert one.max() < 6
+    three = rand.Uniform((0.0, 10.0, -1.0), (1.0, 11.0, 1.0), 3).draw(key(9))
+    assert three.shape == (9, 3)
+    assert ((three >= torch.tensor([0.0, 10.0, -1.0])) & (three < torch.tensor([1.0, 11.0, 1.0]))).all()
+    assert rand.Uniform(size=1).draw(key(9)).shape == (9, 1)
+
+
+def test_normal_distribution():
+    z = rand.Normal(5.0, 0.1, 2).draw(key(MANY))
+    assert z.shape == (MANY, 2)
+    assert z.mean(0) == pytest.approx([5, 5], abs=0.1 * FIVE_SIGMA)
+    assert z.std(0) == pytest.approx([0.1, 0.1], abs=0.1 * FIVE_SIGMA)
+    assert rand.Normal().draw(key(3)).shape == (3,)
+
+
+def test_choice_is_even():
+    picks = rand.Choice(["a", "b", None]).draw(key(MANY))
+    for option in ("a", "b", None):
+        assert picks.count(option) / MANY == pytest.approx(1 / 3, abs=FIVE_SIGMA * (2 / 9) ** 0.5)
+    with pytest.raises(ValueError, match=r"options is empty; Choice needs at least one option"):
+        rand.Choice([])
+
+
+@pytest.mark.parametrize("values", [torch.arange(8.0).view(4, 2), np.arange(8.0).reshape(4, 2), [[0, 1], [2, 3], [4, 5], [6, 7]]])
+def test_per_env_takes_row_of_the_index(values):
+    rows = rand.Key(*(torch.tensor(x) for x in ([0, 0], [3, 1], [5, 6])))
+    drawn = rand.per_env(values).draw(rows)
+    assert np.array_equal(np.stack([np.asarray(row) for row in drawn]), [[6, 7], [2, 3]])
+
+
+def test_per_env_with_strings_and_too_few_rows():
+    assert rand.per_env(["x", "y"]).draw(key(2)) == ["x", "y"]
+    with pytest.raises(ValueError, match=r"per_env has 2 rows, but environment 2 needs one"):
+        rand.per_env(["x", "y"]).draw(key(3))
+
+
+def test_random_orbit_ranges():
+    a, e, i, *others = rand.random_orbit().draw(key(MANY)).unbind(-1)
+    assert (a == 6871e3).all()
+    assert (e == 0).all()
+    assert i.min() == pytest.approx(-math.pi, abs=1e-3)
+    assert i.max() == pytest.approx(math.pi, abs=1e-3)
+    for angle in others:
+        assert 0 <= angle.min() < 1e-3
+        assert 2 * math.pi - 1e-3 < angle.max() < 2 * math.pi
+    for one, two in pairwise((i, *others)):
+        assert torch.corrcoef(torch.stack([one, two]))[0, 1].abs() < FIVE_SIGMA
+
+
+def test_random_orbit_keeps_what_is_given():
+    oe = rand.random_orbit(i=98.0, a=7000.0, e=0.01, Omega=10.0, omega=20.0).draw(key(5))
+    assert oe[:, :5].tolist() == [[7e6, 0.01, *map(math.radians, (98.0, 10.0, 20.0))]] * 5
+    assert len(set(oe[:, 5].tolist())) == 5
+    free = rand.random_orbit().draw(key(5))
+    assert torch.equal(free[:, 5], oe[:, 5])  # fixing an angle does not change the draws of the others
+
+
+def test_random_epoch_parses():
+    form = re.compile(r"\d{4} [A-Z]{3} \d\d \d\d:\d\d:\d\d\.\d{3} \(UTC\)")
+    epochs = rand.random_epoch(2001, 2003).draw(key(500))
+    assert all(form.fullmatch(text) for text in epochs)
+    assert {text[:4] for text in epochs} == {"2001", "2002"}
+    assert len({text[5:8] for text in epochs}) == 12
+    assert {int(text[9:11]) for text in epochs} == set(range(1, 28))  # 28 is bsk_rl's exclusive end
+    assert parse_utc("2001-01-01T00:00:00") <= min(map(parse_utc, epochs))
+    assert max(map(parse_utc, epochs)) < parse_utc("2003-01-01T00:00:00")
+
+
+def test_random_epoch_does_not_follow_the_language_of_the_machine(monkeypatch):
+    monkeypatch.setattr("calendar.month_abbr", ["", *("\u00e9" * 3 for _ in range(12))])
+    for text in rand.random_epoch().draw(key(20)):
+        parse_utc(text)
+
+
+def test_distribution_without_draw():
+    class Empty(rand.Distribution):
+        pass
+
+    with pytest.raises(TypeError, match=r"Empty does not say how to draw: implement draw\(key\)"):
+        Empty().draw(key())
