@@ -12,6 +12,10 @@ import numpy as np
 import pytest
 import torch
 
+from bsk_torch.astro.ephemeris import parse_utc
+from bsk_torch.sim.orbit import Arcs
+from bsk_torch.sim.span import Solver
+
 torch.set_num_threads(1)
 
 RECORDINGS = Path(__file__).with_name("basilisk")
@@ -34,3 +38,17 @@ def _recording(name: str) -> dict[str, Any]:
 def recording() -> Callable[[str], dict[str, Any]]:
     """Loads a recording of Basilisk by name, with its JSON entries decoded; see tests/basilisk/README.md."""
     return _recording
+
+
+@pytest.fixture(scope="session")
+def make_arcs() -> Callable[..., Arcs]:
+    """Arcs of ``spans`` hours for initial conditions as the recordings list them."""
+
+    def make(initials: list[dict[str, Any]], spans: int, step: float = 1.0) -> Arcs:
+        et = torch.tensor([parse_utc(initial["utc_init"]) for initial in initials], dtype=torch.float64)
+        r, v = (torch.tensor([initial[name] for initial in initials], dtype=torch.float64) for name in ("rN", "vN"))
+        arcs = Arcs(len(initials), spans, Solver(step, "eager", torch.device("cpu")))
+        arcs.reset(torch.arange(len(initials)), et, r, v)
+        return arcs
+
+    return make

@@ -235,7 +235,7 @@ class AccessTable:
 
 
 def _sorted(opens: Tensor, close: Tensor, place: Tensor) -> Windows:
-    close, order = torch.sort(close, 1, stable=True)
+    close, order = torch.sort(close, dim=1, stable=True)
     width = max(1, int(torch.isfinite(close).sum(1).max()))
     return Windows(opens.gather(1, order)[:, :width], close[:, :width], place.gather(1, order)[:, :width])
 

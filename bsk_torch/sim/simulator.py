@@ -15,7 +15,7 @@ from bsk_torch.astro.orbit import periapsis_radius
 from bsk_torch.constants import NANO
 from bsk_torch.rand import Key
 from bsk_torch.sim.access import LOOKAHEAD, AccessTable, Places, Windows
-from bsk_torch.sim.component import Component, collect
+from bsk_torch.sim.component import Bus, Component, collect
 from bsk_torch.sim.dyn import hub
 from bsk_torch.sim.dyn.models import DynamicsModel
 from bsk_torch.sim.eclipse import EclipseTable
@@ -26,7 +26,7 @@ from bsk_torch.sim.params import Arguments, merge, nearest
 from bsk_torch.sim.run import run
 from bsk_torch.sim.span import SPAN, Solver, pole_matrix
 from bsk_torch.sim.tick import ARC_ORBIT, Tick, make_step
-from bsk_torch.sim.world import ground_stations, station_arrays
+from bsk_torch.sim.world import WORLD_SLOTS, ground_stations, station_arrays
 from bsk_torch.vec3 import Vec3
 
 ORBITS = ("arc", "integrated")
@@ -256,11 +256,26 @@ class Simulator:
         self._remember(rows, values)
         r, v = (x.expand(n, 3).to(self.device) for x in hub.initial_orbit(values))
         self.arcs.reset(rows, values["utc_init"].expand(n).to(self.device), r, v)
+        self._first_tick(rows)
         self.eclipses.sampled[rows] = duration
         self.eclipses.known[rows] = 0.0
         self.eclipses.refresh(rows)
         if self.access is not None:
             self.access.reset(rows, duration)
+
+    def _first_tick(self, rows: Tensor) -> None:
+        """What Basilisk's tick at time zero leaves behind: the messages of the world, and the density latched from them."""
+        bus = Bus(0.0)
+        flags, segment, _ = self._segment(rows, 0.0, 0.0)
+        packs = (self.pack[:, rows], self.shared, self.own[:, rows], flags, segment)
+        layouts = (self.tick.state, self.tick.shared, self.tick.own, self.tick.flags, self.tick.segment)
+        for layout, pack in zip(layouts, packs, strict=True):
+            layout.put(bus, pack)
+        bus.tau = torch.zeros((), dtype=self.dtype, device=self.device)
+        for part in self.tick.components:
+            if part.update and (part.slot in WORLD_SLOTS or part.slot == "drag"):
+                part.update(bus)
+        self.pack[:, rows] = torch.stack([plane.expand(len(rows)) for plane in self.tick.state.gather(bus)])
 
     def _rows(self, layout: Any, values: dict[str, Tensor], n: int) -> Tensor:
         return layout.rows(values, n).to(self.device, self.dtype)

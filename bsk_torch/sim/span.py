@@ -148,11 +148,14 @@ def lacking(r: Tensor, dt: Tensor, stretch: Tensor, r_sun: Tensor, v_sun: Tensor
     return _pack(full_field(_vec(r), around, dt, stretch) - zonal_field(_vec(r), stretch))
 
 
-def zonal_step(state: Tensor, step: Tensor) -> Tensor:
-    """One Runge-Kutta step of ``step`` [] seconds in the zonal field, of position and velocity side by side, [K, 6, n]."""
+def zonal_step(state: Tensor, step: Tensor, stretch: Tensor, growth: Tensor) -> Tensor:
+    """One Runge-Kutta step of ``step`` [] seconds in the zonal field, of position and velocity side by side, [K, 6, n].
 
-    def rates(stage: int, offset: float, y: State) -> State:
-        return y[1], zonal_field(y[0])
+    Equatorial components are stretched by ``stretch + growth * offset^2`` at the stage that lies ``offset`` seconds on.
+    """
+
+    def rates(stage: int, offset: float | Tensor, y: State) -> State:
+        return y[1], zonal_field(y[0], stretch + growth * (offset * offset))
 
     r, v = rk4_step(rates, (Vec3(*state.unbind(1)[:3]), Vec3(*state.unbind(1)[3:])), step)
     return torch.stack([*r, *v], 1)
@@ -191,6 +194,7 @@ class Solver:
             torch.tensor(x, dtype=torch.float64, device=device)
             for x in (frame_stretch(step), frame_stretch(PLAN_STEP), PLAN_STEP)
         )
+        self.plan_extrapolation = torch.zeros_like(self.stretch), torch.full_like(self.stretch, 0.5 * EARTH_ROTATION_RATE**2)
 
     def solve(self, et: Tensor, flown: Tensor, planned: Tensor) -> tuple[Tensor, Tensor]:
         """Nodes of the flown and the planned arc over the next hour, [n, 60, 9] each.
@@ -217,13 +221,15 @@ class Solver:
         return self._nodes(r, v, acceleration, None, pole), self._nodes(planned_r, planned_v, planned_a, extra_v, pole)
 
     def _step_defect(self, state: Tensor) -> Tensor:
-        """Error per second of one Runge-Kutta step of ``PLAN_STEP`` from states [K, 6, n].
+        """Error per second of the Runge-Kutta step of ``PLAN_STEP`` that ends at states [K, 6, n].
 
         Found by comparison with four substeps, whose own error is 1/256 of it.
         """
-        coarse, fine = self.kernels.zonal_step(state, self.plan_step), state
+        mean = self.plan_stretch, torch.zeros_like(self.plan_stretch)
+        before = self.kernels.zonal_step(state, -self.plan_step, *mean)
+        coarse, fine = self.kernels.zonal_step(before, self.plan_step, *self.plan_extrapolation), before
         for _ in range(4):
-            fine = self.kernels.zonal_step(fine, self.plan_step / 4)
+            fine = self.kernels.zonal_step(fine, self.plan_step / 4, *mean)
         return (coarse - fine) * ((256.0 / 255.0) / PLAN_STEP)
 
     def _ballistic(self, r: Tensor, v: Tensor) -> Tensor:

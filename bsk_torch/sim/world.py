@@ -161,3 +161,6 @@ ECLIPSE = Component(
     state=(Field("illumination", 1, "-", "visible fraction of the solar disc"),),
     initial=lambda args: {"illumination": torch.ones(1, dtype=torch.float64)},
 )
+
+WORLD_SLOTS = ("earth_pole", "ground_stations", "ephemeris", "atmosphere", "eclipse")
+"""Parts of the world, in the order of a tick."""

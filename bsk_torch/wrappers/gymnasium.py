@@ -244,7 +244,7 @@ class GymVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         self._make_spaces()
         self._every = torch.ones_like(self.core.dead)
         self._over = ~self._every
-        self._seen: TensorDictBase | None = None
+        self._seen: Any = None
 
     def _make_spaces(self) -> None:
         self.single_observation_space = observation_space(self.core.observation_spec["observation"])
@@ -318,9 +318,9 @@ class GymVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
 
     def _move(self, action: Tensor, waiting: Tensor) -> TensorDictBase:
         """Results of a step of the environments that do not wait for a reset; zero reward and flags for the others."""
-        call = TensorDict({"action": action}, self.core.batch_size, device=self.core.device)
         if not bool(waiting.any()):
-            return self.core.step(call)["next"]
+            return self.core.step(TensorDict({"action": action}, self.core.batch_size, device=self.core.device))["next"]
+        call = self._seen.select(*SEEN)  # which TorchRL returns where nobody moves
         call["action"], call["_step"] = action.masked_fill(waiting, 0), ~waiting
         seen = self.core.step(call)["next"]
         for name in ("reward", "terminated", "truncated"):

@@ -34,19 +34,18 @@ def transmit(bus: Bus) -> None:
     bus.idle = torch.where(on, zero, bus.idle + bus.h)
 
 
-def _stored(level: Tensor, total: Tensor, rate: Tensor, bus: Bus) -> Tensor:
-    """Level after one node; a node that would fill the store to its capacity is dropped whole."""
+def _stored(level: Tensor, rate: Tensor, bus: Bus) -> Tensor:
+    """Level after one node; data of a tick that would overfill the store are dropped whole."""
     bits = rate * bus.h
     whole = torch.sign(bits) * torch.floor(torch.abs(bits) + 0.5)
-    accepted = (total + whole < bus.storage_capacity) | (rate <= 0.0)
+    accepted = (level + whole <= bus.storage_capacity) | (rate <= 0.0)
     after = torch.where(level + bits >= 0.0, level + whole, torch.zeros_like(level))
     return torch.where(accepted, after, level)
 
 
 def store(bus: Bus) -> None:
-    """Add the instrument's bits, then remove the transmitter's; both compare with the total at the start of the tick."""
-    total = bus.storage
-    bus.storage = _stored(_stored(total, total, bus.instrument_rate, bus), total, bus.transmitter_rate, bus)
+    """Add the instrument's bits, then remove the transmitter's."""
+    bus.storage = _stored(_stored(bus.storage, bus.instrument_rate, bus), bus.transmitter_rate, bus)
 
 
 def _packet_size(args: Values) -> dict[str, Tensor]:

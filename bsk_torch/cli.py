@@ -1,0 +1,178 @@
+"""The command line: ``bsk-torch train``, ``evaluate``, ``list`` and ``args``."""
+
+from __future__ import annotations
+
+import json
+import logging
+import math
+import warnings
+from collections.abc import Mapping
+from datetime import datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn
+
+import torch
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from bsk_torch.env import SatelliteTasking
+from bsk_torch.presets import PRESETS, make
+from bsk_torch.rl.baselines import BASELINES
+from bsk_torch.rl.evaluate import Evaluation, evaluate
+from bsk_torch.rl.policies import load_policy
+from bsk_torch.sim.params import nearest
+
+if TYPE_CHECKING:
+    from tensordict.nn import TensorDictModuleBase
+
+app = typer.Typer(help="Train and evaluate satellite-tasking policies.", no_args_is_help=True, add_completion=False)
+console = Console()
+
+FRESH = 1_000_003
+"""Added to the seed of training to get the seed of evaluation, whose episodes are then new to the policy."""
+
+Preset = Annotated[str, typer.Argument(help="Name of an environment; see 'bsk-torch list'.")]
+Seed = Annotated[int, typer.Option(help="Seed of networks, actions and episodes.")]
+Episodes = Annotated[int, typer.Option(min=1, help="Fresh episodes for every evaluation.")]
+Threads = Annotated[int, typer.Option(min=1, help="Threads of torch; one is fastest for these sizes.")]
+Backend = Annotated[str, typer.Option(help="'compiled', or 'eager' for debugging.")]
+TimeLimit = Annotated[float | None, typer.Option(help="Length of an episode, s, instead of the preset's.")]
+
+
+@app.callback()
+def setup() -> None:
+    """Say what takes long, and nothing else."""
+    logging.basicConfig(level=logging.INFO, format="%(message)s")
+    logging.getLogger("torchrl").setLevel(logging.WARNING)
+    warnings.filterwarnings("ignore", message="Support of VecNormV2 for containers")
+
+
+@app.command("list")
+def list_presets() -> None:
+    """List the environments that can be trained in."""
+    for name, preset in PRESETS.items():
+        module = __import__(preset.__module__, fromlist=["__doc__"])
+        typer.echo(f"{name}  {(module.__doc__ or '').splitlines()[0].removeprefix(name + ':').strip()}")
+
+
+@app.command("args")
+def show_arguments(preset: Preset) -> None:
+    """Print every argument of a preset's satellite and world with default, unit and meaning."""
+    env = _environment(preset, 1, {"backend": "eager"})
+    typer.echo(f"sat_args\n{env.default_sat_args()!r}\n\nworld_args\n{env.default_world_args()!r}")
+
+
+@app.command("evaluate")
+def evaluate_policy(
+    policy: Annotated[str, typer.Argument(help="Folder of a training run, 'random' or 'rule'.")],
+    preset: Annotated[str | None, typer.Option(help="Environment; that of the run unless given.")] = None,
+    episodes: Episodes = 256,
+    seed: Seed = 0,
+    threads: Threads = 1,
+    backend: Backend = "compiled",
+    time_limit: TimeLimit = None,
+) -> None:
+    """Play fresh episodes and print mean return, survival and causes of death."""
+    torch.set_num_threads(threads)
+    folder = Path(policy)
+    kept = _read_config(folder) if policy not in BASELINES else {}
+    name = preset or kept.get("preset") or next(iter(PRESETS))
+    env = _environment(name, episodes, kept.get("options", {}) | _options(backend, time_limit))
+    actor = _baseline(policy, env, seed) if policy in BASELINES else load_policy(folder / "policy.pt")
+    _print({policy: evaluate(actor, env, seed=seed + FRESH)}, f"{name}, {episodes} episodes")
+
+
+@app.command()
+def train(
+    preset: Preset,
+    minutes: Annotated[float | None, typer.Option(help="Training time after compilation.")] = 3.0,
+    frames: Annotated[int | None, typer.Option(help="Number of decisions, instead of a time.")] = None,
+    num_envs: Annotated[int, typer.Option(min=1, help="Episodes at once.")] = 1024,
+    rollout: Annotated[int, typer.Option(min=1, help="Decisions of each between two updates.")] = 32,
+    seed: Seed = 0,
+    out: Annotated[Path | None, typer.Option(help="Folder for the results; a new one in runs/ unless given.")] = None,
+    episodes: Episodes = 256,
+    threads: Threads = 1,
+    backend: Backend = "compiled",
+    time_limit: TimeLimit = None,
+) -> None:
+    """Train a policy with PPO and compare it with random actions and a rule on fresh episodes."""
+    torch.set_num_threads(threads)
+    options = _options(backend, time_limit)
+    env = _environment(preset, episodes, options)
+    ppo, viz = _extras()
+    config = ppo.PPOConfig(
+        preset=preset,
+        seconds=None if frames or minutes is None else 60.0 * minutes,
+        frames=frames,
+        num_envs=num_envs,
+        rollout=rollout,
+        seed=seed,
+        options=options,
+    )
+    folder = out or Path("runs") / f"{preset}_{datetime.now():%Y%m%d-%H%M%S}"
+    training = ppo.Training(config, folder)
+    policies = {name: _baseline(name, env, seed) for name in BASELINES if _has(name, env)} | {"untrained": training.policy}
+    results = {name: _evaluated(name, policy, env, seed) for name, policy in policies.items()}
+    policy = training.run()
+    results["trained"] = _evaluated("trained", policy, env, seed)
+    _print(results, f"{preset}, {episodes} fresh episodes")
+    _write_table(results, folder / "evaluation.json")
+    _draw(viz, policy, results, config, folder)
+    typer.echo(f"policy, log, evaluation and pictures are in {folder}")
+
+
+def _options(backend: str, time_limit: float | None) -> dict[str, Any]:
+    """Arguments of the environment that the command line sets."""
+    return {"backend": backend} | ({} if time_limit is None else {"time_limit": time_limit})
+
+
+def _environment(preset: str, num_envs: int, options: Mapping[str, Any]) -> SatelliteTasking:
+    try:
+        return make(preset, num_envs=num_envs, **options)
+    except ValueError as error:
+        _fail(str(error))
+
+
+def _fail(message: str) -> NoReturn:
+    typer.secho(message, err=True, fg="red")
+    raise typer.Exit(1)
+
+
+def _read_config(folder: Path) -> dict[str, Any]:
+    """Configuration of a run; ends the program where there is none."""
+    if not (folder / "policy.pt").is_file():
+        _fail(f"{str(folder)!r} is neither a run with a policy.pt nor a baseline; {nearest(str(folder), BASELINES)}")
+    return json.loads((folder / "config.json").read_text())
+
+
+def _baseline(name: str, env: SatelliteTasking, seed: int) -> TensorDictModuleBase:
+    try:
+        return BASELINES[name](env, seed)
+    except (KeyError, ValueError) as error:
+        _fail(f"{name!r} does not fit this environment: {error.args[0]}")
+
+
+def _has(name: str, env: SatelliteTasking) -> bool:
+    """Whether a baseline fits the environment."""
+    try:
+        BASELINES[name](env, 0)
+    except (KeyError, ValueError):
+        return False
+    return True
+
+
+def _extras() -> tuple[Any, Any]:
+    """The modules that need tqdm and matplotlib; ends the program where these are missing."""
+    try:
+        from bsk_torch.rl import ppo
+        from bsk_torch.viz import pictures
+    except ModuleNotFoundError as error:
+        _fail(f"training needs {error.name}; pip install 'bsk_torch[train,viz]'")
+    return ppo, pictures
+
+
+def _evaluated(name: str, policy: TensorDictModuleBase, env: SatelliteTasking, seed: int) -> Evaluation:
+    with console.status(f"evaluating {name}"):
+        return evaluate(policy, env, seed=seed + FRESH)

@@ -1,0 +1,1 @@
+"""Pictures with matplotlib: how learning went, and what a policy does."""

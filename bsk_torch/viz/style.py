@@ -1,0 +1,49 @@
+"""The look that all pictures share. Figures are made without pyplot, so nothing global changes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+PALETTE = ("#2f6db3", "#e8a628", "#2f9e72", "#c1476b", "#7b62b8", "#5aa9c9", "#8c6d4f", "#6b7280")
+"""Colours that stay apart in print and for the colour-blind."""
+
+INK, FAINT = "#333a45", "#d9dde3"
+"""Colours of text, and of lines that only guide the eye."""
+
+
+def panels(heights: Sequence[float], width: float = 10.0) -> tuple[Figure, list[Axes]]:
+    """A figure of panels above each other that share the abscissa; ``heights`` in inches."""
+    figure = Figure(figsize=(width, sum(heights) + 1.2), dpi=140, layout="constrained", facecolor="white")
+    axes = figure.subplots(len(heights), 1, sharex=True, squeeze=False, height_ratios=list(heights))[:, 0]
+    for panel in axes:
+        tidy(panel)
+    return figure, list(axes)
+
+
+def tidy(panel: Axes) -> None:
+    """Light grid, no box."""
+    panel.spines[["top", "right"]].set_visible(False)
+    panel.spines[["left", "bottom"]].set_color(FAINT)
+    panel.tick_params(colors=INK, labelsize=9, length=3)
+    panel.grid(axis="y", color=FAINT, linewidth=0.6)
+    panel.set_axisbelow(True)
+
+
+def label(panel: Axes, text: str) -> None:
+    """Name of the ordinate."""
+    panel.set_ylabel(text, color=INK, fontsize=9.5)
+
+
+def headline(figure: Figure, text: str) -> None:
+    """Title at the left of the figure."""
+    figure.suptitle(text, x=0.01, ha="left", color=INK, fontsize=12.5, fontweight="bold")
+
+
+def save(figure: Figure, path: Path) -> Path:
+    """Write a PNG and return its path."""
+    figure.savefig(path, format="png")
+    return path

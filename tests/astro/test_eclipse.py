@@ -1,0 +1,118 @@
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+
+from bsk_torch.astro.eclipse import illumination, visible_fraction
+from bsk_torch.constants import AU, R_EARTH, R_SUN
+from bsk_torch.vec3 import Vec3
+
+SUN = Vec3.of(torch.tensor([AU, 0.0, 0.0], dtype=torch.float64))
+
+
+def light(along: float, across: torch.Tensor | float) -> torch.Tensor:
+    """Illumination at distances behind the Earth and from the axis of its shadow, m."""
+    across = torch.as_tensor(across, dtype=torch.float64)
+    return illumination(Vec3(torch.full_like(across, -along), across * 0.6, across * 0.8), SUN)
+
+
+def umbra_radius(along: float) -> float:
+    """By similar triangles: the umbra narrows from the Earth's disc to a point."""
+    length = AU * R_EARTH / (R_SUN - R_EARTH)
+    slope = R_EARTH / math.sqrt(length**2 - R_EARTH**2)
+    return slope * (length - along)
+
+
+def penumbra_radius(along: float) -> float:
+    """By similar triangles: the penumbra widens from a point between Sun and Earth."""
+    length = AU * R_EARTH / (R_SUN + R_EARTH)
+    slope = R_EARTH / math.sqrt(length**2 - R_EARTH**2)
+    return slope * (length + along)
+
+
+def test_full_light_toward_the_sun_and_beside_the_shadow():
+    assert light(-7e6, 0.0) == 1.0
+    assert light(0.0, 7e6) == 1.0
+    assert light(3e6, 6.5e6) == 1.0
+
+
+def test_darkness_behind_the_earth():
+    assert light(7e6, 0.0) == 0.0
+    assert light(3e6, 6.2e6) == 0.0
+
+
+@pytest.mark.parametrize("along", [1e6, 3e6, 2e7, 4e8])
+def test_cones_from_similar_triangles(along):
+    """The fraction leaves 0 and reaches 1 where the geometry of the cones says."""
+    inner, outer = umbra_radius(along), penumbra_radius(along)
+    margin = 1e-3 * (outer - inner)
+    assert light(along, inner - margin) == 0.0
+    assert 0.0 < light(along, inner + margin) < 0.01
+    assert 0.99 < light(along, outer - margin) < 1.0
+    assert light(along, outer + margin) == 1.0
+
+
+@pytest.mark.parametrize("along", [1e6, 3e6, 2e7])
+def test_penumbra_is_monotone(along):
+    inner, outer = umbra_radius(along), penumbra_radius(along)
+    fraction = light(along, torch.linspace(inner, outer, 200, dtype=torch.float64)[1:-1])
+    assert (fraction.diff() > 0).all()
+    middle = light(along, 0.5 * (inner + outer))
+    # the Earth's limb is nearly straight against the Sun's disc: half of it is seen half way
+    assert middle == pytest.approx(0.5, abs=0.01)
+
+
+def test_beyond_the_tip_of_the_umbra_basilisk_gives_the_hidden_fraction():
+    """An annular eclipse, where the Earth hides (b/a)^2 of the disc: the documented deviation."""
+    along = 2e9
+    hidden = (math.asin(R_EARTH / along) / math.asin(R_SUN / (AU + along))) ** 2
+    assert 0.4 < hidden < 0.6
+    assert light(along, 0.0) == pytest.approx(hidden, rel=1e-9)
+
+
+def test_rotation_changes_nothing():
+    r = torch.randn(2000, 3, dtype=torch.float64)
+    r = r / r.norm(dim=-1, keepdim=True) * 6.9e6
+    turn = torch.linalg.qr(torch.randn(3, 3, dtype=torch.float64))[0]
+    one = illumination(Vec3.of(r), SUN)
+    other = illumination(Vec3.of(r @ turn.mT), Vec3.of(turn @ SUN.stack()))
+    torch.testing.assert_close(one, other, rtol=0, atol=1e-6)  # rounding of acos over the Sun's 9 mrad
+    assert 0.3 < (one == 0).double().mean() < 0.4  # (1 - cos asin(R / r)) / 2 of a sphere
+    assert ((one >= 0) & (one <= 1)).all()
+
+
+@pytest.mark.parametrize(
+    ("sun", "planet", "separation", "expected"),
+    [
+        (0.1, 0.5, 0.61, 1.0),
+        (0.1, 0.5, 0.39, 0.0),
+        (0.1, 0.1, 0.0, 1.0 - 1.0),
+        # two equal discs, each through the other's centre: Montenbruck and Gill, equation 3.92
+        (0.1, 0.1, 0.1, 1.0 - (2.0 / 3.0 - math.sqrt(3.0) / (2.0 * math.pi))),
+        (0.2, 0.1, 0.05, 0.25),
+    ],
+    ids=["apart", "covered", "equal and concentric", "equal", "annular"],
+)
+def test_visible_fraction(sun, planet, separation, expected):
+    found = visible_fraction(*(torch.tensor(x, dtype=torch.float64) for x in (sun, planet, separation)))
+    assert found.item() == pytest.approx(expected, abs=1e-9)
+
+
+def test_visible_fraction_against_counting():
+    """Share of points of the Sun's disc that lie outside of the planet's."""
+    side = torch.linspace(-1.0, 1.0, 1001, dtype=torch.float64)
+    x, y = torch.meshgrid(side, side, indexing="ij")
+    disc = x * x + y * y <= 1.0
+    for planet, separation in ((1.5, 1.2), (3.0, 2.5), (0.7, 0.9), (10.0, 10.3)):
+        seen = disc & ((x - separation) ** 2 + y * y > planet**2)
+        found = visible_fraction(*(torch.tensor(v, dtype=torch.float64) for v in (1.0, planet, separation)))
+        assert found.item() == pytest.approx((seen.sum() / disc.sum()).item(), abs=2e-3)  # a pixel along the edge
+
+
+def test_rows_alone_and_together():
+    """No row depends on another one."""
+    r = Vec3.of(7e6 * torch.nn.functional.normalize(torch.randn(64, 3, dtype=torch.float64), dim=-1))
+    alone = torch.cat([illumination(Vec3(*(x[k : k + 1] for x in r)), SUN) for k in range(64)])
+    assert torch.equal(illumination(r, SUN), alone)
