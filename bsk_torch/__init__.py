@@ -4,7 +4,10 @@ from bsk_torch import act, data, obs, rand, sats, scene
 from bsk_torch.env import SatelliteTasking
 from bsk_torch.presets import make
 from bsk_torch.sim import dyn, fsw
+from bsk_torch.wrappers.registration import register as _register
 
 __version__ = "0.1.0"
+
+_register()
 
 __all__ = ["SatelliteTasking", "act", "data", "dyn", "fsw", "make", "obs", "rand", "sats", "scene"]

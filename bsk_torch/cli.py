@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import logging
-import math
 import warnings
 from collections.abc import Mapping
 from datetime import datetime
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
@@ -20,6 +21,7 @@ from bsk_torch.env import SatelliteTasking
 from bsk_torch.presets import PRESETS, make
 from bsk_torch.rl.baselines import BASELINES
 from bsk_torch.rl.evaluate import Evaluation, evaluate
+from bsk_torch.rl.log import read_log
 from bsk_torch.rl.policies import load_policy
 from bsk_torch.sim.params import nearest
 
@@ -52,8 +54,8 @@ def setup() -> None:
 def list_presets() -> None:
     """List the environments that can be trained in."""
     for name, preset in PRESETS.items():
-        module = __import__(preset.__module__, fromlist=["__doc__"])
-        typer.echo(f"{name}  {(module.__doc__ or '').splitlines()[0].removeprefix(name + ':').strip()}")
+        about = (import_module(preset.__module__).__doc__ or "").partition("\n")[0]
+        typer.echo(f"{name}  {about.removeprefix(f'{name}:').strip()}")
 
 
 @app.command("args")
@@ -79,17 +81,19 @@ def evaluate_policy(
     kept = _read_config(folder) if policy not in BASELINES else {}
     name = preset or kept.get("preset") or next(iter(PRESETS))
     env = _environment(name, episodes, kept.get("options", {}) | _options(backend, time_limit))
-    actor = _baseline(policy, env, seed) if policy in BASELINES else load_policy(folder / "policy.pt")
+    if policy in BASELINES and not _fits(policy, env):
+        _fail(f"the policy {policy!r} does not fit {name}")
+    actor = BASELINES[policy](env, seed) if policy in BASELINES else load_policy(folder / "policy.pt")
     _print({policy: evaluate(actor, env, seed=seed + FRESH)}, f"{name}, {episodes} episodes")
 
 
 @app.command()
 def train(
     preset: Preset,
-    minutes: Annotated[float | None, typer.Option(help="Training time after compilation.")] = 3.0,
+    minutes: Annotated[float, typer.Option(min=0.0, help="Training time after compilation.")] = 3.0,
     frames: Annotated[int | None, typer.Option(help="Number of decisions, instead of a time.")] = None,
     num_envs: Annotated[int, typer.Option(min=1, help="Episodes at once.")] = 1024,
-    rollout: Annotated[int, typer.Option(min=1, help="Decisions of each between two updates.")] = 32,
+    rollout: Annotated[int, typer.Option(min=1, help="Decisions of each between two updates.")] = 16,
     seed: Seed = 0,
     out: Annotated[Path | None, typer.Option(help="Folder for the results; a new one in runs/ unless given.")] = None,
     episodes: Episodes = 256,
@@ -101,25 +105,18 @@ def train(
     torch.set_num_threads(threads)
     options = _options(backend, time_limit)
     env = _environment(preset, episodes, options)
-    ppo, viz = _extras()
-    config = ppo.PPOConfig(
-        preset=preset,
-        seconds=None if frames or minutes is None else 60.0 * minutes,
-        frames=frames,
-        num_envs=num_envs,
-        rollout=rollout,
-        seed=seed,
-        options=options,
-    )
+    ppo = _extra("bsk_torch.rl.ppo")
+    limit = {"frames": frames, "seconds": None} if frames else {"seconds": 60.0 * minutes}
+    config = ppo.PPOConfig(preset, num_envs=num_envs, rollout=rollout, seed=seed, options=options, **limit)
     folder = out or Path("runs") / f"{preset}_{datetime.now():%Y%m%d-%H%M%S}"
     training = ppo.Training(config, folder)
-    policies = {name: _baseline(name, env, seed) for name in BASELINES if _has(name, env)} | {"untrained": training.policy}
+    policies = {name: BASELINES[name](env, seed) for name in BASELINES if _fits(name, env)} | {"untrained": training.policy}
     results = {name: _evaluated(name, policy, env, seed) for name, policy in policies.items()}
     policy = training.run()
     results["trained"] = _evaluated("trained", policy, env, seed)
     _print(results, f"{preset}, {episodes} fresh episodes")
-    _write_table(results, folder / "evaluation.json")
-    _draw(viz, policy, results, config, folder)
+    _save(results, folder / "evaluation.json")
+    _draw(policy, results, config, folder)
     typer.echo(f"policy, log, evaluation and pictures are in {folder}")
 
 
@@ -147,15 +144,8 @@ def _read_config(folder: Path) -> dict[str, Any]:
     return json.loads((folder / "config.json").read_text())
 
 
-def _baseline(name: str, env: SatelliteTasking, seed: int) -> TensorDictModuleBase:
-    try:
-        return BASELINES[name](env, seed)
-    except (KeyError, ValueError) as error:
-        _fail(f"{name!r} does not fit this environment: {error.args[0]}")
-
-
-def _has(name: str, env: SatelliteTasking) -> bool:
-    """Whether a baseline fits the environment."""
+def _fits(name: str, env: SatelliteTasking) -> bool:
+    """Whether a baseline knows what to do with the environment's observations and actions."""
     try:
         BASELINES[name](env, 0)
     except (KeyError, ValueError):
@@ -163,16 +153,46 @@ def _has(name: str, env: SatelliteTasking) -> bool:
     return True
 
 
-def _extras() -> tuple[Any, Any]:
-    """The modules that need tqdm and matplotlib; ends the program where these are missing."""
+def _extra(module: str) -> Any:
+    """A module that needs tqdm or matplotlib; ends the program where these are missing."""
     try:
-        from bsk_torch.rl import ppo
-        from bsk_torch.viz import pictures
+        return import_module(module)
     except ModuleNotFoundError as error:
         _fail(f"training needs {error.name}; pip install 'bsk_torch[train,viz]'")
-    return ppo, pictures
 
 
 def _evaluated(name: str, policy: TensorDictModuleBase, env: SatelliteTasking, seed: int) -> Evaluation:
-    with console.status(f"evaluating {name}"):
+    with console.status(f"evaluating: {name}"):
         return evaluate(policy, env, seed=seed + FRESH)
+
+
+def _print(results: Mapping[str, Evaluation], title: str) -> None:
+    """A table of all results."""
+    table = Table("policy", "return (95 %)", "survival", "collected", "decisions", "deaths", title=title, title_justify="left")
+    for name, result in results.items():
+        decisions = float(result.decisions.double().mean())
+        deaths = ", ".join(f"{cause} {count}" for cause, count in result.causes.items())
+        collected = float(result.collected.mean())
+        table.add_row(
+            name, str(result.mean_return), f"{result.survival:.1%}", f"{collected:.3f}", f"{decisions:.0f}", deaths or "none"
+        )
+    console.print(table)
+
+
+def _save(results: Mapping[str, Evaluation], path: Path) -> None:
+    """Keep the results beside the policy."""
+    kept = {
+        name: {**dataclasses.asdict(result.mean_return), "survival": result.survival, "deaths": result.causes}
+        for name, result in results.items()
+    }
+    path.write_text(json.dumps(kept, indent=2) + "\n")
+
+
+def _draw(policy: TensorDictModuleBase, results: Mapping[str, Evaluation], config: Any, folder: Path) -> None:
+    """Learning curve and timeline of the first fresh episode."""
+    curves, timeline = _extra("bsk_torch.viz.curves"), _extra("bsk_torch.viz.timeline")
+    levels = {name: (result.mean_return.mean, result.mean_return.half_width) for name, result in results.items()}
+    curves.learning_curve(read_log(folder / "log.csv"), folder / "learning_curve.png", levels, f"{config.preset}: learning")
+    env = make(config.preset, num_envs=1, **config.options)
+    episode = timeline.record_episode(policy, env, seed=config.seed + FRESH)
+    timeline.timeline(episode, folder / "timeline.png", f"{config.preset}: one episode of the trained policy")

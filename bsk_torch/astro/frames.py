@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import torch
 from torch import Tensor
 
@@ -35,4 +37,6 @@ def rotate_z(r: Vec3, cos: Tensor, sin: Tensor) -> Vec3:
 
 def angle_between(a: Tensor, b: Tensor) -> Tensor:
     """Angle, rad in [0, pi], between vectors [..., 3], accurate for small and for large angles."""
-    return torch.atan2(torch.linalg.cross(a, b).norm(dim=-1), (a * b).sum(-1))
+    a, b = a / a.norm(dim=-1, keepdim=True), b / b.norm(dim=-1, keepdim=True)
+    near, far = (2.0 * torch.asin(torch.clamp(0.5 * chord.norm(dim=-1), max=1.0)) for chord in (a - b, a + b))
+    return torch.where((a * b).sum(-1) > 0.0, near, math.pi - far)

@@ -75,5 +75,6 @@ def hill_rate(r: Vec3, v: Vec3) -> Tensor:
 
 def periapsis_radius(r: Vec3, v: Vec3, mu: Tensor | float = MU_EARTH) -> Tensor:
     """Radius of periapsis, m, of the osculating orbit."""
-    oe = rv_to_elements(r, v, mu)
-    return oe.a * (1.0 - oe.e)
+    radius, v2 = r.norm(), v.dot(v)
+    eccentricity = r * ((v2 - mu / radius) / mu) - v * (r.dot(v) / mu)
+    return (1.0 - eccentricity.norm()) / (2.0 / radius - v2 / mu)

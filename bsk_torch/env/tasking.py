@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import logging
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -100,7 +101,7 @@ class SatelliteTasking(EnvBase):
         self.dtype, self.failure_penalty = dtype, float(failure_penalty)
         self.terminate_on_time_limit, self.time_limit_generator = terminate_on_time_limit, time_limit
         self._max_ticks_seconds = float(max_step_duration)
-        self.scenario, self.rewarder = scenario or Scenario(), rewarder or NoReward()
+        self.scenario, self.rewarder = copy.copy(scenario or Scenario()), copy.copy(rewarder or NoReward())
         options = {"sim_rate": sim_rate, "dtype": sim_dtype, "orbit": orbit, "world_args": world_args or {}}
         trial = self._trial(satellite, options)
         self.simulator = self._simulator(satellite, num_envs, backend, options)
@@ -171,6 +172,7 @@ class SatelliteTasking(EnvBase):
             return Composite(parts, shape=b, **on)
 
         vector = ObservationBuilder.vector(trial, self.dtype)
+        self.satellite.observation_description = ObservationBuilder.describe(trial)
         observed = tree(trial) if self.satellite.obs_type is dict else leaf(vector)
         self.observation_spec = Composite(
             observation=observed,
@@ -226,7 +228,7 @@ class SatelliteTasking(EnvBase):
         moves = torch.ones_like(self.dead) if partial is None else partial.reshape(-1)
         before, start = self.rewarder.read_log(), self.simulator.ticks
         self._command(action, moves)
-        reward = self._reward(before)
+        reward = self._reward(before, moves)
         self.scenario.after_step(self.simulator.sim_time)
         terminated, truncated = self._ends()
         return self._outputs(
@@ -271,10 +273,10 @@ class SatelliteTasking(EnvBase):
         """Ticks after which a duration [N] s has passed: an event fires at the first tick at or after its time."""
         return torch.ceil(torch.floor(duration * 1e9 + 0.5) / self.simulator.h_ns).long()
 
-    def _reward(self, before: Log) -> Tensor:
+    def _reward(self, before: Log, moves: Tensor) -> Tensor:
         reward = self.rewarder.calculate_reward(before, self.rewarder.read_log())
         self.dead = self.dead | ~self.satellite.is_alive()
-        return reward + self.failure_penalty * self.dead
+        return (reward + self.failure_penalty * self.dead) * moves
 
     def _ends(self) -> tuple[Tensor, Tensor]:
         truncated = (self.simulator.ticks >= self.limit_ticks) | self.rewarder.is_truncated()
@@ -321,7 +323,7 @@ class SatelliteTasking(EnvBase):
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle the arguments and the state, not the compiled tick."""
-        return _rebuild, (self._arguments, int(self.seed_rows[0]), self.get_extra_state())
+        return _rebuild, (self._arguments, self.seed_rows, self.episode, self.get_extra_state())
 
     # -- help ---------------------------------------------------------------------------------------------------------
 
@@ -347,8 +349,8 @@ class SatelliteTasking(EnvBase):
                 )
 
 
-def _rebuild(arguments: dict[str, Any], seed: int, state: TensorDict | None) -> SatelliteTasking:
+def _rebuild(arguments: dict[str, Any], seeds: Tensor, episode: Tensor, state: TensorDict | None) -> SatelliteTasking:
     env = SatelliteTasking(**arguments)
-    env.set_seed(seed)
+    env.seed_rows, env.episode = seeds, episode
     env.set_extra_state(state)
     return env

@@ -33,7 +33,7 @@ class ScanningDownlinkDynModel(dyn.ContinuousImagingDynModel, dyn.GroundStationD
     @property
     def solar_pointing_error(self) -> Tensor:
         """Angle between the panel normal and the Sun, [N] rad."""
-        n_hat_N = (self.BN.mT @ self.satellite.sat_args["nHat_B"].to(self.BN.dtype).unsqueeze(-1)).squeeze(-1)
+        n_hat_N = (self.BN.mT @ self.satellite.sat_args["nHat_B"].unsqueeze(-1)).squeeze(-1)
         return angle_between(n_hat_N, self.world.sun_direction_N)
 
 
@@ -93,7 +93,7 @@ def scanning_args() -> dict[str, Any]:
 def nadir_scan(*, sat_args: dict[str, Any] | None = None, obs_type: type = torch.Tensor, **options: Any) -> SatelliteTasking:
     """NadirScan-v1; see :func:`bsk_torch.make`."""
     satellite = ScanningSatellite("Scanner1", sat_args=scanning_args() | (sat_args or {}), obs_type=obs_type)
-    defaults = dict(
+    defaults: dict[str, Any] = dict(
         scenario=scene.UniformNadirScanning(value_per_second=1 / (5 * ORBIT)),
         rewarder=data.ScanningTimeReward(),
         time_limit=5 * ORBIT,

@@ -47,6 +47,8 @@ class Columns:
 class ScanRule:
     """Scan, unless something is more urgent. Fractions of capacity or of the largest speed.
 
+    The defaults are the best of eighty random choices on NadirScan-v1.
+
     Args:
         fast: Wheel speed from which momentum is dumped.
         low: Battery charge below which the panel is turned to the Sun.
@@ -56,12 +58,12 @@ class ScanRule:
         full: Data level from which scanning would be in vain.
     """
 
-    fast: float = 0.7
-    low: float = 0.35
-    enough: float = 0.6
+    fast: float = 0.75
+    low: float = 0.14
+    enough: float = 0.25
     facing: float = 0.1
-    worth: float = 0.05
-    full: float = 0.95
+    worth: float = 0.5
+    full: float = 0.97
 
     def decide(self, observation: Tensor, description: Sequence[str], actions: Sequence[str]) -> Tensor:
         """Actions [N] for ``observation`` [N, F], whose entries are named by ``description``."""
@@ -85,9 +87,11 @@ class ScanRule:
 
 
 def scan_rule(env: SatelliteTasking, seed: int = 0) -> TensorDictModule:
-    """:class:`ScanRule` with its tuned thresholds, for presets that observe and act like NadirScan-v1."""
+    """:class:`ScanRule` for presets that observe and act like NadirScan-v1; KeyError or ValueError for others."""
+    if bool((env.episode < 0).any()):
+        env.reset()  # observations have names from the first episode on
     description, actions = env.satellite.observation_description, env.satellite.action_description
-    Columns(torch.zeros(1, len(description)), description)["storage_level_fraction"]
+    ScanRule().decide(torch.zeros(1, len(description)), description, actions)
     return TensorDictModule(
         lambda observation: ScanRule().decide(observation, description, actions), in_keys=["observation"], out_keys=["action"]
     )

@@ -70,7 +70,7 @@ class PPOConfig:
     seconds: float | None = 180.0
     frames: int | None = None
     num_envs: int = 1024
-    rollout: int = 32
+    rollout: int = 16
     seed: int = 0
     hidden: tuple[int, ...] = (64, 64)
     learning_rate: float = 1e-3
@@ -78,8 +78,8 @@ class PPOConfig:
     lmbda: float = 0.95
     clip: float = 0.2
     entropy: float = 0.01
-    epochs: int = 4
-    minibatch: int = 4096
+    epochs: int = 8
+    minibatch: int = 2048
     gradient_norm: float = 0.5
     options: dict[str, Any] = dataclasses.field(default_factory=dict)
 
@@ -157,7 +157,7 @@ def estimate_advantages(batch: TensorDictBase, estimator: GAE, gamma: float) -> 
         gamma: Discount per second.
     """
     reward, seconds = batch["next", "reward"], batch["next", "duration"]
-    discounted = batch.select(*estimator.in_keys, strict=False)
+    discounted = batch.clone(recurse=False)
     discounted["next", "reward"] = (reward.double() * gamma ** seconds.double()).to(reward.dtype)
     with torch.no_grad():
         estimator(discounted)
@@ -239,13 +239,16 @@ class Training:
         self.config, self.out, self.days = config, out, 0.0
         torch.manual_seed(config.seed)
         self.env = config.make_env()
-        self.learner = Learner(config, *sizes(self.env))
+        self.n_observed, n_actions = sizes(self.env)
+        self.learner = Learner(config, self.n_observed, n_actions)
         self.normaliser = make_normaliser()
         self.progress, self.recent = Progress(config), Recent(config.num_envs)
 
     @property
     def policy(self) -> TensorDictSequential:
-        """The present policy, on raw observations."""
+        """The present policy, on raw observations; before training these are not normalised."""
+        if not self.normaliser.initialized:
+            return make_policy(self.learner.actor, torch.zeros(self.n_observed), torch.ones(self.n_observed))
         fixed = self.normaliser.to_observation_norm()
         return make_policy(self.learner.actor, fixed.loc, fixed.scale)
 

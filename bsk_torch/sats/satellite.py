@@ -42,7 +42,7 @@ def _short(value: Any) -> str:
 
 
 class _Arguments(dict[str, Any]):
-    """Drawn arguments, a float64 tensor with leading dimension N each; a wrong name is answered with the nearest right one."""
+    """Drawn arguments, a tensor with leading dimension N each; a wrong name is answered with the nearest right one."""
 
     def __missing__(self, name: str) -> Any:
         from bsk_torch.sim.params import nearest
@@ -115,21 +115,18 @@ class Satellite:
     fsw: Any
     actions: ActionBuilder
     observations: ObservationBuilder
+    observation_description: list[str]
+    """Name of every entry of the observation vector; known once an environment has been built."""
 
     @property
     def sat_args(self) -> dict[str, Any]:
-        """Arguments of the present episodes, [N, ...] float64 each."""
+        """Arguments of the present episodes, [N, ...] each, in the type of the simulation."""
         return _Arguments(self.simulator.drawn)
 
     @property
     def action_description(self) -> list[str]:
         """Name of every action."""
         return self.actions.description
-
-    @property
-    def observation_description(self) -> list[str]:
-        """Name of every entry of the observation vector."""
-        return self.observations.describe(self.observations.get_dict())
 
     def next_eclipse(self) -> tuple[Tensor, Tensor]:
         """Next start and next end of an eclipse, [N] s since reset."""

@@ -22,11 +22,14 @@ Values = Mapping[str, Any]
 
 
 class Bus:
-    """Everything one tick knows, by name: state, parameters, flags of the flight mode and messages; ``h`` is the tick, s."""
+    """Everything one tick knows, by name: state, parameters, flags of the flight mode and messages.
 
-    def __init__(self, h: float) -> None:
+    ``h`` is the length of the tick, s, and ``compiled`` whether it is being compiled.
+    """
+
+    def __init__(self, h: float, compiled: bool = False) -> None:
         """Start a tick of ``h`` seconds."""
-        self.h = h
+        self.h, self.compiled = h, compiled
 
     def __getattr__(self, name: str) -> Any:
         """Only reached for a name that no component has written."""

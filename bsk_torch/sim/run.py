@@ -1,7 +1,8 @@
 """Repeat the tick until each environment's own end.
 
 Durations are known when a step starts, so rows are sorted by the time that they have left and the loop works on a shrinking front
-part. Within a segment of at most a minute Sun, Earth and orbit are given by a few numbers per row.
+part. Sun, Earth and orbit are looked up once a minute, counted from the start of the step: what a row sees never depends on when
+others end.
 """
 
 from __future__ import annotations
@@ -14,11 +15,11 @@ from torch import Tensor
 from bsk_torch.constants import NANO
 from bsk_torch.sim.tick import Step
 
-LONGEST_SEGMENT = 60.0
+SEGMENT = 60.0
 """Seconds after which Sun, Earth and orbit are looked up again."""
 
 SHORTEST_CUT = 10
-"""Ticks that a segment has at least, where enough are left; rows that end inside it are held by their count."""
+"""Ticks that a loop has at least, where enough are left; rows that end inside it are held by their count."""
 
 FEWEST_ROWS = 2
 """Rows that a call has at least: the compiler specialises a batch of one."""
@@ -26,21 +27,17 @@ FEWEST_ROWS = 2
 SegmentMaker = Callable[[Tensor, float, float], tuple[Tensor, Tensor, Tensor]]
 
 
-def segments(counts: list[int], longest: int) -> Iterator[tuple[int, int, int]]:
-    """Cut a step into segments: first tick, end, and the number of rows still running.
+def loops(counts: list[int], start: int, longest: int) -> Iterator[tuple[int, int, int]]:
+    """Cut the segment that begins at tick ``start`` into loops: first tick, end, and the number of rows still running.
 
-    ``counts`` are the rows' numbers of ticks in descending order.
+    ``counts`` are the rows' numbers of ticks in descending order; the segment has at most ``longest`` ticks.
     """
-    start, rows = 0, len(counts)
-    while True:
-        while rows and counts[rows - 1] <= start:
+    stop, rows = min(counts[0], start + longest), len(counts)
+    while start < stop:
+        while counts[rows - 1] <= start:
             rows -= 1
-        if not rows:
-            return
-        latest = min(counts[0], start + longest)
-        wanted = min(start + SHORTEST_CUT, latest)
-        end = next((c for c in reversed(counts[:rows]) if c >= wanted), latest)
-        end = min(end, latest)
+        wanted = min(start + SHORTEST_CUT, stop)
+        end = min(next(c for c in reversed(counts[:rows]) if c >= wanted), stop)
         yield start, end, rows
         start = end
 
@@ -71,21 +68,23 @@ def run(step: Step, state: Tensor, shared: Tensor, own: Tensor, make: SegmentMak
     """
     order = torch.argsort(ticks, descending=True, stable=True)
     counts = ticks[order].tolist()
-    h = h_ns * NANO
+    h, longest = h_ns * NANO, max(1, int(SEGMENT / (h_ns * NANO) + 1e-9))
+    numbers = torch.arange(1, longest + 1, device=state.device, dtype=torch.float64)
+    clocks = torch.stack([numbers * h, numbers], -1).to(state.dtype)
     state, own = state[:, order], own[:, order]
-    for start, end, rows in segments(counts, max(1, int(LONGEST_SEGMENT / h + 1e-9))):
-        padded = torch.cat([order[:rows], order[:1].expand(max(0, FEWEST_ROWS - rows))])
-        flags, segment, clock_ticks = make(padded, start * h, (end - start) * h)
-        left = (ticks[padded] - start).to(state.dtype)
-        reaches = pulse_reaches(clock_ticks + start, end - start, h_ns).to(state.dtype)
-        rows_in = torch.stack([left.expand_as(reaches), reaches], 1)
-        numbers = torch.arange(1, end - start + 1, device=state.device, dtype=torch.float64)
-        clocks = torch.stack([numbers * h, numbers], -1).to(state.dtype)
-        front = _front(state, rows)
-        parameters = shared, _front(own, rows), flags, segment
-        for k in range(end - start):
-            front = step(front, *parameters, clocks[k], rows_in[k])
-        state[:, :rows] = front[:, :rows]
+    for first in range(0, counts[0], longest):
+        running = sum(count > first for count in counts)
+        rows = torch.cat([order[:running], order[:1].expand(max(0, FEWEST_ROWS - running))])
+        flags, segment, clock_ticks = make(rows, first * h, longest * h)
+        left = (ticks[rows] - first).to(state.dtype)
+        reaches = pulse_reaches(clock_ticks + first, longest, h_ns).to(state.dtype)
+        each = torch.stack([left.expand_as(reaches), reaches], 1)
+        for start, end, n in loops(counts[:running], first, longest):
+            front = _front(state, n)
+            packs = shared, *(_front(pack, n) for pack in (own, flags, segment))
+            for k in range(start - first, end - first):
+                front = step(front, *packs, clocks[k], each[k, :, : front.shape[1]])
+            state[:, :n] = front[:, :n]
     result = torch.empty_like(state)
     result[:, order] = state
     return result

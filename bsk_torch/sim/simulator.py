@@ -157,13 +157,14 @@ class Simulator:
         zeros = torch.zeros(2, dtype=torch.int64)
         trial = self._draw(Key(zeros, torch.arange(2), zeros) if self.num_envs > 1 else Key(zeros[:1], zeros[:1], zeros[:1]))
         random = {name for args in (self.sat_args, self.world_args) for name in args.table if args.is_random(name)}
+        self.drawn = {name: value for name, value in trial.items() if not isinstance(value, Tensor)}
         params = merge(trial, self.parts, "prepare")
         shared = {name for name, value in params.items() if len(value) == 1}
         if self.num_envs == 1:
             shared = self._independent_of(random, shared, trial)
         on_arc = self.orbit == "arc"
-        self.tick = Tick(tuple(self._scheduled(part, on_arc) for part in self._running(on_arc)), shared, self.h, on_arc)
-        self.step_function = make_step(self.tick, backend)
+        self.tick = Tick(tuple(self._scheduled(part, on_arc) for part in self._running(on_arc)), shared, self.h, on_arc, backend)
+        self.step_function = make_step(self.tick)
         self.shared = self.tick.shared.rows(params, 1).to(self.device, self.dtype)
 
     def _independent_of(self, random: set[str], shared: set[str], trial: dict[str, Any]) -> set[str]:
@@ -186,7 +187,6 @@ class Simulator:
         self.own = torch.zeros(self.tick.own.size, n, **make)
         self.ticks = torch.zeros(n, dtype=torch.int64, device=self.device)
         self.mode, self.all_rows = torch.zeros_like(self.ticks), torch.arange(n, device=self.device)
-        self.drawn: dict[str, Any] = {}
         self.world = World(self)
         self.arcs = Arcs(n, spans_for(horizon + MARGIN), Solver(self.h, backend, self.device))
         self.eclipses = EclipseTable(self.arcs)
@@ -288,8 +288,8 @@ class Simulator:
                 continue
             if name not in self.drawn:
                 shape = (self.num_envs, *value.shape[1:])
-                self.drawn[name] = torch.zeros(shape, dtype=torch.float64, device=self.device)
-            self.drawn[name][rows] = value.to(self.device)
+                self.drawn[name] = torch.zeros(shape, dtype=self.dtype, device=self.device)
+            self.drawn[name][rows] = value.to(self.device, self.dtype)
 
     # -- commands -----------------------------------------------------------------------------------------------------
 

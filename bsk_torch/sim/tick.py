@@ -35,10 +35,12 @@ class Tick:
     ``shared`` are the parameters that all environments have in common, ``own`` those that differ.
     """
 
-    def __init__(self, components: Sequence[Component], shared: set[str], h: float, on_arc: bool) -> None:
+    def __init__(self, components: Sequence[Component], shared: set[str], h: float, on_arc: bool, backend: str) -> None:
         """Lay out the packs of ``components``, which are in the order of a tick of ``h`` seconds."""
+        if backend not in BACKENDS:
+            raise ValueError(f"backend={backend!r} must be one of {list(BACKENDS)}")
         params = [field for component in components for field in component.params]
-        self.components, self.h, self.on_arc = components, h, on_arc
+        self.components, self.h, self.on_arc, self.backend = components, h, on_arc, backend
         self.state = Layout(field for component in components for field in component.state)
         self.shared = Layout(field for field in params if field.name in shared)
         self.own = Layout(field for field in params if field.name not in shared)
@@ -60,7 +62,7 @@ class Tick:
             clock: Seconds since the start of the segment and number of the tick within it, [2].
             row: Number of ticks to run in this segment, and whether a thruster pulse reaches the integrator, [2, n].
         """
-        bus = Bus(h=self.h)
+        bus = Bus(self.h, compiled=self.backend == "compiled")
         packs = (self.state, state), (self.shared, shared), (self.own, own), (self.flags, flags), (self.segment, segment)
         for layout, pack in packs:
             layout.put(bus, pack)
@@ -74,8 +76,6 @@ class Tick:
         )
 
 
-def make_step(tick: Tick, backend: str) -> Step:
-    """The tick's step under one of :data:`BACKENDS`."""
-    if backend not in BACKENDS:
-        raise ValueError(f"backend={backend!r} must be one of {list(BACKENDS)}")
-    return compiled(tick.step, "tick") if backend == "compiled" else tick.step
+def make_step(tick: Tick) -> Step:
+    """The tick's step under its back end."""
+    return compiled(tick.step, "tick") if tick.backend == "compiled" else tick.step

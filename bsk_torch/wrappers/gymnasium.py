@@ -206,8 +206,8 @@ def parse_mode(mode: AutoresetMode | str) -> AutoresetMode:
 class GymVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
     """N episodes in one simulation, as ``gymnasium.vector.VectorEnv``.
 
-    Environment i plays exactly what ``GymEnv(..., env_ids=[i])`` plays. ``info`` has the entries of :class:`GymEnv` as arrays,
-    valid for every environment after every call, each with its boolean companion (``_duration``).
+    Environment i plays what ``GymEnv(..., env_ids=[i])`` plays, to rounding. ``info`` has the entries of :class:`GymEnv` as
+    arrays, valid for every environment after every call, each with its boolean companion (``_duration``).
     """
 
     metadata: ClassVar[dict[str, Any]] = {"render_modes": [], "autoreset_mode": AutoresetMode.NEXT_STEP}  # type: ignore[misc]

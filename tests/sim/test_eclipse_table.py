@@ -35,7 +35,7 @@ def at(time: float, n: int = 5) -> torch.Tensor:
 
 
 def test_answers_of_basilisk(recording, five_orbits):
-    """468 queries on five orbits in increasing order, 1.0 for none; both name samples of a 30 s grid, so answers are identical."""
+    """468 queries on five orbits in increasing order; answers name samples of a 30 s grid and are identical, 1.0 for none."""
     recorded, eclipses = recording("windows"), table(five_orbits)
     rows = torch.arange(5)
     for k, time in enumerate(recorded["eclipse_time"].tolist()):

@@ -130,12 +130,12 @@ def test_an_episode_has_to_run():
 BAD = [(7, ValueError, "action 7 of environment 0"), (0.5, TypeError, "float32"), ([0, 1], ValueError, r"shape \[2\]")]
 
 
-@pytest.mark.parametrize(("action", "error", "text"), BAD)
-def test_a_wrong_action_is_named_and_changes_nothing(action, error, text):
+def test_a_wrong_action_is_named_and_changes_nothing():
     env = single()
     env.reset(seed=0)
-    with pytest.raises(error, match=text):
-        env.step(action)
+    for action, error, text in BAD:
+        with pytest.raises(error, match=text):
+            env.step(action)
     assert int(env.core.simulator.ticks) == 0
 
 

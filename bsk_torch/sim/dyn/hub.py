@@ -8,13 +8,14 @@ from torch import Tensor
 from bsk_torch.astro.attitude import mrp_rate, mrp_switch, mrp_to_dcm
 from bsk_torch.astro.ephemeris import EARTH_ROTATION_RATE
 from bsk_torch.astro.frames import rotate_z
-from bsk_torch.astro.gravity import DEGREE, field, field_weights, third_body
+from bsk_torch.astro.gravity import third_body
 from bsk_torch.astro.integrate import State, rk4_step
 from bsk_torch.astro.orbit import Elements, elements_to_rv
 from bsk_torch.constants import MU_EARTH
 from bsk_torch.rand import Uniform, random_orbit
 from bsk_torch.sim.component import Arg, Bus, Component, Field, Values, vec
 from bsk_torch.sim.dyn.drag import drag
+from bsk_torch.sim.dyn.field import called_field, full_field
 from bsk_torch.sim.dyn.thrusters import pulse_torque
 from bsk_torch.sim.dyn.wheels import SPIN_INERTIA
 from bsk_torch.vec3 import Vec3
@@ -99,7 +100,8 @@ def gravity(bus: Bus, r: Vec3, offset: float) -> Vec3:
     dt = offset - bus.h
     turn = EARTH_ROTATION_RATE * dt
     p = rotate_z(bus.pole @ r, bus.cos_earth, bus.sin_earth)
-    f = field(Vec3(p.x + turn * p.y, p.y - turn * p.x, p.z), field_weights(DEGREE))
+    earth_field = called_field if bus.compiled else full_field
+    f = earth_field(Vec3(p.x + turn * p.y, p.y - turn * p.x, p.z))
     f = Vec3(f.x - turn * f.y, f.y + turn * f.x, f.z)
     return bus.pole.mT @ rotate_z(f, bus.cos_earth, -bus.sin_earth) + third_body(r, bus.r_sun + bus.v_sun * dt)
 

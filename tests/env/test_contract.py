@@ -1,0 +1,223 @@
+"""What TorchRL and users may rely on, beyond what ``check_env_specs`` checks."""
+
+import copy
+import functools
+import pickle
+
+import pytest
+import torch
+from tensordict import TensorDict
+from torchrl.envs import ParallelEnv, check_env_specs
+
+import bsk_torch
+from bsk_torch import SatelliteTasking, act
+from bsk_torch.presets.nadir_scan import ScanningSatellite
+
+SHORT = dict(time_limit=900.0, backend="eager", seed=3)
+
+
+def make(num_envs=3, **options):
+    return bsk_torch.make("NadirScan-v1", num_envs=num_envs, **(SHORT | options))
+
+
+def actions(steps, n, seed=0):
+    return torch.randint(0, 4, (steps, n), generator=torch.Generator().manual_seed(seed))
+
+
+def play(env, plan, td=None):
+    """Play a plan [T, N] without resets in between; the outputs of each step."""
+    td = env.reset() if td is None else td
+    outputs = []
+    for action in plan:
+        td = env.step(td.select("observation").set("action", action))["next"]
+        outputs.append(td.clone())
+    return outputs
+
+
+def equal(a, b, rows=slice(None)):
+    return all(torch.equal(a[key], b[key][rows]) for key in ("observation", "reward", "done", "duration"))
+
+
+def test_specs():
+    check_env_specs(make(2), break_when_any_done="both")
+    check_env_specs(make(2, obs_type=dict))
+
+
+def test_one_alone_equals_one_of_many_bit_for_bit():
+    """A batch of 512 and the same environment alone; resets included."""
+    plan = actions(2, 512)
+    many = make(512, time_limit=200.0, dtype=torch.float64)
+    together = play(many, plan)
+    for i in (0, 7, 300):
+        alone = make(1, time_limit=200.0, dtype=torch.float64, env_ids=[i])
+        for a, b in zip(play(alone, plan[:, i : i + 1]), together, strict=True):
+            assert equal(a, b, slice(i, i + 1))
+        assert torch.equal(alone.get_state()["pack"][0], many.get_state()["pack"][i])
+
+
+def test_permutation():
+    order = torch.tensor([4, 2, 0, 3, 1])
+    plan = actions(3, 5)
+    straight = play(make(5, dtype=torch.float64), plan)
+    shuffled = play(make(5, dtype=torch.float64, env_ids=order), plan[:, order])
+    for a, b in zip(shuffled, straight, strict=True):
+        assert equal(a, b, order)
+
+
+def test_observation_of_next_step_is_the_last_one():
+    rollout = make(2).rollout(4, break_when_any_done=False)
+    assert torch.equal(rollout["observation"][:, 1:], rollout["next", "observation"][:, :-1])
+    assert rollout["observation"].diff(dim=1).abs().sum() > 0
+
+
+def test_partial_reset_touches_only_its_rows():
+    env = make(4)
+    play(env, actions(2, 4))
+    before = env.get_state()
+    env.reset(TensorDict({"_reset": torch.tensor([[True], [False], [True], [False]])}, [4]))
+    after = env.get_state()
+    for key in before.keys(True, True):
+        assert torch.equal(before[key][1::2], after[key][1::2]), key
+    assert (after["ticks"] == 0).tolist() == [True, False, True, False]
+    assert (after["arguments", "wheelSpeeds"] != before["arguments", "wheelSpeeds"]).any(-1).tolist() == [True, False, True, False]
+
+
+def test_partial_step_touches_only_its_rows():
+    env = make(4)
+    td = env.reset()
+    before = env.get_state()
+    mask = torch.tensor([[True], [False], [False], [True]])
+    env.step(td.select("observation").set("action", torch.tensor([0, 1, 2, 3])).set("_step", mask))
+    after = env.get_state()
+    for key in before.keys(True, True):
+        assert torch.equal(before[key][1:3], after[key][1:3]), key
+    assert after["ticks"].tolist() == [180, 0, 0, 60]
+
+
+@pytest.mark.parametrize("way", ["set_state", "state_dict", "pickle", "deepcopy"])
+def test_resume_equals_uninterrupted(way):
+    plan = actions(4, 3)
+    env = make()
+    td = play(env, plan[:2])[-1]
+    if way == "pickle":
+        other = pickle.loads(pickle.dumps(env))
+    elif way == "deepcopy":
+        other = copy.deepcopy(env)
+    elif way == "state_dict":
+        other = make(seed=99)
+        other.load_state_dict(env.state_dict())
+    else:
+        other = make(seed=99)
+        other.reset(TensorDict({"state": env.get_state()}, [3]), set_state=True)
+    for a, b in zip(play(other, plan[2:], td), play(env, plan[2:], td), strict=True):
+        assert equal(a, b)
+    assert torch.equal(other.reset()["observation"], env.reset()["observation"])
+
+
+def test_state_of_a_step_is_restored_for_some_rows():
+    env = make()
+    play(env, actions(1, 3))
+    saved = env.get_state()
+    play(env, actions(1, 3, seed=1), env.reset())
+    rows = torch.tensor([[False], [True], [False]])
+    env.reset(TensorDict({"state": saved.clone(), "_reset": rows}, [3]), set_state=True)
+    assert torch.equal(env.get_state()["pack"][1], saved["pack"][1])
+    assert not torch.equal(env.get_state()["pack"][0], saved["pack"][0])
+
+
+def test_seeds():
+    first, again, other = (make(2, seed=s).reset()["observation"] for s in (5, 5, 6))
+    assert torch.equal(first, again)
+    assert not torch.equal(first, other)
+    env = make(2, seed=5)
+    one, two = env.reset()["observation"], env.reset()["observation"]
+    assert not torch.equal(one, two), "every episode is a new one"
+
+
+def test_time_limit_beats_the_action_and_terminates():
+    env = make(2, time_limit=240.5)
+    out = play(env, torch.tensor([[0, 1], [2, 1]]))
+    assert out[0]["duration"].flatten().tolist() == [180.0, 120.0]
+    assert out[1]["duration"].flatten().tolist() == [60.0, 120.0]
+    assert env.requires_retasking.tolist() == [True, True]
+    out = play(env, torch.tensor([[0, 0]]), out[1])[0]
+    assert out["duration"].flatten().tolist() == [1.0, 1.0], "240.5 s is rounded up to 241"
+    assert env.requires_retasking.tolist() == [False, False]
+    assert out["truncated"].all()
+    assert out["terminated"].all()
+    assert play(env, torch.tensor([[0, 0]]), out)[0]["duration"].flatten().tolist() == [0.0, 0.0]
+
+
+def test_time_limit_from_a_distribution():
+    env = make(3, time_limit=bsk_torch.rand.per_env([100.0, 200.0, 300.0]))
+    env.reset()
+    assert env.limit_ticks.tolist() == [100, 200, 300]
+
+
+def test_longest_step_and_fixed_intervals():
+    env = make(2, max_step_duration=50.0)
+    assert play(env, torch.tensor([[0, 2]]))[0]["duration"].flatten().tolist() == [50.0, 50.0]
+    assert not env.requires_retasking.any()
+
+
+def test_dead_satellites_terminate_with_the_penalty():
+    env = make(2, sat_args=dict(storedCharge_Init=bsk_torch.rand.per_env([100.0, 500000.0])))
+    out = play(env, torch.tensor([[3, 3]]))[0]
+    assert out["terminated"].flatten().tolist() == [True, False]
+    assert out["reward"].flatten().tolist() == [-1.0, 0.0]
+    assert env.satellite.aliveness()["battery_valid"].tolist() == [False, True]
+
+
+class Drifter(ScanningSatellite):
+    action_spec = (act.Drift(duration=3600.0),)
+
+
+def test_endless_episodes_extend_their_look_ahead():
+    env = SatelliteTasking(Drifter("Drifter1", sat_args=dict(wheelSpeeds=[0.0, 0.0, 0.0])), num_envs=2, sim_rate=20.0, backend="eager", seed=1)
+    out = play(env, torch.zeros(7, 2, dtype=torch.int64))
+    assert torch.isfinite(out[-1]["observation"]).all()
+    assert not out[-1]["truncated"].any()
+    assert (env.simulator.arcs.start > 0).all(), "arcs have moved on"
+    assert (out[-1]["observation"][:, 8] > 0).all(), "the next pass closes in the future"
+
+
+def test_callables_constants_and_distributions():
+    draws = iter(range(1000))
+    sat_args = dict(mass=lambda: 300.0 + next(draws), panelArea=0.5, u_max=bsk_torch.rand.Uniform(0.1, 0.2), nHat_B=[0.0, 0.0, -2.0])
+    env = make(3, sat_args=sat_args)
+    env.reset()
+    mass = env.satellite.sat_args["mass"]
+    assert mass.diff().tolist() == [1.0, 1.0]
+    assert torch.equal(env.satellite.sat_args["panelArea"], torch.full((3,), 0.5, dtype=torch.float64))
+    assert ((env.satellite.sat_args["u_max"] >= 0.1) & (env.satellite.sat_args["u_max"] < 0.2)).all()
+
+
+def test_nan_stays_in_its_row_and_is_named():
+    env = make(3)
+    plan = actions(3, 3)
+    clean = play(make(3), plan)
+    td = env.reset()
+    env.simulator.pack[env.simulator.tick.state.slices["omega"], 1] = torch.nan
+    dirty = play(env, plan, td)
+    for a, b in zip(dirty, clean, strict=True):
+        assert equal(a[[0, 2]], b[[0, 2]])
+    with pytest.raises(FloatingPointError, match=r"environment 1 .* at tick"):
+        env.check_finite()
+    make(1).check_finite()
+
+
+def test_float32_simulation_stays_close():
+    """Rounding of single precision over 900 s; the README's table has the long run."""
+    plan = actions(5, 4)
+    double, single = (play(make(4, sim_dtype=dtype, dtype=torch.float64), plan) for dtype in (torch.float64, torch.float32))
+    error = (double[-1]["observation"] - single[-1]["observation"]).abs().max()
+    assert error < 2e-3, error
+
+
+def test_parallel_env():
+    env = ParallelEnv(2, functools.partial(make, 2), mp_start_method="spawn")
+    try:
+        rollout = env.rollout(2)
+        assert rollout["observation"].shape == (2, 2, 2, 12)
+    finally:
+        env.close()

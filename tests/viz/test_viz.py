@@ -1,0 +1,46 @@
+"""Pictures are written, and show what happened."""
+
+import pytest
+
+import bsk_torch
+from bsk_torch.rl.baselines import scan_rule
+from bsk_torch.viz.curves import learning_curve, spread
+from bsk_torch.viz.timeline import record_episode, timeline
+
+PNG = b"\x89PNG"
+
+
+@pytest.fixture(scope="module")
+def episode():
+    env = bsk_torch.make("NadirScan-v1", num_envs=1, seed=0, backend="eager", time_limit=700.0)
+    return record_episode(scan_rule(env), env, seed=1)
+
+
+def test_a_recorded_episode_is_complete(episode):
+    assert episode.times[0] == 0.0
+    assert episode.times[-1] == 700.0
+    assert len(episode.actions) == len(episode.times) - 1
+    assert {len(rows) for rows in episode.series.values()} == {len(episode.times)}
+    assert len(episode.series["wheel_speeds_fraction"][0]) == 3
+    assert all(start < end for end, start in (*episode.eclipses.items(), *episode.passes.items()))
+    assert not episode.died
+
+
+def test_timeline_is_drawn(episode, tmp_path):
+    path = timeline(episode, tmp_path / "timeline.png", "NadirScan-v1")
+    assert path.read_bytes()[:4] == PNG
+    assert path.stat().st_size > 10_000
+
+
+def test_learning_curve_is_drawn(tmp_path):
+    log = {"seconds": [1.0, 2.0, 3.0], "return": [-1.0, 0.0, 0.5], "survival": [0.0, 0.5, 1.0], "simulated_days": [1, 2, 3]}
+    path = learning_curve(log, tmp_path / "curve.png", {"random": (-0.4, 0.1), "rule": (0.4, 0.02)}, "learning")
+    assert path.read_bytes()[:4] == PNG
+    assert path.stat().st_size > 10_000
+
+
+def test_names_of_close_lines_are_kept_apart_in_their_order():
+    moved = spread([0.5, 0.48, -1.0, 0.51], 0.1)
+    assert moved[2] == -1.0
+    assert moved[1] < moved[0] < moved[3]
+    assert min(moved[0] - moved[1], moved[3] - moved[0]) == pytest.approx(0.1, abs=1e-6)
