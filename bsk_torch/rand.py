@@ -75,6 +75,12 @@ class Key:
         return radius * torch.cos(2.0 * math.pi * u[:, count:])
 
 
+def first_key(n: int) -> Key:
+    """Key of the first episodes of environments 0 to n - 1 under seed 0, for trial draws."""
+    zeros = torch.zeros(n, dtype=torch.int64)
+    return Key(zeros, torch.arange(n), zeros)
+
+
 class Distribution:
     """A value drawn for each environment at each reset. Subclasses implement :meth:`draw`."""
 

@@ -37,8 +37,8 @@ def _unnormalised(degree: int) -> tuple[np.ndarray, np.ndarray]:
         lines = [line for line in file if line[0].isdigit()]
     c, s = np.zeros((degree + 1, degree + 1)), np.zeros((degree + 1, degree + 1))
     for line in lines:
-        n, m, c_nm, s_nm = line.split(",")
-        n, m = int(n), int(m)
+        degree_text, order_text, c_nm, s_nm = line.split(",")
+        n, m = int(degree_text), int(order_text)
         if n <= degree:
             factor = math.sqrt((2 - (m == 0)) * (2 * n + 1) * math.factorial(n - m) / math.factorial(n + m))
             c[n, m], s[n, m] = float(c_nm) * factor, float(s_nm) * factor
@@ -63,7 +63,7 @@ def field_weights(degree: int) -> dict[tuple[int, int], Weights]:
             if m:
                 sums[n + 1, m - 1][0] += half * down * cs
                 sums[n + 1, m - 1][1] += half * down * swapped
-    return {key: Weights(*(tuple(map(float, row)) for row in value)) for key, value in sums.items() if value.any()}
+    return {key: Weights(*((float(a), float(b)) for a, b in value)) for key, value in sums.items() if value.any()}
 
 
 def zonal_weights() -> dict[tuple[int, int], Weights]:

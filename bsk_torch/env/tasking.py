@@ -16,7 +16,7 @@ from torchrl.envs import EnvBase
 from bsk_torch.data.base import GlobalReward, Log, NoReward
 from bsk_torch.env.state import restore_simulation, simulation_state
 from bsk_torch.obs.base import ObservationBuilder, Values
-from bsk_torch.rand import Distribution, Key
+from bsk_torch.rand import Distribution, Key, first_key
 from bsk_torch.sats.satellite import ArgumentTable, Satellite
 from bsk_torch.scene.base import Scenario
 from bsk_torch.sim.component import Arg, collect
@@ -115,8 +115,7 @@ class SatelliteTasking(EnvBase):
     # -- construction -------------------------------------------------------------------------------------------------
 
     def _simulator(self, satellite: Satellite, n: int, backend: str, options: dict[str, Any]) -> Simulator:
-        zeros = torch.zeros(n, dtype=torch.int64)
-        limit = self._draw_limit(Key(zeros, torch.arange(n), zeros))
+        limit = self._draw_limit(first_key(n))
         finite = limit[torch.isfinite(limit)]
         return Simulator(
             satellite.dyn_type,
@@ -134,7 +133,7 @@ class SatelliteTasking(EnvBase):
     def _trial(self, satellite: Satellite, options: dict[str, Any]) -> Values:
         """Observations of one trial episode: their shapes make the specs, and every property has been read once."""
         simulator = self._simulator(satellite, 1, "eager", options)
-        key = Key(*(torch.zeros(1, dtype=torch.int64) for _ in range(3)))
+        key = first_key(1)
         limit = self._draw_limit(key).to(simulator.device)
         bound = satellite.bind(simulator, limit)
         simulator.reset(simulator.all_rows, simulator.draw(key), bound.generation(limit))

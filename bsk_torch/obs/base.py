@@ -38,7 +38,7 @@ class Observation:
 
 def property_name(entry: dict[str, Any]) -> str:
     """Name of one observed property: its own, with ``_normd`` where it is divided by a norm."""
-    default = entry.get("prop") or getattr(entry.get("fn"), "__name__", "fn")
+    default = str(entry.get("prop") or getattr(entry.get("fn"), "__name__", "fn"))
     return str(entry.get("name") or default + ("_normd" if entry.get("norm", 1.0) != 1.0 else ""))
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 from torch import Tensor
 
@@ -10,7 +10,7 @@ from bsk_torch.obs.base import Observation, Values, check_entries, property_name
 from bsk_torch.sim.params import nearest
 
 if TYPE_CHECKING:
-    from bsk_torch.sats.access import Opportunities
+    from bsk_torch.sats.access import AccessSatellite, Opportunities
     from bsk_torch.sats.satellite import Satellite
 
 
@@ -62,7 +62,7 @@ class OpportunityProperties(Observation):
 
     def get_obs(self) -> Values:
         """See :meth:`Observation.get_obs`."""
-        opportunities = self.satellite.find_next_opportunities(self.n_ahead_observe, self.type)
+        opportunities = cast("AccessSatellite", self.satellite).find_next_opportunities(self.n_ahead_observe, self.type)
         columns = {}
         for entry in self.entries:
             function = entry.get("fn") or PRESETS[entry["prop"]]

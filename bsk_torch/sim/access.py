@@ -123,16 +123,16 @@ class Search:
 def _whole(search: Search, end: Tensor) -> tuple[Events, Tensor]:
     """All passes of long intervals, those in progress at either end cut there: rises, and the times of the sets."""
     first, last = (torch.nonzero(search.up[..., k], as_tuple=True) for k in (0, -1))
-    starts = [Events(*first, search.start[first[0]]), search.rises()]
-    stops = [search.sets(), Events(*last, end[last[0]])]
-    rise, fall = (_ordered(*parts) for parts in (starts, stops))
+    starts = [Events(first[0], first[1], search.start[first[0]]), search.rises()]
+    stops = [search.sets(), Events(last[0], last[1], end[last[0]])]
+    rise, fall = _ordered(starts), _ordered(stops)
     brief = search.glimpses()
     keep = brief[1].time - brief[0].time > SHORTEST
     rise = Events(*(torch.cat([a, b[keep]]) for a, b in zip(rise, brief[0], strict=True)))
     return rise, torch.cat([fall.time, brief[1].time[keep]])
 
 
-def _ordered(*parts: Events) -> Events:
+def _ordered(parts: list[Events]) -> Events:
     """Events by row, then place, then time."""
     row, place, time = (torch.cat(columns) for columns in zip(*parts, strict=True))
     order = torch.argsort(time, stable=True)
@@ -245,7 +245,8 @@ def _widened(windows: Windows, width: int) -> Windows:
     if extra <= 0:
         return windows
     pad = torch.nn.functional.pad
-    return Windows(*(pad(t, (0, extra), value=math.inf) for t in windows[:2]), pad(windows.place, (0, extra)))
+    opens, close = (pad(t, (0, extra), value=math.inf) for t in windows[:2])
+    return Windows(opens, close, pad(windows.place, (0, extra)))
 
 
 def _tabulate(rise: Events, close: Tensor, n: int) -> Windows:

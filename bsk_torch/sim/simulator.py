@@ -13,7 +13,7 @@ from bsk_torch.astro.atmosphere import top_radius
 from bsk_torch.astro.ephemeris import EARTH_ROTATION_RATE, coverage, earth_angles, earth_orientation, sun_position, sun_state
 from bsk_torch.astro.orbit import periapsis_radius
 from bsk_torch.constants import NANO
-from bsk_torch.rand import Key
+from bsk_torch.rand import Key, first_key
 from bsk_torch.sim.access import LOOKAHEAD, AccessTable, Places, Windows
 from bsk_torch.sim.component import Bus, Component, collect
 from bsk_torch.sim.dyn import hub
@@ -154,8 +154,7 @@ class Simulator:
         self.mode_names = tuple(self.modes)
 
     def _layout(self, backend: str) -> None:
-        zeros = torch.zeros(2, dtype=torch.int64)
-        trial = self._draw(Key(zeros, torch.arange(2), zeros) if self.num_envs > 1 else Key(zeros[:1], zeros[:1], zeros[:1]))
+        trial = self._draw(first_key(min(2, self.num_envs)))
         random = {name for args in (self.sat_args, self.world_args) for name in args.table if args.is_random(name)}
         self.drawn = {name: value for name, value in trial.items() if not isinstance(value, Tensor)}
         params = merge(trial, self.parts, "prepare")
@@ -182,9 +181,9 @@ class Simulator:
         return dataclasses.replace(part, update=update) if part.slot == "hub" else part
 
     def _storage(self, horizon: float, segment: float, backend: str) -> None:
-        n, make = self.num_envs, {"device": self.device, "dtype": self.dtype}
-        self.pack = torch.zeros(self.tick.state.size, n, **make)
-        self.own = torch.zeros(self.tick.own.size, n, **make)
+        n = self.num_envs
+        self.pack = torch.zeros(self.tick.state.size, n, device=self.device, dtype=self.dtype)
+        self.own = torch.zeros(self.tick.own.size, n, device=self.device, dtype=self.dtype)
         self.ticks = torch.zeros(n, dtype=torch.int64, device=self.device)
         self.mode, self.all_rows = torch.zeros_like(self.ticks), torch.arange(n, device=self.device)
         self.world = World(self)
@@ -192,11 +191,11 @@ class Simulator:
         self.eclipses = EclipseTable(self.arcs)
         self.access: AccessTable | None = None
         if "groundStationsData" in self.world_args.table:
-            arrays = station_arrays(self.world_args.draw(Key(*(torch.zeros(1, dtype=torch.int64) for _ in range(3)))))
+            arrays = station_arrays(self.world_args.draw(first_key(1)))
             r_P = arrays["station_positions"].view(3, -1).mT.contiguous().to(self.device)
             self.access = AccessTable(self.arcs, Places(r_P, arrays["station_sin_elevations"][0].to(self.device)), segment)
         on = [[float(flag in self.modes[name].on) for name in self.mode_names] for flag in FLAGS]
-        self.flag_table = torch.tensor(on, **make)
+        self.flag_table = torch.tensor(on, device=self.device, dtype=self.dtype)
 
     # -- time ---------------------------------------------------------------------------------------------------------
 

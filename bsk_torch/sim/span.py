@@ -172,10 +172,12 @@ class Kernels(NamedTuple):
 @functools.cache
 def kernels(backend: str) -> Kernels:
     """The heavy parts under a backend; compiled ones are shared by all environments of the process."""
-    parts = relax, lacking, zonal_step
     if backend == "eager":
-        return Kernels(*parts)
-    return Kernels(*(compiled(part, f"orbit solver ({part.__name__})") for part in parts))
+        return Kernels(relax, lacking, zonal_step)
+    batched = (True, True, True, False, False), (True, False, False, True, True, True, True), (True, False, False, False)
+    parts: list[Callable[..., Tensor]] = [relax, lacking, zonal_step]
+    names = (f"orbit solver ({part.__name__})" for part in parts)
+    return Kernels(*(compiled(*three) for three in zip(parts, names, batched, strict=True)))
 
 
 # -- a span ----------------------------------------------------------------------------------------------------------------

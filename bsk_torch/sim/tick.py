@@ -28,6 +28,9 @@ ARC_ORBIT = Component(slot="orbit", order=195, update=follow_arc)
 
 Step = Callable[..., Tensor]
 
+BATCHED = (True, False, True, True, True, False, True)
+"""Which arguments of a step have a column for each row of the batch."""
+
 
 class Tick:
     """The tick of a list of components, and the layouts of its packs.
@@ -78,4 +81,4 @@ class Tick:
 
 def make_step(tick: Tick) -> Step:
     """The tick's step under its back end."""
-    return compiled(tick.step, "tick") if tick.backend == "compiled" else tick.step
+    return compiled(tick.step, "tick", BATCHED) if tick.backend == "compiled" else tick.step

@@ -44,8 +44,8 @@ def station_arrays(args: Values) -> dict[str, Tensor]:
         return torch.tensor([s.get(key) or default.item() for s in stations], dtype=torch.float64)
 
     radius = numbers("groundLocationPlanetRadius", args["groundLocationPlanetRadius"])
-    degrees = (torch.tensor([s[key] for s in stations], dtype=torch.float64) for key in ("lat", "long"))
-    r_P = lla_to_fixed(*(torch.deg2rad(d) for d in degrees), numbers("elev", torch.zeros(())), radius)
+    latitude, longitude = (torch.tensor([math.radians(s[key]) for s in stations], dtype=torch.float64) for key in ("lat", "long"))
+    r_P = lla_to_fixed(latitude, longitude, numbers("elev", torch.zeros(())), radius)
     return {
         "station_positions": r_P.mT.reshape(1, -1),
         "station_sin_elevations": numbers("gsMinimumElevation", args["gsMinimumElevation"]).sin()[None],

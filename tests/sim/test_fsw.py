@@ -296,9 +296,10 @@ def test_impulses_have_the_momentum_wanted_and_are_positive():
     torch.testing.assert_close(F.amin(-1), torch.zeros(N).double(), rtol=0, atol=1e-12)
 
 
-def test_pulse_pattern():
+@pytest.mark.parametrize("speed", [300.0, 320.0, 340.0, 360.0])
+def test_pulse_pattern(speed):
     """Nothing in the first tick, a pulse in the second, then one every five ticks until less than a tick is left."""
-    bus = dumping(300.0)
+    bus = dumping(speed)
     times = on_times(bus.Omega)
     commands = fired(bus, 200)
     assert commands[0] == [0.0] * 4
@@ -307,6 +308,13 @@ def test_pulse_pattern():
         assert ticks == [1 + 5 * k for k in range(int(time))]
     assert max(times) > 3.0
     assert min(times) == pytest.approx(0.0, abs=1e-12)
+
+
+def test_pulse_patterns_above_leave_short_and_long_remainders():
+    """So that they tell whole ticks from rounded ones."""
+    rest = [max(on_times(dumping(speed).Omega)) % 1.0 for speed in (300.0, 320.0, 340.0, 360.0)]
+    assert min(rest) < 0.4
+    assert max(rest) > 0.6
 
 
 @pytest.mark.parametrize("wait", [0.0, 1.0, 7.0])

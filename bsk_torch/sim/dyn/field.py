@@ -27,7 +27,7 @@ def _on_packs(r: Tensor) -> Tensor:
 
 @functools.cache
 def _kernel() -> Callable[..., Tensor]:
-    return compiled(_on_packs, "Earth's field")
+    return compiled(_on_packs, "Earth's field", (True,))
 
 
 @torch.library.custom_op("bsk_torch::earth_field", mutates_args=())

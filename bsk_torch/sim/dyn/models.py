@@ -29,7 +29,7 @@ class DynamicsModel(Model):
     otherwise: ``"arc"`` in advance, or ``"integrated"`` in every tick.
     """
 
-    components: ClassVar = (hub.HUB,)
+    components: ClassVar[tuple[Component, ...]] = (hub.HUB,)
     world_components: ClassVar[tuple[Component, ...]] = (world.EARTH_POLE, world.EPHEMERIS)
     orbit: ClassVar[str] = "arc"
 
@@ -141,7 +141,7 @@ class DynamicsModel(Model):
 class EclipseDynModel(DynamicsModel):
     """Adds the eclipse."""
 
-    world_components: ClassVar = (world.ECLIPSE,)
+    world_components: ClassVar[tuple[Component, ...]] = (world.ECLIPSE,)
 
     @property
     def illumination(self) -> Tensor:
@@ -152,20 +152,20 @@ class EclipseDynModel(DynamicsModel):
 class DisturbanceTorqueDynModel(DynamicsModel):
     """Adds a constant torque in body axes."""
 
-    components: ClassVar = (drag.DISTURBANCE,)
+    components: ClassVar[tuple[Component, ...]] = (drag.DISTURBANCE,)
 
 
 class AtmosphericDragDynModel(DynamicsModel):
     """Adds drag by an exponential atmosphere, felt where the orbit is integrated."""
 
-    components: ClassVar = (drag.DRAG,)
-    world_components: ClassVar = (world.ATMOSPHERE,)
+    components: ClassVar[tuple[Component, ...]] = (drag.DRAG,)
+    world_components: ClassVar[tuple[Component, ...]] = (world.ATMOSPHERE,)
 
 
 class BasicDynamicsModel(EclipseDynModel, DisturbanceTorqueDynModel, AtmosphericDragDynModel):
     """Adds wheels, thrusters, solar panel, battery and power sinks."""
 
-    components: ClassVar = (
+    components: ClassVar[tuple[Component, ...]] = (
         wheels.WHEELS,
         wheels.WHEEL_POWER,
         thrusters.THRUSTERS,
@@ -209,7 +209,7 @@ class BasicDynamicsModel(EclipseDynModel, DisturbanceTorqueDynModel, Atmospheric
 class ImagingDynModel(BasicDynamicsModel):
     """Base of the models with an instrument, a transmitter and a store; :class:`ContinuousImagingDynModel` completes it."""
 
-    components: ClassVar = (
+    components: ClassVar[tuple[Component, ...]] = (
         storage.INSTRUMENT,
         storage.INSTRUMENT_POWER,
         storage.TRANSMITTER,
@@ -248,4 +248,4 @@ class ContinuousImagingDynModel(ImagingDynModel):
 class GroundStationDynModel(ImagingDynModel):
     """Adds ground stations, without which the transmitter has no one to send to."""
 
-    world_components: ClassVar = (world.GROUND_STATIONS,)
+    world_components: ClassVar[tuple[Component, ...]] = (world.GROUND_STATIONS,)

@@ -6,6 +6,7 @@ from typing import ClassVar
 
 from torch import Tensor
 
+from bsk_torch.sim.component import Component
 from bsk_torch.sim.fsw import control, desaturation, guidance, instrument
 from bsk_torch.sim.fsw.modes import DUMP_RESET, SUN_RESET, Command, Mode
 from bsk_torch.sim.model import Model
@@ -21,7 +22,7 @@ class FSWModel(Model):
     of the base classes.
     """
 
-    components: ClassVar = (guidance.NAVIGATION,)
+    components: ClassVar[tuple[Component, ...]] = (guidance.NAVIGATION,)
     modes: ClassVar[dict[str, Mode]] = {IDLE: Mode(on=())}
     commands: ClassVar[dict[str, Command]] = {}
 
@@ -40,14 +41,14 @@ class FSWModel(Model):
 class BasicFSWModel(FSWModel):
     """MRP feedback with reaction wheels: drift, charge, nadir pointing, desaturation."""
 
-    components: ClassVar = (
+    components: ClassVar[tuple[Component, ...]] = (
         guidance.SUN_POINTING,
         guidance.NADIR_POINTING,
         desaturation.DESATURATION,
         guidance.TRACKING_ERROR,
         control.MRP_FEEDBACK,
     )
-    modes: ClassVar = {
+    modes: ClassVar[dict[str, Mode]] = {
         "drift": Mode(on=()),
         "charge": Mode(("control_on", "sun_on"), SUN_RESET),
         "nadir_point": Mode(("control_on", "nadir_on")),
@@ -55,14 +56,16 @@ class BasicFSWModel(FSWModel):
         "desat_nadir": Mode(("control_on", "desat_on", "thruster_power", "nadir_on"), DUMP_RESET),
         "desat_none": Mode(("control_on", "desat_on", "thruster_power"), DUMP_RESET),
     }
-    commands: ClassVar = {"desat": Command(("desat_sun", "desat_nadir", "desat_none"), choice="desatAttitude")}
+    commands: ClassVar[dict[str, Command]] = {
+        "desat": Command(("desat_sun", "desat_nadir", "desat_none"), choice="desatAttitude")
+    }
 
 
 class ImagingFSWModel(BasicFSWModel):
     """Base of the models that point an instrument and downlink; :class:`ContinuousImagingFSWModel` completes it."""
 
-    components: ClassVar = (guidance.LOCATION_POINTING, instrument.SCANNING_CONTROLLER)
-    modes: ClassVar = {"downlink": Mode(("control_on", "nadir_on", "transmitter_on"))}
+    components: ClassVar[tuple[Component, ...]] = (guidance.LOCATION_POINTING, instrument.SCANNING_CONTROLLER)
+    modes: ClassVar[dict[str, Mode]] = {"downlink": Mode(("control_on", "nadir_on", "transmitter_on"))}
 
     @property
     def c_hat_P(self) -> Tensor:
@@ -84,7 +87,7 @@ class ImagingFSWModel(BasicFSWModel):
 class ContinuousImagingFSWModel(ImagingFSWModel):
     """Scans along the ground track: the instrument records while it points at the Earth's centre."""
 
-    components: ClassVar = (guidance.EARTH_CENTRE_TARGET,)
-    modes: ClassVar = {
+    components: ClassVar[tuple[Component, ...]] = (guidance.EARTH_CENTRE_TARGET,)
+    modes: ClassVar[dict[str, Mode]] = {
         "nadir_scan": Mode(("control_on", "location_on", "controller_on", "instrument_linked", "instrument_power")),
     }

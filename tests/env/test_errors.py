@@ -1,0 +1,170 @@
+"""Every mistake is answered before anything runs, with the value and what is allowed."""
+
+import pytest
+import torch
+
+import bsk_torch
+from bsk_torch import SatelliteTasking, act, data, obs, rand, sats, scene
+from bsk_torch.presets.nadir_scan import ScanningSatellite, scanning_args
+from bsk_torch.sim import dyn, fsw
+
+
+def make(sat_args=None, **options):
+    return bsk_torch.make("NadirScan-v1", sat_args=sat_args, **({"num_envs": 2, "time_limit": 300.0, "backend": "eager"} | options))
+
+
+@pytest.mark.parametrize(
+    ("sat_args", "error", "words"),
+    [
+        (dict(batteryStorageCapcity=1.0), KeyError, "did you mean 'batteryStorageCapacity'"),
+        (dict(sigma_init=[0.0, 0.1]), ValueError, "sigma_init needs 3 numbers"),
+        (dict(wheelSpeeds=rand.Uniform(0.0, 1.0, 4)), ValueError, "wheelSpeeds needs 3 numbers"),
+        (dict(mass="heavy"), ValueError, "mass='heavy'|mass=.*heavy"),
+        (dict(mass=float("nan")), ValueError, "mass=nan"),
+        (dict(batteryStorageCapacity=-1.0), ValueError, "batteryStorageCapacity=-1"),
+        (dict(dataStorageCapacity=-5.0), ValueError, "dataStorageCapacity=-5"),
+        (dict(storedCharge_Init=800000.0), ValueError, "storedCharge_Init=800000 W s is above"),
+        (dict(rN=[7e6, 0.0, 0.0]), KeyError, "both 'rN' and 'vN'"),
+        (dict(oe=rand.random_orbit(), rN=[7e6, 0, 0], vN=[0, 7500.0, 0]), KeyError, "given are"),
+        (dict(oe=None), KeyError, "given are none"),
+        (dict(oe=rand.random_orbit(a=6600.0)), ValueError, "orbit='integrated'"),
+        (dict(oe=rand.random_orbit(a=7500.0, e=0.15)), ValueError, "comes down to 6375 km"),
+        (dict(desatAttitude="moon"), ValueError, r"must be one of \['sun', 'nadir', None\]"),
+        (dict(controlAxes_B=[1, 0, 0, 1, 0, 0, 0, 0, 1]), ValueError, "controlAxes_B"),
+        (dict(thrForceSign=-1), ValueError, "thrForceSign"),
+        (dict(panelEfficiency=1.5), ValueError, "panelEfficiency=1.5"),
+        (dict(mass=None), ValueError, "mass=None"),
+    ],
+)
+def test_satellite_arguments(sat_args, error, words):
+    with pytest.raises(error, match=words):
+        make(sat_args)
+
+
+@pytest.mark.parametrize(
+    ("world_args", "error", "words"),
+    [
+        (dict(utc_int="2020 JAN 01 00:00:00.000 (UTC)"), KeyError, "did you mean 'utc_init'"),
+        (dict(utc_init="2070 JAN 01 00:00:00.000 (UTC)"), ValueError, "2070"),
+        (dict(utc_init="2020 JUN 31 00:00:00.000 (UTC)"), ValueError, "2020 JUN 31"),
+        (dict(groundStationsData=[]), ValueError, "groundStationsData is empty"),
+        (dict(groundStationsData=[dict(lat=100.0, long=0.0)]), ValueError, "'lat' in degrees"),
+        (dict(groundStationsData=[dict(lat=10.0, lon=0.0)]), ValueError, "unknown key 'lon'"),
+        (dict(scaleHeight=-1.0), ValueError, "scaleHeight=-1"),
+    ],
+)
+def test_world_arguments(world_args, error, words):
+    with pytest.raises(error, match=words):
+        make(world_args=world_args)
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (dict(num_envs=0), "num_envs=0"),
+        (dict(sim_rate=0.0), "sim_rate=0"),
+        (dict(backend="fast"), "backend='fast'"),
+        (dict(orbit="kepler"), "orbit='kepler'"),
+        (dict(time_limit=-1.0), "time_limit=-1"),
+        (dict(env_ids=[1, 2, 3]), "env_ids"),
+        (dict(rewarder=data.ScanningTimeReward(), scenario=scene.Scenario()), "value_per_second"),
+    ],
+)
+def test_environment_arguments(options, words):
+    with pytest.raises(ValueError, match=words):
+        make(**options)
+
+
+def test_preset_names():
+    with pytest.raises(ValueError, match="did you mean 'NadirScan-v1'"):
+        bsk_torch.make("NadirScan-v2")
+
+
+class Base(sats.AccessSatellite):
+    observation_spec = (obs.Time(),)
+    action_spec = (act.Charge(),)
+    dyn_type = dyn.BasicDynamicsModel
+    fsw_type = fsw.BasicFSWModel
+
+
+@pytest.mark.parametrize(
+    ("attributes", "words"),
+    [
+        (dict(action_spec=()), "action_spec is empty"),
+        (dict(observation_spec=()), "observation_spec is empty"),
+        (dict(action_spec=(act.Charge,)), "with parentheses"),
+        (dict(action_spec=(act.Scan(),)), "fsw_action='nadir_scan' is not a command"),
+        (dict(observation_spec=(obs.SatProperties(dict(prop="storage_level")),)), "prop='storage_level' is not a property"),
+        (dict(observation_spec=(obs.SatProperties(dict(prop="batery_charge")),)), "did you mean 'battery_charge'"),
+        (
+            dict(observation_spec=(obs.OpportunityProperties(dict(prop="opportunity_open"), n_ahead_observe=1),)),
+            "ground stations need",
+        ),
+    ],
+)
+def test_satellite_classes(attributes, words):
+    with pytest.raises(ValueError, match=words):
+        SatelliteTasking(type("Bad", (Base,), attributes)("Bad1"), num_envs=2, backend="eager")
+
+
+def test_specs_of_observations():
+    with pytest.raises(ValueError, match="unknown keys"):
+        obs.SatProperties(dict(prop="r_BN_N", nrom=1.0))
+    with pytest.raises(ValueError, match="either 'prop' or 'fn'"):
+        obs.SatProperties(dict(norm=1.0))
+    with pytest.raises(ValueError, match="did you mean 'opportunity_close'"):
+        obs.OpportunityProperties(dict(prop="oportunity_close"), n_ahead_observe=1)
+    with pytest.raises(ValueError, match="n_ahead_observe=0"):
+        obs.OpportunityProperties(dict(prop="opportunity_close"), n_ahead_observe=0)
+    with pytest.raises(ValueError, match="duration=0"):
+        act.Charge(duration=0.0)
+    with pytest.raises(ValueError, match="identifier"):
+        Base("Scanner-1")
+
+
+def test_rewarder_needs_a_store():
+    with pytest.raises(ValueError, match="has no storage_level"):
+        SatelliteTasking(Base("Basic1"), scene.UniformNadirScanning(), data.ScanningTimeReward(), backend="eager")
+
+
+@pytest.mark.parametrize(
+    ("action", "error", "words"),
+    [
+        (torch.tensor([0, 4]), ValueError, "action 4 of environment 1 is out of range; legal are 0: action_nadir_scan"),
+        (torch.tensor([-1, 0]), ValueError, "action -1 of environment 0"),
+        (torch.tensor([0.0, 1.0]), TypeError, "dtype torch.float32"),
+        (torch.tensor([0]), ValueError, r"shape \[1\]"),
+    ],
+)
+def test_actions_are_checked_before_anything_moves(action, error, words):
+    env = make()
+    td = env.reset()
+    before = env.get_state()
+    with pytest.raises(error, match=words):
+        env._step(td.set("action", action) if action.shape == (2,) else {"action": action})
+    after = env.get_state()
+    assert all(torch.equal(before[key], after[key]) for key in before.keys(True, True))
+
+
+def test_a_bad_draw_leaves_the_running_episodes_alone():
+    levels = iter([1e5, 1e5, 1e5, 1e5, 1e5, 1e5, 9e9, 9e9])
+    env = make(dict(storedCharge_Init=lambda: next(levels)))
+    env.reset()
+    before = env.get_state()
+    with pytest.raises(ValueError, match="storedCharge_Init"):
+        env.reset()
+    after = env.get_state()
+    assert all(torch.equal(before[key], after[key]) for key in before.keys(True, True))
+
+
+def test_too_few_rows_for_the_environments():
+    args = scanning_args() | dict(panelArea=rand.per_env([0.25]))
+    with pytest.raises(ValueError, match="per_env has 1 rows"):
+        SatelliteTasking(ScanningSatellite("Scanner1", sat_args=args), num_envs=2, backend="eager").reset()
+
+
+def test_no_station_in_sight():
+    """A satellite over the equator never sees the pole."""
+    pole = dict(groundStationsData=[dict(lat=90.0, long=0.0)])
+    with pytest.raises(RuntimeError, match="no station sees the satellite"):
+        make(dict(oe=rand.random_orbit(i=0.0)), world_args=pole)
