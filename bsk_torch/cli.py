@@ -23,6 +23,7 @@ from bsk_torch.rl.baselines import BASELINES
 from bsk_torch.rl.evaluate import Evaluation, evaluate
 from bsk_torch.rl.log import read_log
 from bsk_torch.rl.policies import load_policy
+from bsk_torch.rl.ppo import PPOConfig
 from bsk_torch.sim.params import nearest
 
 if TYPE_CHECKING:
@@ -39,6 +40,7 @@ Seed = Annotated[int, typer.Option(help="Seed of networks, actions and episodes.
 Episodes = Annotated[int, typer.Option(min=1, help="Fresh episodes for every evaluation.")]
 Threads = Annotated[int, typer.Option(min=1, help="Threads of torch; one is fastest for these sizes.")]
 Backend = Annotated[str, typer.Option(help="'compiled', or 'eager' for debugging.")]
+Device = Annotated[str, typer.Option(help="Where to simulate and learn, such as 'cuda'.")]
 TimeLimit = Annotated[float | None, typer.Option(help="Length of an episode, s, instead of the preset's.")]
 
 
@@ -73,6 +75,7 @@ def evaluate_policy(
     seed: Seed = 0,
     threads: Threads = 1,
     backend: Backend = "compiled",
+    device: Device = "cpu",
     time_limit: TimeLimit = None,
 ) -> None:
     """Play fresh episodes and print mean return, survival and causes of death."""
@@ -80,17 +83,17 @@ def evaluate_policy(
     folder = Path(policy)
     kept = _read_config(folder) if policy not in BASELINES else {}
     name = preset or kept.get("preset") or next(iter(PRESETS))
-    env = _environment(name, episodes, kept.get("options", {}) | _options(backend, time_limit))
+    env = _environment(name, episodes, kept.get("options", {}) | _options(backend, device, time_limit))
     if policy in BASELINES and not _fits(policy, env):
         _fail(f"the policy {policy!r} does not fit {name}")
-    actor = BASELINES[policy](env, seed) if policy in BASELINES else load_policy(folder / "policy.pt")
+    actor = BASELINES[policy](env, seed) if policy in BASELINES else load_policy(folder / "policy.pt", device)
     _print({policy: evaluate(actor, env, seed=seed + FRESH)}, f"{name}, {episodes} episodes")
 
 
 @app.command()
 def train(
     preset: Preset,
-    minutes: Annotated[float, typer.Option(min=0.0, help="Training time after compilation.")] = 3.0,
+    minutes: Annotated[float, typer.Option(min=0.01, help="Training time after compilation.")] = 3.0,
     frames: Annotated[int | None, typer.Option(help="Number of decisions, instead of a time.")] = None,
     num_envs: Annotated[int, typer.Option(min=1, help="Episodes at once.")] = 1024,
     rollout: Annotated[int, typer.Option(min=1, help="Decisions of each between two updates.")] = 16,
@@ -99,20 +102,21 @@ def train(
     episodes: Episodes = 256,
     threads: Threads = 1,
     backend: Backend = "compiled",
+    device: Device = "cpu",
     time_limit: TimeLimit = None,
 ) -> None:
     """Train a policy with PPO and compare it with random actions and a rule on fresh episodes."""
     torch.set_num_threads(threads)
-    options = _options(backend, time_limit)
+    options = _options(backend, device, time_limit)
     env = _environment(preset, episodes, options)
-    ppo = _extra("bsk_torch.rl.ppo")
+    training = _extra("bsk_torch.rl.training")
     limit = {"frames": frames, "seconds": None} if frames else {"seconds": 60.0 * minutes}
-    config = ppo.PPOConfig(preset, num_envs=num_envs, rollout=rollout, seed=seed, options=options, **limit)
+    config = PPOConfig(preset, num_envs=num_envs, rollout=rollout, seed=seed, options=options, **limit)
     folder = out or Path("runs") / f"{preset}_{datetime.now():%Y%m%d-%H%M%S}"
-    training = ppo.Training(config, folder)
-    policies = {name: BASELINES[name](env, seed) for name in BASELINES if _fits(name, env)} | {"untrained": training.policy}
+    run = training.Training(config, folder)
+    policies = {name: BASELINES[name](env, seed) for name in BASELINES if _fits(name, env)} | {"untrained": run.policy}
     results = {name: _evaluated(name, policy, env, seed) for name, policy in policies.items()}
-    policy = training.run()
+    policy = run.run()
     results["trained"] = _evaluated("trained", policy, env, seed)
     _print(results, f"{preset}, {episodes} fresh episodes")
     _save(results, folder / "evaluation.json")
@@ -120,9 +124,9 @@ def train(
     typer.echo(f"policy, log, evaluation and pictures are in {folder}")
 
 
-def _options(backend: str, time_limit: float | None) -> dict[str, Any]:
+def _options(backend: str, device: str, time_limit: float | None) -> dict[str, Any]:
     """Arguments of the environment that the command line sets."""
-    return {"backend": backend} | ({} if time_limit is None else {"time_limit": time_limit})
+    return {"backend": backend, "device": device} | ({} if time_limit is None else {"time_limit": time_limit})
 
 
 def _environment(preset: str, num_envs: int, options: Mapping[str, Any]) -> SatelliteTasking:
@@ -188,7 +192,7 @@ def _save(results: Mapping[str, Evaluation], path: Path) -> None:
     path.write_text(json.dumps(kept, indent=2) + "\n")
 
 
-def _draw(policy: TensorDictModuleBase, results: Mapping[str, Evaluation], config: Any, folder: Path) -> None:
+def _draw(policy: TensorDictModuleBase, results: Mapping[str, Evaluation], config: PPOConfig, folder: Path) -> None:
     """Learning curve and timeline of the first fresh episode."""
     curves, timeline = _extra("bsk_torch.viz.curves"), _extra("bsk_torch.viz.timeline")
     levels = {name: (result.mean_return.mean, result.mean_return.half_width) for name, result in results.items()}

@@ -7,7 +7,6 @@ random numbers: as easy as 1, 2, 3", 2011) on int64 tensors.
 
 from __future__ import annotations
 
-import calendar
 import math
 import zlib
 from collections.abc import Sequence
@@ -18,6 +17,8 @@ import torch
 from torch import Tensor
 
 MASK = 0xFFFFFFFF
+
+MONTHS = ("JAN", "FEB", "MAR", "APR", "MAY", "JUN", "JUL", "AUG", "SEP", "OCT", "NOV", "DEC")
 
 
 def _multiply(a: int, b: Tensor) -> tuple[Tensor, Tensor]:
@@ -95,7 +96,7 @@ def _sized(values: Tensor, size: int | None) -> Tensor:
 
 @dataclass(frozen=True)
 class Uniform(Distribution):
-    """Uniform in [low, high); ``size`` numbers each, or one number if None. Bounds may be sequences of ``size`` numbers."""
+    """Uniform in [low, high); ``size`` numbers each, or one number if None. Bounds may be sequences, which then set the size."""
 
     low: float | Sequence[float] = 0.0
     high: float | Sequence[float] = 1.0
@@ -103,9 +104,10 @@ class Uniform(Distribution):
 
     def draw(self, key: Key) -> Tensor:
         """See :meth:`Distribution.draw`."""
-        u = key.uniform(self.size or 1)
-        low, high = (torch.as_tensor(x, dtype=torch.float64, device=u.device) for x in (self.low, self.high))
-        return _sized(low + (high - low) * u, self.size)
+        low, high = (torch.as_tensor(x, dtype=torch.float64, device=key.env_id.device) for x in (self.low, self.high))
+        size = self.size or max((len(bound) for bound in (low, high) if bound.ndim), default=None)
+        u = key.uniform(size or 1)
+        return _sized(low + (high - low) * u, size)
 
 
 @dataclass(frozen=True)
@@ -129,7 +131,7 @@ class Choice(Distribution):
 
     def __init__(self, options: Sequence[Any]) -> None:
         """Choose among ``options``, a non-empty sequence."""
-        if not options:
+        if len(options) == 0:
             raise ValueError("options is empty; Choice needs at least one option")
         object.__setattr__(self, "options", tuple(options))
 
@@ -209,11 +211,13 @@ class RandomEpoch(Distribution):
         spans = torch.tensor([self.end - self.start, 12, 27, 23, 59, 59, 999], device=u.device)
         rows = (u * spans).long().tolist()
         return [
-            f"{self.start + y} {calendar.month_abbr[1 + mo].upper()} {1 + d:02d} {h:02d}:{mi:02d}:{s:02d}.{ms:03d} (UTC)"
+            f"{self.start + y} {MONTHS[mo]} {1 + d:02d} {h:02d}:{mi:02d}:{s:02d}.{ms:03d} (UTC)"
             for y, mo, d, h, mi, s, ms in rows
         ]
 
 
 def random_epoch(start: int = 2000, end: int = 2022) -> RandomEpoch:
     """Distribution of epochs over the years ``start`` to ``end - 1``, in the ranges that bsk_rl draws from."""
+    if not start < end:
+        raise ValueError(f"random_epoch(start={start}, end={end}): the first year must come before the last")
     return RandomEpoch(start, end)

@@ -80,9 +80,9 @@ def save_policy(path: Path, policy: TensorDictSequential, hidden: Sequence[int])
     torch.save({"shape": shape, "loc": fixed.loc, "scale": fixed.scale, "actor": actor.state_dict()}, path)
 
 
-def load_policy(path: Path) -> TensorDictModuleBase:
+def load_policy(path: Path, device: torch.device | str = "cpu") -> TensorDictModuleBase:
     """The policy of a file that training has written."""
-    kept = torch.load(path, weights_only=True)
-    actor = make_actor(**kept["shape"])
+    kept = torch.load(path, weights_only=True, map_location=device)
+    actor = make_actor(**kept["shape"]).to(device)
     actor.load_state_dict(kept["actor"])
     return make_policy(actor, kept["loc"], kept["scale"])

@@ -50,7 +50,7 @@ class Arg:
 
     ``kind`` says how a value becomes a tensor: ``scalar``, ``vector`` (three numbers), ``matrix`` (nine numbers), ``choice``
     (one of ``choices``, kept as its index), ``utc``, ``orbit``, ``stations`` or ``constant`` (kept as it is). ``low`` and
-    ``high`` bound every number (inclusive); ``missing`` stands for None.
+    ``high`` bound every number (inclusive); ``missing`` stands for None. A ``shared`` one is the same for all environments.
     """
 
     name: str
@@ -62,6 +62,7 @@ class Arg:
     high: float = float("inf")
     missing: float | None = None
     choices: tuple[Any, ...] = ()
+    shared: bool = False
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from bsk_torch.astro.eclipse import illumination
 from bsk_torch.astro.ephemeris import sun_state
 from bsk_torch.astro.interpolate import quintic_position
 from bsk_torch.sim.orbit import Arcs, as_node
-from bsk_torch.sim.span import PLAN_STEP, SPACING
+from bsk_torch.sim.span import PLAN_STEP, SPACING, SPAN
 from bsk_torch.vec3 import Vec3
 
 SEARCH_STEP, SEARCHES = 6000.0, 3
@@ -37,6 +37,16 @@ def planned_samples(arcs: Arcs, rows: Tensor) -> Vec3:
     return Vec3(*(woven(n, m) for n, m in zip(nodes.r, middle, strict=True)))
 
 
+def _sun_along(et: Tensor, count: int) -> Vec3:
+    """Sun at ``count`` samples from ET [n], [n, count] components: on a straight line within each hour."""
+    per_span = round(SPAN / PLAN_STEP)
+    sample = torch.arange(count, device=et.device)
+    span = (sample // per_span).clamp(max=max(0, (count - 2) // per_span))
+    middles = et.unsqueeze(-1) + SPAN * (torch.arange(int(span[-1]) + 1, device=et.device) + 0.5)
+    r_sun, v_sun = (Vec3.of(x[:, span]) for x in sun_state(middles))
+    return r_sun + v_sun * (PLAN_STEP * sample - SPAN * (span + 0.5))
+
+
 def _next_true(flags: Tensor) -> Tensor:
     """Index of the first true flag at or after each sample of [n, K]; NEVER where there is none."""
     index = torch.arange(flags.shape[1], device=flags.device).expand(flags.shape)
@@ -61,12 +71,8 @@ class EclipseTable:
         """Classify the samples of ``rows`` after their arcs have changed."""
         r = planned_samples(self.arcs, rows)
         count = r.x.shape[1]
-        time = self.arcs.start[rows, None] + PLAN_STEP * torch.arange(count, device=r.x.device)
-        r_sun, v_sun = (
-            Vec3.of(x.unsqueeze(1)) for x in sun_state(self.arcs.et[rows] + self.arcs.start[rows] + self.arcs.length / 2)
-        )
-        from_middle = time - self.arcs.start[rows, None] - self.arcs.length / 2
-        dark = illumination(r, r_sun + v_sun * from_middle) <= 0.0
+        r_sun = _sun_along(self.arcs.et[rows] + self.arcs.start[rows], count)
+        dark = illumination(r, r_sun) <= 0.0
         before = torch.cat([dark[:, :1], dark[:, :-1]], 1)
         if self.starts.shape[1:] != (count,):
             shape = (len(self.arcs.start), count)

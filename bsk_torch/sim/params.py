@@ -10,6 +10,7 @@ import difflib
 from collections.abc import Iterable, Mapping
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -23,9 +24,9 @@ ELEMENTS = ("a", "e", "i", "Omega", "omega", "f")
 
 def nearest(name: str, known: Iterable[str]) -> str:
     """A hint that names the valid names closest to a wrong one."""
-    known = sorted(map(str, known))
-    close = difflib.get_close_matches(name, known, n=3, cutoff=0.5)
-    return f"did you mean {' or '.join(map(repr, close))}?" if close else f"valid names: {', '.join(known)}"
+    by_lower = {str(k).lower(): str(k) for k in known}
+    close = [by_lower[k] for k in difflib.get_close_matches(name.lower(), by_lower, n=3, cutoff=0.5)]
+    return f"did you mean {' or '.join(map(repr, close))}?" if close else f"valid names: {', '.join(sorted(by_lower.values()))}"
 
 
 def _numbers(value: Any) -> Tensor:
@@ -34,6 +35,8 @@ def _numbers(value: Any) -> Tensor:
         value = [getattr(value, name) for name in ELEMENTS]
     if isinstance(value, list | tuple) and any(isinstance(v, Tensor) or hasattr(v, "a") for v in value):
         return torch.stack([_numbers(v) for v in value])
+    if isinstance(value, list | tuple) and any(isinstance(v, np.ndarray) for v in value):
+        value = np.asarray(value)
     return torch.as_tensor(value, dtype=torch.float64)
 
 
@@ -99,8 +102,10 @@ class Arguments:
     def _draw(self, arg: Arg, key: Key) -> Any:
         value = self.given[arg.name]
         try:
+            if arg.shared or arg.kind in ("constant", "stations"):
+                self._check_shared(arg, value)
             if arg.kind in ("constant", "stations"):
-                return self._constant(arg, value)
+                return value
             if isinstance(value, Distribution):
                 return convert(arg, value.draw(key.named(arg.name)), len(key))
             if callable(value):
@@ -111,12 +116,12 @@ class Arguments:
         except ValueError as error:
             raise ValueError(f"{self.title}: {error}") from error
 
-    def _constant(self, arg: Arg, value: Any) -> Any:
+    @staticmethod
+    def _check_shared(arg: Arg, value: Any) -> None:
         if isinstance(value, Distribution) or callable(value):
-            raise ValueError(f"{arg.name} must be the same for all environments; it decides how the tick is built")
+            raise ValueError(f"{arg.name}={value!r} must be the same for all environments; give a constant")
         if arg.kind == "stations":
             _check_stations(value)
-        return value
 
     @staticmethod
     def _missing(arg: Arg) -> Tensor | None:
@@ -136,7 +141,7 @@ def _check_stations(stations: Any) -> None:
             if key not in known:
                 raise ValueError(f"groundStationsData has an unknown key {key!r}; {nearest(key, known)}")
         for key, bound in (("lat", 90.0), ("long", 360.0)):
-            if key not in station or not -bound <= station[key] <= bound:
+            if not isinstance(station.get(key), int | float) or not -bound <= station[key] <= bound:
                 raise ValueError(f"groundStationsData needs {key!r} in degrees within +-{bound:g}; got {station}")
 
 

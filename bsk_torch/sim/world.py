@@ -104,9 +104,9 @@ SEGMENT = (
 
 STATION_ARGS = (
     Arg("groundStationsData", DEFAULT_STATIONS, "deg, m", "list of dictionaries lat, long, elev, name", "stations"),
-    Arg("groundLocationPlanetRadius", R_EARTH, "m", "radius of the sphere that stations stand on", low=1e-9),
-    Arg("gsMinimumElevation", math.radians(10.0), "rad", "least elevation", low=-math.pi / 2, high=math.pi / 2),
-    Arg("gsMaximumRange", -1.0, "m", "longest range; no limit where negative"),
+    Arg("groundLocationPlanetRadius", R_EARTH, "m", "radius of the sphere that stations stand on", low=1e-9, shared=True),
+    Arg("gsMinimumElevation", math.radians(10.0), "rad", "least elevation", low=-math.pi / 2, high=math.pi / 2, shared=True),
+    Arg("gsMaximumRange", -1.0, "m", "longest range; no limit where negative", shared=True),
 )
 
 

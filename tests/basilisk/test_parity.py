@@ -92,4 +92,7 @@ def test_recordings_cover_what_they_claim():
     assert (np.load(HERE / "saturation.npz")["saturated_ticks"] > 100).all()
     full = load("full")
     assert all(state[:, 17].max() == 4e10 for state in full.arrays["state"])
-    assert any(np.asarray(end)[-1] and time[-1, 0] < 28500 for end, time in zip(*(load("nominal").arrays[k] for k in ("terminated", "state")), strict=True))
+    assert any(
+        np.asarray(end)[-1] and time[-1, 0] < 28500
+        for end, time in zip(*(load("nominal").arrays[k] for k in ("terminated", "state")), strict=True)
+    )

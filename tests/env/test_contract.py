@@ -79,7 +79,12 @@ def test_partial_reset_touches_only_its_rows():
     for key in before.keys(True, True):
         assert torch.equal(before[key][1::2], after[key][1::2]), key
     assert (after["ticks"] == 0).tolist() == [True, False, True, False]
-    assert (after["arguments", "wheelSpeeds"] != before["arguments", "wheelSpeeds"]).any(-1).tolist() == [True, False, True, False]
+    assert (after["arguments", "wheelSpeeds"] != before["arguments", "wheelSpeeds"]).any(-1).tolist() == [
+        True,
+        False,
+        True,
+        False,
+    ]
 
 
 def test_partial_step_touches_only_its_rows():
@@ -173,7 +178,9 @@ class Drifter(ScanningSatellite):
 
 
 def test_endless_episodes_extend_their_look_ahead():
-    env = SatelliteTasking(Drifter("Drifter1", sat_args=dict(wheelSpeeds=[0.0, 0.0, 0.0])), num_envs=2, sim_rate=20.0, backend="eager", seed=1)
+    env = SatelliteTasking(
+        Drifter("Drifter1", sat_args=dict(wheelSpeeds=[0.0, 0.0, 0.0])), num_envs=2, sim_rate=20.0, backend="eager", seed=1
+    )
     out = play(env, torch.zeros(7, 2, dtype=torch.int64))
     assert torch.isfinite(out[-1]["observation"]).all()
     assert not out[-1]["truncated"].any()
@@ -183,7 +190,9 @@ def test_endless_episodes_extend_their_look_ahead():
 
 def test_callables_constants_and_distributions():
     draws = iter(range(1000))
-    sat_args = dict(mass=lambda: 300.0 + next(draws), panelArea=0.5, u_max=bsk_torch.rand.Uniform(0.1, 0.2), nHat_B=[0.0, 0.0, -2.0])
+    sat_args = dict(
+        mass=lambda: 300.0 + next(draws), panelArea=0.5, u_max=bsk_torch.rand.Uniform(0.1, 0.2), nHat_B=[0.0, 0.0, -2.0]
+    )
     env = make(3, sat_args=sat_args)
     env.reset()
     mass = env.satellite.sat_args["mass"]

@@ -10,7 +10,9 @@ from bsk_torch.sim import dyn, fsw
 
 
 def make(sat_args=None, **options):
-    return bsk_torch.make("NadirScan-v1", sat_args=sat_args, **({"num_envs": 2, "time_limit": 300.0, "backend": "eager"} | options))
+    return bsk_torch.make(
+        "NadirScan-v1", sat_args=sat_args, **({"num_envs": 2, "time_limit": 300.0, "backend": "eager"} | options)
+    )
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,8 @@ from bsk_torch.rl.baselines import BASELINES, Columns, ScanRule, random_policy
 from bsk_torch.rl.evaluate import Estimate, confidence, evaluate, student_quantile
 from bsk_torch.rl.log import COLUMNS, read_log
 from bsk_torch.rl.policies import load_policy
-from bsk_torch.rl.ppo import PPOConfig, estimate_advantages, make_estimator, train
+from bsk_torch.rl.ppo import PPOConfig, estimate_advantages, make_estimator
+from bsk_torch.rl.training import train
 
 SHORT = {"backend": "eager", "time_limit": 400.0}
 
@@ -113,7 +114,7 @@ ACTIONS = ["action_nadir_scan", "action_charge", "action_downlink", "action_desa
         ({}, "action_nadir_scan"),
         ({"battery_charge_fraction": 0.1}, "action_charge"),
         ({"storage_level_fraction": 0.99}, "action_charge"),
-        ({"ground_station_0.opportunity_open_normd": -0.01}, "action_downlink"),
+        ({"ground_station_0.opportunity_open_normd": -0.01, "storage_level_fraction": 0.8}, "action_downlink"),
         ({"ground_station_0.opportunity_open_normd": -0.01, "storage_level_fraction": 0.0}, "action_nadir_scan"),
         ({"wheel_speeds_fraction[1]": -0.95}, "action_desat"),
     ],
@@ -171,6 +172,7 @@ def test_training_leaves_a_log_and_a_policy_that_acts_the_same(tmp_path):
         assert torch.equal(policy(seen.clone())["action"], kept["action"])
 
 
-def test_training_needs_a_limit():
+@pytest.mark.parametrize("limits", [{"seconds": None}, {"seconds": 0.0}, {"frames": -1}])
+def test_training_needs_a_limit(limits):
     with pytest.raises(ValueError, match="needs a limit"):
-        PPOConfig(seconds=None)
+        PPOConfig(**limits)

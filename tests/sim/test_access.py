@@ -12,7 +12,7 @@ from bsk_torch.sim.access import AccessTable, Places
 from bsk_torch.sim.orbit import Arcs, spans_for
 from bsk_torch.sim.world import DEFAULT_STATIONS, station_arrays
 
-MILLISECOND = 1e-3  # s; measured: 0.6 ms over windows generated at reset, 0.9 ms over look-ahead
+MILLISECOND = 1e-3  # s; measured: 0.08 ms over windows generated at reset, 0.21 ms over look-ahead
 SEGMENT = 600.0
 GENERATED = 28_800.0
 
@@ -93,10 +93,8 @@ def test_look_ahead_of_basilisk(recording, five_orbits):
         for mine, name in ((found.open, "ahead_open"), (found.close, "ahead_close")):
             worst = max(worst, (mine[:, 0] - torch.tensor(recorded[name][:, k])).abs().amax().item())
     assert worst < MILLISECOND
-    quirk = [w[1:] for w in listed(access, 3) if w[1] == 35_400.0]
-    assert quirk == [pytest.approx((35_400.0, 35_591.7), abs=0.05)] or not quirk  # forgotten once it is past
     asked = (recorded["ahead_open"][3] == 35_400.0) & (abs(recorded["ahead_close"][3] - 35_591.7) < 0.05)
-    assert asked.any()
+    assert asked.any()  # so the quirk is among what has just been compared
 
 
 def elevations(arcs: Arcs, row: int, site: torch.Tensor, time: torch.Tensor) -> torch.Tensor:

@@ -39,6 +39,15 @@ def _check(args: Values) -> None:
     given = [name for name in ("oe", "rN", "vN") if args[name] is not None]
     if given not in (["oe"], ["rN", "vN"]):
         raise KeyError(f"give the orbit as 'oe', or as both 'rN' and 'vN' with oe=None; given are {given or 'none'}")
+    if args["oe"] is not None:
+        _check_elements(args["oe"])
+
+
+def _check_elements(oe: Tensor) -> None:
+    bad = (oe[:, 1] < 0.0) | (oe[:, 1] >= 1.0) | (oe[:, 0] <= 0.0) | ~torch.isfinite(oe).all(-1)
+    if bool(bad.any()):
+        a, e = oe[bad][0, :2].tolist()
+        raise ValueError(f"oe has a={a:g} m and e={e:g}; an orbit around the Earth needs a > 0 and 0 <= e < 1")
 
 
 def _initial(args: Values) -> dict[str, Tensor]:

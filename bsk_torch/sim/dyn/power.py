@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import torch
 from torch import Tensor
 
@@ -14,6 +16,16 @@ from bsk_torch.sim.component import Arg, Bus, Component, Field, Values, vec
 def unit_rows(vectors: Tensor) -> Tensor:
     """Rows [n, 3] scaled to length one."""
     return vectors / vectors.norm(dim=-1, keepdim=True)
+
+
+def check_axis(name: str) -> Callable[[Values], None]:
+    """A check that the argument ``name`` has a direction."""
+
+    def check(args: Values) -> None:
+        if bool((args[name].norm(dim=-1) <= 0.0).any()):
+            raise ValueError(f"{name}=[0, 0, 0] has no direction; give a vector in B, such as [0, 0, 1]")
+
+    return check
 
 
 def collect_sunlight(bus: Bus) -> None:
@@ -53,6 +65,7 @@ PANEL = Component(
         "panel_gain": args["panelArea"] * args["panelEfficiency"],
         "panel_normal": unit_rows(args["nHat_B"]),
     },
+    check=check_axis("nHat_B"),
 )
 
 

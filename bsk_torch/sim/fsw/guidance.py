@@ -14,7 +14,7 @@ from torch import Tensor
 from bsk_torch.astro.attitude import dcm_to_mrp, mrp_rate_to_omega, mrp_subtract, mrp_to_dcm
 from bsk_torch.astro.orbit import hill_frame
 from bsk_torch.sim.component import Arg, Bus, Component, Field, Values, vec
-from bsk_torch.sim.dyn.power import unit_rows
+from bsk_torch.sim.dyn.power import check_axis, unit_rows
 from bsk_torch.vec3 import Vec3, select
 
 
@@ -117,6 +117,7 @@ LOCATION_POINTING = Component(
     params=(vec("instrument_axis"),),
     initial=lambda args: _forget("location"),
     prepare=_instrument_axis,
+    check=check_axis("inst_pHat_B"),
 )
 
 EARTH_CENTRE_TARGET = Component(slot="location_target", order=105, update=aim_at_earth_centre)
