@@ -19,10 +19,11 @@ DURATION = 15.0
 
 def main() -> None:
     """Step random episodes for a while."""
-    from record_basilisk import make_env  # needs bsk_rl
+    from record_basilisk import VARIANTS, draw_initial, make_env, paper_observations  # needs bsk_rl
 
     rng = np.random.default_rng(0)
-    env = make_env(rng)
+    nominal = VARIANTS["nominal"]
+    env = make_env(nominal, draw_initial(rng, nominal), paper_observations())
     env.reset(seed=0)
     simulated, begin = 0.0, time.process_time()
     while time.process_time() - begin < DURATION:

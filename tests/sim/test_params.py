@@ -109,7 +109,7 @@ def test_position_replaces_the_default_elements():
         ([{"lat": 1.0}], "groundStationsData needs 'long' in degrees within +-360; got {'lat': 1.0}"),
         ([{"long": 1.0}], "groundStationsData needs 'lat' in degrees within +-90"),
         ([{"lat": 91.0, "long": 1.0}], "groundStationsData needs 'lat' in degrees within +-90; got {'lat': 91.0, 'long': 1.0}"),
-        (rand.Choice([[], []]), "must be the same for all environments; give a constant"),
+        (rand.Choice([[], []]), "groundStationsData=Choice(options=([], [])) must be the same for all environments; give a constant"),
     ],
 )
 def test_stations(stations, message):
