@@ -4,8 +4,8 @@ Usage:
     python benchmarks/speed.py [--batches 1 64 1024 4096] [--seconds 10] [--basilisk PYTHON] [--out speed.json]
 
 ``--basilisk`` names the Python interpreter of an environment with bsk and bsk_rl (see scripts/record_basilisk.py); it is then
-measured in turns with ours. Times are CPU seconds of one thread; compilation is timed apart; figures are medians over steps, or over
-turns. Resets are part of the steps.
+measured in turns with ours. Times are CPU seconds of one thread; compilation is timed apart; figures are medians over steps, or
+over turns. Resets are part of the steps.
 """
 
 from __future__ import annotations
@@ -85,9 +85,8 @@ def main() -> None:
             rows.append(measure(backend, batch, options.seconds))
             peer += [measure_basilisk(options.basilisk)] if options.basilisk else []
     reference = statistics.median(peer) if peer else None
-    print(
-        "| back end | batch | simulated s per core-s | quartiles | x Basilisk | first reset and step, s |\n|---|---|---|---|---|---|"
-    )
+    print("| back end | batch | simulated s per core-s | quartiles | x Basilisk | first reset and step, s |")
+    print("|---|---|---|---|---|---|")
     for row in rows:
         rate = row["simulated_seconds_per_core_second"]
         ratio = f"{rate / reference:.2g}" if reference else "-"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 from dataclasses import dataclass
 from pathlib import Path
@@ -59,7 +60,7 @@ def load(name: str) -> Recording:
     steps = np.cumsum([0, *lengths])
     points = steps + np.arange(len(steps))
     arrays = {
-        key: [file[key][a:b] for a, b in zip(cuts, cuts[1:], strict=False)]
+        key: [file[key][a:b] for a, b in itertools.pairwise(cuts)]
         for keys, cuts in ((("obs", "state"), points), (("reward", "action", "terminated", "truncated"), steps))
         for key in keys
     }
@@ -109,13 +110,17 @@ class Difference:
     exact: dict[str, bool]
 
 
-def replay(recording: Recording, env: SatelliteTasking, longest: int | None = None) -> Difference:
-    """Play the recorded actions in one batch; rows whose episode has ended are held by partial steps."""
+def replay(recording: Recording, env: SatelliteTasking, longest: int | None = None, without: tuple[int, ...] = ()) -> Difference:
+    """Play the recorded actions in one batch; rows whose episode has ended are held by partial steps.
+
+    Entries ``without`` of the observation are not compared.
+    """
+    columns = [k for k in range(recording.arrays["obs"][0].shape[1]) if k not in without]
     td = env.reset()
     largest = dict.fromkeys((*STATE_COLUMNS, "observation", "reward"), 0.0)
     exact = dict.fromkeys(("end times", "terminated", "truncated", "storage"), True)
     steps = min(max(recording.lengths), longest or 10**9)
-    compare(recording, env, td["observation"], 0, range(len(recording)), largest, exact)
+    compare(recording, env, td["observation"], 0, range(len(recording)), largest, exact, columns)
     for k in range(steps):
         runs = [i for i, length in enumerate(recording.lengths) if k < length]
         action = torch.zeros(len(recording), dtype=torch.int64)
@@ -124,7 +129,7 @@ def replay(recording: Recording, env: SatelliteTasking, longest: int | None = No
         mask = torch.zeros(len(recording), 1, dtype=torch.bool)
         mask[runs] = True
         td = env.step(td.empty().set("action", action).set("_step", mask))["next"]
-        compare(recording, env, td["observation"], k + 1, runs, largest, exact)
+        compare(recording, env, td["observation"], k + 1, runs, largest, exact, columns)
         for i in runs:
             reward = abs(float(td["reward"][i]) - recording.arrays["reward"][i][k])
             largest["reward"] = max(largest["reward"], reward)
@@ -134,7 +139,7 @@ def replay(recording: Recording, env: SatelliteTasking, longest: int | None = No
 
 
 def compare(
-    recording: Recording, env: SatelliteTasking, observation: Tensor, k: int, runs: Any, largest: Any, exact: Any
+    recording: Recording, env: SatelliteTasking, observation: Tensor, k: int, runs: Any, largest: Any, exact: Any, seen: list[int]
 ) -> None:
     """Enter the differences at decision boundary k of the episodes ``runs``."""
     state = state_of(env).numpy()
@@ -146,6 +151,6 @@ def compare(
             error = float(np.abs(state[i, columns] - wanted[columns]).max())
             if not error <= largest[name]:
                 largest[name] = error
-        error = float(np.abs(observation[i].numpy() - recording.arrays["obs"][i][k]).max())
+        error = float(np.abs(observation[i].numpy() - recording.arrays["obs"][i][k])[seen].max())
         if not error <= largest["observation"]:
             largest["observation"] = error

@@ -11,6 +11,7 @@ Bounds are those of the design for float64 and ticks of 1 s. What limits each of
 
 import numpy as np
 import pytest
+import torch
 
 from tests.basilisk.replay import HERE, Difference, environment, load, replay
 
@@ -37,11 +38,28 @@ def check(difference: Difference, position: float) -> None:
 
 
 @pytest.mark.compiled
-@pytest.mark.parametrize("name", ["nominal", "eccentric", "saturation", "full", "desat_sun", "desat_none"])
+@pytest.mark.parametrize("name", ["nominal", "saturation", "full", "desat_sun", "desat_none"])
 def test_arc(name):
     """Every recording above the atmosphere, on precomputed arcs."""
     recording = load(name)
     check(replay(recording, environment(recording)), POSITION["arc"])
+
+
+@pytest.mark.compiled
+def test_eccentric():
+    """An eccentric orbit. bsk_rl loses a pass here, and only the entries about the next pass may differ because of it.
+
+    Its unbounded maximiser leaves the searched interval, which the end of the episode cuts; the pass from 9644 to 10862 s is
+    missing from its list.
+    """
+    recording = load("eccentric")
+    env = environment(recording)
+    check(replay(recording, env, without=(7, 8)), POSITION["arc"])
+    env.reset()
+    windows = env.simulator.access.windows
+    assert torch.allclose(windows.open[1, -1], torch.tensor(9644.10, dtype=torch.float64), atol=0.01)
+    seen = recording.arrays["obs"][1]
+    assert (seen[75:101, 7] * 5700.0 + recording.arrays["state"][1][75:101, 0] > 16000.0).all()
 
 
 @pytest.mark.compiled

@@ -109,7 +109,10 @@ def test_position_replaces_the_default_elements():
         ([{"lat": 1.0}], "groundStationsData needs 'long' in degrees within +-360; got {'lat': 1.0}"),
         ([{"long": 1.0}], "groundStationsData needs 'lat' in degrees within +-90"),
         ([{"lat": 91.0, "long": 1.0}], "groundStationsData needs 'lat' in degrees within +-90; got {'lat': 91.0, 'long': 1.0}"),
-        (rand.Choice([[], []]), "groundStationsData=Choice(options=([], [])) must be the same for all environments; give a constant"),
+        (
+            rand.Choice([[], []]),
+            "groundStationsData=Choice(options=([], [])) must be the same for all environments; give a constant",
+        ),
     ],
 )
 def test_stations(stations, message):
@@ -213,5 +216,5 @@ def test_nearest():
 
 
 def test_stations_are_the_same_for_all_environments():
-    with pytest.raises(ValueError, match="gsMinimumElevation=Uniform.* must be the same for all environments; give a constant"):
+    with pytest.raises(ValueError, match=r"gsMinimumElevation=Uniform.* must be the same"):
         Arguments(WORLD, {"gsMinimumElevation": rand.Uniform(0.1, 0.2)}, "world_args").draw(key())

@@ -92,8 +92,10 @@ def _forget(task: str) -> dict[str, Tensor]:
 
 
 def aim_at_earth_centre(bus: Bus) -> None:
-    """Target of a scan: a point ten centimetres up the Earth's axis, as bsk_rl sets it."""
+    """Target of a scan: a point ten centimetres up the Earth's axis, as bsk_rl sets it, always above its horizon."""
     bus.target_N = bus.pole.z * 0.1
+    reaches = ((bus.r - bus.target_N).norm() <= bus.target_range) | (bus.target_range < 0.0)
+    bus.target_access = torch.where(reaches, torch.ones_like(bus.r.x), torch.zeros_like(bus.r.x))
 
 
 def _instrument_axis(args: Values) -> dict[str, Tensor]:
@@ -120,6 +122,13 @@ LOCATION_POINTING = Component(
     check=check_axis("inst_pHat_B"),
 )
 
-EARTH_CENTRE_TARGET = Component(slot="location_target", order=105, update=aim_at_earth_centre)
+EARTH_CENTRE_TARGET = Component(
+    slot="location_target",
+    order=105,
+    update=aim_at_earth_centre,
+    args=(Arg("imageTargetMaximumRange", -1.0, "m", "longest range to the target; no limit where negative"),),
+    params=(Field("target_range", 1, "m"),),
+    prepare=lambda args: {"target_range": args["imageTargetMaximumRange"]},
+)
 
 TRACKING_ERROR = Component(slot="tracking_error", order=306, update=track)

@@ -8,14 +8,16 @@ from bsk_torch.sim.component import Arg, Bus, Component, Field
 
 
 def command_scan(bus: Bus) -> None:
-    """Record while the instrument's attitude and rate errors are small; the Earth's centre is always in reach.
+    """Record while the instrument's attitude and rate errors are small and the target is within range.
 
     The errors are those of location pointing itself. Outside of that task the last command stays, and a later scan finds it.
     """
     error = bus.location_error
     points = (error.sigma_BR.norm() <= bus.attitude_tolerance) & (error.omega_BR.norm() <= bus.rate_tolerance)
     records = torch.where(points, torch.ones_like(bus.controller_on), torch.zeros_like(bus.controller_on))
-    bus.instrument_command = torch.where(bus.location_on > 0.0, records * bus.controller_on, bus.instrument_command)
+    bus.instrument_command = torch.where(
+        bus.location_on > 0.0, records * bus.controller_on * bus.target_access, bus.instrument_command
+    )
 
 
 SCANNING_CONTROLLER = Component(
