@@ -377,7 +377,7 @@ def test_desaturation_that_is_off_commands_nothing_and_remembers():
 def test_scanning_controller(error, rate, controller, location, before, after):
     zero = plane(0.0, 1)
     bus = write(Bus(h=1.0), attitude_tolerance=plane(0.1, 1), rate_tolerance=plane(0.01, 1), location_on=plane(location, 1))
-    write(bus, controller_on=plane(controller, 1), instrument_command=plane(before, 1))
+    write(bus, controller_on=plane(controller, 1), instrument_command=plane(before, 1), target_access=plane(1.0, 1))
     along = lambda size: Vec3(plane(size, 1), zero, zero)
     bus.location_error = guidance.Error(along(error), along(rate), along(9.0), along(9.0))
     instrument.command_scan(bus)
@@ -420,8 +420,11 @@ def test_modes_and_commands_of_models():
 def test_target_of_a_scan_is_the_earths_centre_but_for_ten_centimetres():
     from bsk_torch.sim.span import pole_matrix
 
-    bus = write(Bus(h=1.0), pole=pole_matrix(torch.zeros(1, dtype=torch.float64)))
-    guidance.aim_at_earth_centre(bus)
+    position = Vec3.of(torch.tensor([[7e6, 0.0, 0.0]], dtype=torch.float64))
+    bus = write(Bus(h=1.0), pole=pole_matrix(torch.zeros(1, dtype=torch.float64)), r=position)
+    for limit, reaches in ((-1.0, 1.0), (6.9e6, 0.0), (7.1e6, 1.0)):
+        guidance.aim_at_earth_centre(write(bus, target_range=plane(limit, 1)))
+        assert bus.target_access.item() == reaches
     assert bus.target_N.stack()[0].tolist() == pytest.approx([0.0, 0.0, 0.1], abs=1e-12)
 
 

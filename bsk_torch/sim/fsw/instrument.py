@@ -14,10 +14,8 @@ def command_scan(bus: Bus) -> None:
     """
     error = bus.location_error
     points = (error.sigma_BR.norm() <= bus.attitude_tolerance) & (error.omega_BR.norm() <= bus.rate_tolerance)
-    records = torch.where(points, torch.ones_like(bus.controller_on), torch.zeros_like(bus.controller_on))
-    bus.instrument_command = torch.where(
-        bus.location_on > 0.0, records * bus.controller_on * bus.target_access, bus.instrument_command
-    )
+    records = torch.where(points, bus.controller_on * bus.target_access, torch.zeros_like(bus.instrument_command))
+    bus.instrument_command = torch.where(bus.location_on > 0.0, records, bus.instrument_command)
 
 
 SCANNING_CONTROLLER = Component(
