@@ -57,7 +57,7 @@ class PPOConfig:
     rollout: int = 16
     seed: int = 0
     hidden: tuple[int, ...] = (64, 64)
-    learning_rate: float = 1e-3
+    learning_rate: float = 2.5e-3
     gamma: float = 0.99999
     lmbda: float = 0.95
     clip: float = 0.2

@@ -82,8 +82,9 @@ def run(step: Step, state: Tensor, shared: Tensor, own: Tensor, make: SegmentMak
         for start, end, n in loops(counts[:running], first, longest):
             front = _front(state, n)
             packs = shared, *(_front(pack, n) for pack in (own, flags, segment))
+            columns = each[..., : front.shape[1]].contiguous()  # other strides would be another graph
             for k in range(start - first, end - first):
-                front = step(front, *packs, clocks[k], each[k, :, : front.shape[1]])
+                front = step(front, *packs, clocks[k], columns[k])
             state[:, :n] = front[:, :n]
     result = torch.empty_like(state)
     result[:, order] = state
