@@ -172,14 +172,15 @@ def _evaluated(name: str, policy: TensorDictModuleBase, env: SatelliteTasking, s
 
 def _print(results: Mapping[str, Evaluation], title: str) -> None:
     """A table of all results."""
-    table = Table("policy", "return (95 %)", "survival", "collected", "decisions", "deaths", title=title, title_justify="left")
+    table = Table(title=title, title_justify="left")
+    for column in ("policy", "return (95 %)", "survival", "collected", "decisions"):
+        table.add_column(column, no_wrap=True)
+    table.add_column("deaths")
     for name, result in results.items():
-        decisions = float(result.decisions.double().mean())
-        deaths = ", ".join(f"{cause} {count}" for cause, count in result.causes.items())
-        collected = float(result.collected.mean())
-        table.add_row(
-            name, str(result.mean_return), f"{result.survival:.1%}", f"{collected:.3f}", f"{decisions:.0f}", deaths or "none"
-        )
+        decisions, collected = (float(x.double().mean()) for x in (result.decisions, result.collected))
+        deaths = ", ".join(f"{count} {cause.removesuffix('_valid')}" for cause, count in result.causes.items())
+        numbers = f"{result.survival:.1%}", f"{collected:.3f}", f"{decisions:.0f}"
+        table.add_row(name, str(result.mean_return), *numbers, deaths or "none")
     console.print(table)
 
 

@@ -9,7 +9,7 @@ python="${PYTHON:-python3}"
 .venv/bin/python -m pip install -q -c constraints.txt "torch==$(sed -n 's/^torch==//p' constraints.txt)"
 .venv/bin/python -m pip install -q -c constraints.txt -e ".[train,viz,dev]"
 # one compiler cache for all tests, and no threads that fight over the cores
-export OMP_NUM_THREADS=1 TORCHINDUCTOR_CACHE_DIR="${TORCHINDUCTOR_CACHE_DIR:-$PWD/.venv/inductor}"
+export OMP_NUM_THREADS=1 BSK_TORCH_CACHE="${BSK_TORCH_CACHE:-$PWD/.venv/packages}"
 .venv/bin/ruff check .
 .venv/bin/ruff format --check .
 .venv/bin/mypy

@@ -26,6 +26,9 @@ from bsk_torch.rl.policies import make_actor, make_critic
 REPORTED = ("entropy", "kl_approx", "clip_fraction", "explained_variance", "loss_critic")
 """What the log takes from the loss."""
 
+LEAST = 0.05
+"""Fraction of learning rate and entropy weight that is left at the end."""
+
 
 @dataclass(frozen=True)
 class PPOConfig:
@@ -39,11 +42,11 @@ class PPOConfig:
         rollout: Decisions of each between two updates.
         seed: Seed of networks, actions and episodes.
         hidden: Width of every hidden layer.
-        learning_rate: Adam's step at the start; it falls linearly to zero.
+        learning_rate: Adam's step at the start; it falls linearly to :data:`LEAST` of that.
         gamma: Discount per second.
         lmbda: Decay of the advantage estimator, per decision.
         clip: Largest change of an action's probability, as a ratio's distance from one.
-        entropy: Weight of the entropy at the start; it falls linearly to zero.
+        entropy: Weight of the entropy at the start; it falls as the learning rate does.
         epochs: Passes over a batch.
         minibatch: Decisions in a gradient step.
         gradient_norm: Gradients are scaled down to this norm.
@@ -147,7 +150,7 @@ class Learner:
 
     def anneal(self, fraction: float) -> None:
         """Set learning rate and weight of the entropy for a used ``fraction`` of the budget."""
-        left = 1.0 - fraction
+        left = max(LEAST, 1.0 - fraction)
         self.optimiser.param_groups[0]["lr"] = self.config.learning_rate * left
         self.loss.entropy_coeff.fill_(self.config.entropy * left)
 

@@ -162,7 +162,8 @@ class Simulator:
         if self.num_envs == 1:
             shared = self._independent_of(random, shared, trial)
         on_arc = self.orbit == "arc"
-        self.tick = Tick(tuple(self._scheduled(part, on_arc) for part in self._running(on_arc)), shared, self.h, on_arc, backend)
+        parts = tuple(self._scheduled(part, on_arc) for part in self._running(on_arc))
+        self.tick = Tick(parts, shared, h=self.h, on_arc=on_arc, backend=backend, dtype=self.dtype)
         self.step_function = make_step(self.tick)
         self.shared = self.tick.shared.rows(params, 1).to(self.device, self.dtype)
 

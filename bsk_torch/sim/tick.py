@@ -6,7 +6,7 @@ fuses into one loop over the batch. Compiled and eager ticks are the same source
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 
 import torch
 from torch import Tensor
@@ -38,18 +38,26 @@ class Tick:
     ``shared`` are the parameters that all environments have in common, ``own`` those that differ.
     """
 
-    def __init__(self, components: Sequence[Component], shared: set[str], h: float, on_arc: bool, backend: str) -> None:
-        """Lay out the packs of ``components``, which are in the order of a tick of ``h`` seconds."""
+    def __init__(
+        self, components: Sequence[Component], shared: set[str], h: float, on_arc: bool, backend: str, dtype: torch.dtype
+    ) -> None:
+        """Lay out the packs of ``components``, which are in the order of a tick of ``h`` seconds, for tensors of ``dtype``."""
         if backend not in BACKENDS:
             raise ValueError(f"backend={backend!r} must be one of {list(BACKENDS)}")
         params = [field for component in components for field in component.params]
-        self.components, self.h, self.on_arc, self.backend = components, h, on_arc, backend
+        self.components, self.h, self.backend, self.dtype = components, h, backend, dtype
         self.state = Layout(field for component in components for field in component.state)
         self.shared = Layout(field for field in params if field.name in shared)
         self.own = Layout(field for field in params if field.name not in shared)
         self.flags = Layout(Field(name) for name in FLAGS)
         self.segment = Layout((*SEGMENT, *(ARC_FIELDS if on_arc else ())))
         self._updates = tuple(component.update for component in components if component.update)
+
+    @property
+    def make(self) -> Hashable:
+        """What two ticks have in common that compile to the same code."""
+        layouts = (tuple(layout.fields.items()) for layout in (self.state, self.shared, self.own, self.segment))
+        return (*layouts, self._updates, self.h, self.dtype)
 
     def step(
         self, state: Tensor, shared: Tensor, own: Tensor, flags: Tensor, segment: Tensor, clock: Tensor, row: Tensor
@@ -79,6 +87,12 @@ class Tick:
         )
 
 
+STEPS: dict[Hashable, Step] = {}
+"""Compiled steps of this process: environments of the same make share one."""
+
+
 def make_step(tick: Tick) -> Step:
     """The tick's step under its back end."""
-    return compiled(tick.step, "tick", BATCHED) if tick.backend == "compiled" else tick.step
+    if tick.backend == "eager":
+        return tick.step
+    return STEPS.setdefault(tick.make, compiled(tick.step, "tick", BATCHED))

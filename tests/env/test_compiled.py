@@ -6,6 +6,7 @@ import pytest
 import torch
 
 import bsk_torch
+from bsk_torch.sim.compiler import cache_folder, compiled
 
 pytestmark = pytest.mark.compiled
 
@@ -35,22 +36,32 @@ AMPLIFIED = {"omega", "motor_torque", "motor_torque_command", "location_sigma", 
 """Small differences of large numbers: rates near zero, torques, pointing errors and the penumbra lose three digits more."""
 
 
-@torch.no_grad()
-def test_one_graph_serves_every_batch_size(caplog):
-    with caplog.at_level(logging.INFO, logger="bsk_torch"):
-        env, _ = play("compiled", 3, torch.tensor([[0, 1, 2]]))
-    assert sum("compiled the tick" in record.message for record in caplog.records) == 1
-    torch._dynamo.utils.counters.clear()
+def test_one_package_serves_every_batch_size():
+    env, _ = play("compiled", 3, torch.tensor([[0, 1, 2]]))
+    other, _ = play("compiled", 5, torch.tensor([[0, 1, 2, 3, 0]]))
     step = env.simulator.step_function
+    assert other.simulator.step_function is step, "environments of one make share the compiled step"
+    packages = set(cache_folder().glob("*.pt2"))
     for n in (2, 3, 17, 64):
-        pack = env.simulator.pack[:, :1].expand(-1, n).contiguous()
-        own = env.simulator.own[:, :1].expand(-1, n).contiguous()
+        packs = [pack[:, :1].expand(-1, n) for pack in (env.simulator.pack, env.simulator.own)]
         flags, segment, _ = env.simulator._segment(torch.zeros(n, dtype=torch.int64), 0.0, 60.0)
         clock = torch.tensor([1.0, 1.0], dtype=torch.float64)
-        out = step(pack, env.simulator.shared, own, flags, segment, clock, torch.ones(2, n, dtype=torch.float64))
+        row = torch.ones(2, n, dtype=torch.float64)
+        out = step(packs[0], env.simulator.shared, packs[1], flags, segment, clock, row)
         assert out.shape == (env.simulator.tick.state.size, n)
         torch.testing.assert_close(out, out[:, :1].expand_as(out), rtol=1e-11, atol=1e-15)
-    assert torch._dynamo.utils.counters["stats"]["unique_graphs"] == 0, "another batch size compiled another graph"
+    assert set(cache_folder().glob("*.pt2")) == packages, "another batch size built another package"
+
+
+def test_packages_are_kept_and_named_by_what_they_compute(tmp_path, monkeypatch, caplog):
+    monkeypatch.setenv("BSK_TORCH_CACHE", str(tmp_path))
+    x = torch.arange(3.0)
+    with caplog.at_level(logging.INFO, logger="bsk_torch"):
+        assert torch.equal(compiled(lambda a: a * 2.0, "double", (True,))(x), x * 2.0)
+        assert torch.equal(compiled(lambda a: a + a, "double", (True,))(x), x * 2.0)
+        assert torch.equal(compiled(lambda a: a * 2.0, "double", (True,))(x.expand(2, 3).mT[:, 0]), x * 2.0)
+    assert sum("compiled the double" in record.message for record in caplog.records) == 2
+    assert len(list(tmp_path.glob("*.pt2"))) == 2
 
 
 def test_frozen_rows_are_bit_identical():
