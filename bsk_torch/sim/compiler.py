@@ -1,8 +1,8 @@
 """Compiling functions of packs into fused loops, once for each machine.
 
-On the CPU a function becomes an ahead-of-time package in the user's cache folder (``BSK_TORCH_CACHE`` moves it), named by a hash of
-its operations, of torch's version and of the processor: whatever changes them builds another one. A call of a package costs a few
-microseconds. Elsewhere, and where a function calls operators of its own, ``torch.compile`` serves.
+On the CPU a function becomes an ahead-of-time package in the user's cache folder (``BSK_TORCH_CACHE`` moves it), named by a hash
+of its operations, of torch's version and of the processor: whatever changes them builds another one. A call of a package costs a
+few microseconds. Elsewhere, and where a function calls operators of its own, ``torch.compile`` serves.
 """
 
 from __future__ import annotations

@@ -164,7 +164,7 @@ class Simulator:
         on_arc = self.orbit == "arc"
         parts = tuple(self._scheduled(part, on_arc) for part in self._running(on_arc))
         self.tick = Tick(parts, shared, h=self.h, on_arc=on_arc, backend=backend, dtype=self.dtype)
-        self.step_function = make_step(self.tick)
+        self.step_function = make_step(self.tick, self.device)
         self.shared = self.tick.shared.rows(params, 1).to(self.device, self.dtype)
 
     def _independent_of(self, random: set[str], shared: set[str], trial: dict[str, Any]) -> set[str]:

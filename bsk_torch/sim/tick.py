@@ -13,6 +13,7 @@ from torch import Tensor
 
 from bsk_torch.sim.compiler import BACKENDS, compiled
 from bsk_torch.sim.component import Bus, Component, Field, Layout
+from bsk_torch.sim.dyn.field import prepare
 from bsk_torch.sim.fsw.modes import FLAGS
 from bsk_torch.sim.orbit import position_on_arc
 from bsk_torch.sim.world import SEGMENT
@@ -45,7 +46,8 @@ class Tick:
         if backend not in BACKENDS:
             raise ValueError(f"backend={backend!r} must be one of {list(BACKENDS)}")
         params = [field for component in components for field in component.params]
-        self.components, self.h, self.backend, self.dtype = components, h, backend, dtype
+        self.components, self.h, self.on_arc = components, h, on_arc
+        self.backend, self.dtype = backend, dtype
         self.state = Layout(field for component in components for field in component.state)
         self.shared = Layout(field for field in params if field.name in shared)
         self.own = Layout(field for field in params if field.name not in shared)
@@ -91,8 +93,10 @@ STEPS: dict[Hashable, Step] = {}
 """Compiled steps of this process: environments of the same make share one."""
 
 
-def make_step(tick: Tick) -> Step:
+def make_step(tick: Tick, device: torch.device) -> Step:
     """The tick's step under its back end."""
     if tick.backend == "eager":
         return tick.step
-    return STEPS.setdefault(tick.make, compiled(tick.step, "tick", BATCHED))
+    if not tick.on_arc:
+        prepare(device, tick.dtype)
+    return STEPS.setdefault((tick.make, device.type), compiled(tick.step, "tick", BATCHED))

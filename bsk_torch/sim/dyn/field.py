@@ -26,13 +26,18 @@ def _on_packs(r: Tensor) -> Tensor:
 
 
 @functools.cache
-def _kernel() -> Callable[..., Tensor]:
+def _kernel(device: str, dtype: torch.dtype) -> Callable[..., Tensor]:
     return compiled(_on_packs, "Earth's field", (True,))
+
+
+def prepare(device: torch.device, dtype: torch.dtype) -> None:
+    """Build what the operator calls; inside a compiled tick it would be too late."""
+    _kernel(device.type, dtype)(torch.full((3, 2), 7e6, device=device, dtype=dtype))
 
 
 @torch.library.custom_op("bsk_torch::earth_field", mutates_args=())
 def _operator(r: Tensor) -> Tensor:
-    return _kernel()(r)
+    return _kernel(r.device.type, r.dtype)(r)
 
 
 @_operator.register_fake
