@@ -7,6 +7,7 @@ and ``r_P = PN @ r_N``. A scalar always stands on the right of ``*``.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import torch
@@ -67,9 +68,9 @@ class Vec3(NamedTuple):
         """Vector of length one; NaN for the zero vector."""
         return self / self.norm()
 
-    def map(self, function: object, *others: Vec3) -> Vec3:
+    def map(self, function: Callable[..., Tensor], *others: Vec3) -> Vec3:
         """Apply ``function`` to each component (and to those of ``others`` beside it)."""
-        return Vec3(*(function(*parts) for parts in zip(self, *others, strict=True)))  # type: ignore[operator]
+        return Vec3(*(function(*parts) for parts in zip(self, *others, strict=True)))
 
     def stack(self) -> Tensor:
         """The vector as one tensor ``[..., 3]``."""

@@ -52,3 +52,11 @@ def make_arcs() -> Callable[..., Arcs]:
         return arcs
 
     return make
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items):
+    """Compiled tests share one worker: packages are built once, and the other worker has the rest."""
+    for item in items:
+        if item.get_closest_marker("compiled"):
+            item.add_marker(pytest.mark.xdist_group("compiled"))

@@ -9,7 +9,7 @@ components is Basilisk's order of modules, and a message of the previous tick is
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import torch
@@ -85,6 +85,10 @@ def _nothing(_: Values) -> dict[str, Tensor]:
     return {}
 
 
+def _accept(_: Values) -> None:
+    pass
+
+
 @dataclass(frozen=True)
 class Component:
     """One part of a model; see the module docstring.
@@ -103,7 +107,7 @@ class Component:
     params: tuple[Field, ...] = ()
     initial: Callable[[Values], dict[str, Tensor]] = _nothing
     prepare: Callable[[Values], dict[str, Tensor]] = _nothing
-    check: Callable[[Values], None] = field(default=_nothing)  # type: ignore[assignment]
+    check: Callable[[Values], None] = _accept
     integrated_only: bool = False
 
 

@@ -154,7 +154,7 @@ class Simulator:
         self.mode_names = tuple(self.modes)
 
     def _layout(self, backend: str) -> None:
-        trial = self._draw(first_key(min(2, self.num_envs)))
+        trial = self.draw(first_key(min(2, self.num_envs)))
         random = {name for args in (self.sat_args, self.world_args) for name in args.table if args.is_random(name)}
         self.drawn = {name: value for name, value in trial.items() if not isinstance(value, Tensor)}
         params = merge(trial, self.parts, "prepare")
@@ -217,8 +217,8 @@ class Simulator:
 
     # -- reset --------------------------------------------------------------------------------------------------------
 
-    def _draw(self, key: Key) -> dict[str, Any]:
-        """Arguments of world and satellite for the key's environments, checked."""
+    def draw(self, key: Key) -> dict[str, Any]:
+        """Arguments of world and satellite for episodes of the key's environments; raises before anything has changed."""
         values = {**self.world_args.draw(key), **self.sat_args.draw(key)}
         for part in self.parts:
             part.check(values)
@@ -242,10 +242,6 @@ class Simulator:
                 f"sat_args: an orbit comes down to {lowest / 1e3:.0f} km from the Earth's centre, but drag is felt below "
                 f"{top / 1e3:.0f} km and the orbit is computed without it; pass orbit='integrated' to the environment"
             )
-
-    def draw(self, key: Key) -> dict[str, Any]:
-        """Draw the arguments of an episode; raises before anything has changed."""
-        return self._draw(key)
 
     def reset(self, rows: Tensor, values: dict[str, Any], duration: Tensor) -> None:
         """Start ``rows`` [n] anew from drawn ``values``; windows are generated for ``duration`` [n] s."""
