@@ -14,6 +14,7 @@ from torchrl.data import Binary, Categorical, Composite, Unbounded
 from torchrl.envs import EnvBase
 
 from bsk_torch.data.base import GlobalReward, Log, NoReward
+from bsk_torch.env.pool import SMALLEST, EpisodePool
 from bsk_torch.env.state import restore_simulation, simulation_state
 from bsk_torch.obs.base import ObservationBuilder, Values
 from bsk_torch.rand import Distribution, Key, first_key
@@ -105,6 +106,7 @@ class SatelliteTasking(EnvBase):
         options = {"sim_rate": sim_rate, "dtype": sim_dtype, "orbit": orbit, "world_args": world_args or {}}
         trial = self._trial(satellite, options)
         self.simulator = self._simulator(satellite, num_envs, backend, options)
+        self.pool = self._make_pool(satellite, num_envs, backend, options)
         self._make_buffers(num_envs, env_ids)
         self.satellite = satellite.bind(self.simulator, self.time_limit)
         self.scenario.link_satellite(self.satellite)
@@ -129,6 +131,12 @@ class SatelliteTasking(EnvBase):
             max_time=float(finite.max()) if len(finite) else 0.0,
             **options,
         )
+
+    def _make_pool(self, satellite: Satellite, n: int, backend: str, options: dict[str, Any]) -> EpisodePool | None:
+        """A pool for large batches, unless a user's callable says what comes next: it is asked only when needed."""
+        given = (*self.simulator.sat_args.given.values(), *self.simulator.world_args.given.values(), self.time_limit_generator)
+        asks = any(callable(value) and not isinstance(value, Distribution) for value in given)
+        return None if n < SMALLEST or asks else EpisodePool(self._simulator(satellite, n, backend, options))
 
     def _trial(self, satellite: Satellite, options: dict[str, Any]) -> Values:
         """Observations of one trial episode: their shapes make the specs, and every property has been read once."""
@@ -203,13 +211,22 @@ class SatelliteTasking(EnvBase):
         zero = torch.zeros(*self.batch_size, 1, dtype=self.dtype, device=self.device)
         return self._outputs(duration=zero, done=false, terminated=false.clone(), truncated=false.clone())
 
+    def _new_episodes(self, rows: Tensor) -> Tensor:
+        """Put the next episodes of ``rows`` into the simulation; their time limits, [n] s."""
+        if self.pool is not None:
+            self.pool.fill(rows, self.seed_rows, self.env_ids, self.episode + 1, self._draw_limit, self.satellite.generation)
+            self.simulator.adopt(rows, self.pool.simulator)
+            return self.pool.limit[rows]
+        key = Key(self.seed_rows[rows].cpu(), self.env_ids[rows].cpu(), self.episode[rows].cpu() + 1)
+        values, limit = self.simulator.draw(key), self._draw_limit(key).to(self.device)
+        self.simulator.reset(rows, values, self.satellite.generation(limit))
+        return limit
+
     @torch.no_grad()
     def _begin(self, rows: Tensor) -> None:
         """Start new episodes in ``rows``; everything is drawn and checked before anything changes."""
-        key = Key(self.seed_rows[rows].cpu(), self.env_ids[rows].cpu(), self.episode[rows].cpu() + 1)
-        values, limit = self.simulator.draw(key), self._draw_limit(key).to(self.device)
+        limit = self._new_episodes(rows)
         self.episode[rows] += 1
-        self.simulator.reset(rows, values, self.satellite.generation(limit))
         seconds = torch.where(torch.isfinite(limit), limit, torch.full_like(limit, ENDLESS))
         ticks = torch.ceil(torch.floor(seconds * 1e9 + 0.5) / self.simulator.h_ns)
         self.limit_ticks[rows] = ticks.long()

@@ -74,12 +74,20 @@ class EclipseTable:
         r_sun = _sun_along(self.arcs.et[rows] + self.arcs.start[rows], count)
         dark = illumination(r, r_sun) <= 0.0
         before = torch.cat([dark[:, :1], dark[:, :-1]], 1)
-        if self.starts.shape[1:] != (count,):
-            shape = (len(self.arcs.start), count)
-            self.starts = self.ends = torch.full(shape, NEVER, device=r.x.device)
-            self.ends = self.ends.clone()
+        self._make_room(count)
         # bsk_rl's samples carry the illumination of the sample before
         self.starts[rows], self.ends[rows] = _next_true(dark & ~before), _next_true(before & ~dark)
+
+    def _make_room(self, count: int) -> None:
+        if self.starts.shape[1:] != (count,):
+            self.starts = torch.full((len(self.arcs.start), count), NEVER, device=self.arcs.device)
+            self.ends = self.starts.clone()
+
+    def adopt(self, rows: Tensor, other: EclipseTable) -> None:
+        """Take over ``rows`` from a table of arcs of the same length."""
+        self._make_room(other.starts.shape[1])
+        self.starts[rows], self.ends[rows] = other.starts[rows], other.ends[rows]
+        self.sampled[rows], self.known[rows] = other.sampled[rows], other.known[rows]
 
     def _next(self, table: Tensor, rows: Tensor, time: Tensor) -> Tensor:
         index = torch.floor((time - self.arcs.start[rows]) / PLAN_STEP).long() + 1

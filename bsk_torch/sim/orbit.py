@@ -56,6 +56,11 @@ class Arcs:
                 part.append(new)
         self.flown[rows], self.planned[rows] = (torch.cat(part, 1) for part in parts)
 
+    def adopt(self, rows: Tensor, other: Arcs) -> None:
+        """Take over the arcs of ``rows`` from others of the same length."""
+        self.flown[rows], self.planned[rows] = other.flown[rows], other.planned[rows]
+        self.start[rows], self.et[rows] = other.start[rows], other.et[rows]
+
     def extend(self, rows: Tensor, spans: int) -> None:
         """Move the arcs of ``rows`` on by ``spans`` hours, dropping as many at their beginning."""
         for _ in range(spans):

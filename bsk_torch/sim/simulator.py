@@ -259,6 +259,20 @@ class Simulator:
         if self.access is not None:
             self.access.reset(rows, duration)
 
+    def adopt(self, rows: Tensor, other: Simulator) -> None:
+        """Take over the episodes that ``other``, a simulation of the same make, holds in ``rows`` [n]."""
+        while other.arcs.length < self.arcs.length:
+            other.arcs.grow()
+            other.eclipses.refresh(other.all_rows)
+        self.pack[:, rows], self.own[:, rows] = other.pack[:, rows], other.own[:, rows]
+        self.ticks[rows], self.mode[rows] = other.ticks[rows], other.mode[rows]
+        self._remember(rows, {name: v[rows] if isinstance(v, Tensor) else v for name, v in other.drawn.items()})
+        self.arcs.adopt(rows, other.arcs)
+        self.eclipses.adopt(rows, other.eclipses)
+        if self.access is not None and other.access is not None:
+            self.access.until[rows] = other.access.until[rows]
+            self.access.store(rows, Windows(*(table[rows] for table in other.access.windows)))
+
     def _first_tick(self, rows: Tensor) -> None:
         """What Basilisk's tick at time zero leaves behind: the messages of the world, and the density latched from them."""
         bus = Bus(0.0)

@@ -55,6 +55,22 @@ def test_one_alone_equals_one_of_many_bit_for_bit():
         assert torch.equal(alone.get_state()["pack"][0], many.get_state()["pack"][i])
 
 
+def test_a_pool_of_prepared_episodes_changes_nothing():
+    """Second and third episodes of a large batch, which come from a pool, and of a small one, which do not."""
+    many, few = make(33, env_ids=range(7, 40)), make(2, env_ids=[7, 8])
+    assert many.pool is not None
+    assert few.pool is None
+    many.reset()
+    few.reset()
+    for row in (0, 1, 0):
+        mask = torch.arange(33).unsqueeze(-1) == row
+        a = many.reset(TensorDict({"_reset": mask}, [33]))
+        b = few.reset(TensorDict({"_reset": mask[:2]}, [2]))
+        assert torch.equal(a["observation"][row], b["observation"][row])
+    assert torch.equal(many.get_state()["pack"][:2], few.get_state()["pack"])
+    assert many.episode[:3].tolist() == [2, 1, 0]
+
+
 def test_permutation():
     order = torch.tensor([4, 2, 0, 3, 1])
     plan = actions(3, 5)
