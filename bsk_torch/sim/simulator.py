@@ -251,11 +251,14 @@ class Simulator:
         self.ticks[rows], self.mode[rows] = 0, self.mode_names.index(IDLE)
         self._remember(rows, values)
         r, v = (x.expand(n, 3).to(self.device) for x in hub.initial_orbit(values))
+        too_short = self.arcs.length < float(duration.max())
+        while self.arcs.length < float(duration.max()):
+            self.arcs.grow()
         self.arcs.reset(rows, values["utc_init"].expand(n).to(self.device), r, v)
         self._first_tick(rows)
         self.eclipses.sampled[rows] = duration
         self.eclipses.known[rows] = 0.0
-        self.eclipses.refresh(rows)
+        self.eclipses.refresh(self.all_rows if too_short else rows)
         if self.access is not None:
             self.access.reset(rows, duration)
 

@@ -175,6 +175,22 @@ def test_time_limit_from_a_distribution():
     assert env.limit_ticks.tolist() == [100, 200, 300]
 
 
+def test_a_long_episode_after_short_ones_has_all_its_windows():
+    """Arcs are made for the limits of the first draw; a longer episode makes them longer, and leaves the others alone."""
+    limit = [300.0]
+    env, long = make(2, time_limit=lambda: limit[0]), make(2, time_limit=40000.0)
+    env.reset()
+    limit[0] = 40000.0
+    before = env.get_state()["planned"][1].clone()
+    long.reset()
+    row = TensorDict({"_reset": torch.tensor([[True], [False]])}, [2])
+    a, b = env.reset(row.clone()), long.reset(row.clone())
+    assert torch.equal(a["observation"][0], b["observation"][0])
+    mine, other = env.simulator.access.windows, long.simulator.access.windows
+    assert torch.equal(mine.close[0][mine.close[0] < 40000.0], other.close[0][other.close[0] < 40000.0])
+    assert torch.equal(env.get_state()["planned"][1][: len(before)], before)
+
+
 def test_longest_step_and_fixed_intervals():
     env = make(2, max_step_duration=50.0)
     assert play(env, torch.tensor([[0, 2]]))[0]["duration"].flatten().tolist() == [50.0, 50.0]
