@@ -101,7 +101,7 @@ class SatelliteTasking(EnvBase):
             logger.warning("failure_penalty=%g rewards failure; it should not be positive", failure_penalty)
         self.dtype, self.failure_penalty = dtype, float(failure_penalty)
         self.terminate_on_time_limit, self.time_limit_generator = terminate_on_time_limit, time_limit
-        self._max_ticks_seconds = float(max_step_duration)
+        self.max_step_duration = float(max_step_duration)
         self.scenario, self.rewarder = copy.copy(scenario or Scenario()), copy.copy(rewarder or NoReward())
         options = {"sim_rate": sim_rate, "dtype": sim_dtype, "orbit": orbit, "world_args": world_args or {}}
         trial = self._trial(satellite, options)
@@ -276,7 +276,7 @@ class SatelliteTasking(EnvBase):
         simulator.command(decision.retask & moves, decision.mode)
         self.previous_action = torch.where(moves, action, self.previous_action)
         wanted = self._ticks(decision.duration)
-        longest = self._ticks(torch.full_like(decision.duration, self._max_ticks_seconds))
+        longest = self._ticks(torch.full_like(decision.duration, self.max_step_duration))
         ends = wanted if self.satellite.variable_interval else longest
         left = (self.limit_ticks - simulator.ticks).clamp(min=0)
         ticks = torch.minimum(torch.minimum(ends, longest), left) * moves
