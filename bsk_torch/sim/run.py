@@ -24,7 +24,7 @@ SHORTEST_CUT = 10
 FEWEST_ROWS = 2
 """Rows that a call has at least: the compiler specialises a batch of one."""
 
-SegmentMaker = Callable[[Tensor, float, float], tuple[Tensor, Tensor, Tensor]]
+SegmentMaker = Callable[[Tensor, float], tuple[Tensor, Tensor, Tensor]]
 
 
 def loops(counts: list[int], start: int, longest: int) -> Iterator[tuple[int, int, int]]:
@@ -61,8 +61,8 @@ def run(step: Step, state: Tensor, shared: Tensor, own: Tensor, make: SegmentMak
         state: State pack [C, N]; not modified.
         shared: Shared parameters.
         own: Own parameters [C, N].
-        make: Gives, for rows, the seconds since the start of the step at which a segment starts, and its length, the rows'
-            flags, their segment pack, and their tick counters at the start of the step.
+        make: Gives, for rows and the seconds since the start of the step at which a segment starts, the rows' flags, their
+            segment pack, and their tick counters at the start of the step.
         ticks: Number of ticks of each row, int64 [N].
         h_ns: Tick, nanoseconds.
     """
@@ -75,7 +75,7 @@ def run(step: Step, state: Tensor, shared: Tensor, own: Tensor, make: SegmentMak
     for first in range(0, counts[0], longest):
         running = sum(count > first for count in counts)
         rows = torch.cat([order[:running], order[:1].expand(max(0, FEWEST_ROWS - running))])
-        flags, segment, clock_ticks = make(rows, first * h, longest * h)
+        flags, segment, clock_ticks = make(rows, first * h)
         left = (ticks[rows] - first).to(state.dtype)
         reaches = pulse_reaches(clock_ticks + first, longest, h_ns).to(state.dtype)
         each = torch.stack([left.expand_as(reaches), reaches], 1)

@@ -279,7 +279,7 @@ class Simulator:
     def _first_tick(self, rows: Tensor) -> None:
         """What Basilisk's tick at time zero leaves behind: the messages of the world, and the density latched from them."""
         bus = Bus(0.0)
-        flags, segment, _ = self._segment(rows, 0.0, 0.0)
+        flags, segment, _ = self._segment(rows, 0.0)
         packs = (self.pack[:, rows], self.shared, self.own[:, rows], flags, segment)
         layouts = (self.tick.state, self.tick.shared, self.tick.own, self.tick.flags, self.tick.segment)
         for layout, pack in zip(layouts, packs, strict=True):
@@ -331,12 +331,12 @@ class Simulator:
 
     # -- running ------------------------------------------------------------------------------------------------------
 
-    def _segment(self, rows: Tensor, start: float, length: float) -> tuple[Tensor, Tensor, Tensor]:
+    def _segment(self, rows: Tensor, start: float) -> tuple[Tensor, Tensor, Tensor]:
         """Flags, segment pack and tick counters of ``rows`` for the segment of a step; see :func:`bsk_torch.sim.run.run`."""
         time = self.sim_time[rows] + start
         et = self.arcs.et[rows] + time
         r_sun, v_sun = sun_state(et)
-        pole = pole_matrix(et + 0.5 * length).stack().flatten(1)
+        pole = pole_matrix(et).stack().flatten(1)
         parts = [r_sun, v_sun, earth_angles(et)[2].unsqueeze(-1), pole]
         if self.orbit == "arc":
             nodes, first = self.arcs.nodes(rows, time, 3)

@@ -72,6 +72,12 @@ def pole_matrix(et: Tensor) -> Mat3:
     return Mat3(Vec3(-sa, ca, zero), Vec3(-sd * ca, -sd * sa, cd), Vec3(cd * ca, cd * sa, sd))
 
 
+def pole_rate(pole: Mat3) -> Vec3:
+    """Angular rate, rad/s, of the axes of :func:`pole_matrix` in those axes."""
+    ascension = POLE_RIGHT_ASCENSION_RATE
+    return Vec3(torch.full_like(pole.z.z, -POLE_DECLINATION_RATE), pole.y.z * ascension, pole.z.z * ascension)
+
+
 def _stretched(r: Vec3, stretch: float | Tensor) -> Vec3:
     return Vec3(r.x * (1.0 + stretch), r.y * (1.0 + stretch), r.z)
 
@@ -95,13 +101,8 @@ class Surroundings(NamedTuple):
 
 def surroundings(et: Tensor, pole: Mat3) -> Surroundings:
     """Surroundings at ET [n], to which ``pole`` belongs."""
-    rates = (
-        torch.full_like(et, -POLE_DECLINATION_RATE),
-        pole.y.z * POLE_RIGHT_ASCENSION_RATE,
-        pole.z.z * POLE_RIGHT_ASCENSION_RATE,
-    )
     sun = [torch.stack(pole @ Vec3.of(part)) for part in sun_state(et)]
-    return Surroundings(sun[0], sun[1], earth_angles(et)[2], torch.stack(rates))
+    return Surroundings(sun[0], sun[1], earth_angles(et)[2], torch.stack(list(pole_rate(pole))))
 
 
 def full_field(r: Vec3, around: Surroundings, dt: Tensor, stretch: float | Tensor) -> Vec3:

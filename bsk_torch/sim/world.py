@@ -18,6 +18,7 @@ from bsk_torch.astro.frames import lla_to_fixed, rotate_z
 from bsk_torch.constants import R_EARTH
 from bsk_torch.rand import random_epoch
 from bsk_torch.sim.component import Arg, Bus, Component, Field, Values, vec
+from bsk_torch.sim.span import pole_rate
 from bsk_torch.vec3 import Mat3, Vec3
 
 DEFAULT_STATIONS: tuple[dict[str, Any], ...] = tuple(
@@ -71,9 +72,11 @@ def see_stations(bus: Bus) -> None:
 
 
 def orient_pole(bus: Bus) -> None:
-    """DCM from N to the axes whose z is the Earth's pole; it does not turn within a segment."""
+    """DCM from N to the axes whose z is the Earth's pole, moved on by its small drift since the start of the segment."""
     rows = bus.pole_rows
-    bus.pole = Mat3(Vec3(*rows[:3]), Vec3(*rows[3:6]), Vec3(*rows[6:]))
+    x, y, z = Vec3(*rows[:3]), Vec3(*rows[3:6]), Vec3(*rows[6:])
+    drift = pole_rate(Mat3(x, y, z)) * bus.tau
+    bus.pole = Mat3(x - z * drift.y + y * drift.z, y - x * drift.z + z * drift.x, z - y * drift.x + x * drift.y)
 
 
 def move_sun_and_earth(bus: Bus) -> None:
@@ -98,7 +101,7 @@ SEGMENT = (
     vec("r_sun_0", "m", "Sun relative to Earth at the start of the segment"),
     vec("v_sun", "m/s"),
     Field("earth_angle", 1, "rad", "prime meridian at the start of the segment"),
-    Field("pole_rows", 9, "-", "DCM from N to axes with z along the Earth's pole"),
+    Field("pole_rows", 9, "-", "DCM from N to axes with z along the Earth's pole, at the start of the segment"),
 )
 """What every tick needs to know of Sun and Earth, for all ticks of a segment of at most a minute."""
 

@@ -44,7 +44,7 @@ def test_one_package_serves_every_batch_size():
     packages = set(cache_folder().glob("*.pt2"))
     for n in (2, 3, 17, 64):
         packs = [pack[:, :1].expand(-1, n) for pack in (env.simulator.pack, env.simulator.own)]
-        flags, segment, _ = env.simulator._segment(torch.zeros(n, dtype=torch.int64), 0.0, 60.0)
+        flags, segment, _ = env.simulator._segment(torch.zeros(n, dtype=torch.int64), 0.0)
         clock = torch.tensor([1.0, 1.0], dtype=torch.float64)
         row = torch.ones(2, n, dtype=torch.float64)
         out = step(packs[0], env.simulator.shared, packs[1], flags, segment, clock, row)

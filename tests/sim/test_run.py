@@ -70,8 +70,8 @@ class Counter:
         self.asked, self.sizes, self.clocks = [], [], []
         self.ticks = torch.zeros(n, dtype=torch.int64)
 
-    def make(self, rows, start, length):
-        self.asked.append((rows.tolist(), start, length))
+    def make(self, rows, start):
+        self.asked.append((rows.tolist(), start))
         return torch.zeros(1, len(rows)), rows.double().unsqueeze(0), self.ticks[rows]
 
     def step(self, state, shared, own, flags, segment, clock, row):
@@ -127,13 +127,14 @@ def test_work_shrinks_with_the_rows():
 
 def test_segments_start_every_minute_with_the_rows_that_run():
     counter, *_ = fly([150, 20, 320], h=0.5)
-    assert counter.asked == [([2, 0, 1], 0.0, 60.0), ([2, 0], 60.0, 60.0), ([2, 2], 120.0, 60.0)]
+    assert counter.asked == [([2, 0, 1], 0.0), ([2, 0], 60.0), ([2, 2], 120.0)]
 
 
 @pytest.mark.parametrize(("h", "longest"), [(0.1, 600), (1.0, 60), (7.0, 8), (60.0, 1)])
 def test_segments_last_a_minute_at_most(h, longest):
     counter, *_ = fly([1300], h)
-    assert max(length for _, _, length in counter.asked) == pytest.approx(longest * h)
+    starts = [start for _, start in counter.asked]
+    assert starts == pytest.approx([k * longest * h for k in range(len(starts))])
     assert counter.clocks[0].tolist() == pytest.approx([h, 1.0], rel=1e-15)
 
 
