@@ -88,8 +88,6 @@ class ScanRule:
 
 def scan_rule(env: SatelliteTasking, seed: int = 0) -> TensorDictModule:
     """:class:`ScanRule` for presets that observe and act like NadirScan-v1; KeyError or ValueError for others."""
-    if bool((env.episode < 0).any()):
-        env.reset()  # observations have names from the first episode on
     description, actions = env.satellite.observation_description, env.satellite.action_description
     ScanRule().decide(torch.zeros(1, len(description)), description, actions)
     return TensorDictModule(

@@ -2,7 +2,7 @@
 
 On the CPU a function becomes an ahead-of-time package in the user's cache folder (``BSK_TORCH_CACHE`` moves it), named by a hash
 of its operations, of torch's version and of the processor: whatever changes them builds another one. A call of a package costs a
-few microseconds. Elsewhere, and where a function calls operators of its own, ``torch.compile`` serves.
+few microseconds. Elsewhere, and where a function calls operators of its own or holds tensors, ``torch.compile`` serves.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ OPTIONS: dict[str, Any] = {
     "realize_reads_threshold": 2,
     "cpp.enable_floating_point_contract_flag": "fast",
 }
-"""Inductor options without which the tick would be split into several loops."""
+"""Inductor options for one fused loop; inductor adds to what it is given, so it gets copies."""
 
 TRACED_BATCH = 13
 """Batch size of the trace, unlike any other size that occurs: the tracer takes equal sizes for the same."""
@@ -60,15 +60,16 @@ def compiled(function: Kernel, name: str, batched: tuple[bool, ...]) -> Kernel:
 
 def _prepare(function: Kernel, name: str, packs: Sequence[Tensor], batched: tuple[bool, ...]) -> Kernel:
     examples = [p.new_zeros((*p.shape[:-1], TRACED_BATCH)) if b else p for p, b in zip(packs, batched, strict=True)]
-    graph = make_fx(lambda *inputs: function(*inputs), tracing_mode="symbolic")(*examples)
-    plain = all(node.op != "call_function" or _is_plain(node.target) for node in graph.graph.nodes)
-    if plain and packs[0].device.type == "cpu":
+    trace = make_fx(lambda *inputs: function(*inputs), tracing_mode="symbolic", _allow_non_fake_inputs=True)
+    graph = trace(*examples)
+    if all(_is_plain(node) for node in graph.graph.nodes) and packs[0].device.type == "cpu":
         return _packaged(graph, name, examples, batched)
     return _just_in_time(graph, name, packs, batched)
 
 
-def _is_plain(target: Any) -> bool:
-    return getattr(target, "namespace", "aten") in ("aten", "prims", "_operator")
+def _is_plain(node: torch.fx.Node) -> bool:
+    """Whether the traced code says all: no operators of others, and no tensors made inside, whose values it does not show."""
+    return node.op != "get_attr" and getattr(node.target, "namespace", "aten") in ("aten", "prims")
 
 
 def _announce(name: str) -> float:
@@ -78,7 +79,7 @@ def _announce(name: str) -> float:
 
 def _just_in_time(graph: torch.fx.GraphModule, name: str, packs: Sequence[Tensor], batched: tuple[bool, ...]) -> Kernel:
     begin = _announce(name)
-    fast: Kernel = torch.compile(graph, fullgraph=True, options=OPTIONS, isolate_recompiles=True)  # type: ignore[call-overload]
+    fast: Kernel = torch.compile(graph, fullgraph=True, options=dict(OPTIONS), isolate_recompiles=True)  # type: ignore[call-overload]
     for pack, varies in zip(packs, batched, strict=True):
         if varies:
             torch._dynamo.mark_dynamic(pack, pack.ndim - 1)
@@ -147,6 +148,6 @@ def _build(graph: torch.fx.GraphModule, examples: Sequence[Tensor], batched: tup
         warnings.simplefilter("ignore", FutureWarning)  # of torch, about torch
         exported = torch.export.export(_Wrapped(graph), tuple(examples), dynamic_shapes=(shapes,), strict=False)
         package = torch._inductor.aoti_compile_and_package(
-            exported, package_path=str(Path(folder) / "kernel.pt2"), inductor_configs=OPTIONS
+            exported, package_path=str(Path(folder) / "kernel.pt2"), inductor_configs=dict(OPTIONS)
         )
         os.replace(package, path)

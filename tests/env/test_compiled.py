@@ -62,6 +62,13 @@ def test_packages_are_kept_and_named_by_what_they_compute(tmp_path, monkeypatch,
         assert torch.equal(compiled(lambda a: a * 2.0, "double", (True,))(x.expand(2, 3).mT[:, 0]), x * 2.0)
     assert sum("compiled the double" in record.message for record in caplog.records) == 2
     assert len(list(tmp_path.glob("*.pt2"))) == 2
+    for factor in (3.0, 4.0):  # the traced code does not show the values of tensors that a function holds or makes
+        held = torch.tensor([factor, 1.0, 1.0])
+        holds = compiled(lambda a, c=held: a * c.sum(), "scale", (True,))
+        makes = compiled(lambda a, f=factor: a * torch.tensor([f, 1.0]).sum(), "scale", (True,))
+        assert torch.equal(holds(x), x * (factor + 2.0))
+        assert torch.equal(makes(x), x * (factor + 1.0))
+    assert len(list(tmp_path.glob("*.pt2"))) == 2
 
 
 def test_frozen_rows_are_bit_identical():
