@@ -2,7 +2,7 @@
 
 A draw depends only on the seed, the environment's index, its episode and the name of the argument: environment 7 has the same
 episodes in a batch of 8 and in one of 8192, whatever the others do. The generator is Philox4x32-10 (Salmon et al., "Parallel
-random numbers: as easy as 1, 2, 3", 2011) on int64 tensors.
+random numbers: as easy as 1, 2, 3", 2011).
 """
 
 from __future__ import annotations
@@ -13,31 +13,28 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
 MASK = 0xFFFFFFFF
 
+MULTIPLIERS = np.uint64(0xD2511F53), np.uint64(0xCD9E8D57)
+WEYL = np.uint64(0x9E3779B9), np.uint64(0xBB67AE85)
+LOW, HALF = np.uint64(MASK), np.uint64(32)
+
 MONTHS = ("JAN", "FEB", "MAR", "APR", "MAY", "JUN", "JUL", "AUG", "SEP", "OCT", "NOV", "DEC")
 
 
-def _multiply(a: int, b: Tensor) -> tuple[Tensor, Tensor]:
-    """High and low 32 bits of a 32 x 32 bit product, without overflowing int64."""
-    low, high = a * (b & 0xFFFF), a * (b >> 16)
-    middle = high + (low >> 16)
-    return (middle >> 16) & MASK, ((middle & 0xFFFF) << 16) | (low & 0xFFFF)
-
-
 def philox(counter: Sequence[Tensor], key: Sequence[Tensor], rounds: int = 10) -> tuple[Tensor, ...]:
-    """Four random 32-bit numbers (in int64) for four counter words and two key words of one shape."""
-    c0, c1, c2, c3 = counter
-    k0, k1 = key
+    """Four random 32-bit numbers (in int64) for four counter words and two key words of one shape, on the CPU."""
+    c0, c1, c2, c3 = (word.numpy().astype(np.uint64) for word in counter)
+    k0, k1 = (word.numpy().astype(np.uint64) for word in key)
     for _ in range(rounds):
-        high0, low0 = _multiply(0xD2511F53, c0)
-        high1, low1 = _multiply(0xCD9E8D57, c2)
-        c0, c1, c2, c3 = high1 ^ c1 ^ k0, low1, high0 ^ c3 ^ k1, low0
-        k0, k1 = (k0 + 0x9E3779B9) & MASK, (k1 + 0xBB67AE85) & MASK
-    return c0, c1, c2, c3
+        p0, p1 = c0 * MULTIPLIERS[0], c2 * MULTIPLIERS[1]
+        c0, c1, c2, c3 = (p1 >> HALF) ^ c1 ^ k0, p1 & LOW, (p0 >> HALF) ^ c3 ^ k1, p0 & LOW
+        k0, k1 = (k0 + WEYL[0]) & LOW, (k1 + WEYL[1]) & LOW
+    return tuple(torch.from_numpy(word.astype(np.int64)) for word in (c0, c1, c2, c3))
 
 
 @dataclass(frozen=True)

@@ -8,10 +8,12 @@ and ``r_P = PN @ r_N``. A scalar always stands on the right of ``*``.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import torch
 from torch import Tensor
+
+T = TypeVar("T")
 
 Scalar = Tensor | float
 """A factor: a tensor that broadcasts with the components, or a number."""
@@ -42,7 +44,7 @@ class Vec3(NamedTuple):
 
     def __truediv__(self, divisor: Scalar) -> Vec3:
         """Vector over scalar."""
-        return Vec3(self.x / divisor, self.y / divisor, self.z / divisor)
+        return self * (1.0 / divisor)
 
     def scale(self, other: Vec3) -> Vec3:
         """Product component by component, as of a diagonal matrix with a vector."""
@@ -71,6 +73,10 @@ class Vec3(NamedTuple):
     def map(self, function: Callable[..., Tensor], *others: Vec3) -> Vec3:
         """Apply ``function`` to each component (and to those of ``others`` beside it)."""
         return Vec3(*(function(*parts) for parts in zip(self, *others, strict=True)))
+
+    def to(self, dtype: torch.dtype) -> Vec3:
+        """The vector in another type."""
+        return Vec3(self.x.to(dtype), self.y.to(dtype), self.z.to(dtype))
 
     def stack(self) -> Tensor:
         """The vector as one tensor ``[..., 3]``."""
@@ -104,6 +110,10 @@ class Mat3(NamedTuple):
         """Transposed matrix."""
         return Mat3(*(Vec3(*column) for column in zip(*self, strict=True)))
 
+    def to(self, dtype: torch.dtype) -> Mat3:
+        """The matrix in another type."""
+        return Mat3(*(row.to(dtype) for row in self))
+
     def stack(self) -> Tensor:
         """The matrix as one tensor ``[..., 3, 3]``."""
         return torch.stack([row.stack() for row in self], -2)
@@ -117,3 +127,25 @@ class Mat3(NamedTuple):
 def select(condition: Tensor, yes: Vec3, no: Vec3) -> Vec3:
     """``yes`` where ``condition`` holds, else ``no``."""
     return Vec3(*(torch.where(condition, a, b) for a, b in zip(yes, no, strict=True)))
+
+
+def only(mask: Any, compute: Callable[[], T], otherwise: T) -> T:
+    """``compute()`` where ``mask`` holds, else ``otherwise``; both are a tensor, a vector or a tuple of such.
+
+    Compiled kernels skip ``compute`` where no environment of a block needs it, so ``compute`` must only compute.
+    """
+    if isinstance(mask, Tensor):
+        return _rebuilt(otherwise, [torch.where(mask, a, b) for a, b in zip(_leaves(compute()), _leaves(otherwise), strict=True)])
+    return _rebuilt(otherwise, mask.only(lambda: _leaves(compute()), _leaves(otherwise)))
+
+
+def _leaves(tree: Any) -> list[Any]:
+    return [leaf for part in tree for leaf in _leaves(part)] if isinstance(tree, tuple) else [tree]
+
+
+def _rebuilt(like: Any, leaves: list[Any]) -> Any:
+    """``leaves``, which are used up, in the shape of ``like``."""
+    if not isinstance(like, tuple):
+        return leaves.pop(0)
+    parts = [_rebuilt(part, leaves) for part in like]
+    return type(like)(*parts) if hasattr(like, "_fields") else tuple(parts)

@@ -13,8 +13,10 @@ import pytest
 import torch
 
 from bsk_torch.astro.ephemeris import parse_utc
+from bsk_torch.lanes.loop import Samples
 from bsk_torch.sim.orbit import Arcs
-from bsk_torch.sim.span import Solver
+from bsk_torch.sim.sight import View
+from bsk_torch.sim.solver import make_solver
 
 torch.set_num_threads(1)
 
@@ -40,23 +42,35 @@ def recording() -> Callable[[str], dict[str, Any]]:
     return _recording
 
 
-@pytest.fixture(scope="session")
-def make_arcs() -> Callable[..., Arcs]:
-    """Arcs of ``spans`` hours for initial conditions as the recordings list them."""
+@pytest.fixture(scope="session", params=["eager", pytest.param("compiled", marks=pytest.mark.compiled)])
+def backend(request) -> str:
+    """Both ways to compute arcs and to look from them."""
+    return request.param
 
-    def make(initials: list[dict[str, Any]], spans: int, step: float = 1.0) -> Arcs:
+
+@pytest.fixture(scope="session")
+def solve_arcs() -> Callable[..., tuple[Arcs, View]]:
+    """Arcs of ``spans`` hours for initial conditions as the recordings list them, and a view of the whole planned arcs."""
+
+    def solve(initials: list[dict[str, Any]], spans: int, step: float = 1.0, backend: str = "eager") -> tuple[Arcs, View]:
         et = torch.tensor([parse_utc(initial["utc_init"]) for initial in initials], dtype=torch.float64)
         r, v = (torch.tensor([initial[name] for initial in initials], dtype=torch.float64) for name in ("rN", "vN"))
-        arcs = Arcs(len(initials), spans, Solver(step, "eager", torch.device("cpu")))
-        arcs.reset(torch.arange(len(initials)), et, r, v)
-        return arcs
+        arcs = Arcs(len(initials), spans, make_solver(step, backend, torch.device("cpu")))
+        fine, epoch = arcs.reset(torch.arange(len(initials)), et, r, v), torch.zeros_like(et)
+        return arcs, View(*(Samples(table, epoch) for table in (fine[:, ::2].contiguous(), arcs.sky.clone(), fine)))
 
-    return make
+    return solve
+
+
+@pytest.fixture(scope="session")
+def make_arcs(solve_arcs) -> Callable[..., Arcs]:
+    """The arcs alone."""
+    return lambda *args, **options: solve_arcs(*args, **options)[0]
 
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items):
-    """Compiled tests share one worker: packages are built once, and the other worker has the rest."""
+    """Compiled tests share one worker: kernels are built once, and the other worker has the rest."""
     for item in items:
         if item.get_closest_marker("compiled"):
             item.add_marker(pytest.mark.xdist_group("compiled"))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, cast
 
 import torch
 from torch import Tensor
@@ -17,6 +17,17 @@ class Decision(NamedTuple):
 
     mode: Tensor
     retask: Tensor
+    duration: Tensor
+
+
+class Table(NamedTuple):
+    """What actions mean until the next reset: modes [N, A], and by action [A] the rest.
+
+    That is whether a repeated action enters its mode anew, and for how long an action lasts, s.
+    """
+
+    mode: Tensor
+    reset: Tensor
     duration: Tensor
 
 
@@ -41,6 +52,10 @@ class Action:
         """What action ``index`` [N] of this entry means; ``repeats`` [N] where it is also the previous action."""
         raise NotImplementedError(f"{type(self).__name__} must implement decide(index, repeats)")
 
+    def table(self) -> Table | None:
+        """What the entry's actions mean until the next reset, where nothing else decides that; else None."""
+        return None
+
     def mask(self) -> Tensor:
         """Which of the entry's actions are legal now, [N, n_actions] booleans; all of them unless overridden."""
         ticks = self.satellite.simulator.ticks
@@ -59,6 +74,16 @@ class ActionBuilder:
                 raise ValueError(f"action_spec holds {entry!r}, which is no action; write act.Charge(), with parentheses")
             entry.link_satellite(satellite)
         self.entries, self.satellite = tuple(spec), satellite
+        self._made, self._table = -1, cast("Table | None", None)
+
+    def table(self) -> Table | None:
+        """The tables of all entries side by side; None where one has none."""
+        if self._made != self.satellite.simulator.draws:
+            tables = [table for table in (entry.table() for entry in self.entries) if table is not None]
+            whole = len(tables) == len(self.entries)
+            self._table = Table(*(torch.cat(parts, -1) for parts in zip(*tables, strict=True))) if whole else None
+            self._made = self.satellite.simulator.draws
+        return self._table
 
     @property
     def n_actions(self) -> int:
@@ -72,6 +97,10 @@ class ActionBuilder:
 
     def decide(self, action: Tensor, previous: Tensor) -> Decision:
         """What ``action`` [N] means after ``previous`` [N] (-1: none)."""
+        table = self.table()
+        if table is not None:
+            retask = (action != previous) | table.reset[action]
+            return Decision(table.mode.gather(1, action.unsqueeze(1)).squeeze(1), retask, table.duration[action])
         decision = Decision(torch.zeros_like(action), torch.zeros_like(action, dtype=torch.bool), action.double())
         first = 0
         for entry in self.entries:

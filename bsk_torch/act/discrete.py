@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
-from bsk_torch.act.base import Action, Decision
+from bsk_torch.act.base import Action, Decision, Table
 
 if TYPE_CHECKING:
     from bsk_torch.sats.satellite import Satellite
@@ -34,6 +34,14 @@ class DiscreteFSWAction(Action):
         """See :meth:`Action.link_satellite`; ValueError if the flight software has no such command."""
         super().link_satellite(satellite)
         satellite.simulator.check_command(self.fsw_action)
+
+    def table(self) -> Table | None:
+        """See :meth:`Action.table`; None for a subclass that decides otherwise."""
+        if type(self).decide is not DiscreteFSWAction.decide:
+            return None
+        mode = self.satellite.simulator.mode_index(self.fsw_action).unsqueeze(1)
+        reset = torch.tensor([self.reset_task], device=mode.device)
+        return Table(mode, reset, torch.full((1,), self.duration, dtype=torch.float64, device=mode.device))
 
     def decide(self, index: Tensor, repeats: Tensor) -> Decision:
         """See :meth:`Action.decide`."""

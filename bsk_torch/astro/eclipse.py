@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from bsk_torch.constants import R_EARTH, R_SUN
-from bsk_torch.vec3 import Vec3
+from bsk_torch.vec3 import Vec3, only
 
 
 def _in_shadow_cones(r: Vec3, r_sun: Vec3) -> Tensor:
@@ -39,6 +39,22 @@ def visible_fraction(sun_radius: Tensor, planet_radius: Tensor, separation: Tens
     return torch.where(separation < b - a, torch.zeros_like(c), annular)
 
 
+def in_umbra(r: Vec3, r_sun: Vec3) -> Tensor:
+    """Whether the Earth hides the whole Sun at r: where :func:`illumination` is zero (positions in m, in the same axes)."""
+    to_sun = r_sun - r
+    return (to_sun.dot(to_sun) >= r_sun.dot(r_sun)) & _hidden(r, to_sun)[0]
+
+
+def _hidden(r: Vec3, to_sun: Vec3) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Whether the planet's disc covers the Sun's; sines of their apparent radii, and the cosine of the angle between them."""
+    distance, radius = to_sun.norm(), r.norm()
+    sin_sun, sin_planet = torch.clamp(R_SUN / distance, max=1.0), torch.clamp(R_EARTH / radius, max=1.0)
+    cos_sun, cos_planet = torch.sqrt(1.0 - sin_sun * sin_sun), torch.sqrt(1.0 - sin_planet * sin_planet)
+    cosine = -r.dot(to_sun) / (radius * distance)
+    covers = (cosine > cos_sun * cos_planet + sin_sun * sin_planet) & (sin_planet > sin_sun)
+    return covers, sin_sun, sin_planet, cosine
+
+
 def illumination(r: Vec3, r_sun: Vec3) -> Tensor:
     """Illuminated fraction of the solar disc, 1 in full light and 0 in the umbra.
 
@@ -50,11 +66,19 @@ def illumination(r: Vec3, r_sun: Vec3) -> Tensor:
     the hidden instead of the visible fraction.
     """
     to_sun = r_sun - r
-    distance = to_sun.norm()
-    radius = r.norm()
-    sun_radius = torch.asin(torch.clamp(R_SUN / distance, max=1.0))
-    planet_radius = torch.asin(torch.clamp(R_EARTH / radius, max=1.0))
-    separation = torch.acos(torch.clamp(-r.dot(to_sun) / (radius * distance), -1.0, 1.0))
-    fraction = visible_fraction(sun_radius, planet_radius, separation)
-    dark_side = (to_sun.dot(to_sun) >= r_sun.dot(r_sun)) & _in_shadow_cones(r, r_sun)
-    return torch.where(dark_side, fraction, torch.ones_like(fraction))
+    night = to_sun.dot(to_sun) >= r_sun.dot(r_sun)
+    one = torch.ones_like(r.x)
+    return only(night, lambda: _shaded(r, r_sun, to_sun, night), one)
+
+
+def _shaded(r: Vec3, r_sun: Vec3, to_sun: Vec3, night: Tensor) -> Tensor:
+    """Illumination on the night side; apparent radii become angles only where the discs' edges cross."""
+    hidden, sin_sun, sin_planet, cosine = _hidden(r, to_sun)
+    inside = night & _in_shadow_cones(r, r_sun)  # by day the cones have a mirror image
+
+    def fraction() -> Tensor:
+        angles = torch.asin(sin_sun), torch.asin(sin_planet), torch.acos(torch.clamp(cosine, -1.0, 1.0))
+        return visible_fraction(*angles)
+
+    partial = only(inside & ~hidden, fraction, torch.zeros_like(cosine))
+    return torch.where(inside, partial, torch.ones_like(cosine))

@@ -35,8 +35,8 @@ def rotate_z(r: Vec3, cos: Tensor, sin: Tensor) -> Vec3:
     return Vec3(cos * r.x + sin * r.y, cos * r.y - sin * r.x, r.z)
 
 
-def angle_between(a: Tensor, b: Tensor) -> Tensor:
-    """Angle, rad in [0, pi], between vectors [..., 3], accurate for small and for large angles."""
-    a, b = a / a.norm(dim=-1, keepdim=True), b / b.norm(dim=-1, keepdim=True)
-    near, far = (2.0 * torch.asin(torch.clamp(0.5 * chord.norm(dim=-1), max=1.0)) for chord in (a - b, a + b))
-    return torch.where((a * b).sum(-1) > 0.0, near, math.pi - far)
+def angle_between(a: Vec3 | Tensor, b: Vec3 | Tensor) -> Tensor:
+    """Angle, rad in [0, pi], between vectors (or tensors [..., 3]), accurate for small and for large angles."""
+    a, b = ((Vec3.of(x) if isinstance(x, Tensor) else x).unit() for x in (a, b))
+    near, far = (2.0 * torch.asin(torch.clamp(0.5 * chord.norm(), max=1.0)) for chord in (a - b, a + b))
+    return torch.where(a.dot(b) > 0.0, near, math.pi - far)

@@ -10,9 +10,11 @@ from __future__ import annotations
 import functools
 import importlib.resources
 import math
-from typing import NamedTuple
+from collections.abc import Mapping
+from typing import Any, NamedTuple
 
 import numpy as np
+import torch
 from torch import Tensor
 
 from bsk_torch.constants import MU_EARTH, MU_SUN, R_EARTH
@@ -66,58 +68,62 @@ def field_weights(degree: int) -> dict[tuple[int, int], Weights]:
     return {key: Weights(*((float(a), float(b)) for a, b in value)) for key, value in sums.items() if value.any()}
 
 
-def zonal_weights() -> dict[tuple[int, int], Weights]:
-    """Weights of the point mass and J2 alone: a field that does not depend on the Earth's rotation angle."""
-    two = field_weights(2)
-    j2 = -float(_unnormalised(2)[0][2, 0])
-    return {
-        (1, 1): two[1, 1],
-        (1, 0): two[1, 0],
-        (3, 1): Weights((j2, 0.0), (0.0, j2), (0.0, 0.0)),
-        (3, 0): Weights((0.0, 0.0), (0.0, 0.0), (3.0 * j2, 0.0)),
-    }
+J2 = -float(_unnormalised(2)[0][2, 0])
+"""The Earth's oblateness."""
 
 
-def _cunningham(r: Vec3, order: int, zonal: bool) -> dict[tuple[int, int], tuple[Tensor, Tensor | float]]:
-    """Cunningham functions V[n, m] and W[n, m] at the Earth-fixed position r, up to ``order`` (m at most 1 if zonal)."""
-    inverse_r2 = 1.0 / r.dot(r)
-    scaled = r * (R_EARTH * inverse_r2)
-    rho = R_EARTH * R_EARTH * inverse_r2
-    vw: dict[tuple[int, int], tuple[Tensor, Tensor | float]] = {(0, 0): (R_EARTH * inverse_r2.sqrt(), 0.0)}
-    for m in range((1 if zonal else order) + 1):
-        if m:
-            v, w = vw[m - 1, m - 1]
-            k = float(2 * m - 1)
-            vw[m, m] = (k * (scaled.x * v - scaled.y * w), k * (scaled.x * w + scaled.y * v))
-        for n in range(m + 1, order + 1):
-            a, b = (2 * n - 1) / (n - m), (n + m - 1) / (n - m)
-            v, w = vw[n - 1, m]
-            if n == m + 1:
-                vw[n, m] = (a * scaled.z * v, a * scaled.z * w if m else 0.0)
-                continue
-            v2, w2 = vw[n - 2, m]
-            vw[n, m] = (a * scaled.z * v - b * rho * v2, (a * scaled.z * w - b * rho * w2) if m else 0.0)
-    return vw
-
-
-def _total(terms: list[Tensor]) -> Tensor:
-    """Sum, smallest terms first."""
+def _total(terms: list[Any]) -> Any:
+    """Sum, smallest terms (the last) first."""
     total = terms[-1]
     for term in terms[-2::-1]:
         total = total + term
     return total
 
 
-def field(r: Vec3, weights: dict[tuple[int, int], Weights]) -> Vec3:
-    """Acceleration, m/s^2, of the Earth's field at the Earth-fixed position r, m (both in P axes)."""
+def _column(m: int, order: int, z: Tensor, rho: Tensor) -> list[Any]:
+    """What V[n, m] and W[n, m] have in common for n = m to ``order``: their first is one, the second still a constant times z."""
+    column: list[Any] = [1.0, (2.0 * m + 1.0) * z]
+    for n in range(m + 2, order + 1):
+        a, b = (2 * n - 1) / (n - m), (n + m - 1) / (n - m)
+        column.append(a * z * column[-1] - b * rho * column[-2])
+    return column[: order - m + 1]
+
+
+def _sums(m: int, column: list[Any], weights: Mapping[tuple[int, int], Weights]) -> list[tuple[Any, Any]]:
+    """For each axis, the sums over n of the weights of V and of W times the column; None where all weights are zero."""
+    scale = float(math.prod(range(1, 2 * m, 2)))
+    pairs = []
+    for axis in range(3):
+        parts = []
+        for part in range(2):
+            terms = [
+                weights[m + k, m][axis][part] * scale * value
+                for k, value in enumerate(column)
+                if (m + k, m) in weights and weights[m + k, m][axis][part] != 0.0
+            ]
+            parts.append(_total(terms) if terms else None)
+        pairs.append((parts[0], parts[1]))
+    return pairs
+
+
+def field(r: Vec3, weights: Mapping[tuple[int, int], Weights]) -> Vec3:
+    """Acceleration, m/s^2, of the Earth's field at the Earth-fixed position r, m (both in P axes).
+
+    The functions are V + i W = P[n, m](z R / r^2, R^2 / r^2) (x + i y)^m (R / r^2)^m R / r: each polynomial P serves both, and
+    the sums over n come first.
+    """
     order = max(n for n, _ in weights)
-    functions = _cunningham(r, order, zonal=max(m for _, m in weights) <= 1)
-    axes: tuple[list[Tensor], ...] = ([], [], [])
-    for key, weight in weights.items():
-        for axis, (a, b) in zip(axes, weight, strict=True):
-            v, w = functions[key]
-            axis.extend(k * f for k, f in ((a, v), (b, w)) if k != 0.0 and isinstance(f, Tensor))
-    return Vec3(*(_total(axis) for axis in axes)) * (MU_EARTH / R_EARTH**2)
+    inverse_r2 = 1.0 / r.dot(r)
+    scaled, rho = r * (R_EARTH * inverse_r2), R_EARTH * R_EARTH * inverse_r2
+    cosine, sine = torch.ones_like(r.x), torch.zeros_like(r.x)
+    axes: tuple[list[Any], ...] = ([], [], [])
+    for m in range(order + 1):
+        if m:
+            cosine, sine = scaled.x * cosine - scaled.y * sine, scaled.x * sine + scaled.y * cosine
+        for axis, sums in zip(axes, _sums(m, _column(m, order, scaled.z, rho), weights), strict=True):
+            axis.extend(total * function for total, function in zip(sums, (cosine, sine), strict=True) if total is not None)
+    size = (MU_EARTH / R_EARTH) * inverse_r2.sqrt()
+    return Vec3(*(_total(axis) for axis in axes)) * size
 
 
 def third_body(r: Vec3, r_body: Vec3, mu: float = MU_SUN) -> Vec3:

@@ -42,12 +42,12 @@ class ScanningTimeReward(GlobalReward):
 
     def read_log(self) -> Log:
         """Data in the store, bit."""
-        return {"storage_level": self.satellite.dynamics.storage_level.double()}
+        return {"storage_level": self.satellite.dynamics.storage_level.clone()}
 
     def calculate_reward(self, before: Log, after: Log) -> Tensor:
         """See :meth:`GlobalReward.calculate_reward`."""
         gained = torch.clamp(after["storage_level"] - before["storage_level"], min=0.0)
-        seconds = gained / self.satellite.dynamics.instrument_baud.double()
+        seconds = gained / self.satellite.dynamics.instrument_baud
         if self.reward_fn is not None:
             return self.reward_fn(seconds)
         return seconds * self.scenario.value_per_second  # type: ignore[attr-defined]

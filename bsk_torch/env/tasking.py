@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import copy
 import logging
+import math
+import os
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any
 
 import torch
@@ -22,7 +25,7 @@ from bsk_torch.sats.satellite import ArgumentTable, Satellite
 from bsk_torch.scene.base import Scenario
 from bsk_torch.sim.component import Arg, collect
 from bsk_torch.sim.params import convert
-from bsk_torch.sim.simulator import Simulator
+from bsk_torch.sim.simulator import Simulator, whole_nanoseconds
 
 logger = logging.getLogger(__name__)
 
@@ -33,7 +36,41 @@ ENDLESS = 2**31
 
 LIMIT = Arg("time_limit", float("inf"), "s", "time after which an episode is truncated", low=0.0)
 
+ROOM = 1.5
+"""Memory that a batch may take at most, over that of its tensors: the first reset and growing arcs hold some of them twice."""
+
+SAMPLE = 1024
+"""Random time limits that are drawn to see how long arcs will be, before a batch is built."""
+
 EXTRA_STATE = ("previous_action", "episode", "dead", "limit_ticks", "seed_rows", "requires_retasking")
+
+
+def existing_device(device: torch.device | str) -> torch.device:
+    """The device of that name; ValueError where this machine has none."""
+    cuda = torch.cuda.device_count() if torch.cuda.is_available() else 0
+    there = ["cpu", *(f"cuda:{k}" for k in range(cuda))]
+    try:
+        found = torch.device(device)
+    except (RuntimeError, TypeError):
+        found = None
+    if found is None or (found.type != "cpu" and (found.type != "cuda" or (found.index or 0) >= cuda)):
+        raise ValueError(f"device={str(device)!r} is not here; there is {there}")
+    return found
+
+
+def available_memory(device: torch.device) -> int | None:
+    """Bytes that a device can still give; None where the system does not say."""
+    if device.type == "cuda":
+        return torch.cuda.mem_get_info(device)[0] + torch.cuda.memory_reserved(device) - torch.cuda.memory_allocated(device)
+    try:
+        lines = Path("/proc/meminfo").read_text().splitlines()
+        return next(int(line.split()[1]) * 1024 for line in lines if line.startswith("MemAvailable:"))
+    except (OSError, StopIteration):
+        pass
+    try:
+        return os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    except (AttributeError, OSError, ValueError):
+        return None
 
 
 class SatelliteTasking(EnvBase):
@@ -93,7 +130,7 @@ class SatelliteTasking(EnvBase):
         """
         if num_envs < 1:
             raise ValueError(f"num_envs={num_envs} must be at least 1")
-        super().__init__(device=torch.device(device), batch_size=[num_envs])
+        super().__init__(device=existing_device(device), batch_size=[num_envs])
         self._arguments = {k: v for k, v in locals().items() if k not in ("self", "__class__")}
         if log_level is not None:
             logging.getLogger("bsk_torch").setLevel(log_level)
@@ -104,7 +141,7 @@ class SatelliteTasking(EnvBase):
         self.max_step_duration = float(max_step_duration)
         self.scenario, self.rewarder = copy.copy(scenario or Scenario()), copy.copy(rewarder or NoReward())
         options = {"sim_rate": sim_rate, "dtype": sim_dtype, "orbit": orbit, "world_args": world_args or {}}
-        trial = self._trial(satellite, options)
+        trial = self._trial(satellite, backend, options)
         self.simulator = self._simulator(satellite, num_envs, backend, options)
         self.pool = self._make_pool(satellite, num_envs, backend, options)
         self._make_buffers(num_envs, env_ids)
@@ -112,12 +149,15 @@ class SatelliteTasking(EnvBase):
         self.scenario.link_satellite(self.satellite)
         self.rewarder.link(self.scenario, self.satellite)
         self._make_specs(trial)
+        self.longest_ticks = math.ceil(whole_nanoseconds(min(self.max_step_duration, ENDLESS)) / self.simulator.h_ns)
         self.set_seed(seed)
 
     # -- construction -------------------------------------------------------------------------------------------------
 
     def _simulator(self, satellite: Satellite, n: int, backend: str, options: dict[str, Any]) -> Simulator:
-        limit = self._draw_limit(first_key(n))
+        # the trial's arcs shall be as long as those of the batch: see _check_memory
+        sample = isinstance(self.time_limit_generator, Distribution) and n < self.batch_size[0]
+        limit = self._draw_limit(first_key(min(SAMPLE, self.batch_size[0]) if sample else n))
         finite = limit[torch.isfinite(limit)]
         return Simulator(
             satellite.dyn_type,
@@ -133,14 +173,30 @@ class SatelliteTasking(EnvBase):
         )
 
     def _make_pool(self, satellite: Satellite, n: int, backend: str, options: dict[str, Any]) -> EpisodePool | None:
-        """A pool for large batches, unless a user's callable says what comes next: it is asked only when needed."""
-        given = (*self.simulator.sat_args.given.values(), *self.simulator.world_args.given.values(), self.time_limit_generator)
-        asks = any(callable(value) and not isinstance(value, Distribution) for value in given)
-        return None if n < SMALLEST or asks else EpisodePool(self._simulator(satellite, n, backend, options))
+        pays = self._pool_pays(self.simulator)
+        return EpisodePool(self._simulator(satellite, n, backend, options)) if pays else None
 
-    def _trial(self, satellite: Satellite, options: dict[str, Any]) -> Values:
+    def _pool_pays(self, simulator: Simulator) -> bool:
+        """Whether the batch is large, and no user's callable says what comes next: it is asked only when needed."""
+        given = (*simulator.sat_args.given.values(), *simulator.world_args.given.values(), self.time_limit_generator)
+        asks = any(callable(value) and not isinstance(value, Distribution) for value in given)
+        return self.batch_size[0] >= SMALLEST and not asks
+
+    def _check_memory(self, trial: Simulator) -> None:
+        """MemoryError if the batch will not fit into memory, going by a simulation of one environment."""
+        there = available_memory(trial.device)
+        each = trial.bytes_per_env * (2 if self._pool_pays(trial) else 1)
+        fits = 0 if there is None else int(there / (ROOM * each))
+        if there is not None and self.batch_size[0] > fits:
+            raise MemoryError(
+                f"num_envs={self.batch_size[0]} does not fit into memory: an environment takes {each} bytes, and half as much "
+                f"again for a while, but {trial.device} has {there} bytes available; num_envs={fits} is the most that fits"
+            )
+
+    def _trial(self, satellite: Satellite, backend: str, options: dict[str, Any]) -> Values:
         """Observations of one trial episode: their shapes make the specs, and every property has been read once."""
-        simulator = self._simulator(satellite, 1, "eager", options)
+        simulator = self._simulator(satellite, 1, backend, options)
+        self._check_memory(simulator)
         key = first_key(1)
         limit = self._draw_limit(key).to(simulator.device)
         bound = satellite.bind(simulator, limit)
@@ -237,11 +293,15 @@ class SatelliteTasking(EnvBase):
 
     # -- step ---------------------------------------------------------------------------------------------------------
 
-    @torch.no_grad()
     def _step(self, tensordict: TensorDictBase) -> TensorDict:
-        action = self._checked(tensordict.get("action"))
         partial = tensordict.get("_step", None)
-        moves = torch.ones_like(self.dead) if partial is None else partial.reshape(-1)
+        return self.play(tensordict.get("action"), None if partial is None else partial.reshape(-1))
+
+    @torch.no_grad()
+    def play(self, action: Tensor, moves: Tensor | None = None) -> TensorDict:
+        """Do ``action`` [N] where ``moves`` [N] is true, everywhere if None; what ``step`` puts under ``next``."""
+        action = self._checked(action)
+        moves = torch.ones_like(self.dead) if moves is None else moves
         before, start = self.rewarder.read_log(), self.simulator.ticks
         self._command(action, moves)
         reward = self._reward(before, moves)
@@ -276,10 +336,10 @@ class SatelliteTasking(EnvBase):
         simulator.command(decision.retask & moves, decision.mode)
         self.previous_action = torch.where(moves, action, self.previous_action)
         wanted = self._ticks(decision.duration)
-        longest = self._ticks(torch.full_like(decision.duration, self.max_step_duration))
-        ends = wanted if self.satellite.variable_interval else longest
+        longest = torch.full_like(wanted, self.longest_ticks)
+        ends = torch.minimum(wanted, longest) if self.satellite.variable_interval else longest
         left = (self.limit_ticks - simulator.ticks).clamp(min=0)
-        ticks = torch.minimum(torch.minimum(ends, longest), left) * moves
+        ticks = torch.minimum(ends, left) * moves
         # the time limit stops the clock before an event of the same instant is looked at
         asks = (wanted <= ticks) & (ticks < left)
         self.requires_retasking = torch.where(moves, asks, self.requires_retasking)
@@ -350,6 +410,11 @@ class SatelliteTasking(EnvBase):
     def default_world_args(self) -> ArgumentTable:
         """Every argument that ``world_args`` accepts, with default, unit and meaning; print it to read it."""
         return ArgumentTable(collect(reversed(self.satellite.dyn_type.__mro__), "world_components"))
+
+    @property
+    def bytes_per_env(self) -> int:
+        """Bytes that the tensors of one environment take, its prepared next episode included; the windows found add a little."""
+        return self.simulator.bytes_per_env + (self.pool.simulator.bytes_per_env if self.pool else 0)
 
     def check_finite(self) -> None:
         """FloatingPointError that names environment, field and tick, if any state is not a finite number."""

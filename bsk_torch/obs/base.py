@@ -31,9 +31,18 @@ class Observation:
         """The simulation that the satellite lives in."""
         return self.satellite.simulator
 
+    def observables(self) -> list[Any]:
+        """Functions of the observables that :meth:`get_obs` reads; see :mod:`bsk_torch.sim.observe`."""
+        return []
+
     def get_obs(self) -> Tensor | Values:
         """What is seen now."""
         raise NotImplementedError(f"{type(self).__name__} must implement get_obs()")
+
+
+def scaled(value: Tensor, norm: float) -> Tensor:
+    """The value over its norm."""
+    return value if norm == 1.0 else value / norm
 
 
 def property_name(entry: dict[str, Any]) -> str:
@@ -75,6 +84,11 @@ class ObservationBuilder:
             entry.link_satellite(satellite)
         self.entries, self.satellite = tuple(spec), satellite
 
+    @property
+    def observables(self) -> list[Any]:
+        """Functions of the properties that kernels compute."""
+        return [function for entry in self.entries for function in entry.observables()]
+
     def get_dict(self) -> Values:
         """All observations by name."""
         values: Values = {}
@@ -89,7 +103,7 @@ class ObservationBuilder:
     @staticmethod
     def vector(values: Values, dtype: torch.dtype) -> Tensor:
         """All values side by side, [N, width]."""
-        return torch.cat([value.to(dtype) for _, value in flatten(values)], -1)
+        return torch.cat([value for _, value in flatten(values)], -1).to(dtype)
 
     @staticmethod
     def describe(values: Values) -> list[str]:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 from torch import Tensor
 
-from bsk_torch.obs.base import Observation, Values, check_entries, property_name
+from bsk_torch.obs.base import Observation, Values, check_entries, property_name, scaled
 from bsk_torch.sim.params import nearest
 
 if TYPE_CHECKING:
@@ -66,5 +66,5 @@ class OpportunityProperties(Observation):
         columns = {}
         for entry in self.entries:
             function = entry.get("fn") or PRESETS[entry["prop"]]
-            columns[property_name(entry)] = function(self.satellite, opportunities) / entry.get("norm", 1.0)
+            columns[property_name(entry)] = scaled(function(self.satellite, opportunities), entry.get("norm", 1.0))
         return {f"{self.name}_{k}": {name: column[:, k] for name, column in columns.items()} for k in range(self.n_ahead_observe)}

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any
 import torch
 from torch import Tensor
 
-from bsk_torch.obs.base import Observation, Values, check_entries, property_name
+from bsk_torch.obs.base import Observation, Values, check_entries, property_name, scaled
+from bsk_torch.sim.observe import observable
 from bsk_torch.sim.params import nearest
 
 if TYPE_CHECKING:
@@ -30,9 +31,13 @@ class SatProperties(Observation):
     def link_satellite(self, satellite: Satellite) -> None:
         """See :meth:`Observation.link_satellite`; ValueError for a property that does not exist."""
         super().link_satellite(satellite)
-        for entry in self.entries:
-            if "prop" in entry:
-                self._module(entry)
+        self.modules = [self._module(entry) if "prop" in entry else None for entry in self.entries]
+
+    def observables(self) -> list[Any]:
+        """See :meth:`Observation.observables`."""
+        pairs = zip(self.entries, self.modules, strict=True)
+        properties = [getattr(type(module), entry["prop"]) for entry, module in pairs if module is not None]
+        return [known.function for known in properties if isinstance(known, observable)]
 
     def _module(self, entry: dict[str, Any]) -> Any:
         modules = {"dynamics": self.satellite.dynamics, "fsw": self.satellite.fsw}
@@ -49,9 +54,9 @@ class SatProperties(Observation):
     def get_obs(self) -> Values:
         """See :meth:`Observation.get_obs`."""
         values = {}
-        for entry in self.entries:
-            value = entry["fn"](self.satellite) if "fn" in entry else getattr(self._module(entry), entry["prop"])
-            values[property_name(entry)] = value / entry.get("norm", 1.0)
+        for entry, module in zip(self.entries, self.modules, strict=True):
+            value = entry["fn"](self.satellite) if module is None else getattr(module, entry["prop"])
+            values[property_name(entry)] = scaled(value, entry.get("norm", 1.0))
         return values
 
 

@@ -15,6 +15,7 @@ from bsk_torch import act, data, obs, rand, sats, scene
 from bsk_torch.astro.frames import angle_between
 from bsk_torch.env import SatelliteTasking
 from bsk_torch.sim import dyn, fsw
+from bsk_torch.sim.observe import Now, observable
 
 ORBIT = 5700.0
 """About one orbit, s."""
@@ -25,16 +26,15 @@ CAPACITY, BATTERY = 5000 * 8e6, 200 * 3600.0
 class ScanningDownlinkDynModel(dyn.ContinuousImagingDynModel, dyn.GroundStationDynModel):
     """Scans and downlinks; adds the two pointing errors that the agent sees."""
 
-    @property
-    def instrument_pointing_error(self) -> Tensor:
+    @observable
+    def instrument_pointing_error(now: Now) -> Tensor:
         """Angle between the instrument and the nadir, [N] rad."""
-        return angle_between(-self.r_BN_P, self.satellite.fsw.c_hat_P)
+        return angle_between(-now.r, now.BN.mT @ now.args.inst_pHat_B)
 
-    @property
-    def solar_pointing_error(self) -> Tensor:
+    @observable
+    def solar_pointing_error(now: Now) -> Tensor:
         """Angle between the panel normal and the Sun, [N] rad."""
-        n_hat_N = (self.BN.mT @ self.satellite.sat_args["nHat_B"].unsqueeze(-1)).squeeze(-1)
-        return angle_between(n_hat_N, self.world.sun_direction_N)
+        return angle_between(now.BN.mT @ now.args.nHat_B, now.r_sun)
 
 
 class ScanningSatellite(sats.AccessSatellite):

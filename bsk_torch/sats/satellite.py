@@ -107,6 +107,7 @@ class Satellite:
         bound.dynamics.satellite = bound.fsw.satellite = bound
         bound.actions = ActionBuilder(copy.deepcopy(list(self.action_spec)), bound)
         bound.observations = ObservationBuilder(copy.deepcopy(list(self.observation_spec)), bound)
+        simulator.observer.want((*bound.observations.observables, *bound.dynamics.vitals(), *bound.fsw.vitals()))
         return bound
 
     simulator: Simulator
@@ -138,4 +139,7 @@ class Satellite:
 
     def is_alive(self) -> Tensor:
         """Whether every aliveness check holds now, [N]."""
-        return torch.stack(list(self.aliveness().values())).all(0)
+        alive = torch.ones_like(self.simulator.ticks, dtype=torch.bool)
+        for check in self.aliveness().values():
+            alive = alive & check
+        return alive

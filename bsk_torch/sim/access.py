@@ -6,18 +6,15 @@ query runs out of them. A window that is open at the end of an interval is close
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
-from bsk_torch.astro.ephemeris import earth_angles
-from bsk_torch.astro.frames import rotate_z, sin_elevation
-from bsk_torch.astro.roots import find_maximum, find_root
 from bsk_torch.sim.orbit import Arcs
-from bsk_torch.sim.span import PLAN_STEP, pole_matrix
-from bsk_torch.vec3 import Vec3
+from bsk_torch.sim.ragged import stored, tabulate
+from bsk_torch.sim.sight import GLIMPSED, MOST_PLACES, PER_PLACE, RISES, SETS, Brackets, Places, Sight, View
+from bsk_torch.sim.span import PLAN_STEP
 
 SHORTEST = 0.1
 """Windows that rise and set inside an interval and last no longer than this, s, are dropped."""
@@ -25,15 +22,8 @@ SHORTEST = 0.1
 LOOKAHEAD = 100
 """Segments that a query may add before it gives up."""
 
-CHUNK = 256
-"""Rows searched at once, which bounds memory."""
-
-
-class Places(NamedTuple):
-    """Places on the ground: Earth-fixed positions [S, 3], m, and sines of the least elevation [S]."""
-
-    r_P: Tensor
-    sin_min_elevation: Tensor
+AHEAD = 18
+"""Segments that are searched at once."""
 
 
 class Events(NamedTuple):
@@ -44,6 +34,13 @@ class Events(NamedTuple):
     time: Tensor
 
 
+class Column(NamedTuple):
+    """One of the next windows of every row: closing time and place in the table, [N] each."""
+
+    values: Tensor
+    indices: Tensor
+
+
 class Windows(NamedTuple):
     """Windows [n, W], sorted by closing time: opening and closing time, s, and place; missing ones close at infinity."""
 
@@ -52,77 +49,88 @@ class Windows(NamedTuple):
     place: Tensor
 
 
-def _fixed_position(arcs: Arcs, rows: Tensor, time: Tensor) -> Vec3:
-    """Planned Earth-fixed position at time [m] of ``rows`` [m]."""
-    et = arcs.et[rows] + time
-    angle = earth_angles(et)[2]
-    return rotate_z(pole_matrix(et) @ arcs.planned_position(rows, time), torch.cos(angle), torch.sin(angle))
-
-
 class Search:
     """Elevations of one batch of intervals, sampled every 30 s, and what can be read off them."""
 
-    def __init__(self, arcs: Arcs, places: Places, rows: Tensor, start: Tensor, samples: int) -> None:
-        """Sample the intervals that begin at ``start`` [n] of ``rows`` [n] at ``samples`` times each."""
-        self.arcs, self.places, self.rows, self.start, self.samples = arcs, places, rows, start, samples
-        time = start.unsqueeze(-1) + PLAN_STEP * torch.arange(samples, device=start.device)
-        flat = _fixed_position(arcs, rows.repeat_interleave(samples), time.flatten())
-        self.r = Vec3(*(x.view(len(rows), 1, samples) for x in flat))
-        self.sites = Vec3.of(places.r_P.unsqueeze(1))
-        self.height = sin_elevation(self.r, self.sites) - places.sin_min_elevation.unsqueeze(-1)
-        self.up = self.height > 0.0
+    def __init__(self, sight: Sight, view: View, places: Places, start: Tensor, samples: int, whole: bool) -> None:
+        """Sample the intervals that begin at ``start`` [n] on the arcs of a view at ``samples`` times; see :class:`Heights`."""
+        self.sight, self.view, self.places, self.start, self.samples = sight, view, places, start, samples
+        codes, self.above, self.radius = sight.heights(view, start, samples, places, whole)
+        row, sample = torch.nonzero(codes, as_tuple=True)
+        codes = codes[row, sample].long().unsqueeze(-1) >> (3 * torch.arange(len(places.r_P), device=start.device))
+        which, place = torch.nonzero(codes & (PER_PLACE - 1), as_tuple=True)
+        self._index = row[which], place, sample[which]
+        self._code = codes[which, place]
 
-    def _at(self, row: Tensor, place: Tensor, time: Tensor) -> Tensor:
-        r = _fixed_position(self.arcs, self.rows[row], time)
-        return sin_elevation(r, Vec3.of(self.places.r_P[place])) - self.places.sin_min_elevation[place]
+    def _places(self, place: Tensor) -> Places:
+        return Places(*(part[place] for part in self.places))
 
-    def _crossings(self, index: tuple[Tensor, ...], step: int) -> Events:
-        """Times at which the place crosses the limit between sample k and k + step."""
-        row, place, k = index
-        a, b = (self.start[row] + PLAN_STEP * j for j in (k, k + step))
-        ends = self.height[row, place, k], self.height[row, place, k + step]
-        time = find_root(lambda t: self._at(row, place, t), a, b, *ends)
-        return Events(row, place, time)
+    def _happened(self, code: int) -> tuple[Tensor, ...]:
+        """Row, place and sample of what has a code."""
+        return tuple(part[(self._code & code) > 0] for part in self._index)
+
+    def _crossings(self, code: int) -> Events:
+        """Times at which the place crosses the limit, before the samples where that has been noticed."""
+        row, place, k = self._happened(code)
+        a, b = (self.start[row] + PLAN_STEP * j for j in (k - 1, k))
+        view, places = self.view.of(row), self._places(place)
+        brackets = Brackets(a, b, *(self.sight.height(view, places, time) for time in (a, b)))
+        return Events(row, place, self.sight.crossings(view, places, brackets))
+
+    def up(self, sample: int) -> tuple[Tensor, Tensor]:
+        """Rows and places that see each other at a sample."""
+        n, s = len(self.start), len(self.places.r_P)
+        row = torch.arange(n, device=self.start.device).repeat_interleave(s)
+        place = torch.arange(s, device=self.start.device).repeat(n)
+        above = self.sight.height(self.view.of(row), self._places(place), self.start[row] + PLAN_STEP * sample) > 0.0
+        return row[above], place[above]
 
     def rises(self) -> Events:
         """Rises between samples."""
-        return self._crossings(torch.nonzero(~self.up[..., :-1] & self.up[..., 1:], as_tuple=True), 1)
+        return self._crossings(RISES)
 
     def sets(self) -> Events:
         """Sets between samples."""
-        return self._crossings(torch.nonzero(self.up[..., :-1] & ~self.up[..., 1:], as_tuple=True), 1)
+        return self._crossings(SETS)
 
     def glimpses(self) -> tuple[Events, Events]:
         """Rises and sets of passes that fall between two samples."""
-        before, here, after = self.height[..., :-2], self.height[..., 1:-1], self.height[..., 2:]
-        bend = torch.clamp(2.0 * here - before - after, min=1e-12)
-        possible = (here >= before) & (here >= after) & (here <= 0.0) & (here + 0.5 * (before - after) ** 2 / bend > -0.01)
-        row, place, k = torch.nonzero(possible, as_tuple=True)
+        row, place, k = self._happened(GLIMPSED)
         if not len(row):
             none = Events(row, place, torch.zeros_like(self.start[row]))
             return none, none
-        a, b = (self.start[row] + PLAN_STEP * j for j in (k, k + 2))
-        peak = find_maximum(lambda t: self._at(row, place, t), a, b)
-        top = self._at(row, place, peak)
+        a, b = (self.start[row] + PLAN_STEP * j for j in (k - 2, k))
+        view, places = self.view.of(row), self._places(place)
+        peak = self.sight.peaks(view, places, a, b)
+        top = self.sight.height(view, places, peak)
         keep = top > 0.0
         row, place, a, b, peak, top = (x[keep] for x in (row, place, a, b, peak, top))
 
+        view, places = self.view.of(row), self._places(place)
+
         def crossing(outer: Tensor) -> Events:
-            f = lambda t: self._at(row, place, t)  # noqa: E731
-            return Events(row, place, find_root(f, outer, peak, f(outer), top, iterations=20))
+            brackets = Brackets(outer, peak, self.sight.height(view, places, outer), top)
+            return Events(row, place, self.sight.crossings(view, places, brackets))
 
         return crossing(a), crossing(b)
 
-    def near(self) -> Tensor:
-        """Samples that bsk_rl looks at closely, [n, S, K]: those within 1.1 times the slant range of the least elevation."""
-        highest = self.r.norm().amax(-1, keepdim=True)
-        reach = 1.1 * (highest - self.sites.norm()) / self.places.sin_min_elevation.unsqueeze(-1)
-        return (self.r - self.sites).norm() < reach
+    def pairs(self) -> tuple[Tensor, Tensor]:
+        """Rows and places of which something happens, each pair once."""
+        both = torch.unique(self._index[0] * len(self.places.r_P) + self._index[1])
+        return both // len(self.places.r_P), both % len(self.places.r_P)
+
+    def near(self, row: Tensor, place: Tensor) -> Tensor:
+        """Samples that bsk_rl looks at closely, [m, K]: those within 1.1 times the slant range of the least elevation."""
+        radius, least = self.radius[row], self.places.sin_min_elevation[place].unsqueeze(-1)
+        site = self.places.r_P[place].norm(dim=-1, keepdim=True)
+        sine = self.above[row, :, place] + least
+        distance = torch.sqrt(radius * radius - site * site * (1.0 - sine * sine)) - site * sine
+        return distance < 1.1 * (radius.amax(1, keepdim=True) - site) / least
 
 
 def _whole(search: Search, end: Tensor) -> tuple[Events, Tensor]:
     """All passes of long intervals, those in progress at either end cut there: rises, and the times of the sets."""
-    first, last = (torch.nonzero(search.up[..., k], as_tuple=True) for k in (0, -1))
+    first, last = search.up(0), search.up(search.samples - 1)
     starts = [Events(first[0], first[1], search.start[first[0]]), search.rises()]
     stops = [search.sets(), Events(last[0], last[1], end[last[0]])]
     rise, fall = _ordered(starts), _ordered(stops)
@@ -147,116 +155,152 @@ def _segment(search: Search, end: Tensor) -> tuple[Tensor, Tensor]:
     bsk_rl tests the two ends of the close samples only. With one end up there is one root; where the close samples begin
     with the interval the window is taken to reach back to its start, be the place rising or setting.
     """
-    near, shape = search.near(), search.up.shape[:2]
-    nan = torch.full(shape, torch.nan, dtype=torch.float64, device=end.device)
-    rise, fall = nan.clone(), nan.clone()
-    for table, parts in ((rise, (search.rises(), search.glimpses()[0])), (fall, (search.sets(), search.glimpses()[1]))):
+    row, place = search.pairs()
+    near, up = search.near(row, place), search.above[row, :, place] > 0.0
+    opens, closes = (
+        torch.full((len(end), len(search.places.r_P)), torch.nan, dtype=torch.float64, device=end.device) for _ in "ab"
+    )
+    brief = search.glimpses()
+    # the tables hold rises and sets at first
+    for table, parts in ((opens, (search.rises(), brief[0])), (closes, (search.sets(), brief[1]))):
         for events in parts:
             table[events.row, events.place] = events.time
+    rise, fall = opens[row, place], closes[row, place]
     index = torch.arange(search.samples, device=end.device)
     first = torch.where(near, index, search.samples).amin(-1)
     last = torch.where(near, index, -1).amax(-1)
     a, b = (first - 1).clamp(0, search.samples - 1), (last + 1).clamp(0, search.samples - 1)
-    up_a, up_b = (search.up.gather(-1, k.unsqueeze(-1)).squeeze(-1) for k in (a, b))
+    up_a, up_b = (up.gather(-1, k.unsqueeze(-1)).squeeze(-1) for k in (a, b))
     root = torch.where(up_a, fall, rise)
-    start, stop = search.start.unsqueeze(-1).expand(shape), end.unsqueeze(-1).expand(shape)
     from_start, to_end = (up_a ^ up_b) & (a == 0), (up_a ^ up_b) & (a > 0) & (b == search.samples - 1)
     inside = ~up_a & ~up_b & (fall - rise > SHORTEST)
-    opens = torch.where(from_start, start, torch.where(to_end | inside, torch.where(inside, rise, root), nan))
-    closes = torch.where(from_start, root, torch.where(to_end, stop, torch.where(inside, fall, nan)))
+    begins = torch.where(inside, rise, torch.where(to_end, root, torch.nan))
+    stops = torch.where(inside, fall, torch.where(from_start, root, torch.nan))
+    opens[row, place] = torch.where(from_start, search.start[row], begins)
+    closes[row, place] = torch.where(to_end, end[row], stops)
     return opens, closes
 
 
 class AccessTable:
-    """Windows of N satellites, and the time [N] up to which they have been generated."""
+    """Windows of N satellites, sorted by closing time.
 
-    def __init__(self, arcs: Arcs, places: Places, segment: float) -> None:
+    They have been searched for up to ``ready`` [N] s; what a query sees of them ends at ``until`` [N], as if they had been
+    generated only so far: windows in progress then are cut there.
+    """
+
+    def __init__(self, arcs: Arcs, sight: Sight, places: Places, segment: float) -> None:
         """Prepare for ``places``; ``segment`` is the length, s, of the intervals that queries add."""
-        self.arcs, self.places, self.segment = arcs, places, segment
+        if len(places.r_P) > MOST_PLACES:
+            raise ValueError(f"groundStationsData has {len(places.r_P)} stations; at most {MOST_PLACES} are possible")
+        self.arcs, self.sight, self.places, self.segment = arcs, sight, places, segment
         n = len(arcs.start)
-        self.until = torch.zeros_like(arcs.start)
+        self.until, self.ready = torch.zeros_like(arcs.start), torch.zeros_like(arcs.start)
         empty = torch.full((n, 1), torch.inf, dtype=torch.float64, device=arcs.device)
         self.windows = Windows(empty, empty.clone(), torch.zeros(n, 1, dtype=torch.long, device=arcs.device))
 
-    def reset(self, rows: Tensor, duration: Tensor) -> None:
-        """Generate the windows of ``rows`` from time zero for ``duration`` [n] (multiples of the segment; none where zero)."""
-        self.until[rows] = duration
-        longest = float(duration.max())
-        for part in torch.split(torch.arange(len(rows), device=rows.device), CHUNK):
-            found = self._generate(rows[part], duration[part], longest)
-            self.store(rows[part], found)
+    def reset(self, rows: Tensor, view: View, duration: Tensor) -> None:
+        """Generate the windows of ``rows`` on new arcs from time zero for ``duration`` [n] (whole segments; none where zero).
 
-    def _generate(self, rows: Tensor, duration: Tensor, longest: float) -> Windows:
-        start = torch.zeros_like(duration)
-        search = Search(self.arcs, self.places, rows, start, round(longest / PLAN_STEP) + 1)
+        Segments beyond it, which a query will ask for, are searched as far as the arcs reach.
+        """
+        longest, start = float(duration.max()), torch.zeros_like(duration)
+        search = Search(self.sight, view, self.places, start, round(longest / PLAN_STEP) + 1, whole=True)
         rise, close = _whole(search, torch.full_like(duration, longest))
         begun = rise.time < duration[rise.row]
         rise, close = Events(*(part[begun] for part in rise)), close[begun]
-        return _tabulate(rise, torch.minimum(close, duration[rise.row]), len(rows))
+        closes, opens, place = tabulate(rise.row, torch.minimum(close, duration[rise.row]), len(rows), rise.time, rise.place)
+        self.store(rows, Windows(opens, closes, place))
+        self.until[rows] = self.ready[rows] = duration
+        segments = min(AHEAD, int((self.arcs.length - longest) / self.segment))
+        if segments:
+            self._search(rows, view, segments, torch.zeros_like(duration))
 
     def store(self, rows: Tensor, found: Windows) -> None:
         """Replace the windows of ``rows``."""
-        width = max(self.windows.close.shape[1], found.close.shape[1])
-        self.windows = _widened(self.windows, width)
-        for table, new in zip(self.windows, _widened(found, width), strict=True):
-            table[rows] = new
+        self.windows = Windows(*(stored(table, rows, new) for table, new in zip(self.windows, found, strict=True)))
 
-    def next(self, rows: Tensor, time: Tensor, count: int) -> Windows:
-        """The ``count`` next windows to close, [n, count] each, of ``rows`` at ``time`` [n]; extends the table as needed.
+    def next(self, time: Tensor, count: int) -> tuple[Windows, Tensor]:
+        """The ``count`` next windows to close at ``time`` [N], [N, count] each, and how many of them there are, [N].
 
-        The last is repeated where there are fewer. Arcs must reach as far as :meth:`extend` asks.
+        The last is repeated where there are fewer.
         """
-        index = torch.searchsorted(self.windows.close[rows].contiguous(), (time + 1e-12).unsqueeze(-1))
-        index = index + torch.arange(count, device=rows.device)
-        found = torch.isfinite(self.windows.close[rows]).sum(-1, keepdim=True)
-        index = torch.minimum(index, found - 1).clamp(min=0)
-        return Windows(*(table[rows].gather(1, index) for table in self.windows))
+        until = self.until.unsqueeze(-1)
+        close = torch.minimum(self.windows.close, until)
+        ahead = (self.windows.open < until) & (close >= (time + 1e-12).unsqueeze(-1))
+        left = torch.where(ahead, close, torch.inf)
+        columns = [Column(*torch.min(left, 1))]
+        if count == 1:
+            index = columns[0].indices.unsqueeze(-1)
+            opens, place = (table.gather(1, index) for table in (self.windows.open, self.windows.place))
+            return Windows(opens, columns[0].values.unsqueeze(-1), place), torch.isfinite(columns[0].values).long()
+        for _ in range(count - 1):
+            left = left.scatter(1, columns[-1].indices.unsqueeze(-1), torch.inf)
+            later = Column(*torch.min(left, 1))
+            none = torch.isinf(later.values)
+            last = columns[-1]
+            columns.append(Column(*(torch.where(none, a, b) for a, b in zip(last, later, strict=True))))
+        index = torch.stack([column.indices for column in columns], -1)
+        opens, place = (table.gather(1, index) for table in (self.windows.open, self.windows.place))
+        return Windows(opens, torch.stack([column.values for column in columns], -1), place), ahead.sum(1).clamp(max=count)
 
-    def short(self, rows: Tensor, time: Tensor, count: int) -> Tensor:
-        """Whether fewer than ``count`` windows of ``rows`` are still to close, [n]."""
-        close = self.windows.close[rows]
-        return ((close >= (time + 1e-12).unsqueeze(-1)) & torch.isfinite(close)).sum(-1) < count
+    def reveal(self, rows: Tensor, time: Tensor, count: int) -> Tensor:
+        """Add as many segments as ``rows`` [m] need to see ``count`` windows ahead at ``time`` [m].
+
+        Returns:
+            Those for which too few are ready.
+
+        ``rows`` see fewer now.
+        """
+        opens, close, _ = (table[rows] for table in self.windows)
+        finite = torch.isfinite(close)
+        ahead = finite & (close >= (time + 1e-12).unsqueeze(-1))
+        enough, first = ahead.sum(1) >= count, finite.sum(1) - ahead.sum(1) + count - 1
+        last = opens.gather(1, first.clamp(max=opens.shape[1] - 1).unsqueeze(-1)).squeeze(-1)
+        until = self.until[rows]
+        steps = torch.floor((torch.maximum(last, time) - until) / self.segment) + 1.0
+        self.until[rows] = torch.where(enough, until + steps.clamp(min=0.0) * self.segment, self.ready[rows])
+        return rows[~enough]
 
     def extend(self, rows: Tensor, time: Tensor) -> None:
-        """Add one segment to ``rows``; their arcs must cover it. Windows that closed before ``time`` are forgotten."""
-        start, end = self.until[rows], self.until[rows] + self.segment
-        search = Search(self.arcs, self.places, rows, start, round(self.segment / PLAN_STEP) + 1)
-        opens, closes = _segment(search, end)
+        """Search more segments for ``rows``, whose arcs must cover them; windows that closed before ``time`` are forgotten."""
+        view = View(*(type(s)(s.table[rows], s.start[rows]) for s in (self.arcs.planned_samples, self.arcs.sky_samples)))
+        self._search(rows, view, AHEAD, time[rows])
+        self.until[rows] = self.until[rows] + self.segment
+
+    def _search(self, rows: Tensor, view: View, segments: int, time: Tensor) -> None:
+        """Search ``segments`` more segments of ``rows`` [n]; windows that closed before ``time`` [n] go."""
+        n, s, device = len(rows), len(self.places.r_P), rows.device
+        begin = self.ready[rows].unsqueeze(-1) + self.segment * torch.arange(segments + 1, device=device)
+        start, end = begin[:, :-1].flatten(), begin[:, 1:].flatten()
+        owner = torch.arange(n, device=device).repeat_interleave(segments)
+        search = Search(self.sight, view.of(owner), self.places, start, round(self.segment / PLAN_STEP) + 1, whole=False)
+        opens, closes = (part.view(n, segments, s) for part in _segment(search, end))
         old = Windows(*(table[rows] for table in self.windows))
-        place = torch.arange(opens.shape[1], device=rows.device).expand(opens.shape)
-        joins = (old.close.unsqueeze(-1) == start.view(-1, 1, 1)) & (old.place.unsqueeze(-1) == place.unsqueeze(1))
-        joins = joins & (opens == start.unsqueeze(-1)).unsqueeze(1)
-        earlier = torch.where(joins, old.open.unsqueeze(-1), torch.inf).amin(1)
-        opens = torch.where(torch.isfinite(earlier), earlier, opens)
-        gone = joins.any(-1) | (old.close < time.unsqueeze(-1))
-        close = torch.cat([torch.where(gone, torch.inf, old.close), torch.nan_to_num(closes, nan=torch.inf)], 1)
-        self.store(rows, _sorted(torch.cat([old.open, opens], 1), close, torch.cat([old.place, place], 1)))
-        self.until[rows] = end
+        opens, final, joined = _joined(opens, closes, begin, old)
+        old_row, k = torch.nonzero(torch.isfinite(old.close) & ~joined & (old.close >= time.unsqueeze(-1)), as_tuple=True)
+        new_row, segment, place = torch.nonzero(final, as_tuple=True)
+        close = torch.cat([old.close[old_row, k], closes[new_row, segment, place]])
+        rise = torch.cat([old.open[old_row, k], opens[new_row, segment, place]])
+        where = torch.cat([old.place[old_row, k], place])
+        close, rise, where = tabulate(torch.cat([old_row, new_row]), close, n, rise, where)
+        self.store(rows, Windows(rise, close, where))
+        self.ready[rows] = end.view(n, segments)[:, -1]
 
 
-def _sorted(opens: Tensor, close: Tensor, place: Tensor) -> Windows:
-    close, order = torch.sort(close, dim=1, stable=True)
-    width = max(1, int(torch.isfinite(close).sum(1).max()))
-    return Windows(opens.gather(1, order)[:, :width], close[:, :width], place.gather(1, order)[:, :width])
+def _joined(opens: Tensor, closes: Tensor, begin: Tensor, old: Windows) -> tuple[Tensor, Tensor, Tensor]:
+    """Join windows [n, K, S] of consecutive segments where one closes as the next opens, and with the ``old`` ones [n, W].
 
-
-def _widened(windows: Windows, width: int) -> Windows:
-    extra = width - windows.close.shape[1]
-    if extra <= 0:
-        return windows
-    pad = torch.nn.functional.pad
-    opens, close = (pad(t, (0, extra), value=math.inf) for t in windows[:2])
-    return Windows(opens, close, pad(windows.place, (0, extra)))
-
-
-def _tabulate(rise: Events, close: Tensor, n: int) -> Windows:
-    """Windows [n, W] of rows 0 to n - 1 from lists in any order."""
-    order = torch.argsort(close)
-    order = order[torch.argsort(rise.row[order], stable=True)]
-    row, counts = rise.row[order], torch.bincount(rise.row, minlength=n)
-    rank = torch.arange(len(row), device=row.device) - (torch.cumsum(counts, 0) - counts)[row]
-    width = max(1, int(counts.max()) if len(row) else 1)
-    opens = torch.full((n, width), math.inf, dtype=torch.float64, device=row.device)
-    closes, places = opens.clone(), torch.zeros(n, width, dtype=torch.long, device=row.device)
-    opens[row, rank], closes[row, rank], places[row, rank] = rise.time[order], close[order], rise.place[order]
-    return Windows(opens, closes, places)
+    Returns:
+        Opening times with those of the windows joined to them; which windows nothing follows; which old ones have been joined.
+    """
+    _, segments, places = opens.shape
+    place = torch.arange(places, device=opens.device)
+    follows = opens == begin[:, :-1].unsqueeze(-1)
+    mine = (old.close == begin[:, :1]).unsqueeze(-1) & (old.place.unsqueeze(-1) == place) & follows[:, :1]
+    carried = torch.where(mine, old.open.unsqueeze(-1), torch.inf).amin(1)
+    begun, last = [torch.where(torch.isfinite(carried), carried, opens[:, 0])], torch.isfinite(closes)
+    for k in range(1, segments):
+        joins = follows[:, k] & (closes[:, k - 1] == begin[:, k : k + 1])
+        begun.append(torch.where(joins, begun[-1], opens[:, k]))
+        last[:, k - 1] &= ~joins
+    return torch.stack(begun, 1), last, mine.any(-1)

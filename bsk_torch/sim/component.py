@@ -8,13 +8,14 @@ components is Basilisk's order of modules, and a message of the previous tick is
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import torch
 from torch import Tensor
 
+from bsk_torch.constants import NANO
 from bsk_torch.vec3 import Vec3
 
 Values = Mapping[str, Any]
@@ -24,12 +25,14 @@ Values = Mapping[str, Any]
 class Bus:
     """Everything one tick knows, by name: state, parameters, flags of the flight mode and messages.
 
-    ``h`` is the length of the tick, s, and ``compiled`` whether it is being compiled.
+    ``h_ns`` and ``h`` are the length of the tick in nanoseconds and seconds, ``ticks`` is the number of this tick since reset,
+    ``dtype`` the type of attitude and flight software, and ``opaque_field`` says that the Earth's field is to be called as one
+    operator.
     """
 
-    def __init__(self, h: float, compiled: bool = False) -> None:
-        """Start a tick of ``h`` seconds."""
-        self.h, self.compiled = h, compiled
+    def __init__(self, h_ns: int, dtype: torch.dtype = torch.float64, opaque_field: bool = False) -> None:
+        """Start a tick of ``h_ns`` nanoseconds."""
+        self.h_ns, self.h, self.dtype, self.opaque_field = h_ns, h_ns * NANO, dtype, opaque_field
 
     def __getattr__(self, name: str) -> Any:
         """Only reached for a name that no component has written."""
@@ -67,18 +70,50 @@ class Arg:
 
 @dataclass(frozen=True)
 class Field:
-    """A named quantity of ``width`` numbers: 1 is a plane, 3 is a :class:`Vec3`; others, and ``many``, are tuples of planes."""
+    """A named quantity of ``width`` numbers: 1 is a plane, 3 is a :class:`Vec3`; others, and ``many``, are tuples of planes.
+
+    ``exact`` ones are float64 even where attitude and flight software run in float32: orbit, time and accumulators.
+    """
 
     name: str
     width: int = 1
     unit: str = ""
     doc: str = ""
     many: bool = False
+    exact: bool = False
 
 
-def vec(name: str, unit: str = "", doc: str = "") -> Field:
+def vec(name: str, unit: str = "", doc: str = "", exact: bool = False) -> Field:
     """A field of three components."""
-    return Field(name, 3, unit, doc)
+    return Field(name, 3, unit, doc, exact=exact)
+
+
+@dataclass(frozen=True)
+class Track:
+    """Samples of what is known in advance, a record of ``fields`` every ``spacing`` seconds.
+
+    A tick sees, as ``bus.<name>``, ``count`` neighbouring records, of which ``before`` lie before the last one that has passed,
+    and the seconds since that one as ``bus.<name>_tau``.
+    """
+
+    name: str
+    spacing: float
+    fields: tuple[Field, ...]
+    count: int = 2
+    before: int = 0
+
+    @property
+    def width(self) -> int:
+        """Numbers in a record."""
+        return sum(field.width for field in self.fields)
+
+
+def neighbours(track: Track, table: Tensor, rows: Tensor, elapsed: Tensor) -> tuple[Tensor, Tensor]:
+    """Records [m, count, width] of ``rows`` [m] of a table [N, R, width] around times [m] since its start, and tau [m]."""
+    index = torch.floor(elapsed * (1.0 / track.spacing)) - track.before
+    index = index.clamp(0, table.shape[1] - track.count)
+    steps = torch.arange(track.count, device=table.device)
+    return table[rows.unsqueeze(-1), index.long().unsqueeze(-1) + steps], elapsed - (index + track.before) * track.spacing
 
 
 def _nothing(_: Values) -> dict[str, Tensor]:
@@ -133,12 +168,16 @@ class Layout:
             start += f.width
         self.size = start
 
-    def put(self, bus: Bus, pack: Tensor) -> None:
-        """Write every field of the pack [C, N] to the bus."""
-        planes = pack.unbind(0)
+    def put(self, bus: Any, planes: Sequence[Any]) -> None:
+        """Write every field to the bus from the planes of a pack."""
         for name, f in self.fields.items():
-            part = planes[self.slices[name]]
+            part = tuple(planes[self.slices[name]])
             setattr(bus, name, part if f.many else part[0] if f.width == 1 else Vec3(*part) if f.width == 3 else part)
+
+    @property
+    def exact(self) -> list[bool]:
+        """Whether each plane is always float64."""
+        return [f.exact for f in self.fields.values() for _ in range(f.width)]
 
     def gather(self, bus: Bus) -> list[Tensor]:
         """The planes of every field, read from the bus in the order of the pack."""

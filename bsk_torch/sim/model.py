@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
@@ -51,5 +52,16 @@ class Model:
 
     def aliveness(self) -> dict[str, Tensor]:
         """Result [N] of every aliveness checker, by name."""
-        names = (name for name in dir(type(self)) if getattr(getattr(type(self), name), "is_aliveness_checker", False))
-        return {name: getattr(self, name)() for name in names}
+        return {name: getattr(self, name)() for name in self.checks()}
+
+    @classmethod
+    @functools.cache
+    def checks(cls) -> tuple[str, ...]:
+        """Names of the aliveness checkers."""
+        return tuple(name for name in dir(cls) if getattr(getattr(cls, name), "is_aliveness_checker", False))
+
+    @classmethod
+    def vitals(cls) -> list[Callable[..., Any]]:
+        """Functions of the aliveness checks that kernels compute."""
+        checks = (getattr(cls, name) for name in cls.checks())
+        return [check.function for check in checks if hasattr(check, "function")]

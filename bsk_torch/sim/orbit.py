@@ -1,44 +1,66 @@
 """Where the satellite will be: arcs computed ahead of the simulation, in batched passes.
 
-Without manoeuvres and above the felt atmosphere an orbit depends on nothing that the agent does, so it is solved in advance:
-Picard iteration on Chebyshev nodes evaluates an hour at a time, and a quintic between nodes a minute apart serves every tick.
+Without manoeuvres and above the felt atmosphere an orbit depends on nothing that the agent does, so it is solved in advance, and
+a polynomial through positions a minute apart serves every tick.
 
 Two arcs are kept for each satellite. The *flown* arc is the one that Basilisk integrates at the simulation's rate. The *planned*
 arc is the one that bsk_rl looks ahead on, a Runge-Kutta propagation in steps of 30 s; its truncation error, metres per orbit, is
-reproduced by adding the error of one such step to the equations of motion.
+reproduced by adding the error of one such step to the equations of motion. Of the planned arc only the end is kept, which is
+what look-ahead still has to search.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import torch
 from torch import Tensor
 
-from bsk_torch.astro.interpolate import Node, quintic_position, quintic_velocity
-from bsk_torch.sim.span import PER_SPAN, SPACING, SPAN, Solver, first_node
-from bsk_torch.vec3 import Vec3
+from bsk_torch.astro.interpolate import BEFORE, COUNT, coefficients, position, velocity
+from bsk_torch.lanes.loop import Samples
+from bsk_torch.sim.component import Bus, Track, vec
+from bsk_torch.sim.sky import SKY, sky_records
+from bsk_torch.sim.solver import Solver
+from bsk_torch.sim.span import PER_SPAN, SPACING, SPAN
+
+ARC = Track("arc", SPACING, (vec("r", "m", exact=True),), COUNT, BEFORE)
+"""The orbit as the ticks see it."""
+
+FIELDS = ("flown", "planned", "sky", "tail", "start", "et")
+"""What arcs consist of."""
+
+PLANNED_SPANS = 5
+"""Hours of the planned arc that are kept."""
+
+
+def follow_arc(bus: Bus) -> None:
+    """Take position and velocity at the end of the tick from the arc."""
+    path, s = coefficients([node.r for node in bus.arc]), bus.arc_tau * (1.0 / SPACING)
+    bus.r, bus.v = position(path, s), velocity(path, s, SPACING)
 
 
 class Arcs:
     """Flown and planned arcs of N satellites: ``spans`` hours of nodes for each, starting at its own time.
 
-    ``flown`` and ``planned`` are [N, Q, 9]; ``start`` [N] is the time, s, of the first node.
+    ``flown`` [N, Q, 3] are positions in N, m, and ``sky`` [N, H, 16] the records of Sun and Earth, both from time ``start`` [N] s
+    on; ``planned`` [N, P, 3] are the last planned positions.
     """
 
     def __init__(self, n: int, spans: int, solver: Solver) -> None:
         """Make room for ``n`` satellites."""
         self.solver, self.device = solver, solver.device
-        device = solver.device
-        shape = (n, spans * PER_SPAN + 1, 9)
-        self.flown = torch.zeros(shape, dtype=torch.float64, device=device)
-        self.planned = torch.zeros_like(self.flown)
-        self.start = torch.zeros(n, dtype=torch.float64, device=device)
-        self.et = torch.zeros_like(self.start)
+
+        def empty(*shape: int) -> Tensor:
+            return torch.zeros(n, *shape, dtype=torch.float64, device=solver.device)
+
+        self.flown, self.sky = empty(spans * PER_SPAN + 1, 3), empty(spans + 1, SKY.width)
+        self.planned, self.tail = empty(min(spans, PLANNED_SPANS) * PER_SPAN + 1, 3), empty(solver.tail)
+        self.start, self.et = empty(), empty()
 
     @property
     def length(self) -> float:
-        """Seconds that every arc covers."""
+        """Seconds that every flown arc covers."""
         return (self.flown.shape[1] - 1) * SPACING
 
     @property
@@ -46,65 +68,60 @@ class Arcs:
         """Time of the last node, [N]."""
         return self.start + self.length
 
-    def reset(self, rows: Tensor, et: Tensor, r: Tensor, v: Tensor) -> None:
-        """Solve the arcs of ``rows`` [n] anew from ET [n] and position and velocity [n, 3] at time zero."""
+    @property
+    def planned_samples(self) -> Samples:
+        """The planned arc as a track."""
+        return Samples(self.planned, self.end - (self.planned.shape[1] - 1) * SPACING)
+
+    @property
+    def sky_samples(self) -> Samples:
+        """Sun and Earth as a track."""
+        return Samples(self.sky, self.start)
+
+    def tracks(self, tracks: Sequence[Track]) -> tuple[Samples, ...]:
+        """Samples of the tracks of a tick."""
+        return tuple(Samples({"sky": self.sky, "arc": self.flown}[track.name], self.start) for track in tracks)
+
+    def reset(self, rows: Tensor, et: Tensor, r: Tensor, v: Tensor) -> Tensor:
+        """Solve the arcs of ``rows`` [n] anew from ET [n] and position and velocity [n, 3] at time zero.
+
+        Returns:
+            Samples [n, 2 Q - 1, 3] of the whole planned arcs, every 30 s from time zero on.
+        """
         self.start[rows], self.et[rows] = 0.0, et
-        node = first_node(et, r, v)
-        parts = [[node.unsqueeze(1)], [node.unsqueeze(1)]]
-        for k in range(round(self.length / SPAN)):
-            for part, new in zip(parts, self.solver.solve(et + k * SPAN, *(p[-1][:, -1] for p in parts)), strict=True):
-                part.append(new)
-        self.flown[rows], self.planned[rows] = (torch.cat(part, 1) for part in parts)
+        sky = sky_records(et, self.sky.shape[1])
+        flown, planned, tail = self.solver.begin(et, r, v, sky, self.flown.shape[1])
+        self.sky[rows], self.flown[rows], self.tail[rows] = sky, flown, tail
+        self.planned[rows] = planned[:, ::2][:, -self.planned.shape[1] :]
+        return planned
 
     def adopt(self, rows: Tensor, other: Arcs) -> None:
         """Take over the arcs of ``rows`` from others of the same length."""
-        self.flown[rows], self.planned[rows] = other.flown[rows], other.planned[rows]
-        self.start[rows], self.et[rows] = other.start[rows], other.et[rows]
+        for name in FIELDS:
+            getattr(self, name)[rows] = getattr(other, name)[rows]
 
-    def extend(self, rows: Tensor, spans: int) -> None:
-        """Move the arcs of ``rows`` on by ``spans`` hours, dropping as many at their beginning."""
-        for _ in range(spans):
-            arcs = self.flown[rows], self.planned[rows]
-            new = self.solver.solve(self.et[rows] + self.end[rows], arcs[0][:, -1], arcs[1][:, -1])
-            self.flown[rows], self.planned[rows] = (
-                torch.cat([arc[:, PER_SPAN:], nodes], 1) for arc, nodes in zip(arcs, new, strict=True)
-            )
-            self.start[rows] += SPAN
+    def extend(self, rows: Tensor) -> None:
+        """Move the arcs of ``rows`` on by an hour, dropping one at their beginning."""
+        self.start[rows] += SPAN
+        self.sky[rows] = sky_records(self.et[rows] + self.start[rows], self.sky.shape[1])
+        self._lengthen(rows, PER_SPAN)
 
     def grow(self) -> None:
         """Make every arc an hour longer."""
-        new = self.solver.solve(self.et + self.end, self.flown[:, -1], self.planned[:, -1])
-        self.flown, self.planned = (
-            torch.cat([arc, nodes], 1) for arc, nodes in zip((self.flown, self.planned), new, strict=True)
-        )
+        pad = torch.nn.functional.pad
+        self.flown = pad(self.flown, (0, 0, 0, PER_SPAN))
+        if self.planned.shape[1] <= PLANNED_SPANS * PER_SPAN:
+            self.planned = pad(self.planned, (0, 0, PER_SPAN, 0))
+        self.sky = sky_records(self.et + self.start, self.sky.shape[1] + 1)
+        self._lengthen(torch.arange(len(self.start), device=self.device), 0)
 
-    def nodes(self, rows: Tensor, time: Tensor, count: int) -> tuple[Tensor, Tensor]:
-        """``count`` consecutive flown nodes [n, count, 9] around time [n] of ``rows``, and the time of the first, [n]."""
-        index = torch.floor((time - self.start[rows]) / SPACING).long()
-        index = index.clamp(0, self.flown.shape[1] - count)
-        steps = torch.arange(count, device=self.device)
-        return self.flown[rows.unsqueeze(-1), index.unsqueeze(-1) + steps], self.start[rows] + index * SPACING
-
-    def planned_position(self, rows: Tensor, time: Tensor) -> Vec3:
-        """Planned position in N at time [m] of ``rows`` [m]."""
-        index = torch.floor((time - self.start[rows]) / SPACING).long().clamp(0, self.planned.shape[1] - 2)
-        first, second = (as_node(self.planned[rows, index + k]) for k in (0, 1))
-        return quintic_position((time - self.start[rows]) / SPACING - index, SPACING, first, second)
-
-
-def as_node(values: Tensor) -> Node:
-    """Node of values [..., 9]."""
-    return Node(*(Vec3.of(values[..., k : k + 3]) for k in (0, 3, 6)))
-
-
-def position_on_arc(nodes: tuple[Tensor, ...], first: Tensor, tau: Tensor) -> tuple[Vec3, Vec3]:
-    """Position and velocity at tau from three nodes (27 planes) the first of which lies at ``first`` (same clock, s)."""
-    s = (tau - first) * (1.0 / SPACING)
-    later = s >= 1.0
-    planes = [torch.where(later, b, a) for a, b in zip(nodes[:18], nodes[9:], strict=True)]
-    s = torch.where(later, s - 1.0, s)
-    start, end = (Node(*(Vec3(*planes[k + i : k + i + 3]) for i in (0, 3, 6))) for k in (0, 9))
-    return quintic_position(s, SPACING, start, end), quintic_velocity(s, SPACING, start, end)
+    def _lengthen(self, rows: Tensor, drop: int) -> None:
+        """Solve another hour for ``rows``, whose first ``drop`` flown nodes go."""
+        flown = self.flown[rows, drop : self.flown.shape[1] + drop - PER_SPAN]
+        planned = self.planned[rows, PER_SPAN:]
+        start, tail, sky = self.start[rows], self.tail[rows], self.sky[rows]
+        flown, new, self.tail[rows] = self.solver.extend(self.et[rows], tail, start, sky, flown)
+        self.flown[rows], self.planned[rows] = flown, torch.cat([planned, new[:, 1::2]], 1)
 
 
 def spans_for(seconds: float) -> int:

@@ -87,6 +87,7 @@ class Arguments:
             if name not in self.table:
                 raise KeyError(f"{title}[{name!r}] is unknown; {nearest(str(name), self.table)}")
         self.given = {name: given.get(name, arg.default) for name, arg in self.table.items()}
+        self._constants: dict[str, Any] = {}
         replaced = {"rN", "vN"} & {name for name in given if given[name] is not None}
         if replaced and "oe" not in given and "oe" in self.given:
             self.given["oe"] = None  # an explicit position replaces the default elements
@@ -97,7 +98,14 @@ class Arguments:
 
     def draw(self, key: Key) -> dict[str, Any]:
         """Values of all arguments for the key's environments."""
-        return {name: self._draw(arg, key) for name, arg in self.table.items()}
+        return {name: self._drawn_or_kept(arg, key) for name, arg in self.table.items()}
+
+    def _drawn_or_kept(self, arg: Arg, key: Key) -> Any:
+        if self.is_random(arg.name):
+            return self._draw(arg, key)
+        if arg.name not in self._constants:
+            self._constants[arg.name] = self._draw(arg, key)
+        return self._constants[arg.name]
 
     def _draw(self, arg: Arg, key: Key) -> Any:
         value = self.given[arg.name]

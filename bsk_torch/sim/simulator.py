@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Mapping
 from typing import Any, cast
 
@@ -10,32 +11,40 @@ import torch
 from torch import Tensor
 
 from bsk_torch.astro.atmosphere import top_radius
-from bsk_torch.astro.ephemeris import EARTH_ROTATION_RATE, coverage, earth_angles, earth_orientation, sun_position, sun_state
+from bsk_torch.astro.ephemeris import EARTH_ROTATION_RATE, coverage, earth_orientation, sun_position
 from bsk_torch.astro.orbit import periapsis_radius
 from bsk_torch.constants import NANO
+from bsk_torch.lanes.loop import Samples
 from bsk_torch.rand import Key, first_key
-from bsk_torch.sim.access import LOOKAHEAD, AccessTable, Places, Windows
-from bsk_torch.sim.component import Bus, Component, collect
+from bsk_torch.sim.access import AHEAD, LOOKAHEAD, AccessTable, Windows
+from bsk_torch.sim.component import Component, collect
 from bsk_torch.sim.dyn import hub
+from bsk_torch.sim.dyn.field import prepare
 from bsk_torch.sim.dyn.models import DynamicsModel
 from bsk_torch.sim.eclipse import EclipseTable
 from bsk_torch.sim.fsw.models import IDLE, FSWModel
 from bsk_torch.sim.fsw.modes import ALWAYS_RESET, FLAGS
+from bsk_torch.sim.observe import Observer
 from bsk_torch.sim.orbit import Arcs, spans_for
 from bsk_torch.sim.params import Arguments, merge, nearest
-from bsk_torch.sim.run import run
-from bsk_torch.sim.span import SPAN, Solver, pole_matrix
-from bsk_torch.sim.tick import ARC_ORBIT, Tick, make_step
-from bsk_torch.sim.world import WORLD_SLOTS, ground_stations, station_arrays
+from bsk_torch.sim.run import Flight, make_runners
+from bsk_torch.sim.sight import Places, View, make_sight
+from bsk_torch.sim.solver import make_solver
+from bsk_torch.sim.span import SPAN, pole_matrix
+from bsk_torch.sim.tick import ARC_ORBIT, Tick
+from bsk_torch.sim.world import ground_stations, station_arrays
 from bsk_torch.vec3 import Vec3
 
 ORBITS = ("arc", "integrated")
 
-MARGIN = 3 * SPAN
+MARGIN = 12060.0
 """Seconds that arcs reach beyond what is asked for, so that look-ahead rarely has to extend them."""
 
 KEPT = SPAN
 """Seconds of the past that an arc keeps when it moves on."""
+
+CHUNK = 256
+"""Rows reset at once, which bounds memory."""
 
 LONGEST_TICK = 60.0
 
@@ -60,24 +69,24 @@ class World:
     @property
     def PN(self) -> Tensor:
         """DCM from N to the Earth-fixed frame, [N, 3, 3]."""
-        return earth_orientation(self.et).to(self.simulator.dtype)
+        return earth_orientation(self.et)
 
     @property
     def omega_PN_N(self) -> Tensor:
         """Rate of the Earth-fixed frame, [N, 3] rad/s in N."""
         pole = pole_matrix(self.et)
-        return (pole.z.stack() * EARTH_ROTATION_RATE).to(self.simulator.dtype)
+        return pole.z.stack() * EARTH_ROTATION_RATE
 
     @property
     def r_sun_N(self) -> Tensor:
         """Sun relative to the Earth, [N, 3] m in N."""
-        return sun_position(self.et).to(self.simulator.dtype)
+        return sun_position(self.et)
 
     @property
     def sun_direction_N(self) -> Tensor:
         """Direction from the Earth to the Sun, [N, 3] in N."""
         r = sun_position(self.et)
-        return (r / r.norm(dim=-1, keepdim=True)).to(self.simulator.dtype)
+        return r / r.norm(dim=-1, keepdim=True)
 
     @property
     def stations(self) -> tuple[str, ...]:
@@ -156,16 +165,25 @@ class Simulator:
     def _layout(self, backend: str) -> None:
         trial = self.draw(first_key(min(2, self.num_envs)))
         random = {name for args in (self.sat_args, self.world_args) for name in args.table if args.is_random(name)}
-        self.drawn = {name: value for name, value in trial.items() if not isinstance(value, Tensor)}
+        self.drawn: dict[str, Any] = {}
+        self.draws = self._packed = 0  # how often arguments have changed, and had when they were packed
+        self._packs: dict[tuple[str, ...], Tensor] = {}
+        for name, value in trial.items():
+            self.drawn[name] = (
+                value.new_zeros(self.num_envs, *value.shape[1:]).to(self.device) if isinstance(value, Tensor) else value
+            )
         params = merge(trial, self.parts, "prepare")
         shared = {name for name, value in params.items() if len(value) == 1}
         if self.num_envs == 1:
             shared = self._independent_of(random, shared, trial)
         on_arc = self.orbit == "arc"
         parts = tuple(self._scheduled(part, on_arc) for part in self._running(on_arc))
-        self.tick = Tick(parts, shared, h=self.h, on_arc=on_arc, backend=backend, dtype=self.dtype)
-        self.step_function = make_step(self.tick, self.device)
-        self.shared = self.tick.shared.rows(params, 1).to(self.device, self.dtype)
+        opaque = self.device.type != "cpu"
+        self.tick = Tick(parts, shared, self.h_ns, on_arc, self.dtype, opaque)
+        if opaque and not on_arc:
+            prepare(self.device, torch.float64)
+        self.runners = make_runners(self.tick, backend, self.device)
+        self.shared = self.tick.shared.rows(params, 1).to(self.device).contiguous()
 
     def _independent_of(self, random: set[str], shared: set[str], trial: dict[str, Any]) -> set[str]:
         """The shared parameters when a batch of one hides which arguments are random: those that do not follow from them."""
@@ -183,20 +201,29 @@ class Simulator:
 
     def _storage(self, horizon: float, segment: float, backend: str) -> None:
         n = self.num_envs
-        self.pack = torch.zeros(self.tick.state.size, n, device=self.device, dtype=self.dtype)
-        self.own = torch.zeros(self.tick.own.size, n, device=self.device, dtype=self.dtype)
+        self.pack = torch.zeros(self.tick.state.size, n, device=self.device, dtype=torch.float64)
+        self.own = torch.zeros(self.tick.own.size, n, device=self.device, dtype=torch.float64)
         self.ticks = torch.zeros(n, dtype=torch.int64, device=self.device)
         self.mode, self.all_rows = torch.zeros_like(self.ticks), torch.arange(n, device=self.device)
-        self.world = World(self)
-        self.arcs = Arcs(n, spans_for(horizon + MARGIN), Solver(self.h, backend, self.device))
-        self.eclipses = EclipseTable(self.arcs)
+        self.world, self.observer = World(self), Observer(self, backend)
+        self.arcs = Arcs(n, spans_for(horizon + MARGIN), make_solver(self.h, backend, self.device))
+        sight = make_sight(backend, self.device)
+        self.eclipses = EclipseTable(self.arcs, sight)
         self.access: AccessTable | None = None
         if "groundStationsData" in self.world_args.table:
             arrays = station_arrays(self.world_args.draw(first_key(1)))
             r_P = arrays["station_positions"].view(3, -1).mT.contiguous().to(self.device)
-            self.access = AccessTable(self.arcs, Places(r_P, arrays["station_sin_elevations"][0].to(self.device)), segment)
+            self.access = AccessTable(self.arcs, sight, Places(r_P, arrays["station_sin_elevations"][0].to(self.device)), segment)
         on = [[float(flag in self.modes[name].on) for name in self.mode_names] for flag in FLAGS]
-        self.flag_table = torch.tensor(on, device=self.device, dtype=self.dtype)
+        self.flag_table = torch.tensor(on, device=self.device, dtype=torch.float64)
+
+    @property
+    def bytes_per_env(self) -> int:
+        """Bytes that the tensors of one environment take now: state, parameters, arguments, arcs and look-ahead."""
+        access = () if self.access is None else (*vars(self.access).values(), *self.access.windows)
+        parts = (*self.drawn.values(), *vars(self.arcs).values(), *vars(self.eclipses).values(), *access)
+        tensors = (self.pack, self.own, self.ticks, self.mode, self.all_rows, *parts)
+        return sum(x.nbytes for x in tensors if isinstance(x, Tensor)) // self.num_envs
 
     # -- time ---------------------------------------------------------------------------------------------------------
 
@@ -250,59 +277,75 @@ class Simulator:
         self.own[:, rows] = self._rows(self.tick.own, merge(values, self.parts, "prepare"), n)
         self.ticks[rows], self.mode[rows] = 0, self.mode_names.index(IDLE)
         self._remember(rows, values)
-        r, v = (x.expand(n, 3).to(self.device) for x in hub.initial_orbit(values))
-        too_short = self.arcs.length < float(duration.max())
         while self.arcs.length < float(duration.max()):
-            self.arcs.grow()
-        self.arcs.reset(rows, values["utc_init"].expand(n).to(self.device), r, v)
+            self.grow()
+        start = (
+            values["utc_init"].expand(n).to(self.device),
+            *(x.expand(n, 3).to(self.device) for x in hub.initial_orbit(values)),
+        )
+        for part in torch.split(torch.arange(n, device=self.device), CHUNK):
+            fine = self.arcs.reset(rows[part], *(x[part] for x in start))
+            epoch = torch.zeros(len(part), dtype=torch.float64, device=self.device)
+            sky = Samples(self.arcs.sky[rows[part]], epoch)
+            view = View(Samples(fine[:, ::2].contiguous(), epoch), sky, Samples(fine, epoch))
+            self.eclipses.reset(rows[part], view, duration[part])
+            if self.access is not None:
+                self.access.reset(rows[part], view, duration[part])
         self._first_tick(rows)
-        self.eclipses.sampled[rows] = duration
-        self.eclipses.known[rows] = 0.0
-        self.eclipses.refresh(self.all_rows if too_short else rows)
-        if self.access is not None:
-            self.access.reset(rows, duration)
+        self.observer.forget()
 
     def adopt(self, rows: Tensor, other: Simulator) -> None:
         """Take over the episodes that ``other``, a simulation of the same make, holds in ``rows`` [n]."""
         while other.arcs.length < self.arcs.length:
-            other.arcs.grow()
-            other.eclipses.refresh(other.all_rows)
+            other.grow()
+        while self.arcs.length < other.arcs.length:
+            self.grow()
         self.pack[:, rows], self.own[:, rows] = other.pack[:, rows], other.own[:, rows]
         self.ticks[rows], self.mode[rows] = other.ticks[rows], other.mode[rows]
         self._remember(rows, {name: v[rows] if isinstance(v, Tensor) else v for name, v in other.drawn.items()})
         self.arcs.adopt(rows, other.arcs)
         self.eclipses.adopt(rows, other.eclipses)
         if self.access is not None and other.access is not None:
-            self.access.until[rows] = other.access.until[rows]
+            self.access.until[rows], self.access.ready[rows] = other.access.until[rows], other.access.ready[rows]
             self.access.store(rows, Windows(*(table[rows] for table in other.access.windows)))
+        self.observer.forget()
 
     def _first_tick(self, rows: Tensor) -> None:
-        """What Basilisk's tick at time zero leaves behind: the messages of the world, and the density latched from them."""
-        bus = Bus(0.0)
-        flags, segment, _ = self._segment(rows, 0.0)
-        packs = (self.pack[:, rows], self.shared, self.own[:, rows], flags, segment)
-        layouts = (self.tick.state, self.tick.shared, self.tick.own, self.tick.flags, self.tick.segment)
-        for layout, pack in zip(layouts, packs, strict=True):
-            layout.put(bus, pack)
-        bus.tau = torch.zeros((), dtype=self.dtype, device=self.device)
-        for part in self.tick.components:
-            if part.update and (part.slot in WORLD_SLOTS or part.slot == "drag"):
-                part.update(bus)
-        self.pack[:, rows] = torch.stack([plane.expand(len(rows)) for plane in self.tick.state.gather(bus)])
+        """What Basilisk's tick at time zero leaves behind."""
+        tracks = tuple(Samples(track.table[rows], track.start[rows]) for track in self.arcs.tracks(self.tick.tracks))
+        packs = self.pack[:, rows], self.shared, self.own[:, rows], self.mode[rows], self.flag_table, self.ticks[rows]
+        flight = Flight(*packs, tracks)
+        self.runners.wake(flight, torch.ones_like(rows))
+        self.pack[:, rows] = flight.state
 
     def _rows(self, layout: Any, values: dict[str, Tensor], n: int) -> Tensor:
-        return layout.rows(values, n).to(self.device, self.dtype)
+        return layout.rows(values, n).to(self.device)
 
     def _remember(self, rows: Tensor, values: dict[str, Any]) -> None:
         """Keep the drawn arguments where satellites and users find them."""
+        self.draws += 1
         for name, value in values.items():
             if not isinstance(value, Tensor):
                 self.drawn[name] = value
                 continue
             if name not in self.drawn:
                 shape = (self.num_envs, *value.shape[1:])
-                self.drawn[name] = torch.zeros(shape, dtype=self.dtype, device=self.device)
-            self.drawn[name][rows] = value.to(self.device, self.dtype)
+                self.drawn[name] = torch.zeros(shape, dtype=torch.float64, device=self.device)
+            self.drawn[name][rows] = value.to(self.device)
+
+    def argument(self, name: str) -> Any:
+        """An argument of the present episodes, [N] or [N, width], or a constant; KeyError for a name that no model has."""
+        if name not in self.drawn:
+            raise KeyError(f"no argument is called {name!r}; {nearest(name, self.drawn)}")
+        return self.drawn[name]
+
+    def argument_pack(self, names: tuple[str, ...]) -> Tensor:
+        """Arguments of the present episodes as planes [C, N]."""
+        if self._packed != self.draws:
+            self._packs, self._packed = {}, self.draws
+        if names not in self._packs:
+            self._packs[names] = torch.cat([self.drawn[name].reshape(self.num_envs, -1) for name in names], 1).mT.contiguous()
+        return self._packs[names]
 
     # -- commands -----------------------------------------------------------------------------------------------------
 
@@ -314,41 +357,47 @@ class Simulator:
     def mode_index(self, command: str) -> Tensor:
         """Index into the mode table, [N], that a command means for each environment."""
         entry = self.commands[command]
+        if entry.choice is None:
+            return torch.full_like(self.ticks, self.mode_names.index(entry.modes[0]))
         table = torch.tensor([self.mode_names.index(name) for name in entry.modes], device=self.device)
-        choice = self.drawn[entry.choice].long() if entry.choice else torch.zeros_like(self.ticks)
-        return table[choice]
+        return table[self.drawn[entry.choice].long()]
 
     def command(self, rows: Tensor, mode: Tensor) -> None:
         """Enter ``mode`` [N] where ``rows`` [N] is true: switch tasks and devices and reset what the mode resets."""
         self.mode = torch.where(rows, mode, self.mode)
-        fields = {name for row in self.modes.values() for name in row.resets} | set(ALWAYS_RESET)
-        for name in sorted(fields & set(self.tick.state.fields)):
-            values = [row.resets.get(name, ALWAYS_RESET.get(name)) for row in self.modes.values()]
-            resets = torch.tensor([v is not None for v in values], device=self.device)[mode] & rows
-            value = torch.tensor([v or 0.0 for v in values], device=self.device, dtype=self.dtype)[mode]
-            where = self.tick.state.slices[name]
-            self.pack[where] = torch.where(resets, value, self.pack[where])
+        planes, resets, values = self.resets
+        where = resets[:, mode] & rows
+        self.pack[planes] = torch.where(where, values[:, mode], self.pack[planes])
+        self.observer.forget()
+
+    @functools.cached_property
+    def resets(self) -> tuple[Tensor, Tensor, Tensor]:
+        """Planes [P] of the state that some mode resets, whether each mode does, and to which value, [P, M]."""
+        layout, modes = self.tick.state, list(self.modes.values())
+        rows = []
+        for name in sorted({name for mode in modes for name in mode.resets} | set(ALWAYS_RESET)):
+            if name in layout.fields:
+                given = [mode.resets.get(name, ALWAYS_RESET.get(name)) for mode in modes]
+                where = layout.slices[name]
+                rows += [(plane, given) for plane in range(where.start, where.stop)]
+        options: dict[str, Any] = {"device": self.device}
+        planes = torch.tensor([plane for plane, _ in rows], dtype=torch.int64, **options)
+        resets = torch.tensor([[v is not None for v in given] for _, given in rows], dtype=torch.bool, **options)
+        values = torch.tensor([[v or 0.0 for v in given] for _, given in rows], dtype=torch.float64, **options)
+        shape = len(rows), len(modes)
+        return planes, resets.view(shape), values.view(shape)
 
     # -- running ------------------------------------------------------------------------------------------------------
-
-    def _segment(self, rows: Tensor, start: float) -> tuple[Tensor, Tensor, Tensor]:
-        """Flags, segment pack and tick counters of ``rows`` for the segment of a step; see :func:`bsk_torch.sim.run.run`."""
-        time = self.sim_time[rows] + start
-        et = self.arcs.et[rows] + time
-        r_sun, v_sun = sun_state(et)
-        pole = pole_matrix(et).stack().flatten(1)
-        parts = [r_sun, v_sun, earth_angles(et)[2].unsqueeze(-1), pole]
-        if self.orbit == "arc":
-            nodes, first = self.arcs.nodes(rows, time, 3)
-            parts += [nodes.flatten(1), (first - time).unsqueeze(-1)]
-        return self.flag_table[:, self.mode[rows]], torch.cat(parts, 1).mT.to(self.dtype).contiguous(), self.ticks[rows]
 
     def run(self, ticks: Tensor) -> None:
         """Advance every environment by its number of ticks ``ticks`` [N]; zero leaves it untouched."""
         self.reach(self.sim_time + ticks * self.h)
+        tracks = self.arcs.tracks(self.tick.tracks)
+        flight = Flight(self.pack, self.shared, self.own, self.mode, self.flag_table, self.ticks, tracks)
         with torch.no_grad():
-            self.pack = run(self.step_function, self.pack, self.shared, self.own, self._segment, ticks, self.h_ns)
+            self.runners.run(flight, ticks)
         self.ticks = self.ticks + ticks
+        self.observer.forget()
 
     def reach(self, time: Tensor) -> None:
         """Make every arc cover ``time`` [N]: move it on, or make all longer where it would forget too much."""
@@ -358,39 +407,50 @@ class Simulator:
         room = torch.floor((self.sim_time - KEPT - self.arcs.start) / SPAN).clamp(min=0)
         longer = int((missing - room).max().clamp(min=0))
         for _ in range(longer):
-            self.arcs.grow()
+            self.grow()
         missing = (missing - longer).clamp(min=0)
         for spans in range(1, int(missing.max()) + 1):
-            self.arcs.extend(torch.nonzero(missing >= spans).squeeze(-1), 1)
-        changed = torch.ones_like(missing) if longer else missing
-        self.eclipses.refresh(torch.nonzero(changed).squeeze(-1))
+            rows = torch.nonzero(missing >= spans).squeeze(-1)
+            self.arcs.extend(rows)
+            self.eclipses.lengthen(rows)
+
+    def grow(self) -> None:
+        """Make every arc an hour longer."""
+        self.arcs.grow()
+        self.eclipses.lengthen(self.all_rows)
 
     # -- look-ahead ---------------------------------------------------------------------------------------------------
 
     def next_eclipse(self) -> tuple[Tensor, Tensor]:
         """Next start and end of an eclipse, [N] s since reset; see :meth:`bsk_torch.sim.eclipse.EclipseTable.query`."""
         time = self.sim_time
-        self.reach(self.eclipses.needs(self.all_rows, time))
-        return self.eclipses.query(self.all_rows, time)
+        self.reach(self.eclipses.needs(time))
+        return self.eclipses.query(time)
 
     def next_windows(self, count: int) -> Windows:
         """The ``count`` windows that close next, [N, count]; RuntimeError where there is none within the look-ahead."""
         access, time = cast("AccessTable", self.access), self.sim_time
-        for _ in range(LOOKAHEAD):
-            short = access.short(self.all_rows, time, count)
-            rows = torch.nonzero(short).squeeze(-1)
+        windows, found = access.next(time, count)
+        rows = torch.nonzero(found < count).squeeze(-1)
+        if not len(rows):
+            return windows
+        for _ in range(-(-LOOKAHEAD // AHEAD)):
+            rows = access.reveal(rows, time[rows], count)
             if not len(rows):
                 break
-            self.reach(torch.where(short, access.until + access.segment, torch.zeros_like(time)))
-            access.extend(rows, time[rows])
-            self.eclipses.sampled = torch.maximum(self.eclipses.sampled, access.until)
-        none = torch.nonzero(access.short(self.all_rows, time, 1)).squeeze(-1).tolist()
+            target = torch.zeros_like(time)
+            target[rows] = access.ready[rows] + AHEAD * access.segment
+            self.reach(target)
+            access.extend(rows, time)
+        self.eclipses.sampled = torch.maximum(self.eclipses.sampled, access.until)
+        windows, found = access.next(time, count)
+        none = torch.nonzero(found == 0).squeeze(-1).tolist()
         if none:
             raise RuntimeError(
                 f"no station sees the satellite of environments {none[:5]} within {LOOKAHEAD * access.segment:g} s; add stations "
                 "to world_args['groundStationsData'] or lower gsMinimumElevation"
             )
-        return access.next(self.all_rows, time, count)
+        return windows
 
     def read(self, name: str) -> Tensor:
         """A field of the state, [N] or [N, width]."""

@@ -1,68 +1,126 @@
 """One simulated tick of one satellite type: the function that is compiled.
 
-State, parameters and flags cross its boundary as packs of planes [C, n] and are separate tensors inside, so that the whole tick
-fuses into one loop over the batch. Compiled and eager ticks are the same source.
+Inside a tick every quantity is a plane, one number of every environment. The same source runs on tensors [n], eagerly or through
+inductor, and on symbolic planes, which become one loop in C++ (:mod:`bsk_torch.lanes`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Sequence
+from types import SimpleNamespace
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 
-from bsk_torch.sim.compiler import BACKENDS, compiled
-from bsk_torch.sim.component import Bus, Component, Field, Layout
-from bsk_torch.sim.dyn.field import prepare
+from bsk_torch.constants import NANO
+from bsk_torch.lanes import emit, expr
+from bsk_torch.lanes.loop import Loop
+from bsk_torch.sim.component import Bus, Component, Field, Layout, Track, neighbours
 from bsk_torch.sim.fsw.modes import FLAGS
-from bsk_torch.sim.orbit import position_on_arc
-from bsk_torch.sim.world import SEGMENT
+from bsk_torch.sim.orbit import ARC, follow_arc
+from bsk_torch.sim.sky import SKY
+from bsk_torch.sim.world import WORLD_SLOTS
 
-
-def follow_arc(bus: Bus) -> None:
-    """Take position and velocity at the end of the tick from the arc."""
-    bus.r, bus.v = position_on_arc(bus.arc_nodes, bus.arc_first, bus.tau)
-
-
-ARC_FIELDS = (Field("arc_nodes", 27), Field("arc_first", 1, "s"))
 ARC_ORBIT = Component(slot="orbit", order=195, update=follow_arc)
 
-Step = Callable[..., Tensor]
 
-BATCHED = (True, False, True, True, True, False, True)
-"""Which arguments of a step have a column for each row of the batch."""
+class Inputs(NamedTuple):
+    """Planes that a tick starts from; ``records`` holds those of every track, ``tau`` the seconds since their first record."""
+
+    state: Sequence[Any]
+    shared: Sequence[Any]
+    own: Sequence[Any]
+    flags: Sequence[Any]
+    records: Sequence[Sequence[Any]]
+    tau: Sequence[Any]
+    ticks: Any
 
 
 class Tick:
     """The tick of a list of components, and the layouts of its packs.
 
-    ``shared`` are the parameters that all environments have in common, ``own`` those that differ.
+    ``shared`` are the parameters that all environments have in common, ``own`` those that differ. ``dtype`` is the type of
+    attitude and flight software.
     """
 
     def __init__(
-        self, components: Sequence[Component], shared: set[str], h: float, on_arc: bool, backend: str, dtype: torch.dtype
+        self, components: Sequence[Component], shared: set[str], h_ns: int, on_arc: bool, dtype: torch.dtype, opaque_field: bool
     ) -> None:
-        """Lay out the packs of ``components``, which are in the order of a tick of ``h`` seconds, for tensors of ``dtype``."""
-        if backend not in BACKENDS:
-            raise ValueError(f"backend={backend!r} must be one of {list(BACKENDS)}")
+        """Lay out the packs of ``components``, which are in the order of a tick of ``h_ns`` nanoseconds."""
         params = [field for component in components for field in component.params]
-        self.components, self.h, self.on_arc = components, h, on_arc
-        self.backend, self.dtype = backend, dtype
+        self.components, self.h_ns, self.dtype, self.opaque_field = components, h_ns, dtype, opaque_field
         self.state = Layout(field for component in components for field in component.state)
         self.shared = Layout(field for field in params if field.name in shared)
         self.own = Layout(field for field in params if field.name not in shared)
         self.flags = Layout(Field(name) for name in FLAGS)
-        self.segment = Layout((*SEGMENT, *(ARC_FIELDS if on_arc else ())))
-        self._updates = tuple(component.update for component in components if component.update)
+        self.tracks: tuple[Track, ...] = (SKY, ARC) if on_arc else (SKY,)
+        self.records = tuple(Layout(track.fields) for track in self.tracks)
 
-    @property
-    def make(self) -> Hashable:
-        """What two ticks have in common that compile to the same code."""
-        layouts = (tuple(layout.fields.items()) for layout in (self.state, self.shared, self.own, self.segment))
-        return (*layouts, self._updates, self.h, self.dtype)
+    def bus(self, inputs: Inputs, h_ns: int | None = None) -> Bus:
+        """The bus at the start of a tick."""
+        bus = Bus(self.h_ns if h_ns is None else h_ns, self.dtype, self.opaque_field)
+        packs = (self.state, inputs.state), (self.shared, inputs.shared), (self.own, inputs.own), (self.flags, inputs.flags)
+        for layout, planes in packs:
+            layout.put(bus, planes)
+        for track, layout, planes, tau in zip(self.tracks, self.records, inputs.records, inputs.tau, strict=True):
+            records = [SimpleNamespace() for _ in range(track.count)]
+            for k, record in enumerate(records):
+                layout.put(record, planes[k * layout.size : (k + 1) * layout.size])
+            setattr(bus, track.name, records)
+            setattr(bus, f"{track.name}_tau", tau)
+        bus.ticks = inputs.ticks
+        return bus
+
+    def advance(self, inputs: Inputs) -> list[Any]:
+        """Planes of the state at the end of the tick."""
+        return self._updated(self.bus(inputs), self.components)
+
+    def wake(self, inputs: Inputs) -> list[Any]:
+        """Planes of the state after Basilisk's tick at time zero: messages of the world, and the density latched from them."""
+        return self._updated(self.bus(inputs, h_ns=0), [c for c in self.components if c.slot in (*WORLD_SLOTS, "drag")])
+
+    def _updated(self, bus: Bus, components: Sequence[Component]) -> list[Any]:
+        for component in components:
+            if component.update:
+                component.update(bus)
+        return self.state.gather(bus)
+
+    # -- on tensors -----------------------------------------------------------------------------------------------------
+
+    def inputs(
+        self,
+        state: Tensor,
+        shared: Tensor,
+        own: Tensor,
+        flags: Tensor,
+        tables: Sequence[Tensor],
+        starts: Sequence[Tensor],
+        ticks: Tensor,
+    ) -> Inputs:
+        """Inputs of the tick number ``ticks`` [n] from packs [C, n], tables [n, R, C] of the tracks and their starts [n], s."""
+        time, rows = ticks * self.h_ns * NANO, torch.arange(state.shape[1], device=state.device)
+        records, taus = [], []
+        for track, table, begin in zip(self.tracks, tables, starts, strict=True):
+            found, tau = neighbours(track, table, rows, time - begin)
+            records.append(found.flatten(1).unbind(-1))
+            taus.append(tau)
+        pairs = (self.state, state), (self.shared, shared), (self.own, own), (self.flags, flags)
+        packs = [
+            [plane if exact else plane.to(self.dtype) for plane, exact in zip(pack.unbind(0), layout.exact, strict=True)]
+            for layout, pack in pairs
+        ]
+        return Inputs(packs[0], packs[1], packs[2], packs[3], records, taus, ticks)
 
     def step(
-        self, state: Tensor, shared: Tensor, own: Tensor, flags: Tensor, segment: Tensor, clock: Tensor, row: Tensor
+        self,
+        state: Tensor,
+        shared: Tensor,
+        own: Tensor,
+        flags: Tensor,
+        ticks: Tensor,
+        end: Tensor,
+        *tracks: Tensor,
     ) -> Tensor:
         """State [C, n] after one tick; rows whose time is up keep theirs, bit for bit.
 
@@ -71,32 +129,39 @@ class Tick:
             shared: Shared parameters [C, 1].
             own: Own parameters [C, n].
             flags: Flags of the flight mode [C, n].
-            segment: Sun, Earth and orbit around this time [C, n].
-            clock: Seconds since the start of the segment and number of the tick within it, [2].
-            row: Number of ticks to run in this segment, and whether a thruster pulse reaches the integrator, [2, n].
+            ticks: Number of this tick since reset, [n] float64.
+            end: Number of each row's last tick, [n] float64.
+            *tracks: Records [n, R, C] of each track, then the time [n], s since reset, of the first records of each.
         """
-        bus = Bus(self.h, compiled=self.backend == "compiled")
-        packs = (self.state, state), (self.shared, shared), (self.own, own), (self.flags, flags), (self.segment, segment)
-        for layout, pack in packs:
-            layout.put(bus, pack)
-        bus.tau, number = clock.unbind(0)
-        ticks_left, bus.pulse_reaches = row.unbind(0)
-        for update in self._updates:
-            update(bus)
-        runs = number <= ticks_left
-        return torch.stack(
-            [torch.where(runs, new, old) for new, old in zip(self.state.gather(bus), state.unbind(0), strict=True)]
+        tables, starts = tracks[: len(self.tracks)], tracks[len(self.tracks) :]
+        planes = self.advance(self.inputs(state, shared, own, flags, tables, starts, ticks))
+        runs = ticks <= end
+        return torch.stack([torch.where(runs, new.to(old.dtype), old) for new, old in zip(planes, state.unbind(0), strict=True)])
+
+    # -- as a kernel ----------------------------------------------------------------------------------------------------
+
+    def kernel(self, wakes: bool = False) -> Loop:
+        """The kernel that repeats the tick, or does what happens at time zero; raises UntraceableError for what has none."""
+        program = expr.Program()
+        fast = expr.KINDS[self.dtype]
+
+        def planes(source: str, layout: Layout, lasts: int) -> list[Any]:
+            kinds = (expr.DOUBLE if exact else fast for exact in layout.exact)
+            return [program.input((source, k), kind, lasts) for k, kind in enumerate(kinds)]
+
+        def records(t: int, track: Track) -> list[Any]:
+            return [program.input(("track", t, k), expr.DOUBLE, t) for k in range(track.count * track.width)]
+
+        inputs = Inputs(
+            planes("state", self.state, expr.TICK),
+            planes("shared", self.shared, expr.ALWAYS),
+            planes("own", self.own, expr.ALWAYS),
+            planes("flag", self.flags, expr.ALWAYS),
+            [records(t, track) for t, track in enumerate(self.tracks, 1)],
+            [program.input(("tau", t), expr.DOUBLE, expr.TICK) for t in range(1, len(self.tracks) + 1)],
+            program.input(("ticks", "now"), expr.DOUBLE, expr.TICK),
         )
-
-
-STEPS: dict[Hashable, Step] = {}
-"""Compiled steps of this process: environments of the same make share one."""
-
-
-def make_step(tick: Tick, device: torch.device) -> Step:
-    """The tick's step under its back end."""
-    if tick.backend == "eager":
-        return tick.step
-    if not tick.on_arc:
-        prepare(device, tick.dtype)
-    return STEPS.setdefault((tick.make, device.type), compiled(tick.step, "tick", BATCHED))
+        tracks = [emit.Track(t.spacing, t.width, t.count, t.before) for t in self.tracks]
+        if wakes:
+            return Loop("first tick", program, self.wake(inputs), tracks, clock="start")
+        return Loop("tick", program, self.advance(inputs), tracks)

@@ -13,13 +13,12 @@ from torch import Tensor
 
 from bsk_torch.astro.atmosphere import exponential_density
 from bsk_torch.astro.eclipse import illumination
-from bsk_torch.astro.ephemeris import EARTH_ROTATION_RATE
 from bsk_torch.astro.frames import lla_to_fixed, rotate_z
 from bsk_torch.constants import R_EARTH
 from bsk_torch.rand import random_epoch
-from bsk_torch.sim.component import Arg, Bus, Component, Field, Values, vec
-from bsk_torch.sim.span import pole_rate
-from bsk_torch.vec3 import Mat3, Vec3
+from bsk_torch.sim.component import Arg, Bus, Component, Field, Values
+from bsk_torch.sim.sky import move_sun_and_earth, orient_pole, turned
+from bsk_torch.vec3 import Vec3
 
 DEFAULT_STATIONS: tuple[dict[str, Any], ...] = tuple(
     {"name": name, "lat": lat, "long": long, "elev": elev}
@@ -55,35 +54,22 @@ def station_arrays(args: Values) -> dict[str, Tensor]:
 
 
 def see_stations(bus: Bus) -> None:
-    """Whether any station sees the spacecraft, both as they were one tick ago."""
-    angle = bus.earth_angle + EARTH_ROTATION_RATE * (bus.tau - bus.h)
-    r = rotate_z(bus.pole @ bus.r, torch.cos(angle), torch.sin(angle))
-    n = len(bus.station_ranges)
-    access = torch.zeros_like(r.x)
+    """Whether any station sees the spacecraft, both as they were one tick ago.
+
+    ``sin(elevation) = p . (r - p) / (|p| |r - p|)`` is compared with its least value as signed squares, without roots.
+    """
+    r = rotate_z(bus.pole @ bus.r, *turned(bus.sky[0].earth_angle, bus.sky_tau - bus.h))
+    n, r2 = len(bus.station_ranges), r.dot(r)
+    access = torch.zeros_like(r2)
     for i in range(n):
-        x, y, z = (bus.station_positions[i + axis * n] for axis in range(3))
-        dx, dy, dz = r.x - x, r.y - y, r.z - z
-        range2 = dx * dx + dy * dy + dz * dz
-        up = (x * dx + y * dy + z * dz) / torch.sqrt((x * x + y * y + z * z) * range2)
-        reach = bus.station_ranges[i]
-        sees = (up > bus.station_sin_elevations[i]) & ((range2 <= reach * reach) | (reach < 0.0))
-        access = torch.where(sees, torch.ones_like(access), access)
+        p = Vec3(*(bus.station_positions[i + axis * n] for axis in range(3)))
+        p2, least, reach = p.dot(p), bus.station_sin_elevations[i], bus.station_ranges[i]
+        along = p.dot(r)
+        up = along - p2
+        range2 = r2 - along - up
+        sees = (up * torch.abs(up) >= least * torch.abs(least) * p2 * range2) & ((range2 <= reach * reach) | (reach < 0.0))
+        access = torch.where(sees, 1.0, access)
     bus.station_access = access
-
-
-def orient_pole(bus: Bus) -> None:
-    """DCM from N to the axes whose z is the Earth's pole, moved on by its small drift since the start of the segment."""
-    rows = bus.pole_rows
-    x, y, z = Vec3(*rows[:3]), Vec3(*rows[3:6]), Vec3(*rows[6:])
-    drift = pole_rate(Mat3(x, y, z)) * bus.tau
-    bus.pole = Mat3(x - z * drift.y + y * drift.z, y - x * drift.z + z * drift.x, z - y * drift.x + x * drift.y)
-
-
-def move_sun_and_earth(bus: Bus) -> None:
-    """Sun and Earth's orientation at the end of the tick."""
-    bus.r_sun = bus.r_sun_0 + bus.v_sun * bus.tau
-    angle = bus.earth_angle + EARTH_ROTATION_RATE * bus.tau
-    bus.cos_earth, bus.sin_earth = torch.cos(angle), torch.sin(angle)
 
 
 def sample_density(bus: Bus) -> None:
@@ -94,16 +80,8 @@ def sample_density(bus: Bus) -> None:
 
 def cast_shadow(bus: Bus) -> None:
     """Illumination at the position of one tick ago under the Sun of this tick."""
-    bus.illumination = illumination(bus.r, bus.r_sun)
+    bus.illumination = illumination(bus.r, bus.r_sun).to(bus.dtype)
 
-
-SEGMENT = (
-    vec("r_sun_0", "m", "Sun relative to Earth at the start of the segment"),
-    vec("v_sun", "m/s"),
-    Field("earth_angle", 1, "rad", "prime meridian at the start of the segment"),
-    Field("pole_rows", 9, "-", "DCM from N to axes with z along the Earth's pole, at the start of the segment"),
-)
-"""What every tick needs to know of Sun and Earth, for all ticks of a segment of at most a minute."""
 
 STATION_ARGS = (
     Arg("groundStationsData", DEFAULT_STATIONS, "deg, m", "list of dictionaries lat, long, elev, name", "stations"),
@@ -122,7 +100,7 @@ def ground_stations(count: int) -> Component:
         update=see_stations,
         args=STATION_ARGS,
         state=(Field("station_access", 1, "-", "whether any station sees the spacecraft"),),
-        params=tuple(Field(name, width, many=True) for name, width in widths.items()),
+        params=tuple(Field(name, width, many=True, exact=True) for name, width in widths.items()),
         initial=lambda args: {"station_access": torch.zeros(1, dtype=torch.float64)},
         prepare=station_arrays,
     )
@@ -148,7 +126,7 @@ ATMOSPHERE = Component(
         Arg("baseDensity", 1.22, "kg/m^3", "density at that radius", low=0.0),
         Arg("scaleHeight", 8000.0, "m", "height over which density falls by e", low=1e-6),
     ),
-    params=(Field("atmosphere_radius"), Field("atmosphere_density"), Field("atmosphere_scale_height")),
+    params=tuple(Field(name, exact=True) for name in ("atmosphere_radius", "atmosphere_density", "atmosphere_scale_height")),
     prepare=lambda args: {
         "atmosphere_radius": args["planetRadius"],
         "atmosphere_density": args["baseDensity"],

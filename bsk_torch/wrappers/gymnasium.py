@@ -170,7 +170,7 @@ class GymEnv(gymnasium.Env[Any, Any]):
         if not self._running:
             raise ResetNeeded("step() needs a running episode; call reset() first")
         actions = read_actions(self.core, torch.as_tensor(action).reshape(-1))
-        seen = self.core.step(TensorDict({"action": actions}, [1], device=self.core.device))["next"]
+        seen = self.core.play(actions)
         terminated, truncated = bool(seen["terminated"]), bool(seen["truncated"])
         self._running = not (terminated or truncated)
         return self._observation(seen), float(seen["reward"]), terminated, truncated, self._info(seen)

@@ -5,7 +5,7 @@ import math
 import pytest
 import torch
 
-from bsk_torch.astro.eclipse import illumination, visible_fraction
+from bsk_torch.astro.eclipse import illumination, in_umbra, visible_fraction
 from bsk_torch.constants import AU, R_EARTH, R_SUN
 from bsk_torch.vec3 import Vec3
 
@@ -109,6 +109,33 @@ def test_visible_fraction_against_counting():
         seen = disc & ((x - separation) ** 2 + y * y > planet**2)
         found = visible_fraction(*(torch.tensor(v, dtype=torch.float64) for v in (1.0, planet, separation)))
         assert found.item() == pytest.approx((seen.sum() / disc.sum()).item(), abs=2e-3)  # a pixel along the edge
+
+
+def directly(r: Vec3, r_sun: Vec3) -> torch.Tensor:
+    """The fraction from the discs' angles on the night side, and cones from similar triangles, without any shortcut."""
+    to_sun = r_sun - r
+    distance, radius, sun = to_sun.norm(), r.norm(), r_sun.norm()
+    separation = torch.acos((-r.dot(to_sun) / (radius * distance)).clamp(-1.0, 1.0))
+    fraction = visible_fraction(torch.asin(R_SUN / distance), torch.asin(R_EARTH / radius), separation)
+    along = -r.dot(r_sun) / sun
+    across = (r + r_sun * (along / sun)).norm()
+    tips = (sun * R_EARTH / (R_SUN - sign * R_EARTH) for sign in (1.0, -1.0))
+    slopes = [(R_EARTH / torch.sqrt(tip**2 - R_EARTH**2), tip, sign) for tip, sign in zip(tips, (-1.0, 1.0), strict=True)]
+    inside = torch.stack([across < slope * torch.abs(tip + sign * along) for slope, tip, sign in slopes]).any(0)
+    return torch.where((distance >= sun) & inside, fraction, torch.ones_like(fraction))
+
+
+@pytest.mark.parametrize("radius", [R_EARTH + 2e5, 7e6, 4.2e7, 4e8, 2e9])
+def test_shortcuts_change_nothing(radius):
+    """Umbra, penumbra and light around the edge of the shadow."""
+    angle = torch.linspace(-1.2, 1.2, 20_001, dtype=torch.float64) * (math.asin(R_EARTH / radius) + 0.01)
+    r = Vec3(-radius * torch.cos(angle), radius * torch.sin(angle) * 0.6, radius * torch.sin(angle) * 0.8)
+    found = illumination(r, SUN)
+    # measured 0; where rounding of 1e-8 rad, near the axis, decides, 1e-9 of the Sun's disc is seen
+    torch.testing.assert_close(found, directly(r, SUN), rtol=0, atol=1e-9)
+    assert ((found > 0.0) & (found < 1.0)).any()
+    assert (found == 1.0).any()
+    assert torch.equal(in_umbra(r, SUN), found == 0.0)
 
 
 def test_rows_alone_and_together():

@@ -181,14 +181,14 @@ def test_a_long_episode_after_short_ones_has_all_its_windows():
     env, long = make(2, time_limit=lambda: limit[0]), make(2, time_limit=40000.0)
     env.reset()
     limit[0] = 40000.0
-    before = env.get_state()["planned"][1].clone()
+    before = env.get_state()["arcs_flown"][1].clone()
     long.reset()
     row = TensorDict({"_reset": torch.tensor([[True], [False]])}, [2])
     a, b = env.reset(row.clone()), long.reset(row.clone())
     assert torch.equal(a["observation"][0], b["observation"][0])
     mine, other = env.simulator.access.windows, long.simulator.access.windows
     assert torch.equal(mine.close[0][mine.close[0] < 40000.0], other.close[0][other.close[0] < 40000.0])
-    assert torch.equal(env.get_state()["planned"][1][: len(before)], before)
+    assert torch.equal(env.get_state()["arcs_flown"][1][: len(before)], before)
 
 
 def test_longest_step_and_fixed_intervals():

@@ -1,5 +1,12 @@
 """Every mistake is answered before anything runs, with the value and what is allowed."""
 
+import os
+import re
+import subprocess
+import sys
+import time
+from types import ModuleType
+
 import pytest
 import torch
 
@@ -75,6 +82,99 @@ def test_world_arguments(world_args, error, words):
 def test_environment_arguments(options, words):
     with pytest.raises(ValueError, match=words):
         make(**options)
+
+
+def beyond() -> str:
+    return f"cuda:{torch.cuda.device_count() if torch.cuda.is_available() else 0}"
+
+
+@pytest.mark.parametrize("device", ["cuda", "cuda:7", beyond(), "nonsense", "meta", None])
+def test_devices(device):
+    if device == "cuda" and torch.cuda.is_available():
+        pytest.skip("there is one")
+    with pytest.raises(ValueError, match=re.escape(f"device={str(device)!r} is not here; there is ['cpu'")):
+        make(device=device)
+
+
+# -- memory -----------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("time_limit", [300.0, rand.Uniform(300.0, 1000.0), float("inf")])
+def test_batches_that_do_not_fit(time_limit):
+    """The answer comes before anything is allocated, and names a batch that fits."""
+    words = r"num_envs=1000000000 does not fit into memory: an environment takes \d+ bytes, .*num_envs=\d+ is the most that fits"
+    for _ in range(2):
+        begin = time.perf_counter()
+        with pytest.raises(MemoryError, match=words) as caught:
+            make(num_envs=10**9, time_limit=time_limit)
+    assert time.perf_counter() - begin < 1.0
+    each, there, fits = (int(number) for number in re.findall(r"(\d+) (?:bytes|is the most)", str(caught.value)))
+    assert there / 2 < each * fits < there
+
+
+def storages(thing, found: dict[int, int], seen: set[int]) -> dict[int, int]:
+    """Bytes of the storages of all tensors that can be reached from a thing of this package, by address."""
+    if isinstance(thing, torch.Tensor):
+        found[thing.untyped_storage().data_ptr()] = thing.untyped_storage().nbytes()
+    elif id(thing) not in seen and not isinstance(thing, type | ModuleType):
+        seen.add(id(thing))
+        ours = vars(thing) if type(thing).__module__.startswith("bsk_torch") and hasattr(thing, "__dict__") else {}
+        listed = thing.values() if isinstance(thing, dict) else thing if isinstance(thing, list | tuple) else ()
+        for part in (*listed, *ours.values()):
+            storages(part, found, seen)
+    return found
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize("num_envs", [8, 64])
+def test_bytes_of_an_environment(num_envs):
+    env = bsk_torch.make("NadirScan-v1", num_envs=num_envs, seed=0)
+    before = env.bytes_per_env
+    env.reset()
+    assert (env.pool is None) == (num_envs == 8)
+    found = storages(env.simulator, {}, set())
+    if env.pool is not None:
+        storages(env.pool.simulator, found, set())
+    each = sum(found.values()) / num_envs
+    assert abs(env.bytes_per_env / each - 1.0) < 0.25
+    assert abs(before / each - 1.0) < 0.25
+    assert each < 64e3
+    assert env.bytes_per_env < 64e3
+
+
+# -- compiler and cache -----------------------------------------------------------------------------------------------------
+
+SCRIPT = """
+import sys, torch, bsk_torch
+torch.set_num_threads(1)
+try:
+    bsk_torch.make("NadirScan-v1", num_envs=2, time_limit=300.0)
+except RuntimeError as error:
+    print(error)
+else:
+    sys.exit("built without a compiler")
+env = bsk_torch.make("NadirScan-v1", num_envs=2, time_limit=300.0, backend="eager", seed=0)
+td = env.reset()
+print("played", env.step(td.set("action", torch.tensor([3, 3])))["next", "duration"].flatten().tolist())
+"""
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        (dict(CXX="/nonexistent"), r'needs a C\+\+ compiler, but /nonexistent does not run here; .*backend="eager" needs no'),
+        (dict(BSK_TORCH_CACHE="/dev/null/x"), "cannot be kept in /dev/null/x .*let BSK_TORCH_CACHE name a folder"),
+    ],
+    ids=["compiler", "cache"],
+)
+def test_without_compiler_or_cache(settings, words, tmp_path):
+    """Kernels say what is missing, and the eager back end plays without them."""
+    surroundings = os.environ | {"BSK_TORCH_CACHE": str(tmp_path), "OMP_NUM_THREADS": "1"} | settings
+    run = subprocess.run([sys.executable, "-c", SCRIPT], env=surroundings, capture_output=True, text=True, check=False)
+    assert run.returncode == 0, run.stderr
+    assert re.search(words, run.stdout)
+    assert "played [60.0, 60.0]" in run.stdout
+    assert not list(tmp_path.glob("*.so"))
 
 
 def test_preset_names():

@@ -1,173 +1,224 @@
+"""Ticks are repeated until each row's own end, whichever other rows there are."""
+
 from __future__ import annotations
 
+import dataclasses
 import math
 
 import pytest
 import torch
 
-from bsk_torch.sim.run import FEWEST_ROWS, SHORTEST_CUT, loops, pulse_reaches, run
+import bsk_torch
+from bsk_torch.lanes.loop import Samples
+from bsk_torch.sim.component import Component, Field, vec
+from bsk_torch.sim.fsw.modes import FLAGS
+from bsk_torch.sim.run import Flight, Runners, make_runners
+from bsk_torch.sim.sky import sky_records
+from bsk_torch.sim.span import SPAN
+from bsk_torch.sim.tick import Tick
+from bsk_torch.vec3 import Vec3, only
 
-SECOND = 1_000_000_000
+CPU = torch.device("cpu")
+H_NS = 500_000_000
+HOURS = 3
 
-
-def lengths(n: int, longest: int) -> list[int]:
-    return sorted(torch.randint(0, longest + 1, (n,)).tolist(), reverse=True)
-
-
-CASES = [
-    [1],
-    [0, 0],
-    [60] * 5,
-    [180, 120, 60, 60, 0],
-    [181, 180, 179, 61, 60, 59, 11, 10, 9, 1],
+COUNTS = [
+    [3],
+    [0],
+    [5, 0, 200, 61, 60, 1],
+    [0, 0, 0],
+    [120, 120],
+    [1] * 9,
     [500, 3],
-    [7, 6, 5, 4, 3, 2, 1],
+    [7, 6, 5, 4, 3, 2, 1, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9],
 ]
 
 
-def pieces(counts: list[int], longest: int) -> list[tuple[int, int, int]]:
-    """Loops of all segments of a step, as the run goes through them: only with the rows that are running."""
-    found = []
-    for first in range(0, counts[0], longest):
-        running = [count for count in counts if count > first]
-        found += loops(running, first, longest)
-    return found
+def play(bus) -> None:
+    """Something of everything: state, shared and own parameters, flags, the number of the tick, and the sky."""
+    bus.count = bus.count + 1.0
+    bus.seen, bus.tau = bus.ticks, bus.sky_tau
+    push = Vec3(bus.own_rate, bus.sun_on, bus.sky[0].earth_angle * 1e-6)
+    bus.x = only(bus.control_on > 0.0, lambda: bus.x * bus.shared_gain + push * bus.h, bus.x - push)
 
 
-@pytest.mark.parametrize("longest", [1, 7, 60])
-@pytest.mark.parametrize("counts", CASES, ids=str)
-def test_every_tick_is_covered_once(counts, longest):
-    covered = [0] * len(counts)
-    previous_end, previous_rows = 0, len(counts)
-    for start, end, rows in pieces(counts, longest):
-        assert start == previous_end
-        assert start < end
-        assert start // longest == (end - 1) // longest  # inside one segment
-        assert 0 < rows <= previous_rows
-        assert all(count <= start for count in counts[rows:])  # rows left out have nothing left
-        assert counts[rows - 1] > start  # rows kept have
-        for row in range(rows):
-            covered[row] += max(0, min(end, counts[row]) - start)
-        previous_end, previous_rows = end, rows
-    assert covered == counts
-    assert previous_end == max(counts)
+def note(bus) -> None:
+    """What a part of the world does."""
+    bus.noted = bus.sky[0].earth_angle + bus.sky_tau
 
 
-@pytest.mark.parametrize("n", [1, 3, 200])
-def test_many_random_lengths(n):
-    counts = lengths(n, 300)
-    found = pieces(counts, 60)
-    assert sum(end - start for start, end, _ in found) == counts[0]
-    # loops are no shorter than SHORTEST_CUT but at the end of a segment: few loops even for many different ends
-    assert all(end - start >= SHORTEST_CUT for start, end, _ in found if end % 60 and end != counts[0])
-    assert len(found) <= 5 * (60 // SHORTEST_CUT)
+TOYS = (
+    Component("eclipse", 130, note, state=(Field("noted", exact=True),)),
+    Component(
+        slot="toy",
+        order=200,
+        update=play,
+        state=(Field("count"), Field("seen", exact=True), Field("tau", exact=True), vec("x")),
+        params=(Field("shared_gain"), Field("own_rate")),
+    ),
+)
 
 
-class Counter:
-    """A step that counts its calls in every row, and what the segment maker was asked for."""
-
-    def __init__(self, n: int) -> None:
-        self.asked, self.sizes, self.clocks = [], [], []
-        self.ticks = torch.zeros(n, dtype=torch.int64)
-
-    def make(self, rows, start):
-        self.asked.append((rows.tolist(), start))
-        return torch.zeros(1, len(rows)), rows.double().unsqueeze(0), self.ticks[rows]
-
-    def step(self, state, shared, own, flags, segment, clock, row):
-        assert state.shape[1] == own.shape[1] == flags.shape[1] == segment.shape[1] == row.shape[1] >= FEWEST_ROWS
-        assert torch.equal(own[0], segment[0])  # parameters and segments belong to the same rows
-        self.sizes.append(state.shape[1])
-        self.clocks.append(clock.clone())
-        changed = torch.stack([state[0] + 1, state[1] * 1.0000001 + clock[0], state[2]])
-        return torch.where(clock[1] <= row[0], changed, state)
+def toy_tick(dtype: torch.dtype = torch.float64) -> Tick:
+    return Tick(TOYS, {"shared_gain"}, H_NS, on_arc=False, dtype=dtype, opaque_field=False)
 
 
-def fly(ticks: list[int], h: float = 1.0):
-    n = len(ticks)
-    counter = Counter(n)
-    state = torch.stack([torch.zeros(n), torch.randn(n), torch.arange(n)]).double()
-    own = torch.arange(n).double().unsqueeze(0)
-    args = counter.step, state, torch.zeros(0, 1), own, counter.make, torch.tensor(ticks), round(h * SECOND)
-    before = state.clone()
-    result = run(*args)
-    assert torch.equal(state, before)  # the argument is not modified
-    return counter, state, result
+@pytest.fixture(scope="module")
+def runners(backend) -> Runners:
+    return make_runners(toy_tick(), backend, CPU)
 
 
-@pytest.mark.parametrize("ticks", [[3], [0], [5, 0, 200, 61, 60, 1], [0, 0, 0], [120, 120]], ids=str)
-def test_every_row_runs_its_ticks_and_stays_in_its_place(ticks):
-    _, state, result = fly(ticks)
-    assert result[0].tolist() == ticks
-    assert result[2].tolist() == state[2].tolist()
+def flight(n: int) -> Flight:
+    """Random rows in different modes at different times of their episodes."""
+    state = torch.randn(7, n, dtype=torch.float64)
+    state[1] = 0.0
+    shared, own = torch.full((1, 1), 0.999, dtype=torch.float64), torch.rand(1, n, dtype=torch.float64)
+    flags = torch.zeros(len(FLAGS), 3, dtype=torch.float64)
+    flags[FLAGS.index("control_on"), 1:], flags[FLAGS.index("sun_on"), 2] = 1.0, 1.0
+    ticks = torch.randint(0, round((HOURS - 1) * SPAN * 1e9 / H_NS) - 500, (n,))
+    sky = Samples(sky_records(1e8 * torch.rand(n, dtype=torch.float64), HOURS), torch.zeros(n, dtype=torch.float64))
+    return Flight(state, shared, own, torch.randint(0, 3, (n,)), flags, ticks, (sky,))
 
 
-def test_rows_without_time_are_untouched():
-    _, state, result = fly([10, 0, 35, 0])
-    assert torch.equal(result[:, [1, 3]], state[:, [1, 3]])
-    assert (result[1, [0, 2]] != state[1, [0, 2]]).all()
+def part(whole: Flight, rows: torch.Tensor) -> Flight:
+    """A flight of some rows."""
+    tracks = tuple(Samples(track.table[rows], track.start[rows]) for track in whole.tracks)
+    return dataclasses.replace(
+        whole,
+        state=whole.state[:, rows].contiguous(),
+        own=whole.own[:, rows].contiguous(),
+        mode=whole.mode[rows],
+        ticks=whole.ticks[rows],
+        tracks=tracks,
+    )
 
 
-def test_rows_are_bit_identical_to_rows_that_ran_alone():
+def after(runners: Runners, start: Flight, counts: torch.Tensor) -> torch.Tensor:
+    """State of a flight after its run; the flight itself stays as it is."""
+    copy = dataclasses.replace(start, state=start.state.clone())
+    runners.run(copy, counts)
+    return copy.state
+
+
+# -- a toy ------------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("counts", COUNTS, ids=str)
+def test_every_row_runs_its_ticks_and_stays_in_its_place(counts, runners):
+    start, counts = flight(len(counts)), torch.tensor(counts)
+    state = after(runners, start, counts)
+    moved = counts > 0
+    assert torch.equal(state[1], counts.double())
+    last = (start.ticks + counts).double()
+    assert torch.equal(state[2, moved], last[moved])
+    # rounding of the clock
+    torch.testing.assert_close(state[3, moved], (last * H_NS * 1e-9 % SPAN)[moved], rtol=0, atol=1e-11)
+
+
+@pytest.mark.parametrize("counts", COUNTS, ids=str)
+def test_rows_without_time_are_untouched(counts, runners):
+    """Bit for bit, even where they hold no numbers."""
+    start, counts = flight(len(counts)), torch.tensor(counts)
+    still = counts == 0
+    start.state[4, still] = math.nan
+    state = after(runners, start, counts)
+    assert torch.equal(state[:, still].view(torch.int64), start.state[:, still].view(torch.int64))
+    assert (state[4, ~still] != start.state[4, ~still]).all()
+
+
+@pytest.mark.parametrize("counts", COUNTS, ids=str)
+def test_rows_are_bit_identical_to_rows_that_ran_alone(counts, runners):
     """What a row sees never depends on when others end."""
-    ticks = [60, 13, 1, 47, 0, 200, 61]
-    torch.manual_seed(5)
-    _, state, together = fly(ticks)
-    for row, count in enumerate(ticks):
-        value = state[1, row]
-        for k in range(count):
-            value = value * 1.0000001 + float(k % 60 + 1)  # the clock restarts with every segment of a minute
-        assert torch.equal(together[1, row], value)
+    start, counts = flight(len(counts)), torch.tensor(counts)
+    together = after(runners, start, counts)
+    for row in range(len(counts)):
+        index = torch.tensor([row])
+        assert torch.equal(after(runners, part(start, index), counts[index]), together[:, index])
 
 
-def test_work_shrinks_with_the_rows():
-    counter, *_ = fly([180] + [60] * 9)
-    assert counter.sizes == [10] * 60 + [FEWEST_ROWS] * 120
+def test_a_run_in_parts_is_the_whole_run(runners):
+    start, counts = flight(20), torch.randint(0, 150, (20,))
+    first = (counts * torch.rand(20)).long()
+    between = after(runners, start, first)
+    later = dataclasses.replace(start, state=between, ticks=start.ticks + first)
+    assert torch.equal(after(runners, later, counts - first), after(runners, start, counts))
 
 
-def test_segments_start_every_minute_with_the_rows_that_run():
-    counter, *_ = fly([150, 20, 320], h=0.5)
-    assert counter.asked == [([2, 0, 1], 0.0), ([2, 0], 60.0), ([2, 2], 120.0)]
+def test_a_tick_is_what_the_components_say(runners):
+    """By hand, for every mode."""
+    start = flight(6)
+    start.mode[:] = torch.tensor([0, 1, 2, 0, 1, 2])
+    state = after(runners, start, torch.ones(6, dtype=torch.int64))
+    angle = start.tracks[0].table[torch.arange(6), ((start.ticks + 1) * H_NS * 1e-9 / SPAN).long(), 6]
+    push = torch.stack([start.own[0], (start.mode == 2).double(), angle * 1e-6])
+    expected = torch.where(start.mode > 0, start.state[4:] * 0.999 + push * 0.5, start.state[4:] - push)
+    torch.testing.assert_close(state[4:], expected, rtol=1e-15, atol=1e-15)  # a rounding, or one less where fused
 
 
-@pytest.mark.parametrize(("h", "longest"), [(0.1, 600), (1.0, 60), (7.0, 8), (60.0, 1)])
-def test_segments_last_a_minute_at_most(h, longest):
-    counter, *_ = fly([1300], h)
-    starts = [start for _, start in counter.asked]
-    assert starts == pytest.approx([k * longest * h for k in range(len(starts))])
-    assert counter.clocks[0].tolist() == pytest.approx([h, 1.0], rel=1e-15)
+@pytest.mark.compiled
+@pytest.mark.parametrize("dtype", [torch.float64, torch.float32])
+def test_kernels_and_loops_agree(dtype):
+    """Fused multiply-adds round once instead of twice, in every tick."""
+    tick, start = toy_tick(dtype), flight(30)
+    counts = torch.randint(0, 100, (30,))
+    eager, compiled = (after(make_runners(tick, backend, CPU), start, counts) for backend in ("eager", "compiled"))
+    assert torch.equal(eager[:4], compiled[:4])
+    torch.testing.assert_close(eager, compiled, rtol=100 * torch.finfo(dtype).eps, atol=100 * torch.finfo(dtype).eps)
+    assert (eager[1] == counts).all()
 
 
-MISSED = (14, 28, 57, 114, 228, 456, 912, 1825, 3650, 7301, 14602, 29205)
-"""Ticks of 1 s at whose pulses Basilisk's rounding puts the end before the stage (measured on Basilisk)."""
+def test_waking_runs_the_world_only(runners):
+    """Basilisk's tick at time zero: messages of the world, at the time of the flight, without a step."""
+    start = flight(11)
+    start.ticks[:] = 0
+    expected = start.state.clone()
+    expected[0] = start.tracks[0].table[:, 0, 6]
+    runners.wake(start, torch.ones(11, dtype=torch.int64))
+    assert torch.equal(start.state, expected)
 
 
-def test_missed_pulses_of_one_second():
-    """A pulse written at tick t is latched at t + 1 and compared with the stage at t + 1."""
-    reaches = pulse_reaches(torch.tensor([0]), 30_000, SECOND)[:, 0]
-    latched = torch.nonzero(reaches == 0.0).squeeze(-1) + 1
-    assert (latched - 1).tolist() == list(MISSED)
+def test_back_ends_are_checked():
+    with pytest.raises(ValueError, match="backend='fast' must be one of"):
+        make_runners(toy_tick(), "fast", CPU)
 
 
-def test_missed_pulses_of_a_tenth_of_a_second():
-    """22 % of the first 2000 s; the share goes up and down with the exponent of the clock."""
-    reaches = pulse_reaches(torch.tensor([0]), 20_000, SECOND // 10)
-    assert 1.0 - reaches.mean().item() == pytest.approx(0.22, abs=0.005)
+# -- a satellite ------------------------------------------------------------------------------------------------------------
 
 
-def test_missed_pulses_follow_the_clock_of_each_row():
-    whole = pulse_reaches(torch.tensor([0]), 300, SECOND)[:, 0]
-    rows = pulse_reaches(torch.tensor([0, 13, 100]), 50, SECOND)
-    assert rows.shape == (50, 3)
-    for column, first in enumerate((0, 13, 100)):
-        assert torch.equal(rows[:, column], whole[first : first + 50])
+@pytest.fixture(scope="module")
+def scanners():
+    """A compiled environment whose rows are in all modes, at different times."""
+    env = bsk_torch.make("NadirScan-v1", num_envs=64, seed=4, backend="compiled", dtype=torch.float64)
+    td = env.reset()
+    for _ in range(3):
+        td = env.step(td.select("observation").set("action", torch.randint(0, 4, (64,))))["next"]
+    assert len(env.simulator.mode.unique()) == 4
+    return env.simulator
 
 
-def test_missed_pulses_by_python_floats():
-    """The comparison in plain doubles, for ticks of half and of two seconds."""
-    for h_ns in (SECOND // 2, 2 * SECOND):
-        reaches = pulse_reaches(torch.tensor([0]), 5000, h_ns)[:, 0].tolist()
-        expected = [h_ns * 1e-9 + (k * h_ns) * 1e-9 >= ((k + 1) * h_ns) * 1e-9 for k in range(5000)]
-        assert reaches == expected
-        assert math.isclose(sum(reaches), 5000, rel_tol=0.01)
-        assert not all(expected)
+def satellites(simulator) -> Flight:
+    tracks = simulator.arcs.tracks(simulator.tick.tracks)
+    packs = simulator.pack.clone(), simulator.shared, simulator.own, simulator.mode, simulator.flag_table, simulator.ticks
+    return Flight(*packs, tracks)
+
+
+MIXED = [180, 0, 60, 61, 1, 120, 179, 60]
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize("rows", [[0], [5, 40, 7], list(range(8)), list(range(20, 29)), list(range(63, -1, -1))], ids=len)
+def test_satellites_are_bit_identical_in_every_batch(rows, scanners):
+    """Whatever the batch's size, composition and order: one row, part of a block, a block, a row more, all backwards."""
+    start, counts, rows = satellites(scanners), torch.tensor(MIXED * 8), torch.tensor(rows)
+    whole, some = after(scanners.runners, start, counts), after(scanners.runners, part(start, rows), counts[rows])
+    assert torch.equal(some, whole[:, rows])
+    assert torch.equal(whole[:, counts == 0], start.state[:, counts == 0])
+
+
+@pytest.mark.compiled
+def test_satellites_fly_in_parts_as_in_one(scanners):
+    start, counts = satellites(scanners), torch.tensor(MIXED * 8)
+    first = torch.minimum(counts, torch.randint(0, 180, (64,)))
+    between = after(scanners.runners, start, first)
+    later = dataclasses.replace(start, state=between, ticks=start.ticks + first)
+    assert torch.equal(after(scanners.runners, later, counts - first), after(scanners.runners, start, counts))

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from bsk_torch.astro.gravity import DEGREE, field, field_weights
-from bsk_torch.sim.compiler import compiled
+from bsk_torch.sim.compiler import just_in_time
 from bsk_torch.vec3 import Vec3
 
 
@@ -27,7 +27,7 @@ def _on_packs(r: Tensor) -> Tensor:
 
 @functools.cache
 def _kernel(device: str, dtype: torch.dtype) -> Callable[..., Tensor]:
-    return compiled(_on_packs, "Earth's field", (True,))
+    return just_in_time(_on_packs, "Earth's field")
 
 
 def prepare(device: torch.device, dtype: torch.dtype) -> None:

@@ -70,7 +70,7 @@ def _attitude_rates(bus: Bus, torque: Vec3, sigma: Vec3, omega: Vec3, wheels: tu
     if not wheels:
         return mrp_rate(sigma, omega), total.map(torch.div, bus.inertia)
     total = total - bus.motor_torque - omega.cross(wheels[0]) * SPIN_INERTIA
-    omega_dot = total.map(lambda x, i: x / (i - SPIN_INERTIA), bus.inertia)
+    omega_dot = total.map(lambda x, i: x * (1.0 / (i - SPIN_INERTIA)), bus.inertia)
     return mrp_rate(sigma, omega), omega_dot, bus.motor_torque * (1.0 / SPIN_INERTIA) - omega_dot
 
 
@@ -109,7 +109,7 @@ def gravity(bus: Bus, r: Vec3, offset: float) -> Vec3:
     dt = offset - bus.h
     turn = EARTH_ROTATION_RATE * dt
     p = rotate_z(bus.pole @ r, bus.cos_earth, bus.sin_earth)
-    earth_field = called_field if bus.compiled else full_field
+    earth_field = called_field if bus.opaque_field else full_field
     f = earth_field(Vec3(p.x + turn * p.y, p.y - turn * p.x, p.z))
     f = Vec3(f.x - turn * f.y, f.y + turn * f.x, f.z)
     return bus.pole.mT @ rotate_z(f, bus.cos_earth, -bus.sin_earth) + third_body(r, bus.r_sun + bus.v_sun * dt)
@@ -148,7 +148,7 @@ HUB = Component(
         Arg("mu", MU_EARTH, "m^3/s^2", "gravitational parameter that converts oe", low=1.0),
         Arg("min_orbital_radius", 6578136.6, "m", "a spacecraft at or below this radius dies", low=0.0),
     ),
-    state=(vec("r", "m"), vec("v", "m/s"), vec("sigma", "-"), vec("omega", "rad/s")),
+    state=(vec("r", "m", exact=True), vec("v", "m/s", exact=True), vec("sigma", "-"), vec("omega", "rad/s")),
     params=(vec("inertia", "kg m^2"), Field("mass", 1, "kg")),
     initial=_initial,
     prepare=_prepare,

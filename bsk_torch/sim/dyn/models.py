@@ -7,19 +7,14 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from bsk_torch.astro.attitude import mrp_to_dcm
-from bsk_torch.astro.orbit import Elements, hill_frame, hill_rate, rv_to_elements
+from bsk_torch.astro.orbit import Elements
 from bsk_torch.constants import RPM
 from bsk_torch.sim import world
 from bsk_torch.sim.component import Component
 from bsk_torch.sim.dyn import drag, hub, power, storage, thrusters, wheels
-from bsk_torch.sim.model import Model, aliveness_checker
+from bsk_torch.sim.model import Model
+from bsk_torch.sim.observe import Now, observable, vital
 from bsk_torch.vec3 import Vec3
-
-
-def rotate(dcm: Tensor, vectors: Tensor) -> Tensor:
-    """Matrices [N, 3, 3] times vectors [N, 3]."""
-    return (dcm @ vectors.unsqueeze(-1)).squeeze(-1)
 
 
 class DynamicsModel(Model):
@@ -33,109 +28,105 @@ class DynamicsModel(Model):
     world_components: ClassVar[tuple[Component, ...]] = (world.EARTH_POLE, world.EPHEMERIS)
     orbit: ClassVar[str] = "arc"
 
-    @property
-    def r_BN_N(self) -> Tensor:
+    @observable
+    def r_BN_N(now: Now) -> Vec3:
         """Position in N, [N, 3] m."""
-        return self.state("r")
+        return now.r
 
-    @property
-    def v_BN_N(self) -> Tensor:
+    @observable
+    def v_BN_N(now: Now) -> Vec3:
         """Velocity in N, [N, 3] m/s."""
-        return self.state("v")
+        return now.v
 
-    @property
-    def sigma_BN(self) -> Tensor:
+    @observable
+    def sigma_BN(now: Now) -> Vec3:
         """Attitude relative to N, [N, 3] MRP."""
-        return self.state("sigma")
+        return now.sigma
 
-    @property
-    def omega_BN_B(self) -> Tensor:
+    @observable
+    def omega_BN_B(now: Now) -> Vec3:
         """Body rate in B, [N, 3] rad/s."""
-        return self.state("omega")
+        return now.omega
 
     @property
     def BN(self) -> Tensor:
         """DCM from N to B, [N, 3, 3]."""
-        return mrp_to_dcm(Vec3.of(self.sigma_BN)).stack()
+        return self.simulator.observer.now.BN.stack()
 
     @property
     def HN(self) -> Tensor:
         """DCM from N to the Hill frame, [N, 3, 3]."""
-        return hill_frame(Vec3.of(self.r_BN_N), Vec3.of(self.v_BN_N)).stack()
+        return self.simulator.observer.now.HN.stack()
 
     @property
     def BP(self) -> Tensor:
         """DCM from the Earth-fixed frame to B, [N, 3, 3]."""
-        return self.BN @ self.world.PN.mT
+        return self.BN @ self.simulator.observer.now.PN.stack().mT
 
-    @property
-    def r_BN_P(self) -> Tensor:
+    @observable
+    def r_BN_P(now: Now) -> Vec3:
         """Position in the Earth-fixed frame, [N, 3] m."""
-        return rotate(self.world.PN, self.r_BN_N)
+        return now.PN @ now.r
 
-    @property
-    def v_BN_P(self) -> Tensor:
+    @observable
+    def v_BN_P(now: Now) -> Vec3:
         """Velocity relative to the Earth-fixed frame, [N, 3] m/s."""
-        return rotate(self.world.PN, self.v_BN_N) - torch.linalg.cross(rotate(self.world.PN, self.world.omega_PN_N), self.r_BN_P)
+        return now.PN @ (now.v - now.omega_PN_N.cross(now.r))
 
-    @property
-    def omega_BP_P(self) -> Tensor:
+    @observable
+    def omega_BP_P(now: Now) -> Vec3:
         """Body rate relative to the Earth, in the Earth-fixed frame, [N, 3] rad/s."""
-        return rotate(self.world.PN, rotate(self.BN.mT, self.omega_BN_B) - self.world.omega_PN_N)
+        return now.PN @ (now.BN.mT @ now.omega - now.omega_PN_N)
 
-    @property
-    def omega_BH_H(self) -> Tensor:
+    @observable
+    def omega_BH_H(now: Now) -> Vec3:
         """Body rate relative to the Hill frame, in the Hill frame, [N, 3] rad/s."""
-        rate = hill_rate(Vec3.of(self.r_BN_N), Vec3.of(self.v_BN_N))
-        omega_HN_H = torch.stack([torch.zeros_like(rate), torch.zeros_like(rate), rate], -1)
-        return rotate(self.HN @ self.BN.mT, self.omega_BN_B) - omega_HN_H
+        return now.HN @ (now.BN.mT @ now.omega) - now.omega_HN_H
 
     @property
     def elements(self) -> Elements:
         """Osculating elements, [N] each: a in m, angles in rad."""
-        mu = self.satellite.sat_args["mu"]
-        return rv_to_elements(Vec3.of(self.r_BN_N), Vec3.of(self.v_BN_N), mu)
+        return self.simulator.observer.now.elements
 
-    @property
-    def semi_major_axis(self) -> Tensor:
+    @observable
+    def semi_major_axis(now: Now) -> Tensor:
         """Semi-major axis, [N] m."""
-        return self.elements.a
+        return now.elements.a
 
-    @property
-    def eccentricity(self) -> Tensor:
+    @observable
+    def eccentricity(now: Now) -> Tensor:
         """Eccentricity, [N]."""
-        return self.elements.e
+        return now.elements.e
 
-    @property
-    def inclination(self) -> Tensor:
+    @observable
+    def inclination(now: Now) -> Tensor:
         """Inclination, [N] rad."""
-        return self.elements.i
+        return now.elements.i
 
-    @property
-    def ascending_node(self) -> Tensor:
+    @observable
+    def ascending_node(now: Now) -> Tensor:
         """Right ascension of the ascending node, [N] rad."""
-        return self.elements.Omega
+        return now.elements.Omega
 
-    @property
-    def argument_of_periapsis(self) -> Tensor:
+    @observable
+    def argument_of_periapsis(now: Now) -> Tensor:
         """Argument of periapsis, [N] rad."""
-        return self.elements.omega
+        return now.elements.omega
 
-    @property
-    def true_anomaly(self) -> Tensor:
+    @observable
+    def true_anomaly(now: Now) -> Tensor:
         """True anomaly, [N] rad."""
-        return self.elements.f
+        return now.elements.f
 
-    @property
-    def beta_angle(self) -> Tensor:
+    @observable
+    def beta_angle(now: Now) -> Tensor:
         """Angle between the orbit normal and the Sun, [N] rad in [0, pi], as bsk_rl defines it."""
-        h_hat = self.HN[:, 2]
-        return torch.acos((h_hat * self.world.sun_direction_N).sum(-1).clamp(-1.0, 1.0))
+        return torch.acos(torch.clamp(now.HN.z.dot(now.r_sun.unit()), -1.0, 1.0))
 
-    @aliveness_checker
-    def altitude_valid(self) -> Tensor:
+    @vital
+    def altitude_valid(now: Now) -> Tensor:
         """Whether the orbit is still above ``min_orbital_radius``, [N]."""
-        return self.r_BN_N.norm(dim=-1) > self.satellite.sat_args["min_orbital_radius"]
+        return now.r.norm() > now.args.min_orbital_radius
 
 
 class EclipseDynModel(DynamicsModel):
@@ -143,10 +134,10 @@ class EclipseDynModel(DynamicsModel):
 
     world_components: ClassVar[tuple[Component, ...]] = (world.ECLIPSE,)
 
-    @property
-    def illumination(self) -> Tensor:
+    @observable
+    def illumination(now: Now) -> Tensor:
         """Visible fraction of the solar disc, [N], one tick ago."""
-        return self.state("illumination")
+        return now.illumination
 
 
 class DisturbanceTorqueDynModel(DynamicsModel):
@@ -175,35 +166,37 @@ class BasicDynamicsModel(EclipseDynModel, DisturbanceTorqueDynModel, Atmospheric
         power.BATTERY,
     )
 
-    @property
-    def battery_charge(self) -> Tensor:
+    @observable
+    def battery_charge(now: Now) -> Tensor:
         """Charge of the battery, [N] W s."""
-        return self.state("charge")
+        return now.charge
 
-    @property
-    def battery_charge_fraction(self) -> Tensor:
+    @observable
+    def battery_charge_fraction(now: Now) -> Tensor:
         """Charge over capacity, [N]."""
-        return self.battery_charge / self.satellite.sat_args["batteryStorageCapacity"]
+        return now.charge / now.args.batteryStorageCapacity
 
-    @property
-    def wheel_speeds(self) -> Tensor:
+    @observable
+    def wheel_speeds(now: Now) -> Vec3:
         """Wheel speeds, [N, 3] rad/s."""
-        return self.state("Omega")
+        return now.Omega
 
-    @property
-    def wheel_speeds_fraction(self) -> Tensor:
+    @observable
+    def wheel_speeds_fraction(now: Now) -> Vec3:
         """Wheel speeds over ``maxWheelSpeed``, [N, 3]."""
-        return self.wheel_speeds / (self.satellite.sat_args["maxWheelSpeed"] * RPM).unsqueeze(-1)
+        return now.Omega / (now.args.maxWheelSpeed * RPM)
 
-    @aliveness_checker
-    def rw_speeds_valid(self) -> Tensor:
+    @vital
+    def rw_speeds_valid(now: Now) -> Tensor:
         """Whether every wheel is slower than ``maxWheelSpeed``, [N]."""
-        return (self.wheel_speeds.abs() < (self.satellite.sat_args["maxWheelSpeed"] * RPM).unsqueeze(-1)).all(-1)
+        limit = now.args.maxWheelSpeed * RPM
+        x, y, z = (torch.abs(speed) < limit for speed in now.Omega)
+        return x & y & z
 
-    @aliveness_checker
-    def battery_valid(self) -> Tensor:
+    @vital
+    def battery_valid(now: Now) -> Tensor:
         """Whether any charge is left, [N]."""
-        return self.battery_charge > 0.0
+        return now.charge > 0.0
 
 
 class ImagingDynModel(BasicDynamicsModel):
@@ -217,28 +210,27 @@ class ImagingDynModel(BasicDynamicsModel):
         storage.STORAGE,
     )
 
-    @property
-    def storage_level(self) -> Tensor:
+    @observable
+    def storage_level(now: Now) -> Tensor:
         """Data in the store, [N] bit."""
-        return self.state("storage")
+        return now.storage
 
-    @property
-    def storage_level_fraction(self) -> Tensor:
+    @observable
+    def storage_level_fraction(now: Now) -> Tensor:
         """Data over capacity, [N]."""
-        return self.storage_level / self.satellite.sat_args["dataStorageCapacity"]
+        return now.storage / now.args.dataStorageCapacity
 
     @property
     def instrument_baud(self) -> Tensor:
         """Data rate of the instrument, [N] bit/s."""
         return self.satellite.sat_args["instrumentBaudRate"]
 
-    @aliveness_checker
-    def data_storage_valid(self) -> Tensor:
+    @vital
+    def data_storage_valid(now: Now) -> Tensor:
         """Whether the store has room left, [N]; always so unless ``storageUnitValidCheck`` is set."""
-        level, capacity = self.storage_level, self.satellite.sat_args["dataStorageCapacity"]
-        if not self.satellite.sat_args["storageUnitValidCheck"]:
-            return torch.ones_like(level, dtype=torch.bool)
-        return (level < capacity) | torch.isclose(level, capacity)
+        level, capacity = now.storage, now.args.dataStorageCapacity
+        full = torch.abs(level - capacity) > 1e-8 + 1e-5 * torch.abs(capacity)  # as close as numpy's isclose
+        return (level < capacity) | ~full if now.args.storageUnitValidCheck else torch.ones_like(level) > 0.0
 
 
 class ContinuousImagingDynModel(ImagingDynModel):

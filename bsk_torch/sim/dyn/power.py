@@ -32,9 +32,10 @@ def collect_sunlight(bus: Bus) -> None:
     """Start the power balance with the panel: ``1361 W/m^2 (AU/d)^2 * illumination * max(A n.s, 0) * efficiency``."""
     to_sun = bus.r_sun - bus.r
     distance2 = to_sun.dot(to_sun)
-    s_hat_B = mrp_to_dcm(bus.sigma) @ (to_sun / torch.sqrt(distance2))
+    s_hat_B = mrp_to_dcm(bus.sigma) @ (to_sun / torch.sqrt(distance2)).to(bus.dtype)
     cosine = torch.clamp(s_hat_B.dot(bus.panel_normal), min=0.0)
-    bus.power = (SOLAR_FLUX * AU * AU) * bus.panel_gain * bus.illumination * cosine / distance2
+    flux = (SOLAR_FLUX * AU * AU / distance2).to(bus.dtype)
+    bus.power = flux * bus.panel_gain * bus.illumination * cosine
 
 
 def charge_battery(bus: Bus) -> None:
@@ -90,8 +91,8 @@ BATTERY = Component(
         Arg("batteryStorageCapacity", 288000.0, "W s", "battery capacity", low=0.0),
         Arg("storedCharge_Init", Uniform(108000.0, 252000.0), "W s", "initial charge", low=0.0),
     ),
-    state=(Field("charge", 1, "W s"),),
-    params=(Field("battery_capacity", 1, "W s"),),
+    state=(Field("charge", 1, "W s", exact=True),),
+    params=(Field("battery_capacity", 1, "W s", exact=True),),
     initial=lambda args: {"charge": args["storedCharge_Init"]},
     prepare=lambda args: {"battery_capacity": args["batteryStorageCapacity"]},
     check=_check_battery,

@@ -74,7 +74,7 @@ INSTRUMENT = Component(
     order=216,
     update=run_instrument,
     args=(Arg("instrumentBaudRate", 8e6, "bit/s", "data rate while imaging", low=0.0),),
-    params=(Field("instrument_baud", 1, "bit/s"),),
+    params=(Field("instrument_baud", 1, "bit/s", exact=True),),
     prepare=lambda args: {"instrument_baud": args["instrumentBaudRate"]},
 )
 
@@ -87,8 +87,8 @@ TRANSMITTER = Component(
         Arg("transmitterPacketSize", None, "bit", "packet, negative; None: one second of the instrument", high=0.0),
         Arg("transmitterNumBuffers", 100.0, "-", "partitions of a partitioned store", low=1.0),
     ),
-    state=(Field("packet", 1, "bit"), Field("idle", 1, "s")),
-    params=(Field("transmitter_baud", 1, "bit/s"), Field("packet_size", 1, "bit")),
+    state=(Field("packet", 1, "bit", exact=True), Field("idle", 1, "s", exact=True)),
+    params=(Field("transmitter_baud", 1, "bit/s", exact=True), Field("packet_size", 1, "bit", exact=True)),
     initial=lambda args: {name: torch.zeros(1, dtype=torch.float64) for name in ("packet", "idle")},
     prepare=_packet_size,
 )
@@ -102,8 +102,8 @@ STORAGE = Component(
         Arg("storageInit", 0.0, "bit", "initial storage level", low=0.0),
         Arg("storageUnitValidCheck", False, "-", "whether a full store kills the spacecraft", kind="constant"),
     ),
-    state=(Field("storage", 1, "bit"),),
-    params=(Field("storage_capacity", 1, "bit"),),
+    state=(Field("storage", 1, "bit", exact=True),),
+    params=(Field("storage_capacity", 1, "bit", exact=True),),
     initial=_initial_store,
     prepare=lambda args: {"storage_capacity": torch.trunc(args["dataStorageCapacity"])},
 )

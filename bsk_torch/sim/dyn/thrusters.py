@@ -11,6 +11,7 @@ import math
 import torch
 from torch import Tensor
 
+from bsk_torch.constants import NANO
 from bsk_torch.sim.component import Bus, Component, Field
 from bsk_torch.vec3 import Vec3
 
@@ -45,9 +46,14 @@ def pulse_torque(pulse: tuple[Tensor, ...]) -> Vec3:
 def latch_pulses(bus: Bus) -> None:
     """Latch the commands of the last tick: a message is consumed once.
 
-    ``pulse_reaches`` says whether the clock's rounding lets a pulse commanded one tick ago reach the next first stage.
+    Basilisk compares a pulse's end with the time of the next Runge-Kutta stage, both rounded to doubles of seconds; the pulse is
+    missed where rounding puts the end first.
     """
-    bus.pulse = tuple(command * bus.pulse_reaches for command in bus.pulse_command)
+    stage = bus.ticks * bus.h_ns * NANO
+    # abs keeps compilers from fusing the product into the sum, which would round once instead of twice
+    written = torch.abs((bus.ticks - 1.0) * bus.h_ns * NANO)
+    reaches = written + bus.h_ns * NANO >= stage
+    bus.pulse = tuple(torch.where(reaches, command, torch.zeros_like(command)) for command in bus.pulse_command)
     bus.pulse_command = tuple(torch.zeros_like(command) for command in bus.pulse_command)
 
 

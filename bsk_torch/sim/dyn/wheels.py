@@ -43,7 +43,7 @@ def draw_wheel_power(bus: Bus) -> None:
     def need(speed: Tensor, torque: Tensor) -> Tensor:
         mechanical = speed * torque
         costs = (mechanical > 0.0) | (bus.wheel_to_battery < 0.0)
-        return torch.where(costs, torch.abs(mechanical) / bus.battery_to_wheel, bus.wheel_to_battery * mechanical)
+        return torch.where(costs, torch.abs(mechanical) * (1.0 / bus.battery_to_wheel), bus.wheel_to_battery * mechanical)
 
     needs: Vec3 = bus.Omega.map(need, bus.motor_torque)
     bus.power = bus.power - (needs.x + needs.y + needs.z) - 3.0 * bus.wheel_base_power

@@ -12,7 +12,7 @@ from torch import Tensor
 from bsk_torch.sim.component import Arg, Bus, Component, Field, Values, vec
 from bsk_torch.sim.dyn.thrusters import ARMS, THRUST
 from bsk_torch.sim.dyn.wheels import SPIN_INERTIA
-from bsk_torch.vec3 import Vec3, select
+from bsk_torch.vec3 import Vec3, only, select
 
 Pairs = tuple[Tensor, ...]
 
@@ -43,20 +43,23 @@ def dump_momentum(bus: Bus) -> None:
     The momentum is measured in the first tick of the mode, the pulses start in the second. Only pulses of a whole tick
     reach the integrator, so only those are commanded.
     """
-    on, h = bus.desat_on > 0.0, bus.h
-    first, second = bus.dump_calls == 0.0, bus.dump_calls == 1.0
-    dH = select(on & first, momentum_to_dump(bus.Omega, bus.momentum_to_keep), bus.dump_momentum)
+    on = bus.desat_on > 0.0
+    none = tuple(torch.zeros_like(command) for command in bus.pulse_command)
+    off = none, bus.dump_momentum, bus.dump_remaining, bus.dump_counter, bus.dump_calls
+    bus.pulse_command, bus.dump_momentum, bus.dump_remaining, bus.dump_counter, bus.dump_calls = only(on, lambda: _dump(bus), off)
+
+
+def _dump(bus: Bus) -> tuple[Pairs, Vec3, Pairs, Tensor, Tensor]:
+    """Commands, momentum to dump, on-times left, ticks to wait and number of calls after a call."""
+    h, first, second = bus.h, bus.dump_calls == 0.0, bus.dump_calls == 1.0
+    dH = select(first, momentum_to_dump(bus.Omega, bus.momentum_to_keep), bus.dump_momentum)
     waiting = bus.dump_counter > 0.0
-    loads, fires = second, ~first & (second | ~waiting)
-    remaining = tuple(torch.where(loads, f / THRUST, left) for f, left in zip(impulses(dH), bus.dump_remaining, strict=True))
-    full = tuple((fires & on & (left >= h) & (left >= bus.shortest_pulse)).to(left.dtype) for left in remaining)
+    fires = ~first & (second | ~waiting)
+    remaining = tuple(torch.where(second, f / THRUST, left) for f, left in zip(impulses(dH), bus.dump_remaining, strict=True))
+    full = tuple((fires & (left >= h) & (left >= bus.shortest_pulse)).to(left.dtype) for left in remaining)
     spent = tuple(torch.where(fires, torch.clamp(left - h, min=0.0), left) for left in remaining)
     counter = torch.where(fires, bus.dump_wait, torch.clamp(bus.dump_counter - 1.0, min=0.0))
-    bus.pulse_command = full
-    bus.dump_momentum = dH
-    bus.dump_remaining = tuple(torch.where(on, new, old) for new, old in zip(spent, bus.dump_remaining, strict=True))
-    bus.dump_counter = torch.where(on & ~first, counter, bus.dump_counter)
-    bus.dump_calls = torch.where(on, bus.dump_calls + 1.0, bus.dump_calls)
+    return full, dH, spent, torch.where(first, bus.dump_counter, counter), bus.dump_calls + 1.0
 
 
 def _check(args: Values) -> None:

@@ -15,7 +15,7 @@ from bsk_torch.astro.attitude import dcm_to_mrp, mrp_rate_to_omega, mrp_subtract
 from bsk_torch.astro.orbit import hill_frame
 from bsk_torch.sim.component import Arg, Bus, Component, Field, Values, vec
 from bsk_torch.sim.dyn.power import check_axis, unit_rows
-from bsk_torch.vec3 import Vec3, select
+from bsk_torch.vec3 import Vec3, only, select
 
 
 class Error(NamedTuple):
@@ -27,60 +27,68 @@ class Error(NamedTuple):
     domega_RN: Vec3
 
 
+def rest(bus: Bus) -> Error:
+    """Error without a guidance law: the reference is N itself, at rest."""
+    zero = Vec3.zeros_like(bus.sigma.x)
+    return Error(bus.sigma, bus.omega, zero, zero)
+
+
 def navigate(bus: Bus) -> None:
-    """Attitude of this tick as a matrix, for all guidance laws."""
-    bus.BN = mrp_to_dcm(bus.sigma)
+    """Attitude of this tick as a matrix, for all guidance laws, and the error as it is without one."""
+    bus.BN, bus.error = mrp_to_dcm(bus.sigma), rest(bus)
 
 
-def point_at(bus: Bus, axis: Vec3, target: Vec3, task: str) -> Error:
+def line_of_sight(bus: Bus, target: Vec3) -> Vec3:
+    """Direction to a target position in N, in B."""
+    return bus.BN @ (target - bus.r).unit().to(bus.dtype)
+
+
+def point_at(bus: Bus, axis: Vec3, target: Vec3, task: str) -> None:
     """Point a body axis at a target position in N, with the rate error from differences of the attitude error.
 
     The first tick after a reset (``<task>_fresh`` is 1) has no difference to take. The rate about the line of sight is damped.
     """
-    los = (bus.BN @ (target - bus.r)).unit()
-    cosine, turn = axis.dot(los), axis.cross(los)
-    # tan(phi / 4) / sin(phi), free of the cancellation of acos near alignment
-    half = 1.0 + cosine
-    sigma = -turn / torch.clamp(half + torch.sqrt(half * half + turn.dot(turn)), min=1e-30)
-    on, fresh = getattr(bus, f"{task}_on") > 0.0, getattr(bus, f"{task}_fresh") > 0.0
-    difference = mrp_rate_to_omega(sigma, (sigma - getattr(bus, f"{task}_sigma")) / bus.h)
-    omega = select(fresh, Vec3.zeros_like(cosine), difference) + los * bus.omega.dot(los)
-    setattr(bus, f"{task}_sigma", select(on, sigma, getattr(bus, f"{task}_sigma")))
-    setattr(bus, f"{task}_fresh", torch.where(on, torch.zeros_like(cosine), getattr(bus, f"{task}_fresh")))
-    return Error(sigma, omega, bus.omega - omega, Vec3.zeros_like(cosine))
+    on, memory, fresh = getattr(bus, f"{task}_on") > 0.0, getattr(bus, f"{task}_sigma"), getattr(bus, f"{task}_fresh")
+
+    def law() -> tuple[Vec3, Error]:
+        los = line_of_sight(bus, target)
+        cosine, turn = axis.dot(los), axis.cross(los)
+        # tan(phi / 4) / sin(phi), free of the cancellation of acos near alignment
+        half = 1.0 + cosine
+        sigma = -turn / torch.clamp(half + torch.sqrt(half * half + turn.dot(turn)), min=1e-30)
+        difference = mrp_rate_to_omega(sigma, (sigma - memory) / bus.h)
+        omega = select(fresh > 0.0, Vec3.zeros_like(cosine), difference) + los * bus.omega.dot(los)
+        return sigma, Error(sigma, omega, bus.omega - omega, Vec3.zeros_like(cosine))
+
+    memory, bus.error = only(on, law, (memory, bus.error))
+    setattr(bus, f"{task}_sigma", memory)
+    setattr(bus, f"{task}_fresh", torch.where(on, torch.zeros_like(fresh), fresh))
 
 
 def point_at_sun(bus: Bus) -> None:
     """Panel normal toward the Sun."""
-    bus.sun_error = point_at(bus, bus.panel_normal, bus.r_sun, "sun")
+    point_at(bus, bus.panel_normal, bus.r_sun, "sun")
 
 
 def point_at_location(bus: Bus) -> None:
     """Instrument axis toward the target of one tick ago."""
-    bus.location_error = point_at(bus, bus.instrument_axis, bus.target_N, "location")
+    point_at(bus, bus.instrument_axis, bus.target_N, "location")
 
 
 def point_along_hill(bus: Bus) -> None:
     """Body axes along the Hill frame: x radially out, z along the orbit normal."""
-    HN = hill_frame(bus.r, bus.v)
-    radius2, momentum = bus.r.dot(bus.r), bus.r.cross(bus.v).norm()
-    rate = momentum / radius2
-    acceleration = -2.0 * bus.v.dot(bus.r) / radius2 * rate
-    omega_RN, domega_RN = bus.BN @ (HN.z * rate), bus.BN @ (HN.z * acceleration)
-    sigma_BR = mrp_subtract(bus.sigma, dcm_to_mrp(HN))
-    bus.nadir_error = Error(sigma_BR, bus.omega - omega_RN, omega_RN, domega_RN)
 
+    def law() -> Error:
+        HN = hill_frame(bus.r, bus.v)
+        radius2, momentum = bus.r.dot(bus.r), bus.r.cross(bus.v).norm()
+        rate = momentum / radius2
+        acceleration = -2.0 * bus.v.dot(bus.r) / radius2 * rate
+        HN, rate, acceleration = HN.to(bus.dtype), rate.to(bus.dtype), acceleration.to(bus.dtype)
+        omega_RN, domega_RN = bus.BN @ (HN.z * rate), bus.BN @ (HN.z * acceleration)
+        sigma_BR = mrp_subtract(bus.sigma, dcm_to_mrp(HN))
+        return Error(sigma_BR, bus.omega - omega_RN, omega_RN, domega_RN)
 
-def track(bus: Bus) -> None:
-    """Error of the law that is on; without one the reference is N itself, at rest."""
-    zero = Vec3.zeros_like(bus.sigma.x)
-    error = Error(bus.sigma, bus.omega, zero, zero)
-    for task in ("sun", "nadir", "location"):
-        if bus.has(f"{task}_error"):
-            on = getattr(bus, f"{task}_on") > 0.0
-            law = getattr(bus, f"{task}_error")
-            error = Error(*(select(on, a, b) for a, b in zip(law, error, strict=True)))
-    bus.error = error
+    bus.error = only(bus.nadir_on > 0.0, law, bus.error)
 
 
 def _memory(task: str) -> tuple[Field, ...]:
@@ -94,8 +102,9 @@ def _forget(task: str) -> dict[str, Tensor]:
 def aim_at_earth_centre(bus: Bus) -> None:
     """Target of a scan: a point ten centimetres up the Earth's axis, as bsk_rl sets it, always above its horizon."""
     bus.target_N = bus.pole.z * 0.1
-    reaches = ((bus.r - bus.target_N).norm() <= bus.target_range) | (bus.target_range < 0.0)
-    bus.target_access = torch.where(reaches, torch.ones_like(bus.r.x), torch.zeros_like(bus.r.x))
+    distance, longest = bus.r - bus.target_N, bus.target_range
+    reaches = (distance.dot(distance) <= longest * longest) | (longest < 0.0)
+    bus.target_access = torch.where(reaches, torch.ones_like(bus.r.x), torch.zeros_like(bus.r.x)).to(bus.dtype)
 
 
 def _instrument_axis(args: Values) -> dict[str, Tensor]:
@@ -127,8 +136,6 @@ EARTH_CENTRE_TARGET = Component(
     order=105,
     update=aim_at_earth_centre,
     args=(Arg("imageTargetMaximumRange", -1.0, "m", "longest range to the target; no limit where negative"),),
-    params=(Field("target_range", 1, "m"),),
+    params=(Field("target_range", 1, "m", exact=True),),
     prepare=lambda args: {"target_range": args["imageTargetMaximumRange"]},
 )
-
-TRACKING_ERROR = Component(slot="tracking_error", order=306, update=track)

@@ -10,9 +10,10 @@ from bsk_torch.sim.component import Arg, Bus, Component, Field
 def command_scan(bus: Bus) -> None:
     """Record while the instrument's attitude and rate errors are small and the target is within range.
 
-    The errors are those of location pointing itself. Outside of that task the last command stays, and a later scan finds it.
+    The errors are those of location pointing itself, which is the law that is on. Outside of that task the last command stays,
+    and a later scan finds it.
     """
-    error = bus.location_error
+    error = bus.error
     points = (error.sigma_BR.norm() <= bus.attitude_tolerance) & (error.omega_BR.norm() <= bus.rate_tolerance)
     records = torch.where(points, bus.controller_on * bus.target_access, torch.zeros_like(bus.instrument_command))
     bus.instrument_command = torch.where(bus.location_on > 0.0, records, bus.instrument_command)

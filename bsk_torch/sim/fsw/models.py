@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import ClassVar
 
-from torch import Tensor
-
 from bsk_torch.sim.component import Component
 from bsk_torch.sim.fsw import control, desaturation, guidance, instrument
 from bsk_torch.sim.fsw.modes import DUMP_RESET, SUN_RESET, Command, Mode
 from bsk_torch.sim.model import Model
+from bsk_torch.sim.observe import Now, observable
+from bsk_torch.vec3 import Vec3
 
 IDLE = "idle"
 """The mode before the first command: nothing runs."""
@@ -45,7 +45,6 @@ class BasicFSWModel(FSWModel):
         guidance.SUN_POINTING,
         guidance.NADIR_POINTING,
         desaturation.DESATURATION,
-        guidance.TRACKING_ERROR,
         control.MRP_FEEDBACK,
     )
     modes: ClassVar[dict[str, Mode]] = {
@@ -67,21 +66,15 @@ class ImagingFSWModel(BasicFSWModel):
     components: ClassVar[tuple[Component, ...]] = (guidance.LOCATION_POINTING, instrument.SCANNING_CONTROLLER)
     modes: ClassVar[dict[str, Mode]] = {"downlink": Mode(("control_on", "nadir_on", "transmitter_on"))}
 
-    @property
-    def c_hat_P(self) -> Tensor:
+    @observable
+    def c_hat_P(now: Now) -> Vec3:
         """Instrument axis in the Earth-fixed frame, [N, 3]."""
-        return (self.satellite.dynamics.BP.mT @ self._axis).squeeze(-1)
+        return now.PN @ (now.BN.mT @ now.args.inst_pHat_B.unit())
 
-    @property
-    def c_hat_H(self) -> Tensor:
+    @observable
+    def c_hat_H(now: Now) -> Vec3:
         """Instrument axis in the Hill frame, [N, 3]."""
-        dynamics = self.satellite.dynamics
-        return (dynamics.HN @ dynamics.BN.mT @ self._axis).squeeze(-1)
-
-    @property
-    def _axis(self) -> Tensor:
-        axis = self.satellite.sat_args["inst_pHat_B"]
-        return (axis / axis.norm(dim=-1, keepdim=True)).unsqueeze(-1)
+        return now.HN @ (now.BN.mT @ now.args.inst_pHat_B.unit())
 
 
 class ContinuousImagingFSWModel(ImagingFSWModel):

@@ -1,0 +1,276 @@
+"""What the benchmarks share: the environment and how it is played, clocks, new processes, tables and files.
+
+Batches are measured in their steady state. Episodes that start together end together, in waves, so the first episode of row i
+of n is cut at (i + 1) / n of the time limit, and nothing is measured before ``WARM_UP`` steps have passed, about the length of
+an episode: ages are then spread evenly, and resets come at a steady rate.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import platform
+import statistics
+import subprocess
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import tensordict
+import torch
+import torchrl
+from torch import Tensor
+from torchrl.envs import EnvBase
+
+import bsk_torch
+from bsk_torch.presets.nadir_scan import ORBIT
+from bsk_torch.rand import Distribution, Key
+
+NAME = "NadirScan-v1"
+
+EPISODE = 5 * ORBIT
+"""Time limit of the preset, s."""
+
+WARM_UP = 300
+"""Steps before anything is measured; an episode takes 270 unless the satellite dies."""
+
+PATIENCE = 600.0
+"""Seconds that processes wait for each other."""
+
+
+# -- options and results ----------------------------------------------------------------------------------------------
+
+
+def parser(doc: str | None, **defaults: Any) -> argparse.ArgumentParser:
+    """Options that every benchmark has; ``defaults`` become further ones, such as ``seconds=10.0`` or ``batches=[1, 64]``."""
+    arguments = argparse.ArgumentParser(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
+    for name, value in defaults.items():
+        several = isinstance(value, list)
+        kind = type(value[0] if several else value)
+        arguments.add_argument(
+            f"--{name.replace('_', '-')}",
+            type=kind,
+            default=value,
+            nargs="+" if several else None,
+            help=f"default {' '.join(map(str, value)) if several else value}",
+        )
+    arguments.add_argument("--warm-up", type=int, default=WARM_UP, help=f"steps before measuring, default {WARM_UP}")
+    arguments.add_argument("--out", type=Path, metavar="FILE.json")
+    return arguments
+
+
+def machine() -> dict[str, Any]:
+    """What the figures depend on; call it before measuring, for the load of the machine."""
+    names = [line.split(":")[1].strip() for line in Path("/proc/cpuinfo").read_text().splitlines() if "model name" in line]
+    describe = ["git", "--no-optional-locks", "describe", "--always", "--dirty"]
+    commit = subprocess.run(describe, capture_output=True, text=True, check=False, cwd=Path(__file__).parent).stdout.strip()
+    return {
+        "processor": names[0] if names else platform.processor(),
+        "capability": torch.backends.cpu.get_cpu_capability(),
+        "cores": os.cpu_count(),
+        "threads": torch.get_num_threads(),
+        "load": os.getloadavg()[0],
+        "commit": commit,
+        "python": platform.python_version(),
+        "torch": torch.__version__,
+        "torchrl": torchrl.__version__,
+        "tensordict": tensordict.__version__,
+        "bsk_torch": bsk_torch.__version__,
+    }
+
+
+def begin(arguments: argparse.ArgumentParser) -> tuple[argparse.Namespace, dict[str, Any]]:
+    """Read the command line, keep torch to one thread, and describe the machine."""
+    options = arguments.parse_args()
+    torch.set_num_threads(1)
+    return options, machine()
+
+
+def cell(template: str, row: Mapping[str, Any]) -> str:
+    """A row's entry of a column; a dash where the row has no such value."""
+    try:
+        return template.format_map(row)
+    except KeyError:
+        return "-"
+
+
+def table(columns: Mapping[str, str], rows: Sequence[Mapping[str, Any]]) -> str:
+    """Markdown table; ``columns`` are format strings by title, such as ``{"batch": "{batch:,}"}``."""
+    lines = [list(columns), ["---"] * len(columns)]
+    lines += [[cell(template, row) for template in columns.values()] for row in rows]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+
+def write(options: argparse.Namespace, described: dict[str, Any], **results: Any) -> None:
+    """Write ``results``, the machine and the options into the file that the user named, if any."""
+    if options.out:
+        content = {"machine": described, "options": vars(options), **results}
+        options.out.write_text(json.dumps(content, indent=1, default=str) + "\n")
+
+
+def spread(name: str, values: Sequence[float]) -> dict[str, float]:
+    """Median and quartiles, as entries of a row: ``name``, ``name_low`` and ``name_high``."""
+    low, median, high = statistics.quantiles(values, n=4, method="inclusive") if len(values) > 1 else [values[0]] * 3
+    return {name: median, f"{name}_low": low, f"{name}_high": high}
+
+
+# -- playing ----------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Staggered(Distribution):
+    """Time limits, s: in the first episode of row i of ``rows`` (i + 1) / rows of ``limit``, later all of it."""
+
+    rows: int
+    limit: float = EPISODE
+
+    def draw(self, key: Key) -> Tensor:
+        """See :meth:`bsk_torch.rand.Distribution.draw`."""
+        share = (key.env_id % self.rows + 1).double() / self.rows
+        return self.limit * torch.where(key.episode == 0, share, torch.ones_like(share))
+
+
+def make_env(batch: int, dtype: str = "float64", rank: int = 0) -> bsk_torch.SatelliteTasking:
+    """The paper's scanning environment, staggered; the ``rank``-th of several processes has episodes of its own."""
+    return bsk_torch.make(
+        NAME,
+        num_envs=batch,
+        seed=0,
+        sim_dtype=getattr(torch, dtype),
+        env_ids=range(rank * batch, (rank + 1) * batch),
+        time_limit=Staggered(batch),
+    )
+
+
+class Step(NamedTuple):
+    """What a step of the whole batch did: simulated seconds, and episodes that ended."""
+
+    simulated: float
+    ended: int
+
+
+Player = Iterator[Step]
+"""Plays on for ever, one step of the batch at a time, resets included."""
+
+
+def step_of(seen: Any) -> Step:
+    """The step (or steps) whose outcome is ``seen``, a tensordict's ``next``."""
+    return Step(float(seen["duration"].sum(dtype=torch.float64)), int(seen["done"].sum()))
+
+
+def rollout(env: EnvBase) -> Player:
+    """Random actions."""
+    td = env.reset()
+    while True:
+        played, td = env.step_and_maybe_reset(td.set("action", env.action_spec.rand()))
+        yield step_of(played["next"])
+
+
+class Turn(NamedTuple):
+    """Several steps: simulated seconds, ended episodes, number of steps, and seconds of all cores and of the wall clock."""
+
+    simulated: float
+    ended: int
+    steps: int
+    cpu: float
+    wall: float
+
+    @property
+    def rate(self) -> float:
+        """Simulated seconds per core-second, whatever the threads."""
+        return self.simulated / self.cpu
+
+    @property
+    def wall_rate(self) -> float:
+        """Simulated seconds per second of the wall clock."""
+        return self.simulated / self.wall
+
+
+def play(player: Player, seconds: float, least: int = 1) -> Turn:
+    """Play for ``seconds`` of the wall clock, and at least ``least`` steps."""
+    steps: list[Step] = []
+    cpu, wall = time.process_time(), time.perf_counter()
+    while time.perf_counter() - wall < seconds or len(steps) < least:
+        steps.append(next(player))
+    cpu, wall = time.process_time() - cpu, time.perf_counter() - wall
+    return Turn(sum(step.simulated for step in steps), sum(step.ended for step in steps), len(steps), cpu, wall)
+
+
+def start(make: Callable[[], Player], steps: int) -> tuple[Player, float]:
+    """A player after ``steps`` steps of warming up, and the seconds until its first one was done, compilation included."""
+    clock = time.perf_counter()
+    player = make()
+    next(player)
+    first = time.perf_counter() - clock
+    for _ in range(steps - 1):
+        next(player)
+    return player, first
+
+
+# -- processes and memory ---------------------------------------------------------------------------------------------
+
+
+def _join(barrier: Any) -> None:
+    global _barrier
+    _barrier = barrier
+
+
+def meet() -> None:
+    """Wait for the other processes of :func:`in_processes`."""
+    _barrier.wait(PATIENCE)
+
+
+def in_processes(count: int, function: Callable[..., Any], *args: Any) -> list[Any]:
+    """Results of ``function(rank, *args)`` in ``count`` new processes at once."""
+    context = get_context("spawn")
+    with ProcessPoolExecutor(count, context, _join, (context.Barrier(count),)) as pool:
+        return [task.result() for task in [pool.submit(function, rank, *args) for rank in range(count)]]
+
+
+def resident() -> int:
+    """Memory of this process, bytes."""
+    return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+
+
+def available() -> int:
+    """Memory that the machine has left, bytes."""
+    lines = Path("/proc/meminfo").read_text().splitlines()
+    return next(int(line.split()[1]) * 1024 for line in lines if line.startswith("MemAvailable"))
+
+
+# -- parts of a step --------------------------------------------------------------------------------------------------
+
+
+class Stopwatch:
+    """Time of this thread by part of a step, s, in ``spent``; a part's time is without the parts inside it."""
+
+    def __init__(self, *closed: str) -> None:
+        """Start with nothing; parts inside those named ``closed`` count as theirs."""
+        self.spent: dict[str, float] = {}
+        self._closed, self._open = closed, [("", 0.0)]
+
+    def watch(self, owner: Any, name: str, part: str) -> None:
+        """Let the method ``name`` of ``owner`` count as ``part`` from now on."""
+        function = getattr(owner, name)
+
+        def call(*args: Any, **kwargs: Any) -> Any:
+            if self._open[-1][0] in self._closed:
+                return function(*args, **kwargs)
+            self._open.append((part, 0.0))
+            clock = time.thread_time()
+            result = function(*args, **kwargs)
+            self._close(time.thread_time() - clock)
+            return result
+
+        setattr(owner, name, call)
+
+    def _close(self, seconds: float) -> None:
+        part, inside = self._open.pop()
+        self.spent[part] = self.spent.get(part, 0.0) + seconds - inside
+        outer, others = self._open[-1]
+        self._open[-1] = outer, others + seconds

@@ -1,0 +1,143 @@
+"""How the rate grows with the batch, what an environment costs in memory, and what a second core brings.
+
+Usage:
+    python benchmarks/scaling.py [--batches 1 4 16 ...] [--split 64 16384] [--seconds 20] [--out FILE.json]
+
+Every line is measured in new processes. The first table has one thread: rates are simulated seconds per core-second, with
+quartiles over turns, and memory is what the process has grown by, code included, per environment (memory.py looks closer). The
+second table splits the same number of environments over two cores in several ways; its rates are simulated seconds per second
+of the wall clock.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import harness
+import torch
+from torchrl.envs import ParallelEnv
+
+BATCHES = [4**k for k in range(9)]
+
+SPLIT = [64, 16384]
+"""Batches that are split over two cores."""
+
+TURNS = 5
+
+LEAST = 20
+"""Steps in a turn of a large batch: enough for a few bulk preparations of episodes."""
+
+COLUMNS = {
+    "batch": "{batch:,}",
+    "simulated s per core-s": "{rate:,.0f}",
+    "quartiles": "{rate_low:,.0f} to {rate_high:,.0f}",
+    "step, ms": "{step_ms:.3g}",
+    "memory per environment, kB": "{kilobytes:,.0f}",
+    "first reset and step, s": "{ready_s:.1f}",
+    "remark": "{remark}",
+}
+
+SPLIT_COLUMNS = {
+    "layout": "{layout}",
+    "batch": "{batch:,}",
+    "simulated s per s": "{rate:,.0f}",
+    "x one thread": "{gain:.2f}",
+}
+
+
+# -- batches ----------------------------------------------------------------------------------------------------------
+
+
+def one_batch(_: int, batch: int, seconds: float, warm_up: int) -> dict[str, Any]:
+    """A row of the first table."""
+    torch.set_num_threads(1)
+    before = harness.resident()
+    player, ready = harness.start(lambda: harness.rollout(harness.make_env(batch)), warm_up)
+    turns = [harness.play(player, seconds / TURNS, LEAST) for _ in range(TURNS)]
+    return {
+        "batch": batch,
+        "dtype": "float64",
+        **harness.spread("rate", [turn.rate for turn in turns]),
+        "step_ms": 1e3 * sum(turn.cpu for turn in turns) / sum(turn.steps for turn in turns),
+        "kilobytes": (harness.resident() - before) / batch / 1e3,
+        "ready_s": ready,
+        "turns": [turn._asdict() for turn in turns],
+    }
+
+
+def too_large(batch: int, rows: list[dict[str, Any]]) -> str:
+    """Why a batch would not fit into the memory that is left, judged by the largest one before; empty if it does."""
+    known = [row for row in rows if "kilobytes" in row]
+    need = batch * known[-1]["kilobytes"] * 1e3 if known and known[-1]["batch"] >= 64 else 0.0
+    return f"needs {need / 1e9:.0f} GB, {harness.available() / 1e9:.0f} GB are left" if need > 0.9 * harness.available() else ""
+
+
+def batches(sizes: list[int], seconds: float, warm_up: int) -> list[dict[str, Any]]:
+    """The first table."""
+    rows: list[dict[str, Any]] = []
+    for batch in sizes:
+        remark = too_large(batch, rows)
+        measured = {"batch": batch} if remark else harness.in_processes(1, one_batch, batch, seconds, warm_up)[0]
+        rows.append({**measured, "remark": remark})
+        print(harness.cell("{batch}: {rate:,.0f}", rows[-1]), flush=True)
+    return rows
+
+
+# -- two cores --------------------------------------------------------------------------------------------------------
+
+
+def alone(rank: int, batch: int, threads: int, seconds: float, warm_up: int) -> harness.Turn:
+    """One process with a batch of its own, which starts when all are ready."""
+    torch.set_num_threads(threads)
+    player, _ = harness.start(lambda: harness.rollout(harness.make_env(batch, rank=rank)), warm_up)
+    harness.meet()
+    return harness.play(player, seconds, LEAST)
+
+
+def in_workers(_: int, batch: int, seconds: float, warm_up: int) -> harness.Turn:
+    """One process that drives two workers, each with half of the batch, in step."""
+    torch.set_num_threads(1)
+    workers = [partial(harness.make_env, batch // 2, rank=rank) for rank in range(2)]
+    env = ParallelEnv(2, workers, mp_start_method="spawn")
+    player, _ = harness.start(lambda: harness.rollout(env), warm_up)
+    turn = harness.play(player, seconds, LEAST)
+    env.close()
+    return turn
+
+
+Layout = Callable[[int, float, int], list[harness.Turn]]
+
+LAYOUTS: dict[str, Layout] = {
+    "one process, one thread": lambda batch, *times: harness.in_processes(1, alone, batch, 1, *times),
+    "one process, two threads": lambda batch, *times: harness.in_processes(1, alone, batch, 2, *times),
+    "two processes, half the batch each": lambda batch, *times: harness.in_processes(2, alone, batch // 2, 1, *times),
+    "ParallelEnv of two, half the batch each": lambda batch, *times: harness.in_processes(1, in_workers, batch, *times),
+}
+
+
+def layouts(batch: int, seconds: float, warm_up: int) -> list[dict[str, Any]]:
+    """Rows of the second table for one batch size."""
+    rows: list[dict[str, Any]] = []
+    for layout, run in LAYOUTS.items():
+        turns = run(batch, seconds, warm_up)
+        rate = sum(turn.wall_rate for turn in turns)
+        row = {"layout": layout, "batch": batch, "dtype": "float64", "rate": rate, "turns": [turn._asdict() for turn in turns]}
+        rows.append(row | {"gain": rate / (rows[0]["rate"] if rows else rate)})
+        print(harness.cell("{layout}, {batch}: {rate:,.0f}", rows[-1]), flush=True)
+    return rows
+
+
+def main() -> None:
+    """Measure and print two tables."""
+    arguments = harness.parser(__doc__, batches=BATCHES, split=SPLIT, seconds=20.0)
+    options, described = harness.begin(arguments)
+    rows = batches(options.batches, options.seconds, options.warm_up)
+    split = [row for batch in options.split for row in layouts(batch, options.seconds, options.warm_up)]
+    print(harness.table(COLUMNS, rows), harness.table(SPLIT_COLUMNS, split), sep="\n\n")
+    harness.write(options, described, rows=rows, split=split)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,177 @@
+"""Simulated seconds per core-second of the paper's scanning environment, here and in bsk_rl on Basilisk.
+
+Usage:
+    python benchmarks/vs_basilisk.py --basilisk PYTHON [--only CASE ...] [--turns 5] [--seconds 10] [--out FILE.json]
+
+``PYTHON`` is an interpreter with bsk and bsk_rl (see scripts/record_basilisk.py). The two take turns, so that both see the
+same machine; a case's figure is the median over turns of the ratio of rates, with the smallest and the largest. Rates are
+simulated seconds per second of CPU time of the whole process: Basilisk runs in a thread of its own. Both play random actions,
+both draw every episode anew, both include resets, and neither is cut at an episode's end: the next turn goes on where the last
+one stopped. Our batches start staggered and warm up for an episode's length (see harness.py); Basilisk plays one episode at a
+time, some ten in a turn.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import statistics
+import subprocess
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import gymnasium
+import harness
+import torch
+from harness import Player, Step, Turn
+from torchrl.collectors import Collector
+
+from bsk_torch.rl.policies import make_actor, make_policy, sizes
+
+SIDE = Path(__file__).with_name("basilisk_side.py")
+
+HIDDEN = (64, 64)
+"""Layers of the policy that the collector asks."""
+
+STEPS_PER_BATCH = 8
+"""Steps of all environments that the collector hands over at a time."""
+
+
+class Case(NamedTuple):
+    """A batch size, a type of the simulation, and what plays it."""
+
+    batch: int
+    dtype: str
+    play: Callable[[Case], Player]
+
+
+def directly(case: Case) -> Player:
+    """Random actions, by ``step_and_maybe_reset``."""
+    return harness.rollout(harness.make_env(case.batch, case.dtype))
+
+
+def collected(case: Case) -> Player:
+    """An untrained policy, nearly uniform, behind TorchRL's collector; an item is a batch of steps."""
+    env = harness.make_env(case.batch, case.dtype)
+    observed, n_actions = sizes(env)
+    policy = make_policy(make_actor(observed, n_actions, HIDDEN), torch.zeros(observed), torch.ones(observed))
+    collector = Collector(
+        env,
+        policy,
+        frames_per_batch=case.batch * STEPS_PER_BATCH,
+        total_frames=-1,
+        auto_register_policy_transforms=False,
+        track_traj_ids=False,
+    )
+    return (harness.step_of(batch["next"]) for batch in collector)
+
+
+def wrapped(case: Case) -> Player:
+    """Random actions, through Gymnasium's interface."""
+    env = gymnasium.make(f"bsk_torch/{harness.NAME}", sim_dtype=getattr(torch, case.dtype))
+    env.reset(seed=0)
+    while True:
+        _, _, terminated, truncated, info = env.step(env.action_space.sample())
+        if terminated or truncated:
+            env.reset()
+        yield Step(info["duration"], int(terminated or truncated))
+
+
+CASES = {
+    "4096": Case(4096, "float64", directly),
+    "4096-float32": Case(4096, "float32", directly),
+    "4096-collector": Case(4096, "float64", collected),
+    "64": Case(64, "float64", directly),
+    "gymnasium": Case(1, "float64", wrapped),
+    **{str(batch): Case(batch, "float64", directly) for batch in (1, 2, 4, 8, 16)},
+}
+
+COLUMNS = {
+    "case": "{case}",
+    "batch": "{batch}",
+    "type": "{dtype}",
+    "simulated s per core-s": "{rate:,.0f}",
+    "Basilisk": "{basilisk_rate:,.0f}",
+    "x Basilisk": "{ratio:.3g}",
+    "smallest to largest": "{ratio_low:.3g} to {ratio_high:.3g}",
+    "in wall time": "{wall_ratio:.3g}",
+    "episodes ended": "{ended}",
+    "ready after, s": "{ready_s:.1f}",
+}
+
+
+@contextmanager
+def basilisk(python: str) -> Iterator[Callable[[float], Turn]]:
+    """What plays a turn of so many seconds in the interpreter ``python``."""
+    one_thread = {**os.environ, "OMP_NUM_THREADS": "1"}
+    process = subprocess.Popen([python, str(SIDE)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=one_thread)
+
+    def turn(seconds: float) -> Turn:
+        print(seconds, file=process.stdin, flush=True)
+        answer = process.stdout.readline() if process.stdout else ""
+        if not answer:
+            raise RuntimeError(f"{python} {SIDE} has stopped with exit code {process.wait()}")
+        return Turn(**json.loads(answer))
+
+    with process:
+        yield turn
+        if process.stdin:
+            process.stdin.close()
+
+
+def measure(case: Case, python: str, turns: int, seconds: float, warm_up: int) -> tuple[list[tuple[Turn, Turn]], float]:
+    """Turns of Basilisk and of ours, one after the other, and the seconds until ours was ready."""
+    items = -(-warm_up // STEPS_PER_BATCH) if case.play is collected else warm_up
+    player, ready = harness.start(lambda: case.play(case), items)
+    with basilisk(python) as other:
+        return [(other(seconds), harness.play(player, seconds)) for _ in range(turns)], ready
+
+
+def row_of(name: str, case: Case, turns: list[tuple[Turn, Turn]], ready: float) -> dict[str, Any]:
+    """The row of a case: medians over its turns, and the turns themselves."""
+    ratios = [ours.rate / theirs.rate for theirs, ours in turns]
+    return {
+        "case": name,
+        "batch": case.batch,
+        "dtype": case.dtype,
+        "ratio": statistics.median(ratios),
+        "ratio_low": min(ratios),
+        "ratio_high": max(ratios),
+        "wall_ratio": statistics.median(ours.wall_rate / theirs.wall_rate for theirs, ours in turns),
+        "rate": statistics.median(ours.rate for _, ours in turns),
+        "basilisk_rate": statistics.median(theirs.rate for theirs, _ in turns),
+        "ended": sum(ours.ended for _, ours in turns),
+        "ready_s": ready,
+        "turns": [{"basilisk": theirs._asdict(), "ours": ours._asdict()} for theirs, ours in turns],
+    }
+
+
+def crossover(rows: list[dict[str, Any]]) -> str:
+    """Below which of the measured batch sizes Basilisk is faster."""
+    ratios = {row["batch"]: row["ratio"] for row in rows if CASES[row["case"]] == Case(row["batch"], "float64", directly)}
+    slower = [batch for batch, ratio in sorted(ratios.items()) if ratio < 1.0]
+    faster = [batch for batch in sorted(ratios) if batch > max(slower, default=0)]
+    if not slower:
+        return f"Basilisk is slower from a batch of {min(faster)} on." if faster else ""
+    return f"Basilisk is faster up to a batch of {max(slower)}" + (f" and slower from {min(faster)} on." if faster else ".")
+
+
+def main() -> None:
+    """Measure and print a table."""
+    arguments = harness.parser(__doc__, turns=5, seconds=10.0)
+    arguments.add_argument("--basilisk", metavar="PYTHON", required=True, help="interpreter with bsk and bsk_rl")
+    arguments.add_argument("--only", nargs="+", choices=CASES, default=list(CASES), metavar="CASE", help=", ".join(CASES))
+    options, described = harness.begin(arguments)
+    rows = []
+    for name in options.only:
+        turns, ready = measure(CASES[name], options.basilisk, options.turns, options.seconds, options.warm_up)
+        rows.append(row_of(name, CASES[name], turns, ready))
+        print(f"{name}: {rows[-1]['ratio']:.3g}", flush=True)
+    print(harness.table(COLUMNS, rows), crossover(rows), sep="\n\n")
+    harness.write(options, described, rows=rows, crossover=crossover(rows))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,46 @@
+"""Weights of a multistep method for orbits: accelerations at equal steps, integrated twice.
+
+The method is Falkner's (Hairer, Norsett and Wanner, "Solving Ordinary Differential Equations I", section III.10): position and
+velocity at the last node, and the polynomial through the last accelerations. The first accelerations are found by iterating the
+same integrals over a block of nodes. Weights are exact fractions, rounded once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from fractions import Fraction
+from functools import cache
+
+
+@cache
+def _lagrange(nodes: tuple[int, ...]) -> tuple[tuple[Fraction, ...], ...]:
+    """Coefficients, constant term first, of the polynomial that is one at each node and zero at the others."""
+    polynomials = []
+    for node in nodes:
+        terms = [Fraction(1)]
+        for other in nodes:
+            if other != node:
+                scale = Fraction(1, node - other)
+                shifted, scaled = [Fraction(0), *terms], [*terms, Fraction(0)]
+                terms = [(a - other * b) * scale for a, b in zip(shifted, scaled, strict=True)]
+        polynomials.append(tuple(terms))
+    return tuple(polynomials)
+
+
+def velocity_weights(nodes: Sequence[int], start: int, end: int) -> list[float]:
+    """Weights, in steps, of accelerations at ``nodes`` in the change of velocity from ``start`` to ``end``."""
+    return [
+        float(sum(c * Fraction(end ** (k + 1) - start ** (k + 1), k + 1) for k, c in enumerate(terms)))
+        for terms in _lagrange(tuple(nodes))
+    ]
+
+
+def position_weights(nodes: Sequence[int], start: int, end: int) -> list[float]:
+    """Weights, in steps squared, of accelerations at ``nodes`` in the position that they add from ``start`` to ``end``."""
+
+    def moment(k: int) -> Fraction:
+        """Integral of (end - s) s^k from start to end."""
+        whole = Fraction(end ** (k + 1) - start ** (k + 1), k + 1) * end
+        return whole - Fraction(end ** (k + 2) - start ** (k + 2), k + 2)
+
+    return [float(sum(c * moment(k) for k, c in enumerate(terms))) for terms in _lagrange(tuple(nodes))]

@@ -1,0 +1,1 @@
+"""Element-wise tensor code as kernels in C++, whose lanes are environments."""

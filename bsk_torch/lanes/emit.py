@@ -1,0 +1,378 @@
+"""C++ for programs of planes: blocks of W environments, every number in vector registers."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+from bsk_torch.lanes.expr import ALWAYS, DOUBLE, MASK, SINGLE, TICK, Plane, Program, Region
+
+TYPES = {DOUBLE: "D", SINGLE: "F", MASK: "M"}
+INFIX = {"add": "+", "sub": "-", "mul": "*", "div": "/"}
+CALLS = {"and": "both", "or": "either", "xor": "differ", "not": "opposite"} | {
+    name: name for name in ("gt", "lt", "ge", "le", "eq", "ne", "where", "minimum", "maximum", "sign")
+}
+
+
+@dataclass(frozen=True)
+class Track:
+    """A table [N, records, width] of samples every ``spacing`` seconds.
+
+    A tick sees ``count`` neighbouring records, of which ``before`` lie before the last one that has passed.
+    """
+
+    spacing: float
+    width: int
+    count: int
+    before: int = 0
+
+
+class Emitter:
+    """Statements of one program as lines of C++."""
+
+    def __init__(self, program: Program, results: Sequence[Plane]) -> None:
+        """Find out what the ``results`` need."""
+        self.program = program
+        program.root.require_visible(results)
+        self.live: set[int] = set()
+        pending = list(results)
+        while pending:
+            plane = pending.pop()
+            if plane.index not in self.live:
+                self.live.add(plane.index)
+                pending += [] if plane.op in ("input", "constant") else plane.args
+
+    def header(self, include: str) -> str:
+        """The kernel's first lines; lanes are as many as doubles or, if any live plane is float32, as floats fit a register."""
+        mixed = any(p.kind == SINGLE for p in self.planes(self.program.root))
+        return ("#define LANES_MIXED\n" if mixed else "") + include
+
+    def planes(self, region: Region) -> Iterable[Plane]:
+        """Live planes of a region and of those inside, in order."""
+        for item in region.statements:
+            if isinstance(item, Region):
+                yield from self.planes(item)
+            elif item.index in self.live:
+                yield item
+
+    def inputs(self, source: str) -> list[Plane]:
+        """Live inputs from a source."""
+        return [p for p in self.planes(self.program.root) if p.op == "input" and p.args[0] == source]
+
+    def lines(self, lasts: int) -> list[str]:
+        """Statements that last so long: constants of a call, those of a track's record, or the body of the loop."""
+        if lasts == TICK:
+            return self._region(self.program.root)
+        chosen = [p for p in self.planes(self.program.root) if p.lasts == lasts and p.op not in ("input", "constant")]
+        declare = "" if lasts else "const "
+        return [f"{'' if lasts else declare + TYPES[p.kind] + ' '}{self.name(p)} = {self.expression(p)};" for p in chosen]
+
+    def declarations(self, lasts: int) -> list[str]:
+        """Variables that hold what a track's record determines."""
+        return [
+            f"{TYPES[p.kind]} {self.name(p)};" for p in self.planes(self.program.root) if p.lasts == lasts and p.op != "constant"
+        ]
+
+    def _region(self, region: Region) -> list[str]:
+        lines: list[str] = []
+        for item in region.statements:
+            if isinstance(item, Region):
+                lines += self._guarded(item)
+            elif item.index in self.live and item.lasts == TICK and item.op not in ("input", "constant", "merge"):
+                lines.append(f"const {TYPES[item.kind]} {self.name(item)} = {self.expression(item)};")
+        return lines
+
+    def _guarded(self, region: Region) -> list[str]:
+        leaving = [p for p in region.merges if p.index in self.live]
+        if not leaving or region.mask is None:
+            return []
+        mask = self.name(region.mask)
+        before = [f"{TYPES[p.kind]} {self.name(p)} = {self.name(p.args[2])};" for p in leaving]
+        after = [f"{self.name(p)} = where({mask}, {self.name(p.args[1])}, {self.name(p.args[2])});" for p in leaving]
+        return [*before, f"if (any({mask})) {{", *(f"  {line}" for line in self._region(region) + after), "}"]
+
+    def name(self, plane: Plane) -> str:
+        """How other statements refer to a plane."""
+        if plane.op == "constant":
+            return _constant(plane.value, plane.kind)
+        if plane.op == "input":
+            return "_".join(str(part) for part in plane.args)
+        return f"v{plane.index}"
+
+    def expression(self, plane: Plane) -> str:
+        """What a plane is computed from."""
+        args = [self.name(arg) for arg in plane.args]
+        if plane.op in INFIX:
+            return f"{args[0]} {INFIX[plane.op]} {args[1]}"
+        if plane.op in CALLS:
+            return f"{CALLS[plane.op]}({', '.join(args)})"
+        if plane.op == "cast":
+            return self.converted(plane.args[0], plane.kind)
+        return f"{args[0]}.{plane.op}({', '.join(args[1:])})"
+
+    def converted(self, plane: Plane, kind: str) -> str:
+        """A plane as one of another kind."""
+        name = self.name(plane)
+        if plane.kind == kind:
+            return name
+        if plane.kind == MASK:
+            return f"where({name}, {TYPES[kind]}(1), {TYPES[kind]}(0))"
+        if kind == MASK:
+            return f"ne({name}, {TYPES[plane.kind]}(0))"
+        return f"{'widen' if kind == DOUBLE else 'narrow'}({name})"
+
+
+def _constant(value: float | bool, kind: str) -> str:
+    if kind == MASK:
+        return f"constant({str(value).lower()})"
+    if math.isfinite(value):
+        return f"{TYPES[kind]}({value!r}{'f' if kind == SINGLE else ''})"
+    limit = f"std::numeric_limits<{kind}>::{'quiet_NaN' if math.isnan(value) else 'infinity'}()"
+    return f"{TYPES[kind]}({'-' if value < 0 else ''}{limit})"
+
+
+def _indent(lines: Iterable[str], depth: int) -> str:
+    return "\n".join("  " * depth + line for line in lines)
+
+
+SIGNATURE = "iippippppippippi"
+"""Arguments of every loop, before three for each track; see :data:`LOOP`."""
+
+LOOP = """{header}
+using namespace lanes;
+
+extern "C" int lanes_width() {{ return W; }}
+
+// Runs count[i] ticks of row rows[i] for every i; rows come in blocks of W, padded with counts of zero. Row i of the tables is
+// owner[i], or i without owners. Tick k of row i writes record k - 1 of row i of written.
+extern "C" void run(int64_t blocks, int64_t threads, const int64_t* rows, const int64_t* counts, int64_t n,
+                    double* state, const double* shared, const double* own, const double* flags, int64_t modes,
+                    const int64_t* mode, const int64_t* ticks, int64_t nanoseconds, const double* schedule,
+                    double* written, int64_t stride{arguments}) {{
+#pragma omp parallel for schedule(dynamic) num_threads(threads) if (threads > 1)
+  for (int64_t block = 0; block < blocks; ++block) {{
+    const int64_t* row = rows + block * W;
+    const int64_t* count = counts + block * W;
+    int64_t last = 0, next = INT64_MAX;
+    for (int l = 0; l < W; ++l) {{
+      if (count[l] > last) last = count[l];
+      if (count[l] > 0 && count[l] < next) next = count[l];
+    }}
+    if (last == 0) continue;
+    D ticks_start(0);
+    if (ticks) load(ticks_start, [&](int l) {{ return double(ticks[row[l]]); }});
+{loads}
+{always}
+{records}
+    for (int64_t k = 1; k <= last; ++k) {{
+      const D ticks_now = ticks_start + D(double(k));
+      const D time_now = {clock};
+{tracks}
+{body}
+{writes}
+      if (k == next) {{
+        alignas(64) double out[{changed}][W];
+{stores}
+        next = INT64_MAX;
+        for (int l = 0; l < W; ++l) {{
+          if (count[l] == k) {{
+{ends}
+          }} else if (count[l] > k && count[l] < next) {{
+            next = count[l];
+          }}
+        }}
+      }}
+{turn}
+    }}
+  }}
+}}
+"""
+
+TRACK = """      const D elapsed_{t} = time_now - start_{t};
+      if (k == 1 || any(either(lt(elapsed_{t}, from_{t}), ge(elapsed_{t}, until_{t})))) {{
+        alignas(64) double at[W], since[W], from[W], until[W];
+        elapsed_{t}.store(at);
+        const double* record[W];
+        for (int l = 0; l < W; ++l) {{
+          int64_t index = int64_t(std::floor(at[l] / {spacing!r})) - {before};
+          index = index > records_{t} - {count} ? records_{t} - {count} : index;
+          index = index < 0 ? 0 : index;
+          since[l] = (index + {before}) * {spacing!r};
+          from[l] = index > 0 ? since[l] : -std::numeric_limits<double>::infinity();
+          until[l] = index < records_{t} - {count} ? since[l] + {spacing!r} : std::numeric_limits<double>::infinity();
+          record[l] = table_{t} + ((owner_{t} ? owner_{t}[row[l]] : row[l]) * records_{t} + index) * {width};
+        }}
+        base_{t} = D::loadu(since);
+        from_{t} = D::loadu(from);
+        until_{t} = D::loadu(until);
+{loads}
+{lines}
+      }}
+      const D tau_{t} = elapsed_{t} - base_{t};"""
+
+WRITE = """      {{
+        alignas(64) double out[{count}][W];
+{stores}
+        for (int l = 0; l < W; ++l) {{
+          if (count[l] < k) continue;
+          double* to = written + row[l] * stride + (k - 1) * {count};
+{lines}
+        }}
+      }}"""
+
+CLOCKS = {
+    "ticks": "ticks_now * D(double(nanoseconds)) * D(1e-9)",
+    "start": "ticks_start * D(double(nanoseconds)) * D(1e-9)",
+    "schedule": "D(schedule[(k - 1) * {width}])",
+}
+
+
+def loop_source(
+    program: Program,
+    outputs: Sequence[Plane],
+    tracks: Sequence[Track],
+    header: str,
+    written: Sequence[Plane] = (),
+    clock: str = "ticks",
+    schedule: int = 0,
+) -> str:
+    """C++ of a kernel that repeats ticks: ``outputs`` are the planes of the state at the end of a tick.
+
+    Inputs are named ``state_<plane>``, ``shared_<plane>``, ``own_<plane>``, ``flag_<plane>``, ``schedule_<plane>`` (numbers of
+    this tick, of ``schedule`` for each), ``track_<t>_<plane>``, ``tau_<t>``, seconds since the record of track t, and
+    ``ticks_now``, the
+    number of this tick. Planes ``written`` are recorded in every tick. Tracks are looked up at the time of the ``clock``: that of
+    the ticks, that of the start, the first number of the schedule, or the plane of the state that it names.
+    """
+    emitter = Emitter(program, [*outputs, *written])
+    changed = [(k, p) for k, p in enumerate(outputs) if not (p.op == "input" and p.args == ("state", k))]
+    return LOOP.format(
+        header=emitter.header(header),
+        arguments="".join(
+            f",\n                    const double* table_{t}, const double* starts_{t}, "
+            f"const int64_t* owner_{t}, int64_t records_{t}"
+            for t in range(1, len(tracks) + 1)
+        ),
+        loads=_indent(_loads(emitter), 2),
+        always=_indent(emitter.lines(ALWAYS), 2),
+        records=_indent(_record_variables(emitter, len(tracks)), 2),
+        clock=CLOCKS[clock].format(width=schedule) if clock in CLOCKS else clock,
+        tracks="\n".join(_track(emitter, t, track) for t, track in enumerate(tracks, 1)),
+        body=_indent([*_scheduled(emitter, schedule), *emitter.lines(TICK)], 3),
+        writes=_writes(emitter, written) if written else "",
+        changed=max(1, len(changed)),
+        stores=_indent(_stores(emitter, [p for _, p in changed]), 4),
+        ends=_indent((f"state[{k} * n + row[l]] = out[{i}][l];" for i, (k, _) in enumerate(changed)), 6),
+        turn=_indent(_turn(emitter, changed), 3),
+    )
+
+
+def _loads(emitter: Emitter) -> list[str]:
+    return [
+        *(_load(p, f"state[{p.args[1]} * n + row[l]]") for p in emitter.inputs("state")),
+        *(_load(p, f"own[{p.args[1]} * n + row[l]]") for p in emitter.inputs("own")),
+        *(_load(p, f"flags[{p.args[1]} * modes + mode[row[l]]]") for p in emitter.inputs("flag")),
+        *(
+            f"const {TYPES[p.kind]} {emitter.name(p)} = {TYPES[p.kind]}({p.kind}(shared[{p.args[1]}]));"
+            for p in emitter.inputs("shared")
+        ),
+    ]
+
+
+def _load(plane: Plane, lane: str) -> str:
+    name = "_".join(str(part) for part in plane.args)
+    return f"{TYPES[plane.kind]} {name}; load({name}, [&](int l) {{ return {lane}; }});"
+
+
+def _record_variables(emitter: Emitter, tracks: int) -> list[str]:
+    lines: list[str] = []
+    for t in range(1, tracks + 1):
+        lines.append(f"D start_{t}(0), base_{t}(0), from_{t}(0), until_{t}(0);")
+        lines.append(
+            f"if (starts_{t}) load(start_{t}, [&](int l) {{ return starts_{t}[owner_{t} ? owner_{t}[row[l]] : row[l]]; }});"
+        )
+        lines += emitter.declarations(t)
+    return lines
+
+
+def _scheduled(emitter: Emitter, width: int) -> list[str]:
+    return [f"const D {emitter.name(p)}(schedule[(k - 1) * {width} + {p.args[1]}]);" for p in emitter.inputs("schedule")]
+
+
+def _stores(emitter: Emitter, planes: Sequence[Plane]) -> list[str]:
+    return [f"{emitter.converted(p, DOUBLE)}.store(out[{i}]);" for i, p in enumerate(planes)]
+
+
+def _writes(emitter: Emitter, written: Sequence[Plane]) -> str:
+    lines = (f"to[{i}] = out[{i}][l];" for i in range(len(written)))
+    return WRITE.format(count=len(written), stores=_indent(_stores(emitter, written), 4), lines=_indent(lines, 5))
+
+
+def _turn(emitter: Emitter, changed: Sequence[tuple[int, Plane]]) -> list[str]:
+    """Hand the new state to the next tick, all planes at once: some may trade places."""
+    known = {p.args[1]: p.kind for p in emitter.inputs("state")}
+    moved = [(k, p) for k, p in changed if k in known]
+    copies = [f"const {TYPES[known[k]]} new_{k} = {emitter.converted(p, known[k])};" for k, p in moved]
+    return copies + [f"state_{k} = new_{k};" for k, _ in moved]
+
+
+def _track(emitter: Emitter, t: int, track: Track) -> str:
+    inputs = [p for p in emitter.inputs("track") if p.args[1] == t]
+    loads = [f"load({emitter.name(p)}, [&](int l) {{ return record[l][{p.args[2]}]; }});" for p in inputs]
+    lines = emitter.lines(t)
+    return TRACK.format(
+        t=t,
+        spacing=track.spacing,
+        count=track.count,
+        before=track.before,
+        width=track.width,
+        loads=_indent(loads, 4),
+        lines=_indent(lines, 4),
+    )
+
+
+MAP = """{header}
+#include <algorithm>
+using namespace lanes;
+
+// Columns of the planes x [{inputs}, n] give those of y [{outputs}, n]. Vectors overlap where n is no multiple of W.
+extern "C" void run(int64_t n, int64_t threads, const double* x, const double* shared, double* y) {{
+  if (n < W) {{
+    double few_x[{inputs}][W], few_y[{outputs}][W];
+    for (int p = 0; p < {inputs} && n > 0; ++p) {{
+      for (int l = 0; l < W; ++l) few_x[p][l] = x[p * n + std::min<int64_t>(l, n - 1)];
+    }}
+    if (n > 0) run(W, 1, few_x[0], shared, few_y[0]);
+    for (int p = 0; p < {outputs}; ++p) std::copy_n(few_y[p], n, y + p * n);
+    return;
+  }}
+#pragma omp parallel num_threads(threads) if (threads > 1)
+  {{
+{always}
+#pragma omp for schedule(static)
+    for (int64_t first = 0; first < n; first += W) {{
+      const int64_t at = std::min(first, n - W);
+{loads}
+{body}
+{stores}
+    }}
+  }}
+}}
+"""
+
+
+def map_source(program: Program, outputs: Sequence[Plane], header: str) -> str:
+    """C++ of a kernel that computes ``outputs``, float64, once from inputs ``x_<plane>`` and ``shared_<plane>``, also float64."""
+    emitter = Emitter(program, outputs)
+    shared = [f"const D {emitter.name(p)}(shared[{p.args[1]}]);" for p in emitter.inputs("shared")]
+    loads = (f"const D {emitter.name(p)} = D::loadu(x + {p.args[1]} * n + at);" for p in emitter.inputs("x"))
+    return MAP.format(
+        header=emitter.header(header),
+        inputs=max([1, *(p.args[1] + 1 for p in emitter.inputs("x"))]),
+        outputs=len(outputs),
+        always=_indent([*shared, *emitter.lines(ALWAYS)], 2),
+        loads=_indent(loads, 3),
+        body=_indent(emitter.lines(TICK), 3),
+        stores=_indent((f"{emitter.name(p)}.store(y + {k} * n + at);" for k, p in enumerate(outputs)), 3),
+    )

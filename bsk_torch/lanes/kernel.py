@@ -1,0 +1,238 @@
+"""Building, keeping and loading kernels.
+
+A kernel is a shared library in the user's cache folder (``BSK_TORCH_CACHE`` moves it), named by a hash of its source, of torch's
+version, of the compiler's options and of the processor: whatever changes them builds another one. Behind the library stands its
+own hash, so that a file that was cut off is built again instead of loaded.
+
+The vector instructions are those that torch's inductor chooses for this machine. ``BSK_TORCH_ISA`` names others: ``avx512``,
+``avx2``, or ``default``, which means plain C++. That is meant for tests; a machine must have what is named.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import hashlib
+import logging
+import os
+import platform
+import shlex
+import subprocess
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import platformdirs
+import torch
+from torch import Tensor
+
+from bsk_torch.lanes.emit import map_source
+from bsk_torch.lanes.expr import ALWAYS, DOUBLE, TICK, Program, as_kind
+
+if TYPE_CHECKING:
+    from torch._inductor.cpu_vec_isa import VecISA
+
+logger = logging.getLogger(__name__)
+
+HEADER = Path(__file__).with_name("lanes.h")
+
+INCLUDE = f'#include "{HEADER.name}"'
+
+FLAGS = ("-ffp-contract=fast", "-fno-math-errno", "-fno-trapping-math", "-g0", "-w")
+"""Options beside inductor's."""
+
+SCHEDULING = ("-fschedule-insns", "-fsched-pressure")
+"""Options that only GCC knows; scheduling with regard to register pressure is worth a tenth."""
+
+ISAS = ("avx512", "avx2", "default")
+"""Values of ``BSK_TORCH_ISA``."""
+
+LOADED: dict[str, ctypes.CDLL] = {}
+"""Libraries of this process."""
+
+WITHOUT = 'backend="eager" needs no compiler, but is slower.'
+
+SHOWN_LINES = 15
+"""How much of a compiler's complaint an error repeats."""
+
+THREAD_WORK = 1 << 18
+"""Numbers to compute, in statements times columns, that are worth another thread."""
+
+
+def cache_folder() -> Path:
+    """Where kernels and packages are kept."""
+    return Path(os.environ.get("BSK_TORCH_CACHE") or platformdirs.user_cache_path("bsk_torch"))
+
+
+@cache
+def processor() -> str:
+    """What code for this machine may not run on another one."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+    except OSError:
+        lines = []
+    described = sorted({line for line in lines if line.startswith(("model name", "flags", "Features", "CPU part"))})
+    return "\n".join([platform.machine(), platform.processor(), torch.backends.cpu.get_cpu_capability(), *described])
+
+
+def entry(library: ctypes.CDLL, signature: str) -> Callable[..., None]:
+    """The kernel's function: p stands for a tensor (contiguous) or None, i for an integer, d for a double."""
+    types: dict[str, Any] = {"p": ctypes.c_void_p, "i": ctypes.c_int64, "d": ctypes.c_double}
+    function = library.run
+    function.argtypes, function.restype = [types[code] for code in signature], None
+
+    def call(*args: Tensor | float | None) -> None:
+        function(*(arg.data_ptr() if isinstance(arg, Tensor) else arg for arg in args))
+
+    return call
+
+
+def load(source: str, name: str) -> ctypes.CDLL:
+    """The library of a kernel's source; ``name`` says in messages what is being compiled."""
+    parts = [source, HEADER.read_text(), *FLAGS, *SCHEDULING, torch.__version__, processor(), _chosen_isa()]
+    key = hashlib.sha256("\n".join(parts).encode()).hexdigest()[:32]
+    if key not in LOADED:
+        path = cache_folder() / f"{key}.so"
+        LOADED[key] = _kept(path) or _built(source, path, name)
+    return LOADED[key]
+
+
+def mapped(function: Callable[..., Sequence[Any]], inputs: int, shared: int, name: str) -> Callable[..., Tensor]:
+    """A kernel that computes ``function`` for every column of a tensor.
+
+    Args:
+        function: Computes a list of planes from a list of planes and a list of planes that all columns share. The kernel calls it
+            once, with symbolic planes, when it is first needed.
+        inputs: Number of planes.
+        shared: Number of shared planes.
+        name: What is being compiled, for messages.
+
+    Returns:
+        A function of x [inputs, n] and of the shared numbers [shared], both float64 on the CPU, that gives y [outputs, n] without
+        a gradient. It raises UntraceableError if ``function`` has no kernel.
+    """
+
+    @cache
+    def build() -> tuple[Callable[..., None], int, int]:
+        program = Program()
+        planes = [program.input(("x", k), DOUBLE, TICK) for k in range(inputs)]
+        common = [program.input(("shared", k), DOUBLE, ALWAYS) for k in range(shared)]
+        outputs = [as_kind(program, y, DOUBLE) for y in function(planes, common)]
+        return entry(load(map_source(program, outputs, INCLUDE), name), "iippp"), len(outputs), program.count
+
+    def call(x: Tensor, common: Tensor | None = None) -> Tensor:
+        run, outputs, statements = build()
+        x = _checked(x, inputs, "x")
+        if shared:
+            common = _checked(common, shared, "shared")
+        n = x.shape[1]
+        y = torch.empty((outputs, n), dtype=torch.float64)
+        threads = min(torch.get_num_threads(), 1 + n * statements // THREAD_WORK)
+        run(n, threads, x, common, y)
+        return y
+
+    return call
+
+
+def _checked(x: Tensor | None, planes: int, name: str) -> Tensor:
+    """A tensor that C++ can read."""
+    if x is None or x.shape[0] != planes or x.dtype is not torch.float64 or not x.is_cpu:
+        found = None if x is None else f"{list(x.shape)}, {x.dtype}, on {x.device}"
+        raise ValueError(f"{name} must be float64 on the CPU, and its first dimension {planes}; it is {found}")
+    return x.contiguous()
+
+
+# -- building ----------------------------------------------------------------------------------------------------------------
+
+
+def _kept(path: Path) -> ctypes.CDLL | None:
+    """The library in the cache, if it is there and whole."""
+    try:
+        content = path.read_bytes()
+    except OSError:
+        return None
+    code, seal = content[:-32], content[-32:]
+    if _seal(code) != seal:
+        logger.warning("%s is damaged and will be built again", path)
+        return None
+    try:
+        return ctypes.CDLL(str(path))
+    except OSError as error:
+        logger.warning("%s cannot be loaded and will be built again: %s", path, error)
+        return None
+
+
+def _seal(code: bytes) -> bytes:
+    return hashlib.sha256(code).digest()
+
+
+def _built(source: str, path: Path, name: str) -> ctypes.CDLL:
+    begin = time.perf_counter()
+    logger.info("compiling the %s for this machine, once", name)
+    command = _command(name)
+    try:
+        _build(source, path, name, command)
+    except OSError as error:
+        raise RuntimeError(
+            f"the {name} cannot be kept in {path.parent} ({error}); let BSK_TORCH_CACHE name a folder that can be written to. "
+            f"{WITHOUT}"
+        ) from error
+    logger.info("compiled the %s in %.1f s; kept in %s", name, time.perf_counter() - begin, path.parent)
+    try:
+        return ctypes.CDLL(str(path))
+    except OSError as error:
+        raise RuntimeError(
+            f"{path}, the {name}, was built but cannot be loaded: {error}; BSK_TORCH_CACHE can name another folder"
+        ) from error
+
+
+def _build(source: str, path: Path, name: str, command: list[str]) -> None:
+    """Compile into a folder of its own and move the library into place whole, so that several processes may start at once."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=path.parent, prefix="build-") as folder:
+        code, library = Path(folder, "kernel.cpp"), Path(folder, "kernel.so")
+        code.write_text(source)
+        run = subprocess.run(command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, errors="replace")
+        if run.returncode:
+            kept = path.with_suffix(".cpp")
+            os.replace(code, kept)
+            complaint = "\n".join(run.stdout.splitlines()[-SHOWN_LINES:])
+            raise RuntimeError(f"{command[0]} cannot compile the {name}:\n{complaint}\nThe source is kept in {kept}. {WITHOUT}")
+        with library.open("ab") as file:
+            file.write(_seal(library.read_bytes()))
+        os.replace(library, path)
+
+
+def _command(name: str) -> list[str]:
+    """The compiler and its arguments, which turn kernel.cpp of the working directory into kernel.so."""
+    from torch._inductor import config, cpp_builder, exc
+
+    try:
+        compiler = cpp_builder.get_cpp_compiler()
+    except (exc.InvalidCxxCompiler, OSError) as error:
+        choices = config.cpp.cxx if isinstance(config.cpp.cxx, list | tuple) else [config.cpp.cxx]
+        wanted = " or ".join(str(choice) for choice in choices if choice)
+        raise RuntimeError(
+            f"the {name} needs a C++ compiler, but {wanted} does not run here; install it or let CXX name another one. {WITHOUT}"
+        ) from error
+    flags = [*FLAGS, *(SCHEDULING if cpp_builder.is_gcc() else ()), f"-I{shlex.quote(str(HEADER.parent))}"]
+    options = cpp_builder.CppTorchOptions(vec_isa=_vector_isa(), extra_flags=flags, compiler=compiler)
+    return shlex.split(cpp_builder.CppBuilder("kernel", ["kernel.cpp"], options).get_command_line())
+
+
+def _chosen_isa() -> str:
+    chosen = os.environ.get("BSK_TORCH_ISA", "")
+    if chosen not in ("", *ISAS):
+        raise ValueError(f"BSK_TORCH_ISA={chosen} must be one of {', '.join(ISAS)}")
+    return chosen
+
+
+def _vector_isa() -> VecISA:
+    """Inductor's description of the vector instructions."""
+    from torch._inductor import cpu_vec_isa
+
+    known = {"avx512": cpu_vec_isa.VecAVX512(), "avx2": cpu_vec_isa.VecAVX2(), "default": cpu_vec_isa.invalid_vec_isa}
+    chosen = _chosen_isa()
+    return known[chosen] if chosen else cpu_vec_isa.pick_vec_isa()

@@ -1,0 +1,15 @@
+"""Fixtures that the tests of arcs share."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+
+from tests.sim.arcs import Solved
+
+
+@pytest.fixture(scope="session")
+def fly(solve_arcs, backend) -> Callable[..., Solved]:
+    """Arcs of ``spans`` hours under the back end of the test."""
+    return lambda initials, spans: Solved(*solve_arcs(initials, spans, backend=backend), backend)

@@ -1,0 +1,129 @@
+from __future__ import annotations
+
+import pytest
+import torch
+
+from bsk_torch.sim.component import Bus, Field, Layout, Track, neighbours, vec
+from bsk_torch.vec3 import Vec3
+
+FIELDS = (vec("r", exact=True), Field("charge", exact=True), Field("pulse", 4), Field("one_of_many", 1, many=True), Field("idle"))
+
+
+def planes(size: int, n: int = 5) -> list[torch.Tensor]:
+    return list(torch.randn(size, n, dtype=torch.float64))
+
+
+# -- bus --------------------------------------------------------------------------------------------------------------------
+
+
+def test_a_bus_knows_its_tick():
+    bus = Bus(500_000_000, torch.float32, opaque_field=True)
+    assert (bus.h_ns, bus.h, bus.dtype, bus.opaque_field) == (500_000_000, 0.5, torch.float32, True)
+
+
+def test_messages_must_be_written_before_they_are_read():
+    bus = Bus(1)
+    assert not bus.has("power")
+    with pytest.raises(AttributeError, match="no component has written 'power'"):
+        _ = bus.power
+    bus.power = 3.0
+    assert bus.has("power")
+
+
+# -- layouts ----------------------------------------------------------------------------------------------------------------
+
+
+def test_layouts_write_fields_to_the_bus_and_gather_them():
+    layout, bus = Layout(FIELDS), Bus(1)
+    pack = planes(layout.size)
+    layout.put(bus, pack)
+    assert isinstance(bus.r, Vec3)
+    assert all(a is b for a, b in zip(bus.r, pack[:3], strict=True))
+    assert bus.charge is pack[3]
+    assert isinstance(bus.pulse, tuple)
+    assert len(bus.pulse) == 4
+    assert isinstance(bus.one_of_many, tuple)
+    assert bus.one_of_many == (pack[8],)
+    assert all(a is b for a, b in zip(layout.gather(bus), pack, strict=True))
+
+
+def test_exact_fields_are_told_plane_by_plane():
+    assert Layout(FIELDS).exact == [True] * 4 + [False] * 6
+
+
+def test_equal_names_are_one_field():
+    layout = Layout((*FIELDS, Field("charge", exact=True)))
+    assert layout.size == 10
+    assert layout.slices["idle"] == slice(9, 10)
+
+
+def test_rows_and_views_of_a_pack():
+    layout = Layout(FIELDS[:3])
+    values = {"r": torch.randn(4, 3).double(), "charge": torch.randn(1).double(), "pulse": torch.randn(1, 4).double()}
+    pack = layout.rows(values, 4)
+    assert torch.equal(layout.view(pack, "r"), values["r"].mT)
+    assert torch.equal(layout.view(pack, "charge"), values["charge"].expand(4))
+    assert torch.equal(layout.view(pack, "pulse"), values["pulse"].mT.expand(4, 4))
+    layout.view(pack, "charge")[2] = 7.0
+    assert pack[3, 2] == 7.0
+    assert Layout(()).rows({}, 3).shape == (0, 3)
+
+
+# -- tracks -----------------------------------------------------------------------------------------------------------------
+
+PAIR = Track("pair", 10.0, (Field("x"), vec("y")))
+QUARTET = Track("quartet", 10.0, (Field("x"),), count=4, before=1)
+
+
+def numbered(track: Track, records: int, rows: int = 3) -> torch.Tensor:
+    """A table [rows, records, width] whose numbers tell where they stand."""
+    index = torch.arange(rows * records * track.width, dtype=torch.float64)
+    return index.view(rows, records, track.width)
+
+
+def test_width_of_a_track():
+    assert PAIR.width == 4
+    assert QUARTET.width == 1
+
+
+@pytest.mark.parametrize(
+    ("elapsed", "first", "tau"),
+    [
+        (0.0, 0, 0.0),
+        (9.999, 0, 9.999),
+        (10.0, 1, 0.0),
+        (25.0, 2, 5.0),
+        (49.0, 4, 9.0),
+        (50.0, 4, 10.0),
+        (57.0, 4, 17.0),
+        (-3.0, 0, -3.0),
+    ],
+)
+def test_the_two_records_around_a_time(elapsed, first, tau):
+    """Beyond the ends of the table the outermost pair is continued."""
+    table, rows = numbered(PAIR, 6), torch.tensor([2])
+    found, since = neighbours(PAIR, table, rows, torch.tensor([elapsed], dtype=torch.float64))
+    assert torch.equal(found[0], table[2, first : first + 2])
+    assert since.item() == pytest.approx(tau, abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("elapsed", "first", "tau"),
+    [(0.0, 0, -10.0), (15.0, 0, 5.0), (20.0, 1, 0.0), (39.0, 2, 9.0), (45.0, 2, 15.0), (50.0, 2, 20.0)],
+)
+def test_more_records_are_centred_but_at_the_ends(elapsed, first, tau):
+    """tau counts from the second of the four records, wherever they lie."""
+    found, since = neighbours(QUARTET, numbered(QUARTET, 6), torch.tensor([0]), torch.tensor([elapsed], dtype=torch.float64))
+    assert found[0, :, 0].tolist() == [first + k for k in range(4)]
+    assert since.item() == pytest.approx(tau, abs=1e-12)
+
+
+def test_every_row_has_its_own_time():
+    table, rows = numbered(PAIR, 6), torch.tensor([1, 0, 1, 2])
+    elapsed = torch.tensor([0.0, 12.0, 30.0, 44.0], dtype=torch.float64)
+    found, tau = neighbours(PAIR, table, rows, elapsed)
+    assert found.shape == (4, 2, 4)
+    for k in range(4):
+        alone, since = neighbours(PAIR, table, rows[k : k + 1], elapsed[k : k + 1])
+        assert torch.equal(found[k], alone[0])
+        assert tau[k] == since[0]
