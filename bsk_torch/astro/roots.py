@@ -11,7 +11,7 @@ Function = Callable[[Tensor], Tensor]
 
 
 def next_guess(a: Tensor, b: Tensor, f_a: Tensor, f_b: Tensor) -> Tensor:
-    """Where the straight line through two points of f is zero; b where they are equally high."""
+    """Where the straight line through two points of f is zero; if they are equally high, f_b before b."""
     return b - f_b * (b - a) / torch.where(f_b == f_a, torch.ones_like(f_a), f_b - f_a)
 
 

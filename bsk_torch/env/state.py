@@ -39,12 +39,14 @@ def simulation_state(simulator: Simulator) -> TensorDict:
 def _restore_arcs(simulator: Simulator, saved: TensorDictBase, rows: Tensor) -> None:
     """Put the saved arcs back; where they are longer than the simulation's, those of all rows are made as long."""
     arcs = simulator.arcs
+    if saved["arcs_tail"].shape[1] != arcs.solver.tail:
+        raise ValueError("the state was saved under another backend: eager and compiled simulations solve arcs in different ways")
     if not bool(arcs.et.any()):  # never reset: there is nothing to lengthen
         for name in FIELDS:
             setattr(arcs, name, saved[f"arcs_{name}"].clone())
     while arcs.flown.shape[1] < saved["arcs_flown"].shape[1]:
         simulator.grow()
-    other = Arcs(len(saved), 1, arcs.solver)
+    other = Arcs(len(saved), 1, arcs.solver, arcs.kept)
     for name in FIELDS:
         setattr(other, name, saved[f"arcs_{name}"].clone())
     while other.flown.shape[1] < arcs.flown.shape[1]:

@@ -14,7 +14,7 @@ from torch import Tensor
 from bsk_torch.sim.orbit import Arcs
 from bsk_torch.sim.ragged import stored, tabulate
 from bsk_torch.sim.sight import GLIMPSED, MOST_PLACES, PER_PLACE, RISES, SETS, Brackets, Places, Sight, View
-from bsk_torch.sim.span import PLAN_STEP
+from bsk_torch.sim.span import PLAN_STEP, SPAN
 
 SHORTEST = 0.1
 """Windows that rise and set inside an interval and last no longer than this, s, are dropped."""
@@ -22,8 +22,11 @@ SHORTEST = 0.1
 LOOKAHEAD = 100
 """Segments that a query may add before it gives up."""
 
-AHEAD = 18
-"""Segments that are searched at once."""
+AHEAD = 10800.0
+"""Seconds that are searched at once beyond what has been asked for."""
+
+TIE = 1e-7
+"""Windows cut at the same time are sorted by place, as if each closed so much later, s, than the one before."""
 
 
 class Events(NamedTuple):
@@ -197,6 +200,8 @@ class AccessTable:
         self.until, self.ready = torch.zeros_like(arcs.start), torch.zeros_like(arcs.start)
         empty = torch.full((n, 1), torch.inf, dtype=torch.float64, device=arcs.device)
         self.windows = Windows(empty, empty.clone(), torch.zeros(n, 1, dtype=torch.long, device=arcs.device))
+        self.rank = self.windows.place * TIE
+        self.ahead = max(1, round(AHEAD / segment))
 
     def reset(self, rows: Tensor, view: View, duration: Tensor) -> None:
         """Generate the windows of ``rows`` on new arcs from time zero for ``duration`` [n] (whole segments; none where zero).
@@ -211,13 +216,17 @@ class AccessTable:
         closes, opens, place = tabulate(rise.row, torch.minimum(close, duration[rise.row]), len(rows), rise.time, rise.place)
         self.store(rows, Windows(opens, closes, place))
         self.until[rows] = self.ready[rows] = duration
-        segments = min(AHEAD, int((self.arcs.length - longest) / self.segment))
+        segments = min(self.ahead, int((self.arcs.length - longest) / self.segment))
         if segments:
-            self._search(rows, view, segments, torch.zeros_like(duration))
+            self._search(rows, view, segments, start)
+        while len(behind := torch.nonzero(self.ready[rows] < self.arcs.planned_from[rows]).squeeze(-1)):
+            segments = int((self.arcs.length - float(self.ready[rows[behind]].max())) / self.segment)
+            self._search(rows[behind], view.of(behind), segments, start[behind])
 
     def store(self, rows: Tensor, found: Windows) -> None:
         """Replace the windows of ``rows``."""
         self.windows = Windows(*(stored(table, rows, new) for table, new in zip(self.windows, found, strict=True)))
+        self.rank = self.windows.place * TIE
 
     def next(self, time: Tensor, count: int) -> tuple[Windows, Tensor]:
         """The ``count`` next windows to close at ``time`` [N], [N, count] each, and how many of them there are, [N].
@@ -225,14 +234,15 @@ class AccessTable:
         The last is repeated where there are fewer.
         """
         until = self.until.unsqueeze(-1)
-        close = torch.minimum(self.windows.close, until)
+        close = torch.minimum(self.windows.close, until + self.rank)
         ahead = (self.windows.open < until) & (close >= (time + 1e-12).unsqueeze(-1))
         left = torch.where(ahead, close, torch.inf)
         columns = [Column(*torch.min(left, 1))]
         if count == 1:
             index = columns[0].indices.unsqueeze(-1)
             opens, place = (table.gather(1, index) for table in (self.windows.open, self.windows.place))
-            return Windows(opens, columns[0].values.unsqueeze(-1), place), torch.isfinite(columns[0].values).long()
+            close = torch.minimum(columns[0].values.unsqueeze(-1), until)
+            return Windows(opens, close, place), torch.isfinite(columns[0].values).long()
         for _ in range(count - 1):
             left = left.scatter(1, columns[-1].indices.unsqueeze(-1), torch.inf)
             later = Column(*torch.min(left, 1))
@@ -241,7 +251,8 @@ class AccessTable:
             columns.append(Column(*(torch.where(none, a, b) for a, b in zip(last, later, strict=True))))
         index = torch.stack([column.indices for column in columns], -1)
         opens, place = (table.gather(1, index) for table in (self.windows.open, self.windows.place))
-        return Windows(opens, torch.stack([column.values for column in columns], -1), place), ahead.sum(1).clamp(max=count)
+        close = torch.minimum(torch.stack([column.values for column in columns], -1), until)
+        return Windows(opens, close, place), ahead.sum(1).clamp(max=count)
 
     def reveal(self, rows: Tensor, time: Tensor, count: int) -> Tensor:
         """Add as many segments as ``rows`` [m] need to see ``count`` windows ahead at ``time`` [m].
@@ -252,20 +263,32 @@ class AccessTable:
         ``rows`` see fewer now.
         """
         opens, close, _ = (table[rows] for table in self.windows)
-        finite = torch.isfinite(close)
-        ahead = finite & (close >= (time + 1e-12).unsqueeze(-1))
-        enough, first = ahead.sum(1) >= count, finite.sum(1) - ahead.sum(1) + count - 1
-        last = opens.gather(1, first.clamp(max=opens.shape[1] - 1).unsqueeze(-1)).squeeze(-1)
-        until = self.until[rows]
+        ahead = torch.isfinite(close) & (close >= (time + 1e-12).unsqueeze(-1))
+        enough, until = ahead.sum(1) >= count, self.until[rows]
+        last = torch.where(ahead, opens, torch.inf).sort(1).values[:, min(count, opens.shape[1]) - 1]
+        # both the opening and the present must lie before the new end
         steps = torch.floor((torch.maximum(last, time) - until) / self.segment) + 1.0
         self.until[rows] = torch.where(enough, until + steps.clamp(min=0.0) * self.segment, self.ready[rows])
         return rows[~enough]
 
     def extend(self, rows: Tensor, time: Tensor) -> None:
-        """Search more segments for ``rows``, whose arcs must cover them; windows that closed before ``time`` are forgotten."""
-        view = View(*(type(s)(s.table[rows], s.start[rows]) for s in (self.arcs.planned_samples, self.arcs.sky_samples)))
-        self._search(rows, view, AHEAD, time[rows])
+        """Search more segments for ``rows``, as far as their arcs reach; windows that closed before ``time`` are forgotten."""
+        self._search_on(rows, self.ahead, time[rows])
         self.until[rows] = self.until[rows] + self.segment
+
+    def catch_up(self, rows: Tensor) -> None:
+        """Search what the planned arcs of ``rows`` hold, before their first hour is forgotten."""
+        started = self.arcs.et[rows] != 0.0
+        behind = rows[started & (self.ready[rows] < self.arcs.planned_from[rows] + SPAN)]
+        if len(behind):
+            self._search_on(behind, 10**9, torch.zeros_like(self.ready[behind]))
+
+    def _search_on(self, rows: Tensor, segments: int, time: Tensor) -> None:
+        """Search at most so many segments of ``rows`` [n] on the planned arcs that are kept."""
+        view = View(*(type(s)(s.table[rows], s.start[rows]) for s in (self.arcs.planned_samples, self.arcs.sky_samples)))
+        room = int(float((self.arcs.end[rows] - self.ready[rows]).min()) / self.segment)
+        if min(segments, room) > 0:
+            self._search(rows, view, min(segments, room), time)
 
     def _search(self, rows: Tensor, view: View, segments: int, time: Tensor) -> None:
         """Search ``segments`` more segments of ``rows`` [n]; windows that closed before ``time`` [n] go."""

@@ -47,15 +47,16 @@ class Arcs:
     on; ``planned`` [N, P, 3] are the last planned positions.
     """
 
-    def __init__(self, n: int, spans: int, solver: Solver) -> None:
-        """Make room for ``n`` satellites."""
+    def __init__(self, n: int, spans: int, solver: Solver, kept: int = PLANNED_SPANS) -> None:
+        """Make room for ``n`` satellites; of planned arcs the last ``kept`` hours are kept."""
         self.solver, self.device = solver, solver.device
 
         def empty(*shape: int) -> Tensor:
             return torch.zeros(n, *shape, dtype=torch.float64, device=solver.device)
 
-        self.flown, self.sky = empty(spans * PER_SPAN + 1, 3), empty(spans + 1, SKY.width)
-        self.planned, self.tail = empty(min(spans, PLANNED_SPANS) * PER_SPAN + 1, 3), empty(solver.tail)
+        self.kept = kept
+        self.flown, self.sky = empty(spans * PER_SPAN + 1, 3), empty(spans + 2, SKY.width)
+        self.planned, self.tail = empty(min(spans, kept) * PER_SPAN + 1, 3), empty(solver.tail)
         self.start, self.et = empty(), empty()
 
     @property
@@ -71,7 +72,12 @@ class Arcs:
     @property
     def planned_samples(self) -> Samples:
         """The planned arc as a track."""
-        return Samples(self.planned, self.end - (self.planned.shape[1] - 1) * SPACING)
+        return Samples(self.planned, self.planned_from)
+
+    @property
+    def planned_from(self) -> Tensor:
+        """Time of the first planned node that is kept, [N]."""
+        return self.end - (self.planned.shape[1] - 1) * SPACING
 
     @property
     def sky_samples(self) -> Samples:
@@ -110,7 +116,7 @@ class Arcs:
         """Make every arc an hour longer."""
         pad = torch.nn.functional.pad
         self.flown = pad(self.flown, (0, 0, 0, PER_SPAN))
-        if self.planned.shape[1] <= PLANNED_SPANS * PER_SPAN:
+        if self.planned.shape[1] <= self.kept * PER_SPAN:
             self.planned = pad(self.planned, (0, 0, PER_SPAN, 0))
         self.sky = sky_records(self.et + self.start, self.sky.shape[1] + 1)
         self._lengthen(torch.arange(len(self.start), device=self.device), 0)

@@ -17,7 +17,7 @@ def tabulate(row: Tensor, time: Tensor, n: int, *others: Tensor) -> tuple[Tensor
         n: Number of rows.
         *others: Further columns [m]; infinity, or zero where they are integers, where there is no event.
     """
-    order = torch.argsort(time)
+    order = torch.argsort(time, stable=True)
     order = order[torch.argsort(row[order], stable=True)]
     sorted_row, counts = row[order], torch.bincount(row, minlength=n)
     rank = torch.arange(len(row), device=row.device) - (torch.cumsum(counts, 0) - counts)[sorted_row]

@@ -16,7 +16,7 @@ from bsk_torch.astro.orbit import periapsis_radius
 from bsk_torch.constants import NANO
 from bsk_torch.lanes.loop import Samples
 from bsk_torch.rand import Key, first_key
-from bsk_torch.sim.access import AHEAD, LOOKAHEAD, AccessTable, Windows
+from bsk_torch.sim.access import LOOKAHEAD, AccessTable, Windows
 from bsk_torch.sim.component import Component, collect
 from bsk_torch.sim.dyn import hub
 from bsk_torch.sim.dyn.field import prepare
@@ -25,7 +25,7 @@ from bsk_torch.sim.eclipse import EclipseTable
 from bsk_torch.sim.fsw.models import IDLE, FSWModel
 from bsk_torch.sim.fsw.modes import ALWAYS_RESET, FLAGS
 from bsk_torch.sim.observe import Observer
-from bsk_torch.sim.orbit import Arcs, spans_for
+from bsk_torch.sim.orbit import PLANNED_SPANS, Arcs, spans_for
 from bsk_torch.sim.params import Arguments, merge, nearest
 from bsk_torch.sim.run import Flight, make_runners
 from bsk_torch.sim.sight import Places, View, make_sight
@@ -206,7 +206,8 @@ class Simulator:
         self.ticks = torch.zeros(n, dtype=torch.int64, device=self.device)
         self.mode, self.all_rows = torch.zeros_like(self.ticks), torch.arange(n, device=self.device)
         self.world, self.observer = World(self), Observer(self, backend)
-        self.arcs = Arcs(n, spans_for(horizon + MARGIN), make_solver(self.h, backend, self.device))
+        kept = max(PLANNED_SPANS, spans_for(segment) + PLANNED_SPANS - 1)
+        self.arcs = Arcs(n, spans_for(horizon + MARGIN), make_solver(self.h, backend, self.device), kept)
         sight = make_sight(backend, self.device)
         self.eclipses = EclipseTable(self.arcs, sight)
         self.access: AccessTable | None = None
@@ -411,11 +412,15 @@ class Simulator:
         missing = (missing - longer).clamp(min=0)
         for spans in range(1, int(missing.max()) + 1):
             rows = torch.nonzero(missing >= spans).squeeze(-1)
+            if self.access is not None:
+                self.access.catch_up(rows)
             self.arcs.extend(rows)
             self.eclipses.lengthen(rows)
 
     def grow(self) -> None:
         """Make every arc an hour longer."""
+        if self.access is not None:
+            self.access.catch_up(self.all_rows)
         self.arcs.grow()
         self.eclipses.lengthen(self.all_rows)
 
@@ -434,12 +439,12 @@ class Simulator:
         rows = torch.nonzero(found < count).squeeze(-1)
         if not len(rows):
             return windows
-        for _ in range(-(-LOOKAHEAD // AHEAD)):
+        for _ in range(-(-LOOKAHEAD // access.ahead)):
             rows = access.reveal(rows, time[rows], count)
             if not len(rows):
                 break
             target = torch.zeros_like(time)
-            target[rows] = access.ready[rows] + AHEAD * access.segment
+            target[rows] = access.ready[rows] + access.ahead * access.segment
             self.reach(target)
             access.extend(rows, time)
         self.eclipses.sampled = torch.maximum(self.eclipses.sampled, access.until)
