@@ -5,9 +5,7 @@ from __future__ import annotations
 import copy
 import logging
 import math
-import os
 from collections.abc import Callable, Sequence
-from pathlib import Path
 from typing import Any
 
 import torch
@@ -17,6 +15,7 @@ from torchrl.data import Binary, Categorical, Composite, Unbounded
 from torchrl.envs import EnvBase
 
 from bsk_torch.data.base import GlobalReward, Log, NoReward
+from bsk_torch.env.machine import check_memory, existing_device
 from bsk_torch.env.pool import SMALLEST, EpisodePool
 from bsk_torch.env.state import restore_simulation, simulation_state
 from bsk_torch.obs.base import ObservationBuilder, Values
@@ -36,41 +35,10 @@ ENDLESS = 2**31
 
 LIMIT = Arg("time_limit", float("inf"), "s", "time after which an episode is truncated", low=0.0)
 
-ROOM = 1.5
-"""Memory that a batch may take at most, over that of its tensors: the first reset and growing arcs hold some of them twice."""
-
 SAMPLE = 1024
 """Random time limits that are drawn to see how long arcs will be, before a batch is built."""
 
 EXTRA_STATE = ("previous_action", "episode", "dead", "limit_ticks", "seed_rows", "requires_retasking")
-
-
-def existing_device(device: torch.device | str) -> torch.device:
-    """The device of that name; ValueError where this machine has none."""
-    cuda = torch.cuda.device_count() if torch.cuda.is_available() else 0
-    there = ["cpu", *(f"cuda:{k}" for k in range(cuda))]
-    try:
-        found = torch.device(device)
-    except (RuntimeError, TypeError):
-        found = None
-    if found is None or (found.type != "cpu" and (found.type != "cuda" or (found.index or 0) >= cuda)):
-        raise ValueError(f"device={str(device)!r} is not here; there is {there}")
-    return found
-
-
-def available_memory(device: torch.device) -> int | None:
-    """Bytes that a device can still give; None where the system does not say."""
-    if device.type == "cuda":
-        return torch.cuda.mem_get_info(device)[0] + torch.cuda.memory_reserved(device) - torch.cuda.memory_allocated(device)
-    try:
-        lines = Path("/proc/meminfo").read_text().splitlines()
-        return next(int(line.split()[1]) * 1024 for line in lines if line.startswith("MemAvailable:"))
-    except (OSError, StopIteration):
-        pass
-    try:
-        return os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-    except (AttributeError, OSError, ValueError):
-        return None
 
 
 class SatelliteTasking(EnvBase):
@@ -123,7 +91,8 @@ class SatelliteTasking(EnvBase):
             seed: Seed of all draws; None for a random one.
             env_ids: Index of each episode in the draws, 0 to N - 1 unless given.
             dtype: Type of observations, rewards and durations.
-            sim_dtype: Type of the simulation: float64 for parity with Basilisk, float32 for a rougher and smaller one.
+            sim_dtype: float64 for parity with Basilisk; float32 for mixed precision: attitude, wheels and flight software in
+                float32, orbit, time and accumulators in float64.
             orbit: ``"arc"`` (in advance), ``"integrated"`` (in every tick, with drag), or None for what the model says.
             backend: ``"compiled"``, or ``"eager"`` for debugging.
             log_level: Level of the package's logger; None leaves it.
@@ -155,7 +124,7 @@ class SatelliteTasking(EnvBase):
     # -- construction -------------------------------------------------------------------------------------------------
 
     def _simulator(self, satellite: Satellite, n: int, backend: str, options: dict[str, Any]) -> Simulator:
-        # the trial's arcs shall be as long as those of the batch: see _check_memory
+        # the trial's arcs shall be as long as those of the batch: see check_memory
         sample = isinstance(self.time_limit_generator, Distribution) and n < self.batch_size[0]
         limit = self._draw_limit(first_key(min(SAMPLE, self.batch_size[0]) if sample else n))
         finite = limit[torch.isfinite(limit)]
@@ -182,21 +151,10 @@ class SatelliteTasking(EnvBase):
         asks = any(callable(value) and not isinstance(value, Distribution) for value in given)
         return self.batch_size[0] >= SMALLEST and not asks
 
-    def _check_memory(self, trial: Simulator) -> None:
-        """MemoryError if the batch will not fit into memory, going by a simulation of one environment."""
-        there = available_memory(trial.device)
-        each = trial.bytes_per_env * (2 if self._pool_pays(trial) else 1)
-        fits = 0 if there is None else int(there / (ROOM * each))
-        if there is not None and self.batch_size[0] > fits:
-            raise MemoryError(
-                f"num_envs={self.batch_size[0]} does not fit into memory: an environment takes {each} bytes, and half as much "
-                f"again for a while, but {trial.device} has {there} bytes available; num_envs={fits} is the most that fits"
-            )
-
     def _trial(self, satellite: Satellite, backend: str, options: dict[str, Any]) -> Values:
         """Observations of one trial episode: their shapes make the specs, and every property has been read once."""
         simulator = self._simulator(satellite, 1, backend, options)
-        self._check_memory(simulator)
+        check_memory(simulator.device, self.batch_size[0], simulator.bytes_per_env * (2 if self._pool_pays(simulator) else 1))
         key = first_key(1)
         limit = self._draw_limit(key).to(simulator.device)
         bound = satellite.bind(simulator, limit)

@@ -62,7 +62,7 @@ THREAD_WORK = 1 << 18
 
 
 def cache_folder() -> Path:
-    """Where kernels and packages are kept."""
+    """Where kernels are kept."""
     return Path(os.environ.get("BSK_TORCH_CACHE") or platformdirs.user_cache_path("bsk_torch"))
 
 

@@ -15,7 +15,7 @@ from bsk_torch import act, data, obs, rand, sats, scene
 from bsk_torch.astro.frames import angle_between
 from bsk_torch.env import SatelliteTasking
 from bsk_torch.sim import dyn, fsw
-from bsk_torch.sim.observe import Now, observable
+from bsk_torch.sim.dyn import Now, observable
 
 ORBIT = 5700.0
 """About one orbit, s."""

@@ -22,7 +22,7 @@ from bsk_torch.lanes.loop import Samples
 from bsk_torch.sim.component import Bus, Track, vec
 from bsk_torch.sim.sky import SKY, sky_records
 from bsk_torch.sim.solver import Solver
-from bsk_torch.sim.span import PER_SPAN, SPACING, SPAN
+from bsk_torch.sim.span import LEAD, PER_SPAN, SPACING, SPAN
 
 ARC = Track("arc", SPACING, (vec("r", "m", exact=True),), COUNT, BEFORE)
 """The orbit as the ticks see it."""
@@ -43,8 +43,8 @@ def follow_arc(bus: Bus) -> None:
 class Arcs:
     """Flown and planned arcs of N satellites: ``spans`` hours of nodes for each, starting at its own time.
 
-    ``flown`` [N, Q, 3] are positions in N, m, and ``sky`` [N, H, 16] the records of Sun and Earth, both from time ``start`` [N] s
-    on; ``planned`` [N, P, 3] are the last planned positions.
+    ``flown`` [N, Q, 3] are positions in N, m, and ``sky`` [N, H, 16] the records of Sun and Earth, from time ``start`` [N] s on,
+    positions from :data:`LEAD` nodes before; ``planned`` [N, P, 3] are the last planned positions.
     """
 
     def __init__(self, n: int, spans: int, solver: Solver, kept: int = PLANNED_SPANS) -> None:
@@ -55,14 +55,14 @@ class Arcs:
             return torch.zeros(n, *shape, dtype=torch.float64, device=solver.device)
 
         self.kept = kept
-        self.flown, self.sky = empty(spans * PER_SPAN + 1, 3), empty(spans + 2, SKY.width)
+        self.flown, self.sky = empty(LEAD + spans * PER_SPAN + 1, 3), empty(spans + 2, SKY.width)
         self.planned, self.tail = empty(min(spans, kept) * PER_SPAN + 1, 3), empty(solver.tail)
         self.start, self.et = empty(), empty()
 
     @property
     def length(self) -> float:
         """Seconds that every flown arc covers."""
-        return (self.flown.shape[1] - 1) * SPACING
+        return (self.flown.shape[1] - 1 - LEAD) * SPACING
 
     @property
     def end(self) -> Tensor:
@@ -86,7 +86,8 @@ class Arcs:
 
     def tracks(self, tracks: Sequence[Track]) -> tuple[Samples, ...]:
         """Samples of the tracks of a tick."""
-        return tuple(Samples({"sky": self.sky, "arc": self.flown}[track.name], self.start) for track in tracks)
+        samples = {SKY.name: self.sky_samples, ARC.name: Samples(self.flown, self.start - LEAD * SPACING)}
+        return tuple(samples[track.name] for track in tracks)
 
     def reset(self, rows: Tensor, et: Tensor, r: Tensor, v: Tensor) -> Tensor:
         """Solve the arcs of ``rows`` [n] anew from ET [n] and position and velocity [n, 3] at time zero.
@@ -96,7 +97,7 @@ class Arcs:
         """
         self.start[rows], self.et[rows] = 0.0, et
         sky = sky_records(et, self.sky.shape[1])
-        flown, planned, tail = self.solver.begin(et, r, v, sky, self.flown.shape[1])
+        flown, planned, tail = self.solver.begin(et, r, v, sky, self.flown.shape[1] - LEAD)
         self.sky[rows], self.flown[rows], self.tail[rows] = sky, flown, tail
         self.planned[rows] = planned[:, ::2][:, -self.planned.shape[1] :]
         return planned

@@ -24,7 +24,7 @@ from bsk_torch.lanes.expr import ALWAYS, DOUBLE, TICK, Program
 from bsk_torch.lanes.loop import Loop
 from bsk_torch.sim.component import Bus
 from bsk_torch.sim.sky import SKY, fixed, sky_at
-from bsk_torch.sim.span import PLAN_STEP, SPACING, frame_growth, step_defect, stretched, zonal_field
+from bsk_torch.sim.span import LEAD, PLAN_STEP, SPACING, frame_growth, step_defect, stretched, zonal_field
 from bsk_torch.vec3 import Vec3, select
 
 STEP = SPACING / 2.0
@@ -99,6 +99,9 @@ def pull(sky: Bus, r: Vec3, stretch: Any) -> Vec3:
 
 # -- the flown arc -----------------------------------------------------------------------------------------------------------
 
+FIRST = (*range(-2 * LEAD, 0), *range(1, ORDER - 2 * LEAD + 1))
+"""Steps from the epoch at which the start finds accelerations."""
+
 START_STATE = 6 + 3 + 6 * ORDER + 6
 """Planes: r and v at the epoch, acceleration there, those of the last and of this sweep, r and v of the node last visited."""
 
@@ -112,14 +115,14 @@ SCHEDULED = 3 + 2 * (ORDER + 1)
 def start_schedule() -> Tensor:
     """Rows of the start's ticks: time, whether it is the first, whether it ends a sweep, weights in r, then in v.
 
-    Weights are those of the accelerations. The first tick visits the epoch, the following ones the next nodes in turn, again
+    Weights are those of the accelerations. The first tick visits the epoch, the following ones those of :data:`FIRST`, again
     and again.
     """
-    nodes = list(range(ORDER + 1))
+    nodes = [0, *FIRST]
     rows = [[0.0, 1.0, 0.0, *[0.0] * (2 * (ORDER + 1))]]
-    for node in nodes[1:] * SWEEPS:
+    for node in FIRST * SWEEPS:
         r, v = _scaled(position_weights(nodes, 0, node), STEP**2), _scaled(velocity_weights(nodes, 0, node), STEP)
-        rows.append([node * STEP, 0.0, float(node == ORDER), *r, *v])
+        rows.append([node * STEP, 0.0, float(node == FIRST[-1]), *r, *v])
     return torch.tensor(rows, dtype=torch.float64)
 
 

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from bsk_torch.astro.atmosphere import top_radius
-from bsk_torch.astro.ephemeris import EARTH_ROTATION_RATE, coverage, earth_orientation, sun_position
+from bsk_torch.astro.ephemeris import coverage
 from bsk_torch.astro.orbit import periapsis_radius
 from bsk_torch.constants import NANO
 from bsk_torch.lanes.loop import Samples
@@ -30,7 +30,8 @@ from bsk_torch.sim.params import Arguments, merge, nearest
 from bsk_torch.sim.run import Flight, make_runners
 from bsk_torch.sim.sight import Places, View, make_sight
 from bsk_torch.sim.solver import make_solver
-from bsk_torch.sim.span import SPAN, pole_matrix
+from bsk_torch.sim.span import SPAN
+from bsk_torch.sim.surroundings import World
 from bsk_torch.sim.tick import ARC_ORBIT, Tick
 from bsk_torch.sim.world import ground_stations, station_arrays
 from bsk_torch.vec3 import Vec3
@@ -43,8 +44,8 @@ MARGIN = 12060.0
 KEPT = SPAN
 """Seconds of the past that an arc keeps when it moves on."""
 
-CHUNK = 256
-"""Rows reset at once, which bounds memory."""
+CHUNK, DEVICE_CHUNK = 256, 16384
+"""Rows reset at once on the CPU, where they should fit into its cache, and on other devices, where memory bounds them."""
 
 LONGEST_TICK = 60.0
 
@@ -52,47 +53,6 @@ LONGEST_TICK = 60.0
 def whole_nanoseconds(seconds: float) -> int:
     """Seconds on Basilisk's clock."""
     return int(seconds * 1e9 + 0.5)
-
-
-class World:
-    """What surrounds the spacecraft at the present time of each environment."""
-
-    def __init__(self, simulator: Simulator) -> None:
-        """Bind the world to a simulation."""
-        self.simulator = simulator
-
-    @property
-    def et(self) -> Tensor:
-        """Present time, [N] ET seconds past J2000, float64."""
-        return self.simulator.arcs.et + self.simulator.sim_time
-
-    @property
-    def PN(self) -> Tensor:
-        """DCM from N to the Earth-fixed frame, [N, 3, 3]."""
-        return earth_orientation(self.et)
-
-    @property
-    def omega_PN_N(self) -> Tensor:
-        """Rate of the Earth-fixed frame, [N, 3] rad/s in N."""
-        pole = pole_matrix(self.et)
-        return pole.z.stack() * EARTH_ROTATION_RATE
-
-    @property
-    def r_sun_N(self) -> Tensor:
-        """Sun relative to the Earth, [N, 3] m in N."""
-        return sun_position(self.et)
-
-    @property
-    def sun_direction_N(self) -> Tensor:
-        """Direction from the Earth to the Sun, [N, 3] in N."""
-        r = sun_position(self.et)
-        return r / r.norm(dim=-1, keepdim=True)
-
-    @property
-    def stations(self) -> tuple[str, ...]:
-        """Names of the ground stations, in the order of their indices."""
-        data = self.simulator.world_args.given.get("groundStationsData", ())
-        return tuple(f"GroundStation{s.get('name', k)}" for k, s in enumerate(data))
 
 
 class Simulator:
@@ -284,7 +244,7 @@ class Simulator:
             values["utc_init"].expand(n).to(self.device),
             *(x.expand(n, 3).to(self.device) for x in hub.initial_orbit(values)),
         )
-        for part in torch.split(torch.arange(n, device=self.device), CHUNK):
+        for part in torch.split(torch.arange(n, device=self.device), CHUNK if self.device.type == "cpu" else DEVICE_CHUNK):
             fine = self.arcs.reset(rows[part], *(x[part] for x in start))
             epoch = torch.zeros(len(part), dtype=torch.float64, device=self.device)
             sky = Samples(self.arcs.sky[rows[part]], epoch)

@@ -12,6 +12,7 @@ from bsk_torch.constants import MU_EARTH
 from bsk_torch.lanes.loop import Samples
 from bsk_torch.sim import paths
 from bsk_torch.sim.span import (
+    LEAD,
     ORDER,
     PER_SPAN,
     PLAN_ROUNDS,
@@ -68,7 +69,7 @@ class Solver(Protocol):
             nodes: Number of nodes, a minute apart: whole hours and one.
 
         Returns:
-            Positions [n, nodes, 3], planned ones [n, 2 nodes - 1, 3].
+            Positions [n, LEAD + nodes, 3], planned ones [n, 2 nodes - 1, 3] from the epoch on.
         """
 
     def extend(self, et: Tensor, tail: Tensor, start: Tensor, sky: Tensor, flown: Tensor) -> Solution:
@@ -79,7 +80,7 @@ class Solver(Protocol):
             tail: What the last call left, [n, T].
             start: Time of the first node and of the first record of the sky, [n] s since the epoch.
             sky: Records [n, H, 16] of Sun and Earth.
-            flown: Flown nodes so far, [n, Q, 3].
+            flown: Flown nodes so far, [n, Q, 3], of which :data:`LEAD` before ``start``.
 
         Returns:
             Flown positions with the next hour, [n, Q + 60, 3], and planned ones of that hour, [n, 120, 3].
@@ -104,15 +105,15 @@ class KernelSolver:
 
     def begin(self, et: Tensor, r: Tensor, v: Tensor, sky: Tensor, nodes: int) -> Solution:
         """See :class:`Solver`."""
-        n, around = len(et), Samples(sky, torch.zeros_like(et))
-        fine = torch.empty(n, 2 * nodes - 1, 3, dtype=torch.float64)
+        n, around, lead = len(et), Samples(sky, torch.zeros_like(et)), 2 * LEAD
+        fine = torch.empty(n, lead + 2 * nodes - 1, 3, dtype=torch.float64)
         state = self._start(r, v, around, fine)
-        self._fly(state, torch.full((n,), paths.ORDER), around, fine[:, 1 + paths.ORDER :])
+        self._fly(state, torch.full((n,), paths.FIRST[-1]), around, fine[:, 1 + paths.ORDER :])
         flown = fine[:, ::2].contiguous()
-        planned = torch.empty_like(fine)
+        planned = torch.empty(n, 2 * nodes - 1, 3, dtype=torch.float64)
         planned[:, 0] = r
         tail = torch.zeros(paths.PLANNED_STATE, n, dtype=torch.float64)
-        tracks = around, Samples(flown, around.start)
+        tracks = around, Samples(flown, around.start - LEAD * SPACING)
         once, epoch = torch.ones(n, dtype=torch.int64), torch.full((n,), -1)
         paths.defect_kernel()(tail, once, tracks, shared=self.stretches, ticks=epoch, nanoseconds=MINUTE_NS)
         self._plan(tail, epoch + 1, tracks, planned[:, 1:])
@@ -120,14 +121,14 @@ class KernelSolver:
 
     def extend(self, et: Tensor, tail: Tensor, start: Tensor, sky: Tensor, flown: Tensor) -> Solution:
         """See :class:`Solver`."""
-        n, last = flown.shape[0], flown.shape[1] - 1
+        n, last = flown.shape[0], flown.shape[1] - 1 - LEAD
         state, planned_tail = (x.contiguous() for x in tail.mT.split([paths.FLOWN_STATE, paths.PLANNED_STATE]))
         node = (start / SPACING).round().long() + last
         around, fine = Samples(sky, start), flown.new_empty(n, 2 * PER_SPAN, 3)
         self._fly(state, 2 * node, around, fine)
         longer = torch.cat([flown, fine[:, 1::2]], 1)
         planned = torch.empty(n, 2 * PER_SPAN, 3, dtype=torch.float64)
-        self._plan(planned_tail, node * MINUTE_NS // STEP_NS, (around, Samples(longer, start)), planned)
+        self._plan(planned_tail, node * MINUTE_NS // STEP_NS, (around, Samples(longer, start - LEAD * SPACING)), planned)
         return Solution(longer, planned, torch.cat([state, planned_tail]).mT)
 
     def _start(self, r: Tensor, v: Tensor, around: Samples, flown: Tensor) -> Tensor:
@@ -138,8 +139,10 @@ class KernelSolver:
         visited = torch.empty(n, ticks, 3, dtype=torch.float64)
         counts = torch.full((n,), ticks)
         paths.start_kernel()(state, counts, [around], shared=self.stretches, schedule=self.schedule, written=visited)
-        flown[:, 0], flown[:, 1 : 1 + paths.ORDER] = r, visited[:, -paths.ORDER :]
-        return torch.cat([state[-6:], state[-6 - 3 * paths.ORDER : -6]])
+        lead, found = 2 * LEAD, visited[:, -paths.ORDER :]
+        flown[:, :lead], flown[:, lead], flown[:, lead + 1 : paths.ORDER + 1] = found[:, :lead], r, found[:, lead:]
+        accelerations = state[-6 - 3 * paths.ORDER : -6]
+        return torch.cat([state[-6:], accelerations[3 : 3 * lead], state[6:9], accelerations[3 * lead :]])
 
     def _fly(self, state: Tensor, step: Tensor, around: Samples, flown: Tensor) -> None:
         counts = torch.full_like(step, flown.shape[1])
@@ -162,7 +165,7 @@ class PicardSolver:
 
     def __init__(self, step: float, backend: str, device: torch.device) -> None:
         """Make the matrices of the quadrature."""
-        self.device, self.kernels = device, kernels(backend)
+        self.device, self.kernels, self.compiled = device, kernels(backend), backend == "compiled"
         self.inside = quadrature(ORDER, None, str(device))
         self.outside = quadrature(ORDER, tuple((k + 1) / (2 * PER_SPAN) for k in range(2 * PER_SPAN)), str(device))
         self.twice = SPAN**2 * self.inside.position
@@ -174,7 +177,7 @@ class PicardSolver:
     def begin(self, et: Tensor, r: Tensor, v: Tensor, sky: Tensor, nodes: int) -> Solution:
         """See :class:`Solver`."""
         tail = torch.cat([r, v, r, v], -1)
-        flown, planned = [r.unsqueeze(1)], [r.unsqueeze(1)]
+        flown, planned = [self._before(et, r, v), r.unsqueeze(1)], [r.unsqueeze(1)]
         for k in range((nodes - 1) // PER_SPAN):
             *new, tail = self._hour(et + k * SPAN, tail)
             flown.append(new[0])
@@ -183,12 +186,21 @@ class PicardSolver:
 
     def extend(self, et: Tensor, tail: Tensor, start: Tensor, sky: Tensor, flown: Tensor) -> Solution:
         """See :class:`Solver`."""
-        new, planned, tail = self._hour(et + start + (flown.shape[1] - 1) * SPACING, tail)
+        new, planned, tail = self._hour(et + start + (flown.shape[1] - 1 - LEAD) * SPACING, tail)
         return Solution(torch.cat([flown, new], 1), planned, tail)
+
+    def _before(self, et: Tensor, r: Tensor, v: Tensor) -> Tensor:
+        """Nodes [n, LEAD, 3] before the epoch: the orbit with time running backwards."""
+        count, rows = len(et), padded(len(et), et.device, few_sizes=self.compiled)
+        et, pole = et[rows], pole_matrix(et[rows] - SPAN / 2)
+        r, v = (torch.stack(list(pole @ Vec3.of(part[rows]))) for part in (r, -v))
+        path, rest = self._fly(r, v, surroundings(et - SPAN / 2, pole), -1.0)
+        acceleration = pack(zonal_field(vector(path), self.stretch)) + rest
+        return self._nodes(r, v, acceleration, None, pole)[0][:count, 1 : 2 * LEAD : 2].flip(1)
 
     def _hour(self, et: Tensor, tail: Tensor) -> Solution:
         """The hour that starts at ET [n], from position and velocity on both arcs, [n, 12]."""
-        count, rows = len(et), padded(len(et), et.device)
+        count, rows = len(et), padded(len(et), et.device, few_sizes=self.compiled)
         return Solution(*(part[:count] for part in self._solve(et[rows], tail[rows])))
 
     def _solve(self, et: Tensor, tail: Tensor) -> Solution:
@@ -206,13 +218,13 @@ class PicardSolver:
     def _ballistic(self, r: Tensor, v: Tensor) -> Tensor:
         return r + v * (self.inside.nodes * SPAN).view(-1, 1, 1)
 
-    def _fly(self, r: Tensor, v: Tensor, around: Surroundings) -> tuple[Tensor, Tensor]:
-        """Flown positions at the Chebyshev nodes, and what the zonal field lacks there."""
+    def _fly(self, r: Tensor, v: Tensor, around: Surroundings, sense: float = 1.0) -> tuple[Tensor, Tensor]:
+        """Flown positions at the Chebyshev nodes, and what the zonal field lacks there; backwards where ``sense`` is -1."""
         time = (self.inside.nodes * SPAN).view(-1, 1, 1)
         motion = torch.sqrt(MU_EARTH / r.norm(dim=0) ** 3)
         path = r * torch.cos(motion * time) + v * (torch.sin(motion * time) / motion)
         ballistic, rest = self._ballistic(r, v), torch.zeros_like(path)
-        dt = (self.inside.nodes - 0.5).unsqueeze(-1) * SPAN
+        dt = (self.inside.nodes - 0.5).unsqueeze(-1) * (SPAN * sense)
         for k, rounds in enumerate(ROUNDS):
             if k:
                 rest = self.kernels.lacking(path, dt, self.stretch, *around)
@@ -243,9 +255,12 @@ def _integrate(matrix: Tensor, values: Tensor) -> Tensor:
     return (matrix @ values.flatten(1)).view(-1, *values.shape[1:])
 
 
-def padded(count: int, device: torch.device) -> Tensor:
+def padded(count: int, device: torch.device, few_sizes: bool = False) -> Tensor:
     """Indices of ``count`` rows, the last repeated up to a multiple of :data:`BLOCK`.
 
     Matrix products round differently at the edge of a block, and no satellite's orbit may depend on how many others there are.
+    With ``few_sizes`` the multiple is a power of two: what is compiled for its shapes is compiled a few times only.
     """
-    return torch.arange(-(-count // BLOCK) * BLOCK, device=device).clamp(max=count - 1)
+    blocks = -(-count // BLOCK)
+    blocks = 1 << (blocks - 1).bit_length() if few_sizes else blocks
+    return torch.arange(blocks * BLOCK, device=device).clamp(max=count - 1)

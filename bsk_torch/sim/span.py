@@ -34,6 +34,9 @@ SPAN = 3600.0
 
 PER_SPAN = round(SPAN / SPACING)
 
+LEAD = 4
+"""Flown nodes before the beginning of an arc, so that polynomials are not one-sided there."""
+
 PLAN_STEP = 30.0
 """Step, s, of bsk_rl's look-ahead propagation."""
 

@@ -13,7 +13,7 @@ from bsk_torch.constants import R_EARTH
 from bsk_torch.sim.component import neighbours
 from bsk_torch.sim.orbit import ARC, Arcs
 from bsk_torch.sim.sight import View, planned_position
-from bsk_torch.sim.span import SPACING
+from bsk_torch.sim.span import LEAD, SPACING
 from bsk_torch.vec3 import Vec3
 
 
@@ -48,7 +48,7 @@ def above(altitude: float, e: float, i: float, f: float, utc: str = "2021-05-04T
 def flown(arcs: Arcs, row: int, time: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
     """Position and velocity [m, 3] of one row at times [m], each looked up as a tick does."""
     rows = torch.full(time.shape, row)
-    nodes, tau = neighbours(ARC, arcs.flown, rows, time - arcs.start[rows])
+    nodes, tau = neighbours(ARC, arcs.flown, rows, time - arcs.start[rows] + LEAD * SPACING)
     path, s = coefficients([Vec3.of(node) for node in nodes.unbind(-2)]), tau / SPACING
     return position(path, s).stack(), velocity(path, s, SPACING).stack()
 

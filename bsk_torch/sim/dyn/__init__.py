@@ -11,6 +11,7 @@ from bsk_torch.sim.dyn.models import (
     ImagingDynModel,
 )
 from bsk_torch.sim.model import aliveness_checker
+from bsk_torch.sim.observe import Now, observable, vital
 
 __all__ = [
     "AtmosphericDragDynModel",
@@ -21,5 +22,8 @@ __all__ = [
     "EclipseDynModel",
     "GroundStationDynModel",
     "ImagingDynModel",
+    "Now",
     "aliveness_checker",
+    "observable",
+    "vital",
 ]

@@ -1,0 +1,50 @@
+"""What the machine has: devices and memory."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import torch
+
+ROOM = 1.5
+"""Memory that a batch may take at most, over that of its tensors: the first reset and growing arcs hold some of them twice."""
+
+
+def existing_device(device: torch.device | str) -> torch.device:
+    """The device of that name; ValueError where this machine has none."""
+    cuda = torch.cuda.device_count() if torch.cuda.is_available() else 0
+    there = ["cpu", *(f"cuda:{k}" for k in range(cuda))]
+    try:
+        found = torch.device(device)
+    except (RuntimeError, TypeError):
+        found = None
+    if found is None or (found.type != "cpu" and (found.type != "cuda" or (found.index or 0) >= cuda)):
+        raise ValueError(f"device={str(device)!r} is not here; there is {there}")
+    return found
+
+
+def available_memory(device: torch.device) -> int | None:
+    """Bytes that a device can still give; None where the system does not say."""
+    if device.type == "cuda":
+        return torch.cuda.mem_get_info(device)[0] + torch.cuda.memory_reserved(device) - torch.cuda.memory_allocated(device)
+    try:
+        lines = Path("/proc/meminfo").read_text().splitlines()
+        return next(int(line.split()[1]) * 1024 for line in lines if line.startswith("MemAvailable:"))
+    except (OSError, StopIteration):
+        pass
+    try:
+        return os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    except (AttributeError, OSError, ValueError):
+        return None
+
+
+def check_memory(device: torch.device, num_envs: int, each: int) -> None:
+    """MemoryError if a batch whose environments take ``each`` bytes will not fit into the device's memory."""
+    there = available_memory(device)
+    fits = 0 if there is None else int(there / (ROOM * each))
+    if there is not None and num_envs > fits:
+        raise MemoryError(
+            f"num_envs={num_envs} does not fit into memory: an environment takes {each} bytes, and half as much again for a "
+            f"while, but {device} has {there} bytes available; num_envs={fits} is the most that fits"
+        )
