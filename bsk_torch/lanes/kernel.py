@@ -168,9 +168,16 @@ def _seal(code: bytes) -> bytes:
     return hashlib.sha256(code).digest()
 
 
+@cache
+def _announce(folder: Path) -> None:
+    """Say once that there will be a wait, to users who have not set logging up, too."""
+    logger.warning("compiling for this machine, once: a satellite type takes about 40 s; kernels are kept in %s", folder)
+
+
 def _built(source: str, path: Path, name: str) -> ctypes.CDLL:
     begin = time.perf_counter()
-    logger.info("compiling the %s for this machine, once", name)
+    _announce(path.parent)
+    logger.info("compiling the %s", name)
     command = _command(name)
     try:
         _build(source, path, name, command)
