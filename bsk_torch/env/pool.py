@@ -1,6 +1,6 @@
 """Episodes prepared in bulk.
 
-Solving orbits and windows for a few rows costs almost as much as for hundreds, and in a large batch a few rows end at every step.
+Solving orbits and windows for a few rows costs as much as for dozens, and in a large batch a few rows end at every step.
 So a second simulation holds the next episode of every environment; when one is missing, all that have been used are refilled at
 once. Draws do not depend on when they are made: an episode is the same, bit for bit, with and without a pool.
 """

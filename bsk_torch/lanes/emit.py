@@ -65,8 +65,7 @@ class Emitter:
         if lasts == TICK:
             return self._region(self.program.root)
         chosen = [p for p in self.planes(self.program.root) if p.lasts == lasts and p.op not in ("input", "constant")]
-        declare = "" if lasts else "const "
-        return [f"{'' if lasts else declare + TYPES[p.kind] + ' '}{self.name(p)} = {self.expression(p)};" for p in chosen]
+        return [f"{'' if lasts else f'const {TYPES[p.kind]} '}{self.name(p)} = {self.expression(p)};" for p in chosen]
 
     def declarations(self, lasts: int) -> list[str]:
         """Variables that hold what a track's record determines."""
@@ -241,9 +240,8 @@ def loop_source(
 
     Inputs are named ``state_<plane>``, ``shared_<plane>``, ``own_<plane>``, ``flag_<plane>``, ``schedule_<plane>`` (numbers of
     this tick, of ``schedule`` for each), ``track_<t>_<plane>``, ``tau_<t>``, seconds since the record of track t, and
-    ``ticks_now``, the
-    number of this tick. Planes ``written`` are recorded in every tick. Tracks are looked up at the time of the ``clock``: that of
-    the ticks, that of the start, the first number of the schedule, or the plane of the state that it names.
+    ``ticks_now``, the number of this tick. Planes ``written`` are recorded in every tick. Tracks are looked up at the time of the
+    ``clock``: that of the ticks, that of the start, the first number of the schedule, or the plane of the state that it names.
     """
     emitter = Emitter(program, [*outputs, *written])
     changed = [(k, p) for k, p in enumerate(outputs) if not (p.op == "input" and p.args == ("state", k))]

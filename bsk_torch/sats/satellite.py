@@ -121,7 +121,7 @@ class Satellite:
 
     @property
     def sat_args(self) -> dict[str, Any]:
-        """Arguments of the present episodes, [N, ...] each, in the type of the simulation."""
+        """Arguments of the present episodes, [N, ...] each, float64."""
         return _Arguments(self.simulator.drawn)
 
     @property

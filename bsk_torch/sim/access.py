@@ -255,12 +255,10 @@ class AccessTable:
         return Windows(opens, close, place), ahead.sum(1).clamp(max=count)
 
     def reveal(self, rows: Tensor, time: Tensor, count: int) -> Tensor:
-        """Add as many segments as ``rows`` [m] need to see ``count`` windows ahead at ``time`` [m].
+        """Add as many segments as ``rows`` [m], which see too few, need to see ``count`` windows ahead at ``time`` [m].
 
         Returns:
             Those for which too few are ready.
-
-        ``rows`` see fewer now.
         """
         opens, close, _ = (table[rows] for table in self.windows)
         ahead = torch.isfinite(close) & (close >= (time + 1e-12).unsqueeze(-1))
@@ -285,7 +283,7 @@ class AccessTable:
 
     def _search_on(self, rows: Tensor, segments: int, time: Tensor) -> None:
         """Search at most so many segments of ``rows`` [n] on the planned arcs that are kept."""
-        view = View(*(type(s)(s.table[rows], s.start[rows]) for s in (self.arcs.planned_samples, self.arcs.sky_samples)))
+        view = View(self.arcs.planned_samples, self.arcs.sky_samples).of(rows)
         room = int(float((self.arcs.end[rows] - self.ready[rows]).min()) / self.segment)
         if min(segments, room) > 0:
             self._search(rows, view, min(segments, room), time)

@@ -21,8 +21,8 @@ class EclipseTable:
     """Transitions into and out of the umbra on the 30 s grid of the planned arcs, and how far bsk_rl would know them.
 
     ``starts`` and ``ends`` [N, W] are the times, s, of the transitions, padded with infinity. ``sampled`` and ``known`` [N]
-    are the
-    times up to which bsk_rl's trajectory would have been propagated, and up to which transitions would have been recorded.
+    are the times up to which bsk_rl's trajectory would have been propagated, and up to which transitions would have been
+    recorded.
     """
 
     def __init__(self, arcs: Arcs, sight: Sight) -> None:
@@ -40,8 +40,7 @@ class EclipseTable:
 
     def lengthen(self, rows: Tensor) -> None:
         """Find the transitions of the last hour of ``rows``; those before their arcs' beginning are forgotten."""
-        planned, sky = self.arcs.planned_samples, self.arcs.sky_samples
-        view = View(*(type(s)(s.table[rows], s.start[rows]) for s in (planned, sky)))
+        view = View(self.arcs.planned_samples, self.arcs.sky_samples).of(rows)
         found = self._transitions(view, self.arcs.end[rows] - SPAN, round(SPAN / PLAN_STEP))
         self.starts, self.ends = (
             self._appended(old, rows, new) for old, new in zip((self.starts, self.ends), found, strict=True)
@@ -51,11 +50,7 @@ class EclipseTable:
         past = torch.where(old[rows] < self.arcs.start[rows].unsqueeze(-1), torch.inf, old[rows])
         both = torch.cat([past, new], 1).sort(1).values
         width = max(1, int(torch.isfinite(both).sum(1).max()))
-        return stored(
-            old,
-            rows,
-            torch.nn.functional.pad(both, (0, max(0, old.shape[1] - width)), value=torch.inf)[:, : max(width, old.shape[1])],
-        )
+        return stored(old, rows, both[:, :width])
 
     def _transitions(self, view: View, start: Tensor, steps: int) -> tuple[Tensor, Tensor]:
         """Times of the transitions into and out of the umbra after ``start`` [n], within so many samples, [n, W] each."""

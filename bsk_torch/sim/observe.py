@@ -7,6 +7,7 @@ step are computed together, by one kernel where there is one; any of them can be
 from __future__ import annotations
 
 import functools
+import logging
 from collections.abc import Callable, Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -25,6 +26,8 @@ from bsk_torch.vec3 import Mat3, Vec3
 
 if TYPE_CHECKING:
     from bsk_torch.sim.simulator import Simulator
+
+logger = logging.getLogger(__name__)
 
 Function = Callable[["Now"], Any]
 
@@ -170,7 +173,8 @@ class Observer:
         if self._kernel is None:
             try:
                 self._kernel = ObserverKernel(self.simulator, self.wanted)
-            except UntraceableError:
+            except UntraceableError as error:
+                logger.warning("%s; observations are computed on tensors instead, which is slower", error)
                 self.kernels = False
                 return {function: _tensor(function(self.now)) for function in self.wanted}
         return self._kernel(self.simulator)

@@ -21,7 +21,7 @@ from bsk_torch.sim.component import Component, collect
 from bsk_torch.sim.dyn import hub
 from bsk_torch.sim.dyn.field import prepare
 from bsk_torch.sim.dyn.models import DynamicsModel
-from bsk_torch.sim.eclipse import EclipseTable
+from bsk_torch.sim.eclipse import SEARCH_STEP, SEARCHES, EclipseTable
 from bsk_torch.sim.fsw.models import IDLE, FSWModel
 from bsk_torch.sim.fsw.modes import ALWAYS_RESET, FLAGS
 from bsk_torch.sim.observe import Observer
@@ -30,7 +30,7 @@ from bsk_torch.sim.params import Arguments, merge, nearest
 from bsk_torch.sim.run import Flight, make_runners
 from bsk_torch.sim.sight import Places, View, make_sight
 from bsk_torch.sim.solver import make_solver
-from bsk_torch.sim.span import SPAN
+from bsk_torch.sim.span import PLAN_STEP, SPAN
 from bsk_torch.sim.surroundings import World
 from bsk_torch.sim.tick import ARC_ORBIT, Tick
 from bsk_torch.sim.world import ground_stations, station_arrays
@@ -38,8 +38,8 @@ from bsk_torch.vec3 import Vec3
 
 ORBITS = ("arc", "integrated")
 
-MARGIN = 12060.0
-"""Seconds that arcs reach beyond what is asked for, so that look-ahead rarely has to extend them."""
+MARGIN = SEARCH_STEP * (SEARCHES - 1) + 2.0 * PLAN_STEP
+"""Seconds that arcs reach beyond what is asked for: what the search for eclipses looks ahead."""
 
 KEPT = SPAN
 """Seconds of the past that an arc keeps when it moves on."""
@@ -88,7 +88,7 @@ class Simulator:
             world_args: Arguments of the world by name.
             num_envs: Number of environments N.
             device: Where everything lives.
-            dtype: Type of state and parameters.
+            dtype: Type of attitude, wheels and flight software; everything is stored, and the rest computed, in float64.
             sim_rate: Length of a tick, s.
             horizon: Seconds for which windows are generated at reset.
             orbit: ``"arc"``, ``"integrated"``, or None for what the dynamics model says.
