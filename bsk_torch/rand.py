@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import zlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -22,6 +22,9 @@ MASK = 0xFFFFFFFF
 MULTIPLIERS = np.uint64(0xD2511F53), np.uint64(0xCD9E8D57)
 WEYL = np.uint64(0x9E3779B9), np.uint64(0xBB67AE85)
 LOW, HALF = np.uint64(MASK), np.uint64(32)
+
+CHUNK = 1 << 14
+"""Philox blocks drawn at once: their words then stay in the processor's cache."""
 
 MONTHS = ("JAN", "FEB", "MAR", "APR", "MAY", "JUN", "JUL", "AUG", "SEP", "OCT", "NOV", "DEC")
 
@@ -54,8 +57,17 @@ class Key:
         """Number of environments."""
         return len(self.env_id)
 
+    def split(self, rows: int) -> list[Key]:
+        """Keys of at most ``rows`` environments each, in order."""
+        parts = zip(*(torch.split(x, rows) for x in (self.seed, self.env_id, self.episode)), strict=True)
+        return [Key(seed, env_id, episode, self.name) for seed, env_id, episode in parts]
+
     def uniform(self, count: int) -> Tensor:
         """Uniform float64 numbers in [0, 1), [n, count], with 53 random bits each."""
+        rows = max(1, CHUNK // max(1, (count + 1) // 2))
+        return self._uniform(count) if len(self) <= rows else torch.cat([part._uniform(count) for part in self.split(rows)])
+
+    def _uniform(self, count: int) -> Tensor:
         blocks = (count + 1) // 2
         shape = (len(self), blocks)
         stream = torch.full(shape, zlib.crc32(self.name.encode()), device=self.env_id.device)
@@ -71,6 +83,31 @@ class Key:
         u = self.uniform(2 * count)
         radius = torch.sqrt(-2.0 * torch.log1p(-u[:, :count]))
         return radius * torch.cos(2.0 * math.pi * u[:, count:])
+
+    def distinct(self, count: int, options: int) -> Tensor:
+        """``count`` different indices below ``options`` in random order, [n, count] int64; ValueError if there are fewer.
+
+        Every ordered selection is equally likely: indices are drawn one after the other, and those seen before are skipped.
+        """
+        if not 0 < count <= options:
+            raise ValueError(f"count={count} different indices cannot be drawn from options={options}; allowed is 1 to {options}")
+        if 2 * count > options:
+            return self.uniform(options).argsort(dim=-1, stable=True)[:, :count]
+        draws = count + 2 * count * count // options + 16  # twice as many repeats as expected
+        while True:
+            picks = (self.uniform(draws) * options).long()
+            first = _first_occurrences(picks)
+            if bool((first.sum(-1) >= count).all()):
+                return picks.gather(-1, (~first).byte().argsort(dim=-1, stable=True)[:, :count])
+            draws *= 2  # longer draws begin like shorter ones, so this changes no row that had enough
+
+
+def _first_occurrences(values: Tensor) -> Tensor:
+    """Whether an entry of ``values`` [n, m] differs from all entries before it in its row."""
+    ordered, where = values.sort(dim=-1, stable=True)
+    new = torch.ones_like(ordered, dtype=torch.bool)
+    new[:, 1:] = ordered[:, 1:] != ordered[:, :-1]
+    return torch.zeros_like(new).scatter(-1, where, new)
 
 
 def first_key(n: int) -> Key:
@@ -122,20 +159,26 @@ class Normal(Distribution):
 
 @dataclass(frozen=True)
 class Choice(Distribution):
-    """One of ``options`` with equal probability."""
+    """One of ``options`` with equal probability; ``size`` of them each (repeats allowed), or one if None."""
 
     options: tuple[Any, ...]
+    size: int | None = field(default=None, repr=False)
 
-    def __init__(self, options: Sequence[Any]) -> None:
+    def __init__(self, options: Sequence[Any], size: int | None = None) -> None:
         """Choose among ``options``, a non-empty sequence."""
         if len(options) == 0:
             raise ValueError("options is empty; Choice needs at least one option")
         object.__setattr__(self, "options", tuple(options))
+        object.__setattr__(self, "size", size)
 
-    def draw(self, key: Key) -> list[Any]:
-        """See :meth:`Distribution.draw`."""
-        picks = (key.uniform(1).squeeze(-1) * len(self.options)).long().tolist()
-        return [self.options[i] for i in picks]
+    def draw(self, key: Key) -> Tensor | list[Any]:
+        """See :meth:`Distribution.draw`; a tensor [n, size] where a size is given and all options are numbers."""
+        picks = (key.uniform(self.size or 1) * len(self.options)).long()
+        if self.size is None:
+            return [self.options[i] for i in picks.squeeze(-1).tolist()]
+        if all(isinstance(option, int | float) for option in self.options):
+            return torch.tensor(self.options, dtype=torch.float64)[picks]
+        return [[self.options[i] for i in row] for row in picks.tolist()]
 
 
 @dataclass(frozen=True)

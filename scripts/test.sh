@@ -7,7 +7,7 @@ python="${PYTHON:-python3}"
 [ -x .venv/bin/python ] || "$python" -m venv .venv
 # torch first and by exact version: an open range may bring gigabytes of CUDA packages
 .venv/bin/python -m pip install -q -c constraints.txt "torch==$(sed -n 's/^torch==//p' constraints.txt)"
-.venv/bin/python -m pip install -q -c constraints.txt -e ".[train,viz,dev]"
+.venv/bin/python -m pip install -q -c constraints.txt -e ".[train,viz,cities,dev]"
 # one cache of kernels for all tests, and no threads that fight over the cores
 export OMP_NUM_THREADS=1 BSK_TORCH_CACHE="${BSK_TORCH_CACHE:-$PWD/.venv/kernels}"
 .venv/bin/ruff check .

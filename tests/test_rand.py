@@ -60,6 +60,13 @@ def test_longer_draws_begin_like_shorter_ones():
     assert torch.equal(key(5).uniform(7)[:, :4], key(5).uniform(4))
 
 
+def test_large_draws_are_cut_into_chunks_that_do_not_show(monkeypatch):
+    whole = key(50).uniform(7)
+    monkeypatch.setattr(rand, "CHUNK", 9)  # two rows at a time, and one where a row is larger than that
+    assert torch.equal(key(50).uniform(7), whole)
+    assert torch.equal(key(3).uniform(101)[:, :7], whole[:3])
+
+
 def test_every_part_of_the_key_matters():
     base = key(3).uniform(2)
     others = [key(3, seed=8), key(3, episode=1), key(3, name="a"), key(3, seed=7 + 2**32), key(3, seed=-7)]
@@ -85,6 +92,56 @@ def test_normal_moments():
     assert (z**3).mean() == pytest.approx(0, abs=FIVE_SIGMA * 15**0.5)
     assert (z**4).mean() == pytest.approx(3, abs=FIVE_SIGMA * 96**0.5)
     assert torch.isfinite(z).all()
+
+
+def skipping(stream, count, options):
+    """The first ``count`` different indices that a stream of uniform numbers stands for."""
+    return list(dict.fromkeys(int(u * options) for u in stream))[:count]
+
+
+@pytest.mark.parametrize(("count", "options"), [(1, 1), (1, 2), (4, 8), (5, 8), (8, 8), (30, 100), (100, 34_000)])
+def test_distinct_indices(count, options):
+    picks = key(64).distinct(count, options)
+    assert picks.shape == (64, count)
+    assert picks.dtype == torch.int64
+    assert 0 <= picks.min() <= picks.max() < options
+    assert (picks.sort(dim=-1).values.diff(dim=-1) > 0).all()
+    assert torch.equal(key(2).distinct(count, options), picks[:2])
+    if 2 * count <= options:
+        stream = key(64).uniform(4 * count + 64)
+        assert picks.tolist() == [skipping(row, count, options) for row in stream.tolist()]
+
+
+@pytest.mark.parametrize(("count", "options"), [(3, 8), (3, 5)])
+def test_every_ordered_selection_is_as_likely(count, options):
+    """Chi-square over all ordered selections, at five standard deviations above its mean, the degrees of freedom."""
+    picks = key(MANY).distinct(count, options)
+    cells = math.perm(options, count)
+    code = (picks * torch.tensor([options**k for k in range(count)])).sum(-1)
+    _, counts = code.unique(return_counts=True)
+    assert len(counts) == cells
+    chi2 = float(((counts - MANY / cells) ** 2 / (MANY / cells)).sum())
+    assert abs(chi2 - (cells - 1)) < 5 * math.sqrt(2 * (cells - 1))
+
+
+def test_unlucky_rows_draw_more_and_change_no_other(monkeypatch):
+    plain, original = key(6).distinct(4, 20), rand.Key.uniform
+
+    def unlucky(self, count):
+        u = original(self, count)
+        u[2, :60] = 0.0
+        return u
+
+    monkeypatch.setattr(rand.Key, "uniform", unlucky)
+    picks = key(6).distinct(4, 20)
+    assert torch.equal(picks[[0, 1, 3, 4, 5]], plain[[0, 1, 3, 4, 5]])
+    assert picks[2].tolist() == skipping(unlucky(key(6), 200)[2].tolist(), 4, 20)
+
+
+@pytest.mark.parametrize("count", [0, 6])
+def test_impossible_numbers_of_distinct_indices(count):
+    with pytest.raises(ValueError, match=rf"count={count} different indices cannot be drawn from options=5; allowed is 1 to 5"):
+        key().distinct(count, 5)
 
 
 def test_uniform_distribution():
@@ -113,6 +170,18 @@ def test_choice_is_even():
         assert picks.count(option) / MANY == pytest.approx(1 / 3, abs=FIVE_SIGMA * (2 / 9) ** 0.5)
     with pytest.raises(ValueError, match=r"options is empty; Choice needs at least one option"):
         rand.Choice([])
+
+
+def test_sized_choices():
+    """The first of them is the one that would be drawn alone."""
+    numbers = rand.Choice([1, 2.5, 4], 3).draw(key(MANY))
+    assert numbers.shape == (MANY, 3)
+    for option in (1, 2.5, 4):
+        assert (numbers == option).double().mean(0) == pytest.approx([1 / 3] * 3, abs=FIVE_SIGMA * (2 / 9) ** 0.5)
+    assert numbers[:, 0].tolist() == rand.Choice([1, 2.5, 4]).draw(key(MANY))
+    assert torch.corrcoef(numbers.mT).fill_diagonal_(0).abs().max() < FIVE_SIGMA
+    words = rand.Choice(["a", "b"], 2).draw(key(50))
+    assert {tuple(row) for row in words} == {("a", "a"), ("a", "b"), ("b", "a"), ("b", "b")}
 
 
 @pytest.mark.parametrize("values", [torch.arange(8.0).view(4, 2), np.arange(8.0).reshape(4, 2), [[0, 1], [2, 3], [4, 5], [6, 7]]])

@@ -2,5 +2,18 @@
 
 from bsk_torch.act.base import Action, Decision
 from bsk_torch.act.discrete import Charge, Desat, DiscreteFSWAction, Downlink, Drift, NadirPoint, Scan
+from bsk_torch.act.image import Image, of_target
 
-__all__ = ["Action", "Charge", "Decision", "Desat", "DiscreteFSWAction", "Downlink", "Drift", "NadirPoint", "Scan"]
+__all__ = [
+    "Action",
+    "Charge",
+    "Decision",
+    "Desat",
+    "DiscreteFSWAction",
+    "Downlink",
+    "Drift",
+    "Image",
+    "NadirPoint",
+    "Scan",
+    "of_target",
+]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, NamedTuple, cast
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 import torch
 from torch import Tensor
@@ -13,11 +13,21 @@ if TYPE_CHECKING:
 
 
 class Decision(NamedTuple):
-    """What the actions of one step mean, [N] each: mode to enter, whether to enter it, and for how long, s."""
+    """What the actions of one step mean, [N] each.
+
+    Attributes:
+        mode: Mode to enter.
+        retask: Whether to enter it.
+        duration: For how long, s.
+        key: What the action is remembered by: an action with the same key repeats it.
+        expected: About how long it will last, s, if an event may end it.
+    """
 
     mode: Tensor
     retask: Tensor
     duration: Tensor
+    key: Tensor
+    expected: Tensor
 
 
 class Table(NamedTuple):
@@ -35,6 +45,7 @@ class Action:
     """One entry of an ``action_spec``, standing for ``n_actions`` consecutive numbers of the discrete space."""
 
     n_actions: int = 1
+    satellite: Any
 
     def __init__(self, name: str) -> None:
         """Name under which the entry appears in ``action_description``."""
@@ -44,13 +55,31 @@ class Action:
         """Called once when the environment is built; raises where the satellite cannot do this."""
         self.satellite = satellite
 
+    @property
+    def explicit(self) -> int:
+        """Number of negative actions, -1 downwards, that the entry understands beside its own."""
+        return 0
+
     def names(self) -> list[str]:
         """Names of the entry's actions."""
         return [self.name] if self.n_actions == 1 else [f"{self.name}_{k}" for k in range(self.n_actions)]
 
-    def decide(self, index: Tensor, repeats: Tensor) -> Decision:
-        """What action ``index`` [N] of this entry means; ``repeats`` [N] where it is also the previous action."""
-        raise NotImplementedError(f"{type(self).__name__} must implement decide(index, repeats)")
+    def decide(self, index: Tensor, mine: Tensor, action: Tensor, previous: Tensor) -> Decision:
+        """What the entry makes of its actions.
+
+        Args:
+            index: Number within the entry, [N].
+            mine: Where the action is one of the entry's, [N]; elsewhere the answer is not looked at.
+            action: Number in the whole space, [N].
+            previous: Key of the previous action, [N]; -1 for none.
+        """
+        raise NotImplementedError(f"{type(self).__name__} must implement decide(index, mine, action, previous)")
+
+    def begin(self, rows: Tensor, decision: Decision) -> None:
+        """Called where the entry has been decided for, ``rows`` [N], once its mode has been entered."""
+
+    def end(self, rows: Tensor, decision: Decision, event: Tensor) -> None:
+        """Called where the entry's actions ended within the episode, ``rows`` [N]; ``event`` [N] where an event ended them."""
 
     def table(self) -> Table | None:
         """What the entry's actions mean until the next reset, where nothing else decides that; else None."""
@@ -95,21 +124,48 @@ class ActionBuilder:
         """Names of all actions in order."""
         return [name for entry in self.entries for name in entry.names()]
 
+    @property
+    def explicit(self) -> int:
+        """Number of negative actions that are legal beside the discrete space."""
+        return max(entry.explicit for entry in self.entries)
+
+    def _shares(self, action: Tensor) -> list[tuple[Action, Tensor, Tensor]]:
+        """Entries, which actions are theirs, and their numbers within the entry; negative ones go to the first that has them."""
+        shares, first = [], 0
+        negative = action < 0
+        for entry in self.entries:
+            mine = (action >= first) & (action < first + entry.n_actions)
+            if entry.explicit:
+                mine, negative = mine | negative, torch.zeros_like(negative)
+            shares.append((entry, mine, (action - first).clamp(0, entry.n_actions - 1)))
+            first += entry.n_actions
+        return shares
+
     def decide(self, action: Tensor, previous: Tensor) -> Decision:
-        """What ``action`` [N] means after ``previous`` [N] (-1: none)."""
+        """What ``action`` [N] means after the action with key ``previous`` [N] (-1: none)."""
         table = self.table()
         if table is not None:
             retask = (action != previous) | table.reset[action]
-            return Decision(table.mode.gather(1, action.unsqueeze(1)).squeeze(1), retask, table.duration[action])
-        decision = Decision(torch.zeros_like(action), torch.zeros_like(action, dtype=torch.bool), action.double())
-        first = 0
-        for entry in self.entries:
-            mine = (action >= first) & (action < first + entry.n_actions)
-            index = (action - first).clamp(0, entry.n_actions - 1)
-            part = entry.decide(index, action == previous)
+            duration = table.duration[action]
+            return Decision(table.mode.gather(1, action.unsqueeze(1)).squeeze(1), retask, duration, action, duration)
+        seconds = action.double()
+        decision = Decision(torch.zeros_like(action), torch.zeros_like(action, dtype=torch.bool), seconds, action, seconds)
+        for entry, mine, index in self._shares(action):
+            part = entry.decide(index, mine, action, previous)
             decision = Decision(*(torch.where(mine, new, old) for new, old in zip(part, decision, strict=True)))
-            first += entry.n_actions
         return decision
+
+    def begin(self, action: Tensor, moves: Tensor, decision: Decision) -> None:
+        """Tell the entries what has been decided, where ``moves`` [N] is true."""
+        if self.table() is None:
+            for entry, mine, _ in self._shares(action):
+                entry.begin(mine & moves, decision)
+
+    def end(self, action: Tensor, ended: Tensor, decision: Decision, event: Tensor) -> None:
+        """Tell the entries where their actions ``ended`` [N], and where that was by an ``event`` [N]."""
+        if self.table() is None:
+            for entry, mine, _ in self._shares(action):
+                entry.end(mine & ended, decision, event)
 
     def mask(self) -> Tensor:
         """Which actions are legal now, [N, n_actions]."""

@@ -43,11 +43,12 @@ class DiscreteFSWAction(Action):
         reset = torch.tensor([self.reset_task], device=mode.device)
         return Table(mode, reset, torch.full((1,), self.duration, dtype=torch.float64, device=mode.device))
 
-    def decide(self, index: Tensor, repeats: Tensor) -> Decision:
+    def decide(self, index: Tensor, mine: Tensor, action: Tensor, previous: Tensor) -> Decision:
         """See :meth:`Action.decide`."""
         mode = self.satellite.simulator.mode_index(self.fsw_action)
-        retask = torch.ones_like(repeats) if self.reset_task else ~repeats
-        return Decision(mode, retask, torch.full_like(mode, 0, dtype=torch.float64) + self.duration)
+        retask = torch.ones_like(mine) if self.reset_task else action != previous
+        duration = torch.full_like(mode, self.duration, dtype=torch.float64)
+        return Decision(mode, retask, duration, action, duration)
 
 
 class Charge(DiscreteFSWAction):

@@ -1,6 +1,18 @@
 """Data and reward: what satellites have collected, and what it is worth."""
 
 from bsk_torch.data.base import GlobalReward, NoReward
+from bsk_torch.data.clouds import CloudFreeImageReward
+from bsk_torch.data.composed import ComposedReward, ResourceReward
+from bsk_torch.data.images import ImageReward, UniqueImageReward
 from bsk_torch.data.scanning import ScanningTimeReward
 
-__all__ = ["GlobalReward", "NoReward", "ScanningTimeReward"]
+__all__ = [
+    "CloudFreeImageReward",
+    "ComposedReward",
+    "GlobalReward",
+    "ImageReward",
+    "NoReward",
+    "ResourceReward",
+    "ScanningTimeReward",
+    "UniqueImageReward",
+]

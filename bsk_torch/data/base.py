@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import torch
 from torch import Tensor
@@ -18,6 +18,9 @@ Log = dict[str, Tensor]
 class GlobalReward:
     """Compares what a satellite's logs say before and after a step, and says what the difference is worth."""
 
+    scenario: Any
+    satellite: Any
+
     def link(self, scenario: Scenario, satellite: Satellite) -> None:
         """Called once when the environment is built; raises where scenario or satellite do not fit."""
         self.scenario, self.satellite = scenario, satellite
@@ -29,6 +32,10 @@ class GlobalReward:
     def calculate_reward(self, before: Log, after: Log) -> Tensor:
         """Reward of the step between two logs, [N] float64."""
         raise NotImplementedError(f"{type(self).__name__} must implement calculate_reward(before, after)")
+
+    def counts(self) -> dict[str, Tensor]:
+        """What the rewarder counts in each episode, [N] each, by name."""
+        return {}
 
     def is_terminated(self) -> Tensor:
         """Whether the rewarder ends the episode, [N]."""

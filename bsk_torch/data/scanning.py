@@ -50,4 +50,4 @@ class ScanningTimeReward(GlobalReward):
         seconds = gained / self.satellite.dynamics.instrument_baud
         if self.reward_fn is not None:
             return self.reward_fn(seconds)
-        return seconds * self.scenario.value_per_second  # type: ignore[attr-defined]
+        return seconds * self.scenario.value_per_second

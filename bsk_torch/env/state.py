@@ -32,7 +32,9 @@ def simulation_state(simulator: Simulator) -> TensorDict:
     values["arguments"] = TensorDict(arguments, [simulator.num_envs])
     if simulator.access is not None:
         values |= {"windows_until": simulator.access.until, "windows_ready": simulator.access.ready}
-        values |= {f"windows_{name}": table for name, table in simulator.access.windows._asdict().items()}
+        for kind, windows in simulator.access.windows.items():
+            values |= {f"{kind}_{name}": table for name, table in windows._asdict().items()}
+    values |= {f"memory_{name}": simulator.memory[name] for name in simulator.memory}
     return TensorDict(values, [simulator.num_envs], device=simulator.device).clone()
 
 
@@ -69,8 +71,11 @@ def restore_simulation(simulator: Simulator, saved: TensorDictBase, rows: Tensor
             simulator.drawn[name] = torch.zeros_like(value)
         simulator.drawn[name][rows] = value[rows]
     simulator.draws += 1
+    for name in simulator.memory:
+        simulator.memory.restore(name, rows, saved[f"memory_{name}"])
     if simulator.access is not None:
         simulator.access.until[rows] = saved["windows_until"][rows]
         simulator.access.ready[rows] = saved["windows_ready"][rows]
-        simulator.access.store(rows, Windows(*(saved[f"windows_{name}"][rows] for name in Windows._fields)))
+        for kind in simulator.access.windows:
+            simulator.access.store(kind, rows, Windows(*(saved[f"{kind}_{name}"][rows] for name in Windows._fields)))
     simulator.observer.forget()

@@ -115,8 +115,9 @@ class SatelliteTasking(EnvBase):
         self.pool = self._make_pool(satellite, num_envs, backend, options)
         self._make_buffers(num_envs, env_ids)
         self.satellite = satellite.bind(self.simulator, self.time_limit)
-        self.scenario.link_satellite(self.satellite)
-        self.rewarder.link(self.scenario, self.satellite)
+        self._link(self.satellite, self.scenario, self.rewarder)
+        if self.pool is not None and self.pool.simulator.access is not None and self.simulator.access is not None:
+            self.pool.simulator.access.ahead = self.simulator.access.ahead
         self._make_specs(trial)
         self.longest_ticks = math.ceil(whole_nanoseconds(min(self.max_step_duration, ENDLESS)) / self.simulator.h_ns)
         self.set_seed(seed)
@@ -138,8 +139,17 @@ class SatelliteTasking(EnvBase):
             backend=backend,
             segment=satellite.segment,
             max_time=float(finite.max()) if len(finite) else 0.0,
+            scene=self.scenario.draw,
+            stops=satellite.variable_interval,
             **options,
         )
+
+    @staticmethod
+    def _link(satellite: Satellite, scenario: Scenario, rewarder: GlobalReward) -> None:
+        """Make satellite, scenario and rewarder known to each other."""
+        scenario.link_satellite(satellite)
+        satellite.scenario = scenario
+        rewarder.link(scenario, satellite)
 
     def _make_pool(self, satellite: Satellite, n: int, backend: str, options: dict[str, Any]) -> EpisodePool | None:
         pays = self._pool_pays(self.simulator)
@@ -148,7 +158,7 @@ class SatelliteTasking(EnvBase):
     def _pool_pays(self, simulator: Simulator) -> bool:
         """Whether the batch is large, and no user's callable says what comes next: it is asked only when needed."""
         given = (*simulator.sat_args.given.values(), *simulator.world_args.given.values(), self.time_limit_generator)
-        asks = any(callable(value) and not isinstance(value, Distribution) for value in given)
+        asks = self.scenario.calls_user or any(callable(value) and not isinstance(value, Distribution) for value in given)
         return self.batch_size[0] >= SMALLEST and not asks
 
     def _trial(self, satellite: Satellite, backend: str, options: dict[str, Any]) -> Values:
@@ -158,7 +168,9 @@ class SatelliteTasking(EnvBase):
         key = first_key(1)
         limit = self._draw_limit(key).to(simulator.device)
         bound = satellite.bind(simulator, limit)
+        self._link(bound, copy.copy(self.scenario), copy.copy(self.rewarder))
         simulator.reset(simulator.all_rows, simulator.draw(key), bound.generation(limit))
+        bound.scenario.reset(simulator.all_rows)
         bound.is_alive()
         return bound.observations.get_dict()
 
@@ -202,6 +214,9 @@ class SatelliteTasking(EnvBase):
             shape=b,
             **on,
         )
+        counts = {name: Unbounded((*b, 1), dtype=torch.int64, **on) for name in self.satellite.counts() | self.rewarder.counts()}
+        if counts:
+            self.observation_spec["counts"] = Composite(counts, shape=b, **on)
         self.action_spec = Categorical(n_actions, shape=b, dtype=torch.int64, **on)
         self.reward_spec = Unbounded((*b, 1), dtype=self.dtype, **on)
         flags = {name: Categorical(2, shape=(*b, 1), dtype=torch.bool, **on) for name in ("done", "terminated", "truncated")}
@@ -264,6 +279,7 @@ class SatelliteTasking(EnvBase):
         self._command(action, moves)
         reward = self._reward(before, moves)
         self.scenario.after_step(self.simulator.sim_time)
+        self.simulator.memory.touch()
         terminated, truncated = self._ends()
         return self._outputs(
             duration=((self.simulator.ticks - start) * self.simulator.h).to(self.dtype).unsqueeze(-1),
@@ -280,28 +296,35 @@ class SatelliteTasking(EnvBase):
         if action.shape != self.batch_size:
             raise ValueError(f"action has shape {list(action.shape)}; it must be {list(self.batch_size)}, one per environment")
         action = action.long()
-        wrong = (action < 0) | (action >= n)
+        explicit = self.satellite.actions.explicit
+        wrong = (action < -explicit) | (action >= n)
         if bool(wrong.any()):
             row = int(torch.nonzero(wrong)[0])
             names = ", ".join(f"{k}: {name}" for k, name in enumerate(self.satellite.action_description))
-            raise ValueError(f"action {int(action[row])} of environment {row} is out of range; legal are {names}")
+            more = f", and -1 to {-explicit} for a target by its index" if explicit else ""
+            raise ValueError(f"action {int(action[row])} of environment {row} is out of range; legal are {names}{more}")
         return action
 
     def _command(self, action: Tensor, moves: Tensor) -> None:
         """Give the satellites their commands and simulate to the end of their steps."""
-        simulator = self.simulator
-        decision = self.satellite.actions.decide(action, self.previous_action)
+        simulator, actions = self.simulator, self.satellite.actions
+        decision = actions.decide(action, self.previous_action)
         simulator.command(decision.retask & moves, decision.mode)
-        self.previous_action = torch.where(moves, action, self.previous_action)
+        actions.begin(action, moves, decision)
+        self.previous_action = torch.where(moves, decision.key, self.previous_action)
         wanted = self._ticks(decision.duration)
         longest = torch.full_like(wanted, self.longest_ticks)
         ends = torch.minimum(wanted, longest) if self.satellite.variable_interval else longest
         left = (self.limit_ticks - simulator.ticks).clamp(min=0)
         ticks = torch.minimum(ends, left) * moves
+        events = simulator.events
+        flown = simulator.run(ticks, torch.minimum(self._ticks(decision.expected), ticks))
         # the time limit stops the clock before an event of the same instant is looked at
-        asks = (wanted <= ticks) & (ticks < left)
-        self.requires_retasking = torch.where(moves, asks, self.requires_retasking)
-        simulator.run(ticks)
+        event = (simulator.events > events) & (flown < left)
+        ended = (wanted <= flown) & (flown < left) & moves
+        self.requires_retasking = torch.where(moves, ended | event, self.requires_retasking)
+        self.satellite.note_events(event)
+        actions.end(action, ended, decision, event)
 
     def _ticks(self, duration: Tensor) -> Tensor:
         """Ticks after which a duration [N] s has passed: an event fires at the first tick at or after its time."""
@@ -324,7 +347,11 @@ class SatelliteTasking(EnvBase):
             observation: Any = self._cast(values)
         else:
             observation = self.satellite.observations.vector(values, self.dtype)
-        parts |= {"observation": observation, "action_mask": self.satellite.actions.mask()}
+        parts |= {"observation": observation, "action_mask": self.satellite.action_mask()}
+        counts = self.satellite.counts() | self.rewarder.counts()
+        if counts:
+            shown = {name: count.unsqueeze(-1) for name, count in counts.items()}
+            parts["counts"] = TensorDict(shown, self.batch_size, device=self.device)
         return TensorDict(parts, self.batch_size, device=self.device)
 
     def _cast(self, values: Values) -> TensorDict:
@@ -345,6 +372,7 @@ class SatelliteTasking(EnvBase):
         restore_simulation(self.simulator, state, rows)
         for name in (*EXTRA_STATE, "time_limit"):
             getattr(self, name)[rows] = state[name][rows]
+        self.scenario.reset(rows)
 
     def get_extra_state(self) -> TensorDict | None:
         """Part of ``state_dict``: see :meth:`get_state`; None before the first reset."""

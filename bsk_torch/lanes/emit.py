@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from typing import Protocol
 
 from bsk_torch.lanes.expr import ALWAYS, DOUBLE, MASK, SINGLE, TICK, Plane, Program, Region
 
@@ -15,17 +15,24 @@ CALLS = {"and": "both", "or": "either", "xor": "differ", "not": "opposite"} | {
 }
 
 
-@dataclass(frozen=True)
-class Track:
-    """A table [N, records, width] of samples every ``spacing`` seconds.
+class TrackShape(Protocol):
+    """What a kernel has to know of a table [N, records, width], of which a tick sees a few neighbouring records."""
 
-    A tick sees ``count`` neighbouring records, of which ``before`` lie before the last one that has passed.
-    """
+    @property
+    def spacing(self) -> float:
+        """Seconds between records."""
 
-    spacing: float
-    width: int
-    count: int
-    before: int = 0
+    @property
+    def width(self) -> int:
+        """Numbers in a record."""
+
+    @property
+    def count(self) -> int:
+        """Records that a tick sees."""
+
+    @property
+    def before(self) -> int:
+        """How many of them lie before the last one that has passed."""
 
 
 class Emitter:
@@ -136,23 +143,23 @@ def _indent(lines: Iterable[str], depth: int) -> str:
 
 
 SIGNATURE = "iippippppippippi"
-"""Arguments of every loop, before three for each track; see :data:`LOOP`."""
+"""Arguments of every loop, before four for each track; see :data:`LOOP`."""
 
 LOOP = """{header}
 using namespace lanes;
 
 extern "C" int lanes_width() {{ return W; }}
 
-// Runs count[i] ticks of row rows[i] for every i; rows come in blocks of W, padded with counts of zero. Row i of the tables is
-// owner[i], or i without owners. Tick k of row i writes record k - 1 of row i of written.
-extern "C" void run(int64_t blocks, int64_t threads, const int64_t* rows, const int64_t* counts, int64_t n,
+// Runs counts[i] ticks of row rows[i] for every i; rows come in blocks of W, padded with counts of zero. Row i of the tables is
+// owner[i], or i without owners. Tick k of row i writes record k - 1 of row i of written. What ends a row early lowers its count.
+extern "C" void run(int64_t blocks, int64_t threads, const int64_t* rows, int64_t* counts, int64_t n,
                     double* state, const double* shared, const double* own, const double* flags, int64_t modes,
                     const int64_t* mode, const int64_t* ticks, int64_t nanoseconds, const double* schedule,
                     double* written, int64_t stride{arguments}) {{
 #pragma omp parallel for schedule(dynamic) num_threads(threads) if (threads > 1)
   for (int64_t block = 0; block < blocks; ++block) {{
     const int64_t* row = rows + block * W;
-    const int64_t* count = counts + block * W;
+    int64_t* count = counts + block * W;
     int64_t last = 0, next = INT64_MAX;
     for (int l = 0; l < W; ++l) {{
       if (count[l] > last) last = count[l];
@@ -164,11 +171,13 @@ extern "C" void run(int64_t blocks, int64_t threads, const int64_t* rows, const 
 {loads}
 {always}
 {records}
+{running}
     for (int64_t k = 1; k <= last; ++k) {{
       const D ticks_now = ticks_start + D(double(k));
       const D time_now = {clock};
 {tracks}
 {body}
+{stops}
 {writes}
       if (k == next) {{
         alignas(64) double out[{changed}][W];
@@ -181,6 +190,7 @@ extern "C" void run(int64_t blocks, int64_t threads, const int64_t* rows, const 
             next = count[l];
           }}
         }}
+{left}
       }}
 {turn}
     }}
@@ -190,21 +200,19 @@ extern "C" void run(int64_t blocks, int64_t threads, const int64_t* rows, const 
 
 TRACK = """      const D elapsed_{t} = time_now - start_{t};
       if (k == 1 || any(either(lt(elapsed_{t}, from_{t}), ge(elapsed_{t}, until_{t})))) {{
-        alignas(64) double at[W], since[W], from[W], until[W];
-        elapsed_{t}.store(at);
+        const D none(0), most(double(records_{t} - {count})), spacing({spacing!r}), before({before}.0);
+        const D endless(std::numeric_limits<double>::infinity()), found = (elapsed_{t} / spacing).floor() - before;
+        // what is no number compares false and gets the first record
+        const D first = where(ge(found, none), where(lt(found, most), found, most), none);
+        base_{t} = (first + before) * spacing;
+        from_{t} = where(gt(first, none), base_{t}, none - endless);
+        until_{t} = where(lt(first, most), base_{t} + spacing, endless);
+        alignas(64) double index[W];
+        first.store(index);
         const double* record[W];
         for (int l = 0; l < W; ++l) {{
-          int64_t index = int64_t(std::floor(at[l] / {spacing!r})) - {before};
-          index = index > records_{t} - {count} ? records_{t} - {count} : index;
-          index = index < 0 ? 0 : index;
-          since[l] = (index + {before}) * {spacing!r};
-          from[l] = index > 0 ? since[l] : -std::numeric_limits<double>::infinity();
-          until[l] = index < records_{t} - {count} ? since[l] + {spacing!r} : std::numeric_limits<double>::infinity();
-          record[l] = table_{t} + ((owner_{t} ? owner_{t}[row[l]] : row[l]) * records_{t} + index) * {width};
+          record[l] = table_{t} + ((owner_{t} ? owner_{t}[row[l]] : row[l]) * records_{t} + int64_t(index[l])) * {width};
         }}
-        base_{t} = D::loadu(since);
-        from_{t} = D::loadu(from);
-        until_{t} = D::loadu(until);
 {loads}
 {lines}
       }}
@@ -220,6 +228,27 @@ WRITE = """      {{
         }}
       }}"""
 
+RUNNING = """    M running;
+    const auto remember = [&](int64_t k) {
+      D left;
+      load(left, [&](int l) { return double(count[l] - k); });
+      running = gt(left, D(0));
+    };
+    remember(0);"""
+
+STOPS = """      const M stopping = both({stop}, running);
+      if (any(stopping)) {{
+        alignas(64) double stopped[W];
+        where(stopping, D(1), D(0)).store(stopped);
+        for (int l = 0; l < W; ++l) {{
+          if (stopped[l] != 0) count[l] = k;
+        }}
+        next = k;
+      }}"""
+
+LEFT = """        if (next == INT64_MAX) break;
+        remember(k);"""
+
 CLOCKS = {
     "ticks": "ticks_now * D(double(nanoseconds)) * D(1e-9)",
     "start": "ticks_start * D(double(nanoseconds)) * D(1e-9)",
@@ -230,11 +259,12 @@ CLOCKS = {
 def loop_source(
     program: Program,
     outputs: Sequence[Plane],
-    tracks: Sequence[Track],
+    tracks: Sequence[TrackShape],
     header: str,
     written: Sequence[Plane] = (),
     clock: str = "ticks",
     schedule: int = 0,
+    stop: Plane | None = None,
 ) -> str:
     """C++ of a kernel that repeats ticks: ``outputs`` are the planes of the state at the end of a tick.
 
@@ -242,8 +272,9 @@ def loop_source(
     this tick, of ``schedule`` for each), ``track_<t>_<plane>``, ``tau_<t>``, seconds since the record of track t, and
     ``ticks_now``, the number of this tick. Planes ``written`` are recorded in every tick. Tracks are looked up at the time of the
     ``clock``: that of the ticks, that of the start, the first number of the schedule, or the plane of the state that it names.
+    A row in which the mask ``stop`` holds in a tick ends with it.
     """
-    emitter = Emitter(program, [*outputs, *written])
+    emitter = Emitter(program, [*outputs, *written, *([] if stop is None else [stop])])
     changed = [(k, p) for k, p in enumerate(outputs) if not (p.op == "input" and p.args == ("state", k))]
     return LOOP.format(
         header=emitter.header(header),
@@ -258,10 +289,13 @@ def loop_source(
         clock=CLOCKS[clock].format(width=schedule) if clock in CLOCKS else clock,
         tracks="\n".join(_track(emitter, t, track) for t, track in enumerate(tracks, 1)),
         body=_indent([*_scheduled(emitter, schedule), *emitter.lines(TICK)], 3),
+        running="" if stop is None else RUNNING,
+        stops="" if stop is None else STOPS.format(stop=emitter.name(stop)),
         writes=_writes(emitter, written) if written else "",
         changed=max(1, len(changed)),
         stores=_indent(_stores(emitter, [p for _, p in changed]), 4),
         ends=_indent((f"state[{k} * n + row[l]] = out[{i}][l];" for i, (k, _) in enumerate(changed)), 6),
+        left="" if stop is None else LEFT,
         turn=_indent(_turn(emitter, changed), 3),
     )
 
@@ -315,7 +349,7 @@ def _turn(emitter: Emitter, changed: Sequence[tuple[int, Plane]]) -> list[str]:
     return copies + [f"state_{k} = new_{k};" for k, _ in moved]
 
 
-def _track(emitter: Emitter, t: int, track: Track) -> str:
+def _track(emitter: Emitter, t: int, track: TrackShape) -> str:
     inputs = [p for p in emitter.inputs("track") if p.args[1] == t]
     loads = [f"load({emitter.name(p)}, [&](int l) {{ return record[l][{p.args[2]}]; }});" for p in inputs]
     lines = emitter.lines(t)
@@ -327,50 +361,4 @@ def _track(emitter: Emitter, t: int, track: Track) -> str:
         width=track.width,
         loads=_indent(loads, 4),
         lines=_indent(lines, 4),
-    )
-
-
-MAP = """{header}
-#include <algorithm>
-using namespace lanes;
-
-// Columns of the planes x [{inputs}, n] give those of y [{outputs}, n]. Vectors overlap where n is no multiple of W.
-extern "C" void run(int64_t n, int64_t threads, const double* x, const double* shared, double* y) {{
-  if (n < W) {{
-    double few_x[{inputs}][W], few_y[{outputs}][W];
-    for (int p = 0; p < {inputs} && n > 0; ++p) {{
-      for (int l = 0; l < W; ++l) few_x[p][l] = x[p * n + std::min<int64_t>(l, n - 1)];
-    }}
-    if (n > 0) run(W, 1, few_x[0], shared, few_y[0]);
-    for (int p = 0; p < {outputs}; ++p) std::copy_n(few_y[p], n, y + p * n);
-    return;
-  }}
-#pragma omp parallel num_threads(threads) if (threads > 1)
-  {{
-{always}
-#pragma omp for schedule(static)
-    for (int64_t first = 0; first < n; first += W) {{
-      const int64_t at = std::min(first, n - W);
-{loads}
-{body}
-{stores}
-    }}
-  }}
-}}
-"""
-
-
-def map_source(program: Program, outputs: Sequence[Plane], header: str) -> str:
-    """C++ of a kernel that computes ``outputs``, float64, once from inputs ``x_<plane>`` and ``shared_<plane>``, also float64."""
-    emitter = Emitter(program, outputs)
-    shared = [f"const D {emitter.name(p)}(shared[{p.args[1]}]);" for p in emitter.inputs("shared")]
-    loads = (f"const D {emitter.name(p)} = D::loadu(x + {p.args[1]} * n + at);" for p in emitter.inputs("x"))
-    return MAP.format(
-        header=emitter.header(header),
-        inputs=max([1, *(p.args[1] + 1 for p in emitter.inputs("x"))]),
-        outputs=len(outputs),
-        always=_indent([*shared, *emitter.lines(ALWAYS)], 2),
-        loads=_indent(loads, 3),
-        body=_indent(emitter.lines(TICK), 3),
-        stores=_indent((f"{emitter.name(p)}.store(y + {k} * n + at);" for k, p in enumerate(outputs)), 3),
     )

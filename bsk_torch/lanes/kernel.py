@@ -19,7 +19,7 @@ import shlex
 import subprocess
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -27,9 +27,6 @@ from typing import TYPE_CHECKING, Any
 import platformdirs
 import torch
 from torch import Tensor
-
-from bsk_torch.lanes.emit import map_source
-from bsk_torch.lanes.expr import ALWAYS, DOUBLE, TICK, Program, as_kind
 
 if TYPE_CHECKING:
     from torch._inductor.cpu_vec_isa import VecISA
@@ -57,9 +54,6 @@ WITHOUT = 'backend="eager" needs no compiler, but is slower.'
 SHOWN_LINES = 15
 """How much of a compiler's complaint an error repeats."""
 
-THREAD_WORK = 1 << 18
-"""Numbers to compute, in statements times columns, that are worth another thread."""
-
 
 def cache_folder() -> Path:
     """Where kernels are kept."""
@@ -78,12 +72,12 @@ def processor() -> str:
 
 
 def entry(library: ctypes.CDLL, signature: str) -> Callable[..., None]:
-    """The kernel's function: p stands for a tensor (contiguous) or None, i for an integer, d for a double."""
-    types: dict[str, Any] = {"p": ctypes.c_void_p, "i": ctypes.c_int64, "d": ctypes.c_double}
+    """The kernel's function: p stands for a tensor (contiguous) or None, i for an integer."""
+    types: dict[str, Any] = {"p": ctypes.c_void_p, "i": ctypes.c_int64}
     function = library.run
     function.argtypes, function.restype = [types[code] for code in signature], None
 
-    def call(*args: Tensor | float | None) -> None:
+    def call(*args: Tensor | int | None) -> None:
         function(*(arg.data_ptr() if isinstance(arg, Tensor) else arg for arg in args))
 
     return call
@@ -97,51 +91,6 @@ def load(source: str, name: str) -> ctypes.CDLL:
         path = cache_folder() / f"{key}.so"
         LOADED[key] = _kept(path) or _built(source, path, name)
     return LOADED[key]
-
-
-def mapped(function: Callable[..., Sequence[Any]], inputs: int, shared: int, name: str) -> Callable[..., Tensor]:
-    """A kernel that computes ``function`` for every column of a tensor.
-
-    Args:
-        function: Computes a list of planes from a list of planes and a list of planes that all columns share. The kernel calls it
-            once, with symbolic planes, when it is first needed.
-        inputs: Number of planes.
-        shared: Number of shared planes.
-        name: What is being compiled, for messages.
-
-    Returns:
-        A function of x [inputs, n] and of the shared numbers [shared], both float64 on the CPU, that gives y [outputs, n] without
-        a gradient. It raises UntraceableError if ``function`` has no kernel.
-    """
-
-    @cache
-    def build() -> tuple[Callable[..., None], int, int]:
-        program = Program()
-        planes = [program.input(("x", k), DOUBLE, TICK) for k in range(inputs)]
-        common = [program.input(("shared", k), DOUBLE, ALWAYS) for k in range(shared)]
-        outputs = [as_kind(program, y, DOUBLE) for y in function(planes, common)]
-        return entry(load(map_source(program, outputs, INCLUDE), name), "iippp"), len(outputs), program.count
-
-    def call(x: Tensor, common: Tensor | None = None) -> Tensor:
-        run, outputs, statements = build()
-        x = _checked(x, inputs, "x")
-        if shared:
-            common = _checked(common, shared, "shared")
-        n = x.shape[1]
-        y = torch.empty((outputs, n), dtype=torch.float64)
-        threads = min(torch.get_num_threads(), 1 + n * statements // THREAD_WORK)
-        run(n, threads, x, common, y)
-        return y
-
-    return call
-
-
-def _checked(x: Tensor | None, planes: int, name: str) -> Tensor:
-    """A tensor that C++ can read."""
-    if x is None or x.shape[0] != planes or x.dtype is not torch.float64 or not x.is_cpu:
-        found = None if x is None else f"{list(x.shape)}, {x.dtype}, on {x.device}"
-        raise ValueError(f"{name} must be float64 on the CPU, and its first dimension {planes}; it is {found}")
-    return x.contiguous()
 
 
 # -- building ----------------------------------------------------------------------------------------------------------------

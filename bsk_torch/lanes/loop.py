@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from bsk_torch.lanes import kernel
-from bsk_torch.lanes.emit import SIGNATURE, Track, loop_source
+from bsk_torch.lanes.emit import SIGNATURE, TrackShape, loop_source
 from bsk_torch.lanes.expr import Plane, Program
 
 
@@ -32,14 +32,16 @@ class Loop:
         name: str,
         program: Program,
         outputs: Sequence[Plane],
-        tracks: Sequence[Track],
+        tracks: Sequence[TrackShape],
         written: Sequence[Plane] = (),
         clock: str = "ticks",
         schedule: int = 0,
+        stop: Plane | None = None,
     ) -> None:
         """Build the kernel, or load it; ``name`` says in messages what is being compiled."""
-        source = loop_source(program, outputs, tracks, kernel.INCLUDE, written, clock, schedule)
+        source = loop_source(program, outputs, tracks, kernel.INCLUDE, written, clock, schedule, stop)
         library = kernel.load(source, name)
+        self.tracks, self.stops = tuple(tracks), stop is not None
         self.width: int = library.lanes_width()
         self._run = kernel.entry(library, SIGNATURE + "pppi" * len(tracks))
 
@@ -49,6 +51,7 @@ class Loop:
         counts: Tensor,
         tracks: Sequence[Samples],
         *,
+        order: Tensor | None = None,
         shared: Tensor | None = None,
         own: Tensor | None = None,
         mode: Tensor | None = None,
@@ -57,34 +60,58 @@ class Loop:
         nanoseconds: int = 0,
         schedule: Tensor | None = None,
         written: Tensor | None = None,
-    ) -> None:
-        """Run ``counts`` [n] ticks of every column of ``state`` [C, n], which changes, as does ``written`` [n, L, C'].
+    ) -> Tensor:
+        """Run ``counts`` [n] ticks of every column of ``state`` [C, n], or as many as there are until the kernel's stop.
 
-        Rows of ``written`` may lie apart; everything else must be contiguous, else ValueError.
+        Args:
+            state: State [C, n], which changes.
+            counts: Number of ticks, at most, of each row [n].
+            tracks: Records of each track.
+            order: Number of ticks to be expected of each row [n], where it differs from ``counts``; a matter of speed only.
+            shared: Numbers that all rows share.
+            own: Numbers of each row [C', n].
+            mode: Column of ``flags`` for each row [n].
+            flags: Flags [F, M] of the modes.
+            ticks: Number of ticks before the first, [n].
+            nanoseconds: Length of a tick.
+            schedule: Numbers of each tick [K, S].
+            written: What each tick writes [n, L, C''], which changes; its rows may lie apart.
+
+        Returns:
+            Number of ticks that each row has run, [n].
+
+        Raises:
+            ValueError: For a tensor that is not contiguous, or a table with too few records.
         """
-        parts = [part for t in tracks for part in t]
-        for tensor in (state, shared, own, mode, flags, ticks, schedule, *parts):
+        for tensor in (state, counts, shared, own, mode, flags, ticks, schedule, *(part for t in tracks for part in t)):
             if tensor is not None and not tensor.is_contiguous():
                 raise ValueError(
                     f"a kernel got a tensor {list(tensor.shape)} with strides {tensor.stride()}; it must be contiguous"
                 )
-        modes = 1 if flags is None else flags.shape[1]
-        rows, ends = self._blocks(counts, mode, modes)
+        for track, samples in zip(self.tracks, tracks, strict=True):
+            if samples.table.shape[1] < track.count:
+                raise ValueError(
+                    f"a kernel got a table {list(samples.table.shape)}; it must have at least {track.count} records a row"
+                )
+        n, modes = len(counts), 1 if flags is None else flags.shape[1]
+        rows, ends = self._blocks(counts, counts if order is None else order, mode, modes)
+        blocks = len(rows) // self.width
         self._run(
-            *(len(rows) // self.width, torch.get_num_threads(), rows, ends, counts.shape[0], state, shared, own, flags, modes),
+            *(blocks, max(1, min(blocks, torch.get_num_threads())), rows, ends, n, state, shared, own, flags, modes),
             *(mode, ticks, nanoseconds, schedule, written, 0 if written is None else written.stride(0)),
             *(part for t in tracks for part in (t.table, t.start, t.owner, t.table.shape[1])),
         )
+        return torch.empty_like(counts).index_copy_(0, rows[:n], ends[:n]) if self.stops else counts
 
-    def _blocks(self, counts: Tensor, mode: Tensor | None, modes: int) -> tuple[Tensor, Tensor]:
+    def _blocks(self, counts: Tensor, order: Tensor, mode: Tensor | None, modes: int) -> tuple[Tensor, Tensor]:
         """Rows in blocks of like durations and modes, and their numbers of ticks; padded with rows that run no tick."""
         n = len(counts)
         padding = -n % self.width
         if n <= self.width:
-            order = torch.arange(n)
+            rows, counts = torch.arange(n), counts.clone() if self.stops else counts
         else:
-            order = torch.argsort(counts if mode is None else counts * modes + mode)
-            counts = counts[order]
+            rows = torch.argsort(order if mode is None else order * modes + mode)
+            counts = counts[rows]
         if not padding:
-            return order, counts
-        return torch.cat([order, order[:1].expand(padding)]), torch.cat([counts, counts.new_zeros(padding)])
+            return rows, counts
+        return torch.cat([rows, rows[:1].expand(padding)]), torch.cat([counts, counts.new_zeros(padding)])

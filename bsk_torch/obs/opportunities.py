@@ -1,54 +1,131 @@
-"""Observations of the next opportunities: stations that will see the satellite."""
+"""Observations of the next opportunities: stations that will see the satellite, targets that it will see."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, cast
 
+import torch
 from torch import Tensor
 
+from bsk_torch.astro.ephemeris import EARTH_ROTATION_RATE
 from bsk_torch.obs.base import Observation, Values, check_entries, property_name, scaled
+from bsk_torch.sim.observe import observable
 from bsk_torch.sim.params import nearest
 
 if TYPE_CHECKING:
     from bsk_torch.sats.access import AccessSatellite, Opportunities
     from bsk_torch.sats.satellite import Satellite
 
+Preset = Callable[[Any, Any], Tensor]
+"""A function of the satellite and its next opportunities, [N, n] or [N, n, width]."""
 
-def _relative(name: str) -> Any:
+
+def _relative(name: str) -> Preset:
     def seconds(satellite: Satellite, opportunities: Opportunities) -> Tensor:
         return getattr(opportunities, name) - satellite.simulator.sim_time.unsqueeze(-1)
 
     return seconds
 
 
-PRESETS = {
+def priority(satellite: Satellite, targets: Opportunities) -> Tensor:
+    """What each target is worth now, [N, n]."""
+    return satellite.scenario.priority.gather(1, targets.place)
+
+
+def line_of_sight(satellite: Satellite, opportunities: Opportunities) -> Tensor:
+    """From the satellite to each place, Earth-fixed, [N, n, 3] m."""
+    return opportunities.r_LP_P - satellite.dynamics.r_BN_P.unsqueeze(1)
+
+
+def r_LB_H(satellite: Satellite, opportunities: Opportunities) -> Tensor:
+    """From the satellite to each place in the Hill frame, [N, n, 3] m."""
+    r_P = satellite.dynamics.r_BN_P
+    spin = torch.tensor([0.0, 0.0, EARTH_ROTATION_RATE], dtype=r_P.dtype, device=r_P.device)
+    v_P = satellite.dynamics.v_BN_P + torch.linalg.cross(spin.expand_as(r_P), r_P)  # inertial velocity, Earth-fixed axes
+    radial = r_P / r_P.norm(dim=-1, keepdim=True)
+    normal = torch.linalg.cross(r_P, v_P)
+    normal = normal / normal.norm(dim=-1, keepdim=True)
+    HP = torch.stack([radial, torch.linalg.cross(normal, radial), normal], -2)
+    return line_of_sight(satellite, opportunities) @ HP.mT
+
+
+def target_angle(satellite: Satellite, targets: Opportunities) -> Tensor:
+    """Angle between the instrument and each target, [N, n] rad in [0, pi]."""
+    rho = line_of_sight(satellite, targets)
+    along = (rho * satellite.fsw.c_hat_P.unsqueeze(1)).sum(-1) / rho.norm(dim=-1)
+    return torch.acos(along.clamp(-1.0, 1.0))
+
+
+def target_angle_rate(satellite: Satellite, targets: Opportunities) -> Tensor:
+    """Rate at which the body must turn, relative to its own, to follow each target, [N, n] rad/s.
+
+    ``|w_BP - v x rho / rho^2|``, Earth-fixed, with the line of sight rho to the target.
+    """
+    rho = line_of_sight(satellite, targets)
+    v_P = satellite.dynamics.v_BN_P.unsqueeze(1).expand_as(rho)
+    turn = torch.linalg.cross(v_P, rho) / (rho * rho).sum(-1, keepdim=True)
+    return (satellite.dynamics.omega_BP_P.unsqueeze(1) - turn).norm(dim=-1)
+
+
+PRESETS: dict[str, Preset] = {
+    "priority": priority,
     "r_LP_P": lambda satellite, opportunities: opportunities.r_LP_P,
+    "r_LB_H": r_LB_H,
     "opportunity_open": _relative("open"),
     "opportunity_mid": _relative("mid"),
     "opportunity_close": _relative("close"),
+    "target_angle": target_angle,
+    "target_angle_rate": target_angle_rate,
 }
-"""What ``prop`` may name: functions of the satellite and the next opportunities, [N, n] or [N, n, width]."""
+"""What ``prop`` may name."""
+
+NEEDS = {
+    "r_LB_H": ("r_BN_P", "v_BN_P"),
+    "target_angle": ("r_BN_P", "c_hat_P"),
+    "target_angle_rate": ("r_BN_P", "v_BN_P", "omega_BP_P"),
+}
+"""Properties of the satellite that presets read."""
+
+ONLY_TARGETS = ("priority",)
 
 
 class OpportunityProperties(Observation):
-    """Properties of the ``n_ahead_observe`` opportunities that close next.
+    """Properties of the ``n_ahead_observe`` opportunities that close next; row i is what action i of ``act.Image`` means.
 
     Each argument is a dictionary with ``prop`` (see :data:`PRESETS`) or ``fn`` (called with the satellite and its
-    :class:`~bsk_torch.sats.access.Opportunities`), and optionally ``norm`` and ``name``.
+    :class:`~bsk_torch.sats.access.Opportunities`, gives [N, n] or [N, n, width]), and optionally ``norm`` and ``name``. Where
+    there are fewer opportunities, the last one is repeated.
     """
 
     def __init__(
-        self, *entries: dict[str, Any], n_ahead_observe: int, type: str = "ground_station", name: str | None = None
+        self,
+        *entries: dict[str, Any],
+        n_ahead_observe: int,
+        type: str = "target",
+        name: str | None = None,
+        as_set: bool = False,
     ) -> None:
-        """See the class; ``type`` is the kind of opportunity. ValueError for unknown keys or presets."""
+        """See the class; ValueError for unknown keys or presets.
+
+        Args:
+            *entries: What is observed of each.
+            n_ahead_observe: Number of opportunities n.
+            type: ``"target"`` or ``"ground_station"``.
+            name: Name of the observation; that of the type unless given.
+            as_set: Whether to give ``rows`` [N, n, features] and ``mask`` [N, n] (1, or 0 for repetitions) instead of named
+                numbers, for policies that treat opportunities alike.
+        """
         super().__init__(name or type)
         check_entries(entries, {"prop", "fn", "norm", "name"}, "obs.OpportunityProperties")
         for entry in entries:
             if "prop" in entry and entry["prop"] not in PRESETS:
                 raise ValueError(f"prop={entry['prop']!r} is not a property of opportunities; {nearest(entry['prop'], PRESETS)}")
+            if entry.get("prop") in ONLY_TARGETS and type != "target":
+                raise ValueError(f"prop={entry['prop']!r} is a property of targets; opportunities of type {type!r} have none")
         if n_ahead_observe < 1:
             raise ValueError(f"n_ahead_observe={n_ahead_observe} must be at least 1")
-        self.entries, self.n_ahead_observe, self.type = entries, n_ahead_observe, type
+        self.entries, self.n_ahead_observe, self.type, self.as_set = entries, n_ahead_observe, type, as_set
 
     def link_satellite(self, satellite: Satellite) -> None:
         """See :meth:`Observation.link_satellite`; ValueError for a satellite without such opportunities."""
@@ -56,9 +133,25 @@ class OpportunityProperties(Observation):
         kinds = getattr(satellite, "opportunity_types", ())
         if self.type not in kinds:
             raise ValueError(
-                f"type={self.type!r}: {satellite.name} has opportunities of type {list(kinds) or 'none'}; ground stations need "
-                f"a sats.AccessSatellite with dyn.GroundStationDynModel"
+                f"type={self.type!r}: {satellite.name} has opportunities of type {list(kinds) or 'none'}; targets need a "
+                "sats.ImagingSatellite and a scenario such as scene.UniformTargets, ground stations a sats.AccessSatellite with "
+                "dyn.GroundStationDynModel"
             )
+        for name in self._needs():
+            if not (hasattr(type_of(satellite.dynamics), name) or hasattr(type_of(satellite.fsw), name)):
+                raise ValueError(f"{self.name!r} observes targets by {name!r}, which {satellite.name} does not have")
+        if self.type == "target":
+            simulator = satellite.simulator
+            simulator.access.expect(self.n_ahead_observe, simulator.drawn["target_exists"].shape[1])  # type: ignore[union-attr]
+
+    def _needs(self) -> list[str]:
+        return [name for entry in self.entries for name in NEEDS.get(str(entry.get("prop")), ())]
+
+    def observables(self) -> list[Any]:
+        """See :meth:`Observation.observables`."""
+        models = [type_of(self.satellite.dynamics), type_of(self.satellite.fsw)]
+        known = [getattr(model, name) for name in self._needs() for model in models if hasattr(model, name)]
+        return [prop.function for prop in known if isinstance(prop, observable)]
 
     def get_obs(self) -> Values:
         """See :meth:`Observation.get_obs`."""
@@ -67,4 +160,20 @@ class OpportunityProperties(Observation):
         for entry in self.entries:
             function = entry.get("fn") or PRESETS[entry["prop"]]
             columns[property_name(entry)] = scaled(function(self.satellite, opportunities), entry.get("norm", 1.0))
+        if getattr(self.satellite, "may_see_nothing", False):
+            nothing = opportunities.found == 0
+            columns = {name: blank(column, nothing) for name, column in columns.items()}
+        if self.as_set:
+            rows = [column.unsqueeze(-1) if column.ndim == 2 else column for column in columns.values()]
+            return {"rows": torch.cat(rows, -1), "mask": opportunities.mask.to(opportunities.close.dtype)}
         return {f"{self.name}_{k}": {name: column[:, k] for name, column in columns.items()} for k in range(self.n_ahead_observe)}
+
+
+def blank(column: Tensor, rows: Tensor) -> Tensor:
+    """The column [N, ...] with zeros in ``rows`` [N]."""
+    return torch.where(rows.view(-1, *[1] * (column.ndim - 1)), torch.zeros_like(column), column)
+
+
+def type_of(model: object) -> type:
+    """Class of a model; ``type`` is an argument here."""
+    return model.__class__

@@ -6,10 +6,18 @@ from collections.abc import Callable
 from typing import Any
 
 from bsk_torch.env import SatelliteTasking
+from bsk_torch.presets.aeos import aeos, aeos_city, cloudy_aeos
+from bsk_torch.presets.aeos_power import aeos_power
 from bsk_torch.presets.nadir_scan import nadir_scan
 from bsk_torch.sim.params import nearest
 
-PRESETS: dict[str, Callable[..., SatelliteTasking]] = {"NadirScan-v1": nadir_scan}
+PRESETS: dict[str, Callable[..., SatelliteTasking]] = {
+    "NadirScan-v1": nadir_scan,
+    "AEOS-v1": aeos,
+    "AEOSPower-v1": aeos_power,
+    "AEOSCity-v1": aeos_city,
+    "CloudyAEOS-v1": cloudy_aeos,
+}
 """Presets by name: functions that take the arguments of the environment to override."""
 
 

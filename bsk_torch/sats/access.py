@@ -2,29 +2,43 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 
 from bsk_torch.sats.satellite import Satellite
+from bsk_torch.sim.access import Windows, seen
+from bsk_torch.sim.params import nearest
 from bsk_torch.sim.span import PLAN_STEP
+
+AccessFilter = Callable[[], Tensor]
+"""Says which places of a type an agent may see now, [N, P] booleans."""
 
 
 class Opportunities(NamedTuple):
-    """The next opportunities, sorted by closing time: opening and closing time, s since reset, and place; [N, n] each."""
+    """The next opportunities, sorted by closing time: opening and closing time, s since reset, and place; [N, n] each.
+
+    Where there are fewer than n, the last one is repeated; ``found`` [N] tells how many there are.
+    """
 
     open: Tensor
     close: Tensor
     place: Tensor
     r_LP_P: Tensor
     """Earth-fixed positions, [N, n, 3] m."""
+    found: Tensor
 
     @property
     def mid(self) -> Tensor:
         """Middle of the window, [N, n] s since reset."""
         return 0.5 * (self.open + self.close)
+
+    @property
+    def mask(self) -> Tensor:
+        """Which of them do not repeat the last one, [N, n]."""
+        return torch.arange(self.place.shape[1], device=self.place.device) < self.found.unsqueeze(-1)
 
 
 class AccessSatellite(Satellite):
@@ -37,6 +51,8 @@ class AccessSatellite(Satellite):
         *,
         generation_duration: float = 600.0,
         initial_generation_duration: float | None = None,
+        max_generation_duration_beyond_initial: float = float("inf"),
+        may_see_nothing: bool = False,
         **options: Any,
     ) -> None:
         """See :class:`~bsk_torch.sats.satellite.Satellite` for the other arguments.
@@ -47,24 +63,40 @@ class AccessSatellite(Satellite):
             generation_duration: Seconds by which windows are extended when a query runs out of them, a multiple of 30.
             initial_generation_duration: Seconds for which windows are generated at reset; None for the time limit (nothing
                 where that is infinite).
+            max_generation_duration_beyond_initial: Seconds beyond that after which queries look no further; they then repeat the
+                last window.
+            may_see_nothing: What happens when nothing comes into view within a hundred segments: an error as in bsk_rl, or, if
+                true, observations of zeros, and images that only wait for a segment.
             **options: Passed on.
         """
         super().__init__(name, sat_args, **options)
         whole = generation_duration / PLAN_STEP
         if generation_duration <= 0.0 or whole != round(whole):
             raise ValueError(f"generation_duration={generation_duration:g} s must be a positive multiple of {PLAN_STEP:g} s")
+        if not max_generation_duration_beyond_initial >= 0.0:
+            raise ValueError(
+                f"max_generation_duration_beyond_initial={max_generation_duration_beyond_initial:g} s must not be negative"
+            )
         self.generation_duration = generation_duration
         self.initial_generation_duration = initial_generation_duration
+        self.max_generation_duration_beyond_initial = max_generation_duration_beyond_initial
+        self.may_see_nothing = may_see_nothing
 
     @property
     def segment(self) -> float:
         """See :attr:`Satellite.segment`."""
         return self.generation_duration
 
+    def equip(self) -> None:
+        """See :meth:`Satellite.equip`."""
+        super().equip()
+        self._filters: dict[str, list[AccessFilter]] = {}
+        self._cache: dict[tuple[str, int], tuple[tuple[int, int], Opportunities]] = {}
+
     @property
     def opportunity_types(self) -> tuple[str, ...]:  # type: ignore[override]
         """Kinds of opportunities that this satellite has."""
-        return ("ground_station",) if self.simulator.access is not None else ()
+        return tuple(self.simulator.access.kinds) if self.simulator.access is not None else ()
 
     def generation(self, limit: Tensor) -> Tensor:
         """See :meth:`Satellite.generation`."""
@@ -74,12 +106,96 @@ class AccessSatellite(Satellite):
         whole = torch.ceil(torch.clamp(wanted, min=least) / self.generation_duration) * self.generation_duration
         return torch.where(wanted > 0.0, whole, torch.zeros_like(wanted))
 
-    def find_next_opportunities(self, n: int, type: str = "ground_station") -> Opportunities:
+    # -- what may be seen ---------------------------------------------------------------------------------------------
+
+    def add_access_filter(self, access_filter: AccessFilter, type: str = "target") -> None:
+        """Hide places from all queries: ``access_filter()`` says which ones of ``type`` remain, [N, P] booleans."""
+        self._filters.setdefault(type, []).append(access_filter)
+
+    def allowed(self, type: str) -> Tensor | None:
+        """Which places of a type all filters leave, [N, P]; None for all."""
+        parts = [access_filter() for access_filter in self._filters.get(type, ())]
+        for part in parts[1:]:
+            parts[0] = parts[0] & part
+        return parts[0] if parts else None
+
+    # -- queries ------------------------------------------------------------------------------------------------------
+
+    def find_next_opportunities(self, n: int, type: str = "target", count: Tensor | None = None) -> Opportunities:
         """The ``n`` opportunities of ``type`` that close next, those in progress included; the last repeated if fewer.
 
-        RuntimeError where none is found within a hundred segments.
+        Look-ahead is extended where fewer than ``count`` [N] (n unless given) are known. Where none is found within a hundred
+        segments there is a RuntimeError or, with ``may_see_nothing``, place 0 opens and closes now.
         """
+        self._check_type(type)
+        now = self.simulator.observer.version, self.simulator.memory.version
+        known = self._cache.get((type, n))
+        if known is not None and known[0] == now and (count is None or bool((known[1].found >= count).all())):
+            return known[1]
+        query = type, n, self.allowed(type), count, self._last_generation(), self.may_see_nothing
+        windows, found = self.simulator.next_windows(*query)
+        if self.may_see_nothing:
+            windows = self._or_nothing(windows, found)
+        opportunities = Opportunities(*windows, self.simulator.positions(type, windows.place), found)
+        if count is None:
+            self._cache[(type, n)] = now, opportunities
+        return opportunities
+
+    def _or_nothing(self, windows: Windows, found: Tensor) -> Windows:
+        """Windows [N, n], those of place 0 that open and close now where none was ``found`` [N]."""
+        there, now = (found > 0).unsqueeze(-1), self.simulator.sim_time.unsqueeze(-1)
+        opens, close = (torch.where(there, time, now) for time in windows[:2])
+        return Windows(opens, close, torch.where(there, windows.place, 0))
+
+    def _last_generation(self) -> Tensor | None:
+        """Time, [N] s, from which on queries generate no more windows."""
+        if self.max_generation_duration_beyond_initial == float("inf"):
+            return None
+        limit, given = self.time_limit, self.initial_generation_duration
+        initial = torch.where(torch.isfinite(limit), limit, 0.0) if given is None else torch.full_like(limit, given)
+        return initial + self.max_generation_duration_beyond_initial
+
+    def _check_type(self, type: str) -> None:
         if type not in self.opportunity_types:
-            raise ValueError(f"type={type!r} must be one of {list(self.opportunity_types)}")
-        windows = self.simulator.next_windows(n)
-        return Opportunities(*windows, self.simulator.access.places.r_P[windows.place])  # type: ignore[union-attr]
+            raise ValueError(f"type={type!r} is not a type of opportunity; {nearest(type, self.opportunity_types)}")
+
+    def opportunities(self, type: str) -> Windows:
+        """All windows of a type that are known now, sorted by closing time, [N, W]; the missing ones close at infinity.
+
+        Those of past intervals are forgotten as look-ahead goes on.
+        """
+        self._check_type(type)
+        return self._known(type, torch.full_like(self.simulator.sim_time, -1.0), None)
+
+    def upcoming_opportunities(self, type: str) -> Windows:
+        """Like :meth:`opportunities`, of those that have not closed and that the filters leave."""
+        self._check_type(type)
+        return self._known(type, self.simulator.sim_time, self.allowed(type))
+
+    def _known(self, type: str, time: Tensor, allowed: Tensor | None) -> Windows:
+        access = self.simulator.access
+        view = seen(access.windows[type], time, access.until, allowed)  # type: ignore[union-attr]
+        key, order = torch.sort(view.key, dim=1, stable=True)
+        there = torch.isfinite(key)
+        opens, close, place = (table.gather(1, order) for table in view.windows)
+        opens, close = (torch.where(there, table, torch.inf) for table in (opens, close))
+        return Windows(opens, close, torch.where(there, place, 0))
+
+    def next_opportunities(self, type: str) -> tuple[Tensor, Tensor]:
+        """Opening and closing time of the next window of every place of a type, [N, P] s each; infinity where none is known."""
+        windows = self.upcoming_opportunities(type)
+        places = self.simulator.access.kinds[type](self.simulator.all_rows).r_P.shape[1]  # type: ignore[union-attr]
+        none = torch.full((self.simulator.num_envs, places), torch.inf, dtype=torch.float64, device=windows.open.device)
+        # windows of a place do not overlap, so the first to close is the first to open
+        return none.scatter_reduce(1, windows.place, windows.open, "amin"), none.scatter_reduce(
+            1, windows.place, windows.close, "amin"
+        )
+
+    def opportunities_dict(self, env: int, type: str = "target", upcoming: bool = False) -> dict[int, list[tuple[float, float]]]:
+        """Windows (opening and closing time, s) of environment ``env`` by place, for people to read."""
+        windows = self.upcoming_opportunities(type) if upcoming else self.opportunities(type)
+        found: dict[int, list[tuple[float, float]]] = {}
+        for place, opens, closes in zip(*(table[env].tolist() for table in (windows.place, *windows[:2])), strict=True):
+            if closes < float("inf"):
+                found.setdefault(place, []).append((opens, closes))
+        return found

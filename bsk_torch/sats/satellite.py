@@ -105,12 +105,34 @@ class Satellite:
         bound.simulator, bound.time_limit = simulator, time_limit
         bound.dynamics, bound.fsw = self.dyn_type(simulator), self.fsw_type(simulator)
         bound.dynamics.satellite = bound.fsw.satellite = bound
+        bound.equip()
         bound.actions = ActionBuilder(copy.deepcopy(list(self.action_spec)), bound)
         bound.observations = ObservationBuilder(copy.deepcopy(list(self.observation_spec)), bound)
         simulator.observer.want((*bound.observations.observables, *bound.dynamics.vitals(), *bound.fsw.vitals()))
         return bound
 
+    def equip(self) -> None:
+        """Called on the copy that lives in an environment, before its actions and observations are linked."""
+
+    def note_events(self, event: Tensor) -> None:
+        """Called after a run; ``event`` [N] where something happened that ends the actions which wait for it."""
+
+    def legal_actions(self) -> Tensor | None:
+        """Which actions are legal now beside what the actions themselves say, [N, n_actions]; None for all of them."""
+        return None
+
+    def action_mask(self) -> Tensor:
+        """Which actions are legal now, [N, n_actions]; where none would be, all of them are."""
+        mask, legal = self.actions.mask(), self.legal_actions()
+        mask = mask if legal is None else mask & legal
+        return mask | ~mask.any(1, keepdim=True)
+
+    def counts(self) -> dict[str, Tensor]:
+        """What an environment counts for the satellite in each episode, [N] each, by name."""
+        return {}
+
     simulator: Simulator
+    scenario: Any
     time_limit: Tensor
     dynamics: Any
     fsw: Any

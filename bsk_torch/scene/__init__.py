@@ -1,6 +1,22 @@
 """Scenarios: what is asked of the satellites."""
 
 from bsk_torch.scene.base import Scenario
+from bsk_torch.scene.cities import CityTargets
+from bsk_torch.scene.clouds import CloudyTargets
+from bsk_torch.scene.explicit import Targets
 from bsk_torch.scene.scanning import UniformNadirScanning
+from bsk_torch.scene.targets import ChangingTargets, TargetScenario
+from bsk_torch.scene.uniform import UniformTargets
+from bsk_torch.scene.wildfires import Wildfires
 
-__all__ = ["Scenario", "UniformNadirScanning"]
+__all__ = [
+    "ChangingTargets",
+    "CityTargets",
+    "CloudyTargets",
+    "Scenario",
+    "TargetScenario",
+    "Targets",
+    "UniformNadirScanning",
+    "UniformTargets",
+    "Wildfires",
+]

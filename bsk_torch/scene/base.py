@@ -7,20 +7,35 @@ from typing import TYPE_CHECKING
 from torch import Tensor
 
 if TYPE_CHECKING:
+    from bsk_torch.rand import Key
     from bsk_torch.sats.satellite import Satellite
 
 
 class Scenario:
     """What is asked of the satellites. The base class asks for nothing.
 
-    Subclasses hold tensors with leading dimension N and override what they need.
+    What differs between episodes comes from :meth:`draw` and from the time, and from nothing else: a scenario keeps no state of
+    its own. So environments can prepare, save and restore episodes without asking it.
     """
 
+    @property
+    def calls_user(self) -> bool:
+        """Whether :meth:`draw` calls functions of the user, which should be asked only for episodes that begin now."""
+        return False
+
+    def draw(self, key: Key) -> dict[str, Tensor]:
+        """What the episodes of the key's environments depend on, by name: float64 tensors [n or 1, ...] on the CPU.
+
+        The environment keeps them with leading dimension N among the arguments of the present episodes; names must differ from
+        those of ``sat_args`` and ``world_args``. Draw with ``key.named(...)``; see :class:`bsk_torch.rand.Key`.
+        """
+        return {}
+
     def link_satellite(self, satellite: Satellite) -> None:
-        """Called once, when the environment is built."""
+        """Called once, when the environment is built; raises where the satellite does not fit."""
 
     def reset(self, rows: Tensor) -> None:
-        """Start anew for ``rows``, indices [n] of environments being reset."""
+        """Called after the arguments of ``rows``, indices [n], have changed: at a reset, or when a state is restored."""
 
     def after_step(self, sim_time: Tensor) -> None:
         """Move on to ``sim_time`` [N] s, after the reward of a step and before the next observation."""

@@ -131,7 +131,9 @@ class Component:
     ``slot`` is the name under which a subclass replaces it, ``order`` its place in the tick (100: world, 200: dynamics, 300:
     flight software). ``initial`` and ``prepare`` compute, from the arguments of the rows being reset, the state and the tick
     parameters as float64 tensors [n or 1] and [n or 1, width]; ``check`` raises for arguments that do not fit together.
-    ``integrated_only`` components run only where the orbit is integrated in the tick.
+    ``integrated_only`` components run only where the orbit is integrated in the tick. ``fit`` makes the component that is used
+    from the arguments as users gave them, defaults included, where its structure depends on them: it is called once, when the
+    simulation is built.
     """
 
     slot: str
@@ -144,6 +146,8 @@ class Component:
     prepare: Callable[[Values], dict[str, Tensor]] = _nothing
     check: Callable[[Values], None] = _accept
     integrated_only: bool = False
+    stops: bool = False
+    fit: Callable[[Mapping[str, Any]], Component] | None = None
 
 
 def collect(classes: Iterable[type], attribute: str = "components") -> tuple[Component, ...]:

@@ -17,7 +17,7 @@ from torch import Tensor
 from bsk_torch.astro.attitude import mrp_to_dcm
 from bsk_torch.astro.ephemeris import EARTH_ROTATION_RATE
 from bsk_torch.astro.orbit import Elements, hill_frame, hill_rate, rv_to_elements
-from bsk_torch.lanes import emit, expr
+from bsk_torch.lanes import expr
 from bsk_torch.lanes.expr import UntraceableError
 from bsk_torch.lanes.loop import Loop
 from bsk_torch.sim.component import Bus, neighbours
@@ -130,7 +130,10 @@ class vital(observable):  # noqa: N801  - a decorator
 
 
 def _tensor(value: Any) -> Tensor:
-    return torch.stack(list(value), -1) if isinstance(value, tuple) else value
+    """What users get: never a view of the state, which the next step changes."""
+    if isinstance(value, tuple):
+        return torch.stack(list(value), -1)
+    return value.clone() if value._is_view() else value
 
 
 class Observer:
@@ -143,6 +146,7 @@ class Observer:
         self._kernel: ObserverKernel | None = None
         self._values: dict[Function, Tensor] = {}
         self._now: Now | None = None
+        self.version = 0  # of the state
 
     def want(self, functions: Iterable[Function]) -> None:
         """Name what will be read at every step."""
@@ -152,6 +156,7 @@ class Observer:
     def forget(self) -> None:
         """Called when the simulation's state has changed."""
         self._values, self._now = {}, None
+        self.version += 1
 
     def read(self, function: Function) -> Tensor:
         """An observable, [N] or [N, 3]."""
@@ -225,8 +230,7 @@ class ObserverKernel:
         values = [function(now) for function in functions]
         self.layout = _layout(functions, values)
         planes = [p for value in values for p in (value if isinstance(value, tuple) else (value,))]
-        track = emit.Track(SKY.spacing, SKY.width, SKY.count)
-        self.kernel = Loop("observation", program, [], (track,), planes, clock="start")
+        self.kernel = Loop("observation", program, [], (SKY,), planes, clock="start")
         self.width = len(planes)
         self.once = torch.ones(simulator.num_envs, dtype=torch.int64)
 

@@ -17,15 +17,13 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from bsk_torch.astro.interpolate import BEFORE, COUNT, coefficients, position, velocity
+from bsk_torch.astro.interpolate import coefficients, position, velocity
 from bsk_torch.lanes.loop import Samples
-from bsk_torch.sim.component import Bus, Track, vec
+from bsk_torch.sim.component import Bus, Track
+from bsk_torch.sim.paths import ARC
 from bsk_torch.sim.sky import SKY, sky_records
 from bsk_torch.sim.solver import Solver
 from bsk_torch.sim.span import LEAD, PER_SPAN, SPACING, SPAN
-
-ARC = Track("arc", SPACING, (vec("r", "m", exact=True),), COUNT, BEFORE)
-"""The orbit as the ticks see it."""
 
 FIELDS = ("flown", "planned", "sky", "tail", "start", "et")
 """What arcs consist of."""

@@ -19,10 +19,9 @@ from bsk_torch.astro.integrate import State, rk4_step
 from bsk_torch.astro.interpolate import BEFORE, COUNT, coefficients, position, velocity
 from bsk_torch.astro.multistep import position_weights, velocity_weights
 from bsk_torch.constants import MU_EARTH
-from bsk_torch.lanes import emit
 from bsk_torch.lanes.expr import ALWAYS, DOUBLE, TICK, Program
 from bsk_torch.lanes.loop import Loop
-from bsk_torch.sim.component import Bus
+from bsk_torch.sim.component import Bus, Track, vec
 from bsk_torch.sim.sky import SKY, fixed, sky_at
 from bsk_torch.sim.span import LEAD, PLAN_STEP, SPACING, frame_growth, step_defect, stretched, zonal_field
 from bsk_torch.vec3 import Vec3, select
@@ -39,9 +38,11 @@ SWEEPS = 8
 PLANNED_STEP = 2.0 * SPACING
 """Step, s, of the difference between the arcs: of metres, it needs four digits."""
 
-SKY_TRACK = emit.Track(SKY.spacing, SKY.width, SKY.count)
-ARC_TRACK = emit.Track(SPACING, 3, COUNT, BEFORE)
-SAMPLE_TRACK = emit.Track(PLAN_STEP, 3, 1)
+ARC = Track("arc", SPACING, (vec("r", "m", exact=True),), COUNT, BEFORE)
+"""Nodes of an arc, as ticks and searches see it."""
+
+FINE = Track("fine", PLAN_STEP, (vec("r", "m", exact=True),), count=1)
+"""Samples of the planned arc."""
 
 FULL = field_weights(DEGREE)
 
@@ -141,7 +142,7 @@ def start_kernel() -> Loop:
     this = [*this[1:], a]
     last = [select(first, a, select(ends, new, old)) for new, old in zip(this, last, strict=True)]
     return _loop(
-        "start of the arcs", sketch, [r0, v0, select(first, a, a0), *last, *this, r, v], (SKY_TRACK,), [r], "schedule", SCHEDULED
+        "start of the arcs", sketch, [r0, v0, select(first, a, a0), *last, *this, r, v], (SKY,), [r], "schedule", SCHEDULED
     )
 
 
@@ -164,7 +165,7 @@ def flown_kernel() -> Loop:
     change = central_gradient(predicted, r - predicted)
     r, remembered = r + change * corrector[-1], [*remembered, a + change]
     v = v + weighted(_scaled(velocity_weights(after, 0, 1), STEP), remembered)
-    return _loop("flown arc", sketch, [r, v, *remembered], (SKY_TRACK,), [r])
+    return _loop("flown arc", sketch, [r, v, *remembered], (SKY,), [r])
 
 
 def central_gradient(r: Vec3, d: Vec3) -> Vec3:
@@ -214,7 +215,7 @@ def planned_kernel() -> Loop:
     between = [_hermite(k / samples, (start[0], end[0]), slopes) for k in range(1, samples)]
     flown = [position(path, s - (samples - k) * (PLAN_STEP / SPACING)) for k in range(1, samples)]
     written = [*(x + back @ d for x, d in zip(flown, between, strict=True)), nodes[2][0] + outputs[0]]
-    return _loop("planned arc", sketch, outputs, (SKY_TRACK, ARC_TRACK), written)
+    return _loop("planned arc", sketch, outputs, (SKY, ARC), written)
 
 
 def _hermite(share: float, ends: tuple[Vec3, Vec3], slopes: tuple[Vec3, Vec3]) -> Vec3:
@@ -234,14 +235,14 @@ def defect_kernel() -> Loop:
     path, s = sketch.path(2)
     r, v = sky.pole @ position(path, s), sky.pole @ velocity(path, s, SPACING)
     rates = step_defect(r, v, plan_stretch, frame_growth())
-    return _loop("planned arc's start", sketch, [dr, dv, *(sky.pole.mT @ x for x in rates)], (SKY_TRACK, ARC_TRACK))
+    return _loop("planned arc's start", sketch, [dr, dv, *(sky.pole.mT @ x for x in rates)], (SKY, ARC))
 
 
 def _loop(
     name: str,
     sketch: Sketch,
     outputs: list[Vec3],
-    tracks: tuple[emit.Track, ...],
+    tracks: tuple[Track, ...],
     written: list[Vec3] | None = None,
     clock: str = "ticks",
     schedule: int = 0,

@@ -8,6 +8,15 @@ import torch
 from torch import Tensor
 
 
+def sorted_by(group: Tensor, time: Tensor) -> Tensor:
+    """Order [m] by group, then time, both [m], s; times that rounding cannot tell apart within a group come as they are.
+
+    One sort of one number, ``group * 2^k + time``, costs half of two: times are rounded to 1e-8 s for hundreds of groups.
+    """
+    longest = float(time.abs().max()) if len(time) else 0.0
+    return torch.argsort(group * 2.0 ** math.ceil(math.log2(longest + 2.0) + 1.0) + time, stable=True)
+
+
 def tabulate(row: Tensor, time: Tensor, n: int, *others: Tensor) -> tuple[Tensor, ...]:
     """Tables [n, W] of events in the order of their times, from lists in any order; ``others`` are columns of the same events.
 
@@ -17,8 +26,7 @@ def tabulate(row: Tensor, time: Tensor, n: int, *others: Tensor) -> tuple[Tensor
         n: Number of rows.
         *others: Further columns [m]; infinity, or zero where they are integers, where there is no event.
     """
-    order = torch.argsort(time, stable=True)
-    order = order[torch.argsort(row[order], stable=True)]
+    order = sorted_by(row, time)
     sorted_row, counts = row[order], torch.bincount(row, minlength=n)
     rank = torch.arange(len(row), device=row.device) - (torch.cumsum(counts, 0) - counts)[sorted_row]
     width = max(1, int(counts.max()) if len(row) else 1)

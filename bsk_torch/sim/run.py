@@ -1,7 +1,9 @@
 """Repeat the tick until each environment's own end.
 
-Durations are known when a step starts. Kernels work on blocks of rows with similar durations and end each row at its own tick;
-elsewhere a loop over ticks holds the rows that have ended. Neither asks the device for anything while it runs.
+The longest duration of each is known when a step starts; a tick that stops (see :class:`bsk_torch.sim.tick.Tick`) may end it
+earlier. Kernels work on blocks of rows with similar durations and end each row at its own tick; elsewhere a loop over ticks holds
+the rows that have ended. It asks the device for nothing while it runs, unless ticks may stop: then once in :data:`PATIENCE`
+ticks, whether there is any row left.
 """
 
 from __future__ import annotations
@@ -9,7 +11,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -21,6 +23,9 @@ from bsk_torch.sim.tick import Tick
 
 logger = logging.getLogger(__name__)
 
+PATIENCE = 64
+"""Ticks between two questions whether all rows have ended."""
+
 
 @dataclass(frozen=True)
 class Flight:
@@ -28,6 +33,7 @@ class Flight:
 
     ``state`` [C, N], which the run changes, ``shared`` [C, 1] and ``own`` [C, N] are float64 packs; ``mode`` [N] chooses
     columns of the flag table ``flags`` [F, M]; ``ticks`` [N] is the number of ticks since reset; ``tracks`` are known in advance.
+    ``order`` [N] is the number of ticks to be expected, where stops make it differ from the longest; a matter of speed only.
     """
 
     state: Tensor
@@ -37,10 +43,11 @@ class Flight:
     flags: Tensor
     ticks: Tensor
     tracks: tuple[Samples, ...]
+    order: Tensor | None = None
 
 
-Runner = Callable[[Flight, Tensor], None]
-"""Runs each row of a flight for its number of ticks [N]."""
+Runner = Callable[[Flight, Tensor], Tensor]
+"""Runs each row of a flight for its number of ticks [N] or until it stops; the number of ticks that each has run, [N]."""
 
 
 class Runners(NamedTuple):
@@ -59,32 +66,39 @@ def make_runners(tick: Tick, backend: str, device: torch.device) -> Runners:
             return Runners(*(kernel_loop(tick.kernel(wakes), tick.h_ns) for wakes in (False, True)))
         except UntraceableError as error:
             logger.warning("%s; the tick is compiled by inductor instead, which is slower", error)
-    return Runners(loop(tick.step if backend == "eager" else just_in_time(tick.step, "tick")), waking(tick))
+    step: Callable[..., Any] = tick.step
+    if backend == "compiled":
+        step = just_in_time(step, "tick")
+    return Runners(loop(step, tick.stops), waking(tick))
 
 
 def waking(tick: Tick) -> Runner:
     """The tick at time zero on tensors."""
 
-    def wake(flight: Flight, counts: Tensor) -> None:
+    def wake(flight: Flight, counts: Tensor) -> Tensor:
         tables, starts = [track.table for track in flight.tracks], [track.start for track in flight.tracks]
         packs = flight.state, flight.shared, flight.own, flight.flags[:, flight.mode]
         planes = tick.wake(tick.inputs(*packs, tables, starts, flight.ticks.double()))
         flight.state.copy_(torch.stack([plane.expand(len(counts)).double() for plane in planes]))
+        return counts
 
     return wake
 
 
-def loop(step: Callable[..., Tensor]) -> Runner:
+def loop(step: Callable[..., tuple[Tensor, Tensor]], stops: bool = False) -> Runner:
     """A loop over ticks that holds the rows that have ended: shapes never change, so that graphs can be replayed."""
 
-    def run(flight: Flight, counts: Tensor) -> None:
+    def run(flight: Flight, counts: Tensor) -> Tensor:
         flags, end, now = flight.flags[:, flight.mode], (flight.ticks + counts).double(), flight.ticks.double()
         tracks = *(t.table for t in flight.tracks), *(t.start for t in flight.tracks)
         state = flight.state
-        for _ in range(int(counts.max())):
+        for k in range(int(counts.max())):
+            if stops and k and k % PATIENCE == 0 and not bool((now < end).any()):
+                break
             now = now + 1.0
-            state = step(state, flight.shared, flight.own, flags, now, end, *tracks)
+            state, end = step(state, flight.shared, flight.own, flags, now, end, *tracks)
         flight.state.copy_(state)
+        return end.long() - flight.ticks if stops else counts
 
     return run
 
@@ -92,11 +106,12 @@ def loop(step: Callable[..., Tensor]) -> Runner:
 def kernel_loop(kernel: Loop, h_ns: int) -> Runner:
     """A kernel of a tick of ``h_ns`` nanoseconds."""
 
-    def run(flight: Flight, counts: Tensor) -> None:
-        kernel(
+    def run(flight: Flight, counts: Tensor) -> Tensor:
+        return kernel(
             flight.state,
             counts,
             flight.tracks,
+            order=flight.order,
             shared=flight.shared,
             own=flight.own,
             mode=flight.mode,

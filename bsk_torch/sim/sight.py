@@ -1,4 +1,4 @@
-"""What is seen from the planned arc: shadow, and elevations over places on the ground; by kernels or on tensors."""
+"""What is seen from the planned arc: shadow, the ground below, and places on it; by kernels or on tensors."""
 
 from __future__ import annotations
 
@@ -9,27 +9,27 @@ import torch
 from torch import Tensor
 
 from bsk_torch.astro.eclipse import in_umbra
-from bsk_torch.astro.frames import sin_elevation
-from bsk_torch.astro.interpolate import position, positions
+from bsk_torch.astro.interpolate import BEFORE, COUNT, coefficients, position, positions
 from bsk_torch.astro.roots import find_maximum, find_root, narrowed, next_guess, placed, refined, sections
 from bsk_torch.lanes.loop import Loop, Samples
 from bsk_torch.sim.component import Bus, Track, neighbours, vec
-from bsk_torch.sim.orbit import ARC
-from bsk_torch.sim.paths import ARC_TRACK, SAMPLE_TRACK, SKY_TRACK, Sketch
+from bsk_torch.sim.paths import ARC, FINE, Sketch
 from bsk_torch.sim.sky import SKY, fixed, sky_at
 from bsk_torch.sim.span import PLAN_STEP, SPACING
 from bsk_torch.vec3 import Vec3
 
-ROOT_ITERATIONS, PEAK_ITERATIONS = 20, 25
+ROOT_ITERATIONS, PEAK_ITERATIONS = 12, 25
 
-FINE = Track("fine", PLAN_STEP, (vec("r", "m", exact=True),), count=1)
+PATH = Track("path", PLAN_STEP, (vec("r", "m", exact=True),), COUNT, BEFORE)
 
+CELL = 16
+"""Samples of which only the middle one is compared with all places."""
 
-class Places(NamedTuple):
-    """Places on the ground: Earth-fixed positions [S, 3], m, and sines of the least elevation [S]."""
+LOOKS = CELL + 2
+"""Samples of a cell that are looked at closely: its own, the first of the next cell, and the one after that."""
 
-    r_P: Tensor
-    sin_min_elevation: Tensor
+RISES, SETS, GLIMPSED, UP = 1, 2, 4, 8
+"""Codes of what happens over a place between a sample and the ones before; ``UP`` is told of the ends of a search only."""
 
 
 class View(NamedTuple):
@@ -41,34 +41,48 @@ class View(NamedTuple):
 
     def of(self, row: Tensor) -> View:
         """The view of rows [m], which may repeat."""
-        parts = (s and Samples(s.table, s.start, row if s.owner is None else s.owner[row]) for s in self)
-        return View(*parts)  # type: ignore[arg-type]
+        return View(*(part and owned(part, row) for part in self))  # type: ignore[arg-type]
 
-    def track(self, track: Track, samples: Samples, time: Tensor) -> tuple[Tensor, Tensor]:
-        """Records of a track around times [n], one of each row, and tau; see :func:`bsk_torch.sim.component.neighbours`."""
-        row = torch.arange(len(time), device=time.device) if samples.owner is None else samples.owner
-        return neighbours(track, samples.table, row, time - samples.start[row])
+
+def owned(samples: Samples, row: Tensor) -> Samples:
+    """The samples of rows [m], which may repeat."""
+    return Samples(samples.table, samples.start, row if samples.owner is None else samples.owner[row])
+
+
+def look_up(track: Track, samples: Samples, time: Tensor) -> tuple[Tensor, Tensor]:
+    """Records of a track around times [n], one of each row, and tau; see :func:`bsk_torch.sim.component.neighbours`."""
+    row = torch.arange(len(time), device=time.device) if samples.owner is None else samples.owner
+    return neighbours(track, samples.table, row, time - samples.start[row])
+
+
+class Pairs(NamedTuple):
+    """Satellites over places: Earth-fixed samples of each pair's satellite, position [m, 3] and least sine of each place [m]."""
+
+    path: Samples
+    r_P: Tensor
+    sin_min_elevation: Tensor
+
+    def of(self, pair: Tensor) -> Pairs:
+        """Some of the pairs."""
+        return Pairs(owned(self.path, pair), self.r_P[pair], self.sin_min_elevation[pair])
+
+
+class Cells(NamedTuple):
+    """Where to look closely, [m] s: first sample, end of the cell, and beginning and end of the whole search."""
+
+    first: Tensor
+    end: Tensor
+    search_begin: Tensor
+    search_end: Tensor
 
 
 class Brackets(NamedTuple):
-    """Two times [m] between which the elevation over a place crosses its limit, and the heights above the limit there."""
+    """Two times [m] between which a satellite crosses the limit over its place, and the clearances there."""
 
     a: Tensor
     b: Tensor
-    height_a: Tensor
-    height_b: Tensor
-
-
-class Heights(NamedTuple):
-    """Samples of elevations: codes [n, K] of what happens, see :func:`happening`.
-
-    Of short searches only, also the sine of each elevation less its place's limit [n, K, S], and the distance from the Earth's
-    centre [n, K], m.
-    """
-
-    codes: Tensor
-    above: Tensor
-    radius: Tensor
+    clearance_a: Tensor
+    clearance_b: Tensor
 
 
 class Sight(Protocol):
@@ -77,17 +91,20 @@ class Sight(Protocol):
     def dark(self, view: View, start: Tensor, count: int) -> Tensor:
         """Whether the umbra covers the satellite at ``count`` samples from ``start`` [n] s on, [n, count]."""
 
-    def heights(self, view: View, start: Tensor, count: int, places: Places, whole: bool) -> Heights:
-        """Samples of the elevations, ``count`` from ``start`` [n] s on; of a ``whole`` episode only what happens."""
+    def ground(self, view: View, start: Tensor, count: int) -> Tensor:
+        """Earth-fixed positions at ``count`` samples from ``start`` [n] s on, [n, count, 3] m."""
 
-    def height(self, view: View, places: Places, time: Tensor) -> Tensor:
-        """Sine of the elevation of each row over its place less the limit, at time [n]."""
+    def happenings(self, pairs: Pairs, cells: Cells) -> Tensor:
+        """Codes [m, LOOKS] of what happens at each sample of a cell; see :func:`happening`."""
 
-    def crossings(self, view: View, places: Places, brackets: Brackets) -> Tensor:
-        """Times [n] of the crossings over ``places``, one for each row."""
+    def clearance(self, pairs: Pairs, time: Tensor) -> Tensor:
+        """See :func:`clearance`, of each pair at its time [m]."""
 
-    def peaks(self, view: View, places: Places, a: Tensor, b: Tensor) -> Tensor:
-        """Times [n] between a and b when each row stands highest over its place."""
+    def crossings(self, pairs: Pairs, brackets: Brackets) -> Tensor:
+        """Times [m] of the crossings."""
+
+    def peaks(self, pairs: Pairs, a: Tensor, b: Tensor) -> Tensor:
+        """Times [m] between a and b when each satellite stands highest over its place."""
 
 
 def make_sight(backend: str, device: torch.device) -> Sight:
@@ -95,39 +112,57 @@ def make_sight(backend: str, device: torch.device) -> Sight:
     return KernelSight() if backend == "compiled" and device.type == "cpu" else TensorSight()
 
 
+def clearance(r_P: Vec3, site: Vec3, least: Any) -> Any:
+    """Cosine of the angle at the Earth's centre between satellite and place, less that at which the elevation is least.
+
+    At elevation e the angle is ``acos(q cos e) - e`` with q the place's radius over the satellite's. Unlike the elevation it is
+    nearly a sinusoid of time, so that three samples tell how high a pass between them rises.
+    """
+    radius, distance = site.norm(), r_P.norm()
+    ratio, cos2 = radius / distance, 1.0 - least * least
+    limit = ratio * cos2 + least * torch.sqrt(torch.clamp(1.0 - ratio * ratio * cos2, min=0.0))
+    return site.dot(r_P) / (radius * distance) - limit
+
+
+TOLERANCE = 1e-4
+"""A parabola through three clearances is that good, and a hundred times better for low orbits."""
+
+
+def happening(before: Any, here: Any, after: Any, is_first: Any, is_last: Any) -> tuple[Any, Any, Any]:
+    """Whether a place rises or sets between the last two of three clearances, and whether it may be glimpsed.
+
+    A glimpse is a maximum near the middle sample that may reach above the limit though no sample does. The first and the last
+    three samples of a search stand for the maxima near its ends, too. The first sample may be NaN.
+    """
+    bend, slope = torch.clamp(2.0 * here - before - after, min=1e-12), after - before
+    vertex, top = slope / (2.0 * bend), here + slope * slope / (8.0 * bend)
+    below = (before <= 0.0) & (here <= 0.0) & (after <= 0.0) & (top > -TOLERANCE)
+    early, late = is_first & (here < before) & (vertex > -1.1), is_last & (here < after) & (vertex < 1.1)
+    glimpsed = below & (((here >= before) & (here >= after)) | early | late)
+    return (here <= 0.0) & (after > 0.0), (here > 0.0) & (after <= 0.0), glimpsed
+
+
+def code(before: Any, here: Any, after: Any, time: Any, cells: Cells) -> Any:
+    """The code of three clearances, the last one at ``time``; 0 where that is in the next cell or after the search."""
+    half = 0.5 * PLAN_STEP
+    is_first, is_last = time < cells.search_begin + 5.0 * half, time > cells.search_end - half
+    rises, sets, glimpsed = happening(before, here, after, is_first, is_last)
+    mine, whole = time < cells.end + half, time < cells.search_end + half
+    zero = torch.zeros_like(after)
+    found = torch.where(mine & rises, float(RISES), torch.where(mine & sets, float(SETS), zero))
+    found = torch.where(whole & glimpsed, found + float(GLIMPSED), found)
+    at_end = mine & ((time < cells.search_begin + half) | is_last)
+    return torch.where(at_end & (after > 0.0), found + float(UP), found)
+
+
 # -- on tensors ----------------------------------------------------------------------------------------------------------------
 
 
 def planned_position(view: View, time: Tensor) -> tuple[Vec3, Bus]:
     """Planned position in N at time [n], and the sky then."""
-    nodes, tau = view.track(ARC, view.planned, time)
-    records, sky_tau = view.track(SKY, view.sky, time)
+    nodes, tau = look_up(ARC, view.planned, time)
+    records, sky_tau = look_up(SKY, view.sky, time)
     return Vec3.of(positions(nodes, tau * (1.0 / SPACING))), sky_at(records.flatten(1).unbind(-1), sky_tau)
-
-
-RISES, SETS, GLIMPSED = 1, 2, 4
-"""Codes of what happens over a place between a sample and the ones before."""
-
-PER_PLACE = 8
-"""The code of a place counts this much more than that of the place before; doubles hold those of :data:`MOST_PLACES`."""
-
-MOST_PLACES = 17
-
-
-def happening(before: Any, here: Any, after: Any) -> Any:
-    """Code of three samples of the height over a place, the first of which may be NaN.
-
-    A rise or set lies between the last two. A glimpse is a maximum near the middle one that may reach above the limit though no
-    sample does.
-    """
-    bend = torch.clamp(2.0 * here - before - after, min=1e-12)
-    highest = here + 0.5 * (before - after) * (before - after) / bend
-    glimpsed = (here >= before) & (here >= after) & (here <= 0.0) & (highest > -0.01)
-    zero = torch.zeros_like(after)
-    passes = torch.where(
-        (here <= 0.0) & (after > 0.0), float(RISES), torch.where((here > 0.0) & (after <= 0.0), float(SETS), zero)
-    )
-    return torch.where(glimpsed, passes + float(GLIMPSED), passes)
 
 
 def sampled(view: View, start: Tensor, count: int) -> tuple[Vec3, Bus]:
@@ -136,8 +171,8 @@ def sampled(view: View, start: Tensor, count: int) -> tuple[Vec3, Bus]:
     view = view.of(torch.arange(len(start), device=start.device).repeat_interleave(count))
     if view.fine is None:
         return planned_position(view, time)
-    records, tau = view.track(SKY, view.sky, time)
-    return Vec3.of(view.track(FINE, view.fine, time)[0].squeeze(1)), sky_at(records.flatten(1).unbind(-1), tau)
+    records, tau = look_up(SKY, view.sky, time)
+    return Vec3.of(look_up(FINE, view.fine, time)[0].squeeze(1)), sky_at(records.flatten(1).unbind(-1), tau)
 
 
 class TensorSight:
@@ -148,28 +183,32 @@ class TensorSight:
         r, sky = sampled(view, start, count)
         return in_umbra(r, sky.r_sun).view(-1, count)
 
-    def heights(self, view: View, start: Tensor, count: int, places: Places, whole: bool) -> Heights:
+    def ground(self, view: View, start: Tensor, count: int) -> Tensor:
         """See :class:`Sight`."""
         r, sky = sampled(view, start, count)
-        r_P = fixed(sky, r).map(lambda x: x.view(-1, count, 1))
-        above = sin_elevation(r_P, Vec3.of(places.r_P)) - places.sin_min_elevation
-        padded = torch.nn.functional.pad(above, (0, 0, 2, 0), value=torch.nan)
-        codes = happening(padded[:, :-2], padded[:, 1:-1], above)
-        weights = PER_PLACE ** torch.arange(above.shape[-1], dtype=torch.float64, device=above.device)
-        return Heights((codes * weights).sum(-1), above, r.norm().view(-1, count))
+        return fixed(sky, r).stack().view(-1, count, 3)
 
-    def height(self, view: View, places: Places, time: Tensor) -> Tensor:
+    def happenings(self, pairs: Pairs, cells: Cells) -> Tensor:
         """See :class:`Sight`."""
-        r, sky = planned_position(view, time)
-        return sin_elevation(fixed(sky, r), Vec3.of(places.r_P)) - places.sin_min_elevation
+        times = cells.first.unsqueeze(-1) + PLAN_STEP * torch.arange(LOOKS, device=cells.first.device)
+        every = pairs.of(torch.arange(len(times), device=times.device).repeat_interleave(LOOKS))
+        r_P = Vec3.of(look_up(FINE, every.path, times.flatten())[0].squeeze(1))
+        found = clearance(r_P, Vec3.of(every.r_P), every.sin_min_elevation).view(times.shape)
+        padded = torch.nn.functional.pad(found, (2, 0), value=torch.nan)
+        return code(padded[:, :-2], padded[:, 1:-1], found, times, Cells(*(part.unsqueeze(-1) for part in cells)))
 
-    def crossings(self, view: View, places: Places, brackets: Brackets) -> Tensor:
+    def clearance(self, pairs: Pairs, time: Tensor) -> Tensor:
         """See :class:`Sight`."""
-        return find_root(lambda time: self.height(view, places, time), *brackets, ROOT_ITERATIONS)
+        nodes, tau = look_up(PATH, pairs.path, time)
+        return clearance(Vec3.of(positions(nodes, tau * (1.0 / PLAN_STEP))), Vec3.of(pairs.r_P), pairs.sin_min_elevation)
 
-    def peaks(self, view: View, places: Places, a: Tensor, b: Tensor) -> Tensor:
+    def crossings(self, pairs: Pairs, brackets: Brackets) -> Tensor:
         """See :class:`Sight`."""
-        return find_maximum(lambda time: self.height(view, places, time), a, b, PEAK_ITERATIONS)
+        return find_root(lambda time: self.clearance(pairs, time), *brackets, ROOT_ITERATIONS)
+
+    def peaks(self, pairs: Pairs, a: Tensor, b: Tensor) -> Tensor:
+        """See :class:`Sight`."""
+        return find_maximum(lambda time: self.clearance(pairs, time), a, b, PEAK_ITERATIONS)
 
 
 # -- kernels -------------------------------------------------------------------------------------------------------------------
@@ -180,122 +219,127 @@ class KernelSight:
 
     def dark(self, view: View, start: Tensor, count: int) -> Tensor:
         """See :class:`Sight`."""
-        written = torch.empty(len(start), count, 1, dtype=torch.float64)
-        _sample(dark_kernel(view.fine is not None), view, start, written)
-        return written.squeeze(-1) > 0.5
+        return _sampled(dark_kernel(view.fine is not None), view, start, count, 1).squeeze(-1) > 0.5
 
-    def heights(self, view: View, start: Tensor, count: int, places: Places, whole: bool) -> Heights:
+    def ground(self, view: View, start: Tensor, count: int) -> Tensor:
         """See :class:`Sight`."""
-        s = len(places.r_P)
-        written = torch.empty(len(start), count, 1 if whole else s + 2, dtype=torch.float64)
-        shared = torch.cat([places.r_P, places.sin_min_elevation.unsqueeze(-1)], -1).flatten()
-        _sample(heights_kernel(s, view.fine is not None, whole), view, start, written, shared, memory=2 * s)
-        codes = written[..., 0].contiguous()
-        none = written[..., :0]
-        return Heights(codes, none, none) if whole else Heights(codes, written[..., 2:], written[..., 1])
+        return _sampled(ground_kernel(view.fine is not None), view, start, count, 3)
 
-    def height(self, view: View, places: Places, time: Tensor) -> Tensor:
+    def happenings(self, pairs: Pairs, cells: Cells) -> Tensor:
+        """See :class:`Sight`."""
+        written = torch.empty(len(cells.first), LOOKS, 1, dtype=torch.float64)
+        state = torch.full((3, len(cells.first)), torch.nan, dtype=torch.float64)
+        state[0] = cells.first
+        _run(happening_kernel(), pairs, state, LOOKS, (cells.end, cells.search_begin, cells.search_end), written)
+        return written.squeeze(-1)
+
+    def clearance(self, pairs: Pairs, time: Tensor) -> Tensor:
         """See :class:`Sight`."""
         state = torch.stack([time, time])
-        _search(height_kernel(), view, places, state, 1)
+        _run(clearance_kernel(), pairs, state, 1)
         return state[1]
 
-    def crossings(self, view: View, places: Places, brackets: Brackets) -> Tensor:
+    def crossings(self, pairs: Pairs, brackets: Brackets) -> Tensor:
         """See :class:`Sight`."""
         state = torch.stack([next_guess(*brackets), *brackets])
-        _search(crossing_kernel(), view, places, state, ROOT_ITERATIONS)
+        _run(crossing_kernel(), pairs, state, ROOT_ITERATIONS)
         return state[2]
 
-    def peaks(self, view: View, places: Places, a: Tensor, b: Tensor) -> Tensor:
+    def peaks(self, pairs: Pairs, a: Tensor, b: Tensor) -> Tensor:
         """See :class:`Sight`."""
-        left, right = ((time, self.height(view, places, time)) for time in sections(a, b))
+        left, right = ((time, self.clearance(pairs, time)) for time in sections(a, b))
         first, last, new = narrowed(a, b, *left, *right)
         state = torch.stack([new, first, last, *left, *right])
-        _search(peak_kernel(), view, places, state, PEAK_ITERATIONS)
+        _run(peak_kernel(), pairs, state, PEAK_ITERATIONS)
         return 0.5 * (state[1] + state[2])
 
 
-def _search(kernel: Loop, view: View, places: Places, state: Tensor, iterations: int) -> None:
-    own = torch.cat([places.r_P.mT, places.sin_min_elevation.unsqueeze(0)]).contiguous()
-    counts = torch.full((state.shape[1],), iterations)
-    kernel(state, counts, (view.sky, view.planned), own=own)
+def _run(
+    kernel: Loop, pairs: Pairs, state: Tensor, ticks: int, more: tuple[Tensor, ...] = (), written: Tensor | None = None
+) -> None:
+    own = torch.stack([*pairs.r_P.unbind(-1), pairs.sin_min_elevation, *more])
+    kernel(state, torch.full((state.shape[1],), ticks), (pairs.path,), own=own, written=written)
 
 
-def _sample(kernel: Loop, view: View, start: Tensor, written: Tensor, shared: Tensor | None = None, memory: int = 0) -> None:
-    state = torch.full((1 + memory, len(start)), torch.nan, dtype=torch.float64)
-    state[0] = start
-    counts = torch.full(start.shape, written.shape[1])
-    kernel(state, counts, (view.sky, view.fine or view.planned), shared=shared, written=written)
+def _sampled(kernel: Loop, view: View, start: Tensor, count: int, width: int) -> Tensor:
+    written = torch.empty(len(start), count, width, dtype=torch.float64)
+    kernel(start.unsqueeze(0).clone(), torch.full(start.shape, count), (view.sky, view.fine or view.planned), written=written)
+    return written
 
 
-def _position(sketch: Sketch, fine: bool = False) -> tuple[Any, Vec3, Bus]:
-    """Time of the tick, planned position and sky."""
+def _sample_kernel(name: str, fine: bool, what: Any) -> Loop:
+    """A kernel that writes what a function of planned position and sky finds at samples; the state is the time."""
+    sketch = Sketch()
     (time,) = sketch.planes("state", 1)
     if fine:
-        x, y, z = sketch.records(2, 3)
-        return time, Vec3(x, y, z), sketch.sky()
-    path, s = sketch.path(2)
-    return time, position(path, s), sketch.sky()
-
-
-def _loop(name: str, sketch: Sketch, outputs: list[Any], written: list[Any], fine: bool = False) -> Loop:
-    return Loop(name, sketch.program, outputs, (SKY_TRACK, SAMPLE_TRACK if fine else ARC_TRACK), written, clock="state_0")
+        r = Vec3(*sketch.records(2, 3))
+    else:
+        path, s = sketch.path(2)
+        r = position(path, s)
+    tracks = SKY, FINE if fine else ARC
+    return Loop(name, sketch.program, [time + PLAN_STEP], tracks, what(r, sketch.sky()), clock="state_0")
 
 
 @cache
 def dark_kernel(fine: bool) -> Loop:
     """Samples of the umbra."""
-    sketch = Sketch()
-    time, r, sky = _position(sketch, fine)
-    dark = in_umbra(r, sky.r_sun)
-    return _loop("eclipse search", sketch, [time + PLAN_STEP], [dark], fine)
+    return _sample_kernel("eclipse search", fine, lambda r, sky: [in_umbra(r, sky.r_sun)])
 
 
 @cache
-def heights_kernel(places: int, fine: bool, whole: bool) -> Loop:
-    """Samples of the elevations; shared are position and least sine of each place, the state remembers two samples."""
-    sketch = Sketch()
-    time, r, sky = _position(sketch, fine)
-    r_P, sites = fixed(sky, r), sketch.planes("shared", 4 * places)
-    before, here = (sketch.planes("state", places, first=1 + k * places) for k in (0, 1))
-    found = [sin_elevation(r_P, Vec3(*sites[k : k + 3])) - sites[k + 3] for k in range(0, 4 * places, 4)]
-    total = torch.zeros_like(time)
-    for k, heights in enumerate(zip(before, here, found, strict=True)):
-        total = total + happening(*heights) * float(PER_PLACE**k)
-    outputs, written = [time + PLAN_STEP, *here, *found], [total] if whole else [total, r.norm(), *found]
-    return _loop("station search", sketch, outputs, written, fine)
+def ground_kernel(fine: bool) -> Loop:
+    """Samples of the Earth-fixed position."""
+    return _sample_kernel("ground track", fine, lambda r, sky: list(fixed(sky, r)))
 
 
-def _height(sketch: Sketch) -> tuple[Any, Any]:
-    """Time of the tick, and height over the place whose position and least sine are ``own``."""
-    time, r, sky = _position(sketch)
+def _pair(sketch: Sketch, track: Track) -> tuple[Any, Any]:
+    """Time of the tick, and clearance over the place whose position and least sine are ``own``."""
+    (time,) = sketch.planes("state", 1)
     *site, least = sketch.planes("own", 4)
-    return time, sin_elevation(fixed(sky, r), Vec3(*site)) - least
+    planes = sketch.records(1, 3 * track.count)
+    nodes = [Vec3(*planes[k : k + 3]) for k in range(0, len(planes), 3)]
+    r_P = nodes[0] if track.count == 1 else position(coefficients(nodes), sketch.tau(1) * (1.0 / PLAN_STEP))
+    return time, clearance(r_P, Vec3(*site), least)
+
+
+def _pair_kernel(name: str, sketch: Sketch, track: Track, outputs: list[Any], written: list[Any]) -> Loop:
+    return Loop(name, sketch.program, outputs, (track,), written, clock="state_0")
 
 
 @cache
-def height_kernel() -> Loop:
-    """The height at one time."""
+def happening_kernel() -> Loop:
+    """Codes of samples; the state remembers two clearances."""
     sketch = Sketch()
-    return _loop("station elevation", sketch, list(_height(sketch)), [])
+    time, found = _pair(sketch, FINE)
+    before, here = sketch.planes("state", 2, first=1)
+    end, search_begin, search_end = sketch.planes("own", 3, first=4)
+    written = code(before, here, found, time, Cells(time, end, search_begin, search_end))
+    return _pair_kernel("access search", sketch, FINE, [time + PLAN_STEP, here, found], [written])
+
+
+@cache
+def clearance_kernel() -> Loop:
+    """The clearance at one time."""
+    sketch = Sketch()
+    return _pair_kernel("access clearance", sketch, PATH, list(_pair(sketch, PATH)), [])
 
 
 @cache
 def crossing_kernel() -> Loop:
     """Iterations of the search for a crossing."""
     sketch = Sketch()
-    time, found = _height(sketch)
-    a, b, height_a, height_b = sketch.planes("state", 4, first=1)
-    narrower = refined(a, b, height_a, height_b, time, found)
-    return _loop("station crossings", sketch, [next_guess(*narrower), *narrower], [])
+    time, found = _pair(sketch, PATH)
+    a, b, clearance_a, clearance_b = sketch.planes("state", 4, first=1)
+    narrower = refined(a, b, clearance_a, clearance_b, time, found)
+    return _pair_kernel("access crossings", sketch, PATH, [next_guess(*narrower), *narrower], [])
 
 
 @cache
 def peak_kernel() -> Loop:
     """Iterations of the search for the highest point of a pass."""
     sketch = Sketch()
-    time, found = _height(sketch)
+    time, found = _pair(sketch, PATH)
     a, b, left, height_left, right, height_right = sketch.planes("state", 6, first=1)
     points = placed(left, height_left, right, height_right, time, found)
     a, b, new = narrowed(a, b, *points)
-    return _loop("station passes", sketch, [new, a, b, *points], [])
+    return _pair_kernel("access passes", sketch, PATH, [new, a, b, *points], [])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, cast
 
 import torch
@@ -12,11 +12,12 @@ from torch import Tensor
 
 from bsk_torch.astro.atmosphere import top_radius
 from bsk_torch.astro.ephemeris import coverage
+from bsk_torch.astro.interpolate import COUNT
 from bsk_torch.astro.orbit import periapsis_radius
 from bsk_torch.constants import NANO
 from bsk_torch.lanes.loop import Samples
 from bsk_torch.rand import Key, first_key
-from bsk_torch.sim.access import LOOKAHEAD, AccessTable, Windows
+from bsk_torch.sim.access import LOOKAHEAD, Access, PlacesOf, Windows
 from bsk_torch.sim.component import Component, collect
 from bsk_torch.sim.dyn import hub
 from bsk_torch.sim.dyn.field import prepare
@@ -24,19 +25,24 @@ from bsk_torch.sim.dyn.models import DynamicsModel
 from bsk_torch.sim.eclipse import SEARCH_STEP, SEARCHES, EclipseTable
 from bsk_torch.sim.fsw.models import IDLE, FSWModel
 from bsk_torch.sim.fsw.modes import ALWAYS_RESET, FLAGS
+from bsk_torch.sim.memory import Memory
 from bsk_torch.sim.observe import Observer
 from bsk_torch.sim.orbit import PLANNED_SPANS, Arcs, spans_for
 from bsk_torch.sim.params import Arguments, merge, nearest
 from bsk_torch.sim.run import Flight, make_runners
-from bsk_torch.sim.sight import Places, View, make_sight
+from bsk_torch.sim.search import Places
+from bsk_torch.sim.sight import View, make_sight
 from bsk_torch.sim.solver import make_solver
 from bsk_torch.sim.span import PLAN_STEP, SPAN
 from bsk_torch.sim.surroundings import World
 from bsk_torch.sim.tick import ARC_ORBIT, Tick
-from bsk_torch.sim.world import ground_stations, station_arrays
+from bsk_torch.sim.world import station_arrays
 from bsk_torch.vec3 import Vec3
 
 ORBITS = ("arc", "integrated")
+
+TARGETS = "target_r_LP_P"
+"""Name under which scenarios draw the places that are to be imaged."""
 
 MARGIN = SEARCH_STEP * (SEARCHES - 1) + 2.0 * PLAN_STEP
 """Seconds that arcs reach beyond what is asked for: what the search for eclipses looks ahead."""
@@ -48,6 +54,17 @@ CHUNK, DEVICE_CHUNK = 256, 16384
 """Rows reset at once on the CPU, where they should fit into its cache, and on other devices, where memory bounds them."""
 
 LONGEST_TICK = 60.0
+
+HINTS = {
+    "ground_station": "add stations to world_args['groundStationsData'], lower gsMinimumElevation",
+    "target": "all have been imaged, or too few lie below the orbit: ask for more targets, lower imageTargetMinimumElevation",
+}
+"""What to do when nothing comes into view."""
+
+
+def fitted(parts: tuple[Component, ...], given: Mapping[str, Any]) -> tuple[Component, ...]:
+    """The parts as the arguments that users gave make them."""
+    return tuple(part.fit(given) if part.fit else part for part in parts)
 
 
 def whole_nanoseconds(seconds: float) -> int:
@@ -78,6 +95,8 @@ class Simulator:
         backend: str = "compiled",
         segment: float = 600.0,
         max_time: float = 0.0,
+        scene: Callable[[Key], dict[str, Tensor]] = lambda key: {},
+        stops: bool = False,
     ) -> None:
         """Build the tick and check the arguments with trial draws; :meth:`reset` fills the state.
 
@@ -95,6 +114,8 @@ class Simulator:
             backend: ``"compiled"`` or ``"eager"``.
             segment: Seconds by which look-ahead windows are extended.
             max_time: Longest finite time limit, to check the ephemeris' coverage.
+            scene: Draws what the scenario asks for; see :meth:`bsk_torch.scene.base.Scenario.draw`.
+            stops: Whether events such as an image end a run.
         """
         self.num_envs, self.device, self.dtype = num_envs, device, dtype
         self.h_ns, self.orbit = whole_nanoseconds(sim_rate), orbit or dyn_type.orbit
@@ -102,7 +123,7 @@ class Simulator:
             raise ValueError(f"orbit={self.orbit!r} must be one of {list(ORBITS)}, or None for the model's own")
         if not 0 < self.h_ns * NANO <= LONGEST_TICK:
             raise ValueError(f"sim_rate={sim_rate:g} s must lie in (0, {LONGEST_TICK:g}]")
-        self.max_time = max_time
+        self.max_time, self.scene, self.stops = max_time, scene, stops
         self._parts(dyn_type, fsw_type, sat_args, world_args)
         self._layout(backend)
         self._storage(horizon, segment, backend)
@@ -112,12 +133,9 @@ class Simulator:
     def _parts(self, dyn_type: Any, fsw_type: Any, sat_args: Mapping[str, Any], world_args: Mapping[str, Any]) -> None:
         world_parts = collect(reversed(dyn_type.__mro__), "world_components")
         self.world_args = Arguments(world_parts, world_args, "world_args")
-        stations = self.world_args.given.get("groundStationsData")
-        if stations:
-            count = ground_stations(len(stations))
-            world_parts = tuple(count if part.slot == "ground_stations" else part for part in world_parts)
         own = (*dyn_type.all_components(), *fsw_type.all_components())
         self.sat_args = Arguments(own, sat_args, "sat_args")
+        world_parts, own = fitted(world_parts, self.world_args.given), fitted(own, self.sat_args.given)
         self.parts = tuple(sorted((*world_parts, *own), key=lambda part: part.order))
         self.modes, self.commands = fsw_type.all_modes(), fsw_type.all_commands()
         self.mode_names = tuple(self.modes)
@@ -139,7 +157,7 @@ class Simulator:
         on_arc = self.orbit == "arc"
         parts = tuple(self._scheduled(part, on_arc) for part in self._running(on_arc))
         opaque = self.device.type != "cpu"
-        self.tick = Tick(parts, shared, self.h_ns, on_arc, self.dtype, opaque)
+        self.tick = Tick(parts, shared, self.h_ns, on_arc, self.dtype, opaque, self.stops)
         if opaque and not on_arc:
             prepare(self.device, torch.float64)
         self.runners = make_runners(self.tick, backend, self.device)
@@ -165,23 +183,44 @@ class Simulator:
         self.own = torch.zeros(self.tick.own.size, n, device=self.device, dtype=torch.float64)
         self.ticks = torch.zeros(n, dtype=torch.int64, device=self.device)
         self.mode, self.all_rows = torch.zeros_like(self.ticks), torch.arange(n, device=self.device)
-        self.world, self.observer = World(self), Observer(self, backend)
+        self.world, self.observer, self.memory = World(self), Observer(self, backend), Memory(n, self.device)
         kept = max(PLANNED_SPANS, spans_for(segment) + PLANNED_SPANS - 1)
         self.arcs = Arcs(n, spans_for(horizon + MARGIN), make_solver(self.h, backend, self.device), kept)
         sight = make_sight(backend, self.device)
         self.eclipses = EclipseTable(self.arcs, sight)
-        self.access: AccessTable | None = None
-        if "groundStationsData" in self.world_args.table:
-            arrays = station_arrays(self.world_args.draw(first_key(1)))
-            r_P = arrays["station_positions"].view(3, -1).mT.contiguous().to(self.device)
-            self.access = AccessTable(self.arcs, sight, Places(r_P, arrays["station_sin_elevations"][0].to(self.device)), segment)
+        kinds = self._places()
+        self.access = Access(self.arcs, sight, kinds, segment) if kinds else None
         on = [[float(flag in self.modes[name].on) for name in self.mode_names] for flag in FLAGS]
         self.flag_table = torch.tensor(on, device=self.device, dtype=torch.float64)
+
+    def _places(self) -> dict[str, PlacesOf]:
+        """What the satellite can see, by type of opportunity."""
+        kinds: dict[str, PlacesOf] = {}
+        if "groundStationsData" in self.world_args.table:
+            arrays = station_arrays(self.world_args.draw(first_key(1)))
+            r_P = arrays["station_positions"].view(1, 3, -1).mT.contiguous().to(self.device)
+            stations = Places(r_P, arrays["station_sin_elevations"].to(self.device))
+            kinds["ground_station"] = lambda rows: stations
+        if TARGETS in self.drawn and "imageTargetMinimumElevation" in self.sat_args.table:
+            kinds["target"] = self._targets
+        return kinds
+
+    def _targets(self, rows: Tensor) -> Places:
+        """Targets of the present episodes of ``rows``."""
+        r_P, exists = self.drawn[TARGETS][rows], self.drawn["target_exists"][rows] > 0.5
+        least = torch.sin(self.drawn["imageTargetMinimumElevation"][rows]).unsqueeze(-1)
+        return Places(torch.where(exists.unsqueeze(-1), r_P, torch.nan), least.expand_as(exists))
+
+    def positions(self, kind: str, place: Tensor) -> Tensor:
+        """Earth-fixed positions [N, n, 3], m, of places [N, n] of a kind."""
+        if kind == "target":
+            return self.drawn[TARGETS].gather(1, place.unsqueeze(-1).expand(*place.shape, 3))
+        return cast("Access", self.access).kinds[kind](self.all_rows).r_P[0, place]
 
     @property
     def bytes_per_env(self) -> int:
         """Bytes that the tensors of one environment take now: state, parameters, arguments, arcs and look-ahead."""
-        access = () if self.access is None else (*vars(self.access).values(), *self.access.windows)
+        access = () if self.access is None else [x for windows in self.access.windows.values() for x in windows]
         parts = (*self.drawn.values(), *vars(self.arcs).values(), *vars(self.eclipses).values(), *access)
         tensors = (self.pack, self.own, self.ticks, self.mode, self.all_rows, *parts)
         return sum(x.nbytes for x in tensors if isinstance(x, Tensor)) // self.num_envs
@@ -206,8 +245,8 @@ class Simulator:
     # -- reset --------------------------------------------------------------------------------------------------------
 
     def draw(self, key: Key) -> dict[str, Any]:
-        """Arguments of world and satellite for episodes of the key's environments; raises before anything has changed."""
-        values = {**self.world_args.draw(key), **self.sat_args.draw(key)}
+        """What episodes of the key's environments start from; raises before anything has changed."""
+        values = {**self.world_args.draw(key), **self.sat_args.draw(key), **self.scene(key)}
         for part in self.parts:
             part.check(values)
         self._check_orbit(values)
@@ -253,6 +292,7 @@ class Simulator:
             if self.access is not None:
                 self.access.reset(rows[part], view, duration[part])
         self._first_tick(rows)
+        self.memory.reset(rows)
         self.observer.forget()
 
     def adopt(self, rows: Tensor, other: Simulator) -> None:
@@ -268,7 +308,9 @@ class Simulator:
         self.eclipses.adopt(rows, other.eclipses)
         if self.access is not None and other.access is not None:
             self.access.until[rows], self.access.ready[rows] = other.access.until[rows], other.access.ready[rows]
-            self.access.store(rows, Windows(*(table[rows] for table in other.access.windows)))
+            for kind, windows in other.access.windows.items():
+                self.access.store(kind, rows, Windows(*(table[rows] for table in windows)))
+        self.memory.reset(rows)
         self.observer.forget()
 
     def _first_tick(self, rows: Tensor) -> None:
@@ -348,17 +390,32 @@ class Simulator:
         shape = len(rows), len(modes)
         return planes, resets.view(shape), values.view(shape)
 
+    def write(self, name: str, rows: Tensor, value: Tensor) -> None:
+        """Set a field of the state to ``value`` [N] or [N, width] where ``rows`` [N] is true."""
+        where = self.tick.state.slices[name]
+        self.pack[where] = torch.where(rows, value.reshape(self.num_envs, -1).mT, self.pack[where])
+        self.observer.forget()
+
     # -- running ------------------------------------------------------------------------------------------------------
 
-    def run(self, ticks: Tensor) -> None:
-        """Advance every environment by its number of ticks ``ticks`` [N]; zero leaves it untouched."""
+    def run(self, ticks: Tensor, order: Tensor | None = None) -> Tensor:
+        """Advance every environment by at most ``ticks`` [N], zero leaves it untouched; by how many it did, [N].
+
+        ``order`` [N] is about how many it will be, if events are expected.
+        """
         self.reach(self.sim_time + ticks * self.h)
         tracks = self.arcs.tracks(self.tick.tracks)
-        flight = Flight(self.pack, self.shared, self.own, self.mode, self.flag_table, self.ticks, tracks)
+        flight = Flight(self.pack, self.shared, self.own, self.mode, self.flag_table, self.ticks, tracks, order)
         with torch.no_grad():
-            self.runners.run(flight, ticks)
-        self.ticks = self.ticks + ticks
+            flown = self.runners.run(flight, ticks)
+        self.ticks = self.ticks + flown
         self.observer.forget()
+        return flown
+
+    @property
+    def events(self) -> Tensor:
+        """Number of events since reset that end an action, [N]."""
+        return self.read("images") if "images" in self.tick.state.fields else torch.zeros_like(self.sim_time)
 
     def reach(self, time: Tensor) -> None:
         """Make every arc cover ``time`` [N]: move it on, or make all longer where it would forget too much."""
@@ -392,30 +449,57 @@ class Simulator:
         self.reach(self.eclipses.needs(time))
         return self.eclipses.query(time)
 
-    def next_windows(self, count: int) -> Windows:
-        """The ``count`` windows that close next, [N, count]; RuntimeError where there is none within the look-ahead."""
-        access, time = cast("AccessTable", self.access), self.sim_time
-        windows, found = access.next(time, count)
-        rows = torch.nonzero(found < count).squeeze(-1)
+    def next_windows(
+        self,
+        kind: str,
+        width: int,
+        allowed: Tensor | None = None,
+        count: Tensor | None = None,
+        last: Tensor | None = None,
+        may_see_nothing: bool = False,
+    ) -> tuple[Windows, Tensor]:
+        """The windows over a kind of places that close next, [N, width], and how many of them there are, [N].
+
+        The last is repeated where there are fewer. Segments are added until ``count`` windows are known.
+
+        Args:
+            kind: A key of ``access.kinds``.
+            width: Number of windows.
+            allowed: Which places count, [N, P]; all of them unless given.
+            count: How many each environment asks for, [N], at most ``width``, which it is unless given.
+            last: Time, [N] s, from which on no segments are added; in any case no more than :data:`LOOKAHEAD` are.
+            may_see_nothing: Whether there may be none at all; look-ahead then ends :data:`LOOKAHEAD` segments from now, so that
+                queries in vain do not add as many again and again.
+
+        Raises:
+            RuntimeError: Where a window is asked for, there is none within the look-ahead, and there must be one.
+        """
+        access, time = cast("Access", self.access), self.sim_time
+        wanted = torch.full_like(self.ticks, width) if count is None else count
+        windows, found = access.next(kind, time, width, allowed)
+        rows = torch.nonzero(found < wanted).squeeze(-1)
         if not len(rows):
-            return windows
-        for _ in range(-(-LOOKAHEAD // access.ahead)):
-            rows = access.reveal(rows, time[rows], count)
+            return windows, found
+        limit = (time if may_see_nothing else access.until) + LOOKAHEAD * access.segment
+        limit = limit if last is None else torch.minimum(limit, last)
+        while True:
+            some = None if allowed is None else allowed[rows]
+            rows = access.reveal(kind, rows, time[rows], wanted[rows], limit[rows], some)
             if not len(rows):
                 break
             target = torch.zeros_like(time)
-            target[rows] = access.ready[rows] + access.ahead * access.segment
+            target[rows] = access.ready[rows] + max(access.ahead * access.segment, PLAN_STEP * COUNT)
             self.reach(target)
             access.extend(rows, time)
         self.eclipses.sampled = torch.maximum(self.eclipses.sampled, access.until)
-        windows, found = access.next(time, count)
-        none = torch.nonzero(found == 0).squeeze(-1).tolist()
+        windows, found = access.next(kind, time, width, allowed)
+        none = [] if may_see_nothing else torch.nonzero((found == 0) & (wanted > 0)).squeeze(-1).tolist()
         if none:
             raise RuntimeError(
-                f"no station sees the satellite of environments {none[:5]} within {LOOKAHEAD * access.segment:g} s; add stations "
-                "to world_args['groundStationsData'] or lower gsMinimumElevation"
+                f"no {kind} comes into view of environments {none[:5]} within {LOOKAHEAD * access.segment:g} s; {HINTS[kind]}, "
+                "or build the satellite with may_see_nothing=True"
             )
-        return windows
+        return windows, found
 
     def read(self, name: str) -> Tensor:
         """A field of the state, [N] or [N, width]."""

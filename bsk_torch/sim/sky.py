@@ -67,12 +67,19 @@ def turned(angle: Any, tau: Any) -> tuple[Any, Any]:
     return cos_start * cos - sin_start * sin, sin_start * cos + cos_start * sin
 
 
+def put_track(bus: Bus, track: Track, planes: Sequence[Any], tau: Any) -> None:
+    """Write to the bus the records of a track, from all their planes, and the seconds since the last one that has passed."""
+    layout, records = Layout(track.fields), [SimpleNamespace() for _ in range(track.count)]
+    for k, record in enumerate(records):
+        layout.put(record, planes[k * track.width : (k + 1) * track.width])
+    setattr(bus, track.name, records)
+    setattr(bus, f"{track.name}_tau", tau)
+
+
 def sky_at(planes: Sequence[Any], tau: Any) -> Bus:
     """Sun and Earth on a bus of their own, from the planes of the records and the seconds since the first."""
-    bus, layout = Bus(0), Layout(SKY.fields)
-    bus.sky, bus.sky_tau = [SimpleNamespace() for _ in range(SKY.count)], tau
-    for k, record in enumerate(bus.sky):
-        layout.put(record, planes[k * SKY.width : (k + 1) * SKY.width])
+    bus = Bus(0)
+    put_track(bus, SKY, planes, tau)
     orient_pole(bus)
     move_sun_and_earth(bus)
     return bus

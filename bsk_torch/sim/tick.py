@@ -7,19 +7,18 @@ inductor, and on symbolic planes, which become one loop in C++ (:mod:`bsk_torch.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 
 from bsk_torch.constants import NANO
-from bsk_torch.lanes import emit, expr
+from bsk_torch.lanes import expr
 from bsk_torch.lanes.loop import Loop
 from bsk_torch.sim.component import Bus, Component, Field, Layout, Track, neighbours
 from bsk_torch.sim.fsw.modes import FLAGS
 from bsk_torch.sim.orbit import ARC, follow_arc
-from bsk_torch.sim.sky import SKY
+from bsk_torch.sim.sky import SKY, put_track
 from bsk_torch.sim.world import WORLD_SLOTS
 
 ARC_ORBIT = Component(slot="orbit", order=195, update=follow_arc)
@@ -41,21 +40,29 @@ class Tick:
     """The tick of a list of components, and the layouts of its packs.
 
     ``shared`` are the parameters that all environments have in common, ``own`` those that differ. ``dtype`` is the type of
-    attitude and flight software.
+    attitude and flight software. Where the tick ``stops``, a component may write the mask ``bus.stop``: rows in which it holds
+    end their run with this tick.
     """
 
     def __init__(
-        self, components: Sequence[Component], shared: set[str], h_ns: int, on_arc: bool, dtype: torch.dtype, opaque_field: bool
+        self,
+        components: Sequence[Component],
+        shared: set[str],
+        h_ns: int,
+        on_arc: bool,
+        dtype: torch.dtype,
+        opaque_field: bool,
+        stops: bool = False,
     ) -> None:
         """Lay out the packs of ``components``, which are in the order of a tick of ``h_ns`` nanoseconds."""
         params = [field for component in components for field in component.params]
         self.components, self.h_ns, self.dtype, self.opaque_field = components, h_ns, dtype, opaque_field
+        self.stops = stops and any(component.stops for component in components)
         self.state = Layout(field for component in components for field in component.state)
         self.shared = Layout(field for field in params if field.name in shared)
         self.own = Layout(field for field in params if field.name not in shared)
         self.flags = Layout(Field(name) for name in FLAGS)
         self.tracks: tuple[Track, ...] = (SKY, ARC) if on_arc else (SKY,)
-        self.records = tuple(Layout(track.fields) for track in self.tracks)
 
     def bus(self, inputs: Inputs, h_ns: int | None = None) -> Bus:
         """The bus at the start of a tick."""
@@ -63,27 +70,24 @@ class Tick:
         packs = (self.state, inputs.state), (self.shared, inputs.shared), (self.own, inputs.own), (self.flags, inputs.flags)
         for layout, planes in packs:
             layout.put(bus, planes)
-        for track, layout, planes, tau in zip(self.tracks, self.records, inputs.records, inputs.tau, strict=True):
-            records = [SimpleNamespace() for _ in range(track.count)]
-            for k, record in enumerate(records):
-                layout.put(record, planes[k * layout.size : (k + 1) * layout.size])
-            setattr(bus, track.name, records)
-            setattr(bus, f"{track.name}_tau", tau)
+        for track, planes, tau in zip(self.tracks, inputs.records, inputs.tau, strict=True):
+            put_track(bus, track, planes, tau)
         bus.ticks = inputs.ticks
         return bus
 
-    def advance(self, inputs: Inputs) -> list[Any]:
-        """Planes of the state at the end of the tick."""
-        return self._updated(self.bus(inputs), self.components)
+    def advance(self, inputs: Inputs) -> tuple[list[Any], Any]:
+        """Planes of the state at the end of the tick, and the mask of rows that end their run with it, or None."""
+        bus = self.bus(inputs)
+        _update(bus, self.components)
+        stop = bus.stop if self.stops and bus.has("stop") else None
+        if stop is not None and stop.dtype is not torch.bool:
+            raise TypeError(f"bus.stop has numbers of type {stop.dtype}; it must be a mask, which a comparison makes")
+        return self.state.gather(bus), stop
 
     def wake(self, inputs: Inputs) -> list[Any]:
         """Planes of the state after Basilisk's tick at time zero: messages of the world, and the density latched from them."""
-        return self._updated(self.bus(inputs, h_ns=0), [c for c in self.components if c.slot in (*WORLD_SLOTS, "drag")])
-
-    def _updated(self, bus: Bus, components: Sequence[Component]) -> list[Any]:
-        for component in components:
-            if component.update:
-                component.update(bus)
+        bus = self.bus(inputs, h_ns=0)
+        _update(bus, [c for c in self.components if c.slot in (*WORLD_SLOTS, "drag")])
         return self.state.gather(bus)
 
     # -- on tensors -----------------------------------------------------------------------------------------------------
@@ -121,8 +125,8 @@ class Tick:
         ticks: Tensor,
         end: Tensor,
         *tracks: Tensor,
-    ) -> Tensor:
-        """State [C, n] after one tick; rows whose time is up keep theirs, bit for bit.
+    ) -> tuple[Tensor, Tensor]:
+        """State [C, n] after one tick, and the new ``end`` [n]; rows whose time is up keep both, bit for bit.
 
         Args:
             state: State pack [C, n].
@@ -134,9 +138,10 @@ class Tick:
             *tracks: Records [n, R, C] of each track, then the time [n], s since reset, of the first records of each.
         """
         tables, starts = tracks[: len(self.tracks)], tracks[len(self.tracks) :]
-        planes = self.advance(self.inputs(state, shared, own, flags, tables, starts, ticks))
+        planes, stop = self.advance(self.inputs(state, shared, own, flags, tables, starts, ticks))
         runs = ticks <= end
-        return torch.stack([torch.where(runs, new.to(old.dtype), old) for new, old in zip(planes, state.unbind(0), strict=True)])
+        after = [torch.where(runs, new.to(old.dtype), old) for new, old in zip(planes, state.unbind(0), strict=True)]
+        return torch.stack(after), end if stop is None else torch.where(runs & stop, ticks, end)
 
     # -- as a kernel ----------------------------------------------------------------------------------------------------
 
@@ -145,7 +150,7 @@ class Tick:
         program = expr.Program()
         fast = expr.KINDS[self.dtype]
 
-        def planes(source: str, layout: Layout, lasts: int) -> list[Any]:
+        def pack(source: str, layout: Layout, lasts: int) -> list[Any]:
             kinds = (expr.DOUBLE if exact else fast for exact in layout.exact)
             return [program.input((source, k), kind, lasts) for k, kind in enumerate(kinds)]
 
@@ -153,15 +158,21 @@ class Tick:
             return [program.input(("track", t, k), expr.DOUBLE, t) for k in range(track.count * track.width)]
 
         inputs = Inputs(
-            planes("state", self.state, expr.TICK),
-            planes("shared", self.shared, expr.ALWAYS),
-            planes("own", self.own, expr.ALWAYS),
-            planes("flag", self.flags, expr.ALWAYS),
+            pack("state", self.state, expr.TICK),
+            pack("shared", self.shared, expr.ALWAYS),
+            pack("own", self.own, expr.ALWAYS),
+            pack("flag", self.flags, expr.ALWAYS),
             [records(t, track) for t, track in enumerate(self.tracks, 1)],
             [program.input(("tau", t), expr.DOUBLE, expr.TICK) for t in range(1, len(self.tracks) + 1)],
             program.input(("ticks", "now"), expr.DOUBLE, expr.TICK),
         )
-        tracks = [emit.Track(t.spacing, t.width, t.count, t.before) for t in self.tracks]
         if wakes:
-            return Loop("first tick", program, self.wake(inputs), tracks, clock="start")
-        return Loop("tick", program, self.advance(inputs), tracks)
+            return Loop("first tick", program, self.wake(inputs), self.tracks, clock="start")
+        planes, stop = self.advance(inputs)
+        return Loop("tick", program, planes, self.tracks, stop=stop)
+
+
+def _update(bus: Bus, components: Sequence[Component]) -> None:
+    for component in components:
+        if component.update:
+            component.update(bus)

@@ -5,7 +5,9 @@ World modules run first in a tick, so they see the spacecraft where it was one t
 
 from __future__ import annotations
 
+import dataclasses
 import math
+from collections.abc import Mapping
 from typing import Any
 
 import torch
@@ -106,7 +108,19 @@ def ground_stations(count: int) -> Component:
     )
 
 
-GROUND_STATIONS = ground_stations(len(DEFAULT_STATIONS))
+def _fitted_stations(given: Mapping[str, Any]) -> Component:
+    """As many stations as are given, on the world's own sphere: satellites have an argument of the same name."""
+    stations = given["groundStationsData"]
+    count = len(stations) if isinstance(stations, list | tuple) and stations else len(DEFAULT_STATIONS)
+
+    def prepare(args: Values) -> dict[str, Tensor]:
+        radius = torch.as_tensor(given["groundLocationPlanetRadius"], dtype=torch.float64)
+        return station_arrays({**args, "groundLocationPlanetRadius": radius})
+
+    return dataclasses.replace(ground_stations(count), prepare=prepare)
+
+
+GROUND_STATIONS = dataclasses.replace(ground_stations(len(DEFAULT_STATIONS)), fit=_fitted_stations)
 
 EARTH_POLE = Component(slot="earth_pole", order=90, update=orient_pole)
 

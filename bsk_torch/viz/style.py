@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
+from math import isfinite
 from pathlib import Path
 
 from matplotlib.axes import Axes
@@ -36,6 +38,31 @@ def tidy(panel: Axes) -> None:
 def label(panel: Axes, text: str) -> None:
     """Name of the ordinate."""
     panel.set_ylabel(text, color=INK, fontsize=9.5)
+
+
+def caption(panel: Axes, text: str) -> None:
+    """What a panel shows, above it."""
+    panel.set_title(text, loc="left", color=INK, fontsize=9.5)
+
+
+def name_lines(panel: Axes, lines: Mapping[str, tuple[float, str]], height: float) -> None:
+    """Names at the right of lines that end at given heights, in the lines' colours; a name has ``height`` of the panel's."""
+    bottom, top = panel.get_ylim()
+    finite = {name: (end, color) for name, (end, color) in lines.items() if isfinite(end)}
+    ends = spread([end for end, _ in finite.values()], height * (top - bottom))
+    for end, (name, (_, color)) in zip(ends, finite.items(), strict=True):
+        panel.text(1.01, end, name, transform=panel.get_yaxis_transform(), color=color, fontsize=9, va="center")
+
+
+def spread(heights: Sequence[float], gap: float) -> list[float]:
+    """Heights moved up or down in their order until neighbours are at least ``gap`` apart."""
+    order = sorted(range(len(heights)), key=heights.__getitem__)
+    moved = list(heights)
+    for _ in range(100):
+        for low, high in pairwise(order):
+            excess = 0.5 * max(0.0, gap - (moved[high] - moved[low]))
+            moved[low], moved[high] = moved[low] - excess, moved[high] + excess
+    return moved
 
 
 def headline(figure: Figure, text: str) -> None:

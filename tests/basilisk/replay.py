@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -27,6 +28,7 @@ STATE_COLUMNS = {
     "storage": slice(17, 18),
     "illumination": slice(18, 19),
 }
+STEPS = ("reward", "action", "terminated", "truncated")
 
 
 class AllModes(ScanningSatellite):
@@ -53,45 +55,53 @@ class Recording:
         return len(self.initial)
 
 
+def split(file: Any, boundary: Sequence[str], steps: Sequence[str]) -> tuple[list[int], dict[str, list[np.ndarray]]]:
+    """Lengths of the episodes of a file, and its rows by episode: those at decisions, one more than steps, and those of steps."""
+    lengths = file["length"].tolist()
+    ends = np.cumsum([0, *lengths])
+    cuts = dict.fromkeys(boundary, ends + np.arange(len(ends))) | dict.fromkeys(steps, ends)
+    return lengths, {key: [file[key][a:b] for a, b in itertools.pairwise(where)] for key, where in cuts.items()}
+
+
 def load(name: str) -> Recording:
     """Read a recording, split into episodes."""
     file = np.load(HERE / f"{name}.npz")
-    lengths = file["length"].tolist()
-    steps = np.cumsum([0, *lengths])
-    points = steps + np.arange(len(steps))
-    arrays = {
-        key: [file[key][a:b] for a, b in itertools.pairwise(cuts)]
-        for keys, cuts in ((("obs", "state"), points), (("reward", "action", "terminated", "truncated"), steps))
-        for key in keys
-    }
+    lengths, arrays = split(file, ("obs", "state"), STEPS)
     texts = {key: json.loads(str(file[key])) for key in ("ic", "fixed", "env")}
     return Recording(texts["ic"], texts["fixed"], texts["env"], lengths, arrays)
 
 
-def environment(recording: Recording, **options: Any) -> SatelliteTasking:
-    """An environment whose episodes start where the recorded ones did."""
-    arguments: dict[str, Any] = dict(recording.fixed)
-    names = [name for name in recording.initial[0] if name != "utc_init"]
-    for name in names:
-        values = [episode[name] for episode in recording.initial]
-        same = all(value == values[0] for value in values)
-        arguments[name] = (
-            values[0] if same and not isinstance(values[0], list) else rand.per_env(torch.tensor(values, dtype=torch.float64))
-        )
-    arguments["oe"] = None
-    satellite = (AllModes if len(recording.env.get("modes", ())) > 4 else ScanningSatellite)("Scanner1", sat_args=arguments)
-    defaults = dict(
-        scenario=scene.UniformNadirScanning(value_per_second=1 / 28500.0),
-        rewarder=data.ScanningTimeReward(),
+def arguments(recording: Recording) -> dict[str, Any]:
+    """Arguments of the satellites, environment by environment where they differ."""
+    values: dict[str, Any] = {**recording.fixed, "oe": None}
+    for name in set(recording.initial[0]) - {"utc_init", "time_limit", "target_seed"}:
+        each = [episode[name] for episode in recording.initial]
+        same = not isinstance(each[0], list) and all(value == each[0] for value in each)
+        values[name] = each[0] if same else rand.per_env(torch.tensor(each, dtype=torch.float64))
+    return values
+
+
+def common_options(recording: Recording) -> dict[str, Any]:
+    """Options of the environment that do not depend on the problem."""
+    return dict(
         num_envs=len(recording),
         world_args=dict(utc_init=rand.per_env([episode["utc_init"] for episode in recording.initial])),
-        time_limit=recording.env["time_limit"],
-        sim_rate=recording.env["sim_rate"],
-        terminate_on_time_limit=True,
         dtype=torch.float64,
         seed=0,
     )
-    return SatelliteTasking(satellite, **(defaults | options))
+
+
+def environment(recording: Recording, **options: Any) -> SatelliteTasking:
+    """An environment whose episodes start where the recorded ones did."""
+    kind = AllModes if len(recording.env.get("modes", ())) > 4 else ScanningSatellite
+    defaults = dict(
+        scenario=scene.UniformNadirScanning(value_per_second=1 / 28500.0),
+        rewarder=data.ScanningTimeReward(),
+        time_limit=recording.env["time_limit"],
+        sim_rate=recording.env["sim_rate"],
+        terminate_on_time_limit=True,
+    )
+    return SatelliteTasking(kind("Scanner1", sat_args=arguments(recording)), **(common_options(recording) | defaults | options))
 
 
 def state_of(env: SatelliteTasking) -> Tensor:
@@ -110,7 +120,17 @@ class Difference:
     exact: dict[str, bool]
 
 
-def replay(recording: Recording, env: SatelliteTasking, longest: int | None = None, without: tuple[int, ...] = ()) -> Difference:
+Check = Callable[[int, Sequence[int], Difference], None]
+"""Enters further differences at decision boundary k of some episodes."""
+
+
+def replay(
+    recording: Recording,
+    env: SatelliteTasking,
+    longest: int | None = None,
+    without: tuple[int, ...] = (),
+    check: Check = lambda k, runs, difference: None,
+) -> Difference:
     """Play the recorded actions in one batch; rows whose episode has ended are held by partial steps.
 
     Entries ``without`` of the observation are not compared.
@@ -119,9 +139,10 @@ def replay(recording: Recording, env: SatelliteTasking, longest: int | None = No
     td = env.reset()
     largest = dict.fromkeys((*STATE_COLUMNS, "observation", "reward"), 0.0)
     exact = dict.fromkeys(("end times", "terminated", "truncated", "storage"), True)
-    steps = min(max(recording.lengths), longest or 10**9)
-    compare(recording, env, td["observation"], 0, range(len(recording)), largest, exact, columns)
-    for k in range(steps):
+    found, everyone = Difference(largest, exact), range(len(recording))
+    compare(recording, env, td["observation"], 0, everyone, largest, exact, columns)
+    check(0, everyone, found)
+    for k in range(min(max(recording.lengths), longest or 10**9)):
         runs = [i for i, length in enumerate(recording.lengths) if k < length]
         action = torch.zeros(len(recording), dtype=torch.int64)
         for i in runs:
@@ -130,12 +151,13 @@ def replay(recording: Recording, env: SatelliteTasking, longest: int | None = No
         mask[runs] = True
         td = env.step(td.empty().set("action", action).set("_step", mask))["next"]
         compare(recording, env, td["observation"], k + 1, runs, largest, exact, columns)
+        check(k + 1, runs, found)
         for i in runs:
             reward = abs(float(td["reward"][i]) - recording.arrays["reward"][i][k])
             largest["reward"] = max(largest["reward"], reward)
             for flag in ("terminated", "truncated"):
                 exact[flag] &= bool(td[flag][i]) == bool(recording.arrays[flag][i][k])
-    return Difference(largest, exact)
+    return found
 
 
 def compare(

@@ -16,7 +16,7 @@ import pytest
 import torch
 
 from bsk_torch.lanes import kernel
-from bsk_torch.lanes.emit import map_source
+from bsk_torch.lanes.emit import loop_source
 from bsk_torch.lanes.expr import (
     BINARY,
     COMPARISONS,
@@ -26,9 +26,9 @@ from bsk_torch.lanes.expr import (
     TICK,
     TRIGONOMETRIC,
     Program,
-    UntraceableError,
 )
 from bsk_torch.vec3 import only
+from tests.lanes.columns import mapped
 
 pytestmark = pytest.mark.compiled
 
@@ -136,7 +136,7 @@ def results(isa, kind):
     with pytest.MonkeyPatch.context() as patch:
         if isa:
             patch.setenv("BSK_TORCH_ISA", isa)
-        found = kernel.mapped(function, 3, 0, f"test of {isa or 'native'} {kind}")(samples())
+        found = mapped(function, 3, 0, f"test of {isa or 'native'} {kind}")(samples())
     expected = [y.double() for y in function(samples().unbind(0), [])]
     return dict(zip(CASES, zip(found, expected, strict=True), strict=True))
 
@@ -151,11 +151,11 @@ def test_kernels_compute_what_torch_does(isa, kind, name):
 
 def test_regions_are_guarded():
     program = Program()
-    a, b, c = (program.input(("x", k), DOUBLE, TICK) for k in range(3))
-    source = map_source(program, [nested(a, b, c)], kernel.INCLUDE)
+    a, b, c = (program.input(("state", k), DOUBLE, TICK) for k in range(3))
+    source = loop_source(program, [nested(a, b, c)], (), kernel.INCLUDE)
     outer, inner = re.findall(r"^ *if \(any\(v\d+\)\) \{$", source, re.MULTILINE)
     assert source.index(outer) < source.index(inner) < source.index(".exp()")
-    dead = map_source(program, [a], kernel.INCLUDE)
+    dead = loop_source(program, [a], (), kernel.INCLUDE)
     assert "any(" not in dead
     assert "LANES_MIXED" not in dead
 
@@ -170,9 +170,7 @@ def rounding_kernel(isa):
     with pytest.MonkeyPatch.context() as patch:
         if isa:
             patch.setenv("BSK_TORCH_ISA", isa)
-        call = kernel.mapped(rounding, 4, 2, "test of rounding")
-        call(torch.zeros(4, 1, dtype=torch.float64), torch.zeros(2, dtype=torch.float64))
-    return call
+        return mapped(rounding, 4, 2, "test of rounding")
 
 
 @pytest.mark.parametrize("isa", ISAS)
@@ -192,51 +190,6 @@ def test_any_number_of_columns(n):
     assert y.shape == (7, n)
     expected = [value.expand(n) for value in rounding(x.unbind(0), shared.unbind(0))]
     torch.testing.assert_close(y, torch.stack(expected), rtol=1e-12, atol=1e-12)
-
-
-def test_several_threads():
-    x, shared = torch.randn(4, 300_001, dtype=torch.float64), torch.randn(2, dtype=torch.float64)
-    alone = rounding_kernel("")(x, shared)
-    before = torch.get_num_threads()
-    torch.set_num_threads(2)
-    try:
-        assert torch.equal(rounding_kernel("")(x, shared), alone)
-    finally:
-        torch.set_num_threads(before)
-
-
-def test_columns_may_lie_apart():
-    x, shared = torch.randn(20, 4, dtype=torch.float64).T, torch.randn(2, dtype=torch.float64)
-    assert torch.equal(rounding_kernel("")(x, shared), rounding_kernel("")(x.contiguous(), shared))
-
-
-@pytest.mark.parametrize(
-    ("x", "shared", "message"),
-    [
-        (torch.zeros(2, 5, dtype=torch.float64), torch.zeros(2, dtype=torch.float64), r"x must.*first dimension 4.*\[2, 5\]"),
-        (torch.zeros(4, 5), torch.zeros(2, dtype=torch.float64), "x must be float64.*torch.float32"),
-        (torch.zeros(4, 5, dtype=torch.float64), torch.zeros(2), "shared must be float64.*torch.float32"),
-        (torch.zeros(4, 5, dtype=torch.float64), None, "shared must be float64.*it is None"),
-        (torch.zeros(4, 5, dtype=torch.float64, device="meta"), torch.zeros(2, dtype=torch.float64), "x must.*on meta"),
-    ],
-)
-def test_unfit_tensors_are_refused(x, shared, message):
-    with pytest.raises(ValueError, match=message):
-        rounding_kernel("")(x, shared)
-
-
-def test_tracing_waits_for_the_first_call():
-    calls = []
-
-    def function(planes, _):
-        calls.append(planes)
-        return [torch.cumsum(planes[0], 0)]
-
-    call = kernel.mapped(function, 1, 0, "test")
-    assert not calls
-    with pytest.raises(UntraceableError, match="cumsum"):
-        call(torch.zeros(1, 3, dtype=torch.float64))
-    assert len(calls) == 1
 
 
 # -- building ----------------------------------------------------------------------------------------------------------------

@@ -1,4 +1,4 @@
-"""What the tests of arcs share: orbits, and looking up positions as a tick does."""
+"""What the tests of arcs share: orbits, looking up positions as a tick does, and elevations by their definition."""
 
 from __future__ import annotations
 
@@ -7,13 +7,16 @@ from typing import Any, NamedTuple
 
 import torch
 
+from bsk_torch.astro.ephemeris import earth_orientation
 from bsk_torch.astro.interpolate import coefficients, position, velocity
 from bsk_torch.astro.orbit import Elements, elements_to_rv
 from bsk_torch.constants import R_EARTH
 from bsk_torch.sim.component import neighbours
 from bsk_torch.sim.orbit import ARC, Arcs
+from bsk_torch.sim.search import Ground
 from bsk_torch.sim.sight import View, planned_position
-from bsk_torch.sim.span import LEAD, SPACING
+from bsk_torch.sim.solver import make_solver
+from bsk_torch.sim.span import LEAD, PLAN_STEP, SPACING
 from bsk_torch.vec3 import Vec3
 
 
@@ -56,3 +59,51 @@ def flown(arcs: Arcs, row: int, time: torch.Tensor) -> tuple[torch.Tensor, torch
 def planned(view: View, row: int, time: torch.Tensor) -> Vec3:
     """Planned position of one row at times [m]."""
     return planned_position(view.of(torch.full(time.shape, row)), time)[0]
+
+
+# -- brute force ---------------------------------------------------------------------------------------------------------------
+
+NODES = 10
+"""Samples, 30 s apart, that the tests interpolate between: as many as a search has at least."""
+
+
+def fixed_samples(oe: Elements, et: torch.Tensor, spans: int, backend: str) -> torch.Tensor:
+    """Earth-fixed positions [n, K, 3] every 30 s of the planned arcs of elements and ET [n], turned by the ephemeris."""
+    arcs = Arcs(len(et), spans, make_solver(1.0, backend, torch.device("cpu")))
+    r, v = (x.stack() for x in elements_to_rv(oe))
+    planned = arcs.reset(torch.arange(len(et)), et, r, v)
+    times = et.unsqueeze(-1) + PLAN_STEP * torch.arange(planned.shape[1])
+    return (earth_orientation(times) @ planned.unsqueeze(-1)).squeeze(-1)
+
+
+def lagrange(tau: torch.Tensor) -> torch.Tensor:
+    """Weights [..., NODES] of nodes 0, 1, 2, ... of the polynomial through them at tau [...]."""
+    weights = []
+    for k in range(NODES):
+        others = [(tau - j) / (k - j) for j in range(NODES) if j != k]
+        weights.append(torch.stack(others).prod(0))
+    return torch.stack(weights, -1)
+
+
+def at(ground: Ground, row: torch.Tensor, time: torch.Tensor) -> torch.Tensor:
+    """Earth-fixed positions [m, 3] of rows [m] at times [m]."""
+    tau = (time - ground.start[row]) / PLAN_STEP
+    first = (tau.floor().long() - NODES // 2 + 1).clamp(0, ground.r_P.shape[1] - NODES)
+    nodes = ground.r_P[row.unsqueeze(-1), first.unsqueeze(-1) + torch.arange(NODES)]
+    return (lagrange(tau - first).unsqueeze(1) @ nodes).squeeze(1)
+
+
+def every(ground: Ground, step: float) -> torch.Tensor:
+    """Earth-fixed positions [n, T, 3] every ``step`` s, a part of 30 s, from the first to the last sample."""
+    parts, gaps = round(PLAN_STEP / step), ground.r_P.shape[1] - 1
+    gap = torch.arange(gaps)
+    first = (gap - NODES // 2 + 1).clamp(0, gaps + 1 - NODES)
+    tau = (gap - first).unsqueeze(-1) + torch.arange(parts, dtype=torch.float64) / parts
+    nodes = ground.r_P[:, first.unsqueeze(-1) + torch.arange(NODES)]
+    return torch.cat([(lagrange(tau) @ nodes).flatten(1, 2), ground.r_P[:, -1:]], 1)
+
+
+def sine_of_elevation(r_P: torch.Tensor, site: torch.Tensor) -> torch.Tensor:
+    """Sine of the angle between the line of sight and the horizon's plane, Earth-fixed positions [..., 3]."""
+    line = r_P - site
+    return (line * site).sum(-1) / (line.norm(dim=-1) * site.norm(dim=-1))

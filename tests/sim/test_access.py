@@ -9,9 +9,10 @@ from bsk_torch.astro.ephemeris import earth_orientation
 from bsk_torch.astro.frames import lla_to_fixed
 from bsk_torch.constants import R_EARTH
 from bsk_torch.sim import access as module
-from bsk_torch.sim.access import AHEAD, AccessTable, Windows
+from bsk_torch.sim.access import AHEAD, Access, Windows
 from bsk_torch.sim.orbit import spans_for
-from bsk_torch.sim.sight import MOST_PLACES, Places, make_sight
+from bsk_torch.sim.search import Places
+from bsk_torch.sim.sight import make_sight
 from bsk_torch.sim.span import SPAN
 from bsk_torch.sim.world import DEFAULT_STATIONS, station_arrays
 from tests.sim.arcs import Solved, orbits, planned
@@ -19,6 +20,7 @@ from tests.sim.arcs import Solved, orbits, planned
 MILLISECOND = 1e-3  # s; measured: 0.08 ms over windows generated at reset, 0.21 ms over look-ahead
 SEGMENT = 600.0
 GENERATED = 28_800.0
+KIND = "station"
 
 
 def number(x: float) -> torch.Tensor:
@@ -34,32 +36,33 @@ def stations() -> Places:
             "gsMaximumRange": number(-1.0),
         }
     )
-    return Places(arrays["station_positions"].view(3, -1).mT.contiguous(), arrays["station_sin_elevations"][0])
+    return Places(arrays["station_positions"].view(1, 3, -1).mT.contiguous(), arrays["station_sin_elevations"])
 
 
-def table(flight: Solved, duration: float, places: Places | None = None, segment: float = SEGMENT) -> AccessTable:
-    access = AccessTable(flight.arcs, make_sight(flight.backend, torch.device("cpu")), places or stations(), segment)
+def table(flight: Solved, duration: float, places: Places | None = None, segment: float = SEGMENT) -> Access:
+    sites = places or stations()
+    access = Access(flight.arcs, make_sight(flight.backend, torch.device("cpu")), {KIND: lambda rows: sites}, segment)
     rows = torch.arange(len(flight.arcs.start))
     access.reset(rows, flight.view, torch.full((len(rows),), duration, dtype=torch.float64))
     return access
 
 
-def listed(access: AccessTable, row: int) -> list[tuple[int, float, float]]:
+def listed(access: Access, row: int) -> list[tuple[int, float, float]]:
     """Windows of a row that a query sees: place, opening and closing time."""
-    windows, until = access.windows, access.until[row]
+    windows, until = access.windows[KIND], access.until[row]
     known = torch.isfinite(windows.close[row]) & (windows.open[row] < until)
     close = torch.minimum(windows.close[row], until)
     return list(zip(*(x[known].tolist() for x in (windows.place[row], windows.open[row], close)), strict=True))
 
 
-def look_ahead(access: AccessTable, time: torch.Tensor, count: int = 1) -> Windows:
+def look_ahead(access: Access, time: torch.Tensor, count: int = 1) -> Windows:
     """Extend where windows run out, as the simulator does."""
-    rows = torch.nonzero(access.next(time, count)[1] < count).squeeze(-1)
-    while len(rows := access.reveal(rows, time[rows], count)):
+    rows = torch.nonzero(access.next(KIND, time, count)[1] < count).squeeze(-1)
+    while len(rows := access.reveal(KIND, rows, time[rows], torch.full_like(rows, count))):
         while bool((access.ready + access.ahead * access.segment > access.arcs.end)[rows].any()):
             access.arcs.grow()
         access.extend(rows, time)
-    return access.next(time, count)[0]
+    return access.next(KIND, time, count)[0]
 
 
 @pytest.fixture(scope="module")
@@ -124,7 +127,7 @@ def test_windows_are_where_the_elevation_is_above_the_limit(five_orbits):
             inside = torch.zeros_like(time, dtype=torch.bool)
             for _, opens, closes in (w for w in windows if w[0] == place):
                 inside |= (time > opens) & (time < closes)
-            up = elevations(five_orbits, row, places.r_P[place], time) > math.radians(10.0)
+            up = elevations(five_orbits, row, places.r_P[0, place], time) > math.radians(10.0)
             assert torch.equal(up, inside)
 
 
@@ -132,7 +135,7 @@ def test_edges_are_roots(five_orbits):
     places = stations()
     for place, opens, closes in listed(table(five_orbits, GENERATED, places), 1):
         edges = torch.tensor([t for t in (opens, closes) if 0.0 < t < GENERATED], dtype=torch.float64)
-        limit = elevations(five_orbits, 1, places.r_P[place], edges)
+        limit = elevations(five_orbits, 1, places.r_P[0, place], edges)
         assert (limit - math.radians(10.0)).abs().amax() < 1e-11  # rad; elevation moves by 1e-3 rad/s
 
 
@@ -187,12 +190,12 @@ QUERIES = [(300.0, 1), (1300.0, 1), (1900.0, 1), (2500.0, 2), (4000.0, 1), (5000
 """Times of queries and numbers of windows, for which arcs of five hours are enough."""
 
 
-def one_by_one(access: AccessTable, time: torch.Tensor, count: int) -> Windows:
+def one_by_one(access: Access, time: torch.Tensor, count: int) -> Windows:
     """What bsk_rl does, on a table that has been searched far enough: segment after segment until a row sees enough."""
-    while bool((short := access.next(time, count)[1] < count).any()):
+    while bool((short := access.next(KIND, time, count)[1] < count).any()):
         assert (access.until < access.ready).all()
         access.until = torch.where(short, access.until + access.segment, access.until)
-    return access.next(time, count)[0]
+    return access.next(KIND, time, count)[0]
 
 
 @pytest.mark.parametrize(("segments", "hours"), [(1, 5), (2, 5), (18, 7)])
@@ -214,18 +217,18 @@ def test_queries_do_not_notice_what_is_searched_ahead(segments, hours, fly, monk
 
 def by_place(windows: Windows) -> Windows:
     """Windows that close at the same millisecond in the order of their places."""
-    order = (windows.close * 1000.0).round().mul(MOST_PLACES).add(windows.place).argsort(1)
+    order = (windows.close * 1000.0).round().mul(17).add(windows.place).argsort(1)
     return Windows(*(table.gather(1, order) for table in windows))
 
 
 def test_windows_cut_at_the_same_time_come_in_the_order_of_their_places(fly):
     """As bsk_rl's bisect.insort leaves them; neighbouring sites, so that two passes are often in progress at once."""
     latitude, longitude = (torch.deg2rad(torch.tensor(x, dtype=torch.float64)) for x in ([47.0, 46.0, 45.0], [10.0, 14.0, 12.0]))
-    places = Places(lla_to_fixed(latitude, longitude, torch.zeros(3).double()), torch.full((3,), 0.1).double())
+    places = Places(lla_to_fixed(latitude, longitude, torch.zeros(3).double())[None], torch.full((1, 3), 0.1).double())
     access, cut = table(fly(orbits(60), 6), 1800.0, places, segment=1800.0), 0
     for _ in range(6):
         access.until += access.segment
-        found, number = access.next(access.until - access.segment, 3)
+        found, number = access.next(KIND, access.until - access.segment, 3)
         for row in range(60):
             seen = found.place[row, : number[row]][found.close[row, : number[row]] == access.until[row]].tolist()
             cut += len(seen) > 1
@@ -246,7 +249,7 @@ def test_extension_forgets_the_past(ahead):
     for _ in range(4):
         ahead.arcs.grow()
     access.extend(torch.tensor([1]), torch.full((5,), 20_000.0, dtype=torch.float64))
-    assert access.until[1] == GENERATED + SEGMENT
+    assert access.until[1] == GENERATED
     assert access.ready.tolist() == [GENERATED, GENERATED + AHEAD, *[GENERATED] * 3]
     assert all(w[2] >= 20_000.0 for w in listed(access, 1))
     assert any(w[2] < 20_000.0 for w in listed(access, 0))
@@ -257,7 +260,7 @@ def test_next_windows(five_orbits):
     access = table(five_orbits, GENERATED)
     windows = [listed(access, row) for row in range(5)]
     for time in (0.0, 3500.0, 8900.0, 20_000.0, 28_000.0):
-        found, number = access.next(torch.full((5,), time, dtype=torch.float64), 4)
+        found, number = access.next(KIND, torch.full((5,), time, dtype=torch.float64), 4)
         for row in range(5):
             left = [w for w in windows[row] if w[2] >= time + 1e-12]
             assert number[row] == min(4, len(left))
@@ -270,28 +273,22 @@ def test_a_window_that_closes_now_is_over(five_orbits):
     access = table(five_orbits, GENERATED)
     first, second = listed(access, 0)[:2]
     for time, expected in ((first[2] - 1e-9, first), (first[2], second)):
-        assert access.next(torch.full((5,), time, dtype=torch.float64), 1)[0].close[0].item() == expected[2]
+        assert access.next(KIND, torch.full((5,), time, dtype=torch.float64), 1)[0].close[0].item() == expected[2]
 
 
 def test_rows_are_revealed_by_themselves(five_orbits):
     """What a query reveals of a row depends on the row itself only."""
     access, alone = table(five_orbits, 9000.0), table(five_orbits, 9000.0)
     time, rows = torch.full((5,), 8990.0, dtype=torch.float64), torch.tensor([0, 2, 3])
-    missing = access.reveal(rows, time[rows], 2)
+    missing = access.reveal(KIND, rows, time[rows], torch.full_like(rows, 2))
     assert set(missing.tolist()) <= {0, 2, 3}
     assert access.until[[1, 4]].tolist() == [9000.0] * 2
     for row in rows.tolist():
-        assert (len(alone.reveal(torch.tensor([row]), time[:1], 2)) == 1) == (row in missing)
+        assert (len(alone.reveal(KIND, torch.tensor([row]), time[:1], torch.tensor([2]))) == 1) == (row in missing)
         assert alone.until[row] == access.until[row] > 9000.0
     seen = [row for row in rows.tolist() if row not in missing]
     assert seen
-    assert (access.next(time, 2)[1][seen] == 2).all()
-
-
-def test_more_places_than_codes_have_room_for(five_orbits):
-    places = Places(torch.ones(MOST_PLACES + 1, 3).double(), torch.zeros(MOST_PLACES + 1).double())
-    with pytest.raises(ValueError, match=rf"{MOST_PLACES + 1} stations; at most {MOST_PLACES}"):
-        table(five_orbits, 600.0, places)
+    assert (access.next(KIND, time, 2)[1][seen] == 2).all()
 
 
 def test_passes_between_two_samples(fly, recording):
@@ -304,7 +301,7 @@ def test_passes_between_two_samples(fly, recording):
     samples = elevation[(time % 30.0) < 0.005].amax()
     limit = 0.5 * (elevation[top] + samples)  # between the best sample and the top
     assert limit > samples + 1e-4
-    places = Places(site.unsqueeze(0), torch.sin(limit).unsqueeze(0))
+    places = Places(site.view(1, 1, 3), torch.sin(limit).view(1, 1))
     inside = time[elevation > limit]
     ((place, opens, closes),) = listed(table(arcs, 7200.0, places), 0)
     assert place == 0

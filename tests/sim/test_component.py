@@ -4,6 +4,7 @@ import pytest
 import torch
 
 from bsk_torch.sim.component import Bus, Field, Layout, Track, neighbours, vec
+from bsk_torch.sim.sky import put_track
 from bsk_torch.vec3 import Vec3
 
 FIELDS = (vec("r", exact=True), Field("charge", exact=True), Field("pulse", 4), Field("one_of_many", 1, many=True), Field("idle"))
@@ -116,6 +117,15 @@ def test_more_records_are_centred_but_at_the_ends(elapsed, first, tau):
     found, since = neighbours(QUARTET, numbered(QUARTET, 6), torch.tensor([0]), torch.tensor([elapsed], dtype=torch.float64))
     assert found[0, :, 0].tolist() == [first + k for k in range(4)]
     assert since.item() == pytest.approx(tau, abs=1e-12)
+
+
+def test_records_of_a_track_on_the_bus():
+    bus, pack, tau = Bus(1), planes(PAIR.count * PAIR.width), planes(1)[0]
+    put_track(bus, PAIR, pack, tau)
+    assert bus.pair_tau is tau
+    assert bus.pair[0].x is pack[0]
+    assert bus.pair[1].x is pack[4]
+    assert all(a is b for record, k in zip(bus.pair, (1, 5), strict=True) for a, b in zip(record.y, pack[k : k + 3], strict=True))
 
 
 def test_every_row_has_its_own_time():

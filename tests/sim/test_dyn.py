@@ -11,7 +11,8 @@ from bsk_torch.astro.attitude import mrp_to_dcm
 from bsk_torch.constants import AU, RPM
 from bsk_torch.sim.component import Bus
 from bsk_torch.sim.dyn import drag, hub, power, storage, thrusters, wheels
-from bsk_torch.vec3 import Vec3
+from bsk_torch.vec3 import Mat3, Vec3
+from tests.sim.buses import write
 
 
 def number(*values: float) -> torch.Tensor:
@@ -400,3 +401,18 @@ def test_initial_attitude_is_switched():
     args = {"oe": None, "rN": number(7e6, 0, 0)[None], "vN": number(0, 7e3, 0)[None], "omega_init": number(0, 0, 0)[None]}
     state = hub.HUB.initial(args | {"sigma_init": number(2.0, 0.0, 0.0)[None]})
     assert state["sigma"].tolist() == [[-0.5, 0.0, 0.0]]
+
+
+def test_drag_keeps_the_attitude_in_its_type():
+    """Integrated with an orbit in float64, an attitude in float32 stays float32: kernels refuse to mix them unawares."""
+    single = lambda *values: Vec3.of(torch.tensor([values], dtype=torch.float32))
+    bus = a_bus(r=[6.6e6, 0.0, 0.0], v=[0.0, 7.7e3, 0.0], r_sun=[AU, 0.0, 0.0], v_sun=[0.0] * 3, cos_earth=1.0, sin_earth=0.0)
+    write(bus, dtype=torch.float32, pole=Mat3(*(Vec3.of(row[None]) for row in torch.eye(3).double())), mass=number(330.0))
+    write(bus, sigma=single(0.1, 0.2, 0.3), omega=single(1e-3, 0.0, 0.0), Omega=single(10.0, 0.0, 0.0))
+    write(bus, motor_torque=single(0.1, 0.0, 0.0), density=number(1e-9), drag_coefficient=number(2.2))
+    params = drag.DRAG.prepare({name: number(value) for name, value in SIDES.items()} | {"dragCoeff": number(2.2)})
+    bus.facet_areas, bus.facet_offsets = (tuple(params[name].float().unbind(-1)) for name in ("facet_areas", "facet_offsets"))
+    bus.inertia = Vec3(*INERTIA.float().unbind(-1))
+    hub.translate_and_rotate(bus)
+    assert {x.dtype for x in (*bus.r, *bus.v)} == {torch.float64}
+    assert {x.dtype for x in (*bus.sigma, *bus.omega, *bus.Omega)} == {torch.float32}

@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import pytest
 import torch
@@ -9,29 +8,10 @@ import torch
 from bsk_torch.astro.attitude import dcm_to_mrp, mrp_add, mrp_rate, mrp_subtract, mrp_to_dcm
 from bsk_torch.astro.orbit import Elements, elements_to_rv, hill_frame
 from bsk_torch.sim.component import Bus
-from bsk_torch.sim.dyn.hub import box_inertia
-from bsk_torch.sim.dyn.thrusters import ARMS, THRUST
-from bsk_torch.sim.dyn.wheels import SPIN_INERTIA
-from bsk_torch.sim.fsw import BasicFSWModel, ContinuousImagingFSWModel, Mode, control, desaturation, guidance, instrument
+from bsk_torch.sim.fsw import BasicFSWModel, ContinuousImagingFSWModel, ImagingFSWModel, Mode, guidance
 from bsk_torch.sim.fsw.modes import FLAGS
 from bsk_torch.vec3 import Vec3
-
-N = 40
-ROUNDING = 1e-13
-
-
-def vectors(scale: float = 1.0) -> Vec3:
-    return Vec3.of(scale * torch.randn(N, 3, dtype=torch.float64))
-
-
-def plane(value: float, n: int = N) -> torch.Tensor:
-    return torch.full((n,), value, dtype=torch.float64)
-
-
-def write(bus: Bus, **values: Any) -> Bus:
-    for name, value in values.items():
-        setattr(bus, name, value)
-    return bus
+from tests.sim.buses import N, plane, vectors, write
 
 
 def pointing(h: float = 1.0) -> Bus:
@@ -47,6 +27,8 @@ def pointing(h: float = 1.0) -> Bus:
     write(bus, panel_normal=vectors().unit(), r_sun=vectors(1.5e11))
     return write(bus, instrument_axis=vectors().unit(), target_N=vectors(1e8))
 
+
+ROUNDING = 1e-13
 
 LAWS = {"sun": guidance.point_at_sun, "nadir": guidance.point_along_hill, "location": guidance.point_at_location}
 """In the order of a tick."""
@@ -228,245 +210,6 @@ def test_laws_in_single_precision(task):
     torch.testing.assert_close(stacked(bus.error).double(), stacked(exact.error), rtol=0, atol=1e-5)
 
 
-# -- control ----------------------------------------------------------------------------------------------------------------
-
-INERTIA = box_inertia(*(torch.tensor([x], dtype=torch.float64) for x in (330.0, 1.38, 1.04, 1.58)))
-
-
-def controlled(Ki: float = -1.0, h: float = 1.0) -> Bus:
-    bus = write(Bus(round(h * 1e9)), K=plane(7.0), P=plane(35.0), Ki=plane(Ki), control_on=plane(1.0), control_idle=plane(-1.0))
-    zero = Vec3.zeros_like(plane(0.0))
-    write(bus, inertia=Vec3(*(x.expand(N) for x in INERTIA.unbind(-1))), control_integral=zero, motor_torque_command=zero)
-    return write(bus, error=guidance.Error(vectors(0.3), vectors(0.01), vectors(1e-3), vectors(1e-6)))
-
-
-def feedback(bus: Bus, integral: torch.Tensor | None = None) -> torch.Tensor:
-    """Wheel torque by matrix algebra: opposite of the body torque that Basilisk's mrpFeedback requests."""
-    s, w, w_R, dw_R = (v.stack() for v in bus.error)
-    K, P, Ki = (x.unsqueeze(-1) for x in (bus.K, bus.P, bus.Ki))
-    inertia, cross = INERTIA, torch.linalg.cross
-    body = w + w_R
-    z = torch.zeros_like(s) if integral is None else integral + inertia * w
-    weight = torch.zeros_like(Ki) if integral is None else Ki
-    return K * s + P * w + P * weight * z - cross(w_R + weight * z, inertia * body) + inertia * (cross(body, w_R) - dw_R)
-
-
-def test_mrp_feedback():
-    bus = controlled()
-    control.feed_back(bus)
-    torch.testing.assert_close(bus.motor_torque_command.stack(), feedback(bus), rtol=0, atol=ROUNDING)
-    assert (bus.control_integral.stack() == 0.0).all()
-
-
-def test_feedback_turns_toward_the_reference():
-    """The wheels get the torque that the error calls for; the hub gets the opposite, which reduces it."""
-    bus = controlled()
-    zero = Vec3.zeros_like(plane(0.0))
-    bus.error = guidance.Error(vectors(0.1), zero, zero, zero)
-    control.feed_back(bus)
-    assert (bus.motor_torque_command.dot(bus.error.sigma_BR) > 0).all()
-
-
-def test_feedback_with_integral():
-    """The first call ever has dt = 0; then K h s is added each tick, within +-0.2 / Ki."""
-    Ki, h = 0.01, 0.5
-    bus, expected = controlled(Ki, h), torch.zeros(N, 3, dtype=torch.float64)
-    bus.error = guidance.Error(vectors(2.0), *bus.error[1:])
-    s = bus.error.sigma_BR.stack()
-    for k in range(4):
-        control.feed_back(bus)
-        expected = (expected + (7.0 * h * s if k else 0.0)).clamp(-0.2 / Ki, 0.2 / Ki)
-        torch.testing.assert_close(bus.control_integral.stack(), expected, rtol=0, atol=ROUNDING)
-        torch.testing.assert_close(bus.motor_torque_command.stack(), feedback(bus, expected), rtol=0, atol=100 * ROUNDING)
-    assert (expected.abs() == 20.0).any()
-    assert (expected.abs() < 20.0).any()
-
-
-def test_drifting_holds_the_command_and_lets_the_clock_run():
-    bus = controlled(0.01)
-    control.feed_back(bus)
-    held, integral = bus.motor_torque_command.stack(), bus.control_integral.stack()
-    bus.control_on = plane(0.0)
-    bus.error = guidance.Error(vectors(0.2), *bus.error[1:])
-    for _ in range(3):
-        control.feed_back(bus)
-    assert torch.equal(bus.motor_torque_command.stack(), held)
-    assert torch.equal(bus.control_integral.stack(), integral)
-    assert (bus.control_idle == 3.0).all()
-    bus.control_on = plane(1.0)
-    control.feed_back(bus)
-    torch.testing.assert_close(
-        bus.control_integral.stack(), integral + 7.0 * 4.0 * bus.error.sigma_BR.stack(), rtol=0, atol=ROUNDING
-    )
-    assert (bus.control_idle == 0.0).all()
-
-
-def test_a_clock_that_never_started_does_not_run():
-    bus = controlled(0.01)
-    bus.control_on = plane(0.0)
-    control.feed_back(bus)
-    assert (bus.control_idle == -1.0).all()
-
-
-# -- desaturation -----------------------------------------------------------------------------------------------------------
-
-
-def dumping(speed: float, h: float = 1.0, **params: float) -> Bus:
-    """One satellite whose x wheel spins, at the start of a desaturation."""
-    bus = write(Bus(round(h * 1e9)), Omega=Vec3(plane(speed, 1), plane(0.0, 1), plane(0.0, 1)), desat_on=plane(1.0, 1))
-    write(bus, pulse_command=tuple(plane(0.0, 1) for _ in range(4)))
-    values = {"momentum_to_keep": 0.0, "dump_wait": 4.0, "shortest_pulse": 0.02, "dump_calls": 0.0, "dump_counter": 0.0}
-    write(bus, **{name: plane(value, 1) for name, value in (values | params).items()})
-    return write(bus, dump_momentum=Vec3.zeros_like(plane(0.0, 1)), dump_remaining=tuple(plane(0.0, 1) for _ in range(4)))
-
-
-def fired(bus: Bus, ticks: int) -> list[list[float]]:
-    commands = []
-    for _ in range(ticks):
-        desaturation.dump_momentum(bus)
-        commands.append([pulse.item() for pulse in bus.pulse_command])
-    return commands
-
-
-def on_times(Omega: Vec3) -> list[float]:
-    """On-time of the eight thrusters by the least-norm formula on their torques, shifted to be positive."""
-    D = torch.tensor([*ARMS, *ARMS], dtype=torch.float64).mT
-    h = SPIN_INERTIA * Omega.stack()[0]
-    F = D.mT @ torch.linalg.inv(D @ D.mT) @ -h
-    return ((F - F.min().clamp(max=0.0)) / THRUST)[:4].tolist()
-
-
-def test_impulses_have_the_momentum_wanted_and_are_positive():
-    dH = vectors(10.0)
-    F = torch.stack(desaturation.impulses(dH), -1)
-    arms = torch.tensor(ARMS, dtype=torch.float64)
-    # the shift adds the same to all eight thrusters, whose torques cancel
-    torch.testing.assert_close(2.0 * F @ arms, dH.stack(), rtol=0, atol=1e-12)
-    torch.testing.assert_close(F.amin(-1), torch.zeros(N).double(), rtol=0, atol=1e-12)
-
-
-@pytest.mark.parametrize("speed", [300.0, 320.0, 340.0, 360.0])
-def test_pulse_pattern(speed):
-    """Nothing in the first tick, a pulse in the second, then one every five ticks until less than a tick is left."""
-    bus = dumping(speed)
-    times = on_times(bus.Omega)
-    commands = fired(bus, 200)
-    assert commands[0] == [0.0] * 4
-    for pair, time in enumerate(times):
-        ticks = [k for k, command in enumerate(commands) if command[pair] == 1.0]
-        assert ticks == [1 + 5 * k for k in range(int(time))]
-    assert max(times) > 3.0
-    assert min(times) == pytest.approx(0.0, abs=1e-12)
-
-
-def test_pulse_patterns_above_leave_short_and_long_remainders():
-    """So that they tell whole ticks from rounded ones."""
-    rest = [max(on_times(dumping(speed).Omega)) % 1.0 for speed in (300.0, 320.0, 340.0, 360.0)]
-    assert min(rest) < 0.4
-    assert max(rest) > 0.6
-
-
-@pytest.mark.parametrize("wait", [0.0, 1.0, 7.0])
-def test_ticks_between_pulses(wait):
-    bus = dumping(300.0, dump_wait=wait)
-    commands = [max(command) for command in fired(bus, 30)]
-    first = [k for k, command in enumerate(commands) if command][:3]
-    assert first == [1, 2 + wait, 3 + 2 * wait]
-
-
-def test_pulses_shorter_than_a_tick_or_than_the_limit_are_not_commanded():
-    assert max(map(max, fired(dumping(5.0), 20))) == 0.0  # 0.17 s in all
-    assert max(map(max, fired(dumping(300.0, h=0.01), 20))) == 1.0
-    # left over one pulse of 0.01 s after the other: what remains decides, until it falls below the limit
-    assert max(map(max, fired(dumping(300.0, h=0.01, shortest_pulse=1e6), 20))) == 0.0
-
-
-def test_momentum_is_measured_once_in_the_first_tick():
-    bus = dumping(300.0)
-    desaturation.dump_momentum(bus)
-    first = bus.dump_momentum.stack()
-    assert first[0].tolist() == pytest.approx([-300.0 * SPIN_INERTIA, 0.0, 0.0])
-    bus.Omega = bus.Omega * 2.0
-    desaturation.dump_momentum(bus)
-    assert torch.equal(bus.dump_momentum.stack(), first)
-
-
-@pytest.mark.parametrize(("keep", "expected"), [(0.0, -10.0), (4.0, -6.0), (10.0, 0.0), (12.0, 0.0)])
-def test_momentum_to_keep(keep, expected):
-    Omega = Vec3(plane(0.0, 1), plane(6.0 / SPIN_INERTIA, 1), plane(8.0 / SPIN_INERTIA, 1))
-    dH = desaturation.momentum_to_dump(Omega, plane(keep, 1))
-    assert dH.stack()[0].tolist() == pytest.approx([0.0, 0.6 * expected, 0.8 * expected], abs=1e-12)
-    assert torch.equal(desaturation.momentum_to_dump(Omega * 0.0, plane(keep, 1)).stack(), torch.zeros(1, 3).double())
-
-
-def test_desaturation_that_is_off_commands_nothing_and_remembers():
-    bus = dumping(300.0)
-    fired(bus, 3)
-    calls, left, counter = bus.dump_calls.item(), [x.item() for x in bus.dump_remaining], bus.dump_counter.item()
-    bus.desat_on = plane(0.0, 1)
-    assert max(map(max, fired(bus, 10))) == 0.0
-    assert (bus.dump_calls.item(), [x.item() for x in bus.dump_remaining], bus.dump_counter.item()) == (calls, left, counter)
-
-
-def test_rows_dump_alone_and_together():
-    """Half of the rows desaturate: they do what they would do alone, the others nothing at all."""
-    buses = [dumping(speed) for speed in (300.0, 310.0, 320.0, 330.0)]
-    buses[1].desat_on = buses[3].desat_on = plane(0.0, 1)
-    names = ("Omega", "desat_on", "momentum_to_keep", "dump_wait", "shortest_pulse", *DUMP)
-    together = Bus(1_000_000_000)
-    for name in names:
-        parts = [getattr(bus, name) for bus in buses]
-        write(together, **{name: joined(parts)})
-    for _ in range(8):
-        for bus in (together, *buses):
-            desaturation.dump_momentum(bus)
-        for name in DUMP:
-            assert leaves(getattr(together, name)) == leaves(joined([getattr(bus, name) for bus in buses]))
-    assert together.dump_calls.tolist() == [8.0, 0.0, 8.0, 0.0]
-
-
-DUMP = ("pulse_command", "dump_momentum", "dump_remaining", "dump_counter", "dump_calls")
-
-
-def joined(parts: list[Any]) -> Any:
-    """Planes of one row each as planes of many."""
-    if isinstance(parts[0], torch.Tensor):
-        return torch.cat(parts)
-    planes = [torch.cat(columns) for columns in zip(*parts, strict=True)]
-    return Vec3(*planes) if isinstance(parts[0], Vec3) else tuple(planes)
-
-
-def leaves(value: Any) -> list[list[float]]:
-    return [value.tolist()] if isinstance(value, torch.Tensor) else [part.tolist() for part in value]
-
-
-# -- instrument -------------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("error", "rate", "controller", "location", "before", "after"),
-    [
-        (0.05, 0.001, 1.0, 1.0, 0.0, 1.0),
-        (0.1, 0.01, 1.0, 1.0, 0.0, 1.0),  # limits are inclusive
-        (0.11, 0.001, 1.0, 1.0, 1.0, 0.0),
-        (0.05, 0.011, 1.0, 1.0, 1.0, 0.0),
-        (0.05, 0.001, 0.0, 1.0, 1.0, 0.0),  # controller off
-        (0.5, 0.5, 0.0, 0.0, 1.0, 1.0),  # outside of the task the last command stays
-        (0.05, 0.001, 1.0, 0.0, 0.0, 0.0),
-    ],
-)
-def test_scanning_controller(error, rate, controller, location, before, after):
-    zero = plane(0.0, 1)
-    bus = write(
-        Bus(1_000_000_000), attitude_tolerance=plane(0.1, 1), rate_tolerance=plane(0.01, 1), location_on=plane(location, 1)
-    )
-    write(bus, controller_on=plane(controller, 1), instrument_command=plane(before, 1), target_access=plane(1.0, 1))
-    along = lambda size: Vec3(plane(size, 1), zero, zero)
-    bus.error = guidance.Error(along(error), along(rate), along(9.0), along(9.0))
-    instrument.command_scan(bus)
-    assert bus.instrument_command.item() == after
-
-
 # -- modes ------------------------------------------------------------------------------------------------------------------
 
 
@@ -479,20 +222,25 @@ def test_scanning_controller(error, rate, controller, location, before, after):
         ("nadir_point", {"control_on", "nadir_on"}),
         ("downlink", {"control_on", "nadir_on", "transmitter_on"}),
         ("nadir_scan", {"control_on", "location_on", "controller_on", "instrument_linked", "instrument_power"}),
+        ("image", {"control_on", "location_on", "controller_on", "instrument_power"}),
         ("desat_sun", {"control_on", "sun_on", "desat_on", "thruster_power"}),
         ("desat_nadir", {"control_on", "nadir_on", "desat_on", "thruster_power"}),
         ("desat_none", {"control_on", "desat_on", "thruster_power"}),
     ],
 )
 def test_mode_table(mode, on):
-    entry = ContinuousImagingFSWModel.all_modes()[mode]
+    entry = (ImagingFSWModel if mode == "image" else ContinuousImagingFSWModel).all_modes()[mode]
     assert set(entry.on) == on
     assert ("sun_fresh" in entry.resets) == ("sun_on" in on)
     assert ("dump_calls" in entry.resets) == ("desat_on" in on)
+    assert ("image_taken" in entry.resets) == (mode == "image")
 
 
 def test_modes_and_commands_of_models():
     assert "nadir_scan" not in BasicFSWModel.all_modes()
+    assert "nadir_scan" not in ImagingFSWModel.all_modes()
+    assert "image" not in ContinuousImagingFSWModel.all_modes()
+    assert "image" not in ContinuousImagingFSWModel.all_commands()
     assert ContinuousImagingFSWModel.all_commands()["desat"].modes == ("desat_sun", "desat_nadir", "desat_none")
     assert ContinuousImagingFSWModel.all_commands()["charge"].modes == ("charge",)
     with pytest.raises(ValueError, match=r"\['warp_on'\] are no flags"):
@@ -500,15 +248,16 @@ def test_modes_and_commands_of_models():
     assert all(set(mode.on) <= set(FLAGS) for mode in ContinuousImagingFSWModel.all_modes().values())
 
 
-def test_target_of_a_scan_is_the_earths_centre_but_for_ten_centimetres():
-    from bsk_torch.sim.span import pole_matrix
+def test_a_subclass_takes_a_mode_away_and_another_gives_it_back():
+    class Blind(ImagingFSWModel):
+        modes = {"image": None, "downlink": None}  # noqa: RUF012
 
-    position = Vec3.of(torch.tensor([[7e6, 0.0, 0.0]], dtype=torch.float64))
-    bus = write(Bus(1_000_000_000), pole=pole_matrix(torch.zeros(1, dtype=torch.float64)), r=position)
-    for limit, reaches in ((-1.0, 1.0), (6.9e6, 0.0), (7.1e6, 1.0)):
-        guidance.aim_at_earth_centre(write(bus, target_range=plane(limit, 1)))
-        assert bus.target_access.item() == reaches
-    assert bus.target_N.stack()[0].tolist() == pytest.approx([0.0, 0.0, 0.1], abs=1e-12)
+    class Seeing(Blind):
+        modes = {"image": Mode(("location_on",))}  # noqa: RUF012
+
+    kept = set(ImagingFSWModel.all_modes())
+    assert set(Blind.all_modes()) == kept - {"image", "downlink"}
+    assert set(Seeing.all_modes()) == set(Seeing.all_commands()) - {"desat"} == kept - {"downlink"}
 
 
 def test_errors_are_relative_attitudes():

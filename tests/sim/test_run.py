@@ -12,7 +12,7 @@ import bsk_torch
 from bsk_torch.lanes.loop import Samples
 from bsk_torch.sim.component import Component, Field, vec
 from bsk_torch.sim.fsw.modes import FLAGS
-from bsk_torch.sim.run import Flight, Runners, make_runners
+from bsk_torch.sim.run import Flight, Runners, loop, make_runners
 from bsk_torch.sim.sky import sky_records
 from bsk_torch.sim.span import SPAN
 from bsk_torch.sim.tick import Tick
@@ -59,8 +59,8 @@ TOYS = (
 )
 
 
-def toy_tick(dtype: torch.dtype = torch.float64) -> Tick:
-    return Tick(TOYS, {"shared_gain"}, H_NS, on_arc=False, dtype=dtype, opaque_field=False)
+def toy_tick(dtype: torch.dtype = torch.float64, toys: tuple[Component, ...] = TOYS, stops: bool = False) -> Tick:
+    return Tick(toys, {"shared_gain"}, H_NS, on_arc=False, dtype=dtype, opaque_field=False, stops=stops)
 
 
 @pytest.fixture(scope="module")
@@ -180,6 +180,91 @@ def test_waking_runs_the_world_only(runners):
 def test_back_ends_are_checked():
     with pytest.raises(ValueError, match="backend='fast' must be one of"):
         make_runners(toy_tick(), "fast", CPU)
+
+
+# -- stops ------------------------------------------------------------------------------------------------------------------
+
+
+def halt(bus) -> None:
+    """End the run after a few ticks; what rows go on computing after their end asks for it again and again."""
+    bus.stop = bus.count >= bus.own_rate * 200.0
+
+
+STOPPING = (*TOYS, Component("halt", 300, halt, stops=True))
+
+
+@pytest.fixture(scope="module")
+def stopping(backend) -> Runners:
+    return make_runners(toy_tick(toys=STOPPING, stops=True), backend, CPU)
+
+
+def stops(start: Flight, counts: torch.Tensor) -> torch.Tensor:
+    """How many ticks each row runs: at least the one in which it sees that it should stop."""
+    return torch.minimum(counts, (start.own[0] * 200.0).ceil().long().clamp(min=1))
+
+
+@pytest.mark.parametrize("n", [1, 2, 3, 17, 64])
+def test_rows_that_stop_are_as_if_they_had_been_to_run_that_long(n, stopping, runners):
+    """Bit for bit, and whatever the order of the blocks; in blocks with rows that run no tick, too."""
+    for longest in (20, 64, 65, 500):
+        start, counts = flight(n), torch.randint(0, longest, (n,))
+        expected = stops(start, counts)
+        state = after(runners, start, expected)
+        for order in (None, expected, torch.randint(0, longest, (n,))):
+            copy = dataclasses.replace(start, state=start.state.clone(), order=order)
+            assert torch.equal(stopping.run(copy, counts), expected)
+            assert torch.equal(copy.state, state)
+
+
+@pytest.mark.parametrize("tick", [1, 64, 65, 129])
+def test_rows_may_stop_in_their_first_and_in_their_last_tick(tick, stopping, runners):
+    start, counts = flight(4), torch.tensor([tick, tick + 1, 300, 0])
+    start.own[0] = tick / 200.0
+    copy = dataclasses.replace(start, state=start.state.clone())
+    assert stopping.run(copy, counts).tolist() == [tick, tick, tick, 0]
+    assert torch.equal(copy.state, after(runners, start, torch.tensor([tick, tick, tick, 0])))
+
+
+def test_who_does_not_stop_runs_the_whole_time(runners):
+    counts = torch.tensor([3, 0, 70])
+    assert torch.equal(runners.run(flight(3), counts), counts)
+    assert torch.equal(runners.wake(flight(3), torch.ones(3, dtype=torch.int64)), torch.ones(3, dtype=torch.int64))
+
+
+def test_stops_are_heeded_only_where_the_tick_stops(backend):
+    start, counts = flight(5), torch.full((5,), 250)
+    deaf, mute = toy_tick(toys=STOPPING), toy_tick(stops=True)
+    for tick in (deaf, mute):
+        assert torch.equal(
+            make_runners(tick, backend, CPU).run(dataclasses.replace(start, state=start.state.clone()), counts), counts
+        )
+
+
+@pytest.mark.parametrize(("longest", "questions"), [(1, 0), (64, 0), (65, 1), (128, 1), (129, 2), (100_000, 4)])
+def test_loops_seldom_ask_whether_all_rows_have_ended(longest, questions, monkeypatch):
+    """Rows end in tick 200 at the latest: loops notice it in tick 256, whatever the bound."""
+    asked, ran, tick = [], [], toy_tick(toys=STOPPING, stops=True)
+
+    def step(*tensors):
+        ran.append(None)
+        return tick.step(*tensors)
+
+    start = flight(3)
+    start.own[0] = torch.tensor([0.01, 0.2, 1.0])
+    real = torch.Tensor.any
+    monkeypatch.setattr(torch.Tensor, "any", lambda x: asked.append(x) or real(x))
+    loop(step, stops=True)(start, torch.full((3,), longest))
+    assert len(asked) == questions
+    assert len(ran) == min(longest, 256)
+
+
+@pytest.mark.parametrize(
+    "make", [lambda tick, flight: tick.kernel(), lambda tick, flight: loop(tick.step)(flight, flight.ticks + 1)]
+)
+def test_a_stop_must_be_a_mask(make):
+    halts = Component("halt", 300, lambda bus: setattr(bus, "stop", bus.count), stops=True)
+    with pytest.raises(TypeError, match=r"bus.stop has numbers of type torch.float64; it must be a mask"):
+        make(toy_tick(toys=(*TOYS, halts), stops=True), flight(2))
 
 
 # -- a satellite ------------------------------------------------------------------------------------------------------------

@@ -3,10 +3,10 @@ from __future__ import annotations
 import pytest
 import torch
 
-from bsk_torch.lanes.kernel import mapped
 from bsk_torch.sim.compiler import just_in_time
 from bsk_torch.sim.component import Bus
 from bsk_torch.sim.dyn import thrusters
+from tests.lanes.columns import mapped
 
 SECOND = 1_000_000_000
 

@@ -1,10 +1,13 @@
 """Pictures are written, and show what happened."""
 
 import pytest
+import torch
 
 import bsk_torch
 from bsk_torch.rl.baselines import scan_rule
-from bsk_torch.viz.curves import learning_curve, spread
+from bsk_torch.viz.curves import learning_curve
+from bsk_torch.viz.record import union
+from bsk_torch.viz.style import spread
 from bsk_torch.viz.timeline import record_episode, timeline
 
 PNG = b"\x89PNG"
@@ -21,8 +24,11 @@ def test_a_recorded_episode_is_complete(episode):
     assert episode.times[-1] == 700.0
     assert len(episode.actions) == len(episode.times) - 1
     assert {len(rows) for rows in episode.series.values()} == {len(episode.times)}
-    assert len(episode.series["wheel_speeds_fraction"][0]) == 3
-    assert all(start < end for end, start in (*episode.eclipses.items(), *episode.passes.items()))
+    assert episode.series["wheel_speeds_fraction"].shape[1] == 3
+    for intervals in (episode.eclipses, episode.passes):
+        flat = intervals.flatten()
+        assert torch.equal(flat, flat.sort().values)
+        assert bool(((flat >= 0.0) & (flat <= 700.0)).all())
     assert not episode.died
 
 
@@ -44,3 +50,9 @@ def test_names_of_close_lines_are_kept_apart_in_their_order():
     assert moved[2] == -1.0
     assert moved[1] < moved[0] < moved[3]
     assert min(moved[0] - moved[1], moved[3] - moved[0]) == pytest.approx(0.1, abs=1e-6)
+
+
+def test_intervals_are_joined_and_cut_to_the_episode():
+    joined = union({(50.0, 60.0), (-5.0, 10.0), (8.0, 20.0), (9.0, 12.0), (90.0, float("inf")), (200.0, 300.0)}, 100.0)
+    assert joined.tolist() == [[0.0, 20.0], [50.0, 60.0], [90.0, 100.0]]
+    assert union(set(), 100.0).shape == (0, 2)

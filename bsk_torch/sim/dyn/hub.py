@@ -124,7 +124,7 @@ def translate_and_rotate(bus: Bus) -> None:
         if bus.has("density"):
             BN = mrp_to_dcm(sigma)
             force, drag_torque = drag(bus, BN @ v)
-            acceleration, torque = acceleration + BN.mT @ force / bus.mass, torque + drag_torque
+            acceleration, torque = acceleration + BN.mT @ force / bus.mass, torque + drag_torque.to(bus.dtype)
         return (v, acceleration, *_attitude_rates(bus, torque, sigma, omega, tuple(wheels)))
 
     start = (bus.r, bus.v, bus.sigma, bus.omega, *_wheel_speeds(bus))

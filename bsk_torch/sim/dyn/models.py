@@ -11,7 +11,7 @@ from bsk_torch.astro.orbit import Elements
 from bsk_torch.constants import RPM
 from bsk_torch.sim import world
 from bsk_torch.sim.component import Component
-from bsk_torch.sim.dyn import drag, hub, power, storage, thrusters, wheels
+from bsk_torch.sim.dyn import drag, events, hub, partitions, power, storage, thrusters, wheels
 from bsk_torch.sim.model import Model
 from bsk_torch.sim.observe import Now, observable, vital
 from bsk_torch.vec3 import Vec3
@@ -200,14 +200,18 @@ class BasicDynamicsModel(EclipseDynModel, DisturbanceTorqueDynModel, Atmospheric
 
 
 class ImagingDynModel(BasicDynamicsModel):
-    """Base of the models with an instrument, a transmitter and a store; :class:`ContinuousImagingDynModel` completes it."""
+    """Adds an instrument that takes images in a tick each, a store of partitions, and a transmitter.
+
+    A step may end with the image that its task asks for.
+    """
 
     components: ClassVar[tuple[Component, ...]] = (
-        storage.INSTRUMENT,
+        partitions.IMAGER,
         storage.INSTRUMENT_POWER,
-        storage.TRANSMITTER,
+        partitions.TRANSMITTER,
         storage.TRANSMITTER_POWER,
-        storage.STORAGE,
+        partitions.PARTITIONED_STORE,
+        events.IMAGE_EVENT,
     )
 
     @observable
@@ -220,9 +224,14 @@ class ImagingDynModel(BasicDynamicsModel):
         """Data over capacity, [N]."""
         return now.storage / now.args.dataStorageCapacity
 
+    @observable
+    def partition_levels(now: Now) -> tuple[Tensor, ...]:
+        """Data in every partition of the store, [N, P] bit."""
+        return now.partitions
+
     @property
     def instrument_baud(self) -> Tensor:
-        """Data rate of the instrument, [N] bit/s."""
+        """Data of one image, [N] bit; where data accumulate, the rate of the instrument, bit/s."""
         return self.satellite.sat_args["instrumentBaudRate"]
 
     @vital
@@ -234,7 +243,19 @@ class ImagingDynModel(BasicDynamicsModel):
 
 
 class ContinuousImagingDynModel(ImagingDynModel):
-    """An instrument that records as long as it points down: data accumulate at a rate."""
+    """An instrument that records as long as it points down: data accumulate at a rate, in a store without partitions."""
+
+    components: ClassVar[tuple[Component, ...]] = (
+        storage.INSTRUMENT,
+        storage.TRANSMITTER,
+        storage.STORAGE,
+        events.NO_IMAGE_EVENT,
+    )
+
+    @observable
+    def partition_levels(now: Now) -> tuple[Tensor, ...]:
+        """Data in the store as if it were its only partition, [N, 1] bit."""
+        return (now.storage,)
 
 
 class GroundStationDynModel(ImagingDynModel):

@@ -56,8 +56,8 @@ def _packet_size(args: Values) -> dict[str, Tensor]:
     }
 
 
-def _initial_store(args: Values) -> dict[str, Tensor]:
-    # Basilisk's counters are integers; more than the capacity does not fit and is left out
+def initial_store(args: Values) -> dict[str, Tensor]:
+    """The level that the store starts with: whole bits, none where they are more than the capacity."""
     level, capacity = torch.trunc(args["storageInit"]), torch.trunc(args["dataStorageCapacity"])
     return {"storage": torch.where(level <= capacity, level, torch.zeros_like(level))}
 
@@ -104,6 +104,6 @@ STORAGE = Component(
     ),
     state=(Field("storage", 1, "bit", exact=True),),
     params=(Field("storage_capacity", 1, "bit", exact=True),),
-    initial=_initial_store,
+    initial=initial_store,
     prepare=lambda args: {"storage_capacity": torch.trunc(args["dataStorageCapacity"])},
 )

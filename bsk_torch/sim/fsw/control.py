@@ -33,7 +33,8 @@ def feed_back(bus: Bus) -> None:
     bus.control_idle = torch.where(on, torch.zeros_like(dt), torch.where(never, bus.control_idle, bus.control_idle + bus.h))
 
 
-def _check_axes(args: Values) -> None:
+def check_control_axes(args: Values) -> None:
+    """Raise ValueError for controlled axes that do not span space."""
     axes = torch.as_tensor(args["controlAxes_B"], dtype=torch.float64).reshape(-1, 3, 3)
     if bool((torch.linalg.det(axes).abs() < 1e-9).any()):
         raise ValueError(
@@ -42,9 +43,15 @@ def _check_axes(args: Values) -> None:
         )
 
 
-def _initial(args: Values) -> dict[str, Tensor]:
+def initial_control(args: Values) -> dict[str, Tensor]:
+    """A controller that has never been called."""
     return {"control_integral": torch.zeros(1, 3).double(), "control_idle": -torch.ones(1).double()}
 
+
+CONTROL_AXES = Arg("controlAxes_B", (1.0, 0, 0, 0, 1.0, 0, 0, 0, 1.0), "-", "controlled axes in B, one after another", "matrix")
+
+CONTROL_STATE = (vec("control_integral"), Field("control_idle", 1, "s", "since the last call; negative: never called"))
+"""What every control law remembers: its integral, and when it was called."""
 
 MRP_FEEDBACK = Component(
     slot="control",
@@ -54,11 +61,11 @@ MRP_FEEDBACK = Component(
         Arg("K", 7.0, "N m", "attitude gain", low=0.0),
         Arg("Ki", -1.0, "-", "integral gain; no integral where not positive"),
         Arg("P", 35.0, "N m s", "rate gain", low=0.0),
-        Arg("controlAxes_B", (1.0, 0, 0, 0, 1.0, 0, 0, 0, 1.0), "-", "controlled axes in B, one after another", "matrix"),
+        CONTROL_AXES,
     ),
-    state=(vec("control_integral"), Field("control_idle", 1, "s", "since the last call; negative: never called")),
+    state=CONTROL_STATE,
     params=(Field("K"), Field("Ki"), Field("P")),
-    initial=_initial,
+    initial=initial_control,
     prepare=lambda args: {name: args[name] for name in ("K", "Ki", "P")},
-    check=_check_axes,
+    check=check_control_axes,
 )

@@ -99,14 +99,6 @@ def _forget(task: str) -> dict[str, Tensor]:
     return {f"{task}_sigma": torch.zeros(1, 3).double(), f"{task}_fresh": torch.ones(1).double()}
 
 
-def aim_at_earth_centre(bus: Bus) -> None:
-    """Target of a scan: a point ten centimetres up the Earth's axis, as bsk_rl sets it, always above its horizon."""
-    bus.target_N = bus.pole.z * 0.1
-    distance, longest = bus.r - bus.target_N, bus.target_range
-    reaches = (distance.dot(distance) <= longest * longest) | (longest < 0.0)
-    bus.target_access = torch.where(reaches, torch.ones_like(bus.r.x), torch.zeros_like(bus.r.x)).to(bus.dtype)
-
-
 def _instrument_axis(args: Values) -> dict[str, Tensor]:
     return {"instrument_axis": unit_rows(args["inst_pHat_B"])}
 
@@ -129,13 +121,4 @@ LOCATION_POINTING = Component(
     initial=lambda args: _forget("location"),
     prepare=_instrument_axis,
     check=check_axis("inst_pHat_B"),
-)
-
-EARTH_CENTRE_TARGET = Component(
-    slot="location_target",
-    order=105,
-    update=aim_at_earth_centre,
-    args=(Arg("imageTargetMaximumRange", -1.0, "m", "longest range to the target; no limit where negative"),),
-    params=(Field("target_range", 1, "m", exact=True),),
-    prepare=lambda args: {"target_range": args["imageTargetMaximumRange"]},
 )

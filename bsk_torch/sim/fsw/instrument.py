@@ -2,21 +2,39 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import torch
+from torch import Tensor
 
 from bsk_torch.sim.component import Arg, Bus, Component, Field
 
 
-def command_scan(bus: Bus) -> None:
-    """Record while the instrument's attitude and rate errors are small and the target is within range.
+def permission(bus: Bus) -> Tensor:
+    """1 while attitude and rate errors are small, the target is accessible and the controller is on, else 0.
 
-    The errors are those of location pointing itself, which is the law that is on. Outside of that task the last command stays,
-    and a later scan finds it.
+    The errors are those of location pointing itself, which is the law that is on.
     """
     error = bus.error
     points = (error.sigma_BR.norm() <= bus.attitude_tolerance) & (error.omega_BR.norm() <= bus.rate_tolerance)
-    records = torch.where(points, bus.controller_on * bus.target_access, torch.zeros_like(bus.instrument_command))
+    return torch.where(points, bus.controller_on * bus.target_access, torch.zeros_like(bus.instrument_command))
+
+
+def command_scan(bus: Bus) -> None:
+    """Record while it is permitted. Outside of location pointing the last command stays, and a later scan finds it."""
+    records = permission(bus)
     bus.instrument_command = torch.where(bus.location_on > 0.0, records, bus.instrument_command)
+
+
+def command_image(bus: Bus) -> None:
+    """Record for one tick, the first that is permitted; ``image_taken`` keeps others from following until a new task.
+
+    Outside of location pointing the last command stays: if it is that of an image, the instrument takes one in every tick.
+    """
+    on = bus.location_on > 0.0
+    takes = permission(bus) * (1.0 - bus.image_taken)
+    bus.instrument_command = torch.where(on, takes, bus.instrument_command)
+    bus.image_taken = torch.where(on & (takes > 0.0), torch.ones_like(takes), bus.image_taken)
 
 
 SCANNING_CONTROLLER = Component(
@@ -34,4 +52,11 @@ SCANNING_CONTROLLER = Component(
         "attitude_tolerance": args["imageAttErrorRequirement"],
         "rate_tolerance": args["imageRateErrorRequirement"],
     },
+)
+
+IMAGE_CONTROLLER = dataclasses.replace(
+    SCANNING_CONTROLLER,
+    update=command_image,
+    state=(*SCANNING_CONTROLLER.state, Field("image_taken", 1, "-", "1 after the image of a task, else 0")),
+    initial=lambda args: {name: torch.zeros(1).double() for name in ("instrument_command", "image_taken")},
 )

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import ClassVar
 
 from bsk_torch.sim.component import Component
-from bsk_torch.sim.fsw import control, desaturation, guidance, instrument
-from bsk_torch.sim.fsw.modes import DUMP_RESET, SUN_RESET, Command, Mode
+from bsk_torch.sim.fsw import control, desaturation, guidance, instrument, steering, target
+from bsk_torch.sim.fsw.modes import DUMP_RESET, IMAGE_RESET, SUN_RESET, Command, Mode
 from bsk_torch.sim.model import Model
 from bsk_torch.sim.observe import Now, observable
 from bsk_torch.vec3 import Vec3
@@ -19,17 +19,18 @@ class FSWModel(Model):
     """Flight software that can be commanded but has no actuators of its own.
 
     ``modes`` maps names to rows of the mode table, ``commands`` maps what actions ask for to modes; both are merged with those
-    of the base classes.
+    of the base classes. None takes the mode of a base class away.
     """
 
     components: ClassVar[tuple[Component, ...]] = (guidance.NAVIGATION,)
-    modes: ClassVar[dict[str, Mode]] = {IDLE: Mode(on=())}
+    modes: ClassVar[dict[str, Mode | None]] = {IDLE: Mode(on=())}
     commands: ClassVar[dict[str, Command]] = {}
 
     @classmethod
     def all_modes(cls) -> dict[str, Mode]:
         """Mode table of the class and its bases."""
-        return {name: mode for base in reversed(cls.__mro__) for name, mode in vars(base).get("modes", {}).items()}
+        table = {name: mode for base in reversed(cls.__mro__) for name, mode in vars(base).get("modes", {}).items()}
+        return {name: mode for name, mode in table.items() if mode is not None}
 
     @classmethod
     def all_commands(cls) -> dict[str, Command]:
@@ -47,7 +48,7 @@ class BasicFSWModel(FSWModel):
         desaturation.DESATURATION,
         control.MRP_FEEDBACK,
     )
-    modes: ClassVar[dict[str, Mode]] = {
+    modes: ClassVar[dict[str, Mode | None]] = {
         "drift": Mode(on=()),
         "charge": Mode(("control_on", "sun_on"), SUN_RESET),
         "nadir_point": Mode(("control_on", "nadir_on")),
@@ -60,11 +61,23 @@ class BasicFSWModel(FSWModel):
     }
 
 
-class ImagingFSWModel(BasicFSWModel):
-    """Base of the models that point an instrument and downlink; :class:`ContinuousImagingFSWModel` completes it."""
+class SteeringFSWModel(BasicFSWModel):
+    """MRP steering with a rate servo instead of MRP feedback."""
 
-    components: ClassVar[tuple[Component, ...]] = (guidance.LOCATION_POINTING, instrument.SCANNING_CONTROLLER)
-    modes: ClassVar[dict[str, Mode]] = {"downlink": Mode(("control_on", "nadir_on", "transmitter_on"))}
+    components: ClassVar[tuple[Component, ...]] = (steering.MRP_STEERING,)
+
+
+class ImagingFSWModel(BasicFSWModel):
+    """Points the instrument at places on the ground, takes one image of each, and downlinks.
+
+    The mode ``"image"`` looks at the place that the state ``target_r_P`` [m, Earth-fixed] holds.
+    """
+
+    components: ClassVar[tuple[Component, ...]] = (guidance.LOCATION_POINTING, instrument.IMAGE_CONTROLLER, target.IMAGE_TARGET)
+    modes: ClassVar[dict[str, Mode | None]] = {
+        "downlink": Mode(("control_on", "nadir_on", "transmitter_on")),
+        "image": Mode(("control_on", "location_on", "controller_on", "instrument_power"), IMAGE_RESET),
+    }
 
     @observable
     def c_hat_P(now: Now) -> Vec3:
@@ -80,7 +93,12 @@ class ImagingFSWModel(BasicFSWModel):
 class ContinuousImagingFSWModel(ImagingFSWModel):
     """Scans along the ground track: the instrument records while it points at the Earth's centre."""
 
-    components: ClassVar[tuple[Component, ...]] = (guidance.EARTH_CENTRE_TARGET,)
-    modes: ClassVar[dict[str, Mode]] = {
+    components: ClassVar[tuple[Component, ...]] = (target.EARTH_CENTRE_TARGET, instrument.SCANNING_CONTROLLER)
+    modes: ClassVar[dict[str, Mode | None]] = {
+        "image": None,
         "nadir_scan": Mode(("control_on", "location_on", "controller_on", "instrument_linked", "instrument_power")),
     }
+
+
+class SteeringImagerFSWModel(SteeringFSWModel, ImagingFSWModel):
+    """Imaging of places with MRP steering."""

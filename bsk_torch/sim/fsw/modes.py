@@ -25,6 +25,7 @@ FLAGS = (
 
 ALWAYS_RESET = {"location_fresh": 1.0, "location_sigma": 0.0}
 SUN_RESET = {"sun_fresh": 1.0, "sun_sigma": 0.0}
+IMAGE_RESET = {"image_taken": 0.0}
 DUMP_RESET = {"dump_calls": 0.0, "dump_counter": 0.0, "dump_remaining": 0.0}
 
 

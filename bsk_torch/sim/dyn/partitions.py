@@ -1,0 +1,233 @@
+"""The instrument that takes images, a store of partitions, and the transmitter that empties them packet by packet.
+
+Basilisk's simpleInstrument, spaceToGroundTransmitter and partitionedStorageUnit as bsk_rl's point imaging connects them, bit by
+bit: these modules subtract times that have been rounded to doubles of seconds, and whether a packet is complete after a tick may
+hang on the last digit. How many partitions there are depends on the arguments, so transmitter and store are made to fit.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from numbers import Real
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from bsk_torch.constants import NANO
+from bsk_torch.sim.component import Arg, Bus, Component, Field, Values
+from bsk_torch.sim.dyn import storage
+from bsk_torch.vec3 import only
+
+STORED_DATA = "STORED DATA"
+"""The partition, after all others, that holds what the store starts with."""
+
+NUM_BUFFERS = 100
+"""Partitions where the user names none."""
+
+Levels = tuple[Tensor, ...]
+"""Data in every partition, bit."""
+
+
+# -- which partitions --------------------------------------------------------------------------------------------------------
+
+
+def partition_names(given: Mapping[str, Any]) -> tuple[str, ...]:
+    """Names of the partitions that the arguments ask for, in order; ValueError where they do not fit together."""
+    names, count = given["bufferNames"], given["transmitterNumBuffers"]
+    if not isinstance(count, Real) or not float(count).is_integer() or float(count) < 1.0:
+        raise ValueError(
+            f"sat_args: transmitterNumBuffers={count!r} must be a whole number of at least 1, the same for all environments"
+        )
+    count = int(float(count))
+    if names is None:
+        named = tuple(str(k) for k in range(count))
+    else:
+        named = _checked(names)
+        if count not in (NUM_BUFFERS, len(named)):
+            raise ValueError(f"sat_args: transmitterNumBuffers={count} differs from the number of bufferNames={list(named)}")
+    return (*named, STORED_DATA) if _starts_with_data(given) else named
+
+
+def _checked(names: Any) -> tuple[str, ...]:
+    wrong = isinstance(names, str) or not isinstance(names, Sequence) or not all(isinstance(n, str) and n for n in names)
+    if wrong or not names or len(set(names)) < len(names) or STORED_DATA in names:
+        raise ValueError(
+            f"sat_args: bufferNames={names!r} must be a list of different names, at least one and none of them {STORED_DATA!r}, "
+            "the same for all environments; or None for transmitterNumBuffers partitions"
+        )
+    return tuple(names)
+
+
+def _starts_with_data(given: Mapping[str, Any]) -> bool:
+    level = given["storageInit"]
+    return not (isinstance(level, Real) and level == 0)
+
+
+# -- instrument --------------------------------------------------------------------------------------------------------------
+
+
+def take_images(bus: Bus) -> None:
+    """Data rate, bit/s, at which an image takes one tick, under the command that the flight software wrote one tick ago.
+
+    A command that nobody takes back goes on: an image in every tick.
+    """
+    bus.instrument_rate = bus.instrument_baud / bus.h * bus.instrument_command
+
+
+# -- transmitter -------------------------------------------------------------------------------------------------------------
+
+
+def _time(bus: Bus, ago: int = 0) -> Tensor:
+    """Time, s, at the end of this tick or of an earlier one, rounded as Basilisk rounds it."""
+    # abs keeps compilers from fusing the product into a difference, which would round once instead of twice
+    return torch.abs((bus.ticks - float(ago)) * bus.h_ns * NANO)
+
+
+def _level(levels: Levels, index: Tensor) -> Tensor:
+    """Level of the partition number ``index``."""
+    level = levels[0]
+    for k, other in enumerate(levels[1:], 1):
+        level = torch.where(index == k, other, level)
+    return level
+
+
+def _fullest(levels: Levels, floor: Tensor) -> tuple[Tensor, Tensor]:
+    """Number and level of the first partition that holds most and more than ``floor``; -1 and ``floor`` where none does."""
+    index, most = torch.full_like(floor, -1.0), floor
+    for k, level in enumerate(levels):
+        more = level > most
+        index, most = torch.where(more, float(k), index), torch.where(more, level, most)
+    return index, most
+
+
+def transmit(bus: Bus) -> None:
+    """Data rate, bit/s (negative), of the transmitter, and the partition that it empties, by the levels of one tick ago.
+
+    ``packet`` (negative bits) is what has been sent of the packet under way; both stay while the transmitter is off, and its
+    first tick accounts for all the time since.
+    """
+    one = len(bus.partitions) == 1
+    source = torch.zeros_like(bus.packet) if one else bus.packet_partition
+    on, now, off = bus.transmitter_on > 0.0, _time(bus), (torch.zeros_like(bus.packet), bus.packet, source)
+    bus.transmitter_rate, bus.packet, bus.packet_partition = only(on, lambda: _send(bus, source, now), off)
+    bus.transmitter_time = torch.where(on, now, bus.transmitter_time)
+
+
+def _send(bus: Bus, source: Tensor, now: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Data rate, packet and its partition after a tick in which the transmitter is on.
+
+    A packet starts in the partition that holds most, if that is a whole packet, and it is lost with the station. Where its
+    partition has run dry on the way, the next one may start in the same tick, but nothing is sent in it.
+    """
+    levels, size, zero = bus.partitions, bus.packet_size, torch.zeros_like(bus.packet)
+    sent = -torch.abs(bus.transmitter_baud * (now - bus.transmitter_time))
+    packet = torch.where(bus.packet <= size, zero, bus.packet)
+    level = _level(levels, source)
+    dry, continues = (packet != 0.0) & (level <= 0.0), (packet != 0.0) & (level > 0.0)
+    fullest, most = _fullest(levels, torch.where(dry, 0.0, zero - 1.0))
+    source, level = torch.where(continues, source, fullest), torch.where(continues, level, most)
+    works = (_station_access(bus) > 0.0) & (continues | ((fullest >= 0.0) & (level >= -size)))
+    progress = torch.where(level + sent < 0.0, -level, torch.where(continues, packet, zero) + sent)
+    return torch.where(works & ~dry, bus.transmitter_baud, zero), torch.where(works, progress, zero), source
+
+
+def _station_access(bus: Bus) -> Tensor:
+    return bus.station_access if bus.has("station_access") else torch.zeros_like(bus.packet)
+
+
+# -- store -------------------------------------------------------------------------------------------------------------------
+
+
+def _whole(bits: Tensor) -> Tensor:
+    """Bits, not negative, rounded half up."""
+    down = torch.floor(bits)
+    return torch.where(bits - down >= 0.5, down + 1.0, down)
+
+
+def _changed(levels: Levels, index: Any, change: Tensor) -> Levels:
+    """Levels with ``change`` added to the partition number ``index``."""
+    if len(levels) == 1:
+        return (levels[0] + change,)
+    return tuple(torch.where(index == k, level + change, level) for k, level in enumerate(levels))
+
+
+def store(bus: Bus) -> None:
+    """Add the instrument's bits to the partition of the present task, then take the transmitter's from that of its packet.
+
+    Bits of a tick that would overfill the store are dropped whole; a partition with less than what is sent ends up empty.
+    """
+    span = _time(bus) - _time(bus, 1)
+    data = _whole(torch.abs(bus.instrument_rate * span))
+    fits = (data > 0.0) & (bus.storage + data <= bus.storage_capacity)
+    into = None if len(bus.partitions) == 1 else bus.data_partition
+    levels = only(fits, lambda: _changed(bus.partitions, into, data), bus.partitions)
+    total = torch.where(fits, bus.storage + data, bus.storage)
+
+    def drained() -> tuple[Levels, Tensor]:
+        level, bits = _level(levels, bus.packet_partition), torch.abs(bus.transmitter_rate * span)
+        removed = -torch.where(level - bits >= 0.0, _whole(bits), level)
+        return _changed(levels, bus.packet_partition, removed), total + removed
+
+    bus.partitions, bus.storage = only(bus.transmitter_rate < 0.0, drained, (levels, total))
+
+
+# -- components --------------------------------------------------------------------------------------------------------------
+
+
+def _zeros(*names: str) -> dict[str, Tensor]:
+    return {name: torch.zeros(1, dtype=torch.float64) for name in names}
+
+
+def transmitter(partitions: int) -> Component:
+    """Transmitter of a store with this many partitions."""
+    names = ("packet", "transmitter_time", *(("packet_partition",) if partitions > 1 else ()))
+    fields = {
+        "packet": Field("packet", 1, "bit", "sent of the packet under way, negative", exact=True),
+        "transmitter_time": Field("transmitter_time", 1, "s", "when the transmitter last ran", exact=True),
+        "packet_partition": Field("packet_partition", 1, "-", "partition that the packet comes from", exact=True),
+    }
+    return dataclasses.replace(
+        storage.TRANSMITTER,
+        update=transmit,
+        state=tuple(fields[name] for name in names),
+        initial=lambda args: _zeros(*names),
+        fit=lambda given: transmitter(len(partition_names(given))),
+    )
+
+
+def partitioned_store(partitions: int, starts_with_data: bool = False) -> Component:
+    """Store of this many partitions, the last of which holds what the store starts with, if ``starts_with_data``."""
+
+    def initial(args: Values) -> dict[str, Tensor]:
+        total = storage.initial_store(args)["storage"]
+        levels = torch.zeros(len(total), partitions, dtype=torch.float64)
+        if starts_with_data:
+            levels[:, -1] = total
+        return {"storage": total, "partitions": levels} | (_zeros("data_partition") if partitions > 1 else {})
+
+    task = (Field("data_partition", 1, "-", "partition that the instrument writes to"),) if partitions > 1 else ()
+    return dataclasses.replace(
+        storage.STORAGE,
+        update=store,
+        args=(*storage.STORAGE.args, BUFFER_NAMES),
+        state=(*storage.STORAGE.state, Field("partitions", partitions, "bit", many=True, exact=True), *task),
+        initial=initial,
+        fit=lambda given: partitioned_store(len(partition_names(given)), _starts_with_data(given)),
+    )
+
+
+BUFFER_NAMES = Arg(
+    "bufferNames", None, "-", "names of the partitions; None: transmitterNumBuffers of them, named by number", "constant"
+)
+
+IMAGER = dataclasses.replace(
+    storage.INSTRUMENT,
+    update=take_images,
+    args=(Arg("instrumentBaudRate", 8e6, "bit", "data of one image", low=0.0),),
+)
+
+TRANSMITTER = transmitter(NUM_BUFFERS)
+
+PARTITIONED_STORE = partitioned_store(NUM_BUFFERS)

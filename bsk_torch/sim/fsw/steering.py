@@ -1,0 +1,84 @@
+"""Attitude control in two loops: a steering law asks for a body rate, a rate servo makes the wheels reach it.
+
+Sources: Basilisk's modules mrpSteering and rateServoFullNonlinear; Schaub and Piggott, "Speed-constrained three-axes attitude
+control using kinematic steering", Acta Astronautica 147, 2018.
+"""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor
+
+from bsk_torch.astro.attitude import mrp_rate
+from bsk_torch.sim.component import Arg, Bus, Component, Field
+from bsk_torch.sim.dyn.wheels import SPIN_INERTIA
+from bsk_torch.sim.fsw.control import CONTROL_AXES, CONTROL_STATE, check_control_axes, initial_control
+from bsk_torch.vec3 import Vec3, only, select
+
+
+def steering_rate(sigma: Vec3, K1: Tensor, K3: Tensor, omega_max: Tensor) -> tuple[Vec3, Vec3]:
+    """Rate, rad/s, of the body relative to the reference that takes the error ``sigma`` away, and its derivative, rad/s^2.
+
+    ``w = -(2 omega_max / pi) atan(y)`` with ``y = (K1 s + K3 s^3) pi / (2 omega_max)``, axis by axis, never faster than
+    ``omega_max``; the derivative is that along ``s' = 1/4 B(s) w``.
+    """
+    y = sigma.map(lambda s: (K1 * s + K3 * s * s * s) * (0.5 * math.pi / omega_max))
+    rate = y.map(torch.atan) * (omega_max * (-2.0 / math.pi))
+    slope = sigma.map(lambda s, y: (K1 + 3.0 * K3 * s * s) / (1.0 + y * y), y)
+    return rate, -slope.scale(mrp_rate(sigma, rate))
+
+
+def steer(bus: Bus) -> None:
+    """Motor torque command ``u = P e + Ki z - w* x H - I (w_R' + w_s' - w x w_R)``, opposite to the torque on the body.
+
+    ``e = w - w*`` is the error of the rate ``w* = w_s + w_R`` that the steering law asks for, and ``z`` its integral, within
+    +-0.2 / servo_Ki, which acts where ``servo_Ki`` is positive and whose first call has dt = 0; ``H`` is the momentum of hub and
+    wheels. Where control is off the command holds, and the clock of the integral runs.
+    """
+    on, never = bus.control_on > 0.0, bus.control_idle < 0.0
+    waited = torch.where(never, bus.control_idle, bus.control_idle + bus.h)
+
+    def law() -> tuple[Vec3, Vec3]:
+        s, w_BR, w_R, dw_R = bus.error
+        w_s, dw_s = steering_rate(s, bus.K1, bus.K3, bus.omega_max)
+        w, w_star = w_BR + w_R, w_s + w_R
+        e = w - w_star
+        z = _integral(bus, e, torch.where(never, torch.zeros_like(waited), waited))
+        H = bus.inertia.scale(w) + (w + bus.Omega) * SPIN_INERTIA
+        acceleration = dw_R + dw_s - w.cross(w_R)
+        return e * bus.servo_P + z * bus.servo_Ki - w_star.cross(H) - bus.inertia.scale(acceleration), z
+
+    bus.motor_torque_command, bus.control_integral = only(on, law, (bus.motor_torque_command, bus.control_integral))
+    bus.control_idle = torch.where(on, torch.zeros_like(waited), waited)
+
+
+def _integral(bus: Bus, e: Vec3, dt: Tensor) -> Vec3:
+    """Integral of the rate error, rad; zero where there is none."""
+    integrates = bus.servo_Ki > 0.0
+    limit = 0.2 / torch.where(integrates, bus.servo_Ki, torch.ones_like(bus.servo_Ki))
+    z = (bus.control_integral + e * dt).map(lambda x: torch.minimum(torch.maximum(x, -limit), limit))
+    return select(integrates, z, Vec3.zeros_like(e.x))
+
+
+GAINS = ("K1", "K3", "omega_max", "servo_Ki", "servo_P")
+
+MRP_STEERING = Component(
+    slot="control",
+    order=307,
+    update=steer,
+    args=(
+        Arg("K1", 0.25, "rad/s", "steering gain of small errors", low=0.0),
+        Arg("K3", 3.0, "rad/s", "steering gain of large errors", low=0.0),
+        Arg("omega_max", math.radians(3.0), "rad/s", "fastest rate that the steering law asks for", low=1e-9),
+        Arg("servo_Ki", 5.0, "N m/rad", "integral gain of the rate servo; no integral where not positive"),
+        Arg("servo_P", 150.0, "N m s", "gain of the rate servo", low=0.0),
+        CONTROL_AXES,
+    ),
+    state=CONTROL_STATE,
+    params=tuple(Field(name) for name in GAINS),
+    initial=initial_control,
+    prepare=lambda args: {name: args[name] for name in GAINS},
+    check=check_control_axes,
+)

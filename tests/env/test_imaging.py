@@ -1,0 +1,495 @@
+"""Imaging environments: which target an action means, how its step ends, what is paid and counted, what agents see."""
+
+import math
+
+import pytest
+import torch
+from tensordict import TensorDict
+from torchrl.envs import check_env_specs
+
+import bsk_torch
+from bsk_torch import SatelliteTasking, act, data, dyn, fsw, obs, rand, sats, scene
+from bsk_torch.presets.aeos import agile_args
+from bsk_torch.sim.access import next_of
+
+pytestmark = pytest.mark.compiled
+
+AHEAD = 6
+TARGETS = 700
+
+
+class Imager(sats.ImagingSatellite):
+    observation_spec = (
+        obs.SatProperties(dict(prop="storage_level_fraction")),
+        obs.OpportunityProperties(
+            dict(prop="priority"),
+            dict(prop="opportunity_open"),
+            dict(prop="opportunity_close"),
+            dict(fn=lambda satellite, targets: targets.place, name="place"),
+            n_ahead_observe=AHEAD,
+        ),
+        obs.Time(norm=1.0),
+    )
+    action_spec = (act.Charge(duration=60.0), act.Image(n_ahead_image=AHEAD))
+    fsw_type = fsw.ImagingFSWModel
+
+
+def varied(**attributes):
+    return type("Varied", (Imager,), attributes)
+
+
+def imager(num_envs=4, satellite=Imager, sat_args=None, targets=None, options=None, **settings):
+    """Episodes of half an orbit over hundreds of targets."""
+    args = agile_args() | dict(imageRateErrorRequirement=0.02, K=7.0, P=35.0) | (sat_args or {})
+    args = {name: value for name, value in args.items() if name not in ("omega_max", "servo_P")}
+    defaults = dict(time_limit=2850.0, seed=5, dtype=torch.float64, rewarder=data.UniqueImageReward())
+    scenario = targets or scene.UniformTargets(TARGETS)
+    return SatelliteTasking(satellite("EO", args, **(options or {})), scenario, num_envs=num_envs, **(defaults | settings))
+
+
+def step(env, action):
+    action = torch.as_tensor(action).expand(env.num_envs).clone()
+    return env.step(TensorDict({"action": action}, env.batch_size))["next"]
+
+
+def column(env, td, name, slot=0):
+    return td["observation"][:, env.satellite.observation_description.index(f"target.target_{slot}.{name}")]
+
+
+@pytest.fixture
+def num_envs(monkeypatch):
+    monkeypatch.setattr(SatelliteTasking, "num_envs", property(lambda env: env.batch_size[0]), raising=False)
+
+
+pytestmark = [pytest.mark.compiled, pytest.mark.usefixtures("num_envs")]
+
+
+def test_specs():
+    check_env_specs(imager(2), break_when_any_done="both")
+    check_env_specs(bsk_torch.make("AEOS-v1", num_envs=2, n_targets=(50, 90), as_set=True, time_limit=600.0))
+
+
+def test_an_image_pays_its_priority_once_and_ends_the_step():
+    """The step ends when the store has grown by one image; the target then disappears, and the counters move on."""
+    env = imager(8)
+    td = env.reset()
+    paid = torch.zeros(8, dtype=torch.float64)
+    for _ in range(12):
+        worth, place, close = (column(env, td, name) for name in ("priority", "place", "opportunity_close"))
+        before, level = env.satellite.imaged.clone(), env.satellite.dynamics.storage_level
+        td = step(env, 1)
+        taken = env.satellite.imaged > before
+        assert torch.equal(env.satellite.dynamics.storage_level - level, taken * 8e6)
+        assert torch.equal(td["reward"].squeeze(-1), torch.where(taken, worth, 0.0))
+        duration = td["duration"].squeeze(-1)
+        running = ~td["done"].squeeze(-1)
+        assert (duration[taken & running] < close[taken & running]).all()
+        assert torch.equal(duration[~taken & running], torch.ceil(close[~taken & running]))
+        assert env.rewarder.imaged.gather(1, place.long().unsqueeze(-1)).squeeze(-1)[taken].all()
+        seen = torch.stack([column(env, td, "place", k) for k in range(AHEAD)], 1)
+        assert not (seen == place.unsqueeze(-1))[taken].any()
+        paid += td["reward"].squeeze(-1)
+        if not running.all():
+            break
+    assert env.satellite.imaged.sum() > 8
+    assert torch.equal(env.rewarder.imaged.sum(1), env.satellite.imaged)
+    expected = (env.rewarder.imaged * env.scenario.priority).sum(1)
+    torch.testing.assert_close(paid, expected, rtol=1e-12, atol=0)
+    assert torch.equal(td["counts", "imaged"].squeeze(-1), env.satellite.imaged)
+
+
+def test_rows_are_what_actions_mean():
+    env = imager(4)
+    td = env.reset()
+    for slot in (3, 0, 5):
+        place = column(env, td, "place", slot)
+        td = step(env, 1 + slot)
+        assert torch.equal(env.satellite.latest_target.double(), place)
+        r_P = env.simulator.read("target_r_P")
+        torch.testing.assert_close(r_P, env.scenario.r_LP_P[torch.arange(4), place.long()], rtol=0, atol=0)
+
+
+def test_missed_windows_are_counted():
+    """With an attitude tolerance that is never met every window closes without an image."""
+    env = imager(3, sat_args=dict(imageAttErrorRequirement=0.0))
+    env.reset()
+    for k in range(3):
+        td = step(env, 1)
+        assert (td["reward"] == 0).all()
+        assert env.satellite.missed.tolist() == [k + 1] * 3
+    assert env.satellite.imaged.tolist() == [0] * 3
+    assert td["counts", "missed"].squeeze(-1).tolist() == [3] * 3
+
+
+def test_the_same_target_again_only_waits_on():
+    """The second action waits for the window to close: the controller has taken its one image."""
+    env = imager(6, rewarder=data.NoReward())
+    env.reset()
+    step(env, 4)
+    once = env.satellite.imaged == 1
+    assert once.sum() > 1
+    target, begin = env.satellite.latest_target, env.simulator.sim_time
+    close = env.satellite.window_of(target)[1]
+    td = step(env, act.of_target(torch.where(once, target, env.satellite.find_next_opportunities(1).place.squeeze(1))))
+    assert (env.satellite.imaged[once] == 1).all()
+    torch.testing.assert_close(td["duration"].squeeze(-1)[once], (torch.ceil(close) - begin)[once], rtol=0, atol=1e-9)
+
+
+def test_explicit_targets():
+    env = imager(4)
+    td = env.reset()
+    place = column(env, td, "place", 2).long()
+    other = imager(4)
+    other.reset()
+    one, two = step(env, act.of_target(place)), step(other, 3)
+    for key in ("observation", "reward", "duration"):
+        assert torch.equal(one[key], two[key])
+    never = int((~torch.isfinite(env.satellite.next_opportunities("target")[1][0])).nonzero()[0])
+    with pytest.raises(ValueError, match=f"environment 0 asks for target {never}, which has been imaged"):
+        step(env, act.of_target(never))
+    with pytest.raises(ValueError, match=f"-1 to -{TARGETS} for a target by its index"):
+        step(env, -TARGETS - 1)
+
+
+def test_longest_duration():
+    env = imager(4, satellite=varied(action_spec=(act.Image(AHEAD, max_duration=7.0),)))
+    env.reset()
+    td = step(env, AHEAD - 1)
+    assert (td["duration"] == 7.0).all()
+    assert env.satellite.missed.tolist() == [0] * 4
+
+
+def test_equal_intervals():
+    """Without variable intervals an image ends no step, but asks for a new task."""
+    env = imager(6, options=dict(variable_interval=False), max_step_duration=250.0)
+    env.reset()
+    taken = torch.zeros(6, dtype=torch.bool)
+    for _ in range(4):
+        before = env.satellite.imaged.clone()
+        td = step(env, 1)
+        new = env.satellite.imaged > before
+        assert (td["duration"] == 250.0).all()
+        assert env.requires_retasking[new].all()
+        taken |= new
+    assert taken.any()
+
+
+def test_mask_of_repeated_targets():
+    env = imager(3, satellite=varied(action_spec=(act.Charge(duration=60.0), act.Image(AHEAD, mask_repeated=True))),
+                 targets=scene.UniformTargets(20), time_limit=600.0,
+                 options=dict(max_generation_duration_beyond_initial=6000.0))  # fmt: skip
+    td = env.reset()
+    found = env.satellite.find_next_opportunities(AHEAD).found
+    assert torch.equal(td["action_mask"].sum(1), 1 + found)
+    assert (imager(3).reset()["action_mask"]).all()
+
+
+def test_fewer_windows_than_slots_repeat_the_last():
+    env = imager(5, targets=scene.UniformTargets(150), options=dict(max_generation_duration_beyond_initial=0.0))
+    td = env.reset()
+    ahead = env.satellite.find_next_opportunities(AHEAD)
+    assert (ahead.found < AHEAD).any()
+    for row in range(5):
+        k = int(ahead.found[row])
+        assert (ahead.place[row, k:] == ahead.place[row, k - 1]).all()
+        assert ahead.mask[row].tolist() == [True] * k + [False] * (AHEAD - k)
+    assert torch.equal(column(env, td, "place", AHEAD - 1).long(), ahead.place[:, -1])
+
+
+def test_different_numbers_of_targets_in_a_batch():
+    env = imager(12, targets=scene.UniformTargets((40, 400)))
+    env.reset()
+    exists = env.scenario.available
+    assert len(set(exists.sum(1).tolist())) > 6
+    windows = env.satellite.opportunities("target")
+    known = torch.isfinite(windows.close)
+    assert exists.gather(1, windows.place)[known].all()
+    step(env, 2)
+
+
+def test_one_alone_equals_one_of_many():
+    """Bit for bit, whatever the others do, over resets and a pool."""
+    plan = torch.randint(0, AHEAD + 1, (9, 40), generator=torch.Generator().manual_seed(1))
+    many = imager(40, time_limit=900.0)
+    td = many.reset()
+    alone = {i: imager(1, time_limit=900.0, env_ids=[i]) for i in (0, 17)}
+    ones = {i: env.reset() for i, env in alone.items()}
+    for action in plan:
+        td = many.step(TensorDict({"action": action}, [40]))["next"]
+        for i, env in alone.items():
+            ones[i] = env.step(TensorDict({"action": action[i : i + 1]}, [1]))["next"]
+            for key in ("observation", "reward", "duration", "done"):
+                assert torch.equal(ones[i][key][0], td[key][i]), (i, key)
+        ends = td["done"]
+        if ends.any():
+            many.reset(TensorDict({"_reset": ends}, [40]))
+            for i, env in alone.items():
+                if ends[i]:
+                    env.reset()
+
+
+def test_saving_and_restoring():
+    env = imager(5)
+    env.reset()
+    for action in (1, 2, 1):
+        step(env, action)
+    state = env.get_state()
+    first = [step(env, action) for action in (1, 3, 1)]
+    counts = env.satellite.imaged.clone(), env.rewarder.imaged.clone()
+    other = imager(5)
+    other.reset()
+    other.reset(TensorDict({"state": state}, other.batch_size), set_state=True)
+    second = [step(other, action) for action in (1, 3, 1)]
+    for a, b in zip(first, second, strict=True):
+        assert all(torch.equal(a[key], b[key]) for key in ("observation", "reward", "duration"))
+    assert torch.equal(other.satellite.imaged, counts[0])
+    assert torch.equal(other.rewarder.imaged, counts[1])
+
+
+def test_partial_resets_keep_what_others_have_imaged():
+    env = imager(4)
+    env.reset()
+    for _ in range(4):
+        step(env, 1)
+    imaged, counts = env.rewarder.imaged.clone(), env.satellite.imaged.clone()
+    mask = torch.tensor([[True], [False], [False], [True]])
+    env.reset(TensorDict({"_reset": mask}, [4]))
+    assert env.rewarder.imaged[0].sum() == env.rewarder.imaged[3].sum() == 0
+    assert torch.equal(env.rewarder.imaged[1:3], imaged[1:3])
+    assert env.satellite.imaged.tolist() == [0, *counts[1:3].tolist(), 0]
+    assert env.satellite.latest_target[[0, 3]].tolist() == [-1, -1]
+
+
+def test_full_store():
+    """A store that holds one image: the second action waits until its window closes, and pays nothing."""
+    env = imager(6, sat_args=dict(dataStorageCapacity=8e6))
+    env.reset()
+    paid = torch.stack([step(env, 1)["reward"].squeeze(-1) for _ in range(8)])
+    assert (env.satellite.imaged <= 1).all()
+    assert env.satellite.imaged.any()
+    assert ((paid > 0).sum(0) == env.satellite.imaged).all()
+
+
+def test_no_image_when_the_time_limit_comes_first():
+    env = imager(4, time_limit=30.0, options=dict(initial_generation_duration=1200.0))
+    env.reset()
+    td = step(env, AHEAD)
+    assert td["truncated"].all()
+    assert (td["duration"] == 30.0).all()
+    assert env.satellite.missed.tolist() == [0] * 4
+
+
+def test_rolling_look_ahead_stays_bounded():
+    """Without a time limit windows are generated as they are needed, and forgotten when they have closed."""
+    env = imager(3, time_limit=float("inf"))
+    env.reset()
+    widths = []
+    for _ in range(40):
+        step(env, 1)
+        widths.append(env.simulator.access.windows["target"].close.shape[1])
+    assert float(env.simulator.sim_time.min()) > 3000.0
+    assert max(widths) < 150
+    assert (env.simulator.access.ready >= env.simulator.sim_time).all()
+
+
+def test_queries():
+    env = imager(3)
+    env.reset()
+    every, coming = env.satellite.opportunities("target"), env.satellite.upcoming_opportunities("target")
+    assert torch.equal(every.close, coming.close)
+    step(env, 1)
+    now = env.simulator.sim_time
+    coming = env.satellite.upcoming_opportunities("target")
+    assert (coming.close[torch.isfinite(coming.close)] > 0).all()
+    assert (coming.close >= now.unsqueeze(-1)).all()
+    assert not env.rewarder.imaged.gather(1, coming.place)[torch.isfinite(coming.close)].any()
+    opens, close = env.satellite.next_opportunities("target")
+    first = env.satellite.find_next_opportunities(1)
+    assert torch.equal(close.amin(1), first.close.squeeze(1))
+    assert torch.equal(opens.gather(1, first.place), first.open)
+    known = env.satellite.opportunities_dict(1, upcoming=True)
+    assert sum(len(windows) for windows in known.values()) == int(torch.isfinite(coming.close[1]).sum())
+    assert next_of(env.simulator.access.windows["target"], now, env.simulator.access.until, 1, None)[0].close.shape == (3, 1)
+    with pytest.raises(ValueError, match="did you mean 'target'"):
+        env.satellite.find_next_opportunities(3, "targets")
+
+
+def test_access_filters_of_users():
+    """Only targets of the northern hemisphere."""
+    env = imager(3)
+    env.satellite.add_access_filter(lambda: env.scenario.r_LP_P[..., 2] > 0.0)
+    env.reset()
+    ahead = env.satellite.find_next_opportunities(AHEAD)
+    assert (ahead.r_LP_P[..., 2] > 0.0).all()
+
+
+def test_composed_rewards_keep_their_terms():
+    """bsk_rl's composition loses the filter of imaged targets; here it stays."""
+    drain = data.ResourceReward(lambda satellite: satellite.dynamics.storage_level_fraction, reward_weight=-1.0)
+    env = imager(4, rewarder=data.ComposedReward(data.UniqueImageReward(), drain))
+    env.reset()
+    for _ in range(4):
+        td = step(env, 1)
+        terms = env.rewarder.terms
+        total = terms["UniqueImageReward"] + terms["ResourceReward"]
+        torch.testing.assert_close(td["reward"].squeeze(-1), total, rtol=1e-12, atol=1e-15)
+    assert env.satellite.imaged.any()
+    assert torch.equal(env.rewarder.imaged.sum(1), env.satellite.imaged)
+    assert td["counts", "duplicates"].sum() == 0
+
+
+def test_clouds_hide_what_is_below():
+    """Of two equal targets one is overcast: only the clear one pays, and both disappear."""
+    clouds = scene.CloudyTargets(scene.UniformTargets(TARGETS), cover=rand.Uniform(0.0, 1.0))
+    env = imager(8, targets=clouds, rewarder=data.CloudFreeImageReward(threshold=0.5))
+    env.reset()
+    paid = 0.0
+    for _ in range(8):
+        paid += float(step(env, 1)["reward"].sum())
+    imaged, cover = env.rewarder.imaged, env.scenario.cloud_cover
+    expected = float((imaged & (cover <= 0.5)).mul(env.scenario.priority).sum())
+    assert paid == pytest.approx(expected, rel=1e-12)
+    covered = env.rewarder.memory["covered"]
+    assert torch.equal(covered, (imaged & (cover > 0.5)).sum(1))
+    assert covered.any()
+
+
+def test_wildfires_pay_what_was_seen_at_the_decision():
+    env = imager(6, targets=scene.Wildfires(600), options=dict(may_see_nothing=True))
+    td = env.reset()
+    for _ in range(6):
+        worth = column(env, td, "priority")
+        before = env.satellite.imaged.clone()
+        td = step(env, 1)
+        taken = env.satellite.imaged > before
+        torch.testing.assert_close(td["reward"].squeeze(-1), torch.where(taken, worth, 0.0), rtol=0, atol=0)
+
+
+def test_geometry_of_targets():
+    """What presets say of a target, from definitions in the inertial frame."""
+    names = ("r_LB_H", "target_angle", "target_angle_rate", "opportunity_mid", "opportunity_open", "opportunity_close", "r_LP_P")
+    seen = obs.OpportunityProperties(*(dict(prop=name) for name in names), n_ahead_observe=3)
+    env = imager(4, satellite=varied(observation_spec=(seen,)))
+    env.reset()
+    td = step(env, 1)
+    description = env.satellite.observation_description
+    model, world = env.satellite.dynamics, env.simulator.world
+    c_N = (model.BN.mT @ torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)).squeeze(-1)
+    for k in range(3):
+        value = {
+            n: td["observation"][:, [j for j, d in enumerate(description) if d.split("[")[0] == f"target.target_{k}.{n}"]]
+            for n in names
+        }
+        r_LP_N = (world.PN.mT @ value["r_LP_P"].unsqueeze(-1)).squeeze(-1)
+        rho = r_LP_N - model.r_BN_N
+        hill = (model.HN @ rho.unsqueeze(-1)).squeeze(-1)
+        torch.testing.assert_close(value["r_LB_H"], hill, rtol=0, atol=1e-3)  # m; the Earth's angle is rounded to 1e-11 rad
+        angle = torch.acos((rho * c_N).sum(-1) / rho.norm(dim=-1))
+        torch.testing.assert_close(value["target_angle"].squeeze(-1), angle, rtol=0, atol=1e-9)
+        # the line of sight turns, seen from the turning Earth, because the satellite moves
+        v = model.v_BN_N - torch.linalg.cross(world.omega_PN_N, model.r_BN_N)
+        turn = -torch.linalg.cross(rho, v) / (rho * rho).sum(-1, keepdim=True)
+        omega_BP_N = (model.BN.mT @ model.omega_BN_B.unsqueeze(-1)).squeeze(-1) - world.omega_PN_N
+        rate = (omega_BP_N - turn).norm(dim=-1)
+        torch.testing.assert_close(value["target_angle_rate"].squeeze(-1), rate, rtol=1e-8, atol=0)
+        middle = 0.5 * (value["opportunity_open"] + value["opportunity_close"])
+        torch.testing.assert_close(value["opportunity_mid"], middle, rtol=0, atol=1e-9)
+
+
+def test_sets_and_vectors_say_the_same():
+    options = dict(num_envs=3, n_targets=300, seed=2, time_limit=900.0, dtype=torch.float64)
+    vector, rows = bsk_torch.make("AEOS-v1", **options), bsk_torch.make("AEOS-v1", as_set=True, **options)
+    flat, nested = vector.reset()["observation"], rows.reset()["observation"]
+    features = nested["target", "rows"].shape[-1]
+    assert torch.equal(flat[:, 12 : 12 + 32 * features], nested["target", "rows"].flatten(1))
+    assert nested["target", "mask"].shape == (3, 32)
+
+
+class TestBadInput:
+    def test_targets_on_a_satellite_that_sees_none(self):
+        class Blind(sats.AccessSatellite):
+            observation_spec = (obs.Time(),)
+            action_spec = (act.Charge(duration=60.0),)
+
+        with pytest.raises(ValueError, match=r"needs a satellite that sees targets, such as a sats\.ImagingSatellite"):
+            SatelliteTasking(Blind("B"), scene.UniformTargets(10), backend="eager")
+
+    def test_images_without_targets(self):
+        with pytest.raises(ValueError, match="and a scenario with targets"):
+            imager(1, targets=scene.UniformNadirScanning())
+        with pytest.raises(ValueError, match=r"a scenario with targets, such as scene\.UniformTargets"):
+            SatelliteTasking(varied(observation_spec=(obs.Time(),))("E"), backend="eager")
+
+    def test_observation_of_targets_without_access(self):
+        class Blind(sats.Satellite):
+            observation_spec = (obs.OpportunityProperties(dict(prop="priority"), n_ahead_observe=1),)
+            action_spec = (act.Charge(duration=60.0),)
+
+        with pytest.raises(ValueError, match=r"targets need a sats\.ImagingSatellite and a scenario"):
+            SatelliteTasking(Blind("B"), backend="eager")
+
+    @pytest.mark.parametrize("limit", [0.0, -0.1, math.pi / 2, 58.0])
+    def test_elevation_limits(self, limit):
+        with pytest.raises(ValueError, match="imageTargetMinimumElevation"):
+            imager(2, sat_args=dict(imageTargetMinimumElevation=limit), backend="eager")
+
+    def test_numbers_of_targets_ahead(self):
+        with pytest.raises(ValueError, match="n_ahead_image=0"):
+            act.Image(0)
+        with pytest.raises(ValueError, match="max_duration=-1"):
+            act.Image(3, max_duration=-1.0)
+
+    def test_nothing_in_reach(self):
+        """A satellite over the equator never sees a target at the pole."""
+        pole = scene.Targets([[0.0, 0.0, 6378136.6]], 1.0)
+        with pytest.raises(RuntimeError, match=r"no target comes into view of environments \[0\]"):
+            imager(2, targets=pole, sat_args=dict(oe=rand.random_orbit(i=0.0)))
+
+    def test_satellites_that_may_see_nothing_wait(self):
+        pole = scene.Targets([[0.0, 0.0, 6378136.6]], 1.0)
+        options = dict(sat_args=dict(oe=rand.random_orbit(i=0.0)), options=dict(may_see_nothing=True))
+        env = imager(
+            3,
+            targets=pole,
+            satellite=varied(action_spec=(act.Charge(duration=60.0), act.Image(2, mask_repeated=True))),
+            **options,
+        )
+        td = env.reset()
+        assert (td["observation"][:, 1:-1] == 0.0).all()
+        assert td["action_mask"].tolist() == [[True, False, False]] * 3
+        length = env.simulator.arcs.length
+        for _ in range(3):
+            td = step(env, 1)
+            assert (td["duration"] == 600.0).all()
+        assert env.satellite.latest_target.tolist() == [-1] * 3
+        assert env.satellite.missed.tolist() == [0] * 3
+        assert env.simulator.arcs.length <= length + 3600.0
+
+    def test_priority_of_stations(self):
+        with pytest.raises(ValueError, match="prop='priority' is a property of targets"):
+            obs.OpportunityProperties(dict(prop="priority"), type="ground_station", n_ahead_observe=1)
+
+    def test_threshold_of_clouds(self):
+        with pytest.raises(ValueError, match="threshold=70"):
+            data.CloudFreeImageReward(threshold=70)
+        with pytest.raises(ValueError, match=r"needs scene\.CloudyTargets"):
+            imager(1, rewarder=data.CloudFreeImageReward())
+
+
+def test_shield_forbids_what_is_dangerous():
+    """Two batteries, one nearly empty: in sunlight only charging is legal there."""
+    env = bsk_torch.make("AEOSPower-v1", num_envs=24, n_targets=300, seed=1, time_limit=1200.0,
+                         sat_args=dict(storedCharge_Init=rand.per_env(torch.tensor([0.1, 0.9] * 12) * 576000.0)))  # fmt: skip
+    td = env.reset()
+    start, end = env.satellite.next_eclipse()
+    sunlit = start < end
+    mask = td["action_mask"]
+    low = torch.arange(24) % 2 == 0
+    assert (sunlit & low).any()
+    assert torch.equal(mask[sunlit & low].sum(1), torch.ones_like(mask[sunlit & low].sum(1)))
+    assert mask[sunlit & low][:, 0].all()
+    fast = env.satellite.dynamics.wheel_speeds_fraction.abs().amax(1) > 0.7
+    assert mask[~low & ~fast & sunlit].all()
+    free = bsk_torch.make("AEOSPower-v1", num_envs=2, n_targets=300, shielded=False, time_limit=1200.0)
+    assert free.reset()["action_mask"].all()
+    assert env.satellite.dynamics.__class__.__mro__.index(dyn.GroundStationDynModel) > 0

@@ -1,0 +1,109 @@
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from bsk_torch import rand, scene
+
+from .conftest import key, rows_of
+
+X, Y, Z = [6.4e6, 0, 0], [0, 6.4e6, 0], [0, 0, -6.4e6]
+
+
+@pytest.mark.parametrize("make", [list, np.array, torch.tensor, lambda rows: [torch.tensor(row) for row in rows]])
+def test_the_same_for_all(begin, make):
+    scenario = begin(scene.Targets(make([X, Y]), priority=[1, 2], names=["Quito", "Dhaka"]), 3)
+    assert scenario.r_LP_P.tolist() == [[X, Y]] * 3
+    assert scenario.priority.tolist() == [[1, 2]] * 3
+    assert scenario.available.all()
+    assert scenario.target_names == ["Quito", "Dhaka"]
+    assert all(len(value) == 1 for value in scenario.draw(key(5)).values())
+
+
+def test_a_later_change_of_the_list_does_not_matter():
+    given = torch.tensor([X, Y]).double()
+    scenario = scene.Targets(given)
+    given.zero_()
+    assert scenario.draw(key())["target_r_LP_P"].tolist() == [[X, Y]]
+
+
+def test_each_environment_its_own(begin):
+    places = torch.tensor([[X, Y], [Y, Z]]).double()
+    scenario = begin(scene.Targets(rand.per_env(places), priority=rand.per_env([[1, 2], [3, 4]])), 2)
+    assert torch.equal(scenario.r_LP_P, places)
+    assert scenario.priority.tolist() == [[1, 2], [3, 4]]
+    assert scenario.target_names == ["tgt-0", "tgt-1"]
+    alone = scenario.draw(rows_of(key(2, episode=5), [1]))
+    assert torch.equal(alone["target_r_LP_P"], places[1:])
+    assert alone["target_priority"].tolist() == [[3, 4]]
+
+
+def test_lists_of_different_length_are_padded_with_the_first(begin):
+    scenario = begin(scene.Targets(rand.per_env([[Y], [X, Y, Z]]), priority=rand.per_env([[5], [1, 2, 3]])), 2)
+    assert scenario.r_LP_P.tolist() == [[Y, Y, Y], [X, Y, Z]]
+    assert scenario.available.tolist() == [[True, False, False], [True, True, True]]
+    assert scenario.priority.tolist() == [[5, 0, 0], [1, 2, 3]]
+
+
+def test_priorities_of_padding_are_zero_however_they_are_given(begin):
+    places = rand.per_env([[Y], [X, Y, Z]])
+    assert begin(scene.Targets(places), 2).priority.tolist() == [[1, 0, 0], [1, 1, 1]]
+    assert begin(scene.Targets(places, [4, 5, 6]), 2).priority.tolist() == [[4, 0, 0], [4, 5, 6]]
+    assert begin(scene.Targets(places, rand.per_env([2, 3])), 2).priority.tolist() == [[2, 0, 0], [3, 3, 3]]
+    drawn = begin(scene.Targets(places, rand.Uniform(1, 2)), 2).priority
+    assert drawn[0, 1:].tolist() == [0, 0]
+    assert len(set(drawn.flatten().tolist())) == 5
+
+
+def test_priorities_for_each_environment_and_common_places(begin):
+    scenario = begin(scene.Targets([X, Y], rand.per_env([[1, 2], [3, 4]])), 2)
+    assert scenario.priority.tolist() == [[1, 2], [3, 4]]
+    assert scenario.r_LP_P.tolist() == [[X, Y]] * 2
+
+
+def test_callables_are_asked_for_each_target():
+    calls = iter(range(10))
+    scenario = scene.Targets([X, Y], lambda: next(calls))
+    assert scenario.calls_user
+    assert scenario.draw(key(2))["target_priority"].tolist() == [[0, 1], [2, 3]]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (([],), r"r_LP_P is empty; there must be at least one target"),
+        ((rand.per_env([]),), r"r_LP_P=rand.per_env\(\[\]\) is empty; it needs a list of targets for each environment"),
+        ((rand.per_env([[X], []]),), r"r_LP_P of environment 1 is empty"),
+        ((X,), r"r_LP_P has shape \[3\]; it must be \[T, 3\], Earth-fixed positions in m"),
+        (([[1, 2], [3, 4]],), r"r_LP_P has shape \[2, 2\]; it must be \[T, 3\]"),
+        (([[X], [Y]],), r"r_LP_P has shape \[2, 1, 3\]; use rand.per_env to give each environment its own targets"),
+        ((rand.per_env([X, Y]),), r"r_LP_P of environment 0 has shape \[3\]; it must be \[T, 3\]"),
+        (([[X], [Y, Z]],), r"r_LP_P is not made of numbers, or of rows of unequal length: .*inhomogeneous"),
+        ((["here"],), r"r_LP_P is not made of numbers, or of rows of unequal length: could not convert string"),
+        ((rand.Uniform(),), r"r_LP_P=Uniform\(.*\) must be positions \[T, 3\] or rand.per_env; scene.UniformTargets draws"),
+        (
+            ([X, [6378.1366, 0, 0]],),
+            r"r_LP_P of target 1 is \[6378.1366, 0.0, 0.0\]: its distance from the Earth's centre is 6378.14 m \(km\? then "
+            r"multiply by 1000\); positions are Earth-fixed, in metres, at least 6.3e\+06 m",
+        ),
+        ((rand.per_env([[X], [X, [0, 0, 1e6]]]),), r"r_LP_P of target 1 of environment 1 is .* is 1e\+06 m; positions"),
+        (([X, [math.nan, 0, 7e6]],), r"r_LP_P of target 1 is \[nan, 0.0, 7000000.0\]: .* is nan m; positions"),
+        (([X, [math.inf, 0, 7e6]],), r"r_LP_P of target 1 is \[inf,"),
+        (([X, Y], [1, 2, 3]), r"priority=\[1, 2, 3\] does not give one number for each of 2 targets; allowed are"),
+        (([X, Y], [1, math.nan]), r"priority is nan for target 1 of environment 0; it must be a finite number"),
+        (([X, Y], rand.per_env([[1, 2], [3]])), r"priority of environment 1 has shape \[1\]; its r_LP_P has 2 targets"),
+        ((rand.per_env([[X], [Y]]), rand.per_env([[1]])), r"priority has rows for 1 environments, but r_LP_P for 2"),
+        (([X, Y], 1.0, ["A"]), r"names has 1 entries; r_LP_P has 2 targets"),
+    ],
+)
+def test_wrong_arguments(arguments, message):
+    with pytest.raises(ValueError, match=message):
+        scene.Targets(*arguments)
+
+
+def test_too_few_rows():
+    with pytest.raises(ValueError, match=r"per_env has 2 rows, but environment 2 needs one"):
+        scene.Targets(rand.per_env([[X], [Y]])).draw(key(3))

