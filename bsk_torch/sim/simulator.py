@@ -246,7 +246,11 @@ class Simulator:
 
     def draw(self, key: Key) -> dict[str, Any]:
         """What episodes of the key's environments start from; raises before anything has changed."""
-        values = {**self.world_args.draw(key), **self.sat_args.draw(key), **self.scene(key)}
+        values = {**self.world_args.draw(key), **self.sat_args.draw(key)}
+        asked = self.scene(key)
+        if taken := sorted(values.keys() & asked.keys()):
+            raise ValueError(f"the scenario draws {taken}, which are arguments of satellite or world; give them other names")
+        values |= asked
         for part in self.parts:
             part.check(values)
         self._check_orbit(values)

@@ -25,7 +25,7 @@ OUTPUTS = ("numpy", "torch")
 
 SEED_LIMIT = 2**63
 
-SEEN = ("observation", "action_mask", "duration")
+SEEN = ("observation", "action_mask", "duration", "counts")
 
 
 # -- both views -------------------------------------------------------------------------------------------------------
@@ -66,6 +66,11 @@ def map_leaves(value: Any, function: Callable[[Tensor], Any]) -> Any:
     if isinstance(value, Tensor):
         return function(value)
     return {name: map_leaves(part, function) for name, part in value.items()}
+
+
+def counts(seen: TensorDictBase) -> dict[str, Tensor]:
+    """What an environment counts, such as images, [N, 1] each, by name."""
+    return dict(seen["counts"].items()) if "counts" in seen.keys() else {}  # noqa: SIM118  - a tensordict
 
 
 def read_actions(core: SatelliteTasking, action: Any) -> Tensor:
@@ -112,7 +117,7 @@ def begin(
 
     ``seen`` is what they saw last: TorchRL's reset returns zeros for the other rows without it, and writes into what it is given.
     """
-    call = TensorDict({}, core.batch_size, device=core.device) if seen is None else seen.select(*SEEN).clone()
+    call = TensorDict({}, core.batch_size, device=core.device) if seen is None else seen.select(*SEEN, strict=False).clone()
     call["_reset"] = rows.unsqueeze(-1)
     if state is not None:
         call["state"] = state.clone()
@@ -126,7 +131,8 @@ class GymEnv(gymnasium.Env[Any, Any]):
     """One episode at a time, as ``gymnasium.Env``.
 
     ``info`` has ``action_mask`` (int8, 1 where an action is legal), ``duration`` (seconds that the step took; also under bsk_rl's
-    name ``d_ts``) and ``requires_retasking``. The simulation is :attr:`core`.
+    name ``d_ts``), ``requires_retasking`` and, of imaging satellites, ``imaged``, ``missed`` and what the rewarder counts. The
+    simulation is :attr:`core`.
 
     Example:
         >>> env = GymEnv("NadirScan-v1", backend="eager", time_limit=600.0)
@@ -177,7 +183,7 @@ class GymEnv(gymnasium.Env[Any, Any]):
 
     def action_masks(self) -> np.ndarray:
         """Legal actions now, [n] booleans; the name that sb3-contrib asks for."""
-        return as_numpy(self.core.satellite.actions.mask()[0])
+        return as_numpy(self.core.satellite.action_mask()[0])
 
     def _observation(self, seen: TensorDictBase) -> Any:
         return map_leaves(seen["observation"][0], as_numpy)
@@ -189,6 +195,7 @@ class GymEnv(gymnasium.Env[Any, Any]):
             "duration": duration,
             "d_ts": duration,
             "requires_retasking": bool(self.core.requires_retasking[0]),
+            **{name: int(count) for name, count in counts(seen).items()},
         }
 
 
@@ -320,7 +327,7 @@ class GymVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         """Results of a step of the environments that do not wait for a reset; zero reward and flags for the others."""
         if not bool(waiting.any()):
             return self.core.step(TensorDict({"action": action}, self.core.batch_size, device=self.core.device))["next"]
-        call = self._seen.select(*SEEN)  # which TorchRL returns where nobody moves
+        call = self._seen.select(*SEEN, strict=False)  # which TorchRL returns where nobody moves
         call["action"], call["_step"] = action.masked_fill(waiting, 0), ~waiting
         seen = self.core.step(call)["next"]
         for name in ("reward", "terminated", "truncated"):
@@ -352,6 +359,7 @@ class GymVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
             "duration": self._number(duration),
             "d_ts": self._number(duration),
             "requires_retasking": self._export(self.core.requires_retasking & rows),
+            **{name: self._export(count.squeeze(-1).masked_fill(~rows, 0)) for name, count in counts(seen).items()},
         }
         return values | {f"_{name}": self._export(rows) for name in values}
 

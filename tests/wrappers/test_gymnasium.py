@@ -327,3 +327,25 @@ def test_the_core_stays_usable():
     env.reset(seed=0)
     step = env.core.step(TensorDict({"action": torch.tensor([2])}, [1]))
     assert float(step["next", "duration"]) == 3.0
+
+
+@pytest.mark.compiled
+def test_images_are_counted_in_infos():
+    """Of one episode and of a batch, kept over the resets of others and shown for the last time in ``final_info``."""
+    options = dict(n_targets=2000, time_limit=600.0)
+    env = gymnasium.make("bsk_torch/AEOS-v1", **options)
+    _, info = env.reset(seed=1)
+    assert (info["imaged"], info["missed"], info["duplicates"]) == (0, 0, 0)
+    total = 0
+    for _ in range(4):
+        _, reward, _, _, info = env.step(2)
+        total += reward > 0
+        assert info["imaged"] == total
+    vector = gymnasium.make_vec("bsk_torch/AEOS-v1", num_envs=3, **options, autoreset_mode="SameStep")
+    vector.reset(seed=1)
+    before = np.zeros(3, dtype=int)
+    for _ in range(8):
+        _, rewards, _, truncated, infos = vector.step(np.full(3, 2))
+        seen = np.where(truncated, infos.get("final_info", infos)["imaged"], infos["imaged"])
+        assert np.array_equal(seen - before, rewards > 0)
+        before = np.where(truncated, 0, seen)

