@@ -14,6 +14,7 @@ from torch import Tensor
 from bsk_torch import act, obs, rand, scene
 from bsk_torch.env import SatelliteTasking
 from bsk_torch.presets.aeos import AHEAD, ORBIT, SATELLITE, AgileSatellite, agile_args, agile_environment, targets_ahead
+from bsk_torch.presets.nadir_scan import next_station
 from bsk_torch.sim import dyn
 
 BINS, BIN = 20, 180.0
@@ -70,10 +71,6 @@ def shield(satellite: Any) -> Tensor:
     return free | (low.unsqueeze(-1) & (number == CHARGE)) | (fast.unsqueeze(-1) & (number == DESAT))
 
 
-class PowerDynModel(dyn.GroundStationDynModel):
-    """Images, and downlinks to ground stations."""
-
-
 class PowerSatellite(AgileSatellite):
     """Images the next targets while it charges, downlinks and desaturates."""
 
@@ -81,12 +78,7 @@ class PowerSatellite(AgileSatellite):
         obs.SatProperties(*SATELLITE, *RESOURCES),
         targets_ahead(),
         TargetDensity(),
-        obs.OpportunityProperties(
-            dict(prop="opportunity_open", norm=ORBIT),
-            dict(prop="opportunity_close", norm=ORBIT),
-            type="ground_station",
-            n_ahead_observe=1,
-        ),
+        next_station(),
         obs.Eclipse(norm=ORBIT),
         obs.Time(),
     )
@@ -96,7 +88,7 @@ class PowerSatellite(AgileSatellite):
         act.Desat(duration=60.0),
         act.Image(n_ahead_image=AHEAD),
     )
-    dyn_type = PowerDynModel
+    dyn_type = dyn.GroundStationDynModel
     shielded = True
 
     def legal_actions(self) -> Tensor | None:

@@ -23,6 +23,12 @@ ORBIT = 5700.0
 CAPACITY, BATTERY = 5000 * 8e6, 200 * 3600.0
 
 
+def next_station() -> obs.OpportunityProperties:
+    """Observation of the next pass over a ground station."""
+    times = (dict(prop=name, norm=ORBIT) for name in ("opportunity_open", "opportunity_close"))
+    return obs.OpportunityProperties(*times, type="ground_station", n_ahead_observe=1)
+
+
 class ScanningDownlinkDynModel(dyn.ContinuousImagingDynModel, dyn.GroundStationDynModel):
     """Scans and downlinks; adds the two pointing errors that the agent sees."""
 
@@ -48,12 +54,7 @@ class ScanningSatellite(sats.AccessSatellite):
             dict(prop="instrument_pointing_error", norm=torch.pi),
             dict(prop="solar_pointing_error", norm=torch.pi),
         ),
-        obs.OpportunityProperties(
-            dict(prop="opportunity_open", norm=ORBIT),
-            dict(prop="opportunity_close", norm=ORBIT),
-            type="ground_station",
-            n_ahead_observe=1,
-        ),
+        next_station(),
         obs.Eclipse(norm=ORBIT),
         obs.Time(),
     )

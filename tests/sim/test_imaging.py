@@ -16,6 +16,7 @@ from bsk_torch.rand import first_key
 from bsk_torch.sim import dyn, fsw
 from bsk_torch.sim.component import Bus
 from bsk_torch.sim.dyn import events
+from bsk_torch.sim.dyn.events import DISARMED
 from bsk_torch.sim.fsw import guidance, instrument, target
 from bsk_torch.sim.simulator import Simulator
 from bsk_torch.sim.span import pole_matrix
@@ -171,7 +172,7 @@ def test_the_event_fires_once():
     events.notice_image(bus)
     assert bus.stop.tolist() == [False, True, False, True]
     assert bus.images.tolist() == [2.0, 3.0, 2.0, 3.0]
-    assert bus.image_level.tolist() == [5.0, math.inf, math.inf, math.inf]
+    assert bus.image_level.tolist() == [5.0, DISARMED, math.inf, DISARMED]
     bus.stop = torch.tensor([True, False, False, False])  # of another event
     events.notice_image(bus)
     assert bus.stop.tolist() == [True, False, False, False]

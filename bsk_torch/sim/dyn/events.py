@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import math
-
 import torch
 
 from bsk_torch.sim.component import Bus, Component, Field
+
+DISARMED = 1e300
+"""Level that no store reaches, bit; finite, so that infinities in a state are errors."""
 
 
 def notice_image(bus: Bus) -> None:
@@ -16,7 +17,7 @@ def notice_image(bus: Bus) -> None:
     """
     fired = bus.partitions[0] > bus.image_level
     bus.images = bus.images + fired.to(torch.float64)
-    bus.image_level = torch.where(fired, math.inf, bus.image_level)
+    bus.image_level = torch.where(fired, DISARMED, bus.image_level)
     bus.stop = bus.stop | fired if bus.has("stop") else fired
 
 
@@ -26,11 +27,11 @@ IMAGE_EVENT = Component(
     update=notice_image,
     stops=True,
     state=(
-        Field("image_level", 1, "bit", "level that an image must exceed; infinity: not armed", exact=True),
+        Field("image_level", 1, "bit", "level that an image must exceed", exact=True),
         Field("images", 1, "-", "images taken since reset", exact=True),
     ),
     initial=lambda args: {
-        "image_level": torch.full((1,), math.inf, dtype=torch.float64),
+        "image_level": torch.full((1,), DISARMED, dtype=torch.float64),
         "images": torch.zeros(1, dtype=torch.float64),
     },
 )
