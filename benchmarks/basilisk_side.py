@@ -1,17 +1,23 @@
-"""Basilisk's side of vs_basilisk.py: the paper's scanning environment in bsk_rl, random actions, resets included.
+"""Basilisk's side of vs_basilisk.py: the environments of two presets in bsk_rl, random actions, resets included.
+
+Usage:
+    python benchmarks/basilisk_side.py NadirScan-v1 '{}'
+    python benchmarks/basilisk_side.py AEOS-v1 '{"n_targets": 1000}'
 
 Runs in an interpreter that has bsk and bsk_rl but need not have torch. For every line of input, a number of seconds, it plays
-that long and answers with a line of JSON: simulated seconds, ended episodes, steps, and seconds of all cores and of the wall
-clock. Basilisk runs in a thread of its own, so only the time of the whole process counts its work.
+that long, until an episode ends, and answers with a line of JSON: simulated seconds, ended episodes, decisions, steps, and
+seconds of all cores and of the wall clock. Basilisk runs in a thread of its own, so only the time of the whole process counts
+its work.
 """
 
 from __future__ import annotations
 
 import json
+import math
 import os
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -20,10 +26,19 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "scripts"))
 
+from bsk_rl import act, data, obs, sats, scene
+from bsk_rl.sim import dyn, fsw
+from bsk_rl.utils.orbital import random_orbit
 from record_basilisk import BATTERY, EPISODE, FIXED, PAPER_MODES, STORAGE, paper_observations, scanner_class
 
 Step = tuple[float, bool]
 """Simulated seconds of a step, and whether an episode ended with it."""
+
+SHARED: dict[str, Any] = dict(time_limit=EPISODE, terminate_on_time_limit=True, log_level="ERROR", disable_env_checker=True)
+"""What both environments are made with."""
+
+
+# -- scanning ---------------------------------------------------------------------------------------------------------
 
 DRAWN: dict[str, Any] = {
     "storageInit": lambda: int(np.random.uniform(0.0, 0.8) * STORAGE),
@@ -34,51 +49,111 @@ DRAWN: dict[str, Any] = {
 """What bsk_rl draws at every reset as the preset does; orbit, attitude and epoch are random by default."""
 
 
-def make_env() -> gym.Env:
+def nadir_scan() -> gym.Env:
     """The paper's environment with random episodes."""
-    from bsk_rl import data, scene
-
     satellite = scanner_class(PAPER_MODES, paper_observations())("Scanner1", sat_args=FIXED | DRAWN)
     return gym.make(
         "SatelliteTasking-v1",
         satellite=satellite,
         scenario=scene.UniformNadirScanning(value_per_second=1 / EPISODE),
         rewarder=data.ScanningTimeReward(),
-        time_limit=EPISODE,
         failure_penalty=-1.0,
-        terminate_on_time_limit=True,
-        log_level="ERROR",
-        disable_env_checker=True,
+        **SHARED,
     )
 
 
-def episodes() -> Iterator[Step]:
+# -- imaging ----------------------------------------------------------------------------------------------------------
+
+ALTITUDE, EARTH_RADIUS, SOON, AHEAD = 800e3, 6378136.6, 300.0, 32
+
+AGILE: dict[str, Any] = {
+    "oe": lambda: random_orbit(a=(6371e3 + ALTITUDE) / 1e3, i=45.0),
+    "imageTargetMinimumElevation": math.atan(ALTITUDE / 500e3),
+    "imageAttErrorRequirement": 0.01,
+    "imageRateErrorRequirement": 0.01,
+    "u_max": 0.4,
+    "omega_max": math.radians(5.0),
+    "servo_P": 30.0,
+    "batteryStorageCapacity": 100 * 80.0 * 3600.0,
+    "storedCharge_Init": 100 * 80.0 * 3600.0,
+    "dataStorageCapacity": 100 * 20 * 8e6,
+}
+"""The preset's arguments; the rest is random by default."""
+
+
+class AgileSatellite(sats.ImagingSatellite):
+    """Sees the next 32 targets and images one of them."""
+
+    observation_spec = (
+        obs.SatProperties(
+            dict(prop="omega_BH_H", norm=0.03),
+            dict(prop="c_hat_H"),
+            dict(prop="r_BN_P", norm=EARTH_RADIUS),
+            dict(prop="v_BN_P", norm=7616.5),
+        ),
+        obs.OpportunityProperties(
+            dict(prop="priority"),
+            dict(prop="r_LB_H", norm=ALTITUDE),
+            dict(prop="target_angle", norm=math.pi),
+            dict(prop="target_angle_rate", norm=0.03),
+            dict(prop="opportunity_open", norm=SOON),
+            dict(prop="opportunity_close", norm=SOON),
+            type="target",
+            n_ahead_observe=AHEAD,
+        ),
+        obs.Time(),
+    )
+    action_spec = (act.Image(n_ahead_image=AHEAD),)
+    dyn_type = dyn.ImagingDynModel
+    fsw_type = fsw.SteeringImagerFSWModel
+
+
+def aeos(n_targets: int) -> gym.Env:
+    """Agile imaging of so many targets with random episodes."""
+    return gym.make(
+        "SatelliteTasking-v1",
+        satellite=AgileSatellite("EO1", sat_args=AGILE),
+        scenario=scene.UniformTargets(n_targets),
+        rewarder=data.UniqueImageReward(),
+        sim_rate=0.5,
+        max_step_duration=SOON,
+        failure_penalty=0.0,
+        **SHARED,
+    )
+
+
+# -- playing ----------------------------------------------------------------------------------------------------------
+
+PRESETS: dict[str, Callable[..., gym.Env]] = {"NadirScan-v1": nadir_scan, "AEOS-v1": aeos}
+
+
+def episodes(env: gym.Env) -> Iterator[Step]:
     """Play on for ever."""
-    env, rng = make_env(), np.random.default_rng(0)
+    rng = np.random.default_rng(0)
     env.reset(seed=0)
     while True:
-        _, _, terminated, truncated, info = env.step(int(rng.integers(len(PAPER_MODES))))
+        _, _, terminated, truncated, info = env.step(int(rng.integers(env.action_space.n)))
         if terminated or truncated:
             env.reset()
         yield float(info["d_ts"]), terminated or truncated
 
 
 def play(player: Iterator[Step], seconds: float) -> dict[str, float]:
-    """A turn of about ``seconds`` of the wall clock; the entries are those of ``Turn`` in harness.py."""
+    """A turn of ``seconds`` of the wall clock and until an episode ends; the entries are those of ``Turn`` in harness.py."""
     steps: list[Step] = []
     cpu, wall = time.process_time(), time.perf_counter()
-    while time.perf_counter() - wall < seconds:
+    while time.perf_counter() - wall < seconds or not steps[-1][1]:
         steps.append(next(player))
     cpu, wall = time.process_time() - cpu, time.perf_counter() - wall
-    simulated, ended = sum(step[0] for step in steps), sum(step[1] for step in steps)
-    return {"simulated": simulated, "ended": ended, "steps": len(steps), "cpu": cpu, "wall": wall}
+    simulated, ended, count = sum(step[0] for step in steps), sum(step[1] for step in steps), len(steps)
+    return {"simulated": simulated, "ended": ended, "decisions": count, "steps": count, "cpu": cpu, "wall": wall}
 
 
 def main() -> None:
     """Answer until the input ends."""
     answers = os.fdopen(os.dup(1), "w")
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # Basilisk talks
-    player = episodes()
+    player = episodes(PRESETS[sys.argv[1]](**json.loads(sys.argv[2])))
     next(player)
     for line in sys.stdin:
         print(json.dumps(play(player, float(line))), file=answers, flush=True)

@@ -1,8 +1,8 @@
-"""What the benchmarks share: the environment and how it is played, clocks, new processes, tables and files.
+"""What the benchmarks share: the environments and how they are played, clocks, new processes, tables and files.
 
 Batches are measured in their steady state. Episodes that start together end together, in waves, so the first episode of row i
-of n is cut at (i + 1) / n of the time limit, and nothing is measured before ``WARM_UP`` steps have passed, about the length of
-an episode: ages are then spread evenly, and resets come at a steady rate.
+of n is cut at (i + 1) / n of the time limit, and nothing is measured before an episode's length has passed: ages are then spread
+evenly, and resets come at a steady rate.
 """
 
 from __future__ import annotations
@@ -31,16 +31,31 @@ import bsk_torch
 from bsk_torch.presets.nadir_scan import ORBIT
 from bsk_torch.rand import Distribution, Key
 
-NAME = "NadirScan-v1"
-
 EPISODE = 5 * ORBIT
-"""Time limit of the preset, s."""
-
-WARM_UP = 300
-"""Steps before anything is measured; an episode takes 270 unless the satellite dies."""
+"""Time limit of all tasks, s."""
 
 PATIENCE = 600.0
 """Seconds that processes wait for each other."""
+
+
+# -- tasks ------------------------------------------------------------------------------------------------------------
+
+
+class Task(NamedTuple):
+    """What is played: a preset, about how many random actions make an episode, and arguments of the preset."""
+
+    preset: str
+    steps: int
+    options: dict[str, Any]
+
+
+TASKS = {
+    "scan": Task("NadirScan-v1", 300, {}),
+    "imaging-100": Task("AEOS-v1", 110, {"n_targets": 100}),
+    "imaging-1k": Task("AEOS-v1", 110, {"n_targets": 1000}),
+    "imaging-10k": Task("AEOS-v1", 360, {"n_targets": 10_000}),
+}
+"""The paper's scanning, and agile imaging; with few targets most steps are the longest, 300 s, and bring no image."""
 
 
 # -- options and results ----------------------------------------------------------------------------------------------
@@ -57,9 +72,10 @@ def parser(doc: str | None, **defaults: Any) -> argparse.ArgumentParser:
             type=kind,
             default=value,
             nargs="+" if several else None,
+            choices=TASKS if name == "tasks" else None,
             help=f"default {' '.join(map(str, value)) if several else value}",
         )
-    arguments.add_argument("--warm-up", type=int, default=WARM_UP, help=f"steps before measuring, default {WARM_UP}")
+    arguments.add_argument("--warm-up", type=int, help="steps before measuring, default an episode's length")
     arguments.add_argument("--out", type=Path, metavar="FILE.json")
     return arguments
 
@@ -89,6 +105,11 @@ def begin(arguments: argparse.ArgumentParser) -> tuple[argparse.Namespace, dict[
     options = arguments.parse_args()
     torch.set_num_threads(1)
     return options, machine()
+
+
+def warm_up(options: argparse.Namespace, task: str) -> int:
+    """Steps before anything of ``task`` is measured."""
+    return TASKS[task].steps if options.warm_up is None else options.warm_up
 
 
 def cell(template: str, row: Mapping[str, Any]) -> str:
@@ -135,10 +156,11 @@ class Staggered(Distribution):
         return self.limit * torch.where(key.episode == 0, share, torch.ones_like(share))
 
 
-def make_env(batch: int, dtype: str = "float64", rank: int = 0) -> bsk_torch.SatelliteTasking:
-    """The paper's scanning environment, staggered; the ``rank``-th of several processes has episodes of its own."""
+def make_env(task: str, batch: int, dtype: str = "float64", rank: int = 0) -> bsk_torch.SatelliteTasking:
+    """The environment of a task, staggered; the ``rank``-th of several processes has episodes of its own."""
     return bsk_torch.make(
-        NAME,
+        TASKS[task].preset,
+        **TASKS[task].options,
         num_envs=batch,
         seed=0,
         sim_dtype=getattr(torch, dtype),
@@ -148,10 +170,11 @@ def make_env(batch: int, dtype: str = "float64", rank: int = 0) -> bsk_torch.Sat
 
 
 class Step(NamedTuple):
-    """What a step of the whole batch did: simulated seconds, and episodes that ended."""
+    """What a step of the whole batch did: simulated seconds, episodes that ended, and decisions."""
 
     simulated: float
     ended: int
+    decisions: int = 1
 
 
 Player = Iterator[Step]
@@ -160,7 +183,7 @@ Player = Iterator[Step]
 
 def step_of(seen: Any) -> Step:
     """The step (or steps) whose outcome is ``seen``, a tensordict's ``next``."""
-    return Step(float(seen["duration"].sum(dtype=torch.float64)), int(seen["done"].sum()))
+    return Step(float(seen["duration"].sum(dtype=torch.float64)), int(seen["done"].sum()), seen["done"].numel())
 
 
 def rollout(env: EnvBase) -> Player:
@@ -172,10 +195,11 @@ def rollout(env: EnvBase) -> Player:
 
 
 class Turn(NamedTuple):
-    """Several steps: simulated seconds, ended episodes, number of steps, and seconds of all cores and of the wall clock."""
+    """Several steps: the sums of theirs, their number, and seconds of all cores and of the wall clock."""
 
     simulated: float
     ended: int
+    decisions: int
     steps: int
     cpu: float
     wall: float
@@ -186,19 +210,30 @@ class Turn(NamedTuple):
         return self.simulated / self.cpu
 
     @property
+    def decision_rate(self) -> float:
+        """Decisions per core-second."""
+        return self.decisions / self.cpu
+
+    @property
     def wall_rate(self) -> float:
         """Simulated seconds per second of the wall clock."""
         return self.simulated / self.wall
 
 
-def play(player: Player, seconds: float, least: int = 1) -> Turn:
-    """Play for ``seconds`` of the wall clock, and at least ``least`` steps."""
+def play(player: Player, seconds: float, least: int = 1, whole: int = 0) -> Turn:
+    """Play for ``seconds`` of the wall clock, at least ``least`` steps, and until a multiple of ``whole`` episodes have ended.
+
+    Episodes are prepared in bulk about once for every batch of them that has ended, so such multiples have their share of it.
+    """
     steps: list[Step] = []
+    ended, complete = 0, False
     cpu, wall = time.process_time(), time.perf_counter()
-    while time.perf_counter() - wall < seconds or len(steps) < least:
+    while time.perf_counter() - wall < seconds or len(steps) < least or not complete:
         steps.append(next(player))
+        before, ended = ended, ended + steps[-1].ended
+        complete = not whole or ended // whole > before // whole
     cpu, wall = time.process_time() - cpu, time.perf_counter() - wall
-    return Turn(sum(step.simulated for step in steps), sum(step.ended for step in steps), len(steps), cpu, wall)
+    return Turn(sum(step.simulated for step in steps), ended, sum(step.decisions for step in steps), len(steps), cpu, wall)
 
 
 def start(make: Callable[[], Player], steps: int) -> tuple[Player, float]:
@@ -235,6 +270,12 @@ def in_processes(count: int, function: Callable[..., Any], *args: Any) -> list[A
 def resident() -> int:
     """Memory of this process, bytes."""
     return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+
+
+def peak() -> int:
+    """Most memory that this process has had, bytes."""
+    lines = Path("/proc/self/status").read_text().splitlines()
+    return next(int(line.split()[1]) * 1024 for line in lines if line.startswith("VmHWM"))
 
 
 def available() -> int:

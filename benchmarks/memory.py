@@ -1,11 +1,12 @@
 """Memory per environment, and whether it stays the same over many steps.
 
 Usage:
-    python benchmarks/memory.py [--batch 4096] [--steps 1000000] [--out FILE.json]
+    python benchmarks/memory.py [--tasks scan] [--batch 4096] [--steps 1000000] [--out FILE.json]
 
 The first table has the bytes of all tensors that are kept, by where they are kept, and what the process has grown by since a
-small batch of the same kind had run, so that code and compiled kernels are not counted; both per environment. The second table
-has the memory of the process at ten points of a random rollout of ``--steps`` environment steps (10_000_000 takes minutes).
+small batch of the same kind had run, so that code and compiled kernels are not counted: at its largest, while episodes were
+prepared in bulk, and in the end; all per environment, its prepared next episode included. The second table has the memory of the
+process at ten points of a random rollout of ``--steps`` environment steps (10_000_000 takes minutes).
 """
 
 from __future__ import annotations
@@ -22,9 +23,9 @@ SMALL = 64
 
 POINTS = 10
 
-COLUMNS = {"what": "{what}", "bytes per environment": "{per_env:,.0f}"}
+COLUMNS = {"task": "{task}", "batch": "{batch:,}", "what": "{what}", "bytes per environment": "{per_env:,.0f}"}
 
-FLAT_COLUMNS = {"environment steps": "{steps:,}", "memory of the process, MB": "{megabytes:,.1f}"}
+FLAT_COLUMNS = {"task": "{task}", "environment steps": "{steps:,}", "memory of the process, MB": "{megabytes:,.1f}"}
 
 
 def inside(value: Any) -> Iterable[Any]:
@@ -60,12 +61,17 @@ def kept(env: Any) -> dict[str, int]:
     return {name: size for name, size in parts.items() if size}
 
 
-def per_environment(env: Any, grown: int) -> list[dict[str, Any]]:
-    """Rows of the first table, the largest first."""
+def per_environment(env: Any, before: int) -> list[dict[str, Any]]:
+    """Rows of the first table, the largest first; ``before`` is what the process had before the environment."""
     parts, batch = kept(env), env.batch_size[0]
     sizes = sorted(parts.items(), key=lambda item: -item[1])
-    total = [("all tensors", sum(parts.values())), ("growth of the process", grown)]
-    return [{"what": what, "batch": batch, "dtype": "float64", "per_env": size / batch} for what, size in [*sizes, *total]]
+    sizes += {
+        "all tensors": sum(parts.values()),
+        "env.bytes_per_env": batch * env.bytes_per_env,
+        "growth of the process": harness.resident() - before,
+        "growth of the process at its largest": harness.peak() - before,
+    }.items()
+    return [{"what": what, "batch": batch, "dtype": "float64", "per_env": size / batch} for what, size in sizes]
 
 
 def flatness(player: harness.Player, batch: int, steps: int) -> list[dict[str, Any]]:
@@ -80,21 +86,26 @@ def flatness(player: harness.Player, batch: int, steps: int) -> list[dict[str, A
     return rows
 
 
-def measure(_: int, batch: int, steps: int, warm_up: int) -> dict[str, list[dict[str, Any]]]:
-    """Both tables."""
+def measure(_: int, task: str, batch: int, steps: int, warm_up: int) -> dict[str, list[dict[str, Any]]]:
+    """A task's rows of both tables."""
     torch.set_num_threads(1)
-    small, _ = harness.start(lambda: harness.rollout(harness.make_env(SMALL)), 10)
+    small, _ = harness.start(lambda: harness.rollout(harness.make_env(task, SMALL)), 10)
     del small
-    before, env = harness.resident(), harness.make_env(batch)
+    before, env = harness.resident(), harness.make_env(task, batch)
     player, _ = harness.start(lambda: harness.rollout(env), warm_up)
-    return {"rows": per_environment(env, harness.resident() - before), "flatness": flatness(player, batch, steps)}
+    tables = {"rows": per_environment(env, before), "flatness": flatness(player, batch, steps)}
+    return {name: [{"task": task, **row} for row in rows] for name, rows in tables.items()}
 
 
 def main() -> None:
     """Measure and print two tables."""
-    arguments = harness.parser(__doc__, batch=4096, steps=1_000_000)
+    arguments = harness.parser(__doc__, tasks=["scan"], batch=4096, steps=1_000_000)
     options, described = harness.begin(arguments)
-    results = harness.in_processes(1, measure, options.batch, options.steps, options.warm_up)[0]
+    results: dict[str, list[dict[str, Any]]] = {"rows": [], "flatness": []}
+    for task in options.tasks:
+        case = task, options.batch, options.steps, harness.warm_up(options, task)
+        for name, rows in harness.in_processes(1, measure, *case)[0].items():
+            results[name] += rows
     print(harness.table(COLUMNS, results["rows"]), harness.table(FLAT_COLUMNS, results["flatness"]), sep="\n\n")
     harness.write(options, described, **results)
 

@@ -1,7 +1,7 @@
 """How the rate grows with the batch, what an environment costs in memory, and what a second core brings.
 
 Usage:
-    python benchmarks/scaling.py [--batches 1 4 16 ...] [--split 64 16384] [--seconds 20] [--out FILE.json]
+    python benchmarks/scaling.py [--tasks scan] [--batches 1 4 16 ...] [--split 64 16384] [--seconds 20] [--out FILE.json]
 
 Every line is measured in new processes. The first table has one thread: rates are simulated seconds per core-second, with
 quartiles over turns, and memory is what the process has grown by, code included, per environment (memory.py looks closer). The
@@ -30,6 +30,7 @@ LEAST = 20
 """Steps in a turn of a large batch: enough for a few bulk preparations of episodes."""
 
 COLUMNS = {
+    "task": "{task}",
     "batch": "{batch:,}",
     "simulated s per core-s": "{rate:,.0f}",
     "quartiles": "{rate_low:,.0f} to {rate_high:,.0f}",
@@ -40,6 +41,7 @@ COLUMNS = {
 }
 
 SPLIT_COLUMNS = {
+    "task": "{task}",
     "layout": "{layout}",
     "batch": "{batch:,}",
     "simulated s per s": "{rate:,.0f}",
@@ -50,11 +52,11 @@ SPLIT_COLUMNS = {
 # -- batches ----------------------------------------------------------------------------------------------------------
 
 
-def one_batch(_: int, batch: int, seconds: float, warm_up: int) -> dict[str, Any]:
+def one_batch(_: int, task: str, batch: int, seconds: float, warm_up: int) -> dict[str, Any]:
     """A row of the first table."""
     torch.set_num_threads(1)
     before = harness.resident()
-    player, ready = harness.start(lambda: harness.rollout(harness.make_env(batch)), warm_up)
+    player, ready = harness.start(lambda: harness.rollout(harness.make_env(task, batch)), warm_up)
     turns = [harness.play(player, seconds / TURNS, LEAST) for _ in range(TURNS)]
     return {
         "batch": batch,
@@ -74,32 +76,32 @@ def too_large(batch: int, rows: list[dict[str, Any]]) -> str:
     return f"needs {need / 1e9:.0f} GB, {harness.available() / 1e9:.0f} GB are left" if need > 0.9 * harness.available() else ""
 
 
-def batches(sizes: list[int], seconds: float, warm_up: int) -> list[dict[str, Any]]:
-    """The first table."""
+def batches(task: str, sizes: list[int], seconds: float, warm_up: int) -> list[dict[str, Any]]:
+    """A task's rows of the first table."""
     rows: list[dict[str, Any]] = []
     for batch in sizes:
         remark = too_large(batch, rows)
-        measured = {"batch": batch} if remark else harness.in_processes(1, one_batch, batch, seconds, warm_up)[0]
-        rows.append({**measured, "remark": remark})
-        print(harness.cell("{batch}: {rate:,.0f}", rows[-1]), flush=True)
+        measured = {"batch": batch} if remark else harness.in_processes(1, one_batch, task, batch, seconds, warm_up)[0]
+        rows.append({"task": task, **measured, "remark": remark})
+        print(harness.cell("{task}, {batch}: {rate:,.0f}", rows[-1]), flush=True)
     return rows
 
 
 # -- two cores --------------------------------------------------------------------------------------------------------
 
 
-def alone(rank: int, batch: int, threads: int, seconds: float, warm_up: int) -> harness.Turn:
+def alone(rank: int, task: str, batch: int, threads: int, seconds: float, warm_up: int) -> harness.Turn:
     """One process with a batch of its own, which starts when all are ready."""
     torch.set_num_threads(threads)
-    player, _ = harness.start(lambda: harness.rollout(harness.make_env(batch, rank=rank)), warm_up)
+    player, _ = harness.start(lambda: harness.rollout(harness.make_env(task, batch, rank=rank)), warm_up)
     harness.meet()
     return harness.play(player, seconds, LEAST)
 
 
-def in_workers(_: int, batch: int, seconds: float, warm_up: int) -> harness.Turn:
+def in_workers(_: int, task: str, batch: int, seconds: float, warm_up: int) -> harness.Turn:
     """One process that drives two workers, each with half of the batch, in step."""
     torch.set_num_threads(1)
-    workers = [partial(harness.make_env, batch // 2, rank=rank) for rank in range(2)]
+    workers = [partial(harness.make_env, task, batch // 2, rank=rank) for rank in range(2)]
     env = ParallelEnv(2, workers, mp_start_method="spawn")
     player, _ = harness.start(lambda: harness.rollout(env), warm_up)
     turn = harness.play(player, seconds, LEAST)
@@ -107,34 +109,38 @@ def in_workers(_: int, batch: int, seconds: float, warm_up: int) -> harness.Turn
     return turn
 
 
-Layout = Callable[[int, float, int], list[harness.Turn]]
+Layout = Callable[[str, int, float, int], list[harness.Turn]]
 
 LAYOUTS: dict[str, Layout] = {
-    "one process, one thread": lambda batch, *times: harness.in_processes(1, alone, batch, 1, *times),
-    "one process, two threads": lambda batch, *times: harness.in_processes(1, alone, batch, 2, *times),
-    "two processes, half the batch each": lambda batch, *times: harness.in_processes(2, alone, batch // 2, 1, *times),
-    "ParallelEnv of two, half the batch each": lambda batch, *times: harness.in_processes(1, in_workers, batch, *times),
+    "one process, one thread": lambda task, n, *times: harness.in_processes(1, alone, task, n, 1, *times),
+    "one process, two threads": lambda task, n, *times: harness.in_processes(1, alone, task, n, 2, *times),
+    "two processes, half the batch each": lambda task, n, *times: harness.in_processes(2, alone, task, n // 2, 1, *times),
+    "ParallelEnv of two, half the batch each": lambda task, n, *times: harness.in_processes(1, in_workers, task, n, *times),
 }
 
 
-def layouts(batch: int, seconds: float, warm_up: int) -> list[dict[str, Any]]:
-    """Rows of the second table for one batch size."""
+def layouts(task: str, batch: int, seconds: float, warm_up: int) -> list[dict[str, Any]]:
+    """Rows of the second table for one task and batch size."""
     rows: list[dict[str, Any]] = []
     for layout, run in LAYOUTS.items():
-        turns = run(batch, seconds, warm_up)
+        turns = run(task, batch, seconds, warm_up)
         rate = sum(turn.wall_rate for turn in turns)
-        row = {"layout": layout, "batch": batch, "dtype": "float64", "rate": rate, "turns": [turn._asdict() for turn in turns]}
-        rows.append(row | {"gain": rate / (rows[0]["rate"] if rows else rate)})
-        print(harness.cell("{layout}, {batch}: {rate:,.0f}", rows[-1]), flush=True)
+        row = {"task": task, "layout": layout, "batch": batch, "dtype": "float64", "rate": rate}
+        gain = rate / (rows[0]["rate"] if rows else rate)
+        rows.append(row | {"gain": gain, "turns": [turn._asdict() for turn in turns]})
+        print(harness.cell("{task}, {layout}, {batch}: {rate:,.0f}", rows[-1]), flush=True)
     return rows
 
 
 def main() -> None:
     """Measure and print two tables."""
-    arguments = harness.parser(__doc__, batches=BATCHES, split=SPLIT, seconds=20.0)
+    arguments = harness.parser(__doc__, tasks=["scan"], batches=BATCHES, split=SPLIT, seconds=20.0)
     options, described = harness.begin(arguments)
-    rows = batches(options.batches, options.seconds, options.warm_up)
-    split = [row for batch in options.split for row in layouts(batch, options.seconds, options.warm_up)]
+    rows, split = [], []
+    for task in options.tasks:
+        times = options.seconds, harness.warm_up(options, task)
+        rows += batches(task, options.batches, *times)
+        split += [row for batch in options.split for row in layouts(task, batch, *times)]
     print(harness.table(COLUMNS, rows), harness.table(SPLIT_COLUMNS, split), sep="\n\n")
     harness.write(options, described, rows=rows, split=split)
 

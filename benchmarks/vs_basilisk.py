@@ -1,14 +1,16 @@
-"""Simulated seconds per core-second of the paper's scanning environment, here and in bsk_rl on Basilisk.
+"""Simulated seconds per core-second of scanning and of agile imaging, here and in bsk_rl on Basilisk.
 
 Usage:
     python benchmarks/vs_basilisk.py --basilisk PYTHON [--only CASE ...] [--turns 5] [--seconds 10] [--out FILE.json]
 
+The cases are named by batch, those of imaging by number of targets and batch: imaging-1k-1024 has 1,000 targets.
 ``PYTHON`` is an interpreter with bsk and bsk_rl (see scripts/record_basilisk.py). The two take turns, so that both see the
 same machine; a case's figure is the median over turns of the ratio of rates, with the smallest and the largest. Rates are
 simulated seconds per second of CPU time of the whole process: Basilisk runs in a thread of its own. Both play random actions,
-both draw every episode anew, both include resets, and neither is cut at an episode's end: the next turn goes on where the last
-one stopped. Our batches start staggered and warm up for an episode's length (see harness.py); Basilisk plays one episode at a
-time, some ten in a turn.
+both draw every episode anew, both include resets with the search for access windows, and neither starts afresh for a turn: the
+next one goes on where the last one stopped. A turn goes on after its seconds until whole episodes have ended, in our batches as
+many as there are environments, or a multiple. Our batches start staggered and warm up for an episode's length (see harness.py);
+Basilisk plays one episode at a time.
 """
 
 from __future__ import annotations
@@ -28,7 +30,7 @@ import torch
 from harness import Player, Step, Turn
 from torchrl.collectors import Collector
 
-from bsk_torch.rl.policies import make_actor, make_policy, sizes
+from bsk_torch.rl.policies import MLPPlan
 
 SIDE = Path(__file__).with_name("basilisk_side.py")
 
@@ -40,26 +42,25 @@ STEPS_PER_BATCH = 8
 
 
 class Case(NamedTuple):
-    """A batch size, a type of the simulation, and what plays it."""
+    """A batch size, a type of the simulation, what plays it, and a key of ``harness.TASKS``."""
 
     batch: int
     dtype: str
     play: Callable[[Case], Player]
+    task: str = "scan"
 
 
 def directly(case: Case) -> Player:
     """Random actions, by ``step_and_maybe_reset``."""
-    return harness.rollout(harness.make_env(case.batch, case.dtype))
+    return harness.rollout(harness.make_env(case.task, case.batch, case.dtype))
 
 
 def collected(case: Case) -> Player:
     """An untrained policy, nearly uniform, behind TorchRL's collector; an item is a batch of steps."""
-    env = harness.make_env(case.batch, case.dtype)
-    observed, n_actions = sizes(env)
-    policy = make_policy(make_actor(observed, n_actions, HIDDEN), torch.zeros(observed), torch.ones(observed))
+    env = harness.make_env(case.task, case.batch, case.dtype)
     collector = Collector(
         env,
-        policy,
+        MLPPlan.of(env, HIDDEN).build().policy,
         frames_per_batch=case.batch * STEPS_PER_BATCH,
         total_frames=-1,
         auto_register_policy_transforms=False,
@@ -70,7 +71,8 @@ def collected(case: Case) -> Player:
 
 def wrapped(case: Case) -> Player:
     """Random actions, through Gymnasium's interface."""
-    env = gymnasium.make(f"bsk_torch/{harness.NAME}", sim_dtype=getattr(torch, case.dtype))
+    preset, _, options = harness.TASKS[case.task]
+    env = gymnasium.make(f"bsk_torch/{preset}", sim_dtype=getattr(torch, case.dtype), time_limit=harness.EPISODE, **options)
     env.reset(seed=0)
     while True:
         _, _, terminated, truncated, info = env.step(env.action_space.sample())
@@ -86,6 +88,8 @@ CASES = {
     "64": Case(64, "float64", directly),
     "gymnasium": Case(1, "float64", wrapped),
     **{str(batch): Case(batch, "float64", directly) for batch in (1, 2, 4, 8, 16)},
+    **{f"imaging-1k-{batch}": Case(batch, "float64", directly, "imaging-1k") for batch in (1024, 64, 1)},
+    "imaging-10k-1024": Case(1024, "float64", directly, "imaging-10k"),
 }
 
 COLUMNS = {
@@ -94,6 +98,8 @@ COLUMNS = {
     "type": "{dtype}",
     "simulated s per core-s": "{rate:,.0f}",
     "Basilisk": "{basilisk_rate:,.0f}",
+    "decisions per core-s": "{decision_rate:,.0f}",
+    "Basilisk's": "{basilisk_decision_rate:,.1f}",
     "x Basilisk": "{ratio:.3g}",
     "smallest to largest": "{ratio_low:.3g} to {ratio_high:.3g}",
     "in wall time": "{wall_ratio:.3g}",
@@ -103,10 +109,12 @@ COLUMNS = {
 
 
 @contextmanager
-def basilisk(python: str) -> Iterator[Callable[[float], Turn]]:
-    """What plays a turn of so many seconds in the interpreter ``python``."""
+def basilisk(python: str, task: str) -> Iterator[Callable[[float], Turn]]:
+    """What plays a turn of so many seconds of ``task`` in the interpreter ``python``."""
     one_thread = {**os.environ, "OMP_NUM_THREADS": "1"}
-    process = subprocess.Popen([python, str(SIDE)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=one_thread)
+    preset, _, options = harness.TASKS[task]
+    command = [python, str(SIDE), preset, json.dumps(options)]
+    process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=one_thread)
 
     def turn(seconds: float) -> Turn:
         print(seconds, file=process.stdin, flush=True)
@@ -125,8 +133,8 @@ def measure(case: Case, python: str, turns: int, seconds: float, warm_up: int) -
     """Turns of Basilisk and of ours, one after the other, and the seconds until ours was ready."""
     items = -(-warm_up // STEPS_PER_BATCH) if case.play is collected else warm_up
     player, ready = harness.start(lambda: case.play(case), items)
-    with basilisk(python) as other:
-        return [(other(seconds), harness.play(player, seconds)) for _ in range(turns)], ready
+    with basilisk(python, case.task) as other:
+        return [(other(seconds), harness.play(player, seconds, whole=case.batch)) for _ in range(turns)], ready
 
 
 def row_of(name: str, case: Case, turns: list[tuple[Turn, Turn]], ready: float) -> dict[str, Any]:
@@ -134,6 +142,7 @@ def row_of(name: str, case: Case, turns: list[tuple[Turn, Turn]], ready: float) 
     ratios = [ours.rate / theirs.rate for theirs, ours in turns]
     return {
         "case": name,
+        "task": case.task,
         "batch": case.batch,
         "dtype": case.dtype,
         "ratio": statistics.median(ratios),
@@ -142,6 +151,8 @@ def row_of(name: str, case: Case, turns: list[tuple[Turn, Turn]], ready: float) 
         "wall_ratio": statistics.median(ours.wall_rate / theirs.wall_rate for theirs, ours in turns),
         "rate": statistics.median(ours.rate for _, ours in turns),
         "basilisk_rate": statistics.median(theirs.rate for theirs, _ in turns),
+        "decision_rate": statistics.median(ours.decision_rate for _, ours in turns),
+        "basilisk_decision_rate": statistics.median(theirs.decision_rate for theirs, _ in turns),
         "ended": sum(ours.ended for _, ours in turns),
         "ready_s": ready,
         "turns": [{"basilisk": theirs._asdict(), "ours": ours._asdict()} for theirs, ours in turns],
@@ -149,7 +160,7 @@ def row_of(name: str, case: Case, turns: list[tuple[Turn, Turn]], ready: float) 
 
 
 def crossover(rows: list[dict[str, Any]]) -> str:
-    """Below which of the measured batch sizes Basilisk is faster."""
+    """Below which of the measured batch sizes Basilisk is faster at scanning."""
     ratios = {row["batch"]: row["ratio"] for row in rows if CASES[row["case"]] == Case(row["batch"], "float64", directly)}
     slower = [batch for batch, ratio in sorted(ratios.items()) if ratio < 1.0]
     faster = [batch for batch in sorted(ratios) if batch > max(slower, default=0)]
@@ -166,7 +177,8 @@ def main() -> None:
     options, described = harness.begin(arguments)
     rows = []
     for name in options.only:
-        turns, ready = measure(CASES[name], options.basilisk, options.turns, options.seconds, options.warm_up)
+        steps = harness.warm_up(options, CASES[name].task)
+        turns, ready = measure(CASES[name], options.basilisk, options.turns, options.seconds, steps)
         rows.append(row_of(name, CASES[name], turns, ready))
         print(f"{name}: {rows[-1]['ratio']:.3g}", flush=True)
     print(harness.table(COLUMNS, rows), crossover(rows), sep="\n\n")

@@ -53,6 +53,9 @@ KEPT = SPAN
 CHUNK, DEVICE_CHUNK = 256, 16384
 """Rows reset at once on the CPU, where they should fit into its cache, and on other devices, where memory bounds them."""
 
+SEARCHED, DEVICE_SEARCHED = 1 << 18, 1 << 24
+"""Pairs of satellite and place whose windows are searched at once, likewise."""
+
 LONGEST_TICK = 60.0
 
 HINTS = {
@@ -287,7 +290,7 @@ class Simulator:
             values["utc_init"].expand(n).to(self.device),
             *(x.expand(n, 3).to(self.device) for x in hub.initial_orbit(values)),
         )
-        for part in torch.split(torch.arange(n, device=self.device), CHUNK if self.device.type == "cpu" else DEVICE_CHUNK):
+        for part in torch.split(torch.arange(n, device=self.device), self._chunk):
             fine = self.arcs.reset(rows[part], *(x[part] for x in start))
             epoch = torch.zeros(len(part), dtype=torch.float64, device=self.device)
             sky = Samples(self.arcs.sky[rows[part]], epoch)
@@ -298,6 +301,13 @@ class Simulator:
         self._first_tick(rows)
         self.memory.reset(rows)
         self.observer.forget()
+
+    @property
+    def _chunk(self) -> int:
+        """Rows to reset at once."""
+        rows, pairs = (CHUNK, SEARCHED) if self.device.type == "cpu" else (DEVICE_CHUNK, DEVICE_SEARCHED)
+        places = self.drawn[TARGETS].shape[1] if TARGETS in self.drawn else 1
+        return max(1, min(rows, pairs // places))
 
     def adopt(self, rows: Tensor, other: Simulator) -> None:
         """Take over the episodes that ``other``, a simulation of the same make, holds in ``rows`` [n]."""
