@@ -23,7 +23,7 @@ PARTS = (
     ("simulator", "run", "tick: the simulation"),
     ("", "_reward", "data: reward and aliveness"),
     ("", "_outputs", "obs: observations and masks"),
-    ("simulator", "next_windows", "windows: which come next"),
+    ("satellite", "find_next_opportunities", "windows: which come next"),
     ("simulator.access", "extend", "windows: search beyond those prepared at reset"),
     ("simulator", "reach", "orbits beyond those prepared at reset"),
     ("", "_reset", RESET),

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from bsk_torch.act.base import Action, Decision
+from bsk_torch.sim.queries import positions
 
 if TYPE_CHECKING:
     from bsk_torch.sats.satellite import Satellite
@@ -121,7 +122,7 @@ class Image(Action):
         """See :meth:`Action.begin`: aim, and wait for the store to grow."""
         simulator, target = self.satellite.simulator, -2 - decision.key
         rows = rows & (decision.key != NOTHING)
-        place = simulator.positions(self.kind, torch.where(rows, target, 0).unsqueeze(-1)).squeeze(1)
+        place = positions(simulator, self.kind, torch.where(rows, target, 0).unsqueeze(-1)).squeeze(1)
         simulator.write("target_r_P", rows & decision.retask, place)
         simulator.write("image_level", rows, self.satellite.dynamics.partition_levels[:, 0])
         memory = simulator.memory

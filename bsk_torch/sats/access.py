@@ -11,6 +11,7 @@ from torch import Tensor
 from bsk_torch.sats.satellite import Satellite
 from bsk_torch.sim.access import Windows, seen
 from bsk_torch.sim.params import nearest
+from bsk_torch.sim.queries import next_windows, positions
 from bsk_torch.sim.span import PLAN_STEP
 
 AccessFilter = Callable[[], Tensor]
@@ -133,10 +134,10 @@ class AccessSatellite(Satellite):
         if known is not None and known[0] == now and (count is None or bool((known[1].found >= count).all())):
             return known[1]
         query = type, n, self.allowed(type), count, self._last_generation(), self.may_see_nothing
-        windows, found = self.simulator.next_windows(*query)
+        windows, found = next_windows(self.simulator, *query)
         if self.may_see_nothing:
             windows = self._or_nothing(windows, found)
-        opportunities = Opportunities(*windows, self.simulator.positions(type, windows.place), found)
+        opportunities = Opportunities(*windows, positions(self.simulator, type, windows.place), found)
         if count is None:
             self._cache[(type, n)] = now, opportunities
         return opportunities

@@ -15,6 +15,7 @@ from bsk_torch.obs.base import Observation, ObservationBuilder
 from bsk_torch.sim.component import Component
 from bsk_torch.sim.dyn.models import BasicDynamicsModel, DynamicsModel
 from bsk_torch.sim.fsw.models import BasicFSWModel, FSWModel
+from bsk_torch.sim.queries import next_eclipse
 from bsk_torch.sim.simulator import Simulator
 
 OBS_TYPES = (torch.Tensor, dict)
@@ -153,7 +154,7 @@ class Satellite:
 
     def next_eclipse(self) -> tuple[Tensor, Tensor]:
         """Next start and next end of an eclipse, [N] s since reset."""
-        return self.simulator.next_eclipse()
+        return next_eclipse(self.simulator)
 
     def aliveness(self) -> dict[str, Tensor]:
         """Result [N] of every aliveness check of dynamics and flight software, by name."""

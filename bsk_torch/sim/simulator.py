@@ -5,19 +5,18 @@ from __future__ import annotations
 import dataclasses
 import functools
 from collections.abc import Callable, Mapping
-from typing import Any, cast
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from bsk_torch.astro.atmosphere import top_radius
 from bsk_torch.astro.ephemeris import coverage
-from bsk_torch.astro.interpolate import COUNT
 from bsk_torch.astro.orbit import periapsis_radius
 from bsk_torch.constants import NANO
 from bsk_torch.lanes.loop import Samples
 from bsk_torch.rand import Key, first_key
-from bsk_torch.sim.access import LOOKAHEAD, Access, PlacesOf, Windows
+from bsk_torch.sim.access import Access, Windows
 from bsk_torch.sim.component import Component, collect
 from bsk_torch.sim.dyn import hub
 from bsk_torch.sim.dyn.field import prepare
@@ -29,20 +28,16 @@ from bsk_torch.sim.memory import Memory
 from bsk_torch.sim.observe import Observer
 from bsk_torch.sim.orbit import PLANNED_SPANS, Arcs, spans_for
 from bsk_torch.sim.params import Arguments, merge, nearest
+from bsk_torch.sim.queries import TARGETS, places_in_view
 from bsk_torch.sim.run import Flight, make_runners
-from bsk_torch.sim.search import Places
 from bsk_torch.sim.sight import View, make_sight
 from bsk_torch.sim.solver import make_solver
 from bsk_torch.sim.span import PLAN_STEP, SPAN
 from bsk_torch.sim.surroundings import World
 from bsk_torch.sim.tick import ARC_ORBIT, Tick
-from bsk_torch.sim.world import station_arrays
 from bsk_torch.vec3 import Vec3
 
 ORBITS = ("arc", "integrated")
-
-TARGETS = "target_r_LP_P"
-"""Name under which scenarios draw the places that are to be imaged."""
 
 MARGIN = SEARCH_STEP * (SEARCHES - 1) + 2.0 * PLAN_STEP
 """Seconds that arcs reach beyond what is asked for: what the search for eclipses looks ahead."""
@@ -57,12 +52,6 @@ SEARCHED, DEVICE_SEARCHED = 1 << 18, 1 << 24
 """Pairs of satellite and place whose windows are searched at once, likewise."""
 
 LONGEST_TICK = 60.0
-
-HINTS = {
-    "ground_station": "add stations to world_args['groundStationsData'], lower gsMinimumElevation",
-    "target": "all have been imaged, or too few lie below the orbit: ask for more targets, lower imageTargetMinimumElevation",
-}
-"""What to do when nothing comes into view."""
 
 
 def fitted(parts: tuple[Component, ...], given: Mapping[str, Any]) -> tuple[Component, ...]:
@@ -191,34 +180,10 @@ class Simulator:
         self.arcs = Arcs(n, spans_for(horizon + MARGIN), make_solver(self.h, backend, self.device), kept)
         sight = make_sight(backend, self.device)
         self.eclipses = EclipseTable(self.arcs, sight)
-        kinds = self._places()
+        kinds = places_in_view(self)
         self.access = Access(self.arcs, sight, kinds, segment) if kinds else None
         on = [[float(flag in self.modes[name].on) for name in self.mode_names] for flag in FLAGS]
         self.flag_table = torch.tensor(on, device=self.device, dtype=torch.float64)
-
-    def _places(self) -> dict[str, PlacesOf]:
-        """What the satellite can see, by type of opportunity."""
-        kinds: dict[str, PlacesOf] = {}
-        if "groundStationsData" in self.world_args.table:
-            arrays = station_arrays(self.world_args.draw(first_key(1)))
-            r_P = arrays["station_positions"].view(1, 3, -1).mT.contiguous().to(self.device)
-            stations = Places(r_P, arrays["station_sin_elevations"].to(self.device))
-            kinds["ground_station"] = lambda rows: stations
-        if TARGETS in self.drawn and "imageTargetMinimumElevation" in self.sat_args.table:
-            kinds["target"] = self._targets
-        return kinds
-
-    def _targets(self, rows: Tensor) -> Places:
-        """Targets of the present episodes of ``rows``."""
-        r_P, exists = self.drawn[TARGETS][rows], self.drawn["target_exists"][rows] > 0.5
-        least = torch.sin(self.drawn["imageTargetMinimumElevation"][rows]).unsqueeze(-1)
-        return Places(torch.where(exists.unsqueeze(-1), r_P, torch.nan), least.expand_as(exists))
-
-    def positions(self, kind: str, place: Tensor) -> Tensor:
-        """Earth-fixed positions [N, n, 3], m, of places [N, n] of a kind."""
-        if kind == "target":
-            return self.drawn[TARGETS].gather(1, place.unsqueeze(-1).expand(*place.shape, 3))
-        return cast("Access", self.access).kinds[kind](self.all_rows).r_P[0, place]
 
     @property
     def bytes_per_env(self) -> int:
@@ -455,65 +420,7 @@ class Simulator:
         self.arcs.grow()
         self.eclipses.lengthen(self.all_rows)
 
-    # -- look-ahead ---------------------------------------------------------------------------------------------------
-
-    def next_eclipse(self) -> tuple[Tensor, Tensor]:
-        """Next start and end of an eclipse, [N] s since reset; see :meth:`bsk_torch.sim.eclipse.EclipseTable.query`."""
-        time = self.sim_time
-        self.reach(self.eclipses.needs(time))
-        return self.eclipses.query(time)
-
-    def next_windows(
-        self,
-        kind: str,
-        width: int,
-        allowed: Tensor | None = None,
-        count: Tensor | None = None,
-        last: Tensor | None = None,
-        may_see_nothing: bool = False,
-    ) -> tuple[Windows, Tensor]:
-        """The windows over a kind of places that close next, [N, width], and how many of them there are, [N].
-
-        The last is repeated where there are fewer. Segments are added until ``count`` windows are known.
-
-        Args:
-            kind: A key of ``access.kinds``.
-            width: Number of windows.
-            allowed: Which places count, [N, P]; all of them unless given.
-            count: How many each environment asks for, [N], at most ``width``, which it is unless given.
-            last: Time, [N] s, from which on no segments are added; in any case no more than :data:`LOOKAHEAD` are.
-            may_see_nothing: Whether there may be none at all; look-ahead then ends :data:`LOOKAHEAD` segments from now, so that
-                queries in vain do not add as many again and again.
-
-        Raises:
-            RuntimeError: Where a window is asked for, there is none within the look-ahead, and there must be one.
-        """
-        access, time = cast("Access", self.access), self.sim_time
-        wanted = torch.full_like(self.ticks, width) if count is None else count
-        windows, found = access.next(kind, time, width, allowed)
-        rows = torch.nonzero(found < wanted).squeeze(-1)
-        if not len(rows):
-            return windows, found
-        limit = (time if may_see_nothing else access.until) + LOOKAHEAD * access.segment
-        limit = limit if last is None else torch.minimum(limit, last)
-        while True:
-            some = None if allowed is None else allowed[rows]
-            rows = access.reveal(kind, rows, time[rows], wanted[rows], limit[rows], some)
-            if not len(rows):
-                break
-            target = torch.zeros_like(time)
-            target[rows] = access.ready[rows] + max(access.ahead * access.segment, PLAN_STEP * COUNT)
-            self.reach(target)
-            access.extend(rows, time)
-        self.eclipses.sampled = torch.maximum(self.eclipses.sampled, access.until)
-        windows, found = access.next(kind, time, width, allowed)
-        none = [] if may_see_nothing else torch.nonzero((found == 0) & (wanted > 0)).squeeze(-1).tolist()
-        if none:
-            raise RuntimeError(
-                f"no {kind} comes into view of environments {none[:5]} within {LOOKAHEAD * access.segment:g} s; {HINTS[kind]}, "
-                "or build the satellite with may_see_nothing=True"
-            )
-        return windows, found
+    # -- reading ------------------------------------------------------------------------------------------------------
 
     def read(self, name: str) -> Tensor:
         """A field of the state, [N] or [N, width]."""
