@@ -342,11 +342,9 @@ class SatelliteTasking(EnvBase):
 
     @torch.no_grad()
     def _outputs(self, **parts: Tensor) -> TensorDict:
-        values = self.satellite.observations.get_dict()
-        if self.satellite.obs_type is dict:
-            observation: Any = self._cast(values)
-        else:
-            observation = self.satellite.observations.vector(values, self.dtype)
+        observations = self.satellite.observations
+        in_parts = self.satellite.obs_type is dict
+        observation: Any = self._cast(observations.get_dict()) if in_parts else observations.get_vector(self.dtype)
         parts |= {"observation": observation, "action_mask": self.satellite.action_mask()}
         counts = self.satellite.counts() | self.rewarder.counts()
         if counts:

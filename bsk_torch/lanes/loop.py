@@ -48,7 +48,7 @@ class Loop:
     def __call__(
         self,
         state: Tensor,
-        counts: Tensor,
+        counts: Tensor | int,
         tracks: Sequence[Samples],
         *,
         order: Tensor | None = None,
@@ -65,7 +65,7 @@ class Loop:
 
         Args:
             state: State [C, n], which changes.
-            counts: Number of ticks, at most, of each row [n].
+            counts: Number of ticks, at most, of each row [n], or of all of them.
             tracks: Records of each track.
             order: Number of ticks to be expected of each row [n], where it differs from ``counts``; a matter of speed only.
             shared: Numbers that all rows share.
@@ -83,6 +83,8 @@ class Loop:
         Raises:
             ValueError: For a tensor that is not contiguous, or a table with too few records.
         """
+        alike = isinstance(counts, int)
+        counts = torch.full(state.shape[1:], counts) if isinstance(counts, int) else counts
         for tensor in (state, counts, shared, own, mode, flags, ticks, schedule, *(part for t in tracks for part in t)):
             if tensor is not None and not tensor.is_contiguous():
                 raise ValueError(
@@ -94,7 +96,7 @@ class Loop:
                     f"a kernel got a table {list(samples.table.shape)}; it must have at least {track.count} records a row"
                 )
         n, modes = len(counts), 1 if flags is None else flags.shape[1]
-        rows, ends = self._blocks(counts, counts if order is None else order, mode, modes)
+        rows, ends = self._blocks(counts, alike, counts if order is None else order, mode, modes)
         blocks = len(rows) // self.width
         self._run(
             *(blocks, max(1, min(blocks, torch.get_num_threads())), rows, ends, n, state, shared, own, flags, modes),
@@ -103,11 +105,11 @@ class Loop:
         )
         return torch.empty_like(counts).index_copy_(0, rows[:n], ends[:n]) if self.stops else counts
 
-    def _blocks(self, counts: Tensor, order: Tensor, mode: Tensor | None, modes: int) -> tuple[Tensor, Tensor]:
+    def _blocks(self, counts: Tensor, alike: bool, order: Tensor, mode: Tensor | None, modes: int) -> tuple[Tensor, Tensor]:
         """Rows in blocks of like durations and modes, and their numbers of ticks; padded with rows that run no tick."""
         n = len(counts)
         padding = -n % self.width
-        if n <= self.width:
+        if alike or n <= self.width:
             rows, counts = torch.arange(n), counts.clone() if self.stops else counts
         else:
             rows = torch.argsort(order if mode is None else order * modes + mode)

@@ -39,6 +39,10 @@ class Observation:
         """What is seen now."""
         raise NotImplementedError(f"{type(self).__name__} must implement get_obs()")
 
+    def get_vector(self) -> Tensor:
+        """What is seen now as one vector, [N, width]: the leaves of :meth:`get_obs` in order."""
+        return torch.cat([value for _, value in flatten({self.name: self.get_obs()})], -1)
+
 
 def scaled(value: Tensor, norm: float) -> Tensor:
     """The value over its norm."""
@@ -99,6 +103,10 @@ class ObservationBuilder:
                 name = f"{entry.name}_{count}"
             values[name] = entry.get_obs()
         return values
+
+    def get_vector(self, dtype: torch.dtype) -> Tensor:
+        """All observations side by side, [N, width]."""
+        return torch.cat([entry.get_vector() for entry in self.entries], -1).to(dtype)
 
     @staticmethod
     def vector(values: Values, dtype: torch.dtype) -> Tensor:

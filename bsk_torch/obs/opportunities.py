@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any, cast
 import torch
 from torch import Tensor
 
-from bsk_torch.astro.ephemeris import EARTH_ROTATION_RATE
 from bsk_torch.obs.base import Observation, Values, check_entries, property_name, scaled
+from bsk_torch.sim.aim import SEEN_FROM
 from bsk_torch.sim.observe import observable
 from bsk_torch.sim.params import nearest
 
@@ -33,57 +33,29 @@ def priority(satellite: Satellite, targets: Opportunities) -> Tensor:
     return satellite.scenario.priority.gather(1, targets.place)
 
 
-def line_of_sight(satellite: Satellite, opportunities: Opportunities) -> Tensor:
-    """From the satellite to each place, Earth-fixed, [N, n, 3] m."""
-    return opportunities.r_LP_P - satellite.dynamics.r_BN_P.unsqueeze(1)
+def _aimed(part: slice | int) -> Preset:
+    def geometry(satellite: Satellite, opportunities: Opportunities) -> Tensor:
+        return satellite.aims(opportunities)[..., part]  # type: ignore[attr-defined]
 
-
-def r_LB_H(satellite: Satellite, opportunities: Opportunities) -> Tensor:
-    """From the satellite to each place in the Hill frame, [N, n, 3] m."""
-    r_P = satellite.dynamics.r_BN_P
-    spin = torch.tensor([0.0, 0.0, EARTH_ROTATION_RATE], dtype=r_P.dtype, device=r_P.device)
-    v_P = satellite.dynamics.v_BN_P + torch.linalg.cross(spin.expand_as(r_P), r_P)  # inertial velocity, Earth-fixed axes
-    radial = r_P / r_P.norm(dim=-1, keepdim=True)
-    normal = torch.linalg.cross(r_P, v_P)
-    normal = normal / normal.norm(dim=-1, keepdim=True)
-    HP = torch.stack([radial, torch.linalg.cross(normal, radial), normal], -2)
-    return line_of_sight(satellite, opportunities) @ HP.mT
-
-
-def target_angle(satellite: Satellite, targets: Opportunities) -> Tensor:
-    """Angle between the instrument and each target, [N, n] rad in [0, pi]."""
-    rho = line_of_sight(satellite, targets)
-    along = (rho * satellite.fsw.c_hat_P.unsqueeze(1)).sum(-1) / rho.norm(dim=-1)
-    return torch.acos(along.clamp(-1.0, 1.0))
-
-
-def target_angle_rate(satellite: Satellite, targets: Opportunities) -> Tensor:
-    """Rate at which the body must turn, relative to its own, to follow each target, [N, n] rad/s.
-
-    ``|w_BP - v x rho / rho^2|``, Earth-fixed, with the line of sight rho to the target.
-    """
-    rho = line_of_sight(satellite, targets)
-    v_P = satellite.dynamics.v_BN_P.unsqueeze(1).expand_as(rho)
-    turn = torch.linalg.cross(v_P, rho) / (rho * rho).sum(-1, keepdim=True)
-    return (satellite.dynamics.omega_BP_P.unsqueeze(1) - turn).norm(dim=-1)
+    return geometry
 
 
 PRESETS: dict[str, Preset] = {
     "priority": priority,
     "r_LP_P": lambda satellite, opportunities: opportunities.r_LP_P,
-    "r_LB_H": r_LB_H,
+    "r_LB_H": _aimed(slice(0, 3)),
     "opportunity_open": _relative("open"),
     "opportunity_mid": _relative("mid"),
     "opportunity_close": _relative("close"),
-    "target_angle": target_angle,
-    "target_angle_rate": target_angle_rate,
+    "target_angle": _aimed(3),
+    "target_angle_rate": _aimed(4),
 }
 """What ``prop`` may name."""
 
 NEEDS = {
     "r_LB_H": ("r_BN_P", "v_BN_P"),
-    "target_angle": ("r_BN_P", "c_hat_P"),
-    "target_angle_rate": ("r_BN_P", "v_BN_P", "omega_BP_P"),
+    "target_angle": SEEN_FROM,
+    "target_angle_rate": SEEN_FROM,
 }
 """Properties of the satellite that presets read."""
 
@@ -153,8 +125,8 @@ class OpportunityProperties(Observation):
         known = [getattr(model, name) for name in self._needs() for model in models if hasattr(model, name)]
         return [prop.function for prop in known if isinstance(prop, observable)]
 
-    def get_obs(self) -> Values:
-        """See :meth:`Observation.get_obs`."""
+    def _columns(self) -> tuple[dict[str, Tensor], Tensor]:
+        """What is observed of the opportunities by name, [N, n] or [N, n, width], and which do not repeat the last, [N, n]."""
         opportunities = cast("AccessSatellite", self.satellite).find_next_opportunities(self.n_ahead_observe, self.type)
         columns = {}
         for entry in self.entries:
@@ -163,10 +135,25 @@ class OpportunityProperties(Observation):
         if getattr(self.satellite, "may_see_nothing", False):
             nothing = opportunities.found == 0
             columns = {name: blank(column, nothing) for name, column in columns.items()}
+        return columns, opportunities.mask
+
+    @staticmethod
+    def _rows(columns: dict[str, Tensor]) -> Tensor:
+        """All columns side by side, [N, n, features]."""
+        return torch.cat([column.unsqueeze(-1) if column.ndim == 2 else column for column in columns.values()], -1)
+
+    def get_obs(self) -> Values:
+        """See :meth:`Observation.get_obs`."""
+        columns, mask = self._columns()
         if self.as_set:
-            rows = [column.unsqueeze(-1) if column.ndim == 2 else column for column in columns.values()]
-            return {"rows": torch.cat(rows, -1), "mask": opportunities.mask.to(opportunities.close.dtype)}
+            return {"rows": self._rows(columns), "mask": mask.double()}
         return {f"{self.name}_{k}": {name: column[:, k] for name, column in columns.items()} for k in range(self.n_ahead_observe)}
+
+    def get_vector(self) -> Tensor:
+        """See :meth:`Observation.get_vector`; one opportunity after the other."""
+        columns, mask = self._columns()
+        rows = self._rows(columns).flatten(1)
+        return torch.cat([rows, mask.to(rows.dtype)], -1) if self.as_set else rows
 
 
 def blank(column: Tensor, rows: Tensor) -> Tensor:

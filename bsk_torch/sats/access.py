@@ -10,6 +10,7 @@ from torch import Tensor
 
 from bsk_torch.sats.satellite import Satellite
 from bsk_torch.sim.access import Windows, seen
+from bsk_torch.sim.aim import SEEN_FROM, aims
 from bsk_torch.sim.params import nearest
 from bsk_torch.sim.queries import next_windows, positions
 from bsk_torch.sim.span import PLAN_STEP
@@ -93,6 +94,7 @@ class AccessSatellite(Satellite):
         super().equip()
         self._filters: dict[str, list[AccessFilter]] = {}
         self._cache: dict[tuple[str, int], tuple[tuple[int, int], Opportunities]] = {}
+        self._aims: tuple[Opportunities, int, Tensor] | None = None
 
     @property
     def opportunity_types(self) -> tuple[str, ...]:  # type: ignore[override]
@@ -159,6 +161,16 @@ class AccessSatellite(Satellite):
     def _check_type(self, type: str) -> None:
         if type not in self.opportunity_types:
             raise ValueError(f"type={type!r} is not a type of opportunity; {nearest(type, self.opportunity_types)}")
+
+    def aims(self, opportunities: Opportunities) -> Tensor:
+        """Where places stand as seen from the satellite now, [N, n, 5]; see :func:`bsk_torch.sim.aim.aim`."""
+        observer = self.simulator.observer
+        if self._aims is None or self._aims[0] is not opportunities or self._aims[1] != observer.version:
+            models, zero = (self.dynamics, self.fsw), torch.zeros_like(self.dynamics.r_BN_P)
+            found = ([getattr(model, name) for model in models if hasattr(model.__class__, name)] for name in SEEN_FROM)
+            satellite = tuple(values[0] if values else zero for values in found)
+            self._aims = opportunities, observer.version, aims(satellite, opportunities.r_LP_P, observer.kernels)
+        return self._aims[2]
 
     def opportunities(self, type: str) -> Windows:
         """All windows of a type that are known now, sorted by closing time, [N, W]; the missing ones close at infinity.

@@ -31,8 +31,9 @@ SEEN_PER_SECOND = 1.2e-5
 TIE = 1e-7
 """Windows cut at the same time are sorted by place, as if each closed so much later, s, than the one before."""
 
-SPARE = 48
-"""Windows that a query looks at beside twice those that it wants, before it looks at all."""
+FEW, SPARE = 48, 16
+"""Tables of so many windows more than twice those that a query wants are looked at as a whole; of longer ones, those that it
+wants and so many more are looked at first."""
 
 PlacesOf = Callable[[Tensor], Places]
 """Places of rows [n]."""
@@ -87,8 +88,8 @@ def next_of(windows: Windows, time: Tensor, until: Tensor, width: int, allowed: 
     The last is repeated where there are fewer. ``until`` [n] is the end of what is known, ``allowed`` [n, P] says which places
     count. Of long tables a block is looked at first, which is enough for most rows.
     """
-    total, block = windows.close.shape[1], 2 * width + SPARE
-    if total <= block:
+    total, block = windows.close.shape[1], width + SPARE
+    if total <= 2 * width + FEW:
         return _soonest(seen(windows, time, until, allowed), width)
     first = first_after(windows, time)
     some, fresh = _from(windows, first, block, time, until, allowed)
@@ -183,9 +184,14 @@ class Access:
         """Replace the windows of ``rows``."""
         self.windows[kind] = Windows(*(stored(table, rows, new) for table, new in zip(self.windows[kind], found, strict=True)))
 
-    def next(self, kind: str, time: Tensor, width: int, allowed: Tensor | None = None) -> tuple[Windows, Tensor]:
-        """See :func:`next_of`; ``time`` [N], ``allowed`` [N, P]."""
-        return next_of(self.windows[kind], time, self.until, width, allowed)
+    def next(
+        self, kind: str, time: Tensor, width: int, allowed: Tensor | None = None, rows: Tensor | None = None
+    ) -> tuple[Windows, Tensor]:
+        """See :func:`next_of`; of all rows, ``time`` [N] and ``allowed`` [N, P], or of some ``rows`` [m] of them."""
+        if rows is None:
+            return next_of(self.windows[kind], time, self.until, width, allowed)
+        windows = Windows(*(table[rows] for table in self.windows[kind]))
+        return next_of(windows, time[rows], self.until[rows], width, None if allowed is None else allowed[rows])
 
     def reveal(
         self, kind: str, rows: Tensor, time: Tensor, count: Tensor, last: Tensor | None = None, allowed: Tensor | None = None

@@ -232,14 +232,13 @@ class ObserverKernel:
         planes = [p for value in values for p in (value if isinstance(value, tuple) else (value,))]
         self.kernel = Loop("observation", program, [], (SKY,), planes, clock="start")
         self.width = len(planes)
-        self.once = torch.ones(simulator.num_envs, dtype=torch.int64)
 
     def __call__(self, simulator: Simulator) -> dict[Function, Tensor]:
         """Observables by function."""
         written = torch.empty(simulator.num_envs, 1, self.width, dtype=torch.float64)
         self.kernel(
             simulator.pack,
-            self.once,
+            1,
             [simulator.arcs.sky_samples],
             own=simulator.argument_pack(tuple(self.arguments)),
             ticks=simulator.ticks,

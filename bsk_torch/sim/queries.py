@@ -91,7 +91,7 @@ def next_windows(
     access, time = cast("Access", simulator.access), simulator.sim_time
     wanted = torch.full_like(simulator.ticks, width) if count is None else count
     windows, found = access.next(kind, time, width, allowed)
-    rows = torch.nonzero(found < wanted).squeeze(-1)
+    short = rows = torch.nonzero(found < wanted).squeeze(-1)
     if not len(rows):
         return windows, found
     limit = (time if may_see_nothing else access.until) + LOOKAHEAD * access.segment
@@ -106,7 +106,9 @@ def next_windows(
         simulator.reach(target)
         access.extend(rows, time)
     simulator.eclipses.sampled = torch.maximum(simulator.eclipses.sampled, access.until)
-    windows, found = access.next(kind, time, width, allowed)
+    more, number = access.next(kind, time, width, allowed, short)
+    windows = Windows(*(a.index_copy(0, short, b) for a, b in zip(windows, more, strict=True)))
+    found = found.index_copy(0, short, number)
     none = [] if may_see_nothing else torch.nonzero((found == 0) & (wanted > 0)).squeeze(-1).tolist()
     if none:
         raise RuntimeError(

@@ -258,12 +258,12 @@ def _run(
     kernel: Loop, pairs: Pairs, state: Tensor, ticks: int, more: tuple[Tensor, ...] = (), written: Tensor | None = None
 ) -> None:
     own = torch.stack([*pairs.r_P.unbind(-1), pairs.sin_min_elevation, *more])
-    kernel(state, torch.full((state.shape[1],), ticks), (pairs.path,), own=own, written=written)
+    kernel(state, ticks, (pairs.path,), own=own, written=written)
 
 
 def _sampled(kernel: Loop, view: View, start: Tensor, count: int, width: int) -> Tensor:
     written = torch.empty(len(start), count, width, dtype=torch.float64)
-    kernel(start.unsqueeze(0).clone(), torch.full(start.shape, count), (view.sky, view.fine or view.planned), written=written)
+    kernel(start.unsqueeze(0).clone(), count, (view.sky, view.fine or view.planned), written=written)
     return written
 
 

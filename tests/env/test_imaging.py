@@ -9,6 +9,7 @@ from torchrl.envs import check_env_specs
 
 import bsk_torch
 from bsk_torch import SatelliteTasking, act, data, fsw, obs, rand, sats, scene
+from bsk_torch.obs.base import ObservationBuilder
 from bsk_torch.presets.aeos import agile_args
 from bsk_torch.sim.access import next_of
 
@@ -493,3 +494,12 @@ def test_shield_forbids_what_is_dangerous():
     assert mask[~low & ~fast & sunlit].all()
     free = bsk_torch.make("AEOSPower-v1", num_envs=2, n_targets=300, shielded=False, time_limit=1200.0)
     assert free.reset()["action_mask"].all()
+
+
+@pytest.mark.parametrize("as_set", [False, True])
+def test_vectors_are_the_leaves_of_dictionaries_in_order(as_set):
+    env = bsk_torch.make("AEOSPower-v1", num_envs=2, n_targets=300, as_set=as_set, obs_type=torch.Tensor, dtype=torch.float64)
+    seen = env.reset()["observation"]
+    values = env.satellite.observations.get_dict()
+    assert torch.equal(seen, ObservationBuilder.vector(values, torch.float64))
+    assert len(env.satellite.observation_description) == seen.shape[1]
