@@ -186,7 +186,7 @@ def test_a_long_episode_after_short_ones_has_all_its_windows():
     row = TensorDict({"_reset": torch.tensor([[True], [False]])}, [2])
     a, b = env.reset(row.clone()), long.reset(row.clone())
     assert torch.equal(a["observation"][0], b["observation"][0])
-    mine, other = env.simulator.access.windows, long.simulator.access.windows
+    mine, other = (e.simulator.access.windows["ground_station"] for e in (env, long))
     assert torch.equal(mine.close[0][mine.close[0] < 40000.0], other.close[0][other.close[0] < 40000.0])
     assert torch.equal(env.get_state()["arcs_flown"][1][: len(before)], before)
 
