@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import json
 import logging
-import warnings
 from collections.abc import Mapping
 from datetime import datetime
 from importlib import import_module
@@ -24,10 +23,13 @@ from bsk_torch.rl.evaluate import Evaluation, evaluate
 from bsk_torch.rl.log import read_log
 from bsk_torch.rl.policies import load_policy
 from bsk_torch.rl.ppo import PPOConfig
+from bsk_torch.rl.recipes import configure
+from bsk_torch.rl.targets import image_actions
 from bsk_torch.sim.params import nearest
 
 if TYPE_CHECKING:
     from tensordict.nn import TensorDictModuleBase
+    from torch import Tensor
 
 app = typer.Typer(help="Train and evaluate satellite-tasking policies.", no_args_is_help=True, add_completion=False)
 console = Console()
@@ -49,7 +51,6 @@ def setup() -> None:
     """Say what takes long, and nothing else."""
     logging.basicConfig(level=logging.INFO, format="%(message)s")
     logging.getLogger("torchrl").setLevel(logging.WARNING)
-    warnings.filterwarnings("ignore", message="Support of VecNormV2 for containers")
 
 
 @app.command("list")
@@ -69,7 +70,7 @@ def show_arguments(preset: Preset) -> None:
 
 @app.command("evaluate")
 def evaluate_policy(
-    policy: Annotated[str, typer.Argument(help="Folder of a training run, 'random' or 'rule'.")],
+    policy: Annotated[str, typer.Argument(help="Folder of a training run, or 'random', 'rule', 'greedy', 'nearest', 'hasty'.")],
     preset: Annotated[str | None, typer.Option(help="Environment; that of the run unless given.")] = None,
     episodes: Episodes = 256,
     seed: Seed = 0,
@@ -78,7 +79,7 @@ def evaluate_policy(
     device: Device = "cpu",
     time_limit: TimeLimit = None,
 ) -> None:
-    """Play fresh episodes and print mean return, survival and causes of death."""
+    """Play fresh episodes and print mean return, what was counted, survival and causes of death."""
     torch.set_num_threads(threads)
     folder = Path(policy)
     kept = _read_config(folder) if policy not in BASELINES else {}
@@ -93,10 +94,11 @@ def evaluate_policy(
 @app.command()
 def train(
     preset: Preset,
+    network: Annotated[str, typer.Option(help="'mlp', or 'attention' for targets observed as a set.")] = "mlp",
     minutes: Annotated[float, typer.Option(min=0.01, help="Training time after compilation.")] = 3.0,
     frames: Annotated[int | None, typer.Option(help="Number of decisions, instead of a time.")] = None,
-    num_envs: Annotated[int, typer.Option(min=1, help="Episodes at once.")] = 1024,
-    rollout: Annotated[int, typer.Option(min=1, help="Decisions of each between two updates.")] = 16,
+    num_envs: Annotated[int | None, typer.Option(min=1, help="Episodes at once, instead of the recipe's.")] = None,
+    rollout: Annotated[int | None, typer.Option(min=1, help="Decisions of each between two updates, likewise.")] = None,
     seed: Seed = 0,
     out: Annotated[Path | None, typer.Option(help="Folder for the results; a new one in runs/ unless given.")] = None,
     episodes: Episodes = 256,
@@ -105,13 +107,13 @@ def train(
     device: Device = "cpu",
     time_limit: TimeLimit = None,
 ) -> None:
-    """Train a policy with PPO and compare it with random actions and a rule on fresh episodes."""
+    """Train a policy with PPO and compare it with random actions and rules on fresh episodes."""
     torch.set_num_threads(threads)
-    options = _options(backend, device, time_limit)
-    env = _environment(preset, episodes, options)
-    training = _extra("bsk_torch.rl.training")
     limit = {"frames": frames, "seconds": None} if frames else {"seconds": 60.0 * minutes}
-    config = PPOConfig(preset, num_envs=num_envs, rollout=rollout, seed=seed, options=options, **limit)
+    sizes = {name: size for name, size in {"num_envs": num_envs, "rollout": rollout}.items() if size is not None}
+    config = _configured(preset, network, seed=seed, options=_options(backend, device, time_limit), **limit, **sizes)
+    env = _environment(preset, episodes, config.options)
+    training = _extra("bsk_torch.rl.training")
     folder = out or Path("runs") / f"{preset}_{datetime.now():%Y%m%d-%H%M%S}"
     run = training.Training(config, folder)
     policies = {name: BASELINES[name](env, seed) for name in BASELINES if _fits(name, env)} | {"untrained": run.policy}
@@ -127,6 +129,13 @@ def train(
 def _options(backend: str, device: str, time_limit: float | None) -> dict[str, Any]:
     """Arguments of the environment that the command line sets."""
     return {"backend": backend, "device": device} | ({} if time_limit is None else {"time_limit": time_limit})
+
+
+def _configured(preset: str, network: str, **changes: Any) -> PPOConfig:
+    try:
+        return configure(preset, network, **changes)
+    except ValueError as error:
+        _fail(str(error))
 
 
 def _environment(preset: str, num_envs: int, options: Mapping[str, Any]) -> SatelliteTasking:
@@ -171,33 +180,64 @@ def _evaluated(name: str, policy: TensorDictModuleBase, env: SatelliteTasking, s
 
 
 def _print(results: Mapping[str, Evaluation], title: str) -> None:
-    """A table of all results."""
+    """A table of all results; survival and deaths where somebody died."""
     table = Table(title=title, title_justify="left")
-    for column in ("policy", "return (95 %)", "survival", "collected", "decisions"):
-        table.add_column(column, no_wrap=True)
-    table.add_column("deaths")
-    for name, result in results.items():
-        decisions, collected = (float(x.double().mean()) for x in (result.decisions, result.collected))
-        deaths = ", ".join(f"{count} {cause.removesuffix('_valid')}" for cause, count in result.causes.items())
-        numbers = f"{result.survival:.1%}", f"{collected:.3f}", f"{decisions:.0f}"
-        table.add_row(name, str(result.mean_return), *numbers, deaths or "none")
+    mortal = any(result.causes for result in results.values())
+    rows = {name: _row(result, mortal) for name, result in results.items()}
+    for column in ("policy", *next(iter(rows.values()))):
+        table.add_column(column, no_wrap=column != "deaths")
+    for name, row in rows.items():
+        table.add_row(name, *row.values())
     console.print(table)
+
+
+def _row(result: Evaluation, mortal: bool) -> dict[str, str]:
+    """What the table says about a policy, by column."""
+    row = {"return (95 %)": str(result.mean_return)}
+    if mortal:
+        row |= {"survival": f"{result.survival:.1%}", "collected": f"{_mean(result.collected):.3f}"}
+    row |= {"decisions": f"{_mean(result.decisions):.0f}"} | {name: f"{_mean(n):.1f}" for name, n in result.counts.items()}
+    if mortal:
+        row["deaths"] = ", ".join(f"{n} {cause.removesuffix('_valid')}" for cause, n in result.causes.items()) or "none"
+    return row
+
+
+def _mean(samples: Tensor) -> float:
+    return float(samples.double().mean())
 
 
 def _save(results: Mapping[str, Evaluation], path: Path) -> None:
     """Keep the results beside the policy."""
     kept = {
-        name: {**dataclasses.asdict(result.mean_return), "survival": result.survival, "deaths": result.causes}
+        name: {
+            **dataclasses.asdict(result.mean_return),
+            "survival": result.survival,
+            "deaths": result.causes,
+            "counts": {count: _mean(value) for count, value in result.counts.items()},
+        }
         for name, result in results.items()
     }
     path.write_text(json.dumps(kept, indent=2) + "\n")
 
 
 def _draw(policy: TensorDictModuleBase, results: Mapping[str, Evaluation], config: PPOConfig, folder: Path) -> None:
-    """Learning curve and timeline of the first fresh episode."""
-    curves, timeline = _extra("bsk_torch.viz.curves"), _extra("bsk_torch.viz.timeline")
+    """Learning curve, and the first fresh episode: from above where targets are imaged, else as a timeline."""
+    curves = _extra("bsk_torch.viz.curves")
     levels = {name: (result.mean_return.mean, result.mean_return.half_width) for name, result in results.items()}
     curves.learning_curve(read_log(folder / "log.csv"), folder / "learning_curve.png", levels, f"{config.preset}: learning")
     env = make(config.preset, num_envs=1, **config.options)
-    episode = timeline.record_episode(policy, env, seed=config.seed + FRESH)
-    timeline.timeline(episode, folder / "timeline.png", f"{config.preset}: one episode of the trained policy")
+    title, seed = f"{config.preset}: one episode of the trained policy", config.seed + FRESH
+    if _images(env):
+        above = _extra("bsk_torch.viz.ground_track")
+        above.ground_track(above.record_imaging_episode(policy, env, seed=seed), folder / "ground_track.png", title)
+    else:
+        timeline = _extra("bsk_torch.viz.timeline")
+        timeline.timeline(timeline.record_episode(policy, env, seed=seed), folder / "timeline.png", title)
+
+
+def _images(env: SatelliteTasking) -> bool:
+    """Whether the satellite images targets."""
+    try:
+        return bool(image_actions(env))
+    except ValueError:
+        return False

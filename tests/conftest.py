@@ -66,11 +66,3 @@ def solve_arcs() -> Callable[..., tuple[Arcs, View]]:
 def make_arcs(solve_arcs) -> Callable[..., Arcs]:
     """The arcs alone."""
     return lambda *args, **options: solve_arcs(*args, **options)[0]
-
-
-@pytest.hookimpl(tryfirst=True)
-def pytest_collection_modifyitems(items):
-    """Compiled tests share one worker: kernels are built once, and the other worker has the rest."""
-    for item in items:
-        if item.get_closest_marker("compiled"):
-            item.add_marker(pytest.mark.xdist_group("compiled"))

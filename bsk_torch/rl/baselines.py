@@ -10,6 +10,7 @@ from tensordict.nn import TensorDictModule
 from torch import Tensor
 
 from bsk_torch.env import SatelliteTasking
+from bsk_torch.rl.imaging import by_closing, by_haste, by_priority, imaging_rule
 from bsk_torch.sim.params import nearest
 
 
@@ -95,5 +96,11 @@ def scan_rule(env: SatelliteTasking, seed: int = 0) -> TensorDictModule:
     )
 
 
-BASELINES: dict[str, Callable[[SatelliteTasking, int], TensorDictModule]] = {"random": random_policy, "rule": scan_rule}
-"""Baselines by name: functions of the environment and a seed."""
+BASELINES: dict[str, Callable[[SatelliteTasking, int], TensorDictModule]] = {
+    "random": random_policy,
+    "rule": scan_rule,
+    "greedy": imaging_rule(by_priority),
+    "nearest": imaging_rule(by_closing),
+    "hasty": imaging_rule(by_haste),
+}
+"""Baselines by name: functions of the environment and a seed, which raise KeyError or ValueError where they do not fit."""

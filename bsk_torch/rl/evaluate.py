@@ -1,8 +1,8 @@
-"""How good is a policy: fresh episodes, the same for every policy, in one batched rollout."""
+"""How good is a policy: fresh episodes, the same for every policy, side by side."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from statistics import NormalDist
 
 import torch
@@ -58,7 +58,8 @@ class Evaluation:
     """Results of n episodes, each a tensor [n].
 
     ``returns`` are sums of rewards, ``collected`` the same without the penalty for dying, ``decisions`` and ``seconds`` the
-    lengths, and ``deaths`` says for every aliveness check whether it failed at the end.
+    lengths, ``deaths`` says for every aliveness check whether it failed at the end, and ``counts`` is what the environment has
+    counted, such as ``imaged``.
     """
 
     returns: Tensor
@@ -67,11 +68,16 @@ class Evaluation:
     decisions: Tensor
     seconds: Tensor
     deaths: dict[str, Tensor]
+    counts: dict[str, Tensor] = field(default_factory=dict)
 
     @property
     def mean_return(self) -> Estimate:
         """Mean return with its 95 % confidence interval."""
         return confidence(self.returns)
+
+    def gain_over(self, other: Evaluation) -> Estimate:
+        """Mean difference of the returns to those of ``other`` in the same episodes, with its 95 % confidence interval."""
+        return confidence(self.returns - other.returns)
 
     @property
     def survival(self) -> float:
@@ -86,7 +92,7 @@ class Evaluation:
 
 
 def evaluate(policy: TensorDictModuleBase, env: SatelliteTasking, *, seed: int) -> Evaluation:
-    """Play one episode in each of the environment's N rows; the most probable action is taken.
+    """Play one episode in each of the environment's N rows; the most probable action is taken. Only sums are kept of the steps.
 
     Args:
         policy: Writes ``action`` into a tensordict with ``observation`` and ``action_mask``.
@@ -95,20 +101,33 @@ def evaluate(policy: TensorDictModuleBase, env: SatelliteTasking, *, seed: int) 
     """
     env.set_seed(seed)
     with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
-        played = env.rollout(LONGEST, policy, break_when_any_done=False, break_when_all_done=True)
-    return _summary(played["next"], env)
+        return _summary(_play(policy, env, env.reset()), env)
+
+
+def _play(policy: TensorDictModuleBase, env: SatelliteTasking, now: TensorDictBase) -> TensorDictBase:
+    """Play on from ``now`` until every row has ended; the last outputs, with sums of reward, duration and decisions [N]."""
+    over = now["done"].squeeze(-1)
+    returns, seconds, decisions = (torch.zeros(len(over), dtype=torch.float64, device=env.device) for _ in range(3))
+    for _ in range(LONGEST):
+        if bool(over.all()):
+            break
+        now = env.play(policy(now)["action"], ~over)
+        returns += torch.where(over, 0.0, now["reward"].squeeze(-1))
+        seconds += torch.where(over, 0.0, now["duration"].squeeze(-1))
+        decisions += ~over
+        over = over | now["done"].squeeze(-1)
+    return now.update({"returns": returns.to(env.dtype), "seconds": seconds.to(env.dtype), "decisions": decisions.long()})
 
 
 def _summary(played: TensorDictBase, env: SatelliteTasking) -> Evaluation:
-    """Results of a rollout [N, T] at whose end every row is where its episode ended."""
-    reward, seconds, done = (played[key].squeeze(-1) for key in ("reward", "duration", "done"))
-    counts = done.cumsum(1) - done.long() == 0
-    returns = (reward * counts).sum(1)
+    """Results of episodes that have been played to their ends."""
+    counts: TensorDictBase | None = played.get("counts", None)
     return Evaluation(
-        returns=returns,
-        collected=returns - env.failure_penalty * env.dead,
+        returns=played["returns"],
+        collected=played["returns"] - env.failure_penalty * env.dead,
         survived=~env.dead,
-        decisions=counts.sum(1),
-        seconds=(seconds * counts).sum(1),
+        decisions=played["decisions"],
+        seconds=played["seconds"],
         deaths={name: ~alive for name, alive in env.satellite.aliveness().items()},
+        counts={} if counts is None else {str(name): count.squeeze(-1).clone() for name, count in counts.items()},
     )

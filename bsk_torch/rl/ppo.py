@@ -13,21 +13,27 @@ from typing import Any
 
 import torch
 from tensordict import TensorDictBase
-from tensordict.nn import TensorDictModuleBase
 from torch import Tensor, nn
 from torchrl.data import LazyTensorStorage, ReplayBuffer, SamplerWithoutReplacement
+from torchrl.modules import ValueOperator
 from torchrl.objectives import ClipPPOLoss
 from torchrl.objectives.value import GAE
 
 from bsk_torch.env import SatelliteTasking
 from bsk_torch.presets import make
-from bsk_torch.rl.policies import make_actor, make_critic
+from bsk_torch.rl.policies import PLANS, Networks, check_network
 
 REPORTED = ("entropy", "kl_approx", "clip_fraction", "explained_variance", "loss_critic")
 """What the log takes from the loss."""
 
 LEAST = 0.05
 """Fraction of learning rate and entropy weight that is left at the end."""
+
+CHUNK = 2048
+"""Decisions whose values are computed at once: attention over more would leave the processor's cache."""
+
+LEARNED_FROM = ("seen", "action_mask", "action", "action_log_prob", "advantage", "value_target")
+"""Keys of a batch that gradient steps need."""
 
 
 @dataclass(frozen=True)
@@ -36,12 +42,13 @@ class PPOConfig:
 
     Args:
         preset: Name of the environment; see :func:`bsk_torch.make`.
+        network: ``"mlp"`` for observation vectors, ``"attention"`` for targets observed as a set.
         seconds: Training time after compilation, s; None for no limit.
         frames: Number of decisions; None for no limit. One of the two limits is needed.
         num_envs: Episodes at once.
         rollout: Decisions of each between two updates.
         seed: Seed of networks, actions and episodes.
-        hidden: Width of every hidden layer.
+        hidden: Width of every hidden layer, or of every block of attention.
         learning_rate: Adam's step at the start; it falls linearly to :data:`LEAST` of that.
         gamma: Discount per second.
         lmbda: Decay of the advantage estimator, per decision.
@@ -54,6 +61,7 @@ class PPOConfig:
     """
 
     preset: str = "NadirScan-v1"
+    network: str = "mlp"
     seconds: float | None = 180.0
     frames: int | None = None
     num_envs: int = 1024
@@ -71,7 +79,8 @@ class PPOConfig:
     options: dict[str, Any] = dataclasses.field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Refuse training without end, and discounts that are none."""
+        """Refuse training without end, unknown networks, and discounts that are none."""
+        check_network(self.network)
         limits = [limit for limit in (self.seconds, self.frames) if limit is not None]
         if not limits or min(limits) <= 0:
             raise ValueError(f"seconds={self.seconds} and frames={self.frames}: training needs a limit, and a positive one")
@@ -88,45 +97,59 @@ class PPOConfig:
         return make(self.preset, num_envs=self.num_envs, seed=self.seed, **self.options)
 
 
-def estimate_advantages(batch: TensorDictBase, estimator: GAE, gamma: float) -> None:
+def estimate_advantages(batch: TensorDictBase, critic: ValueOperator, gamma: float, lmbda: float) -> None:
     """Write ``advantage`` and ``value_target`` of a batch [N, T], in semi-Markov time.
 
     Args:
         batch: Decisions in order of time, with ``reward`` and ``duration`` [N, T, 1] of each under ``next``.
-        estimator: From :func:`make_estimator`.
+        critic: Judges what is seen, here and under ``next``.
         gamma: Discount per second.
+        lmbda: Decay of the estimator, per decision.
     """
     reward, seconds = batch["next", "reward"], batch["next", "duration"]
-    discounted = batch.clone(recurse=False)
-    discounted["next", "reward"] = (reward.double() * gamma ** seconds.double()).to(reward.dtype)
-    with torch.no_grad():
-        estimator(discounted)
-    for key in ("advantage", "value_target"):
-        batch[key] = discounted[key].to(reward.dtype)
-
-
-def make_estimator(critic: TensorDictModuleBase, gamma: float, lmbda: float) -> GAE:
-    """Generalised advantage estimation that takes ``duration`` s as the exponent of ``gamma`` per second."""
-    device = next(critic.parameters()).device
     estimator = GAE(
-        gamma=torch.tensor(gamma, dtype=torch.float64, device=device), lmbda=lmbda, value_network=critic, device=device
+        gamma=torch.tensor(gamma, dtype=torch.float64, device=reward.device),
+        lmbda=lmbda,
+        value_network=None,
+        device=reward.device,
     )
     estimator.set_keys(steps_to_next_obs=("next", "duration"))
-    return estimator
+    judged = batch.select("next").clone(recurse=False)
+    judged["state_value"], judged["next", "state_value"] = values(batch, critic)
+    judged["next", "reward"] = (reward.double() * gamma ** seconds.double()).to(reward.dtype)
+    estimator(judged)
+    for key in ("advantage", "value_target"):
+        batch[key] = judged[key].to(reward.dtype)
+
+
+@torch.no_grad()
+def values(batch: TensorDictBase, critic: ValueOperator) -> tuple[Tensor, Tensor]:
+    """Values [N, T, 1] of the situations of a batch [N, T], and of those that follow."""
+    value = _judge(batch.reshape(-1), critic).view(batch["next", "reward"].shape)
+    following = value.roll(-1, 1)
+    last = batch["next", "done"].squeeze(-1).clone()
+    last[:, -1] = True  # what follows is not the next decision of the batch
+    following[last] = _judge(batch["next"][last], critic)
+    return value, following
+
+
+def _judge(situations: TensorDictBase, critic: ValueOperator) -> Tensor:
+    """Values [n, 1] of ``situations`` [n]."""
+    seen = situations.select("seen")
+    return torch.cat([critic(part)["state_value"] for part in seen.split(CHUNK)])
 
 
 class Learner:
     """Actor, critic and their optimiser."""
 
-    def __init__(self, config: PPOConfig, n_observed: int, n_actions: int, device: torch.device) -> None:
-        """Fresh networks for observations of width ``n_observed``."""
+    def __init__(self, config: PPOConfig, env: SatelliteTasking) -> None:
+        """Fresh networks for an environment; ValueError if it does not fit them."""
         self.config = config
-        self.actor = make_actor(n_observed, n_actions, config.hidden).to(device)
-        self.critic = make_critic(n_observed, config.hidden).to(device)
-        self.estimator = make_estimator(self.critic, config.gamma, config.lmbda)
+        self.plan = PLANS[config.network].of(env, config.hidden)
+        self.networks: Networks = self.plan.build().to(env.device)
         self.loss = ClipPPOLoss(
-            self.actor,
-            self.critic,
+            self.networks.actor,
+            self.networks.critic,
             clip_epsilon=config.clip,
             entropy_coeff=config.entropy,
             normalize_advantage=True,
@@ -134,7 +157,7 @@ class Learner:
         )
         self.optimiser = torch.optim.Adam(self.loss.parameters(), config.learning_rate, eps=1e-5)
         self.buffer = ReplayBuffer(
-            storage=LazyTensorStorage(config.batch, device=device),
+            storage=LazyTensorStorage(config.batch, device=env.device),
             sampler=SamplerWithoutReplacement(),
             batch_size=self._minibatch,
         )
@@ -156,9 +179,12 @@ class Learner:
 
     def learn(self, batch: TensorDictBase) -> dict[str, float]:
         """Several passes over a batch [N, T]; means of what the loss reports."""
-        estimate_advantages(batch, self.estimator, self.config.gamma)
+        self.networks.sight.update(batch)
+        for situations in (batch, batch["next"]):
+            self.networks.sight(situations)
+        estimate_advantages(batch, self.networks.critic, self.config.gamma, self.config.lmbda)
         self.buffer.empty()
-        self.buffer.extend(batch.reshape(-1))
+        self.buffer.extend(batch.select(*LEARNED_FROM).reshape(-1))
         steps = self.config.epochs * (self.config.batch // self._minibatch)
         reports = [self._descend(self.buffer.sample()) for _ in range(steps)]
         means = torch.stack(reports).mean(0)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import logging
 import time
@@ -19,7 +18,7 @@ from tqdm import tqdm
 
 from bsk_torch.constants import DAY
 from bsk_torch.rl.log import CsvLog
-from bsk_torch.rl.policies import make_normaliser, make_policy, save_policy, sizes
+from bsk_torch.rl.policies import save_policy
 from bsk_torch.rl.ppo import REPORTED, Learner, PPOConfig
 
 logger = logging.getLogger(__name__)
@@ -80,23 +79,18 @@ class Training:
     def __init__(self, config: PPOConfig, out: Path) -> None:
         """Build environment and networks; nothing is simulated yet."""
         out.mkdir(parents=True, exist_ok=True)
-        (out / CONFIG).write_text(json.dumps(dataclasses.asdict(config), indent=2) + "\n")
+        kept = {name: getattr(config, name) for name in config.__dataclass_fields__}
+        (out / CONFIG).write_text(json.dumps(kept, indent=2, default=repr) + "\n")
         self.config, self.out, self.days = config, out, 0.0
         torch.manual_seed(config.seed)
         self.env = config.make_env()
-        self.n_observed, n_actions = sizes(self.env)
-        self.learner = Learner(config, self.n_observed, n_actions, self.env.device)
-        self.normaliser = make_normaliser()
+        self.learner = Learner(config, self.env)
         self.progress, self.recent = Progress(config), Recent(config.num_envs)
 
     @property
     def policy(self) -> TensorDictSequential:
-        """The present policy, on raw observations; before training these are not normalised."""
-        if not self.normaliser.initialized:
-            loc = torch.zeros(self.n_observed, device=self.env.device)
-            return make_policy(self.learner.actor, loc, torch.ones_like(loc))
-        fixed = self.normaliser.to_observation_norm()
-        return make_policy(self.learner.actor, fixed.loc, fixed.scale)
+        """The present policy; it goes on learning while training does."""
+        return self.learner.networks.policy
 
     def run(self) -> TensorDictSequential:
         """Train until the budget is used, or the user interrupts."""
@@ -111,7 +105,7 @@ class Training:
                         break
             except KeyboardInterrupt:
                 logger.info("stopped; the policy learned so far is kept")
-        save_policy(self.out / POLICY, self.policy, self.config.hidden)
+        save_policy(self.out / POLICY, self.learner.plan, self.learner.networks)
         return self.policy
 
     def _warm_up(self) -> None:
@@ -125,8 +119,8 @@ class Training:
     def _batches(self) -> Iterator[tuple[TensorDictBase, float]]:
         """Batches [N, T] by the present actor, and the seconds that each took."""
         collector = Collector(
-            TransformedEnv(self.env, Compose(RewardSum(), StepCounter(), self.normaliser)),
-            self.learner.actor,
+            TransformedEnv(self.env, Compose(RewardSum(), StepCounter())),
+            self.policy.select_out_keys("action", "action_log_prob"),
             frames_per_batch=self.config.batch,
             total_frames=-1,
             auto_register_policy_transforms=False,

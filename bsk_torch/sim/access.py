@@ -171,8 +171,7 @@ class Access:
         start = torch.zeros_like(duration)
         ground = Ground(self.sight.ground(view, start, round(longest / PLAN_STEP) + 1), start)
         end = duration + torch.floor((longest - duration) / self.segment) * self.segment
-        first, whole = torch.where(duration > 0.0, duration, self.segment), duration > self.segment
-        intervals = Intervals(start, first, end, self.segment, whole)
+        intervals = Intervals(start, torch.where(duration > 0.0, duration, self.segment), end, self.segment)
         for kind, places_of in self.kinds.items():
             search = Search(self.sight, ground, places_of(rows))
             found = generated(search, search.passes(), intervals)
@@ -237,7 +236,7 @@ class Access:
         begin, samples = self.ready[rows], max(round(segments * self.segment / PLAN_STEP) + 1, COUNT)
         ground = Ground(self.sight.ground(view, begin, samples), begin)
         end = begin + segments * self.segment
-        intervals = Intervals(begin, begin + self.segment, end, self.segment, torch.zeros_like(begin, dtype=torch.bool))
+        intervals = Intervals(begin, begin + self.segment, end, self.segment)
         for kind, places_of in self.kinds.items():
             search = Search(self.sight, ground, places_of(rows))
             new = generated(search, search.passes(), intervals)

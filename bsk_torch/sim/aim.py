@@ -43,8 +43,8 @@ def aim(r_BN_P: Vec3, v_BN_P: Vec3, c_hat_P: Vec3, omega_BP_P: Vec3, r_LP_P: Vec
 def aim_kernel() -> Loop:
     """:func:`aim` of pairs of satellite and place, 15 numbers each."""
     sketch = Sketch()
-    vectors = [Vec3(*sketch.planes("own", 3, first=3 * k)) for k in range(5)]
-    return Loop("aim at targets", sketch.program, [], (), aim(*vectors), clock="start")
+    r, v, c, omega, site = sketch.vectors("own", 5)
+    return Loop("aim at targets", sketch.program, [], (), aim(r, v, c, omega, site), clock="start")
 
 
 def aims(satellite: tuple[Tensor, ...], r_LP_P: Tensor, compiled: bool) -> Tensor:
@@ -54,8 +54,8 @@ def aims(satellite: tuple[Tensor, ...], r_LP_P: Tensor, compiled: bool) -> Tenso
     """
     batch = r_LP_P.shape[:2]
     if not compiled:
-        vectors = (Vec3.of(vector.unsqueeze(1)) for vector in satellite)
-        return torch.stack([value.expand(batch) for value in aim(*vectors, Vec3.of(r_LP_P))], -1)
+        r, v, c, omega = (Vec3.of(vector.unsqueeze(1)) for vector in satellite)
+        return torch.stack([value.expand(batch) for value in aim(r, v, c, omega, Vec3.of(r_LP_P))], -1)
     own = torch.cat([*(vector.mT.unsqueeze(-1).expand(3, *batch) for vector in satellite), r_LP_P.permute(2, 0, 1)])
     written = r_LP_P.new_empty(batch.numel(), 1, WIDTH)
     aim_kernel()(own.flatten(1)[:1], 1, (), own=own.flatten(1), written=written)

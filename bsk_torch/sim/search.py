@@ -184,14 +184,13 @@ def _ordered(parts: list[Events], places: Places) -> Events:
 class Intervals(NamedTuple):
     """Intervals of n satellites: the first ends at ``first`` [n] s, the others last ``segment`` s each, up to ``end`` [n] s.
 
-    The first one begins with the search; ``whole`` [n] says where it is more than a segment.
+    The first one begins with the search.
     """
 
     begin: Tensor
     first: Tensor
     end: Tensor
     segment: float
-    whole: Tensor
 
     def number(self, row: Tensor, time: Tensor) -> Tensor:
         """Number of the interval that holds a time [m] of a row [m]."""
@@ -203,18 +202,22 @@ class Intervals(NamedTuple):
         return torch.where(index > 0.0, self.first[row] + (index - 1.0) * self.segment, self.begin[row])
 
 
-def near(search: Search, row: Tensor, place: Tensor, start: Tensor, segment: float) -> Tensor:
-    """Whether bsk_rl looks closely from the ``start`` [m] of a segment on, [m].
+def near(search: Search, row: Tensor, place: Tensor, start: Tensor, end: Tensor, rise: Tensor) -> Tensor:
+    """Whether bsk_rl looks closely from the ``start`` [m] of an interval until the ``rise`` [m] in it, [m].
 
-    It does where the place is within 1.1 times the slant range of the least elevation at one of the first two samples.
+    It does where the place is within 1.1 times the slant range of the least elevation, reckoned with the largest radius up to the
+    interval's ``end`` [m]; the sample at the start itself does not matter.
     """
     first = ((start - search.ground.start[row]) / PLAN_STEP).round().long().unsqueeze(-1)
-    samples = first + torch.arange(round(segment / PLAN_STEP) + 1, device=row.device)
-    path = search.ground.r_P[row.unsqueeze(-1), samples.clamp(max=search.ground.r_P.shape[1] - 1)]
+    count = ((end - start) / PLAN_STEP).round().long().unsqueeze(-1)
+    number = torch.arange(1 + int(count.max()) if len(count) else 1, device=row.device)
+    path = search.ground.r_P[row.unsqueeze(-1), (first + number).clamp(max=search.ground.r_P.shape[1] - 1)]
     site, least = search.pairs(row, place)[1:]
-    height = path.norm(dim=-1).amax(-1) - site.norm(dim=-1)
-    distance = (path[:, :2] - site.unsqueeze(1)).norm(dim=-1)
-    return (distance < (1.1 * height / least).unsqueeze(-1)).any(-1)
+    highest = torch.where(number <= count, path.norm(dim=-1), 0.0).amax(-1)
+    threshold = 1.1 * (highest - site.norm(dim=-1)) / least
+    close = (path - site.unsqueeze(1)).norm(dim=-1) < threshold.unsqueeze(-1)
+    before = (number > 0) & (number * PLAN_STEP < (rise - start).unsqueeze(-1))
+    return (close | ~before).all(-1)
 
 
 def generated(search: Search, passes: Passes, intervals: Intervals) -> Passes:
@@ -231,9 +234,9 @@ def generated(search: Search, passes: Passes, intervals: Intervals) -> Passes:
     last = intervals.number(row, closes)
     begin, boundary = intervals.start(row, first), intervals.start(row, first + 1.0)
     in_progress, goes_on = opens <= intervals.begin[row], last > first
-    segments = torch.nonzero(goes_on & ~in_progress & ((first > 0.0) | ~intervals.whole[row])).squeeze(-1)
+    rising = torch.nonzero(goes_on & ~in_progress).squeeze(-1)
     back = torch.zeros_like(goes_on)
-    back[segments] = near(search, row[segments], place[segments], begin[segments], intervals.segment)
+    back[rising] = near(search, *(part[rising] for part in (row, place, begin, boundary, opens)))
     joined = goes_on & (last == first + 1.0) & ~back & ~in_progress
     head_open = torch.where(back, begin, opens)
     head_close = torch.where(back, opens, torch.where(goes_on & ~joined, boundary, closes))

@@ -18,7 +18,7 @@ from bsk_torch.sim.sky import SKY, fixed, sky_at
 from bsk_torch.sim.span import PLAN_STEP, SPACING
 from bsk_torch.vec3 import Vec3
 
-ROOT_ITERATIONS, PEAK_ITERATIONS = 12, 25
+ROOT_ITERATIONS, PEAK_ITERATIONS = 20, 25
 
 PATH = Track("path", PLAN_STEP, (vec("r", "m", exact=True),), COUNT, BEFORE)
 

@@ -9,12 +9,18 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 from torchrl.modules import ValueOperator
 
 import bsk_torch
+from bsk_torch import scene
 from bsk_torch.rl.baselines import BASELINES, Columns, ScanRule, random_policy
-from bsk_torch.rl.evaluate import Estimate, confidence, evaluate, student_quantile
+from bsk_torch.rl.evaluate import Estimate, Evaluation, confidence, evaluate, student_quantile
 from bsk_torch.rl.log import COLUMNS, read_log
 from bsk_torch.rl.policies import load_policy
-from bsk_torch.rl.ppo import PPOConfig, estimate_advantages, make_estimator
-from bsk_torch.rl.training import train
+from bsk_torch.rl.ppo import PPOConfig, estimate_advantages
+from bsk_torch.rl.recipes import configure
+from bsk_torch.rl.sight import OWN
+from bsk_torch.rl.training import Training, train
+
+FLOAT32_SUMS = dict(atol=5e-5, rtol=1e-5)
+"""A dozen numbers of order one, each good to 1e-7 of the largest, multiplied and added up in float32 in another order."""
 
 SHORT = {"backend": "eager", "time_limit": 400.0}
 
@@ -62,32 +68,34 @@ def brute_force(reward, seconds, done, value, next_value, gamma, lmbda):
 
 
 def batch_of_decisions(n, steps):
+    """Random decisions; what follows one is what the next one sees, except at the end of an episode."""
     torch.manual_seed(0)
     done = torch.rand(n, steps, 1) < 0.2
+    seen = torch.randn(n, steps + 1, 2)
     following = {
-        "observation_normalised": torch.randn(n, steps, 2),
+        "seen": {"own": torch.where(done, torch.randn(n, steps, 2), seen[:, 1:])},
         "reward": torch.randn(n, steps, 1),
         "duration": torch.randint(60, 181, (n, steps, 1)).float(),
         "done": done,
         "terminated": done.clone(),
         "truncated": done.clone(),
     }
-    now = {"observation_normalised": torch.randn(n, steps, 2), "next": TensorDict(following, [n, steps])}
+    now = {"seen": {"own": seen[:, :-1].clone()}, "next": TensorDict(following, [n, steps])}
     return TensorDict(now, [n, steps], names=[None, "time"])
 
 
 def test_advantages_discount_reward_and_value_by_elapsed_time():
     batch, gamma, lmbda = batch_of_decisions(3, 12), 0.999, 0.9
-    critic = ValueOperator(torch.nn.Linear(2, 1), in_keys=["observation_normalised"])
+    critic = ValueOperator(torch.nn.Linear(2, 1), in_keys=[OWN])
     reward = batch["next", "reward"].clone()
-    estimate_advantages(batch, make_estimator(critic, gamma, lmbda), gamma)
+    estimate_advantages(batch, critic, gamma, lmbda)
     with torch.no_grad():
-        value, following = (critic.module(x["observation_normalised"]).squeeze(-1) for x in (batch, batch["next"]))
+        value, following = (critic.module(x[OWN]).squeeze(-1) for x in (batch, batch["next"]))
     for i in range(3):
         row = [batch["next", key][i, :, 0].double().tolist() for key in ("reward", "duration", "done")]
         expected = brute_force(*row, value[i].tolist(), following[i].tolist(), gamma, lmbda)
-        torch.testing.assert_close(batch["advantage"][i, :, 0], expected.float(), atol=1e-5, rtol=1e-5)
-        torch.testing.assert_close(batch["value_target"][i, :, 0], (expected + value[i]).float(), atol=1e-5, rtol=1e-5)
+        torch.testing.assert_close(batch["advantage"][i, :, 0], expected.float(), **FLOAT32_SUMS)
+        torch.testing.assert_close(batch["value_target"][i, :, 0], (expected + value[i]).float(), **FLOAT32_SUMS)
     assert torch.equal(batch["next", "reward"], reward)
 
 
@@ -172,7 +180,54 @@ def test_training_leaves_a_log_and_a_policy_that_acts_the_same(tmp_path):
         assert torch.equal(policy(seen.clone())["action"], kept["action"])
 
 
+# -- configuration ----------------------------------------------------------------------------------------------------
+
+
+def test_recipes_can_be_changed():
+    config = configure("AEOS-v1", "attention", seconds=5.0, num_envs=7, options={"n_targets": 10})
+    assert (config.num_envs, config.seconds, config.gamma) == (7, 5.0, 0.997)
+    assert config.options == {"as_set": True, "n_targets": 10}
+    assert configure("NadirScan-v1").hidden == PPOConfig().hidden
+
+
+def test_options_that_json_does_not_know_are_noted(tmp_path):
+    fires = {"scenario": scene.Wildfires(50), "backend": "eager"}
+    training = Training(configure("AEOS-v1", "attention", seconds=5.0, num_envs=2, options=fires), tmp_path)
+    assert "Wildfires" in json.loads((tmp_path / "config.json").read_text())["options"]["scenario"]
+    assert training.policy(training.env.reset())["action"].shape == (2,)
+
+
+def test_unknown_networks_are_answered_with_the_nearest():
+    with pytest.raises(ValueError, match=r"did you mean 'attention'"):
+        PPOConfig(network="atention")
+
+
 @pytest.mark.parametrize("limits", [{"seconds": None}, {"seconds": 0.0}, {"frames": -1}])
 def test_training_needs_a_limit(limits):
     with pytest.raises(ValueError, match="needs a limit"):
         PPOConfig(**limits)
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize("network", ["mlp", "attention"])
+def test_a_short_training_beats_random_choice_of_targets(tmp_path, network):
+    world = {"n_targets": 3000, "time_limit": 1500.0}
+    config = configure(
+        "AEOS-v1", network, options=world, frames=8192, seconds=None, num_envs=16, rollout=32, minibatch=128, epochs=2
+    )  # fmt: skip
+    train(config, tmp_path)
+    env = bsk_torch.make("AEOS-v1", num_envs=64, seed=0, **config.options)
+    trained = evaluate(load_policy(tmp_path / "policy.pt"), env, seed=7)
+    random = evaluate(random_policy(env, 0), env, seed=7)
+    gain = trained.gain_over(random)
+    assert gain.mean > 3.0 * gain.half_width
+
+
+def test_gain_is_paired():
+    # every episode one better than the other: the difference is certain, though the returns are not
+    parts = dict(survived=torch.ones(50), decisions=torch.ones(50), seconds=torch.ones(50), deaths={})
+    returns = torch.randn(50)
+    better, worse = (Evaluation(returns=x, collected=x, **parts) for x in (returns + 1.0, returns))
+    assert better.gain_over(worse).mean == pytest.approx(1.0, abs=1e-6)
+    assert better.gain_over(worse).half_width < 1e-6
+    assert better.mean_return.half_width > 0.1

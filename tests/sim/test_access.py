@@ -1,6 +1,8 @@
 from __future__ import annotations
 
 import math
+from time import perf_counter
+from typing import Any, NamedTuple
 
 import pytest
 import torch
@@ -9,7 +11,7 @@ from bsk_torch.astro.ephemeris import earth_orientation
 from bsk_torch.astro.frames import lla_to_fixed
 from bsk_torch.constants import R_EARTH
 from bsk_torch.sim import access as module
-from bsk_torch.sim.access import AHEAD, Access, Windows
+from bsk_torch.sim.access import AHEAD, Access, Windows, next_of
 from bsk_torch.sim.orbit import spans_for
 from bsk_torch.sim.search import Places
 from bsk_torch.sim.sight import make_sight
@@ -21,6 +23,7 @@ MILLISECOND = 1e-3  # s; measured: 0.08 ms over windows generated at reset, 0.21
 SEGMENT = 600.0
 GENERATED = 28_800.0
 KIND = "station"
+CPU = torch.device("cpu")
 
 
 def number(x: float) -> torch.Tensor:
@@ -41,7 +44,7 @@ def stations() -> Places:
 
 def table(flight: Solved, duration: float, places: Places | None = None, segment: float = SEGMENT) -> Access:
     sites = places or stations()
-    access = Access(flight.arcs, make_sight(flight.backend, torch.device("cpu")), {KIND: lambda rows: sites}, segment)
+    access = Access(flight.arcs, make_sight(flight.backend, CPU), {KIND: lambda rows: sites}, segment)
     rows = torch.arange(len(flight.arcs.start))
     access.reset(rows, flight.view, torch.full((len(rows),), duration, dtype=torch.float64))
     return access
@@ -198,14 +201,27 @@ def one_by_one(access: Access, time: torch.Tensor, count: int) -> Windows:
     return access.next(KIND, time, count)[0]
 
 
-@pytest.mark.parametrize(("segments", "hours"), [(1, 5), (2, 5), (18, 7)])
-def test_queries_do_not_notice_what_is_searched_ahead(segments, hours, fly, monkeypatch):
+def flown(solve_arcs, initials: list[dict[str, Any]], hours: int, backend: str) -> Solved:
+    """Arcs under one of the back ends, where the other takes too long."""
+    return Solved(*solve_arcs(initials, hours, backend=backend), backend)
+
+
+@pytest.mark.parametrize(
+    ("segments", "hours", "backend"),
+    [
+        pytest.param(1, 5, "compiled", marks=pytest.mark.compiled),
+        pytest.param(2, 5, "compiled", marks=pytest.mark.compiled),
+        pytest.param(18, 7, "compiled", marks=pytest.mark.compiled),
+        (18, 7, "eager"),
+    ],
+)
+def test_queries_do_not_notice_what_is_searched_ahead(segments, hours, backend, solve_arcs, monkeypatch):
     """The same windows and the same end of what is known as with one segment after the other."""
     initials = orbits(60)
     monkeypatch.setattr(module, "AHEAD", 1000 * SEGMENT)
-    searched = table(fly(initials, 9), 1200.0)
+    searched = table(flown(solve_arcs, initials, 9, backend), 1200.0)
     monkeypatch.setattr(module, "AHEAD", segments * SEGMENT)
-    access = table(fly(initials, hours), 1200.0)
+    access = table(flown(solve_arcs, initials, hours, backend), 1200.0)
     for time, count in QUERIES:
         times = torch.full((60,), time, dtype=torch.float64)
         expected, found = one_by_one(searched, times, count), look_ahead(access, times, count)
@@ -310,3 +326,293 @@ def test_passes_between_two_samples(fly, recording):
     segmentwise = table(arcs, 3000.0, places)
     segmentwise.until += SEGMENT
     assert listed(segmentwise, 0) == [(0, pytest.approx(opens, abs=1e-6), pytest.approx(closes, abs=1e-6))]
+
+
+# -- the next windows ----------------------------------------------------------------------------------------------------------
+
+
+class Listed(NamedTuple):
+    """A window as a query sees it, and where it stands in its table."""
+
+    close: float
+    cut: bool
+    place: int
+    number: int
+    open: float
+
+
+def naive(row: list[tuple[float, float, int]], time: float, until: float, width: int, allowed: list[bool] | None) -> list[Listed]:
+    """Windows (opening, closing time and place) of a row that a query sees: by closing time, those that are cut by place."""
+    found = []
+    for k, (opens, closes, place) in enumerate(row):
+        seen = math.isfinite(closes) and opens < until and min(closes, until) >= time + 1e-12
+        if seen and (allowed is None or allowed[place]):
+            found.append(Listed(min(closes, until), closes > until, place, k, opens))
+    found.sort(key=lambda w: (w.close, w.cut, w.place if w.cut else w.number))
+    return found[:width]
+
+
+def random_table(n: int, most: int, places: int) -> Windows:
+    """Windows whose times are whole minutes, so that many close at once; rows of different lengths."""
+    close = 60.0 * torch.randint(0, 90, (n, most)).double().sort(1).values
+    opens = close - 60.0 * torch.randint(1, 15, (n, most)).double()
+    missing = torch.arange(most) >= torch.randint(0, most + 1, (n, 1))
+    missing[: n // 2] = False
+    place = torch.randint(places, (n, most)).masked_fill(missing, 0)
+    return Windows(*(x.masked_fill(missing, math.inf) for x in (opens, close)), place)
+
+
+@pytest.mark.parametrize("filtered", [False, True])
+@pytest.mark.parametrize("width", [1, 3, 10])
+@pytest.mark.parametrize(("most", "spare"), [(5, 16), (40, 16), (300, 16), (300, 0), (300, 100)])
+def test_next_windows_of_random_tables(most, spare, width, filtered, monkeypatch):
+    """Against lists; long tables, of which a block is looked at first, and short ones, and rows for which no block is enough."""
+    n, places = 60, 12
+    monkeypatch.setattr(module, "SPARE", spare)
+    windows = random_table(n, most, places)
+    time = 30.0 * torch.randint(0, 200, (n,)).double()
+    until = torch.where(torch.arange(n) % 3 == 0, math.inf, 60.0 * (time / 60.0).round() + 60.0 * torch.randint(-1, 8, (n,)))
+    allowed = torch.rand(n, places) < 0.3 if filtered else None
+    found, number = next_of(windows, time, until, width, allowed)
+    assert found.open.shape == (n, width)
+    cut = 0
+    for row in range(n):
+        every = list(zip(*(x[row].tolist() for x in windows), strict=True))
+        expected = naive(every, time[row].item(), until[row].item(), width, None if allowed is None else allowed[row].tolist())
+        assert number[row] == len(expected)
+        padded = (expected + expected[-1:] * width)[: width * bool(expected)]
+        shown = [tuple(x[row, k].item() for x in found) for k in range(len(padded))]
+        assert shown == [(w.open, w.close, w.place) for w in padded]
+        cut += any(w.cut for w in expected)
+    assert cut or width == 1  # the next one of many is rarely cut
+
+
+def test_next_windows_do_not_depend_on_the_batch(monkeypatch):
+    """Nor on how much of a table is looked at first, nor on rows with longer tables beside."""
+    windows, time = random_table(40, 200, 8), 60.0 * torch.randint(0, 90, (40,)).double()
+    until, allowed = 5000.0 * torch.rand(40).double(), torch.rand(40, 8) < 0.5
+    whole, number = next_of(windows, time, until, 4, allowed)
+    for few, spare in ((0, 0), (0, 1000), (10**6, 0)):
+        monkeypatch.setattr(module, "FEW", few)
+        monkeypatch.setattr(module, "SPARE", spare)
+        found, again = next_of(windows, time, until, 4, allowed)
+        assert torch.equal(again, number)
+        some = number > 0
+        assert all(torch.equal(one[some], other[some]) for one, other in zip(found, whole, strict=True))
+    for row in torch.nonzero(number).squeeze(-1).tolist():
+        mine = slice(row, row + 1)
+        shorter = Windows(*(x[mine, : int(torch.isfinite(windows.close[row]).sum())] for x in windows))
+        found, again = next_of(shorter, time[mine], until[mine], 4, allowed[mine])
+        assert again == number[mine]
+        assert all(torch.equal(one, other[mine]) for one, other in zip(found, whole, strict=True))
+
+
+def test_next_windows_of_some_rows(five_orbits):
+    access, time = table(five_orbits, GENERATED), torch.full((5,), 9000.0, dtype=torch.float64)
+    allowed, rows = torch.rand(5, 7) < 0.7, torch.tensor([3, 0])
+    every, number = access.next(KIND, time, 3, allowed)
+    some, few = access.next(KIND, time, 3, allowed, rows)
+    assert torch.equal(few, number[rows])
+    assert all(torch.equal(one, other[rows]) for one, other in zip(some, every, strict=True))
+
+
+# -- what queries reveal -------------------------------------------------------------------------------------------------------
+
+
+def test_filters_hide_places(five_orbits):
+    """What a filtered query sees are the windows of the places that remain, as if there were no others."""
+    access, time = table(five_orbits, GENERATED), torch.full((5,), 4000.0, dtype=torch.float64)
+    for hidden in ([], [0], [2, 3, 4, 6], [1, 2, 3, 4, 5, 6]):
+        allowed = torch.ones(5, 7, dtype=torch.bool)
+        allowed[:, hidden] = False
+        found, number = access.next(KIND, time, 5, allowed)
+        for row in range(5):
+            expected = [w for w in listed(access, row) if w[2] >= 4000.0 and w[0] not in hidden][:5]
+            shown = [tuple(x[row, k].item() for x in (found.place, found.open, found.close)) for k in range(int(number[row]))]
+            assert shown == expected
+    assert access.next(KIND, time, 5, torch.zeros(5, 7, dtype=torch.bool))[1].tolist() == [0] * 5
+
+
+def test_filtered_queries_reveal_as_much_as_they_need(five_orbits):
+    """Segment after segment until enough of the places that remain are seen, and no further."""
+    rows, time = torch.arange(5), torch.full((5,), 2000.0, dtype=torch.float64)
+    allowed = torch.rand(5, 7) < 0.5
+    access, stepwise = table(five_orbits, 1200.0), table(five_orbits, 1200.0)
+    missing = access.reveal(KIND, rows, time, torch.full_like(rows, 2), allowed=allowed)
+    for row in rows.tolist():
+        while stepwise.next(KIND, time, 2, allowed)[1][row] < 2 and stepwise.until[row] < stepwise.ready[row]:
+            stepwise.until[row] += SEGMENT
+        assert access.until[row] == stepwise.until[row]
+        assert (row in missing) == bool(stepwise.next(KIND, time, 2, allowed)[1][row] < 2)
+    assert len(missing) < 5
+    assert access.until.unique().numel() > 1
+
+
+def test_rows_that_ask_for_fewer_reveal_less(five_orbits):
+    """Each as much as it would alone."""
+    rows, time = torch.arange(5), torch.full((5,), 2000.0, dtype=torch.float64)
+    count = torch.tensor([1, 3, 2, 1, 4])
+    access, most = table(five_orbits, 1200.0), table(five_orbits, 1200.0)
+    access.reveal(KIND, rows, time, count)
+    most.reveal(KIND, rows, time, torch.full_like(rows, 4))
+    assert (access.until <= most.until).all()
+    assert (access.until < most.until).any()
+    assert access.until[4] == most.until[4]
+    for row in rows.tolist():
+        alone = table(five_orbits, 1200.0)
+        alone.reveal(KIND, rows[[row]], time[:1], count[[row]])
+        assert access.until[row] == alone.until[row]
+        assert (alone.until[rows != row] == 1200.0).all()
+
+
+@pytest.mark.parametrize("last", [0.0, 1200.0, 1201.0, 1800.0, 3000.0])
+def test_no_segment_begins_after_the_last(last, five_orbits):
+    """Those that have been revealed stay."""
+    rows, time = torch.arange(5), torch.full((5,), 1300.0, dtype=torch.float64)
+    access, free = table(five_orbits, 1200.0), table(five_orbits, 1200.0)
+    count = torch.full_like(rows, 3)
+    free.reveal(KIND, rows, time, count)
+    missing = access.reveal(KIND, rows, time, count, torch.full((5,), last, dtype=torch.float64))
+    bound = max(1200.0, math.ceil(last / SEGMENT) * SEGMENT)
+    assert torch.equal(access.until, free.until.clamp(max=bound))
+    assert (free.until > bound).any()
+    assert not len(missing)  # none of them may be given more
+
+
+def test_kinds_share_what_is_known(recording, fly):
+    """A query for one kind of places reveals the windows of all of them; each has its own table."""
+    flight = fly(recording("windows")["ic"], spans_for(GENERATED))
+    targets = near_stations()
+    both = Access(
+        flight.arcs, make_sight(flight.backend, CPU), {"target": lambda rows: targets, KIND: lambda rows: stations()}, SEGMENT
+    )
+    rows, time = torch.arange(5), torch.full((5,), 1300.0, dtype=torch.float64)
+    both.reset(rows, flight.view, torch.full((5,), 1200.0, dtype=torch.float64))
+    assert both.windows["target"].close.shape != both.windows[KIND].close.shape
+    before = [listed(both, row) for row in range(5)]
+    both.reveal("target", rows, time, torch.full_like(rows, 8))
+    assert (both.until > 1200.0).all()
+    alone = table(flight, 1200.0)
+    alone.until = both.until.clone()
+    after = [listed(both, row) for row in range(5)]
+    assert after == [listed(alone, row) for row in range(5)]
+    assert after != before
+    for _ in range(4):
+        flight.arcs.grow()
+    both.extend(rows, time)
+    alone.extend(rows, time)
+    both.until, alone.until = both.ready.clone(), alone.ready.clone()
+    assert [listed(both, row) for row in range(5)] == [listed(alone, row) for row in range(5)]
+
+
+# -- places of each environment's own ------------------------------------------------------------------------------------------
+
+
+def near_stations(n: int = 1, count: int = 40) -> Places:
+    """Targets [n, count] all around the Earth, with limits of 20 to 60 degrees."""
+    unit = torch.nn.functional.normalize(torch.randn(n, count, 3, dtype=torch.float64), dim=-1)
+    limit = torch.deg2rad(20.0 + 40.0 * torch.rand(n, count, dtype=torch.float64))
+    return Places(unit * (R_EARTH + 1000.0), torch.sin(limit))
+
+
+def test_each_environment_has_places_of_its_own(recording, fly):
+    """Where one has fewer than others the rest are NaN; it sees what it would see alone, also in look-ahead."""
+    initials, numbers = recording("windows")["ic"], [40, 3, 25, 1, 0]
+    places = near_stations(5)
+    for row, number in enumerate(numbers):
+        places.r_P[row, number:] = math.nan
+
+    def access(flight: Solved, mine: Places) -> Access:
+        made = Access(flight.arcs, make_sight(flight.backend, CPU), {KIND: mine.of}, SEGMENT)
+        rows = torch.arange(len(flight.arcs.start))
+        made.reset(rows, flight.view, torch.full((len(rows),), 6000.0, dtype=torch.float64))
+        for _ in range(2):
+            flight.arcs.grow()
+        made.extend(rows, torch.zeros(len(rows), dtype=torch.float64))
+        made.until = made.ready.clone()
+        return made
+
+    together = access(fly(initials, 6), places)
+    for row, number in enumerate(numbers):
+        seen = listed(together, row)
+        assert all(place < number for place, _, _ in seen)
+        if number:
+            alone = access(fly(initials[row : row + 1], 6), Places(*(x[row : row + 1, :number] for x in places)))
+            assert [w[0] for w in listed(alone, 0)] == [w[0] for w in seen]
+            for one, other in zip(listed(alone, 0), seen, strict=True):
+                assert one[1:] == pytest.approx(other[1:], abs=1e-6)
+    assert len(listed(together, 0)) > 10
+
+
+def test_some_rows_are_reset_and_extended_with_their_own_places(recording, fly):
+    """The places of rows are asked for by their numbers, whatever these are."""
+    flight = fly(recording("windows")["ic"], 6)
+    first, second = near_stations(5), near_stations(5)
+    current = {"places": first}
+    access = Access(flight.arcs, make_sight(flight.backend, CPU), {KIND: lambda rows: current["places"].of(rows)}, SEGMENT)
+    every, duration = torch.arange(5), torch.full((5,), 6000.0, dtype=torch.float64)
+    access.reset(every, flight.view, duration)
+    before = [listed(access, row) for row in range(5)]
+    rows = torch.tensor([3, 1])
+    current["places"] = second
+    access.reset(rows, flight.view.of(rows), duration[rows])
+    other = Access(flight.arcs, make_sight(flight.backend, CPU), {KIND: second.of}, SEGMENT)
+    other.reset(every, flight.view, duration)
+    for row in range(5):
+        assert listed(access, row) == (listed(other, row) if row in (1, 3) else before[row])
+
+
+# -- for long, and for many ----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.compiled
+def test_tables_do_not_grow_without_end(solve_arcs):
+    """Forty times windows run out, over forty hours; arcs move on, and what has closed is forgotten."""
+    flight = flown(solve_arcs, orbits(6), 6, "compiled")
+    access, rows, time = table(flight, 600.0), torch.arange(6), torch.zeros(6, dtype=torch.float64)
+    columns, seen = [], 0
+    for _ in range(40):
+        time = time + SPAN
+        while bool((access.arcs.end < time + 3.0 * SPAN).any()):
+            access.catch_up(rows)
+            access.arcs.extend(rows)
+        found = look_ahead_of_moving_arcs(access, time)
+        seen += int((found.open > time.unsqueeze(-1)).sum())
+        columns.append(access.windows[KIND].close.shape[1])
+        known = torch.isfinite(access.windows[KIND].close)
+        assert (access.windows[KIND].close[known] > (time - 6.0 * SPAN).amin()).all()
+    assert seen > 100
+    # a table never gets narrower, so its columns are the most that any row has had; seven stations have some two passes an hour
+    assert columns[-1] <= 60
+    assert columns[-1] <= columns[15] + 5
+
+
+def look_ahead_of_moving_arcs(access: Access, time: torch.Tensor) -> Windows:
+    """The next window of every row."""
+    rows = torch.nonzero(access.next(KIND, time, 1)[1] < 1).squeeze(-1)
+    while len(rows := access.reveal(KIND, rows, time[rows], torch.ones_like(rows))):
+        if bool((access.arcs.end[rows] - access.ready[rows] < access.segment).any()):
+            access.catch_up(torch.arange(len(time)))
+            access.arcs.extend(rows)
+        access.extend(rows, time)
+    return access.next(KIND, time, 1)[0]
+
+
+@pytest.mark.compiled
+def test_thousands_of_targets(recording, solve_arcs):
+    """Five thousand places for each of five satellites over eight hours: half a second on one core."""
+    flight = flown(solve_arcs, recording("windows")["ic"], spans_for(GENERATED), "compiled")
+    places = near_stations(5, 5000)
+    started = perf_counter()
+    access = table(flight, GENERATED, places)
+    elapsed = perf_counter() - started
+    counts = torch.isfinite(access.windows[KIND].close).sum(1)
+    assert (counts > 1500).all()
+    assert elapsed < 10.0  # twenty times what has been measured; one place after another would take minutes
+    alone = table(flight, GENERATED, Places(*(x[:, 4990:] for x in places)))
+    for row in range(5):
+        mine = [(place - 4990, *times) for place, *times in listed(access, row) if place >= 4990]
+        expected = listed(alone, row)
+        assert [w[0] for w in mine] == [w[0] for w in expected]
+        for one, other in zip(mine, expected, strict=True):
+            assert one[1:] == pytest.approx(other[1:], abs=1e-9)

@@ -10,31 +10,46 @@ import torch
 from bsk_torch.astro.eclipse import illumination
 from bsk_torch.astro.ephemeris import earth_orientation, sun_position
 from bsk_torch.astro.frames import lla_to_fixed
+from bsk_torch.constants import R_EARTH
+from bsk_torch.lanes.loop import Samples
+from bsk_torch.sim.search import Ground
 from bsk_torch.sim.sight import (
+    CELL,
     GLIMPSED,
+    LOOKS,
     PEAK_ITERATIONS,
-    PER_PLACE,
     RISES,
     SETS,
+    TOLERANCE,
+    UP,
     Brackets,
+    Cells,
     KernelSight,
-    Places,
+    Pairs,
+    Sight,
     TensorSight,
     View,
+    clearance,
+    code,
     happening,
     make_sight,
+    owned,
     planned_position,
     sampled,
 )
 from bsk_torch.sim.span import PLAN_STEP
 from bsk_torch.vec3 import Vec3
-from tests.sim.arcs import above, orbits
+from tests.sim.arcs import above, at, orbits, sine_of_elevation, sines_of_elevation
 
 CPU = torch.device("cpu")
 HOURS = 4
 SAMPLES = round(HOURS * 3600.0 / PLAN_STEP) + 1
 
 ORBITS = [above(5e5, 0.0, 0.9, 2.0), above(4e5, 0.01, 1.7, 0.0), above(3.5e5, 0.2, 1.0, 3.0), above(1.2e6, 0.05, 2.5, 1.0)]
+CIRCULAR = [0, 1, 3]
+"""Those that are nearly so."""
+
+BOTH: tuple[Sight, Sight] = (TensorSight(), KernelSight())
 
 
 @pytest.fixture(scope="module")
@@ -49,12 +64,28 @@ def view(sky_full_of_satellites) -> View:
     return sky_full_of_satellites[1]
 
 
-def places(count: int = 7, elevation: float = 10.0) -> Places:
-    """Sites all around the Earth."""
+@pytest.fixture(scope="module")
+def path(view) -> Samples:
+    """Earth-fixed samples of all satellites."""
+    return Samples(TensorSight().ground(view, epoch(view), SAMPLES), epoch(view))
+
+
+def numbers(*values: float) -> torch.Tensor:
+    return torch.tensor(values, dtype=torch.float64)
+
+
+def sites(count: int = 7) -> torch.Tensor:
+    """Positions [count, 3] all around the Earth, at different heights."""
     generator = torch.Generator().manual_seed(3)
     latitude, longitude = (torch.rand(2, count, dtype=torch.float64, generator=generator) - 0.5) * torch.tensor([[2.4], [6.2]])
-    r_P = lla_to_fixed(latitude, longitude, torch.zeros(count, dtype=torch.float64))
-    return Places(r_P, torch.full((count,), math.sin(math.radians(elevation)), dtype=torch.float64))
+    return lla_to_fixed(latitude, longitude, torch.linspace(-400.0, 8000.0, count, dtype=torch.float64))
+
+
+def all_pairs(path: Samples, elevation: float = 10.0, count: int = 7) -> Pairs:
+    """Every satellite over every place, [n * count]."""
+    n = len(path.start)
+    row, place = torch.arange(n).repeat_interleave(count), torch.arange(count).repeat(n)
+    return Pairs(owned(path, row), sites(count)[place], torch.full((n * count,), math.sin(math.radians(elevation))).double())
 
 
 def epoch(view: View) -> torch.Tensor:
@@ -70,7 +101,7 @@ VIEWS = {"samples": lambda view: view, "nodes": lambda view: view._replace(fine=
 """With samples every 30 s at hand, and with positions interpolated between nodes a minute apart."""
 
 
-# -- samples ----------------------------------------------------------------------------------------------------------------
+# -- samples -------------------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("kind", VIEWS)
@@ -93,7 +124,7 @@ def test_samples_lie_on_the_planned_arcs(kind, view, sky_full_of_satellites):
 def test_both_see_the_same_umbra(start, kind, view):
     view = VIEWS[kind](view)
     count = SAMPLES - 11
-    tensor, kernel = (sight.dark(view, start(view), count) for sight in (TensorSight(), KernelSight()))
+    tensor, kernel = (sight.dark(view, start(view), count) for sight in BOTH)
     assert torch.equal(tensor, kernel)
     assert 0.1 < tensor.double().mean() < 0.5
 
@@ -108,154 +139,304 @@ def test_umbra_by_definition(view, sky_full_of_satellites):
 @pytest.mark.compiled
 @pytest.mark.parametrize("kind", VIEWS)
 @pytest.mark.parametrize("start", [epoch, later])
-@pytest.mark.parametrize("whole", [False, True])
-def test_both_see_the_same_heights_and_happenings(whole, start, kind, view):
-    view, sites, count = VIEWS[kind](view), places(), SAMPLES - 11
-    tensor, kernel = (sight.heights(view, start(view), count, sites, whole) for sight in (TensorSight(), KernelSight()))
-    assert torch.equal(tensor.codes, kernel.codes)
-    assert (tensor.codes > 0).sum() > 50
-    if not whole:
-        torch.testing.assert_close(tensor.above, kernel.above, rtol=0, atol=1e-13)  # measured 2e-15
-        torch.testing.assert_close(tensor.radius, kernel.radius, rtol=1e-14, atol=0)
+def test_both_see_the_same_ground(start, kind, view):
+    view = VIEWS[kind](view)
+    tensor, kernel = (sight.ground(view, start(view), SAMPLES - 11) for sight in BOTH)
+    assert tensor.shape == (len(view.planned.start), SAMPLES - 11, 3)
+    torch.testing.assert_close(tensor, kernel, rtol=0, atol=1e-7)  # m; measured 1e-8, rounding of seven megametres
 
 
-def test_heights_by_definition(view, sky_full_of_satellites):
-    """The elevation is 90 degrees less the angle between the site's vertical and the line of sight."""
+def test_ground_by_definition(view, sky_full_of_satellites):
+    """The orientation of the ephemeris, times the planned position."""
     arcs, _ = sky_full_of_satellites
-    sites, et = places(), arcs.et.unsqueeze(-1) + PLAN_STEP * torch.arange(SAMPLES)
-    found = TensorSight().heights(view, epoch(view), SAMPLES, sites, whole=False)
-    r_P = (earth_orientation(et) @ view.fine.table.unsqueeze(-1)).squeeze(-1)
-    line = r_P.unsqueeze(2) - sites.r_P
-    zenith = torch.acos((line * sites.r_P).sum(-1) / (line.norm(dim=-1) * sites.r_P.norm(dim=-1)))
-    expected = torch.sin(math.pi / 2 - zenith) - sites.sin_min_elevation
-    torch.testing.assert_close(found.above, expected, rtol=0, atol=3e-10)  # the Earth's angle is rounded to 3e-11 rad
-    torch.testing.assert_close(found.radius, view.fine.table.norm(dim=-1), rtol=1e-15, atol=0)
+    start = later(view)
+    et = arcs.et.unsqueeze(-1) + start.unsqueeze(-1) + PLAN_STEP * torch.arange(SAMPLES - 11)
+    r_N = torch.stack([view.fine.table[row, row : row + SAMPLES - 11] for row in range(len(start))])
+    expected = (earth_orientation(et) @ r_N.unsqueeze(-1)).squeeze(-1)
+    # m; the meridian's angle is rounded to 3e-11 rad, which the sky does once an hour and the ephemeris every time
+    torch.testing.assert_close(TensorSight().ground(view, start, SAMPLES - 11), expected, rtol=0, atol=2e-3)
 
 
-# -- what happens between samples -------------------------------------------------------------------------------------------
+# -- clearance -----------------------------------------------------------------------------------------------------------------
 
 
-def codes_of(*heights: float) -> float:
-    return happening(*(torch.tensor(x, dtype=torch.float64) for x in heights)).item()
+@pytest.mark.parametrize("ratio", [1.03, 1.2, 2.0, 6.6, 60.0])
+def test_clearance_is_zero_where_the_elevation_is_the_limit(ratio):
+    """Places on, above and below the ground, limits of -20 to 89 degrees, and a hair to both sides of these."""
+    limit = torch.deg2rad(torch.linspace(-20.0, 89.0, 110, dtype=torch.float64)).repeat(3)
+    radius = numbers(R_EARTH - 1e4, R_EARTH, R_EARTH + 9e3).repeat_interleave(110)
+    zero = torch.zeros_like(radius)
+    for apart in (-1e-6, 0.0, 1e-6):
+        elevation = limit + apart
+        angle = torch.acos(radius / (ratio * R_EARTH) * torch.cos(elevation)) - elevation
+        site, r_P = Vec3(zero, zero, radius), Vec3(torch.sin(angle), zero, torch.cos(angle)) * (ratio * R_EARTH)
+        torch.testing.assert_close(sine_of_elevation(r_P.stack(), site.stack()), torch.sin(elevation), rtol=0, atol=1e-13)
+        found = clearance(r_P, site, torch.sin(limit))
+        assert (found.abs() < 1e-15).all() if apart == 0.0 else (found * apart > 0.0).all()
+
+
+@pytest.mark.parametrize("elevation", [-5.0, 0.0, 10.0, 45.0, 85.0])
+def test_clearance_is_positive_where_the_satellite_is_above_the_limit(elevation, path):
+    """At every sample of every orbit."""
+    r_P, site = path.table.unsqueeze(2), sites(40)
+    least = torch.full((40,), math.sin(math.radians(elevation)), dtype=torch.float64)
+    found = clearance(Vec3.of(r_P), Vec3.of(site), least)
+    up = sine_of_elevation(r_P, site) > least
+    assert torch.equal(found > 0.0, up)
+    assert up.any()
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize("elevation", [-20.0, 10.0, 89.0])
+def test_both_see_the_same_clearance(elevation, path):
+    pairs = all_pairs(path, elevation)
+    time = torch.linspace(0.0, (SAMPLES - 1) * PLAN_STEP, len(pairs.r_P), dtype=torch.float64)
+    tensor, kernel = (sight.clearance(pairs, time) for sight in BOTH)
+    torch.testing.assert_close(tensor, kernel, rtol=0, atol=1e-13)
+
+
+def test_clearance_at_samples_is_that_of_the_samples(path):
+    """Interpolation goes through them, also at the ends of the path."""
+    pairs = all_pairs(path)
+    for k in (0, 1, 5, 77, SAMPLES - 2, SAMPLES - 1):
+        r_P = Vec3.of(path.table[pairs.path.owner, k])
+        expected = clearance(r_P, Vec3.of(pairs.r_P), pairs.sin_min_elevation)
+        found = TensorSight().clearance(pairs, torch.full_like(pairs.sin_min_elevation, PLAN_STEP * k))
+        torch.testing.assert_close(found, expected, rtol=0, atol=1e-13)
+
+
+def test_three_clearances_tell_how_high_a_pass_rises(view, path):
+    """What :data:`TOLERANCE` promises: tops of parabolas are that good, and a hundred times better for low circular orbits."""
+    for rows, most in ((range(len(ORBITS)), TOLERANCE), (CIRCULAR, 0.01 * TOLERANCE)):
+        pairs, a, top = culminations(path, [-10.0, 10.0, 45.0, 80.0], rows)
+        before, here, after = (TensorSight().clearance(pairs, a + k * PLAN_STEP) for k in range(3))
+        bend, slope = 2.0 * here - before - after, after - before
+        assert len(a) > 40
+        assert (here + slope * slope / (8.0 * bend) - top).abs().amax() < most
+
+
+# -- what happens between samples ----------------------------------------------------------------------------------------------
+
+MIDST, FIRST, LAST = (False, False), (True, False), (False, True)
+NONE = ""
 
 
 @pytest.mark.parametrize(
-    ("heights", "code"),
+    ("clearances", "where", "expected"),
     [
-        ((-0.3, -0.2, -0.1), 0),
-        ((-0.2, -0.1, 0.1), RISES),
-        ((math.nan, -0.1, 0.1), RISES),
-        ((math.nan, math.nan, 0.1), 0),  # the first sample: nothing is known of what was before
-        ((0.2, 0.1, -0.1), SETS),
-        ((0.1, 0.0, 0.1), RISES),  # zero is below the limit
-        ((0.1, 0.1, 0.0), SETS),
-        ((-0.1, -0.001, -0.1), GLIMPSED),  # a top near the middle, just below the limit
-        ((-0.1, -0.001, -0.0011), GLIMPSED),
-        ((-0.1, -0.05, -0.1), 0),  # a top far below it
-        ((-0.1, 0.001, -0.1), SETS),  # samples that see it are no glimpse
-        ((-0.001, -0.001, 0.01), RISES),
-        ((math.nan, -0.001, -0.1), 0),
-        ((-0.001, -0.001, -0.001), GLIMPSED),
+        ((-0.3, -0.2, -0.1), MIDST, NONE),
+        ((-0.2, -0.1, 0.1), MIDST, "rises"),
+        ((math.nan, -0.1, 0.1), MIDST, "rises"),
+        ((math.nan, math.nan, 0.1), FIRST, NONE),  # the first sample: nothing is known of what was before
+        ((math.nan, math.nan, -0.001), FIRST, NONE),
+        ((math.nan, -0.001, -0.1), FIRST, NONE),
+        ((0.2, 0.1, -0.1), MIDST, "sets"),
+        ((0.1, 0.0, 0.1), MIDST, "rises"),  # zero is not above the limit
+        ((0.1, 0.1, 0.0), MIDST, "sets"),
+        ((0.1, 0.2, 0.1), MIDST, NONE),
+        ((-0.1, 0.1, -0.1), MIDST, "sets"),  # a sample that sees it: no glimpse
+        ((-0.1, -0.00009, -0.1), MIDST, "glimpsed"),  # a top near the middle, below the limit by less than the tolerance
+        ((-0.1, -0.00011, -0.1), MIDST, NONE),  # by more
+        ((-0.004, -0.0003, -0.001), MIDST, "glimpsed"),  # a top between the middle and the last, 0.00026 above the former
+        ((-0.001, -0.0003, -0.004), MIDST, "glimpsed"),
+        ((-0.00005, -0.00005, -0.00005), MIDST, "glimpsed"),  # as good as at rest
+        ((-0.0001, -0.001, -0.0045), MIDST, NONE),  # it belongs to the triple before
+        ((-0.0001, -0.001, -0.0045), FIRST, "glimpsed"),  # which does not exist here: a top between the first two
+        ((-0.0001, -0.001, -0.0045), LAST, NONE),
+        ((-0.0045, -0.001, -0.0001), MIDST, NONE),  # it belongs to the triple after
+        ((-0.0045, -0.001, -0.0001), LAST, "glimpsed"),
+        ((-0.0045, -0.001, -0.0001), FIRST, NONE),
+        ((-0.01, -0.1, -0.2), FIRST, NONE),  # a top before the search
+        ((-0.2, -0.1, -0.01), LAST, NONE),  # one after it
+        ((-0.01, -0.05, -0.11), FIRST, NONE),  # as well: two and a half steps before the middle
+        ((-0.5, -0.6, -1.2), FIRST, NONE),  # between the first two, but far below
+        ((0.1, -0.001, -0.2), FIRST, NONE),  # it has set
     ],
 )
-def test_what_happens(heights, code):
-    assert codes_of(*heights) == code
+def test_what_happens(clearances, where, expected):
+    found = happening(*numbers(*clearances), *(torch.tensor(x) for x in where))
+    assert [name for name, x in zip(("rises", "sets", "glimpsed"), found, strict=True) if x] == expected.split()
 
 
-def test_codes_of_many_places_fit_into_a_double(view):
-    """The code of each place is a digit."""
-    sites = places(17)
-    found = TensorSight().heights(view, epoch(view), SAMPLES, sites, whole=False)
-    digits = found.codes.long().unsqueeze(-1) // PER_PLACE ** torch.arange(17) % PER_PLACE
-    up = found.above > 0.0
-    assert torch.equal(digits[:, 1:] % 4 == RISES, up[:, 1:] & ~up[:, :-1])
-    assert torch.equal(digits[:, 1:] % 4 == SETS, ~up[:, 1:] & up[:, :-1])
-    assert (digits[..., 16] > 0).any()
-    assert (digits[:, 0] == 0).all()
+def test_many_parabolas_are_glimpsed():
+    """Wherever their top is between the samples of a search of five, one triple tells, if no sample is above the limit."""
+    vertex = torch.linspace(0.0, 4.0, 401, dtype=torch.float64)
+    height = 1e-3 * torch.rand_like(vertex)
+    k = torch.arange(5, dtype=torch.float64)
+    samples = height.unsqueeze(-1) - 0.01 * (k - vertex.unsqueeze(-1)) ** 2
+    hidden = (samples <= 0.0).all(-1)
+    found = torch.zeros_like(hidden)
+    for last in (2, 3, 4):
+        here = samples[:, last - 2 : last + 1].unbind(-1)
+        found |= happening(*here, torch.tensor(last == 2), torch.tensor(last == 4))[2]
+    assert torch.equal(found, hidden)
+    assert hidden.sum() > 100
+
+
+def test_codes_of_a_cell():
+    """Of samples behind the end of a cell only a glimpse around its last one is told; at the ends of a search, who is up."""
+    up, down = numbers(1.0), numbers(-1.0)
+
+    def told(before: torch.Tensor, here: torch.Tensor, after: torch.Tensor, time: float) -> int:
+        cells = Cells(*numbers(240.0, 480.0, 240.0, 900.0).unsqueeze(-1))
+        return int(code(before, here, after, numbers(time), cells))
+
+    nan, top = numbers(math.nan), numbers(-1e-5)
+    assert told(nan, nan, up, 240.0) == UP
+    assert told(nan, nan, down, 240.0) == 0
+    assert told(nan, down, up, 270.0) == RISES
+    assert told(up, up, down, 480.0) == SETS
+    assert told(up, up, up, 480.0) == 0  # in the midst of the search
+    assert told(down, down, up, 510.0) == told(up, up, down, 510.0) == 0  # in the next cell
+    assert told(down, top, down, 510.0) == GLIMPSED
+    assert told(nan, nan, nan, 240.0) == 0  # no such place
+
+    def at_the_end(before: torch.Tensor, here: torch.Tensor, after: torch.Tensor, time: float) -> int:
+        cells = Cells(*numbers(720.0, 900.0, 240.0, 900.0).unsqueeze(-1))
+        return int(code(before, here, after, numbers(time), cells))
+
+    assert at_the_end(down, down, up, 900.0) == RISES + UP
+    assert at_the_end(up, up, up, 900.0) == UP
+    assert at_the_end(down, top, down, 900.0) == GLIMPSED
+    assert at_the_end(down, top, down, 930.0) == at_the_end(down, down, up, 930.0) == 0  # behind the end
+
+
+def cells_of(path: Samples, pairs: Pairs, samples: int) -> tuple[Pairs, Cells]:
+    """All cells of a search of so many samples of every pair, [pairs * cells]."""
+    count, begin = math.ceil((samples - 1) / CELL), pairs.path.start[pairs.path.owner]
+    every = torch.arange(len(begin)).repeat_interleave(count)
+    first = begin[every] + PLAN_STEP * CELL * torch.arange(count).repeat(len(begin))
+    end = begin[every] + PLAN_STEP * (samples - 1)
+    return pairs.of(every), Cells(first, torch.minimum(first + PLAN_STEP * CELL, end), begin[every], end)
 
 
 @pytest.mark.compiled
-def test_both_see_seventeen_places_alike(view):
-    tensor, kernel = (sight.heights(view, epoch(view), SAMPLES, places(17), True) for sight in (TensorSight(), KernelSight()))
-    assert torch.equal(tensor.codes, kernel.codes)
+@pytest.mark.parametrize("samples", [SAMPLES, SAMPLES - 1, SAMPLES - 7, 10])
+def test_both_see_the_same_happenings(samples, path, view):
+    shifted = path._replace(start=later(view))
+    pairs, cells = cells_of(shifted, all_pairs(shifted, 5.0), samples)
+    tensor, kernel = (sight.happenings(pairs, cells) for sight in BOTH)
+    assert tensor.shape == (len(cells.first), LOOKS)
+    assert torch.equal(tensor, kernel)
 
 
-# -- crossings and peaks ----------------------------------------------------------------------------------------------------
+def test_happenings_by_definition(path):
+    """Every change of what is above the limit is told once, at the sample after it, and the ends of the search are."""
+    samples, pairs = SAMPLES - 3, all_pairs(path, 5.0)
+    many, cells = cells_of(path, pairs, samples)
+    found = TensorSight().happenings(many, cells).long().view(len(pairs.r_P), -1, LOOKS)
+    told = torch.zeros(3, len(pairs.r_P), samples + LOOKS, dtype=torch.long)
+    for cell in range(found.shape[1]):
+        for bit, which in enumerate((RISES, SETS, UP)):
+            told[bit, :, CELL * cell : CELL * cell + LOOKS] += (found[:, cell] & which) // which
+    up = (sines_of_elevation(path.table[:, :samples], sites().expand(len(path.start), -1, -1)) > math.sin(math.radians(5.0))).mT
+    up = up.flatten(0, 1)
+    change = torch.diff(up.long(), prepend=up[:, :1].long())
+    assert torch.equal(told[0, :, :samples], (change == 1).long())
+    assert torch.equal(told[1, :, :samples], (change == -1).long())
+    assert torch.equal(told[2, :, 0], up[:, 0].long())
+    assert torch.equal(told[2, :, samples - 1], up[:, -1].long())
+    assert not told[2, :, 1 : samples - 1].any()
+    assert not told[:, :, samples:].any()
+    assert (change != 0).sum() > 80
 
 
-def crossings_of(view: View, sites: Places) -> tuple[View, Places, Brackets]:
+# -- crossings and peaks -------------------------------------------------------------------------------------------------------
+
+
+def crossings_of(path: Samples, elevation: float) -> tuple[Pairs, Brackets]:
     """Brackets around all crossings."""
-    found = TensorSight().heights(view, epoch(view), SAMPLES, sites, whole=False).above
-    row, sample, place = torch.nonzero((found[:, 1:] > 0.0) != (found[:, :-1] > 0.0), as_tuple=True)
-    a = PLAN_STEP * sample.double()
-    brackets = Brackets(a, a + PLAN_STEP, found[row, sample, place], found[row, sample + 1, place])
-    return view.of(row), Places(*(part[place] for part in sites)), brackets
+    pairs = all_pairs(path, elevation)
+    found = clearance(
+        Vec3.of(path.table[pairs.path.owner]), Vec3.of(pairs.r_P.unsqueeze(1)), pairs.sin_min_elevation.unsqueeze(1)
+    )
+    pair, k = torch.nonzero((found[:, 1:] > 0.0) != (found[:, :-1] > 0.0), as_tuple=True)
+    a = PLAN_STEP * k.double()
+    return pairs.of(pair), Brackets(a, a + PLAN_STEP, found[pair, k], found[pair, k + 1])
 
 
 @pytest.mark.compiled
-def test_both_find_the_same_crossings(view):
-    rows, sites, brackets = crossings_of(view, places(elevation=5.0))
-    assert len(brackets.a) > 50
-    tensor, kernel = (sight.crossings(rows, sites, brackets) for sight in (TensorSight(), KernelSight()))
-    torch.testing.assert_close(tensor, kernel, rtol=0, atol=1e-9)  # s; measured 5e-12
+@pytest.mark.parametrize("elevation", [-10.0, 5.0, 60.0])
+def test_both_find_the_same_crossings(elevation, path):
+    pairs, brackets = crossings_of(path, elevation)
+    assert len(brackets.a) > 10
+    tensor, kernel = (sight.crossings(pairs, brackets) for sight in BOTH)
+    torch.testing.assert_close(tensor, kernel, rtol=0, atol=1e-7)  # s; measured 2e-8
     assert ((tensor >= brackets.a) & (tensor <= brackets.b)).all()
-    for sight in (TensorSight(), KernelSight()):
-        assert sight.height(rows, sites, tensor).abs().amax() < 1e-13  # sine of elevation, which moves by 1e-3 per second
+    for sight in BOTH:
+        assert sight.clearance(pairs, tensor).abs().amax() < 1e-11  # which moves by 1e-4 per second
 
 
-def grazing(view: View) -> tuple[View, Places, torch.Tensor, torch.Tensor, torch.Tensor]:
-    """Passes whose tops lie between two samples that are just below the limit: rows, places, brackets and true tops."""
-    sites = places(elevation=0.0)
-    height = TensorSight().heights(view, epoch(view), SAMPLES, sites, whole=False).above
-    inner = height[:, 1:-1]
-    top = (inner > height[:, :-2]) & (inner > height[:, 2:]) & (inner > 0.05)
-    row, sample, place = torch.nonzero(top, as_tuple=True)
-    a = PLAN_STEP * sample.double()
-    rows, sites = view.of(row), Places(*(part[place] for part in sites))
-    time = a.unsqueeze(-1) + torch.linspace(0.0, 2.0 * PLAN_STEP, 6001, dtype=torch.float64)
-    many = rows.of(torch.arange(len(a)).repeat_interleave(6001))
-    spread = Places(*(part.repeat_interleave(6001, 0) for part in sites))
-    fine = TensorSight().height(many, spread, time.flatten()).view(-1, 6001)
-    return rows, sites, a, a + 2.0 * PLAN_STEP, time.gather(1, fine.argmax(1, keepdim=True)).squeeze(1)
+def culminations(path: Samples, elevations: list[float], rows: range | list[int]) -> tuple[Pairs, torch.Tensor, torch.Tensor]:
+    """Passes with a top between the first and the last of three samples, the middle one highest: pairs, first time, clearance."""
+    parts = []
+    for elevation in elevations:
+        pairs = all_pairs(path, elevation, 40)
+        pairs = pairs.of(torch.nonzero(torch.isin(pairs.path.owner, torch.tensor(list(rows)))).squeeze(-1))
+        site, least = Vec3.of(pairs.r_P.unsqueeze(1)), pairs.sin_min_elevation.unsqueeze(1)
+        found = clearance(Vec3.of(path.table[pairs.path.owner]), site, least)
+        inner = found[:, 1:-1]
+        high = (inner > found[:, :-2]) & (inner > found[:, 2:]) & (inner > -0.01) & (inner < 0.01)
+        pair, k = torch.nonzero(high, as_tuple=True)
+        pairs, a = pairs.of(pair), PLAN_STEP * k.double()
+        time = a.unsqueeze(-1) + torch.linspace(0.0, 2.0 * PLAN_STEP, 601, dtype=torch.float64)
+        fine = TensorSight().clearance(pairs.of(torch.arange(len(a)).repeat_interleave(601)), time.flatten()).view(-1, 601)
+        parts.append((pairs, a, fine.amax(1)))
+    pairs, a, top = zip(*parts, strict=True)
+    owner = torch.cat([one.path.owner for one in pairs])
+    joined = Pairs(path._replace(owner=owner), *(torch.cat([one[k] for one in pairs]) for k in (1, 2)))
+    return joined, torch.cat(a), torch.cat(top)
 
 
 @pytest.mark.compiled
-def test_both_find_the_tops_of_passes(view):
-    rows, sites, a, b, expected = grazing(view)
-    assert len(a) > 10
-    for sight in (TensorSight(), KernelSight()):
-        found = sight.peaks(rows, sites, a, b)
-        # the section ends 0.4 ms wide; measured 7e-5 s between the two
-        torch.testing.assert_close(found, expected, rtol=0, atol=0.01)  # of points 10 ms apart
+def test_both_find_the_tops_of_passes(path):
+    """The section ends 0.4 ms wide; a top is as flat as 1e-6 per square second."""
+    pairs, a, top = culminations(path, [0.0, 30.0], range(11))
+    assert len(a) > 40
+    peaks = [sight.peaks(pairs, a, a + 2.0 * PLAN_STEP) for sight in BOTH]
+    torch.testing.assert_close(*peaks, rtol=0, atol=1e-3)
+    for peak in peaks:
+        assert ((peak >= a) & (peak <= a + 2.0 * PLAN_STEP)).all()
+        found = TensorSight().clearance(pairs, peak)
+        assert (found > top - 1e-13).all()
+        assert (found < top + 1e-8).all()  # of points 0.1 s apart
     assert 2.0 * PLAN_STEP * 0.618**PEAK_ITERATIONS < 1e-3
 
 
 @pytest.mark.compiled
-def test_glimpses_are_the_same(view):
+def test_glimpses_are_the_same(path):
     """Limits between the top of a pass and its best sample: windows of seconds that no sample sees."""
-    rows, sites, a, b, top = grazing(view)
-    highest = TensorSight().height(rows, sites, top)
-    best = torch.stack([TensorSight().height(rows, sites, t) for t in (a, a + PLAN_STEP, b)]).amax(0)
-    limited = Places(sites.r_P, 0.3 * highest + 0.7 * best)
+    pairs, a, _ = culminations(path, [0.0, 30.0], range(11))
+    middle, b = a + PLAN_STEP, a + 2.0 * PLAN_STEP
+    ground = Ground(path.table, path.start)
+
+    def sine(time: torch.Tensor) -> torch.Tensor:
+        return sine_of_elevation(at(ground, pairs.path.owner, time), pairs.r_P)
+
+    peak = TensorSight().peaks(pairs, a, b)
+    limited = pairs._replace(
+        sin_min_elevation=0.3 * sine(peak) + 0.7 * torch.maximum(sine(middle), torch.maximum(sine(a), sine(b)))
+    )
     edges = []
-    for sight in (TensorSight(), KernelSight()):
-        peak = sight.peaks(rows, limited, a, b)
+    for sight in BOTH:
+        peak = sight.peaks(limited, a, b)
         for outer in (a, b):
-            ends = (sight.height(rows, limited, t) for t in (outer, peak))
-            edges.append(sight.crossings(rows, limited, Brackets(outer, peak, *ends)))
+            ends = (sight.clearance(limited, time) for time in (outer, peak))
+            edges.append(sight.crossings(limited, Brackets(outer, peak, *ends)))
     long = edges[1] - edges[0] > 0.1  # bsk_rl drops shorter ones; the ends of those depend on rounding
-    assert long.sum() > 10
+    assert long.sum() > 40
     for tensor, kernel in zip(edges[:2], edges[2:], strict=True):
         torch.testing.assert_close(tensor[long], kernel[long], rtol=0, atol=1e-6)
+        assert (TensorSight().clearance(limited, tensor)[long].abs() < 1e-11).all()
     assert (edges[1] - edges[0])[long].amax() < 2.0 * PLAN_STEP
 
 
-# -- views ------------------------------------------------------------------------------------------------------------------
+# -- views ---------------------------------------------------------------------------------------------------------------------
 
 
 def test_views_of_rows(view):
     """Rows may repeat, and be taken of rows that have been taken."""
-    rows, time = torch.tensor([3, 0, 3, 10]), torch.tensor([100.0, 200.0, 300.0, 400.0], dtype=torch.float64)
+    rows, time = torch.tensor([3, 0, 3, 10]), numbers(100.0, 200.0, 300.0, 400.0)
     some = view.of(torch.tensor([10, 3, 0])).of(torch.tensor([1, 2, 1, 0]))
     r, _ = planned_position(some, time)
     expected, _ = planned_position(view.of(rows), time)
@@ -266,14 +447,43 @@ def test_views_of_rows(view):
 
 
 @pytest.mark.compiled
-def test_nothing_to_look_at(view):
-    none = view.of(torch.zeros(0, dtype=torch.int64))
-    empty, sites = torch.zeros(0, dtype=torch.float64), Places(torch.zeros(0, 3).double(), torch.zeros(0).double())
-    for sight in (TensorSight(), KernelSight()):
-        assert sight.crossings(none, sites, Brackets(empty, empty, empty, empty)).shape == (0,)
-        assert sight.peaks(none, sites, empty, empty).shape == (0,)
+@pytest.mark.parametrize("kind", VIEWS)
+def test_views_of_rows_are_seen_alike(kind, view):
+    """By kernels too, which look rows up themselves."""
+    view, rows = VIEWS[kind](view), torch.tensor([10, 3, 3, 0])
+    start = later(view)
+    for sight in BOTH:
+        dark, ground = sight.dark(view, start, 50), sight.ground(view, start, 50)
+        assert torch.equal(sight.dark(view.of(rows), start[rows], 50), dark[rows])
+        assert torch.equal(sight.ground(view.of(rows), start[rows], 50), ground[rows])
+
+
+@pytest.mark.compiled
+def test_pairs_are_seen_one_by_one(path):
+    """What is found of a pair does not depend on the others, nor on their number."""
+    pairs, brackets = crossings_of(path, 5.0)
+    some = torch.tensor([17, 3, 3, 40, 8])
+    for sight in BOTH:
+        times = sight.crossings(pairs, brackets)
+        assert torch.equal(sight.crossings(pairs.of(some), Brackets(*(x[some] for x in brackets))), times[some])
+        heights = sight.clearance(pairs, brackets.a)
+        assert torch.equal(sight.clearance(pairs.of(some), brackets.a[some]), heights[some])
+
+
+@pytest.mark.compiled
+def test_nothing_to_look_at(view, path):
+    nobody, empty = torch.zeros(0, dtype=torch.int64), numbers()
+    none, pairs = view.of(nobody), all_pairs(path).of(nobody)
+    for sight in BOTH:
+        assert sight.dark(none, empty, 12).shape == (0, 12)
+        assert sight.ground(none, empty, 12).shape == (0, 12, 3)
+        assert sight.happenings(pairs, Cells(empty, empty, empty, empty)).shape == (0, LOOKS)
+        assert sight.clearance(pairs, empty).shape == (0,)
+        assert sight.crossings(pairs, Brackets(empty, empty, empty, empty)).shape == (0,)
+        assert sight.peaks(pairs, empty, empty).shape == (0,)
 
 
 def test_which_sight():
     assert isinstance(make_sight("compiled", CPU), KernelSight)
     assert isinstance(make_sight("eager", CPU), TensorSight)
+    assert isinstance(make_sight("compiled", torch.device("cuda")), TensorSight)

@@ -1,0 +1,102 @@
+"""Networks for a set of targets: the order of the rows does not matter, nor does padding.
+
+The satellite's own features and every target become tokens that attend to each other. A target's token says how good its image
+would be, the satellite's token what the other actions and the situation are worth.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+from torch.nn.functional import relu, scaled_dot_product_attention
+
+LEAST = -1e4
+"""Logit of images of padding: finite, because there may be nothing else to choose from."""
+
+
+class Block(nn.Module):
+    """Self-attention and a feed-forward layer, both with a residual connection and a norm in front (Xiong et al. 2020)."""
+
+    def __init__(self, width: int, heads: int) -> None:
+        """Work on tokens of ``width`` features, a multiple of the number of heads."""
+        super().__init__()
+        self.heads = heads
+        self.norm, self.queries_keys_values, self.joined = (
+            nn.LayerNorm(width),
+            nn.Linear(width, 3 * width),
+            nn.Linear(width, width),
+        )
+        self.forward_norm, self.wide, self.narrow = nn.LayerNorm(width), nn.Linear(width, width), nn.Linear(width, width)
+
+    def forward(self, tokens: Tensor, exists: Tensor) -> Tensor:
+        """Tokens [B, T, W] that have attended to those that exist, by ``exists`` [B, T] booleans."""
+        parts = self.queries_keys_values(self.norm(tokens)).unflatten(-1, (3, self.heads, -1))
+        query, key, value = parts.permute(2, 0, 3, 1, 4)
+        attended = scaled_dot_product_attention(query, key, value, attn_mask=exists[:, None, None, :])
+        tokens = tokens + self.joined(attended.transpose(1, 2).flatten(-2))
+        return tokens + self.narrow(relu(self.wide(self.forward_norm(tokens))))
+
+
+class Encoder(nn.Module):
+    """Tokens of the satellite, first, and of every target."""
+
+    def __init__(self, n_own: int, n_features: int, width: int, heads: int, blocks: int) -> None:
+        """Expect ``n_own`` numbers of the satellite and ``n_features`` of each target."""
+        super().__init__()
+        self.own, self.context, self.row = nn.Linear(n_own, width), nn.Linear(n_own, width), nn.Linear(n_features, width)
+        self.mix = nn.Linear(width, width)
+        self.blocks = nn.ModuleList(Block(width, heads) for _ in range(blocks))
+        self.norm = nn.LayerNorm(width)
+
+    def forward(self, own: Tensor, rows: Tensor, mask: Tensor) -> Tensor:
+        """Tokens [B, 1 + K, W] of ``own`` [B, D] and ``rows`` [B, K, F], of which ``mask`` [B, K] says which exist."""
+        targets = self.mix(relu(self.row(rows) + self.context(own).unsqueeze(-2)))
+        tokens = torch.cat([self.own(own).unsqueeze(-2), targets], -2)
+        exists = torch.cat([torch.ones_like(mask[:, :1]), mask], -1)
+        for block in self.blocks:
+            tokens = block(tokens, exists)
+        return self.norm(tokens)
+
+
+class SetActor(nn.Module):
+    """Logits of all actions: images by the tokens of their targets, the others by that of the satellite."""
+
+    def __init__(self, encoder: Encoder, width: int, n_actions: int, images: range, scale: float) -> None:
+        """Of ``n_actions`` actions, ``images`` are those of the first targets; initial logits are of the order of ``scale``."""
+        super().__init__()
+        self.encoder, self.first, self.n_images = encoder, images.start, len(images)
+        self.image, self.other = (nn.utils.skip_init(nn.Linear, width, n) for n in (1, n_actions - len(images)))
+        with torch.no_grad():
+            for layer in (self.image, self.other):
+                layer.weight.normal_(0.0, scale * width**-0.5)
+                layer.bias.zero_()
+
+    def forward(self, own: Tensor, rows: Tensor, mask: Tensor) -> Tensor:
+        """Logits [..., A]; see :meth:`Encoder.forward` for the arguments, which may have any leading dimensions."""
+        batch = own.shape[:-1]
+        own, rows, mask = own.flatten(0, -2), rows.flatten(0, -3), mask.flatten(0, -2)
+        tokens = self.encoder(own, rows, mask)
+        images = self.image(tokens[:, 1 : 1 + self.n_images]).squeeze(-1)
+        images = images.masked_fill(~mask[:, : self.n_images], LEAST)
+        others = self.other(tokens[:, 0])
+        logits = torch.cat([others[:, : self.first], images, others[:, self.first :]], -1)
+        return logits.view(*batch, -1)
+
+
+class SetCritic(nn.Module):
+    """Value of a situation, by the satellite's token and the mean of the targets' tokens."""
+
+    def __init__(self, encoder: Encoder, width: int) -> None:
+        """Judge what ``encoder`` makes of a situation."""
+        super().__init__()
+        self.encoder = encoder
+        self.value = nn.Sequential(nn.Linear(2 * width, width), nn.ReLU(), nn.Linear(width, 1))
+
+    def forward(self, own: Tensor, rows: Tensor, mask: Tensor) -> Tensor:
+        """Value [..., 1]; arguments as those of :meth:`SetActor.forward`."""
+        batch = own.shape[:-1]
+        own, rows, mask = own.flatten(0, -2), rows.flatten(0, -3), mask.flatten(0, -2)
+        tokens = self.encoder(own, rows, mask)
+        weight = mask.unsqueeze(-1).to(tokens.dtype)
+        mean = (tokens[:, 1:] * weight).sum(1) / weight.sum(1).clamp(min=1.0)
+        return self.value(torch.cat([tokens[:, 0], mean], -1)).view(*batch, 1)

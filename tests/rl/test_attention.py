@@ -1,0 +1,175 @@
+"""Networks for sets of targets: symmetry, padding, masks, and what is kept in a file."""
+
+import pytest
+import torch
+from tensordict import TensorDict
+from torchrl.envs.utils import ExplorationType, set_exploration_type
+
+import bsk_torch
+from bsk_torch.rl.attention import LEAST
+from bsk_torch.rl.policies import AttentionPlan, MLPPlan, load_policy, save_policy
+from bsk_torch.rl.sight import MASK, OWN, ROWS, Normaliser, symlog
+
+N, K, F, D = 6, 5, 4, 3
+OTHERS = 2
+"""Actions before the images."""
+
+
+@pytest.fixture
+def networks():
+    torch.manual_seed(0)
+    plan = AttentionPlan(("observation", "target"), (("observation", "time"),), D, F, OTHERS + K, (OTHERS, OTHERS + K), (32, 32))
+    return plan.build()
+
+
+@pytest.fixture
+def seen():
+    torch.manual_seed(1)
+    return torch.randn(N, D), torch.randn(N, K, F), torch.arange(K) < torch.tensor([K, K, 4, 3, 1, 0]).unsqueeze(-1)
+
+
+def logits(networks, seen):
+    return networks.actor[0].module(*seen)
+
+
+def value(networks, seen):
+    return networks.critic.module(*seen)
+
+
+# Float32 sums over K tokens in another order: a few units in the last place of numbers of order one.
+SUMS = dict(rtol=0.0, atol=2e-6)
+
+
+def test_logits_of_images_follow_their_targets_and_nothing_else_depends_on_order(networks, seen):
+    own, rows, mask = seen
+    order = torch.stack([torch.randperm(K) for _ in range(N)])
+    shuffled = own, rows.gather(1, order.unsqueeze(-1).expand(-1, -1, F)), mask.gather(1, order)
+    before, after = logits(networks, seen), logits(networks, shuffled)
+    torch.testing.assert_close(after[:, OTHERS:], before[:, OTHERS:].gather(1, order), **SUMS)
+    torch.testing.assert_close(after[:, :OTHERS], before[:, :OTHERS], **SUMS)
+    torch.testing.assert_close(value(networks, shuffled), value(networks, seen), **SUMS)
+    assert before[0, OTHERS:].std() > 1e-4  # the logits do differ
+
+
+def test_padding_has_no_influence_and_is_not_chosen(networks, seen):
+    own, rows, mask = seen
+    noise = torch.where(mask.unsqueeze(-1), rows, 100.0 * torch.randn_like(rows))
+    assert torch.equal(logits(networks, (own, noise, mask)), logits(networks, seen))
+    assert torch.equal(value(networks, (own, noise, mask)), value(networks, seen))
+    assert bool((logits(networks, seen)[:, OTHERS:][~mask] == LEAST).all())
+
+
+def test_a_target_that_exists_does_have_influence(networks, seen):
+    own, rows, mask = seen
+    changed = rows.clone()
+    changed[:, 0] += 1.0
+    assert bool(((logits(networks, (own, changed, mask)) - logits(networks, seen))[:4, OTHERS + 1].abs() > 1e-7).all())
+
+
+def test_logits_do_not_depend_on_the_batch(networks, seen):
+    alone = torch.cat([logits(networks, tuple(part[k : k + 1] for part in seen)) for k in range(N)])
+    torch.testing.assert_close(alone, logits(networks, seen), **SUMS)
+    two = tuple(part.view(2, N // 2, *part.shape[1:]) for part in seen)
+    torch.testing.assert_close(logits(networks, two).view(N, -1), logits(networks, seen), **SUMS)
+    assert value(networks, two).shape == (2, N // 2, 1)
+
+
+@pytest.mark.parametrize("exploration", [ExplorationType.RANDOM, ExplorationType.DETERMINISTIC])
+def test_only_legal_actions_are_taken(networks, seen, exploration):
+    torch.manual_seed(2)
+    mask = torch.rand(N, OTHERS + K) < 0.4
+    mask[:, 0] |= ~mask.any(1)
+    situation = TensorDict({**dict(zip((OWN, ROWS, MASK), seen, strict=True)), "action_mask": mask}, [N])
+    with set_exploration_type(exploration):
+        for _ in range(50):
+            action = networks.actor(situation.clone())["action"]
+            assert bool(mask.gather(1, action.unsqueeze(-1)).all())
+
+
+def test_an_untrained_actor_is_nearly_uniform(networks, seen):
+    spread = logits(networks, tuple(part[:2] for part in seen)).detach()
+    assert float(spread.amax() - spread.amin()) < 0.1
+
+
+# -- normalisation ----------------------------------------------------------------------------------------------------
+
+
+def test_normaliser_merges_moments_of_parts():
+    torch.manual_seed(0)
+    x = 3.0 * torch.randn(1000, 4, dtype=torch.float64) + 5.0
+    normaliser = Normaliser(4)
+    for part in x.split([1, 9, 490, 500]):
+        normaliser.update(part)
+    expected = symlog(x)
+    torch.testing.assert_close(normaliser.mean, expected.mean(0))
+    torch.testing.assert_close(normaliser.variance, expected.var(0, correction=0))
+    z = normaliser(x)
+    torch.testing.assert_close(z.mean(0), torch.zeros(4, dtype=torch.float64), rtol=0.0, atol=1e-6)
+
+
+def test_normaliser_ignores_padding():
+    rows = torch.randn(7, 5, 2)
+    mask = torch.rand(7, 5) < 0.5
+    one, other = Normaliser(2), Normaliser(2)
+    one.update(torch.where(mask.unsqueeze(-1), rows, 1e6), mask)
+    other.update(rows[mask])
+    assert torch.equal(one.mean, other.mean)
+    one.update(rows, torch.zeros_like(mask))
+    assert torch.equal(one.variance, other.variance)
+    assert float(one.count) == float(mask.sum())
+
+
+def test_normaliser_is_bounded_and_survives_constants():
+    normaliser = Normaliser(1)
+    normaliser.update(torch.ones(10, 1))
+    assert float(normaliser(torch.ones(1, 1))) == pytest.approx(0.0, abs=1e-3)
+    assert float(normaliser(torch.full((1, 1), 1e30))) == 10.0
+
+
+# -- from environments, and files -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("preset", "first"), [("AEOS-v1", 0), ("AEOSPower-v1", 3)])
+def test_a_plan_finds_the_set_and_the_images(preset, first):
+    env = bsk_torch.make(preset, num_envs=2, seed=0, backend="eager", n_targets=50, as_set=True)
+    plan = AttentionPlan.of(env, (32,))
+    assert plan.set_key == ("observation", "target")
+    assert plan.images == (first, first + 32)
+    assert plan.n_actions == first + 32
+    assert plan.n_features == 8
+    now = plan.build().policy(env.reset())
+    assert now["logits"].shape == (2, first + 32)
+    assert now[OWN].shape == (2, plan.n_own)
+    assert not bool(torch.isnan(now["logits"]).any())
+
+
+def test_networks_refuse_the_other_kind_of_observation():
+    vector, nested = (bsk_torch.make("AEOS-v1", num_envs=1, backend="eager", n_targets=50, as_set=s) for s in (False, True))
+    with pytest.raises(ValueError, match="as_set=True"):
+        AttentionPlan.of(vector, (32,))
+    with pytest.raises(ValueError, match="one vector"):
+        MLPPlan.of(nested, (32,))
+
+
+@pytest.mark.parametrize("hidden", [(), (48,), (32, 64)])
+def test_blocks_need_equal_widths_that_heads_divide(hidden):
+    with pytest.raises(ValueError, match=r"multiples of 32"):
+        AttentionPlan(("observation", "target"), (), D, F, K, (0, K), hidden)
+
+
+def test_a_kept_policy_acts_the_same(tmp_path):
+    torch.manual_seed(3)
+    plan = AttentionPlan(("observation", "target"), (("observation", "time"),), 1, F, OTHERS + K, (OTHERS, OTHERS + K), (32,))
+    networks = plan.build()
+    situation = TensorDict({
+        "observation": {"target": {"rows": 5.0 * torch.randn(40, K, F), "mask": torch.ones(40, K)}, "time": torch.rand(40)},
+        "action_mask": torch.ones(40, OTHERS + K, dtype=torch.bool),
+    }, [40])  # fmt: skip
+    networks.sight.update(situation)
+    save_policy(tmp_path / "policy.pt", plan, networks)
+    kept = load_policy(tmp_path / "policy.pt")
+    with set_exploration_type(ExplorationType.DETERMINISTIC):
+        mine, same = networks.policy(situation.clone()), kept(situation.clone())
+    assert torch.equal(mine["logits"], same["logits"])
+    assert torch.equal(mine["action"], same["action"])
+    assert len(set(mine["action"].tolist())) > 1
