@@ -21,11 +21,21 @@ def refined(a: Tensor, b: Tensor, f_a: Tensor, f_b: Tensor, c: Tensor, f_c: Tens
     return torch.where(crossed, b, a), c, torch.where(crossed, f_b, 0.5 * f_a), f_c
 
 
-def find_root(f: Function, a: Tensor, b: Tensor, f_a: Tensor, f_b: Tensor, iterations: int = 12) -> Tensor:
+def halved(a: Tensor, b: Tensor, f_a: Tensor, f_b: Tensor, c: Tensor, f_c: Tensor) -> tuple[Tensor, ...]:
+    """The bracket a, b, f_a, f_b with its middle c."""
+    crossed = (f_c < 0.0) ^ (f_b < 0.0)
+    return torch.where(crossed, b, a), c, torch.where(crossed, f_b, f_a), f_c
+
+
+def find_root(f: Function, a: Tensor, b: Tensor, f_a: Tensor, f_b: Tensor, iterations: int = 12, bisections: int = 0) -> Tensor:
     """Root of f between a and b, where its values f_a and f_b have opposite signs.
 
-    For functions that are nearly straight in the bracket twelve iterations reach the rounding error.
+    For functions that are nearly straight in the bracket twelve iterations reach the rounding error. Others, such as those that
+    turn near one of its ends, need ``bisections`` first, until they are.
     """
+    for _ in range(bisections):
+        c = 0.5 * (a + b)
+        a, b, f_a, f_b = halved(a, b, f_a, f_b, c, f(c))
     for _ in range(iterations):
         c = next_guess(a, b, f_a, f_b)
         a, b, f_a, f_b = refined(a, b, f_a, f_b, c, f(c))

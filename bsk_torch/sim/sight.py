@@ -10,7 +10,8 @@ from torch import Tensor
 
 from bsk_torch.astro.eclipse import in_umbra
 from bsk_torch.astro.interpolate import BEFORE, COUNT, coefficients, position, positions
-from bsk_torch.astro.roots import find_maximum, find_root, narrowed, next_guess, placed, refined, sections
+from bsk_torch.astro.roots import find_maximum, find_root, halved, narrowed, next_guess, placed, refined, sections
+from bsk_torch.lanes.expr import DOUBLE, TICK
 from bsk_torch.lanes.loop import Loop, Samples
 from bsk_torch.sim.component import Bus, Track, neighbours, vec
 from bsk_torch.sim.paths import ARC, FINE, Sketch
@@ -18,7 +19,8 @@ from bsk_torch.sim.sky import SKY, fixed, sky_at
 from bsk_torch.sim.span import PLAN_STEP, SPACING
 from bsk_torch.vec3 import Vec3
 
-ROOT_ITERATIONS, PEAK_ITERATIONS = 20, 25
+BISECTIONS, ROOT_ITERATIONS, PEAK_ITERATIONS = 10, 9, 25
+"""Steps of the searches: ten bisections leave less than the shortest window lasts, which is straight enough for the rest."""
 
 PATH = Track("path", PLAN_STEP, (vec("r", "m", exact=True),), COUNT, BEFORE)
 
@@ -204,7 +206,7 @@ class TensorSight:
 
     def crossings(self, pairs: Pairs, brackets: Brackets) -> Tensor:
         """See :class:`Sight`."""
-        return find_root(lambda time: self.clearance(pairs, time), *brackets, ROOT_ITERATIONS)
+        return find_root(lambda time: self.clearance(pairs, time), *brackets, ROOT_ITERATIONS, BISECTIONS)
 
     def peaks(self, pairs: Pairs, a: Tensor, b: Tensor) -> Tensor:
         """See :class:`Sight`."""
@@ -241,8 +243,8 @@ class KernelSight:
 
     def crossings(self, pairs: Pairs, brackets: Brackets) -> Tensor:
         """See :class:`Sight`."""
-        state = torch.stack([next_guess(*brackets), *brackets])
-        _run(crossing_kernel(), pairs, state, ROOT_ITERATIONS)
+        state = torch.stack([0.5 * (brackets.a + brackets.b), *brackets])
+        _run(crossing_kernel(), pairs, state, BISECTIONS + ROOT_ITERATIONS)
         return state[2]
 
     def peaks(self, pairs: Pairs, a: Tensor, b: Tensor) -> Tensor:
@@ -330,8 +332,11 @@ def crossing_kernel() -> Loop:
     sketch = Sketch()
     time, found = _pair(sketch, PATH)
     a, b, clearance_a, clearance_b = sketch.planes("state", 4, first=1)
-    narrower = refined(a, b, clearance_a, clearance_b, time, found)
-    return _pair_kernel("access crossings", sketch, PATH, [next_guess(*narrower), *narrower], [])
+    bracket, number = (a, b, clearance_a, clearance_b, time, found), sketch.program.input(("ticks", "now"), DOUBLE, TICK)
+    both = zip(halved(*bracket), refined(*bracket), strict=True)
+    a, b, clearance_a, clearance_b = (torch.where(number <= float(BISECTIONS), x, y) for x, y in both)
+    guess = torch.where(number < float(BISECTIONS), 0.5 * (a + b), next_guess(a, b, clearance_a, clearance_b))
+    return _pair_kernel("access crossings", sketch, PATH, [guess, a, b, clearance_a, clearance_b], [])
 
 
 @cache
