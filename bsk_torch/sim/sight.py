@@ -19,7 +19,7 @@ from bsk_torch.sim.sky import SKY, fixed, sky_at
 from bsk_torch.sim.span import PLAN_STEP, SPACING
 from bsk_torch.vec3 import Vec3
 
-BISECTIONS, ROOT_ITERATIONS, PEAK_ITERATIONS = 10, 9, 25
+BISECTIONS, ROOT_ITERATIONS, PEAK_ITERATIONS = 10, 12, 25
 """Steps of the searches: ten bisections leave less than the shortest window lasts, which is straight enough for the rest."""
 
 PATH = Track("path", PLAN_STEP, (vec("r", "m", exact=True),), COUNT, BEFORE)
