@@ -65,9 +65,10 @@ class SetActor(nn.Module):
         """Of ``n_actions`` actions, ``images`` are those of the first targets; initial logits are of the order of ``scale``."""
         super().__init__()
         self.encoder, self.first, self.n_images = encoder, images.start, len(images)
-        self.image, self.other = (nn.utils.skip_init(nn.Linear, width, n) for n in (1, n_actions - len(images)))
+        others = n_actions - len(images)
+        self.image, self.other = nn.Linear(width, 1), nn.Linear(width, others) if others else None
         with torch.no_grad():
-            for layer in (self.image, self.other):
+            for layer in filter(None, (self.image, self.other)):
                 layer.weight.normal_(0.0, scale * width**-0.5)
                 layer.bias.zero_()
 
@@ -78,7 +79,7 @@ class SetActor(nn.Module):
         tokens = self.encoder(own, rows, mask)
         images = self.image(tokens[:, 1 : 1 + self.n_images]).squeeze(-1)
         images = images.masked_fill(~mask[:, : self.n_images], LEAST)
-        others = self.other(tokens[:, 0])
+        others = tokens[:, 0, :0] if self.other is None else self.other(tokens[:, 0])
         logits = torch.cat([others[:, : self.first], images, others[:, self.first :]], -1)
         return logits.view(*batch, -1)
 

@@ -97,8 +97,9 @@ def test_the_screen_loses_nothing(kind, samples):
     r_P = anywhere(n, count)
     below = torch.arange(40) * samples // 40  # high limits see nothing else
     r_P[:, :40] = torch.nn.functional.normalize(ground.r_P[:, below], dim=-1) * R_EARTH
-    for least in (limits(n, count), limits(n, 1).expand(n, count), limits(n, 1, 80.0).expand(n, count)):
-        places = Places(r_P, least)
+    deep = r_P * uniform(n, count, 1, low=0.8, high=1.0)  # exaggerated, so that all must be searched for as the lowest one
+    same = limits(n, 1).expand(n, count)
+    for places in (Places(r_P, limits(n, count)), Places(r_P, limits(n, 1, 80.0).expand(n, count)), Places(deep, same)):
         needed, left = seen_around_cells(ground, places), table(ground, places)
         assert not (needed & ~left).any()
         assert needed.any()
