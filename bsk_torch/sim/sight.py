@@ -332,7 +332,8 @@ def crossing_kernel() -> Loop:
     sketch = Sketch()
     time, found = _pair(sketch, PATH)
     a, b, clearance_a, clearance_b = sketch.planes("state", 4, first=1)
-    bracket, number = (a, b, clearance_a, clearance_b, time, found), sketch.program.input(("ticks", "now"), DOUBLE, TICK)
+    bracket = a, b, clearance_a, clearance_b, time, found
+    number: Any = sketch.program.input(("ticks", "now"), DOUBLE, TICK)
     both = zip(halved(*bracket), refined(*bracket), strict=True)
     a, b, clearance_a, clearance_b = (torch.where(number <= float(BISECTIONS), x, y) for x, y in both)
     guess = torch.where(number < float(BISECTIONS), 0.5 * (a + b), next_guess(a, b, clearance_a, clearance_b))
