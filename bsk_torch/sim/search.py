@@ -1,6 +1,6 @@
 """Passes of satellites over places on the ground, of all satellites and places at once.
 
-A coarse screen compares every place with one sample in eight, as a matrix product. What it leaves is looked at every 30 s, and
+A coarse screen compares every place with one sample in sixteen, as a matrix product. What it leaves is looked at every 30 s, and
 only crossings of the limit are refined.
 """
 
