@@ -66,7 +66,8 @@ class SetActor(nn.Module):
         super().__init__()
         self.encoder, self.first, self.n_images = encoder, images.start, len(images)
         others = n_actions - len(images)
-        self.image, self.other = nn.Linear(width, 1), nn.Linear(width, others) if others else None
+        self.image = nn.utils.skip_init(nn.Linear, width, 1)
+        self.other = nn.utils.skip_init(nn.Linear, width, others) if others else None
         with torch.no_grad():
             for layer in filter(None, (self.image, self.other)):
                 layer.weight.normal_(0.0, scale * width**-0.5)

@@ -182,6 +182,37 @@ def test_a_window_cut_at_the_end_joins_its_rest(recording, five_orbits):
         assert joined[0][2] == pytest.approx(b, abs=MILLISECOND)
 
 
+def test_windows_in_progress_where_the_arcs_end_are_joined_when_they_grow(recording, fly):
+    """Of two places below each satellite at the end of two hours, and of one that it does not see."""
+    initials, end = recording("windows")["ic"], 2.0 * SPAN
+    flight, longer = fly(initials, 2), fly(initials, 5)
+    below = planned_ground(longer, end)
+    places = Places(torch.stack([below, below + 2e5, -below], 1), torch.full((5, 3), 0.5, dtype=torch.float64))
+    access, whole = (Access(one.arcs, make_sight(one.backend, CPU), {KIND: places.of}, SEGMENT) for one in (flight, longer))
+    rows = torch.arange(5)
+    access.reset(rows, flight.view, torch.full((5,), end, dtype=torch.float64))
+    assert (access.ready == end).all()
+    assert all([w[2] for w in listed(access, row)[-2:]] == [end, end] for row in range(5))
+    for _ in range(3):
+        flight.arcs.grow()
+    access.extend(rows, torch.full((5,), 1000.0, dtype=torch.float64))
+    whole.reset(rows, longer.view, access.ready)
+    access.until = access.ready.clone()
+    for row in range(5):
+        expected = [w for w in listed(whole, row) if w[2] >= 1000.0]
+        found = listed(access, row)
+        assert [w[0] for w in found] == [w[0] for w in expected]
+        for one, other in zip(found, expected, strict=True):
+            assert one[1:] == pytest.approx(other[1:], abs=1e-4)
+        assert sum(w[1] < end < w[2] for w in found) == 2
+
+
+def planned_ground(flight: Solved, time: float) -> torch.Tensor:
+    """Points on the ground below all satellites, [n, 3]."""
+    sight, start = make_sight(flight.backend, CPU), torch.full_like(flight.arcs.start, time)
+    return torch.nn.functional.normalize(sight.ground(flight.view, start, 10)[:, 0], dim=-1) * R_EARTH
+
+
 def test_segments_are_searched_ahead_as_far_as_the_arcs_reach(five_orbits):
     for generated, ready in ((600.0, 600.0 + AHEAD), (27_000.0, GENERATED), (GENERATED, GENERATED)):
         access = table(five_orbits, generated)
