@@ -1,4 +1,4 @@
-"""Basilisk's side of vs_basilisk.py: the environments of two presets in bsk_rl, random actions, resets included.
+"""Basilisk's side of vs_basilisk.py: the environments of three presets in bsk_rl, random actions, resets included.
 
 Usage:
     python benchmarks/basilisk_side.py NadirScan-v1 '{}'
@@ -26,9 +26,9 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "scripts"))
 
-from bsk_rl import act, data, obs, sats, scene
+from bsk_rl import ConstellationTasking, act, comm, data, obs, sats, scene
 from bsk_rl.sim import dyn, fsw
-from bsk_rl.utils.orbital import random_orbit
+from bsk_rl.utils.orbital import random_orbit, walker_delta_args
 from record_basilisk import BATTERY, EPISODE, FIXED, PAPER_MODES, STORAGE, paper_observations, scanner_class
 
 Step = tuple[float, bool]
@@ -122,9 +122,61 @@ def aeos(n_targets: int) -> gym.Env:
     )
 
 
+# -- constellations -----------------------------------------------------------------------------------------------------
+
+
+class LinkedImager(AgileSatellite):
+    """Sees the next 16 targets and images one of them."""
+
+    observation_spec = (
+        AgileSatellite.observation_spec[0],
+        obs.OpportunityProperties(
+            dict(prop="priority"),
+            dict(prop="r_LB_H", norm=ALTITUDE),
+            dict(prop="target_angle", norm=math.pi),
+            dict(prop="target_angle_rate", norm=0.03),
+            dict(prop="opportunity_open", norm=SOON),
+            dict(prop="opportunity_close", norm=SOON),
+            type="target",
+            n_ahead_observe=16,
+        ),
+        obs.Time(),
+    )
+    action_spec = (act.Image(n_ahead_image=16),)
+
+
+def constellation(satellites: int, targets: int, interval: float | None) -> Any:
+    """A plane of imagers, tasked once in ``interval`` seconds, or when they have done what they were told if None."""
+    arguments = {name: value for name, value in AGILE.items() if name != "oe"} | dict(K1=0.5, K3=3.0, servo_Ki=5.0)
+    return ConstellationTasking(
+        satellites=[LinkedImager(f"EO{k}", arguments, variable_interval=interval is None) for k in range(satellites)],
+        scenario=scene.UniformTargets(targets),
+        rewarder=data.UniqueImageReward(),
+        communicator=comm.FreeCommunication(),
+        sat_arg_randomizer=walker_delta_args(n_planes=1, altitude=ALTITUDE / 1e3, inc=45.0),
+        max_step_duration=SOON if interval is None else interval,
+        time_limit=EPISODE,
+        failure_penalty=0.0,
+        log_level="ERROR",
+    )
+
+
+def constellation_episodes(env: Any) -> Iterator[Step]:
+    """Play on for ever; a step's simulated seconds are those of all satellites, and every step may end a turn."""
+    rng = np.random.default_rng(0)
+    infos = env.reset(seed=0)[1]
+    while True:
+        idle = [agent for agent in env.agents if infos[agent]["requires_retasking"]]
+        infos = env.step({agent: int(rng.integers(16)) for agent in idle})[4]
+        seconds = float(infos["__common__"]["d_ts"]) * len(env.satellites)
+        if not env.agents:
+            infos = env.reset()[1]
+        yield seconds, True
+
+
 # -- playing ----------------------------------------------------------------------------------------------------------
 
-PRESETS: dict[str, Callable[..., gym.Env]] = {"NadirScan-v1": nadir_scan, "AEOS-v1": aeos}
+PRESETS: dict[str, Callable[..., Any]] = {"NadirScan-v1": nadir_scan, "AEOS-v1": aeos, "Constellation-v1": constellation}
 
 
 def episodes(env: gym.Env) -> Iterator[Step]:
@@ -153,7 +205,8 @@ def main() -> None:
     """Answer until the input ends."""
     answers = os.fdopen(os.dup(1), "w")
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # Basilisk talks
-    player = episodes(PRESETS[sys.argv[1]](**json.loads(sys.argv[2])))
+    env = PRESETS[sys.argv[1]](**json.loads(sys.argv[2]))
+    player = constellation_episodes(env) if sys.argv[1] == "Constellation-v1" else episodes(env)
     next(player)
     for line in sys.stdin:
         print(json.dumps(play(player, float(line))), file=answers, flush=True)

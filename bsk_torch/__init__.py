@@ -1,7 +1,7 @@
 """Spacecraft tasking for reinforcement learning: BSK-RL's problems and Basilisk's physics, in batched torch operations."""
 
-from bsk_torch import act, data, obs, rand, sats, scene
-from bsk_torch.env import SatelliteTasking
+from bsk_torch import act, comm, data, formations, obs, rand, sats, scene
+from bsk_torch.env import NO_ACTION, ConstellationTasking, SatelliteTasking
 from bsk_torch.presets import make
 from bsk_torch.sim import dyn, fsw
 from bsk_torch.wrappers.registration import register as _register
@@ -10,4 +10,19 @@ __version__ = "0.1.0"
 
 _register()
 
-__all__ = ["SatelliteTasking", "act", "data", "dyn", "fsw", "make", "obs", "rand", "sats", "scene"]
+__all__ = [
+    "NO_ACTION",
+    "ConstellationTasking",
+    "SatelliteTasking",
+    "act",
+    "comm",
+    "data",
+    "dyn",
+    "formations",
+    "fsw",
+    "make",
+    "obs",
+    "rand",
+    "sats",
+    "scene",
+]

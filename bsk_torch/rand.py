@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import zlib
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -22,6 +22,11 @@ MASK = 0xFFFFFFFF
 MULTIPLIERS = np.uint64(0xD2511F53), np.uint64(0xCD9E8D57)
 WEYL = np.uint64(0x9E3779B9), np.uint64(0xBB67AE85)
 LOW, HALF = np.uint64(MASK), np.uint64(32)
+
+BLOCK_BITS = 20
+"""Bits of the first counter word that number a draw's blocks; the others, 12 of them, hold the satellite."""
+
+MOST_SATELLITES = 1 << (32 - BLOCK_BITS)
 
 CHUNK = 1 << 14
 """Philox blocks drawn at once: their words then stay in the processor's cache."""
@@ -42,16 +47,26 @@ def philox(counter: Sequence[Tensor], key: Sequence[Tensor], rounds: int = 10) -
 
 @dataclass(frozen=True)
 class Key:
-    """What the draws of n environments depend on: int64 tensors [n], and the name of what is drawn."""
+    """What the draws of n environments depend on: int64 tensors [n], and the name of what is drawn.
+
+    ``satellite`` [n] tells which satellite of its environment a row stands for; None for what environments draw as a whole, and
+    the same as zeros.
+    """
 
     seed: Tensor
     env_id: Tensor
     episode: Tensor
     name: str = ""
+    satellite: Tensor | None = None
 
     def named(self, name: str) -> Key:
         """The key of another quantity."""
-        return Key(self.seed, self.env_id, self.episode, name)
+        return replace(self, name=name)
+
+    def of_satellites(self, index: Tensor) -> Key:
+        """The key with a row for each of the satellites ``index`` [S] of every environment, [n * S] rows, environment-major."""
+        seed, env_id, episode = (word.repeat_interleave(len(index)) for word in (self.seed, self.env_id, self.episode))
+        return Key(seed, env_id, episode, self.name, index.to(self.seed.device).repeat(len(self)))
 
     def __len__(self) -> int:
         """Number of environments."""
@@ -59,8 +74,9 @@ class Key:
 
     def split(self, rows: int) -> list[Key]:
         """Keys of at most ``rows`` environments each, in order."""
-        parts = zip(*(torch.split(x, rows) for x in (self.seed, self.env_id, self.episode)), strict=True)
-        return [Key(seed, env_id, episode, self.name) for seed, env_id, episode in parts]
+        satellite = torch.zeros_like(self.seed) if self.satellite is None else self.satellite
+        parts = zip(*(torch.split(x, rows) for x in (self.seed, self.env_id, self.episode, satellite)), strict=True)
+        return [Key(seed, env_id, episode, self.name, index) for seed, env_id, episode, index in parts]
 
     def uniform(self, count: int) -> Tensor:
         """Uniform float64 numbers in [0, 1), [n, count], with 53 random bits each."""
@@ -72,6 +88,8 @@ class Key:
         shape = (len(self), blocks)
         stream = torch.full(shape, zlib.crc32(self.name.encode()), device=self.env_id.device)
         block = torch.arange(blocks, device=self.env_id.device).expand(shape)
+        if self.satellite is not None:
+            block = block + (self.satellite << BLOCK_BITS).unsqueeze(-1)
         counter = [block, *((x & MASK).unsqueeze(-1).expand(shape) for x in (self.episode, self.env_id)), stream]
         key = [(self.seed & MASK).unsqueeze(-1).expand(shape), ((self.seed >> 32) & MASK).unsqueeze(-1).expand(shape)]
         words = torch.stack(philox(counter, key), -1).reshape(len(self), blocks * 2, 2)

@@ -10,10 +10,12 @@ import bsk_torch
 from bsk_torch.presets import PRESETS
 from bsk_torch.presets.aeos import AHEAD, ORBIT
 from bsk_torch.presets.aeos_power import BIN, BINS, CROWD, TargetDensity
+from bsk_torch.presets.constellation import CHOICES
 
 pytestmark = pytest.mark.compiled
 
-IMAGING = sorted(set(PRESETS) - {"NadirScan-v1"})
+CONSTELLATIONS = ["AEOSConstellation-v1", "Constellation-v1", "RelayConstellation-v1"]
+IMAGING = sorted(set(PRESETS) - {"NadirScan-v1", *CONSTELLATIONS})
 ACTIONS = {"AEOSPower-v1": 3 + AHEAD}
 
 
@@ -34,6 +36,30 @@ def test_imaging_presets_play(name, as_set):
     assert all(torch.isfinite(leaf).all() for leaf in leaves)
     assert env.satellite.actions.n_actions == ACTIONS.get(name, AHEAD)
     assert env.action_spec.space.n == env.satellite.actions.n_actions
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "groups"),
+    [
+        ("AEOSConstellation-v1", {"as_set": False}, {"agents": (3, AHEAD)}),
+        ("AEOSConstellation-v1", {"as_set": True}, {"agents": (3, AHEAD)}),
+        ("Constellation-v1", {"n_satellites": 4, "n_planes": 2, "as_set": False}, {"agents": (4, CHOICES)}),
+        ("Constellation-v1", {"n_satellites": 4, "n_planes": 2, "as_set": True}, {"agents": (4, CHOICES)}),
+        ("RelayConstellation-v1", {}, {"broadcasting_imager": (4, CHOICES + 1), "relay": (2, 3)}),
+    ],
+)
+def test_constellations_play(name, options, groups):
+    env = make(name, time_limit=1500.0, **options)
+    assert list(env.group_map) == list(groups)
+    played = env.rollout(6, break_when_any_done=False)
+    assert (played["next", "duration"] <= 300.0).all()
+    for group, (agents, n_actions) in groups.items():
+        assert torch.isfinite(played["next", group, "reward"]).all()
+        assert played[group, "action_mask"].shape == (*played.batch_size, agents, n_actions + 1)
+        seen = played[group, "observation"]
+        leaves = seen.values(True, True) if options.get("as_set") else [seen]
+        assert all(torch.isfinite(leaf).all() for leaf in leaves)
+        assert all(leaf.shape[:3] == (*played.batch_size, agents) for leaf in leaves)
 
 
 def test_the_benchmark_of_bsk_rl():

@@ -241,3 +241,48 @@ def test_distribution_without_draw():
 
     with pytest.raises(TypeError, match=r"Empty does not say how to draw: implement draw\(key\)"):
         Empty().draw(key())
+
+
+# -- satellites -------------------------------------------------------------------------------------------------------
+
+
+def test_satellites_of_an_environment_draw_apart():
+    """The first one draws what an environment with a single satellite would; the others differ from it and from one another."""
+    several = key(3, name="a").of_satellites(torch.tensor([0, 2, 1, rand.MOST_SATELLITES - 1]))
+    assert len(several) == 12
+    u = several.uniform(5).view(3, 4, 5)
+    assert torch.equal(u[:, 0], key(3, name="a").uniform(5))
+    assert u.unique().numel() == u.numel()
+
+
+@pytest.mark.parametrize("method", ["uniform", "normal"])
+def test_draws_of_a_satellite_depend_on_nothing_else(method):
+    """Not on the other satellites, their order, or the environments around."""
+    many = getattr(key(9).of_satellites(torch.arange(6)), method)(4).view(9, 6, 4)
+    few = getattr(key(2).of_satellites(torch.tensor([5, 3])), method)(4).view(2, 2, 4)
+    assert torch.equal(few, many[:2, [5, 3]])
+    named = [key(2).named("a").of_satellites(torch.tensor([3])), key(2).of_satellites(torch.tensor([3])).named("a")]
+    assert torch.equal(*(getattr(each, method)(4) for each in named))
+
+
+def test_the_satellite_stands_above_the_number_of_the_block():
+    """The third number of the last satellite follows from the generator by hand; its last block is the last of the counter."""
+    last = rand.MOST_SATELLITES - 1
+    zero = torch.tensor([0])  # crc32 of the empty string
+    words = rand.philox([torch.tensor([(last << rand.BLOCK_BITS) + 1]), zero, zero, zero], [zero] * 2)
+    expected = ((int(words[0]) >> 5) * 2**26 + (int(words[1]) >> 6)) / 2**53
+    assert key(1, seed=0).of_satellites(torch.tensor([last])).uniform(3)[0, 2].item() == expected
+    assert (rand.MOST_SATELLITES << rand.BLOCK_BITS) - 1 == 2**32 - 1
+
+
+def test_chunks_do_not_show_in_draws_of_satellites(monkeypatch):
+    several = key(20).of_satellites(torch.tensor([4, 0, 7]))
+    whole = several.uniform(7)
+    monkeypatch.setattr(rand, "CHUNK", 9)
+    assert torch.equal(several.uniform(7), whole)
+
+
+def test_neighbouring_satellites_are_independent():
+    u = key(MANY).of_satellites(torch.arange(2)).uniform(1).view(MANY, 2)
+    assert u.mean(0) - 0.5 == pytest.approx([0, 0], abs=FIVE_SIGMA * 12**-0.5)
+    assert torch.corrcoef(u.T)[0, 1].abs() < FIVE_SIGMA

@@ -1,11 +1,13 @@
 """Actions: what an agent can tell a satellite to do."""
 
 from bsk_torch.act.base import Action, Decision
+from bsk_torch.act.broadcast import Broadcast
 from bsk_torch.act.discrete import Charge, Desat, DiscreteFSWAction, Downlink, Drift, NadirPoint, Scan
 from bsk_torch.act.image import Image, of_target
 
 __all__ = [
     "Action",
+    "Broadcast",
     "Charge",
     "Decision",
     "Desat",

@@ -141,8 +141,8 @@ class ActionBuilder:
             first += entry.n_actions
         return shares
 
-    def decide(self, action: Tensor, previous: Tensor) -> Decision:
-        """What ``action`` [N] means after the action with key ``previous`` [N] (-1: none)."""
+    def decide(self, action: Tensor, previous: Tensor, moves: Tensor) -> Decision:
+        """What ``action`` [N] means, where it ``moves`` [N] anything, after the action with key ``previous`` [N] (-1: none)."""
         table = self.table()
         if table is not None:
             retask = (action != previous) | table.reset[action]
@@ -151,7 +151,7 @@ class ActionBuilder:
         seconds = action.double()
         decision = Decision(torch.zeros_like(action), torch.zeros_like(action, dtype=torch.bool), seconds, action, seconds)
         for entry, mine, index in self._shares(action):
-            part = entry.decide(index, mine, action, previous)
+            part = entry.decide(index, mine & moves, action, previous)
             decision = Decision(*(torch.where(mine, new, old) for new, old in zip(part, decision, strict=True)))
         return decision
 

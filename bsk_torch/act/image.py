@@ -67,13 +67,13 @@ class Image(Action):
                 f"{satellite.name} is a {type(satellite).__name__} with opportunities of type {list(kinds) or 'none'}"
             )
         self.kind = satellite.target_types
-        targets = satellite.simulator.drawn["target_exists"].shape[1]
+        targets = satellite.simulator.tables["target_exists"].shape[1]
         satellite.simulator.access.expect(self.n_actions, targets)  # type: ignore[union-attr]
 
     @property
     def explicit(self) -> int:
         """See :attr:`Action.explicit`."""
-        return self.satellite.simulator.drawn["target_exists"].shape[1]
+        return self.satellite.simulator.tables["target_exists"].shape[1]
 
     def mask(self) -> Tensor:
         """See :meth:`Action.mask`."""
@@ -113,8 +113,8 @@ class Image(Action):
         if bool(lost.any()):
             row = int(torch.nonzero(lost)[0])
             raise ValueError(
-                f"action {int(action[row])} of environment {row} asks for target {int(target[row])}, which has been imaged, does "
-                "not exist, or has no window that is known now"
+                f"action {int(action[row])} of {self.satellite.title(row)} asks for target {int(target[row])}, which has "
+                "been imaged, does not exist, or has no window that is known now"
             )
         return tuple(torch.where(rows, a, b) for a, b in zip((target, *window), found, strict=True))
 

@@ -39,25 +39,36 @@ def elements_to_rv(oe: Elements, mu: Tensor | float = MU_EARTH) -> tuple[Vec3, V
     return r, v
 
 
-def rv_to_elements(r: Vec3, v: Vec3, mu: Tensor | float = MU_EARTH) -> Elements:
+def _angle(y: Tensor, x: Tensor) -> Tensor:
+    """Angle, rad in (-pi, pi], of points (x, y) other than the origin.
+
+    The last bit of torch's atan2 depends on where in a tensor a number stands, so results would depend on the size of the batch.
+    """
+    angle = 2.0 * torch.atan(y / (torch.sqrt(x * x + y * y) + torch.abs(x)))
+    return torch.where(x < 0.0, torch.where(y < 0.0, -math.pi - angle, math.pi - angle), angle)
+
+
+def rv_to_elements(r: Vec3, v: Vec3, mu: Tensor | float = MU_EARTH, small: float = SMALL) -> Elements:
     """Elements of a bound, non-rectilinear orbit; angles in [0, 2 pi).
 
-    Circular orbits get omega = 0 and the argument of latitude as f; equatorial ones get Omega = 0.
+    Orbits with an eccentricity below ``small`` get e = omega = 0 and the argument of latitude as f; those with an inclination
+    below get Omega = 0. The first moves them by up to ``2 a small``, the second by ``a small``.
     """
     radius, v2 = r.norm(), v.dot(v)
     h = r.cross(v)
     eccentricity = r * ((v2 - mu / radius) / mu) - v * (r.dot(v) / mu)
-    e, i = eccentricity.norm(), torch.atan2(torch.hypot(h.x, h.y), h.z)
+    across = torch.sqrt(h.x * h.x + h.y * h.y)
+    e, i = eccentricity.norm(), _angle(across, h.z)
     zero, one = torch.zeros_like(e), torch.ones_like(e)
-    equatorial, circular = torch.hypot(h.x, h.y) < SMALL * h.norm(), e < SMALL
+    equatorial, circular = across < small * h.norm(), e < small
     node = Vec3(torch.where(equatorial, one, -h.y), torch.where(equatorial, zero, h.x), zero)
     apse = Vec3(*(torch.where(circular, n, k) for n, k in zip(node, eccentricity, strict=True)))
 
     def angle(start: Vec3, end: Vec3) -> Tensor:
         sine = start.cross(end).dot(h) / h.norm()
-        return torch.remainder(torch.atan2(sine, start.dot(end)), 2.0 * math.pi)
+        return torch.remainder(_angle(sine, start.dot(end)), 2.0 * math.pi)
 
-    raan = torch.remainder(torch.atan2(node.y, node.x), 2.0 * math.pi)
+    raan = torch.remainder(_angle(node.y, node.x), 2.0 * math.pi)
     a = 1.0 / (2.0 / radius - v2 / mu)
     return Elements(a, torch.where(circular, zero, e), i, raan, angle(node, apse), angle(apse, r))
 
@@ -71,6 +82,22 @@ def hill_frame(r: Vec3, v: Vec3) -> Mat3:
 def hill_rate(r: Vec3, v: Vec3) -> Tensor:
     """Rate of the Hill frame about the orbit normal, rad/s: ``|r x v| / |r|^2``."""
     return r.cross(v).norm() / r.dot(r)
+
+
+def hill_to_inertial(r_CN_N: Vec3, v_CN_N: Vec3, rho_H: Vec3, rho_H_dot: Vec3) -> tuple[Vec3, Vec3]:
+    """Position, m, and velocity, m/s, in N of a deputy D from its motion relative to a chief C.
+
+    ``r_D = r_C + [NH] rho`` and ``v_D = v_C + [NH] (rho' + omega_HN x rho)`` (Schaub and Junkins, section 14.2).
+
+    Args:
+        r_CN_N: Position of the chief, m.
+        v_CN_N: Velocity of the chief, m/s.
+        rho_H: Position of the deputy relative to the chief in the chief's Hill frame, m.
+        rho_H_dot: Its rate of change as seen in that frame, m/s.
+    """
+    NH, rate = hill_frame(r_CN_N, v_CN_N).mT, hill_rate(r_CN_N, v_CN_N)
+    turning = Vec3(-rho_H.y * rate, rho_H.x * rate, torch.zeros_like(rho_H.z))
+    return r_CN_N + NH @ rho_H, v_CN_N + NH @ (rho_H_dot + turning)
 
 
 def periapsis_radius(r: Vec3, v: Vec3, mu: Tensor | float = MU_EARTH) -> Tensor:

@@ -8,42 +8,48 @@ import torch
 from torch import Tensor
 
 if TYPE_CHECKING:
-    from bsk_torch.sats.satellite import Satellite
     from bsk_torch.scene.base import Scenario
+    from bsk_torch.sim.fleet import Fleet
 
 Log = dict[str, Tensor]
-"""What a rewarder reads off a satellite at a decision boundary, [N, ...] each."""
+"""What a rewarder reads off the satellites at a decision boundary, [N, S, ...] each."""
 
 
 class GlobalReward:
-    """Compares what a satellite's logs say before and after a step, and says what the difference is worth."""
+    """Compares what the satellites' logs say before and after a step, and says what the difference is worth.
+
+    N is the number of episodes, S that of satellites in each; :meth:`bsk_torch.sim.fleet.Fleet.each` reads a property of all.
+    """
 
     scenario: Any
-    satellite: Any
+    fleet: Fleet
 
-    def link(self, scenario: Scenario, satellite: Satellite) -> None:
-        """Called once when the environment is built; raises where scenario or satellite do not fit."""
-        self.scenario, self.satellite = scenario, satellite
+    def link(self, scenario: Scenario, fleet: Fleet) -> None:
+        """Called once when the environment is built; raises where scenario or satellites do not fit."""
+        self.scenario, self.fleet = scenario, fleet
 
     def read_log(self) -> Log:
         """State of the logs at a decision boundary."""
         return {}
 
     def calculate_reward(self, before: Log, after: Log) -> Tensor:
-        """Reward of the step between two logs, [N] float64."""
+        """Reward of the step between two logs, [N, S] float64."""
         raise NotImplementedError(f"{type(self).__name__} must implement calculate_reward(before, after)")
 
+    def share(self, links: Tensor) -> None:
+        """Spread what satellites know of the data: ``links`` [N, S, S] is true where one (second) tells another (third)."""
+
     def counts(self) -> dict[str, Tensor]:
-        """What the rewarder counts in each episode, [N] each, by name."""
+        """What the rewarder counts in each episode, [N, S] each, by name."""
         return {}
 
     def is_terminated(self) -> Tensor:
-        """Whether the rewarder ends the episode, [N]."""
-        return torch.zeros_like(self.satellite.simulator.ticks, dtype=torch.bool)
+        """Satellites whose episode the rewarder ends, [N, S]."""
+        return torch.zeros_like(self.fleet.inert)
 
     def is_truncated(self) -> Tensor:
-        """Whether the rewarder cuts the episode, [N]."""
-        return torch.zeros_like(self.satellite.simulator.ticks, dtype=torch.bool)
+        """Satellites whose episode the rewarder cuts, [N, S]."""
+        return torch.zeros_like(self.fleet.inert)
 
 
 class NoReward(GlobalReward):
@@ -51,4 +57,4 @@ class NoReward(GlobalReward):
 
     def calculate_reward(self, before: Log, after: Log) -> Tensor:
         """See :meth:`GlobalReward.calculate_reward`."""
-        return torch.zeros_like(self.satellite.simulator.sim_time)
+        return torch.zeros_like(self.fleet.inert, dtype=torch.float64)

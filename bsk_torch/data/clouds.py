@@ -11,14 +11,14 @@ from torch import Tensor
 from bsk_torch.data.images import UniqueImageReward, identity
 
 if TYPE_CHECKING:
-    from bsk_torch.sats.satellite import Satellite
     from bsk_torch.scene.base import Scenario
+    from bsk_torch.sim.fleet import Fleet
 
 
 class CloudFreeImageReward(UniqueImageReward):
     """Pays for the first image of every target if the true cloud cover is at most ``threshold``.
 
-    Nothing tells before the image whether it will be; the target is hidden afterwards in either case. ``covered`` [N] counts
+    Nothing tells before the image whether it will be; the target is hidden afterwards in either case. ``covered`` [N, S] counts
     images that show clouds.
     """
 
@@ -29,12 +29,12 @@ class CloudFreeImageReward(UniqueImageReward):
             raise ValueError(f"threshold={threshold!r} must lie in [0, 1]: it is a share of the sky")
         self.threshold = threshold
 
-    def link(self, scenario: Scenario, satellite: Satellite) -> None:
+    def link(self, scenario: Scenario, fleet: Fleet) -> None:
         """See :meth:`UniqueImageReward.link`; ValueError without clouds."""
         if not hasattr(scenario, "cloud_cover"):
             raise ValueError(f"CloudFreeImageReward needs scene.CloudyTargets; the scenario is {type(scenario).__name__}")
-        super().link(scenario, satellite)
-        self.memory.add("covered", 0)
+        super().link(scenario, fleet)
+        self.memory.add("covered", 0, fleet.size)
 
     def counts(self) -> dict[str, Tensor]:
         """See :meth:`GlobalReward.counts`."""

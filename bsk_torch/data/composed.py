@@ -14,10 +14,11 @@ from bsk_torch.data.base import GlobalReward, Log
 if TYPE_CHECKING:
     from bsk_torch.sats.satellite import Satellite
     from bsk_torch.scene.base import Scenario
+    from bsk_torch.sim.fleet import Fleet
 
 
 class ComposedReward(GlobalReward):
-    """The sum of several rewards; ``terms`` holds what each of them paid for the last step, [N] each, by name."""
+    """The sum of several rewards; ``terms`` holds what each of them paid for the last step, [N, S] each, by name."""
 
     def __init__(self, *rewarders: GlobalReward) -> None:
         """Add up ``rewarders``; ValueError without any."""
@@ -50,11 +51,11 @@ class ComposedReward(GlobalReward):
             names.append(f"{name}_{count + 1}" if count else name)
         return names
 
-    def link(self, scenario: Scenario, satellite: Satellite) -> None:
+    def link(self, scenario: Scenario, fleet: Fleet) -> None:
         """See :meth:`GlobalReward.link`."""
-        super().link(scenario, satellite)
+        super().link(scenario, fleet)
         for rewarder in self.rewarders:
-            rewarder.link(scenario, satellite)
+            rewarder.link(scenario, fleet)
 
     def read_log(self) -> Log:
         """Logs of all parts."""
@@ -68,16 +69,21 @@ class ComposedReward(GlobalReward):
             self.terms[name] = part.calculate_reward(*logs)
         return torch.stack(list(self.terms.values())).sum(0)
 
+    def share(self, links: Tensor) -> None:
+        """See :meth:`GlobalReward.share`."""
+        for part in self.rewarders:
+            part.share(links)
+
     def counts(self) -> dict[str, Tensor]:
         """See :meth:`GlobalReward.counts`."""
         return {name: count for part in self.rewarders for name, count in part.counts().items()}
 
     def is_terminated(self) -> Tensor:
-        """Where any part ends the episode, [N]."""
+        """See :meth:`GlobalReward.is_terminated`."""
         return torch.stack([part.is_terminated() for part in self.rewarders]).any(0)
 
     def is_truncated(self) -> Tensor:
-        """Where any part cuts the episode, [N]."""
+        """See :meth:`GlobalReward.is_truncated`."""
         return torch.stack([part.is_truncated() for part in self.rewarders]).any(0)
 
 
@@ -85,14 +91,14 @@ class ResourceReward(GlobalReward):
     """Pays for the growth of a resource, and charges for what is used up: weight times its change over the step."""
 
     def __init__(self, resource_fn: Callable[[Satellite], Tensor], reward_weight: float = 1.0) -> None:
-        """``resource_fn`` gives the resource [N] of a satellite, such as ``lambda sat: sat.dynamics.battery_charge_fraction``."""
+        """``resource_fn`` gives the resource of a satellite, such as ``lambda sat: sat.dynamics.battery_charge_fraction``."""
         if not callable(resource_fn):
             raise TypeError(f"resource_fn={resource_fn!r} must be a function of the satellite")
         self.resource_fn, self.reward_weight = resource_fn, float(reward_weight)
 
     def read_log(self) -> Log:
         """The resource."""
-        return {"resource": self.resource_fn(self.satellite).double().clone()}
+        return {"resource": self.fleet.each(lambda satellite: self.resource_fn(satellite).double().clone())}
 
     def calculate_reward(self, before: Log, after: Log) -> Tensor:
         """See :meth:`GlobalReward.calculate_reward`."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import torch
 from tensordict import TensorDict, TensorDictBase
@@ -13,13 +13,14 @@ from bsk_torch.sim.orbit import FIELDS, Arcs
 from bsk_torch.sim.ragged import stored
 
 if TYPE_CHECKING:
+    from bsk_torch.sim.fleet import Fleet
     from bsk_torch.sim.simulator import Simulator
 
 ECLIPSES = ("sampled", "known", "starts", "ends")
 
 
 def simulation_state(simulator: Simulator) -> TensorDict:
-    """State of a simulation, [N] rows."""
+    """State of a simulation, [num_envs, ...] where there is one satellite of the type, else [num_envs, count, ...]."""
     values: dict[str, Tensor | TensorDict] = {
         "pack": simulator.pack.mT,
         "own": simulator.own.mT,
@@ -29,13 +30,43 @@ def simulation_state(simulator: Simulator) -> TensorDict:
         **{f"eclipses_{name}": getattr(simulator.eclipses, name) for name in ECLIPSES},
     }
     arguments = {name: value for name, value in simulator.drawn.items() if isinstance(value, Tensor)}
-    values["arguments"] = TensorDict(arguments, [simulator.num_envs])
+    values["arguments"] = TensorDict(arguments, [simulator.size])
     if simulator.access is not None:
         values |= {"windows_until": simulator.access.until, "windows_ready": simulator.access.ready}
         for kind, windows in simulator.access.windows.items():
             values |= {f"{kind}_{name}": table for name, table in windows._asdict().items()}
     values |= {f"memory_{name}": simulator.memory[name] for name in simulator.memory}
-    return TensorDict(values, [simulator.num_envs], device=simulator.device).clone()
+    return by_env(TensorDict(values, [simulator.size], device=simulator.device).clone(), simulator.count)
+
+
+def by_env(rows: TensorDictBase, count: int) -> TensorDict:
+    """Rows of ``count`` satellites each, by environment."""
+    return rows if count == 1 else rows.view(-1, count)
+
+
+def by_row(saved: TensorDictBase, count: int) -> TensorDictBase:
+    """What :func:`by_env` made, as rows again."""
+    return saved if count == 1 else saved.view(-1)
+
+
+def fleet_state(fleet: Fleet) -> TensorDict:
+    """State of all simulations of a fleet, what the scenario has drawn, and what the episodes remember."""
+    values: dict[str, Any] = {f"type_{k}": simulation_state(simulator) for k, simulator in enumerate(fleet.simulators)}
+    values["tables"] = TensorDict(dict(fleet.tables), [fleet.num_envs]).clone()
+    values["memory"] = TensorDict({name: fleet.memory[name] for name in fleet.memory}, [fleet.num_envs]).clone()
+    values["inert"] = fleet.inert.clone()
+    return TensorDict(values, [fleet.num_envs], device=fleet.device)
+
+
+def restore_fleet(fleet: Fleet, saved: TensorDictBase, envs: Tensor) -> None:
+    """Put the saved state [N] back into the episodes ``envs`` [n] of a fleet."""
+    for k, simulator in enumerate(fleet.simulators):
+        restore_simulation(simulator, by_row(saved[f"type_{k}"], simulator.count), fleet.rows(k, envs))
+    for name, table in saved["tables"].items():
+        fleet.tables[name][envs] = table[envs]
+    for name in fleet.memory:
+        fleet.memory.restore(name, envs, saved["memory"][name])
+    fleet.inert[envs] = saved["inert"][envs]
 
 
 def _restore_arcs(simulator: Simulator, saved: TensorDictBase, rows: Tensor) -> None:
@@ -57,7 +88,7 @@ def _restore_arcs(simulator: Simulator, saved: TensorDictBase, rows: Tensor) -> 
 
 
 def restore_simulation(simulator: Simulator, saved: TensorDictBase, rows: Tensor) -> None:
-    """Put the saved state [N] back into ``rows`` [n] of a simulation."""
+    """Put the saved state [N] back into ``rows`` [n] of a simulation of N satellites."""
     _restore_arcs(simulator, saved, rows)
     eclipses = simulator.eclipses
     for name in ("sampled", "known"):

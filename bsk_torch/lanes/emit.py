@@ -76,9 +76,11 @@ class Emitter:
 
     def declarations(self, lasts: int) -> list[str]:
         """Variables that hold what a track's record determines."""
-        return [
-            f"{TYPES[p.kind]} {self.name(p)};" for p in self.planes(self.program.root) if p.lasts == lasts and p.op != "constant"
-        ]
+        return [f"{TYPES[p.kind]} {self.name(p)};" for p in self.variables(lasts)]
+
+    def variables(self, lasts: int) -> list[Plane]:
+        """Live planes that last so long."""
+        return [p for p in self.planes(self.program.root) if p.lasts == lasts and p.op != "constant"]
 
     def _region(self, region: Region) -> list[str]:
         lines: list[str] = []
@@ -117,9 +119,9 @@ class Emitter:
             return self.converted(plane.args[0], plane.kind)
         return f"{args[0]}.{plane.op}({', '.join(args[1:])})"
 
-    def converted(self, plane: Plane, kind: str) -> str:
-        """A plane as one of another kind."""
-        name = self.name(plane)
+    def converted(self, plane: Plane, kind: str, name: str = "") -> str:
+        """A plane, or a copy of it that has another ``name``, as one of another kind."""
+        name = name or self.name(plane)
         if plane.kind == kind:
             return name
         if plane.kind == MASK:
@@ -127,6 +129,62 @@ class Emitter:
         if kind == MASK:
             return f"ne({name}, {TYPES[plane.kind]}(0))"
         return f"{'widen' if kind == DOUBLE else 'narrow'}({name})"
+
+    # -- parts of a loop ------------------------------------------------------------------------------------------------
+
+    def loads(self) -> list[str]:
+        """What a block reads when it begins."""
+        return [
+            *(_load(p, f"state[{p.args[1]} * n + row[l]]") for p in self.inputs("state")),
+            *(_load(p, f"own[{p.args[1]} * n + row[l]]") for p in self.inputs("own")),
+            *(_load(p, f"flags[{p.args[1]} * modes + mode[row[l]]]") for p in self.inputs("flag")),
+            *(
+                f"const {TYPES[p.kind]} {self.name(p)} = {TYPES[p.kind]}({p.kind}(shared[{p.args[1]}]));"
+                for p in self.inputs("shared")
+            ),
+        ]
+
+    def records(self, t: int) -> list[str]:
+        """Variables of a track, of which no record has been looked up."""
+        return [*self.start(t), *self.declarations(t)]
+
+    def start(self, t: int) -> list[str]:
+        """When a track starts, and for which time its variables hold: none."""
+        return [
+            f"D start_{t}(0), base_{t}(0), from_{t}(0), until_{t}(0);",
+            f"if (starts_{t}) load(start_{t}, [&](int l) {{ return starts_{t}[owner_{t} ? owner_{t}[row[l]] : row[l]]; }});",
+        ]
+
+    def lookup(self, t: int, track: TrackShape, local: Sequence[str] = ()) -> str:
+        """Statements that keep a track at the time of the tick; ``local`` declarations stand where it is looked up."""
+        inputs = [p for p in self.inputs("track") if p.args[1] == t]
+        loads = [f"load({self.name(p)}, [&](int l) {{ return record[l][{p.args[2]}]; }});" for p in inputs]
+        return TRACK.format(
+            t=t,
+            spacing=track.spacing,
+            count=track.count,
+            before=track.before,
+            width=track.width,
+            loads=indent([*local, *loads], 4),
+            lines=indent(self.lines(t), 4),
+        )
+
+    def body(self, schedule: int) -> list[str]:
+        """What a tick computes, where it has ``schedule`` numbers of its own."""
+        inputs = self.inputs("schedule")
+        scheduled = [f"const D {self.name(p)}(schedule[(k - 1) * {schedule} + {p.args[1]}]);" for p in inputs]
+        return [*scheduled, *self.lines(TICK)]
+
+    def stores(self, planes: Sequence[Plane]) -> list[str]:
+        """Planes as rows of doubles."""
+        return [f"{self.converted(p, DOUBLE)}.store(out[{i}]);" for i, p in enumerate(planes)]
+
+    def turn(self, changes: Sequence[tuple[int, Plane]]) -> list[str]:
+        """Hand the new state to the next tick, all planes at once: some may trade places."""
+        known = {p.args[1]: p.kind for p in self.inputs("state")}
+        moved = [(k, p) for k, p in changes if k in known]
+        copies = [f"const {TYPES[known[k]]} new_{k} = {self.converted(p, known[k])};" for k, p in moved]
+        return copies + [f"state_{k} = new_{k};" for k, _ in moved]
 
 
 def _constant(value: float | bool, kind: str) -> str:
@@ -138,7 +196,8 @@ def _constant(value: float | bool, kind: str) -> str:
     return f"{TYPES[kind]}({'-' if value < 0 else ''}{limit})"
 
 
-def _indent(lines: Iterable[str], depth: int) -> str:
+def indent(lines: Iterable[str], depth: int) -> str:
+    """Lines as text, so many levels deep."""
     return "\n".join("  " * depth + line for line in lines)
 
 
@@ -275,41 +334,38 @@ def loop_source(
     A row in which the mask ``stop`` holds in a tick ends with it.
     """
     emitter = Emitter(program, [*outputs, *written, *([] if stop is None else [stop])])
-    changed = [(k, p) for k, p in enumerate(outputs) if not (p.op == "input" and p.args == ("state", k))]
+    changes = changed(outputs)
     return LOOP.format(
         header=emitter.header(header),
-        arguments="".join(
-            f",\n                    const double* table_{t}, const double* starts_{t}, "
-            f"const int64_t* owner_{t}, int64_t records_{t}"
-            for t in range(1, len(tracks) + 1)
-        ),
-        loads=_indent(_loads(emitter), 2),
-        always=_indent(emitter.lines(ALWAYS), 2),
-        records=_indent(_record_variables(emitter, len(tracks)), 2),
+        arguments=arguments(len(tracks)),
+        loads=indent(emitter.loads(), 2),
+        always=indent(emitter.lines(ALWAYS), 2),
+        records=indent((line for t in range(1, len(tracks) + 1) for line in emitter.records(t)), 2),
         clock=CLOCKS[clock].format(width=schedule) if clock in CLOCKS else clock,
-        tracks="\n".join(_track(emitter, t, track) for t, track in enumerate(tracks, 1)),
-        body=_indent([*_scheduled(emitter, schedule), *emitter.lines(TICK)], 3),
+        tracks="\n".join(emitter.lookup(t, track) for t, track in enumerate(tracks, 1)),
+        body=indent(emitter.body(schedule), 3),
         running="" if stop is None else RUNNING,
         stops="" if stop is None else STOPS.format(stop=emitter.name(stop)),
         writes=_writes(emitter, written) if written else "",
-        changed=max(1, len(changed)),
-        stores=_indent(_stores(emitter, [p for _, p in changed]), 4),
-        ends=_indent((f"state[{k} * n + row[l]] = out[{i}][l];" for i, (k, _) in enumerate(changed)), 6),
+        changed=max(1, len(changes)),
+        stores=indent(emitter.stores([p for _, p in changes]), 4),
+        ends=indent((f"state[{k} * n + row[l]] = out[{i}][l];" for i, (k, _) in enumerate(changes)), 6),
         left="" if stop is None else LEFT,
-        turn=_indent(_turn(emitter, changed), 3),
+        turn=indent(emitter.turn(changes), 3),
     )
 
 
-def _loads(emitter: Emitter) -> list[str]:
-    return [
-        *(_load(p, f"state[{p.args[1]} * n + row[l]]") for p in emitter.inputs("state")),
-        *(_load(p, f"own[{p.args[1]} * n + row[l]]") for p in emitter.inputs("own")),
-        *(_load(p, f"flags[{p.args[1]} * modes + mode[row[l]]]") for p in emitter.inputs("flag")),
-        *(
-            f"const {TYPES[p.kind]} {emitter.name(p)} = {TYPES[p.kind]}({p.kind}(shared[{p.args[1]}]));"
-            for p in emitter.inputs("shared")
-        ),
-    ]
+def changed(outputs: Sequence[Plane]) -> list[tuple[int, Plane]]:
+    """Planes of the state that a tick does not leave as they are, with their numbers."""
+    return [(k, p) for k, p in enumerate(outputs) if not (p.op == "input" and p.args == ("state", k))]
+
+
+def arguments(tracks: int) -> str:
+    """Parameters of the kernel for its tracks."""
+    return "".join(
+        f",\n                    const double* table_{t}, const double* starts_{t}, const int64_t* owner_{t}, int64_t records_{t}"
+        for t in range(1, tracks + 1)
+    )
 
 
 def _load(plane: Plane, lane: str) -> str:
@@ -317,48 +373,6 @@ def _load(plane: Plane, lane: str) -> str:
     return f"{TYPES[plane.kind]} {name}; load({name}, [&](int l) {{ return {lane}; }});"
 
 
-def _record_variables(emitter: Emitter, tracks: int) -> list[str]:
-    lines: list[str] = []
-    for t in range(1, tracks + 1):
-        lines.append(f"D start_{t}(0), base_{t}(0), from_{t}(0), until_{t}(0);")
-        lines.append(
-            f"if (starts_{t}) load(start_{t}, [&](int l) {{ return starts_{t}[owner_{t} ? owner_{t}[row[l]] : row[l]]; }});"
-        )
-        lines += emitter.declarations(t)
-    return lines
-
-
-def _scheduled(emitter: Emitter, width: int) -> list[str]:
-    return [f"const D {emitter.name(p)}(schedule[(k - 1) * {width} + {p.args[1]}]);" for p in emitter.inputs("schedule")]
-
-
-def _stores(emitter: Emitter, planes: Sequence[Plane]) -> list[str]:
-    return [f"{emitter.converted(p, DOUBLE)}.store(out[{i}]);" for i, p in enumerate(planes)]
-
-
 def _writes(emitter: Emitter, written: Sequence[Plane]) -> str:
     lines = (f"to[{i}] = out[{i}][l];" for i in range(len(written)))
-    return WRITE.format(count=len(written), stores=_indent(_stores(emitter, written), 4), lines=_indent(lines, 5))
-
-
-def _turn(emitter: Emitter, changed: Sequence[tuple[int, Plane]]) -> list[str]:
-    """Hand the new state to the next tick, all planes at once: some may trade places."""
-    known = {p.args[1]: p.kind for p in emitter.inputs("state")}
-    moved = [(k, p) for k, p in changed if k in known]
-    copies = [f"const {TYPES[known[k]]} new_{k} = {emitter.converted(p, known[k])};" for k, p in moved]
-    return copies + [f"state_{k} = new_{k};" for k, _ in moved]
-
-
-def _track(emitter: Emitter, t: int, track: TrackShape) -> str:
-    inputs = [p for p in emitter.inputs("track") if p.args[1] == t]
-    loads = [f"load({emitter.name(p)}, [&](int l) {{ return record[l][{p.args[2]}]; }});" for p in inputs]
-    lines = emitter.lines(t)
-    return TRACK.format(
-        t=t,
-        spacing=track.spacing,
-        count=track.count,
-        before=track.before,
-        width=track.width,
-        loads=_indent(loads, 4),
-        lines=_indent(lines, 4),
-    )
+    return WRITE.format(count=len(written), stores=indent(emitter.stores(written), 4), lines=indent(lines, 5))

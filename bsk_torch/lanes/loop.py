@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import cached_property
 from typing import NamedTuple
 
 import torch
@@ -11,6 +12,7 @@ from torch import Tensor
 from bsk_torch.lanes import kernel
 from bsk_torch.lanes.emit import SIGNATURE, TrackShape, loop_source
 from bsk_torch.lanes.expr import Plane, Program
+from bsk_torch.lanes.team import TEAM_SIGNATURE, check_teams, in_groups, team_source
 
 
 class Samples(NamedTuple):
@@ -22,6 +24,19 @@ class Samples(NamedTuple):
     table: Tensor
     start: Tensor
     owner: Tensor | None = None
+
+
+class Entry(NamedTuple):
+    """A library: rows in a block, and its function."""
+
+    width: int
+    run: Callable[..., None]
+
+    @staticmethod
+    def of(source: str, name: str, signature: str) -> Entry:
+        """Build the library, or load it; ``name`` says in messages what is being compiled."""
+        library = kernel.load(source, name)
+        return Entry(library.lanes_width(), kernel.entry(library, signature))
 
 
 class Loop:
@@ -37,13 +52,32 @@ class Loop:
         clock: str = "ticks",
         schedule: int = 0,
         stop: Plane | None = None,
+        team: int = 1,
     ) -> None:
-        """Build the kernel, or load it; ``name`` says in messages what is being compiled."""
-        source = loop_source(program, outputs, tracks, kernel.INCLUDE, written, clock, schedule, stop)
-        library = kernel.load(source, name)
-        self.tracks, self.stops = tuple(tracks), stop is not None
-        self.width: int = library.lanes_width()
-        self._run = kernel.entry(library, SIGNATURE + "pppi" * len(tracks))
+        """Build the kernel for runs of such a ``team``, or load it; ``name`` says in messages what is being compiled.
+
+        A kernel with a stop has another library for teams of more than one; the other one of the two is built when it is needed.
+        """
+        self.name, self.tracks, self.stops = name, tuple(tracks), stop is not None
+        self._source = program, outputs, tracks, kernel.INCLUDE, written, clock, schedule, stop
+        self._entry(team)
+
+    @cached_property
+    def alone(self) -> Entry:
+        """The library in which every row has an end of its own."""
+        return Entry.of(loop_source(*self._source), self.name, SIGNATURE + "pppi" * len(self.tracks))
+
+    @cached_property
+    def together(self) -> Entry:
+        """The library in which the rows of a team end together."""
+        program, outputs, tracks, header, _, clock, schedule, stop = self._source
+        if stop is None:
+            raise ValueError(f"the {self.name} has no stop: its rows cannot end together")
+        source = team_source(program, outputs, tracks, header, clock, schedule, stop)
+        return Entry.of(source, f"{self.name} of teams", TEAM_SIGNATURE + "pppi" * len(self.tracks))
+
+    def _entry(self, team: int) -> Entry:
+        return self.together if self.stops and team > 1 else self.alone
 
     def __call__(
         self,
@@ -60,6 +94,7 @@ class Loop:
         nanoseconds: int = 0,
         schedule: Tensor | None = None,
         written: Tensor | None = None,
+        team: int = 1,
     ) -> Tensor:
         """Run ``counts`` [n] ticks of every column of ``state`` [C, n], or as many as there are until the kernel's stop.
 
@@ -75,13 +110,15 @@ class Loop:
             ticks: Number of ticks before the first, [n].
             nanoseconds: Length of a tick.
             schedule: Numbers of each tick [K, S].
-            written: What each tick writes [n, L, C''], which changes; its rows may lie apart.
+            written: What each tick writes [n, L, C''], which changes; its rows may lie apart. Teams cannot write.
+            team: Rows 0 to team - 1 are the first team, and so on: where the kernel has a stop, the rows of a team, whose
+                ``counts`` are equal, all end in the tick in which the first of them stops.
 
         Returns:
             Number of ticks that each row has run, [n].
 
         Raises:
-            ValueError: For a tensor that is not contiguous, or a table with too few records.
+            ValueError: For a tensor that is not contiguous, a table with too few records, or teams that do not fit the rows.
         """
         alike = isinstance(counts, int)
         counts = torch.full(state.shape[1:], counts) if isinstance(counts, int) else counts
@@ -96,20 +133,25 @@ class Loop:
                     f"a kernel got a table {list(samples.table.shape)}; it must have at least {track.count} records a row"
                 )
         n, modes = len(counts), 1 if flags is None else flags.shape[1]
-        rows, ends = self._blocks(counts, alike, counts if order is None else order, mode, modes)
-        blocks = len(rows) // self.width
-        self._run(
-            *(blocks, max(1, min(blocks, torch.get_num_threads())), rows, ends, n, state, shared, own, flags, modes),
-            *(mode, ticks, nanoseconds, schedule, written, 0 if written is None else written.stride(0)),
-            *(part for t in tracks for part in (t.table, t.start, t.owner, t.table.shape[1])),
-        )
+        packs = n, state, shared, own, flags, modes, mode, ticks, nanoseconds, schedule
+        records = [part for t in tracks for part in (t.table, t.start, t.owner, t.table.shape[1])]
+        order, entry = counts if order is None else order, self._entry(team)
+        if self.stops and team > 1:
+            check_teams(counts, team, written)
+            groups = in_groups(counts, order, mode, team, entry.width)
+            entry.run(*groups.size, _threads(groups.size[0]), groups.rows, groups.teams, groups.ends, *packs, *records)
+            return groups.ends[:-1].repeat_interleave(team)
+        rows, ends = self._blocks(counts, alike, order, mode, modes)
+        blocks = len(rows) // entry.width
+        stride = 0 if written is None else written.stride(0)
+        entry.run(blocks, _threads(blocks), rows, ends, *packs, written, stride, *records)
         return torch.empty_like(counts).index_copy_(0, rows[:n], ends[:n]) if self.stops else counts
 
     def _blocks(self, counts: Tensor, alike: bool, order: Tensor, mode: Tensor | None, modes: int) -> tuple[Tensor, Tensor]:
         """Rows in blocks of like durations and modes, and their numbers of ticks; padded with rows that run no tick."""
-        n = len(counts)
-        padding = -n % self.width
-        if alike or n <= self.width:
+        n, width = len(counts), self.alone.width
+        padding = -n % width
+        if alike or n <= width:
             rows, counts = torch.arange(n), counts.clone() if self.stops else counts
         else:
             rows = torch.argsort(order if mode is None else order * modes + mode)
@@ -117,3 +159,7 @@ class Loop:
         if not padding:
             return rows, counts
         return torch.cat([rows, rows[:1].expand(padding)]), torch.cat([counts, counts.new_zeros(padding)])
+
+
+def _threads(parts: int) -> int:
+    return max(1, min(parts, torch.get_num_threads()))

@@ -30,7 +30,7 @@ def _relative(name: str) -> Preset:
 
 def priority(satellite: Satellite, targets: Opportunities) -> Tensor:
     """What each target is worth now, [N, n]."""
-    return satellite.scenario.priority.gather(1, targets.place)
+    return satellite.simulator.look_up(satellite.scenario.priority, targets.place)
 
 
 def _aimed(part: slice | int) -> Preset:
@@ -114,7 +114,7 @@ class OpportunityProperties(Observation):
                 raise ValueError(f"{self.name!r} observes targets by {name!r}, which {satellite.name} does not have")
         if self.type == "target":
             simulator = satellite.simulator
-            simulator.access.expect(self.n_ahead_observe, simulator.drawn["target_exists"].shape[1])  # type: ignore[union-attr]
+            simulator.access.expect(self.n_ahead_observe, simulator.tables["target_exists"].shape[1])  # type: ignore[union-attr]
 
     def _needs(self) -> list[str]:
         return [name for entry in self.entries for name in NEEDS.get(str(entry.get("prop")), ())]

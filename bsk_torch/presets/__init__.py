@@ -5,28 +5,31 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from bsk_torch.env import SatelliteTasking
 from bsk_torch.presets.aeos import aeos, aeos_city, cloudy_aeos
 from bsk_torch.presets.aeos_power import aeos_power
+from bsk_torch.presets.constellation import aeos_constellation, constellation, relay_constellation
 from bsk_torch.presets.nadir_scan import nadir_scan
 from bsk_torch.sim.params import nearest
 
-PRESETS: dict[str, Callable[..., SatelliteTasking]] = {
+PRESETS: dict[str, Callable[..., Any]] = {
     "NadirScan-v1": nadir_scan,
     "AEOS-v1": aeos,
     "AEOSPower-v1": aeos_power,
     "AEOSCity-v1": aeos_city,
     "CloudyAEOS-v1": cloudy_aeos,
+    "Constellation-v1": constellation,
+    "AEOSConstellation-v1": aeos_constellation,
+    "RelayConstellation-v1": relay_constellation,
 }
 """Presets by name: functions that take the arguments of the environment to override."""
 
 
-def make(name: str, **options: Any) -> SatelliteTasking:
+def make(name: str, **options: Any) -> Any:
     """The environment of a preset.
 
     Args:
         name: One of :data:`PRESETS`, such as ``"NadirScan-v1"``.
-        **options: Arguments of :class:`~bsk_torch.env.SatelliteTasking` to override, such as ``num_envs=1024``; ``sat_args``
+        **options: Arguments of the environment to override, such as ``num_envs=1024``; ``sat_args``
             are merged with the preset's.
 
     Raises:

@@ -130,7 +130,7 @@ def aeos_city(
 
 def cloud_forecast(satellite: Any, targets: Any) -> Tensor:
     """Forecast of the cloud cover over each target, [N, n]."""
-    return satellite.scenario.cloud_forecast.gather(1, targets.place)
+    return satellite.simulator.look_up(satellite.scenario.cloud_forecast, targets.place)
 
 
 CLOUDS = dict(fn=cloud_forecast, name="cloud_forecast")

@@ -52,7 +52,7 @@ class TargetDensity(obs.Observation):
         close = self.satellite.next_opportunities("target")[1] - simulator.sim_time.unsqueeze(-1)  # type: ignore[attr-defined]
         number = torch.clamp(close / BIN, 0.0, float(BINS)).long()
         sums = torch.zeros(len(close), BINS + 1, dtype=close.dtype, device=close.device)
-        return sums.scatter_add(1, number, scenario.priority.to(close.dtype))[:, :BINS] / CROWD
+        return sums.scatter_add(1, number, simulator.of_env(scenario.priority).to(close.dtype))[:, :BINS] / CROWD
 
 
 def shield(satellite: Any) -> Tensor:

@@ -135,7 +135,10 @@ class AccessSatellite(Satellite):
         known = self._cache.get((type, n))
         if known is not None and known[0] == now and (count is None or bool((known[1].found >= count).all())):
             return known[1]
-        query = type, n, self.allowed(type), count, self._last_generation(), self.may_see_nothing
+        wanted = count
+        if self.absent is not None:
+            wanted = torch.where(self.absent, 0, n if count is None else count)
+        query = type, n, self.allowed(type), wanted, self._last_generation(), self.may_see_nothing
         windows, found = next_windows(self.simulator, *query)
         if self.may_see_nothing:
             windows = self._or_nothing(windows, found)

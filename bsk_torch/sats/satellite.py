@@ -100,10 +100,16 @@ class Satellite:
         """Seconds by which access windows are extended."""
         return 600.0
 
-    def bind(self, simulator: Simulator, time_limit: Tensor) -> Satellite:
-        """A copy that lives in ``simulator``, with episodes limited to ``time_limit`` [N] s (read, never written)."""
+    def bind(self, simulator: Simulator, time_limit: Tensor, names: Sequence[str] = ()) -> Satellite:
+        """A copy that stands for all satellites of its type in ``simulator``.
+
+        Args:
+            simulator: Where they live, N of them.
+            time_limit: Time limits of their episodes, [N] s (read, never written).
+            names: Their names; the satellite's own unless given.
+        """
         bound = copy.copy(self)
-        bound.simulator, bound.time_limit = simulator, time_limit
+        bound.simulator, bound.time_limit, bound.names = simulator, time_limit, tuple(names) or (self.name,)
         bound.dynamics, bound.fsw = self.dyn_type(simulator), self.fsw_type(simulator)
         bound.dynamics.satellite = bound.fsw.satellite = bound
         bound.equip()
@@ -132,7 +138,16 @@ class Satellite:
         """What an environment counts for the satellite in each episode, [N] each, by name."""
         return {}
 
+    def title(self, row: int) -> str:
+        """What errors call the satellite of a row [N]."""
+        env, k = divmod(row, len(self.names))
+        return f"environment {env}" if len(self.names) == 1 else f"satellite {self.names[k]} of environment {env}"
+
+    absent: Tensor | None = None
+    """Satellites that have left their episodes, [N], if any can: queries look for nothing on their behalf."""
+
     simulator: Simulator
+    names: tuple[str, ...]
     scenario: Any
     time_limit: Tensor
     dynamics: Any

@@ -8,7 +8,7 @@ from torch import Tensor
 
 if TYPE_CHECKING:
     from bsk_torch.rand import Key
-    from bsk_torch.sats.satellite import Satellite
+    from bsk_torch.sim.fleet import Fleet
 
 
 class Scenario:
@@ -26,16 +26,16 @@ class Scenario:
     def draw(self, key: Key) -> dict[str, Tensor]:
         """What the episodes of the key's environments depend on, by name: float64 tensors [n or 1, ...] on the CPU.
 
-        The environment keeps them with leading dimension N among the arguments of the present episodes; names must differ from
-        those of ``sat_args`` and ``world_args``. Draw with ``key.named(...)``; see :class:`bsk_torch.rand.Key`.
+        The environment keeps them with leading dimension N, once for all satellites of an episode; names must differ from those
+        of ``sat_args`` and ``world_args``. Draw with ``key.named(...)``; see :class:`bsk_torch.rand.Key`.
         """
         return {}
 
-    def link_satellite(self, satellite: Satellite) -> None:
-        """Called once, when the environment is built; raises where the satellite does not fit."""
+    def link(self, fleet: Fleet) -> None:
+        """Called once, when the environment is built, with its satellites; raises where they do not fit."""
 
     def reset(self, rows: Tensor) -> None:
-        """Called after the arguments of ``rows``, indices [n], have changed: at a reset, or when a state is restored."""
+        """Called after what was drawn for the episodes ``rows``, indices [n], has changed: at a reset, or at a restored state."""
 
     def after_step(self, sim_time: Tensor) -> None:
         """Move on to ``sim_time`` [N] s, after the reward of a step and before the next observation."""

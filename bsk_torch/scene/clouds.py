@@ -12,7 +12,7 @@ from bsk_torch.scene.draws import Numbers, calls_user, check_numbers, draw_numbe
 from bsk_torch.scene.targets import TargetScenario
 
 if TYPE_CHECKING:
-    from bsk_torch.sats.satellite import Satellite
+    from bsk_torch.sim.fleet import Fleet
 
 
 class CloudyTargets(TargetScenario):
@@ -72,11 +72,11 @@ class CloudyTargets(TargetScenario):
 
     # -- in an environment --------------------------------------------------------------------------------------------
 
-    def link_satellite(self, satellite: Satellite) -> None:
-        """See :meth:`TargetScenario.link_satellite`."""
+    def link(self, fleet: Fleet) -> None:
+        """See :meth:`TargetScenario.link`."""
         self.targets = copy.copy(self.targets)  # environments that share this scenario each link their own
-        self.targets.link_satellite(satellite)
-        super().link_satellite(satellite)
+        self.targets.link(fleet)
+        super().link(fleet)
 
     @property
     def cloud_cover(self) -> Tensor:

@@ -12,7 +12,7 @@ from bsk_torch.scene.base import Scenario
 from bsk_torch.scene.draws import check_positions
 
 if TYPE_CHECKING:
-    from bsk_torch.sats.satellite import Satellite
+    from bsk_torch.sim.fleet import Fleet
 
 
 class TargetScenario(Scenario):
@@ -28,7 +28,7 @@ class TargetScenario(Scenario):
     most_targets: int
     """Number of columns T."""
 
-    satellite: Satellite
+    fleet: Fleet
     _available: Tensor | None = None
 
     @property
@@ -40,15 +40,15 @@ class TargetScenario(Scenario):
         """Name of every column in the present episode of environment ``row``."""
         return self.target_names
 
-    def link_satellite(self, satellite: Satellite) -> None:
-        """See :meth:`Scenario.link_satellite`; ValueError for a satellite without targets or a draw of wrong form."""
-        if not hasattr(satellite, "target_types"):
+    def link(self, fleet: Fleet) -> None:
+        """See :meth:`Scenario.link`; ValueError without a satellite that sees targets, or for a draw of wrong form."""
+        if not any(hasattr(part, "target_types") for part in fleet.parts):
+            are = ", ".join(f"{part.name} is a {type(part).__name__}" for part in fleet.parts)
             raise ValueError(
-                f"scene.{type(self).__name__} needs a satellite that sees targets, such as a sats.ImagingSatellite; "
-                f"{satellite.name} is a {type(satellite).__name__}"
+                f"scene.{type(self).__name__} needs a satellite that sees targets, such as a sats.ImagingSatellite; {are}"
             )
         self._check_draw()
-        self.satellite = satellite
+        self.fleet = fleet
 
     def _check_draw(self) -> None:
         values = self.draw(first_key(1))
@@ -64,7 +64,7 @@ class TargetScenario(Scenario):
 
     def drawn(self, name: str) -> Tensor:
         """What :meth:`draw` gave for the present episodes, [N, ...]."""
-        return self.satellite.simulator.argument(name)
+        return self.fleet.tables[name]
 
     @property
     def r_LP_P(self) -> Tensor:
@@ -113,7 +113,7 @@ class ChangingTargets(TargetScenario):
         raise NotImplementedError(f"{type(self).__name__} must implement at(time)")
 
     def _now(self) -> tuple[Tensor, Tensor]:
-        return self._update(self.satellite.simulator.sim_time) if self._present is None else self._present
+        return self._update(self.fleet.sim_time) if self._present is None else self._present
 
     def _update(self, time: Tensor) -> tuple[Tensor, Tensor]:
         exists = super().available
@@ -139,7 +139,7 @@ class ChangingTargets(TargetScenario):
     def reset(self, rows: Tensor) -> None:
         """See :meth:`Scenario.reset`."""
         super().reset(rows)
-        self._update(self.satellite.simulator.sim_time)
+        self._update(self.fleet.sim_time)
 
     def after_step(self, sim_time: Tensor) -> None:
         """See :meth:`Scenario.after_step`."""

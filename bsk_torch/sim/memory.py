@@ -42,6 +42,11 @@ class Memory:
         """Names."""
         return iter(self._values)
 
+    @property
+    def nbytes(self) -> int:
+        """Bytes that the tensors take."""
+        return sum(value.nbytes for value in self._values.values())
+
     def reset(self, rows: Tensor) -> None:
         """Start anew in ``rows`` [n]."""
         for name, value in self._values.items():

@@ -215,7 +215,7 @@ class ObserverKernel:
             value = simulator.argument(name)
             if not isinstance(value, Tensor):
                 return value
-            width = value.reshape(simulator.num_envs, -1).shape[1]
+            width = value.reshape(simulator.size, -1).shape[1]
             first = sum(widths.values())
             widths[name] = width
             self.arguments.append(name)
@@ -235,7 +235,7 @@ class ObserverKernel:
 
     def __call__(self, simulator: Simulator) -> dict[Function, Tensor]:
         """Observables by function."""
-        written = torch.empty(simulator.num_envs, 1, self.width, dtype=torch.float64)
+        written = torch.empty(simulator.size, 1, self.width, dtype=torch.float64)
         self.kernel(
             simulator.pack,
             1,

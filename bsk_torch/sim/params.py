@@ -7,7 +7,7 @@ with leading dimension 1, the others with one row for each environment being res
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -17,6 +17,9 @@ from torch import Tensor
 from bsk_torch.astro.ephemeris import parse_utc
 from bsk_torch.rand import Distribution, Key
 from bsk_torch.sim.component import Arg, Component, Values
+
+Overrides = Mapping[str, tuple[Tensor, Tensor]]
+"""Arguments that replace those of some satellites: which satellites [c], and their values [n, c, ...]."""
 
 SIZES = {"scalar": (), "vector": (3,), "matrix": (9,), "orbit": (6,)}
 ELEMENTS = ("a", "e", "i", "Omega", "omega", "f")
@@ -29,12 +32,12 @@ def nearest(name: str, known: Iterable[str]) -> str:
     return f"did you mean {' or '.join(map(repr, close))}?" if close else f"valid names: {', '.join(sorted(by_lower.values()))}"
 
 
-def _numbers(value: Any) -> Tensor:
+def numbers(value: Any) -> Tensor:
     """A float64 tensor of whatever holds numbers, orbital elements by attribute included."""
     if all(hasattr(value, name) for name in ELEMENTS):
         value = [getattr(value, name) for name in ELEMENTS]
     if isinstance(value, list | tuple) and any(isinstance(v, Tensor) or hasattr(v, "a") for v in value):
-        return torch.stack([_numbers(v) for v in value])
+        return torch.stack([numbers(v) for v in value])
     if isinstance(value, list | tuple) and any(isinstance(v, np.ndarray) for v in value):
         value = np.asarray(value)
     return torch.as_tensor(value, dtype=torch.float64)
@@ -70,45 +73,144 @@ def convert(arg: Arg, values: Any, rows: int) -> Any:
     if arg.kind == "utc":
         return torch.tensor([parse_utc(str(v)) for v in values], dtype=torch.float64)
     try:
-        numbers = _numbers(values)
+        given = numbers(values)
     except (TypeError, ValueError, RuntimeError) as error:
         raise ValueError(f"{arg.name}={values!r} is not made of numbers ({arg.unit}): {error}") from error
-    return _shaped(arg, numbers, rows)
+    return _shaped(arg, given, rows)
+
+
+def alike(a: Any, b: Any) -> bool:
+    """Whether two values of an argument say the same."""
+    if a is b:
+        return True
+    try:
+        return type(a) is type(b) and np.shape(a) == np.shape(b) and bool(np.all(np.asarray(a == b)))
+    except (TypeError, ValueError, RuntimeError):
+        return False
 
 
 class Arguments:
-    """The arguments of a satellite or of the world: their table, the user's values, and how to draw them."""
+    """The arguments of satellites of one type or of the world: their table, the users' values, and how to draw them."""
 
-    def __init__(self, components: Iterable[Component], given: Mapping[str, Any], title: str) -> None:
-        """Merge the table of ``components`` with the ``given`` values; KeyError names the nearest valid name."""
-        self.title = title
+    def __init__(
+        self,
+        components: Iterable[Component],
+        given: Mapping[str, Any] | Sequence[Mapping[str, Any]],
+        title: str,
+        columns: Sequence[int] = (0,),
+    ) -> None:
+        """Merge the table of ``components`` with the ``given`` values; KeyError names the nearest valid name.
+
+        Args:
+            components: What has arguments.
+            given: The user's values: of all, or of each satellite of an environment.
+            title: What the user calls them.
+            columns: Numbers of the satellites within an environment, which their draws depend on.
+        """
+        self.title, self.columns = title, tuple(columns)
         self.table = {arg.name: arg for component in components for arg in component.args}
+        each = [given] if isinstance(given, Mapping) else list(given)
+        merged = [self._merged(values) for values in each]
+        self._given = merged * len(columns) if isinstance(given, Mapping) else merged
+        self._alike = {name: all(alike(values[name], self._given[0][name]) for values in self._given) for name in self.table}
+        self._constants: dict[str, Any] = {}
+
+    def _merged(self, given: Mapping[str, Any]) -> dict[str, Any]:
+        """The values of one satellite with the defaults."""
         for name in given:
             if name not in self.table:
-                raise KeyError(f"{title}[{name!r}] is unknown; {nearest(str(name), self.table)}")
-        self.given = {name: given.get(name, arg.default) for name, arg in self.table.items()}
-        self._constants: dict[str, Any] = {}
+                raise KeyError(f"{self.title}[{name!r}] is unknown; {nearest(str(name), self.table)}")
+        merged = {name: given.get(name, arg.default) for name, arg in self.table.items()}
         replaced = {"rN", "vN"} & {name for name in given if given[name] is not None}
-        if replaced and "oe" not in given and "oe" in self.given:
-            self.given["oe"] = None  # an explicit position replaces the default elements
+        if replaced and "oe" not in given and "oe" in merged:
+            merged["oe"] = None  # an explicit position replaces the default elements
+        return merged
+
+    @property
+    def given(self) -> dict[str, Any]:
+        """The values of the first satellite; those that models are built from are the same for all."""
+        return self._given[0]
+
+    @property
+    def all_given(self) -> list[Any]:
+        """The values of all satellites."""
+        return [value for values in self._given for value in values.values()]
 
     def is_random(self, name: str) -> bool:
         """Whether the value differs between environments."""
-        return isinstance(self.given[name], Distribution) or callable(self.given[name])
+        return any(isinstance(values[name], Distribution) or callable(values[name]) for values in self._given)
 
-    def draw(self, key: Key) -> dict[str, Any]:
-        """Values of all arguments for the key's environments."""
-        return {name: self._drawn_or_kept(arg, key) for name, arg in self.table.items()}
+    def draw(self, key: Key, known: Mapping[str, Any] | None = None) -> dict[str, Any]:
+        """Values of all arguments for the n environments of ``key``: [1, ...] where all are the same, else [n * S, ...].
 
-    def _drawn_or_kept(self, arg: Arg, key: Key) -> Any:
+        What is ``known`` already is not drawn again.
+        """
+        known = known or {}
+        rows = key if self.columns == (0,) else key.of_satellites(torch.tensor(self.columns))
+        return {n: known[n] if n in known else self._drawn_or_kept(arg, key, rows) for n, arg in self.table.items()}
+
+    def override(self, name: str, values: Any, columns: Tensor, given: Tensor) -> Tensor:
+        """Values [n * S, ...] of the argument ``name``, with those of the satellites ``columns`` [c] replaced.
+
+        Args:
+            name: Argument.
+            values: What was drawn for it, [1, ...] or [n * S, ...], or None.
+            columns: Which of the satellites of this table get others.
+            given: Their values, [n, c, ...].
+
+        Raises:
+            KeyError: For an unknown name.
+            ValueError: For values that are not allowed, or where only some satellites have one.
+        """
+        if name not in self.table:
+            raise KeyError(f"sat_arg_randomizer sets {name!r}, which is unknown; {nearest(name, self.table)}")
+        arg, (n, c), s = self.table[name], given.shape[:2], len(self.columns)
+        new = convert(arg, given.flatten(0, 1), n * c).view(n, c, *SIZES[arg.kind])
+        if c < s and values is None:
+            raise ValueError(f"sat_arg_randomizer sets {name} of some satellites of a type; the others need one in sat_args")
+        whole = new.new_empty(n, s, *new.shape[2:]) if values is None else values.expand(n * s, *new.shape[2:])
+        whole = whole.reshape(n, s, *new.shape[2:]).clone()
+        whole[:, columns] = new
+        return whole.flatten(0, 1)
+
+    def _drawn_or_kept(self, arg: Arg, key: Key, rows: Key) -> Any:
+        value = self.given[arg.name]
+        if not self._alike[arg.name]:
+            return self._drawn_each(arg, key)
         if self.is_random(arg.name):
-            return self._draw(arg, key)
+            return self._draw(arg, value, rows)
         if arg.name not in self._constants:
-            self._constants[arg.name] = self._draw(arg, key)
+            self._constants[arg.name] = self._draw(arg, value, key)
         return self._constants[arg.name]
 
-    def _draw(self, arg: Arg, key: Key) -> Any:
-        value = self.given[arg.name]
+    def _drawn_each(self, arg: Arg, key: Key) -> Any:
+        """Values of an argument that is not the same for all satellites, [n * S, ...]."""
+        if arg.shared or arg.kind in ("constant", "stations"):
+            raise ValueError(f"{self.title}: {arg.name} must be the same for all satellites of a type")
+        if self.is_random(arg.name):
+            parts = self._each(arg, key)
+        elif arg.name in self._constants:
+            parts = self._constants[arg.name]
+        else:
+            parts = self._constants[arg.name] = self._each(arg, key)
+        return None if parts is None else parts.expand(len(key), *parts.shape[1:]).flatten(0, 1)
+
+    def _each(self, arg: Arg, key: Key) -> Tensor | None:
+        """Values of an argument, [n or 1, S, ...]; None where no satellite has one."""
+        numbers = (torch.tensor([column]) for column in self.columns)
+        parts = [
+            self._draw(arg, values[arg.name], key.of_satellites(number))
+            for values, number in zip(self._given, numbers, strict=True)
+        ]
+        missing = [part is None for part in parts]
+        if all(missing):
+            return None
+        if any(missing):
+            raise ValueError(f"{self.title}: {arg.name} must be given for all satellites of a type, or for none")
+        n = max(len(part) for part in parts)
+        return torch.stack([part.expand(n, *part.shape[1:]) for part in parts], 1)
+
+    def _draw(self, arg: Arg, value: Any, key: Key) -> Any:
         try:
             if arg.shared or arg.kind in ("constant", "stations"):
                 self._check_shared(arg, value)

@@ -35,14 +35,15 @@ def places_in_view(simulator: Simulator) -> dict[str, PlacesOf]:
         r_P = arrays["station_positions"].view(1, 3, -1).mT.contiguous().to(simulator.device)
         stations = Places(r_P, arrays["station_sin_elevations"].to(simulator.device))
         kinds["ground_station"] = lambda rows: stations
-    if TARGETS in simulator.drawn and "imageTargetMinimumElevation" in simulator.sat_args.table:
+    if TARGETS in simulator.tables and "imageTargetMinimumElevation" in simulator.sat_args.table:
         kinds["target"] = lambda rows: _targets(simulator, rows)
     return kinds
 
 
 def _targets(simulator: Simulator, rows: Tensor) -> Places:
     """Targets of the present episodes of ``rows``."""
-    r_P, exists = simulator.drawn[TARGETS][rows], simulator.drawn["target_exists"][rows] > 0.5
+    envs = rows // simulator.count
+    r_P, exists = simulator.tables[TARGETS][envs], simulator.tables["target_exists"][envs] > 0.5
     least = torch.sin(simulator.drawn["imageTargetMinimumElevation"][rows]).unsqueeze(-1)
     return Places(torch.where(exists.unsqueeze(-1), r_P, torch.nan), least.expand_as(exists))
 
@@ -50,7 +51,7 @@ def _targets(simulator: Simulator, rows: Tensor) -> Places:
 def positions(simulator: Simulator, kind: str, place: Tensor) -> Tensor:
     """Earth-fixed positions [N, n, 3], m, of places [N, n] of a kind."""
     if kind == "target":
-        return simulator.drawn[TARGETS].gather(1, place.unsqueeze(-1).expand(*place.shape, 3))
+        return simulator.look_up(simulator.tables[TARGETS], place)
     return cast("Access", simulator.access).kinds[kind](simulator.all_rows).r_P[0, place]
 
 

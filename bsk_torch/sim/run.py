@@ -1,9 +1,9 @@
 """Repeat the tick until each environment's own end.
 
 The longest duration of each is known when a step starts; a tick that stops (see :class:`bsk_torch.sim.tick.Tick`) may end it
-earlier. Kernels work on blocks of rows with similar durations and end each row at its own tick; elsewhere a loop over ticks holds
-the rows that have ended. It asks the device for nothing while it runs, unless ticks may stop: then once in :data:`PATIENCE`
-ticks, whether there is any row left.
+earlier, and with it the other satellites of its team. Kernels work on blocks of rows with similar durations and end each row, or
+team, at its own tick; elsewhere a loop over ticks holds the rows that have ended. It asks the device for nothing while it runs,
+unless ticks may stop: then once in :data:`PATIENCE` ticks, whether there is any row left.
 """
 
 from __future__ import annotations
@@ -34,6 +34,8 @@ class Flight:
     ``state`` [C, N], which the run changes, ``shared`` [C, 1] and ``own`` [C, N] are float64 packs; ``mode`` [N] chooses
     columns of the flag table ``flags`` [F, M]; ``ticks`` [N] is the number of ticks since reset; ``tracks`` are known in advance.
     ``order`` [N] is the number of ticks to be expected, where stops make it differ from the longest; a matter of speed only.
+    Every ``team`` rows, from the first on, fly in one episode: they have run as many ticks, are to run as many, and end in the
+    tick in which the first of them stops.
     """
 
     state: Tensor
@@ -44,6 +46,7 @@ class Flight:
     ticks: Tensor
     tracks: tuple[Samples, ...]
     order: Tensor | None = None
+    team: int = 1
 
 
 Runner = Callable[[Flight, Tensor], Tensor]
@@ -57,13 +60,13 @@ class Runners(NamedTuple):
     wake: Runner
 
 
-def make_runners(tick: Tick, backend: str, device: torch.device) -> Runners:
-    """What runs ``tick`` under a back end."""
+def make_runners(tick: Tick, backend: str, device: torch.device, team: int = 1) -> Runners:
+    """What runs ``tick`` under a back end; flights of other teams than ``team`` may have to wait for the compiler."""
     if backend not in BACKENDS:
         raise ValueError(f"backend={backend!r} must be one of {list(BACKENDS)}")
     if backend == "compiled" and device.type == "cpu":
         try:
-            return Runners(*(kernel_loop(tick.kernel(wakes), tick.h_ns) for wakes in (False, True)))
+            return Runners(*(kernel_loop(tick.kernel(wakes, team), tick.h_ns) for wakes in (False, True)))
         except UntraceableError as error:
             logger.warning("%s; the tick is compiled by inductor instead, which is slower", error)
     step: Callable[..., Any] = tick.step
@@ -97,10 +100,17 @@ def loop(step: Callable[..., tuple[Tensor, Tensor]], stops: bool = False) -> Run
                 break
             now = now + 1.0
             state, end = step(state, flight.shared, flight.own, flags, now, end, *tracks)
+            if stops and flight.team > 1:
+                end = earliest(end, flight.team)
         flight.state.copy_(state)
         return end.long() - flight.ticks if stops else counts
 
     return run
+
+
+def earliest(end: Tensor, team: int) -> Tensor:
+    """The first ``end`` [N] of each team, for all of its rows."""
+    return end.view(-1, team).amin(1).repeat_interleave(team)
 
 
 def kernel_loop(kernel: Loop, h_ns: int) -> Runner:
@@ -118,6 +128,7 @@ def kernel_loop(kernel: Loop, h_ns: int) -> Runner:
             flags=flight.flags,
             ticks=flight.ticks,
             nanoseconds=h_ns,
+            team=flight.team,
         )
 
     return run

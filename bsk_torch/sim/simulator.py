@@ -1,10 +1,10 @@
-"""N spacecraft of one type in their worlds: parameters, state, commands, and how they move on."""
+"""Spacecraft of one type in their worlds: parameters, state, commands, and how they move on."""
 
 from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import torch
@@ -27,7 +27,7 @@ from bsk_torch.sim.fsw.modes import ALWAYS_RESET, FLAGS
 from bsk_torch.sim.memory import Memory
 from bsk_torch.sim.observe import Observer
 from bsk_torch.sim.orbit import PLANNED_SPANS, Arcs, spans_for
-from bsk_torch.sim.params import Arguments, merge, nearest
+from bsk_torch.sim.params import Arguments, Overrides, merge, nearest
 from bsk_torch.sim.queries import TARGETS, places_in_view
 from bsk_torch.sim.run import Flight, make_runners
 from bsk_torch.sim.sight import View, make_sight
@@ -64,18 +64,24 @@ def whole_nanoseconds(seconds: float) -> int:
     return int(seconds * 1e9 + 0.5)
 
 
-class Simulator:
-    """The simulation of N environments with one satellite each.
+Checkpoint = tuple[Tensor, Tensor]
+"""State and clock of a simulation."""
 
-    State lives in ``pack`` [C, N]; ``ticks`` [N] counts ticks since each environment's reset, ``mode`` [N] indexes the mode
-    table. Look-ahead is in ``eclipses`` and, where there are ground stations, ``access``.
+
+class Simulator:
+    """The simulation of the satellites of one type in ``num_envs`` environments, ``count`` of them in each.
+
+    Their rows, N of them, stand side by side: satellite k of environment e is row ``e * count + k``. State lives in ``pack``
+    [C, N]; ``ticks`` [N] counts ticks since each environment's reset, ``mode`` [N] indexes the mode table. Look-ahead is in
+    ``eclipses`` and, where there are places to be seen, ``access``. What a scenario draws is kept once for each environment, in
+    ``tables``.
     """
 
     def __init__(
         self,
         dyn_type: type[DynamicsModel],
         fsw_type: type[FSWModel],
-        sat_args: Mapping[str, Any],
+        sat_args: Mapping[str, Any] | Sequence[Mapping[str, Any]],
         world_args: Mapping[str, Any],
         *,
         num_envs: int,
@@ -89,15 +95,18 @@ class Simulator:
         max_time: float = 0.0,
         scene: Callable[[Key], dict[str, Tensor]] = lambda key: {},
         stops: bool = False,
+        columns: Sequence[int] = (0,),
+        tables: dict[str, Tensor] | None = None,
+        randomize: Callable[[Key], Overrides] = lambda key: {},
     ) -> None:
         """Build the tick and check the arguments with trial draws; :meth:`reset` fills the state.
 
         Args:
             dyn_type: Dynamics model.
             fsw_type: Flight-software model.
-            sat_args: Arguments of both by name.
+            sat_args: Arguments of both by name: those of all satellites, or of each.
             world_args: Arguments of the world by name.
-            num_envs: Number of environments N.
+            num_envs: Number of environments.
             device: Where everything lives.
             dtype: Type of attitude, wheels and flight software; everything is stored, and the rest computed, in float64.
             sim_rate: Length of a tick, s.
@@ -108,43 +117,53 @@ class Simulator:
             max_time: Longest finite time limit, to check the ephemeris' coverage.
             scene: Draws what the scenario asks for; see :meth:`bsk_torch.scene.base.Scenario.draw`.
             stops: Whether events such as an image end a run.
+            columns: Numbers of the satellites among all those of an environment, of other types too.
+            tables: What another simulation of the same environments has drawn of the scenario, to be shared.
+            randomize: Draws arguments that replace those of some satellites.
         """
-        self.num_envs, self.device, self.dtype = num_envs, device, dtype
+        self.num_envs, self.count, self.device, self.dtype = num_envs, len(columns), device, dtype
+        self.size, self.columns = num_envs * self.count, tuple(columns)
+        self.owns_tables, self.tables = tables is None, {} if tables is None else tables
         self.h_ns, self.orbit = whole_nanoseconds(sim_rate), orbit or dyn_type.orbit
         if self.orbit not in ORBITS:
             raise ValueError(f"orbit={self.orbit!r} must be one of {list(ORBITS)}, or None for the model's own")
         if not 0 < self.h_ns * NANO <= LONGEST_TICK:
             raise ValueError(f"sim_rate={sim_rate:g} s must lie in (0, {LONGEST_TICK:g}]")
-        self.max_time, self.scene, self.stops = max_time, scene, stops
+        self.max_time, self.scene, self.stops, self.randomize = max_time, scene, stops, randomize
         self._parts(dyn_type, fsw_type, sat_args, world_args)
         self._layout(backend)
         self._storage(horizon, segment, backend)
 
     # -- construction -------------------------------------------------------------------------------------------------
 
-    def _parts(self, dyn_type: Any, fsw_type: Any, sat_args: Mapping[str, Any], world_args: Mapping[str, Any]) -> None:
+    def _parts(self, dyn_type: Any, fsw_type: Any, sat_args: Any, world_args: Mapping[str, Any]) -> None:
         world_parts = collect(reversed(dyn_type.__mro__), "world_components")
         self.world_args = Arguments(world_parts, world_args, "world_args")
         own = (*dyn_type.all_components(), *fsw_type.all_components())
-        self.sat_args = Arguments(own, sat_args, "sat_args")
+        self.sat_args = Arguments(own, sat_args, "sat_args", self.columns)
         world_parts, own = fitted(world_parts, self.world_args.given), fitted(own, self.sat_args.given)
         self.parts = tuple(sorted((*world_parts, *own), key=lambda part: part.order))
         self.modes, self.commands = fsw_type.all_modes(), fsw_type.all_commands()
         self.mode_names = tuple(self.modes)
 
     def _layout(self, backend: str) -> None:
-        trial = self.draw(first_key(min(2, self.num_envs)))
-        random = {name for args in (self.sat_args, self.world_args) for name in args.table if args.is_random(name)}
+        key = first_key(min(2, self.num_envs))
+        asked = self.scene(key) if self.owns_tables else {}
+        given = self.randomize(key)
+        trial = self.draw(key, asked, given=given)
+        random = {name for args in (self.sat_args, self.world_args) for name in args.table if args.is_random(name)} | set(given)
         self.drawn: dict[str, Any] = {}
         self.draws = self._packed = 0  # how often arguments have changed, and had when they were packed
         self._packs: dict[tuple[str, ...], Tensor] = {}
         for name, value in trial.items():
             self.drawn[name] = (
-                value.new_zeros(self.num_envs, *value.shape[1:]).to(self.device) if isinstance(value, Tensor) else value
+                value.new_zeros(self.size, *value.shape[1:]).to(self.device) if isinstance(value, Tensor) else value
             )
+        for name, value in asked.items():
+            self.tables[name] = value.new_zeros(self.num_envs, *value.shape[1:]).to(self.device)
         params = merge(trial, self.parts, "prepare")
         shared = {name for name, value in params.items() if len(value) == 1}
-        if self.num_envs == 1:
+        if self.size == 1:
             shared = self._independent_of(random, shared, trial)
         on_arc = self.orbit == "arc"
         parts = tuple(self._scheduled(part, on_arc) for part in self._running(on_arc))
@@ -152,7 +171,7 @@ class Simulator:
         self.tick = Tick(parts, shared, self.h_ns, on_arc, self.dtype, opaque, self.stops)
         if opaque and not on_arc:
             prepare(self.device, torch.float64)
-        self.runners = make_runners(self.tick, backend, self.device)
+        self.runners = make_runners(self.tick, backend, self.device, self.count)
         self.shared = self.tick.shared.rows(params, 1).to(self.device).contiguous()
 
     def _independent_of(self, random: set[str], shared: set[str], trial: dict[str, Any]) -> set[str]:
@@ -170,7 +189,7 @@ class Simulator:
         return dataclasses.replace(part, update=update) if part.slot == "hub" else part
 
     def _storage(self, horizon: float, segment: float, backend: str) -> None:
-        n = self.num_envs
+        n = self.size
         self.pack = torch.zeros(self.tick.state.size, n, device=self.device, dtype=torch.float64)
         self.own = torch.zeros(self.tick.own.size, n, device=self.device, dtype=torch.float64)
         self.ticks = torch.zeros(n, dtype=torch.int64, device=self.device)
@@ -212,13 +231,28 @@ class Simulator:
 
     # -- reset --------------------------------------------------------------------------------------------------------
 
-    def draw(self, key: Key) -> dict[str, Any]:
-        """What episodes of the key's environments start from; raises before anything has changed."""
-        values = {**self.world_args.draw(key), **self.sat_args.draw(key)}
-        asked = self.scene(key)
+    def draw(
+        self, key: Key, asked: Mapping[str, Tensor], world: Mapping[str, Any] | None = None, given: Overrides | None = None
+    ) -> dict[str, Any]:
+        """Arguments from which episodes of the key's n environments start; raises before anything has changed.
+
+        Args:
+            key: Key of the environments.
+            asked: What the scenario has drawn for them.
+            world: Arguments of the world that have been drawn already, such as by a simulation of other satellites.
+            given: Arguments that replace those of some satellites.
+
+        Returns:
+            Values of satellites and world by name, [1, ...] or [n * count, ...].
+        """
+        around = self.world_args.draw(key, world)
+        random = (name for name in around if self.count > 1 and self.world_args.is_random(name))
+        values = {**around, **{name: around[name].repeat_interleave(self.count, 0) for name in random}}
+        values |= self.sat_args.draw(key)
+        for name, (columns, replaced) in (given or {}).items():
+            values[name] = self.sat_args.override(name, values.get(name), columns, replaced)
         if taken := sorted(values.keys() & asked.keys()):
             raise ValueError(f"the scenario draws {taken}, which are arguments of satellite or world; give them other names")
-        values |= asked
         for part in self.parts:
             part.check(values)
         self._check_orbit(values)
@@ -242,13 +276,17 @@ class Simulator:
                 f"{top / 1e3:.0f} km and the orbit is computed without it; pass orbit='integrated' to the environment"
             )
 
-    def reset(self, rows: Tensor, values: dict[str, Any], duration: Tensor) -> None:
-        """Start ``rows`` [n] anew from drawn ``values``; windows are generated for ``duration`` [n] s."""
+    def reset(self, rows: Tensor, values: dict[str, Any], duration: Tensor, asked: Mapping[str, Tensor] | None = None) -> None:
+        """Start ``rows`` [n], those of whole environments, anew from drawn ``values``, with windows for ``duration`` [n] s.
+
+        ``asked`` [m, ...] is what the scenario has drawn for the m environments, unless another simulation keeps that.
+        """
         n = len(rows)
         self.pack[:, rows] = self._rows(self.tick.state, merge(values, self.parts, "initial"), n)
         self.own[:, rows] = self._rows(self.tick.own, merge(values, self.parts, "prepare"), n)
         self.ticks[rows], self.mode[rows] = 0, self.mode_names.index(IDLE)
         self._remember(rows, values)
+        self._keep(rows, asked or {})
         while self.arcs.length < float(duration.max()):
             self.grow()
         start = (
@@ -271,7 +309,7 @@ class Simulator:
     def _chunk(self) -> int:
         """Rows to reset at once."""
         rows, pairs = (CHUNK, SEARCHED) if self.device.type == "cpu" else (DEVICE_CHUNK, DEVICE_SEARCHED)
-        places = self.drawn[TARGETS].shape[1] if TARGETS in self.drawn else 1
+        places = self.tables[TARGETS].shape[1] if TARGETS in self.tables else 1
         return max(1, min(rows, pairs // places))
 
     def adopt(self, rows: Tensor, other: Simulator) -> None:
@@ -283,6 +321,8 @@ class Simulator:
         self.pack[:, rows], self.own[:, rows] = other.pack[:, rows], other.own[:, rows]
         self.ticks[rows], self.mode[rows] = other.ticks[rows], other.mode[rows]
         self._remember(rows, {name: v[rows] if isinstance(v, Tensor) else v for name, v in other.drawn.items()})
+        envs = rows[:: self.count] // self.count
+        self._keep(rows, {name: table[envs] for name, table in other.tables.items()} if self.owns_tables else {})
         self.arcs.adopt(rows, other.arcs)
         self.eclipses.adopt(rows, other.eclipses)
         if self.access is not None and other.access is not None:
@@ -311,9 +351,25 @@ class Simulator:
                 self.drawn[name] = value
                 continue
             if name not in self.drawn:
-                shape = (self.num_envs, *value.shape[1:])
+                shape = (self.size, *value.shape[1:])
                 self.drawn[name] = torch.zeros(shape, dtype=torch.float64, device=self.device)
             self.drawn[name][rows] = value.to(self.device)
+
+    def _keep(self, rows: Tensor, asked: Mapping[str, Tensor]) -> None:
+        """Keep what the scenario has drawn for the environments of ``rows``."""
+        envs = rows[:: self.count] // self.count
+        for name, value in asked.items():
+            self.tables[name][envs] = value.to(self.device)
+
+    def of_env(self, table: Tensor) -> Tensor:
+        """Rows [N, ...] of what is the same for all satellites of an environment, [num_envs, ...]."""
+        return table if self.count == 1 else table.repeat_interleave(self.count, 0)
+
+    def look_up(self, table: Tensor, place: Tensor) -> Tensor:
+        """Entries [N, n, ...] of a table [num_envs, P, ...] of the environments for places [N, n]."""
+        flat = place.reshape(self.num_envs, -1)
+        index = flat.view(*flat.shape, *[1] * (table.ndim - 2)).expand(*flat.shape, *table.shape[2:])
+        return table.gather(1, index).view(*place.shape, *table.shape[2:])
 
     def argument(self, name: str) -> Any:
         """An argument of the present episodes, [N] or [N, width], or a constant; KeyError for a name that no model has."""
@@ -326,7 +382,7 @@ class Simulator:
         if self._packed != self.draws:
             self._packs, self._packed = {}, self.draws
         if names not in self._packs:
-            self._packs[names] = torch.cat([self.drawn[name].reshape(self.num_envs, -1) for name in names], 1).mT.contiguous()
+            self._packs[names] = torch.cat([self.drawn[name].reshape(self.size, -1) for name in names], 1).mT.contiguous()
         return self._packs[names]
 
     # -- commands -----------------------------------------------------------------------------------------------------
@@ -372,29 +428,45 @@ class Simulator:
     def write(self, name: str, rows: Tensor, value: Tensor) -> None:
         """Set a field of the state to ``value`` [N] or [N, width] where ``rows`` [N] is true."""
         where = self.tick.state.slices[name]
-        self.pack[where] = torch.where(rows, value.reshape(self.num_envs, -1).mT, self.pack[where])
+        self.pack[where] = torch.where(rows, value.reshape(self.size, -1).mT, self.pack[where])
         self.observer.forget()
 
     # -- running ------------------------------------------------------------------------------------------------------
 
     def run(self, ticks: Tensor, order: Tensor | None = None) -> Tensor:
-        """Advance every environment by at most ``ticks`` [N], zero leaves it untouched; by how many it did, [N].
+        """Advance every satellite by at most ``ticks`` [N], zero leaves it untouched; by how many it did, [N].
 
-        ``order`` [N] is about how many it will be, if events are expected.
+        An event that ends the run of one ends that of all satellites of its environment, in the same tick. ``order`` [N] is about
+        how many ticks it will be, if events are expected.
         """
         self.reach(self.sim_time + ticks * self.h)
         tracks = self.arcs.tracks(self.tick.tracks)
-        flight = Flight(self.pack, self.shared, self.own, self.mode, self.flag_table, self.ticks, tracks, order)
+        flight = Flight(self.pack, self.shared, self.own, self.mode, self.flag_table, self.ticks, tracks, order, self.count)
         with torch.no_grad():
             flown = self.runners.run(flight, ticks)
         self.ticks = self.ticks + flown
         self.observer.forget()
         return flown
 
+    def checkpoint(self) -> Checkpoint:
+        """Where the satellites are now; see :meth:`rewind`."""
+        return self.pack.clone(), self.ticks
+
+    def rewind(self, checkpoint: Checkpoint, rows: Tensor) -> None:
+        """Put ``rows`` [N], a mask, back to a checkpoint."""
+        pack, ticks = checkpoint
+        self.pack, self.ticks = torch.where(rows, pack, self.pack), torch.where(rows, ticks, self.ticks)
+        self.observer.forget()
+
     @property
     def events(self) -> Tensor:
         """Number of events since reset that end an action, [N]."""
-        return self.read("images") if "images" in self.tick.state.fields else torch.zeros_like(self.sim_time)
+        return self.read("images") if self.has_events else torch.zeros_like(self.sim_time)
+
+    @property
+    def has_events(self) -> bool:
+        """Whether there are events that end an action."""
+        return "images" in self.tick.state.fields
 
     def reach(self, time: Tensor) -> None:
         """Make every arc cover ``time`` [N]: move it on, or make all longer where it would forget too much."""

@@ -145,8 +145,11 @@ class Tick:
 
     # -- as a kernel ----------------------------------------------------------------------------------------------------
 
-    def kernel(self, wakes: bool = False) -> Loop:
-        """The kernel that repeats the tick, or does what happens at time zero; raises UntraceableError for what has none."""
+    def kernel(self, wakes: bool = False, team: int = 1) -> Loop:
+        """The kernel that repeats the tick, or does what happens at time zero; raises UntraceableError for what has none.
+
+        It is built for runs of such a ``team``; see :class:`bsk_torch.lanes.loop.Loop`.
+        """
         program = expr.Program()
         fast = expr.KINDS[self.dtype]
 
@@ -169,7 +172,7 @@ class Tick:
         if wakes:
             return Loop("first tick", program, self.wake(inputs), self.tracks, clock="start")
         planes, stop = self.advance(inputs)
-        return Loop("tick", program, planes, self.tracks, stop=stop)
+        return Loop("tick", program, planes, self.tracks, stop=stop, team=team)
 
 
 def _update(bus: Bus, components: Sequence[Component]) -> None:

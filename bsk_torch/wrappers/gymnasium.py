@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
-from typing import Any, ClassVar
+from typing import Any, ClassVar, TypeVar
 
 import gymnasium
 import numpy as np
@@ -15,11 +15,15 @@ from gymnasium.vector.utils import batch_space
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
-from bsk_torch.env import SatelliteTasking
+from bsk_torch.env import NO_ACTION, ConstellationTasking, SatelliteTasking
+from bsk_torch.env.base import Tasking
 from bsk_torch.presets import make
+from bsk_torch.sats.satellite import Satellite
 
 Core = SatelliteTasking | str | Callable[..., SatelliteTasking]
 """An environment, the name of a preset, or a function that returns an environment."""
+
+Kind = TypeVar("Kind", bound=Tasking)
 
 OUTPUTS = ("numpy", "torch")
 
@@ -28,27 +32,33 @@ SEED_LIMIT = 2**63
 SEEN = ("observation", "action_mask", "duration", "counts")
 
 
-# -- both views -------------------------------------------------------------------------------------------------------
+# -- all views --------------------------------------------------------------------------------------------------------
 
 
-def build(core: Core, options: dict[str, Any]) -> SatelliteTasking:
-    """The environment behind a view; ``options`` are arguments of the preset or function."""
-    if isinstance(core, SatelliteTasking):
+def build(core: Kind | str | Callable[..., Kind], options: dict[str, Any], kind: type[Kind]) -> Kind:
+    """The environment behind a view, of the ``kind`` that it shows; ``options`` are arguments of the preset or function."""
+    if isinstance(core, Tasking):
         if options:
             raise TypeError(f"options {sorted(options)} come with a ready environment; give them to the environment instead")
-        return core
-    env = make(core, **options) if isinstance(core, str) else core(**options)
-    if not isinstance(env, SatelliteTasking):
-        raise TypeError(f"core={core!r} makes a {type(env).__name__}; it must make a SatelliteTasking")
+        env: Any = core
+    else:
+        env = make(core, **options) if isinstance(core, str) else core(**options)
+    if not isinstance(env, kind):
+        named = f"core={core!r} makes" if isinstance(core, str) else "core is or makes"
+        raise TypeError(f"{named} a {type(env).__name__}; this view needs a {kind.__name__}")
     return env
 
 
-def observation_space(spec: Any) -> spaces.Space[Any]:
-    """Space of one environment's observation: a Box, or a Dict of them for a Composite spec."""
+def observation_space(spec: Any, batch_dims: int = 1) -> spaces.Space[Any]:
+    """Space of one environment's observation, or of one agent's: a Box, or a Dict of them for a Composite spec."""
     if hasattr(spec, "items"):
-        return spaces.Dict({name: observation_space(part) for name, part in spec.items()})
-    dtype = torch.empty((), dtype=spec.dtype).numpy().dtype.type
-    return spaces.Box(-np.inf, np.inf, tuple(spec.shape[1:]), dtype)
+        return spaces.Dict({name: observation_space(part, batch_dims) for name, part in spec.items()})
+    return unbounded(tuple(spec.shape[batch_dims:]), spec.dtype)
+
+
+def unbounded(shape: tuple[int, ...], dtype: torch.dtype) -> spaces.Box:
+    """Space of all arrays of a shape."""
+    return spaces.Box(-np.inf, np.inf, shape, torch.empty((), dtype=dtype).numpy().dtype.type)
 
 
 def action_space(core: SatelliteTasking) -> spaces.Discrete:
@@ -101,7 +111,7 @@ def check_seeds(seed: int | Sequence[int | None], count: int) -> list[int | None
     return seeds
 
 
-def reseed(core: SatelliteTasking, seed: int | Sequence[int | None], rows: Tensor) -> None:
+def reseed(core: Tasking, seed: int | Sequence[int | None], rows: Tensor) -> None:
     """Let the environments ``rows`` [N] start their first episode of ``seed`` at the next reset."""
     seeds = check_seeds(seed, len(rows))
     given = rows & torch.tensor([value is not None for value in seeds], device=rows.device)
@@ -110,9 +120,7 @@ def reseed(core: SatelliteTasking, seed: int | Sequence[int | None], rows: Tenso
     core.episode = core.episode.masked_fill(given, -1)
 
 
-def begin(
-    core: SatelliteTasking, rows: Tensor, seen: TensorDictBase | None = None, state: TensorDictBase | None = None
-) -> TensorDictBase:
+def begin(core: Tasking, rows: Tensor, seen: TensorDictBase | None = None, state: TensorDictBase | None = None) -> TensorDictBase:
     """Start new episodes in ``rows`` [N], or put a state of ``core.get_state()`` back; what all environments see then.
 
     ``seen`` is what they saw last: TorchRL's reset returns zeros for the other rows without it, and writes into what it is given.
@@ -122,6 +130,38 @@ def begin(
     if state is not None:
         call["state"] = state.clone()
     return core.reset(call, set_state=state is not None)
+
+
+# -- views of constellations ------------------------------------------------------------------------------------------
+
+
+def read_task(where: str, value: Any, satellite: Satellite, extra: int = 0) -> int:
+    """A satellite's action; None for going on. ``extra`` actions beyond its own, with which it also goes on, are legal."""
+    n, explicit = satellite.actions.n_actions, satellite.actions.explicit
+    if value is None:
+        return NO_ACTION
+    if isinstance(value, np.ndarray | Tensor) and value.ndim == 0:
+        value = value.item()
+    if isinstance(value, bool) or not isinstance(value, int | np.integer):
+        raise TypeError(f"{where} is {value!r}; it must be an integer, or None to go on with the task")
+    if value != NO_ACTION and not -explicit <= value < n + extra:
+        names = [f"{k}: {name}" for k, name in enumerate(satellite.action_description)]
+        names += [f"-1 to {-explicit}: a target by its index"] if explicit else []
+        names += [f"{n} or None: go on" if extra else "None: go on"]
+        raise ValueError(f"{where} is {value}; it must be one of {', '.join(names)}")
+    return int(value)
+
+
+def legal_tasks(core: ConstellationTasking) -> list[np.ndarray]:
+    """Which actions are legal as new tasks, [count, n] int8 for each type of satellites."""
+    return [as_numpy(part.action_mask()).astype(np.int8) for part in core.satellites]
+
+
+def satellite_infos(core: ConstellationTasking, seen: TensorDictBase) -> list[dict[str, Any]]:
+    """Whether each satellite needs a task, and what is counted of it."""
+    counted = {name: count[0].tolist() for name, count in counts(seen).items()}
+    idle = core.requires_retasking[0].tolist()
+    return [{"requires_retasking": idle[k], **{name: count[k] for name, count in counted.items()}} for k in range(len(idle))]
 
 
 # -- one episode ------------------------------------------------------------------------------------------------------
@@ -148,7 +188,7 @@ class GymEnv(gymnasium.Env[Any, Any]):
                 such an environment.
             **options: Arguments for the preset or function, such as ``time_limit=600.0``.
         """
-        self.core = build(core, options)
+        self.core = build(core, options, SatelliteTasking)
         if self.core.batch_size != (1,):
             raise ValueError(f"core has num_envs={self.core.batch_size[0]}; GymEnv needs 1, GymVectorEnv takes more")
         self.observation_space = observation_space(self.core.observation_spec["observation"])
@@ -243,8 +283,8 @@ class GymVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
             raise ValueError(f"output={output!r} must be one of {list(OUTPUTS)}")
         self.autoreset_mode, self.output = parse_mode(autoreset_mode), output
         self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}  # type: ignore[misc]
-        asks = num_envs is not None and not isinstance(core, SatelliteTasking)
-        self.core = build(core, options | ({"num_envs": num_envs} if asks else {}))
+        asks = num_envs is not None and not isinstance(core, Tasking)
+        self.core = build(core, options | ({"num_envs": num_envs} if asks else {}), SatelliteTasking)
         self.num_envs = self.core.batch_size[0]
         if num_envs not in (None, self.num_envs):
             raise ValueError(f"num_envs={num_envs}, but core has {self.num_envs}")

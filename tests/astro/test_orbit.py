@@ -5,7 +5,15 @@ import math
 import pytest
 import torch
 
-from bsk_torch.astro.orbit import Elements, elements_to_rv, hill_frame, hill_rate, periapsis_radius, rv_to_elements
+from bsk_torch.astro.orbit import (
+    Elements,
+    elements_to_rv,
+    hill_frame,
+    hill_rate,
+    hill_to_inertial,
+    periapsis_radius,
+    rv_to_elements,
+)
 from bsk_torch.constants import MU_EARTH
 from bsk_torch.vec3 import Vec3
 
@@ -42,6 +50,14 @@ def test_round_trip():
         assert ((angle >= 0) & (angle < 2.0 * math.pi)).all()
 
 
+def test_elements_do_not_depend_on_the_batch():
+    """To the last bit, which torch's atan2 and hypot differ in between the bulk and the rest of a tensor."""
+    r, v = elements_to_rv(random_elements(301))
+    whole = torch.stack(rv_to_elements(r, v))
+    alone = [rv_to_elements(*(Vec3(*(x[k : k + 1] for x in vector)) for vector in (r, v))) for k in range(301)]
+    assert torch.equal(torch.cat([torch.stack(oe) for oe in alone], 1), whole)
+
+
 def test_other_gravitational_parameter():
     mu = torch.tensor([4.9e12], dtype=torch.float64)
     oe = elements(a=2e6)
@@ -65,6 +81,18 @@ def test_equatorial(i, sign):
 def test_circular_equatorial():
     found = rv_to_elements(*elements_to_rv(elements(e=0.0, i=0.0, Omega=1.0, omega=2.0, f=0.5)))
     assert_same(found, elements(e=0.0, i=0.0, Omega=0.0, omega=0.0, f=3.5))
+
+
+def test_small_eccentricities_and_inclinations_can_be_kept():
+    """Elements with e = 1e-12 and i = 1e-12 lead back to the orbit; rounded, it moves by up to 2 a e = 14 micrometres."""
+    u = torch.rand(3, 300, dtype=torch.float64) * 2.0 * math.pi
+    tiny = torch.full_like(u[0], 1e-12)
+    r, v = elements_to_rv(Elements(torch.full_like(u[0], 7e6), tiny, tiny, *u))
+    kept = elements_to_rv(rv_to_elements(r, v, small=1e-14))
+    for found, expected, tolerance in zip(kept, (r, v), (1e-7, 1e-10), strict=True):  # a few roundings of 7e6 m, 7.5e3 m/s
+        torch.testing.assert_close(found.stack(), expected.stack(), rtol=0, atol=tolerance)
+    rounded, _ = elements_to_rv(rv_to_elements(r, v))
+    assert 7e-6 < (rounded - r).norm().amax() < 3e-5
 
 
 def test_negative_inclination_is_the_same_orbit_with_the_other_node():
@@ -116,6 +144,30 @@ def test_hill_rate_against_finite_differences():
     turned = (ahead - behind).norm() / (2.0 * dt)
     # (v dt / r)^2 and rounding, 1e-16 / (v dt / r), both stay below 1e-8
     torch.testing.assert_close(hill_rate(r, v), turned, rtol=1e-8, atol=0)
+
+
+def test_motion_relative_to_a_chief():
+    """The rate of change of the relative position in the turning Hill frame is what was asked for, by finite differences."""
+    rho, rho_dot = (Vec3.of(scale * torch.randn(300, 3, dtype=torch.float64)) for scale in (1e4, 10.0))
+    r_C, v_C = elements_to_rv(random_elements())
+    r_D, v_D = hill_to_inertial(r_C, v_C, rho, rho_dot)
+    torch.testing.assert_close((hill_frame(r_C, v_C) @ (r_D - r_C)).stack(), rho.stack(), rtol=0, atol=1e-7)  # of 4e7 m
+    dt = 0.1
+
+    def seen(t: float) -> torch.Tensor:
+        return (hill_frame(r_C + v_C * t, v_C) @ (r_D - r_C + (v_D - v_C) * t)).stack()
+
+    # truncation rho omega^3 dt^2, where the fastest chief turns by 7e-3 rad/s, is largest
+    torch.testing.assert_close((seen(dt) - seen(-dt)) / (2.0 * dt), rho_dot.stack(), rtol=0, atol=1e-4)
+
+
+def test_a_deputy_at_rest_in_the_hill_frame_by_hand():
+    """Radially 7 km above a chief on a circle of 7000 km it moves with the chief's angular rate."""
+    r_C, v_C = elements_to_rv(elements(a=7e6, e=0.0, i=0.0, Omega=0.0, omega=0.0, f=0.0))
+    zero = torch.zeros(1, dtype=torch.float64)
+    r, v = hill_to_inertial(r_C, v_C, Vec3(zero + 7e3, zero, zero), Vec3(zero, zero, zero))
+    assert r.stack()[0].tolist() == pytest.approx([7.007e6, 0.0, 0.0], abs=1e-8)
+    assert v.stack()[0].tolist() == pytest.approx([0.0, 1.001 * math.sqrt(MU_EARTH / 7e6), 0.0], abs=1e-11)
 
 
 def test_circular_orbit_by_hand():

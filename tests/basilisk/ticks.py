@@ -33,7 +33,7 @@ def make(arguments: dict, orbit: str) -> Simulator:
     options = dict(num_envs=1, device=torch.device("cpu"), dtype=torch.float64, sim_rate=1.0, horizon=600.0, backend="eager")
     simulator = Simulator(*models, values, {"utc_init": arguments["utc_init"]}, orbit=orbit, **options)
     zero = torch.zeros(1, dtype=torch.int64)
-    simulator.reset(simulator.all_rows, simulator.draw(Key(zero, zero, zero)), torch.full((1,), 600.0, dtype=torch.float64))
+    simulator.reset(simulator.all_rows, simulator.draw(Key(zero, zero, zero), {}), torch.full((1,), 600.0, dtype=torch.float64))
     return simulator
 
 

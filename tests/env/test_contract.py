@@ -52,7 +52,7 @@ def test_one_alone_equals_one_of_many_bit_for_bit():
         alone = make(1, time_limit=200.0, dtype=torch.float64, env_ids=[i])
         for a, b in zip(play(alone, plan[:, i : i + 1]), together, strict=True):
             assert equal(a, b, slice(i, i + 1))
-        assert torch.equal(alone.get_state()["pack"][0], many.get_state()["pack"][i])
+        assert torch.equal(alone.get_state()["type_0", "pack"][0], many.get_state()["type_0", "pack"][i])
 
 
 def test_a_pool_of_prepared_episodes_changes_nothing():
@@ -67,7 +67,7 @@ def test_a_pool_of_prepared_episodes_changes_nothing():
         a = many.reset(TensorDict({"_reset": mask}, [33]))
         b = few.reset(TensorDict({"_reset": mask[:2]}, [2]))
         assert torch.equal(a["observation"][row], b["observation"][row])
-    assert torch.equal(many.get_state()["pack"][:2], few.get_state()["pack"])
+    assert torch.equal(many.get_state()["type_0", "pack"][:2], few.get_state()["type_0", "pack"])
     assert many.episode[:3].tolist() == [2, 1, 0]
 
 
@@ -94,13 +94,9 @@ def test_partial_reset_touches_only_its_rows():
     after = env.get_state()
     for key in before.keys(True, True):
         assert torch.equal(before[key][1::2], after[key][1::2]), key
-    assert (after["ticks"] == 0).tolist() == [True, False, True, False]
-    assert (after["arguments", "wheelSpeeds"] != before["arguments", "wheelSpeeds"]).any(-1).tolist() == [
-        True,
-        False,
-        True,
-        False,
-    ]
+    assert (after["type_0", "ticks"] == 0).tolist() == [True, False, True, False]
+    speeds, old = (state["type_0", "arguments", "wheelSpeeds"] for state in (after, before))
+    assert (speeds != old).any(-1).tolist() == [True, False, True, False]
 
 
 def test_partial_step_touches_only_its_rows():
@@ -112,7 +108,7 @@ def test_partial_step_touches_only_its_rows():
     after = env.get_state()
     for key in before.keys(True, True):
         assert torch.equal(before[key][1:3], after[key][1:3]), key
-    assert after["ticks"].tolist() == [180, 0, 0, 60]
+    assert after["type_0", "ticks"].tolist() == [180, 0, 0, 60]
 
 
 @pytest.mark.parametrize("way", ["set_state", "state_dict", "pickle", "deepcopy"])
@@ -142,8 +138,24 @@ def test_state_of_a_step_is_restored_for_some_rows():
     play(env, actions(1, 3, seed=1), env.reset())
     rows = torch.tensor([[False], [True], [False]])
     env.reset(TensorDict({"state": saved.clone(), "_reset": rows}, [3]), set_state=True)
-    assert torch.equal(env.get_state()["pack"][1], saved["pack"][1])
-    assert not torch.equal(env.get_state()["pack"][0], saved["pack"][0])
+    assert torch.equal(env.get_state()["type_0", "pack"][1], saved["type_0", "pack"][1])
+    assert not torch.equal(env.get_state()["type_0", "pack"][0], saved["type_0", "pack"][0])
+
+
+def test_actions_and_outputs_stay_what_they_were():
+    """What was given to a step, and what it gave, is the caller's: neither later steps nor resets write to it."""
+    env = make(4)
+    td = env.reset()
+    kept = []
+    for action in actions(3, 4):
+        td = td.set("action", action.clone())
+        kept.append((td, td.clone()))
+        td = env.step(td)["next"].exclude("reward")
+        kept.append((td, td.clone()))
+        env.reset(TensorDict({"_reset": torch.tensor([[True], [False], [True], [False]])}, [4]))
+    for now, before in kept:
+        for key in before.keys(True, True):
+            assert torch.equal(now[key], before[key]), key
 
 
 def test_seeds():
@@ -181,14 +193,14 @@ def test_a_long_episode_after_short_ones_has_all_its_windows():
     env, long = make(2, time_limit=lambda: limit[0]), make(2, time_limit=40000.0)
     env.reset()
     limit[0] = 40000.0
-    before = env.get_state()["arcs_flown"][1].clone()
+    before = env.get_state()["type_0", "arcs_flown"][1].clone()
     long.reset()
     row = TensorDict({"_reset": torch.tensor([[True], [False]])}, [2])
     a, b = env.reset(row.clone()), long.reset(row.clone())
     assert torch.equal(a["observation"][0], b["observation"][0])
     mine, other = (e.simulator.access.windows["ground_station"] for e in (env, long))
     assert torch.equal(mine.close[0][mine.close[0] < 40000.0], other.close[0][other.close[0] < 40000.0])
-    assert torch.equal(env.get_state()["arcs_flown"][1][: len(before)], before)
+    assert torch.equal(env.get_state()["type_0", "arcs_flown"][1][: len(before)], before)
 
 
 def test_longest_step_and_fixed_intervals():

@@ -132,9 +132,9 @@ def test_bytes_of_an_environment(num_envs):
     before = env.bytes_per_env
     env.reset()
     assert (env.pool is None) == (num_envs == 8)
-    found = storages(env.simulator, {}, set())
+    found = storages(env.fleet, {}, set())
     if env.pool is not None:
-        storages(env.pool.simulator, found, set())
+        storages(env.pool.fleet, found, set())
     each = sum(found.values()) / num_envs
     assert abs(env.bytes_per_env / each - 1.0) < 0.25
     assert abs(before / each - 1.0) < 0.25

@@ -334,7 +334,7 @@ def test_composed_rewards_keep_their_terms():
         td = step(env, 1)
         terms = env.rewarder.terms
         total = terms["UniqueImageReward"] + terms["ResourceReward"]
-        torch.testing.assert_close(td["reward"].squeeze(-1), total, rtol=1e-12, atol=1e-15)
+        torch.testing.assert_close(td["reward"], total, rtol=1e-12, atol=1e-15)
     assert env.satellite.imaged.any()
     assert torch.equal(env.rewarder.imaged.sum(1), env.satellite.imaged)
     assert td["counts", "duplicates"].sum() == 0
@@ -352,7 +352,7 @@ def test_clouds_hide_what_is_below():
     expected = float((imaged & (cover <= 0.5)).mul(env.scenario.priority).sum())
     assert paid == pytest.approx(expected, rel=1e-12)
     covered = env.rewarder.memory["covered"]
-    assert torch.equal(covered, (imaged & (cover > 0.5)).sum(1))
+    assert torch.equal(covered, (imaged & (cover > 0.5)).sum(1, keepdim=True))
     assert covered.any()
 
 

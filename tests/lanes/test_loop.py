@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from bsk_torch.lanes.expr import ALWAYS, DOUBLE, SINGLE, TICK, Program
-from bsk_torch.lanes.loop import Loop, Samples
+from bsk_torch.lanes.loop import Entry, Loop, Samples
 from bsk_torch.sim.component import Field, Track
 
 pytestmark = pytest.mark.compiled
@@ -114,7 +114,7 @@ def test_the_expected_order_changes_nothing(n):
 
 
 def test_counts_are_not_changed():
-    for n in (*SIZES, fuses("").width):
+    for n in (*SIZES, fuses("").alone.width):
         rows = Rows(n)
         before = rows.counts.clone()
         rows.after(fuses(""))
@@ -145,9 +145,9 @@ def test_several_threads():
 @pytest.mark.parametrize(("blocks", "threads"), [(0, 1), (1, 1), (2, 2), (5, 4)])
 def test_no_more_threads_than_blocks(blocks, threads, monkeypatch):
     kernel, seen = fuses(""), []
-    monkeypatch.setattr(kernel, "_run", lambda *args: seen.append(args[:2]))
+    monkeypatch.setattr(kernel, "alone", Entry(kernel.alone.width, lambda *args: seen.append(args[:2])))
     monkeypatch.setattr(torch, "get_num_threads", lambda: 4)
-    Rows(blocks * kernel.width).after(kernel)
+    Rows(blocks * kernel.alone.width).after(kernel)
     assert seen == [(blocks, threads)]
 
 

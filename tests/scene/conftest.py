@@ -1,4 +1,4 @@
-"""A satellite that holds what scenarios draw, as an environment would."""
+"""A fleet that holds what scenarios draw, as an environment would."""
 
 from __future__ import annotations
 
@@ -23,22 +23,20 @@ def rows_of(whole: rand.Key, rows: list[int]) -> rand.Key:
     return rand.Key(whole.seed[rows], whole.env_id[rows], whole.episode[rows], whole.name)
 
 
-class HoldingSimulator:
-    """Arguments of N environments and their time."""
+class HoldingFleet:
+    """What the scenario has drawn for N episodes of one satellite, and their time."""
 
     def __init__(self, n: int) -> None:
-        self.n, self.sim_time, self.drawn = n, torch.zeros(n, dtype=torch.float64), {}
+        self.num_envs, self.sim_time, self.tables = n, torch.zeros(n, dtype=torch.float64), {}
+        self.parts = (SimpleNamespace(name="Imager", target_types=("target",)),)
 
-    def remember(self, rows: torch.Tensor, values: dict[str, torch.Tensor]) -> None:
-        for name, value in values.items():
+    def keep(self, envs: torch.Tensor, asked: dict[str, torch.Tensor]) -> None:
+        for name, value in asked.items():
             assert value.dtype == torch.float64, name
-            assert len(value) in (1, len(rows)), name
-            if name not in self.drawn:
-                self.drawn[name] = torch.zeros(self.n, *value.shape[1:], dtype=torch.float64)
-            self.drawn[name][rows] = value
-
-    def argument(self, name: str) -> torch.Tensor:
-        return self.drawn[name]
+            assert len(value) in (1, len(envs)), name
+            if name not in self.tables:
+                self.tables[name] = torch.zeros(self.num_envs, *value.shape[1:], dtype=torch.float64)
+            self.tables[name][envs] = value
 
 
 @pytest.fixture
@@ -47,9 +45,9 @@ def begin() -> Callable[..., scene.TargetScenario]:
 
     def start(scenario: scene.TargetScenario, whole: rand.Key | int = 4) -> scene.TargetScenario:
         whole = key(whole) if isinstance(whole, int) else whole
-        simulator, linked = HoldingSimulator(len(whole)), copy.copy(scenario)
-        linked.link_satellite(SimpleNamespace(name="Imager", target_types=("target",), simulator=simulator))
-        simulator.remember(torch.arange(len(whole)), scenario.draw(whole))
+        fleet, linked = HoldingFleet(len(whole)), copy.copy(scenario)
+        linked.link(fleet)
+        fleet.keep(torch.arange(len(whole)), scenario.draw(whole))
         linked.reset(torch.arange(len(whole)))
         return linked
 
@@ -61,8 +59,8 @@ def move() -> Callable[..., None]:
     """Moves a linked scenario to a time, s, the same for all environments or one for each."""
 
     def to(scenario: scene.TargetScenario, time: float | torch.Tensor) -> None:
-        simulator = scenario.satellite.simulator
-        simulator.sim_time = torch.as_tensor(time, dtype=torch.float64).expand(simulator.n).clone()
-        scenario.after_step(simulator.sim_time)
+        fleet = scenario.fleet
+        fleet.sim_time = torch.as_tensor(time, dtype=torch.float64).expand(fleet.num_envs).clone()
+        scenario.after_step(fleet.sim_time)
 
     return to

@@ -36,7 +36,7 @@ def test_targets_change_with_time(begin, move):
 def test_a_step_is_paid_by_what_was_seen_before(begin, move):
     """While the simulation moves, priorities stay; they follow after the reward."""
     scenario = begin(Deadlines(2, 2.0), 1)
-    scenario.satellite.simulator.sim_time += 100.0
+    scenario.fleet.sim_time += 100.0
     assert scenario.priority.tolist() == [[2, 2]]
     assert scenario.available.all()
     assert scenario.priority is scenario.priority
@@ -49,9 +49,9 @@ def test_reset_begins_anew_and_leaves_the_others(begin, move):
     scenario = begin(Deadlines(2, rand.Uniform()), 2)
     move(scenario, 80.0)
     before = scenario.priority
-    simulator, rows = scenario.satellite.simulator, torch.tensor([1])
-    simulator.remember(rows, scenario.draw(rows_of(key(2, episode=1), [1])))
-    simulator.sim_time[1] = 0.0
+    fleet, rows = scenario.fleet, torch.tensor([1])
+    fleet.keep(rows, scenario.draw(rows_of(key(2, episode=1), [1])))
+    fleet.sim_time[1] = 0.0
     scenario.reset(rows)
     assert torch.equal(scenario.priority[0], before[0])
     assert scenario.priority[1].max() < 1.0

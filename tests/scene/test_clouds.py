@@ -90,7 +90,7 @@ class Everywhere(scene.UniformTargets):
 def test_new_targets_and_forecasts_show_after_a_reset(begin, targets):
     scenario = begin(scene.CloudyTargets(targets, largest_forecast=0.5), 2)
     before, rows = scenario.available, torch.tensor([0, 1])
-    scenario.satellite.simulator.remember(rows, scenario.draw(key(2, episode=1)))
+    scenario.fleet.keep(rows, scenario.draw(key(2, episode=1)))
     scenario.reset(rows)
     exists = scenario.drawn("target_exists").bool()
     assert torch.equal(scenario.available, (scenario.cloud_forecast <= 0.5) & exists)
@@ -101,7 +101,7 @@ def test_environments_that_share_a_scenario_do_not_share_its_targets(begin):
     shared = scene.CloudyTargets(scene.UniformTargets(3))
     one, two = begin(shared, key(2)), begin(shared, key(2, seed=8))
     assert not torch.equal(one.priority, two.priority)
-    assert not hasattr(shared.targets, "satellite")
+    assert not hasattr(shared.targets, "fleet")
 
 
 def test_names_are_those_of_the_targets(begin):

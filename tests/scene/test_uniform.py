@@ -109,7 +109,7 @@ def test_static_targets_cost_nothing_per_step(begin, move):
 def test_a_reset_of_some_rows_shows(begin):
     scenario = begin(scene.UniformTargets((1, 40)), 3)
     before, rows = scenario.available, torch.tensor([1])
-    scenario.satellite.simulator.remember(rows, scenario.draw(rows_of(key(3, episode=1), [1])))
+    scenario.fleet.keep(rows, scenario.draw(rows_of(key(3, episode=1), [1])))
     scenario.reset(rows)
     assert torch.equal(scenario.available[[0, 2]], before[[0, 2]])
     assert not torch.equal(scenario.available[1], before[1])
@@ -211,7 +211,7 @@ def test_wrong_radius():
 
 def test_a_satellite_without_targets():
     with pytest.raises(ValueError, match=r"scene.UniformTargets needs a satellite that sees targets, .*; Scanner is a SimpleN"):
-        scene.UniformTargets(3).link_satellite(SimpleNamespace(name="Scanner"))
+        scene.UniformTargets(3).link(SimpleNamespace(parts=(SimpleNamespace(name="Scanner"),)))
 
 
 def test_own_layouts_are_checked(begin):

@@ -216,7 +216,7 @@ def test_laws_in_single_precision(task):
 @pytest.mark.parametrize(
     ("mode", "on"),
     [
-        ("idle", set()),
+        ("idle", {"instrument_power", "transmitter_on", "thruster_power"}),
         ("drift", set()),
         ("charge", {"control_on", "sun_on"}),
         ("nadir_point", {"control_on", "nadir_on"}),

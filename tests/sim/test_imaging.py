@@ -212,7 +212,7 @@ def imager(backend: str) -> Simulator:
     models = dyn.GroundStationDynModel, fsw.SteeringImagerFSWModel
     options = dict(num_envs=n, device=torch.device("cpu"), dtype=torch.float64, sim_rate=1.0, horizon=600.0, stops=True)
     simulator = Simulator(*models, ARGS, WORLD, orbit="arc", backend=backend, **options)
-    simulator.reset(simulator.all_rows, simulator.draw(first_key(n)), torch.full((n,), 600.0, dtype=torch.float64))
+    simulator.reset(simulator.all_rows, simulator.draw(first_key(n), {}), torch.full((n,), 600.0, dtype=torch.float64))
     modes = torch.cat([simulator.mode_index(mode)[:1] for mode in MODES])
     simulator.command(torch.ones(n, dtype=torch.bool), modes)
     view = simulator.tick.state.view
@@ -309,7 +309,7 @@ def test_float32_has_the_same_data():
     args = {name: value for name, value in ARGS.items() if name not in ("K1", "omega_max", "servo_P")}
     options = dict(num_envs=2, device=torch.device("cpu"), dtype=torch.float32, sim_rate=1.0, horizon=600.0, backend="eager")
     simulator = Simulator(*models, args, {"utc_init": WORLD["utc_init"]}, **options)
-    simulator.reset(simulator.all_rows, simulator.draw(first_key(2)), torch.full((2,), 600.0, dtype=torch.float64))
+    simulator.reset(simulator.all_rows, simulator.draw(first_key(2), {}), torch.full((2,), 600.0, dtype=torch.float64))
     simulator.tick.state.view(simulator.pack, "target_r_P")[:] = places()[2:3].mT
     simulator.command(torch.ones(2, dtype=torch.bool), simulator.mode_index("image"))
     simulator.run(torch.tensor([TICKS, 1]))

@@ -218,3 +218,157 @@ def test_nearest():
 def test_stations_are_the_same_for_all_environments():
     with pytest.raises(ValueError, match=r"gsMinimumElevation=Uniform.* must be the same"):
         Arguments(WORLD, {"gsMinimumElevation": rand.Uniform(0.1, 0.2)}, "world_args").draw(key())
+
+
+# -- several satellites -----------------------------------------------------------------------------------------------
+
+
+def several(*given: dict, columns: tuple[int, ...] | None = None, n: int = 3) -> dict:
+    """What satellites with these arguments draw, rows environment-major."""
+    return Arguments(PARTS, given, "sat_args", range(len(given)) if columns is None else columns).draw(key(n))
+
+
+def test_satellites_with_the_same_arguments():
+    """Each draws its own values, the first one those that it would draw alone; constants stay one row."""
+    given = {"K": rand.Uniform(), "sigma_init": rand.Uniform(size=3), "mass": 100.0, "P": lambda: 5.0}
+    values = Arguments(PARTS, given, "sat_args", (0, 1)).draw(key())
+    assert values["mass"].tolist() == [100.0]
+    assert values["P"].tolist() == [5.0] * 6
+    for name in ("K", "sigma_init"):
+        assert len(values[name].unique()) == values[name].numel()
+        assert torch.equal(values[name][::2], draw({name: given[name]})[name])
+    listed = several(given, given)
+    assert all(torch.equal(listed[name], values[name]) for name in given)
+
+
+def test_draws_of_a_satellite_depend_on_its_number_only():
+    whole = several(*[{"K": rand.Uniform()}] * 6)["K"].view(3, 6)
+    part = Arguments(PARTS, {"K": rand.Uniform()}, "sat_args", (4, 1)).draw(key())
+    assert torch.equal(part["K"].view(3, 2), whole[:, [4, 1]])
+    alone = several({"K": rand.Uniform()}, columns=(5,), n=1)
+    assert torch.equal(alone["K"], whole[:1, 5])
+
+
+@pytest.mark.parametrize(
+    ("one", "other"),
+    [
+        (100.0, 100.0),
+        ([0.1, 0.2, 0.3], [0.1, 0.2, 0.3]),
+        (np.array([0.1, 0.2, 0.3]), np.array([0.1, 0.2, 0.3])),
+        (torch.tensor([0.1, 0.2, 0.3]), torch.tensor([0.1, 0.2, 0.3])),
+    ],
+    ids=["number", "list", "array", "tensor"],
+)
+def test_equal_constants_are_kept_once(one, other):
+    name = "mass" if isinstance(one, float) else "sigma_init"
+    assert len(several({name: one}, {name: other})[name]) == 1
+
+
+def test_equal_distributions_draw_as_one():
+    """Built anew for every satellite, or not: the draws are the same."""
+    apart = several(*({"K": rand.Uniform(1.0, 2.0)} for _ in range(3)))
+    assert torch.equal(apart["K"], several(*[{"K": rand.Uniform(1.0, 2.0)}] * 3)["K"])
+
+
+def test_different_constants():
+    values = several({"mass": 100.0, "nHat_B": [1.0, 0.0, 0.0]}, {"mass": 200}, {"desatAttitude": "nadir"})
+    assert values["mass"].tolist() == [100.0, 200.0, 330.0] * 3
+    assert values["nHat_B"].view(3, 3, 3)[2].tolist() == [[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 0.0, -1.0]]
+    assert values["desatAttitude"].view(3, 3).tolist() == [[0.0, 0.0, 1.0]] * 3
+    assert values["K"].tolist() == [7.0]
+
+
+def test_different_distributions_callables_and_constants():
+    draws = iter(range(100))
+    given = {"K": rand.Uniform(1.0, 2.0)}, {"K": 7.0}, {"K": lambda: float(next(draws))}, {"K": rand.Uniform(3.0, 5.0)}
+    k = several(*given)["K"].view(3, 4)
+    assert torch.equal(k[:, 0], draw(given[0])["K"])
+    assert k[:, 1:3].tolist() == [[7.0, 0.0], [7.0, 1.0], [7.0, 2.0]]
+    assert torch.equal(k[:, 3], 3.0 + 2.0 * several(*[{"K": rand.Uniform()}] * 4)["K"].view(3, 4)[:, 3])
+    arguments = Arguments(PARTS, [{}, {"K": rand.Uniform()}, {}], "sat_args", range(3))
+    assert arguments.is_random("K")
+    assert not arguments.is_random("P")
+    assert rand.Uniform() in arguments.all_given
+    assert arguments.given["K"] == 7.0
+
+
+def test_constants_of_satellites_are_repeated_for_every_draw():
+    arguments = Arguments(PARTS, [{"mass": 100.0}, {"mass": 200.0}], "sat_args", range(2))
+    assert arguments.draw(key(1))["mass"].tolist() == [100.0, 200.0]
+    assert arguments.draw(key(3))["mass"].tolist() == [100.0, 200.0] * 3
+
+
+def test_none_for_some_satellites():
+    values = several({"imageRateErrorRequirement": None}, {"imageRateErrorRequirement": 0.1, "transmitterPacketSize": None})
+    assert values["imageRateErrorRequirement"].tolist() == [math.inf, 0.1] * 3
+    assert values["transmitterPacketSize"] is None
+    words = "sat_args: transmitterPacketSize must be given for all satellites of a type, or for none"
+    with pytest.raises(ValueError, match=words):
+        several({"transmitterPacketSize": None}, {"transmitterPacketSize": -8.0})
+    with pytest.raises(ValueError, match="sat_args: oe must be given for all satellites of a type, or for none"):
+        several({"oe": ORBIT}, {"rN": [7e6, 0, 0], "vN": [0, 7e3, 0]})
+
+
+@pytest.mark.parametrize(
+    ("given", "kind", "message"),
+    [
+        ({"Mass": 1.0}, KeyError, "sat_args['Mass'] is unknown; did you mean 'mass'?"),
+        ({"mass": -1.0}, ValueError, "sat_args: mass=-1 kg is not allowed"),
+        ({"mass": [1.0, 2.0]}, ValueError, "sat_args: mass needs one number for each environment (kg); got shape [2]"),
+        ({"mass": None}, ValueError, "sat_args: mass=None is not allowed; give hub mass in kg"),
+    ],
+    ids=["unknown", "negative", "shape", "none"],
+)
+def test_messages_about_later_satellites(given, kind, message):
+    with pytest.raises(kind, match=re.escape(message)):
+        several({}, given)
+
+
+def test_what_is_the_same_for_all_environments_is_so_for_all_satellites():
+    with pytest.raises(ValueError, match="world_args: gsMinimumElevation must be the same for all satellites of a type"):
+        Arguments(WORLD, [{}, {"gsMinimumElevation": 0.5}], "world_args", range(2)).draw(key())
+
+
+def test_what_is_known_is_not_drawn_again():
+    def never():
+        raise AssertionError("asked again")
+
+    known = {"utc_init": torch.tensor([1.0, 2.0, 3.0])}
+    values = Arguments(WORLD, {"utc_init": never}, "world_args").draw(key(), known)
+    assert values["utc_init"] is known["utc_init"]
+
+
+# -- arguments that replace others ------------------------------------------------------------------------------------
+
+THREE = Arguments(PARTS, {}, "sat_args", (0, 1, 2))
+
+
+def test_override_some_satellites():
+    """Satellites 2 and 0 of two environments get other masses, whether the old ones are one row or one for each."""
+    given = torch.tensor([[20.0, 10.0], [40.0, 30.0]])
+    for old in (torch.tensor([5.0]), torch.full((6,), 5.0)):
+        old = old.double()
+        before = old.clone()
+        new = THREE.override("mass", old, torch.tensor([2, 0]), given)
+        assert new.tolist() == [10.0, 5.0, 20.0, 30.0, 5.0, 40.0]
+        assert torch.equal(old, before)
+
+
+def test_override_all_satellites():
+    orbits = torch.tensor(ORBIT, dtype=torch.float64) + torch.arange(6).view(2, 3, 1)
+    new = THREE.override("oe", None, torch.tensor([1, 0, 2]), orbits)
+    assert torch.equal(new, orbits[:, [1, 0, 2]].flatten(0, 1))
+
+
+@pytest.mark.parametrize(
+    ("name", "given", "kind", "message"),
+    [
+        ("Mass", [[1.0]], KeyError, "sat_arg_randomizer sets 'Mass', which is unknown; did you mean 'mass'?"),
+        ("mass", [[-1.0]], ValueError, "mass=-1 kg is not allowed; it must lie in [1e-06, inf]"),
+        ("mass", [[[1.0, 2.0]]], ValueError, "mass needs one number for each environment (kg); got shape [2]"),
+        ("oe", [[ORBIT]], ValueError, "sat_arg_randomizer sets oe of some satellites of a type; the others need one in sat_args"),
+    ],
+)
+def test_wrong_overrides(name, given, kind, message):
+    with pytest.raises(kind, match=re.escape(message)):
+        THREE.override(name, None, torch.tensor([0]), torch.tensor(given, dtype=torch.float64))

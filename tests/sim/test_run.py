@@ -258,6 +258,47 @@ def test_loops_seldom_ask_whether_all_rows_have_ended(longest, questions, monkey
     assert len(ran) == min(longest, 256)
 
 
+# -- teams ------------------------------------------------------------------------------------------------------------------
+
+
+def in_teams(episodes: int, team: int, longest: int) -> tuple[Flight, torch.Tensor, torch.Tensor]:
+    """Rows of the same clock, numbers of ticks for them, and how many they will run."""
+    start = flight(episodes * team)
+    ticks = start.ticks[::team].repeat_interleave(team)
+    counts = torch.where(torch.rand(episodes) < 0.2, 0, torch.randint(0, longest, (episodes,))).repeat_interleave(team)
+    ends = stops(start, counts).view(episodes, team).amin(1).repeat_interleave(team)
+    return dataclasses.replace(start, ticks=ticks, team=team), counts, ends
+
+
+@pytest.mark.parametrize("team", [1, 2, 3, 7, 12, 40])
+def test_teams_end_with_the_first_row_that_stops(team, stopping, runners):
+    """Bit for bit as if all rows had been to run that long."""
+    for episodes, longest in ((1, 20), (3, 64), (20, 65), (9, 300)):
+        start, counts, ends = in_teams(episodes, team, longest)
+        for order in (None, ends):
+            copy = dataclasses.replace(start, state=start.state.clone(), order=order)
+            assert torch.equal(stopping.run(copy, counts), ends)
+            assert torch.equal(copy.state, after(runners, start, ends))
+
+
+@pytest.mark.parametrize("tick", [1, 64, 65, 129])
+def test_teams_may_stop_in_their_first_and_in_their_last_tick(tick, stopping, runners):
+    start, counts = flight(12), torch.tensor([tick, tick + 1, 300, 0]).repeat_interleave(3)
+    start.own[0], start.ticks[:] = 2.0, start.ticks[0]
+    start.own[0, 1::3] = tick / 200.0
+    copy = dataclasses.replace(start, state=start.state.clone(), team=3)
+    ends = torch.tensor([tick, tick, tick, 0]).repeat_interleave(3)
+    assert torch.equal(stopping.run(copy, counts), ends)
+    assert torch.equal(copy.state, after(runners, start, ends))
+
+
+def test_teams_that_do_not_stop_are_none(runners):
+    start, counts = flight(12), torch.randint(0, 50, (12,))
+    copy = dataclasses.replace(start, state=start.state.clone(), team=4)
+    assert torch.equal(runners.run(copy, counts), counts)
+    assert torch.equal(copy.state, after(runners, start, counts))
+
+
 @pytest.mark.parametrize(
     "make", [lambda tick, flight: tick.kernel(), lambda tick, flight: loop(tick.step)(flight, flight.ticks + 1)]
 )
@@ -307,3 +348,29 @@ def test_satellites_fly_in_parts_as_in_one(scanners):
     between = after(scanners.runners, start, first)
     later = dataclasses.replace(start, state=between, ticks=start.ticks + first)
     assert torch.equal(after(scanners.runners, later, counts - first), after(scanners.runners, start, counts))
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize("dtype", [torch.float64, torch.float32])
+def test_satellites_of_a_team_are_bit_identical_to_lonely_ones(dtype):
+    """In all modes, where images end runs: whatever the team, each is as if it had been to fly that long."""
+    env = bsk_torch.make("AEOS-v1", num_envs=84, n_targets=300, seed=4, backend="compiled", sim_dtype=dtype)
+    runners, flights = env.simulator.runners, []
+
+    def run(flight: Flight, counts: torch.Tensor) -> torch.Tensor:
+        flights.append((dataclasses.replace(flight, state=flight.state.clone()), runners.run(flight, counts)))
+        return flights[-1][1]
+
+    env.simulator.runners = runners._replace(run=run)
+    env.step(env.reset().set("action", torch.randint(0, 32, (84,))))
+    (start, flown), early = flights[0], 0
+    start.mode[::7] = torch.randint(0, start.flags.shape[1], (12,))
+    for team in (2, 3, 12, 42):
+        counts = flown.view(-1, team).amax(1).repeat_interleave(team) + torch.randint(0, 2, (84 // team,)).repeat_interleave(team)
+        lonely = dataclasses.replace(start, state=start.state.clone())
+        ends = runners.run(lonely, counts).view(-1, team).amin(1).repeat_interleave(team)
+        together = dataclasses.replace(start, state=start.state.clone(), team=team)
+        assert torch.equal(runners.run(together, counts), ends)
+        assert torch.equal(together.state, after(runners, start, ends))
+        early += int((ends < counts).sum())
+    assert early > 20

@@ -9,6 +9,7 @@ from bsk_torch.sim.dyn.models import (
     EclipseDynModel,
     GroundStationDynModel,
     ImagingDynModel,
+    LOSCommDynModel,
 )
 from bsk_torch.sim.model import aliveness_checker
 from bsk_torch.sim.observe import Now, observable, vital
@@ -22,6 +23,7 @@ __all__ = [
     "EclipseDynModel",
     "GroundStationDynModel",
     "ImagingDynModel",
+    "LOSCommDynModel",
     "Now",
     "aliveness_checker",
     "observable",

@@ -10,7 +10,7 @@ from torch import Tensor
 from bsk_torch.astro.orbit import Elements
 from bsk_torch.constants import RPM
 from bsk_torch.sim import world
-from bsk_torch.sim.component import Component
+from bsk_torch.sim.component import Arg, Component
 from bsk_torch.sim.dyn import drag, events, hub, partitions, power, storage, thrusters, wheels
 from bsk_torch.sim.model import Model
 from bsk_torch.sim.observe import Now, observable, vital
@@ -262,3 +262,15 @@ class GroundStationDynModel(ImagingDynModel):
     """Adds ground stations, without which the transmitter has no one to send to."""
 
     world_components: ClassVar[tuple[Component, ...]] = (world.GROUND_STATIONS,)
+
+
+class LOSCommDynModel(DynamicsModel):
+    """Lets satellites see one another; see :class:`~bsk_torch.comm.LOSCommunication`."""
+
+    components: ClassVar[tuple[Component, ...]] = (
+        Component(
+            slot="los_comms",
+            order=230,
+            args=(Arg("losMaximumRange", -1.0, "m", "longest range of sight to other satellites; no limit where not positive"),),
+        ),
+    )

@@ -12,7 +12,7 @@ from bsk_torch.sim.observe import Now, observable
 from bsk_torch.vec3 import Vec3
 
 IDLE = "idle"
-"""The mode before the first command: nothing runs."""
+"""The mode before the first command: no task runs, but the devices are on, and the transmitter sends."""
 
 
 class FSWModel(Model):
@@ -23,7 +23,7 @@ class FSWModel(Model):
     """
 
     components: ClassVar[tuple[Component, ...]] = (guidance.NAVIGATION,)
-    modes: ClassVar[dict[str, Mode | None]] = {IDLE: Mode(on=())}
+    modes: ClassVar[dict[str, Mode | None]] = {IDLE: Mode(on=("instrument_power", "transmitter_on", "thruster_power"))}
     commands: ClassVar[dict[str, Command]] = {}
 
     @classmethod

@@ -1,0 +1,16 @@
+"""Communication: which satellites tell others what they know."""
+
+from bsk_torch.comm.base import CommunicationMethod, FreeCommunication, NoCommunication
+from bsk_torch.comm.broadcast import BroadcastCommunication
+from bsk_torch.comm.los import LOSCommunication, LOSMultiCommunication
+from bsk_torch.comm.multi import MultiDegreeCommunication
+
+__all__ = [
+    "BroadcastCommunication",
+    "CommunicationMethod",
+    "FreeCommunication",
+    "LOSCommunication",
+    "LOSMultiCommunication",
+    "MultiDegreeCommunication",
+    "NoCommunication",
+]

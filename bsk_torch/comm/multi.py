@@ -1,0 +1,35 @@
+"""Satellites pass on what they hear."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import torch
+from torch import Tensor
+
+from bsk_torch.comm.base import CommunicationMethod
+
+
+def connected(pairs: Tensor) -> Tensor:
+    """Which nodes a path along ``pairs`` [N, S, S], taken in either direction, connects, [N, S, S] booleans; each to itself, too.
+
+    Paths of up to 1, 2, 4, ... links are found by squaring the matrix, until there are no more.
+    """
+    size = pairs.shape[-1]
+    near = pairs | pairs.mT | torch.eye(size, dtype=torch.bool, device=pairs.device)
+    for _ in range(max(0, size - 2).bit_length()):
+        links = near.float()  # counts of paths may round, but never to zero
+        before, near = near, links @ links > 0.5
+        if torch.equal(near, before):
+            break
+    return near
+
+
+class MultiDegreeCommunication(CommunicationMethod):
+    """Refines another way of communication: everybody whom a chain of its pairs connects talks in the same step."""
+
+    refines: ClassVar[bool] = True
+
+    def communication_pairs(self) -> Tensor:
+        """See :meth:`CommunicationMethod.communication_pairs`."""
+        return connected(super().communication_pairs()) & ~torch.eye(self.fleet.size, dtype=torch.bool, device=self.fleet.device)

@@ -1,0 +1,79 @@
+"""Arguments that are drawn for all satellites of an episode together: formations, or functions of the user."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from bsk_torch.formations import Formation
+from bsk_torch.rand import Key
+from bsk_torch.sats.satellite import Satellite
+from bsk_torch.sim.params import nearest, numbers
+
+Draws = dict[str, tuple[Sequence[int], Tensor]]
+"""By argument: the satellites [c] that it is set for, and its values [n, c, ...]."""
+
+
+class Randomizer:
+    """Draws what a ``sat_arg_randomizer`` says, for the key's n environments."""
+
+    def __init__(
+        self, given: Formation | Callable[[list[Satellite]], Mapping[Any, Any]], satellites: Sequence[Satellite]
+    ) -> None:
+        """Raise what the formation says about the names of the ``satellites``."""
+        self.given, self.satellites = given, list(satellites)
+        self.names = [satellite.name for satellite in satellites]
+        if isinstance(given, Formation):
+            given.check(self.names)
+
+    @property
+    def calls_user(self) -> bool:
+        """Whether a function of the user's is called, which should be asked only for episodes that begin now."""
+        return not isinstance(self.given, Formation)
+
+    def __call__(self, key: Key) -> Draws:
+        """Arguments by name."""
+        if isinstance(self.given, Formation):
+            return self.given.draw(key, self.names)
+        return self._stacked([self._asked() for _ in range(len(key))])
+
+    def _asked(self) -> dict[tuple[str, int], Any]:
+        """What the user's function says of one episode, by argument and satellite."""
+        answer = self.given(self.satellites)  # type: ignore[operator]
+        return {(name, self._number(who)): value for who, args in answer.items() for name, value in args.items()}
+
+    def _number(self, who: Any) -> int:
+        name = getattr(who, "name", who)
+        if name not in self.names:
+            raise ValueError(
+                f"sat_arg_randomizer sets arguments of {name!r}, which is no satellite; {nearest(str(name), self.names)}"
+            )
+        return self.names.index(name)
+
+    @staticmethod
+    def _stacked(episodes: list[dict[tuple[str, int], Any]]) -> Draws:
+        if any(episode.keys() != episodes[0].keys() for episode in episodes):
+            raise ValueError(
+                "sat_arg_randomizer sets other arguments in one episode than in another; it must set the same in all"
+            )
+        draws: Draws = {}
+        for name in dict.fromkeys(name for name, _ in episodes[0]):
+            columns = [k for other, k in episodes[0] if other == name]
+            rows = [torch.stack([numbers(episode[name, k]) for k in columns]) for episode in episodes]
+            draws[name] = columns, torch.stack(rows)
+        return draws
+
+
+def make_randomizer(given: Any, satellites: Sequence[Satellite]) -> Randomizer | None:
+    """What draws for a ``sat_arg_randomizer``; TypeError for what is neither a formation nor a function."""
+    if given is None:
+        return None
+    if not isinstance(given, Formation) and not callable(given):
+        raise TypeError(
+            f"sat_arg_randomizer={given!r} must be a formation, such as formations.walker_delta_args(3), or a function of the "
+            "list of satellites that returns {satellite: {argument: value}}"
+        )
+    return Randomizer(given, satellites)

@@ -1,0 +1,80 @@
+"""Which satellites of a list are of the same type, so that one simulation can hold them."""
+
+from __future__ import annotations
+
+import keyword
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+from bsk_torch.rand import MOST_SATELLITES
+from bsk_torch.sats.satellite import Satellite
+from bsk_torch.sim.component import Component, collect
+from bsk_torch.sim.params import alike, nearest
+
+OWN = ("name", "sat_args_generator")
+"""Attributes in which satellites of one type may differ."""
+
+
+def check_names(satellites: Sequence[Satellite]) -> list[str]:
+    """Names of the satellites; ValueError where there are none, too many, or names that are no identifiers or not unique."""
+    if not satellites:
+        raise ValueError("satellites is empty; an environment needs at least one satellite")
+    if len(satellites) > MOST_SATELLITES:
+        raise ValueError(f"satellites has {len(satellites)} entries; at most {MOST_SATELLITES} are possible")
+    for satellite in satellites:
+        if not isinstance(satellite, Satellite):
+            raise TypeError(f"satellites holds {satellite!r}, which is no satellite; write MySatellite('Name'), with parentheses")
+    names = [satellite.name for satellite in satellites]
+    for name in names:
+        if not name.isidentifier() or keyword.iskeyword(name):
+            raise ValueError(f"name={name!r} must be a Python identifier, such as 'Scanner1'")
+    if twice := sorted({name for name in names if names.count(name) > 1}):
+        raise ValueError(f"satellites has several called {twice}; every satellite needs a name of its own")
+    return names
+
+
+def same_type(a: Satellite, b: Satellite) -> bool:
+    """Whether two satellites differ in nothing but their names and the values of arguments that may differ."""
+    if type(a) is not type(b):
+        return False
+    options, others = ({n: v for n, v in vars(x).items() if n not in OWN} for x in (a, b))
+    if options.keys() != others.keys() or not all(alike(options[name], others[name]) for name in options):
+        return False
+    if a.sat_args_generator is b.sat_args_generator:
+        return True
+    table = a.default_sat_args().rows
+    fixed = [name for name, arg in table.items() if arg.shared or arg.kind in ("constant", "stations")]
+    mine, theirs = a.sat_args_generator, b.sat_args_generator
+    if any((mine.get(name) is None) != (theirs.get(name) is None) for name in ("rN", "vN")):
+        return False
+    return all(alike(mine.get(name, table[name].default), theirs.get(name, table[name].default)) for name in fixed)
+
+
+def grouped(satellites: Sequence[Satellite]) -> list[list[int]]:
+    """Numbers of the satellites of each type, in the order in which types appear."""
+    types: list[list[int]] = []
+    for k, satellite in enumerate(satellites):
+        mine = next((columns for columns in types if same_type(satellites[columns[0]], satellite)), None)
+        if mine is None:
+            types.append([k])
+        else:
+            mine.append(k)
+    return types
+
+
+def world_components(satellite: Satellite) -> tuple[Component, ...]:
+    """What a satellite's models need of the world."""
+    return collect(reversed(satellite.dyn_type.__mro__), "world_components")
+
+
+def world_arguments(satellite: Satellite) -> list[str]:
+    """Names of the arguments of a satellite's world."""
+    return [arg.name for component in world_components(satellite) for arg in component.args]
+
+
+def check_world(world_args: Mapping[str, Any], known: Iterable[Iterable[str]]) -> None:
+    """KeyError for an argument that the world of no satellite has."""
+    names = {name for group in known for name in group}
+    for name in world_args:
+        if name not in names:
+            raise KeyError(f"world_args[{name!r}] is unknown; {nearest(str(name), names)}")

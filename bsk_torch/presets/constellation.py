@@ -1,0 +1,179 @@
+"""Constellations that image targets: a Walker constellation, bsk_rl's train of three, and imagers with relays.
+
+AEOSConstellation-v1 is the task ``aeos_constellation`` of bsk_rl's benchmark suite. The others are this package's own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, ClassVar
+
+import torch
+
+from bsk_torch import act, comm, data, formations, obs, sats, scene
+from bsk_torch.constants import R_EARTH
+from bsk_torch.env import ConstellationTasking
+from bsk_torch.presets.aeos import ALTITUDE, ORBIT, SATELLITE, SOON, TARGET, AgileSatellite, AgileSetSatellite, agile_args
+from bsk_torch.sim import dyn, fsw
+
+CHOICES = 16
+"""Targets that a satellite of Constellation-v1 sees and can choose."""
+
+RELAY_ALTITUDE = 2500.0
+"""Height of the relays, km: two of them, half an orbit apart, see each other past the Earth only at times."""
+
+
+def choices(as_set: bool = False) -> obs.OpportunityProperties:
+    """Observation of the next :data:`CHOICES` targets."""
+    return obs.OpportunityProperties(*TARGET, type="target", n_ahead_observe=CHOICES, as_set=as_set)
+
+
+class LinkedDynModel(dyn.ImagingDynModel, dyn.LOSCommDynModel):
+    """Images, and talks to what it sees."""
+
+
+class RelayDynModel(dyn.BasicDynamicsModel, dyn.LOSCommDynModel):
+    """Talks to what it sees."""
+
+
+class LinkedImager(sats.ImagingSatellite):
+    """Images one of the next 16 targets."""
+
+    observation_spec: ClassVar[Sequence[obs.Observation]] = (obs.SatProperties(*SATELLITE), choices(), obs.Time())
+    action_spec: ClassVar[Sequence[act.Action]] = (act.Image(n_ahead_image=CHOICES),)
+    dyn_type = LinkedDynModel
+    fsw_type = fsw.SteeringImagerFSWModel
+
+
+class LinkedSetImager(LinkedImager):
+    """The same, with the targets as a set."""
+
+    observation_spec = (obs.SatProperties(*SATELLITE), choices(as_set=True), obs.Time())
+
+
+class BroadcastingImager(LinkedImager):
+    """May also tell the others what it has imaged."""
+
+    action_spec = (act.Image(n_ahead_image=CHOICES), act.Broadcast(duration=1.0))
+
+
+class Relay(sats.Satellite):
+    """Passes on what it has been told, and has to keep its battery charged."""
+
+    observation_spec: ClassVar[Sequence[obs.Observation]] = (
+        obs.SatProperties(dict(prop="battery_charge_fraction"), dict(prop="r_BN_P", norm=R_EARTH)),
+        obs.Eclipse(norm=ORBIT),
+        obs.Time(),
+    )
+    action_spec: ClassVar[Sequence[act.Action]] = (
+        act.Charge(duration=SOON),
+        act.NadirPoint(duration=SOON),
+        act.Broadcast(duration=60.0),
+    )
+    dyn_type = RelayDynModel
+    fsw_type = fsw.BasicFSWModel
+
+
+class BroadcastInSight(comm.BroadcastCommunication, comm.LOSCommunication):
+    """Who broadcasts tells whom it sees."""
+
+
+def steady_args() -> dict[str, Any]:
+    """Arguments of agile imagers that are steady with ticks of a second."""
+    return {name: value for name, value in agile_args().items() if name != "oe"} | dict(K1=0.5, K3=3.0, servo_Ki=5.0)
+
+
+def defaults() -> dict[str, Any]:
+    """Arguments of all environments of this file."""
+    return dict(
+        rewarder=data.UniqueImageReward(),
+        time_limit=3 * ORBIT,
+        max_step_duration=SOON,
+        failure_penalty=0.0,
+        terminate_on_time_limit=True,
+    )
+
+
+def constellation(
+    *,
+    n_satellites: int = 12,
+    n_planes: int = 3,
+    phasing: int = 1,
+    n_targets: int | tuple[int, int] = 1000,
+    as_set: bool = False,
+    **options: Any,
+) -> ConstellationTasking:
+    """Constellation-v1: a Walker constellation, 45:12/3/1, of imagers that tell what they have imaged to those that they see.
+
+    Args:
+        n_satellites: Number of satellites.
+        n_planes: Number of their orbital planes.
+        phasing: Phase between neighbouring planes, in units of 360 degrees over the number of satellites.
+        n_targets: Number of targets that all of them share, or its range (the upper end excluded).
+        as_set: Whether targets are observed as ``rows`` [N, S, 16, features] with a ``mask`` instead of in one vector.
+        **options: Arguments of the environment to override, and ``variable_interval`` of the satellites; ``sat_args`` are merged
+            with the preset's.
+    """
+    kind: type[LinkedImager] = LinkedSetImager if as_set else LinkedImager
+    arguments = steady_args() | options.pop("sat_args", {})
+    kept = {"obs_type": options.pop("obs_type", dict if as_set else torch.Tensor)}
+    kept |= {"variable_interval": options.pop("variable_interval", True), "may_see_nothing": True}
+    satellites = [kind(f"EO{k + 1}", arguments, **kept) for k in range(n_satellites)]
+    own = dict(
+        scenario=scene.UniformTargets(n_targets),
+        communicator=comm.LOSCommunication(),
+        sat_arg_randomizer=formations.walker_delta_args(n_planes, phasing=phasing, altitude=ALTITUDE / 1e3, inc=45.0),
+    )
+    return ConstellationTasking(satellites, **(defaults() | own | options))
+
+
+def aeos_constellation(
+    *, n_satellites: int = 3, n_targets: int | tuple[int, int] = (100, 10_000), as_set: bool = False, **options: Any
+) -> ConstellationTasking:
+    """AEOSConstellation-v1: AEOS-v1 with three satellites in one plane that share everything once a minute.
+
+    Arguments are those of :func:`constellation`.
+    """
+    kind: type[AgileSatellite] = AgileSetSatellite if as_set else AgileSatellite
+    arguments = {name: value for name, value in agile_args().items() if name != "oe"} | options.pop("sat_args", {})
+    obs_type = options.pop("obs_type", dict if as_set else torch.Tensor)
+    satellites = [kind(f"EO{k + 1}", arguments, obs_type=obs_type, may_see_nothing=True) for k in range(n_satellites)]
+    own = dict(
+        scenario=scene.UniformTargets(n_targets),
+        communicator=comm.FreeCommunication(min_period=60.0),
+        sat_arg_randomizer=formations.walker_delta_args(1, altitude=ALTITUDE / 1e3, inc=45.0),
+        sim_rate=0.5,
+    )
+    return ConstellationTasking(satellites, **(defaults() | own | options))
+
+
+def relay_constellation(
+    *, n_imagers: int = 4, n_relays: int = 2, n_targets: int | tuple[int, int] = 500, **options: Any
+) -> ConstellationTasking:
+    """RelayConstellation-v1: low imagers that seldom see each other, and high relays that must learn when to pass on what.
+
+    Groups are ``broadcasting_imager`` and ``relay``.
+
+    Args:
+        n_imagers: Number of imagers, in one plane.
+        n_relays: Number of relays, in another one.
+        n_targets: Number of targets, or its range (the upper end excluded).
+        **options: Arguments of the environment to override; ``sat_args`` are merged with those of the imagers, ``relay_args``
+            with those of the relays.
+    """
+    arguments = steady_args() | options.pop("sat_args", {})
+    relay_args = dict(basePowerDraw=-60.0, batteryStorageCapacity=1e6, storedCharge_Init=5e5) | options.pop("relay_args", {})
+    imagers = [BroadcastingImager(f"EO{k + 1}", arguments, may_see_nothing=True) for k in range(n_imagers)]
+    relays = [Relay(f"Relay{k + 1}", relay_args) for k in range(n_relays)]
+    own = dict(
+        scenario=scene.UniformTargets(n_targets),
+        communicator=BroadcastInSight(),
+        sat_arg_randomizer=formations.together(
+            {
+                tuple(satellite.name for satellite in imagers): formations.walker_delta_args(1, altitude=500.0, inc=45.0),
+                tuple(satellite.name for satellite in relays): formations.walker_delta_args(1, altitude=RELAY_ALTITUDE, inc=60.0),
+            }
+        ),
+        failure_penalty=-1.0,
+    )
+    return ConstellationTasking([*imagers, *relays], **(defaults() | own | options))

@@ -1,0 +1,113 @@
+"""Gymnasium's interface to one episode of a constellation with one commander."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import gymnasium
+import torch
+from gymnasium import spaces
+from gymnasium.error import ResetNeeded
+from tensordict import TensorDictBase
+from torch import Tensor
+
+from bsk_torch.env import ConstellationTasking
+from bsk_torch.wrappers.gymnasium import (
+    as_numpy,
+    begin,
+    build,
+    check_options,
+    legal_tasks,
+    read_task,
+    reseed,
+    satellite_infos,
+    unbounded,
+)
+
+Core = ConstellationTasking | str | Callable[..., ConstellationTasking]
+"""An environment with ``joint=True``, the name of a preset, or a function that returns an environment."""
+
+
+class GymJointEnv(gymnasium.Env[tuple[Any, ...], Sequence[Any]]):
+    """One episode at a time, as ``gymnasium.Env``, with the tuples of bsk_rl's ``GeneralSatelliteTasking``.
+
+    Observations and actions are tuples with an entry for each satellite; ``None`` or ``NO_ACTION`` goes on with the satellite's
+    task. The reward is that of all satellites. ``info`` has, under the name of each satellite, ``requires_retasking`` and what
+    is counted of it, and ``d_ts`` (seconds that the step took) and ``action_mask`` (a mask for each satellite, int8, 1 where a
+    new task is legal). The simulation is :attr:`core`.
+
+    Example:
+        >>> env = GymJointEnv("Constellation-v1", n_satellites=3, n_targets=100, backend="eager", time_limit=60.0)
+        >>> observation, info = env.reset(seed=0)
+        >>> observation, reward, terminated, truncated, info = env.step((0, None, 5))
+    """
+
+    def __init__(self, core: Core, **options: Any) -> None:
+        """Wrap one environment.
+
+        Args:
+            core: A :class:`~bsk_torch.ConstellationTasking` with ``num_envs=1`` and ``joint=True``, a function that returns one,
+                or the name of a preset.
+            **options: Arguments for the preset or function, such as ``time_limit=600.0``.
+        """
+        joint = {"joint": True} if isinstance(core, str) else {}
+        self.core = build(core, joint | options, ConstellationTasking)
+        if self.core.batch_size != (1,):
+            raise ValueError(f"core has num_envs={self.core.batch_size[0]}; GymJointEnv needs 1")
+        if not self.core.joint:
+            raise ValueError("core has joint=False, an agent for each satellite; PettingZooEnv is the view of it")
+        group = self.core.groups[0]
+        self._parts = [self.core.satellites[t] for t in group.types]
+        self._rows = [(t, int(within)) for t, within in zip(group.types, group.within, strict=True)]
+        self._widths = [len(part.observation_description) for part in self._parts]
+        self.observation_space = spaces.Tuple([unbounded((width,), self.core.dtype) for width in self._widths])
+        self.action_space = spaces.Tuple([spaces.Discrete(part.actions.n_actions) for part in self._parts])
+        self._every = torch.ones(1, dtype=torch.bool, device=self.core.device)
+        self._running = False
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[tuple[Any, ...], dict[str, Any]]:
+        """Start an episode.
+
+        Args:
+            seed: The episodes that follow are those of this seed; None for the next episode of the present one.
+            options: ``{"state": state}`` starts from a state of ``core.get_state()`` instead.
+        """
+        options = check_options(options, ("state",))
+        super().reset(seed=seed)
+        if seed is not None:
+            reseed(self.core, seed, self._every)
+        seen = begin(self.core, self._every, state=options.get("state"))
+        self._running = True
+        return self._observation(seen), self._info(seen)
+
+    def step(self, action: Sequence[Any]) -> tuple[tuple[Any, ...], float, bool, bool, dict[str, Any]]:
+        """Do the actions until the first satellite has finished its task.
+
+        Raises:
+            ResetNeeded: If no episode is running.
+            ValueError: For a wrong number of actions, or one out of range; nothing has moved then.
+            TypeError: For an action that is no integer.
+        """
+        if not self._running:
+            raise ResetNeeded("step() needs a running episode; call reset() first")
+        seen = self.core.play([self._decoded(action)], self._every)
+        terminated, truncated = bool(seen["terminated"]), bool(seen["truncated"])
+        self._running = not (terminated or truncated)
+        return self._observation(seen), float(seen["reward"]), terminated, truncated, self._info(seen)
+
+    def _decoded(self, action: Sequence[Any]) -> Tensor:
+        """Actions [1, S]."""
+        if len(action) != len(self._parts):
+            raise ValueError(f"action has {len(action)} entries; it must have {len(self._parts)}, one per satellite")
+        pairs = zip(self.core.names, action, self._parts, strict=True)
+        values = [read_task(f"action of {name!r}", value, part) for name, value, part in pairs]
+        return torch.tensor([values], dtype=torch.int64, device=self.core.device)
+
+    def _observation(self, seen: TensorDictBase) -> tuple[Any, ...]:
+        return tuple(as_numpy(part) for part in seen["observation"][0].split(self._widths))
+
+    def _info(self, seen: TensorDictBase) -> dict[str, Any]:
+        legal, infos = legal_tasks(self.core), satellite_infos(self.core, seen)
+        masks = tuple(legal[t][row].copy() for t, row in self._rows)
+        return dict(zip(self.core.names, infos, strict=True)) | {"d_ts": float(seen["duration"]), "action_mask": masks}

@@ -1,0 +1,257 @@
+"""PettingZoo's parallel interface to one episode of a constellation."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+import torch
+from gymnasium import spaces
+from gymnasium.error import ResetNeeded
+from pettingzoo import ParallelEnv
+from tensordict import TensorDictBase
+from torch import Tensor
+
+from bsk_torch.env import ConstellationTasking
+from bsk_torch.env.groups import Group
+from bsk_torch.sats.satellite import Satellite
+from bsk_torch.sim.params import nearest
+from bsk_torch.wrappers.gymnasium import (
+    as_numpy,
+    begin,
+    build,
+    legal_tasks,
+    map_leaves,
+    observation_space,
+    read_task,
+    reseed,
+    satellite_infos,
+    unbounded,
+)
+
+Core = ConstellationTasking | str | Callable[..., ConstellationTasking]
+"""An environment, the name of a preset, or a function that returns an environment."""
+
+Steps = tuple[dict[str, Any], dict[str, float], dict[str, bool], dict[str, bool], dict[str, dict[str, Any]]]
+"""Observations, rewards, terminations, truncations and infos by agent."""
+
+COMMON = "__common__"
+"""Name under which bsk_rl tells what all agents share."""
+
+
+class Seat(NamedTuple):
+    """Where an agent stands: its group, its number there, and the numbers and types of its satellites."""
+
+    group: Group
+    number: int
+    members: list[int]
+    parts: tuple[Satellite, ...]
+
+
+class PettingZooEnv(ParallelEnv[str, Any, Any]):
+    """One episode at a time, as ``pettingzoo.ParallelEnv``, with the agents and spaces of bsk_rl's ``ConstellationTasking``.
+
+    An agent that is missing in the actions, or whose action is ``None`` or ``NO_ACTION``, goes on with its task; an agent that
+    commands several satellites acts with one such entry for each, or with one for all. An agent leaves ``agents`` with the step
+    that terminates or truncates it; actions that it is given afterwards are not looked at.
+
+    The info of an agent has ``requires_retasking``, ``d_ts`` (seconds that the step took), ``action_mask`` (int8, 1 where a new
+    task is legal) and what is counted of its satellite. An agent that commands several has a tuple of masks, and an entry for
+    each satellite by name. The simulation is :attr:`core`.
+
+    Example:
+        >>> env = PettingZooEnv("Constellation-v1", n_satellites=3, n_targets=100, backend="eager", time_limit=60.0)
+        >>> observations, infos = env.reset(seed=0)
+        >>> actions = {agent: env.action_space(agent).sample(infos[agent]["action_mask"]) for agent in env.agents}
+        >>> observations, rewards, terminations, truncations, infos = env.step(actions)
+    """
+
+    metadata: ClassVar[dict[str, Any]] = {"name": "constellation", "render_modes": [], "is_parallelizable": True}
+    render_mode = None
+
+    def __init__(self, core: Core, *, continue_action: bool = False, common_info: bool = False, **options: Any) -> None:
+        """Wrap one environment.
+
+        Args:
+            core: A :class:`~bsk_torch.ConstellationTasking` with ``num_envs=1``, the name of a preset, or a function that returns
+                such an environment.
+            continue_action: Whether spaces and masks have a last action that goes on with the task, and masks leave the busy
+                nothing else unless the core has ``mask_busy=False``; for policies that have to act in every step.
+            common_info: Whether infos have an entry ``"__common__"`` with ``d_ts``, as bsk_rl's.
+            **options: Arguments for the preset or function, such as ``time_limit=600.0``.
+        """
+        self.core = build(core, options, ConstellationTasking)
+        if self.core.batch_size != (1,):
+            raise ValueError(f"core has num_envs={self.core.batch_size[0]}; PettingZooEnv needs 1")
+        if self.core.joint:
+            raise ValueError("core has joint=True, one agent for all satellites; GymJointEnv is the view of it")
+        if isinstance(core, str):
+            self.metadata = self.metadata | {"name": core}  # type: ignore[misc]
+        self._continues, self._common = continue_action, common_info
+        self._seats = {agent: seat for group in self.core.groups for agent, seat in self._seats_of(group)}
+        self.possible_agents: list[str] = list(self.core.agents)
+        self.agents: list[str] = []
+        self._make_spaces()
+        self._seen: TensorDictBase | None = None
+
+    def _seats_of(self, group: Group) -> list[tuple[str, Seat]]:
+        parts = tuple(self.core.satellites[t] for t in group.types)
+        return [(agent, Seat(group, k, group.members[k].tolist(), parts)) for k, agent in enumerate(group.agents)]
+
+    # -- spaces -------------------------------------------------------------------------------------------------------
+
+    def _make_spaces(self) -> None:
+        specs = self.core.observation_spec
+        observed = {group.name: specs[group.name, "observation"] for group in self.core.groups}
+        self.observation_spaces = {a: observation_space(observed[self._seats[a].group.name], 2) for a in self.possible_agents}
+        self.action_spaces = {agent: self._make_action_space(self._seats[agent]) for agent in self.possible_agents}
+        width = sum(spaces.flatdim(space) for space in self.observation_spaces.values())
+        self.state_space = unbounded((width,), self.core.dtype)
+
+    def _make_action_space(self, seat: Seat) -> spaces.Space[Any]:
+        sizes = [self._size(part) for part in seat.parts]
+        return spaces.MultiDiscrete(sizes) if seat.group.is_meta else spaces.Discrete(sizes[0])
+
+    def _size(self, part: Satellite) -> int:
+        return part.actions.n_actions + self._continues
+
+    def observation_space(self, agent: str) -> spaces.Space[Any]:
+        """Space of an agent's observations, the same object in every call."""
+        return self.observation_spaces[self._known(agent, "agent")]
+
+    def action_space(self, agent: str) -> spaces.Space[Any]:
+        """Space of an agent's actions, the same object in every call."""
+        return self.action_spaces[self._known(agent, "agent")]
+
+    def _known(self, agent: str, what: str) -> str:
+        if agent not in self._seats:
+            raise ValueError(f"{what} {agent!r} is not in possible_agents; {nearest(str(agent), self._seats)}")
+        return agent
+
+    # -- reset and step -----------------------------------------------------------------------------------------------
+
+    def reset(
+        self, seed: int | None = None, options: Mapping[str, Any] | None = None
+    ) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
+        """Start an episode.
+
+        Args:
+            seed: The episodes that follow are those of this seed; None for the next episode of the present one.
+            options: ``{"state": state}`` starts from a state of ``core.get_state()`` instead; PettingZoo lets others pass.
+        """
+        every = torch.ones(1, dtype=torch.bool, device=self.core.device)
+        if seed is not None:
+            reseed(self.core, seed, every)
+        seen = self._seen = begin(self.core, every, state=(options or {}).get("state"))
+        gone = self._by_agent(self.core.fleet.inert | self.core.dead)
+        self.agents = [agent for agent in self.possible_agents if not gone[agent]]
+        return {agent: self._observation(seen, agent) for agent in self.agents}, self._infos(seen, self.agents)
+
+    def step(self, actions: Mapping[str, Any]) -> Steps:
+        """Do ``actions`` until the first satellite has finished its task.
+
+        Raises:
+            ResetNeeded: Before the first reset.
+            ValueError: For an unknown agent, or an action out of range; nothing has moved then.
+            TypeError: For an action that is no integer.
+        """
+        if self._seen is None:
+            raise ResetNeeded("step() needs a running episode; call reset() first")
+        given = self._decoded(actions)
+        live = self.agents
+        if not live:
+            return {}, {}, {}, {}, {COMMON: {"d_ts": 0.0}} if self._common else {}
+        seen = self._seen = self.core.play(given, torch.ones(1, dtype=torch.bool, device=self.core.device))
+        terminated, truncated = self._ends(seen)
+        self.agents = [agent for agent in live if not (terminated[agent] or truncated)]
+        return (
+            {agent: self._observation(seen, agent) for agent in live},
+            {agent: float(self._of(seen, agent, "reward")) for agent in live},
+            {agent: terminated[agent] for agent in live},
+            dict.fromkeys(live, truncated),
+            self._infos(seen, live),
+        )
+
+    def _ends(self, seen: TensorDictBase) -> tuple[dict[str, bool], bool]:
+        """Which agents are terminated, and whether everything is truncated."""
+        core = self.core
+        cut = core.truncated_by_time | core.rewarder.is_truncated().any(1)
+        ended = core.dead | core.rewarder.is_terminated()
+        if core.terminate_on_time_limit:
+            ended = ended | cut.unsqueeze(-1)
+        return self._by_agent(ended), bool(cut)
+
+    def _by_agent(self, flags: Tensor) -> dict[str, bool]:
+        """Which agents have a satellite with a flag [1, S]."""
+        table = flags[0].tolist()
+        return {agent: any(table[k] for k in seat.members) for agent, seat in self._seats.items()}
+
+    # -- actions ------------------------------------------------------------------------------------------------------
+
+    def _decoded(self, actions: Mapping[str, Any]) -> list[Tensor]:
+        """Actions of each group, [1, A] or [1, A, M]."""
+        for agent in actions:
+            self._known(agent, "actions: agent")
+        live = set(self.agents)
+        tables = []
+        for group in self.core.groups:
+            rows = [self._row(agent, actions.get(agent) if agent in live else None) for agent in group.agents]
+            table = torch.tensor([rows], dtype=torch.int64, device=self.core.device)
+            tables.append(table if group.is_meta else table.squeeze(-1))
+        return tables
+
+    def _row(self, agent: str, action: Any) -> list[int]:
+        """An agent's action for each of its satellites."""
+        seat = self._seats[agent]
+        if isinstance(action, np.ndarray | Tensor):
+            action = action.tolist()
+        if not isinstance(action, list | tuple):
+            action = [action] * len(seat.parts)
+        if len(action) != len(seat.parts):
+            raise ValueError(f"actions[{agent!r}] has {len(action)} entries; it must have {len(seat.parts)}, one per satellite")
+        where = f"actions[{agent!r}]"
+        return [read_task(where, value, part, self._continues) for value, part in zip(action, seat.parts, strict=True)]
+
+    # -- what agents see ----------------------------------------------------------------------------------------------
+
+    def _of(self, seen: TensorDictBase, agent: str, name: str) -> Any:
+        """An agent's entry of what its group sees."""
+        group, number, *_ = self._seats[agent]
+        return seen[group.name, name][0, number]
+
+    def _observation(self, seen: TensorDictBase, agent: str) -> Any:
+        return map_leaves(self._of(seen, agent, "observation"), as_numpy)
+
+    def _infos(self, seen: TensorDictBase, agents: Sequence[str]) -> dict[str, dict[str, Any]]:
+        step = {"d_ts": float(seen["duration"])}
+        each, legal = satellite_infos(self.core, seen), legal_tasks(self.core)
+        infos = {agent: self._info(agent, each, self._masks(seen, agent, legal)) | step for agent in agents}
+        return infos | ({COMMON: step} if self._common else {})
+
+    def _info(self, agent: str, each: Sequence[dict[str, Any]], masks: tuple[np.ndarray, ...]) -> dict[str, Any]:
+        group, _, members, _ = self._seats[agent]
+        if not group.is_meta:
+            return each[members[0]] | {"action_mask": masks[0]}
+        own = {"requires_retasking": any(each[k]["requires_retasking"] for k in members), "action_mask": masks}
+        return own | {self.core.names[k]: each[k] for k in members}
+
+    def _masks(self, seen: TensorDictBase, agent: str, legal: Sequence[np.ndarray]) -> tuple[np.ndarray, ...]:
+        """Legal actions of each satellite of an agent."""
+        group, number, _, parts = self._seats[agent]
+        if self._continues:
+            flags = self._of(seen, agent, "action_mask").split([self._size(part) for part in parts])
+            return tuple(as_numpy(flag).astype(np.int8) for flag in flags)
+        return tuple(legal[t][int(within[number])].copy() for t, within in zip(group.types, group.within, strict=True))
+
+    def state(self) -> np.ndarray:
+        """Observations of all agents side by side, in the order of ``possible_agents``; zero for those who have left."""
+        if self._seen is None:
+            raise ResetNeeded("state() needs an episode; call reset() first")
+        observed = [(self.observation_spaces[a], self._observation(self._seen, a)) for a in self.possible_agents]
+        return np.concatenate([spaces.flatten(space, value) for space, value in observed])
+
+
+def parallel_env(core: Core, **options: Any) -> PettingZooEnv:
+    """A :class:`PettingZooEnv` under the name by which PettingZoo's users look for it: ``parallel_env("Constellation-v1")``."""
+    return PettingZooEnv(core, **options)

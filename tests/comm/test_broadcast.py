@@ -1,0 +1,73 @@
+"""The action; what becomes of its messages is in test_comm."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import pytest
+import torch
+
+from bsk_torch import act
+from bsk_torch.act.base import ActionBuilder
+from bsk_torch.act.broadcast import PENDING
+from bsk_torch.act.discrete import FOREVER
+from bsk_torch.sim.memory import Memory
+
+DRIFT, NADIR = 0, 3
+MOVES = torch.ones(4, dtype=torch.bool)
+
+
+def make_satellite(n: int = 4) -> SimpleNamespace:
+    """As much of a satellite as actions look at; it has been pointing at nadir."""
+    simulator = SimpleNamespace(
+        memory=Memory(n, torch.device("cpu")),
+        mode=torch.full((n,), NADIR),
+        ticks=torch.zeros(n, dtype=torch.int64),
+        draws=0,
+        check_command=lambda command: None,
+        mode_index=lambda command: torch.full((n,), DRIFT),
+    )
+    return SimpleNamespace(simulator=simulator)
+
+
+def make_actions(*spec: act.Action) -> tuple[ActionBuilder, Memory]:
+    satellite = make_satellite()
+    return ActionBuilder(spec, satellite), satellite.simulator.memory
+
+
+def test_a_broadcast_only_waits():
+    """Rows: drift, broadcast, the same broadcast again, drift after a broadcast."""
+    actions, _ = make_actions(act.Drift(), act.Broadcast(duration=30.0))
+    decision = actions.decide(torch.tensor([0, 1, 1, 0]), torch.tensor([-1, 0, 1, 1]), MOVES)
+    assert decision.retask.tolist() == [True, False, False, True]
+    assert decision.mode.tolist() == [DRIFT, NADIR, NADIR, DRIFT]
+    assert decision.duration.tolist() == [FOREVER, 30.0, 30.0, FOREVER]
+    assert decision.key.tolist() == [0, 1, 1, 0]
+
+
+def test_messages_are_pending_where_satellites_move():
+    actions, memory = make_actions(act.Drift(), act.Broadcast())
+    action, moves = torch.tensor([0, 1, 1, 0]), torch.tensor([True, True, False, False])
+    assert not memory[PENDING].any()
+    actions.begin(action, moves, actions.decide(action, torch.full((4,), -1), moves))
+    assert memory[PENDING].tolist() == [False, True, False, False]
+    actions.begin(torch.zeros_like(action), moves, actions.decide(torch.zeros_like(action), action, moves))
+    assert memory[PENDING].tolist() == [False, True, False, False]  # another action does not call it back
+    memory.reset(torch.tensor([1]))
+    assert not memory[PENDING].any()
+
+
+def test_names_and_two_broadcasts_of_one_satellite():
+    """They share what is pending."""
+    actions, memory = make_actions(act.Broadcast(), act.Broadcast("shout", duration=5.0))
+    assert actions.description == ["action_broadcast", "shout"]
+    action = torch.tensor([0, 1, 1, 0])
+    moves = torch.tensor([True, True, False, False])
+    actions.begin(action, moves, actions.decide(action, action, moves))
+    assert memory[PENDING].tolist() == [True, True, False, False]
+
+
+@pytest.mark.parametrize("duration", [0.0, -3.0, float("nan")])
+def test_durations_must_be_positive(duration):
+    with pytest.raises(ValueError, match=r"duration=.* of action 'action_broadcast' must be positive"):
+        act.Broadcast(duration=duration)

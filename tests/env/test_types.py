@@ -1,0 +1,153 @@
+"""Which satellites one simulation can hold."""
+
+import re
+
+import numpy as np
+import pytest
+
+from bsk_torch import act, dyn, obs, rand, sats
+from bsk_torch.env.types import check_names, check_world, grouped, same_type, world_arguments, world_components
+
+ORBIT = [7e6, 0.0, 1.0, 0.0, 0.0, 0.0]
+PLACE = {"rN": [7e6, 0.0, 0.0], "vN": [0.0, 7.5e3, 0.0]}
+
+
+class Basic(sats.Satellite):
+    observation_spec = (obs.Time(),)
+    action_spec = (act.Charge(),)
+
+
+class Other(Basic):
+    """The same, but another class."""
+
+
+class Stores(dyn.GroundStationDynModel, dyn.ContinuousImagingDynModel):
+    """Stations, and a store that may kill."""
+
+
+class Ground(sats.AccessSatellite):
+    observation_spec = (obs.Time(),)
+    action_spec = (act.Charge(),)
+    dyn_type = Stores
+
+
+def basic(name="A", sat_args=None, **options):
+    return Basic(name, sat_args, **options)
+
+
+# -- names ------------------------------------------------------------------------------------------------------------
+
+
+def test_names():
+    assert check_names([basic("A"), Other("B"), basic("A_1")]) == ["A", "B", "A_1"]
+
+
+def renamed(name):
+    satellite = basic("A")
+    satellite.name = name
+    return satellite
+
+
+@pytest.mark.parametrize(
+    ("satellites", "kind", "message"),
+    [
+        ([], ValueError, "satellites is empty; an environment needs at least one satellite"),
+        ([basic("A")] * 4097, ValueError, "satellites has 4097 entries; at most 4096 are possible"),
+        ([basic("A"), "B"], TypeError, "satellites holds 'B', which is no satellite; write MySatellite('Name'), with paren"),
+        ([Basic], TypeError, "which is no satellite; write MySatellite('Name'), with parentheses"),
+        ([basic("A"), basic("B"), Other("A")], ValueError, "satellites has several called ['A']; every satellite needs a name"),
+        ([basic("A"), renamed("B 1")], ValueError, "name='B 1' must be a Python identifier, such as 'Scanner1'"),
+        ([renamed("class")], ValueError, "name='class' must be a Python identifier"),
+    ],
+    ids=["none", "many", "text", "class", "twice", "space", "keyword"],
+)
+def test_wrong_names(satellites, kind, message):
+    with pytest.raises(kind, match=re.escape(message)):
+        check_names(satellites)
+
+
+# -- types ------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("one", "other"),
+    [
+        ({}, {}),
+        ({"mass": 100.0}, {"mass": 200.0}),
+        ({"mass": 100.0}, {"K": rand.Uniform(1.0, 2.0)}),
+        ({"oe": ORBIT}, {}),
+        ({"oe": ORBIT}, {"oe": rand.random_orbit()}),
+        (PLACE | {"oe": None}, PLACE),
+        (PLACE, {"rN": [8e6, 0.0, 0.0], "vN": [0.0, 7e3, 0.0]}),
+        ({"desatAttitude": "sun"}, {"desatAttitude": "nadir"}),
+        ({"sigma_init": np.zeros(3)}, {"sigma_init": [0.0, 0.0, 0.1]}),
+        ({"storageUnitValidCheck": False}, {}),
+        ({"storageUnitValidCheck": True}, {"storageUnitValidCheck": True}),
+    ],
+    ids=str,
+)
+def test_values_may_differ(one, other):
+    satellites = [Ground(name, args) for name, args in zip("AB", (one, other), strict=True)]
+    assert same_type(*satellites)
+    assert same_type(*reversed(satellites))
+
+
+@pytest.mark.parametrize(
+    ("one", "other"),
+    [
+        (Ground("A"), Basic("B")),
+        (Basic("A"), Other("B")),
+        (Basic("A"), Basic("B", obs_type=dict)),
+        (Basic("A"), Basic("B", variable_interval=False)),
+        (Ground("A", {"storageUnitValidCheck": True}), Ground("B")),
+        (Ground("A", PLACE), Ground("B", {"oe": ORBIT})),
+        (Ground("A"), Ground("B", PLACE)),
+        (Ground("A"), Ground("B", initial_generation_duration=100.0)),
+    ],
+    ids=["class", "subclass", "obs_type", "interval", "constant", "orbit", "default orbit", "generation"],
+)
+def test_of_different_types(one, other):
+    assert not same_type(one, other)
+    assert not same_type(other, one)
+
+
+def test_grouped():
+    """In the order in which types appear; numbers within a type ascend."""
+    satellites = [Basic("A"), Ground("B"), Basic("C", {"mass": 3.0}), Other("D"), Ground("E"), Basic("F", obs_type=dict)]
+    assert grouped(satellites) == [[0, 2], [1, 4], [3], [5]]
+    assert grouped(satellites[:1]) == [[0]]
+    assert grouped([Basic(f"A{k}") for k in range(5)]) == [[0, 1, 2, 3, 4]]
+
+
+def test_satellites_with_options_of_their_own():
+    """What a user's class stores counts, as models and observations may depend on it."""
+    one, other = basic("A"), basic("B")
+    one.camera = other.camera = {"pixels": 1024}
+    assert same_type(one, other)
+    other.camera = {"pixels": 512}
+    assert not same_type(one, other)
+    del other.camera
+    assert not same_type(one, other)
+
+
+# -- world ------------------------------------------------------------------------------------------------------------
+
+
+def test_the_world_of_a_satellite():
+    basic_world, ground_world = (set(world_arguments(satellite)) for satellite in (Basic("A"), Ground("B")))
+    assert basic_world < ground_world
+    assert {"utc_init"} <= basic_world
+    assert "groundStationsData" in ground_world - basic_world
+    assert {arg.name for part in world_components(Ground("B")) for arg in part.args} == ground_world
+
+
+def test_world_arguments_that_some_satellite_knows():
+    check_world({"utc_init": 1, "gsMinimumElevation": 2}, [["utc_init"], ["gsMinimumElevation", "utc_init"]])
+    check_world({}, [])
+
+
+def test_world_arguments_that_nobody_knows():
+    with pytest.raises(KeyError, match=re.escape("world_args['utcInit'] is unknown; did you mean 'utc_init'?")):
+        check_world({"utc_init": 1, "utcInit": 2}, [["utc_init"], ["gsMinimumElevation"]])
+    with pytest.raises(KeyError, match=re.escape("world_args['zzz'] is unknown; valid names: gsMinimumElevation, utc_init")):
+        check_world({"zzz": 1}, [["utc_init"], ["gsMinimumElevation"]])

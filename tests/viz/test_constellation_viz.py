@@ -1,0 +1,176 @@
+"""A constellation's episode is drawn from plain tensors, and shows what happened."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import re
+
+import pytest
+import torch
+from matplotlib.figure import Figure
+
+from bsk_torch.astro.frames import fixed_to_lla, rotate_z
+from bsk_torch.astro.orbit import Elements, elements_to_rv
+from bsk_torch.constants import MU_EARTH
+from bsk_torch.formations import walker_delta
+from bsk_torch.viz import constellation as pictures
+from bsk_torch.viz.style import PALETTE
+
+PNG = b"\x89PNG"
+
+
+def flown(oe: torch.Tensor, times: torch.Tensor) -> dict[str, torch.Tensor]:
+    """Ground tracks, degrees [S, K], of Kepler orbits with elements [S, 6] over a turning Earth."""
+    f = oe[:, 5:] + torch.sqrt(MU_EARTH / oe[:, :1] ** 3) * times
+    r_N, _ = elements_to_rv(Elements(*(oe[:, k : k + 1].expand_as(f) for k in range(5)), f))
+    turn = 7.2921e-5 * times
+    latitude, longitude, _ = fixed_to_lla(rotate_z(r_N, torch.cos(turn), torch.sin(turn)).stack())
+    return {"latitude": torch.rad2deg(latitude), "longitude": torch.rad2deg(longitude)}
+
+
+@pytest.fixture(scope="module")
+def episode():
+    """Walker 60:6/3/1 for an hour and a half; the satellites image by turns, and those of a plane are in contact later on."""
+    times = torch.arange(0.0, 5401.0, 60.0, dtype=torch.float64)
+    track = flown(walker_delta(6, 3, 0.5, 800e3, 60.0), times)
+    links = torch.zeros(len(times), 6, 6, dtype=torch.bool)
+    for pair in ((0, 1), (2, 3), (4, 5)):
+        links[30:60, pair[0], pair[1]] = True  # one direction is enough
+    links[30:40, 0, 2] = True
+    who, when = torch.arange(18) % 6, 300.0 * torch.arange(18)
+    at = (when / 60.0).long()
+    return pictures.ConstellationEpisode(
+        names=[f"Sat-{k}" for k in range(6)],
+        times=times,
+        **track,
+        groups=torch.arange(6) // 2,
+        links=links,
+        image_times=when,
+        image_satellite=who,
+        image_latitude=track["latitude"][who, at],
+        image_longitude=track["longitude"][who, at],
+        image_paid=torch.arange(18) % 5 > 0,
+        target_latitude=torch.tensor([10.0, 20.0]),
+        target_longitude=torch.tensor([0.0, -170.0]),
+        task_satellite=torch.arange(12) % 6,
+        task_spans=torch.tensor([[0.0, 2700.0]] * 6 + [[2700.0, 5400.0]] * 6),
+        task_kind=torch.arange(12) // 6,
+        task_names=["action_image", "action_charge"],
+        deaths=torch.tensor([math.inf, math.inf, 4000.0, math.inf, math.inf, math.inf]),
+    )
+
+
+@pytest.fixture
+def drawn(tmp_path, monkeypatch):
+    """Draws an episode; its figure."""
+    kept = []
+
+    def keep(figure, path):
+        kept.append(figure)
+        return save(figure, path)
+
+    save = pictures.save
+    monkeypatch.setattr(pictures, "save", keep)
+
+    def draw(episode) -> Figure:
+        path = pictures.constellation_figure(episode, tmp_path / "constellation.png", "Walker")
+        assert path.read_bytes()[:4] == PNG
+        assert path.stat().st_size > 10_000
+        return kept[-1]
+
+    return draw
+
+
+def legend(figure: Figure) -> list[str]:
+    return [text.get_text() for text in figure.legends[0].get_texts()]
+
+
+def test_an_episode_is_drawn(episode, drawn):
+    figure = drawn(episode)
+    world, rows = figure.axes
+    assert figure.get_suptitle() == "Walker: 18 images by 6 satellites, 1 of 6 satellites died"
+    assert legend(figure)[:3] == ["plane 1", "plane 2", "plane 3"]
+    assert {"image taken", "image without reward", "target", "contact", "image", "charge", "died"} < set(legend(figure))
+    assert "satellites at 0:39 h" in world.get_title(loc="left")
+    assert [text.get_text() for text in rows.get_yticklabels()] == episode.names
+    assert rows.get_yticklabels()[5].get_color() == PALETTE[2]
+    assert rows.get_xlim() == (0.0, 1.5)
+    assert len(world.texts) == 6
+
+
+def test_an_episode_without_events_is_drawn(episode, drawn):
+    quiet = pictures.ConstellationEpisode(
+        names=episode.names, times=episode.times, latitude=episode.latitude, longitude=episode.longitude
+    )
+    figure = drawn(quiet)
+    assert figure.get_suptitle() == "Walker: 0 images by 6 satellites"
+    assert legend(figure) == list(episode.names)  # each its own group
+    assert "ticks" not in figure.axes[1].get_title(loc="left")
+    crowd = dataclasses.replace(
+        quiet, names=[f"S{k}" for k in range(60)], **flown(walker_delta(60, 6, 0.0, 5e5, 53.0), quiet.times)
+    )
+    figure = drawn(crowd)
+    assert figure.legends[0].get_texts() == []  # more groups than colours
+    assert figure.get_size_inches()[1] < 17.0
+
+
+def test_the_moment_of_the_map_is_the_last_with_the_most_contacts(episode):
+    assert episode.contacts.sum((-1, -2))[[0, 29, 30, 39, 40, 59, 60]].tolist() == [0, 0, 8, 8, 6, 6, 0]
+    assert episode.moment == 39
+    assert dataclasses.replace(episode, links=None).moment == len(episode.times) - 1
+
+
+def test_the_dead_are_in_contact_with_nobody(episode):
+    early = dataclasses.replace(episode, deaths=torch.tensor([math.inf, math.inf, 2100.0] + [math.inf] * 3))
+    contacts = early.contacts
+    assert contacts[35, 2].nonzero().flatten().tolist() == [0, 3]  # at 2100 s, both directions
+    assert not contacts[36:, 2].any()
+    assert not contacts[36:, :, 2].any()
+    assert early.died.tolist() == [False, False, True, False, False, False]
+    assert dataclasses.replace(episode, deaths=torch.full((6,), 5400.0)).died.all()  # with the episode
+    assert early.ends.tolist() == [5400.0, 5400.0, 2100.0, 5400.0, 5400.0, 5400.0]
+
+
+def test_tasks_end_with_death(episode, drawn):
+    _, rows = drawn(episode).axes
+    ends = {}
+    for bars in rows.collections:
+        for path in bars.get_paths() if hasattr(bars, "get_paths") else []:
+            box = path.get_extents()
+            if abs(box.height - (pictures.BAR[1] - pictures.BAR[0])) < 1e-9 and box.width > 0.0:
+                row = round(box.y0 - pictures.BAR[0])
+                ends[row] = max(ends.get(row, 0.0), box.x1)
+    assert ends == pytest.approx({0: 1.5, 1: 1.5, 2: 4000.0 / 3600.0, 3: 1.5, 4: 1.5, 5: 1.5})
+
+
+def test_great_circles():
+    longitude, latitude = pictures.great_circle(torch.tensor([0.0, 0.0]), torch.tensor([10.0, 100.0]), 3)
+    assert longitude.tolist() == pytest.approx([10.0, 55.0, 100.0])
+    assert latitude.tolist() == pytest.approx([0.0, 0.0, 0.0])
+    longitude, latitude = pictures.great_circle(torch.tensor([60.0, 60.0]), torch.tensor([0.0, 180.0]), 3)
+    assert latitude.tolist() == pytest.approx([60.0, 90.0, 60.0])  # over the pole
+    longitude, _ = pictures.great_circle(torch.tensor([20.0, 20.0]), torch.tensor([170.0, -170.0]), 5)
+    assert (longitude.abs() >= 170.0 - 1e-12).all()  # over the date line
+
+
+@pytest.mark.parametrize(
+    ("change", "text"),
+    [
+        (dict(longitude=torch.zeros(6, 5)), "longitude has shape [6, 5]; it must be [6, 91]"),
+        (dict(links=torch.zeros(6, 6, dtype=torch.bool)), "links has shape [6, 6]; it must be [91, 6, 6]"),
+        (dict(image_satellite=torch.full((18,), 6)), "image_satellite has numbers from 6 to 6; allowed is 0 to 5"),
+        (dict(task_kind=torch.full((12,), -1)), "task_kind has numbers from -1 to -1; allowed is 0 to 1"),
+        (dict(group_names=["a", "b"]), "groups has numbers from 0 to 2; allowed is 0 to 1"),
+        (dict(task_spans=torch.zeros(12)), "task_spans has shape [12]; it must be [12, 2]"),
+    ],
+)
+def test_tensors_that_do_not_fit_are_refused(episode, change, text):
+    with pytest.raises(ValueError, match=re.escape(text)):
+        dataclasses.replace(episode, **change)
+
+
+def test_a_track_needs_two_samples():
+    one = torch.zeros(1, 1)
+    with pytest.raises(ValueError, match=r"times has 1 entries; a track needs at least 2"):
+        pictures.ConstellationEpisode(names=["A"], times=one[0], latitude=one, longitude=one)
