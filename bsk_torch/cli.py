@@ -57,7 +57,9 @@ def setup() -> None:
 def list_presets() -> None:
     """List the environments that can be trained in."""
     for name, preset in PRESETS.items():
-        about = (import_module(preset.__module__).__doc__ or "").partition("\n")[0]
+        docs = (preset.__doc__ or "", import_module(preset.__module__).__doc__ or "")
+        lines = [doc.partition("\n")[0] for doc in docs]
+        about = lines[0] if lines[0].startswith(f"{name}:") else lines[1]
         typer.echo(f"{name}  {about.removeprefix(f'{name}:').strip()}")
 
 
@@ -140,9 +142,12 @@ def _configured(preset: str, network: str, **changes: Any) -> PPOConfig:
 
 def _environment(preset: str, num_envs: int, options: Mapping[str, Any]) -> SatelliteTasking:
     try:
-        return make(preset, num_envs=num_envs, **options)
+        env = make(preset, num_envs=num_envs, **options)
     except ValueError as error:
         _fail(str(error))
+    if not isinstance(env, SatelliteTasking):
+        _fail(f"{preset} has many satellites; train and evaluate it with scripts/train_constellation.py --preset {preset}")
+    return env
 
 
 def _fail(message: str) -> NoReturn:

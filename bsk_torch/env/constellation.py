@@ -362,12 +362,7 @@ class ConstellationTasking(Tasking):
         """What the agents of a group see, [N, A, ...] each."""
         wants = self.requires_retasking & ~self.fleet.inert
         wanted = wants[:, group.members]
-        hidden = absent[:, group.members[:, 0]]
-        if self.only_obs_retasking:
-            hidden = hidden | ~wanted.any(-1)
-        if self.joint:
-            hidden = torch.zeros_like(hidden)
-        observation = self._observation(group, seen, hidden)
+        observation = self._observation(group, seen, self._hidden(group, wanted, absent))
         masks = []
         for m, (t, within) in enumerate(zip(group.types, group.within, strict=True)):
             free = wanted[..., m : m + 1]
@@ -382,20 +377,27 @@ class ConstellationTasking(Tasking):
             leaves["mask"] = ~self.fleet.inert[:, group.members[:, 0]]
         return leaves
 
+    def _hidden(self, group: Group, wanted: Tensor, absent: Tensor) -> Tensor:
+        """Members that are not observed, [N, A, M]; ``wanted`` [N, A, M] need a task, ``absent`` [N, S] had left before."""
+        if self.joint:
+            return ~wanted if self.only_obs_retasking else torch.zeros_like(wanted)
+        hidden = absent[:, group.members]
+        return hidden | ~wanted.any(-1, keepdim=True) if self.only_obs_retasking else hidden
+
     def _members(self, rows: Tensor, within: Tensor, whole: bool) -> Tensor:
         """Rows [N * count, ...] of one type for one member of each agent, [N, A, ...]."""
         table = rows.view(self.fleet.num_envs, -1, *rows.shape[1:])
         return table if whole else table[:, within]
 
     def _observation(self, group: Group, seen: list[Any], hidden: Tensor) -> Any:
-        """Observations [N, A, O], zero where they are ``hidden`` [N, A]."""
+        """Observations [N, A, O], zero for members that are ``hidden`` [N, A, M]."""
         if isinstance(seen[group.types[0]], dict):
             shape = (self.fleet.num_envs, self.squads[group.types[0]].simulator.count)
             tree = self._cast(seen[group.types[0]], shape)[:, group.within[0]]
-            return tree.apply(lambda leaf: _blank(leaf, hidden))
-        pairs = zip(group.types, group.within, group.whole, strict=True)
-        parts = [self._members(seen[t], within, whole) for t, within, whole in pairs]
-        return _blank(parts[0] if len(parts) == 1 else torch.cat(parts, -1), hidden)
+            return tree.apply(lambda leaf: _blank(leaf, hidden[..., 0]))
+        triples = zip(group.types, group.within, group.whole, hidden.unbind(-1), strict=True)
+        parts = [_blank(self._members(seen[t], within, whole), gone) for t, within, whole, gone in triples]
+        return parts[0] if len(parts) == 1 else torch.cat(parts, -1)
 
 
 def _blank(leaf: Tensor, hidden: Tensor) -> Tensor:

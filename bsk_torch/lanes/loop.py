@@ -118,7 +118,8 @@ class Loop:
             Number of ticks that each row has run, [n].
 
         Raises:
-            ValueError: For a tensor that is not contiguous, a table with too few records, or teams that do not fit the rows.
+            ValueError: For a tensor that is not contiguous or of another type, a table with too few records, or teams that do not
+                fit the rows.
         """
         alike = isinstance(counts, int)
         counts = torch.full(state.shape[1:], counts) if isinstance(counts, int) else counts
@@ -127,6 +128,8 @@ class Loop:
                 raise ValueError(
                     f"a kernel got a tensor {list(tensor.shape)} with strides {tensor.stride()}; it must be contiguous"
                 )
+            if tensor is not None and tensor.dtype not in (torch.float64, torch.int64):
+                raise ValueError(f"a kernel got a tensor {list(tensor.shape)} of {tensor.dtype}; it must be float64 or int64")
         for track, samples in zip(self.tracks, tracks, strict=True):
             if samples.table.shape[1] < track.count:
                 raise ValueError(

@@ -98,7 +98,7 @@ def constellation(
     *,
     n_satellites: int = 12,
     n_planes: int = 3,
-    phasing: int = 1,
+    phasing: int | None = None,
     n_targets: int | tuple[int, int] = 1000,
     as_set: bool = False,
     **options: Any,
@@ -108,7 +108,8 @@ def constellation(
     Args:
         n_satellites: Number of satellites.
         n_planes: Number of their orbital planes.
-        phasing: Phase between neighbouring planes, in units of 360 degrees over the number of satellites.
+        phasing: Phase between neighbouring planes, in units of 360 degrees over the number of satellites; None for 1, or for 0
+            where there is one plane.
         n_targets: Number of targets that all of them share, or its range (the upper end excluded).
         as_set: Whether targets are observed as ``rows`` [N, S, 16, features] with a ``mask`` instead of in one vector.
         **options: Arguments of the environment to override, and ``variable_interval`` of the satellites; ``sat_args`` are merged
@@ -122,7 +123,9 @@ def constellation(
     own = dict(
         scenario=scene.UniformTargets(n_targets),
         communicator=comm.LOSCommunication(),
-        sat_arg_randomizer=formations.walker_delta_args(n_planes, phasing=phasing, altitude=ALTITUDE / 1e3, inc=45.0),
+        sat_arg_randomizer=formations.walker_delta_args(
+            n_planes, phasing=min(1, n_planes - 1) if phasing is None else phasing, altitude=ALTITUDE / 1e3, inc=45.0
+        ),
     )
     return ConstellationTasking(satellites, **(defaults() | own | options))
 

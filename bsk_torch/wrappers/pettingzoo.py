@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, ClassVar, NamedTuple
 
@@ -29,6 +30,8 @@ from bsk_torch.wrappers.gymnasium import (
     satellite_infos,
     unbounded,
 )
+
+logger = logging.getLogger(__name__)
 
 Core = ConstellationTasking | str | Callable[..., ConstellationTasking]
 """An environment, the name of a preset, or a function that returns an environment."""
@@ -146,6 +149,7 @@ class PettingZooEnv(ParallelEnv[str, Any, Any]):
         seen = self._seen = begin(self.core, every, state=(options or {}).get("state"))
         gone = self._by_agent(self.core.fleet.inert | self.core.dead)
         self.agents = [agent for agent in self.possible_agents if not gone[agent]]
+        self._warned = False
         return {agent: self._observation(seen, agent) for agent in self.agents}, self._infos(seen, self.agents)
 
     def step(self, actions: Mapping[str, Any]) -> Steps:
@@ -194,6 +198,9 @@ class PettingZooEnv(ParallelEnv[str, Any, Any]):
         for agent in actions:
             self._known(agent, "actions: agent")
         live = set(self.agents)
+        if self.agents and (late := [agent for agent in actions if agent not in live]) and not self._warned:
+            self._warned = True  # once in an episode: some trainers send actions for everybody
+            logger.warning("actions of %s are not looked at: they have left the episode", late)
         tables = []
         for group in self.core.groups:
             rows = [self._row(agent, actions.get(agent) if agent in live else None) for agent in group.agents]

@@ -512,3 +512,17 @@ def test_a_users_randomizer_is_asked_for_every_episode() -> None:
     assert env.satellites[0].sat_args["mass"].tolist() == [101.0, 111.0, 102.0, 112.0]
     env.reset()
     assert env.satellites[0].sat_args["mass"].tolist() == [103.0, 113.0, 104.0, 114.0]
+
+
+def test_joint_observes_only_those_who_need_a_task_on_request() -> None:
+    env = mixed(num_envs=1, joint=True, generate_obs_retasking_only=True)
+    td = env.reset()
+    assert (td["observation"] != 0.0).any()
+    td = env.step(td.set("action", torch.tensor([[0, 1, 0]])))["next"]
+    assert td["members_require_retasking"].tolist() == [[False, True, False]]  # the relay drifts for 25 s
+    imager = len(env.satellites[0].observation_description)
+    relay = len(env.satellites[1].observation_description)
+    first, second, third = td["observation"].split([imager, relay, imager], -1)
+    assert (second != 0.0).any()
+    assert not first.any()
+    assert not third.any()

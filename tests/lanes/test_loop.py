@@ -222,3 +222,13 @@ def test_tensors_that_lie_apart_are_refused(name):
     written = torch.empty(8, LONGEST, 2, dtype=torch.float64)
     with pytest.raises(ValueError, match=r"strides .* must be contiguous"):
         fuses("")(parts["state"], parts["counts"], (), own=parts["own"], ticks=parts["ticks"], written=written)
+
+
+@pytest.mark.parametrize("name", ["state", "counts", "own", "ticks"])
+def test_tensors_of_another_type_are_refused(name):
+    rows = Rows(8)
+    parts = {"state": rows.state, "counts": rows.counts, "own": rows.stubborn, "ticks": rows.ticks}
+    parts[name] = parts[name].to(torch.float32 if parts[name].dtype == torch.float64 else torch.int32)
+    written = torch.empty(8, LONGEST, 2, dtype=torch.float64)
+    with pytest.raises(ValueError, match=r"of torch\.(float|int)32; it must be float64 or int64"):
+        fuses("")(parts["state"], parts["counts"], (), own=parts["own"], ticks=parts["ticks"], written=written)

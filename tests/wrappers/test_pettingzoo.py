@@ -174,6 +174,21 @@ def test_the_dead_say_goodbye():
     assert same(env.state()[5:10], np.zeros(5))
 
 
+def test_actions_of_the_dead_are_not_looked_at(caplog):
+    env = PettingZooEnv(trio(charges=DYING))
+    env.reset(seed=0)
+    everybody = dict.fromkeys(env.possible_agents, 2)
+    while len(env.agents) == 3:
+        env.step(everybody)
+    assert not caplog.records
+    for _ in range(2):
+        env.step(everybody)
+    said = [record.message for record in caplog.records]
+    assert said == [
+        f"actions of {[a for a in env.possible_agents if a not in env.agents]} are not looked at: they have left the episode"
+    ]
+
+
 def test_nobody_is_left_at_the_time_limit():
     for terminal in (False, True):
         env, *_ = view(time_limit=5.0, terminate_on_time_limit=terminal)
