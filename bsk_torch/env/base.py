@@ -54,12 +54,10 @@ class Played(NamedTuple):
     Attributes:
         duration: How long it took, [N] s.
         reward: What satellites have earned, [N, S]; zero where the step did not take place.
-        died: Which have died in it, [N, S].
     """
 
     duration: Tensor
     reward: Tensor
-    died: Tensor
 
 
 class Tasking(EnvBase):
@@ -322,11 +320,9 @@ class Tasking(EnvBase):
             self.rewarder.share(self.communicator.communicate(moves))
         for simulator in fleet.simulators:
             simulator.memory.touch()
-        old = [squad.dead for squad in self.squads]
         for squad in self.squads:
             squad.dead = squad.dead | ~squad.satellite.is_alive()
-        died = fleet.joined([squad.dead & ~dead for squad, dead in zip(self.squads, old, strict=True)])
-        return Played((fleet.ticks - start) * fleet.h, reward * moves.unsqueeze(-1), died)
+        return Played((fleet.ticks - start) * fleet.h, reward * moves.unsqueeze(-1))
 
     def _fly(self, moves: Tensor) -> None:
         """Simulate the episodes ``moves`` [N] to the first end of a task, of the step, or of the episode."""

@@ -67,7 +67,8 @@ class Squad:
         self.previous_action = torch.where(acts, decision.key, self.previous_action)
         self.requires_retasking = self.requires_retasking & ~acts
         now = simulator.ticks
-        ends, expected = (now + self.whole_ticks(seconds) for seconds in (decision.duration, decision.expected))
+        ends = now + self.whole_ticks(decision.duration)
+        expected = ends if decision.expected is decision.duration else now + self.whole_ticks(decision.expected)
         task = {"ends": ends, "expected": expected, "action": action}
         task |= {"task_key": decision.key, "task_duration": decision.duration}
         for name, value in task.items():
@@ -77,19 +78,23 @@ class Squad:
         """Ticks after which a duration [N] s has passed: an event fires at the first tick at or after its time."""
         return torch.ceil(torch.floor(duration * 1e9 + 0.5) / self.simulator.h_ns).long()
 
-    def settle(self, event: Tensor, moves: Tensor, last: Tensor) -> None:
+    def settle(self, event: Tensor | None, moves: Tensor, last: Tensor) -> None:
         """Note what ended a run of those that ``moves`` [N] says.
 
         Args:
-            event: Where an event happened that ends the action, [N].
+            event: Where an event happened that ends the action, [N]; None where there are no such events.
             moves: Who took part, [N].
             last: Whose episode has reached its limit, [N]: the clock stops there before a task's end is looked at.
         """
         simulator = self.simulator
         fired = (self.ends <= simulator.ticks - last.long()) & moves
         was_busy = ~self.requires_retasking
-        self.requires_retasking = self.requires_retasking | fired | event
+        self.requires_retasking = self.requires_retasking | fired
         self.ends = torch.where(fired, NEVER, self.ends)
+        if event is None:
+            event = torch.zeros_like(fired)
+        else:
+            self.requires_retasking = self.requires_retasking | event
         self.satellite.note_events(event)
         decision = Decision(simulator.mode, fired, self.task_duration, self.task_key, self.task_duration)
         self.satellite.actions.end(self.action, fired & was_busy, decision, event)

@@ -81,6 +81,8 @@ class Fleet:
 
     def joined(self, parts: Sequence[Tensor]) -> Tensor:
         """What each type's rows [N * count, ...] hold, by episode and satellite, [N, S, ...]."""
+        if self.size == 1:
+            return parts[0].unsqueeze(1)
         views = [part.reshape(self.num_envs, -1, *part.shape[1:]) for part in parts]
         whole = views[0] if len(views) == 1 else torch.cat(views, 1)
         return whole if self._order is None else whole[:, self._order]
@@ -96,6 +98,8 @@ class Fleet:
         Raises:
             AttributeError: Where no type has it.
         """
+        if len(self.parts) == 1:
+            return self.joined([read(self.parts[0])])
         found: list[Tensor | None] = []
         lacking: AttributeError | None = None
         for part in self.parts:
@@ -154,7 +158,7 @@ class Fleet:
 
     # -- running ------------------------------------------------------------------------------------------------------
 
-    def run(self, ticks: Tensor, left: Tensor, orders: Sequence[Tensor | None]) -> list[Tensor]:
+    def run(self, ticks: Tensor, left: Tensor, orders: Sequence[Tensor | None]) -> list[Tensor | None]:
         """Advance every episode by at most ``ticks`` [N], or to the first event that ends a step.
 
         Types without such events fly last. Where a later one of two types ends a step early, the earlier one flies again.
@@ -165,10 +169,10 @@ class Fleet:
             orders: About how many ticks it will be, for each type [N * count]; a matter of speed only.
 
         Returns:
-            Which satellites of each type had an event that was looked at, [N * count] booleans.
+            Which satellites of each type had an event that was looked at, [N * count] booleans; None for types without events.
         """
         order = sorted(range(len(self.simulators)), key=lambda k: not self.simulators[k].stops)
-        before = [simulator.events for simulator in self.simulators]
+        before = [simulator.events if simulator.has_events else None for simulator in self.simulators]
         ends, ran, checkpoints = ticks, {}, {}
         for k in order:
             part = self.simulators[k]
@@ -179,14 +183,17 @@ class Fleet:
         for k, checkpoint in checkpoints.items():
             if checkpoint is not None:
                 self._fly_again(k, checkpoint, ran[k], ends)
-        cut = (ends >= left) & (ends > 0)
-        seen = {}
-        for k, part in enumerate(self.simulators):
-            if part.stops:
-                seen[k] = (part.events > before[k]) & ~part.of_env(cut)
-            else:
-                seen[k] = self._flown_without_stops(k, ends, cut) > before[k]
-        return [seen[k] for k in range(len(self.simulators))]
+        seen: list[Tensor | None] = []
+        for k, (part, start) in enumerate(zip(self.simulators, before, strict=True)):
+            if start is None:
+                seen.append(None)
+                if k not in ran:
+                    self._flown(k, ends, None)
+                continue
+            cut = (ends >= left) & (ends > 0)
+            events = part.events if k in ran else self._noted(k, ends, cut)
+            seen.append((events > start) & ~part.of_env(cut) if k in ran else events > start)
+        return seen
 
     def _fly_again(self, part: int, checkpoint: Checkpoint, ran: Tensor, ends: Tensor) -> None:
         """Take one type back to where it was, in the episodes in which it ``ran`` [N] beyond ``ends`` [N]; fly it to there."""
@@ -195,10 +202,10 @@ class Fleet:
             simulator.rewind(checkpoint, simulator.of_env(beyond))
             self._flown(part, torch.where(beyond, ends, 0), None)
 
-    def _flown_without_stops(self, part: int, ticks: Tensor, cut: Tensor) -> Tensor:
+    def _noted(self, part: int, ticks: Tensor, cut: Tensor) -> Tensor:
         """Fly one type whose events end no step; the events that were looked at, [N * count]: not those of a last tick."""
         simulator = self.simulators[part]
-        if not simulator.has_events or not bool(cut.any()):
+        if not bool(cut.any()):
             self._flown(part, ticks, None)
             return simulator.events
         self._flown(part, ticks - cut.long(), None)

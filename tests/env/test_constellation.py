@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import pickle
 
 import pytest
 import torch
@@ -526,3 +527,29 @@ def test_joint_observes_only_those_who_need_a_task_on_request() -> None:
     assert (second != 0.0).any()
     assert not first.any()
     assert not third.any()
+
+
+def test_a_constellation_can_be_pickled_in_the_middle_of_an_episode() -> None:
+    env = mixed(communicator=comm.LOSCommunication(), sat_arg_randomizer=formations.train_args(3.0))
+    td = play(env, 5)[-1]
+    twin = pickle.loads(pickle.dumps(env))
+    for step in range(4):
+        a, b = (each.step(chosen(each, td, step))["next"].clone() for each in (env, twin))
+        assert_equal(a, b)
+        td = a
+
+
+def test_pools_of_prepared_episodes_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    def episodes() -> list[TensorDict]:
+        env = mixed(num_envs=4, time_limit=120.0, communicator=comm.FreeCommunication())
+        td, seen = env.reset(), []
+        for step in range(25):
+            played, td = env.step_and_maybe_reset(chosen(env, td, step))
+            seen.append(played["next"].clone())
+        assert torch.all(env.episode > 1)
+        return seen
+
+    without = episodes()
+    monkeypatch.setattr("bsk_torch.env.base.SMALLEST", 1)
+    for a, b in zip(without, episodes(), strict=True):
+        assert_equal(a, b)
