@@ -129,7 +129,7 @@ class ActionBuilder:
         """Number of negative actions that are legal beside the discrete space."""
         return max(entry.explicit for entry in self.entries)
 
-    def _shares(self, action: Tensor) -> list[tuple[Action, Tensor, Tensor]]:
+    def shares(self, action: Tensor) -> list[tuple[Action, Tensor, Tensor]]:
         """Entries, which actions are theirs, and their numbers within the entry; negative ones go to the first that has them."""
         shares, first = [], 0
         negative = action < 0
@@ -150,7 +150,7 @@ class ActionBuilder:
             return Decision(table.mode.gather(1, action.unsqueeze(1)).squeeze(1), retask, duration, action, duration)
         seconds = action.double()
         decision = Decision(torch.zeros_like(action), torch.zeros_like(action, dtype=torch.bool), seconds, action, seconds)
-        for entry, mine, index in self._shares(action):
+        for entry, mine, index in self.shares(action):
             part = entry.decide(index, mine & moves, action, previous)
             decision = Decision(*(torch.where(mine, new, old) for new, old in zip(part, decision, strict=True)))
         return decision
@@ -158,13 +158,13 @@ class ActionBuilder:
     def begin(self, action: Tensor, moves: Tensor, decision: Decision) -> None:
         """Tell the entries what has been decided, where ``moves`` [N] is true."""
         if self.table() is None:
-            for entry, mine, _ in self._shares(action):
+            for entry, mine, _ in self.shares(action):
                 entry.begin(mine & moves, decision)
 
     def end(self, action: Tensor, ended: Tensor, decision: Decision, event: Tensor) -> None:
         """Tell the entries where their actions ``ended`` [N], and where that was by an ``event`` [N]."""
         if self.table() is None:
-            for entry, mine, _ in self._shares(action):
+            for entry, mine, _ in self.shares(action):
                 entry.end(mine & ended, decision, event)
 
     def mask(self) -> Tensor:

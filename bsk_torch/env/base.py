@@ -66,6 +66,9 @@ class Tasking(EnvBase):
     _supports_set_state = True
     _has_frame_skip = True
 
+    links: Tensor | None = None
+    """Who has told whom after the last step, [N, S, S]; None where satellites never talk."""
+
     def _build(
         self,
         satellites: Sequence[Satellite],
@@ -317,7 +320,8 @@ class Tasking(EnvBase):
         reward = self.rewarder.calculate_reward(before, self.rewarder.read_log())
         self.scenario.after_step(fleet.sim_time)
         if not isinstance(self.communicator, NoCommunication):
-            self.rewarder.share(self.communicator.communicate(moves))
+            self.links = self.communicator.communicate(moves)
+            self.rewarder.share(self.links)
         for simulator in fleet.simulators:
             simulator.memory.touch()
         for squad in self.squads:

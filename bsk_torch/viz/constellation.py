@@ -21,9 +21,9 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import MultipleLocator
 from torch import Tensor
 
-from bsk_torch.viz.ground_track import _cities, _dot, _graticule, _pieces
+from bsk_torch.viz.ground_track import cities, dot, graticule, track_pieces
 from bsk_torch.viz.style import FAINT, INK, PALETTE, caption, headline, save, tidy
-from bsk_torch.viz.timeline import HOUR, _spacing, plain
+from bsk_torch.viz.timeline import HOUR, plain, spacing
 
 TAIL = 900.0
 """Seconds of flight that are drawn bold before the moment that the map shows."""
@@ -217,9 +217,9 @@ def _clock(seconds: float) -> str:
 
 def _world(panel: Axes, episode: ConstellationEpisode) -> list[Artist]:
     """Draw the map; entries for the legend."""
-    _graticule(panel)
+    graticule(panel)
     panel.set_anchor("C")
-    _cities(panel)
+    cities(panel)
     panel.plot(episode.target_longitude, episode.target_latitude, "o", markersize=1.8, zorder=1.5, **TARGET)
     now = float(episode.times[episode.moment])
     for k, color in enumerate(episode.colors):
@@ -238,7 +238,7 @@ def _world(panel: Axes, episode: ConstellationEpisode) -> list[Artist]:
 def _track(panel: Axes, episode: ConstellationEpisode, k: int, color: str, now: float) -> None:
     """The track of satellite ``k`` while it lived, bold shortly before ``now``."""
     alive, end = episode.times[1:] <= episode.ends[k], episode.times[1:]
-    pieces = _pieces(episode.longitude[k], episode.latitude[k])
+    pieces = track_pieces(episode.longitude[k], episode.latitude[k])
     bold = alive & (end > now - TAIL) & (end <= now)
     for rows, width, alpha, layer in ((alive, 0.7, 0.4, 2), (bold, 2.2, 0.9, 3)):
         panel.add_collection(LineCollection(pieces[rows].tolist(), color=color, linewidth=width, alpha=alpha, zorder=layer))
@@ -260,7 +260,7 @@ def _links(panel: Axes, episode: ConstellationEpisode) -> None:
     alpha = 0.7 / max(1.0, 0.5 * len(pairs) / episode.size) ** 0.5  # many lines are paler
     for i, j in pairs.tolist():
         path = great_circle(latitude[[i, j]], longitude[[i, j]])
-        panel.add_collection(LineCollection(_pieces(*path).tolist(), color=INK, linewidth=0.8, alpha=alpha, zorder=4.5))
+        panel.add_collection(LineCollection(track_pieces(*path).tolist(), color=INK, linewidth=0.8, alpha=alpha, zorder=4.5))
 
 
 def great_circle(latitude: Tensor, longitude: Tensor, points: int = 90) -> tuple[Tensor, Tensor]:
@@ -292,8 +292,8 @@ def _world_legend(episode: ConstellationEpisode) -> list[Artist]:
     groups = sorted(set(episode.group))
     lines = [Line2D([], [], color=PALETTE[g % len(PALETTE)], linewidth=2.2, label=episode.group_name(g)) for g in groups]
     markers = [
-        (bool(episode.paid.any()), _dot("o", INK, "white", "image taken")),
-        (bool((~episode.paid).any()), _dot("o", "white", INK, "image without reward")),
+        (bool(episode.paid.any()), dot("o", INK, "white", "image taken")),
+        (bool((~episode.paid).any()), dot("o", "white", INK, "image without reward")),
         (len(episode.target_latitude) > 0, Line2D([], [], linestyle="", marker="o", markersize=2.5, label="target", **TARGET)),
         (bool(episode.contacts[episode.moment].any()), Line2D([], [], color=INK, linewidth=0.8, alpha=0.7, label="contact")),
     ]
@@ -308,7 +308,7 @@ def _rows(panel: Axes, episode: ConstellationEpisode) -> list[Artist]:
     hours = (episode.times / HOUR).tolist()
     panel.set(xlim=(hours[0], hours[-1]), ylim=(episode.size - 0.5, -0.5))
     panel.grid(False)
-    panel.xaxis.set_major_locator(MultipleLocator(_spacing(hours[-1] - hours[0])))
+    panel.xaxis.set_major_locator(MultipleLocator(spacing(hours[-1] - hours[0])))
     panel.set_xlabel("hours since the start", color=INK, fontsize=9.5)
     panel.set_yticks(range(episode.size), episode.names, fontsize=8.5 if episode.size <= 24 else 6.5)
     panel.tick_params(axis="y", length=0)

@@ -105,10 +105,10 @@ def busiest(episode: ImagingEpisode) -> tuple[float, float]:
 
 
 def _world(panel: Axes, episode: ImagingEpisode, span: tuple[float, float]) -> None:
-    _graticule(panel)
-    _cities(panel)
+    graticule(panel)
+    cities(panel)
     _targets(panel, episode, ground(episode.r_LP_P), episode.exists)
-    pieces, hours = _pieces(*ground(episode.track)), episode.track_times / HOUR
+    pieces, hours = track_pieces(*ground(episode.track)), episode.track_times / HOUR
     shown = (episode.track_times[1:] > span[0]) & (episode.track_times[:-1] < span[1])
     panel.add_collection(LineCollection(pieces[shown].tolist(), color=INK, linewidth=7.0, alpha=0.2, zorder=2.5))
     track = LineCollection(pieces.tolist(), array=hours[1:].numpy(), cmap=DAY, linewidth=1.6, zorder=3)
@@ -125,7 +125,7 @@ def _world(panel: Axes, episode: ImagingEpisode, span: tuple[float, float]) -> N
     panel.legend(handles=_world_legend(episode), bbox_to_anchor=(0.5, -0.06), ncols=8, **LEGEND)
 
 
-def _graticule(panel: Axes) -> None:
+def graticule(panel: Axes) -> None:
     """Equirectangular (plate carree) map."""
     panel.set(xlim=(-180.0, 180.0), ylim=(-90.0, 90.0), aspect="equal", anchor="W")
     panel.set_xticks(range(-180, 181, 60), [_degrees(angle, "W", "E") for angle in range(-180, 181, 60)])
@@ -137,7 +137,7 @@ def _degrees(angle: int, below: str, above: str) -> str:
     return f"{abs(angle)}°{below if angle < 0 else above if angle > 0 else ''}"
 
 
-def _cities(panel: Axes) -> None:
+def cities(panel: Axes) -> None:
     """A dot for every city, where their table is installed."""
     try:
         latitude, longitude = torch.rad2deg(city_table()[1]).unbind(-1)
@@ -146,7 +146,7 @@ def _cities(panel: Axes) -> None:
     panel.scatter(longitude, latitude, 0.5, color="#c7cdd6", linewidths=0, zorder=1)
 
 
-def _pieces(x: Tensor, y: Tensor) -> Tensor:
+def track_pieces(x: Tensor, y: Tensor) -> Tensor:
     """Pieces [M - 1, 2, 2] of a line, nothing where it leaves the map at one side and comes back at the other."""
     points = torch.stack([x, y], -1)
     torn = x.diff().abs() > 180.0
@@ -169,10 +169,10 @@ def _world_legend(episode: ImagingEpisode) -> list[Line2D]:
     markers = [("o", *look) for kind, look in LOOKS.items() if kind in present][::-1]
     markers += [("o", "white", INK, "start"), ("s", "white", INK, "end")]
     markers += [("^", INK, INK, "ground station")] if len(episode.stations) else []
-    return [*(_dot(*marker) for marker in markers), Line2D([], [], color=INK, alpha=0.2, linewidth=7.0, label="shown below")]
+    return [*(dot(*marker) for marker in markers), Line2D([], [], color=INK, alpha=0.2, linewidth=7.0, label="shown below")]
 
 
-def _dot(marker: str, face: str, edge: str, name: str) -> Line2D:
+def dot(marker: str, face: str, edge: str, name: str) -> Line2D:
     return Line2D([], [], linestyle="", marker=marker, color=face, markeredgecolor=edge, markersize=6.0, label=name)
 
 

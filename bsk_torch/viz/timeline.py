@@ -41,10 +41,10 @@ def time_axis(panel: Axes, episode: Episode, named: bool = True) -> None:
     panel.tick_params(labelbottom=named)
     panel.set_xlabel("hours since the start" if named else "", color=INK, fontsize=9.5)
     panel.set_xlim(0.0, hours)
-    panel.xaxis.set_major_locator(MultipleLocator(_spacing(hours)))
+    panel.xaxis.set_major_locator(MultipleLocator(spacing(hours)))
 
 
-def _spacing(hours: float) -> float:
+def spacing(hours: float) -> float:
     """Distance of the ticks, hours."""
     return next(step for step in (0.01, 0.02, 0.05, 0.1, 0.25, 0.5, 1.0, 2.0, 6.0, 24.0, 1e9) if hours / step <= 12)
 
