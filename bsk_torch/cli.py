@@ -16,7 +16,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from bsk_torch.env import SatelliteTasking
+from bsk_torch.env import SatelliteTasking, Tasking
 from bsk_torch.presets import PRESETS, make
 from bsk_torch.rl.baselines import BASELINES
 from bsk_torch.rl.evaluate import Evaluation, evaluate
@@ -66,7 +66,7 @@ def list_presets() -> None:
 @app.command("args")
 def show_arguments(preset: Preset) -> None:
     """Print every argument of a preset's satellite and world with default, unit and meaning."""
-    env = _environment(preset, 1, {"backend": "eager"})
+    env = _made(preset, 1, {"backend": "eager"})
     typer.echo(f"sat_args\n{env.default_sat_args()!r}\n\nworld_args\n{env.default_world_args()!r}")
 
 
@@ -140,11 +140,16 @@ def _configured(preset: str, network: str, **changes: Any) -> PPOConfig:
         _fail(str(error))
 
 
-def _environment(preset: str, num_envs: int, options: Mapping[str, Any]) -> SatelliteTasking:
+def _made(preset: str, num_envs: int, options: Mapping[str, Any]) -> Tasking:
     try:
-        env = make(preset, num_envs=num_envs, **options)
+        return make(preset, num_envs=num_envs, **options)
     except ValueError as error:
         _fail(str(error))
+
+
+def _environment(preset: str, num_envs: int, options: Mapping[str, Any]) -> SatelliteTasking:
+    """An environment of one satellite; ends the program for constellations."""
+    env = _made(preset, num_envs, options)
     if not isinstance(env, SatelliteTasking):
         _fail(f"{preset} has many satellites; train and evaluate it with scripts/train_constellation.py --preset {preset}")
     return env

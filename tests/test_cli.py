@@ -30,6 +30,20 @@ def test_args_prints_units_and_meaning(run):
     assert "world_args" in output
 
 
+def test_args_of_constellations_are_those_of_their_first_type(run):
+    assert "losMaximumRange" in run("args", "RelayConstellation-v1").output
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize(
+    "command", [("train", *SHORT, "Constellation-v1"), ("evaluate", "random", "--preset", "Constellation-v1")]
+)
+def test_constellations_are_trained_by_a_script(run, command):
+    result = run(*command)
+    assert result.exit_code == 1
+    assert "scripts/train_constellation.py --preset Constellation-v1" in result.output
+
+
 @pytest.mark.parametrize("command", [("args",), ("train", *SHORT), ("evaluate", "rule", *SHORT, "--preset")])
 def test_an_unknown_preset_is_answered_with_the_nearest(run, command):
     result = run(*command, "NadirScam-v1")
