@@ -99,7 +99,7 @@ def constellation(
     n_satellites: int = 12,
     n_planes: int = 3,
     phasing: int | None = None,
-    n_targets: int | tuple[int, int] = 1000,
+    n_targets: int | tuple[int, int] = 5000,
     as_set: bool = False,
     **options: Any,
 ) -> ConstellationTasking:

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import torch
 from tensordict import TensorDictBase
-from tensordict.nn import TensorDictSequential
+from tensordict.nn import TensorDictModuleBase, TensorDictSequential
 from torchrl.collectors import Collector
 from torchrl.envs import Compose, RewardSum, StepCounter, TransformedEnv
 from tqdm import tqdm
@@ -84,13 +84,22 @@ class Training:
         self.config, self.out, self.days = config, out, 0.0
         torch.manual_seed(config.seed)
         self.env = config.make_env()
-        self.learner = Learner(config, self.env)
+        self.learner = self.make_learner()
         self.progress, self.recent = Progress(config), Recent(config.num_envs)
+
+    def make_learner(self) -> Learner:
+        """What learns in the environment."""
+        return Learner(self.config, self.env)
 
     @property
     def policy(self) -> TensorDictSequential:
         """The present policy; it goes on learning while training does."""
         return self.learner.networks.policy
+
+    @property
+    def actor(self) -> TensorDictModuleBase:
+        """What decides while experience is collected: writes actions and their log-probabilities."""
+        return self.policy.select_out_keys("action", "action_log_prob")
 
     def run(self) -> TensorDictSequential:
         """Train until the budget is used, or the user interrupts."""
@@ -111,7 +120,7 @@ class Training:
     def _warm_up(self) -> None:
         """Compile before the clock starts."""
         begin = time.perf_counter()
-        self.env.rand_step(self.env.reset())
+        self.env.step(self.actor(self.env.reset()))
         self.env.set_seed(self.config.seed)
         torch.manual_seed(self.config.seed)
         logger.info("ready after %.1f s", time.perf_counter() - begin)
@@ -120,7 +129,7 @@ class Training:
         """Batches [N, T] by the present actor, and the seconds that each took."""
         collector = Collector(
             TransformedEnv(self.env, Compose(RewardSum(), StepCounter())),
-            self.policy.select_out_keys("action", "action_log_prob"),
+            self.actor,
             frames_per_batch=self.config.batch,
             total_frames=-1,
             auto_register_policy_transforms=False,
