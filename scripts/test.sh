@@ -8,6 +8,8 @@ python="${PYTHON:-python3}"
 # torch first and by exact version: an open range may bring gigabytes of CUDA packages
 .venv/bin/python -m pip install -q -c constraints.txt "torch==$(sed -n 's/^torch==//p' constraints.txt)"
 .venv/bin/python -m pip install -q -c constraints.txt -e ".[train,viz,cities,dev]"
+# a client that no one here wrote; pip would take an older TorchRL with it
+.venv/bin/python -m pip install -q --no-deps benchmarl==1.5.2
 # one cache of kernels for all tests, and no threads that fight over the cores
 export OMP_NUM_THREADS=1 BSK_TORCH_CACHE="${BSK_TORCH_CACHE:-$PWD/.venv/kernels}"
 .venv/bin/ruff check .

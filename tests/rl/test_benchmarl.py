@@ -1,7 +1,7 @@
 """Constellations as BenchMARL's tasks: what it is told of them, and a short training.
 
-BenchMARL 1.5 wants an older TorchRL than this package, so nothing installs it with the package, and continuous integration is
-without it: see :mod:`bsk_torch.rl.benchmarl`.
+BenchMARL 1.5 wants an older TorchRL than this package, so scripts/test.sh installs it without its dependencies: see
+:mod:`bsk_torch.rl.benchmarl`.
 """
 
 from importlib.util import find_spec
