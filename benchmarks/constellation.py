@@ -6,10 +6,10 @@ Usage:
 The number of satellites simulated at once, ``--rows``, stays the same: constellations of S fly in rows / S episodes. Two ways of
 deciding are measured. In ``intervals`` every satellite gets a new target once a minute, so that steps take as long whatever S is;
 in ``tasks`` a step ends with the first task, so that steps become shorter as S grows. Satellites are those of Constellation-v1 in
-one plane, with 5,000 targets, random actions, and everything told to everybody; orbits are reset as episodes of three orbits end.
-Sizes take turns (of us and of Basilisk, if there is one), so that all of them see the same machine; figures are medians.
-``PYTHON`` is an interpreter with bsk and bsk_rl. Basilisk plays one episode at a time, up to ``--most`` satellites: its reset,
-which is not measured, takes seconds for every one of them.
+one plane, with 5,000 targets, random actions, and everything told to everybody. Sizes take turns (of us and of Basilisk, if there
+is one), so that all of them see the same machine; figures are medians. A turn of ours lasts until as many episodes of three orbits
+have ended as there are, so that it holds all its resets. ``PYTHON`` is an interpreter with bsk and bsk_rl; Basilisk plays one
+episode for ``--seconds``, of up to ``--most`` satellites: its reset, which is not measured, takes seconds for every one of them.
 """
 
 from __future__ import annotations
@@ -32,7 +32,10 @@ TARGETS = 5000
 INTERVAL = 60.0
 """Seconds between decisions, where they are at fixed times."""
 
-WARM_UP = 40
+LIMIT = 17_100.0
+"""Seconds of an episode, three orbits."""
+
+WARM_UP = 5
 """Steps before anything is measured."""
 
 MODES = {"intervals": dict(variable_interval=False, max_step_duration=INTERVAL), "tasks": {}}
@@ -60,7 +63,7 @@ def make(mode: str, satellites: int, batch: int) -> bsk_torch.ConstellationTaski
         communicator=comm.FreeCommunication(),
         num_envs=batch,
         seed=0,
-        time_limit=harness.Staggered(batch),
+        time_limit=harness.Staggered(batch, LIMIT),
         **MODES[mode],
     )
 
@@ -92,7 +95,7 @@ def turns_of(mode: str, sizes: list[int], rows: int, python: str | None, options
         for _ in range(options.turns):
             for size in sizes:
                 theirs = others[size](options.seconds) if size in others else None
-                yield size, harness.play(players[size], options.seconds), theirs
+                yield size, harness.play(players[size], 0.0, whole=rows // size), theirs
 
 
 def row_of(mode: str, size: int, rows: int, turns: list[tuple[Turn, Turn | None]]) -> dict[str, Any]:

@@ -35,6 +35,9 @@ FEW, SPARE = 48, 16
 """Tables of so many windows more than twice those that a query wants are looked at as a whole; of longer ones, those that it
 wants and so many more are looked at first."""
 
+LONGER = 4
+"""How much longer the next block is, where one was not enough."""
+
 PlacesOf = Callable[[Tensor], Places]
 """Places of rows [n]."""
 
@@ -82,13 +85,15 @@ def seen(windows: Windows, time: Tensor, until: Tensor, allowed: Tensor | None) 
     return Seen(Windows(windows.open, torch.minimum(windows.close, end), windows.place), ahead, rank)
 
 
-def next_of(windows: Windows, time: Tensor, until: Tensor, width: int, allowed: Tensor | None) -> tuple[Windows, Tensor]:
+def next_of(
+    windows: Windows, time: Tensor, until: Tensor, width: int, allowed: Tensor | None, block: int | None = None
+) -> tuple[Windows, Tensor]:
     """The ``width`` next windows to close at ``time`` [n], [n, width] each, and how many of them there are, [n].
 
     The last is repeated where there are fewer. ``until`` [n] is the end of what is known, ``allowed`` [n, P] says which places
-    count. Of long tables a block is looked at first, which is enough for most rows.
+    count. Of long tables a ``block`` of windows is looked at first, which is enough for most rows, then longer ones.
     """
-    total, block = windows.close.shape[1], width + SPARE
+    total, block = windows.close.shape[1], block or width + SPARE
     if total <= 2 * width + FEW:
         return _soonest(seen(windows, time, until, allowed), width)
     first = first_after(windows, time)
@@ -103,10 +108,13 @@ def next_of(windows: Windows, time: Tensor, until: Tensor, width: int, allowed: 
     rest = torch.nonzero((ahead & (some.windows.close < until.unsqueeze(-1))).sum(1) < width).squeeze(-1)
     if not len(rest):
         return result, found
+    few, mine = Windows(*(part[rest] for part in windows)), None if allowed is None else allowed[rest]
     longest = max(1, total - int(first[rest].min()))
-    few = Windows(*(part[rest] for part in windows))
-    every, fresh = _from(few, first[rest], longest, time[rest], until[rest], None if allowed is None else allowed[rest])
-    late, number = _soonest(every._replace(ahead=every.ahead & fresh), width)
+    if longest > LONGER * block:
+        late, number = next_of(few, time[rest], until[rest], width, mine, LONGER * block)
+    else:
+        every, fresh = _from(few, first[rest], longest, time[rest], until[rest], mine)
+        late, number = _soonest(every._replace(ahead=every.ahead & fresh), width)
     result = Windows(*(a.index_copy(0, rest, b) for a, b in zip(result, late, strict=True)))
     return result, found.index_copy(0, rest, number)
 
