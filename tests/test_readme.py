@@ -2,6 +2,8 @@
 
 import re
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -19,6 +21,8 @@ SHORT = {
     "train": "--frames 16 --num-envs 2 --episodes 2 --time-limit 300 --backend eager",
     "evaluate": "--time-limit 300 --backend eager --episodes 2",
     "list": "",
+    "scripts/train_constellation.py": "--minutes 0.02 --num-envs 4 --rollout 16 --episodes 2 --time-limit 300",
+    "scripts/share_intent.py": "--minutes 0.02 --episodes 2 --time-limit 300",
 }
 """What makes a command of the README short enough for a test; later options win over the README's."""
 
@@ -33,12 +37,16 @@ def test_python(code, capsys):
 @pytest.mark.parametrize("command", COMMANDS)
 def test_commands(command, tmp_path, monkeypatch):
     program, *arguments = command.split()
+    monkeypatch.chdir(tmp_path)
+    if program == "python":
+        command = [sys.executable, str(ROOT / arguments[0]), *arguments[1:], *SHORT[arguments[0]].split()]
+        subprocess.run(command, check=True, capture_output=True, text=True)
+        return
     if program != "bsk-torch":
         script = ROOT / program
         assert script.exists()
         assert shutil.which(str(script)), f"{program} is not executable"
         return
-    monkeypatch.chdir(tmp_path)
     result = CliRunner().invoke(app, [*arguments, *SHORT[arguments[0]].split()])
     assert result.exit_code == 0, result.output
 
