@@ -7,9 +7,9 @@ The number of satellites simulated at once, ``--rows``, stays the same: constell
 deciding are measured. In ``intervals`` every satellite gets a new target once a minute, so that steps take as long whatever S is;
 in ``tasks`` a step ends with the first task, so that steps become shorter as S grows. Satellites are those of Constellation-v1 in
 one plane, with 5,000 targets, random actions, and everything told to everybody. Sizes take turns (of us and of Basilisk, if there
-is one), so that all of them see the same machine; figures are medians. A turn of ours lasts until as many episodes of three orbits
-have ended as there are, so that it holds all its resets. ``PYTHON`` is an interpreter with bsk and bsk_rl; Basilisk plays one
-episode for ``--seconds``, of up to ``--most`` satellites: its reset, which is not measured, takes seconds for every one of them.
+is one), so that all of them see the same machine; figures are medians. A turn of ours lasts until as many episodes have ended as
+there are, three orbits each, so that it holds all its resets. ``PYTHON`` is an interpreter with bsk and bsk_rl; Basilisk plays
+one episode for ``--seconds``, of up to ``--most`` satellites: its reset, which is not measured, takes seconds for each of them.
 """
 
 from __future__ import annotations

@@ -302,8 +302,9 @@ class Tasking(EnvBase):
 
     def _renew(self, rows: Tensor) -> None:
         """Tell everybody that the episodes ``rows`` [n] are others now."""
-        for squad in self.squads:
+        for k, squad in enumerate(self.squads):
             squad.satellite.time_limit.copy_(squad.simulator.of_env(self.time_limit))
+            squad.satellite.absent = self.fleet.rows_of(k, self.fleet.inert) if self.fleet.size > 1 else None
         self.scenario.reset(rows)
 
     # -- step ---------------------------------------------------------------------------------------------------------

@@ -290,6 +290,20 @@ def test_a_dead_satellite_leaves_and_the_others_go_on() -> None:
     assert not td["terminated"].any()
 
 
+def test_the_next_episode_begins_with_everybody() -> None:
+    env = mortal(num_envs=2)
+    td = env.reset()
+    state = env.get_state()
+    while bool(td["agents", "mask"].all()):
+        td = env.step(chosen(env, td, 0))["next"].clone()
+    assert env.satellites[0].absent.any()
+    again = env.reset(td.set("_reset", torch.tensor([[True], [False]])))
+    assert again["agents", "mask"][0].all()
+    assert not env.satellites[0].absent[:3].any()
+    env.reset(TensorDict({"state": state}, [2]), set_state=True)
+    assert not env.satellites[0].absent.any()
+
+
 def test_the_episode_ends_when_all_are_dead() -> None:
     satellites = imagers(2, storedCharge_Init=200.0, batteryStorageCapacity=30_000.0, basePowerDraw=-20.0, panelArea=0.01)
     env = build(satellites, num_envs=1)
