@@ -81,6 +81,20 @@ AGILE: dict[str, Any] = {
 """The preset's arguments; the rest is random by default."""
 
 
+def targets_ahead(count: int) -> obs.OpportunityProperties:
+    """Observation of the next targets; bsk_rl writes into the dictionaries, so every satellite needs its own."""
+    return obs.OpportunityProperties(
+        dict(prop="priority"),
+        dict(prop="r_LB_H", norm=ALTITUDE),
+        dict(prop="target_angle", norm=math.pi),
+        dict(prop="target_angle_rate", norm=0.03),
+        dict(prop="opportunity_open", norm=SOON),
+        dict(prop="opportunity_close", norm=SOON),
+        type="target",
+        n_ahead_observe=count,
+    )
+
+
 class AgileSatellite(sats.ImagingSatellite):
     """Sees the next 32 targets and images one of them."""
 
@@ -91,16 +105,7 @@ class AgileSatellite(sats.ImagingSatellite):
             dict(prop="r_BN_P", norm=EARTH_RADIUS),
             dict(prop="v_BN_P", norm=7616.5),
         ),
-        obs.OpportunityProperties(
-            dict(prop="priority"),
-            dict(prop="r_LB_H", norm=ALTITUDE),
-            dict(prop="target_angle", norm=math.pi),
-            dict(prop="target_angle_rate", norm=0.03),
-            dict(prop="opportunity_open", norm=SOON),
-            dict(prop="opportunity_close", norm=SOON),
-            type="target",
-            n_ahead_observe=AHEAD,
-        ),
+        targets_ahead(AHEAD),
         obs.Time(),
     )
     action_spec = (act.Image(n_ahead_image=AHEAD),)
@@ -130,16 +135,7 @@ class LinkedImager(AgileSatellite):
 
     observation_spec = (
         AgileSatellite.observation_spec[0],
-        obs.OpportunityProperties(
-            dict(prop="priority"),
-            dict(prop="r_LB_H", norm=ALTITUDE),
-            dict(prop="target_angle", norm=math.pi),
-            dict(prop="target_angle_rate", norm=0.03),
-            dict(prop="opportunity_open", norm=SOON),
-            dict(prop="opportunity_close", norm=SOON),
-            type="target",
-            n_ahead_observe=16,
-        ),
+        targets_ahead(16),
         obs.Time(),
     )
     action_spec = (act.Image(n_ahead_image=16),)

@@ -10,7 +10,7 @@ from bsk_torch.sats.satellite import Satellite
 from bsk_torch.sim.dyn.events import DISARMED
 from bsk_torch.sim.fleet import NEVER
 
-KEPT = ("previous_action", "dead", "requires_retasking", "ends", "action", "task_duration", "task_key", "expected")
+KEPT = ("previous_action", "dead", "requires_retasking", "ends", "action", "task_duration", "expected")
 """What the future depends on beside the simulation."""
 
 
@@ -19,13 +19,12 @@ class Squad:
 
     Attributes:
         satellite: What all of them are.
-        previous_action: What the last action is remembered by; see :class:`bsk_torch.act.base.Decision`.
+        previous_action: What the last action, or the one in progress, is remembered by; see :class:`bsk_torch.act.base.Decision`.
         dead: Which have died.
         requires_retasking: Which have nothing left to do.
         ends: Tick since reset at which the task's time is up.
         action: Number of the action in progress.
         task_duration: Its duration, s.
-        task_key: Its key.
         expected: Tick at which it will probably end.
     """
 
@@ -36,13 +35,13 @@ class Squad:
         self.previous_action, self.ends = zero - 1, zero + NEVER
         self.dead = torch.zeros_like(zero, dtype=torch.bool)
         self.requires_retasking = torch.ones_like(self.dead)
-        self.action, self.task_key, self.expected = zero.clone(), zero - 1, zero + NEVER
+        self.action, self.expected = zero.clone(), zero + NEVER
         self.task_duration = zero.double()
 
     def begin(self, rows: Tensor) -> None:
         """New episodes in ``rows`` [n]."""
         fresh: dict[str, float] = {"previous_action": -1, "requires_retasking": True, "ends": NEVER, "expected": NEVER}
-        fresh |= {"action": 0, "task_key": -1, "task_duration": 0.0}
+        fresh |= {"action": 0, "task_duration": 0.0}
         for name, value in fresh.items():  # never in place: the tensors may be the user's
             setattr(self, name, getattr(self, name).index_fill(0, rows, value))
 
@@ -69,8 +68,7 @@ class Squad:
         now = simulator.ticks
         ends = now + self.whole_ticks(decision.duration)
         expected = ends if decision.expected is decision.duration else now + self.whole_ticks(decision.expected)
-        task = {"ends": ends, "expected": expected, "action": action}
-        task |= {"task_key": decision.key, "task_duration": decision.duration}
+        task = {"ends": ends, "expected": expected, "action": action, "task_duration": decision.duration}
         for name, value in task.items():
             setattr(self, name, value if all_act else torch.where(acts, value, getattr(self, name)))
 
@@ -96,7 +94,7 @@ class Squad:
         else:
             self.requires_retasking = self.requires_retasking | event
         self.satellite.note_events(event)
-        decision = Decision(simulator.mode, fired, self.task_duration, self.task_key, self.task_duration)
+        decision = Decision(simulator.mode, fired, self.task_duration, self.previous_action, self.task_duration)
         self.satellite.actions.end(self.action, fired & was_busy, decision, event)
 
     def dismiss(self, rows: Tensor) -> None:

@@ -20,7 +20,7 @@ CHOICES = 16
 """Targets that a satellite of Constellation-v1 sees and can choose."""
 
 RELAY_ALTITUDE = 2500.0
-"""Height of the relays, km: two of them, half an orbit apart, see each other past the Earth only at times."""
+"""Height of the relays, km: two of them, half an orbit apart, have the Earth between them, but see low imagers on their sides."""
 
 
 def choices(as_set: bool = False) -> obs.OpportunityProperties:
@@ -153,7 +153,7 @@ def aeos_constellation(
 def relay_constellation(
     *, n_imagers: int = 4, n_relays: int = 2, n_targets: int | tuple[int, int] = 500, **options: Any
 ) -> ConstellationTasking:
-    """RelayConstellation-v1: low imagers that seldom see each other, and high relays that must learn when to pass on what.
+    """RelayConstellation-v1: low imagers that never see each other, and high relays that must learn when to pass on what.
 
     Groups are ``broadcasting_imager`` and ``relay``.
 
