@@ -12,6 +12,7 @@ from __future__ import annotations
 import argparse
 import json
 import logging
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +25,6 @@ from bsk_torch.rl.crew import Crew, crew_baseline, evaluate_crew
 from bsk_torch.rl.evaluate import Evaluation
 from bsk_torch.rl.marl import CrewConfig, CrewTraining
 from bsk_torch.rl.policies import load_policy
-from bsk_torch.rl.training import POLICY
 
 FRESH = 1_000_003
 """Added to the seed of training to get that of evaluation, whose episodes are then new to the policy."""
@@ -38,7 +38,7 @@ SHARING: dict[str, comm.CommunicationMethod] = {
 """Who tells whom after every step."""
 
 
-def train_alone(options: argparse.Namespace, world: dict[str, Any]) -> TensorDictModuleBase:
+def train_alone(options: argparse.Namespace, world: dict[str, Any], out: Path) -> TensorDictModuleBase:
     """A policy of the only satellite of an otherwise equal environment.
 
     Where others take targets away few are left, so it also learns in worlds with down to a tenth of the targets: with all of them
@@ -54,7 +54,7 @@ def train_alone(options: argparse.Namespace, world: dict[str, Any]) -> TensorDic
         seed=options.seed,
         options=world | {"n_satellites": 1, "n_planes": 1, "phasing": 0, "n_targets": targets},
     )
-    return CrewTraining(config, options.out).run()
+    return CrewTraining(config, out).run()
 
 
 def row(who: str, sharing: str, result: Evaluation, alone: Evaluation) -> str:
@@ -77,7 +77,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--rules", nargs="*", default=["greedy"], help="baselines to compare with")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--backend", default="compiled", choices=["compiled", "eager"])
-    parser.add_argument("--out", type=Path, default=Path("runs/share_intent"), help="folder for the results")
+    parser.add_argument("--out", type=Path, help="folder for the results; a new one in runs/ unless given")
     return parser.parse_args()
 
 
@@ -86,8 +86,9 @@ def main() -> None:
     options = arguments()
     torch.set_num_threads(1)
     logging.basicConfig(level=logging.INFO, format="%(message)s")
+    out = options.out or Path("runs") / f"share_intent_{datetime.now():%Y%m%d-%H%M%S}"
     world = {"as_set": True, "backend": options.backend, "n_targets": options.n_targets, "time_limit": options.time_limit}
-    trained = load_policy(options.policy / POLICY) if options.policy else train_alone(options, world)
+    trained = load_policy(options.policy) if options.policy else train_alone(options, world, out)
     returns: dict[str, dict[str, list[float]]] = {}
     alone: dict[str, Evaluation] = {}
     print("| policy | who is told | team return | gain over nobody | images | for nothing |\n|---|---|---|---|---|---|")
@@ -99,8 +100,8 @@ def main() -> None:
             result = evaluate_crew(policy, env, seed=options.seed + FRESH)
             print(row(who, sharing, result, alone.setdefault(who, result)), flush=True)
             returns.setdefault(who, {})[sharing] = result.returns.tolist()
-    options.out.mkdir(parents=True, exist_ok=True)
-    (options.out / "share_intent.json").write_text(json.dumps(returns) + "\n")
+    out.mkdir(parents=True, exist_ok=True)
+    (out / "share_intent.json").write_text(json.dumps(returns) + "\n")
 
 
 if __name__ == "__main__":

@@ -7,7 +7,7 @@ python="${PYTHON:-python3}"
 [ -x .venv/bin/python ] || "$python" -m venv .venv
 # torch first and by exact version: an open range may bring gigabytes of CUDA packages
 .venv/bin/python -m pip install -q -c constraints.txt "torch==$(sed -n 's/^torch==//p' constraints.txt)"
-.venv/bin/python -m pip install -q -c constraints.txt -e ".[train,viz,cities,dev]"
+.venv/bin/python -m pip install -q -c constraints.txt -e ".[train,tensorboard,viz,video,sb3,cities,dev]"
 # a client that no one here wrote; pip would take an older TorchRL with it
 .venv/bin/python -m pip install -q --no-deps benchmarl==1.5.2
 # one cache of kernels for all tests, and no threads that fight over the cores

@@ -15,40 +15,49 @@ ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text()
 BLOCKS = re.findall(r"```(\w+)\n(.*?)```", README, re.DOTALL)
 PYTHON = [code for language, code in BLOCKS if language == "python"]
-COMMANDS = [line.split("#")[0].strip() for language, code in BLOCKS if language == "bash" for line in code.strip().splitlines()]
+SHELL = [[line.split("#")[0].strip() for line in code.strip().splitlines()] for language, code in BLOCKS if language == "bash"]
+
+CLIENT = "--steps 200 --num-envs 8 --rollout 8 --episodes 4 --time-limit 900"
 
 SHORT = {
-    "train": "--frames 16 --num-envs 2 --episodes 2 --time-limit 300 --backend eager",
-    "evaluate": "--time-limit 300 --backend eager --episodes 2",
+    "train": "--frames 32 num_envs=2 rollout=8 evaluate_every=16 evaluate_episodes=2 --episodes 2 --time-limit 300",
+    "eval": "--seeds 0:2 --time-limit 300",
+    "report": "--episodes 3",
     "list": "",
     "scripts/train_constellation.py": "--minutes 0.02 --num-envs 4 --rollout 16 --episodes 2 --time-limit 300",
     "scripts/share_intent.py": "--minutes 0.02 --episodes 2 --time-limit 300",
+    "scripts/sb3_train.py": CLIENT,
+    "scripts/cleanrl_ppo.py": CLIENT,
 }
 """What makes a command of the README short enough for a test; later options win over the README's."""
 
 
 @pytest.mark.compiled
 @pytest.mark.parametrize("code", PYTHON, ids=[f"block{k}" for k in range(len(PYTHON))])
-def test_python(code, capsys):
+def test_python(code, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
     exec(compile(code, "README.md", "exec"), {"__name__": "readme"})
     assert "Traceback" not in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("command", COMMANDS)
-def test_commands(command, tmp_path, monkeypatch):
-    program, *arguments = command.split()
+@pytest.mark.compiled
+@pytest.mark.parametrize("commands", SHELL, ids=[block[0].split()[0] + f"{k}" for k, block in enumerate(SHELL)])
+def test_commands(commands, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
+    for command in commands:
+        run(*command.split())
+
+
+def run(program, *arguments):
+    """A command in its short form."""
     if program == "python":
         command = [sys.executable, str(ROOT / arguments[0]), *arguments[1:], *SHORT[arguments[0]].split()]
         subprocess.run(command, check=True, capture_output=True, text=True)
-        return
-    if program != "bsk-torch":
-        script = ROOT / program
-        assert script.exists()
-        assert shutil.which(str(script)), f"{program} is not executable"
-        return
-    result = CliRunner().invoke(app, [*arguments, *SHORT[arguments[0]].split()])
-    assert result.exit_code == 0, result.output
+    elif program == "bsk-torch":
+        result = CliRunner().invoke(app, [*arguments, *SHORT[arguments[0]].split()])
+        assert result.exit_code == 0, result.output
+    else:
+        assert shutil.which(str(ROOT / program)), f"{program} is missing or not executable"
 
 
 def test_figures_are_filled_in():

@@ -7,6 +7,7 @@ import functools
 import logging
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from importlib import import_module
 from typing import Any, NamedTuple
 
 import torch
@@ -45,7 +46,7 @@ LIMIT = Arg("time_limit", float("inf"), "s", "time after which an episode is tru
 SAMPLE = 1024
 """Random time limits that are drawn to see how long arcs will be, before a batch is built."""
 
-EXTRA_STATE = ("episode", "limit_ticks", "seed_rows", "time_limit")
+EXTRA_STATE = ("episode", "limit_ticks", "seed_rows", "time_limit", "returns")
 
 
 class Played(NamedTuple):
@@ -65,6 +66,9 @@ class Tasking(EnvBase):
 
     _supports_set_state = True
     _has_frame_skip = True
+
+    returns: Tensor
+    """Sum of the rewards of each episode so far, of all satellites, [N] float64."""
 
     links: Tensor | None = None
     """Who has told whom after the last step, [N, S, S]; None where satellites never talk."""
@@ -223,7 +227,7 @@ class Tasking(EnvBase):
         self.env_ids = ids.to(self.device)
         counter = torch.zeros(n, dtype=torch.int64, device=self.device)
         self.episode, self.seed_rows = counter - 1, counter.clone()
-        self.limit_ticks, self.time_limit = counter.clone(), counter.double()
+        self.limit_ticks, self.time_limit, self.returns = counter.clone(), counter.double(), counter.double()
 
     def _make_specs(self, trial: list[Values]) -> None:
         raise NotImplementedError(f"{type(self).__name__} must implement _make_specs(trial)")
@@ -293,6 +297,7 @@ class Tasking(EnvBase):
         self.limit_ticks[rows] = ticks.long()
         self.time_limit[rows] = torch.where(torch.isfinite(limit), ticks * self.simulator.h, limit)
         self.fleet.inert[rows] = False
+        self.returns[rows] = 0.0
         for k, squad in enumerate(self.squads):
             squad.begin(self.fleet.rows(k, rows))
         self._renew(rows)
@@ -410,6 +415,28 @@ class Tasking(EnvBase):
         """Pickle the arguments and the state, not the compiled tick."""
         return _rebuild, (type(self), self._arguments, self.seed_rows, self.episode, self.get_extra_state())
 
+    # -- pictures -----------------------------------------------------------------------------------------------------
+
+    def render(self, rows: int | Sequence[int] | None = None, height: int = 480) -> Tensor:
+        """Pictures of the present: the Earth, the satellites and what they do; nothing that comes next changes.
+
+        TorchRL's ``PixelRenderTransform`` calls it, with ``rows=0`` for a video of one environment of many. It resets the
+        environment to learn the shape of pictures: read ``env.observation_spec`` before a rollout.
+
+        Args:
+            rows: Environment to draw, or several; None for all, if they are 16 at most.
+            height: Pixels from top to bottom, an even number from 120 on; there are 4/3 as many from left to right.
+
+        Returns:
+            Pixels [len(rows), height, width, 3], or [height, width, 3] of a single environment; uint8.
+
+        Raises:
+            ModuleNotFoundError: Without the extra ``viz``.
+            RuntimeError: Before the first reset.
+            ValueError: For a wrong argument.
+        """
+        return pictures().frames(self, rows, height)
+
     # -- help ---------------------------------------------------------------------------------------------------------
 
     def default_sat_args(self) -> ArgumentTable:
@@ -445,6 +472,14 @@ def _rebuild(kind: type[Tasking], arguments: dict[str, Any], seeds: Tensor, epis
     env.seed_rows, env.episode = seeds, episode
     env.set_extra_state(state)
     return env
+
+
+def pictures() -> Any:
+    """The module that draws; ModuleNotFoundError without the extra ``viz``."""
+    try:
+        return import_module("bsk_torch.viz.frames")
+    except ModuleNotFoundError as error:
+        raise ModuleNotFoundError(f"render() needs {error.name}: pip install 'bsk_torch[viz]'", name=error.name) from error
 
 
 def composed(rewarder: GlobalReward | Iterable[GlobalReward] | None) -> GlobalReward:

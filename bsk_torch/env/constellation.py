@@ -257,6 +257,7 @@ class ConstellationTasking(Tasking):
             reward = torch.where(absent, 0.0, reward)
             terminated = torch.stack([self._by_agent(group, ended).all(1) for group in self.groups], 1).all(1)
             self._dismiss()
+        self.returns = self.returns + reward.sum(1)
         truncated = self.truncated_by_time | cut
         if self.terminate_on_time_limit:
             terminated = terminated | truncated

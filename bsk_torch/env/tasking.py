@@ -135,6 +135,7 @@ class SatelliteTasking(Tasking):
         all_act, moves = moves is None, every if moves is None else moves
         played = self._play([action], [moves], moves, all_act)
         reward = played.reward.squeeze(1) + self.failure_penalty * (self.dead & moves)
+        self.returns = self.returns + reward
         truncated = self.truncated_by_time | self.rewarder.is_truncated().squeeze(1)
         terminated = self.dead | self.rewarder.is_terminated().squeeze(1)
         if self.terminate_on_time_limit:

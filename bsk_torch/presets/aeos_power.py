@@ -66,9 +66,8 @@ def shield(satellite: Any) -> Tensor:
     needed = RESERVE + torch.clamp((end - start) - start, min=0.0) / ORBIT
     low = ~dark & (satellite.dynamics.battery_charge_fraction < needed)
     fast = ~low & (satellite.dynamics.wheel_speeds_fraction.abs().amax(-1) > FAST)
-    number = torch.arange(satellite.actions.n_actions, device=low.device)
-    free = ~(low | fast).unsqueeze(-1)
-    return free | (low.unsqueeze(-1) & (number == CHARGE)) | (fast.unsqueeze(-1) & (number == DESAT))
+    names = satellite.action_description
+    return act.only(names, "action_charge", where=low) & act.only(names, "action_desat", where=fast)
 
 
 class PowerSatellite(AgileSatellite):

@@ -4,44 +4,77 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import ClassVar
 
 import torch
-from tensordict.nn import TensorDictModule
+from tensordict import TensorDictBase
+from tensordict.nn import TensorDictModule, TensorDictModuleBase
 from torch import Tensor
 
 from bsk_torch.env import SatelliteTasking
 from bsk_torch.rl.imaging import by_closing, by_haste, by_priority, imaging_rule
 from bsk_torch.sim.params import nearest
 
+LOT = "lot"
+"""Key of uniform numbers, [N] each, by which evaluation decides what policies do at random, whatever the batch."""
 
-def random_policy(env: SatelliteTasking, seed: int) -> TensorDictModule:
+
+class RandomPolicy(TensorDictModuleBase):
+    """Legal actions with equal probability, by the lots that the tensordict has, or else by lots of its own."""
+
+    in_keys: ClassVar[list[str]] = ["action_mask", LOT]
+    out_keys: ClassVar[list[str]] = ["action"]
+
+    def __init__(self, generator: torch.Generator) -> None:
+        """Draw from ``generator``."""
+        super().__init__()
+        self.generator = generator
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Write ``action``, chosen among those of ``action_mask`` [..., A]."""
+        mask, lot = tensordict["action_mask"], tensordict.get(LOT, None)
+        if lot is None:
+            lot = torch.rand(mask.shape[:-1], dtype=torch.float64, device=mask.device, generator=self.generator)
+        rank = mask.cumsum(-1)
+        chosen = mask & (rank == (lot.unsqueeze(-1) * rank[..., -1:]).long() + 1)
+        return tensordict.set("action", chosen.long().argmax(-1))
+
+
+def random_policy(env: SatelliteTasking, seed: int) -> RandomPolicy:
     """Legal actions with equal probability."""
-    generator = torch.Generator(env.device).manual_seed(seed)
-
-    def draw(mask: Tensor) -> Tensor:
-        return torch.multinomial(mask.float(), 1, generator=generator).squeeze(-1)
-
-    return TensorDictModule(draw, in_keys=["action_mask"], out_keys=["action"])
+    return RandomPolicy(torch.Generator(env.device).manual_seed(seed))
 
 
 class Columns:
-    """Entries of an observation vector by the end of their names."""
+    """Observed numbers by the end of their names."""
 
-    def __init__(self, observation: Tensor, description: Sequence[str]) -> None:
-        """Look into ``observation`` [N, F], whose entries are named by ``description``."""
+    def __init__(self, observation: Tensor | TensorDictBase, description: Sequence[str]) -> None:
+        """Look into ``observation``: a vector [..., F] with the entries ``description``, or a tensordict with these parts."""
         self.observation, self.description = observation, description
 
     def all(self, name: str) -> Tensor:
-        """Entries named ``name`` or ``name[k]``, [N, width]; KeyError where there is none."""
-        found = [k for k, entry in enumerate(self.description) if entry.split("[")[0].split(".")[-1] == name]
+        """Entries named ``name`` or ``name[k]``, [..., width]; KeyError where there is none."""
+        found = [k for k, entry in enumerate(self.description) if _last(entry) == name]
         if not found:
-            names = {entry.split("[")[0].split(".")[-1] for entry in self.description}
-            raise KeyError(f"{name!r} is not observed; {nearest(name, names)}")
-        return self.observation[..., found]
+            raise KeyError(f"{name!r} is not observed; {nearest(name, map(_last, self.description))}")
+        seen = self.observation
+        if isinstance(seen, Tensor):
+            return seen[..., found]
+        parts = [seen[path] for path in dict.fromkeys(_path(self.description[k]) for k in found)]
+        return torch.cat([part.unsqueeze(-1) if part.ndim == seen.ndim else part.flatten(seen.ndim) for part in parts], -1)
 
     def __getitem__(self, name: str) -> Tensor:
-        """The first entry of that name, [N]."""
+        """The first entry of that name, [...]."""
         return self.all(name)[..., 0]
+
+
+def _path(entry: str) -> tuple[str, ...]:
+    """Key of the part of a nested observation that an entry of its vector belongs to."""
+    return tuple(entry.split("[")[0].split("."))
+
+
+def _last(entry: str) -> str:
+    return _path(entry)[-1]
 
 
 @dataclass(frozen=True)
@@ -96,7 +129,7 @@ def scan_rule(env: SatelliteTasking, seed: int = 0) -> TensorDictModule:
     )
 
 
-BASELINES: dict[str, Callable[[SatelliteTasking, int], TensorDictModule]] = {
+BASELINES: dict[str, Callable[[SatelliteTasking, int], TensorDictModuleBase]] = {
     "random": random_policy,
     "rule": scan_rule,
     "greedy": imaging_rule(by_priority),

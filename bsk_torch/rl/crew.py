@@ -90,20 +90,19 @@ def evaluate_crew(policy: TensorDictModuleBase, env: ConstellationTasking, *, se
 def _played(policy: TensorDictModuleBase, env: ConstellationTasking, now: TensorDictBase) -> Evaluation:
     """Results of the episodes that begin with ``now``."""
     over = now["done"].squeeze(-1)
-    returns, seconds, decisions = (torch.zeros(len(over), dtype=torch.float64, device=env.device) for _ in range(3))
+    seconds, decisions = (torch.zeros(len(over), dtype=torch.float64, device=env.device) for _ in range(2))
     for _ in range(LONGEST):
         if bool(over.all()):
             break
         decisions += torch.where(over, 0, _of_team(now[AGENTS, "requires_retasking"]))
         now = env.play([policy(now)[ACTION]], ~over)
-        returns += torch.where(over, 0.0, _of_team(now[AGENTS, "reward"]))
         seconds += torch.where(over, 0.0, now["duration"].squeeze(-1))
         over = over | now["done"].squeeze(-1)
     lost = env.dead.sum(1)
     counts: TensorDictBase | None = now.get("counts", None)
     return Evaluation(
-        returns=returns.to(env.dtype),
-        collected=(returns - env.failure_penalty * lost).to(env.dtype),
+        returns=env.returns.clone(),
+        collected=env.returns - env.failure_penalty * lost,
         survived=lost == 0,
         decisions=decisions.long(),
         seconds=seconds.to(env.dtype),

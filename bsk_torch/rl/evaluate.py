@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from statistics import NormalDist
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, fields
+from typing import Any
 
 import torch
 from tensordict import TensorDictBase
@@ -12,54 +13,22 @@ from torch import Tensor
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from bsk_torch.env import SatelliteTasking
+from bsk_torch.rand import Key
+from bsk_torch.rl.baselines import LOT
+from bsk_torch.rl.statistics import Estimate, confidence, mean, wilson
+from bsk_torch.wrappers.gymnasium import reseed
 
 LONGEST = 1_000_000
 """Steps after which an evaluation is given up."""
 
 
 @dataclass(frozen=True)
-class Estimate:
-    """A mean and the half width of its confidence interval."""
-
-    mean: float
-    half_width: float
-
-    def __str__(self) -> str:
-        """Mean and half width, to three decimals."""
-        return f"{self.mean:.3f} ± {self.half_width:.3f}"
-
-    def overlaps(self, other: Estimate) -> bool:
-        """Whether the two intervals have a point in common."""
-        return abs(self.mean - other.mean) <= self.half_width + other.half_width
-
-
-def student_quantile(probability: float, freedom: int) -> float:
-    """Quantile of Student's t distribution, by its expansion about the normal one; good to 1e-3 from six degrees on.
-
-    Source: Abramowitz and Stegun, equation 26.7.5.
-    """
-    x, v = NormalDist().inv_cdf(probability), float(freedom)
-    first = (x**3 + x) / 4.0
-    second = (5.0 * x**5 + 16.0 * x**3 + 3.0 * x) / 96.0
-    third = (3.0 * x**7 + 19.0 * x**5 + 17.0 * x**3 - 15.0 * x) / 384.0
-    return x + first / v + second / v**2 + third / v**3
-
-
-def confidence(samples: Tensor, level: float = 0.95) -> Estimate:
-    """Mean of independent ``samples`` [n] with Student's confidence interval; the interval is infinite for one sample."""
-    x, n = samples.double(), len(samples)
-    if n < 2:
-        return Estimate(float(x.mean()), float("inf"))
-    return Estimate(float(x.mean()), student_quantile(0.5 + 0.5 * level, n - 1) * float(x.std()) / n**0.5)
-
-
-@dataclass(frozen=True)
 class Evaluation:
     """Results of n episodes, each a tensor [n].
 
-    ``returns`` are sums of rewards, ``collected`` the same without the penalty for dying, ``decisions`` and ``seconds`` the
-    lengths, ``deaths`` says for every aliveness check whether it failed at the end, and ``counts`` is what the environment has
-    counted, such as ``imaged``.
+    ``returns`` are sums of rewards (float64), ``collected`` the same without the penalty for dying, ``decisions`` and ``seconds``
+    the lengths, ``deaths`` says for every aliveness check whether it failed at the end, ``counts`` is what the environment has
+    counted, such as ``imaged``, and ``fill`` the level of the store at the end, a fraction; None without a store.
     """
 
     returns: Tensor
@@ -69,6 +38,12 @@ class Evaluation:
     seconds: Tensor
     deaths: dict[str, Tensor]
     counts: dict[str, Tensor] = field(default_factory=dict)
+    fill: Tensor | None = None
+
+    @classmethod
+    def joined(cls, parts: Sequence[Evaluation]) -> Evaluation:
+        """The episodes of all ``parts``, in order."""
+        return cls(**{part.name: _joined([getattr(p, part.name) for p in parts]) for part in fields(cls)})
 
     @property
     def mean_return(self) -> Estimate:
@@ -82,7 +57,12 @@ class Evaluation:
     @property
     def survival(self) -> float:
         """Fraction of episodes that the satellite survived."""
-        return float(self.survived.double().mean())
+        return mean(self.survived)
+
+    @property
+    def survival_interval(self) -> tuple[float, float]:
+        """95 % confidence interval of the survival."""
+        return wilson(int(self.survived.sum()), len(self.survived))
 
     @property
     def causes(self) -> dict[str, int]:
@@ -90,44 +70,100 @@ class Evaluation:
         counts = {name: int(failed.sum()) for name, failed in self.deaths.items()}
         return {name: count for name, count in counts.items() if count}
 
+    def summary(self, others: Mapping[str, Evaluation] | None = None) -> dict[str, Any]:
+        """Plain numbers for a file, all of them means or counts; with the paired gain over each of the ``others`` by name."""
+        return {
+            "episodes": len(self.returns),
+            "return": asdict(self.mean_return),
+            "survival": self.survival,
+            "survival_interval": list(self.survival_interval),
+            "collected": mean(self.collected),
+            "fill": None if self.fill is None else mean(self.fill),
+            "decisions": mean(self.decisions),
+            "deaths": self.causes,
+            "counts": {name: mean(count) for name, count in self.counts.items()},
+            "gain": {name: asdict(self.gain_over(other)) for name, other in (others or {}).items()},
+        }
 
-def evaluate(policy: TensorDictModuleBase, env: SatelliteTasking, *, seed: int) -> Evaluation:
-    """Play one episode in each of the environment's N rows; the most probable action is taken. Only sums are kept of the steps.
+
+def evaluate(
+    policy: TensorDictModuleBase, env: SatelliteTasking, *, seed: int | None = None, seeds: Sequence[int] | None = None
+) -> Evaluation:
+    """Play fresh episodes to their ends; the most probable action is taken. Only sums are kept of the steps.
+
+    Give ``seed`` or ``seeds``; the same ones give every policy the same episodes.
 
     Args:
-        policy: Writes ``action`` into a tensordict with ``observation`` and ``action_mask``.
+        policy: Writes ``action`` into a tensordict with ``observation`` and ``action_mask``. What it writes under ``next``, such
+            as a memory, it finds at the next decision.
         env: The environment; its episodes start anew.
-        seed: Seed of the episodes; the same seed gives every policy the same ones.
+        seed: One episode in each of the environment's N rows, those that ``env.set_seed(seed)`` starts.
+        seeds: One episode for each seed, N at a time: those that ``gymnasium.make(...).reset(seed=...)`` starts. The environment
+            needs ``env_ids=[0] * N`` for that.
+
+    Raises:
+        ValueError: Without seeds, with both kinds of them, or with ``seeds`` where the environment has other ``env_ids``.
     """
-    env.set_seed(seed)
+    if (seed is None) == (seeds is None) or (seeds is not None and len(seeds) == 0):
+        raise ValueError(f"seed={seed} and seeds={seeds}: evaluation needs one of them, and an episode at least")
+    n = env.batch_size[0]
     with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
-        return _summary(_play(policy, env, env.reset()), env)
+        if seeds is None:
+            env.set_seed(seed)
+            return _episodes(policy, env, n)
+        if bool(env.env_ids.any()):
+            raise ValueError("seeds name episodes of environment 0; make the environment with env_ids=[0] * num_envs")
+        return Evaluation.joined([_seeded(policy, env, seeds[k : k + n]) for k in range(0, len(seeds), n)])
 
 
-def _play(policy: TensorDictModuleBase, env: SatelliteTasking, now: TensorDictBase) -> TensorDictBase:
-    """Play on from ``now`` until every row has ended; the last outputs, with sums of reward, duration and decisions [N]."""
-    over = now["done"].squeeze(-1)
-    returns, seconds, decisions = (torch.zeros(len(over), dtype=torch.float64, device=env.device) for _ in range(3))
-    for _ in range(LONGEST):
+def _seeded(policy: TensorDictModuleBase, env: SatelliteTasking, seeds: Sequence[int]) -> Evaluation:
+    """The episodes of ``seeds``, at most as many as there are rows."""
+    spare = env.batch_size[0] - len(seeds)
+    reseed(env, [*seeds, *[seeds[-1]] * spare], torch.ones_like(env.dead))
+    return _episodes(policy, env, len(seeds))
+
+
+def _episodes(policy: TensorDictModuleBase, env: SatelliteTasking, n: int) -> Evaluation:
+    """New episodes in the first ``n`` rows, from their starts to their ends."""
+    now = env.reset()
+    over = torch.arange(env.batch_size[0], device=env.device) >= n
+    decisions = torch.zeros_like(over, dtype=torch.int64)
+    for step in range(LONGEST):
         if bool(over.all()):
             break
-        now = env.play(policy(now)["action"], ~over)
-        returns += torch.where(over, 0.0, now["reward"].squeeze(-1))
-        seconds += torch.where(over, 0.0, now["duration"].squeeze(-1))
+        if LOT in policy.in_keys:
+            now[LOT] = _lots(env, step)
+        told = policy(now)
+        now = env.play(told["action"], ~over).update(told.get("next", {}))
         decisions += ~over
         over = over | now["done"].squeeze(-1)
-    return now.update({"returns": returns.to(env.dtype), "seconds": seconds.to(env.dtype), "decisions": decisions.long()})
+    return _summary(env, n, decisions, now.get("counts", None))
 
 
-def _summary(played: TensorDictBase, env: SatelliteTasking) -> Evaluation:
-    """Results of episodes that have been played to their ends."""
-    counts: TensorDictBase | None = played.get("counts", None)
+def _lots(env: SatelliteTasking, step: int) -> Tensor:
+    """A uniform number for the decision ``step`` of each episode, [N], that depends on the episode and not on its row."""
+    episode = Key(env.seed_rows.cpu(), env.env_ids.cpu(), env.episode.cpu())
+    return episode.named(f"decision {step}").uniform(1).squeeze(-1).to(env.device)
+
+
+def _summary(env: SatelliteTasking, n: int, decisions: Tensor, counts: TensorDictBase | None) -> Evaluation:
+    """Results of the first ``n`` rows, which have been played to their ends."""
+    returns, dead = env.returns[:n].clone(), env.dead[:n]
+    level = getattr(env.satellite.dynamics, "storage_level_fraction", None)
     return Evaluation(
-        returns=played["returns"],
-        collected=played["returns"] - env.failure_penalty * env.dead,
-        survived=~env.dead,
-        decisions=played["decisions"],
-        seconds=played["seconds"],
-        deaths={name: ~alive for name, alive in env.satellite.aliveness().items()},
-        counts={} if counts is None else {str(name): count.squeeze(-1).clone() for name, count in counts.items()},
+        returns=returns,
+        collected=returns - env.failure_penalty * dead,
+        survived=~dead,
+        decisions=decisions[:n],
+        seconds=env.fleet.sim_time[:n].clone(),
+        deaths={name: ~alive[:n] for name, alive in env.satellite.aliveness().items()},
+        counts={} if counts is None else {str(name): count[:n].squeeze(-1).clone() for name, count in counts.items()},
+        fill=None if level is None else level[:n].clone(),
     )
+
+
+def _joined(values: list[Any]) -> Any:
+    """Tensors, or tensors by name, one after the other; None stays None."""
+    if isinstance(values[0], dict):
+        return {name: _joined([value[name] for value in values]) for name in values[0]}
+    return None if values[0] is None else torch.cat(values)

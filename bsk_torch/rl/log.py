@@ -1,10 +1,13 @@
-"""A training log: one row of numbers for each iteration, in a CSV file."""
+"""Numbers of a training as they come: rows of CSV files, and TensorBoard or Weights & Biases where these are asked for."""
 
 from __future__ import annotations
 
 import csv
+from collections.abc import Iterable, Mapping
+from importlib.util import find_spec
 from pathlib import Path
 from types import TracebackType
+from typing import Any
 
 COLUMNS = (
     "iteration",
@@ -14,6 +17,8 @@ COLUMNS = (
     "episodes",
     "return",
     "survival",
+    "collected",
+    "fill",
     "decisions",
     "entropy",
     "kl",
@@ -25,36 +30,97 @@ COLUMNS = (
     "collect_seconds",
     "update_seconds",
 )
-"""``seconds`` is training time without compilation; ``return``, ``survival`` (fraction) and ``decisions`` are means over the
-episodes that ended last, ``episodes`` how many have ended in all."""
+"""Of a row for each iteration. ``seconds`` is training time without compilation; ``return``, ``survival`` (fraction),
+``collected`` (return without the penalty for dying), ``fill`` (of the data buffer at the end, where it is observed) and
+``decisions`` are means over the episodes that ended last, ``episodes`` is how many have ended in all."""
+
+MEASURES = ("return", "survival", "collected", "fill")
+"""The four measures that the paper follows over training."""
+
+EVALUATED = ("frames", "seconds", "return", "return_half_width", "survival", "collected", "fill")
+"""Of a row for each evaluation on fresh episodes, with the half width of the 95 % interval of the return."""
+
+LOG, EVALUATIONS = "log.csv", "evaluations.csv"
+"""Files of a run's folder."""
 
 
 class CsvLog:
     """Writes rows as they come, so that a run can be watched and survives an interruption."""
 
-    def __init__(self, path: Path) -> None:
-        """Start the file at ``path`` anew."""
-        self.path = path
-
-    def __enter__(self) -> CsvLog:
-        """Open the file and write the header."""
-        self._file = self.path.open("w", newline="")
-        self._writer = csv.DictWriter(self._file, COLUMNS)
+    def __init__(self, path: Path, columns: Iterable[str], keep: float = 0) -> None:
+        """Start the file at ``path``, or go on after its rows with up to ``keep`` frames."""
+        self.columns = tuple(columns)
+        rows = [row for row in _rows(path) if float(row["frames"]) <= keep] if path.exists() else []
+        self._file = path.open("w", newline="")
+        self._writer = csv.DictWriter(self._file, self.columns)
         self._writer.writeheader()
-        return self
+        self._writer.writerows(rows)
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+    def write(self, row: Mapping[str, float]) -> None:
+        """Add a row with exactly the columns."""
+        self._writer.writerow({name: f"{row[name]:.6g}" if name != "frames" else int(row[name]) for name in self.columns})
+        self._file.flush()
+
+    def close(self) -> None:
         """Close the file."""
         self._file.close()
 
-    def write(self, row: dict[str, float]) -> None:
-        """Add a row with exactly the columns :data:`COLUMNS`."""
-        self._writer.writerow({name: f"{row[name]:.6g}" for name in COLUMNS})
-        self._file.flush()
+
+def check_loggers(names: Iterable[str]) -> None:
+    """ModuleNotFoundError, naming the command that installs it, for a logger that is not installed."""
+    for name in names:
+        if name != "csv" and find_spec(name) is None:
+            raise ModuleNotFoundError(f"loggers={name!r} needs {name}; pip install 'bsk_torch[{name}]'", name=name)
+
+
+class RunLog:
+    """All logs of a run: ``log.csv`` and ``evaluations.csv`` in its folder, and the services that the configuration names."""
+
+    def __init__(self, out: Path, names: Iterable[str], keep: float = 0) -> None:
+        """Log into folder ``out``; go on after ``keep`` frames."""
+        self.training = CsvLog(out / LOG, COLUMNS, keep)
+        self.evaluation = CsvLog(out / EVALUATIONS, EVALUATED, keep)
+        self.services = [_service(name, out) for name in names if name != "csv"]
+
+    def __enter__(self) -> RunLog:
+        """Nothing more to open."""
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        """Close the files."""
+        self.training.close()
+        self.evaluation.close()
+
+    def iteration(self, row: Mapping[str, float]) -> None:
+        """Note an iteration."""
+        self.training.write(row)
+        self._tell("training", row)
+
+    def evaluated(self, row: Mapping[str, float]) -> None:
+        """Note an evaluation."""
+        self.evaluation.write(row)
+        self._tell("evaluation", row)
+
+    def _tell(self, kind: str, row: Mapping[str, float]) -> None:
+        for service in self.services:
+            for name, value in row.items():
+                service.log_scalar(f"{kind}/{name}", value, step=int(row["frames"]))
+
+
+def _service(name: str, out: Path) -> Any:
+    """TorchRL's logger of that name."""
+    from torchrl.record.loggers import get_logger
+
+    where = {"save_dir": str(out)} if name == "wandb" else {}
+    return get_logger(name, logger_name=str(out), experiment_name=name, wandb_kwargs=where)
+
+
+def _rows(path: Path) -> list[dict[str, str]]:
+    with path.open(newline="") as file:
+        return list(csv.DictReader(file))
 
 
 def read_log(path: Path) -> dict[str, list[float]]:
     """Columns of a log by name."""
-    with path.open(newline="") as file:
-        rows = list(csv.DictReader(file))
-    return {name: [float(row[name]) for row in rows] for name in COLUMNS}
+    rows = _rows(path)
+    return {name: [float(row[name]) for row in rows] for name in (rows[0] if rows else ())}

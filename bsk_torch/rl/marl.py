@@ -23,11 +23,13 @@ from torchrl.objectives.value import MultiAgentGAE
 
 from bsk_torch.env import ConstellationTasking
 from bsk_torch.env.groups import AGENTS
-from bsk_torch.rl.crew import Crew, member
+from bsk_torch.rl.config import PPOConfig
+from bsk_torch.rl.crew import Crew, evaluate_crew, member
+from bsk_torch.rl.evaluate import Evaluation
 from bsk_torch.rl.policies import AttentionPlan
-from bsk_torch.rl.ppo import REPORTED, Learner, PPOConfig, values
+from bsk_torch.rl.ppo import REPORTED, Learner, timed, values
 from bsk_torch.rl.sight import MASK, OWN, ROWS
-from bsk_torch.rl.training import Training
+from bsk_torch.rl.training import VALIDATION, Training
 from bsk_torch.sim.params import nearest
 
 ALIVE, DECIDES = ("seen", "alive"), "decides"
@@ -151,7 +153,9 @@ def _seen(agents: TensorDictBase) -> TensorDict:
     return TensorDict({"own": seen["own"], "rows": seen["rows"], "mask": seen["mask"], "alive": agents["mask"]}, seen.shape[:-1])
 
 
-def estimate_advantages(team: TensorDictBase, critic: ValueOperator, gamma: float, lmbda: float) -> None:
+def estimate_advantages(
+    team: TensorDictBase, critic: ValueOperator, gamma: float, lmbda: float, reward_time: str = "end"
+) -> None:
     """Write ``advantage`` and ``value_target`` [N, T, S, 1], in semi-Markov time as in :mod:`bsk_torch.rl.ppo`.
 
     Nothing is expected after a satellite's death. Advantages are standardised over decisions; those of others mean nothing.
@@ -161,6 +165,7 @@ def estimate_advantages(team: TensorDictBase, critic: ValueOperator, gamma: floa
         critic: Judges what is seen, here and under ``next``.
         gamma: Discount per second.
         lmbda: Decay of the estimator, per step.
+        reward_time: See :func:`~bsk_torch.rl.ppo.timed`.
     """
     reward, seconds = team["next", "reward"], team["next", "duration"]
     estimator = MultiAgentGAE(
@@ -172,7 +177,7 @@ def estimate_advantages(team: TensorDictBase, critic: ValueOperator, gamma: floa
     estimator.set_keys(steps_to_next_obs=("next", "duration"), done="gone", terminated="lost")
     judged = team.select("next").clone(recurse=False)
     judged["state_value"], judged["next", "state_value"] = values(team, critic)
-    judged["next", "reward"] = (reward.double() * gamma ** seconds.double()).to(reward.dtype)
+    judged["next", "reward"] = timed(reward, seconds, gamma, reward_time)
     estimator(judged)
     for key in ("advantage", "value_target"):
         team[key] = judged[key].to(reward.dtype)
@@ -214,15 +219,15 @@ class CrewLearner(Learner):
     def learn(self, batch: TensorDictBase) -> dict[str, float]:
         """Several passes over a batch [N, T]; means of what the loss reports."""
         agents = batch[AGENTS]
-        self.networks.sight.update(agents.select("observation")[~agents["action_mask"][..., -1]])
         for situations in (agents, batch["next", AGENTS]):
             self.networks.sight(situations)
         team = by_team(batch)
-        estimate_advantages(team, self.critic, self.config.gamma, self.lmbda)
+        estimate_advantages(team, self.critic, self.config.gamma, self.lmbda, self.config.reward_time)
         self.buffer.empty()
         self.buffer.extend(team.select(*LEARNED_FROM).reshape(-1))
         steps = self.config.epochs * (self.config.batch // self._minibatch)
         reports = [self._descend(self.buffer.sample()) for _ in range(steps)]
+        self.networks.sight.update(agents.select("observation")[~agents["action_mask"][..., -1]])
         report = dict(zip(REPORTED, torch.stack(reports).mean(0).tolist(), strict=True))
         share = float(team[DECIDES].float().mean())
         return report | {name: report[name] / share for name in ("entropy", "kl_approx", "clip_fraction")}
@@ -242,6 +247,13 @@ class CrewTraining(Training):
         """See :attr:`Training.actor`."""
         return Crew(self.policy)
 
-    def _learn(self, batch: TensorDictBase) -> dict[str, float]:
-        batch["next", "episode_reward"] = batch["next", AGENTS, "episode_reward"].sum(-2)
-        return super()._learn(batch)
+    def evaluate(self) -> Evaluation:
+        """See :meth:`Training.evaluate`."""
+        return evaluate_crew(self.actor, self.judge, seed=self.config.seed + VALIDATION)
+
+    def rewards(self, batch: TensorDictBase) -> Tensor:
+        """See :meth:`Training.rewards`."""
+        return batch["next", AGENTS, "reward"].sum((-2, -1))
+
+    def fill(self, batch: TensorDictBase) -> None:
+        """Satellites of a constellation are not followed one by one."""

@@ -3,22 +3,37 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+import logging
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from pickle import UnpicklingError
 from typing import Any
 
 import torch
-from tensordict.nn import TensorDictModule, TensorDictSequential
+from tensordict import TensorDictBase
+from tensordict.nn import TensorDictModule, TensorDictModuleBase, TensorDictSequential
 from torch import nn
 from torchrl.data import Composite
-from torchrl.modules import MLP, MaskedCategorical, ProbabilisticActor, ValueOperator
+from torchrl.modules import MLP, GRUModule, MaskedCategorical, ProbabilisticActor, ValueOperator
 
+from bsk_torch import __version__
 from bsk_torch.env import SatelliteTasking
 from bsk_torch.rl.attention import Encoder, SetActor, SetCritic
 from bsk_torch.rl.sight import MASK, OWN, ROWS, SetSight, Sight, VectorSight
 from bsk_torch.rl.targets import image_actions
 from bsk_torch.sim.params import nearest
+
+logger = logging.getLogger(__name__)
+
+POLICY = "policy.pt"
+"""File of the policy in the folder of a run."""
+
+CARD = {"bsk_torch", "preset", "options", "network", "plan", "sight", "actor"}
+"""What such a file holds."""
+
+MEMORY, INIT = "memory", "is_init"
+"""Keys of what a recurrent policy remembers, and of where an episode begins."""
 
 INITIAL_LOGITS = 0.01
 """Factor on the last layer's initial weights, so that an untrained actor is nearly uniform."""
@@ -37,8 +52,18 @@ class Networks:
 
     @property
     def policy(self) -> TensorDictSequential:
-        """Writes ``action`` into a tensordict with ``observation`` and ``action_mask``."""
-        return TensorDictSequential(self.sight, self.actor)
+        """Writes ``action`` into a tensordict with ``observation`` and ``action_mask``.
+
+        One with a memory also writes ``("next", "memory")``, which it wants to find as ``memory`` at the next decision:
+        ``step_mdp`` sees to that.
+        """
+        unit = self.unit
+        return TensorDictSequential(*([] if unit is None else [Recall(unit.gru.hidden_size)]), self.sight, self.actor)
+
+    @property
+    def unit(self) -> GRUModule | None:
+        """What remembers; None where nothing does."""
+        return next((part for part in self.actor.modules() if isinstance(part, GRUModule)), None)
 
     def to(self, device: torch.device | str) -> Networks:
         """The networks, moved to a device."""
@@ -58,7 +83,9 @@ class MLPPlan:
         """For an environment; ValueError unless it observes one vector."""
         spec = env.observation_spec["observation"]
         if isinstance(spec, Composite):
-            raise ValueError("network='mlp' needs the observation as one vector; build the satellite with obs_type=torch.Tensor")
+            raise ValueError(
+                "networks 'mlp' and 'gru' need the observation as one vector; build the satellite with obs_type=torch.Tensor"
+            )
         return cls(spec.shape[-1], env.satellite.actions.n_actions, tuple(hidden))
 
     def build(self) -> Networks:
@@ -70,6 +97,51 @@ class MLPPlan:
 
     def _layers(self, n_out: int) -> MLP:
         return MLP(in_features=self.n_observed, out_features=n_out, num_cells=list(self.hidden), activation_class=nn.Tanh)
+
+
+@dataclass(frozen=True)
+class GRUPlan(MLPPlan):
+    """Sizes of networks whose actor remembers what it saw: its last hidden layer is a gated recurrent unit.
+
+    The critic, which is only needed to learn, judges what is seen now.
+    """
+
+    def __post_init__(self) -> None:
+        """ValueError without a layer before the unit."""
+        if len(self.hidden) < 2:
+            raise ValueError(f"hidden={self.hidden}: network='gru' needs a layer before its unit, such as (64, 64)")
+
+    def build(self) -> Networks:
+        """Fresh networks."""
+        *before, last = self.hidden
+        layers = MLP(self.n_observed, before[-1], num_cells=before[:-1], activation_class=nn.Tanh, activate_last_layer=True)
+        unit = GRUModule(before[-1], last, in_keys=["embedded", MEMORY, INIT], out_keys=["remembered", ("next", MEMORY)])
+        head = nn.Linear(last, self.n_actions)
+        with torch.no_grad():
+            head.weight.mul_(INITIAL_LOGITS)
+        parts = [TensorDictModule(layers, [OWN], ["embedded"]), unit, TensorDictModule(head, ["remembered"], ["logits"])]
+        actor = _distributed(TensorDictSequential(*parts))
+        return Networks(VectorSight(self.n_observed), actor, ValueOperator(self._layers(1), in_keys=[OWN]))
+
+
+class Recall(TensorDictModuleBase):
+    """Gives a policy with a memory an empty one where an episode begins: where there is none, or ``is_init`` says so."""
+
+    def __init__(self, width: int) -> None:
+        """The memory has ``width`` numbers."""
+        super().__init__()
+        self.width = width
+        self.in_keys: list[str] = []
+        self.out_keys = [MEMORY, INIT]
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Write what is missing."""
+        shape, on = tensordict.batch_size, {"device": tensordict.device}
+        if MEMORY not in tensordict.keys():  # noqa: SIM118  - a tensordict
+            tensordict[MEMORY] = torch.zeros(*shape, 1, self.width, **on)
+        if INIT not in tensordict.keys():  # noqa: SIM118
+            tensordict[INIT] = torch.zeros(*shape, 1, dtype=torch.bool, **on)
+        return tensordict
 
 
 @dataclass(frozen=True)
@@ -122,9 +194,13 @@ class AttentionPlan:
         return Encoder(self.n_own, self.n_features, width, width // HEAD, blocks)
 
 
-Plan = MLPPlan | AttentionPlan
+Plan = MLPPlan | GRUPlan | AttentionPlan
 
-PLANS: dict[str, type[MLPPlan] | type[AttentionPlan]] = {"mlp": MLPPlan, "attention": AttentionPlan}
+PLANS: dict[str, type[MLPPlan] | type[GRUPlan] | type[AttentionPlan]] = {
+    "mlp": MLPPlan,
+    "gru": GRUPlan,
+    "attention": AttentionPlan,
+}
 """Kinds of networks by name."""
 
 
@@ -145,8 +221,13 @@ def _leaves(env: SatelliteTasking) -> dict[tuple[str, ...], torch.Size]:
 
 def _actor(network: nn.Module, in_keys: list[Any]) -> ProbabilisticActor:
     """Categorical distribution over the legal actions, by a network that gives logits [..., A]."""
+    return _distributed(TensorDictModule(network, in_keys=in_keys, out_keys=["logits"]))
+
+
+def _distributed(module: TensorDictModuleBase) -> ProbabilisticActor:
+    """Categorical distribution over the legal actions, by a module that writes ``logits``."""
     return ProbabilisticActor(
-        TensorDictModule(network, in_keys=in_keys, out_keys=["logits"]),
+        module,
         in_keys={"logits": "logits", "mask": "action_mask"},
         out_keys=["action"],
         distribution_class=MaskedCategorical,
@@ -154,17 +235,84 @@ def _actor(network: nn.Module, in_keys: list[Any]) -> ProbabilisticActor:
     )
 
 
-def save_policy(path: Path, plan: Plan, networks: Networks) -> None:
-    """Write what :func:`load_policy` needs."""
-    kind = next(name for name, known in PLANS.items() if isinstance(plan, known))
+def save_policy(path: Path, plan: Plan, networks: Networks, preset: str, options: Mapping[str, Any]) -> None:
+    """Write what :func:`load_policy` needs, and for which environment the policy was made.
+
+    Args:
+        path: The file.
+        plan: How the networks are built.
+        networks: The networks.
+        preset: Name of the environment.
+        options: Arguments of the environment that differ from the preset's; only plain values are kept.
+    """
+    kind = next(name for name, known in PLANS.items() if type(plan) is known)
+    card = {"bsk_torch": __version__, "preset": preset, "options": plain(options), "network": kind}
     kept = {"sight": networks.sight.state_dict(), "actor": networks.actor.state_dict()}
-    torch.save({"network": kind, "plan": dataclasses.asdict(plan), **kept}, path)
+    part = path.with_suffix(".part")
+    torch.save(card | {"plan": dataclasses.asdict(plan)} | kept, part)
+    part.replace(path)  # nobody ever finds half a file
 
 
-def load_policy(path: Path, device: torch.device | str = "cpu") -> TensorDictSequential:
-    """The policy of a file that training has written."""
-    kept = torch.load(path, weights_only=True, map_location=device)
-    networks = PLANS[kept["network"]](**kept["plan"]).build().to(device)
-    networks.sight.load_state_dict(kept["sight"])
-    networks.actor.load_state_dict(kept["actor"])
+def plain(options: Mapping[str, Any]) -> dict[str, Any]:
+    """The options that are numbers, words, or lists of them; machines and backends are no part of the problem."""
+    simple = (bool, int, float, str)
+    return {
+        name: value
+        for name, value in options.items()
+        if name not in ("backend", "device")
+        and (isinstance(value, simple) or (isinstance(value, list | tuple) and all(isinstance(v, simple) for v in value)))
+    }
+
+
+def read_card(path: Path | str, device: torch.device | str = "cpu") -> dict[str, Any]:
+    """What the file of a policy says, or that of a run's folder: ``preset``, ``options``, ``network``, ``plan`` and weights.
+
+    Raises:
+        ValueError: For a file that is no policy of this package.
+        FileNotFoundError: Where there is none.
+    """
+    path = Path(path)
+    path = path / POLICY if path.is_dir() else path
+    if not path.is_file():
+        raise FileNotFoundError(f"there is no policy {str(path)!r}; training leaves {POLICY} in its folder")
+    try:
+        card = torch.load(path, weights_only=True, map_location=device)
+    except (RuntimeError, UnpicklingError, EOFError) as error:
+        raise ValueError(f"{str(path)!r} is no file of a policy: {error}") from error
+    if not isinstance(card, dict) or CARD - card.keys():
+        raise ValueError(f"{str(path)!r} is no policy of this version of bsk_torch ({__version__}); train it again")
+    check_network(card["network"])
+    return card
+
+
+def check_fits(card: Mapping[str, Any], env: SatelliteTasking, preset: str | None = None) -> None:
+    """ValueError, naming both sides, unless the policy of ``card`` sees and does what there is in ``env``, a ``preset``."""
+    kind, plan = PLANS[card["network"]], card["plan"]
+    here = dataclasses.asdict(kind.of(env, plan["hidden"]))
+    differing = [name for name in here if _listed(here[name]) != _listed(plan[name])]
+    if differing:
+        theirs, ours = (", ".join(f"{name}={values[name]}" for name in differing) for values in (plan, here))
+        trained = " ".join([card["preset"], *(f"{name}={value!r}" for name, value in card["options"].items())])
+        raise ValueError(f"the policy was trained for {trained} with {theirs}; {preset or 'this environment'} has {ours}")
+    if card["bsk_torch"] != __version__:
+        logger.warning("the policy is of bsk_torch %s; this is %s", card["bsk_torch"], __version__)
+
+
+def _listed(value: Any) -> Any:
+    return [_listed(part) for part in value] if isinstance(value, list | tuple) else value
+
+
+def load_policy(path: Path | str, device: torch.device | str = "cpu") -> TensorDictSequential:
+    """The policy of a file or of a run's folder; see :func:`read_card` for errors."""
+    return build_policy(read_card(path, device), device)
+
+
+def build_policy(card: Mapping[str, Any], device: torch.device | str = "cpu") -> TensorDictSequential:
+    """The policy of a card; ValueError if its weights do not fit its plan."""
+    networks = PLANS[card["network"]](**card["plan"]).build().to(device)
+    try:
+        networks.sight.load_state_dict(card["sight"])
+        networks.actor.load_state_dict(card["actor"])
+    except RuntimeError as error:
+        raise ValueError(f"the policy of {card['preset']} does not fit this version of bsk_torch: {error}") from error
     return networks.policy

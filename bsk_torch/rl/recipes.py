@@ -6,10 +6,10 @@ from inspect import signature
 from typing import Any
 
 from bsk_torch.presets import PRESETS
+from bsk_torch.rl.config import PPOConfig
 from bsk_torch.rl.policies import check_network
-from bsk_torch.rl.ppo import PPOConfig
 
-COMMON: dict[str, Any] = dict(num_envs=256, rollout=32, minibatch=1024, gamma=0.997)
+COMMON: dict[str, Any] = dict(num_envs=256, rollout=32, minibatch=1024, gamma=0.997, evaluate_every=200_000)
 
 IMAGING: dict[str, dict[str, Any]] = {
     "mlp": COMMON | dict(hidden=(512, 256), learning_rate=7e-4, epochs=4),
@@ -17,7 +17,14 @@ IMAGING: dict[str, dict[str, Any]] = {
 }
 """For choosing targets: what counts is decided within minutes, so the future is discounted accordingly."""
 
+SCANNING: dict[str, dict[str, Any]] = {
+    "mlp": dict(evaluate_every=250_000),
+    "gru": dict(evaluate_every=250_000, rollout=32, minibatch=4096),
+}
+"""For the paper's satellite: how well it does goes up and down, so the best policy is looked for often."""
+
 RECIPES: dict[str, dict[str, dict[str, Any]]] = {
+    "NadirScan-v1": SCANNING,
     "AEOS-v1": IMAGING,
     "AEOSPower-v1": IMAGING,
     "AEOSCity-v1": IMAGING,

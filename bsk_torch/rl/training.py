@@ -1,30 +1,42 @@
-"""A training run from end to end: collect, learn, log, and leave everything in a folder."""
+"""A training run from end to end: collect, learn, evaluate, log, and leave everything in a folder."""
 
 from __future__ import annotations
 
-import json
 import logging
+import signal
+import threading
 import time
-from collections import deque
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase, TensorDictSequential
-from torchrl.collectors import Collector
-from torchrl.envs import Compose, RewardSum, StepCounter, TransformedEnv
+from torch import Tensor
 from tqdm import tqdm
 
+from bsk_torch import __version__
 from bsk_torch.constants import DAY
-from bsk_torch.rl.log import CsvLog
-from bsk_torch.rl.policies import save_policy
-from bsk_torch.rl.ppo import REPORTED, Learner, PPOConfig
+from bsk_torch.rl.collect import bookmarks, make_collector, merged
+from bsk_torch.rl.config import CONFIG, PPOConfig, load_config, save_config
+from bsk_torch.rl.episodes import RecentEpisodes
+from bsk_torch.rl.evaluate import Evaluation, evaluate
+from bsk_torch.rl.log import RunLog, check_loggers
+from bsk_torch.rl.policies import MEMORY, POLICY, save_policy
+from bsk_torch.rl.ppo import REPORTED, Learner
 
 logger = logging.getLogger(__name__)
 
-POLICY, LOG, CONFIG = "policy.pt", "log.csv", "config.json"
-"""Files of a run folder."""
+CHECKPOINT = "checkpoint.pt"
+"""File of a run's folder to go on from."""
+
+VALIDATION = 2_000_003
+"""Added to the seed of training to get that of the evaluations by which the best policy is chosen."""
+
+LEVEL = "storage_level_fraction"
+"""Observation that says how full the data buffer is."""
 
 
 class Progress:
@@ -32,7 +44,7 @@ class Progress:
 
     def __init__(self, config: PPOConfig) -> None:
         """Count towards the limits of ``config``."""
-        self.config, self.frames, self.begin = config, 0, time.perf_counter()
+        self.config, self.frames, self.before, self.begin = config, 0, 0.0, time.perf_counter()
 
     def start(self) -> None:
         """Start the clock."""
@@ -40,8 +52,8 @@ class Progress:
 
     @property
     def seconds(self) -> float:
-        """Time since the start, s."""
-        return time.perf_counter() - self.begin
+        """Training time, s, with that of the part before an interruption."""
+        return self.before + time.perf_counter() - self.begin
 
     @property
     def fraction(self) -> float:
@@ -49,43 +61,48 @@ class Progress:
         used = (self.seconds, self.config.seconds), (self.frames, self.config.frames)
         return min(1.0, max(amount / limit for amount, limit in used if limit is not None))
 
-
-class Recent:
-    """Means over the episodes that ended last."""
-
-    def __init__(self, size: int) -> None:
-        """Remember ``size`` episodes."""
-        self.episodes: deque[tuple[float, float, float]] = deque(maxlen=size)
-        self.count = 0
-
-    def add(self, batch: TensorDictBase) -> None:
-        """Add the episodes that end in a batch [N, T]."""
-        done = batch["next", "done"].squeeze(-1)
-        columns = (batch["next", key].squeeze(-1)[done].tolist() for key in ("episode_reward", "truncated", "step_count"))
-        ended = list(zip(*columns, strict=True))
-        self.episodes.extend(ended)
-        self.count += len(ended)
-
-    def means(self) -> tuple[float, ...]:
-        """Mean return, survival and number of decisions; nan before the first end."""
-        if not self.episodes:
-            return (float("nan"),) * 3
-        return tuple(sum(column) / len(self.episodes) for column in zip(*self.episodes, strict=True))
+    @property
+    def left(self) -> float:
+        """Expected time to the end, s; infinite before the first iteration."""
+        used = self.fraction
+        return self.seconds * (1.0 - used) / used if used else float("inf")
 
 
 class Training:
-    """A run: collects, learns, logs, and leaves policy, log and configuration in a folder."""
+    """A run: collects, learns, evaluates, logs, and leaves policy, logs, checkpoint and configuration in a folder."""
 
-    def __init__(self, config: PPOConfig, out: Path) -> None:
-        """Build environment and networks; nothing is simulated yet."""
-        out.mkdir(parents=True, exist_ok=True)
-        kept = {name: getattr(config, name) for name in config.__dataclass_fields__}
-        (out / CONFIG).write_text(json.dumps(kept, indent=2, default=repr) + "\n")
-        self.config, self.out, self.days = config, out, 0.0
+    def __init__(self, config: PPOConfig, out: Path, resume: bool = False) -> None:
+        """Build environment and networks; nothing is simulated yet.
+
+        Args:
+            config: What to train and how.
+            out: The folder; it must not hold anything yet, unless a run in it is resumed.
+            resume: Go on from the checkpoint in ``out``, as if nothing had happened.
+
+        Raises:
+            FileExistsError: If ``out`` is not empty.
+            FileNotFoundError: If there is no checkpoint to go on from.
+            ModuleNotFoundError: If a logger or Ray is asked for, but not installed.
+            ValueError: If the checkpoint is of another environment or version.
+        """
+        check_loggers(config.loggers)
+        if not resume and out.exists() and any(out.iterdir()):
+            raise FileExistsError(f"{str(out)!r} is not empty; choose another folder, or resume the run in it")
+        saved = read_checkpoint(out, config) if resume else None
+        self.config, self.out, self.days, self.iteration = config, out, 0.0, 0
+        self.best: dict[str, Any] = {"return": float("-inf"), "waited": 0, "networks": None}
         torch.manual_seed(config.seed)
-        self.env = config.make_env()
+        self.env = config.make_env() if config.collector == "single" else config.make_env(0, 1)
+        self.judge = self._make_judge()
         self.learner = self.make_learner()
-        self.progress, self.recent = Progress(config), Recent(config.num_envs)
+        self.progress, self.recent = Progress(config), RecentEpisodes(config.num_envs, self.env.failure_penalty)
+        self.marks: list[Any] | None = None
+        out.mkdir(parents=True, exist_ok=True)
+        save_config(config, out / CONFIG)
+        if saved is not None:
+            self._restore(saved)
+
+    # -- what differs for constellations ------------------------------------------------------------------------------
 
     def make_learner(self) -> Learner:
         """What learns in the environment."""
@@ -99,23 +116,60 @@ class Training:
     @property
     def actor(self) -> TensorDictModuleBase:
         """What decides while experience is collected: writes actions and their log-probabilities."""
-        return self.policy.select_out_keys("action", "action_log_prob")
+        memory = [("next", MEMORY)] if self.learner.recurrent else []
+        return self.policy.select_out_keys("action", "action_log_prob", *memory)
+
+    def evaluate(self) -> Evaluation:
+        """The present policy in fresh episodes, the same every time."""
+        return evaluate(self.policy, self.judge, seed=self.config.seed + VALIDATION)
+
+    def rewards(self, batch: TensorDictBase) -> Tensor:
+        """Rewards of a batch, [N, T]."""
+        return batch["next", "reward"].squeeze(-1)
+
+    def fill(self, batch: TensorDictBase) -> Tensor | None:
+        """What the data buffer holds after each step, fraction [N, T]; None where it is not observed in a vector."""
+        names = [name.split(".")[-1] for name in self.env.satellite.observation_description]
+        seen = batch["next", "observation"]
+        return seen[..., names.index(LEVEL)] if LEVEL in names and isinstance(seen, Tensor) else None
+
+    # -- running ------------------------------------------------------------------------------------------------------
 
     def run(self) -> TensorDictSequential:
-        """Train until the budget is used, or the user interrupts."""
+        """Train until the budget is used, patience is at its end, or the user interrupts; the best policy."""
         self._warm_up()
-        with CsvLog(self.out / LOG) as log, self._bar() as bar:
-            try:
-                for iteration, (batch, collecting) in enumerate(self._batches()):
-                    row = self._learn(batch) | {"iteration": iteration, "collect_seconds": collecting}
-                    log.write(row)
-                    self._show(bar, row)
-                    if self.progress.fraction >= 1.0:
-                        break
-            except KeyboardInterrupt:
-                logger.info("stopped; the policy learned so far is kept")
-        save_policy(self.out / POLICY, self.learner.plan, self.learner.networks)
-        return self.policy
+        collector = make_collector(self.config, self.env, self.actor, self.marks)
+        if self.marks is not None:
+            torch.set_rng_state(self.generator)
+        try:
+            with RunLog(self.out, self.config.loggers, self.progress.frames) as log, self._bar() as bar, interruptible() as stop:
+                self.progress.start()
+                self._loop(iter(collector), collector, log, bar, stop)
+        finally:
+            collector.shutdown()
+        return self._finish()
+
+    def _loop(self, batches: Iterator[TensorDictBase], collector: Any, log: RunLog, bar: tqdm, stop: threading.Event) -> None:
+        while self.progress.fraction < 1.0:
+            begin = time.perf_counter()
+            batch = merged(next(batches))
+            row = {"iteration": self.iteration, "collect_seconds": time.perf_counter() - begin} | self._learn(batch)
+            self.iteration += 1
+            log.iteration(row)
+            self._show(bar, row)
+            collector.update_policy_weights_()
+            if self._due(self.config.evaluate_every) or (self.config.evaluate_every and self.progress.fraction >= 1.0):
+                log.evaluated(self._judge())
+            enough = self.config.patience is not None and self.best["waited"] >= self.config.patience
+            if self._due(self.config.checkpoint_every) or stop.is_set() or enough or self.progress.fraction >= 1.0:
+                self._save(collector, batch)
+            if stop.is_set() or enough:
+                logger.info("stopped %s", "by the user" if stop.is_set() else "early: the return has not grown any more")
+                return
+
+    def _due(self, every: int) -> bool:
+        """Whether a multiple of ``every`` frames has been passed in the last iteration."""
+        return every > 0 and self.progress.frames // every > (self.progress.frames - self.config.batch) // every
 
     def _warm_up(self) -> None:
         """Compile before the clock starts."""
@@ -125,39 +179,21 @@ class Training:
         torch.manual_seed(self.config.seed)
         logger.info("ready after %.1f s", time.perf_counter() - begin)
 
-    def _batches(self) -> Iterator[tuple[TensorDictBase, float]]:
-        """Batches [N, T] by the present actor, and the seconds that each took."""
-        collector = Collector(
-            TransformedEnv(self.env, Compose(RewardSum(), StepCounter())),
-            self.actor,
-            frames_per_batch=self.config.batch,
-            total_frames=-1,
-            auto_register_policy_transforms=False,
-            track_traj_ids=False,
-        )
-        self.progress.start()
-        begin = time.perf_counter()
-        for batch in collector:
-            yield batch, time.perf_counter() - begin
-            begin = time.perf_counter()
-
     def _learn(self, batch: TensorDictBase) -> dict[str, float]:
         """Learn from a batch [N, T]; a row of the log."""
         begin = time.perf_counter()
+        done, survived = (batch["next", key].squeeze(-1) for key in ("done", "truncated"))
+        self.recent.add(self.rewards(batch), done, survived, self.fill(batch))
+        self.days += float(batch["next", "duration"].double().sum()) / DAY
         self.learner.anneal(self.progress.fraction)
         report = self.learner.learn(batch)
         self.progress.frames += batch.numel()
-        self.days += float(batch["next", "duration"].double().sum()) / DAY
-        self.recent.add(batch)
-        mean_return, survival, decisions = self.recent.means()
         return {
             "frames": self.progress.frames,
             "seconds": self.progress.seconds,
             "simulated_days": self.days,
             "episodes": self.recent.count,
-            "return": mean_return,
-            "survival": survival,
-            "decisions": decisions,
+            **self.recent.means(),
             "kl": report["kl_approx"],
             "learning_rate": self.learner.learning_rate,
             "entropy_coefficient": float(self.learner.loss.entropy_coeff),
@@ -165,21 +201,129 @@ class Training:
             **{name: report[name] for name in REPORTED if name != "kl_approx"},
         }
 
+    # -- evaluation ---------------------------------------------------------------------------------------------------
+
+    def _make_judge(self) -> Any:
+        """The environment of evaluations during training; None if there are none."""
+        return self.config.make_env(0, self.config.evaluate_episodes) if self.config.evaluate_every else None
+
+    def _judge(self) -> dict[str, float]:
+        """Evaluate the present policy, and keep it if it is the best so far; a row of the log."""
+        with torch.random.fork_rng(devices=[]):  # seeding an environment seeds torch
+            result = self.evaluate()
+        estimate = result.mean_return
+        if estimate.mean > self.best["return"]:
+            self.best = {"return": estimate.mean, "waited": 0, "networks": self._networks()}
+            self._save_policy()
+        else:
+            self.best["waited"] += 1
+        return {
+            "frames": self.progress.frames,
+            "seconds": self.progress.seconds,
+            "return": estimate.mean,
+            "return_half_width": estimate.half_width,
+            "survival": result.survival,
+            "collected": float(result.collected.double().mean()),
+            "fill": float("nan") if result.fill is None else float(result.fill.double().mean()),
+        }
+
+    def _networks(self) -> dict[str, Any]:
+        """Copies of what the policy consists of."""
+        networks = self.learner.networks
+        parts = {"sight": networks.sight, "actor": networks.actor}
+        return {name: {k: v.detach().clone() for k, v in part.state_dict().items()} for name, part in parts.items()}
+
+    def _finish(self) -> TensorDictSequential:
+        """The best policy, or the last one if none has been evaluated."""
+        if self.best["networks"] is not None:
+            for name, state in self.best["networks"].items():
+                getattr(self.learner.networks, name).load_state_dict(state)
+        self._save_policy()
+        return self.policy
+
+    def _save_policy(self) -> None:
+        save_policy(self.out / POLICY, self.learner.plan, self.learner.networks, self.config.preset, self.config.options)
+
+    # -- checkpoints --------------------------------------------------------------------------------------------------
+
+    def _save(self, collector: Any, batch: TensorDictBase) -> None:
+        """Write all that a resumed run needs to go on as if nothing had happened."""
+        kept = {
+            "bsk_torch": __version__,
+            "preset": self.config.preset,
+            "learner": self.learner.state_dict(),
+            "collected": bookmarks(collector, batch),
+            "generator": torch.get_rng_state(),
+            "recent": self.recent.state_dict(),
+            "progress": (self.progress.frames, self.progress.seconds, self.days, self.iteration),
+            "best": self.best,
+        }
+        part = self.out / f"{CHECKPOINT}.part"
+        torch.save(kept, part)
+        part.replace(self.out / CHECKPOINT)
+
+    def _restore(self, saved: dict[str, Any]) -> None:
+        self.learner.load_state_dict(saved["learner"])
+        self.recent.load_state_dict(saved["recent"])
+        self.progress.frames, self.progress.before, self.days, self.iteration = saved["progress"]
+        self.marks, self.generator, self.best = saved["collected"], saved["generator"], saved["best"]
+
+    # -- what users see -----------------------------------------------------------------------------------------------
+
     def _bar(self) -> tqdm:
         return tqdm(total=100, desc="training", unit="%", bar_format="{desc} {percentage:3.0f}% |{bar}| {elapsed}{postfix}")
 
     def _show(self, bar: tqdm, row: dict[str, float]) -> None:
         bar.n = round(100.0 * self.progress.fraction, 1)
         bar.set_postfix_str(
-            f"return {row['return']:.3f}, survival {row['survival']:.0%}, "
-            f"{row['simulated_days'] / row['seconds']:.1f} simulated days/s"
+            f"{tqdm.format_interval(self.progress.left)} left, {row['frames'] / row['seconds']:,.0f} frames/s, "
+            f"{row['simulated_days'] / row['seconds']:.1f} simulated days/s, "
+            f"return {row['return']:.3f}, survival {row['survival']:.0%}"
         )
 
 
+@contextmanager
+def interruptible() -> Iterator[threading.Event]:
+    """An event that Ctrl-C sets, so that an iteration is finished and kept; a second Ctrl-C stops at once."""
+    stop = threading.Event()
+
+    def ask(number: int, frame: Any) -> None:
+        if stop.is_set():
+            raise KeyboardInterrupt
+        stop.set()
+        logger.info("finishing this iteration to keep it; Ctrl-C again stops at once")
+
+    if threading.current_thread() is not threading.main_thread():
+        yield stop
+        return
+    before = signal.signal(signal.SIGINT, ask)
+    try:
+        yield stop
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def read_checkpoint(out: Path, config: PPOConfig) -> dict[str, Any]:
+    """The checkpoint in a run's folder; see :class:`Training` for errors."""
+    path = out / CHECKPOINT
+    if not path.is_file():
+        raise FileNotFoundError(f"{str(out)!r} holds no {CHECKPOINT} to resume from")
+    saved = torch.load(path, weights_only=True)
+    for name, here in (("preset", config.preset), ("bsk_torch", __version__)):
+        if saved[name] != here:
+            raise ValueError(f"the checkpoint in {str(out)!r} is of {name}={saved[name]!r}; this is {here!r}")
+    return saved
+
+
 def train(config: PPOConfig, out: Path) -> TensorDictSequential:
-    """Train a policy and leave it in folder ``out`` beside its log and configuration.
+    """Train a policy and leave it in folder ``out`` beside its logs and configuration.
 
     Returns:
         The policy: writes ``action`` into a tensordict with ``observation`` and ``action_mask``.
     """
     return Training(config, out).run()
+
+
+def resume(out: Path, kind: type[PPOConfig] = PPOConfig, run: type[Training] = Training) -> TensorDictSequential:
+    """Go on with the run in folder ``out``, which an interruption or the end of its budget has left."""
+    return run(load_config(out / CONFIG, kind), out, resume=True).run()

@@ -21,9 +21,9 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import MultipleLocator
 from torch import Tensor
 
-from bsk_torch.viz.ground_track import cities, dot, graticule, track_pieces
-from bsk_torch.viz.style import FAINT, INK, PALETTE, caption, headline, save, tidy
+from bsk_torch.viz.style import FAINT, INK, PALETTE, caption, dot, headline, save, tidy
 from bsk_torch.viz.timeline import HOUR, plain, spacing
+from bsk_torch.viz.world import pieces, world_map
 
 TAIL = 900.0
 """Seconds of flight that are drawn bold before the moment that the map shows."""
@@ -217,9 +217,8 @@ def _clock(seconds: float) -> str:
 
 def _world(panel: Axes, episode: ConstellationEpisode) -> list[Artist]:
     """Draw the map; entries for the legend."""
-    graticule(panel)
+    world_map(panel)
     panel.set_anchor("C")
-    cities(panel)
     panel.plot(episode.target_longitude, episode.target_latitude, "o", markersize=1.8, zorder=1.5, **TARGET)
     now = float(episode.times[episode.moment])
     for k, color in enumerate(episode.colors):
@@ -238,10 +237,10 @@ def _world(panel: Axes, episode: ConstellationEpisode) -> list[Artist]:
 def _track(panel: Axes, episode: ConstellationEpisode, k: int, color: str, now: float) -> None:
     """The track of satellite ``k`` while it lived, bold shortly before ``now``."""
     alive, end = episode.times[1:] <= episode.ends[k], episode.times[1:]
-    pieces = track_pieces(episode.longitude[k], episode.latitude[k])
+    lines = pieces(episode.longitude[k], episode.latitude[k])
     bold = alive & (end > now - TAIL) & (end <= now)
     for rows, width, alpha, layer in ((alive, 0.7, 0.4, 2), (bold, 2.2, 0.9, 3)):
-        panel.add_collection(LineCollection(pieces[rows].tolist(), color=color, linewidth=width, alpha=alpha, zorder=layer))
+        panel.add_collection(LineCollection(lines[rows].tolist(), color=color, linewidth=width, alpha=alpha, zorder=layer))
 
 
 def _images_on_map(panel: Axes, episode: ConstellationEpisode) -> None:
@@ -260,7 +259,7 @@ def _links(panel: Axes, episode: ConstellationEpisode) -> None:
     alpha = 0.7 / max(1.0, 0.5 * len(pairs) / episode.size) ** 0.5  # many lines are paler
     for i, j in pairs.tolist():
         path = great_circle(latitude[[i, j]], longitude[[i, j]])
-        panel.add_collection(LineCollection(track_pieces(*path).tolist(), color=INK, linewidth=0.8, alpha=alpha, zorder=4.5))
+        panel.add_collection(LineCollection(pieces(*path).tolist(), color=INK, linewidth=0.8, alpha=alpha, zorder=4.5))
 
 
 def great_circle(latitude: Tensor, longitude: Tensor, points: int = 90) -> tuple[Tensor, Tensor]:

@@ -15,11 +15,12 @@ from matplotlib.lines import Line2D
 from torch import Tensor
 
 from bsk_torch.constants import R_EARTH
-from bsk_torch.scene.cities import city_table
 from bsk_torch.viz.decisions import decisions, resources
-from bsk_torch.viz.imaging import IMAGED, LOST, OPEN, UNPAID, ImagingEpisode, ground, record_imaging_episode
-from bsk_torch.viz.style import FAINT, INK, PALETTE, caption, headline, label, save, tidy
+from bsk_torch.viz.imaging import IMAGED, LOST, OPEN, UNPAID, ImagingEpisode, record_imaging_episode
+from bsk_torch.viz.style import INK, PALETTE, caption, dot, headline, label, save, tidy
 from bsk_torch.viz.timeline import HOUR, time_axis
+from bsk_torch.viz.track import ground
+from bsk_torch.viz.world import pieces, world_map
 
 __all__ = ["ground_track", "record_imaging_episode"]
 
@@ -63,12 +64,11 @@ DAY = LinearSegmentedColormap.from_list("day", ("#b9d3ee", PALETTE[0], "#12305a"
 """Colours of the track from start to end."""
 
 
-def ground_track(episode: ImagingEpisode, path: Path, title: str) -> Path:
-    """Draw an episode to the PNG file ``path``, with headline ``title``.
+def ground_track(episode: ImagingEpisode, path: Path, title: str = "") -> Path:
+    """Draw an episode to the file ``path``, .png or .svg, with headline ``title`` unless that is empty.
 
     From above: the world with the ground track and all targets; ten minutes of it large, with lines from the satellite to what
     it imaged; decisions and reward over time; and battery, wheels and store where the satellite can do something for them.
-    Coasts are not drawn; where the extra ``cities`` is installed, its cities sketch the continents.
     """
     heights = [*HEIGHTS, *([1.1] if len(episode.names) > 1 else [])]
     figure = Figure(figsize=(10.0, sum(heights) + 2.6), dpi=140, facecolor="white")
@@ -84,8 +84,8 @@ def ground_track(episode: ImagingEpisode, path: Path, title: str) -> Path:
         handles += resources(panel, episode)
     for panel in panels[2:]:
         time_axis(panel, episode, named=panel is panels[-1])
-    images = int(episode.imaged.sum())
-    headline(figure, f"{title}: {images} image{'s' * (images != 1)}, {episode.outcome}")
+    if title:
+        headline(figure, f"{title}: {episode.outcome}")
     figure.legend(handles=handles, loc="outside lower center", ncols=5, frameon=False, fontsize=9, labelcolor=INK)
     return save(figure, path)
 
@@ -105,13 +105,12 @@ def busiest(episode: ImagingEpisode) -> tuple[float, float]:
 
 
 def _world(panel: Axes, episode: ImagingEpisode, span: tuple[float, float]) -> None:
-    graticule(panel)
-    cities(panel)
+    world_map(panel)
     _targets(panel, episode, ground(episode.r_LP_P), episode.exists)
-    pieces, hours = track_pieces(*ground(episode.track)), episode.track_times / HOUR
+    lines, hours = pieces(*ground(episode.track)), episode.track_times / HOUR
     shown = (episode.track_times[1:] > span[0]) & (episode.track_times[:-1] < span[1])
-    panel.add_collection(LineCollection(pieces[shown].tolist(), color=INK, linewidth=7.0, alpha=0.2, zorder=2.5))
-    track = LineCollection(pieces.tolist(), array=hours[1:].numpy(), cmap=DAY, linewidth=1.6, zorder=3)
+    panel.add_collection(LineCollection(lines[shown].tolist(), color=INK, linewidth=7.0, alpha=0.2, zorder=2.5))
+    track = LineCollection(lines.tolist(), array=hours[1:].numpy(), cmap=DAY, linewidth=1.6, zorder=3)
     track.set_clim(0.0, float(hours[-1]))
     panel.add_collection(track)
     panel.plot(*ground(episode.stations), "^", color=INK, markeredgecolor="white", markersize=7.5, zorder=5)
@@ -125,34 +124,6 @@ def _world(panel: Axes, episode: ImagingEpisode, span: tuple[float, float]) -> N
     panel.legend(handles=_world_legend(episode), bbox_to_anchor=(0.5, -0.06), ncols=8, **LEGEND)
 
 
-def graticule(panel: Axes) -> None:
-    """Equirectangular (plate carree) map."""
-    panel.set(xlim=(-180.0, 180.0), ylim=(-90.0, 90.0), aspect="equal", anchor="W")
-    panel.set_xticks(range(-180, 181, 60), [_degrees(angle, "W", "E") for angle in range(-180, 181, 60)])
-    panel.set_yticks(range(-90, 91, 30), [_degrees(angle, "S", "N") for angle in range(-90, 91, 30)])
-    panel.grid(axis="both", color=FAINT, linewidth=0.6)
-
-
-def _degrees(angle: int, below: str, above: str) -> str:
-    return f"{abs(angle)}°{below if angle < 0 else above if angle > 0 else ''}"
-
-
-def cities(panel: Axes) -> None:
-    """A dot for every city, where their table is installed."""
-    try:
-        latitude, longitude = torch.rad2deg(city_table()[1]).unbind(-1)
-    except ImportError:
-        return
-    panel.scatter(longitude, latitude, 0.5, color="#c7cdd6", linewidths=0, zorder=1)
-
-
-def track_pieces(x: Tensor, y: Tensor) -> Tensor:
-    """Pieces [M - 1, 2, 2] of a line, nothing where it leaves the map at one side and comes back at the other."""
-    points = torch.stack([x, y], -1)
-    torn = x.diff().abs() > 180.0
-    return torch.where(torn.view(-1, 1, 1), torch.nan, torch.stack([points[:-1], points[1:]], 1))
-
-
 def _targets(panel: Axes, episode: ImagingEpisode, at: tuple[Tensor, Tensor], shown: Tensor, scale: float = 1.0) -> None:
     """The targets that are ``shown`` [K], as dots."""
     share = episode.priority / episode.priority.max().clamp(min=1e-12)
@@ -161,7 +132,7 @@ def _targets(panel: Axes, episode: ImagingEpisode, at: tuple[Tensor, Tensor], sh
     for kind, (face, edge, _) in LOOKS.items():
         rows, (width, layer) = shown & (fate == kind), (0.6, 2) if kind == OPEN else (1.2, 4)
         where = (x[rows].tolist() for x in (*at, area))
-        panel.scatter(*where, facecolors=face, edgecolors=edge, linewidths=width, zorder=layer)
+        panel.scatter(*where, facecolors=face, edgecolors=edge, linewidths=width, zorder=layer, rasterized=True)
 
 
 def _world_legend(episode: ImagingEpisode) -> list[Line2D]:
@@ -170,10 +141,6 @@ def _world_legend(episode: ImagingEpisode) -> list[Line2D]:
     markers += [("o", "white", INK, "start"), ("s", "white", INK, "end")]
     markers += [("^", INK, INK, "ground station")] if len(episode.stations) else []
     return [*(dot(*marker) for marker in markers), Line2D([], [], color=INK, alpha=0.2, linewidth=7.0, label="shown below")]
-
-
-def dot(marker: str, face: str, edge: str, name: str) -> Line2D:
-    return Line2D([], [], linestyle="", marker=marker, color=face, markeredgecolor=edge, markersize=6.0, label=name)
 
 
 # -- ten minutes -----------------------------------------------------------------------------------------------------------------

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import torch
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
-from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
+from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from bsk_torch.env import SatelliteTasking
 
@@ -90,11 +90,11 @@ class Recorder:
             now = self.env.reset()
             self.note()
             while not bool(now["done"][0]):
-                now = self.env.step(policy(now))
-                self.actions.append(self._entry(int(now["action"][0])))
-                self.rewards.append(float(now["next", "reward"][0]))
+                told = policy(now)
+                now = self.env.play(told["action"], ~now["done"].squeeze(-1)).update(told.get("next", {}))
+                self.actions.append(self._entry(int(told["action"][0])))
+                self.rewards.append(float(now["reward"][0]))
                 self.note()
-                now = step_mdp(now)
 
     def _entry(self, action: int) -> int:
         """Which entry of the ``action_spec`` an action belongs to; negative ones go to the first that has them."""

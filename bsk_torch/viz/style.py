@@ -7,8 +7,10 @@ from itertools import pairwise
 from math import isfinite
 from pathlib import Path
 
+from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 PALETTE = ("#2f6db3", "#e8a628", "#2f9e72", "#c1476b", "#7b62b8", "#5aa9c9", "#8c6d4f", "#6b7280")
 """Colours that stay apart in print and for the colour-blind."""
@@ -65,12 +67,21 @@ def spread(heights: Sequence[float], gap: float) -> list[float]:
     return moved
 
 
+def dot(marker: str, face: str, edge: str, name: str) -> Line2D:
+    """Entry of a legend for a marker."""
+    return Line2D([], [], linestyle="", marker=marker, color=face, markeredgecolor=edge, markersize=6.0, label=name)
+
+
 def headline(figure: Figure, text: str) -> None:
     """Title at the left of the figure."""
     figure.suptitle(text, x=0.01, ha="left", color=INK, fontsize=12.5, fontweight="bold")
 
 
 def save(figure: Figure, path: Path) -> Path:
-    """Write a PNG and return its path."""
-    figure.savefig(path, format="png")
+    """Write a picture in the format that the path's suffix says, .png or .svg, and return the path.
+
+    The same figure gives the same file: an SVG has no date, and names of its parts that depend on what is drawn.
+    """
+    with rc_context({"svg.hashsalt": "bsk_torch"}):
+        figure.savefig(path, metadata={"Date": None} if path.suffix == ".svg" else None)
     return path

@@ -21,8 +21,8 @@ HOUR = 3600.0
 NIGHT, PASS = "#3b4252", "#2f9e72"
 
 
-def timeline(episode: Episode, path: Path, title: str) -> Path:
-    """Draw an episode to the PNG file ``path``, with headline ``title``."""
+def timeline(episode: Episode, path: Path, title: str = "") -> Path:
+    """Draw an episode to the file ``path``, .png or .svg, with headline ``title`` unless that is empty."""
     figure, axes = panels((0.5, *(1.35 for _ in episode.series)))
     _modes(axes[0], episode)
     for panel, name in zip(axes[1:], episode.series, strict=True):
@@ -30,7 +30,8 @@ def timeline(episode: Episode, path: Path, title: str) -> Path:
     for panel in axes:
         shade(panel, episode)
     time_axis(axes[-1], episode)
-    headline(figure, f"{title}: {episode.outcome}")
+    if title:
+        headline(figure, f"{title}: {episode.outcome}")
     figure.legend(handles=_legend(episode), loc="outside lower center", ncols=8, frameon=False, fontsize=9, labelcolor=INK)
     return save(figure, path)
 
@@ -50,8 +51,10 @@ def spacing(hours: float) -> float:
 
 
 def bars(panel: Axes, episode: Episode, rows: Tensor, base: float = 0.0, height: float = 1.0, **look: Any) -> None:
-    """Bars over the decisions where ``rows`` [T] is true."""
-    start, end = episode.times[:-1][rows] / HOUR, episode.times[1:][rows] / HOUR
+    """Bars over the decisions where ``rows`` [T] is true, one for all in a row: seams between bars would show."""
+    edge = torch.zeros(1, dtype=torch.bool)
+    before, after = torch.cat([edge, rows[:-1]]), torch.cat([rows[1:], edge])
+    start, end = episode.times[:-1][rows & ~before] / HOUR, episode.times[1:][rows & ~after] / HOUR
     panel.broken_barh(torch.stack([start, end - start], -1).tolist(), (base, height), linewidth=0, **look)
 
 

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, ClassVar
 
 import gymnasium
+import numpy as np
 import torch
 from gymnasium import spaces
 from gymnasium.error import ResetNeeded
@@ -14,14 +15,17 @@ from torch import Tensor
 
 from bsk_torch.env import ConstellationTasking
 from bsk_torch.wrappers.gymnasium import (
+    RENDERING,
     as_numpy,
     begin,
     build,
     check_options,
     legal_tasks,
+    parse_render_mode,
     read_task,
     reseed,
     satellite_infos,
+    snapshots,
     unbounded,
 )
 
@@ -43,14 +47,18 @@ class GymJointEnv(gymnasium.Env[tuple[Any, ...], Sequence[Any]]):
         >>> observation, reward, terminated, truncated, info = env.step((0, None, 5))
     """
 
-    def __init__(self, core: Core, **options: Any) -> None:
+    metadata: ClassVar[dict[str, Any]] = RENDERING  # type: ignore[misc]
+
+    def __init__(self, core: Core, *, render_mode: str | None = None, **options: Any) -> None:
         """Wrap one environment.
 
         Args:
             core: A :class:`~bsk_torch.ConstellationTasking` with ``num_envs=1`` and ``joint=True``, a function that returns one,
                 or the name of a preset.
+            render_mode: ``"rgb_array"`` for pictures by :meth:`render`, which need the extra ``viz``.
             **options: Arguments for the preset or function, such as ``time_limit=600.0``.
         """
+        self.render_mode = parse_render_mode(render_mode)
         joint = {"joint": True} if isinstance(core, str) else {}
         self.core = build(core, joint | options, ConstellationTasking)
         if self.core.batch_size != (1,):
@@ -95,6 +103,11 @@ class GymJointEnv(gymnasium.Env[tuple[Any, ...], Sequence[Any]]):
         terminated, truncated = bool(seen["terminated"]), bool(seen["truncated"])
         self._running = not (terminated or truncated)
         return self._observation(seen), float(seen["reward"]), terminated, truncated, self._info(seen)
+
+    def render(self) -> np.ndarray | None:
+        """A picture of the present, [480, 640, 3] uint8; see :meth:`bsk_torch.env.base.Tasking.render`."""
+        pictures = snapshots(self.core, self.render_mode)
+        return pictures[0] if pictures else None
 
     def _decoded(self, action: Sequence[Any]) -> Tensor:
         """Actions [1, S]."""

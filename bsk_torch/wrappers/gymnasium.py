@@ -29,6 +29,9 @@ OUTPUTS = ("numpy", "torch")
 
 SEED_LIMIT = 2**63
 
+RENDERING: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 10}
+"""What views tell of their pictures; steps last minutes, so videos are slow enough at ten of them in a second."""
+
 SEEN = ("observation", "action_mask", "duration", "counts")
 
 
@@ -120,6 +123,23 @@ def reseed(core: Tasking, seed: int | Sequence[int | None], rows: Tensor) -> Non
     core.episode = core.episode.masked_fill(given, -1)
 
 
+def parse_render_mode(mode: str | None) -> str | None:
+    """The render mode; ValueError for one that no view has."""
+    if mode is not None and mode not in RENDERING["render_modes"]:
+        raise ValueError(f"render_mode={mode!r} must be one of {RENDERING['render_modes']}, or None")
+    return mode
+
+
+def snapshots(core: Tasking, mode: str | None) -> tuple[np.ndarray, ...] | None:
+    """A picture [480, 640, 3] uint8 of each environment; None, with a warning, where there is no render mode."""
+    if mode is None:
+        gymnasium.logger.warn("render() draws nothing without a render mode; make the environment with render_mode='rgb_array'")
+        return None
+    if bool((core.episode < 0).any()):
+        raise ResetNeeded("render() needs an episode; call reset() first")
+    return tuple(core.render(rows=range(core.batch_size[0])).cpu().numpy())
+
+
 def begin(core: Tasking, rows: Tensor, seen: TensorDictBase | None = None, state: TensorDictBase | None = None) -> TensorDictBase:
     """Start new episodes in ``rows`` [N], or put a state of ``core.get_state()`` back; what all environments see then.
 
@@ -180,14 +200,18 @@ class GymEnv(gymnasium.Env[Any, Any]):
         >>> observation, reward, terminated, truncated, info = env.step(env.action_space.sample(info["action_mask"]))
     """
 
-    def __init__(self, core: Core, **options: Any) -> None:
+    metadata: ClassVar[dict[str, Any]] = RENDERING  # type: ignore[misc]
+
+    def __init__(self, core: Core, *, render_mode: str | None = None, **options: Any) -> None:
         """Wrap one environment.
 
         Args:
             core: A :class:`~bsk_torch.env.SatelliteTasking` with ``num_envs=1``, the name of a preset, or a function that returns
                 such an environment.
+            render_mode: ``"rgb_array"`` for pictures by :meth:`render`, which need the extra ``viz``.
             **options: Arguments for the preset or function, such as ``time_limit=600.0``.
         """
+        self.render_mode = parse_render_mode(render_mode)
         self.core = build(core, options, SatelliteTasking)
         if self.core.batch_size != (1,):
             raise ValueError(f"core has num_envs={self.core.batch_size[0]}; GymEnv needs 1, GymVectorEnv takes more")
@@ -220,6 +244,11 @@ class GymEnv(gymnasium.Env[Any, Any]):
         terminated, truncated = bool(seen["terminated"]), bool(seen["truncated"])
         self._running = not (terminated or truncated)
         return self._observation(seen), float(seen["reward"]), terminated, truncated, self._info(seen)
+
+    def render(self) -> np.ndarray | None:
+        """A picture of the present, [480, 640, 3] uint8; see :meth:`bsk_torch.env.base.Tasking.render`."""
+        pictures = snapshots(self.core, self.render_mode)
+        return pictures[0] if pictures else None
 
     def action_masks(self) -> np.ndarray:
         """Legal actions now, [n] booleans; the name that sb3-contrib asks for."""
@@ -257,7 +286,7 @@ class GymVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
     arrays, valid for every environment after every call, each with its boolean companion (``_duration``).
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": [], "autoreset_mode": AutoresetMode.NEXT_STEP}  # type: ignore[misc]
+    metadata: ClassVar[dict[str, Any]] = RENDERING | {"autoreset_mode": AutoresetMode.NEXT_STEP}  # type: ignore[misc]
 
     def __init__(
         self,
@@ -266,6 +295,7 @@ class GymVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         *,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         output: str = "numpy",
+        render_mode: str | None = None,
         **options: Any,
     ) -> None:
         """Wrap a batch of environments.
@@ -277,11 +307,13 @@ class GymVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
                 rewards them with 0 (``NEXT_STEP``); at once, with what they saw last in ``info["final_obs"]`` and
                 ``info["final_info"]`` (``SAME_STEP``); or in ``reset(options={"reset_mask": ended})`` (``DISABLED``).
             output: ``"numpy"``, or ``"torch"`` for tensors on the core's device and in its dtype; ``final_obs`` is then batched.
+            render_mode: ``"rgb_array"`` for pictures by :meth:`render`, which need the extra ``viz``.
             **options: Arguments for the preset or function, such as ``time_limit=600.0``.
         """
         if output not in OUTPUTS:
             raise ValueError(f"output={output!r} must be one of {list(OUTPUTS)}")
         self.autoreset_mode, self.output = parse_mode(autoreset_mode), output
+        self.render_mode = parse_render_mode(render_mode)
         self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}  # type: ignore[misc]
         asks = num_envs is not None and not isinstance(core, Tasking)
         self.core = build(core, options | ({"num_envs": num_envs} if asks else {}), SatelliteTasking)
@@ -374,9 +406,13 @@ class GymVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
             seen[name] = seen[name].masked_fill(waiting.unsqueeze(-1), 0)
         return seen
 
+    def render(self) -> tuple[np.ndarray, ...] | None:
+        """A picture of every environment, [480, 640, 3] uint8 each; ``core.render(rows=0)`` draws one of many."""
+        return snapshots(self.core, self.render_mode)
+
     def action_masks(self) -> Any:
         """Legal actions now, [N, n] booleans."""
-        return self._export(self.core.satellite.actions.mask())
+        return self._export(self.core.satellite.action_mask())
 
     # -- output -------------------------------------------------------------------------------------------------------
 

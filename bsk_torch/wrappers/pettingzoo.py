@@ -19,15 +19,18 @@ from bsk_torch.env.groups import Group
 from bsk_torch.sats.satellite import Satellite
 from bsk_torch.sim.params import nearest
 from bsk_torch.wrappers.gymnasium import (
+    RENDERING,
     as_numpy,
     begin,
     build,
     legal_tasks,
     map_leaves,
     observation_space,
+    parse_render_mode,
     read_task,
     reseed,
     satellite_infos,
+    snapshots,
     unbounded,
 )
 
@@ -70,10 +73,17 @@ class PettingZooEnv(ParallelEnv[str, Any, Any]):
         >>> observations, rewards, terminations, truncations, infos = env.step(actions)
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"name": "constellation", "render_modes": [], "is_parallelizable": True}
-    render_mode = None
+    metadata: ClassVar[dict[str, Any]] = RENDERING | {"name": "constellation", "is_parallelizable": True}
 
-    def __init__(self, core: Core, *, continue_action: bool = False, common_info: bool = False, **options: Any) -> None:
+    def __init__(
+        self,
+        core: Core,
+        *,
+        continue_action: bool = False,
+        common_info: bool = False,
+        render_mode: str | None = None,
+        **options: Any,
+    ) -> None:
         """Wrap one environment.
 
         Args:
@@ -82,8 +92,10 @@ class PettingZooEnv(ParallelEnv[str, Any, Any]):
             continue_action: Whether spaces and masks have a last action that goes on with the task, and masks leave the busy
                 nothing else unless the core has ``mask_busy=False``; for policies that have to act in every step.
             common_info: Whether infos have an entry ``"__common__"`` with ``d_ts``, as bsk_rl's.
+            render_mode: ``"rgb_array"`` for pictures by :meth:`render`, which need the extra ``viz``.
             **options: Arguments for the preset or function, such as ``time_limit=600.0``.
         """
+        self.render_mode = parse_render_mode(render_mode)
         self.core = build(core, options, ConstellationTasking)
         if self.core.batch_size != (1,):
             raise ValueError(f"core has num_envs={self.core.batch_size[0]}; PettingZooEnv needs 1")
@@ -176,6 +188,11 @@ class PettingZooEnv(ParallelEnv[str, Any, Any]):
             dict.fromkeys(live, truncated),
             self._infos(seen, live),
         )
+
+    def render(self) -> np.ndarray | None:
+        """A picture of the present, [480, 640, 3] uint8; see :meth:`bsk_torch.env.base.Tasking.render`."""
+        pictures = snapshots(self.core, self.render_mode)
+        return pictures[0] if pictures else None
 
     def _ends(self, seen: TensorDictBase) -> tuple[dict[str, bool], bool]:
         """Which agents are terminated, and whether everything is truncated."""

@@ -14,6 +14,7 @@ from torchrl.modules import ValueOperator
 import bsk_torch
 from bsk_torch import comm
 from bsk_torch.rl.baselines import BASELINES
+from bsk_torch.rl.collect import make_collector
 from bsk_torch.rl.crew import Crew, crew_baseline, evaluate_crew, member
 from bsk_torch.rl.evaluate import evaluate
 from bsk_torch.rl.marl import ALIVE, CrewConfig, CrewCritic, CrewTraining, by_team, estimate_advantages
@@ -182,7 +183,9 @@ def learned(request, tmp_path_factory):
     """A learner and the batch, as it was seen before the first gradient step, of one iteration."""
     config = CrewConfig(algorithm=request.param, seconds=5.0, num_envs=4, rollout=24, minibatch=32, epochs=4, options=WORLD)
     training = CrewTraining(config, tmp_path_factory.mktemp(request.param))
-    batch, _ = next(training._batches())
+    collector = make_collector(config, training.env, training.actor, None)
+    batch = next(iter(collector))
+    collector.shutdown()
     report = training.learner.learn(batch)
     team = by_team(batch)
     estimate_advantages(team, training.learner.critic, config.gamma, training.learner.lmbda)
@@ -273,7 +276,7 @@ def test_training_script(tmp_path, capsys):
     assert "| mappo |" in printed
     assert "| hasty |" in printed
     assert len(json.loads((tmp_path / "evaluation.json").read_text())["mappo"]) == 2
-    assert "NoCommunication" in (tmp_path / "config.json").read_text()
+    assert "NoCommunication" in (tmp_path / "config.yaml").read_text()
     assert load_policy(tmp_path / "policy.pt") is not None
 
 

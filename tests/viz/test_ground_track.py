@@ -15,8 +15,9 @@ from bsk_torch.sim.sight import View, owned, planned_position
 from bsk_torch.sim.sky import SKY, fixed
 from bsk_torch.vec3 import Vec3
 from bsk_torch.viz import ground_track as pictures
-from bsk_torch.viz.imaging import IMAGED, LOST, NONE, OPEN, UNPAID, ground, record_imaging_episode
+from bsk_torch.viz.imaging import IMAGED, LOST, NONE, OPEN, UNPAID, record_imaging_episode
 from bsk_torch.viz.timeline import timeline
+from bsk_torch.viz.track import ground
 
 PNG = b"\x89PNG"
 
@@ -133,15 +134,6 @@ def test_an_episode_is_drawn(episode, tmp_path):
         path = draw(episode, tmp_path / f"{draw.__name__}.png", "AEOS-v1")
         assert path.read_bytes()[:4] == PNG
         assert path.stat().st_size > 10_000
-
-
-def test_cities_need_not_be_installed(episode, tmp_path, monkeypatch):
-    def missing():
-        raise ImportError
-
-    with_cities = pictures.ground_track(episode, tmp_path / "cities.png", "AEOS-v1").stat().st_size
-    monkeypatch.setattr(pictures, "city_table", missing)
-    assert 10_000 < pictures.ground_track(episode, tmp_path / "sea.png", "AEOS-v1").stat().st_size <= with_cities
 
 
 def test_other_modes_deaths_and_a_track_over_the_date_line_are_drawn(episode, tmp_path):

@@ -1,0 +1,5 @@
+"""The command line, ``bsk-torch``."""
+
+from bsk_torch.cli.main import app
+
+__all__ = ["app"]

@@ -1,0 +1,194 @@
+"""``bsk-torch report``: one HTML page that tells what a run has learned."""
+
+from __future__ import annotations
+
+import json
+import platform
+import shlex
+from collections.abc import Iterator
+from dataclasses import asdict, fields
+from importlib import import_module
+from importlib.metadata import version
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import torch
+import typer
+
+from bsk_torch.cli.shared import (
+    FRESH,
+    Backend,
+    Device,
+    Threads,
+    console,
+    environment,
+    environment_options,
+    fail,
+)
+from bsk_torch.rl.config import CONFIG, PPOConfig, load_config
+from bsk_torch.rl.evaluate import evaluate
+from bsk_torch.rl.log import EVALUATIONS, LOG, read_log
+from bsk_torch.rl.policies import POLICY, build_policy, check_fits, read_card
+from bsk_torch.rl.recipes import configure
+from bsk_torch.rl.targets import image_actions
+
+if TYPE_CHECKING:
+    from tensordict.nn import TensorDictModuleBase
+    from torch import Tensor
+
+RESULTS, REPORT = "evaluation.json", "report.html"
+"""What the command line adds to a run's logs, and what is written."""
+
+FLAGS = {"backend": "compiled", "device": "cpu", "time_limit": None}
+"""Options of the environment that are flags of the command line, with their defaults."""
+
+VERSIONS = ("bsk_torch", "torch", "torchrl", "matplotlib")
+"""Packages whose versions a report notes."""
+
+
+def report(
+    run: Annotated[Path, typer.Argument(help="Folder of a training run.")],
+    episodes: Annotated[int, typer.Option(min=1, help="Fresh episodes; the best, the median and the worst are shown.")] = 64,
+    threads: Threads = 1,
+    backend: Backend = "compiled",
+    device: Device = "cpu",
+) -> None:
+    """Write report.html into the folder of a run: learning curves, final evaluation, and episodes on maps."""
+    torch.set_num_threads(threads)
+    pages, config = _pages(), _config(run)
+    card = _card(run, device)
+    options = config.options | environment_options(backend, device, None)
+    shown = _episodes(config, card, options, episodes, device)
+    data = pages.RunData(
+        name=run.resolve().name,
+        preset=config.preset,
+        log=_columns(run / LOG),
+        evaluations=_columns(run / EVALUATIONS),
+        results=_results(run / RESULTS),
+        episodes=[pages.Chosen(*chosen) for chosen in shown],
+        played=episodes,
+        config=asdict(config),
+        facts=_facts(card),
+        command=command_of(config),
+    )
+    path = pages.write_report(data, run / REPORT)
+    typer.echo(f"the report is {path} ({path.stat().st_size / 1e6:.1f} MB)")
+
+
+def _pages() -> Any:
+    """What writes reports; ends the program where matplotlib or jinja2 is missing."""
+    try:
+        return import_module("bsk_torch.viz.report")
+    except ModuleNotFoundError as error:
+        fail(f"a report needs {error.name}; pip install 'bsk_torch[viz]'")
+
+
+# -- the folder of a run ---------------------------------------------------------------------------------------------------------
+
+
+def _config(folder: Path) -> PPOConfig:
+    """Configuration of a run; ends the program where there is none."""
+    if not folder.is_dir():
+        fail(f"there is no folder {str(folder)!r}; training says at its end where it has left its results")
+    if not (folder / CONFIG).is_file():
+        fail(f"{str(folder)!r} has no {CONFIG}; it is no folder of a run")
+    try:
+        return load_config(folder / CONFIG, PPOConfig)
+    except ValueError as error:
+        fail(str(error))
+
+
+def _card(folder: Path, device: str) -> dict[str, Any]:
+    """The policy of a run; ends the program where there is none."""
+    if not (folder / POLICY).is_file():
+        fail(f"{str(folder)!r} has no {POLICY}; training leaves it at its end")
+    try:
+        return read_card(folder, device)
+    except ValueError as error:
+        fail(str(error))
+
+
+def _columns(path: Path) -> dict[str, list[float]]:
+    """Columns of a log; none where it was not written."""
+    return read_log(path) if path.is_file() else {}
+
+
+def _results(path: Path) -> dict[str, Any]:
+    """Final evaluation; nothing where training was stopped before."""
+    return json.loads(path.read_text()) if path.is_file() else {}
+
+
+def _facts(card: dict[str, Any]) -> dict[str, str]:
+    made = {"policy trained with": f"bsk_torch {card['bsk_torch']}"}
+    return made | {
+        "report made with": ", ".join(f"{name} {version(name)}" for name in VERSIONS),
+        "Python": platform.python_version(),
+    }
+
+
+# -- episodes --------------------------------------------------------------------------------------------------------------------
+
+
+def _episodes(
+    config: PPOConfig, card: dict[str, Any], options: dict[str, Any], episodes: int, device: str
+) -> Iterator[tuple[str, int, Any]]:
+    """Why it is shown, its number, and the recording of the best, the median and the worst of fresh episodes."""
+    env = environment(config.preset, episodes, options)
+    try:
+        check_fits(card, env, config.preset)
+        policy = build_policy(card, device)
+    except ValueError as error:
+        fail(str(error))
+    with console.status(f"playing {episodes} fresh episodes"):
+        returns = evaluate(policy, env, seed=config.seed + FRESH).returns
+    for why, number in extremes(returns).items():
+        with console.status(f"playing the {why} episode again"):
+            yield why, number, _recorded(config, policy, options | {"env_ids": [number]})
+
+
+def extremes(returns: Tensor) -> dict[str, int]:
+    """Numbers of the episodes with the highest, the median and the lowest of the ``returns`` [n]; each only once."""
+    order = returns.argsort().tolist()
+    chosen = {"best": order[-1], "median": order[(len(order) - 1) // 2], "worst": order[0]}
+    return {why: number for k, (why, number) in enumerate(chosen.items()) if number not in list(chosen.values())[:k]}
+
+
+def _recorded(config: PPOConfig, policy: TensorDictModuleBase, options: dict[str, Any]) -> Any:
+    env = environment(config.preset, 1, options)
+    record = import_module("bsk_torch.viz.imaging").record_imaging_episode
+    try:
+        image_actions(env)
+    except ValueError:  # no targets
+        record = import_module("bsk_torch.viz.track").record_track
+    return record(policy, env, seed=config.seed + FRESH)
+
+
+# -- the command -----------------------------------------------------------------------------------------------------------------
+
+
+def command_of(config: PPOConfig) -> str:
+    """The shell command that trains with such a configuration."""
+    limit = ["--minutes", f"{config.seconds / 60.0:g}"] if config.seconds is not None else []
+    limit = limit if config.frames is None else ["--frames", str(config.frames)]
+    flags = ["--network", config.network, *limit, "--seed", str(config.seed)]
+    for name, usual in FLAGS.items():
+        if config.options.get(name, usual) != usual:
+            flags += [f"--{name.replace('_', '-')}", str(config.options[name])]
+    return shlex.join(["bsk-torch", "train", config.preset, *flags, *_changes(config)])
+
+
+def _changes(config: PPOConfig) -> Iterator[str]:
+    """Settings that differ from the recipe's, as the command line takes them."""
+    recipe = configure(config.preset, config.network)
+    said = {"preset", "network", "frames", "seed", "options"} | ({"seconds"} if config.frames is None else set())
+    for part in fields(config):
+        value = getattr(config, part.name)
+        if part.name not in said and value != (None if part.name == "seconds" else getattr(recipe, part.name)):
+            yield f"{part.name}={_said(value)}"
+    for name, value in config.options.items():
+        if name not in FLAGS and value != recipe.options.get(name):
+            yield f"options.{name}={_said(value)}"
+
+
+def _said(value: Any) -> str:
+    return value if isinstance(value, str) else json.dumps(value, separators=(",", ":"))

@@ -1,0 +1,78 @@
+"""Results of evaluations: on the screen and in files."""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.table import Table
+
+from bsk_torch.rl.evaluate import Evaluation
+from bsk_torch.rl.statistics import Estimate, mean
+
+WIDE = 240
+"""Characters that a line may have: narrow terminals break lines, rather than that numbers are left out."""
+
+
+def print_results(results: Mapping[str, Evaluation], title: str, chosen: str | None = None) -> None:
+    """A table of all results, with the paired gain of the ``chosen`` policy over the others; of deaths where somebody died."""
+    mortal = any(result.causes for result in results.values())
+    rows = {name: {"return": str(result.mean_return)} for name, result in results.items()}
+    for name, row in rows.items():
+        if chosen is not None:
+            row[f"gain of {chosen}"] = "" if name == chosen else _signed(results[chosen].gain_over(results[name]))
+        row |= _row(results[name], mortal)
+    columns = next(iter(rows.values()))
+    table = Table(title=title, title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
+    for column in ("policy", *columns):
+        table.add_column(column, justify="left" if column == "policy" else "right")
+    for name, row in rows.items():
+        table.add_row(name, *row.values())
+    Console(width=WIDE).print(table)
+
+
+def _row(result: Evaluation, mortal: bool) -> dict[str, str]:
+    """What else the table says about a policy, by column."""
+    low, high = result.survival_interval
+    row = {"survival": f"{result.survival:.1%} ({100.0 * low:.1f}–{high:.1%})"}
+    row |= {"collected": f"{mean(result.collected):.3f}"} if mortal else {}
+    row |= {} if result.fill is None else {"fill": f"{mean(result.fill):.0%}"}
+    row |= {"decisions": f"{mean(result.decisions):.0f}"} | {name: f"{mean(n):.1f}" for name, n in result.counts.items()}
+    deaths = ", ".join(f"{n} {cause.removesuffix('_valid')}" for cause, n in result.causes.items())
+    return row | ({"deaths": deaths or "none"} if mortal else {})
+
+
+def _signed(gain: Estimate) -> str:
+    return f"{gain.mean:+.3f} ± {gain.half_width:.3f}"
+
+
+def save_results(results: Mapping[str, Evaluation], path: Path, chosen: str) -> None:
+    """Write what :meth:`Evaluation.summary` tells of every policy, with the paired gain of the ``chosen`` one over the others."""
+    others = {name: result for name, result in results.items() if name != chosen}
+    told = {name: result.summary(others if name == chosen else None) for name, result in results.items()}
+    path.write_text(json.dumps(told, indent=2) + "\n")
+
+
+def save_episodes(results: Mapping[str, Evaluation], seeds: Sequence[int], path: Path) -> None:
+    """Write a line of CSV for every episode of every policy."""
+    lines = [{"policy": name} | line for name, result in results.items() for line in _episodes(result, seeds)]
+    with path.open("w", newline="") as file:
+        writer = csv.DictWriter(file, list(lines[0]))
+        writer.writeheader()
+        writer.writerows(lines)
+
+
+def _episodes(result: Evaluation, seeds: Sequence[int]) -> Iterator[dict[str, object]]:
+    """What is known of each episode, by name."""
+    columns = {"return": result.returns, "collected": result.collected, "survived": result.survived.int()}
+    columns |= {"decisions": result.decisions, "seconds": result.seconds}
+    columns |= {} if result.fill is None else {"fill": result.fill}
+    lists = {name: column.tolist() for name, column in (columns | result.counts).items()}
+    failed = {name: column.tolist() for name, column in result.deaths.items()}
+    for k, seed in enumerate(seeds):
+        causes = " ".join(name for name, column in failed.items() if column[k])
+        yield {"seed": seed} | {name: column[k] for name, column in lists.items()} | {"deaths": causes}

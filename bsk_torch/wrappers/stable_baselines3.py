@@ -1,0 +1,177 @@
+"""Stable-Baselines3's vectorised environment over the batched one: N episodes in one simulation, without subprocesses."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from gymnasium import Wrapper, spaces
+from gymnasium.vector import AutoresetMode
+
+from bsk_torch.sim.params import nearest
+from bsk_torch.wrappers.gymnasium import Core, GymVectorEnv, check_options
+
+try:
+    from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvIndices, VecEnvStepReturn
+except ImportError as error:
+    raise ImportError("SB3VecEnv is an environment of Stable-Baselines3: pip install 'bsk_torch[sb3]'") from error
+
+SEPARATOR = "/"
+"""Between the names of a nested observation; Stable-Baselines3 knows one level, and torch refuses dots in names of modules."""
+
+
+def flat_space(space: spaces.Space[Any]) -> spaces.Space[Any]:
+    """A Box as it is; for nested observations a Dict of one level, such as ``sat_props/storage_level_fraction``."""
+    if not isinstance(space, spaces.Dict):
+        return space
+    return spaces.Dict({name: _at_least_1d(box) for name, box in flat(space.spaces).items()})
+
+
+def flat(tree: Mapping[str, Any]) -> dict[str, Any]:
+    """The leaves of nested dictionaries or Dict spaces, by their joined names."""
+    leaves: dict[str, Any] = {}
+    for name, part in tree.items():
+        inner = flat(part) if isinstance(part, Mapping) else None
+        leaves |= {name: part} if inner is None else {f"{name}{SEPARATOR}{key}": leaf for key, leaf in inner.items()}
+    return leaves
+
+
+def _at_least_1d(box: Any) -> spaces.Box:
+    """Stable-Baselines3 flattens from the second dimension on, which a batch of scalars has not."""
+    return box if box.shape else spaces.Box(-np.inf, np.inf, (1,), box.dtype)
+
+
+def by_row(columns: Mapping[str, Any], rows: Sequence[int] | slice = slice(None)) -> list[dict[str, Any]]:
+    """The entries [N, ...] of a vector environment's info as a dictionary for each of ``rows``, without their companions."""
+    chosen = {name: column[rows] for name, column in columns.items() if not name.startswith(("_", "final_"))}
+    values = [column.tolist() if column.ndim == 1 else list(column) for column in chosen.values()]
+    return [dict(zip(chosen, row, strict=True)) for row in zip(*values, strict=True)]
+
+
+class SB3VecEnv(VecEnv):
+    """N episodes in one simulation, as Stable-Baselines3's ``VecEnv``; episodes that end start anew at once.
+
+    ``infos`` has for each episode the entries of :class:`~bsk_torch.wrappers.GymEnv`, ``TimeLimit.truncated``, and at an end
+    ``terminal_observation``. ``reset_infos`` is what the new episodes begin with. Named observations come with one level of
+    names, such as ``sat_props/storage_level_fraction``. sb3-contrib's MaskablePPO finds its :meth:`action_masks`.
+    Stable-Baselines3 discounts per decision, however long it took: ``infos[k]["duration"]``, s. The simulation is :attr:`core`.
+
+    Example:
+        >>> from sb3_contrib import MaskablePPO
+        >>> env = SB3VecEnv("NadirScan-v1", num_envs=64)
+        >>> MaskablePPO("MlpPolicy", env, n_steps=32).learn(100_000)
+    """
+
+    def __init__(self, core: Core, num_envs: int | None = None, *, render_mode: str | None = None, **options: Any) -> None:
+        """Wrap a batch of environments.
+
+        Args:
+            core: A :class:`~bsk_torch.SatelliteTasking`, the name of a preset, or a function that returns an environment.
+            num_envs: Number of environments; None for what ``core`` says.
+            render_mode: ``"rgb_array"`` for pictures by :meth:`render`, tiled, which need the extra ``viz``.
+            **options: Arguments for the preset or function, such as ``time_limit=600.0``.
+
+        Raises:
+            TypeError: If ``core`` is a constellation, which has several agents.
+            ValueError: For arguments that the environment does not take.
+        """
+        fixed: dict[str, Any] = {"autoreset_mode": AutoresetMode.SAME_STEP, "output": "numpy", "render_mode": render_mode}
+        self.vector = GymVectorEnv(core, num_envs, **fixed, **options)
+        self.core = self.vector.core
+        self._actions: np.ndarray | None = None
+        self._begin_with: dict[str, Any] = {}
+        space = flat_space(self.vector.single_observation_space)
+        super().__init__(self.vector.num_envs, space, self.vector.single_action_space)
+        self.metadata = self.vector.metadata
+
+    # -- episodes -----------------------------------------------------------------------------------------------------
+
+    def seed(self, seed: int | None = None) -> Sequence[int | None]:
+        """Begin at the next reset with the first episodes of ``seed``, a random one if None; they differ by their index."""
+        self._seeds = [super().seed(seed)[0]] * self.num_envs
+        return self._seeds
+
+    def set_options(self, options: list[dict[str, Any]] | dict[str, Any] | None = None) -> None:
+        """Begin at the next reset with ``{"state": state}`` of ``core.get_state()``; ValueError for other options."""
+        if isinstance(options, list):
+            raise ValueError(
+                f"options is a list of {len(options)}; the episodes share one simulation, which takes one dictionary"
+            )
+        self._begin_with = check_options(options, ("state",))
+
+    def reset(self) -> Any:
+        """Start the next episodes, or those of :meth:`seed` or :meth:`set_options`; what they see, [N, ...]."""
+        observation, info = self.vector.reset(seed=self._seeds, options=self._begin_with)
+        self._reset_seeds()
+        self._begin_with, self._actions = {}, None
+        self.reset_infos = by_row(info)
+        return self._observed(observation)
+
+    def step_async(self, actions: np.ndarray) -> None:
+        """Note the ``actions`` [N] of the next step."""
+        self._actions = actions
+
+    def step_wait(self) -> VecEnvStepReturn:
+        """Do the noted actions; ValueError or TypeError for actions outside the space, before anything moves."""
+        if self._actions is None:
+            raise RuntimeError("step_wait() needs actions; call step_async(actions) first, or step(actions)")
+        actions, self._actions = self._actions, None
+        observation, reward, terminated, truncated, info = self.vector.step(actions)
+        cut, ended = {"TimeLimit.truncated": truncated & ~terminated}, terminated | truncated
+        infos = by_row(info | cut)
+        if ended.any():
+            self._replace(infos, info, cut, np.flatnonzero(ended).tolist())
+        return self._observed(observation), reward.astype(np.float32), ended, infos
+
+    def _replace(self, infos: list[dict[str, Any]], info: dict[str, Any], cut: dict[str, Any], rows: list[int]) -> None:
+        """Put the last infos of the episodes ``rows`` in the place of those that the next ones begin with."""
+        for row, final in zip(rows, by_row(info["final_info"] | cut, rows), strict=True):
+            self.reset_infos[row] = {name: value for name, value in infos[row].items() if name not in cut}
+            infos[row] = final | {"terminal_observation": self._observed(info["final_obs"][row], 0)}
+
+    def _observed(self, observation: Any, batch_dims: int = 1) -> Any:
+        """An observation in the form of the observation space."""
+        if not isinstance(observation, Mapping):
+            return observation
+        leaves = flat(observation).items()
+        return {name: leaf if leaf.ndim > batch_dims else leaf[..., np.newaxis] for name, leaf in leaves}
+
+    def close(self) -> None:
+        """Nothing has to be closed beside the views."""
+        self.vector.close()
+
+    # -- what Stable-Baselines3 asks single environments --------------------------------------------------------------
+
+    def action_masks(self) -> np.ndarray:
+        """Legal actions now, [N, n] booleans; the name that sb3-contrib asks for."""
+        return self.vector.action_masks()
+
+    def get_images(self) -> Sequence[np.ndarray | None]:
+        """A picture of the present of each episode, [480, 640, 3] uint8; None without render mode."""
+        return self.vector.render() or [None] * self.num_envs
+
+    def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
+        """An attribute of the vector environment or of :attr:`core`, the same for each episode; AttributeError if none has it."""
+        for owner in (self.vector, self.core):
+            if hasattr(owner, attr_name):
+                return [getattr(owner, attr_name) for _ in self._get_indices(indices)]
+        raise AttributeError(f"attr_name={attr_name!r} is an attribute neither of GymVectorEnv nor of {type(self.core).__name__}")
+
+    def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
+        """NotImplementedError: there are no single environments to set it in."""
+        raise NotImplementedError(f"the episodes share one simulation; set {attr_name!r} in its attribute core, for all of them")
+
+    def env_method(self, method_name: str, *method_args: Any, indices: VecEnvIndices = None, **method_kwargs: Any) -> list[Any]:
+        """Results of ``action_masks()`` or ``render()`` for each episode; AttributeError for other methods."""
+        methods: dict[str, Callable[..., Any]] = {"action_masks": self.action_masks, "render": self.get_images}
+        if method_name not in methods:
+            raise AttributeError(
+                f"method_name={method_name!r} cannot be called in single episodes; {nearest(method_name, methods)}"
+            )
+        results = methods[method_name](*method_args, **method_kwargs)
+        return [results[row] for row in self._get_indices(indices)]
+
+    def env_is_wrapped(self, wrapper_class: type[Wrapper[Any, Any, Any, Any]], indices: VecEnvIndices = None) -> list[bool]:
+        """False for each episode: single environments are not wrapped, ``VecEnvWrapper`` is for the batch."""
+        return [False for _ in self._get_indices(indices)]

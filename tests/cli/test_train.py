@@ -1,0 +1,79 @@
+"""``bsk-torch train``."""
+
+import json
+
+import pytest
+
+from bsk_torch.rl.config import PPOConfig, load_config
+from bsk_torch.rl.log import read_log
+
+SIZES = ["num_envs=4", "rollout=5"]
+SHORT = ["--backend", "eager", "--time-limit", "300", "--episodes", "2"]
+
+
+def test_train_compares_and_draws(run, tmp_path):
+    result = run("train", "NadirScan-v1", "--frames", 20, *SIZES, "--out", tmp_path, *SHORT)
+    assert result.exit_code == 0, result.output
+    data = {"checkpoint.pt", "config.yaml", "evaluation.json", "evaluations.csv", "log.csv", "policy.pt"}
+    assert {path.name for path in tmp_path.iterdir()} == data | {"learning_curve.png", "timeline.png"}
+    assert set(json.loads((tmp_path / "evaluation.json").read_text())) == {"random", "rule", "untrained", "trained"}
+    again = run("eval", tmp_path, "--seeds", "0:2", *SHORT[:4])
+    assert again.exit_code == 0, again.output
+
+
+@pytest.mark.compiled
+def test_train_with_attention_knows_the_targets_and_draws_them(run, tmp_path):
+    shown = ("--backend", "compiled", "--time-limit", "300", "--episodes", "2")
+    sizes = ("--frames", 10, "num_envs=2", "rollout=5")
+    result = run("train", "AEOSCity-v1", "--network", "attention", *sizes, "--out", tmp_path, *shown)
+    assert result.exit_code == 0, result.output
+    assert "imaged" in result.output
+    assert (tmp_path / "ground_track.png").is_file()
+    kept = json.loads((tmp_path / "evaluation.json").read_text())
+    assert set(kept) == {"random", "greedy", "nearest", "hasty", "untrained", "trained"}
+    assert kept["greedy"]["counts"]["imaged"] >= 0.0
+    config = load_config(tmp_path / "config.yaml", PPOConfig)
+    assert config.network == "attention"
+    assert config.options["as_set"] is True
+    again = run("eval", tmp_path, "--seeds", "0:2", *shown[:4])
+    assert again.exit_code == 0, again.output
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("AEOS-v1", "--network", "attetnion"), "did you mean 'attention'"),
+        (("NadirScan-v1", "--network", "attention"), "use network='mlp'"),
+        (("NadirScan-v1", "learning_rat=1e-3"), "did you mean 'learning_rate'"),
+        (("NadirScan-v1", "hidden=[a]"), "could not be converted to Integer"),
+        (("NadirScan-v1", "gamma=2"), "must lie in (0, 1]"),
+        (("nowhere", "--resume"), "'nowhere' is no folder of a run"),
+    ],
+)
+def test_what_cannot_be_trained_is_refused(run, arguments, message):
+    result = run("train", *arguments, *SHORT)
+    assert result.exit_code == 1
+    assert message in result.output
+    assert len(result.output.splitlines()) == 1
+
+
+def test_several_seeds_are_compared(run, tmp_path):
+    result = run("train", "NadirScan-v1", "--frames", 20, "--seeds", 2, *SIZES, "--out", tmp_path / "runs", *SHORT)
+    assert result.exit_code == 0, result.output
+    assert {path.name for path in (tmp_path / "runs").iterdir()} == {"seed_0", "seed_1"}
+    assert "seed 1" in result.output
+
+
+def test_a_run_goes_on_with_a_larger_budget(run, tmp_path):
+    assert run("train", "NadirScan-v1", "--frames", 20, *SIZES, "--out", tmp_path, *SHORT).exit_code == 0
+    again = run("train", tmp_path, "--resume", "frames=40", *SHORT[4:])
+    assert again.exit_code == 0, again.output
+    assert read_log(tmp_path / "log.csv")["frames"] == [20, 40]
+
+
+def test_a_folder_with_results_is_left_alone(run, tmp_path):
+    (tmp_path / "policy.pt").write_text("precious")
+    result = run("train", "NadirScan-v1", "--frames", 20, *SIZES, "--out", tmp_path, *SHORT)
+    assert result.exit_code == 1
+    assert "is not empty" in result.output
+    assert (tmp_path / "policy.pt").read_text() == "precious"

@@ -1,0 +1,223 @@
+"""Training runs: what they leave behind, how they go on after an interruption, and where experience comes from."""
+
+import dataclasses
+import os
+import signal
+
+import pytest
+import torch
+from tensordict import TensorDict
+
+import bsk_torch
+from bsk_torch.rl.collect import make_collector, prepared, start_worker
+from bsk_torch.rl.config import CONFIG, PPOConfig, load_config
+from bsk_torch.rl.episodes import RecentEpisodes
+from bsk_torch.rl.log import COLUMNS, EVALUATED, EVALUATIONS, LOG, read_log
+from bsk_torch.rl.policies import POLICY, load_policy
+from bsk_torch.rl.training import CHECKPOINT, Training, resume, train
+
+pytestmark = pytest.mark.compiled
+
+SHORT = {"time_limit": 1200.0}
+
+TINY = PPOConfig(
+    frames=96,
+    seconds=None,
+    num_envs=4,
+    rollout=6,
+    minibatch=12,
+    epochs=2,
+    hidden=(8,),
+    evaluate_every=48,
+    evaluate_episodes=2,
+    options=SHORT,
+)
+
+SAME = ("return", "survival", "collected", "fill", "decisions", "entropy", "kl", "loss_critic", "learning_rate", "simulated_days")
+"""Columns of the log that do not depend on the clock."""
+
+
+class Interrupted(Training):
+    """Gets a Ctrl-C while it learns from its second batch."""
+
+    def _learn(self, batch):
+        if self.iteration == 1:
+            os.kill(os.getpid(), signal.SIGINT)
+        return super()._learn(batch)
+
+
+def weights(policy):
+    return torch.cat([value.double().flatten() for value in policy.state_dict().values()])
+
+
+def same_logs(one, other, columns=SAME, name=LOG):
+    first, second = read_log(one / name), read_log(other / name)
+    return all(
+        torch.tensor(first[key]).equal(torch.tensor(second[key])) or str(first[key]) == str(second[key]) for key in columns
+    )
+
+
+# -- what a run leaves behind -----------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    out = tmp_path_factory.mktemp("run")
+    return out, train(TINY, out)
+
+
+def test_a_run_leaves_all_its_files(run):
+    out, _ = run
+    assert {path.name for path in out.iterdir()} == {POLICY, LOG, EVALUATIONS, CONFIG, CHECKPOINT}
+    assert load_config(out / CONFIG, PPOConfig) == TINY
+    log, judged = read_log(out / LOG), read_log(out / EVALUATIONS)
+    assert tuple(log) == COLUMNS
+    assert tuple(judged) == EVALUATED
+    assert log["frames"] == [24, 48, 72, 96]
+    assert judged["frames"] == [48, 96]
+    assert all(0.0 <= level <= 1.0 for level in judged["fill"])
+
+
+def test_the_best_policy_is_kept(run):
+    out, policy = run
+    kept = load_policy(out / POLICY)
+    assert weights(kept).equal(weights(policy))
+    env = bsk_torch.make("NadirScan-v1", num_envs=2, seed=0, **SHORT)
+    now = env.reset()
+    assert kept(now.clone())["logits"].equal(policy(now.clone())["logits"])
+    state = torch.load(out / CHECKPOINT, weights_only=True)
+    assert state["best"]["return"] == pytest.approx(max(read_log(out / EVALUATIONS)["return"]), rel=1e-5)  # the file's digits
+
+
+def test_a_folder_with_something_in_it_is_left_alone(run):
+    out, _ = run
+    before = (out / LOG).read_text()
+    with pytest.raises(FileExistsError, match="not empty"):
+        Training(TINY, out)
+    assert (out / LOG).read_text() == before
+
+
+# -- interruptions ----------------------------------------------------------------------------------------------------
+
+
+def test_a_resumed_run_remembers_what_its_policy_remembered(tmp_path):
+    config = dataclasses.replace(TINY, network="gru", hidden=(8, 6), evaluate_every=0)
+    whole = train(config, tmp_path / "whole")
+    Interrupted(config, tmp_path / "broken").run()
+    assert weights(resume(tmp_path / "broken")).equal(weights(whole))
+
+
+def test_a_resumed_run_is_the_uninterrupted_one(run, tmp_path):
+    out, policy = run
+    Interrupted(TINY, tmp_path / "broken").run()
+    assert read_log(tmp_path / "broken" / LOG)["frames"] == [24, 48]
+    assert load_policy(tmp_path / "broken" / POLICY) is not None
+    again = resume(tmp_path / "broken")
+    assert same_logs(out, tmp_path / "broken")
+    assert same_logs(out, tmp_path / "broken", ("frames", "return", "survival", "fill"), EVALUATIONS)
+    assert weights(again).equal(weights(policy))
+
+
+def test_several_processes_collect_and_go_on_as_one_would(tmp_path):
+    config = dataclasses.replace(TINY, collector="multi", workers=2, evaluate_every=0)
+    whole = train(config, tmp_path / "whole")
+    assert read_log(tmp_path / "whole" / LOG)["frames"] == [24, 48, 72, 96]
+    Interrupted(config, tmp_path / "broken").run()
+    assert weights(resume(tmp_path / "broken")).equal(weights(whole))
+    with pytest.raises(ValueError, match="as many"):
+        Training(dataclasses.replace(config, workers=1, num_envs=4), tmp_path / "broken", resume=True).run()
+
+
+def test_processes_share_out_the_episodes_of_one(tmp_path):
+    whole = prepared(TINY.make_env(), TINY, None)
+    parts = [start_worker(TINY, first, 2, None) for first in (0, 2)]
+    action = torch.tensor([0, 1, 0, 1])
+    expected = whole.step(whole.reset().set("action", action))["next"]
+    found = [env.step(env.reset().set("action", some))["next"] for env, some in zip(parts, action.split(2), strict=True)]
+    for key in ("observation", "reward", "truncated"):
+        assert torch.cat([part[key] for part in found]).equal(expected[key])
+
+
+@pytest.mark.parametrize(("change", "message"), [({"preset": "AEOS-v1"}, "AEOS-v1"), ({"bsk_torch": "0.0.1"}, "0.0.1")])
+def test_checkpoints_of_something_else_are_refused(run, tmp_path, change, message):
+    out, _ = run
+    (tmp_path / CONFIG).write_text((out / CONFIG).read_text())
+    torch.save(torch.load(out / CHECKPOINT, weights_only=True) | change, tmp_path / CHECKPOINT)
+    with pytest.raises(ValueError, match=message):
+        resume(tmp_path)
+
+
+def test_resuming_needs_a_checkpoint(tmp_path):
+    with pytest.raises(FileNotFoundError, match=r"checkpoint\.pt"):
+        Training(TINY, tmp_path, resume=True)
+    assert not list(tmp_path.iterdir())
+
+
+# -- stopping, loggers ------------------------------------------------------------------------------------------------
+
+
+def test_training_stops_when_the_return_does_not_grow(tmp_path):
+    config = dataclasses.replace(TINY, frames=2400, evaluate_every=24, patience=2, learning_rate=0.0)
+    train(config, tmp_path / "stopped")
+    assert len(read_log(tmp_path / "stopped" / EVALUATIONS)["return"]) == 3  # the first is the best, two do not beat it
+    assert (tmp_path / "stopped" / CHECKPOINT).exists()
+
+
+def test_evaluations_do_not_change_what_is_learned(run, tmp_path):
+    out, _ = run
+    train(dataclasses.replace(TINY, evaluate_every=0), tmp_path / "unseen")
+    assert same_logs(out, tmp_path / "unseen")
+
+
+def test_tensorboard_gets_what_the_files_get(tmp_path):
+    events = pytest.importorskip("tensorboard.backend.event_processing.event_accumulator")
+    train(dataclasses.replace(TINY, loggers=("csv", "tensorboard")), tmp_path / "run")
+    folder = next(path for path in (tmp_path / "run").rglob("events*")).parent
+    told = events.EventAccumulator(str(folder))
+    told.Reload()
+    assert [event.step for event in told.Scalars("training/entropy")] == [24, 48, 72, 96]
+    values = [event.value for event in told.Scalars("evaluation/return")]
+    assert values == pytest.approx(read_log(tmp_path / "run" / EVALUATIONS)["return"], rel=1e-5)
+
+
+def test_a_missing_logger_is_named_before_anything_is_made(tmp_path, monkeypatch):
+    monkeypatch.setattr("bsk_torch.rl.log.find_spec", lambda name: None)
+    with pytest.raises(ModuleNotFoundError, match=r"pip install 'bsk_torch\[wandb\]'"):
+        Training(dataclasses.replace(TINY, loggers=("csv", "wandb")), tmp_path / "run")
+    assert not (tmp_path / "run").exists()
+
+
+# -- what is averaged -------------------------------------------------------------------------------------------------
+
+
+def test_recent_episodes_skip_the_first_of_each_environment():
+    recent = RecentEpisodes(2, penalty=-1.0)
+    nothing = torch.zeros(2, 3, dtype=torch.bool)
+    done, alive, reward = nothing.clone(), nothing.clone(), torch.ones(2, 3)
+    done[0, 0] = done[0, 2] = alive[0, 0] = True
+    reward[0, 2] = 0.5 - 1.0  # dies: collected 0.5 in that step
+    recent.add(reward, done, alive, torch.tensor([[0.1, 0.2, 0.3]] * 2))
+    assert recent.count == 2
+    means = recent.means()
+    assert means == pytest.approx({"return": 0.5, "survival": 0.0, "collected": 1.5, "fill": 0.3, "decisions": 2.0})
+
+
+def test_staggered_first_episodes_end_early_and_only_those(tmp_path):
+    config = dataclasses.replace(TINY, num_envs=8, rollout=40)
+    training = Training(config, tmp_path / "run")
+    collector = make_collector(config, training.env, training.actor, None)
+    batch = next(iter(collector))
+    collector.shutdown()
+    cut = batch["next", "done"] & ~batch["next", "terminated"]  # a time limit terminates in this preset
+    elapsed = torch.zeros(8)
+    seen = []
+    for step in range(40):
+        elapsed = elapsed + batch["next", "duration"][:, step, 0]
+        ends = batch["next", "done"][:, step, 0]
+        seen += [(row, float(elapsed[row]), bool(cut[row, step])) for row in torch.nonzero(ends).squeeze(-1).tolist()]
+        elapsed = elapsed.masked_fill(ends, 0.0)
+    firsts = {row: (seconds, was_cut) for row, seconds, was_cut in reversed(seen)}
+    assert sum(was_cut for _, was_cut in firsts.values()) >= 6  # the others reach their limit within their last step
+    assert len({seconds for seconds, _ in firsts.values()}) > 3
+    assert sum(was_cut for _, _, was_cut in seen) == sum(was_cut for _, was_cut in firsts.values())
+    assert isinstance(batch, TensorDict)

@@ -1,0 +1,286 @@
+"""A report is one page that says what is in the folder of a run."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from base64 import b64decode
+from html.parser import HTMLParser
+from pathlib import Path
+
+import pytest
+import torch
+from tensordict.nn import TensorDictModuleBase
+from typer.testing import CliRunner
+
+import bsk_torch
+from bsk_torch.cli import app
+from bsk_torch.cli.report import command_of, extremes
+from bsk_torch.rl.baselines import scan_rule
+from bsk_torch.rl.config import PPOConfig, save_config
+from bsk_torch.rl.policies import MLPPlan, save_policy
+from bsk_torch.rl.recipes import configure
+from bsk_torch.viz.report import Chosen, RunData, clock, table, write_report
+from bsk_torch.viz.track import record_track
+from bsk_torch.viz.track_map import decision_of, runs, track_map, within
+from bsk_torch.viz.world import pieces
+
+NAN = float("nan")
+
+SHORT = dict(time_limit=400.0, backend="eager")
+
+
+class Page(HTMLParser):
+    """What a page says, and what it would load."""
+
+    def __init__(self, html: str) -> None:
+        super().__init__()
+        self.images, self.loads, self.titles, self.words, self._tags = [], [], [], [], []
+        self.feed(html)
+
+    def handle_starttag(self, tag, attrs):
+        attrs = dict(attrs)
+        self._tags.append(tag)
+        if tag == "img":
+            self.images.append(attrs)
+        self.loads += [attrs[name] for name in ("src", "href") if not (attrs.get(name) or "data:").startswith("data:")]
+        self.loads += [tag] if tag in ("script", "link", "iframe") else []
+
+    def handle_data(self, data):
+        if data.strip():
+            self.words.append(" ".join(data.split()))
+            if self._tags and self._tags[-1] in ("h2", "h3"):
+                self.titles.append(self.words[-1])
+
+
+@pytest.fixture(scope="module")
+def env():
+    return bsk_torch.make("NadirScan-v1", num_envs=1, seed=0, **SHORT)
+
+
+@pytest.fixture(scope="module")
+def episode(env):
+    return record_track(scan_rule(env), env, seed=1)
+
+
+@pytest.fixture
+def run(episode):
+    def result(mean, **more):
+        return {"return": {"mean": mean, "half_width": 0.01}, "episodes": 64, "survival": 1.0, "fill": 0.25, "deaths": {}} | more
+
+    gain = {"random": {"mean": 1.25, "half_width": 0.125}}
+    log = {"frames": [1e6, 2e6], "seconds": [30.0, 61.0], "simulated_days": [700.0, 1400.0]}
+    return RunData(
+        name="run<1>",
+        preset="NadirScan-v1",
+        log=log | {"return": [NAN, 0.2], "survival": [NAN, 0.9], "collected": [NAN, 0.3], "fill": [NAN, NAN]},
+        evaluations={
+            "frames": [1e6, 2e6],
+            "return": [-0.5, 0.75],
+            "return_half_width": [0.1, 0.05],
+            "survival": [0.5, 0.96],
+            "collected": [0.0, 0.79],
+            "fill": [NAN, NAN],
+        },
+        results={"random": result(-0.5, deaths={"battery_valid": 48}, survival=0.25), "trained": result(0.75, gain=gain)},
+        episodes=[Chosen("best", 17, episode)],
+        played=64,
+        config={"preset": "NadirScan-v1", "hidden": [64, 32], "frames": None},
+        facts={"Python": "3"},
+        command="bsk-torch train NadirScan-v1",
+    )
+
+
+def read(run, tmp_path):
+    return Page(write_report(run, tmp_path / "report.html").read_text())
+
+
+def drawn(image):
+    return b64decode(image["src"].removeprefix("data:image/svg+xml;base64,")).decode()
+
+
+def test_a_page_needs_nothing_else(run, tmp_path):
+    page = read(run, tmp_path)
+    assert page.loads == []
+    assert len(page.images) == 6  # three curves, deaths, map and timeline
+    for image in page.images:
+        assert drawn(image).startswith("<?xml")
+        assert len(image["alt"]) > 20
+    assert [path.name for path in tmp_path.iterdir()] == ["report.html"]
+
+
+def test_a_page_says_what_was_measured(run, tmp_path):
+    page = read(run, tmp_path)
+    titles = ["Return of an episode", "Episodes survived", "Data collected"]
+    best = f"Best episode (no. 17): {run.episodes[0].episode.outcome}"
+    assert page.titles == ["Learning", *titles, "Final evaluation", "Causes of death", "Episodes", best, "Configuration"]
+    for words in ("0.750 ± 0.010", "1 min 01 s", "1,400", "2,000,000", "118.0 million", "64, 32", run.command):
+        assert words in page.words
+    assert "Report of the training run run<1>" in page.words
+    assert "from -0.500 to 0.750 after 2,000,000 steps" in page.images[0]["alt"]
+    assert "random: 48 battery; trained: none" in page.images[3]["alt"]
+
+
+def test_the_paper_is_quoted_where_it_trained(run, tmp_path):
+    quoting, plain = (read(dataclasses.replace(run, preset=preset), tmp_path) for preset in ("NadirScan-v1", "AEOS-v1"))
+    assert {"The sum of an episode's rewards, as figure 2 of the paper."} < set(quoting.words)
+    assert "103,000 steps" in " ".join(quoting.words)
+    assert "paper" not in " ".join(plain.words)
+    marked, unmarked = ([drawn(image) for image in page.images] for page in (quoting, plain))
+    assert all(one != other for one, other in zip(marked[:3], unmarked[:3], strict=True))
+    assert marked[3:] == unmarked[3:]  # drawn the same each time
+
+
+def test_a_run_that_was_stopped_early_has_a_page(run, tmp_path):
+    page = read(dataclasses.replace(run, log={}, evaluations={}, results={}), tmp_path)
+    assert page.titles[0] == "Episodes"
+    assert len(page.images) == 2
+
+
+def test_a_table_has_no_empty_columns_and_gains_beside_the_others(run):
+    rows = table(run.results)
+    assert list(rows["random"]) == ["return", "survival", "fill", "deaths", "gain of trained"]
+    assert list(rows["random"].values()) == ["−0.500 ± 0.010", "25.0%", "25.0%", "48 battery", "+1.250 ± 0.125"]
+    assert rows["trained"]["gain of trained"] == "–"
+    nobody = {name: result | {"deaths": {}, "fill": None} for name, result in run.results.items()}
+    assert list(table(nobody)["random"]) == ["return", "survival", "gain of trained"]
+
+
+def test_times_are_said_as_people_do():
+    assert [clock(seconds) for seconds in (48.6, 59.6, 61.0, 7260.0)] == ["49 s", "1 min 00 s", "1 min 01 s", "2 h 01 min"]
+
+
+def test_the_track_belongs_to_the_decisions_that_it_was_flown_in(episode, tmp_path):
+    decision = decision_of(episode)
+    assert torch.equal(decision.unique(), torch.arange(len(episode.actions)))
+    starts = torch.searchsorted(decision, torch.arange(len(episode.actions)))
+    torch.testing.assert_close(episode.track_times[starts], episode.times[:-1], rtol=0.0, atol=1e-6)
+    assert within(torch.tensor([0.0, 5.0, 10.0, 25.0]), torch.tensor([[0.0, 10.0], [20.0, 30.0]])).tolist() == [
+        True,
+        True,
+        False,
+        True,
+    ]
+    assert not within(torch.tensor([1.0]), torch.empty(0, 2)).any()
+    assert track_map(episode, tmp_path / "map.png", "NadirScan-v1").read_bytes()[:4] == b"\x89PNG"
+
+
+class Counting(TensorDictModuleBase):
+    """Charges, and counts its decisions in a memory of its own."""
+
+    in_keys, out_keys, memory = ["is_init"], ["action", "count"], ("count",)
+
+    def forward(self, now):
+        begins = now["is_init"].squeeze(-1)
+        count = torch.where(begins, 0, now.get("count", torch.zeros_like(begins, dtype=torch.int64))) + 1
+        return now.update({"action": torch.ones_like(count), "count": count})
+
+
+def test_a_policy_remembers_while_it_is_recorded():
+    env = bsk_torch.make("NadirScan-v1", num_envs=1, time_limit=300.0, backend="eager")
+    seen = []
+    policy = Counting()
+    policy.register_forward_hook(lambda module, given, told: seen.append(int(told["count"])))
+    assert len(record_track(policy, env, seed=0).actions) == 3  # 120 s each, the last one cut
+    assert seen == [1, 2, 3]
+
+
+def test_pieces_in_a_row_are_one_line():
+    x, y = torch.tensor([0.0, 1.0, 2.0, 3.0, 4.0]), torch.zeros(5)
+    lines = pieces(x, y)
+    assert [len(line) for line in runs(lines)] == [5]
+    assert [len(line) for line in runs(lines[torch.tensor([True, False, True, True])])] == [2, 3]
+    over = runs(pieces(torch.tensor([179.0, -179.0, -177.0]), y[:3]))
+    assert over == [[[179.0, 0.0], [181.0, 0.0]], [[-181.0, 0.0], [-179.0, 0.0], [-177.0, 0.0]]]
+
+
+# -- the command -----------------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def call():
+    threads = torch.get_num_threads()
+    yield lambda *arguments: CliRunner().invoke(app, ["report", *(str(argument) for argument in arguments)])
+    torch.set_num_threads(threads)
+
+
+@pytest.fixture
+def folder(env, tmp_path):
+    """A run without logs."""
+    torch.manual_seed(0)
+    plan = MLPPlan.of(env, (8,))
+    save_policy(tmp_path / "policy.pt", plan, plan.build(), "NadirScan-v1", {"time_limit": 150.0})
+    save_config(PPOConfig(options={"time_limit": 150.0}), tmp_path / "config.yaml")
+    return tmp_path
+
+
+def test_the_command_plays_and_shows_three_episodes(call, folder):
+    (folder / "report.html").write_text("old")
+    results = {"trained": {"return": {"mean": 0.5, "half_width": 0.1}}}
+    (folder / "evaluation.json").write_text(json.dumps(results))
+    (folder / "log.csv").write_text("frames,seconds,simulated_days,return\n10,1,2,0.25\n20,2,4,0.5\n")
+    result = call(folder, "--episodes", 3, "--backend", "eager")
+    assert result.exit_code == 0, result.output
+    assert "report.html (" in " ".join(result.output.split())
+    page = Page((folder / "report.html").read_text())
+    assert [title.split()[0] for title in page.titles if "episode (no." in title] == ["Best", "Median", "Worst"]
+    assert "0.500 ± 0.100" in page.words
+    assert len(page.images) == 7
+    returns = [float(title.split("return ")[1].split(",")[0]) for title in page.titles if "episode (no." in title]
+    assert returns == sorted(returns, reverse=True)
+
+
+def test_what_is_no_run_is_refused(call, folder, monkeypatch):
+    def said(path):
+        result = call(path)
+        assert result.exit_code == 1
+        return result.output
+
+    assert "there is no folder 'nowhere'" in said("nowhere")
+    (folder / "policy.pt").rename(folder / "kept")
+    assert "has no policy.pt" in said(folder)
+    (folder / "policy.pt").write_text("nonsense")
+    assert "is no file of a policy" in said(folder)
+    (folder / "kept").rename(folder / "policy.pt")
+    (folder / "config.yaml").write_text("hiden: [1]\n")
+    assert "hiden" in said(folder)
+    (folder / "config.yaml").unlink()
+    assert "it is no folder of a run" in said(folder)
+
+    def missing(name):
+        raise ModuleNotFoundError(name="matplotlib")
+
+    monkeypatch.setattr("bsk_torch.cli.report.import_module", missing)
+    assert "pip install 'bsk_torch[viz]'" in said(folder)
+
+
+def test_the_extremes_of_few_episodes_are_shown_once():
+    assert extremes(torch.tensor([3.0, 1.0, 2.0, 5.0])) == {"best": 3, "median": 2, "worst": 1}
+    assert extremes(torch.tensor([3.0, 1.0])) == {"best": 0, "median": 1}
+    assert extremes(torch.tensor([3.0])) == {"best": 0}
+
+
+@pytest.mark.parametrize(
+    ("config", "command"),
+    [
+        (configure("NadirScan-v1"), "bsk-torch train NadirScan-v1 --network mlp --minutes 3 --seed 0"),
+        (
+            configure(
+                "AEOS-v1", "attention", frames=1000, seconds=None, seed=2, options={"n_targets": [10, 20], "device": "cuda"}
+            ),
+            "bsk-torch train AEOS-v1 --network attention --frames 1000 --seed 2 --device cuda 'options.n_targets=[10,20]'",
+        ),
+        (
+            dataclasses.replace(configure("NadirScan-v1"), hidden=(32,), patience=4, evaluate_every=1000),
+            "bsk-torch train NadirScan-v1 --network mlp --minutes 3 --seed 0 'hidden=[32]' evaluate_every=1000 patience=4",
+        ),
+    ],
+)
+def test_the_command_of_a_run_is_given(config, command):
+    assert command_of(config) == command
+
+
+def test_the_package_carries_the_page_and_the_map():
+    folder = Path(bsk_torch.__file__).parent / "viz"
+    assert (folder / "report.html.jinja").is_file()
+    assert (folder / "land_110m.geojson").is_file()
