@@ -87,7 +87,9 @@ class RunLog:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        """Close the files."""
+        """Close the files, and end what the services hold open."""
+        for service in self.services:
+            (getattr(service.experiment, "finish", None) or service.experiment.close)()
         self.training.close()
         self.evaluation.close()
 
@@ -111,8 +113,7 @@ def _service(name: str, out: Path) -> Any:
     """TorchRL's logger of that name."""
     from torchrl.record.loggers import get_logger
 
-    where = {"save_dir": str(out)} if name == "wandb" else {}
-    return get_logger(name, logger_name=str(out), experiment_name=name, wandb_kwargs=where)
+    return get_logger(name, logger_name=str(out), experiment_name=out.name if name == "wandb" else name)
 
 
 def _rows(path: Path) -> list[dict[str, str]]:
