@@ -19,7 +19,7 @@ from torchrl.envs import Compose, InitTracker, TensorDictPrimer, Transform, Tran
 from bsk_torch.env.base import Tasking
 from bsk_torch.rand import Key
 from bsk_torch.rl.config import PPOConfig
-from bsk_torch.rl.policies import INIT, MEMORY
+from bsk_torch.rl.networks import INIT, MEMORY
 
 SHORTEST = 0.02
 """Least fraction of an episode after which it is cut by :class:`Stagger`."""

@@ -14,7 +14,7 @@ from omegaconf.errors import OmegaConfBaseException
 
 from bsk_torch.env import SatelliteTasking
 from bsk_torch.presets import make
-from bsk_torch.rl.policies import check_network
+from bsk_torch.rl.networks import check_network
 from bsk_torch.sim.params import nearest
 
 LEAST = 0.05

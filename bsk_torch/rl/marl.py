@@ -26,7 +26,7 @@ from bsk_torch.env.groups import AGENTS
 from bsk_torch.rl.config import PPOConfig
 from bsk_torch.rl.crew import Crew, evaluate_crew, member
 from bsk_torch.rl.evaluate import Evaluation
-from bsk_torch.rl.policies import AttentionPlan
+from bsk_torch.rl.networks import AttentionPlan
 from bsk_torch.rl.ppo import REPORTED, Learner, timed, values
 from bsk_torch.rl.sight import MASK, OWN, ROWS
 from bsk_torch.rl.training import VALIDATION, Training

@@ -20,7 +20,7 @@ from torchrl.objectives.value import GAE
 
 from bsk_torch.env import SatelliteTasking
 from bsk_torch.rl.config import SCHEDULES, PPOConfig
-from bsk_torch.rl.policies import INIT, MEMORY, PLANS, Networks
+from bsk_torch.rl.networks import INIT, MEMORY, PLANS, Networks
 
 REPORTED = ("entropy", "kl_approx", "clip_fraction", "explained_variance", "loss_critic")
 """What the log takes from the loss."""

@@ -7,7 +7,7 @@ from typing import Any
 
 from bsk_torch.presets import PRESETS
 from bsk_torch.rl.config import PPOConfig
-from bsk_torch.rl.policies import check_network
+from bsk_torch.rl.networks import check_network
 
 COMMON: dict[str, Any] = dict(num_envs=256, rollout=32, minibatch=1024, gamma=0.997, evaluate_every=200_000)
 

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import logging
-import signal
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +13,6 @@ import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase, TensorDictSequential
 from torch import Tensor
-from tqdm import tqdm
 
 from bsk_torch import __version__
 from bsk_torch.constants import DAY
@@ -24,8 +21,10 @@ from bsk_torch.rl.config import CONFIG, PPOConfig, load_config, save_config
 from bsk_torch.rl.episodes import RecentEpisodes
 from bsk_torch.rl.evaluate import Evaluation, evaluate
 from bsk_torch.rl.log import RunLog, check_loggers
-from bsk_torch.rl.policies import MEMORY, POLICY, save_policy
+from bsk_torch.rl.networks import MEMORY
+from bsk_torch.rl.policies import POLICY, save_policy
 from bsk_torch.rl.ppo import REPORTED, Learner
+from bsk_torch.rl.progress import Progress, interruptible, progress_bar, show
 
 logger = logging.getLogger(__name__)
 
@@ -37,35 +36,6 @@ VALIDATION = 2_000_003
 
 LEVEL = "storage_level_fraction"
 """Observation that says how full the data buffer is."""
-
-
-class Progress:
-    """How much of its budget a training has used; the clock starts with :meth:`start`."""
-
-    def __init__(self, config: PPOConfig) -> None:
-        """Count towards the limits of ``config``."""
-        self.config, self.frames, self.before, self.begin = config, 0, 0.0, time.perf_counter()
-
-    def start(self) -> None:
-        """Start the clock."""
-        self.begin = time.perf_counter()
-
-    @property
-    def seconds(self) -> float:
-        """Training time, s, with that of the part before an interruption."""
-        return self.before + time.perf_counter() - self.begin
-
-    @property
-    def fraction(self) -> float:
-        """Used part of the budget, 1 at the end."""
-        used = (self.seconds, self.config.seconds), (self.frames, self.config.frames)
-        return min(1.0, max(amount / limit for amount, limit in used if limit is not None))
-
-    @property
-    def left(self) -> float:
-        """Expected time to the end, s; infinite before the first iteration."""
-        used = self.fraction
-        return self.seconds * (1.0 - used) / used if used else float("inf")
 
 
 class Training:
@@ -142,21 +112,25 @@ class Training:
         if self.marks is not None:
             torch.set_rng_state(self.generator)
         try:
-            with RunLog(self.out, self.config.loggers, self.progress.frames) as log, self._bar() as bar, interruptible() as stop:
+            with (
+                RunLog(self.out, self.config.loggers, self.progress.frames) as log,
+                progress_bar() as bar,
+                interruptible() as stop,
+            ):
                 self.progress.start()
                 self._loop(iter(collector), collector, log, bar, stop)
         finally:
             collector.shutdown()
         return self._finish()
 
-    def _loop(self, batches: Iterator[TensorDictBase], collector: Any, log: RunLog, bar: tqdm, stop: threading.Event) -> None:
+    def _loop(self, batches: Iterator[TensorDictBase], collector: Any, log: RunLog, bar: Any, stop: threading.Event) -> None:
         while self.progress.fraction < 1.0:
             begin = time.perf_counter()
             batch = merged(next(batches))
             row = {"iteration": self.iteration, "collect_seconds": time.perf_counter() - begin} | self._learn(batch)
             self.iteration += 1
             log.iteration(row)
-            self._show(bar, row)
+            show(bar, self.progress, row)
             collector.update_policy_weights_()
             if self._due(self.config.evaluate_every) or (self.config.evaluate_every and self.progress.fraction >= 1.0):
                 log.evaluated(self._judge())
@@ -267,40 +241,6 @@ class Training:
         self.recent.load_state_dict(saved["recent"])
         self.progress.frames, self.progress.before, self.days, self.iteration = saved["progress"]
         self.marks, self.generator, self.best = saved["collected"], saved["generator"], saved["best"]
-
-    # -- what users see -----------------------------------------------------------------------------------------------
-
-    def _bar(self) -> tqdm:
-        return tqdm(total=100, desc="training", unit="%", bar_format="{desc} {percentage:3.0f}% |{bar}| {elapsed}{postfix}")
-
-    def _show(self, bar: tqdm, row: dict[str, float]) -> None:
-        bar.n = round(100.0 * self.progress.fraction, 1)
-        bar.set_postfix_str(
-            f"{tqdm.format_interval(self.progress.left)} left, {row['frames'] / row['seconds']:,.0f} frames/s, "
-            f"{row['simulated_days'] / row['seconds']:.1f} simulated days/s, "
-            f"return {row['return']:.3f}, survival {row['survival']:.0%}"
-        )
-
-
-@contextmanager
-def interruptible() -> Iterator[threading.Event]:
-    """An event that Ctrl-C sets, so that an iteration is finished and kept; a second Ctrl-C stops at once."""
-    stop = threading.Event()
-
-    def ask(number: int, frame: Any) -> None:
-        if stop.is_set():
-            raise KeyboardInterrupt
-        stop.set()
-        logger.info("finishing this iteration to keep it; Ctrl-C again stops at once")
-
-    if threading.current_thread() is not threading.main_thread():
-        yield stop
-        return
-    before = signal.signal(signal.SIGINT, ask)
-    try:
-        yield stop
-    finally:
-        signal.signal(signal.SIGINT, before)
 
 
 def read_checkpoint(out: Path, config: PPOConfig) -> dict[str, Any]:

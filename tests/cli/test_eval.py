@@ -8,7 +8,8 @@ import torch
 
 import bsk_torch
 from bsk_torch.rl import pretrained
-from bsk_torch.rl.policies import PLANS, save_policy
+from bsk_torch.rl.networks import PLANS
+from bsk_torch.rl.policies import save_policy
 
 pytestmark = pytest.mark.compiled
 

@@ -7,7 +7,8 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 import bsk_torch
 from bsk_torch.rl.attention import LEAST
-from bsk_torch.rl.policies import AttentionPlan, MLPPlan, load_policy, save_policy
+from bsk_torch.rl.networks import AttentionPlan, MLPPlan
+from bsk_torch.rl.policies import load_policy, save_policy
 from bsk_torch.rl.sight import MASK, OWN, ROWS, Normaliser, symlog
 
 N, K, F, D = 6, 5, 4, 3
@@ -166,7 +167,7 @@ def test_a_kept_policy_acts_the_same(tmp_path):
         "action_mask": torch.ones(40, OTHERS + K, dtype=torch.bool),
     }, [40])  # fmt: skip
     networks.sight.update(situation)
-    save_policy(tmp_path / "policy.pt", plan, networks)
+    save_policy(tmp_path / "policy.pt", plan, networks, "AEOS-v1", {})
     kept = load_policy(tmp_path / "policy.pt")
     with set_exploration_type(ExplorationType.DETERMINISTIC):
         mine, same = networks.policy(situation.clone()), kept(situation.clone())

@@ -9,7 +9,8 @@ import bsk_torch
 from bsk_torch.rl.collect import make_collector
 from bsk_torch.rl.config import PPOConfig
 from bsk_torch.rl.evaluate import evaluate
-from bsk_torch.rl.policies import INIT, MEMORY, GRUPlan, load_policy
+from bsk_torch.rl.networks import INIT, MEMORY, GRUPlan
+from bsk_torch.rl.policies import load_policy
 from bsk_torch.rl.training import Training
 
 pytestmark = pytest.mark.compiled

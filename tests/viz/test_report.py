@@ -18,7 +18,8 @@ from bsk_torch.cli import app
 from bsk_torch.cli.report import command_of, extremes
 from bsk_torch.rl.baselines import scan_rule
 from bsk_torch.rl.config import PPOConfig, save_config
-from bsk_torch.rl.policies import MLPPlan, save_policy
+from bsk_torch.rl.networks import MLPPlan
+from bsk_torch.rl.policies import save_policy
 from bsk_torch.rl.recipes import configure
 from bsk_torch.viz.report import Chosen, RunData, clock, table, write_report
 from bsk_torch.viz.track import record_track
