@@ -24,7 +24,6 @@ from bsk_torch.rl.networks import INIT, MEMORY
 SHORTEST = 0.02
 """Least fraction of an episode after which it is cut by :class:`Stagger`."""
 
-
 ENDLESS = 2**62
 """More decisions than anybody collects: Ray's collector knows no -1."""
 
@@ -94,6 +93,12 @@ def start_worker(config: PPOConfig, first: int, count: int, saved: Mapping[str, 
     return prepared(config.make_env(first, count), config, saved)
 
 
+def check_collector(name: str) -> None:
+    """ModuleNotFoundError, naming the command that installs it, if Ray is asked for but not installed."""
+    if name == "ray" and find_spec("ray") is None:
+        raise ModuleNotFoundError("collector='ray' needs Ray; pip install 'bsk_torch[ray]'", name="ray")
+
+
 def make_collector(
     config: PPOConfig, env: Tasking, actor: TensorDictModuleBase, saved: Sequence[Mapping[str, Any]] | None
 ) -> BaseCollector:
@@ -104,15 +109,10 @@ def make_collector(
         env: The environment to play in if that is this process; others make their own shares of it.
         actor: Writes actions and their log-probabilities.
         saved: What :func:`bookmarks` gave, to go on from there; None to begin.
-
-    Raises:
-        ModuleNotFoundError: If Ray is asked for, but not installed.
     """
     common: dict[str, Any] = dict(frames_per_batch=config.batch, total_frames=ENDLESS)
     each: dict[str, Any] = dict(auto_register_policy_transforms=False, use_buffers=False)
     count = 1 if config.collector == "single" else config.workers
-    if saved is not None and len(saved) != count:
-        raise ValueError(f"workers={count}, but the run was collected by {len(saved)}; it can only go on with as many")
     marks: Sequence[Mapping[str, Any] | None] = [None] * count if saved is None else saved
     if config.collector == "single":
         return Collector(prepared(env, config, marks[0]), actor, track_traj_ids=False, **common, **each)
@@ -120,8 +120,6 @@ def make_collector(
     starts = [partial(start_worker, config, k * share, share, mark) for k, mark in enumerate(marks)]
     if config.collector == "multi":
         return MultiSyncCollector(starts, actor, cat_results="stack", **common, **each)
-    if find_spec("ray") is None:
-        raise ModuleNotFoundError("collector='ray' needs Ray; pip install 'bsk_torch[ray]'", name="ray")
     from torchrl.collectors.distributed import RayCollector
 
     return RayCollector(starts, actor, sync=True, num_collectors=count, collector_kwargs=each, **common)

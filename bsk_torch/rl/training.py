@@ -16,7 +16,7 @@ from torch import Tensor
 
 from bsk_torch import __version__
 from bsk_torch.constants import DAY
-from bsk_torch.rl.collect import bookmarks, make_collector, merged
+from bsk_torch.rl.collect import bookmarks, check_collector, make_collector, merged
 from bsk_torch.rl.config import CONFIG, PPOConfig, load_config, save_config
 from bsk_torch.rl.episodes import RecentEpisodes
 from bsk_torch.rl.evaluate import Evaluation, evaluate
@@ -30,6 +30,9 @@ logger = logging.getLogger(__name__)
 
 CHECKPOINT = "checkpoint.pt"
 """File of a run's folder to go on from."""
+
+FIXED = ("preset", "network", "hidden", "num_envs", "collector", "workers")
+"""Settings with which a run has to go on, because its checkpoint depends on them."""
 
 VALIDATION = 2_000_003
 """Added to the seed of training to get that of the evaluations by which the best policy is chosen."""
@@ -53,9 +56,10 @@ class Training:
             FileExistsError: If ``out`` is not empty.
             FileNotFoundError: If there is no checkpoint to go on from.
             ModuleNotFoundError: If a logger or Ray is asked for, but not installed.
-            ValueError: If the checkpoint is of another environment or version.
+            ValueError: If the checkpoint is of another version, or of other settings that cannot change.
         """
         check_loggers(config.loggers)
+        check_collector(config.collector)
         if not resume and out.exists() and any(out.iterdir()):
             raise FileExistsError(f"{str(out)!r} is not empty; choose another folder, or resume the run in it")
         saved = read_checkpoint(out, config) if resume else None
@@ -224,7 +228,7 @@ class Training:
         """Write all that a resumed run needs to go on as if nothing had happened."""
         kept = {
             "bsk_torch": __version__,
-            "preset": self.config.preset,
+            **{name: getattr(self.config, name) for name in FIXED},
             "learner": self.learner.state_dict(),
             "collected": bookmarks(collector, batch),
             "generator": torch.get_rng_state(),
@@ -249,9 +253,10 @@ def read_checkpoint(out: Path, config: PPOConfig) -> dict[str, Any]:
     if not path.is_file():
         raise FileNotFoundError(f"{str(out)!r} holds no {CHECKPOINT} to resume from")
     saved = torch.load(path, weights_only=True)
-    for name, here in (("preset", config.preset), ("bsk_torch", __version__)):
+    for name in ("bsk_torch", *FIXED):
+        here = __version__ if name == "bsk_torch" else getattr(config, name)
         if saved[name] != here:
-            raise ValueError(f"the checkpoint in {str(out)!r} is of {name}={saved[name]!r}; this is {here!r}")
+            raise ValueError(f"the checkpoint in {str(out)!r} is of {name}={saved[name]!r}, and cannot go on as {here!r}")
     return saved
 
 
