@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
@@ -72,18 +72,28 @@ def train(
     if resume:
         folder = Path(preset)
         config = _read(folder, changes or [])
-        runs = {folder: config}
+        runs, seed = {folder: config}, config.seed
     else:
         limit = {"frames": frames, "seconds": None} if frames else {"seconds": 60.0 * minutes}
         options = environment_options(backend, device, time_limit)
         config = _configured(preset, network, changes or [], seed=seed, options=options, **limit)
         folder = out or Path("runs") / f"{preset}_{datetime.now():%Y%m%d-%H%M%S}"
         runs = {folder / f"seed_{seed + k}" if seeds > 1 else folder: replace(config, seed=seed + k) for k in range(seeds)}
+        _check(runs)
     env = environment(config.preset, episodes, config.options)
     results = {name: _evaluated(name, BASELINES[name](env, seed), env, seed) for name in BASELINES if fits(name, env)}
     trained = {f"seed {config.seed}": _run(config, folder, env, results, seed, resume) for folder, config in runs.items()}
     if seeds > 1:
         print_results(results | trained, f"{config.preset}, {episodes} fresh episodes")
+
+
+def _check(folders: Iterable[Path]) -> None:
+    """End the program before anything is done if there is something in one of the folders."""
+    for folder in folders:
+        try:
+            extra("bsk_torch.rl.training").check_folder(folder)
+        except FileExistsError as error:
+            fail(str(error))
 
 
 def _configured(preset: str, network: str, changes: list[str], **settings: Any) -> PPOConfig:
@@ -116,7 +126,7 @@ def _run(
     training = extra("bsk_torch.rl.training")
     try:
         run = training.Training(config, folder, resume)
-    except (ValueError, FileExistsError, FileNotFoundError, ModuleNotFoundError) as error:
+    except (ValueError, FileNotFoundError, ModuleNotFoundError) as error:
         fail(str(error))
     results = dict(baselines) | ({} if resume else {"untrained": _evaluated("untrained", run.policy, env, seed)})
     policy = run.run()

@@ -60,8 +60,8 @@ class Training:
         """
         check_loggers(config.loggers)
         check_collector(config.collector)
-        if not resume and out.exists() and any(out.iterdir()):
-            raise FileExistsError(f"{str(out)!r} is not empty; choose another folder, or resume the run in it")
+        if not resume:
+            check_folder(out)
         saved = read_checkpoint(out, config) if resume else None
         self.config, self.out, self.days, self.iteration = config, out, 0.0, 0
         self.best: dict[str, Any] = {"return": float("-inf"), "waited": 0, "networks": None}
@@ -245,6 +245,12 @@ class Training:
         self.recent.load_state_dict(saved["recent"])
         self.progress.frames, self.progress.before, self.days, self.iteration = saved["progress"]
         self.marks, self.generator, self.best = saved["collected"], saved["generator"], saved["best"]
+
+
+def check_folder(out: Path) -> None:
+    """FileExistsError if there is something in the folder ``out``."""
+    if out.exists() and any(out.iterdir()):
+        raise FileExistsError(f"{str(out)!r} is not empty; choose another folder, or resume the run in it")
 
 
 def read_checkpoint(out: Path, config: PPOConfig) -> dict[str, Any]:
