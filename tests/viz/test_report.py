@@ -169,19 +169,18 @@ def test_the_track_belongs_to_the_decisions_that_it_was_flown_in(episode, tmp_pa
 class Counting(TensorDictModuleBase):
     """Charges, and counts its decisions in a memory of its own."""
 
-    in_keys, out_keys, memory = ["is_init"], ["action", "count"], ("count",)
+    in_keys, out_keys = ["observation"], ["action", ("next", "count")]
 
     def forward(self, now):
-        begins = now["is_init"].squeeze(-1)
-        count = torch.where(begins, 0, now.get("count", torch.zeros_like(begins, dtype=torch.int64))) + 1
-        return now.update({"action": torch.ones_like(count), "count": count})
+        count = now.get("count", torch.zeros(now.batch_size, dtype=torch.int64)) + 1
+        return now.update({"action": torch.ones_like(count), "next": {"count": count}})
 
 
 def test_a_policy_remembers_while_it_is_recorded():
     env = bsk_torch.make("NadirScan-v1", num_envs=1, time_limit=300.0, backend="eager")
     seen = []
     policy = Counting()
-    policy.register_forward_hook(lambda module, given, told: seen.append(int(told["count"])))
+    policy.register_forward_hook(lambda module, given, told: seen.append(int(told["next", "count"])))
     assert len(record_track(policy, env, seed=0).actions) == 3  # 120 s each, the last one cut
     assert seen == [1, 2, 3]
 
