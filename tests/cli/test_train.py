@@ -7,8 +7,10 @@ import pytest
 from bsk_torch.rl.config import PPOConfig, load_config
 from bsk_torch.rl.log import read_log
 
+pytestmark = pytest.mark.compiled
+
 SIZES = ["num_envs=4", "rollout=5"]
-SHORT = ["--backend", "eager", "--time-limit", "300", "--episodes", "2"]
+SHORT = ["--backend", "compiled", "--time-limit", "300", "--episodes", "2"]
 
 
 def test_train_compares_and_draws(run, tmp_path):
@@ -21,7 +23,6 @@ def test_train_compares_and_draws(run, tmp_path):
     assert again.exit_code == 0, again.output
 
 
-@pytest.mark.compiled
 def test_train_with_attention_knows_the_targets_and_draws_them(run, tmp_path):
     shown = ("--backend", "compiled", "--time-limit", "300", "--episodes", "2")
     sizes = ("--frames", 10, "num_envs=2", "rollout=5")
