@@ -339,7 +339,7 @@ def test_torchrl_can_wrap_the_view():
 def test_presets_can_be_made_by_name(preset):
     env = parallel_env(preset, time_limit=1500.0, n_targets=100)
     assert str(env) == preset
-    for k, agent in enumerate(env.possible_agents):  # one run in seventy earns with an image that a new task had overtaken
+    for k, agent in enumerate(env.possible_agents):  # at random, a few earn with an image that a new task had overtaken
         env.action_space(agent).seed(k)
     _, infos = env.reset(seed=0)
     total = 0.0
