@@ -16,6 +16,7 @@ import torch
 
 # first, since it lets BenchMARL import newer versions of TorchRL
 from bsk_torch.rl.benchmarl import ConstellationTask
+from bsk_torch.rl.evaluate import FRESH
 
 # isort: split
 from benchmarl.algorithms import IppoConfig, MappoConfig
@@ -25,9 +26,6 @@ from tensordict.nn import TensorDictModuleBase
 
 from bsk_torch.env import ConstellationTasking
 from bsk_torch.rl.crew import crew_baseline, evaluate_crew
-
-FRESH = 1_000_003
-"""Added to the seed of training to get that of evaluation, whose episodes are then new to the policy."""
 
 RULES = ("random", "nearest", "hasty", "greedy")
 """What the policy is compared with."""

@@ -206,7 +206,12 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--time-limit", type=float, help="length of an episode, s, instead of the preset's")
     parser.add_argument("--backend", default="compiled", choices=["compiled", "eager"])
     parser.add_argument("--out", type=Path, help="file for the agent's weights")
-    return parser.parse_args()
+    options = parser.parse_args()
+    known = [name for name, spec in gymnasium.registry.items() if name.startswith("bsk_torch/") and spec.vector_entry_point]
+    if f"bsk_torch/{options.preset}" not in known:
+        names = ", ".join(name.removeprefix("bsk_torch/") for name in known)
+        parser.error(f"--preset {options.preset!r} is no environment of one satellite; these are {names}")
+    return options
 
 
 def main() -> None:

@@ -6,10 +6,7 @@ from tensordict.nn import TensorDictModuleBase
 
 from bsk_torch.env import SatelliteTasking
 from bsk_torch.rl.baselines import BASELINES
-from bsk_torch.rl.evaluate import Evaluation, evaluate
-
-FRESH = 1_000_003
-"""Added to the seed of training to get that of evaluation, whose episodes are then new to the policy."""
+from bsk_torch.rl.evaluate import FRESH, Evaluation, evaluate
 
 
 def compare(name: str, policy: TensorDictModuleBase, env: SatelliteTasking, seed: int) -> dict[str, Evaluation]:

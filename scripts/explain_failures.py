@@ -27,11 +27,11 @@ from tensordict.nn import TensorDictModuleBase
 from bsk_torch.env import SatelliteTasking
 from bsk_torch.presets import make
 from bsk_torch.rl.baselines import BASELINES
-from bsk_torch.rl.evaluate import confidence
 from bsk_torch.rl.failures import Failure, Moment, can_be_saved, explain
 from bsk_torch.rl.policies import build_policy, check_fits, read_card
 from bsk_torch.rl.replay import Flown
 from bsk_torch.rl.rescue import LOST, OPEN, SAVED
+from bsk_torch.rl.statistics import confidence
 from bsk_torch.sim.params import nearest
 
 PRESET = "NadirScan-v1"

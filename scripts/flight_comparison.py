@@ -13,7 +13,7 @@ import torch
 from flight import NUDGE, Array, Flight
 from rich.table import Table
 
-from bsk_torch.rl.evaluate import Estimate, confidence
+from bsk_torch.rl.statistics import Estimate, confidence
 
 TOLERANCE = 1e-6
 """Largest difference of the return that equal actions may bring, and of observations that need no explanation."""

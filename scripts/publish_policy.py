@@ -23,13 +23,10 @@ from bsk_torch.env import SatelliteTasking
 from bsk_torch.presets import make
 from bsk_torch.rl.config import CONFIG
 from bsk_torch.rl.crew import Crew, evaluate_crew
-from bsk_torch.rl.evaluate import Evaluation, evaluate
+from bsk_torch.rl.evaluate import FRESH, Evaluation, evaluate
 from bsk_torch.rl.log import LOG, read_log
 from bsk_torch.rl.policies import POLICY, load_policy, read_card
 from bsk_torch.rl.pretrained import FOLDER
-
-FRESH = 1_000_003
-"""Added to the seed of training to get that of evaluation, whose episodes are then new to the policy."""
 
 FIRST = 4
 """Episodes whose returns are noted one by one, for the test."""

@@ -22,12 +22,9 @@ from tensordict.nn import TensorDictModuleBase
 from bsk_torch import comm
 from bsk_torch.presets import make
 from bsk_torch.rl.crew import Crew, crew_baseline, evaluate_crew
-from bsk_torch.rl.evaluate import Evaluation
+from bsk_torch.rl.evaluate import FRESH, Evaluation
 from bsk_torch.rl.marl import CrewConfig, CrewTraining
 from bsk_torch.rl.policies import load_policy
-
-FRESH = 1_000_003
-"""Added to the seed of training to get that of evaluation, whose episodes are then new to the policy."""
 
 SHARING: dict[str, comm.CommunicationMethod] = {
     "nobody": comm.NoCommunication(),

@@ -21,11 +21,8 @@ import torch
 from bsk_torch.comm import NoCommunication
 from bsk_torch.presets import make
 from bsk_torch.rl.crew import Crew, crew_baseline, evaluate_crew
-from bsk_torch.rl.evaluate import Evaluation
+from bsk_torch.rl.evaluate import FRESH, Evaluation
 from bsk_torch.rl.marl import LOSSES, CrewConfig, CrewTraining
-
-FRESH = 1_000_003
-"""Added to the seed of training to get that of evaluation, whose episodes are then new to the policy."""
 
 RULES = ("greedy", "nearest", "hasty", "random")
 """What the trained policy is compared with."""

@@ -23,7 +23,7 @@ from fly_on_basilisk import absent_data, arguments
 from rich.console import Console
 
 from bsk_torch import make, rand
-from bsk_torch.rl.evaluate import confidence
+from bsk_torch.rl.statistics import confidence
 from bsk_torch.wrappers.gymnasium import GymEnv
 
 SEEDS = range(2, 5)

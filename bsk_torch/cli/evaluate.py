@@ -99,7 +99,7 @@ def _card(policy: str, preset: str) -> dict[str, Any]:
         hint = nearest(policy, (*BASELINES, PRETRAINED))
         fail(f"{policy!r} is neither a run with a policy.pt, nor such a file, nor a baseline; {hint}")
     except ValueError as error:
-        fail(str(error).splitlines()[0].partition(". ")[0])  # torch says much more
+        fail(str(error))
 
 
 def _environment(preset: str, n: int, card: Mapping[str, Any], options: Mapping[str, Any]) -> SatelliteTasking:

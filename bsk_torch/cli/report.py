@@ -16,7 +16,6 @@ import torch
 import typer
 
 from bsk_torch.cli.shared import (
-    FRESH,
     Backend,
     Device,
     Threads,
@@ -26,7 +25,7 @@ from bsk_torch.cli.shared import (
     fail,
 )
 from bsk_torch.rl.config import CONFIG, PPOConfig, load_config
-from bsk_torch.rl.evaluate import evaluate
+from bsk_torch.rl.evaluate import FRESH, evaluate
 from bsk_torch.rl.log import EVALUATIONS, LOG, read_log
 from bsk_torch.rl.policies import POLICY, build_policy, check_fits, read_card
 from bsk_torch.rl.recipes import configure

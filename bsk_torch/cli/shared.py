@@ -15,9 +15,6 @@ from bsk_torch.rl.baselines import BASELINES
 
 console = Console()
 
-FRESH = 1_000_003
-"""Added to the seed of training to get the seed of evaluation, whose episodes are then new to the policy."""
-
 Preset = Annotated[str, typer.Argument(help="Name of an environment; see 'bsk-torch list'.")]
 Seed = Annotated[int, typer.Option(help="Seed of networks, actions and episodes.")]
 Episodes = Annotated[int, typer.Option(min=1, help="Fresh episodes for every evaluation.")]

@@ -13,7 +13,6 @@ import typer
 
 from bsk_torch.cli.results import print_results, save_results
 from bsk_torch.cli.shared import (
-    FRESH,
     Backend,
     Device,
     Episodes,
@@ -31,7 +30,7 @@ from bsk_torch.env import SatelliteTasking
 from bsk_torch.presets import make
 from bsk_torch.rl.baselines import BASELINES
 from bsk_torch.rl.config import CONFIG, PPOConfig, load_config, override
-from bsk_torch.rl.evaluate import Evaluation, evaluate
+from bsk_torch.rl.evaluate import FRESH, Evaluation, evaluate
 from bsk_torch.rl.log import LOG, read_log
 from bsk_torch.rl.recipes import configure
 from bsk_torch.rl.targets import image_actions
@@ -82,8 +81,12 @@ def train(
         _check(runs)
     env = environment(config.preset, episodes, config.options)
     results = {name: _evaluated(name, BASELINES[name](env, seed), env, seed) for name in BASELINES if fits(name, env)}
-    trained = {f"seed {config.seed}": _run(config, folder, env, results, seed, resume) for folder, config in runs.items()}
-    if seeds > 1:
+    trained: dict[str, Evaluation] = {}
+    for folder, config in runs.items():
+        trained[f"seed {config.seed}"], interrupted = _run(config, folder, env, results, seed, resume)
+        if interrupted:
+            break
+    if len(trained) > 1:
         print_results(results | trained, f"{config.preset}, {episodes} fresh episodes")
 
 
@@ -121,8 +124,8 @@ def _run(
     baselines: Mapping[str, Evaluation],
     seed: int,
     resume: bool,
-) -> Evaluation:
-    """Train, compare with the ``baselines`` in the fresh episodes of ``seed``, draw, and leave everything in ``folder``."""
+) -> tuple[Evaluation, bool]:
+    """Train, compare with ``baselines`` in the fresh episodes of ``seed``, draw, keep all in ``folder``; was it interrupted?"""
     training = extra("bsk_torch.rl.training")
     try:
         run = training.Training(config, folder, resume)
@@ -135,7 +138,7 @@ def _run(
     save_results(results, folder / "evaluation.json", "trained")
     _draw(policy, results, config, folder)
     typer.echo(f"policy, logs, evaluation and pictures are in {folder}; 'bsk-torch report {folder}' makes a page of them")
-    return results["trained"]
+    return results["trained"], run.interrupted
 
 
 def _evaluated(name: str, policy: TensorDictModuleBase, env: SatelliteTasking, seed: int) -> Evaluation:

@@ -96,7 +96,7 @@ class PPOConfig:
     evaluate_every: int = 0
     evaluate_episodes: int = 256
     patience: int | None = None
-    checkpoint_every: int = 0
+    checkpoint_every: int = 250_000
     loggers: tuple[str, ...] = ("csv",)
     collector: str = "single"
     workers: int = 2

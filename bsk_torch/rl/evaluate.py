@@ -21,6 +21,9 @@ from bsk_torch.wrappers.gymnasium import reseed
 LONGEST = 1_000_000
 """Steps after which an evaluation is given up."""
 
+FRESH = 1_000_003
+"""Added to the seed of training to get the seed of evaluation, whose episodes are then new to the policy."""
+
 
 @dataclass(frozen=True)
 class Evaluation:

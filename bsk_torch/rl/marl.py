@@ -65,6 +65,7 @@ class CrewConfig(PPOConfig):
     gamma: float = 0.997
     epochs: int = 2
     minibatch: int = 512
+    checkpoint_every: int = 50_000
     options: dict[str, Any] = dataclasses.field(default_factory=lambda: {"as_set": True})
     algorithm: str = "mappo"
 

@@ -68,7 +68,8 @@ def read_card(path: Path | str, device: torch.device | str = "cpu") -> dict[str,
     try:
         card = torch.load(path, weights_only=True, map_location=device)
     except (RuntimeError, UnpicklingError, EOFError) as error:
-        raise ValueError(f"{str(path)!r} is no file of a policy: {error}") from error
+        reason = str(error).partition("\n")[0].partition(". ")[0]  # torch says much more
+        raise ValueError(f"{str(path)!r} is no file of a policy: {reason}") from error
     if not isinstance(card, dict) or CARD - card.keys():
         raise ValueError(f"{str(path)!r} is no policy of this version of bsk_torch ({__version__}); train it again")
     check_network(card["network"])

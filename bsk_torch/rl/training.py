@@ -71,6 +71,7 @@ class Training:
         self.learner = self.make_learner()
         self.progress, self.recent = Progress(config), RecentEpisodes(config.num_envs, self.env.failure_penalty)
         self.marks: list[Any] | None = None
+        self.interrupted = False
         out.mkdir(parents=True, exist_ok=True)
         save_config(config, out / CONFIG)
         if saved is not None:
@@ -123,6 +124,7 @@ class Training:
             ):
                 self.progress.start()
                 self._loop(iter(collector), collector, log, bar, stop)
+                self.interrupted = stop.is_set()
         finally:
             collector.shutdown()
         return self._finish()

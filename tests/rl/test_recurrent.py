@@ -4,6 +4,7 @@ import pytest
 import torch
 from tensordict import TensorDict
 from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
+from torchrl.modules import set_recurrent_mode
 
 import bsk_torch
 from bsk_torch.rl.collect import make_collector
@@ -58,8 +59,6 @@ def test_experience_is_judged_as_it_was_made(tmp_path):
     collector.shutdown()
     assert bool(batch["next", "done"][:, :-1].any())  # memories end within the batch
     training.learner.networks.sight(batch)
-    from torchrl.modules import set_recurrent_mode
-
     with set_recurrent_mode(True), torch.no_grad():
         again = training.learner.networks.actor.get_dist(batch.clone()).log_prob(batch["action"])
     torch.testing.assert_close(again, batch["action_log_prob"], atol=2e-6, rtol=0.0)  # float32, in another order
