@@ -24,7 +24,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "scripts"))
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "basilisk" / "recorders"))
 
 from bsk_rl import ConstellationTasking, act, comm, data, obs, sats, scene
 from bsk_rl.sim import dyn, fsw

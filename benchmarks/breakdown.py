@@ -1,49 +1,93 @@
-"""Where the time of a step goes.
+"""Where the CPU time of a step goes, by part of the package.
 
 Usage:
     python benchmarks/breakdown.py [--tasks scan] [--batches 4096 1] [--seconds 20] [--out FILE.json]
 
-Methods of the environment are timed in place, each without those inside it, in a random rollout in its steady state (see
-harness.py); times are of one thread. (The script is not called profile.py: Python's own cProfile would import it.)
+A timer of CPU time interrupts a random rollout in its steady state (see harness.py) about every millisecond. The CPU time since
+the previous interrupt is counted for the part whose code was running or had called torch or a kernel: that of the innermost frame
+of a module in ``PARTS``. All that happens inside a reset is counted as the reset. Times are of one thread. (The script is not
+called profile.py: Python's own cProfile would import it.)
 """
 
 from __future__ import annotations
 
-from operator import attrgetter
+import signal
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from types import FrameType
 from typing import Any
 
 import harness
 
 RESET = "reset: next episodes and their first observations"
 
-PARTS = (
-    ("", "step_and_maybe_reset", "TorchRL: the rest of step_and_maybe_reset"),
-    ("", "_step", "checks, ends and what else a step does"),
-    ("", "_command", "act: durations and commands"),
-    ("simulator", "run", "tick: the simulation"),
-    ("", "_reward", "data: reward and aliveness"),
-    ("", "_outputs", "obs: observations and masks"),
-    ("satellite", "find_next_opportunities", "windows: which come next"),
-    ("simulator.access", "extend", "windows: search beyond those prepared at reset"),
-    ("simulator", "reach", "orbits beyond those prepared at reset"),
-    ("", "_reset", RESET),
-    ("action_spec", "rand", "drawing random actions"),
-)
-"""Attribute of the environment, method of it, and how its time is called."""
+PARTS = {
+    "bsk_torch.act": "act: actions and commands",
+    "bsk_torch.obs": "obs: observations and masks",
+    "bsk_torch.data": "data: reward",
+    "bsk_torch.scene": "scene: targets",
+    "bsk_torch.comm": "comm: communication",
+    "bsk_torch.sats": "sats: upcoming opportunities and masks",
+    "bsk_torch.sim.access": "sim.access: windows",
+    "bsk_torch.sim.orbit": "sim.orbit: arcs",
+    "bsk_torch.sim.readout": "sim.readout: observables",
+    "bsk_torch.sim": "sim: the simulation",
+    "bsk_torch.env": "env: episodes, ends, specifications",
+    "torchrl": "TorchRL",
+    "__main__": "this script",
+}
+"""Names of parts by package; the longest that fits a module counts. Others, such as torch, count for their caller."""
+
+INTERVAL = 1e-3
+"""Seconds of CPU time between samples."""
 
 COLUMNS = {"task": "{task}", "batch": "{batch:,}", "part": "{part}", "microseconds per step": "{us:,.1f}", "%": "{percent:.1f}"}
+
+
+def part_of(frame: FrameType | None) -> str:
+    """The part whose code runs in ``frame``, or has called what runs."""
+    found = ""
+    while frame is not None:
+        if frame.f_code.co_name == "_reset":
+            return RESET
+        if not found:
+            module = frame.f_globals.get("__name__", "")
+            fits = [package for package in PARTS if module == package or module.startswith(f"{package}.")]
+            found = PARTS[max(fits, key=len)] if fits else ""
+        frame = frame.f_back
+    return found or "the rest"
+
+
+@contextmanager
+def sampling() -> Iterator[dict[str, float]]:
+    """CPU seconds of this thread by part, while the context lasts."""
+    spent: dict[str, float] = {}
+    clock = time.thread_time()
+
+    def sample(_: int, frame: FrameType | None) -> None:
+        nonlocal clock
+        part, now = part_of(frame), time.thread_time()
+        spent[part] = spent.get(part, 0.0) + now - clock
+        clock = time.thread_time()  # without the time of this function
+
+    previous = signal.signal(signal.SIGPROF, sample)
+    signal.setitimer(signal.ITIMER_PROF, INTERVAL, INTERVAL)
+    try:
+        yield spent
+    finally:
+        signal.setitimer(signal.ITIMER_PROF, 0.0)
+        signal.signal(signal.SIGPROF, previous)
 
 
 def shares(task: str, batch: int, seconds: float, warm_up: int) -> list[dict[str, Any]]:
     """Rows of one batch: every part, and their sum."""
     env = harness.make_env(task, batch)
     player, ready = harness.start(lambda: harness.rollout(env), warm_up)
-    watch = harness.Stopwatch(RESET)
-    for owner, method, part in PARTS:
-        watch.watch(attrgetter(owner)(env) if owner else env, method, part)
-    turn = harness.play(player, seconds, whole=batch)
-    total = sum(watch.spent.values())
-    parts = sorted(watch.spent.items(), key=lambda item: -item[1])
+    with sampling() as spent:
+        turn = harness.play(player, seconds, whole=batch)
+    total = sum(spent.values())
+    parts = sorted(spent.items(), key=lambda item: -item[1])
     case = {"task": task, "batch": batch, "dtype": "float64"}
     return [
         {**case, "part": part, "us": 1e6 * spent / turn.steps, "percent": 100.0 * spent / total}

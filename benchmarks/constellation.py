@@ -22,7 +22,6 @@ from typing import Any
 import harness
 import torch
 from harness import Player, Step, Turn
-from vs_basilisk import basilisk
 
 import bsk_torch
 from bsk_torch import comm
@@ -76,7 +75,7 @@ def rollout(env: bsk_torch.ConstellationTasking) -> Player:
         action = torch.multinomial(mask.flatten(0, 1).float(), 1).view(mask.shape[:2])
         played, td = env.step_and_maybe_reset(td.set(("agents", "action"), action))
         seen = harness.step_of(played["next"])
-        yield Step(seen.simulated * env.fleet.size, seen.ended, int((action < mask.shape[-1] - 1).sum()))
+        yield Step(seen.simulated * action.shape[1], seen.ended, int((action < mask.shape[-1] - 1).sum()))
 
 
 def turns_of(mode: str, sizes: list[int], rows: int, python: str | None, options: Any) -> Iterator[tuple[int, Turn, Turn | None]]:
@@ -91,7 +90,7 @@ def turns_of(mode: str, sizes: list[int], rows: int, python: str | None, options
                     0,
                     {"satellites": size, "targets": TARGETS, "interval": INTERVAL if mode == "intervals" else None},
                 )
-                others[size] = stack.enter_context(basilisk(python, f"{mode}-{size}"))
+                others[size] = stack.enter_context(harness.basilisk(python, f"{mode}-{size}"))
         for _ in range(options.turns):
             for size in sizes:
                 theirs = others[size](options.seconds) if size in others else None

@@ -16,6 +16,7 @@ import subprocess
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from multiprocessing import get_context
 from pathlib import Path
@@ -33,6 +34,8 @@ from bsk_torch.rand import Distribution, Key
 
 EPISODE = 5 * ORBIT
 """Time limit of all tasks, s."""
+
+BASILISK_SIDE = Path(__file__).with_name("basilisk_side.py")
 
 PATIENCE = 600.0
 """Seconds that processes wait for each other."""
@@ -156,7 +159,7 @@ class Staggered(Distribution):
         return self.limit * torch.where(key.episode == 0, share, torch.ones_like(share))
 
 
-def make_env(task: str, batch: int, dtype: str = "float64", rank: int = 0) -> bsk_torch.SatelliteTasking:
+def make_env(task: str, batch: int, dtype: str = "float64", rank: int = 0, **options: Any) -> bsk_torch.SatelliteTasking:
     """The environment of a task, staggered; the ``rank``-th of several processes has episodes of its own."""
     return bsk_torch.make(
         TASKS[task].preset,
@@ -166,6 +169,7 @@ def make_env(task: str, batch: int, dtype: str = "float64", rank: int = 0) -> bs
         sim_dtype=getattr(torch, dtype),
         env_ids=range(rank * batch, (rank + 1) * batch),
         time_limit=Staggered(batch),
+        **options,
     )
 
 
@@ -220,15 +224,17 @@ class Turn(NamedTuple):
         return self.simulated / self.wall
 
 
-def play(player: Player, seconds: float, least: int = 1, whole: int = 0) -> Turn:
+def play(player: Player, seconds: float, least: int = 1, whole: int = 0, most: int | None = None) -> Turn:
     """Play for ``seconds`` of the wall clock, at least ``least`` steps, and until a multiple of ``whole`` episodes have ended.
+
+    With ``most``, play at most so many steps.
 
     Episodes are prepared in bulk about once for every batch of them that has ended, so such multiples have their share of it.
     """
     steps: list[Step] = []
     ended, complete = 0, False
     cpu, wall = time.process_time(), time.perf_counter()
-    while time.perf_counter() - wall < seconds or len(steps) < least or not complete:
+    while len(steps) != most and (time.perf_counter() - wall < seconds or len(steps) < least or not complete):
         steps.append(next(player))
         before, ended = ended, ended + steps[-1].ended
         complete = not whole or ended // whole > before // whole
@@ -265,6 +271,35 @@ def in_processes(count: int, function: Callable[..., Any], *args: Any) -> list[A
     context = get_context("spawn")
     with ProcessPoolExecutor(count, context, _join, (context.Barrier(count),)) as pool:
         return [task.result() for task in [pool.submit(function, rank, *args) for rank in range(count)]]
+
+
+Side = Callable[[Any], Turn]
+"""Plays a turn in another process; its argument, such as a number of seconds, is sent as JSON."""
+
+
+@contextmanager
+def other_process(command: list[str], **environment: str) -> Iterator[Side]:
+    """Start a process of one thread that answers every line of JSON with a turn as JSON, in ours and ``environment``."""
+    surroundings = {**os.environ, "OMP_NUM_THREADS": "1", **environment}
+    process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=surroundings)
+
+    def turn(request: Any) -> Turn:
+        print(json.dumps(request), file=process.stdin, flush=True)
+        answer = process.stdout.readline() if process.stdout else ""
+        if not answer:
+            raise RuntimeError(f"{' '.join(command)} has stopped with exit code {process.wait()}")
+        return Turn(**json.loads(answer))
+
+    with process:
+        yield turn
+        if process.stdin:
+            process.stdin.close()
+
+
+def basilisk(python: str, task: str) -> AbstractContextManager[Side]:
+    """Play turns of so many seconds of ``task`` in the interpreter ``python``, with bsk_rl on Basilisk."""
+    preset, _, options = TASKS[task]
+    return other_process([python, str(BASILISK_SIDE), preset, json.dumps(options)])
 
 
 def resident() -> int:

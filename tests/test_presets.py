@@ -87,7 +87,32 @@ def test_density_counts_every_target_once():
     env.reset()
     (entry,) = (e for e in env.satellite.observations.entries if isinstance(e, TargetDensity))
     close = env.satellite.next_opportunities("target")[1]
+    assert (close < BINS * BIN).any(1).all()
     for row in range(3):
         for k in range(BINS):
             mine = (close[row] >= k * BIN) & (close[row] < (k + 1) * BIN)
             assert entry.get_obs()[row, k] == pytest.approx(float(env.scenario.priority[row][mine].sum()) / CROWD)
+
+
+WIDTHS = {"NadirScan-v1": 12, "AEOS-v1": 269, "CloudyAEOS-v1": 301, "AEOSPower-v1": 298, "Constellation-v1": 141,
+          "AEOSConstellation-v1": 269}  # fmt: skip
+
+
+@pytest.mark.parametrize(("name", "width"), WIDTHS.items())
+def test_docstrings_state_what_is_observed(name, width):
+    """Every observed quantity is listed in the module of its preset, or in the one that it refers to."""
+    options = {} if name == "NadirScan-v1" else dict(n_targets=300)
+    if name == "Constellation-v1":
+        options |= dict(n_satellites=2, n_planes=1)
+    env = bsk_torch.make(name, time_limit=600.0, backend="eager", **options)
+    satellite = env.satellites[0] if hasattr(env, "satellites") else env.satellite
+    text = importlib.import_module(PRESETS[name].__module__).__doc__
+    text += importlib.import_module(bsk_torch.presets.aeos.__module__).__doc__ if "bsk_torch.presets.aeos`" in text else ""
+    assert len(satellite.observation_description) == width
+    for entry in satellite.observation_description:
+        observation, leaf = entry.split("[")[0].split(".")[0], entry.split("[")[0].split(".")[-1]
+        assert f"``{leaf}``" in text or f"``{observation}``" in text, entry
+
+
+def test_every_preset_is_in_the_table():
+    assert all(f"``{name}``" in bsk_torch.presets.__doc__ for name in PRESETS)

@@ -62,7 +62,7 @@ def test_longer_draws_begin_like_shorter_ones():
 
 def test_large_draws_are_cut_into_chunks_that_do_not_show(monkeypatch):
     whole = key(50).uniform(7)
-    monkeypatch.setattr(rand, "CHUNK", 9)  # two rows at a time, and one where a row is larger than that
+    monkeypatch.setattr(rand, "BLOCKS_AT_ONCE", 9)  # two rows at a time, and one where a row is larger than that
     assert torch.equal(key(50).uniform(7), whole)
     assert torch.equal(key(3).uniform(101)[:, :7], whole[:3])
 
@@ -278,7 +278,7 @@ def test_the_satellite_stands_above_the_number_of_the_block():
 def test_chunks_do_not_show_in_draws_of_satellites(monkeypatch):
     several = key(20).of_satellites(torch.tensor([4, 0, 7]))
     whole = several.uniform(7)
-    monkeypatch.setattr(rand, "CHUNK", 9)
+    monkeypatch.setattr(rand, "BLOCKS_AT_ONCE", 9)
     assert torch.equal(several.uniform(7), whole)
 
 

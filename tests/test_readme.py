@@ -22,21 +22,21 @@ SHORT = {
     "eval": "--seeds 0:2 --time-limit 300",
     "report": "--episodes 3",
     "list": "",
-    "scripts/train_constellation.py": "--minutes 0.02 --num-envs 4 --rollout 16 --episodes 2 --time-limit 300",
-    "scripts/share_intent.py": "--minutes 0.02 --episodes 2 --time-limit 300",
+    "schedule": "",
+    "examples/share_intent.py": "--minutes 0.02 --episodes 2 --time-limit 300",
 }
 """What makes a command of the README short enough for a test; later options win over the README's."""
 
-ELSEWHERE = {"scripts/sb3_train.py": "test_clients.py", "scripts/cleanrl_ppo.py": "test_clients.py"}
+ELSEWHERE = {"examples/ppo_sb3.py": "test_clients.py", "examples/ppo_cleanrl.py": "test_clients.py"}
 """What other tests run."""
 
 
 @pytest.mark.compiled
 @pytest.mark.parametrize("code", PYTHON, ids=[f"block{k}" for k in range(len(PYTHON))])
-def test_python(code, capsys, tmp_path, monkeypatch):
+def test_python(code, tmp_path, monkeypatch):
+    """No exception; what is printed is not compared."""
     monkeypatch.chdir(tmp_path)
     exec(compile(code, "README.md", "exec"), {"__name__": "readme"})
-    assert "Traceback" not in capsys.readouterr().out
 
 
 @pytest.mark.compiled

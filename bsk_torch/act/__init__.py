@@ -1,13 +1,19 @@
-"""Actions: what an agent can tell a satellite to do."""
+"""Actions: entries of a satellite's ``action_spec``, the commands that an agent can choose from."""
 
-from bsk_torch.act.base import Action, Decision
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from bsk_torch._deprecated import deprecated_names
+from bsk_torch.act.base import Action, ActionTable, Decision
 from bsk_torch.act.broadcast import Broadcast
 from bsk_torch.act.discrete import Charge, Desat, DiscreteFSWAction, Downlink, Drift, NadirPoint, Scan
-from bsk_torch.act.image import Image, of_target
-from bsk_torch.act.masks import never, only
+from bsk_torch.act.image import Image, image_target
+from bsk_torch.act.masks import allow_only, forbid
 
 __all__ = [
     "Action",
+    "ActionTable",
     "Broadcast",
     "Charge",
     "Decision",
@@ -18,7 +24,10 @@ __all__ = [
     "Image",
     "NadirPoint",
     "Scan",
-    "never",
-    "of_target",
-    "only",
+    "allow_only",
+    "forbid",
+    "image_target",
 ]
+
+if not TYPE_CHECKING:
+    __getattr__ = deprecated_names(__name__)

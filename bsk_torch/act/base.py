@@ -1,4 +1,4 @@
-"""Base of actions, and how a satellite's list of them becomes one discrete space."""
+"""Base class of actions, and the discrete action space that a satellite's ``action_spec`` forms."""
 
 from __future__ import annotations
 
@@ -8,19 +8,48 @@ from typing import TYPE_CHECKING, Any, NamedTuple, cast
 import torch
 from torch import Tensor
 
+from bsk_torch._deprecated import deprecated_names
+from bsk_torch.sim.hooks import check_class, check_tensor, defined_first, overrides
+
 if TYPE_CHECKING:
     from bsk_torch.sats.satellite import Satellite
 
+HOOKS = ("n_actions", "n_negative_actions", "link_satellite", "names", "table", "decide", "begin", "end", "mask")
+"""Members of :class:`Action` that subclasses may define."""
+
+MEMORY = (
+    "keep values that start anew with every episode in satellite.simulator.memory; declare them in link_satellite(satellite): "
+    "memory.declare(name, initial_value)"
+)
+
+UNUSED = {
+    "set_action": "define decide(index, mask, action, previous), or begin(mask, decision) for what follows the command",
+    "set_action_override": "actions are integers; n_negative_actions reserves the numbers -1, -2, ... for an entry's own use",
+    "space": "the action space is discrete; set n_actions",
+    "action_space": "the action space is discrete; set n_actions",
+    "action_description": "define names()",
+    "builder_type": "every action is discrete",
+    "link_simulator": "define link_satellite(satellite), which finds the simulation in satellite.simulator",
+    "reset_overwrite_previous": MEMORY,
+    "reset_pre_sim_init": MEMORY,
+    "reset_during_sim_init": MEMORY,
+    "reset_post_sim_init": MEMORY,
+    "get_action_mask": "define mask()",
+    "action_mask": "define mask()",
+    "explicit": "it is called n_negative_actions",
+}
+"""Names that are no hooks of actions, those of bsk_rl among them, and what to write instead."""
+
 
 class Decision(NamedTuple):
-    """What the actions of one step mean, [N] each.
+    """Commands that the actions of one step stand for, [N] each.
 
     Attributes:
-        mode: Mode to enter.
-        retask: Whether to enter it.
-        duration: For how long, s.
-        key: What the action is remembered by: an action with the same key repeats it.
-        expected: About how long it will last, s, if an event may end it.
+        mode: Index of the flight mode to enter, int64.
+        retask: Whether to enter it, bool; otherwise the present mode continues.
+        duration: Time after which the action ends, s.
+        key: Number that identifies the action; an action with the key of the one before repeats it. int64.
+        expected: Probable time until an event ends the action, at most ``duration``, s. It only sorts rows, for speed.
     """
 
     mode: Tensor
@@ -30,143 +59,245 @@ class Decision(NamedTuple):
     expected: Tensor
 
 
-class Table(NamedTuple):
-    """What actions mean until the next reset: modes [N, A], and by action [A] the rest.
+class ActionTable(NamedTuple):
+    """Commands of A actions that stay the same until the next reset.
 
-    That is whether a repeated action enters its mode anew, and for how long an action lasts, s.
+    Attributes:
+        mode: Index of the flight mode of each action, [N, A] int64.
+        reset: Whether a repeated action enters its mode again, [A] bool.
+        duration: Time after which each action ends, [A] float64, s.
     """
 
     mode: Tensor
     reset: Tensor
     duration: Tensor
 
+    def decision(self, column: Tensor, action: Tensor, previous: Tensor) -> Decision:
+        """Return the commands of the actions in ``column`` [N] of the table; ``action`` and ``previous`` are their keys, [N]."""
+        duration = self.duration[column]
+        mode = self.mode.gather(1, column.unsqueeze(1)).squeeze(1)
+        return Decision(mode, (action != previous) | self.reset[column], duration, action, duration)
+
 
 class Action:
-    """One entry of an ``action_spec``, standing for ``n_actions`` consecutive numbers of the discrete space."""
+    """One entry of an ``action_spec``: ``n_actions`` consecutive numbers of the discrete action space.
+
+    N is the number of satellites of the type. Subclasses define :meth:`table` if their commands stay the same until the next
+    reset, and :meth:`decide` otherwise; the other hooks are optional. All hooks of a subclass are called in every environment.
+
+    Attributes:
+        name: Name of the entry in ``action_description``.
+        satellite: The satellites, once an environment has been built.
+        n_actions: Number of actions.
+    """
 
     n_actions: int = 1
     satellite: Any
 
     def __init__(self, name: str) -> None:
-        """Name under which the entry appears in ``action_description``."""
+        """Name the entry."""
         self.name = name
 
+    def __init_subclass__(cls, **options: Any) -> None:
+        """Refuse definitions that no environment would use; TypeError says what to write instead."""
+        super().__init_subclass__(**options)
+        if "table" in vars(cls) and "decide" in vars(cls):
+            raise TypeError(f"{cls.__name__} defines both table() and decide(), of which one would never be called; define one")
+        check_class(cls, Action, HOOKS, UNUSED)
+
     def link_satellite(self, satellite: Satellite) -> None:
-        """Called once when the environment is built; raises where the satellite cannot do this."""
+        """Prepare for a satellite; called once when an environment is built.
+
+        Overriding methods call ``super().link_satellite(satellite)`` first, and raise ValueError for a satellite that lacks
+        something that the action needs.
+        """
         self.satellite = satellite
 
     @property
-    def explicit(self) -> int:
-        """Number of negative actions, -1 downwards, that the entry understands beside its own."""
+    def n_negative_actions(self) -> int:
+        """Number of actions -1, -2, ... that the entry accepts beside its own; 0 unless overridden."""
         return 0
 
     def names(self) -> list[str]:
-        """Names of the entry's actions."""
+        """Return the names of the entry's actions, ``n_actions`` of them."""
         return [self.name] if self.n_actions == 1 else [f"{self.name}_{k}" for k in range(self.n_actions)]
 
-    def decide(self, index: Tensor, mine: Tensor, action: Tensor, previous: Tensor) -> Decision:
-        """What the entry makes of its actions.
+    def table(self) -> ActionTable:
+        """Return the commands of the entry's actions until the next reset, with A = ``n_actions``."""
+        raise NotImplementedError(f"{type(self).__name__} must implement table() or decide(index, mask, action, previous)")
+
+    def decide(self, index: Tensor, mask: Tensor, action: Tensor, previous: Tensor) -> Decision:
+        """Return the commands of the entry's actions; those of :meth:`table` unless overridden.
 
         Args:
-            index: Number within the entry, [N].
-            mine: Where the action is one of the entry's, [N]; elsewhere the answer is not looked at.
-            action: Number in the whole space, [N].
-            previous: Key of the previous action, [N]; -1 for none.
+            index: Number of the action within the entry, [N] int64, from 0 to ``n_actions`` - 1.
+            mask: Whether the entry's action is carried out now, [N] bool; the commands of other rows are ignored.
+            action: Number of the action in the whole action space, [N] int64.
+            previous: Key of the action before, [N] int64; -1 for none.
         """
-        raise NotImplementedError(f"{type(self).__name__} must implement decide(index, mine, action, previous)")
+        return self.table().decision(index, action, previous)
 
-    def begin(self, rows: Tensor, decision: Decision) -> None:
-        """Called where the entry has been decided for, ``rows`` [N], once its mode has been entered."""
+    def begin(self, mask: Tensor, decision: Decision) -> None:
+        """Called after the entry's actions have been commanded, in the rows ``mask`` [N] bool."""
 
-    def end(self, rows: Tensor, decision: Decision, event: Tensor) -> None:
-        """Called where the entry's actions ended within the episode, ``rows`` [N]; ``event`` [N] where an event ended them."""
+    def end(self, mask: Tensor, decision: Decision, event: Tensor) -> None:
+        """Called after the entry's actions have ended within an episode, in the rows ``mask`` [N] bool.
 
-    def table(self) -> Table | None:
-        """What the entry's actions mean until the next reset, where nothing else decides that; else None."""
-        return None
+        Args:
+            mask: Rows in which a duration or an event has ended an action of the entry.
+            decision: Present mode, duration and key of the actions; ``retask`` equals the rows in which an action has ended.
+            event: Whether an event ended the action, [N] bool, and not its duration.
+        """
 
     def mask(self) -> Tensor:
-        """Which of the entry's actions are legal now, [N, n_actions] booleans; all of them unless overridden."""
+        """Return which of the entry's actions are legal now, [N, n_actions] bool; all of them unless overridden."""
         ticks = self.satellite.simulator.ticks
         return torch.ones(len(ticks), self.n_actions, dtype=torch.bool, device=ticks.device)
 
 
 class ActionBuilder:
-    """The actions of a satellite, numbered in the order of its ``action_spec``."""
+    """The discrete action space of a satellite type: the entries of its ``action_spec``, numbered in order.
+
+    Entries whose commands stay the same until the next reset are looked up in one table; only the others are asked in every step,
+    and only hooks that a subclass overrides are called.
+
+    Attributes:
+        entries: The entries.
+        n_actions: Size of the action space.
+        n_negative_actions: Number of negative actions that are legal beside the action space.
+    """
 
     def __init__(self, spec: Sequence[Action], satellite: Satellite) -> None:
-        """Link every entry; ValueError for an empty or misused spec."""
+        """Link every entry to the satellite.
+
+        Raises:
+            ValueError: For an empty spec, an entry that is no action, or numbers and names of actions that do not fit together.
+            TypeError: For an entry whose ``link_satellite`` does not call that of its base class.
+        """
         if not spec:
             raise ValueError(f"{type(satellite).__name__}.action_spec is empty; list at least one action, such as act.Charge()")
         for entry in spec:
             if not isinstance(entry, Action):
                 raise ValueError(f"action_spec holds {entry!r}, which is no action; write act.Charge(), with parentheses")
-            entry.link_satellite(satellite)
+            _link(entry, satellite)
         self.entries, self.satellite = tuple(spec), satellite
-        self._made, self._table = -1, cast("Table | None", None)
-
-    def table(self) -> Table | None:
-        """The tables of all entries side by side; None where one has none."""
-        if self._made != self.satellite.simulator.draws:
-            tables = [table for table in (entry.table() for entry in self.entries) if table is not None]
-            whole = len(tables) == len(self.entries)
-            self._table = Table(*(torch.cat(parts, -1) for parts in zip(*tables, strict=True))) if whole else None
-            self._made = self.satellite.simulator.draws
-        return self._table
-
-    @property
-    def n_actions(self) -> int:
-        """Size of the discrete space."""
-        return sum(entry.n_actions for entry in self.entries)
+        sizes, negative = [entry.n_actions for entry in spec], [entry.n_negative_actions for entry in spec]
+        self.n_actions, self.n_negative_actions = sum(sizes), max(negative)
+        self._starts = [sum(sizes[:k]) for k in range(len(sizes))]
+        self._takes_negative = next((k for k, number in enumerate(negative) if number), -1)
+        numbered = list(enumerate(self.entries))
+        self._fixed = [k for k, entry in numbered if defined_first(entry, "table", "decide") == "table"]
+        self._deciding = [k for k, _ in numbered if k not in self._fixed]
+        self._beginning, self._ending, self._masking = (
+            [k for k, entry in numbered if overrides(entry, Action, hook)] for hook in ("begin", "end", "mask")
+        )
+        self._all_legal = torch.ones_like(satellite.simulator.ticks, dtype=torch.bool).unsqueeze(1).expand(-1, self.n_actions)
+        self._table, self._table_draws = cast("ActionTable | None", None), -1
 
     @property
     def description(self) -> list[str]:
         """Names of all actions in order."""
         return [name for entry in self.entries for name in entry.names()]
 
-    @property
-    def explicit(self) -> int:
-        """Number of negative actions that are legal beside the discrete space."""
-        return max(entry.explicit for entry in self.entries)
+    def entry_of(self, action: int) -> int:
+        """Return the number of the entry to which an action belongs."""
+        return self._takes_negative if action < 0 else max(k for k, start in enumerate(self._starts) if start <= action)
 
-    def shares(self, action: Tensor) -> list[tuple[Action, Tensor, Tensor]]:
-        """Entries, which actions are theirs, and their numbers within the entry; negative ones go to the first that has them."""
-        shares, first = [], 0
-        negative = action < 0
-        for entry in self.entries:
-            mine = (action >= first) & (action < first + entry.n_actions)
-            if entry.explicit:
-                mine, negative = mine | negative, torch.zeros_like(negative)
-            shares.append((entry, mine, (action - first).clamp(0, entry.n_actions - 1)))
-            first += entry.n_actions
-        return shares
+    def table(self) -> ActionTable:
+        """Return the tables of all entries side by side; actions of entries without a table have infinite durations there."""
+        ticks, draws = self.satellite.simulator.ticks, self.satellite.simulator.state.arguments.version
+        if self._table is not None and self._table_draws == draws:
+            return self._table
+        mode = torch.zeros(len(ticks), self.n_actions, dtype=torch.int64, device=ticks.device)
+        forever = torch.full_like(mode[0], torch.inf, dtype=torch.float64)
+        whole = ActionTable(mode, torch.zeros_like(forever, dtype=torch.bool), forever)
+        for k in self._fixed:
+            entry, columns = self.entries[k], slice(self._starts[k], self._starts[k] + self.entries[k].n_actions)
+            table = entry.table()
+            if not isinstance(table, ActionTable):
+                raise TypeError(f"{type(entry).__name__}.table() returns {table!r}; it must return an act.ActionTable")
+            for field, part, given in zip(ActionTable._fields, whole, table, strict=True):
+                wanted = part[..., columns]
+                check_tensor(f"{type(entry).__name__}.table().{field}", given, wanted.shape, wanted.dtype)
+                wanted.copy_(given)
+        self._table, self._table_draws = whole, draws  # a reset may draw other arguments, on which modes depend
+        return whole
 
-    def decide(self, action: Tensor, previous: Tensor, moves: Tensor) -> Decision:
-        """What ``action`` [N] means, where it ``moves`` [N] anything, after the action with key ``previous`` [N] (-1: none)."""
-        table = self.table()
-        if table is not None:
-            retask = (action != previous) | table.reset[action]
-            duration = table.duration[action]
-            return Decision(table.mode.gather(1, action.unsqueeze(1)).squeeze(1), retask, duration, action, duration)
-        seconds = action.double()
-        decision = Decision(torch.zeros_like(action), torch.zeros_like(action, dtype=torch.bool), seconds, action, seconds)
-        for entry, mine, index in self.shares(action):
-            part = entry.decide(index, mine & moves, action, previous)
-            decision = Decision(*(torch.where(mine, new, old) for new, old in zip(part, decision, strict=True)))
+    def _rows_of(self, k: int, action: Tensor) -> Tensor:
+        """Return in which rows ``action`` [N] belongs to the k-th entry, [N] bool."""
+        first = self._starts[k]
+        mask = (action >= first) & (action < first + self.entries[k].n_actions)
+        return mask | (action < 0) if k == self._takes_negative else mask
+
+    def decide(self, action: Tensor, previous: Tensor, acts: Tensor) -> Decision:
+        """Return the commands of ``action`` [N] after actions with the keys ``previous`` [N].
+
+        Commands of rows outside ``acts`` [N] bool have no meaning.
+
+        Raises:
+            TypeError: For commands of a subclass that have the wrong shape or dtype.
+        """
+        if len(self._deciding) == len(self.entries) == 1:
+            return self._decided(0, acts, action, previous)
+        column = action.clamp(min=0) if self.n_negative_actions else action
+        decision = self.table().decision(column, action, previous)
+        for k in self._deciding:
+            part, mask = self._decided(k, acts, action, previous), self._rows_of(k, action)
+            decision = Decision(*(torch.where(mask, new, old) for new, old in zip(part, decision, strict=True)))
         return decision
 
-    def begin(self, action: Tensor, moves: Tensor, decision: Decision) -> None:
-        """Tell the entries what has been decided, where ``moves`` [N] is true."""
-        if self.table() is None:
-            for entry, mine, _ in self.shares(action):
-                entry.begin(mine & moves, decision)
+    def _decided(self, k: int, acts: Tensor, action: Tensor, previous: Tensor) -> Decision:
+        """Return the commands of the k-th entry, [N]; TypeError unless every one is a tensor [N] of its dtype."""
+        entry, mask = self.entries[k], self._rows_of(k, action)
+        index = (action - self._starts[k]).clamp(0, entry.n_actions - 1)
+        decision = entry.decide(index, mask & acts, action, previous)
+        kinds = (torch.int64, torch.bool, torch.float64, torch.int64, torch.float64)
+        for field, value, dtype in zip(Decision._fields, decision, kinds, strict=True):
+            check_tensor(f"{type(entry).__name__}.decide(...).{field}", value, action.shape, dtype)
+        return decision
+
+    def begin(self, action: Tensor, acts: Tensor, decision: Decision) -> None:
+        """Notify entries that their actions, of ``action`` [N], have been commanded in the rows ``acts`` [N] bool."""
+        for k in self._beginning:
+            self.entries[k].begin(self._rows_of(k, action) & acts, decision)
 
     def end(self, action: Tensor, ended: Tensor, decision: Decision, event: Tensor) -> None:
-        """Tell the entries where their actions ``ended`` [N], and where that was by an ``event`` [N]."""
-        if self.table() is None:
-            for entry, mine, _ in self.shares(action):
-                entry.end(mine & ended, decision, event)
+        """Notify entries that their actions have ``ended`` [N] bool, by an ``event`` [N] bool or by their duration."""
+        for k in self._ending:
+            self.entries[k].end(self._rows_of(k, action) & ended, decision, event)
 
     def mask(self) -> Tensor:
-        """Which actions are legal now, [N, n_actions]."""
-        return torch.cat([entry.mask() for entry in self.entries], -1)
+        """Return which actions are legal now, [N, n_actions] bool; a view, to be read only.
+
+        Raises:
+            TypeError: For a mask of a subclass that has the wrong shape or dtype.
+        """
+        if not self._masking:
+            return self._all_legal
+        parts = []
+        for start, (k, entry) in zip(self._starts, enumerate(self.entries), strict=True):
+            part = self._all_legal[:, start : start + entry.n_actions]
+            if k in self._masking:
+                wanted, part = part, entry.mask()
+                check_tensor(f"{type(entry).__name__}.mask()", part, wanted.shape, torch.bool)
+            parts.append(part)
+        return torch.cat(parts, -1)
+
+
+def _link(entry: Action, satellite: Satellite) -> None:
+    """Link an entry; raise for one that was not linked, or whose numbers and names of actions do not fit together."""
+    title = type(entry).__name__
+    entry.link_satellite(satellite)
+    if getattr(entry, "satellite", None) is not satellite:
+        raise TypeError(f"{title}.link_satellite(satellite) must call super().link_satellite(satellite)")
+    for name, low in (("n_actions", 1), ("n_negative_actions", 0)):
+        number = getattr(entry, name)
+        if isinstance(number, bool) or not isinstance(number, int) or number < low:
+            raise ValueError(f"{title}.{name} is {number!r}; it must be an integer of at least {low}")
+    names = entry.names()
+    if len(names) != entry.n_actions or isinstance(names, str):
+        raise ValueError(f"{title}.names() returns {names!r}; it must return n_actions={entry.n_actions} names")
+
+
+if not TYPE_CHECKING:
+    __getattr__ = deprecated_names(__name__)

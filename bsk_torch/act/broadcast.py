@@ -1,4 +1,4 @@
-"""Telling others what one knows."""
+"""Action that sends a satellite's knowledge to other satellites."""
 
 from __future__ import annotations
 
@@ -14,18 +14,19 @@ if TYPE_CHECKING:
     from bsk_torch.sats.satellite import Satellite
 
 PENDING = "broadcast_pending"
-"""Name under which a simulation remembers who has something to send."""
+"""Name of the value in ``simulator.memory`` that marks satellites with an unsent message, [N] bool."""
 
 
 class Broadcast(Action):
-    """Send what the satellite knows to those that can hear it; it goes on doing what it does.
+    """Send a satellite's knowledge to the satellites that can receive it; its flight mode continues.
 
-    Use it with :class:`~bsk_torch.comm.BroadcastCommunication`. The message leaves at the end of the step, which another
-    satellite may end before ``duration`` has passed. The action that follows counts as a new one, even if it is that from before.
+    Use it with :class:`~bsk_torch.comm.BroadcastCommunication`. The message is sent at the end of the step, which another
+    satellite may end before ``duration`` has passed. The following action counts as a new one, even if it equals the one before
+    the broadcast.
     """
 
     def __init__(self, name: str = "action_broadcast", duration: float | None = None) -> None:
-        """Last ``duration`` seconds, None for as long as nothing else ends the step; ValueError unless it is positive."""
+        """Last ``duration`` seconds, None for 1e9 s; ValueError unless it is positive."""
         super().__init__(name)
         self.duration = FOREVER if duration is None else float(duration)
         if not self.duration > 0.0:
@@ -35,14 +36,14 @@ class Broadcast(Action):
         """See :meth:`Action.link_satellite`."""
         super().link_satellite(satellite)
         if PENDING not in satellite.simulator.memory:
-            satellite.simulator.memory.add(PENDING, False, dtype=torch.bool)
+            satellite.simulator.memory.declare(PENDING, False, dtype=torch.bool)
 
-    def decide(self, index: Tensor, mine: Tensor, action: Tensor, previous: Tensor) -> Decision:
+    def decide(self, index: Tensor, mask: Tensor, action: Tensor, previous: Tensor) -> Decision:
         """See :meth:`Action.decide`."""
         seconds = torch.full_like(action, self.duration, dtype=torch.float64)
-        return Decision(self.satellite.simulator.mode, torch.zeros_like(mine), seconds, action, seconds)
+        return Decision(self.satellite.simulator.mode, torch.zeros_like(mask), seconds, action, seconds)
 
-    def begin(self, rows: Tensor, decision: Decision) -> None:
+    def begin(self, mask: Tensor, decision: Decision) -> None:
         """See :meth:`Action.begin`."""
         memory = self.satellite.simulator.memory
-        memory[PENDING] = memory[PENDING] | rows
+        memory[PENDING] = memory[PENDING] | mask

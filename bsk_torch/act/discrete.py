@@ -1,29 +1,38 @@
-"""Actions that put the flight software into a mode for a while. Names and defaults are bsk_rl's."""
+"""Actions that put the flight software into a mode for a time. Names and defaults are those of bsk_rl."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
 import torch
-from torch import Tensor
 
-from bsk_torch.act.base import Action, Decision, Table
+from bsk_torch.act.base import Action, ActionTable
 
 if TYPE_CHECKING:
     from bsk_torch.sats.satellite import Satellite
 
 FOREVER = 1e9
-"""Duration, s, of an action that nothing but another event ends."""
+"""Duration of an action that only another event ends, s."""
 
 
 class DiscreteFSWAction(Action):
     """Enter a flight mode for ``duration`` seconds.
 
-    The same action twice in a row lets the mode run on, unless ``reset_task`` is set.
+    The same action twice in a row lets the mode continue, unless ``reset_task`` is set.
     """
 
     def __init__(self, fsw_action: str, name: str | None = None, duration: float | None = None, reset_task: bool = False) -> None:
-        """Command ``fsw_action`` of the flight-software model; ValueError for a duration that is not positive."""
+        """Command a mode of the flight software.
+
+        Args:
+            fsw_action: Command of the flight-software model, such as ``"charge"``.
+            name: Name in ``action_description``; that of the command unless given.
+            duration: Time until the action ends, s; None for 1e9 s.
+            reset_task: Whether a repeated action enters the mode again.
+
+        Raises:
+            ValueError: For a duration that is not positive.
+        """
         super().__init__(name or fsw_action)
         self.fsw_action, self.reset_task = fsw_action, reset_task
         self.duration = FOREVER if duration is None else float(duration)
@@ -35,20 +44,11 @@ class DiscreteFSWAction(Action):
         super().link_satellite(satellite)
         satellite.simulator.check_command(self.fsw_action)
 
-    def table(self) -> Table | None:
-        """See :meth:`Action.table`; None for a subclass that decides otherwise."""
-        if type(self).decide is not DiscreteFSWAction.decide:
-            return None
+    def table(self) -> ActionTable:
+        """See :meth:`Action.table`."""
         mode = self.satellite.simulator.mode_index(self.fsw_action).unsqueeze(1)
         reset = torch.tensor([self.reset_task], device=mode.device)
-        return Table(mode, reset, torch.full((1,), self.duration, dtype=torch.float64, device=mode.device))
-
-    def decide(self, index: Tensor, mine: Tensor, action: Tensor, previous: Tensor) -> Decision:
-        """See :meth:`Action.decide`."""
-        mode = self.satellite.simulator.mode_index(self.fsw_action)
-        retask = torch.ones_like(mine) if self.reset_task else action != previous
-        duration = torch.full_like(mode, self.duration, dtype=torch.float64)
-        return Decision(mode, retask, duration, action, duration)
+        return ActionTable(mode, reset, torch.full((1,), self.duration, dtype=torch.float64, device=mode.device))
 
 
 class Charge(DiscreteFSWAction):
@@ -60,7 +60,7 @@ class Charge(DiscreteFSWAction):
 
 
 class Drift(DiscreteFSWAction):
-    """Switch control off; the wheels keep their last torque."""
+    """Switch attitude control off; the wheels keep their last torque."""
 
     def __init__(self, name: str = "action_drift", duration: float | None = None) -> None:
         """See :class:`DiscreteFSWAction`."""
@@ -68,7 +68,7 @@ class Drift(DiscreteFSWAction):
 
 
 class NadirPoint(DiscreteFSWAction):
-    """Align the body with the Hill frame."""
+    """Align the body frame with the Hill frame."""
 
     def __init__(self, name: str = "action_nadir_point", duration: float | None = None) -> None:
         """See :class:`DiscreteFSWAction`."""
@@ -76,7 +76,7 @@ class NadirPoint(DiscreteFSWAction):
 
 
 class Desat(DiscreteFSWAction):
-    """Fire thrusters to slow the wheels down; a repeated action measures their momentum anew."""
+    """Desaturate the reaction wheels with thrusters; a repeated action plans the impulses again from the present momentum."""
 
     def __init__(self, name: str = "action_desat", duration: float | None = None) -> None:
         """See :class:`DiscreteFSWAction`."""
@@ -84,7 +84,7 @@ class Desat(DiscreteFSWAction):
 
 
 class Downlink(DiscreteFSWAction):
-    """Align with the Hill frame and transmit while a station sees the satellite."""
+    """Align the body frame with the Hill frame, and transmit while a ground station has access."""
 
     def __init__(self, name: str = "action_downlink", duration: float | None = None) -> None:
         """See :class:`DiscreteFSWAction`."""
@@ -92,7 +92,7 @@ class Downlink(DiscreteFSWAction):
 
 
 class Scan(DiscreteFSWAction):
-    """Point the instrument down and record."""
+    """Point the instrument at nadir and record."""
 
     def __init__(self, name: str = "action_nadir_scan", duration: float | None = None) -> None:
         """See :class:`DiscreteFSWAction`."""

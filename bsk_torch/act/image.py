@@ -1,4 +1,4 @@
-"""Imaging one of the next targets."""
+"""Action that images one of the next targets."""
 
 from __future__ import annotations
 
@@ -7,31 +7,31 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
+from bsk_torch._deprecated import deprecated_names
 from bsk_torch.act.base import Action, Decision
-from bsk_torch.sim.queries import positions
+from bsk_torch.sim.access.places import place_positions
 
 if TYPE_CHECKING:
     from bsk_torch.sats.satellite import Satellite
 
 SLEW = 40.0
-"""About the time, s, in which a satellite turns to a target: what runs are sorted by."""
+"""Typical duration of a slew to a target, s; used only for the expected durations by which rows are sorted."""
+
+NO_TARGET = -1
+"""Key of an action without a target, and of the state before the first action."""
 
 
-NOTHING = -1
-"""Key of an action without a target, and of none at all."""
-
-
-def of_target(target: Tensor | int) -> Tensor | int:
-    """The action that images a target of a given index, wherever it stands among the next ones."""
+def image_target(target: Tensor | int) -> Tensor | int:
+    """Return the action -1 - ``target``, which images the target with that index in the scenario."""
     return -1 - target
 
 
 class Image(Action):
-    """Images the target of the k-th next window, for k up to ``n_ahead_image``.
+    """Image the target of the k-th next access window, for k from 0 to ``n_ahead_image`` - 1.
 
     The action ends when the image has been taken, when the target's window closes, or after ``max_duration``. Choosing the same
-    target again goes on waiting for it: a target is not imaged twice in a row. Actions -1, -2 and so on mean the target 0, 1 and
-    so on by its index in the scenario; see :func:`of_target`.
+    target again continues the action: a target is not imaged twice in a row. Actions -1, -2, ... stand for the targets 0, 1,
+    ... by their index in the scenario; see :func:`image_target`.
     """
 
     def __init__(
@@ -40,10 +40,11 @@ class Image(Action):
         """Stand for ``n_ahead_image`` actions.
 
         Args:
-            n_ahead_image: Number of targets to choose from.
-            max_duration: Longest duration, s; None for as long as the window lasts.
+            n_ahead_image: Number of windows to choose from.
+            max_duration: Longest duration, s; None for no limit but the window.
             name: Name in ``action_description``.
-            mask_repeated: Whether ``action_mask`` excludes actions that repeat the last target because there are no more.
+            mask_repeated: Whether ``action_mask`` excludes actions that stand for the last target again, because fewer than
+                ``n_ahead_image`` windows are known.
 
         Raises:
             ValueError: For fewer than one target or a duration that is not positive.
@@ -67,13 +68,13 @@ class Image(Action):
                 f"{satellite.name} is a {type(satellite).__name__} with opportunities of type {list(kinds) or 'none'}"
             )
         self.kind = satellite.target_types
-        targets = satellite.simulator.tables["target_exists"].shape[1]
+        targets = satellite.simulator.scenario_state["target_exists"].shape[1]
         satellite.simulator.access.expect(self.n_actions, targets)  # type: ignore[union-attr]
 
     @property
-    def explicit(self) -> int:
-        """See :attr:`Action.explicit`."""
-        return self.satellite.simulator.tables["target_exists"].shape[1]
+    def n_negative_actions(self) -> int:
+        """See :attr:`Action.n_negative_actions`; the number of targets."""
+        return self.satellite.simulator.scenario_state["target_exists"].shape[1]
 
     def mask(self) -> Tensor:
         """See :meth:`Action.mask`."""
@@ -81,19 +82,18 @@ class Image(Action):
             return super().mask()
         return self.satellite.find_next_opportunities(self.n_actions, self.kind).mask
 
-    def decide(self, index: Tensor, mine: Tensor, action: Tensor, previous: Tensor) -> Decision:
+    def decide(self, index: Tensor, mask: Tensor, action: Tensor, previous: Tensor) -> Decision:
         """See :meth:`Action.decide`."""
         simulator = self.satellite.simulator
-        known = self.satellite.find_next_opportunities(self.n_actions, self.kind, torch.where(mine & (action >= 0), index + 1, 0))
-        slot = index.unsqueeze(-1)
-        target = known.place.gather(1, slot).squeeze(-1)
-        same = known.place == target.unsqueeze(-1)  # its first window, which may come before the one that was chosen
+        known = self.satellite.find_next_opportunities(self.n_actions, self.kind, torch.where(mask & (action >= 0), index + 1, 0))
+        target = known.place.gather(1, index.unsqueeze(-1)).squeeze(-1)
+        same = known.place == target.unsqueeze(-1)  # the target's first window may come before the one that was chosen
         opens, close = (torch.where(same, time, torch.inf).amin(1) for time in (known.open, known.close))
-        by_index = mine & (action < 0)
+        by_index = mask & (action < 0)
         if bool(by_index.any()):
-            target, opens, close = self._explicit(by_index, action, target, opens, close)
+            target, opens, close = self._by_index(by_index, action, target, opens, close)
         waits = (known.found == 0) & ~by_index
-        key, time = torch.where(waits, NOTHING, self.keys(target)), simulator.sim_time
+        key, time = torch.where(waits, NO_TARGET, self.keys(target)), simulator.sim_time
         seconds = torch.where(waits, self.satellite.segment, close - time)
         duration = torch.clamp(seconds, max=self.max_duration)
         expected = torch.minimum(torch.clamp(opens - time, min=SLEW), duration)
@@ -102,34 +102,43 @@ class Image(Action):
 
     @staticmethod
     def keys(target: Tensor) -> Tensor:
-        """What the action is remembered by: other actions have keys from 0 on, and -1 is :data:`NOTHING`."""
+        """Return the keys of actions on targets: other actions have keys from 0 on, and -1 is :data:`NO_TARGET`."""
         return -2 - target
 
-    def _explicit(self, rows: Tensor, action: Tensor, *found: Tensor) -> tuple[Tensor, ...]:
-        """Target and window of the rows that name a target by its index; ValueError where it has no window."""
-        target = torch.where(rows, -1 - action, 0)
+    def _by_index(self, mask: Tensor, action: Tensor, *found: Tensor) -> tuple[Tensor, ...]:
+        """Replace target and window where ``mask`` [N] holds, in which actions name a target by its index.
+
+        Raises:
+            ValueError: For a target without a known window.
+        """
+        target = torch.where(mask, -1 - action, 0)
         window = self.satellite.window_of(target)
-        lost = rows & torch.isinf(window[1])
-        if bool(lost.any()):
-            row = int(torch.nonzero(lost)[0])
+        missing = mask & torch.isinf(window[1])
+        if bool(missing.any()):
+            row = int(torch.nonzero(missing)[0])
             raise ValueError(
                 f"action {int(action[row])} of {self.satellite.title(row)} asks for target {int(target[row])}, which has "
                 "been imaged, does not exist, or has no window that is known now"
             )
-        return tuple(torch.where(rows, a, b) for a, b in zip((target, *window), found, strict=True))
+        return tuple(torch.where(mask, a, b) for a, b in zip((target, *window), found, strict=True))
 
-    def begin(self, rows: Tensor, decision: Decision) -> None:
-        """See :meth:`Action.begin`: aim, and wait for the store to grow."""
-        simulator, target = self.satellite.simulator, -2 - decision.key
-        rows = rows & (decision.key != NOTHING)
-        place = positions(simulator, self.kind, torch.where(rows, target, 0).unsqueeze(-1)).squeeze(1)
-        simulator.write("target_r_P", rows & decision.retask, place)
-        simulator.write("image_level", rows, self.satellite.dynamics.partition_levels[:, 0])
+    def begin(self, mask: Tensor, decision: Decision) -> None:
+        """See :meth:`Action.begin`: set the target of the pointing guidance, and arm the event of a growing store."""
+        simulator, target = self.satellite.simulator, self.keys(decision.key)  # keys() is its own inverse
+        mask = mask & (decision.key != NO_TARGET)
+        place = torch.where(mask, target, 0).unsqueeze(-1)
+        r_LP_P = place_positions(simulator.access, simulator.scenario_state, self.kind, place).squeeze(1)
+        simulator.write("r_LP_P", mask & decision.retask, r_LP_P)
+        simulator.write("image_level", mask, self.satellite.dynamics.partition_levels[:, 0])
         memory = simulator.memory
-        memory["latest_target"] = torch.where(rows, target, memory["latest_target"])
+        memory["latest_target"] = torch.where(mask, target, memory["latest_target"])
 
-    def end(self, rows: Tensor, decision: Decision, event: Tensor) -> None:
-        """See :meth:`Action.end`: a window that has closed without an image was missed."""
+    def end(self, mask: Tensor, decision: Decision, event: Tensor) -> None:
+        """See :meth:`Action.end`: count windows that have closed without an image."""
         memory = self.satellite.simulator.memory
-        closed = rows & ~event & (decision.duration < self.max_duration) & (decision.key != NOTHING)
+        closed = mask & ~event & (decision.duration < self.max_duration) & (decision.key != NO_TARGET)
         memory["missed"] = memory["missed"] + closed
+
+
+if not TYPE_CHECKING:
+    __getattr__ = deprecated_names(__name__)

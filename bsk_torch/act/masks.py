@@ -1,36 +1,48 @@
-"""Masks of actions by name, for rules that say what a satellite may do."""
+"""Action masks by the names of actions, for rules such as a safety shield."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import lru_cache
+from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
 
+from bsk_torch._deprecated import deprecated_names
 from bsk_torch.sim.params import nearest
 
 
-def only(actions: Sequence[str], *names: str, where: Tensor) -> Tensor:
-    """Which of A actions are allowed, [..., A], if only ``names`` are ``where`` [...] holds, and all of them elsewhere.
+def allow_only(actions: Sequence[str], *names: str, where: Tensor) -> Tensor:
+    """Return a mask that allows only some actions where a condition holds, and all actions elsewhere.
 
     Args:
-        actions: Names of all actions, as ``satellite.action_description`` has them.
-        *names: Names of some of them; ValueError, with the nearest name, for one that does not exist.
-        where: Booleans.
+        actions: Names of all A actions, as in ``satellite.action_description``.
+        *names: Names of the allowed actions.
+        where: Condition, [...] bool.
+
+    Returns:
+        Mask, [..., A] bool.
+
+    Raises:
+        ValueError: For a name that is not in ``actions``; the message has the nearest one.
     """
-    return ~where.unsqueeze(-1) | _named(tuple(actions), names, where.device)
+    return ~where.unsqueeze(-1) | _is_named(tuple(actions), names, where.device)
 
 
-def never(actions: Sequence[str], *names: str, where: Tensor) -> Tensor:
-    """Which of A actions are allowed, [..., A], if ``names`` are not ``where`` [...] holds; see :func:`only`."""
-    return ~(where.unsqueeze(-1) & _named(tuple(actions), names, where.device))
+def forbid(actions: Sequence[str], *names: str, where: Tensor) -> Tensor:
+    """Return a mask that forbids some actions where a condition holds, [..., A] bool; see :func:`allow_only`."""
+    return ~(where.unsqueeze(-1) & _is_named(tuple(actions), names, where.device))
 
 
 @lru_cache
-def _named(actions: tuple[str, ...], names: tuple[str, ...], device: torch.device) -> Tensor:
-    """Whether each action is one of ``names``, [A]."""
+def _is_named(actions: tuple[str, ...], names: tuple[str, ...], device: torch.device) -> Tensor:
+    """Return whether each action is one of ``names``, [A] bool."""
     for name in names:
         if name not in actions:
             raise ValueError(f"{name!r} is not one of the actions; {nearest(name, actions)}")
     return torch.tensor([action in names for action in actions], device=device)
+
+
+if not TYPE_CHECKING:
+    __getattr__ = deprecated_names(__name__)

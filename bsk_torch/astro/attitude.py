@@ -16,9 +16,10 @@ SINGULAR = 0.1
 
 
 def mrp_to_dcm(sigma: Vec3) -> Mat3:
-    """DCM [BN] of the MRP sigma_BN.
+    """Return the DCM [BN] of the MRP sigma_BN.
 
-    ``[BN] = I + (8 S S - 4 (1 - s^2) S) / (1 + s^2)^2`` with S the cross-product matrix of sigma.
+    ``[BN] = I + (8 S S - 4 (1 - s^2) S) / (1 + s^2)^2`` with S the cross-product matrix of sigma and ``s = |sigma|`` (Schaub and
+    Junkins, chapter 3).
     """
     s2 = sigma.dot(sigma)
     scale = 1.0 / ((1.0 + s2) * (1.0 + s2))
@@ -34,7 +35,13 @@ def mrp_to_dcm(sigma: Vec3) -> Mat3:
 
 
 def dcm_to_mrp(dcm: Mat3) -> Vec3:
-    """MRP of a DCM by Sheppard's method, with norm at most one."""
+    """Return the MRP of a DCM C by Sheppard's method, with norm at most one.
+
+    With the squares ``4 b0^2 = 1 + tr C`` and ``4 bi^2 = 1 + 2 C_ii - tr C`` of the Euler parameters, the largest of the four is
+    taken and the others follow from ``4 b0 b1 = C_yz - C_zy``, ``4 b1 b2 = C_xy + C_yx`` and their cyclic permutations; then
+    ``sigma = b / (1 + b0)`` with the sign that makes b0 positive (Schaub and Junkins, chapter 3). Euler parameters are
+    used up to a common factor here, which normalising by their length removes: ``sigma = q / (q0 + sign(q0) |(q0, q)|)``.
+    """
     (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = dcm
     trace = xx + yy + zz
     b0, b1, b2, b3 = 1.0 + trace, 1.0 + 2.0 * xx - trace, 1.0 + 2.0 * yy - trace, 1.0 + 2.0 * zz - trace
@@ -53,25 +60,30 @@ def dcm_to_mrp(dcm: Mat3) -> Vec3:
 
 
 def mrp_shadow(sigma: Vec3) -> Vec3:
-    """The other MRP of the same attitude; unchanged where sigma is zero."""
+    """Return the other MRP of the same attitude, ``-sigma / |sigma|^2``; zero where sigma is zero."""
     s2 = sigma.dot(sigma)
     return -sigma / torch.where(s2 > 0.0, s2, torch.ones_like(s2))
 
 
 def mrp_switch(sigma: Vec3) -> Vec3:
-    """The MRP whose norm is at most one (strictly longer ones are replaced by their shadow)."""
+    """Return the MRP whose norm is at most one: the shadow ``-sigma / |sigma|^2`` where ``|sigma|^2 > 1``, else sigma."""
     return select(sigma.dot(sigma) > 1.0, mrp_shadow(sigma), sigma)
 
 
 def _compose(first: Vec3, second: Vec3) -> tuple[Vec3, Tensor]:
-    """Numerator and denominator of the rotation ``first``, then ``second``."""
+    """Return numerator and denominator of the rotation ``first``, then ``second``; see :func:`mrp_add`."""
     f2, s2 = first.dot(first), second.dot(second)
     numerator = first * (1.0 - s2) + first.cross(second) * 2.0 + second * (1.0 - f2)
     return numerator, 1.0 + f2 * s2 - 2.0 * first.dot(second)
 
 
 def mrp_add(first: Vec3, second: Vec3) -> Vec3:
-    """MRP of the rotation ``first`` followed by ``second``, norm at most one (Basilisk's addMRP)."""
+    """Return the MRP of the rotation ``first`` q1 followed by ``second`` q2, with norm at most one (Basilisk's addMRP).
+
+    ``q = [(1 - |q2|^2) q1 + 2 q1 x q2 + (1 - |q1|^2) q2] / D`` with ``D = 1 + |q1|^2 |q2|^2 - 2 q1 . q2`` (Schaub and Junkins,
+    chapter 3). D is near zero where q is near its singularity at a whole turn: where ``|D| < 0.1``, the shadow of q1 takes its
+    place, as in Basilisk.
+    """
     denominator = _compose(first, second)[1]
     first = select(torch.abs(denominator) < SINGULAR, mrp_shadow(first), first)
     numerator, denominator = _compose(first, second)
@@ -79,18 +91,28 @@ def mrp_add(first: Vec3, second: Vec3) -> Vec3:
 
 
 def mrp_subtract(total: Vec3, reference: Vec3) -> Vec3:
-    """MRP of ``total`` relative to ``reference``, norm at most one (Basilisk's subMRP)."""
+    """Return the MRP of ``total`` q1 relative to ``reference`` q2, with norm at most one (Basilisk's subMRP).
+
+    ``q = [(1 - |q2|^2) q1 + 2 q1 x q2 - (1 - |q1|^2) q2] / D`` with ``D = 1 + |q1|^2 |q2|^2 + 2 q1 . q2``, which is the rotation
+    -q2 followed by q1: ``[BR] = [BN] [RN]^T``.
+    """
     return mrp_add(-reference, total)
 
 
 def mrp_rate(sigma: Vec3, omega: Vec3) -> Vec3:
-    """MRP kinematics: d(sigma)/dt for the body rate omega, rad/s in body axes."""
+    """Return the rate of the MRP sigma_BN, 1/s, at the body rate omega_BN, rad/s in B.
+
+    ``sigma' = 1/4 B(sigma) omega`` with ``B = (1 - s^2) I + 2 S + 2 sigma sigma^T`` (Schaub and Junkins, chapter 3).
+    """
     s2 = sigma.dot(sigma)
     return (omega * (1.0 - s2) + sigma.cross(omega) * 2.0 + sigma * (2.0 * sigma.dot(omega))) * 0.25
 
 
 def mrp_rate_to_omega(sigma: Vec3, sigma_dot: Vec3) -> Vec3:
-    """Body rate, rad/s in body axes, that turns sigma at the rate sigma_dot: inverse of :func:`mrp_rate`."""
+    """Return the body rate omega_BN, rad/s in B, at which sigma_BN has the rate sigma_dot, 1/s: inverse of :func:`mrp_rate`.
+
+    ``omega = 4 B^-1 sigma'`` with ``B^-1 = B^T / (1 + s^2)^2`` (Schaub and Junkins, chapter 3).
+    """
     s2 = sigma.dot(sigma)
     scale = 4.0 / ((1.0 + s2) * (1.0 + s2))
     return (sigma_dot * (1.0 - s2) - sigma.cross(sigma_dot) * 2.0 + sigma * (2.0 * sigma.dot(sigma_dot))) * scale

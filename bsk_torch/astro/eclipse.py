@@ -1,4 +1,8 @@
-"""How much of the Sun a spacecraft sees past the Earth."""
+"""Illumination of a spacecraft that the Earth shades: Basilisk's module eclipse, with a spherical Earth.
+
+Source of the equations: Montenbruck and Gill, "Satellite Orbits", section 3.4.2, and Vallado, section 5.3. Positions are relative
+to the Earth's centre, m, in common axes.
+"""
 
 from __future__ import annotations
 
@@ -12,22 +16,36 @@ from bsk_torch.vec3 import Vec3, only
 
 
 def _in_shadow_cones(r: Vec3, r_sun: Vec3) -> Tensor:
-    """Whether r lies inside the penumbral or umbral cone of the spherical Earth (Vallado, section 5.3)."""
+    """Return whether r lies inside the penumbral or the umbral cone of the spherical Earth (Vallado, section 5.3).
+
+    With ``s0 = -r . r_S / |r_S|`` along and ``l`` across the axis of the shadow, ``l < |l1|`` or ``l < |l2|`` where
+    ``l1 = (s0 + R / sin f1) tan f1``, ``sin f1 = (R_sun + R) / |r_S|``, and ``l2 = (s0 - R / sin f2) tan f2``,
+    ``sin f2 = (R_sun - R) / |r_S|``.
+    """
     sun2 = r_sun.dot(r_sun)
     sun = sun2.sqrt()
     along = -r.dot(r_sun) / sun
     across = torch.sqrt(torch.clamp(r.dot(r) - along * along, min=0.0))
     sin_penumbra, sin_umbra = (R_SUN + R_EARTH) / sun, (R_SUN - R_EARTH) / sun
-    # l = c tan(f) with c = along +- R / sin(f)
+    # (s0 +- R / sin f) tan f = (s0 sin f +- R) / cos f, without the division by a small sine
     penumbra = (along * sin_penumbra + R_EARTH) / torch.sqrt(1.0 - sin_penumbra * sin_penumbra)
     umbra = (along * sin_umbra - R_EARTH) / torch.sqrt(1.0 - sin_umbra * sin_umbra)
     return (across < torch.abs(penumbra)) | (across < torch.abs(umbra))
 
 
 def visible_fraction(sun_radius: Tensor, planet_radius: Tensor, separation: Tensor) -> Tensor:
-    """Fraction of a disc of apparent radius ``sun_radius`` that another, larger or smaller, disc leaves visible (all rad).
+    """Return the fraction of the Sun's disc that the planet's leaves visible; an annular eclipse gives the hidden fraction.
 
-    Source: Montenbruck and Gill, "Satellite Orbits", section 3.4.2.
+    With the apparent radii a of the Sun and b of the planet and the separation c of their centres, rad::
+
+        c < b - a                  0
+        c < a - b                  b^2 / a^2
+        c < a + b                  1 - A / (pi a^2),  A = a^2 acos(x / a) + b^2 acos((c - x) / b) - c y,
+                                   x = (c^2 + a^2 - b^2) / (2 c),  y = sqrt(a^2 - x^2)
+        otherwise                  1
+
+    Source: Montenbruck and Gill, "Satellite Orbits", section 3.4.2, but for the second line, which is Basilisk's: it would be
+    ``1 - b^2 / a^2``.
     """
     a, b, c = sun_radius, planet_radius, torch.clamp(separation, min=1e-12)
     x = torch.clamp((c * c + a * a - b * b) / (2.0 * c), min=-a, max=a)
@@ -40,13 +58,17 @@ def visible_fraction(sun_radius: Tensor, planet_radius: Tensor, separation: Tens
 
 
 def in_umbra(r: Vec3, r_sun: Vec3) -> Tensor:
-    """Whether the Earth hides the whole Sun at r: where :func:`illumination` is zero (positions in m, in the same axes)."""
+    """Return whether the Earth hides the whole Sun at r, so that :func:`illumination` is zero."""
     to_sun = r_sun - r
     return (to_sun.dot(to_sun) >= r_sun.dot(r_sun)) & _hidden(r, to_sun)[0]
 
 
 def _hidden(r: Vec3, to_sun: Vec3) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Whether the planet's disc covers the Sun's; sines of their apparent radii, and the cosine of the angle between them."""
+    """Return whether the planet's disc covers the Sun's; sines of their apparent radii, and the cosine of their separation.
+
+    ``sin a = R_sun / |r_S - r|``, ``sin b = R / |r|``, ``cos c = -r . (r_S - r) / (|r| |r_S - r|)``. The disc is covered where
+    ``c < b - a``, that is ``cos c > cos(b - a)`` and ``b > a``, without inverse functions.
+    """
     distance, radius = to_sun.norm(), r.norm()
     sin_sun, sin_planet = torch.clamp(R_SUN / distance, max=1.0), torch.clamp(R_EARTH / radius, max=1.0)
     cos_sun, cos_planet = torch.sqrt(1.0 - sin_sun * sin_sun), torch.sqrt(1.0 - sin_planet * sin_planet)
@@ -56,7 +78,7 @@ def _hidden(r: Vec3, to_sun: Vec3) -> tuple[Tensor, Tensor, Tensor, Tensor]:
 
 
 def illumination(r: Vec3, r_sun: Vec3) -> Tensor:
-    """Illuminated fraction of the solar disc, 1 in full light and 0 in the umbra.
+    """Return the illuminated fraction of the solar disc, 1 in full light and 0 in the umbra; see :func:`visible_fraction`.
 
     Args:
         r: Spacecraft position relative to the Earth's centre, m.
@@ -72,7 +94,7 @@ def illumination(r: Vec3, r_sun: Vec3) -> Tensor:
 
 
 def _shaded(r: Vec3, r_sun: Vec3, to_sun: Vec3, night: Tensor) -> Tensor:
-    """Illumination on the night side; apparent radii become angles only where the discs' edges cross."""
+    """Return the illumination on the night side; apparent radii become angles only where the discs' edges cross."""
     hidden, sin_sun, sin_planet, cosine = _hidden(r, to_sun)
     inside = night & _in_shadow_cones(r, r_sun)  # by day the cones have a mirror image
 

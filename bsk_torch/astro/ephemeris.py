@@ -5,7 +5,7 @@ aberration), relative to the Earth's centre, along the J2000 (ICRF) axes.
 
 Sources:
     UTC to TDB: leap seconds and the one-term TDB - TT formula of the NAIF kernel naif0012.tls.
-    Sun: Chebyshev series fitted to JPL DE440 by `scripts/make_tables.py`, within 0.5 m and 1e-4 m/s of it.
+    Sun: Chebyshev series fitted to JPL DE440 by `scripts/tools/make_tables.py`, within 0.5 m and 1e-4 m/s of it.
     Earth: the body-fixed frame IAU_EARTH of the NAIF kernel pck00010.tpc, a uniform rotation about a slowly drifting
     pole (no nutation, no UT1).
 
@@ -165,6 +165,9 @@ def sun_state(et: Tensor) -> tuple[Tensor, Tensor]:
 def earth_angles(et: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """Angles of the frame IAU_EARTH (pck00010).
 
+    ``alpha = -0.641 T``, ``delta = 90 - 0.557 T`` and ``W = 190.147 + 360.9856235 d``, in degrees, at d days and T Julian
+    centuries of TDB past J2000.
+
     Args:
         et: Epochs in s past J2000, float64, any shape and device.
 
@@ -185,6 +188,9 @@ def earth_angles(et: Tensor) -> tuple[Tensor, Tensor, Tensor]:
 def earth_orientation(et: Tensor) -> Tensor:
     """Direction cosine matrix from J2000 to the Earth-fixed frame IAU_EARTH.
 
+    ``[PN] = R3(W) R1(90 deg - delta) R3(90 deg + alpha)`` with right ascension alpha and declination delta of the pole and the
+    prime meridian W of :func:`earth_angles`; R1 and R3 are frame rotations about x and z.
+
     Args:
         et: Epochs in s past J2000, float64, any shape and device.
 
@@ -199,7 +205,10 @@ def earth_orientation(et: Tensor) -> Tensor:
 
 
 def earth_orientation_rate(et: Tensor) -> Tensor:
-    """Time derivative of `earth_orientation`.
+    """Time derivative of `earth_orientation`: the product rule, with constant rates of alpha, delta and W.
+
+    ``[PN]' = W' R3'(W) R1 R3 - delta' R3 R1'(90 deg - delta) R3 + alpha' R3 R1 R3'(90 deg + alpha)``, where R1' and R3' are the
+    derivatives of the rotations with respect to their angles.
 
     Args:
         et: Epochs in s past J2000, float64, any shape and device.
@@ -248,14 +257,17 @@ def _tai_minus_utc(date: datetime) -> int:
 
 
 def _et(date: datetime, second: float) -> float:
-    """ET in s of a UTC minute and the second in it."""
+    """ET in s of a UTC minute and the second in it: ``UTC + (TAI - UTC) + 32.184 s + (TDB - TT)``."""
     minutes = (date - _J2000) // timedelta(minutes=1)
     tt = minutes * 60.0 + second + _tai_minus_utc(date) + TT_MINUS_TAI
     return tt + _tdb_minus_tt(tt)
 
 
 def _tdb_minus_tt(tt: float) -> float:
-    """TDB - TT in s: one term in the Earth's eccentric anomaly (naif0012, DELTET/K, EB and M)."""
+    """TDB - TT in s: one term in the Earth's eccentric anomaly (naif0012, DELTET/K, EB and M).
+
+    ``K sin E`` with ``E = M + e sin M``, ``M = M0 + M1 tt``, ``K = 1.657e-3 s`` and ``e = 1.671e-2``.
+    """
     mean_anomaly = 6.239996 + 1.99096871e-7 * tt
     return 1.657e-3 * math.sin(mean_anomaly + 1.671e-2 * math.sin(mean_anomaly))
 

@@ -25,7 +25,7 @@ DEGREE = 10
 
 
 class Weights(NamedTuple):
-    """What one pair of Cunningham functions V, W adds to the acceleration, per axis, in units of mu/R^2."""
+    """Coefficients of one pair of Cunningham functions V, W in the acceleration, for each axis, in units of mu/R^2."""
 
     x: tuple[float, float]
     y: tuple[float, float]
@@ -33,7 +33,10 @@ class Weights(NamedTuple):
 
 
 def _unnormalised(degree: int) -> tuple[np.ndarray, np.ndarray]:
-    """Coefficients C and S of GGM03S without normalisation, up to ``degree``."""
+    """Return the coefficients C and S of GGM03S without normalisation, up to ``degree``.
+
+    ``C_nm = sqrt((2 - d_0m) (2 n + 1) (n - m)! / (n + m)!) Cbar_nm`` and S likewise (Montenbruck and Gill, section 3.2).
+    """
     path = importlib.resources.files("bsk_torch.astro") / "tables" / "ggm03s_degree10.csv"
     with path.open() as file:
         lines = [line for line in file if line[0].isdigit()]
@@ -49,7 +52,21 @@ def _unnormalised(degree: int) -> tuple[np.ndarray, np.ndarray]:
 
 @functools.lru_cache
 def field_weights(degree: int) -> dict[tuple[int, int], Weights]:
-    """Weights of V[n, m] and W[n, m] in the acceleration, for a field of ``degree`` (0: point mass, 2: J2 and order 2)."""
+    """Return the weights of V[n, m] and W[n, m] in the acceleration, for a field of ``degree`` and order.
+
+    Degree 0 is the point mass. In units of mu/R^2 the acceleration of the term n, m is (Montenbruck and Gill, section 3.2.5,
+    equation 3.33), for m = 0::
+
+        x: -C_n0 V_n+1,1        y: -C_n0 W_n+1,1        z: -(n + 1) C_n0 V_n+1,0
+
+    and for m > 0, with ``p = (n - m + 1) (n - m + 2)``::
+
+        x: 1/2 [-C V_n+1,m+1 - S W_n+1,m+1 + p (C V_n+1,m-1 + S W_n+1,m-1)]
+        y: 1/2 [-C W_n+1,m+1 + S V_n+1,m+1 + p (-C W_n+1,m-1 + S V_n+1,m-1)]
+        z: (n - m + 1) (-C V_n+1,m - S W_n+1,m)
+
+    so that each V and W gets one weight per axis, summed over all terms.
+    """
     c, s = _unnormalised(degree)
     c[0, 0] = 1.0
     sums = {(n, m): np.zeros((3, 2)) for n in range(1, degree + 2) for m in range(n + 1)}
@@ -73,7 +90,7 @@ J2 = -float(_unnormalised(2)[0][2, 0])
 
 
 def _total(terms: list[Any]) -> Any:
-    """Sum, smallest terms (the last) first."""
+    """Return the sum, smallest terms (the last) first, which rounds least."""
     total = terms[-1]
     for term in terms[-2::-1]:
         total = total + term
@@ -81,7 +98,11 @@ def _total(terms: list[Any]) -> Any:
 
 
 def _column(m: int, order: int, z: Tensor, rho: Tensor) -> list[Any]:
-    """What V[n, m] and W[n, m] have in common for n = m to ``order``: their first is one, the second still a constant times z."""
+    """Return the factors P[n, m] that V[n, m] and W[n, m] have in common, for n = m to ``order``, without that of P[m, m].
+
+    ``P_n = ((2 n - 1) z P_n-1 - (n + m - 1) rho P_n-2) / (n - m)`` with ``P_m = 1`` and ``P_m-1 = 0``, where z stands for
+    ``z R / r^2`` and rho for ``R^2 / r^2`` (Montenbruck and Gill, section 3.2.4, equation 3.30).
+    """
     column: list[Any] = [1.0, (2.0 * m + 1.0) * z]
     for n in range(m + 2, order + 1):
         a, b = (2 * n - 1) / (n - m), (n + m - 1) / (n - m)
@@ -90,7 +111,7 @@ def _column(m: int, order: int, z: Tensor, rho: Tensor) -> list[Any]:
 
 
 def _sums(m: int, column: list[Any], weights: Mapping[tuple[int, int], Weights]) -> list[tuple[Any, Any]]:
-    """For each axis, the sums over n of the weights of V and of W times the column; None where all weights are zero."""
+    """Return, for each axis, the sums over n of the weights of V and of W times the column; None where all weights are zero."""
     scale = float(math.prod(range(1, 2 * m, 2)))
     pairs = []
     for axis in range(3):
@@ -107,10 +128,11 @@ def _sums(m: int, column: list[Any], weights: Mapping[tuple[int, int], Weights])
 
 
 def field(r: Vec3, weights: Mapping[tuple[int, int], Weights]) -> Vec3:
-    """Acceleration, m/s^2, of the Earth's field at the Earth-fixed position r, m (both in P axes).
+    """Return the acceleration, m/s^2, by the Earth's field at the Earth-fixed position r, m (both in P axes).
 
-    The functions are V + i W = P[n, m](z R / r^2, R^2 / r^2) (x + i y)^m (R / r^2)^m R / r: each polynomial P serves both, and
-    the sums over n come first.
+    ``a = (mu / R^2) sum_nm (v_nm V_nm + w_nm W_nm)`` with the weights v and w of :func:`field_weights` and the functions
+    ``V_nm + i W_nm = P_nm(z R / r^2, R^2 / r^2) (x + i y)^m (R / r^2)^m R / r``. The polynomial P, with the factor (2 m - 1)!!,
+    serves both, so the sums over n come first.
     """
     order = max(n for n, _ in weights)
     inverse_r2 = 1.0 / r.dot(r)
@@ -127,10 +149,12 @@ def field(r: Vec3, weights: Mapping[tuple[int, int], Weights]) -> Vec3:
 
 
 def third_body(r: Vec3, r_body: Vec3, mu: float = MU_SUN) -> Vec3:
-    """Acceleration, m/s^2, by a third body at r_body relative to the Earth's own (any common frame, m).
+    """Return the acceleration, m/s^2, by a third body at ``r_body`` s, relative to the Earth's own, at r (m, in common axes).
 
-    The difference of two nearly equal terms is formed as in Battin, "An Introduction to the Mathematics and Methods of
-    Astrodynamics", section 8.6, which keeps its digits.
+    ``a = -mu (d / |d|^3 + s / |s|^3)`` with ``d = r - s``. The difference of two nearly equal terms is formed as in Battin, "An
+    Introduction to the Mathematics and Methods of Astrodynamics", section 8.6, which keeps its digits::
+
+        a = -(mu / |d|^3) (r + f s),  f = q (3 + 3 q + q^2) / (1 + (1 + q)^(3/2)),  q = r . (r - 2 s) / |s|^2
     """
     body2 = r_body.dot(r_body)
     q = (r.dot(r) - 2.0 * r.dot(r_body)) / body2

@@ -21,9 +21,16 @@ def _advance(y: State, rate: State, step: float | Tensor) -> State:
 
 
 def rk4_step(rates: Callable[[int, Any, State], State], y: State, h: float | Tensor) -> State:
-    """One classical fourth-order Runge-Kutta step of length h.
+    """Return the state after one classical fourth-order Runge-Kutta step of length h, s.
 
-    ``rates(stage, offset, y)`` gives dy/dt for the stage 0 to 3 whose time lies ``offset`` seconds after the start.
+    ``y(t + h) = y + h (k1 + 2 k2 + 2 k3 + k4) / 6`` with ``k1 = f(t, y)``, ``k2 = f(t + h/2, y + h k1 / 2)``,
+    ``k3 = f(t + h/2, y + h k2 / 2)`` and ``k4 = f(t + h, y + h k3)`` (Hairer, Norsett and Wanner, "Solving Ordinary Differential
+    Equations I", section II.1).
+
+    Args:
+        rates: ``rates(stage, offset, y)`` gives f for the stage 0 to 3 whose time lies ``offset`` seconds after the start.
+        y: State at the start.
+        h: Length of the step, which may be negative.
     """
     k1 = rates(0, 0.0, y)
     k2 = rates(1, 0.5 * h, _advance(y, k1, 0.5 * h))
@@ -36,8 +43,9 @@ def rk4_step(rates: Callable[[int, Any, State], State], y: State, h: float | Ten
 class Quadrature(NamedTuple):
     """Matrices of a Picard step on Chebyshev nodes, for an interval of length one.
 
-    ``nodes`` [M] are the times, ``velocity`` and ``position`` [K, M] integrate accelerations at the nodes once and twice from
-    the start to the K output times, ``value`` [K, M] interpolates them there.
+    With accelerations a_j at the M ``nodes`` s_j [M] and their interpolating polynomial ``a(s) = sum_j a_j l_j(s)``, the
+    matrices [K, M] give at the K output ``times`` t_k: ``value`` l_j(t_k), ``velocity`` the integral of l_j from 0 to t_k, and
+    ``position`` the integral of (t_k - s) l_j(s) from 0 to t_k, which integrates twice.
     """
 
     nodes: Tensor
@@ -49,10 +57,10 @@ class Quadrature(NamedTuple):
 
 @functools.lru_cache
 def quadrature(order: int, outputs: tuple[float, ...] | None = None, device: str = "cpu") -> Quadrature:
-    """Quadrature of ``order + 1`` Chebyshev-Lobatto nodes, to ``outputs`` in [0, 1] (the nodes themselves if None).
+    """Return the quadrature of ``order + 1`` Chebyshev-Lobatto nodes, to ``outputs`` in [0, 1] (the nodes themselves if None).
 
-    Source: Bai and Junkins, "Modified Chebyshev-Picard Iteration Methods for Orbit Propagation" (2011); the integrals of the
-    interpolating polynomial are exact.
+    The nodes are ``(1 - cos(pi j / order)) / 2``, j = 0 to ``order``; the integrals of the interpolating polynomial are exact.
+    Source: Bai and Junkins, "Modified Chebyshev-Picard Iteration Methods for Orbit Propagation" (2011).
     """
     x = -np.cos(np.pi * np.arange(order + 1) / order)
     x_out = x if outputs is None else 2.0 * np.asarray(outputs) - 1.0

@@ -1,4 +1,4 @@
-"""Interpolation between positions at equal steps of time."""
+"""Interpolation between positions at equal steps of time, by the polynomial through ten of them."""
 
 from __future__ import annotations
 
@@ -16,7 +16,10 @@ COUNT, BEFORE = 10, 4
 
 @cache
 def _from_differences() -> tuple[tuple[float, ...], ...]:
-    """Matrix from the nodes' differences to node :data:`BEFORE` to the coefficients of s, s^2, ... (rows), s in steps."""
+    """Return the matrix from the nodes' differences to node :data:`BEFORE` to the coefficients of s, s^2, ... (rows), s in steps.
+
+    It is the inverse of the Vandermonde matrix ``s_j^k`` of the other nodes, ``s_j = j - BEFORE``, k = 1 to COUNT - 1.
+    """
     s = np.delete(np.arange(COUNT) - BEFORE, BEFORE).astype(float)
     powers = s[:, None] ** np.arange(1, COUNT)
     inverse = np.linalg.inv(powers)
@@ -25,7 +28,7 @@ def _from_differences() -> tuple[tuple[float, ...], ...]:
 
 
 def coefficients(nodes: list[Vec3]) -> list[Vec3]:
-    """Coefficients c_k, m, of ``sum c_k s^k`` through :data:`COUNT` nodes, where s counts steps from node :data:`BEFORE`."""
+    """Return the coefficients c_k, m, of ``r(s) = sum_k c_k s^k`` through COUNT nodes; s counts steps from node BEFORE."""
     middle = nodes[BEFORE]
     differences = [node - middle for k, node in enumerate(nodes) if k != BEFORE]
     result = [middle]
@@ -39,7 +42,10 @@ def coefficients(nodes: list[Vec3]) -> list[Vec3]:
 
 
 def position(c: list[Vec3], s: Tensor) -> Vec3:
-    """Position, m, s steps after the middle node; for a low orbit and steps of 60 s good to a few micrometres."""
+    """Return the position ``r(s) = sum_k c_k s^k``, m, s steps after the middle node (Horner's rule).
+
+    For a low orbit and steps of 60 s it is good to a few micrometres.
+    """
     r = c[-1]
     for term in c[-2::-1]:
         r = term + r * s
@@ -47,7 +53,7 @@ def position(c: list[Vec3], s: Tensor) -> Vec3:
 
 
 def velocity(c: list[Vec3], s: Tensor, step: float) -> Vec3:
-    """Velocity, m/s, where a step lasts ``step`` seconds."""
+    """Return the velocity ``v(s) = sum_k k c_k s^(k-1) / step``, m/s, where a step lasts ``step`` seconds."""
     v = c[-1] * float(len(c) - 1)
     for k in range(len(c) - 2, 0, -1):
         v = c[k] * float(k) + v * s
@@ -55,6 +61,6 @@ def velocity(c: list[Vec3], s: Tensor, step: float) -> Vec3:
 
 
 def positions(nodes: Tensor, s: Tensor) -> Tensor:
-    """Positions [m, 3], m, from nodes [m, COUNT, 3], s [m] steps after the middle node of each."""
+    """Return positions [m, 3], m, from nodes [m, COUNT, 3], s [m] steps after the middle node of each."""
     c = coefficients([Vec3.of(node) for node in nodes.unbind(-2)])
     return torch.stack(list(position(c, s)), -1)

@@ -14,7 +14,7 @@ from functools import cache
 
 @cache
 def _lagrange(nodes: tuple[int, ...]) -> tuple[tuple[Fraction, ...], ...]:
-    """Coefficients, constant term first, of the polynomial that is one at each node and zero at the others."""
+    """Return the coefficients, constant term first, of Lagrange's ``l_j(s) = prod_i (s - s_i) / (s_j - s_i)``, i != j."""
     polynomials = []
     for node in nodes:
         terms = [Fraction(1)]
@@ -28,7 +28,10 @@ def _lagrange(nodes: tuple[int, ...]) -> tuple[tuple[Fraction, ...], ...]:
 
 
 def velocity_weights(nodes: Sequence[int], start: int, end: int) -> list[float]:
-    """Weights, in steps, of accelerations at ``nodes`` in the change of velocity from ``start`` to ``end``."""
+    """Return the weights, in steps, of accelerations at ``nodes`` in the change of velocity from ``start`` to ``end``.
+
+    ``v(end) - v(start) = h sum_j w_j a_j`` with ``w_j = int_start^end l_j(s) ds`` and the step h, s.
+    """
     return [
         float(sum(c * Fraction(end ** (k + 1) - start ** (k + 1), k + 1) for k, c in enumerate(terms)))
         for terms in _lagrange(tuple(nodes))
@@ -36,7 +39,10 @@ def velocity_weights(nodes: Sequence[int], start: int, end: int) -> list[float]:
 
 
 def position_weights(nodes: Sequence[int], start: int, end: int) -> list[float]:
-    """Weights, in steps squared, of accelerations at ``nodes`` in the position that they add from ``start`` to ``end``."""
+    """Return the weights, in steps squared, of accelerations at ``nodes`` in the change of position from ``start`` to ``end``.
+
+    ``r(end) = r(start) + h (end - start) v(start) + h^2 sum_j w_j a_j`` with ``w_j = int_start^end (end - s) l_j(s) ds``.
+    """
 
     def moment(k: int) -> Fraction:
         """Integral of (end - s) s^k from start to end."""

@@ -27,7 +27,16 @@ class Elements(NamedTuple):
 
 
 def elements_to_rv(oe: Elements, mu: Tensor | float = MU_EARTH) -> tuple[Vec3, Vec3]:
-    """Position, m, and velocity, m/s, of elements, in the inertial axes that they refer to."""
+    """Return position, m, and velocity, m/s, of elements, in the inertial axes N that they refer to.
+
+    With ``p = a (1 - e^2)``, ``r = p / (1 + e cos f)`` and ``theta = omega + f``::
+
+        r_N = r [cos th cos Om - cos i sin th sin Om,  cos th sin Om + cos i sin th cos Om,  sin th sin i]
+        v_N = sqrt(mu / p) [-(cos Om (e sin om + sin th) + cos i (e cos om + cos th) sin Om),
+                            -(sin Om (e sin om + sin th) - cos i (e cos om + cos th) cos Om),  (e cos om + cos th) sin i]
+
+    Source: Schaub and Junkins, chapter 9.
+    """
     p = oe.a * (1.0 - oe.e * oe.e)
     radius, theta = p / (1.0 + oe.e * torch.cos(oe.f)), oe.omega + oe.f
     c_node, s_node, c_i, s_i = torch.cos(oe.Omega), torch.sin(oe.Omega), torch.cos(oe.i), torch.sin(oe.i)
@@ -40,7 +49,7 @@ def elements_to_rv(oe: Elements, mu: Tensor | float = MU_EARTH) -> tuple[Vec3, V
 
 
 def _angle(y: Tensor, x: Tensor) -> Tensor:
-    """Angle, rad in (-pi, pi], of points (x, y) other than the origin.
+    """Return the angle, rad in (-pi, pi], of points (x, y) other than the origin: ``2 atan(y / (|(x, y)| + x))`` where x >= 0.
 
     The last bit of torch's atan2 depends on where in a tensor a number stands, so results would depend on the size of the batch.
     """
@@ -49,7 +58,11 @@ def _angle(y: Tensor, x: Tensor) -> Tensor:
 
 
 def rv_to_elements(r: Vec3, v: Vec3, mu: Tensor | float = MU_EARTH, small: float = SMALL) -> Elements:
-    """Elements of a bound, non-rectilinear orbit; angles in [0, 2 pi).
+    """Return the elements of a bound, non-rectilinear orbit; angles in [0, 2 pi).
+
+    From ``h = r x v`` and ``e = ((v^2 - mu / r) r - (r . v) v) / mu``: ``1 / a = 2 / r - v^2 / mu``, i is the angle between h and
+    z, Omega that of the node ``n = z x h``, omega goes from n to e and f from e to r, about h (Schaub and Junkins, chapter 9;
+    Vallado, algorithm 9).
 
     Orbits with an eccentricity below ``small`` get e = omega = 0 and the argument of latitude as f; those with an inclination
     below get Omega = 0. The first moves them by up to ``2 a small``, the second by ``a small``.
@@ -74,18 +87,22 @@ def rv_to_elements(r: Vec3, v: Vec3, mu: Tensor | float = MU_EARTH, small: float
 
 
 def hill_frame(r: Vec3, v: Vec3) -> Mat3:
-    """DCM [HN] of the Hill frame: rows radial, along-track, orbit normal."""
+    """Return the DCM [HN] of the Hill frame.
+
+    Its rows are ``o_r = r / |r|``, ``o_theta = o_h x o_r`` and ``o_h = r x v / |r x v|``: radial, along the track and along the
+    orbit normal (Schaub and Junkins, section 14.2).
+    """
     radial, normal = r.unit(), r.cross(v).unit()
     return Mat3(radial, normal.cross(radial), normal)
 
 
 def hill_rate(r: Vec3, v: Vec3) -> Tensor:
-    """Rate of the Hill frame about the orbit normal, rad/s: ``|r x v| / |r|^2``."""
+    """Return the rate of the Hill frame about the orbit normal, rad/s: ``f' = |r x v| / |r|^2``."""
     return r.cross(v).norm() / r.dot(r)
 
 
 def hill_to_inertial(r_CN_N: Vec3, v_CN_N: Vec3, rho_H: Vec3, rho_H_dot: Vec3) -> tuple[Vec3, Vec3]:
-    """Position, m, and velocity, m/s, in N of a deputy D from its motion relative to a chief C.
+    """Return position, m, and velocity, m/s, in N of a deputy D from its motion relative to a chief C.
 
     ``r_D = r_C + [NH] rho`` and ``v_D = v_C + [NH] (rho' + omega_HN x rho)`` (Schaub and Junkins, section 14.2).
 
@@ -101,7 +118,7 @@ def hill_to_inertial(r_CN_N: Vec3, v_CN_N: Vec3, rho_H: Vec3, rho_H_dot: Vec3) -
 
 
 def periapsis_radius(r: Vec3, v: Vec3, mu: Tensor | float = MU_EARTH) -> Tensor:
-    """Radius of periapsis, m, of the osculating orbit."""
+    """Return the radius of periapsis, m, of the osculating orbit: ``a (1 - e)``, with a and e as in :func:`rv_to_elements`."""
     radius, v2 = r.norm(), v.dot(v)
     eccentricity = r * ((v2 - mu / radius) / mu) - v * (r.dot(v) / mu)
     return (1.0 - eccentricity.norm()) / (2.0 / radius - v2 / mu)

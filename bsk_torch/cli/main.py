@@ -8,7 +8,10 @@ from importlib import import_module
 import typer
 
 from bsk_torch.cli.evaluate import evaluate_policy
+from bsk_torch.cli.explain import explain_failures
+from bsk_torch.cli.publish import publish
 from bsk_torch.cli.report import report
+from bsk_torch.cli.schedule import show_schedule
 from bsk_torch.cli.shared import Preset, made
 from bsk_torch.cli.train import train
 from bsk_torch.presets import PRESETS
@@ -41,5 +44,8 @@ def show_arguments(preset: Preset) -> None:
 
 
 app.command("eval")(evaluate_policy)
+app.command("explain")(explain_failures)
+app.command("publish")(publish)
 app.command("report")(report)
+app.command("schedule")(show_schedule)
 app.command("train")(train)

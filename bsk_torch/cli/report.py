@@ -1,4 +1,4 @@
-"""``bsk-torch report``: one HTML page that tells what a run has learned."""
+"""``bsk-torch report``: one HTML page about a run."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import torch
 import typer
 
+from bsk_torch.cli.pictures import record
 from bsk_torch.cli.shared import (
     Backend,
     Device,
@@ -24,19 +25,18 @@ from bsk_torch.cli.shared import (
     environment_options,
     fail,
 )
-from bsk_torch.rl.config import CONFIG, PPOConfig, load_config
-from bsk_torch.rl.evaluate import FRESH, evaluate
-from bsk_torch.rl.log import EVALUATIONS, LOG, read_log
-from bsk_torch.rl.policies import POLICY, build_policy, check_fits, read_card
-from bsk_torch.rl.recipes import configure
-from bsk_torch.rl.targets import image_actions
+from bsk_torch.rl.evaluation.evaluate import FRESH, evaluate
+from bsk_torch.rl.marl.runs import PPO, algorithm_of, configure_run, read_config
+from bsk_torch.rl.policies.files import POLICY, build_policy, check_fits, read_card
+from bsk_torch.rl.policies.shared_policy import member_view, shared
+from bsk_torch.rl.training.config import CONFIG, PPOConfig
+from bsk_torch.rl.training.log import EVALUATIONS, LOG, read_log
 
 if TYPE_CHECKING:
-    from tensordict.nn import TensorDictModuleBase
     from torch import Tensor
 
 RESULTS, REPORT = "evaluation.json", "report.html"
-"""What the command line adds to a run's logs, and what is written."""
+"""Files of the final evaluation, which the command line adds to a run's logs, and of the report."""
 
 FLAGS = {"backend": "compiled", "device": "cpu", "time_limit": None}
 """Options of the environment that are flags of the command line, with their defaults."""
@@ -54,8 +54,8 @@ def report(
 ) -> None:
     """Write report.html into the folder of a run: learning curves, final evaluation, and episodes on maps."""
     torch.set_num_threads(threads)
-    pages, config = _pages(), _config(run)
-    card = _card(run, device)
+    pages, config = _pages(), run_config(run)
+    card = run_card(run, device)
     options = config.options | environment_options(backend, device, None)
     shown = _episodes(config, card, options, episodes, device)
     data = pages.RunData(
@@ -75,9 +75,9 @@ def report(
 
 
 def _pages() -> Any:
-    """What writes reports; ends the program where matplotlib or jinja2 is missing."""
+    """Return the module that writes reports; ends the program if matplotlib or jinja2 is missing."""
     try:
-        return import_module("bsk_torch.viz.report")
+        return import_module("bsk_torch.viz.report.page")
     except ModuleNotFoundError as error:
         fail(f"a report needs {error.name}; pip install 'bsk_torch[viz]'")
 
@@ -85,19 +85,19 @@ def _pages() -> Any:
 # -- the folder of a run ---------------------------------------------------------------------------------------------------------
 
 
-def _config(folder: Path) -> PPOConfig:
+def run_config(folder: Path) -> PPOConfig:
     """Configuration of a run; ends the program where there is none."""
     if not folder.is_dir():
         fail(f"there is no folder {str(folder)!r}; training says at its end where it has left its results")
     if not (folder / CONFIG).is_file():
         fail(f"{str(folder)!r} has no {CONFIG}; it is no folder of a run")
     try:
-        return load_config(folder / CONFIG, PPOConfig)
+        return read_config(folder)
     except ValueError as error:
         fail(str(error))
 
 
-def _card(folder: Path, device: str) -> dict[str, Any]:
+def run_card(folder: Path, device: str) -> dict[str, Any]:
     """The policy of a run; ends the program where there is none."""
     if not (folder / POLICY).is_file():
         fail(f"{str(folder)!r} has no {POLICY}; training leaves it at its end")
@@ -131,18 +131,19 @@ def _facts(card: dict[str, Any]) -> dict[str, str]:
 def _episodes(
     config: PPOConfig, card: dict[str, Any], options: dict[str, Any], episodes: int, device: str
 ) -> Iterator[tuple[str, int, Any]]:
-    """Why it is shown, its number, and the recording of the best, the median and the worst of fresh episodes."""
+    """Yield the reason, the number and the recording of the best, the median and the worst of fresh episodes."""
     env = environment(config.preset, episodes, options)
     try:
-        check_fits(card, env, config.preset)
-        policy = build_policy(card, device)
+        check_fits(card, member_view(env), config.preset)
+        policy = shared(build_policy(card, device), env)
     except ValueError as error:
         fail(str(error))
     with console.status(f"playing {episodes} fresh episodes"):
         returns = evaluate(policy, env, seed=config.seed + FRESH).returns
     for why, number in extremes(returns).items():
         with console.status(f"playing the {why} episode again"):
-            yield why, number, _recorded(config, policy, options | {"env_ids": [number]})
+            one = environment(config.preset, 1, options | {"env_ids": [number]})
+            yield why, number, record(policy, one, config.seed + FRESH)
 
 
 def extremes(returns: Tensor) -> dict[str, int]:
@@ -152,16 +153,6 @@ def extremes(returns: Tensor) -> dict[str, int]:
     return {why: number for k, (why, number) in enumerate(chosen.items()) if number not in list(chosen.values())[:k]}
 
 
-def _recorded(config: PPOConfig, policy: TensorDictModuleBase, options: dict[str, Any]) -> Any:
-    env = environment(config.preset, 1, options)
-    record = import_module("bsk_torch.viz.imaging").record_imaging_episode
-    try:
-        image_actions(env)
-    except ValueError:  # no targets
-        record = import_module("bsk_torch.viz.track").record_track
-    return record(policy, env, seed=config.seed + FRESH)
-
-
 # -- the command -----------------------------------------------------------------------------------------------------------------
 
 
@@ -169,7 +160,8 @@ def command_of(config: PPOConfig) -> str:
     """The shell command that trains with such a configuration."""
     limit = ["--minutes", f"{config.seconds / 60.0:g}"] if config.seconds is not None else []
     limit = limit if config.frames is None else ["--frames", str(config.frames)]
-    flags = ["--network", config.network, *limit, "--seed", str(config.seed)]
+    algorithm = [] if algorithm_of(config) == PPO else ["--algorithm", algorithm_of(config)]
+    flags = [*algorithm, "--network", config.network, *limit, "--seed", str(config.seed)]
     for name, usual in FLAGS.items():
         if config.options.get(name, usual) != usual:
             flags += [f"--{name.replace('_', '-')}", str(config.options[name])]
@@ -178,8 +170,8 @@ def command_of(config: PPOConfig) -> str:
 
 def _changes(config: PPOConfig) -> Iterator[str]:
     """Settings that differ from the recipe's, as the command line takes them."""
-    recipe = configure(config.preset, config.network)
-    said = {"preset", "network", "frames", "seed", "options"} | ({"seconds"} if config.frames is None else set())
+    recipe = configure_run(config.preset, algorithm_of(config), config.network)
+    said = {"preset", "algorithm", "network", "frames", "seed", "options"} | ({"seconds"} if config.frames is None else set())
     for part in fields(config):
         value = getattr(config, part.name)
         if part.name not in said and value != (None if part.name == "seconds" else getattr(recipe, part.name)):

@@ -11,15 +11,15 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
-from bsk_torch.rl.evaluate import Evaluation
-from bsk_torch.rl.statistics import Estimate, mean
+from bsk_torch.rl.evaluation.evaluate import Evaluation
+from bsk_torch.rl.evaluation.statistics import Estimate, mean
 
 WIDE = 240
 """Characters that a line may have: narrow terminals break lines, rather than that numbers are left out."""
 
 
 def print_results(results: Mapping[str, Evaluation], title: str, chosen: str | None = None) -> None:
-    """A table of all results, with the paired gain of the ``chosen`` policy over the others; of deaths where somebody died."""
+    """Print a table of all results: the paired gain of the ``chosen`` policy over the others, and causes of death, if any."""
     mortal = any(result.causes for result in results.values())
     rows = {name: {"return": str(result.mean_return)} for name, result in results.items()}
     for name, row in rows.items():
@@ -36,7 +36,7 @@ def print_results(results: Mapping[str, Evaluation], title: str, chosen: str | N
 
 
 def _row(result: Evaluation, mortal: bool) -> dict[str, str]:
-    """What else the table says about a policy, by column."""
+    """Return the other cells of a policy, by column."""
     low, high = result.survival_interval
     row = {"survival": f"{result.survival:.1%} ({100.0 * low:.1f}–{high:.1%})"}
     row |= {"collected": f"{mean(result.collected):.3f}"} if mortal else {}
@@ -51,7 +51,7 @@ def _signed(gain: Estimate) -> str:
 
 
 def save_results(results: Mapping[str, Evaluation], path: Path, chosen: str) -> None:
-    """Write what :meth:`Evaluation.summary` tells of every policy, with the paired gain of the ``chosen`` one over the others."""
+    """Write the :meth:`Evaluation.summary` of every policy, with the paired gain of the ``chosen`` one over the others."""
     others = {name: result for name, result in results.items() if name != chosen}
     told = {name: result.summary(others if name == chosen else None) for name, result in results.items()}
     path.write_text(json.dumps(told, indent=2) + "\n")
@@ -67,7 +67,7 @@ def save_episodes(results: Mapping[str, Evaluation], seeds: Sequence[int], path:
 
 
 def _episodes(result: Evaluation, seeds: Sequence[int]) -> Iterator[dict[str, object]]:
-    """What is known of each episode, by name."""
+    """Yield the results of each episode, by name."""
     columns = {"return": result.returns, "collected": result.collected, "survived": result.survived.int()}
     columns |= {"decisions": result.decisions, "seconds": result.seconds}
     columns |= {} if result.fill is None else {"fill": result.fill}

@@ -1,17 +1,18 @@
-"""What several commands need: options, environments and errors."""
+"""Options, environments and errors of several commands."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from importlib import import_module
+from pathlib import Path
 from typing import Annotated, Any, NoReturn
 
 import typer
 from rich.console import Console
 
-from bsk_torch.env import SatelliteTasking, Tasking
+from bsk_torch.env import Tasking
 from bsk_torch.presets import make
-from bsk_torch.rl.baselines import BASELINES
+from bsk_torch.rl.policies.shared_policy import member_view
 
 console = Console()
 
@@ -25,43 +26,56 @@ TimeLimit = Annotated[float | None, typer.Option(help="Length of an episode, s, 
 
 
 def environment_options(backend: str, device: str, time_limit: float | None) -> dict[str, Any]:
-    """Arguments of the environment that the command line sets."""
+    """Return the arguments of the environment that the command line sets."""
     return {"backend": backend, "device": device} | ({} if time_limit is None else {"time_limit": time_limit})
 
 
 def made(preset: str, num_envs: int, options: Mapping[str, Any]) -> Tasking:
-    """An environment of a preset; ends the program where arguments do not allow it."""
+    """Return an environment of a preset; ends the program if its arguments are refused."""
     try:
         return make(preset, num_envs=num_envs, **options)
     except ValueError as error:
         fail(str(error))
 
 
-def environment(preset: str, num_envs: int, options: Mapping[str, Any]) -> SatelliteTasking:
-    """An environment of one satellite; ends the program for constellations."""
+def environment(preset: str, num_envs: int, options: Mapping[str, Any]) -> Tasking:
+    """Return an environment in which policies are trained and evaluated; ends the program for unlike satellites."""
     env = made(preset, num_envs, options)
-    if not isinstance(env, SatelliteTasking):
-        fail(f"{preset} has many satellites; train and evaluate it with scripts/train_constellation.py --preset {preset}")
+    try:
+        member_view(env)
+    except ValueError as error:
+        fail(f"{preset} cannot be learned by one shared policy: {error}")
     return env
 
 
 def fail(message: str) -> NoReturn:
-    """Say what is wrong, and end the program."""
+    """Print an error and end the program."""
     typer.secho(message, err=True, fg="red")
     raise typer.Exit(1)
 
 
-def fits(name: str, env: SatelliteTasking) -> bool:
-    """Whether a baseline knows what to do with the environment's observations and actions."""
+def seed_range(text: str, option: str = "--seeds") -> range:
+    """Return the seeds that ``A:B`` or a single number names; ends the program for anything else."""
+    first, colon, end = text.partition(":")
     try:
-        BASELINES[name](env, 0)
-    except (KeyError, ValueError):
-        return False
-    return True
+        seeds = range(int(first), int(end) if colon else int(first) + 1)
+    except ValueError:
+        fail(f"{option} {text!r} must be A:B, such as 0:1000, or a single number")
+    if not seeds or seeds.start < 0:
+        fail(f"{option} {text!r} names no episode; in A:B, A is at least 0 and B is larger")
+    return seeds
+
+
+def check_writable(path: Path | None) -> None:
+    """End the program if a file could not be written, before an hour of work is lost."""
+    if path is not None and path.is_dir():
+        fail(f"{str(path)!r} is a folder; name a file in it")
+    if path is not None and not path.parent.is_dir():
+        fail(f"{str(path)!r} cannot be written: there is no folder {str(path.parent)!r}")
 
 
 def extra(module: str, extras: str = "train,viz") -> Any:
-    """A module that needs what ``extras`` install; ends the program where that is missing."""
+    """Return a module that needs the packages of ``extras``; ends the program if one is missing."""
     try:
         return import_module(module)
     except ModuleNotFoundError as error:

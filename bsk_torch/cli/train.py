@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import torch
 import typer
 
+from bsk_torch.cli.pictures import draw_episode, record
 from bsk_torch.cli.results import print_results, save_results
 from bsk_torch.cli.shared import (
     Backend,
@@ -24,16 +25,16 @@ from bsk_torch.cli.shared import (
     environment_options,
     extra,
     fail,
-    fits,
 )
-from bsk_torch.env import SatelliteTasking
+from bsk_torch.env import Tasking
 from bsk_torch.presets import make
-from bsk_torch.rl.baselines import BASELINES
-from bsk_torch.rl.config import CONFIG, PPOConfig, load_config, override
-from bsk_torch.rl.evaluate import FRESH, Evaluation, evaluate
-from bsk_torch.rl.log import LOG, read_log
-from bsk_torch.rl.recipes import configure
-from bsk_torch.rl.targets import image_actions
+from bsk_torch.rl.evaluation.evaluate import FRESH, Evaluation, evaluate
+from bsk_torch.rl.marl.runs import configure_run, read_config, training_of
+from bsk_torch.rl.policies.shared_policy import shared, shared_baselines
+from bsk_torch.rl.training.config import CONFIG, PPOConfig, override
+from bsk_torch.rl.training.log import LOG, read_log
+from bsk_torch.rl.training.progress import check_progress_bar
+from bsk_torch.rl.training.trainer import check_folder
 
 if TYPE_CHECKING:
     from tensordict.nn import TensorDictModuleBase
@@ -43,7 +44,8 @@ Changes = Annotated[
     typer.Argument(
         metavar="[NAME=VALUE]...",
         help="Settings that differ from the recipe's, such as learning_rate=1e-3 'hidden=[128,128]' evaluate_every=500000 "
-        "loggers=[csv,tensorboard] collector=multi workers=2; every field of bsk_torch.rl.config.PPOConfig.",
+        "loggers=[csv,tensorboard] collector=multi workers=2; every field of bsk_torch.rl.training.PPOConfig, or, for "
+        "constellations, of bsk_torch.rl.marl.MAPPOConfig.",
     ),
 ]
 
@@ -53,7 +55,16 @@ def train(
         str, typer.Argument(help="Name of an environment, see 'bsk-torch list'; or, with --resume, the folder of a run.")
     ],
     changes: Changes = None,
-    network: Annotated[str, typer.Option(help="'mlp'; 'gru' with a memory; 'attention' for targets observed as a set.")] = "mlp",
+    algorithm: Annotated[
+        str | None, typer.Option(help="'ppo' for one satellite; 'mappo' or 'ippo' for constellations, 'mappo' unless given.")
+    ] = None,
+    network: Annotated[
+        str | None,
+        typer.Option(
+            help="'mlp', for one satellite unless given; 'gru' with a memory; 'attention' for targets observed as a set, and for "
+            "constellations."
+        ),
+    ] = None,
     minutes: Annotated[float, typer.Option(min=0.01, help="Training time after compilation.")] = 3.0,
     frames: Annotated[int | None, typer.Option(help="Number of decisions, instead of a time.")] = None,
     seed: Seed = 0,
@@ -66,7 +77,7 @@ def train(
     device: Device = "cpu",
     time_limit: TimeLimit = None,
 ) -> None:
-    """Train policies with PPO and compare them with random actions and rules on fresh episodes."""
+    """Train policies with PPO, MAPPO or IPPO and compare them with random actions and rules on fresh episodes."""
     torch.set_num_threads(threads)
     if resume:
         folder = Path(preset)
@@ -75,12 +86,12 @@ def train(
     else:
         limit = {"frames": frames, "seconds": None} if frames else {"seconds": 60.0 * minutes}
         options = environment_options(backend, device, time_limit)
-        config = _configured(preset, network, changes or [], seed=seed, options=options, **limit)
+        config = _configured(preset, algorithm, network, changes or [], seed=seed, options=options, **limit)
         folder = out or Path("runs") / f"{preset}_{datetime.now():%Y%m%d-%H%M%S}"
         runs = {folder / f"seed_{seed + k}" if seeds > 1 else folder: replace(config, seed=seed + k) for k in range(seeds)}
         _check(runs)
     env = environment(config.preset, episodes, config.options)
-    results = {name: _evaluated(name, BASELINES[name](env, seed), env, seed) for name in BASELINES if fits(name, env)}
+    results = {name: _evaluated(name, rule, env, seed) for name, rule in shared_baselines(env, seed).items()}
     trained: dict[str, Evaluation] = {}
     for folder, config in runs.items():
         trained[f"seed {config.seed}"], interrupted = _run(config, folder, env, results, seed, resume)
@@ -91,28 +102,29 @@ def train(
 
 
 def _check(folders: Iterable[Path]) -> None:
-    """End the program before anything is done if there is something in one of the folders."""
-    for folder in folders:
-        try:
-            extra("bsk_torch.rl.training").check_folder(folder)
-        except FileExistsError as error:
-            fail(str(error))
-
-
-def _configured(preset: str, network: str, changes: list[str], **settings: Any) -> PPOConfig:
+    """End the program before anything is done if a folder is not empty, or a package is missing that is needed at the end."""
+    extra("bsk_torch.viz.figures.curves")
     try:
-        return override(configure(preset, network, **settings), changes)
+        check_progress_bar()
+        for folder in folders:
+            check_folder(folder)
+    except (FileExistsError, ModuleNotFoundError) as error:
+        fail(str(error))
+
+
+def _configured(preset: str, algorithm: str | None, network: str | None, changes: list[str], **settings: Any) -> PPOConfig:
+    try:
+        return override(configure_run(preset, algorithm, network, **settings), changes)
     except ValueError as error:
         fail(str(error))
 
 
 def _read(folder: Path, changes: list[str]) -> PPOConfig:
-    """Configuration of a run that goes on."""
-    path = folder / CONFIG
-    if not path.is_file():
-        fail(f"{str(folder)!r} is no folder of a run: it has no {path.name}")
+    """Return the configuration of a run that is resumed."""
+    if not (folder / CONFIG).is_file():
+        fail(f"{str(folder)!r} is no folder of a run: it has no {CONFIG}")
     try:
-        return override(load_config(path, PPOConfig), changes)
+        return override(read_config(folder), changes)
     except ValueError as error:
         fail(str(error))
 
@@ -120,19 +132,22 @@ def _read(folder: Path, changes: list[str]) -> PPOConfig:
 def _run(
     config: PPOConfig,
     folder: Path,
-    env: SatelliteTasking,
+    env: Tasking,
     baselines: Mapping[str, Evaluation],
     seed: int,
     resume: bool,
 ) -> tuple[Evaluation, bool]:
-    """Train, compare with ``baselines`` in the fresh episodes of ``seed``, draw, keep all in ``folder``; was it interrupted?"""
-    training = extra("bsk_torch.rl.training")
+    """Train, compare with ``baselines`` in the fresh episodes of ``seed``, draw, and keep all in ``folder``.
+
+    Returns:
+        Results of the trained policy, and whether the user interrupted the training.
+    """
     try:
-        run = training.Training(config, folder, resume)
+        run = training_of(config, folder, resume)
     except (ValueError, FileNotFoundError, ModuleNotFoundError) as error:
         fail(str(error))
-    results = dict(baselines) | ({} if resume else {"untrained": _evaluated("untrained", run.policy, env, seed)})
-    policy = run.run()
+    results = dict(baselines) | ({} if resume else {"untrained": _evaluated("untrained", shared(run.policy, env), env, seed)})
+    policy = shared(run.run(), env)
     results["trained"] = _evaluated("trained", policy, env, seed)
     print_results(results, f"{config.preset}, {env.batch_size[0]} fresh episodes", "trained")
     save_results(results, folder / "evaluation.json", "trained")
@@ -141,29 +156,16 @@ def _run(
     return results["trained"], run.interrupted
 
 
-def _evaluated(name: str, policy: TensorDictModuleBase, env: SatelliteTasking, seed: int) -> Evaluation:
+def _evaluated(name: str, policy: TensorDictModuleBase, env: Tasking, seed: int) -> Evaluation:
     with console.status(f"evaluating: {name}"):
         return evaluate(policy, env, seed=seed + FRESH)
 
 
 def _draw(policy: TensorDictModuleBase, results: Mapping[str, Evaluation], config: PPOConfig, folder: Path) -> None:
-    """Learning curve, and the first fresh episode: from above where targets are imaged, else as a timeline."""
-    curves = extra("bsk_torch.viz.curves")
+    """Draw the learning curve and the first fresh episode."""
     levels = {name: (result.mean_return.mean, result.mean_return.half_width) for name, result in results.items()}
+    curves = extra("bsk_torch.viz.figures.curves")
     curves.learning_curve(read_log(folder / LOG), folder / "learning_curve.png", levels, f"{config.preset}: learning")
     env = make(config.preset, num_envs=1, **config.options)
-    title, seed = f"{config.preset}: one episode of the trained policy", config.seed + FRESH
-    if _images(env):
-        above = extra("bsk_torch.viz.ground_track")
-        above.ground_track(above.record_imaging_episode(policy, env, seed=seed), folder / "ground_track.png", title)
-    else:
-        timeline = extra("bsk_torch.viz.timeline")
-        timeline.timeline(timeline.record_episode(policy, env, seed=seed), folder / "timeline.png", title)
-
-
-def _images(env: SatelliteTasking) -> bool:
-    """Whether the satellite images targets."""
-    try:
-        return bool(image_actions(env))
-    except ValueError:
-        return False
+    recorded = record(policy, env, config.seed + FRESH)
+    draw_episode(recorded, folder, f"{config.preset}: one episode of the trained policy")

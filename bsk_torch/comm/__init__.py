@@ -1,4 +1,4 @@
-"""Communication: which satellites tell others what they know."""
+"""Communication methods: which satellites share their knowledge with which others after a step."""
 
 from bsk_torch.comm.base import CommunicationMethod, FreeCommunication, NoCommunication
 from bsk_torch.comm.broadcast import BroadcastCommunication

@@ -1,27 +1,51 @@
-"""Base of all ways in which satellites share what they know."""
+"""Base class of communication methods, and the two trivial ones."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import torch
 from torch import Tensor
+
+from bsk_torch.sim.hooks import FLEET_MEMORY, ChangeGuard, check_class, check_linked, check_tensor, overrides
 
 if TYPE_CHECKING:
     from bsk_torch.sim.fleet import Fleet
 
 LAST = "last_communication"
-"""Name under which an episode remembers when its satellites were last asked, s since reset."""
+"""Name under which an episode remembers the time of its last communication, s since reset."""
+
+HOOKS = ("refines", "link", "communication_pairs", "communicate")
+"""Members of :class:`CommunicationMethod` that subclasses may define."""
+
+UNUSED = {
+    "link_satellites": "define link(fleet)",
+    "reset_overwrite_previous": FLEET_MEMORY,
+    "reset_pre_sim_init": FLEET_MEMORY,
+    "reset_during_sim_init": FLEET_MEMORY,
+    "reset_post_sim_init": FLEET_MEMORY,
+    "reset": FLEET_MEMORY,
+    "after_step": "define communication_pairs(), which is called after every step",
+    "attach": "define link(fleet)",
+    "exchange": "define communication_pairs(), or communicate(moves)",
+}
+"""Names that are no hooks of communication methods, those of bsk_rl among them, and what to write instead."""
 
 
 class CommunicationMethod:
-    """Who tells whom what it knows after a step.
+    """Decides after each step which satellites share their knowledge with which others.
 
-    Subclasses implement :meth:`communication_pairs`. Satellites that have died go on talking, as in bsk_rl.
+    Subclasses define :meth:`communication_pairs`. Satellites that have died continue to communicate, as in bsk_rl. A method must
+    not keep values of episodes in attributes of its own, but in ``self.fleet.memory``, a
+    :class:`~bsk_torch.sim.state.StateTable`, which is reset, saved and restored with the episodes. Public attributes that hold a
+    tensor must not change between steps.
+
+    N is the number of environments, S that of satellites in each.
 
     Attributes:
-        fleet: The satellites; known once an environment has been built.
-        due: Episodes whose satellites are being asked, [N]; what :meth:`communication_pairs` says of others is not looked at.
+        fleet: The satellites, once an environment has been built.
+        due: Episodes in which satellites communicate now, [N] bool; pairs of the others are ignored.
+        min_period: Minimum time between two communications of an episode, s.
     """
 
     refines: ClassVar[bool] = False
@@ -31,17 +55,26 @@ class CommunicationMethod:
     due: Tensor
 
     def __init__(self, min_period: float = 0.0) -> None:
-        """Ask at most every ``min_period`` seconds; ValueError if it is negative."""
+        """Communicate at most every ``min_period`` seconds; ValueError if it is negative."""
         if not min_period >= 0.0:
             raise ValueError(f"min_period={min_period!r} s must not be negative")
         self.min_period = float(min_period)
 
+    def __init_subclass__(cls, **options: Any) -> None:
+        """Refuse definitions that no environment would use; TypeError says what to write instead."""
+        super().__init_subclass__(**options)
+        check_class(cls, CommunicationMethod, HOOKS, UNUSED)
+
+    # -- hooks --------------------------------------------------------------------------------------------------------
+
     def link(self, fleet: Fleet) -> None:
-        """Called once when the environment is built.
+        """Prepare for the satellites of an environment; called once when it is built.
+
+        Overriding methods call ``super().link(fleet)`` first.
 
         Raises:
-            TypeError: If nothing is there for the class to refine, or satellites cannot communicate in this way.
-            ValueError: Likewise, where that depends on arguments.
+            TypeError: If there is no class for this one to refine, or satellites cannot communicate in this way.
+            ValueError: Likewise, if that depends on arguments.
         """
         chain = [cls for cls in type(self).__mro__ if "communication_pairs" in vars(cls)]
         if len(chain) > 1 and vars(chain[-2]).get("refines", False):
@@ -52,20 +85,20 @@ class CommunicationMethod:
             )
         self.fleet = fleet
         self.due = torch.zeros(fleet.num_envs, dtype=torch.bool, device=fleet.device)
-        fleet.memory.add(LAST, 0.0, dtype=torch.float64)
+        fleet.memory.declare(LAST, 0.0, dtype=torch.float64)
 
     def communication_pairs(self) -> Tensor:
-        """Who talks to whom, [N, S, S] booleans by sender and receiver; the diagonal does not matter."""
+        """Return the pairs that communicate, [N, S, S] booleans by episode, sender and receiver; the diagonal is ignored."""
         raise NotImplementedError(f"{type(self).__name__} must implement communication_pairs()")
 
     def communicate(self, moves: Tensor) -> Tensor:
-        """Ask for pairs where at least ``min_period`` has passed since that was done last.
+        """Return the pairs that communicate after a step, in episodes whose last communication is ``min_period`` ago.
 
         Args:
-            moves: Episodes that took part in the present step, [N].
+            moves: Episodes that took part in the step, [N].
 
         Returns:
-            Who talks to whom, [N, S, S] booleans by sender and receiver; nobody where it is not time.
+            Pairs, [N, S, S] booleans by episode, sender and receiver; False for all pairs of episodes that are not due.
 
         Raises:
             TypeError: If the pairs are not booleans [N, S, S].
@@ -81,9 +114,41 @@ class CommunicationMethod:
         memory[LAST] = torch.where(self.due, time, memory[LAST])
         return pairs & self.due.view(-1, 1, 1)
 
+    # -- calls by the environment -------------------------------------------------------------------------------------
+
+    def attach(self, fleet: Fleet) -> None:
+        """Call :meth:`link`; not to be overridden.
+
+        Raises:
+            TypeError: If an override does not call ``super().link(fleet)``.
+        """
+        self.link(fleet)
+        check_linked(self, "link(fleet)", fleet)
+
+    @property
+    def is_silent(self) -> bool:
+        """Whether satellites never communicate, so that environments can skip the exchange."""
+        return False
+
+    def exchange(self, moves: Tensor) -> Tensor:
+        """Call :meth:`communicate` and check its result; not to be overridden.
+
+        Raises:
+            TypeError: If the result is not a bool tensor [N, S, S], or a public attribute that holds a tensor has changed.
+        """
+        links, n, s = self.communicate(moves), self.fleet.num_envs, self.fleet.size
+        check_tensor(f"the result of {type(self).__name__}.communicate(moves)", links, (n, s, s), torch.bool)
+        self.__dict__.setdefault("_guard", ChangeGuard()).check(self, FLEET_MEMORY, exempt=("due",))
+        return links
+
 
 class NoCommunication(CommunicationMethod):
-    """Nobody talks to anybody."""
+    """Satellites never communicate."""
+
+    @property
+    def is_silent(self) -> bool:
+        """See :attr:`CommunicationMethod.is_silent`; False for subclasses that define one of the hooks."""
+        return not any(overrides(self, NoCommunication, name) for name in ("communicate", "communication_pairs"))
 
     def communication_pairs(self) -> Tensor:
         """See :meth:`CommunicationMethod.communication_pairs`."""
@@ -92,7 +157,7 @@ class NoCommunication(CommunicationMethod):
 
 
 class FreeCommunication(CommunicationMethod):
-    """Everybody talks to everybody after every step."""
+    """All satellites communicate with all others after every step."""
 
     def communication_pairs(self) -> Tensor:
         """See :meth:`CommunicationMethod.communication_pairs`."""

@@ -1,4 +1,4 @@
-"""Satellites talk when an action says so."""
+"""Communication by broadcast actions."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ if TYPE_CHECKING:
 
 
 class BroadcastCommunication(CommunicationMethod):
-    """Refines another way of communication: only satellites that have chosen :class:`~bsk_torch.act.Broadcast` send.
+    """Refines another method: only satellites that have chosen :class:`~bsk_torch.act.Broadcast` send.
 
-    They send at the end of the first step after which satellites communicate at all, whether or not their action is over, and
-    whether or not somebody hears it.
+    They send at the end of the first step after which their episode communicates at all, whether or not their action is over by
+    then, and whether or not any satellite receives the message.
     """
 
     refines: ClassVar[bool] = True
@@ -32,8 +32,8 @@ class BroadcastCommunication(CommunicationMethod):
             )
 
     def communication_pairs(self) -> Tensor:
-        """See :meth:`CommunicationMethod.communication_pairs`; messages of episodes whose time it is are pending no more."""
-        heard = super().communication_pairs()
+        """See :meth:`CommunicationMethod.communication_pairs`; pending messages of episodes that are due are sent thereby."""
+        links = super().communication_pairs()
         pending = []
         for simulator in self.fleet.simulators:
             if PENDING in simulator.memory:
@@ -41,4 +41,4 @@ class BroadcastCommunication(CommunicationMethod):
                 simulator.memory[PENDING] = pending[-1] & ~simulator.of_env(self.due)
             else:
                 pending.append(torch.zeros_like(simulator.ticks, dtype=torch.bool))
-        return heard & self.fleet.joined(pending).unsqueeze(-1)
+        return links & self.fleet.joined(pending).unsqueeze(-1)

@@ -1,29 +1,38 @@
-"""Satellites talk to those that they see."""
+"""Communication along lines of sight."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import torch
 from torch import Tensor
 
 from bsk_torch.comm.base import CommunicationMethod
 from bsk_torch.comm.multi import MultiDegreeCommunication
+from bsk_torch.sim.access.line_of_sight import speed_bound
+from bsk_torch.sim.access.line_of_sight_search import PAIRS_PER_BATCH, FlownOrbits, LineOfSightSearch
+from bsk_torch.sim.access.visibility.kernels import KernelVisibility
 from bsk_torch.sim.dyn import LOSCommDynModel
-from bsk_torch.sim.los import in_sight
+from bsk_torch.vec3 import Vec3
 
 if TYPE_CHECKING:
     from bsk_torch.sim.fleet import Fleet
+    from bsk_torch.sim.simulator import Simulator
+
+MAX_RANGE = "losMaximumRange"
+"""Argument of satellites: range of the sensor, m; no limit if it is not positive."""
 
 
 class LOSCommunication(CommunicationMethod):
-    """Two satellites talk, both ways, if at any time since the previous step one of them saw the other.
+    """Two satellites communicate, both ways, if at any time since the previous step there was a line of sight between them.
 
-    What counts is the straight line between them, which the Earth must not block, and ``losMaximumRange`` of the one that sees.
-    All dynamics models must have :class:`~bsk_torch.sim.dyn.LOSCommDynModel` among their bases. What is seen in steps after which
-    ``min_period`` forbids communication is forgotten.
+    A line of sight from one satellite to another is a straight line that the Earth does not block and that is no longer than
+    ``losMaximumRange`` of the first. All dynamics models must have :class:`~bsk_torch.sim.dyn.LOSCommDynModel` among their bases.
+    Lines of sight during steps after which ``min_period`` forbids communication are dropped.
 
-    bsk_rl lists every direction of a link twice, and lets everybody talk to everybody where the entries are as many as there are
-    ordered pairs, such as with three links among four satellites. Here those that do not see one another never talk.
+    bsk_rl lists every direction of a link twice, and lets all satellites communicate with one another if the number of entries
+    equals that of ordered pairs, as with three links among four satellites. Here satellites without a line of sight never
+    communicate.
     """
 
     def link(self, fleet: Fleet) -> None:
@@ -31,10 +40,10 @@ class LOSCommunication(CommunicationMethod):
 
         Raises:
             TypeError: For a satellite without :class:`~bsk_torch.sim.dyn.LOSCommDynModel`.
-            ValueError: Where the orbit is integrated in the tick, which leaves nothing to look back at.
+            ValueError: If the orbit is integrated within the tick, so that no past positions are kept.
         """
         super().link(fleet)
-        for part, simulator, columns in zip(fleet.parts, fleet.simulators, fleet.columns, strict=True):
+        for part, simulator, columns in zip(fleet.satellites, fleet.simulators, fleet.columns, strict=True):
             name = fleet.names[int(columns[0])]
             if not issubclass(part.dyn_type, LOSCommDynModel):
                 raise TypeError(
@@ -49,8 +58,50 @@ class LOSCommunication(CommunicationMethod):
 
     def communication_pairs(self) -> Tensor:
         """See :meth:`CommunicationMethod.communication_pairs`."""
-        return in_sight(self.fleet, self.due)
+        return visible_pairs(self.fleet, self.due)
 
 
 class LOSMultiCommunication(MultiDegreeCommunication, LOSCommunication):
-    """Satellites talk to those that they see, and to those that these see, and so on."""
+    """Satellites communicate if a chain of lines of sight connects them."""
+
+
+def visible_pairs(fleet: Fleet, asked: Tensor) -> Tensor:
+    """Return the pairs that had a line of sight, in either direction, since the present step began, [N, S, S] booleans.
+
+    As in bsk_rl, ticks count from that at which the step began to the last but one: Basilisk's recorders run before the modules.
+
+    Args:
+        fleet: The satellites.
+        asked: Episodes to be searched, [N]; False for all pairs of the others.
+
+    Raises:
+        RuntimeError: If arcs have moved on so far that they do not cover the step any more.
+    """
+    found = torch.zeros(fleet.num_envs, fleet.size, fleet.size, dtype=torch.bool, device=fleet.device)
+    envs = torch.nonzero(asked & (fleet.ticks > fleet.since)).squeeze(-1)
+    if fleet.size < 2 or not len(envs):
+        return found
+    _check_covered(fleet, asked)
+    search = make_search(fleet, fleet.since, torch.maximum(fleet.ticks - 1, fleet.since))
+    for some in envs.split(max(1, PAIRS_PER_BATCH // fleet.size**2)):
+        found[some] = search.visible_pairs(some)
+    return found
+
+
+def make_search(fleet: Fleet, first: Tensor, last: Tensor) -> LineOfSightSearch:
+    """Return the search among the satellites of a fleet during ticks ``first`` to ``last`` [N]."""
+    types = [flown_orbits(simulator, columns) for simulator, columns in zip(fleet.simulators, fleet.columns, strict=True)]
+    return LineOfSightSearch(types, first, last, fleet.simulators[0].h_ns)
+
+
+def flown_orbits(simulator: Simulator, columns: Tensor) -> FlownOrbits:
+    """Return the flown orbits of the satellites of one type, with their sensors' ranges and bounds of their speeds."""
+    r_BN_N, v_BN_N = (Vec3.of(simulator.read(name)) for name in ("r_BN_N", "v_BN_N"))
+    speed, use_kernels = speed_bound(r_BN_N, v_BN_N), isinstance(simulator.lookahead.eclipses.visibility, KernelVisibility)
+    return FlownOrbits(simulator.arcs, columns, simulator.state.arguments[MAX_RANGE], speed, use_kernels)
+
+
+def _check_covered(fleet: Fleet, asked: Tensor) -> None:
+    begin = torch.where(asked, (fleet.since - 1).clamp(min=0) * fleet.h, torch.inf)
+    if any(bool((simulator.of_env(begin) < simulator.arcs.start).any()) for simulator in fleet.simulators):
+        raise RuntimeError("arcs have moved on and hold the step's start no more: ask before anything looks ahead of its end")

@@ -1,4 +1,4 @@
-"""Satellites pass on what they hear."""
+"""Communication over several hops within one step."""
 
 from __future__ import annotations
 
@@ -11,9 +11,10 @@ from bsk_torch.comm.base import CommunicationMethod
 
 
 def connected(pairs: Tensor) -> Tensor:
-    """Which nodes a path along ``pairs`` [N, S, S], taken in either direction, connects, [N, S, S] booleans; each to itself, too.
+    """Return the pairs of nodes that a path along ``pairs`` [N, S, S], in either direction, connects; [N, S, S] booleans.
 
-    Paths of up to 1, 2, 4, ... links are found by squaring the matrix, until there are no more.
+    Each node is connected to itself. Squaring the matrix of connections finds paths of up to 1, 2, 4, ... links, and ends when it
+    finds no more: the transitive closure of the undirected graph.
     """
     size = pairs.shape[-1]
     near = pairs | pairs.mT | torch.eye(size, dtype=torch.bool, device=pairs.device)
@@ -26,7 +27,7 @@ def connected(pairs: Tensor) -> Tensor:
 
 
 class MultiDegreeCommunication(CommunicationMethod):
-    """Refines another way of communication: everybody whom a chain of its pairs connects talks in the same step."""
+    """Refines another method: all satellites that a chain of its pairs connects communicate in the same step."""
 
     refines: ClassVar[bool] = True
 

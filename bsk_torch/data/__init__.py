@@ -1,4 +1,4 @@
-"""Data and reward: what satellites have collected, and what it is worth."""
+"""Rewarders, which score the data that satellites collect."""
 
 from bsk_torch.data.base import GlobalReward, NoReward
 from bsk_torch.data.clouds import CloudFreeImageReward

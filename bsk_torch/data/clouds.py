@@ -18,15 +18,23 @@ if TYPE_CHECKING:
 class CloudFreeImageReward(UniqueImageReward):
     """Pays for the first image of every target if the true cloud cover is at most ``threshold``.
 
-    Nothing tells before the image whether it will be; the target is hidden afterwards in either case. ``covered`` [N, S] counts
-    images that show clouds.
+    The true cover is not observable before the image; the target is hidden afterwards in either case. The counter ``covered``
+    [N, S] is the number of images that show clouds.
     """
 
     def __init__(self, threshold: float = 0.7, reward_fn: Callable[[Tensor], Tensor] = identity) -> None:
-        """ValueError for a threshold outside [0, 1]."""
+        """Pay for images of clear targets.
+
+        Args:
+            threshold: Largest cloud cover that pays, a fraction of the sky.
+            reward_fn: Function from priorities [N, S] to rewards [N, S].
+
+        Raises:
+            ValueError: For a threshold outside [0, 1].
+        """
         super().__init__(reward_fn)
         if not 0.0 <= threshold <= 1.0:
-            raise ValueError(f"threshold={threshold!r} must lie in [0, 1]: it is a share of the sky")
+            raise ValueError(f"threshold={threshold!r} must lie in [0, 1]: it is a fraction of the sky")
         self.threshold = threshold
 
     def link(self, scenario: Scenario, fleet: Fleet) -> None:
@@ -34,7 +42,7 @@ class CloudFreeImageReward(UniqueImageReward):
         if not hasattr(scenario, "cloud_cover"):
             raise ValueError(f"CloudFreeImageReward needs scene.CloudyTargets; the scenario is {type(scenario).__name__}")
         super().link(scenario, fleet)
-        self.memory.add("covered", 0, fleet.size)
+        self.memory.declare("covered", 0, fleet.size)
 
     def counts(self) -> dict[str, Tensor]:
         """See :meth:`GlobalReward.counts`."""
@@ -43,6 +51,6 @@ class CloudFreeImageReward(UniqueImageReward):
     def value(self, target: Tensor, taken: Tensor) -> Tensor:
         """See :meth:`ImageReward.value`."""
         reward = super().value(target, taken)
-        clouded = taken & (self.of(self.scenario.cloud_cover, target) > self.threshold)
+        clouded = taken & (self.scenario.cloud_cover.gather(1, target) > self.threshold)
         self.memory["covered"] = self.memory["covered"] + clouded
         return torch.where(clouded, torch.zeros_like(reward), reward)

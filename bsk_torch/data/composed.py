@@ -1,14 +1,15 @@
-"""Several rewards at once, and rewards for resources."""
+"""Sums of several rewards, and rewards for resources."""
 
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import torch
 from torch import Tensor
 
+from bsk_torch.data import checked
 from bsk_torch.data.base import GlobalReward, Log
 
 if TYPE_CHECKING:
@@ -18,7 +19,15 @@ if TYPE_CHECKING:
 
 
 class ComposedReward(GlobalReward):
-    """The sum of several rewards; ``terms`` holds what each of them paid for the last step, [N, S] each, by name."""
+    """The sum of several rewards.
+
+    Attributes of its parts can be read from the sum, such as ``imaged`` of a :class:`~bsk_torch.data.UniqueImageReward`, if only
+    one part has them.
+
+    Attributes:
+        rewarders: The parts.
+        terms: Reward of each part for the last step, [N, S] each, by the names of :attr:`names`.
+    """
 
     def __init__(self, *rewarders: GlobalReward) -> None:
         """Add up ``rewarders``; ValueError without any."""
@@ -31,73 +40,101 @@ class ComposedReward(GlobalReward):
         self.terms: dict[str, Tensor] = {}
 
     def __copy__(self) -> ComposedReward:
-        """A copy whose parts are copies, as every environment makes them."""
-        return ComposedReward(*(copy.copy(rewarder) for rewarder in self.rewarders))
+        """Return a copy whose parts are copies; every environment makes one."""
+        new = type(self).__new__(type(self))
+        new.__dict__ |= self.__dict__ | {"rewarders": tuple(map(copy.copy, self.rewarders)), "terms": {}}
+        return new
 
     def __getattr__(self, name: str) -> Any:
-        """Only reached for what the sum itself does not have: the first part that has it answers."""
-        for rewarder in self.__dict__.get("rewarders", ()):
-            if hasattr(rewarder, name):
-                return getattr(rewarder, name)
-        raise AttributeError(f"none of the rewarders has {name!r}")
+        """Return an attribute that only a part has; AttributeError if none has it, or several have different ones."""
+        found = [getattr(rewarder, name) for rewarder in self.__dict__.get("rewarders", ()) if hasattr(rewarder, name)]
+        if not found:
+            raise AttributeError(f"neither {type(self).__name__} nor one of its rewarders has {name!r}")
+        if any(value is not found[0] for value in found):
+            raise AttributeError(f"several rewarders have {name!r}; read it from one of them, as in rewarders[0].{name}")
+        return found[0]
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        """Set an attribute of the sum; AttributeError for one of a part, which would not change."""
+        of_part = any(name in vars(rewarder) for rewarder in self.__dict__.get("rewarders", ()))
+        if of_part and name not in (*self.__dict__, "scenario", "fleet"):
+            raise AttributeError(f"{name!r} belongs to a part of the sum; set it there, as in rewarders[0].{name}")
+        super().__setattr__(name, value)
 
     @property
     def names(self) -> list[str]:
-        """Name of each term: its class, numbered where there are several."""
-        names: list[str] = []
-        for rewarder in self.rewarders:
-            name = type(rewarder).__name__
-            count = sum(other == name or other.startswith(f"{name}_") for other in names)
-            names.append(f"{name}_{count + 1}" if count else name)
-        return names
+        """Name of each term: its class, numbered if there are several."""
+        return _numbered(type(rewarder).__name__ for rewarder in self.rewarders)
 
     def link(self, scenario: Scenario, fleet: Fleet) -> None:
         """See :meth:`GlobalReward.link`."""
         super().link(scenario, fleet)
         for rewarder in self.rewarders:
-            rewarder.link(scenario, fleet)
+            checked.link(rewarder, scenario, fleet)
 
     def read_log(self) -> Log:
-        """Logs of all parts."""
-        return {f"{k}.{name}": value for k, part in enumerate(self.rewarders) for name, value in part.read_log().items()}
+        """See :meth:`GlobalReward.read_log`; the logs of all parts, under names such as ``0.storage_level``."""
+        return {f"{k}.{name}": value for k, part in enumerate(self.rewarders) for name, value in checked.log(part).items()}
 
     def calculate_reward(self, before: Log, after: Log) -> Tensor:
         """See :meth:`GlobalReward.calculate_reward`."""
         for k, (name, part) in enumerate(zip(self.names, self.rewarders, strict=True)):
-            mine = f"{k}."
-            logs = ({key[len(mine) :]: value for key, value in log.items() if key.startswith(mine)} for log in (before, after))
-            self.terms[name] = part.calculate_reward(*logs)
+            own = f"{k}."
+            logs = ({key[len(own) :]: value for key, value in log.items() if key.startswith(own)} for log in (before, after))
+            self.terms[name] = checked.reward(part, *logs)
         return torch.stack(list(self.terms.values())).sum(0)
 
     def share(self, links: Tensor) -> None:
         """See :meth:`GlobalReward.share`."""
         for part in self.rewarders:
-            part.share(links)
+            checked.share(part, links)
 
     def counts(self) -> dict[str, Tensor]:
-        """See :meth:`GlobalReward.counts`."""
-        return {name: count for part in self.rewarders for name, count in part.counts().items()}
+        """See :meth:`GlobalReward.counts`; names that several parts use are numbered."""
+        pairs = [pair for part in self.rewarders for pair in checked.counts(part).items()]
+        return dict(zip(_numbered(name for name, _ in pairs), (count for _, count in pairs), strict=True))
 
     def is_terminated(self) -> Tensor:
         """See :meth:`GlobalReward.is_terminated`."""
-        return torch.stack([part.is_terminated() for part in self.rewarders]).any(0)
+        return torch.stack([checked.terminated(part) for part in self.rewarders]).any(0)
 
     def is_truncated(self) -> Tensor:
         """See :meth:`GlobalReward.is_truncated`."""
-        return torch.stack([part.is_truncated() for part in self.rewarders]).any(0)
+        return torch.stack([checked.truncated(part) for part in self.rewarders]).any(0)
+
+
+def _numbered(names: Iterable[str]) -> list[str]:
+    """Return names of which repeated ones have a number, as in ``NoReward_2``."""
+    found: list[str] = []
+    for name in names:
+        unique, number = name, 1
+        while unique in found:
+            number += 1
+            unique = f"{name}_{number}"
+        found.append(unique)
+    return found
 
 
 class ResourceReward(GlobalReward):
-    """Pays for the growth of a resource, and charges for what is used up: weight times its change over the step."""
+    """Pays for the growth of a resource and charges for its use: reward = reward_weight * (resource_after - resource_before)."""
 
     def __init__(self, resource_fn: Callable[[Satellite], Tensor], reward_weight: float = 1.0) -> None:
-        """``resource_fn`` gives the resource of a satellite, such as ``lambda sat: sat.dynamics.battery_charge_fraction``."""
+        """Pay for a resource.
+
+        Args:
+            resource_fn: Function that returns the resource of the satellites of a type, [N], such as
+                ``lambda sat: sat.dynamics.battery_charge_fraction``.
+            reward_weight: Reward for one unit of the resource.
+
+        Raises:
+            TypeError: For a ``resource_fn`` that is no function.
+        """
         if not callable(resource_fn):
             raise TypeError(f"resource_fn={resource_fn!r} must be a function of the satellite")
         self.resource_fn, self.reward_weight = resource_fn, float(reward_weight)
 
     def read_log(self) -> Log:
-        """The resource."""
+        """See :meth:`GlobalReward.read_log`; the resource."""
         return {"resource": self.fleet.each(lambda satellite: self.resource_fn(satellite).double().clone())}
 
     def calculate_reward(self, before: Log, after: Log) -> Tensor:

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import torch
 from torch import Tensor
 
+from bsk_torch._deprecated import warn_deprecated
 from bsk_torch.data.base import GlobalReward, Log
+from bsk_torch.sim.hooks import check_class, check_tensor
 
 if TYPE_CHECKING:
     from bsk_torch.scene.base import Scenario
@@ -17,11 +19,16 @@ if TYPE_CHECKING:
 
 
 class ImageReward(GlobalReward):
-    """Base of rewards for images: finds out which target each satellite has imaged, and hides targets that need none any more.
+    """Base of rewards for images, which finds the imaged targets and hides targets that need no image any more.
 
-    An image is noticed by the growth of the store over a step and belongs to the target that was chosen last, so a step counts
-    for one image of a satellite at most, as in bsk_rl.
+    Subclasses define :meth:`selectable` and :meth:`value`. A satellite has taken an image if its store has grown over a step; the
+    image shows the target that was chosen last. So a step counts at most one image of a satellite, as in bsk_rl.
     """
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        """See :meth:`GlobalReward.__init_subclass__`."""
+        super().__init_subclass__(**options)
+        check_class(cls, ImageReward, ("selectable", "value"), {})
 
     def link(self, scenario: Scenario, fleet: Fleet) -> None:
         """See :meth:`GlobalReward.link`; ValueError without targets, or without a satellite that images them."""
@@ -31,65 +38,75 @@ class ImageReward(GlobalReward):
                 f"{type(self).__name__} needs a scenario with targets, such as scene.UniformTargets; the scenario is "
                 f"{type(scenario).__name__}"
             )
-        imagers = {k: part for k, part in enumerate(fleet.parts) if hasattr(part, "latest_target")}
+        imagers = {k: part for k, part in enumerate(fleet.satellites) if hasattr(part, "latest_target")}
         if not imagers:
-            are = ", ".join(f"{part.name} is a {type(part).__name__}" for part in fleet.parts)
+            are = ", ".join(f"{part.name} is a {type(part).__name__}" for part in fleet.satellites)
             raise ValueError(
                 f"{type(self).__name__} needs a satellite that images targets, such as a sats.ImagingSatellite; {are}"
             )
         self.memory = fleet.memory
         for k, part in imagers.items():
-            part.add_access_filter(functools.partial(self._selectable_by, k), part.target_types)  # type: ignore[attr-defined]
+            part.add_access_filter(functools.partial(self._selectable_by, k), part.target_types)
 
     def _selectable_by(self, part: int) -> Tensor:
-        """Targets that the satellites of one type may still choose, [N * count, T]."""
-        return self.fleet.rows_of(part, self.selectable())
+        """Return the targets that the satellites of one type may still choose, [N * count, T] bool."""
+        found, shape = self.selectable(), (self.fleet.num_envs, self.fleet.size, self.scenario.most_targets)
+        check_tensor(f"{type(self).__name__}.selectable()", found, shape, torch.bool)
+        return self.fleet.rows_of(part, found)
 
     def selectable(self) -> Tensor:
-        """Targets that each satellite may still choose, [N, S, T]."""
+        """Return the targets that each satellite may still choose, [N, S, T] bool."""
         raise NotImplementedError(f"{type(self).__name__} must implement selectable()")
 
     def value(self, target: Tensor, taken: Tensor) -> Tensor:
-        """Reward [N, S] for images of ``target`` [N, S] where one was ``taken`` [N, S], and remember them."""
+        """Return the reward of each satellite and note its image; called once for every step.
+
+        Args:
+            target: Index of the target that the satellite has chosen last, [N, S] int64; 0 where there is none.
+            taken: Whether the satellite has taken an image of it in the step, [N, S] bool.
+
+        Returns:
+            Reward [N, S], zero where no image was taken.
+        """
         raise NotImplementedError(f"{type(self).__name__} must implement value(target, taken)")
 
     def read_log(self) -> Log:
-        """Data in the images' partition, bit."""
+        """See :meth:`GlobalReward.read_log`; data in the partition of images, bit."""
         return {"partition": self.fleet.each(lambda satellite: satellite.dynamics.partition_levels[:, 0])}
 
     def calculate_reward(self, before: Log, after: Log) -> Tensor:
         """See :meth:`GlobalReward.calculate_reward`."""
-        target = self.fleet.each(lambda satellite: satellite.latest_target, missing=-1)  # type: ignore[attr-defined]
+        target = self.fleet.each(lambda satellite: satellite.latest_target, missing=-1)
         taken = (after["partition"] > before["partition"]) & (target >= 0)
         return self.value(target.clamp(min=0), taken)
 
     def of(self, table: Tensor, target: Tensor) -> Tensor:
-        """Entries [N, S] of a table [N, T] for one target of each satellite, [N, S]."""
+        """Return ``table.gather(1, target)``; deprecated."""
+        warn_deprecated("ImageReward.of(table, target)", "table.gather(1, target)")
         return table.gather(1, target)
 
     def taken_by_any(self, target: Tensor, taken: Tensor, targets: int) -> Tensor:
-        """Which of the ``targets`` T any satellite has taken an image of, [N, T]."""
+        """Return the targets that at least one satellite has imaged in the step, [N, T] bool with T = ``targets``."""
         none = torch.zeros(len(target), targets + 1, dtype=torch.bool, device=target.device)
         return none.scatter(1, torch.where(taken, target, targets), True)[:, :targets]
 
 
 def identity(priority: Tensor) -> Tensor:
-    """The priority itself."""
+    """Return the priority."""
     return priority
 
 
 class UniqueImageReward(ImageReward):
-    """Pays for the first image of every target, and hides from a satellite what has been imaged as far as it knows.
+    """Pays for the first image of every target, and hides targets from satellites that know of an image.
 
-    Satellites that image a target in the same step share its reward; whoever images it later gets nothing, whether or not he
-    knew. Knowledge spreads by communication (:mod:`bsk_torch.comm`).
-
-    Attributes ``imaged`` [N, T] tells which targets have been imaged, ``known`` [N, S, T] of which each satellite knows it,
-    ``duplicates`` [N, S] counts images that paid nothing.
+    reward = reward_fn(priority) / k for an image of a target that had none before the step, where k satellites took one in the
+    same step; later images pay nothing, whether or not the satellite knew of the first. A satellite knows of its own images and
+    of those that communication tells it (:mod:`bsk_torch.comm`). The counter ``duplicates`` [N, S] is the number of images that
+    paid nothing.
     """
 
     def __init__(self, reward_fn: Callable[[Tensor], Tensor] = identity) -> None:
-        """``reward_fn`` maps priorities [N, S] to rewards [N, S]."""
+        """Pay ``reward_fn`` of priorities [N, S], which returns [N, S]."""
         if not callable(reward_fn):
             raise TypeError(f"reward_fn={reward_fn!r} must be a function of priorities")
         self.reward_fn = reward_fn
@@ -97,19 +114,19 @@ class UniqueImageReward(ImageReward):
     def link(self, scenario: Scenario, fleet: Fleet) -> None:
         """See :meth:`ImageReward.link`."""
         super().link(scenario, fleet)
-        self.memory.add("imaged_targets", 0, self.scenario.most_targets, dtype=torch.bool)
-        if fleet.size > 1:  # a single satellite knows what it has done
-            self.memory.add("known_images", 0, fleet.size, self.scenario.most_targets, dtype=torch.bool)
-        self.memory.add("duplicates", 0, fleet.size)
+        self.memory.declare("imaged_targets", 0, self.scenario.most_targets, dtype=torch.bool)
+        if fleet.size > 1:  # a single satellite knows of all images
+            self.memory.declare("known_images", 0, fleet.size, self.scenario.most_targets, dtype=torch.bool)
+        self.memory.declare("duplicates", 0, fleet.size)
 
     @property
     def imaged(self) -> Tensor:
-        """Which targets have been imaged, [N, T]."""
+        """Targets that have been imaged, [N, T] bool."""
         return self.memory["imaged_targets"]
 
     @property
     def known(self) -> Tensor:
-        """Of which targets each satellite knows that they have been imaged, [N, S, T]."""
+        """Targets of whose images each satellite knows, [N, S, T] bool."""
         return self.memory["known_images"] if self.fleet.size > 1 else self.imaged.unsqueeze(1)
 
     def counts(self) -> dict[str, Tensor]:
@@ -122,9 +139,9 @@ class UniqueImageReward(ImageReward):
 
     def value(self, target: Tensor, taken: Tensor) -> Tensor:
         """See :meth:`ImageReward.value`."""
-        again = taken & self.of(self.imaged, target)
+        again = taken & self.imaged.gather(1, target)
         pays = taken & ~again
-        reward = self.reward_fn(self.of(self.scenario.priority, target))
+        reward = self.reward_fn(self.scenario.priority.gather(1, target))
         if self.fleet.size > 1:
             reward = reward / self.sharers(target, pays)
             slot = target.unsqueeze(-1)
@@ -136,12 +153,12 @@ class UniqueImageReward(ImageReward):
 
     @staticmethod
     def sharers(target: Tensor, pays: Tensor) -> Tensor:
-        """How many satellites have taken the image of each one's target in this step, at least 1, [N, S]."""
+        """Return how many satellites have imaged the target of each one in this step, at least 1, [N, S]."""
         same = (target.unsqueeze(2) == target.unsqueeze(1)) & pays.unsqueeze(1)
         return same.sum(2).clamp(min=1)
 
     def share(self, links: Tensor) -> None:
-        """See :meth:`GlobalReward.share`; knowledge goes one hop for each link."""
+        """See :meth:`GlobalReward.share`; knowledge spreads along one link in a step."""
         if self.fleet.size == 1:
             return
         known = self.known
@@ -149,7 +166,7 @@ class UniqueImageReward(ImageReward):
         most = int(disputed.sum(1).max())
         if not most:
             return
-        # few targets are known to some and not to all: the product is taken over these only
+        # few targets are known to some satellites and not to all: the product is taken over these only
         slot = torch.where(disputed, torch.cumsum(disputed, 1) - 1, most)
         number = torch.arange(known.shape[2], device=known.device).expand_as(slot)
         column = torch.zeros_like(number[:, : most + 1]).scatter(1, slot, number)[:, :most].unsqueeze(1)

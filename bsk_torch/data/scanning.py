@@ -16,13 +16,14 @@ if TYPE_CHECKING:
 
 
 class ScanningTimeReward(GlobalReward):
-    """Pays for seconds of recorded data: the growth of the store in a step over the instrument's rate.
+    """Pays for the time spent recording: the growth of the store over a step, divided by the instrument's data rate.
 
-    A step in which the store shrinks pays nothing, as in bsk_rl.
+    reward = reward_fn(max(0, level_after - level_before) / instrumentBaudRate), with levels in bit and the rate in bit/s. A step
+    in which the store shrinks pays nothing, as in bsk_rl.
     """
 
     def __init__(self, reward_fn: Callable[[Tensor], Tensor] | None = None) -> None:
-        """``reward_fn`` maps seconds [N, S] to rewards [N, S]; None multiplies by the scenario's ``value_per_second``."""
+        """Pay ``reward_fn`` of seconds [N, S], which returns [N, S]; None multiplies by the scenario's ``value_per_second``."""
         self.reward_fn = reward_fn
 
     def link(self, scenario: Scenario, fleet: Fleet) -> None:
@@ -34,15 +35,15 @@ class ScanningTimeReward(GlobalReward):
                 f"reward_fn; the scenario is {type(scenario).__name__}"
             )
         for name in ("storage_level", "instrument_baud"):
-            if not any(hasattr(type(part.dynamics), name) for part in fleet.parts):
-                models = " and ".join(type(part.dynamics).__name__ for part in fleet.parts)
+            if not any(hasattr(type(part.dynamics), name) for part in fleet.satellites):
+                models = " and ".join(type(part.dynamics).__name__ for part in fleet.satellites)
                 raise ValueError(
                     f"ScanningTimeReward needs a satellite that stores data, such as one with dyn.ContinuousImagingDynModel; "
                     f"{models} has no {name}"
                 )
 
     def read_log(self) -> Log:
-        """Data in the store, bit."""
+        """See :meth:`GlobalReward.read_log`; data in the store, bit."""
         return {"storage_level": self.fleet.each(lambda satellite: satellite.dynamics.storage_level)}
 
     def calculate_reward(self, before: Log, after: Log) -> Tensor:

@@ -1,4 +1,4 @@
-"""What all environments share: episodes of one or many satellites, drawn, stepped, saved and restored in batches."""
+"""Base of all environments: episodes of one or many satellites, drawn, stepped, saved and restored in batches."""
 
 from __future__ import annotations
 
@@ -6,8 +6,9 @@ import copy
 import functools
 import logging
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from importlib import import_module
+from numbers import Integral
 from typing import Any, NamedTuple
 
 import torch
@@ -16,218 +17,140 @@ from torch import Tensor
 from torchrl.data import Categorical, Composite, Unbounded
 from torchrl.envs import EnvBase
 
+from bsk_torch._deprecated import deprecated_attributes
 from bsk_torch.comm import CommunicationMethod, NoCommunication
+from bsk_torch.data import checked
 from bsk_torch.data.base import GlobalReward, NoReward
 from bsk_torch.data.composed import ComposedReward
-from bsk_torch.env.machine import check_memory
-from bsk_torch.env.pool import SMALLEST, EpisodePool
-from bsk_torch.env.randomizer import Randomizer, make_randomizer
-from bsk_torch.env.squad import KEPT, Squad
-from bsk_torch.env.state import by_env, by_row, fleet_state, restore_fleet
-from bsk_torch.env.types import check_names, check_world, grouped, world_arguments, world_components
+from bsk_torch.env.build import FleetBuilder, link
+from bsk_torch.env.machine import existing_device
+from bsk_torch.env.options import TaskingOptions, TimeLimit
+from bsk_torch.env.pool import EpisodePool
+from bsk_torch.env.randomizer import make_randomizer
+from bsk_torch.env.satellite_group import groups_of
+from bsk_torch.env.state import MADE_BY, check_compatible, check_fingerprint, fingerprint
+from bsk_torch.env.types import world_components
 from bsk_torch.obs.base import Values
-from bsk_torch.rand import Distribution, Key, first_key
+from bsk_torch.rand import Key
 from bsk_torch.sats.satellite import ArgumentTable, Satellite
 from bsk_torch.scene.base import Scenario
-from bsk_torch.sim.component import Arg
-from bsk_torch.sim.fleet import Drawn, Fleet, share
-from bsk_torch.sim.params import convert
+from bsk_torch.sim.fleet import Fleet, FleetState
 from bsk_torch.sim.simulator import Simulator, whole_nanoseconds
+from bsk_torch.sim.state import StateTable
+
+__all__ = ["StepResult", "Tasking", "TimeLimit"]
 
 logger = logging.getLogger(__name__)
-
-TimeLimit = float | Distribution | Callable[[], float]
 
 ENDLESS = 2**31
 """Seconds after which Basilisk's clock stops an episode without limit."""
 
-LIMIT = Arg("time_limit", float("inf"), "s", "time after which an episode is truncated", low=0.0)
 
-SAMPLE = 1024
-"""Random time limits that are drawn to see how long arcs will be, before a batch is built."""
-
-EXTRA_STATE = ("episode", "limit_ticks", "seed_rows", "time_limit", "returns")
+SEED_LIMIT = 2**63
+"""Seeds are below it."""
 
 
-class Played(NamedTuple):
-    """What a step of N episodes with S satellites each has brought.
+class StepResult(NamedTuple):
+    """Outcome of a step of N episodes with S satellites each.
 
     Attributes:
         duration: How long it took, [N] s.
-        reward: What satellites have earned, [N, S]; zero where the step did not take place.
+        reward: Rewards of the satellites, failure penalties included, [N, S]; zero where the step did not take place.
+        terminated: Episodes that have ended, [N].
+        truncated: Episodes that were cut, [N].
+        removed: Satellites that had left before the step, [N, S].
     """
 
     duration: Tensor
     reward: Tensor
+    terminated: Tensor
+    truncated: Tensor
+    removed: Tensor
 
 
+class EpisodeState(FleetState):
+    """State of N episodes in an environment.
+
+    Attributes:
+        episode: Number of the episode, -1 before the first, [N].
+        seed: Seed of its draws, [N].
+        limit_ticks: Tick at which it is truncated, [N].
+        returns: Sum of the rewards of all satellites so far, [N].
+    """
+
+    episode: Tensor
+    seed: Tensor
+    limit_ticks: Tensor
+    returns: Tensor
+
+
+@deprecated_attributes
 class Tasking(EnvBase):
-    """N independent episodes with S satellites each. Subclasses say how agents see and command them."""
+    """N independent episodes with S satellites each. Subclasses define agents: their actions, observations and rewards."""
 
     _supports_set_state = True
     _has_frame_skip = True
 
-    returns: Tensor
-    """Sum of the rewards of each episode so far, of all satellites, [N] float64."""
-
     links: Tensor | None = None
-    """Who has told whom after the last step, [N, S, S]; None where satellites never talk."""
+    """Communication after the last step by sender and receiver, [N, S, S]; None where satellites never communicate."""
 
     def _build(
         self,
         satellites: Sequence[Satellite],
         scenario: Scenario | None,
         rewarder: GlobalReward | Iterable[GlobalReward] | None,
-        communicator: CommunicationMethod | None = None,
-        sat_arg_randomizer: Any = None,
-        *,
-        num_envs: int,
-        world_args: Mapping[str, Any] | None,
-        sim_rate: float,
-        max_step_duration: float,
-        failure_penalty: float,
-        time_limit: TimeLimit,
-        terminate_on_time_limit: bool,
-        device: torch.device | str,
-        seed: int | None,
-        env_ids: Sequence[int] | Tensor | None,
-        dtype: torch.dtype,
-        sim_dtype: torch.dtype,
-        orbit: str | None,
-        backend: str,
-        log_level: int | str | None,
+        communicator: CommunicationMethod | None,
+        sat_arg_randomizer: Any,
+        options: TaskingOptions,
     ) -> None:
-        """Build everything from checked arguments; see the subclasses for them."""
-        if log_level is not None:
-            logging.getLogger("bsk_torch").setLevel(log_level)
-        if failure_penalty > 0.0:
-            logger.warning("failure_penalty=%g rewards failure; it should not be positive", failure_penalty)
-        self.dtype, self.failure_penalty = dtype, float(failure_penalty)
-        self.terminate_on_time_limit, self.time_limit_generator = terminate_on_time_limit, time_limit
-        self.max_step_duration = float(max_step_duration)
+        """Build everything; nothing is simulated before the first reset."""
+        EnvBase.__init__(self, device=existing_device(options.device), batch_size=(options.num_envs,))
+        self.options = options
+        if options.log_level is not None:
+            logging.getLogger("bsk_torch").setLevel(options.log_level)
+        if options.failure_penalty > 0.0:
+            logger.warning("failure_penalty=%g rewards failure; it should not be positive", options.failure_penalty)
+        self.dtype, self.failure_penalty = options.dtype, float(options.failure_penalty)
+        self.terminate_on_time_limit = options.terminate_on_time_limit
+        self.max_step_duration = float(options.max_step_duration)
         self.scenario, self.rewarder = copy.copy(scenario or Scenario()), composed(rewarder)
         self.communicator = copy.copy(communicator or NoCommunication())
-        self.originals, self.names = list(satellites), check_names(satellites)
-        self.types = grouped(self.originals)
-        self.randomizer: Randomizer | None = make_randomizer(sat_arg_randomizer, self.originals)
-        self._options: dict[str, Any] = {"sim_rate": sim_rate, "dtype": sim_dtype, "orbit": orbit, "backend": backend}
-        self._world_args = dict(world_args or {})
-        trial = self._trial()
-        self.fleet = self._make_fleet(num_envs)
-        self.pool = EpisodePool(self._make_fleet(num_envs)) if self._pool_pays(self.fleet) else None
-        self._make_buffers(num_envs, env_ids)
-        self.squads = [Squad(part) for part in self._bound(self.fleet)]
-        self._link(self.fleet, self.scenario, self.rewarder)
-        self.communicator.link(self.fleet)
+        randomizer = make_randomizer(sat_arg_randomizer, satellites)
+        self.builder = FleetBuilder(satellites, self.scenario, options, randomizer, torch.device(self.device))
+        self.names = self.builder.names
+        trial = self.builder.trial(self.rewarder)
+        n = options.num_envs
+        self.fleet = self.builder.make_fleet(n)
+        self.pool = EpisodePool(self.builder.make_fleet(n), self._start) if self.builder.pool_pays else None
+        self._declare_state(options.env_ids)
+        groups_of(self.builder.satellites, self.fleet)
+        link(self.fleet, self.scenario, self.rewarder)
+        self.communicator.attach(self.fleet)
         if self.pool is not None:
-            for mine, theirs in zip(self.fleet.simulators, self.pool.fleet.simulators, strict=True):
-                if mine.access is not None and theirs.access is not None:
-                    theirs.access.ahead = mine.access.ahead
+            self._share_search_range(self.pool.fleet)
         self._make_specs(trial)
         self.longest_ticks = math.ceil(whole_nanoseconds(min(self.max_step_duration, ENDLESS)) / self.simulator.h_ns)
-        self.set_seed(seed)
+        self.fingerprint = fingerprint(self.fleet)
+        self.set_seed(options.seed)
 
     # -- construction -------------------------------------------------------------------------------------------------
 
-    def _make_fleet(self, n: int, trial: bool = False) -> Fleet:
-        """Simulations of ``n`` episodes; of one satellite of each type only, if on ``trial``."""
-        # the trial's arcs shall be as long as those of the batch: see check_memory
-        sample = isinstance(self.time_limit_generator, Distribution) and n < self.batch_size[0]
-        limit = self._draw_limit(first_key(min(SAMPLE, self.batch_size[0]) if sample else n))
-        finite = limit[torch.isfinite(limit)]
-        types = [columns[:1] for columns in self.types] if trial else self.types
-        simulators: list[Simulator] = []
-        known = [set(world_arguments(self.originals[columns[0]])) for columns in types]
-        check_world(self._world_args, known)
-        for columns, names in zip(types, known, strict=True):
-            satellite = self.originals[columns[0]]
-            given = [self.originals[k].sat_args_generator for k in columns]
-            simulators.append(
-                Simulator(
-                    satellite.dyn_type,
-                    satellite.fsw_type,
-                    given[0] if all(args is given[0] for args in given) else given,
-                    {name: value for name, value in self._world_args.items() if name in names},
-                    num_envs=n,
-                    device=torch.device(self.device),
-                    horizon=float(satellite.generation(limit).max()),
-                    segment=satellite.segment,
-                    max_time=float(finite.max()) if len(finite) else 0.0,
-                    scene=self.scenario.draw,
-                    stops=satellite.variable_interval,
-                    columns=columns,
-                    tables=simulators[0].tables if simulators else None,
-                    randomize=self._share_of(columns),
-                    **self._options,
-                )
-            )
-        chosen = [column for columns in types for column in columns]
-        return Fleet(simulators, [self.names[k] for k in sorted(chosen)])
-
-    def _share_of(self, columns: Sequence[int]) -> Callable[[Key], Any]:
-        if self.randomizer is None:
-            return lambda key: {}
-        return lambda key: share(self.randomizer(key), columns)  # type: ignore[misc]
-
-    def _bound(self, fleet: Fleet, limit: Tensor | None = None) -> tuple[Satellite, ...]:
-        """The satellites of each type, living in ``fleet``."""
-        limits = self.time_limit if limit is None else limit
-        fleet.parts = tuple(
-            self.originals[simulator.columns[0]].bind(
-                simulator, simulator.of_env(limits).clone(), [self.names[k] for k in simulator.columns]
-            )
-            for simulator in fleet.simulators
-        )
-        return fleet.parts
-
-    @staticmethod
-    def _link(fleet: Fleet, scenario: Scenario, rewarder: GlobalReward) -> None:
-        """Make satellites, scenario and rewarder known to each other."""
-        scenario.link(fleet)
-        for part in fleet.parts:
-            part.scenario = scenario
-        rewarder.link(scenario, fleet)
-
-    def _pool_pays(self, fleet: Fleet) -> bool:
-        """Whether the batch is large, and no user's callable says what comes next: it is asked only when needed."""
-        given = [value for part in fleet.simulators for args in (part.sat_args, part.world_args) for value in args.all_given]
-        given.append(self.time_limit_generator)
-        asks = self.scenario.calls_user or any(callable(value) and not isinstance(value, Distribution) for value in given)
-        asks = asks or (self.randomizer is not None and self.randomizer.calls_user)
-        return self.batch_size[0] * len(self.names) >= SMALLEST and not asks
-
-    def _trial(self) -> list[Values]:
-        """Observations of a trial episode, for each type: their shapes make the specs, and every property has been read once."""
-        fleet = self._make_fleet(1, trial=True)
-        drawn, limit = self._drawn(fleet, first_key(1))
-        parts = self._bound(fleet, limit)
-        each = sum(s.bytes_per_env * len(columns) for s, columns in zip(fleet.simulators, self.types, strict=True))
-        each += sum(table.nbytes for table in fleet.tables.values())
-        check_memory(fleet.device, self.batch_size[0], each * (2 if self._pool_pays(fleet) else 1))
-        scenario = copy.copy(self.scenario)
-        self._link(fleet, scenario, copy.copy(self.rewarder))
-        self._start(fleet, fleet.all_envs, drawn, limit)
-        scenario.reset(fleet.all_envs)
-        for part in parts:
-            part.is_alive()
-        return [part.observations.get_dict() for part in parts]
-
-    def _draw_limit(self, key: Key) -> Tensor:
-        """Time limits [n] s of the key's environments, whole ticks still to be made of them."""
-        value = self.time_limit_generator
-        if isinstance(value, Distribution):
-            return convert(LIMIT, value.draw(key.named("time_limit")), len(key))
-        values = [value() for _ in range(len(key))] if callable(value) else [value] * len(key)
-        return convert(LIMIT, values, len(key))
-
-    def _make_buffers(self, n: int, env_ids: Sequence[int] | Tensor | None) -> None:
+    def _declare_state(self, env_ids: Sequence[int] | Tensor | None) -> None:
+        n = self.num_envs
         ids = torch.arange(n) if env_ids is None else torch.as_tensor(env_ids, dtype=torch.int64)
         if ids.shape != (n,) or bool((ids < 0).any()):
             raise ValueError(f"env_ids has shape {list(ids.shape)}; it needs {n} indices that are not negative")
         self.env_ids = ids.to(self.device)
-        counter = torch.zeros(n, dtype=torch.int64, device=self.device)
-        self.episode, self.seed_rows = counter - 1, counter.clone()
-        self.limit_ticks, self.time_limit, self.returns = counter.clone(), counter.double(), counter.double()
+        for name, dtype in (("episode", torch.int64), ("seed", torch.int64), ("limit_ticks", torch.int64)):
+            self.state.declare(name, None, dtype=dtype)
+        self.state.episode = self.state.episode - 1
+        self.state.declare("returns", 0.0)
+
+    def _share_search_range(self, other: Fleet) -> None:
+        """Let the pool search as far ahead for windows as actions and observations need."""
+        for mine, theirs in zip(self.fleet.simulators, other.simulators, strict=True):
+            if mine.lookahead.access is not None and theirs.lookahead.access is not None:
+                theirs.lookahead.access.ahead = mine.lookahead.access.ahead
 
     def _make_specs(self, trial: list[Values]) -> None:
         raise NotImplementedError(f"{type(self).__name__} must implement _make_specs(trial)")
@@ -245,131 +168,184 @@ class Tasking(EnvBase):
         flags = {name: Categorical(2, shape=(*b, 1), dtype=torch.bool, **on) for name in ("done", "terminated", "truncated")}
         return Composite(flags, shape=b, **on)
 
+    # -- reading ------------------------------------------------------------------------------------------------------
+
+    @property
+    def num_envs(self) -> int:
+        """Number of episodes N."""
+        return int(self.batch_size[0])
+
+    @property
+    def state(self) -> EpisodeState:
+        """Everything that belongs to the present episodes, as live tables; :meth:`get_state` returns a copy."""
+        return self.fleet.state  # type: ignore[return-value]
+
     @property
     def simulator(self) -> Simulator:
-        """The simulation of the first type of satellites."""
+        """Simulation of the first type of satellites."""
         return self.fleet.simulators[0]
+
+    @property
+    def satellites(self) -> tuple[Satellite, ...]:
+        """The satellite of each type that is bound to the environment."""
+        return tuple(group.satellite for group in self.fleet.groups)
+
+    @property
+    def dead(self) -> Tensor:
+        """Satellites that have died, [N, S] bool."""
+        return self.fleet.joined([group.task.dead for group in self.fleet.groups])
+
+    @property
+    def requires_retasking(self) -> Tensor:
+        """Satellites that have no task left, [N, S] bool."""
+        return self.fleet.joined([group.task.requires_retasking for group in self.fleet.groups])
+
+    @property
+    def episode(self) -> Tensor:
+        """Number of the present episode, -1 before the first, [N]."""
+        return self.state.episode
+
+    @property
+    def time_limit(self) -> Tensor:
+        """Time limits of the present episodes, whole ticks, [N] s."""
+        return self.state.time_limit
+
+    @property
+    def returns(self) -> Tensor:
+        """Sum of the rewards of each episode so far, of all satellites, [N] float64."""
+        return self.state.returns
+
+    @property
+    def truncated_by_time(self) -> Tensor:
+        """Episodes whose time is up, [N]."""
+        return self.fleet.ticks >= self.state.limit_ticks
+
+    def counts(self) -> dict[str, Tensor]:
+        """Return the counters of satellites and rewarder, [N, S] each, by name."""
+        names = dict.fromkeys(name for group in self.fleet.groups for name in group.satellite.counts())
+        counted = {name: self.fleet.each(functools.partial(_counted, name)) for name in names}
+        return counted | checked.counts(self.rewarder, counted)
 
     # -- reset --------------------------------------------------------------------------------------------------------
 
     def _set_seed(self, seed: int | None) -> None:
         value = int(torch.empty((), dtype=torch.int64).random_()) if seed is None else int(seed)
-        self.seed_rows = torch.full_like(self.seed_rows, value)
-        self.episode = torch.full_like(self.episode, -1)
+        self.state.seed = torch.full_like(self.state.seed, value)
+        self.state.episode = torch.full_like(self.episode, -1)
+
+    def reseed(self, seeds: int | Sequence[int | None], mask: Tensor | None = None) -> None:
+        """Let episodes begin with the first ones of other seeds at their next reset; the present ones are left alone.
+
+        Args:
+            seeds: Seed of all environments, or one for each of the N, where None keeps the present seed.
+            mask: Environments to seed, [N] bool; all unless given.
+
+        Raises:
+            ValueError: For a seed that is no integer from 0 to 2**63 - 1, or a wrong number of them.
+        """
+        count = self.num_envs
+        given = [seeds] * count if isinstance(seeds, Integral) else list(seeds)  # type: ignore[arg-type]
+        if len(given) != count:
+            raise ValueError(f"seed has {len(given)} entries; it must be an integer or have {count}, one per environment")
+        for seed in given:
+            if seed is not None and not (isinstance(seed, Integral) and 0 <= int(seed) < SEED_LIMIT):
+                raise ValueError(f"seed={seed!r} must be an integer from 0 to 2**63 - 1")
+        rows = torch.tensor([seed is not None for seed in given], device=self.device)
+        rows = rows if mask is None else rows & mask
+        values = torch.tensor([seed or 0 for seed in given], dtype=torch.int64, device=self.device)
+        self.state.seed = torch.where(rows, values, self.state.seed)
+        self.state.episode = self.episode.masked_fill(rows, -1)
 
     def _reset(self, tensordict: TensorDictBase | None = None, *, set_state: bool = False, **_: Any) -> TensorDict:
         mask = None if tensordict is None else tensordict.get("_reset", None)
-        rows = self.fleet.all_envs if mask is None else torch.nonzero(mask.reshape(-1)).squeeze(-1)
+        envs = self.fleet.all_envs if mask is None else torch.nonzero(mask.reshape(-1)).squeeze(-1)
         if set_state and tensordict is not None and "state" in tensordict:
-            self._restore(tensordict["state"], rows)
-        elif len(rows):
-            self._begin(rows)
+            self.restore(tensordict["state"], envs)
+        elif len(envs):
+            self._begin(envs)
         false = torch.zeros(*self.batch_size, 1, dtype=torch.bool, device=self.device)
         return self._outputs(None, done=false, terminated=false.clone(), truncated=false.clone())
 
-    def _drawn(self, fleet: Fleet, key: Key) -> tuple[Drawn, Tensor]:
-        """What the episodes of the key's environments start from, and their time limits, [n] s."""
-        return fleet.draw(key, self.randomizer), self._draw_limit(key).to(self.device)
-
-    def _start(self, fleet: Fleet, rows: Tensor, drawn: Drawn, limit: Tensor) -> None:
-        """Start the episodes ``rows`` [n] of a fleet."""
-        fleet.reset(rows, drawn, [self.originals[part.columns[0]].generation(limit) for part in fleet.simulators])
-
-    def _new_episodes(self, rows: Tensor) -> Tensor:
-        """Put the next episodes of ``rows`` into the simulation; their time limits, [n] s."""
-        if self.pool is not None:
-            self.pool.fill(rows, self.seed_rows, self.env_ids, self.episode + 1, self._drawn, self._start)
-            self.fleet.adopt(rows, self.pool.fleet)
-            return self.pool.limit[rows]
-        drawn, limit = self._drawn(
-            self.fleet, Key(self.seed_rows[rows].cpu(), self.env_ids[rows].cpu(), self.episode[rows].cpu() + 1)
-        )
-        self._start(self.fleet, rows, drawn, limit)
-        return limit
+    def _start(self, fleet: Fleet, envs: Tensor, key: Key) -> None:
+        """Start the key's episodes in ``envs`` [n] of a fleet; everything is drawn and checked before anything changes."""
+        drawn, limit = self.builder.draw(fleet, key)
+        self.builder.start(fleet, envs, drawn, limit)
 
     @torch.no_grad()
-    def _begin(self, rows: Tensor) -> None:
-        """Start new episodes in ``rows``; everything is drawn and checked before anything changes."""
-        limit = self._new_episodes(rows)
-        self.episode[rows] += 1
+    def _begin(self, envs: Tensor) -> None:
+        """Start new episodes in ``envs`` [n]."""
+        state = self.state
+        seeds, episodes = state.seed, state.episode + 1
+        if self.pool is not None:
+            self.pool.fill(envs, seeds, self.env_ids, episodes)
+            state.copy_rows(envs, self.pool.fleet.state, envs)
+        else:
+            self._start(self.fleet, envs, Key(seeds[envs].cpu(), self.env_ids[envs].cpu(), episodes[envs].cpu()))
+        state.seed, state.episode = seeds, state.episode.index_copy(0, envs, episodes[envs])
+        limit = state.time_limit[envs]
         seconds = torch.where(torch.isfinite(limit), limit, torch.full_like(limit, ENDLESS))
         ticks = torch.ceil(torch.floor(seconds * 1e9 + 0.5) / self.simulator.h_ns)
-        self.limit_ticks[rows] = ticks.long()
-        self.time_limit[rows] = torch.where(torch.isfinite(limit), ticks * self.simulator.h, limit)
-        self.fleet.inert[rows] = False
-        self.returns[rows] = 0.0
-        for k, squad in enumerate(self.squads):
-            squad.begin(self.fleet.rows(k, rows))
-        self._renew(rows)
-        for k, squad in enumerate(self.squads):
-            mine = self.fleet.rows(k, rows)
-            squad.dead = squad.dead.index_copy(0, mine, ~squad.satellite.is_alive()[mine])
-
-    def _renew(self, rows: Tensor) -> None:
-        """Tell everybody that the episodes ``rows`` [n] are others now."""
-        for k, squad in enumerate(self.squads):
-            squad.satellite.time_limit.copy_(squad.simulator.of_env(self.time_limit))
-            squad.satellite.absent = self.fleet.rows_of(k, self.fleet.inert) if self.fleet.size > 1 else None
-        self.scenario.reset(rows)
+        state.limit_ticks = state.limit_ticks.index_copy(0, envs, ticks.long())
+        whole = torch.where(torch.isfinite(limit), ticks * self.fleet.h, limit)
+        state.time_limit = state.time_limit.index_copy(0, envs, whole)
+        self.scenario.begin_episodes(envs)
+        for group in self.fleet.groups:
+            rows = group.task.rows_of(envs)
+            group.task.dead = group.task.dead.index_copy(0, rows, ~group.satellite.is_alive()[rows])
 
     # -- step ---------------------------------------------------------------------------------------------------------
 
     @torch.no_grad()
-    def _play(self, actions: Sequence[Tensor], acts: Sequence[Tensor], moves: Tensor, all_act: bool = False) -> Played:
-        """Do the ``actions`` of each type where they ``act``; simulate the episodes ``moves`` [N] to the end of their step."""
-        fleet = self.fleet
+    def _advance(self, actions: Sequence[Tensor], acts: Sequence[Tensor], moves: Tensor, all_act: bool = False) -> StepResult:
+        """One decision of every episode: command, fly, score, communicate, judge.
+
+        Args:
+            actions: Actions of each type, [N * count].
+            acts: Where they count, [N * count]; other satellites continue their tasks.
+            moves: Episodes that take part, [N].
+            all_act: Whether all actions count.
+        """
+        fleet, removed = self.fleet, self.state.removed
         start = fleet.since = fleet.ticks
-        before = self.rewarder.read_log()
-        for squad, action, mine in zip(self.squads, actions, acts, strict=True):
-            squad.command(action, mine, all_act)
-        self._fly(moves)
-        reward = self.rewarder.calculate_reward(before, self.rewarder.read_log())
-        self.scenario.after_step(fleet.sim_time)
-        if not isinstance(self.communicator, NoCommunication):
-            self.links = self.communicator.communicate(moves)
-            self.rewarder.share(self.links)
-        for simulator in fleet.simulators:
-            simulator.memory.touch()
-        for squad in self.squads:
-            squad.dead = squad.dead | ~squad.satellite.is_alive()
-        return Played((fleet.ticks - start) * fleet.h, reward * moves.unsqueeze(-1))
+        before = checked.log(self.rewarder)
+        for group, action, mine in zip(fleet.groups, actions, acts, strict=True):
+            group.command(action, mine, all_act)
+        fleet.run(moves, self.state.limit_ticks, self.longest_ticks)
+        reward = checked.reward(self.rewarder, before, checked.log(self.rewarder)) * moves.unsqueeze(-1)
+        self.scenario.finish_step(fleet.sim_time)
+        if not self.communicator.is_silent:
+            self.links = self.communicator.exchange(moves)
+            checked.share(self.rewarder, self.links)
+        for group in fleet.groups:
+            group.simulator.state.memory.touch()
+            group.task.dead = group.task.dead | ~group.satellite.is_alive()
+        return self._judge((fleet.ticks - start) * fleet.h, reward, moves, removed)
 
-    def _fly(self, moves: Tensor) -> None:
-        """Simulate the episodes ``moves`` [N] to the first end of a task, of the step, or of the episode."""
-        fleet = self.fleet
-        now = fleet.ticks
-        left = (self.limit_ticks - now).clamp(min=0)
-        ends = now + self.longest_ticks
-        for squad in self.squads:
-            if squad.satellite.variable_interval:
-                ends = torch.minimum(ends, self._soonest(squad, squad.ends))
-        ticks = torch.minimum((ends - now).clamp(min=0), left) * moves
-        orders = [
-            torch.minimum(part.of_env(self._soonest(squad, squad.expected) - now), part.of_env(ticks)) if part.stops else None
-            for part, squad in zip(fleet.simulators, self.squads, strict=True)
-        ]
-        events = fleet.run(ticks, left, orders)
-        last = moves & (fleet.ticks >= self.limit_ticks)
-        for squad, event in zip(self.squads, events, strict=True):
-            squad.settle(event, squad.simulator.of_env(moves), squad.simulator.of_env(last))
+    def _judge(self, duration: Tensor, reward: Tensor, moves: Tensor, removed: Tensor) -> StepResult:
+        """Return the outcome of a step: adds failure penalties [N, S], and says which episodes have ended."""
+        dead = self.fleet.joined([group.task.dead for group in self.fleet.groups])
+        reward = reward + self.failure_penalty * (dead & moves.unsqueeze(-1))
+        if self.fleet.size > 1:
+            reward = torch.where(removed, 0.0, reward)
+        terminated = self._all_agents_ended(dead | checked.terminated(self.rewarder))
+        truncated = self.truncated_by_time | checked.truncated(self.rewarder).any(1)
+        if self.terminate_on_time_limit:
+            terminated = terminated | truncated
+        self.state.returns = self.state.returns + reward.sum(1)
+        return StepResult(duration, reward, terminated, truncated, removed)
 
-    def _soonest(self, squad: Squad, ticks: Tensor) -> Tensor:
-        """The first of the ticks [N * count] of each episode, [N]."""
-        return ticks if squad.simulator.count == 1 else ticks.view(self.fleet.num_envs, -1).amin(1)
+    def _all_agents_ended(self, ended: Tensor) -> Tensor:
+        """Return the episodes that end when the satellites ``ended`` [N, S] have, [N]; where any has, unless overridden."""
+        return ended.any(1)
 
-    @property
-    def truncated_by_time(self) -> Tensor:
-        """Episodes whose time is up, [N]."""
-        return self.fleet.ticks >= self.limit_ticks
+    def _outputs(self, result: StepResult | None, **parts: Tensor) -> TensorDict:
+        raise NotImplementedError(f"{type(self).__name__} must implement _outputs(result, **parts)")
 
-    def _outputs(self, played: Played | None, **parts: Tensor) -> TensorDict:
-        raise NotImplementedError(f"{type(self).__name__} must implement _outputs(played, **parts)")
-
-    def counts(self) -> dict[str, Tensor]:
-        """What is counted in each episode for each satellite, [N, S] each, by name."""
-        names = dict.fromkeys(name for squad in self.squads for name in squad.satellite.counts())
-        counted = {name: self.fleet.each(functools.partial(_counted, name)) for name in names}
-        return counted | self.rewarder.counts()
+    @staticmethod
+    def _ends(result: StepResult) -> dict[str, Tensor]:
+        """Return ``done``, ``terminated`` and ``truncated``, [N, 1] each."""
+        terminated, truncated = result.terminated.unsqueeze(-1), result.truncated.unsqueeze(-1)
+        return {"terminated": terminated, "truncated": truncated, "done": terminated | truncated}
 
     def _cast(self, values: Values, shape: Sequence[int]) -> TensorDict:
         """Named observations of rows, [*shape, ...] each."""
@@ -382,25 +358,41 @@ class Tasking(EnvBase):
     # -- state --------------------------------------------------------------------------------------------------------
 
     def get_state(self) -> TensorDict:
-        """Everything that the future depends on; give it back with ``reset(TensorDict({"state": ...}), set_state=True)``."""
-        state = fleet_state(self.fleet)
-        for k, squad in enumerate(self.squads):
-            kept = TensorDict({name: getattr(squad, name) for name in KEPT}, [squad.simulator.size])
-            state[f"squad_{k}"] = by_env(kept.clone(), squad.simulator.count)
-        for name in EXTRA_STATE:
-            state[name] = getattr(self, name).clone()
+        """Return a copy of everything that the future depends on, [N, ...]; see :meth:`restore`."""
+        state = self.state.to_tensordict()
+        state[MADE_BY] = self.fingerprint.to(self.device).expand(self.num_envs, -1).clone()
         return state
 
     @torch.no_grad()
-    def _restore(self, state: TensorDictBase, rows: Tensor) -> None:
-        restore_fleet(self.fleet, state, rows)
-        for k, squad in enumerate(self.squads):
-            saved, mine = by_row(state[f"squad_{k}"], squad.simulator.count), self.fleet.rows(k, rows)
-            for name in KEPT:
-                setattr(squad, name, getattr(squad, name).index_copy(0, mine, saved[name][mine]))
-        for name in EXTRA_STATE:
-            getattr(self, name)[rows] = state[name][rows]
-        self._renew(rows)
+    def restore(
+        self, state: TensorDictBase | Mapping[str, Any] | Tasking, envs: Tensor | None = None, source: Tensor | None = None
+    ) -> None:
+        """Put the episodes ``source`` of a state into the episodes ``envs``; nothing changes if the state does not fit.
+
+        Args:
+            state: A state of :meth:`get_state`, also as nested dictionaries (``state.to_dict()``), or an environment of the same
+                make, whose present episodes are copied directly. Batch sizes may differ.
+            envs: Episodes of this environment to be replaced, [n] indices; all unless given.
+            source: Episodes of the state, [n] indices, which may repeat; the same as ``envs`` unless given.
+
+        Raises:
+            KeyError, ValueError: For a state that another make of environment has saved.
+            IndexError: For indices out of range, or of different numbers.
+        """
+        envs = self.fleet.all_envs if envs is None else envs
+        source = envs if source is None else source
+        if isinstance(state, Tasking):
+            check_fingerprint(self.fingerprint, state.fingerprint.unsqueeze(0))
+            other: StateTable = state.state
+        else:
+            other = check_compatible(self.fleet, self.fingerprint, state)
+        for name, index, n in (("envs", envs, self.num_envs), ("source", source, other.num_envs)):
+            if index.ndim != 1 or (len(index) and (int(index.min()) < 0 or int(index.max()) >= n)):
+                raise IndexError(f"{name} has indices {index.tolist()[:5]}; they must be a list of numbers from 0 to {n - 1}")
+        if len(envs) != len(source):
+            raise IndexError(f"envs has {len(envs)} indices, source has {len(source)}; they must have equally many")
+        self.state.copy_rows(envs, other, source)
+        self.scenario.begin_episodes(envs)
 
     def get_extra_state(self) -> TensorDict | None:
         """Part of ``state_dict``: see :meth:`get_state`; None before the first reset."""
@@ -409,16 +401,16 @@ class Tasking(EnvBase):
     def set_extra_state(self, state: TensorDict | None) -> None:
         """Part of ``load_state_dict``."""
         if state is not None:
-            self._restore(state, self.fleet.all_envs)
+            self.restore(state)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle the arguments and the state, not the compiled tick."""
-        return _rebuild, (type(self), self._arguments, self.seed_rows, self.episode, self.get_extra_state())
+        return _rebuild, (type(self), self._arguments, self.state.seed, self.episode, self.get_extra_state())
 
     # -- pictures -----------------------------------------------------------------------------------------------------
 
     def render(self, rows: int | Sequence[int] | None = None, height: int = 480) -> Tensor:
-        """Pictures of the present: the Earth, the satellites and what they do; nothing that comes next changes.
+        """Draw the present: the Earth, the satellites and their tasks; the future of the episodes is not changed.
 
         TorchRL's ``PixelRenderTransform`` calls it, with ``rows=0`` for a video of one environment of many. It resets the
         environment to learn the shape of pictures: read ``env.observation_spec`` before a rollout.
@@ -440,57 +432,58 @@ class Tasking(EnvBase):
     # -- help ---------------------------------------------------------------------------------------------------------
 
     def default_sat_args(self) -> ArgumentTable:
-        """Every argument that ``sat_args`` accepts, with default, unit and meaning; print it to read it."""
-        return self.originals[0].default_sat_args()
+        """Return every argument that ``sat_args`` accepts, with default, unit and meaning; print it to read it."""
+        return self.builder.satellites[0].default_sat_args()
 
     def default_world_args(self) -> ArgumentTable:
-        """Every argument that ``world_args`` accepts, with default, unit and meaning; print it to read it."""
-        return ArgumentTable([part for columns in self.types for part in world_components(self.originals[columns[0]])])
+        """Return every argument that ``world_args`` accepts, with default, unit and meaning; print it to read it."""
+        first_of_each = (self.builder.satellites[columns[0]] for columns in self.builder.types)
+        return ArgumentTable([part for satellite in first_of_each for part in world_components(satellite)])
 
     @property
     def bytes_per_env(self) -> int:
-        """Bytes that the tensors of one environment take, its prepared next episode included; the windows found add a little."""
-        return self.fleet.bytes_per_env + (self.pool.fleet.bytes_per_env if self.pool else 0)
+        """Bytes of one environment's state, its prepared next episode included; the windows found add a little."""
+        return (self.state.nbytes + (self.pool.fleet.state.nbytes if self.pool else 0)) // self.num_envs
 
     def check_finite(self) -> None:
-        """FloatingPointError that names environment, field and tick, if any state is not a finite number."""
-        for squad in self.squads:
-            simulator = squad.simulator
-            for name in simulator.tick.state.fields:
-                value = simulator.read(name).reshape(simulator.size, -1)
+        """Check the fields of all satellites; FloatingPointError that names environment, field and tick."""
+        for group in self.fleet.groups:
+            state = group.simulator.state
+            for name in state.layout.fields:
+                value = state.read(name).reshape(state.rows, -1)
                 bad = torch.nonzero(~torch.isfinite(value).all(-1)).squeeze(-1).tolist()
                 if bad:
                     row = bad[0]
                     raise FloatingPointError(
-                        f"{name!r} of {squad.satellite.title(row)} is {value[row].tolist()} at tick {int(simulator.ticks[row])} "
+                        f"{name!r} of {group.satellite.title(row)} is {value[row].tolist()} at tick {int(state.ticks[row])} "
                         f"({len(bad)} of them in all)"
                     )
 
 
 def _rebuild(kind: type[Tasking], arguments: dict[str, Any], seeds: Tensor, episode: Tensor, state: TensorDict | None) -> Tasking:
     env = kind(**arguments)
-    env.seed_rows, env.episode = seeds, episode
+    env.state.seed, env.state.episode = seeds, episode
     env.set_extra_state(state)
     return env
 
 
 def pictures() -> Any:
-    """The module that draws; ModuleNotFoundError without the extra ``viz``."""
+    """Return the module that draws; ModuleNotFoundError without the extra ``viz``."""
     try:
-        return import_module("bsk_torch.viz.frames")
+        return import_module("bsk_torch.viz.render.frames")
     except ModuleNotFoundError as error:
         raise ModuleNotFoundError(f"render() needs {error.name}: pip install 'bsk_torch[viz]'", name=error.name) from error
 
 
 def composed(rewarder: GlobalReward | Iterable[GlobalReward] | None) -> GlobalReward:
-    """The rewarder, or the sum of several, as a copy."""
+    """Return a copy of the rewarder, or of the sum of several."""
     if rewarder is None:
         return NoReward()
     return copy.copy(rewarder) if isinstance(rewarder, GlobalReward) else ComposedReward(*map(copy.copy, rewarder))
 
 
-def _counted(name: str, part: Satellite) -> Tensor:
-    counts = part.counts()
+def _counted(name: str, satellite: Satellite) -> Tensor:
+    counts = satellite.counts()
     if name not in counts:
-        raise AttributeError(f"{part.name} does not count {name!r}")
+        raise AttributeError(f"{satellite.name} does not count {name!r}")
     return counts[name]

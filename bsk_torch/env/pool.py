@@ -13,40 +13,27 @@ import torch
 from torch import Tensor
 
 from bsk_torch.rand import Key
-from bsk_torch.sim.fleet import Drawn, Fleet
+from bsk_torch.sim.fleet import Fleet
 
 SMALLEST = 32
 """Number of satellites in a batch from which a pool pays."""
 
 
 class EpisodePool:
-    """The next episode of every environment, in ``fleet``; ``limit`` [N] is its time limit, s."""
+    """The next episode of every environment, in ``fleet``."""
 
-    def __init__(self, fleet: Fleet) -> None:
-        """Keep episodes in ``fleet``, which nothing else uses."""
-        self.fleet = fleet
+    def __init__(self, fleet: Fleet, start: Callable[[Fleet, Tensor, Key], None]) -> None:
+        """Keep episodes in ``fleet``, which nothing else uses; ``start(fleet, envs, key)`` begins those of a key in it."""
+        self.fleet, self.start = fleet, start
         unset = torch.full_like(fleet.ticks, -1)
         self.seed, self.episode, self.filled = unset, unset.clone(), torch.zeros_like(unset, dtype=torch.bool)
-        self.limit = torch.zeros_like(fleet.sim_time)
 
-    def fill(
-        self,
-        rows: Tensor,
-        seeds: Tensor,
-        env_ids: Tensor,
-        episodes: Tensor,
-        draw: Callable[[Fleet, Key], tuple[Drawn, Tensor]],
-        start: Callable[[Fleet, Tensor, Drawn, Tensor], None],
-    ) -> None:
-        """Make sure that ``rows`` hold the episodes ``episodes`` [N] under ``seeds`` [N]; all stale rows are refilled at once.
-
-        ``draw`` gives what episodes start from and their time limits, ``start`` begins them in a fleet.
-        """
+    def fill(self, envs: Tensor, seeds: Tensor, env_ids: Tensor, episodes: Tensor) -> None:
+        """Let ``envs`` [n] hold their ``episodes`` [N] of ``seeds`` [N]; if any lacks it, all stale rows are refilled."""
         stale = ~self.filled | (self.seed != seeds) | (self.episode != episodes)
-        if not bool(stale[rows].any()):
+        if not bool(stale[envs].any()):
             return
         used = torch.nonzero(stale).squeeze(-1)
-        drawn, limit = draw(self.fleet, Key(seeds[used].cpu(), env_ids[used].cpu(), episodes[used].cpu()))
-        start(self.fleet, used, drawn, limit)
-        self.limit[used], self.filled[used] = limit, True
+        self.start(self.fleet, used, Key(seeds[used].cpu(), env_ids[used].cpu(), episodes[used].cpu()))
+        self.filled[used] = True
         self.seed, self.episode = torch.where(stale, seeds, self.seed), torch.where(stale, episodes, self.episode)

@@ -18,12 +18,12 @@ Draws = dict[str, tuple[Sequence[int], Tensor]]
 
 
 class Randomizer:
-    """Draws what a ``sat_arg_randomizer`` says, for the key's n environments."""
+    """Draws the arguments of a ``sat_arg_randomizer`` for the key's n environments."""
 
     def __init__(
         self, given: Formation | Callable[[list[Satellite]], Mapping[Any, Any]], satellites: Sequence[Satellite]
     ) -> None:
-        """Raise what the formation says about the names of the ``satellites``."""
+        """Check the names of the ``satellites`` with the formation, which may raise."""
         self.given, self.satellites = given, list(satellites)
         self.names = [satellite.name for satellite in satellites]
         if isinstance(given, Formation):
@@ -31,17 +31,17 @@ class Randomizer:
 
     @property
     def calls_user(self) -> bool:
-        """Whether a function of the user's is called, which should be asked only for episodes that begin now."""
+        """Whether a function of the user's is called; such functions are called only for episodes that begin now."""
         return not isinstance(self.given, Formation)
 
     def __call__(self, key: Key) -> Draws:
-        """Arguments by name."""
+        """Return the drawn arguments by name."""
         if isinstance(self.given, Formation):
-            return self.given.draw(key, self.names)
-        return self._stacked([self._asked() for _ in range(len(key))])
+            return self.given.draw_checked(key, self.names)
+        return self._stacked([self._values() for _ in range(len(key))])
 
-    def _asked(self) -> dict[tuple[str, int], Any]:
-        """What the user's function says of one episode, by argument and satellite."""
+    def _values(self) -> dict[tuple[str, int], Any]:
+        """Return the values of the user's function for one episode, by argument and satellite."""
         answer = self.given(self.satellites)  # type: ignore[operator]
         return {(name, self._number(who)): value for who, args in answer.items() for name, value in args.items()}
 
@@ -68,7 +68,7 @@ class Randomizer:
 
 
 def make_randomizer(given: Any, satellites: Sequence[Satellite]) -> Randomizer | None:
-    """What draws for a ``sat_arg_randomizer``; TypeError for what is neither a formation nor a function."""
+    """Return the sampler of a ``sat_arg_randomizer``; TypeError where it is neither a formation nor a function."""
     if given is None:
         return None
     if not isinstance(given, Formation) and not callable(given):

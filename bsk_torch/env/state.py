@@ -1,112 +1,62 @@
-"""Saving and restoring everything that an environment's future depends on."""
+"""Whether a saved state, or the state of another environment, fits an environment."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+import hashlib
+from collections.abc import Mapping
+from typing import Any
 
 import torch
-from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
-from bsk_torch.sim.access import Windows
-from bsk_torch.sim.orbit import FIELDS, Arcs
-from bsk_torch.sim.ragged import stored
+from bsk_torch.sim.fleet import Fleet
+from bsk_torch.sim.state import StateTable
 
-if TYPE_CHECKING:
-    from bsk_torch.sim.fleet import Fleet
-    from bsk_torch.sim.simulator import Simulator
+FORMAT = 2
+"""Format of saved states; release 0.1 wrote another one, without a number."""
 
-ECLIPSES = ("sampled", "known", "starts", "ends")
+MADE_BY = "made_by"
+"""Key of a saved state under which :func:`fingerprint` stands, for each episode."""
 
-
-def simulation_state(simulator: Simulator) -> TensorDict:
-    """State of a simulation, [num_envs, ...] where there is one satellite of the type, else [num_envs, count, ...]."""
-    values: dict[str, Tensor | TensorDict] = {
-        "pack": simulator.pack.mT,
-        "own": simulator.own.mT,
-        "ticks": simulator.ticks,
-        "mode": simulator.mode,
-        **{f"arcs_{name}": getattr(simulator.arcs, name) for name in FIELDS},
-        **{f"eclipses_{name}": getattr(simulator.eclipses, name) for name in ECLIPSES},
-    }
-    arguments = {name: value for name, value in simulator.drawn.items() if isinstance(value, Tensor)}
-    values["arguments"] = TensorDict(arguments, [simulator.size])
-    if simulator.access is not None:
-        values |= {"windows_until": simulator.access.until, "windows_ready": simulator.access.ready}
-        for kind, windows in simulator.access.windows.items():
-            values |= {f"{kind}_{name}": table for name, table in windows._asdict().items()}
-    values |= {f"memory_{name}": simulator.memory[name] for name in simulator.memory}
-    return by_env(TensorDict(values, [simulator.size], device=simulator.device).clone(), simulator.count)
+MEANING = ("format of the state", "length of a tick, ns", "satellites, world or back end")
 
 
-def by_env(rows: TensorDictBase, count: int) -> TensorDict:
-    """Rows of ``count`` satellites each, by environment."""
-    return rows if count == 1 else rows.view(-1, count)
+def fingerprint(fleet: Fleet) -> Tensor:
+    """Return the numbers that must agree where states are exchanged: see :data:`MEANING`, [3] int64."""
+    digest = hashlib.blake2b(digest_size=7)
+    for simulator in fleet.simulators:
+        tick, lookahead = simulator.tick, simulator.lookahead
+        structure = [list(layout.fields) for layout in (tick.state, tick.shared, tick.own)], simulator.mode_names, simulator.count
+        digest.update(repr((structure, simulator.state.constants, lookahead.arcs.tail.shape[1])).encode())
+        digest.update(simulator.uniform.cpu().numpy().tobytes())
+    return torch.tensor([FORMAT, fleet.simulators[0].h_ns, int.from_bytes(digest.digest(), "big")])
 
 
-def by_row(saved: TensorDictBase, count: int) -> TensorDictBase:
-    """What :func:`by_env` made, as rows again."""
-    return saved if count == 1 else saved.view(-1)
+def check_compatible(fleet: Fleet, mine: Tensor, state: Mapping[str, Any]) -> StateTable:
+    """Return the tables of a saved state for a fleet whose fingerprint is ``mine``.
 
-
-def fleet_state(fleet: Fleet) -> TensorDict:
-    """State of all simulations of a fleet, what the scenario has drawn, and what the episodes remember."""
-    values: dict[str, Any] = {f"type_{k}": simulation_state(simulator) for k, simulator in enumerate(fleet.simulators)}
-    values["tables"] = TensorDict(dict(fleet.tables), [fleet.num_envs]).clone()
-    values["memory"] = TensorDict({name: fleet.memory[name] for name in fleet.memory}, [fleet.num_envs]).clone()
-    values["inert"] = fleet.inert.clone()
-    return TensorDict(values, [fleet.num_envs], device=fleet.device)
-
-
-def restore_fleet(fleet: Fleet, saved: TensorDictBase, envs: Tensor) -> None:
-    """Put the saved state [N] back into the episodes ``envs`` [n] of a fleet."""
+    Raises:
+        KeyError, ValueError: For the state of another make of environment.
+    """
+    names = set(state.keys())
+    if MADE_BY not in names:
+        raise ValueError(
+            "state was not saved by this release: it lacks the fingerprint of its environment. States of release 0.1 cannot be "
+            "restored; begin the episodes anew"
+        )
+    check_fingerprint(mine, torch.as_tensor(state[MADE_BY]).reshape(-1, len(MEANING)).unique(dim=0).cpu())
+    saved = fleet.state.over({name: state[name] for name in names - {MADE_BY}})
     for k, simulator in enumerate(fleet.simulators):
-        restore_simulation(simulator, by_row(saved[f"type_{k}"], simulator.count), fleet.rows(k, envs))
-    for name, table in saved["tables"].items():
-        fleet.tables[name][envs] = table[envs]
-    for name in fleet.memory:
-        fleet.memory.restore(name, envs, saved["memory"][name])
-    fleet.inert[envs] = saved["inert"][envs]
+        mode, modes = saved.tables[f"satellites_{k}"]["mode"], len(simulator.mode_names)
+        if bool(((mode < 0) | (mode >= modes)).any()):
+            raise ValueError(f"mode of the saved state has values outside of 0 to {modes - 1}")
+    return saved
 
 
-def _restore_arcs(simulator: Simulator, saved: TensorDictBase, rows: Tensor) -> None:
-    """Put the saved arcs back; where they are longer than the simulation's, those of all rows are made as long."""
-    arcs = simulator.arcs
-    if saved["arcs_tail"].shape[1] != arcs.solver.tail:
-        raise ValueError("the state was saved under another backend: eager and compiled simulations solve arcs in different ways")
-    if not bool(arcs.et.any()):  # never reset: there is nothing to lengthen
-        for name in FIELDS:
-            setattr(arcs, name, saved[f"arcs_{name}"].clone())
-    while arcs.flown.shape[1] < saved["arcs_flown"].shape[1]:
-        simulator.grow()
-    other = Arcs(len(saved), 1, arcs.solver, arcs.kept)
-    for name in FIELDS:
-        setattr(other, name, saved[f"arcs_{name}"].clone())
-    while other.flown.shape[1] < arcs.flown.shape[1]:
-        other.grow()
-    arcs.adopt(rows, other)
-
-
-def restore_simulation(simulator: Simulator, saved: TensorDictBase, rows: Tensor) -> None:
-    """Put the saved state [N] back into ``rows`` [n] of a simulation of N satellites."""
-    _restore_arcs(simulator, saved, rows)
-    eclipses = simulator.eclipses
-    for name in ("sampled", "known"):
-        getattr(eclipses, name)[rows] = saved[f"eclipses_{name}"][rows]
-    for name in ("starts", "ends"):
-        setattr(eclipses, name, stored(getattr(eclipses, name), rows, saved[f"eclipses_{name}"][rows]))
-    simulator.ticks[rows], simulator.mode[rows] = saved["ticks"][rows], saved["mode"][rows]
-    simulator.pack[:, rows], simulator.own[:, rows] = saved["pack"][rows].mT, saved["own"][rows].mT
-    for name, value in saved["arguments"].items():
-        if name not in simulator.drawn:
-            simulator.drawn[name] = torch.zeros_like(value)
-        simulator.drawn[name][rows] = value[rows]
-    simulator.draws += 1
-    for name in simulator.memory:
-        simulator.memory.restore(name, rows, saved[f"memory_{name}"])
-    if simulator.access is not None:
-        simulator.access.until[rows] = saved["windows_until"][rows]
-        simulator.access.ready[rows] = saved["windows_ready"][rows]
-        for kind in simulator.access.windows:
-            simulator.access.store(kind, rows, Windows(*(saved[f"{kind}_{name}"][rows] for name in Windows._fields)))
-    simulator.observer.forget()
+def check_fingerprint(mine: Tensor, theirs: Tensor) -> None:
+    """Raise ValueError that names the difference of two environments; ``theirs`` is [n, 3]."""
+    for part, meaning in enumerate(MEANING):
+        other = [int(value) for value in theirs[:, part] if value != mine[part]]
+        if other:
+            how = f": {other[0]}, not {int(mine[part])}" if part < len(MEANING) - 1 else ""
+            raise ValueError(f"state was saved by another make of environment; they differ in the {meaning}{how}")

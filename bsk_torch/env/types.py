@@ -1,4 +1,4 @@
-"""Which satellites of a list are of the same type, so that one simulation can hold them."""
+"""Grouping of satellites by type, so that one simulation can hold those of a type."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ OWN = ("name", "sat_args_generator")
 
 
 def check_names(satellites: Sequence[Satellite]) -> list[str]:
-    """Names of the satellites; ValueError where there are none, too many, or names that are no identifiers or not unique."""
+    """Return the names of the satellites; ValueError for none, too many, or names that are not unique identifiers."""
     if not satellites:
         raise ValueError("satellites is empty; an environment needs at least one satellite")
     if len(satellites) > MOST_SATELLITES:
@@ -34,7 +34,7 @@ def check_names(satellites: Sequence[Satellite]) -> list[str]:
 
 
 def same_type(a: Satellite, b: Satellite) -> bool:
-    """Whether two satellites differ in nothing but their names and the values of arguments that may differ."""
+    """Return whether two satellites differ in nothing but their names and the values of arguments that may differ."""
     if type(a) is not type(b):
         return False
     options, others = ({n: v for n, v in vars(x).items() if n not in OWN} for x in (a, b))
@@ -51,7 +51,7 @@ def same_type(a: Satellite, b: Satellite) -> bool:
 
 
 def grouped(satellites: Sequence[Satellite]) -> list[list[int]]:
-    """Numbers of the satellites of each type, in the order in which types appear."""
+    """Return the numbers of the satellites of each type, in the order in which types appear."""
     types: list[list[int]] = []
     for k, satellite in enumerate(satellites):
         mine = next((columns for columns in types if same_type(satellites[columns[0]], satellite)), None)
@@ -63,17 +63,17 @@ def grouped(satellites: Sequence[Satellite]) -> list[list[int]]:
 
 
 def world_components(satellite: Satellite) -> tuple[Component, ...]:
-    """What a satellite's models need of the world."""
+    """Return the components of the world that a satellite's models need."""
     return collect(reversed(satellite.dyn_type.__mro__), "world_components")
 
 
 def world_arguments(satellite: Satellite) -> list[str]:
-    """Names of the arguments of a satellite's world."""
+    """Return the names of the arguments of a satellite's world."""
     return [arg.name for component in world_components(satellite) for arg in component.args]
 
 
 def check_world(world_args: Mapping[str, Any], known: Iterable[Iterable[str]]) -> None:
-    """KeyError for an argument that the world of no satellite has."""
+    """Raise KeyError for an argument that the world of no satellite has."""
     names = {name for group in known for name in group}
     for name in world_args:
         if name not in names:

@@ -1,4 +1,4 @@
-"""Observations: what an agent sees of its satellite and of what is asked of it."""
+"""Observations: entries of a satellite's ``observation_spec``."""
 
 from bsk_torch.obs.base import Observation
 from bsk_torch.obs.opportunities import OpportunityProperties

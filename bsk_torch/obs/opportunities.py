@@ -1,4 +1,4 @@
-"""Observations of the next opportunities: stations that will see the satellite, targets that it will see."""
+"""Observations of the next opportunities: passes over ground stations, access windows of targets."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ import torch
 from torch import Tensor
 
 from bsk_torch.obs.base import Observation, Values, check_entries, property_name, scaled
-from bsk_torch.sim.aim import SEEN_FROM
-from bsk_torch.sim.observe import observable
+from bsk_torch.sim.access.relative_geometry import SATELLITE_PROPERTIES
 from bsk_torch.sim.params import nearest
+from bsk_torch.sim.readout.observables import observable
 
 if TYPE_CHECKING:
     from bsk_torch.sats.access import AccessSatellite, Opportunities
     from bsk_torch.sats.satellite import Satellite
 
 Preset = Callable[[Any, Any], Tensor]
-"""A function of the satellite and its next opportunities, [N, n] or [N, n, width]."""
+"""A function of the satellite and its next opportunities that returns [N, n] or [N, n, width]."""
 
 
 def _relative(name: str) -> Preset:
@@ -29,11 +29,11 @@ def _relative(name: str) -> Preset:
 
 
 def priority(satellite: Satellite, targets: Opportunities) -> Tensor:
-    """What each target is worth now, [N, n]."""
+    """Return the present priority of each target, [N, n]."""
     return satellite.simulator.look_up(satellite.scenario.priority, targets.place)
 
 
-def _aimed(part: slice | int) -> Preset:
+def _relative_geometry(part: slice | int) -> Preset:
     def geometry(satellite: Satellite, opportunities: Opportunities) -> Tensor:
         return satellite.aims(opportunities)[..., part]  # type: ignore[attr-defined]
 
@@ -43,31 +43,32 @@ def _aimed(part: slice | int) -> Preset:
 PRESETS: dict[str, Preset] = {
     "priority": priority,
     "r_LP_P": lambda satellite, opportunities: opportunities.r_LP_P,
-    "r_LB_H": _aimed(slice(0, 3)),
+    "r_LB_H": _relative_geometry(slice(0, 3)),
     "opportunity_open": _relative("open"),
     "opportunity_mid": _relative("mid"),
     "opportunity_close": _relative("close"),
-    "target_angle": _aimed(3),
-    "target_angle_rate": _aimed(4),
+    "target_angle": _relative_geometry(3),
+    "target_angle_rate": _relative_geometry(4),
 }
-"""What ``prop`` may name."""
+"""Properties of opportunities, the values that ``prop`` may have."""
 
 NEEDS = {
     "r_LB_H": ("r_BN_P", "v_BN_P"),
-    "target_angle": SEEN_FROM,
-    "target_angle_rate": SEEN_FROM,
+    "target_angle": SATELLITE_PROPERTIES,
+    "target_angle_rate": SATELLITE_PROPERTIES,
 }
-"""Properties of the satellite that presets read."""
+"""Properties of the satellite that presets read, by preset."""
 
 ONLY_TARGETS = ("priority",)
+"""Presets that ground stations do not have."""
 
 
 class OpportunityProperties(Observation):
-    """Properties of the ``n_ahead_observe`` opportunities that close next; row i is what action i of ``act.Image`` means.
+    """Properties of the n opportunities that close next; the i-th target is the one that action i of ``act.Image`` images.
 
-    Each argument is a dictionary with ``prop`` (see :data:`PRESETS`) or ``fn`` (called with the satellite and its
-    :class:`~bsk_torch.sats.access.Opportunities`, gives [N, n] or [N, n, width]), and optionally ``norm`` and ``name``. Where
-    there are fewer opportunities, the last one is repeated.
+    Each argument is a dictionary with ``prop`` (see :data:`PRESETS`) or ``fn`` (function of the satellite and its
+    :class:`~bsk_torch.sats.access.Opportunities` that returns [N, n] or [N, n, width]), and optionally ``norm`` (divisor) and
+    ``name``. If there are fewer opportunities, the last one is repeated.
     """
 
     def __init__(
@@ -78,15 +79,18 @@ class OpportunityProperties(Observation):
         name: str | None = None,
         as_set: bool = False,
     ) -> None:
-        """See the class; ValueError for unknown keys or presets.
+        """Observe opportunities.
 
         Args:
-            *entries: What is observed of each.
+            *entries: Properties of each opportunity; see the class.
             n_ahead_observe: Number of opportunities n.
             type: ``"target"`` or ``"ground_station"``.
             name: Name of the observation; that of the type unless given.
-            as_set: Whether to give ``rows`` [N, n, features] and ``mask`` [N, n] (1, or 0 for repetitions) instead of named
-                numbers, for policies that treat opportunities alike.
+            as_set: Whether to return ``rows`` [N, n, features] and ``mask`` [N, n] (1, or 0 for repetitions) instead of named
+                numbers, for policies that treat all opportunities alike.
+
+        Raises:
+            ValueError: For unknown keys or presets, equal names, or fewer than one opportunity.
         """
         super().__init__(name or type)
         check_entries(entries, {"prop", "fn", "norm", "name"}, "obs.OpportunityProperties")
@@ -114,9 +118,10 @@ class OpportunityProperties(Observation):
                 raise ValueError(f"{self.name!r} observes targets by {name!r}, which {satellite.name} does not have")
         if self.type == "target":
             simulator = satellite.simulator
-            simulator.access.expect(self.n_ahead_observe, simulator.tables["target_exists"].shape[1])  # type: ignore[union-attr]
+            simulator.access.expect(self.n_ahead_observe, simulator.scenario_state["target_exists"].shape[1])  # type: ignore[union-attr]
 
     def _needs(self) -> list[str]:
+        """Return names of the properties of the satellite that the entries read."""
         return [name for entry in self.entries for name in NEEDS.get(str(entry.get("prop")), ())]
 
     def observables(self) -> list[Any]:
@@ -126,12 +131,19 @@ class OpportunityProperties(Observation):
         return [prop.function for prop in known if isinstance(prop, observable)]
 
     def _columns(self) -> tuple[dict[str, Tensor], Tensor]:
-        """What is observed of the opportunities by name, [N, n] or [N, n, width], and which do not repeat the last, [N, n]."""
+        """Return properties by name, [N, n] or [N, n, width], and which opportunities do not repeat the last one, [N, n] bool."""
         opportunities = cast("AccessSatellite", self.satellite).find_next_opportunities(self.n_ahead_observe, self.type)
         columns = {}
         for entry in self.entries:
             function = entry.get("fn") or PRESETS[entry["prop"]]
-            columns[property_name(entry)] = scaled(function(self.satellite, opportunities), entry.get("norm", 1.0))
+            column = function(self.satellite, opportunities)
+            if "fn" in entry and (not isinstance(column, Tensor) or column.shape[:2] != opportunities.open.shape):
+                given = f"a tensor of shape {list(column.shape)}" if isinstance(column, Tensor) else repr(column)
+                n, k = opportunities.open.shape
+                raise TypeError(
+                    f"{property_name(entry)!r} of {self.name!r} is {given}; fn must return [{n}, {k}] or [{n}, {k}, width]"
+                )
+            columns[property_name(entry)] = scaled(column, entry.get("norm", 1.0))
         if getattr(self.satellite, "may_see_nothing", False):
             nothing = opportunities.found == 0
             columns = {name: blank(column, nothing) for name, column in columns.items()}
@@ -139,7 +151,7 @@ class OpportunityProperties(Observation):
 
     @staticmethod
     def _rows(columns: dict[str, Tensor]) -> Tensor:
-        """All columns side by side, [N, n, features]."""
+        """Put all columns side by side, [N, n, features]."""
         return torch.cat([column.unsqueeze(-1) if column.ndim == 2 else column for column in columns.values()], -1)
 
     def get_obs(self) -> Values:
@@ -157,10 +169,10 @@ class OpportunityProperties(Observation):
 
 
 def blank(column: Tensor, rows: Tensor) -> Tensor:
-    """The column [N, ...] with zeros in ``rows`` [N]."""
+    """Return the column [N, ...] with zeros where ``rows`` [N] holds."""
     return torch.where(rows.view(-1, *[1] * (column.ndim - 1)), torch.zeros_like(column), column)
 
 
 def type_of(model: object) -> type:
-    """Class of a model; ``type`` is an argument here."""
+    """Return the class of a model; ``type`` is the name of an argument in this module."""
     return model.__class__

@@ -1,4 +1,4 @@
-"""Observations of the satellite itself: its properties, the time, the next eclipse."""
+"""Observations of the satellite itself: properties of its models, time, eclipses."""
 
 from __future__ import annotations
 
@@ -8,22 +8,22 @@ import torch
 from torch import Tensor
 
 from bsk_torch.obs.base import Observation, Values, check_entries, property_name, scaled
-from bsk_torch.sim.observe import observable
 from bsk_torch.sim.params import nearest
+from bsk_torch.sim.readout.observables import observable
 
 if TYPE_CHECKING:
     from bsk_torch.sats.satellite import Satellite
 
 
 class SatProperties(Observation):
-    """Properties of the dynamics or flight-software model, the user's own included.
+    """Properties of the dynamics or flight-software model, those that a user's model adds included.
 
-    Each argument is a dictionary with ``prop`` (name of the property) or ``fn`` (called with the satellite), and optionally
-    ``module`` (``"dynamics"`` or ``"fsw"``), ``norm`` (divisor) and ``name``.
+    Each argument is a dictionary with ``prop`` (name of the property) or ``fn`` (function of the satellite that returns [N] or
+    [N, width]), and optionally ``module`` (``"dynamics"`` or ``"fsw"``), ``norm`` (divisor) and ``name``.
     """
 
     def __init__(self, *entries: dict[str, Any], name: str = "sat_props") -> None:
-        """See the class; ValueError for unknown keys."""
+        """See the class; ValueError for unknown keys or equal names."""
         super().__init__(name)
         check_entries(entries, {"prop", "fn", "module", "norm", "name"}, "obs.SatProperties")
         self.entries = entries
@@ -61,10 +61,16 @@ class SatProperties(Observation):
 
 
 class Time(Observation):
-    """Time since reset, or time left, over ``norm`` seconds (None: the time limit)."""
+    """Time since reset, or until the time limit, divided by ``norm``; [N]."""
 
     def __init__(self, norm: float | None = None, name: str = "time", observe_time_remaining: bool = False) -> None:
-        """See the class."""
+        """Observe the time.
+
+        Args:
+            norm: Divisor, s; None for the time limit.
+            name: Name of the observation.
+            observe_time_remaining: Whether to observe the time until the time limit.
+        """
         super().__init__(name)
         self.norm, self.remaining = norm, observe_time_remaining
 
@@ -78,14 +84,14 @@ class Time(Observation):
 
 
 class Eclipse(Observation):
-    """Seconds to the next start and the next end of an eclipse, over ``norm``.
+    """Time until the next start and until the next end of an eclipse, divided by ``norm`` seconds; [N, 2].
 
-    They need not belong to the same eclipse. The answers are on bsk_rl's 30 s grid; where there is no eclipse in sight it
-    answers with one second after the epoch.
+    They need not belong to the same eclipse. As in bsk_rl, times are on a grid of 30 s, and both are one second after the epoch
+    if no eclipse begins or ends in the time that is searched.
     """
 
     def __init__(self, norm: float = 1.0, name: str = "eclipse") -> None:
-        """See the class."""
+        """Observe eclipses; ``norm`` is the divisor, s."""
         super().__init__(name)
         self.norm = norm
 

@@ -1,4 +1,18 @@
-"""Named, versioned environments."""
+"""Named, versioned environments; the module of each states its decision process.
+
+=========================  ==========================  ==================================================================
+name                       module                      task
+=========================  ==========================  ==================================================================
+``NadirScan-v1``           ``presets.nadir_scan``      record the ground below; manage battery, wheels and storage
+``AEOS-v1``                ``presets.aeos``            choose which of the next 32 targets to image
+``AEOSCity-v1``            ``presets.aeos``            the same, with cities as targets
+``CloudyAEOS-v1``          ``presets.aeos``            the same, with clouds of which only a forecast is observed
+``AEOSPower-v1``           ``presets.aeos_power``      the same, with a small battery, weak wheels and little storage
+``AEOSConstellation-v1``   ``presets.constellation``   three imagers in one plane that share everything once a minute
+``Constellation-v1``       ``presets.constellation``   a Walker constellation of imagers that talk in line of sight
+``RelayConstellation-v1``  ``presets.constellation``   low imagers, and high relays that pass on what was imaged
+=========================  ==========================  ==================================================================
+"""
 
 from __future__ import annotations
 
@@ -21,11 +35,11 @@ PRESETS: dict[str, Callable[..., Any]] = {
     "AEOSConstellation-v1": aeos_constellation,
     "RelayConstellation-v1": relay_constellation,
 }
-"""Presets by name: functions that take the arguments of the environment to override."""
+"""Presets by name: functions of the arguments of the environment to override."""
 
 
 def make(name: str, **options: Any) -> Any:
-    """The environment of a preset.
+    """Return the environment of a preset.
 
     Args:
         name: One of :data:`PRESETS`, such as ``"NadirScan-v1"``.

@@ -1,7 +1,36 @@
-"""Agile Earth observation: which of the next 32 targets to image.
+"""AEOS-v1, AEOSCity-v1 and CloudyAEOS-v1: agile Earth observation, the choice which of the next 32 targets to image.
 
-AEOS-v1 is the task ``aeos_single`` of bsk_rl's benchmark suite: power and storage do not bind, only time does. AEOSCity-v1 looks
-for cities instead of random places, and in CloudyAEOS-v1 targets hide under clouds of which only a forecast is known.
+AEOS-v1 is the task ``aeos_single`` of bsk_rl's benchmark suite: power and storage do not limit the satellite, only time does. The
+targets of AEOSCity-v1 are cities. In CloudyAEOS-v1 clouds cover targets; only a forecast of them is observed.
+
+Observation, 12 + 32 * 8 + 1 = 269 numbers (32 more in CloudyAEOS-v1):
+
+============================  ==================================================================================
+``omega_BH_H_normd`` (3)      angular velocity relative to the Hill frame, over 0.03 rad/s
+``c_hat_H`` (3)               direction of the instrument in the Hill frame
+``r_BN_P_normd`` (3)          position in the Earth-fixed frame, over the radius of the Earth
+``v_BN_P_normd`` (3)          velocity in the Earth-fixed frame, over 7616.5 m/s
+of each target:
+``priority``                  its reward
+``r_LB_H_normd`` (3)          its position relative to the satellite, in the Hill frame, over 800 km
+``target_angle_normd``        angle between its direction and the instrument, over pi
+``target_angle_rate_normd``   angular rate of the body relative to the line of sight, over 0.03 rad/s
+``opportunity_open_normd``    time until its window opens, over 300 s
+``opportunity_close_normd``   time until its window closes, over 300 s
+``cloud_forecast``            forecast of the cloud cover (CloudyAEOS-v1)
+``time``                      time since reset, over the time limit
+============================  ==================================================================================
+
+Targets are those of the next windows in order of their closing times, without those that have been imaged. With ``as_set=True``
+they are ``rows`` [N, 32, features] with a ``mask`` [N, 32].
+
+Actions: 0 to 31, image that target. The step ends with the image, with the end of the window, or after 300 s.
+
+Reward: the priority of a target for its first image; none in CloudyAEOS-v1 if the cloud cover is above 0.7.
+
+Termination: the time limit of 17 100 s (three orbits).
+
+Random at reset: orbit (800 km, 45 degrees), number, places and priorities of targets (100 to 9999 in AEOS-v1), clouds.
 """
 
 from __future__ import annotations
@@ -19,19 +48,19 @@ from bsk_torch.env import SatelliteTasking
 from bsk_torch.sim import dyn, fsw
 
 ORBIT = 5700.0
-"""What one orbit counts as, s; episodes last three."""
+"""Length of an orbit for norms and time limits, s; episodes last three."""
 
 ALTITUDE = 800e3
-"""Height of the orbit, m."""
+"""Altitude of the orbit, m."""
 
 SPEED = 7616.5
-"""What velocities are divided by, m/s."""
+"""Norm of velocities, m/s."""
 
 SOON = 300.0
-"""What times of windows are divided by, s; also the longest step."""
+"""Norm of the times of windows, and longest step, s."""
 
 AHEAD = 32
-"""Targets that are seen and can be chosen."""
+"""Number of targets that are observed and can be chosen."""
 
 SATELLITE = (
     dict(prop="omega_BH_H", norm=0.03),
@@ -39,7 +68,7 @@ SATELLITE = (
     dict(prop="r_BN_P", norm=R_EARTH),
     dict(prop="v_BN_P", norm=SPEED),
 )
-"""What is observed of the satellite: its rate, where its instrument points, and its orbit."""
+"""Observed properties of the satellite: angular velocity, direction of the instrument, orbit."""
 
 TARGET = (
     dict(prop="priority"),
@@ -49,16 +78,16 @@ TARGET = (
     dict(prop="opportunity_open", norm=SOON),
     dict(prop="opportunity_close", norm=SOON),
 )
-"""What is observed of each target."""
+"""Observed properties of each target."""
 
 
 def targets_ahead(*more: dict[str, Any], as_set: bool = False) -> obs.OpportunityProperties:
-    """Observation of the next targets, with ``more`` properties than :data:`TARGET`."""
+    """Return the observation of the next targets: :data:`TARGET`, and ``more`` properties."""
     return obs.OpportunityProperties(*TARGET, *more, type="target", n_ahead_observe=AHEAD, as_set=as_set)
 
 
 class AgileSatellite(sats.ImagingSatellite):
-    """Sees the next 32 targets and images one of them."""
+    """Observes the next 32 targets and images one of them."""
 
     observation_spec: ClassVar[Sequence[obs.Observation]] = (obs.SatProperties(*SATELLITE), targets_ahead(), obs.Time())
     action_spec: ClassVar[Sequence[act.Action]] = (act.Image(n_ahead_image=AHEAD),)
@@ -67,13 +96,13 @@ class AgileSatellite(sats.ImagingSatellite):
 
 
 class AgileSetSatellite(AgileSatellite):
-    """The same, with the targets as a set for policies that treat them alike."""
+    """The same, with targets as a set, for policies that treat all of them alike."""
 
     observation_spec = (obs.SatProperties(*SATELLITE), targets_ahead(as_set=True), obs.Time())
 
 
 def agile_args() -> dict[str, Any]:
-    """Orbit, agility and instrument of bsk_rl's benchmark; a hundred times the power and the storage of its defaults."""
+    """Return orbit, agility and instrument of bsk_rl's benchmark, with a hundred times the power and storage of its defaults."""
     return dict(
         oe=rand.random_orbit(a=(6371e3 + ALTITUDE) / 1e3, i=45.0),
         imageTargetMinimumElevation=math.atan(ALTITUDE / 500e3),
@@ -94,7 +123,7 @@ def agile_environment(
     as_set: bool,
     options: dict[str, Any],
 ) -> SatelliteTasking:
-    """An environment of one of two satellites, the second of which observes targets ``as_set``; see :func:`aeos`."""
+    """Return an environment with the first of two satellites, or the second one for targets ``as_set``; see :func:`aeos`."""
     obs_type = options.pop("obs_type", dict if as_set else torch.Tensor)
     satellite = satellites[as_set]("EO1", arguments | options.pop("sat_args", {}), obs_type=obs_type, may_see_nothing=True)
     defaults: dict[str, Any] = dict(
@@ -109,12 +138,13 @@ def agile_environment(
 
 
 def aeos(*, n_targets: int | tuple[int, int] = (100, 10_000), as_set: bool = False, **options: Any) -> SatelliteTasking:
-    """AEOS-v1; see :func:`bsk_torch.make`.
+    """Return AEOS-v1; see the module.
 
     Args:
         n_targets: Number of targets, or its range (the upper end excluded).
         as_set: Whether targets are observed as ``rows`` [N, 32, features] with a ``mask`` instead of in one vector.
-        **options: Arguments of the environment to override.
+        **options: Arguments of :class:`~bsk_torch.SatelliteTasking` that replace those of the preset, and ``obs_type`` and
+            ``sat_args`` of the satellite.
     """
     options = {"scenario": scene.UniformTargets(n_targets)} | options
     return agile_environment((AgileSatellite, AgileSetSatellite), agile_args(), as_set, options)
@@ -123,32 +153,33 @@ def aeos(*, n_targets: int | tuple[int, int] = (100, 10_000), as_set: bool = Fal
 def aeos_city(
     *, n_targets: int = 1000, n_select_from: int | Literal["all"] | None = 5000, as_set: bool = False, **options: Any
 ) -> SatelliteTasking:
-    """AEOSCity-v1: every episode asks for ``n_targets`` of the ``n_select_from`` largest cities; see :func:`aeos`."""
+    """Return AEOSCity-v1: targets are ``n_targets`` of the ``n_select_from`` largest cities, drawn at reset; see :func:`aeos`."""
     options = {"scenario": scene.CityTargets(n_targets, n_select_from)} | options
     return agile_environment((AgileSatellite, AgileSetSatellite), agile_args(), as_set, options)
 
 
 def cloud_forecast(satellite: Any, targets: Any) -> Tensor:
-    """Forecast of the cloud cover over each target, [N, n]."""
+    """Return the forecast of the cloud cover over each target, [N, n] in [0, 1]."""
     return satellite.simulator.look_up(satellite.scenario.cloud_forecast, targets.place)
 
 
 CLOUDS = dict(fn=cloud_forecast, name="cloud_forecast")
+"""Property of targets that CloudyAEOS-v1 observes beside :data:`TARGET`."""
 
 
 class CloudySatellite(AgileSatellite):
-    """Also sees the forecast."""
+    """Observes the forecast of clouds, too."""
 
     observation_spec = (obs.SatProperties(*SATELLITE), targets_ahead(CLOUDS), obs.Time())
 
 
 class CloudySetSatellite(AgileSatellite):
-    """The same, as a set."""
+    """The same, with targets as a set."""
 
     observation_spec = (obs.SatProperties(*SATELLITE), targets_ahead(CLOUDS, as_set=True), obs.Time())
 
 
 def cloudy_aeos(*, n_targets: int | tuple[int, int] = 1000, as_set: bool = False, **options: Any) -> SatelliteTasking:
-    """CloudyAEOS-v1: only images without clouds count; see :func:`aeos`."""
+    """Return CloudyAEOS-v1: only images without clouds pay; see :func:`aeos`."""
     clouds = dict(scenario=scene.CloudyTargets(scene.UniformTargets(n_targets)), rewarder=data.CloudFreeImageReward())
     return agile_environment((CloudySatellite, CloudySetSatellite), agile_args(), as_set, clouds | options)

@@ -1,7 +1,27 @@
-"""AEOSPower-v1: agile Earth observation with a small battery, weak wheels and a small store.
+"""AEOSPower-v1: agile Earth observation with a small battery, weak wheels and little storage.
 
-The satellite images, charges, downlinks and dumps momentum. A rule says in advance which actions would endanger it: they are
-illegal in ``action_mask``, as the shield of bsk_rl's example makes them.
+The satellite images, charges, downlinks and desaturates its wheels. As in bsk_rl's shield example, ``action_mask`` leaves out
+actions that a rule calls dangerous; see :func:`shield`.
+
+Observation, 298 numbers: those of AEOS-v1 (:mod:`bsk_torch.presets.aeos`), and
+
+============================  ==================================================================================
+``battery_charge_fraction``   charge of the battery over its capacity
+``wheel_speeds_fraction`` (3) wheel speeds over the largest speed
+``storage_level_fraction``    data in the store over its capacity
+``density`` (20)              sum of the priorities of targets whose next window closes within each of the next
+                              20 intervals of 180 s, over 5
+``ground_station`` (2)        time until the next pass over a station opens and closes, over 5700 s
+``eclipse`` (2)               time until the next eclipse begins and ends, over 5700 s
+============================  ==================================================================================
+
+Actions: 0 charge, 1 downlink, 2 desaturate the wheels (60 s each), 3 to 34 image one of the next 32 targets.
+
+Reward: the priority of a target for its first image; -10 if the satellite dies.
+
+Termination: battery empty, a wheel at its largest speed, or below 200 km at the end of a step; and the time limit of 17 100 s.
+
+Random at reset: as in AEOS-v1 with 1000 targets; initial charge and wheel speeds, disturbance torque.
 """
 
 from __future__ import annotations
@@ -17,30 +37,34 @@ from bsk_torch.presets.aeos import AHEAD, ORBIT, SATELLITE, AgileSatellite, agil
 from bsk_torch.presets.nadir_scan import next_station
 from bsk_torch.sim import dyn
 
-BINS, BIN = 20, 180.0
-"""Number of intervals in which the density of targets is observed, and their length, s."""
+BINS = 20
+"""Number of intervals in which the density of targets is observed."""
+
+BIN = 180.0
+"""Length of these intervals, s."""
 
 CROWD = 5.0
-"""What sums of priorities are divided by."""
+"""Norm of sums of priorities."""
 
 RESERVE = 0.25
-"""Charge, fraction of the battery, below which the shield always asks for more."""
+"""Charge below which the shield allows only charging, fraction of the battery's capacity."""
 
 FAST = 0.7
-"""Wheel speed, fraction of the largest, above which the shield asks for desaturation."""
+"""Wheel speed above which the shield allows only desaturation, fraction of the largest speed."""
 
 RESOURCES = (
     dict(prop="battery_charge_fraction"),
     dict(prop="wheel_speeds_fraction"),
     dict(prop="storage_level_fraction"),
 )
+"""Observed properties of the satellite beside those of AEOS-v1."""
 
 CHARGE, DOWNLINK, DESAT = 0, 1, 2
-"""Numbers of the actions that are not images."""
+"""Actions that are not images."""
 
 
 class TargetDensity(obs.Observation):
-    """Sums of the priorities of the targets whose next window closes in each of the next intervals, [N, BINS]."""
+    """Sums of the priorities of the targets whose next window closes in each of the next intervals, [N, 20]."""
 
     def __init__(self, name: str = "density") -> None:
         """Name of the observation."""
@@ -49,17 +73,21 @@ class TargetDensity(obs.Observation):
     def get_obs(self) -> Tensor:
         """See :meth:`Observation.get_obs`."""
         simulator, scenario = self.satellite.simulator, self.satellite.scenario
-        close = self.satellite.next_opportunities("target")[1] - simulator.sim_time.unsqueeze(-1)  # type: ignore[attr-defined]
+        close = self.satellite.next_opportunities("target")[1] - simulator.sim_time.unsqueeze(-1)
         number = torch.clamp(close / BIN, 0.0, float(BINS)).long()
         sums = torch.zeros(len(close), BINS + 1, dtype=close.dtype, device=close.device)
         return sums.scatter_add(1, number, simulator.of_env(scenario.priority).to(close.dtype))[:, :BINS] / CROWD
 
 
 def shield(satellite: Any) -> Tensor:
-    """Which of n actions do not endanger the satellite, [N, n]: only charging, only desaturation, or all.
+    """Return which actions do not endanger the satellite, [N, n_actions] bool: only charging, only desaturation, or all.
 
-    In sunlight the battery must hold a reserve, and what the next eclipse will take if the time until then is too short to make
-    up for it, at a battery's charge per orbit; otherwise no wheel may be fast.
+    In sunlight only charging is allowed below the charge (a fraction of the battery)
+
+        needed = RESERVE + max(0, eclipse_duration - time_until_eclipse) / ORBIT
+
+    whose second term covers an eclipse that begins too soon to charge for it, at one battery per orbit. Otherwise, only
+    desaturation is allowed while a wheel is faster than :data:`FAST`.
     """
     start, end = (time - satellite.simulator.sim_time for time in satellite.next_eclipse())
     dark = end < start
@@ -67,11 +95,11 @@ def shield(satellite: Any) -> Tensor:
     low = ~dark & (satellite.dynamics.battery_charge_fraction < needed)
     fast = ~low & (satellite.dynamics.wheel_speeds_fraction.abs().amax(-1) > FAST)
     names = satellite.action_description
-    return act.only(names, "action_charge", where=low) & act.only(names, "action_desat", where=fast)
+    return act.allow_only(names, "action_charge", where=low) & act.allow_only(names, "action_desat", where=fast)
 
 
 class PowerSatellite(AgileSatellite):
-    """Images the next targets while it charges, downlinks and desaturates."""
+    """Images targets, charges, downlinks and desaturates; the shield limits its actions."""
 
     observation_spec = (
         obs.SatProperties(*SATELLITE, *RESOURCES),
@@ -96,7 +124,7 @@ class PowerSatellite(AgileSatellite):
 
 
 class PowerSetSatellite(PowerSatellite):
-    """The same, with the targets as a set."""
+    """The same, with targets as a set."""
 
     observation_spec = (
         PowerSatellite.observation_spec[0],
@@ -106,19 +134,19 @@ class PowerSetSatellite(PowerSatellite):
 
 
 class UnshieldedSatellite(PowerSatellite):
-    """May do what endangers it."""
+    """The same as :class:`PowerSatellite`, without the shield."""
 
     shielded = False
 
 
 class UnshieldedSetSatellite(PowerSetSatellite):
-    """May do what endangers it, and sees targets as a set."""
+    """The same as :class:`PowerSetSatellite`, without the shield."""
 
     shielded = False
 
 
 def power_args() -> dict[str, Any]:
-    """Arguments of bsk_rl's shield example, with the other power draws of its nadir task."""
+    """Return the arguments of bsk_rl's shield example, with the power draws of its nadir task."""
     battery = 160.0 * 3600.0
     return agile_args() | dict(
         batteryStorageCapacity=battery,
@@ -139,13 +167,13 @@ def power_args() -> dict[str, Any]:
 def aeos_power(
     *, n_targets: int | tuple[int, int] = 1000, as_set: bool = False, shielded: bool = True, **options: Any
 ) -> SatelliteTasking:
-    """AEOSPower-v1; see :func:`bsk_torch.presets.aeos.aeos`.
+    """Return AEOSPower-v1; see the module.
 
     Args:
         n_targets: Number of targets, or its range (the upper end excluded).
         as_set: Whether targets are observed as a set.
-        shielded: Whether ``action_mask`` leaves out what :func:`shield` calls dangerous.
-        **options: Arguments of the environment to override.
+        shielded: Whether ``action_mask`` leaves out actions that :func:`shield` calls dangerous.
+        **options: See :func:`bsk_torch.presets.aeos.aeos`.
     """
     options = dict(scenario=scene.UniformTargets(n_targets), failure_penalty=-10.0) | options
     satellites = (PowerSatellite, PowerSetSatellite) if shielded else (UnshieldedSatellite, UnshieldedSetSatellite)

@@ -1,6 +1,31 @@
-"""Constellations that image targets: a Walker constellation, bsk_rl's train of three, and imagers with relays.
+"""Constellation-v1, AEOSConstellation-v1 and RelayConstellation-v1: constellations that image targets.
 
 AEOSConstellation-v1 is the task ``aeos_constellation`` of bsk_rl's benchmark suite. The others are this package's own.
+
+========================  =============================  ==========================  ==================================
+preset                    Constellation-v1               AEOSConstellation-v1        RelayConstellation-v1
+========================  =============================  ==========================  ==================================
+satellites                12 imagers                     3 imagers                   4 imagers, 2 relays
+orbits                    Walker 45:12/3/1, 800 km       one plane, 45 deg, 800 km   imagers 45 deg, 500 km; relays
+                                                                                     60 deg, 2500 km
+targets                   5000                           100 to 9999                 500
+communication             in line of sight               all, once a minute          of broadcasts in line of sight
+tick                      1 s                            0.5 s                       1 s
+penalty of a death        none                           none                        -1
+========================  =============================  ==========================  ==================================
+
+Observation of an imager: as in AEOS-v1 (:mod:`bsk_torch.presets.aeos`), of the next 16 targets (32 in AEOSConstellation-v1)
+without those of whose image the satellite knows; 141 numbers (269). Of a relay, 7 numbers: ``battery_charge_fraction``,
+``r_BN_P_normd`` (3, over the radius of the Earth), ``eclipse`` (2, times over 5700 s) and ``time`` (over the time limit).
+
+Actions of an imager: image one of these targets; in RelayConstellation-v1 then broadcast (1 s). Of a relay: 0 charge (300 s),
+1 point at nadir (300 s), 2 broadcast (60 s). The last action of every space continues the present task.
+
+Reward: the priority of a target for its first image, shared by satellites that take it in the same step.
+
+Termination: the time limit of 17 100 s (three orbits of AEOS-v1); a satellite with an empty battery dies and leaves.
+
+Random at reset: orbits' common node and phase, number, places and priorities of targets.
 """
 
 from __future__ import annotations
@@ -17,23 +42,23 @@ from bsk_torch.presets.aeos import ALTITUDE, ORBIT, SATELLITE, SOON, TARGET, Agi
 from bsk_torch.sim import dyn, fsw
 
 CHOICES = 16
-"""Targets that a satellite of Constellation-v1 sees and can choose."""
+"""Number of targets that an imager of Constellation-v1 and RelayConstellation-v1 observes and can choose."""
 
 RELAY_ALTITUDE = 2500.0
-"""Height of the relays, km: two of them, half an orbit apart, have the Earth between them, but see low imagers on their sides."""
+"""Altitude of the relays, km: the Earth is between two relays half an orbit apart, but each sees low imagers on its own side."""
 
 
 def choices(as_set: bool = False) -> obs.OpportunityProperties:
-    """Observation of the next :data:`CHOICES` targets."""
+    """Return the observation of the next :data:`CHOICES` targets."""
     return obs.OpportunityProperties(*TARGET, type="target", n_ahead_observe=CHOICES, as_set=as_set)
 
 
 class LinkedDynModel(dyn.ImagingDynModel, dyn.LOSCommDynModel):
-    """Images, and talks to what it sees."""
+    """Dynamics of an imager that communicates in line of sight."""
 
 
 class RelayDynModel(dyn.BasicDynamicsModel, dyn.LOSCommDynModel):
-    """Talks to what it sees."""
+    """Dynamics of a relay that communicates in line of sight."""
 
 
 class LinkedImager(sats.ImagingSatellite):
@@ -46,19 +71,19 @@ class LinkedImager(sats.ImagingSatellite):
 
 
 class LinkedSetImager(LinkedImager):
-    """The same, with the targets as a set."""
+    """The same, with targets as a set."""
 
     observation_spec = (obs.SatProperties(*SATELLITE), choices(as_set=True), obs.Time())
 
 
 class BroadcastingImager(LinkedImager):
-    """May also tell the others what it has imaged."""
+    """Can also broadcast its knowledge of images."""
 
     action_spec = (act.Image(n_ahead_image=CHOICES), act.Broadcast(duration=1.0))
 
 
 class Relay(sats.Satellite):
-    """Passes on what it has been told, and has to keep its battery charged."""
+    """Passes on knowledge of images, and has to keep its battery charged."""
 
     observation_spec: ClassVar[Sequence[obs.Observation]] = (
         obs.SatProperties(dict(prop="battery_charge_fraction"), dict(prop="r_BN_P", norm=R_EARTH)),
@@ -75,16 +100,16 @@ class Relay(sats.Satellite):
 
 
 class BroadcastInSight(comm.BroadcastCommunication, comm.LOSCommunication):
-    """Who broadcasts tells whom it sees."""
+    """Broadcasts that satellites in line of sight receive."""
 
 
 def steady_args() -> dict[str, Any]:
-    """Arguments of agile imagers that are steady with ticks of a second."""
+    """Return arguments of agile imagers whose attitude control is stable with ticks of 1 s."""
     return {name: value for name, value in agile_args().items() if name != "oe"} | dict(K1=0.5, K3=3.0, servo_Ki=5.0)
 
 
 def defaults() -> dict[str, Any]:
-    """Arguments of all environments of this file."""
+    """Return the arguments that all environments of this module share."""
     return dict(
         rewarder=data.UniqueImageReward(),
         time_limit=3 * ORBIT,
@@ -103,14 +128,14 @@ def constellation(
     as_set: bool = False,
     **options: Any,
 ) -> ConstellationTasking:
-    """Constellation-v1: a Walker constellation, 45:12/3/1, of imagers that tell what they have imaged to those that they see.
+    """Return Constellation-v1; see the module.
 
     Args:
         n_satellites: Number of satellites.
         n_planes: Number of their orbital planes.
         phasing: Phase between neighbouring planes, in units of 360 degrees over the number of satellites; None for 1, or for 0
             where there is one plane.
-        n_targets: Number of targets that all of them share, or its range (the upper end excluded).
+        n_targets: Number of targets that all satellites share, or its range (the upper end excluded).
         as_set: Whether targets are observed as ``rows`` [N, S, 16, features] with a ``mask`` instead of in one vector.
         **options: Arguments of the environment to override, and ``variable_interval`` of the satellites; ``sat_args`` are merged
             with the preset's.
@@ -133,7 +158,7 @@ def constellation(
 def aeos_constellation(
     *, n_satellites: int = 3, n_targets: int | tuple[int, int] = (100, 10_000), as_set: bool = False, **options: Any
 ) -> ConstellationTasking:
-    """AEOSConstellation-v1: AEOS-v1 with three satellites in one plane that share everything once a minute.
+    """Return AEOSConstellation-v1: AEOS-v1 with several satellites; see the module.
 
     Arguments are those of :func:`constellation`.
     """
@@ -153,9 +178,9 @@ def aeos_constellation(
 def relay_constellation(
     *, n_imagers: int = 4, n_relays: int = 2, n_targets: int | tuple[int, int] = 500, **options: Any
 ) -> ConstellationTasking:
-    """RelayConstellation-v1: low imagers that never see each other, and high relays that must learn when to pass on what.
+    """Return RelayConstellation-v1: low imagers without line of sight to each other, and high relays; see the module.
 
-    Groups are ``broadcasting_imager`` and ``relay``.
+    Groups of agents are ``broadcasting_imager`` and ``relay``.
 
     Args:
         n_imagers: Number of imagers, in one plane.

@@ -1,7 +1,28 @@
 """NadirScan-v1: the demonstration of the BSK-RL paper (section 4 and appendix).
 
-One satellite collects data by scanning the ground below it for five orbits, and has to keep its battery charged, its wheels slow
-and its store from filling up. Reward: time spent recording over the length of the episode, and -1 for dying.
+One satellite records data of the ground below it for five orbits, and has to keep its battery charged, its wheels slow and its
+storage from filling up.
+
+Observation, 12 numbers:
+
+======================================  ==========================================================================
+``storage_level_fraction``              data in the store over its capacity
+``battery_charge_fraction``             charge of the battery over its capacity
+``wheel_speeds_fraction`` (3)           wheel speeds over the largest speed
+``instrument_pointing_error_normd``     angle between instrument and nadir, over pi
+``solar_pointing_error_normd``          angle between panel normal and Sun, over pi
+``ground_station`` (2)                  time until the next pass over a station opens and closes, over 5700 s
+``eclipse`` (2)                         time until the next eclipse begins and ends, over 5700 s
+``time``                                time since reset, over the time limit
+======================================  ==========================================================================
+
+Actions: 0 scan (180 s), 1 charge (120 s), 2 downlink (60 s), 3 desaturate the wheels (60 s).
+
+Reward: seconds of recorded data over the 28 500 s of the episode; -1 if the satellite dies.
+
+Termination: battery empty, a wheel at its largest speed, or below 200 km at the end of a step; and the time limit of 28 500 s.
+
+Random at reset: orbit, attitude, initial storage, charge and wheel speeds, disturbance torque; see :func:`scanning_args`.
 """
 
 from __future__ import annotations
@@ -18,33 +39,37 @@ from bsk_torch.sim import dyn, fsw
 from bsk_torch.sim.dyn import Now, observable
 
 ORBIT = 5700.0
-"""About one orbit, s."""
+"""Length of an orbit for norms and time limits, s."""
 
-CAPACITY, BATTERY = 5000 * 8e6, 200 * 3600.0
+CAPACITY = 5000 * 8e6
+"""Capacity of the store, bit."""
+
+BATTERY = 200 * 3600.0
+"""Capacity of the battery, W s."""
 
 
 def next_station() -> obs.OpportunityProperties:
-    """Observation of the next pass over a ground station."""
+    """Return the observation of the next pass over a ground station."""
     times = (dict(prop=name, norm=ORBIT) for name in ("opportunity_open", "opportunity_close"))
     return obs.OpportunityProperties(*times, type="ground_station", n_ahead_observe=1)
 
 
 class ScanningDownlinkDynModel(dyn.ContinuousImagingDynModel, dyn.GroundStationDynModel):
-    """Scans and downlinks; adds the two pointing errors that the agent sees."""
+    """Dynamics of a satellite that scans and downlinks, with the two pointing errors that are observed."""
 
     @observable
     def instrument_pointing_error(now: Now) -> Tensor:
-        """Angle between the instrument and the nadir, [N] rad."""
-        return angle_between(-now.r, now.BN.mT @ now.args.inst_pHat_B)
+        """Angle between instrument axis and nadir direction, [N] rad."""
+        return angle_between(-now.r_BN_N, now.BN.mT @ now.args.inst_pHat_B)
 
     @observable
     def solar_pointing_error(now: Now) -> Tensor:
-        """Angle between the panel normal and the Sun, [N] rad."""
-        return angle_between(now.BN.mT @ now.args.nHat_B, now.r_sun)
+        """Angle between panel normal and Sun direction, [N] rad."""
+        return angle_between(now.BN.mT @ now.args.nHat_B, now.r_SN_N)
 
 
 class ScanningSatellite(sats.AccessSatellite):
-    """The paper's satellite."""
+    """The satellite of the paper."""
 
     observation_spec = (
         obs.SatProperties(
@@ -69,7 +94,7 @@ class ScanningSatellite(sats.AccessSatellite):
 
 
 def scanning_args() -> dict[str, Any]:
-    """The paper's arguments and randomisation."""
+    """Return the arguments of the paper, distributions of random ones included."""
     return dict(
         dataStorageCapacity=CAPACITY,
         storageInit=rand.Uniform(0.0, 0.8 * CAPACITY),
@@ -92,7 +117,13 @@ def scanning_args() -> dict[str, Any]:
 
 
 def nadir_scan(*, sat_args: dict[str, Any] | None = None, obs_type: type = torch.Tensor, **options: Any) -> SatelliteTasking:
-    """NadirScan-v1; see :func:`bsk_torch.make`."""
+    """Return NadirScan-v1; see the module.
+
+    Args:
+        sat_args: Arguments of the satellite that replace those of the preset.
+        obs_type: ``torch.Tensor`` for one vector, ``dict`` for named observations.
+        **options: Arguments of :class:`~bsk_torch.SatelliteTasking` that replace those of the preset.
+    """
     satellite = ScanningSatellite("Scanner1", sat_args=scanning_args() | (sat_args or {}), obs_type=obs_type)
     defaults: dict[str, Any] = dict(
         scenario=scene.UniformNadirScanning(value_per_second=1 / (5 * ORBIT)),

@@ -1,4 +1,4 @@
-"""Satellites that know when places on the ground will see them."""
+"""Satellites with access windows of places on the ground."""
 
 from __future__ import annotations
 
@@ -9,20 +9,20 @@ import torch
 from torch import Tensor
 
 from bsk_torch.sats.satellite import Satellite
-from bsk_torch.sim.access import Windows, seen
-from bsk_torch.sim.aim import SEEN_FROM, aims
+from bsk_torch.sim.access.places import place_positions
+from bsk_torch.sim.access.relative_geometry import SATELLITE_PROPERTIES, relative_geometries
+from bsk_torch.sim.access.window_table import Windows, candidates
+from bsk_torch.sim.orbit.grid import PLAN_STEP
 from bsk_torch.sim.params import nearest
-from bsk_torch.sim.queries import next_windows, positions
-from bsk_torch.sim.span import PLAN_STEP
 
 AccessFilter = Callable[[], Tensor]
-"""Says which places of a type an agent may see now, [N, P] booleans."""
+"""Function that returns the places of a type that remain visible to an agent now, [N, P] booleans."""
 
 
 class Opportunities(NamedTuple):
     """The next opportunities, sorted by closing time: opening and closing time, s since reset, and place; [N, n] each.
 
-    Where there are fewer than n, the last one is repeated; ``found`` [N] tells how many there are.
+    Where there are fewer than n, the last one is repeated; ``found`` [N] is their number.
     """
 
     open: Tensor
@@ -39,12 +39,12 @@ class Opportunities(NamedTuple):
 
     @property
     def mask(self) -> Tensor:
-        """Which of them do not repeat the last one, [N, n]."""
+        """True for those that do not repeat the last one, [N, n]."""
         return torch.arange(self.place.shape[1], device=self.place.device) < self.found.unsqueeze(-1)
 
 
 class AccessSatellite(Satellite):
-    """Adds access windows; see :mod:`bsk_torch.sim.access`."""
+    """Adds access windows; see :mod:`bsk_torch.sim.access.windows`."""
 
     def __init__(
         self,
@@ -65,10 +65,9 @@ class AccessSatellite(Satellite):
             generation_duration: Seconds by which windows are extended when a query runs out of them, a multiple of 30.
             initial_generation_duration: Seconds for which windows are generated at reset; None for the time limit (nothing
                 where that is infinite).
-            max_generation_duration_beyond_initial: Seconds beyond that after which queries look no further; they then repeat the
-                last window.
-            may_see_nothing: What happens when nothing comes into view within a hundred segments: an error as in bsk_rl, or, if
-                true, observations of zeros, and images that only wait for a segment.
+            max_generation_duration_beyond_initial: Seconds beyond that after which queries end; they then repeat the last window.
+            may_see_nothing: Whether queries without a window within a hundred segments yield observations of zeros, and images
+                that only wait for a segment; otherwise they raise as in bsk_rl.
             **options: Passed on.
         """
         super().__init__(name, sat_args, **options)
@@ -89,9 +88,9 @@ class AccessSatellite(Satellite):
         """See :attr:`Satellite.segment`."""
         return self.generation_duration
 
-    def equip(self) -> None:
-        """See :meth:`Satellite.equip`."""
-        super().equip()
+    def on_bind(self) -> None:
+        """See :meth:`Satellite.on_bind`."""
+        super().on_bind()
         self._filters: dict[str, list[AccessFilter]] = {}
         self._cache: dict[tuple[str, int], tuple[tuple[int, int], Opportunities]] = {}
         self._aims: tuple[Opportunities, int, Tensor] | None = None
@@ -109,14 +108,14 @@ class AccessSatellite(Satellite):
         whole = torch.ceil(torch.clamp(wanted, min=least) / self.generation_duration) * self.generation_duration
         return torch.where(wanted > 0.0, whole, torch.zeros_like(wanted))
 
-    # -- what may be seen ---------------------------------------------------------------------------------------------
+    # -- filters -----------------------------------------------------------------------------------------------------
 
     def add_access_filter(self, access_filter: AccessFilter, type: str = "target") -> None:
-        """Hide places from all queries: ``access_filter()`` says which ones of ``type`` remain, [N, P] booleans."""
+        """Exclude places from all queries: ``access_filter()`` returns which ones of ``type`` remain, [N, P] booleans."""
         self._filters.setdefault(type, []).append(access_filter)
 
     def allowed(self, type: str) -> Tensor | None:
-        """Which places of a type all filters leave, [N, P]; None for all."""
+        """Return a mask of the places of a type that pass all filters, [N, P]; None for all."""
         parts = [access_filter() for access_filter in self._filters.get(type, ())]
         for part in parts[1:]:
             parts[0] = parts[0] & part
@@ -125,36 +124,43 @@ class AccessSatellite(Satellite):
     # -- queries ------------------------------------------------------------------------------------------------------
 
     def find_next_opportunities(self, n: int, type: str = "target", count: Tensor | None = None) -> Opportunities:
-        """The ``n`` opportunities of ``type`` that close next, those in progress included; the last repeated if fewer.
+        """Return the ``n`` opportunities of ``type`` that close next, including those in progress; the last repeated if fewer.
 
-        Look-ahead is extended where fewer than ``count`` [N] (n unless given) are known. Where none is found within a hundred
-        segments there is a RuntimeError or, with ``may_see_nothing``, place 0 opens and closes now.
+        Look-ahead is extended where fewer than ``count`` [N] (n unless given) are known. Where none is found within a
+        hundred segments, place 0 opens and closes now with ``may_see_nothing``.
+
+        Raises:
+            RuntimeError: If none is found within a hundred segments, without ``may_see_nothing``.
+            ValueError: For an unknown type.
         """
         self._check_type(type)
-        now = self.simulator.observer.version, self.simulator.memory.version
+        now = self.simulator.state.version, self.simulator.memory.version
         known = self._cache.get((type, n))
         if known is not None and known[0] == now and (count is None or bool((known[1].found >= count).all())):
             return known[1]
         wanted = count
-        if self.absent is not None:
-            wanted = torch.where(self.absent, 0, n if count is None else count)
-        query = type, n, self.allowed(type), wanted, self._last_generation(), self.may_see_nothing
-        windows, found = next_windows(self.simulator, *query)
+        if self.removed is not None:
+            wanted = torch.where(self.removed, 0, n if count is None else count)
+        simulator = self.simulator
+        windows, found = simulator.lookahead.next_windows(
+            type, simulator.sim_time, n, self.allowed(type), wanted, self._last_generation(), self.may_see_nothing
+        )
         if self.may_see_nothing:
             windows = self._or_nothing(windows, found)
-        opportunities = Opportunities(*windows, positions(self.simulator, type, windows.place), found)
+        r_LP_P = place_positions(simulator.access, simulator.scenario_state, type, windows.place)  # type: ignore[arg-type]
+        opportunities = Opportunities(*windows, r_LP_P, found)
         if count is None:
             self._cache[(type, n)] = now, opportunities
         return opportunities
 
     def _or_nothing(self, windows: Windows, found: Tensor) -> Windows:
-        """Windows [N, n], those of place 0 that open and close now where none was ``found`` [N]."""
+        """Return the windows [N, n], those of place 0 that open and close now where none was ``found`` [N]."""
         there, now = (found > 0).unsqueeze(-1), self.simulator.sim_time.unsqueeze(-1)
         opens, close = (torch.where(there, time, now) for time in windows[:2])
         return Windows(opens, close, torch.where(there, windows.place, 0))
 
     def _last_generation(self) -> Tensor | None:
-        """Time, [N] s, from which on queries generate no more windows."""
+        """Return the time, [N] s, from which on queries generate no more windows."""
         if self.max_generation_duration_beyond_initial == float("inf"):
             return None
         limit, given = self.time_limit, self.initial_generation_duration
@@ -166,49 +172,55 @@ class AccessSatellite(Satellite):
             raise ValueError(f"type={type!r} is not a type of opportunity; {nearest(type, self.opportunity_types)}")
 
     def aims(self, opportunities: Opportunities) -> Tensor:
-        """Where places stand as seen from the satellite now, [N, n, 5]; see :func:`bsk_torch.sim.aim.aim`."""
+        """Return the geometry of places relative to the satellite now, [N, n, 5].
+
+        See :mod:`bsk_torch.sim.access.relative_geometry` for the five numbers and their units.
+        """
         observer = self.simulator.observer
-        if self._aims is None or self._aims[0] is not opportunities or self._aims[1] != observer.version:
+        if self._aims is None or self._aims[0] is not opportunities or self._aims[1] != self.simulator.state.version:
             models, zero = (self.dynamics, self.fsw), torch.zeros_like(self.dynamics.r_BN_P)
-            found = ([getattr(model, name) for model in models if hasattr(model.__class__, name)] for name in SEEN_FROM)
+            found = (
+                [getattr(model, name) for model in models if hasattr(model.__class__, name)] for name in SATELLITE_PROPERTIES
+            )
             satellite = tuple(values[0] if values else zero for values in found)
-            self._aims = opportunities, observer.version, aims(satellite, opportunities.r_LP_P, observer.kernels)
+            found_now = relative_geometries(satellite, opportunities.r_LP_P, observer.kernels)
+            self._aims = opportunities, self.simulator.state.version, found_now
         return self._aims[2]
 
     def opportunities(self, type: str) -> Windows:
-        """All windows of a type that are known now, sorted by closing time, [N, W]; the missing ones close at infinity.
+        """Return all windows of a type that have been computed, sorted by closing time, [N, W]; missing ones close at infinity.
 
-        Those of past intervals are forgotten as look-ahead goes on.
+        Those of past intervals are dropped as look-ahead goes on.
         """
         self._check_type(type)
         return self._known(type, torch.full_like(self.simulator.sim_time, -1.0), None)
 
     def upcoming_opportunities(self, type: str) -> Windows:
-        """Like :meth:`opportunities`, of those that have not closed and that the filters leave."""
+        """Return the windows as :meth:`opportunities` does, of those that have not closed and that pass the filters."""
         self._check_type(type)
         return self._known(type, self.simulator.sim_time, self.allowed(type))
 
     def _known(self, type: str, time: Tensor, allowed: Tensor | None) -> Windows:
         access = self.simulator.access
-        view = seen(access.windows[type], time, access.until, allowed)  # type: ignore[union-attr]
-        key, order = torch.sort(view.key, dim=1, stable=True)
+        known = candidates(access.windows[type], time, access.until, allowed)  # type: ignore[union-attr]
+        key, order = torch.sort(known.sort_key, dim=1, stable=True)
         there = torch.isfinite(key)
-        opens, close, place = (table.gather(1, order) for table in view.windows)
+        opens, close, place = (table.gather(1, order) for table in known.windows)
         opens, close = (torch.where(there, table, torch.inf) for table in (opens, close))
         return Windows(opens, close, torch.where(there, place, 0))
 
     def next_opportunities(self, type: str) -> tuple[Tensor, Tensor]:
-        """Opening and closing time of the next window of every place of a type, [N, P] s each; infinity where none is known."""
+        """Return opening and closing time of the next window of every place of a type, [N, P] s each; infinity where none."""
         windows = self.upcoming_opportunities(type)
-        places = self.simulator.access.kinds[type](self.simulator.all_rows).r_P.shape[1]  # type: ignore[union-attr]
-        none = torch.full((self.simulator.num_envs, places), torch.inf, dtype=torch.float64, device=windows.open.device)
+        places = self.simulator.access.kinds[type](self.simulator.state.all_rows).r_LP_P.shape[1]  # type: ignore[union-attr]
+        none = torch.full((len(windows.place), places), torch.inf, dtype=torch.float64, device=windows.open.device)
         # windows of a place do not overlap, so the first to close is the first to open
         return none.scatter_reduce(1, windows.place, windows.open, "amin"), none.scatter_reduce(
             1, windows.place, windows.close, "amin"
         )
 
     def opportunities_dict(self, env: int, type: str = "target", upcoming: bool = False) -> dict[int, list[tuple[float, float]]]:
-        """Windows (opening and closing time, s) of environment ``env`` by place, for people to read."""
+        """Return the windows (opening and closing time, s) of environment ``env`` by place, for people to read."""
         windows = self.upcoming_opportunities(type) if upcoming else self.opportunities(type)
         found: dict[int, list[tuple[float, float]]] = {}
         for place, opens, closes in zip(*(table[env].tolist() for table in (windows.place, *windows[:2])), strict=True):

@@ -33,38 +33,37 @@ class ImagingSatellite(AccessSatellite):
         buffers = {"bufferNames": [BUFFER], "transmitterNumBuffers": 1}
         super().__init__(name, {**(sat_args or {}), **buffers}, **options)
 
-    def equip(self) -> None:
-        """See :meth:`Satellite.equip`."""
-        super().equip()
-        self.simulator.memory.add("latest_target", NONE)
-        self.simulator.memory.add("imaged", 0)
-        self.simulator.memory.add("missed", 0)
+    def on_bind(self) -> None:
+        """See :meth:`Satellite.on_bind`."""
+        super().on_bind()
+        for name, initial in (("latest_target", NONE), ("imaged", 0), ("missed", 0)):
+            self.simulator.state.memory.declare(name, initial)
 
     @property
     def latest_target(self) -> Tensor:
         """Target that was chosen last, [N]; -1 before the first."""
-        return self.simulator.memory["latest_target"]
+        return self.simulator.state.memory["latest_target"]
 
     @property
     def imaged(self) -> Tensor:
         """Number of images taken, [N]."""
-        return self.simulator.memory["imaged"]
+        return self.simulator.state.memory["imaged"]
 
     @property
     def missed(self) -> Tensor:
         """Number of chosen targets whose windows closed without an image, [N]."""
-        return self.simulator.memory["missed"]
+        return self.simulator.state.memory["missed"]
 
     def note_events(self, event: Tensor) -> None:
         """See :meth:`Satellite.note_events`."""
-        self.simulator.memory["imaged"] = self.imaged + event
+        self.simulator.state.memory["imaged"] = self.imaged + event
 
     def counts(self) -> dict[str, Tensor]:
         """See :meth:`Satellite.counts`."""
         return {"imaged": self.imaged, "missed": self.missed}
 
     def window_of(self, target: Tensor) -> tuple[Tensor, Tensor]:
-        """Opening and closing time of the next known window of a target [N], [N] s each; infinity where none is known."""
+        """Return opening and closing time of the next known window of a target [N], [N] s each; infinity where none is known."""
         windows = self.upcoming_opportunities(self.target_types)
         mine = (windows.place == target.unsqueeze(-1)) & torch.isfinite(windows.close)
         return tuple(torch.where(mine, time, torch.inf).amin(1) for time in (windows.open, windows.close))  # type: ignore[return-value]

@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import copy
 import keyword
-from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, ClassVar, Protocol
 
 import torch
 from torch import Tensor
 
-from bsk_torch.act.base import Action, ActionBuilder
-from bsk_torch.obs.base import Observation, ObservationBuilder
+from bsk_torch._deprecated import deprecated_attributes, warn_deprecated
+from bsk_torch.sats.hooks import check_satellite
 from bsk_torch.sim.component import Component
 from bsk_torch.sim.dyn.models import BasicDynamicsModel, DynamicsModel
 from bsk_torch.sim.fsw.models import BasicFSWModel, FSWModel
-from bsk_torch.sim.queries import next_eclipse
+from bsk_torch.sim.hooks import check_tensor
+from bsk_torch.sim.params import nearest
+from bsk_torch.sim.satellite_state import SatelliteState
 from bsk_torch.sim.simulator import Simulator
 
 OBS_TYPES = (torch.Tensor, dict)
@@ -30,7 +32,7 @@ class ArgumentTable(dict[str, Any]):
         super().__init__({name: arg.default for name, arg in self.rows.items()})
 
     def __repr__(self) -> str:
-        """One line for each argument."""
+        """Return one line for each argument."""
         lines = [(arg.name, _short(arg.default), arg.unit, arg.doc) for arg in self.rows.values()]
         widths = [max(len(line[k]) for line in lines) for k in range(3)]
         return "\n".join("  ".join((*(text.ljust(w) for text, w in zip(line, widths, strict=False)), line[3])) for line in lines)
@@ -42,23 +44,101 @@ def _short(value: Any) -> str:
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 
-class _Arguments(dict[str, Any]):
-    """Drawn arguments, a tensor with leading dimension N each; a wrong name is answered with the nearest right one."""
+class _Arguments(Mapping[str, Any]):
+    """Arguments of the present episodes by name, looked up when read; a wrong name is answered with the nearest right one."""
 
-    def __missing__(self, name: str) -> Any:
-        from bsk_torch.sim.params import nearest
+    def __init__(self, state: SatelliteState) -> None:
+        self._state = state
 
-        raise KeyError(f"sat_args has no {name!r}; {nearest(name, self)}")
+    def __getitem__(self, name: str) -> Any:
+        try:
+            return self._state.argument(name)
+        except KeyError:
+            raise KeyError(f"sat_args has no {name!r}; {nearest(name, self)}") from None
+
+    def __iter__(self) -> Iterator[str]:
+        return iter((*self._state.arguments, *self._state.constants))
+
+    def __len__(self) -> int:
+        return len(self._state.arguments.places) + len(self._state.constants)
 
 
+class Actions(Protocol):
+    """Actions of the satellites of one type; see :class:`bsk_torch.act.base.ActionBuilder`."""
+
+    entries: tuple[Any, ...]
+    n_actions: int
+    n_negative_actions: int
+
+    @property
+    def description(self) -> list[str]:
+        """Name of every action."""
+
+    def entry_of(self, action: int) -> int:
+        """Return the number of the entry of ``action_spec`` that an action belongs to."""
+
+    def table(self) -> Any:
+        """Return the modes and durations of the actions that have fixed ones."""
+
+    def mask(self) -> Tensor:
+        """Return a mask of the legal actions, [N, n_actions]."""
+
+
+class Observations(Protocol):
+    """Observations of the satellites of one type; see :class:`bsk_torch.obs.base.ObservationBuilder`."""
+
+    entries: tuple[Any, ...]
+
+    def get_dict(self) -> dict[str, Any]:
+        """Return the observations by name, [N, ...] each."""
+
+    def get_vector(self, dtype: torch.dtype) -> Tensor:
+        """Return the observations as one vector, [N, O]."""
+
+
+class Group(Protocol):
+    """Satellites of one type in an environment; see :class:`bsk_torch.env.satellite_group.SatelliteGroup`."""
+
+    simulator: Simulator
+    dynamics: Any
+    fsw: Any
+    names: tuple[str, ...]
+    scenario: Any
+    observation_description: list[str]
+
+    @property
+    def actions(self) -> Actions:
+        """Actions of the satellites."""
+
+    @property
+    def observations(self) -> Observations:
+        """Observations of the satellites."""
+
+    @property
+    def time_limit(self) -> Tensor:
+        """Time limits of the episodes, [N] s."""
+
+    @property
+    def removed(self) -> Tensor | None:
+        """Satellites that have left their episodes, [N]."""
+
+
+@deprecated_attributes
 class Satellite:
     """An agent. Subclasses set ``observation_spec``, ``action_spec``, ``dyn_type`` and ``fsw_type``."""
 
-    observation_spec: ClassVar[Sequence[Observation]] = ()
-    action_spec: ClassVar[Sequence[Action]] = ()
+    observation_spec: ClassVar[Sequence[Any]] = ()
+    action_spec: ClassVar[Sequence[Any]] = ()
     dyn_type: ClassVar[type[DynamicsModel]] = BasicDynamicsModel
     fsw_type: ClassVar[type[FSWModel]] = BasicFSWModel
     opportunity_types: tuple[str, ...] = ()
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        """Refuse definitions that no environment would use, by a TypeError with advice."""
+        super().__init_subclass__(**options)
+        check_satellite(cls, Satellite)
+        if cls.equip is not Satellite.equip:
+            warn_deprecated(f"{cls.__name__}.equip", f"{cls.__name__}.on_bind")
 
     def __init__(
         self,
@@ -86,13 +166,13 @@ class Satellite:
 
     @classmethod
     def default_sat_args(cls) -> ArgumentTable:
-        """Every argument that ``sat_args`` accepts, with its default."""
+        """Return every argument that ``sat_args`` accepts, with its default."""
         return ArgumentTable((*cls.dyn_type.all_components(), *cls.fsw_type.all_components()))
 
     # -- in an environment --------------------------------------------------------------------------------------------
 
     def generation(self, limit: Tensor) -> Tensor:
-        """Seconds for which access windows are generated at reset, given time limits [n]; none here."""
+        """Return the seconds for which access windows are generated at reset, given time limits [n]; zero here."""
         return torch.zeros_like(limit)
 
     @property
@@ -100,67 +180,99 @@ class Satellite:
         """Seconds by which access windows are extended."""
         return 600.0
 
-    def bind(self, simulator: Simulator, time_limit: Tensor, names: Sequence[str] = ()) -> Satellite:
-        """A copy that stands for all satellites of its type in ``simulator``.
+    def bound_to(self, group: Group) -> Satellite:
+        """Return a copy that represents all satellites of a group in an environment."""
+        copied = copy.copy(self)
+        copied.group = group
+        return copied
 
-        Args:
-            simulator: Where they live, N of them.
-            time_limit: Time limits of their episodes, [N] s (read, never written).
-            names: Their names; the satellite's own unless given.
-        """
-        bound = copy.copy(self)
-        bound.simulator, bound.time_limit, bound.names = simulator, time_limit, tuple(names) or (self.name,)
-        bound.dynamics, bound.fsw = self.dyn_type(simulator), self.fsw_type(simulator)
-        bound.dynamics.satellite = bound.fsw.satellite = bound
-        bound.equip()
-        bound.actions = ActionBuilder(copy.deepcopy(list(self.action_spec)), bound)
-        bound.observations = ObservationBuilder(copy.deepcopy(list(self.observation_spec)), bound)
-        simulator.observer.want((*bound.observations.observables, *bound.dynamics.vitals(), *bound.fsw.vitals()))
-        return bound
+    def on_bind(self) -> None:
+        """Declare memory and the like; called once on the copy in an environment, before actions and observations are linked."""
 
     def equip(self) -> None:
-        """Called on the copy that lives in an environment, before its actions and observations are linked."""
+        """Old name of :meth:`on_bind`, after which an environment calls it; deprecated."""
 
     def note_events(self, event: Tensor) -> None:
-        """Called after a run; ``event`` [N] where something happened that ends the actions which wait for it."""
+        """Record the events of a run: ``event`` [N] is true where one ended the actions that wait for it."""
 
     def legal_actions(self) -> Tensor | None:
-        """Which actions are legal now beside what the actions themselves say, [N, n_actions]; None for all of them."""
+        """Return which actions are legal now beside their own masks, [N, n_actions]; None for all of them."""
         return None
 
     def action_mask(self) -> Tensor:
-        """Which actions are legal now, [N, n_actions]; where none would be, all of them are."""
+        """Return which actions are legal now, [N, n_actions]; all of them where none would be."""
         mask, legal = self.actions.mask(), self.legal_actions()
+        if legal is not None:
+            check_tensor(f"{type(self).__name__}.legal_actions()", legal, mask.shape, torch.bool)
         mask = mask if legal is None else mask & legal
         return mask | ~mask.any(1, keepdim=True)
 
     def counts(self) -> dict[str, Tensor]:
-        """What an environment counts for the satellite in each episode, [N] each, by name."""
+        """Return the counters of the present episodes, [N] each, by name."""
         return {}
 
     def title(self, row: int) -> str:
-        """What errors call the satellite of a row [N]."""
+        """Return the name of the satellite of a row [N] in errors."""
         env, k = divmod(row, len(self.names))
         return f"environment {env}" if len(self.names) == 1 else f"satellite {self.names[k]} of environment {env}"
 
-    absent: Tensor | None = None
-    """Satellites that have left their episodes, [N], if any can: queries look for nothing on their behalf."""
-
-    simulator: Simulator
-    names: tuple[str, ...]
-    scenario: Any
-    time_limit: Tensor
-    dynamics: Any
-    fsw: Any
-    actions: ActionBuilder
-    observations: ObservationBuilder
-    observation_description: list[str]
-    """Name of every entry of the observation vector; known once an environment has been built."""
+    group: Group
+    """Group of the satellite in its environment; set in environments only."""
 
     @property
-    def sat_args(self) -> dict[str, Any]:
+    def simulator(self) -> Simulator:
+        """Simulation of the satellites."""
+        return self.group.simulator
+
+    @property
+    def dynamics(self) -> Any:
+        """Dynamics model."""
+        return self.group.dynamics
+
+    @property
+    def fsw(self) -> Any:
+        """Flight-software model."""
+        return self.group.fsw
+
+    @property
+    def actions(self) -> Actions:
+        """Actions, see :class:`bsk_torch.act.base.ActionBuilder`."""
+        return self.group.actions
+
+    @property
+    def observations(self) -> Observations:
+        """Observations, see :class:`bsk_torch.obs.base.ObservationBuilder`."""
+        return self.group.observations
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Name of each satellite of an episode that is of this type."""
+        return self.group.names
+
+    @property
+    def scenario(self) -> Any:
+        """Scenario of the environment."""
+        return self.group.scenario
+
+    @property
+    def time_limit(self) -> Tensor:
+        """Time limits of the episodes, [N] s."""
+        return self.group.time_limit
+
+    @property
+    def removed(self) -> Tensor | None:
+        """Satellites that have left their episodes, [N], for which queries return nothing; None where none can leave."""
+        return self.group.removed
+
+    @property
+    def observation_description(self) -> list[str]:
+        """Name of every entry of the observation vector."""
+        return self.group.observation_description
+
+    @property
+    def sat_args(self) -> Mapping[str, Any]:
         """Arguments of the present episodes, [N, ...] each, float64."""
-        return _Arguments(self.simulator.drawn)
+        return _Arguments(self.simulator.state)
 
     @property
     def action_description(self) -> list[str]:
@@ -168,16 +280,16 @@ class Satellite:
         return self.actions.description
 
     def next_eclipse(self) -> tuple[Tensor, Tensor]:
-        """Next start and next end of an eclipse, [N] s since reset."""
-        return next_eclipse(self.simulator)
+        """Return the next start and the next end of an eclipse, [N] s since reset."""
+        return self.simulator.lookahead.next_eclipse(self.simulator.state.sim_time)
 
     def aliveness(self) -> dict[str, Tensor]:
-        """Result [N] of every aliveness check of dynamics and flight software, by name."""
+        """Return the result [N] of every aliveness check of dynamics and flight software, by name."""
         return {**self.dynamics.aliveness(), **self.fsw.aliveness()}
 
     def is_alive(self) -> Tensor:
-        """Whether every aliveness check holds now, [N]."""
-        alive = torch.ones_like(self.simulator.ticks, dtype=torch.bool)
+        """Return whether every aliveness check holds now, [N]."""
+        alive = torch.ones_like(self.simulator.state.ticks, dtype=torch.bool)
         for check in self.aliveness().values():
             alive = alive & check
         return alive

@@ -1,4 +1,4 @@
-"""Scenarios: what is asked of the satellites."""
+"""Scenarios: the tasks of the satellites."""
 
 from bsk_torch.scene.base import Scenario
 from bsk_torch.scene.cities import CityTargets

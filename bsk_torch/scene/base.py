@@ -1,41 +1,159 @@
-"""Base of all scenarios."""
+"""Base class of scenarios."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, ClassVar
 
+import torch
 from torch import Tensor
+
+from bsk_torch.sim.hooks import FLEET_MEMORY, ChangeGuard, check_class, check_linked
 
 if TYPE_CHECKING:
     from bsk_torch.rand import Key
     from bsk_torch.sim.fleet import Fleet
 
+HOOKS = ("calls_user", "draw", "link", "reset", "after_step")
+"""Members of :class:`Scenario` that subclasses may define."""
+
+UNUSED = {
+    "link_satellites": "define link(fleet)",
+    "validate_satellite_names": "define link(fleet), which finds the names in fleet.names",
+    "reset_overwrite_previous": FLEET_MEMORY,
+    "reset_pre_sim_init": "define draw(key) for what differs between episodes",
+    "reset_during_sim_init": "define draw(key) for what differs between episodes",
+    "reset_post_sim_init": "define reset(rows)",
+    "regenerate_targets": "define draw(key), or places(key) in a subclass of UniformTargets",
+    "attach": "define link(fleet)",
+    "draw_checked": "define draw(key)",
+    "begin_episodes": "define reset(rows)",
+    "finish_step": "define after_step(sim_time)",
+}
+"""Names that are no hooks of scenarios, those of bsk_rl among them, and what to write instead."""
+
 
 class Scenario:
-    """What is asked of the satellites. The base class asks for nothing.
+    """The task of the satellites. The base class has none.
 
-    What differs between episodes comes from :meth:`draw` and from the time, and from nothing else: a scenario keeps no state of
-    its own. So environments can prepare, save and restore episodes without asking it.
+    Episodes differ by what :meth:`draw` returns and by the time, and by nothing else. Environments prepare, save and restore
+    episodes by these values, so a scenario must not keep values of episodes in attributes of its own: put them into
+    ``self.fleet.memory``, a :class:`bsk_torch.sim.state.StateTable`, which is reset, saved and restored with the episodes. Public
+    attributes that hold a tensor must not change between steps; names of caches, which can be recomputed at any time, begin with
+    an underscore.
+
+    N is the number of environments.
+
+    Attributes:
+        fleet: The satellites, once an environment has been built.
     """
+
+    fleet: Fleet
+    _link_needs_super: ClassVar[bool] = False
+    _form: Mapping[str, torch.Size] | None = None
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        """Refuse definitions that no environment would use; TypeError says what to write instead."""
+        super().__init_subclass__(**options)
+        check_class(cls, Scenario, HOOKS, UNUSED)
+
+    # -- hooks --------------------------------------------------------------------------------------------------------
 
     @property
     def calls_user(self) -> bool:
-        """Whether :meth:`draw` calls functions of the user, which should be asked only for episodes that begin now."""
+        """Whether :meth:`draw` calls functions of the user; these are called only for episodes that begin now, not in advance."""
         return False
 
     def draw(self, key: Key) -> dict[str, Tensor]:
-        """What the episodes of the key's environments depend on, by name: float64 tensors [n or 1, ...] on the CPU.
+        """Draw the values that differ between episodes.
 
-        The environment keeps them with leading dimension N, once for all satellites of an episode; names must differ from those
-        of ``sat_args`` and ``world_args``. Draw with ``key.named(...)``; see :class:`bsk_torch.rand.Key`.
+        Use random numbers of ``key.named("...")`` only; see :class:`bsk_torch.rand.Key`. Every call returns the same names. The
+        environment keeps the values with leading dimension N, once for all satellites of an episode.
+
+        Args:
+            key: Key of the n environments whose episodes begin.
+
+        Returns:
+            Values by name: float64 tensors [n or 1, ...] on the CPU. Names must differ from those of ``sat_args`` and
+            ``world_args``.
         """
         return {}
 
     def link(self, fleet: Fleet) -> None:
-        """Called once, when the environment is built, with its satellites; raises where they do not fit."""
+        """Prepare for the satellites of an environment; called once when it is built.
+
+        Overriding methods call ``super().link(fleet)`` first, and raise ValueError for satellites that do not fit.
+        """
+        self.fleet = fleet
 
     def reset(self, rows: Tensor) -> None:
-        """Called after what was drawn for the episodes ``rows``, indices [n], has changed: at a reset, or at a restored state."""
+        """React to new drawn values; called at the reset of the episodes ``rows``, indices [n], and when a state is restored."""
 
     def after_step(self, sim_time: Tensor) -> None:
-        """Move on to ``sim_time`` [N] s, after the reward of a step and before the next observation."""
+        """Move on to ``sim_time`` [N] s; called after the reward of a step and before its communication and observation."""
+
+    def drawn(self, name: str) -> Tensor:
+        """Return a value that :meth:`draw` gave for the present episodes, [N, ...].
+
+        Raises:
+            KeyError: If ``draw`` returns no value of this name.
+        """
+        return self.fleet.scenario_state[name]
+
+    # -- calls by the environment -------------------------------------------------------------------------------------
+
+    def attach(self, fleet: Fleet) -> None:
+        """Call :meth:`link`; not to be overridden.
+
+        Raises:
+            TypeError: If an override does not call ``super().link(fleet)`` though its base class depends on that.
+        """
+        self.link(fleet)
+        if self._link_needs_super:
+            check_linked(self, "link(fleet)", fleet)
+        self.fleet = fleet
+
+    def draw_checked(self, key: Key) -> dict[str, Tensor]:
+        """Call :meth:`draw`; not to be overridden.
+
+        Raises:
+            ValueError: If names or shapes differ from those of the first call: values of other episodes would be left behind.
+        """
+        values = self.draw(key)
+        form = {name: value.shape[1:] for name, value in values.items()}
+        if self._form is None:
+            self._form = form
+        if form != self._form:
+            forms = (", ".join(f"{name} {list(shape)}" for name, shape in each.items()) for each in (form, self._form))
+            raise ValueError(f"{type(self).__name__}.draw(key) returns {' but earlier '.join(forms)}; all calls must agree")
+        return values
+
+    def begin_episodes(self, rows: Tensor) -> None:
+        """Call :meth:`reset` and update what subclasses of the package derive from drawn values; not to be overridden."""
+        self._forget_draws()
+        self._forget_time()
+        self.reset(rows)
+        self._keep_time()
+
+    def finish_step(self, sim_time: Tensor) -> None:
+        """Call :meth:`after_step` and update what depends on time; not to be overridden.
+
+        Raises:
+            TypeError: If a public attribute that holds a tensor has changed: values of episodes belong into ``fleet.memory``.
+        """
+        self._forget_time()
+        self.after_step(sim_time)
+        self._keep_time()
+        self.__dict__.setdefault("_guard", ChangeGuard()).check(self, FLEET_MEMORY)
+
+    # The package's scenarios keep values that follow from draws and time. Their hooks update them, but an override of a hook need
+    # not call super(), so the two methods above do not rely on that.
+
+    def _forget_draws(self) -> None:
+        """Drop values that follow from drawn ones."""
+
+    def _forget_time(self) -> None:
+        """Drop values that depend on time."""
+
+    def _keep_time(self) -> None:
+        """Compute the values that hold until the end of the next step, unless a hook has done so."""

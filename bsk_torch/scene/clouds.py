@@ -1,4 +1,4 @@
-"""Targets under clouds that are only known from a forecast."""
+"""Targets under clouds, of which only a forecast can be observed."""
 
 from __future__ import annotations
 
@@ -16,11 +16,13 @@ if TYPE_CHECKING:
 
 
 class CloudyTargets(TargetScenario):
-    """Any targets, each under clouds whose true cover is hidden and whose forecast can be observed.
+    """Targets of another scenario, each under clouds with a true cover, which is hidden, and a forecast of it.
 
-    Nothing random happens when a picture is taken: the rewarder looks at the true cover. The defaults are those of bsk_rl's cloud
-    examples: the true cover is uniform in [0, 1.348), of mean 0.674, the Earth's average, and then cut at 1, where a quarter of
-    the targets ends up; the forecast is normal about the truth, with a standard deviation uniform in [0.01, 0.05), cut to [0, 1].
+    An image is not random: the rewarder compares the true cover with a threshold. The defaults are those of bsk_rl's cloud
+    examples::
+
+        cover    = min(x, 1),  x uniform in [0, 1.348)          (mean of x: 0.674, the Earth's average; 26 % of covers are 1)
+        forecast = clamp(cover + sigma n, 0, 1),  n standard normal,  sigma uniform in [0.01, 0.05)
     """
 
     def __init__(
@@ -33,8 +35,8 @@ class CloudyTargets(TargetScenario):
         """ValueError for a wrong argument. Numbers are drawn for each target in each episode; see :class:`UniformTargets`.
 
         Args:
-            targets: Where the targets are and what they are worth.
-            cover: Share of the sky over a target that clouds truly cover, cut to [0, 1].
+            targets: Scenario that draws positions and priorities of the targets.
+            cover: True fraction of the sky over a target that clouds cover, clamped to [0, 1].
             forecast_sigma: Standard deviation of the forecast.
             largest_forecast: Targets with a higher forecast cannot be selected; None for no limit.
         """
@@ -117,4 +119,20 @@ class CloudyTargets(TargetScenario):
 
     def after_step(self, sim_time: Tensor) -> None:
         """See :meth:`Scenario.after_step`."""
+        super().after_step(sim_time)
         self.targets.after_step(sim_time)
+
+    def _forget_draws(self) -> None:
+        """See :meth:`Scenario._forget_draws`."""
+        super()._forget_draws()
+        self.targets._forget_draws()
+
+    def _forget_time(self) -> None:
+        """See :meth:`Scenario._forget_time`."""
+        super()._forget_time()
+        self.targets._forget_time()
+
+    def _keep_time(self) -> None:
+        """See :meth:`Scenario._keep_time`."""
+        super()._keep_time()
+        self.targets._keep_time()

@@ -1,4 +1,4 @@
-"""What users say about a set of targets, checked and drawn: how many, worth how much, and where."""
+"""Arguments of target scenarios, checked and drawn: numbers of targets, one number for each target, and positions."""
 
 from __future__ import annotations
 
@@ -20,15 +20,23 @@ Numbers = float | Distribution | Callable[[], float]
 Count = int | tuple[int, int]
 """A number of targets, or a range of it with an exclusive end."""
 
-LOWEST = 6.3e6
-"""Least distance from the Earth's centre at which a target may lie, m; the poles are at 6.357e6."""
+MIN_RADIUS = 6.3e6
+"""Minimum distance of a target from the Earth's centre, m; the poles are at 6.357e6."""
 
-HIGHEST = 1e7
-"""Largest distance, m, that a position given in km by mistake is assumed to mean."""
+MAX_RADIUS_IN_KM = 1e7
+"""A distance that is below the minimum in m, but between it and this in km, was probably given in km by mistake."""
 
 
 def count_range(what: str, count: Count) -> tuple[int, int]:
-    """Least number and exclusive end of the number of targets; ValueError unless there is always at least one."""
+    """Return the smallest number of targets and the exclusive end of its range.
+
+    Args:
+        what: Name of the user's argument, for messages.
+        count: The argument.
+
+    Raises:
+        ValueError: Unless every number in the range is at least 1.
+    """
     try:
         low, end = map(operator.index, count if isinstance(count, Sequence) else (count, count + 1))
     except (TypeError, ValueError) as error:
@@ -41,9 +49,9 @@ def count_range(what: str, count: Count) -> tuple[int, int]:
 
 
 def draw_exists(key: Key, low: int, end: int) -> Tensor:
-    """1.0 for the first ``low`` to ``end - 1`` of ``end - 1`` columns, a uniformly drawn number of them, and 0.0 for the others.
+    """Draw the number of targets uniformly from ``low`` to ``end - 1``; return 1.0 for so many first columns, 0.0 for the others.
 
-    [n, end - 1], or [1, end - 1] where there is only one number.
+    The shape is [n, end - 1], or [1, end - 1] if the range holds only one number.
     """
     columns = torch.arange(end - 1)
     if end == low + 1:
@@ -52,12 +60,16 @@ def draw_exists(key: Key, low: int, end: int) -> Tensor:
 
 
 def calls_user(*values: Any) -> bool:
-    """Whether one of the values is a callable of the user's."""
+    """Return whether one of the values is a callable of the user."""
     return any(callable(value) and not isinstance(value, Distribution) for value in values)
 
 
 def as_numbers(value: Any) -> Tensor:
-    """Whatever holds numbers as a float64 tensor on the CPU; TypeError, ValueError or RuntimeError for anything else."""
+    """Return numbers, sequences, arrays or tensors as a float64 tensor on the CPU.
+
+    Raises:
+        TypeError, ValueError, RuntimeError: For anything else.
+    """
     return torch.as_tensor(value.detach().cpu() if isinstance(value, Tensor) else np.asarray(value, dtype=float)).double()
 
 
@@ -76,9 +88,19 @@ def _drawn(value: Any, key: Key, count: int) -> Tensor:
 def draw_numbers(
     what: str, value: Any, key: Key, count: int, low: float = -math.inf, high: float = math.inf, unit: str = ""
 ) -> Tensor:
-    """One number in [low, high] for each of ``count`` targets, [n or 1, count] float64 on the CPU.
+    """Draw one number for each target, [n or 1, count] float64 on the CPU.
 
-    ValueError if ``value``, the user's argument ``what``, does not give as many, or gives others.
+    Args:
+        what: Name of the user's argument, for messages.
+        value: The argument; see :data:`Numbers`.
+        key: Key of the n environments.
+        count: Number of targets.
+        low: Minimum.
+        high: Maximum.
+        unit: Unit, for messages.
+
+    Raises:
+        ValueError: If the argument does not give ``count`` finite numbers within the bounds.
     """
     try:
         numbers, problem = _drawn(value, key, count), ""
@@ -100,13 +122,13 @@ def draw_numbers(
 
 
 def check_numbers(what: str, value: Any, count: int, **bounds: Any) -> None:
-    """Raise what :func:`draw_numbers` would for the first episode, without calling functions of the user."""
+    """Raise the errors of :func:`draw_numbers` for the first episode, without calling functions of the user."""
     if not calls_user(value):
         draw_numbers(what, value, first_key(1), count, **bounds)
 
 
 def check_radius(what: str, radius: float) -> float:
-    """``radius`` in m; ValueError where that lies inside the Earth."""
+    """Return ``radius``, m; ValueError if it lies inside the Earth."""
     problem = _inside(torch.tensor(float(radius), dtype=torch.float64))
     if problem:
         raise ValueError(f"{what}={radius!r}: the distance {problem}")
@@ -114,30 +136,36 @@ def check_radius(what: str, radius: float) -> float:
 
 
 def check_positions(r_LP_P: Tensor, of: str = "") -> None:
-    """ValueError naming the first of the positions [T, 3] that no target can have; ``of`` says whose they are."""
+    """Raise ValueError for the first of the positions [T, 3] m that no target can have; ``of`` completes the message."""
     distance = r_LP_P.norm(dim=-1)
-    bad = torch.nonzero(~((distance >= LOWEST) & distance.isfinite()))
+    bad = torch.nonzero(~((distance >= MIN_RADIUS) & distance.isfinite()))
     if len(bad):
         k = int(bad[0])
         raise ValueError(f"r_LP_P of target {k}{of} is {r_LP_P[k].tolist()}: its distance {_inside(distance[k])}")
 
 
 def _inside(distance: Tensor) -> str:
-    """What is wrong with a distance from the Earth's centre in m, if anything."""
-    meant = " (km? then multiply by 1000)" if LOWEST <= 1000.0 * float(distance) <= HIGHEST else ""
-    if distance.isfinite() and float(distance) >= LOWEST:
+    """Return the fault of a distance from the Earth's centre, m; an empty string if there is none."""
+    meant = " (km? then multiply by 1000)" if MIN_RADIUS <= 1000.0 * float(distance) <= MAX_RADIUS_IN_KM else ""
+    if distance.isfinite() and float(distance) >= MIN_RADIUS:
         return ""
-    return f"from the Earth's centre is {float(distance):g} m{meant}; positions are Earth-fixed, in metres, at least {LOWEST:g} m"
+    given = f"from the Earth's centre is {float(distance):g} m{meant}"
+    return f"{given}; positions are Earth-fixed, in metres, at least {MIN_RADIUS:g} m"
 
 
 def on_sphere(u: Tensor, west: Any = -math.pi, width: Any = 2.0 * math.pi, span: Any = (-1.0, 1.0)) -> Tensor:
-    """Unit vectors [..., 3] for uniform numbers ``u`` [..., 2], uniform by area.
+    """Return unit vectors [..., 3], uniformly distributed by area, for uniform numbers ``u`` [..., 2].
+
+    The sine of the latitude, z, and the longitude lambda are uniform: equal intervals of z bound equal areas of a sphere::
+
+        z = z_south + (z_north - z_south) u_0        lambda = west + width u_1
+        r = (sqrt(1 - z^2) cos(lambda), sqrt(1 - z^2) sin(lambda), z)
 
     Args:
         u: Numbers in [0, 1).
         west: Western edge, rad.
         width: Extent in longitude, rad.
-        span: Sines of the least and of the largest latitude.
+        span: Sines of the southern and of the northern latitude.
     """
     z = span[0] + (span[1] - span[0]) * u[..., 0]
     longitude = west + width * u[..., 1]

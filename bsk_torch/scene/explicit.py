@@ -1,4 +1,4 @@
-"""Targets that the user lists."""
+"""Targets at given positions."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from bsk_torch.scene.targets import TargetScenario
 
 
 class Targets(TargetScenario):
-    """Given targets: the same for all environments and episodes, or others for each environment."""
+    """Targets at given positions, the same in all episodes; either for all environments, or for each environment its own."""
 
     def __init__(self, r_LP_P: Any, priority: Any = 1.0, names: Sequence[str] | None = None) -> None:
         """ValueError for a wrong argument.
 
         Args:
-            r_LP_P: Earth-fixed positions in m, [T, 3] for all environments; or ``rand.per_env`` with [T, 3] for each environment,
-                as a tensor [N, T, 3] or as a list of N lists that may differ in length.
-            priority: Worth of each target: a number, T numbers, a distribution, a callable without arguments that is called for
-                each target, or ``rand.per_env`` with a number for each environment or for each of its targets.
+            r_LP_P: Earth-fixed positions in m, [T, 3] for all environments; or ``rand.per_env`` with [T, 3] for each
+                environment, as a tensor [N, T, 3] or as a list of N lists that may differ in length.
+            priority: Priority of each target: a number, T numbers, a distribution, a callable without arguments that is called
+                for each target, or ``rand.per_env`` with a number for each environment or for each of its targets.
             names: Names of the T columns; ``"tgt-0"`` and so on unless given.
         """
         self.per_env = isinstance(r_LP_P, PerEnv)
@@ -49,7 +49,11 @@ class Targets(TargetScenario):
         return super().target_names if self.given_names is None else self.given_names
 
     def draw(self, key: Key) -> dict[str, Tensor]:
-        """See :class:`TargetScenario`; ValueError if ``rand.per_env`` has fewer rows than there are environments."""
+        """See :class:`TargetScenario`.
+
+        Raises:
+            ValueError: If ``rand.per_env`` has fewer rows than there are environments.
+        """
         given = self.positions, self.exists
         r_LP_P, exists = (as_numbers(PerEnv(x).draw(key)) if self.per_env else x for x in given)
         priority = draw_numbers("priority", self.priorities, key.named("target_priority"), self.most_targets)
@@ -57,7 +61,7 @@ class Targets(TargetScenario):
 
 
 def _tables(r_LP_P: Any) -> list[Tensor]:
-    """The lists of positions, [T, 3] each: one for all, or one for each environment."""
+    """Return the lists of positions, [T, 3] each: one for all environments, or one for each."""
     if isinstance(r_LP_P, PerEnv):
         if not len(r_LP_P.values):
             raise ValueError("r_LP_P=rand.per_env([]) is empty; it needs a list of targets for each environment")
@@ -80,7 +84,7 @@ def _table(rows: Any, of: str) -> Tensor:
 
 
 def _priorities(given: PerEnv, counts: list[int]) -> PerEnv:
-    """Rows as long as the longest; zeros fill them up."""
+    """Return the priorities of each environment, padded with zeros to the largest number of targets."""
     rows = [_numbers(f"priority of environment {i}", row) for i, row in enumerate(given.values)]
     if all(row.ndim == 0 for row in rows):
         return PerEnv(torch.stack(rows)) if rows else given
@@ -94,7 +98,7 @@ def _priorities(given: PerEnv, counts: list[int]) -> PerEnv:
 
 
 def _padded(table: Tensor, length: int) -> Tensor:
-    """``table`` [T, 3] followed by repeats of its first row, [length, 3]."""
+    """Return ``table`` [T, 3] followed by repeats of its first row, [length, 3]."""
     return torch.cat([table, table[:1].expand(length - len(table), -1)])
 
 

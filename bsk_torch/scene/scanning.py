@@ -1,4 +1,4 @@
-"""Scanning whatever lies below."""
+"""Scanning at the nadir."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from bsk_torch.scene.base import Scenario
 
 
 class UniformNadirScanning(Scenario):
-    """Data are worth the same everywhere: ``value_per_second`` for every second of recording."""
+    """Recorded data have the same value everywhere: ``value_per_second`` for every second of recording."""
 
     def __init__(self, value_per_second: float = 1.0) -> None:
         """Value of one second of recorded data."""

@@ -1,8 +1,8 @@
-"""Point targets on the ground: what all scenarios of them share."""
+"""Scenarios of point targets on the ground."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import torch
 from torch import Tensor
@@ -10,45 +10,58 @@ from torch import Tensor
 from bsk_torch.rand import first_key
 from bsk_torch.scene.base import Scenario
 from bsk_torch.scene.draws import check_positions
+from bsk_torch.sim.hooks import check_class
 
 if TYPE_CHECKING:
     from bsk_torch.sim.fleet import Fleet
 
+TARGET_HOOKS = ("target_names", "names", "r_LP_P", "priority", "available")
+"""Members of :class:`TargetScenario` that subclasses may define beside the hooks of :class:`Scenario`."""
+
 
 class TargetScenario(Scenario):
-    """Point targets, T columns in every environment; where an environment has fewer, the rest is padding that does not exist.
+    """Point targets, T columns in every environment; padding fills the columns of environments that have fewer targets.
 
-    Subclasses set :attr:`most_targets` and implement ``draw(key)``, which returns at least
+    Subclasses set :attr:`most_targets` and define ``draw(key)``, which returns at least
 
-    - ``target_r_LP_P`` [n or 1, T, 3]: Earth-fixed positions, m, finite and outside the Earth for padding too;
-    - ``target_priority`` [n or 1, T]: worth;
+    - ``target_r_LP_P`` [n or 1, T, 3]: Earth-fixed positions, m; finite and outside the Earth, for padding too;
+    - ``target_priority`` [n or 1, T]: priority, the worth of a target;
     - ``target_exists`` [n or 1, T]: 1.0, or 0.0 for padding.
     """
 
     most_targets: int
     """Number of columns T."""
 
-    fleet: Fleet
     _available: Tensor | None = None
+    _link_needs_super = True
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        """See :meth:`Scenario.__init_subclass__`."""
+        super().__init_subclass__(**options)
+        check_class(cls, TargetScenario, TARGET_HOOKS, {})
 
     @property
     def target_names(self) -> list[str]:
-        """Name of every column, ``"tgt-0"`` and so on."""
+        """Name of every column: ``"tgt-0"`` and so on."""
         return [f"tgt-{k}" for k in range(self.most_targets)]
 
     def names(self, row: int) -> list[str]:
-        """Name of every column in the present episode of environment ``row``."""
+        """Return the name of every column in the present episode of environment ``row``."""
         return self.target_names
 
     def link(self, fleet: Fleet) -> None:
-        """See :meth:`Scenario.link`; ValueError without a satellite that sees targets, or for a draw of wrong form."""
-        if not any(hasattr(part, "target_types") for part in fleet.parts):
-            are = ", ".join(f"{part.name} is a {type(part).__name__}" for part in fleet.parts)
+        """See :meth:`Scenario.link`.
+
+        Raises:
+            ValueError: If no satellite sees targets, or ``draw`` returns values of a wrong form.
+        """
+        if not any(hasattr(part, "target_types") for part in fleet.satellites):
+            are = ", ".join(f"{part.name} is a {type(part).__name__}" for part in fleet.satellites)
             raise ValueError(
                 f"scene.{type(self).__name__} needs a satellite that sees targets, such as a sats.ImagingSatellite; {are}"
             )
         self._check_draw()
-        self.fleet = fleet
+        super().link(fleet)
 
     def _check_draw(self) -> None:
         values = self.draw(first_key(1))
@@ -62,10 +75,6 @@ class TargetScenario(Scenario):
                 )
         check_positions(values["target_r_LP_P"][0])
 
-    def drawn(self, name: str) -> Tensor:
-        """What :meth:`draw` gave for the present episodes, [N, ...]."""
-        return self.fleet.tables[name]
-
     @property
     def r_LP_P(self) -> Tensor:
         """Earth-fixed positions, [N, T, 3] m."""
@@ -73,7 +82,7 @@ class TargetScenario(Scenario):
 
     @property
     def priority(self) -> Tensor:
-        """What every target is worth at the present decision, [N, T]; 0 for padding."""
+        """Priority of every target at the present decision, [N, T]; 0 for padding."""
         return self.drawn("target_priority")
 
     @property
@@ -85,14 +94,20 @@ class TargetScenario(Scenario):
 
     def reset(self, rows: Tensor) -> None:
         """See :meth:`Scenario.reset`."""
+        super().reset(rows)
+        self._forget_draws()
+
+    def _forget_draws(self) -> None:
+        """See :meth:`Scenario._forget_draws`."""
+        super()._forget_draws()
         self._available = None
 
 
 class ChangingTargets(TargetScenario):
-    """Targets that appear, vanish or change priority: subclasses implement :meth:`at`.
+    """Targets that appear, vanish or change their priority. Subclasses define :meth:`at`.
 
-    An agent is paid by the priorities that it saw when it decided: they are computed once for each decision. Put it before
-    another scenario to change the targets of that one::
+    Priorities are computed once for each decision, and an image is paid by the priority at the decision to take it. List this
+    class before another scenario to change the targets of that one::
 
         class Deadlines(scene.ChangingTargets, scene.UniformTargets):
             def draw(self, key):
@@ -105,15 +120,18 @@ class ChangingTargets(TargetScenario):
 
     _present: tuple[Tensor, Tensor] | None = None
 
-    def at(self, time: Tensor) -> tuple[Tensor, Tensor]:
-        """Priority [N, T] and whether a target can be selected [N, T] bool, at ``time`` [N] s since reset.
+    def __init_subclass__(cls, **options: Any) -> None:
+        """See :meth:`Scenario.__init_subclass__`."""
+        super().__init_subclass__(**options)
+        check_class(cls, ChangingTargets, ("at",), {})
 
-        A function of drawn tensors (see :meth:`drawn`) and of ``time`` only, and without effects; padding may have any value.
+    def at(self, time: Tensor) -> tuple[Tensor, Tensor]:
+        """Return priority [N, T] and availability [N, T] bool of the targets at ``time`` [N] s since reset.
+
+        They must follow from drawn values (see :meth:`drawn`), ``time`` and ``fleet.memory``, without side effects. Values of
+        padding are ignored.
         """
         raise NotImplementedError(f"{type(self).__name__} must implement at(time)")
-
-    def _now(self) -> tuple[Tensor, Tensor]:
-        return self._update(self.fleet.sim_time) if self._present is None else self._present
 
     def _update(self, time: Tensor) -> tuple[Tensor, Tensor]:
         exists = super().available
@@ -126,15 +144,19 @@ class ChangingTargets(TargetScenario):
         self._present = torch.where(exists, priority, 0.0), available & exists
         return self._present
 
+    def _at_decision(self) -> tuple[Tensor, Tensor]:
+        """Return priority and availability at the present decision; before the first reset, at the present time."""
+        return self._update(self.fleet.sim_time) if self._present is None else self._present
+
     @property
     def priority(self) -> Tensor:
         """See :attr:`TargetScenario.priority`."""
-        return self._now()[0]
+        return self._at_decision()[0]
 
     @property
     def available(self) -> Tensor:
         """See :attr:`TargetScenario.available`."""
-        return self._now()[1]
+        return self._at_decision()[1]
 
     def reset(self, rows: Tensor) -> None:
         """See :meth:`Scenario.reset`."""
@@ -143,4 +165,15 @@ class ChangingTargets(TargetScenario):
 
     def after_step(self, sim_time: Tensor) -> None:
         """See :meth:`Scenario.after_step`."""
+        super().after_step(sim_time)
         self._update(sim_time)
+
+    def _forget_time(self) -> None:
+        """See :meth:`Scenario._forget_time`."""
+        super()._forget_time()
+        self._present = None
+
+    def _keep_time(self) -> None:
+        """See :meth:`Scenario._keep_time`."""
+        super()._keep_time()
+        self._at_decision()

@@ -1,6 +1,8 @@
-"""Targets spread over the Earth."""
+"""Targets spread uniformly over the Earth."""
 
 from __future__ import annotations
+
+from typing import Any
 
 from torch import Tensor
 
@@ -18,22 +20,28 @@ from bsk_torch.scene.draws import (
     on_sphere,
 )
 from bsk_torch.scene.targets import TargetScenario
+from bsk_torch.sim.hooks import check_class
 
 
 class UniformTargets(TargetScenario):
-    """Targets spread uniformly over a sphere, others in every episode; see bsk_rl's ``UniformTargets``.
+    """Targets drawn uniformly by area from a sphere, anew in every episode, as bsk_rl's ``UniformTargets``.
 
-    Subclasses implement :meth:`places` for other layouts.
+    Subclasses define :meth:`places` for other layouts.
     """
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        """See :meth:`Scenario.__init_subclass__`."""
+        super().__init_subclass__(**options)
+        check_class(cls, UniformTargets, ("places",), {})
 
     def __init__(self, n_targets: Count, priority_distribution: Numbers | None = None, radius: float = R_EARTH) -> None:
         """ValueError for a wrong argument.
 
         Args:
-            n_targets: Number of targets, or a range (low, high) from which each episode's is drawn. ``high`` is exclusive: that
-                is what bsk_rl draws, although it documents it as inclusive.
-            priority_distribution: Worth of each target: a number, a distribution, or a callable without arguments that is called
-                for each target; None for uniform in [0, 1).
+            n_targets: Number of targets, or a range (low, high) from which the number is drawn in each episode. ``high`` is
+                exclusive, as in bsk_rl's draws (its documentation says inclusive).
+            priority_distribution: Priority of each target: a number, a distribution, or a callable without arguments that is
+                called for each target; None for uniform in [0, 1).
             radius: Distance of the targets from the Earth's centre, m.
         """
         self.low, self.end = count_range("n_targets", n_targets)
@@ -55,6 +63,6 @@ class UniformTargets(TargetScenario):
         return {**self.places(key), "target_priority": priority * exists, "target_exists": exists}
 
     def places(self, key: Key) -> dict[str, Tensor]:
-        """``target_r_LP_P`` [n or 1, T, 3] m, and whatever else shall be remembered of where the targets are."""
+        """Draw positions: return ``target_r_LP_P`` [n or 1, T, 3] m, and further values to be kept with them, by name."""
         u = key.named("target_r_LP_P").uniform(2 * self.most_targets)
         return {"target_r_LP_P": self.radius * on_sphere(u.view(len(key), -1, 2))}

@@ -1,4 +1,4 @@
-"""Fires that break out, spread and burn out."""
+"""Wildfires: targets that appear, grow and vanish."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from bsk_torch.scene.targets import ChangingTargets
 from bsk_torch.scene.uniform import UniformTargets
 
 Region = tuple[float, float, float, float]
-"""South, north, west and east edge, degrees; west is larger than east where the region crosses 180 degrees."""
+"""Southern, northern, western and eastern edge, degrees; west is larger than east if the region crosses 180 degrees."""
 
 WORLD: Region = (-90.0, 90.0, -180.0, 180.0)
 
-LIMITS: dict[str, dict[str, Any]] = {
+FIRE_BOUNDS: dict[str, dict[str, Any]] = {
     "ignition": {"unit": "s"},
     "rate_of_spread": {"low": 0.0, "unit": "m/s"},
     "burning_time": {"low": 0.0, "unit": "s"},
@@ -28,7 +28,7 @@ LIMITS: dict[str, dict[str, Any]] = {
 
 
 class Wildfires(ChangingTargets, UniformTargets):
-    """Fires at random places that break out at random times, are worth more as they grow, and vanish when they have burnt out.
+    """Fires that break out at random places and times, gain priority as they grow, and vanish when they have burnt out.
 
     A fire spreads as an ellipse whose axes grow linearly (Van Wagner, "A simple fire-growth model", Forestry Chronicle 45, 1969),
     from one of its foci (Alexander, "Estimating the length-to-breadth ratio of elliptical forest fire patterns", 1985): with the
@@ -54,19 +54,20 @@ class Wildfires(ChangingTargets, UniformTargets):
 
         Args:
             n_fires: Number of fires in an episode, or a range of it with an exclusive end.
-            priority_distribution: Weight: what a fire of ``full_area`` is worth.
-            ignition: When a fire breaks out, s since reset; before that, if negative.
+            priority_distribution: Weight: priority of a fire of ``full_area``.
+            ignition: Time at which a fire breaks out, s since reset; negative for fires that burn at the reset.
             rate_of_spread: Speed of the head of a fire, m/s.
-            burning_time: Seconds after which a fire has burnt out.
+            burning_time: Time from the outbreak of a fire to its end, s.
             length_to_breadth: Ratio of the axes of the burnt area, at least 1.
-            full_area: Burnt area above which a fire is worth no more, m^2.
-            regions: Where fires break out, uniformly by area: (south, north, west, east) in degrees each; None for everywhere.
+            full_area: Burnt area above which the priority is constant, m^2.
+            regions: Regions in which fires break out, uniformly by area: (south, north, west, east) in degrees each; None for
+                the whole Earth.
             radius: Distance of the fires from the Earth's centre, m.
         """
         super().__init__(n_fires, priority_distribution, radius)
         self.fire_args = {"ignition": ignition, "rate_of_spread": rate_of_spread, "burning_time": burning_time}
         for name, value in self.fire_args.items():
-            check_numbers(name, value, self.most_targets, **LIMITS[name])
+            check_numbers(name, value, self.most_targets, **FIRE_BOUNDS[name])
         if not 1.0 <= length_to_breadth < math.inf:
             raise ValueError(f"length_to_breadth={length_to_breadth!r} must be at least 1")
         if not 0.0 < full_area < math.inf:
@@ -83,7 +84,7 @@ class Wildfires(ChangingTargets, UniformTargets):
         """See :class:`TargetScenario`; adds ``fire_ignition``, ``fire_rate_of_spread`` and ``fire_burning_time``, [n or 1, T]."""
         values = super().draw(key)
         for name, value in self.fire_args.items():
-            values[f"fire_{name}"] = draw_numbers(name, value, key.named(f"fire_{name}"), self.most_targets, **LIMITS[name])
+            values[f"fire_{name}"] = draw_numbers(name, value, key.named(f"fire_{name}"), self.most_targets, **FIRE_BOUNDS[name])
         return values
 
     def places(self, key: Key) -> dict[str, Tensor]:
@@ -95,7 +96,7 @@ class Wildfires(ChangingTargets, UniformTargets):
         return {"target_r_LP_P": self.radius * place}
 
     def burnt_area(self, time: Tensor) -> Tensor:
-        """Area that each fire has burnt or is burning at ``time`` [N] s, [N, T] m^2."""
+        """Return the area that each fire has burnt at ``time`` [N] s since reset, [N, T] m^2; see the formula of the class."""
         age = time.unsqueeze(-1) - self.drawn("fire_ignition")
         age = torch.minimum(age.clamp(min=0.0), self.drawn("fire_burning_time"))
         eccentricity = math.sqrt(1.0 - self.length_to_breadth**-2)
@@ -111,7 +112,7 @@ class Wildfires(ChangingTargets, UniformTargets):
 
 
 def _region_table(regions: Sequence[Region]) -> Tensor:
-    """Relative area, sines of southern and northern latitude, western edge and width in rad, [5, R]."""
+    """Return relative area, sines of southern and northern latitude, western edge and width, rad, of each region; [5, R]."""
     rows = []
     for k, region in enumerate(regions):
         south, north, west, east = region if isinstance(region, Sequence) and len(region) == 4 else (math.nan,) * 4

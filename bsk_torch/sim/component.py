@@ -1,9 +1,10 @@
-"""What models are made of: components, their arguments, their state and the tick parameters that follow from them.
+"""Components of models, their arguments, their state and the tick parameters that follow from them.
 
 A component is a table entry, not an object with state: it names the arguments that a user may set, the state that it carries
 from tick to tick, how both are filled at reset, and one update. During a tick all components share a :class:`Bus`, on which
 state, parameters and the messages of this tick are attributes; a component reads what earlier ones wrote, so the order of
-components is Basilisk's order of modules, and a message of the previous tick is simply one that has not been rewritten yet.
+components, which :mod:`bsk_torch.sim.schedule` lists, is Basilisk's order of modules, and a message of the previous tick is
+simply one that has not been rewritten yet.
 """
 
 from __future__ import annotations
@@ -16,6 +17,8 @@ import torch
 from torch import Tensor
 
 from bsk_torch.constants import NANO
+from bsk_torch.sim.names import RENAMED, current_name
+from bsk_torch.sim.schedule import ordered
 from bsk_torch.vec3 import Vec3
 
 Values = Mapping[str, Any]
@@ -23,10 +26,10 @@ Values = Mapping[str, Any]
 
 
 class Bus:
-    """Everything one tick knows, by name: state, parameters, flags of the flight mode and messages.
+    """The values of one tick by name: state, parameters, flags of the flight mode and messages.
 
     ``h_ns`` and ``h`` are the length of the tick in nanoseconds and seconds, ``ticks`` is the number of this tick since reset,
-    ``dtype`` the type of attitude and flight software, and ``opaque_field`` says that the Earth's field is to be called as one
+    ``dtype`` the type of attitude and flight software, and ``opaque_field`` is True where the Earth's field is called as one
     operator.
     """
 
@@ -35,15 +38,17 @@ class Bus:
         self.h_ns, self.h, self.dtype, self.opaque_field = h_ns, h_ns * NANO, dtype, opaque_field
 
     def __getattr__(self, name: str) -> Any:
-        """Only reached for a name that no component has written."""
+        """Read an old name; AttributeError for a name that no component has written."""
+        if name in RENAMED:
+            return getattr(self, current_name(name))
         raise AttributeError(f"no component has written {name!r} to the bus before it is read")
 
     def __setattr__(self, name: str, value: Any) -> None:
-        """Write a message."""
-        object.__setattr__(self, name, value)
+        """Write a message; one with an old name goes where the present one does."""
+        object.__setattr__(self, current_name(name), value)
 
     def has(self, name: str) -> bool:
-        """Whether some component has written ``name``."""
+        """Return whether some component has written ``name``."""
         return hasattr(self, name)
 
 
@@ -51,7 +56,7 @@ class Bus:
 class Arg:
     """An argument that users set by name in ``sat_args`` or ``world_args``.
 
-    ``kind`` says how a value becomes a tensor: ``scalar``, ``vector`` (three numbers), ``matrix`` (nine numbers), ``choice``
+    ``kind`` is the form of its values: ``scalar``, ``vector`` (three numbers), ``matrix`` (nine numbers), ``choice``
     (one of ``choices``, kept as its index), ``utc``, ``orbit``, ``stations`` or ``constant`` (kept as it is). ``low`` and
     ``high`` bound every number (inclusive); ``missing`` stands for None. A ``shared`` one is the same for all environments.
     """
@@ -82,17 +87,22 @@ class Field:
     many: bool = False
     exact: bool = False
 
+    def __post_init__(self) -> None:
+        """Refuse a name that means another field for as long as names of earlier releases work."""
+        if self.name in RENAMED:
+            raise ValueError(f"a field cannot be called {self.name!r}, the old name of {RENAMED[self.name]!r}; use another name")
+
 
 def vec(name: str, unit: str = "", doc: str = "", exact: bool = False) -> Field:
-    """A field of three components."""
+    """Return a field of three components."""
     return Field(name, 3, unit, doc, exact=exact)
 
 
 @dataclass(frozen=True)
 class Track:
-    """Samples of what is known in advance, a record of ``fields`` every ``spacing`` seconds.
+    """Samples of quantities that are known in advance, a record of ``fields`` every ``spacing`` seconds.
 
-    A tick sees, as ``bus.<name>``, ``count`` neighbouring records, of which ``before`` lie before the last one that has passed,
+    A tick reads, as ``bus.<name>``, ``count`` neighbouring records, of which ``before`` lie before the last one that has passed,
     and the seconds since that one as ``bus.<name>_tau``.
     """
 
@@ -109,7 +119,10 @@ class Track:
 
 
 def neighbours(track: Track, table: Tensor, rows: Tensor, elapsed: Tensor) -> tuple[Tensor, Tensor]:
-    """Records [m, count, width] of ``rows`` [m] of a table [N, R, width] around times [m] since its start, and tau [m]."""
+    """Return records [m, count, width] of ``rows`` [m] around times ``elapsed`` [m] since the start of a table, and tau [m].
+
+    The table is [N, R, width]; times and tau, the time since the last record, are in s.
+    """
     index = torch.floor(elapsed * (1.0 / track.spacing)) - track.before
     index = index.clamp(0, table.shape[1] - track.count)
     steps = torch.arange(track.count, device=table.device)
@@ -128,16 +141,17 @@ def _accept(_: Values) -> None:
 class Component:
     """One part of a model; see the module docstring.
 
-    ``slot`` is the name under which a subclass replaces it, ``order`` its place in the tick (100: world, 200: dynamics, 300:
-    flight software). ``initial`` and ``prepare`` compute, from the arguments of the rows being reset, the state and the tick
-    parameters as float64 tensors [n or 1] and [n or 1, width]; ``check`` raises for arguments that do not fit together.
-    ``integrated_only`` components run only where the orbit is integrated in the tick. ``fit`` makes the component that is used
-    from the arguments as users gave them, defaults included, where its structure depends on them: it is called once, when the
-    simulation is built.
+    ``slot`` is the name under which a subclass replaces it, and its place in the tick: a slot of
+    :data:`bsk_torch.sim.schedule.SCHEDULE`, unless ``after`` or ``before`` names the one next to which it runs. With
+    ``at_start`` it takes part in the tick at time zero, whose length is zero; components of the world always do.
+
+    ``initial`` and ``prepare`` compute, from the arguments of the rows being reset, the state and the tick parameters as float64
+    tensors [n or 1] and [n or 1, width]; ``check`` raises for arguments that do not fit together. ``integrated_only`` components
+    run only where the orbit is integrated in the tick. ``fit`` makes the component that is used from the arguments as users gave
+    them, defaults included, where its structure depends on them: it is called once, when the simulation is built.
     """
 
     slot: str
-    order: int
     update: Callable[[Bus], None] | None = None
     args: tuple[Arg, ...] = ()
     state: tuple[Field, ...] = ()
@@ -147,20 +161,27 @@ class Component:
     check: Callable[[Values], None] = _accept
     integrated_only: bool = False
     stops: bool = False
+    after: str | None = None
+    before: str | None = None
+    at_start: bool = False
     fit: Callable[[Mapping[str, Any]], Component] | None = None
 
 
 def collect(classes: Iterable[type], attribute: str = "components") -> tuple[Component, ...]:
-    """Components of ``classes`` in the order of a tick; a later class replaces the slots of an earlier one."""
+    """Return the components of ``classes`` in the order of a tick; a later class replaces the slots of an earlier one.
+
+    Raises:
+        ValueError: For a component without a place in the tick.
+    """
     slots: dict[str, Component] = {}
     for cls in classes:
         for component in vars(cls).get(attribute, ()):
             slots[component.slot] = component
-    return tuple(sorted(slots.values(), key=lambda component: component.order))
+    return ordered(slots.values())
 
 
 class Layout:
-    """Where each field lies in a pack of planes [C, N]."""
+    """Layout of fields in a pack of planes [C, N]."""
 
     def __init__(self, fields: Iterable[Field]) -> None:
         """Lay the fields out one after the other; equal names are one field."""
@@ -180,11 +201,11 @@ class Layout:
 
     @property
     def exact(self) -> list[bool]:
-        """Whether each plane is always float64."""
+        """True for each plane that is always float64."""
         return [f.exact for f in self.fields.values() for _ in range(f.width)]
 
     def gather(self, bus: Bus) -> list[Tensor]:
-        """The planes of every field, read from the bus in the order of the pack."""
+        """Return the planes of every field, read from the bus in the order of the pack."""
         planes: list[Tensor] = []
         for name, f in self.fields.items():
             value = getattr(bus, name)
@@ -192,11 +213,11 @@ class Layout:
         return planes
 
     def rows(self, values: Mapping[str, Tensor], n: int) -> Tensor:
-        """The pack [C, n] of named values [n or 1] or [n or 1, width]."""
+        """Return the pack [C, n] of named values [n or 1] or [n or 1, width]."""
         parts = [values[name].reshape(-1, f.width).mT.expand(-1, n) for name, f in self.fields.items()]
         return torch.cat(parts) if parts else torch.zeros(0, n, dtype=torch.float64)
 
     def view(self, pack: Tensor, name: str) -> Tensor:
-        """The field in the pack: [N] for one plane, else [width, N]; a view."""
+        """Return a view of the field in the pack: [N] for one plane, else [width, N]."""
         part = pack[self.slices[name]]
         return part[0] if self.fields[name].width == 1 else part

@@ -1,86 +1,157 @@
-"""All satellites of a batch of episodes, of whatever types: what is drawn for them together, and how they fly side by side."""
+"""All satellites of a batch of episodes, of one or several types: their draws, their state, and runs to the next event."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import torch
 from torch import Tensor
 
+from bsk_torch._deprecated import deprecated_attributes
 from bsk_torch.rand import Key
-from bsk_torch.sim.memory import Memory
 from bsk_torch.sim.params import Overrides
-from bsk_torch.sim.simulator import Checkpoint, Simulator
-
-if TYPE_CHECKING:
-    from bsk_torch.sats.satellite import Satellite
+from bsk_torch.sim.simulator import Simulator
+from bsk_torch.sim.state import StateTable
 
 NEVER = 2**62
 """Number of a tick that does not come."""
 
 
-class Drawn(NamedTuple):
-    """What n episodes start from: what the scenario asks, and the arguments of each simulation."""
+class EpisodeDraw(NamedTuple):
+    """Draws of n episodes: those of the scenario, and the arguments of each simulation."""
 
-    asked: dict[str, Tensor]
+    scenario: dict[str, Tensor]
     values: list[dict[str, Any]]
 
 
+class FleetState(StateTable):
+    """State of N episodes with S satellites each; see :class:`Fleet`."""
+
+    time_limit: Tensor
+    removed: Tensor
+
+    def __init__(self, num_envs: int, size: int, device: torch.device) -> None:
+        """Make the table; no satellite has been removed."""
+        super().__init__(num_envs, 1, device)
+        self.declare("time_limit", 0.0)
+        self.declare("removed", False, size)
+
+
+class Task(Protocol):
+    """Tasks in progress of N satellites; see :class:`bsk_torch.env.satellite_group.TaskState`."""
+
+    dead: Tensor
+    requires_retasking: Tensor
+    ends: Tensor
+    expected: Tensor
+
+    def rows_of(self, envs: Tensor) -> Tensor:
+        """Return the rows of episodes."""
+
+
+class Group(Protocol):
+    """Satellites of one type in an environment; see :class:`bsk_torch.env.satellite_group.SatelliteGroup`."""
+
+    satellite: Any
+    simulator: Simulator
+    scenario: Any
+    observation_description: list[str]
+
+    @property
+    def task(self) -> Task:
+        """Tasks in progress."""
+
+    def checked(self, action: Tensor, acts: Tensor) -> Tensor:
+        """Return the actions [N] as int64; ValueError for one out of range where ``acts`` [N] is true."""
+
+    def command(self, action: Tensor, acts: Tensor, all_act: bool = False) -> None:
+        """Begin ``action`` [N] where ``acts`` [N] is true."""
+
+    def settle(self, event: Tensor | None, moves: Tensor, last: Tensor) -> None:
+        """Record how a run ended."""
+
+    def cancel(self, rows: Tensor) -> None:
+        """Cancel the tasks of ``rows`` [N], a mask."""
+
+
+@deprecated_attributes
 class Fleet:
     """The satellites of ``num_envs`` episodes, S in each, simulated type by type.
 
     Attributes:
         simulators: One simulation for each type of satellite.
-        columns: Where the satellites of each type stand among the S of an episode, [count] each.
+        columns: Positions of the satellites of each type among the S of the fleet, [count] each.
         names: Name of every satellite.
-        parts: The satellites of each type as agents see them, once an environment has bound them.
-        memory: What episodes remember, [N, ...] each.
+        groups: Models, actions and tasks of each type, once an environment has made them.
+        state: Everything that belongs to the present episodes: ``time_limit`` [N] s, ``removed`` [N, S] (satellites that have
+            died and left), the tables ``scenario`` (its draws) and ``memory`` (tensors that rewarders, communicators and users
+            declare), and the state of each type.
+        memory: The table ``memory`` of the state, [N, ...] each.
+        scenario_state: The table ``scenario`` of the state, [N, ...] each.
         since: Ticks since reset at the start of the present step, [N].
-        inert: Satellites that have died and left the episode, [N, S].
     """
 
-    parts: tuple[Satellite, ...]
+    groups: tuple[Group, ...] = ()
 
-    def __init__(self, simulators: Sequence[Simulator], names: Sequence[str]) -> None:
-        """Put simulations of the same environments together; the first one keeps what the scenario draws."""
-        self.simulators, self.names = tuple(simulators), list(names)
+    def __init__(
+        self,
+        simulators: Sequence[Simulator],
+        names: Sequence[str],
+        draw_scenario: Callable[[Key], dict[str, Tensor]] = lambda key: {},
+    ) -> None:
+        """Put simulations of the same environments together.
+
+        Args:
+            simulators: Simulation of each type.
+            names: Name of every satellite.
+            draw_scenario: Draws for episodes to come; see :meth:`bsk_torch.scene.base.Scenario.draw`.
+        """
+        self.simulators, self.names, self.draw_scenario = tuple(simulators), list(names), draw_scenario
         first = self.simulators[0]
         self.num_envs, self.size, self.device = first.num_envs, len(names), first.device
-        self.columns = tuple(torch.tensor(part.columns, device=self.device) for part in self.simulators)
+        flown = sorted(column for simulator in self.simulators for column in simulator.columns)  # of a trial, one of each type
+        position = {column: k for k, column in enumerate(flown)}
+        self.columns = tuple(torch.tensor([position[c] for c in s.columns], device=self.device) for s in self.simulators)
         order = torch.cat(self.columns)
         self._order = None if torch.equal(order, torch.arange(self.size, device=self.device)) else order.argsort()
-        self.memory = Memory(self.num_envs, self.device)
         self.since = torch.zeros(self.num_envs, dtype=torch.int64, device=self.device)
-        self.inert = torch.zeros(self.num_envs, self.size, dtype=torch.bool, device=self.device)
         self.all_envs = torch.arange(self.num_envs, device=self.device)
+        self.state = FleetState(self.num_envs, self.size, self.device)
+        self.memory, self.scenario_state = StateTable(self.num_envs, 1, self.device), first.scenario_state
+        self.state.add("memory", self.memory)
+        self.state.add("scenario", self.scenario_state)
+        for k, simulator in enumerate(self.simulators):
+            self.state.add(f"satellites_{k}", simulator.state)
+
+    @property
+    def satellites(self) -> tuple[Any, ...]:
+        """The satellite of each type that is bound to the environment."""
+        return tuple(group.satellite for group in self.groups)
 
     # -- reading ------------------------------------------------------------------------------------------------------
 
     @property
-    def tables(self) -> dict[str, Tensor]:
-        """What the scenario has drawn for the present episodes, [N, ...] each."""
-        return self.simulators[0].tables
-
-    @property
     def h(self) -> float:
         """Length of a tick, s."""
-        return self.simulators[0].h
+        return self.simulators[0].state.h
 
     @property
     def ticks(self) -> Tensor:
         """Ticks since reset, [N]."""
-        first = self.simulators[0]
-        return first.ticks if first.count == 1 else first.ticks.view(self.num_envs, -1)[:, 0]
+        return self._first_of_each(self.simulators[0].state.ticks, self.simulators[0].count)
 
     @property
     def sim_time(self) -> Tensor:
         """Time since reset, [N] s."""
-        first = self.simulators[0]
-        return first.sim_time if first.count == 1 else first.sim_time.view(self.num_envs, -1)[:, 0]
+        return self._first_of_each(self.simulators[0].state.sim_time, self.simulators[0].count)
+
+    def _first_of_each(self, rows: Tensor, count: int) -> Tensor:
+        """Return the values of the first satellite of each episode, [N], of rows [N * count]."""
+        return rows if count == 1 else rows.view(self.num_envs, -1)[:, 0].contiguous()
 
     def joined(self, parts: Sequence[Tensor]) -> Tensor:
-        """What each type's rows [N * count, ...] hold, by episode and satellite, [N, S, ...]."""
+        """Return the rows [N * count, ...] of all types by episode and satellite, [N, S, ...]."""
         if self.size == 1:
             return parts[0].unsqueeze(1)
         views = [part.reshape(self.num_envs, -1, *part.shape[1:]) for part in parts]
@@ -88,23 +159,23 @@ class Fleet:
         return whole if self._order is None else whole[:, self._order]
 
     def rows_of(self, part: int, table: Tensor) -> Tensor:
-        """Rows [N * count, ...] of one type from a table [N, S, ...]."""
+        """Return the rows [N * count, ...] of one type from a table [N, S, ...]."""
         mine = table if len(self.simulators) == 1 and self._order is None else table[:, self.columns[part]]
         return mine.flatten(0, 1)
 
-    def each(self, read: Callable[[Satellite], Tensor], missing: float = 0.0) -> Tensor:
-        """What ``read`` gives for every satellite, [N, S, ...]; ``missing`` for types without such an attribute.
+    def each(self, read: Callable[[Any], Tensor], missing: float = 0.0) -> Tensor:
+        """Return the value of ``read`` for every satellite, [N, S, ...]; ``missing`` for types without such an attribute.
 
         Raises:
             AttributeError: Where no type has it.
         """
-        if len(self.parts) == 1:
-            return self.joined([read(self.parts[0])])
+        if len(self.groups) == 1:
+            return self.joined([read(self.groups[0].satellite)])
         found: list[Tensor | None] = []
         lacking: AttributeError | None = None
-        for part in self.parts:
+        for group in self.groups:
             try:
-                found.append(read(part))
+                found.append(read(group.satellite))
             except AttributeError as error:
                 found.append(None)
                 lacking = error
@@ -114,119 +185,126 @@ class Fleet:
         blank = there[0].new_full((1, *there[0].shape[1:]), missing)
         return self.joined(
             [
-                blank.expand(simulator.size, *blank.shape[1:]) if value is None else value
+                blank.expand(simulator.state.rows, *blank.shape[1:]) if value is None else value
                 for value, simulator in zip(found, self.simulators, strict=True)
             ]
         )
 
     # -- episodes -----------------------------------------------------------------------------------------------------
 
-    def draw(self, key: Key, randomize: Callable[[Key], Mapping[str, tuple[Sequence[int], Tensor]]] | None = None) -> Drawn:
-        """What the episodes of the key's environments start from; raises before anything has changed.
+    def draw(self, key: Key, randomize: Callable[[Key], Mapping[str, tuple[Sequence[int], Tensor]]] | None = None) -> EpisodeDraw:
+        """Return the draws of the key's environments; raises before anything has changed.
 
         ``randomize`` draws arguments for satellites of all types: by name, the satellites [c] and their values [n, c, ...].
         """
-        asked = self.simulators[0].scene(key)
+        drawn = self.draw_scenario(key)
         given = {} if randomize is None else randomize(key)
         world: dict[str, Any] = {}
         values = []
         for simulator in self.simulators:
             around = simulator.world_args.draw(key, world)
             world |= around
-            values.append(simulator.draw(key, asked, around, share(given, simulator.columns)))
-        return Drawn(asked, values)
+            values.append(simulator.draw(key, around, share(given, simulator.columns)))
+        return EpisodeDraw(drawn, values)
 
-    def rows(self, part: int, envs: Tensor) -> Tensor:
-        """Rows of one type's simulation that belong to the episodes ``envs`` [n], [n * count]."""
-        count = self.simulators[part].count
-        if count == 1:
-            return envs
-        return (envs.unsqueeze(-1) * count + torch.arange(count, device=envs.device)).flatten()
+    def reset(self, envs: Tensor, drawn: EpisodeDraw, durations: Sequence[Tensor], time_limit: Tensor) -> None:
+        """Start the episodes ``envs`` [n] anew.
 
-    def reset(self, envs: Tensor, drawn: Drawn, durations: Sequence[Tensor]) -> None:
-        """Start the episodes ``envs`` [n] anew; windows are generated for ``durations``, [n] s for each type."""
-        for k, (simulator, values, duration) in enumerate(zip(self.simulators, drawn.values, durations, strict=True)):
-            seconds = duration if simulator.count == 1 else duration.repeat_interleave(simulator.count)
-            simulator.reset(self.rows(k, envs), values, seconds, drawn.asked if simulator.owns_tables else None)
-        self.memory.reset(envs)
-
-    def adopt(self, envs: Tensor, other: Fleet) -> None:
-        """Take over the episodes that ``other``, a fleet of the same make, holds in ``envs`` [n]."""
-        for k, (mine, theirs) in enumerate(zip(self.simulators, other.simulators, strict=True)):
-            mine.adopt(self.rows(k, envs), theirs)
-        self.memory.reset(envs)
+        Args:
+            envs: Episodes, [n].
+            drawn: Their draws.
+            durations: Seconds for which windows are generated, [n] for each type.
+            time_limit: Their time limits, [n] s.
+        """
+        self.state.reset(envs)
+        self.state.time_limit = self.state.time_limit.index_copy(0, envs, time_limit)
+        for name, value in drawn.scenario.items():
+            self.scenario_state[name][envs] = value.to(self.device)
+        for simulator, values, duration in zip(self.simulators, drawn.values, durations, strict=True):
+            simulator.reset(envs, values, duration)
 
     # -- running ------------------------------------------------------------------------------------------------------
 
-    def run(self, ticks: Tensor, left: Tensor, orders: Sequence[Tensor | None]) -> list[Tensor | None]:
-        """Advance every episode by at most ``ticks`` [N], or to the first event that ends a step.
+    def run(self, moves: Tensor, limit_ticks: Tensor, longest: int) -> None:
+        """Simulate the episodes ``moves`` [N] to the first end of a task, of the step, or of the episode.
 
-        Types without such events fly last. Where a later one of two types ends a step early, the earlier one flies again.
+        Types whose events end no step run last. Where a later one of two types ends a step early, the earlier one runs again.
 
         Args:
-            ticks: Number of ticks until the step ends in any case, [N].
-            left: Number of ticks until the episode ends, [N]; its clock then stops before events of that instant are looked at.
-            orders: About how many ticks it will be, for each type [N * count]; a matter of speed only.
-
-        Returns:
-            Which satellites of each type had an event that was looked at, [N * count] booleans; None for types without events.
+            moves: Episodes that take part, [N].
+            limit_ticks: Last tick of each episode, [N].
+            longest: Longest step in ticks.
         """
+        now = self.ticks
+        left = (limit_ticks - now).clamp(min=0)
+        ends = torch.minimum(self._first_task_end(now + longest) - now, left).clamp(min=0) * moves
         order = sorted(range(len(self.simulators)), key=lambda k: not self.simulators[k].stops)
         before = [simulator.events if simulator.has_events else None for simulator in self.simulators]
-        ends, ran, checkpoints = ticks, {}, {}
+        ran, checkpoints = {}, {}
         for k in order:
-            part = self.simulators[k]
-            if not part.stops:
-                continue
-            checkpoints[k] = part.checkpoint() if len(order) > 1 else None
-            ends = ran[k] = self._flown(k, ends, orders[k])
+            simulator = self.simulators[k]
+            if simulator.stops:
+                checkpoints[k] = simulator.checkpoint() if len(order) > 1 else None
+                flown = simulator.run(simulator.state.of_env(ends), self._expected_ticks(k, now, ends))
+                ends = ran[k] = self._first_of_each(flown, simulator.count)
         for k, checkpoint in checkpoints.items():
             if checkpoint is not None:
                 self._fly_again(k, checkpoint, ran[k], ends)
-        seen: list[Tensor | None] = []
-        for k, (part, start) in enumerate(zip(self.simulators, before, strict=True)):
+        events: list[Tensor | None] = []
+        for k, (simulator, start) in enumerate(zip(self.simulators, before, strict=True)):
+            cut = (ends >= left) & (ends > 0)  # the clock stops before events of the last tick are evaluated
             if start is None:
-                seen.append(None)
+                events.append(None)
                 if k not in ran:
-                    self._flown(k, ends, None)
-                continue
-            cut = (ends >= left) & (ends > 0)
-            events = part.events if k in ran else self._noted(k, ends, cut)
-            seen.append((events > start) & ~part.of_env(cut) if k in ran else events > start)
-        return seen
+                    simulator.run(simulator.state.of_env(ends))
+            elif k in ran:
+                events.append((simulator.events > start) & ~simulator.state.of_env(cut))
+            else:
+                events.append(self._events_before_last_tick(simulator, ends, cut) > start)
+        last = moves & (self.ticks >= limit_ticks)
+        for group, event in zip(self.groups, events, strict=True):
+            state = group.simulator.state
+            group.settle(event, state.of_env(moves), state.of_env(last))
 
-    def _fly_again(self, part: int, checkpoint: Checkpoint, ran: Tensor, ends: Tensor) -> None:
-        """Take one type back to where it was, in the episodes in which it ``ran`` [N] beyond ``ends`` [N]; fly it to there."""
-        beyond, simulator = ran > ends, self.simulators[part]
+    def _first_task_end(self, ticks: Tensor) -> Tensor:
+        """Return the first tick at which a task that ends steps is over, at most ``ticks`` [N], [N]."""
+        for group in self.groups:
+            if group.satellite.variable_interval:
+                ticks = torch.minimum(ticks, self._soonest(group.task.ends, group.simulator.count))
+        return ticks
+
+    def _expected_ticks(self, k: int, now: Tensor, ticks: Tensor) -> Tensor:
+        """Return the probable number of ticks of one type, at most ``ticks`` [N], for each row."""
+        task, state = self.groups[k].task, self.simulators[k].state
+        expected = self._soonest(task.expected, state.count) - now
+        return torch.minimum(state.of_env(expected), state.of_env(ticks))
+
+    def _soonest(self, ticks: Tensor, count: int) -> Tensor:
+        """Return the first of the ticks [N * count] of each episode, [N]."""
+        return ticks if count == 1 else ticks.view(self.num_envs, -1).amin(1)
+
+    def _fly_again(self, k: int, checkpoint: tuple[Tensor, Tensor], ran: Tensor, ends: Tensor) -> None:
+        """Rewind one type in the episodes in which it ``ran`` [N] beyond ``ends`` [N] ticks, and simulate it to there."""
+        beyond, simulator = ran > ends, self.simulators[k]
         if bool(beyond.any()):
-            simulator.rewind(checkpoint, simulator.of_env(beyond))
-            self._flown(part, torch.where(beyond, ends, 0), None)
+            simulator.rewind(checkpoint, simulator.state.of_env(beyond))
+            simulator.run(simulator.state.of_env(torch.where(beyond, ends, 0)))
 
-    def _noted(self, part: int, ticks: Tensor, cut: Tensor) -> Tensor:
-        """Fly one type whose events end no step; the events that were looked at, [N * count]: not those of a last tick."""
-        simulator = self.simulators[part]
+    @staticmethod
+    def _events_before_last_tick(simulator: Simulator, ticks: Tensor, cut: Tensor) -> Tensor:
+        """Run one type whose events end no step; return its events [N * count], without those of a last tick that is ``cut``."""
+        of_env = simulator.state.of_env
         if not bool(cut.any()):
-            self._flown(part, ticks, None)
+            simulator.run(of_env(ticks))
             return simulator.events
-        self._flown(part, ticks - cut.long(), None)
+        simulator.run(of_env(ticks - cut.long()))
         events = simulator.events
-        self._flown(part, cut.long(), None)
-        return torch.where(simulator.of_env(cut), events, simulator.events)
-
-    def _flown(self, part: int, ticks: Tensor, order: Tensor | None) -> Tensor:
-        simulator = self.simulators[part]
-        flown = simulator.run(simulator.of_env(ticks), order)
-        return flown if simulator.count == 1 else flown.view(self.num_envs, -1)[:, 0].contiguous()
-
-    @property
-    def bytes_per_env(self) -> int:
-        """Bytes that the tensors of one environment take now."""
-        shared = sum(table.nbytes for table in self.tables.values()) + self.memory.nbytes
-        return sum(simulator.bytes_per_env for simulator in self.simulators) + shared // self.num_envs
+        simulator.run(of_env(cut.long()))
+        return torch.where(of_env(cut), events, simulator.events)
 
 
 def share(given: Mapping[str, tuple[Sequence[int], Tensor]], columns: Sequence[int]) -> Overrides:
-    """What concerns the satellites ``columns`` of one type, numbered within the type."""
+    """Return the overrides of the satellites ``columns`` of one type, numbered within the type."""
     mine = {}
     for name, (satellites, values) in given.items():
         pairs = [(columns.index(s), k) for k, s in enumerate(satellites) if s in columns]

@@ -1,4 +1,4 @@
-"""From what users write in ``sat_args`` and ``world_args`` to tensors, drawn anew at each reset.
+"""Conversion of ``sat_args`` and ``world_args`` to tensors, which are drawn anew at each reset.
 
 A value may be a constant, a distribution of :mod:`bsk_torch.rand`, or a callable without arguments. Constants become tensors
 with leading dimension 1, the others with one row for each environment being reset.
@@ -6,7 +6,6 @@ with leading dimension 1, the others with one row for each environment being res
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
@@ -17,25 +16,19 @@ from torch import Tensor
 from bsk_torch.astro.ephemeris import parse_utc
 from bsk_torch.rand import Distribution, Key
 from bsk_torch.sim.component import Arg, Component, Values
+from bsk_torch.sim.names import nearest
 
 Overrides = Mapping[str, tuple[Tensor, Tensor]]
-"""Arguments that replace those of some satellites: which satellites [c], and their values [n, c, ...]."""
+"""Arguments that replace those of some satellites, by name: indices of the satellites [c], and their values [n, c, ...]."""
 
-SIZES = {"scalar": (), "vector": (3,), "matrix": (9,), "orbit": (6,)}
-ELEMENTS = ("a", "e", "i", "Omega", "omega", "f")
-
-
-def nearest(name: str, known: Iterable[str]) -> str:
-    """A hint that names the valid names closest to a wrong one."""
-    by_lower = {str(k).lower(): str(k) for k in known}
-    close = [by_lower[k] for k in difflib.get_close_matches(name.lower(), by_lower, n=3, cutoff=0.5)]
-    return f"did you mean {' or '.join(map(repr, close))}?" if close else f"valid names: {', '.join(sorted(by_lower.values()))}"
+SHAPES = {"scalar": (), "vector": (3,), "matrix": (9,), "orbit": (6,)}
+ELEMENT_NAMES = ("a", "e", "i", "Omega", "omega", "f")
 
 
 def numbers(value: Any) -> Tensor:
-    """A float64 tensor of whatever holds numbers, orbital elements by attribute included."""
-    if all(hasattr(value, name) for name in ELEMENTS):
-        value = [getattr(value, name) for name in ELEMENTS]
+    """Return numbers, sequences, arrays, tensors, or objects with attributes a, e, i, Omega, omega and f as a float64 tensor."""
+    if all(hasattr(value, name) for name in ELEMENT_NAMES):
+        value = [getattr(value, name) for name in ELEMENT_NAMES]
     if isinstance(value, list | tuple) and any(isinstance(v, Tensor) or hasattr(v, "a") for v in value):
         return torch.stack([numbers(v) for v in value])
     if isinstance(value, list | tuple) and any(isinstance(v, np.ndarray) for v in value):
@@ -50,7 +43,7 @@ def _index(arg: Arg, value: Any) -> float:
 
 
 def _shaped(arg: Arg, values: Tensor, rows: int) -> Tensor:
-    size = SIZES[arg.kind]
+    size = SHAPES[arg.kind]
     values = values.detach().cpu()
     if arg.kind == "matrix" and values.shape[1:] == (3, 3):
         values = values.flatten(1)
@@ -67,7 +60,16 @@ def _shaped(arg: Arg, values: Tensor, rows: int) -> Tensor:
 
 
 def convert(arg: Arg, values: Any, rows: int) -> Any:
-    """Tensors (or, for epochs and the like, lists) of ``rows`` values given for one argument."""
+    """Return given values of an argument as a tensor [rows, ...] of its kind and unit.
+
+    Args:
+        arg: The argument.
+        values: One value for each row.
+        rows: Number of rows.
+
+    Raises:
+        ValueError: For values that are not of the argument's kind, or beyond its bounds.
+    """
     if arg.kind == "choice":
         return torch.tensor([_index(arg, v) for v in values], dtype=torch.float64)
     if arg.kind == "utc":
@@ -80,7 +82,7 @@ def convert(arg: Arg, values: Any, rows: int) -> Any:
 
 
 def alike(a: Any, b: Any) -> bool:
-    """Whether two values of an argument say the same."""
+    """Return whether two given values of an argument are equal."""
     if a is b:
         return True
     try:
@@ -90,7 +92,7 @@ def alike(a: Any, b: Any) -> bool:
 
 
 class Arguments:
-    """The arguments of satellites of one type or of the world: their table, the users' values, and how to draw them."""
+    """Arguments of the satellites of one type, or of the world: their table, the given values, and their draws."""
 
     def __init__(
         self,
@@ -99,13 +101,16 @@ class Arguments:
         title: str,
         columns: Sequence[int] = (0,),
     ) -> None:
-        """Merge the table of ``components`` with the ``given`` values; KeyError names the nearest valid name.
+        """Merge the table of ``components`` with the ``given`` values.
 
         Args:
-            components: What has arguments.
-            given: The user's values: of all, or of each satellite of an environment.
-            title: What the user calls them.
-            columns: Numbers of the satellites within an environment, which their draws depend on.
+            components: Components, which declare the arguments.
+            given: The user's values: of all satellites of an environment, or of each of them.
+            title: Name of the dictionary that the user gives, for messages.
+            columns: Numbers of the satellites within an environment; draws depend on them.
+
+        Raises:
+            KeyError: For an unknown name.
         """
         self.title, self.columns = title, tuple(columns)
         self.table = {arg.name: arg for component in components for arg in component.args}
@@ -116,7 +121,7 @@ class Arguments:
         self._constants: dict[str, Any] = {}
 
     def _merged(self, given: Mapping[str, Any]) -> dict[str, Any]:
-        """The values of one satellite with the defaults."""
+        """Return the values of one satellite, with defaults for those that are not given."""
         for name in given:
             if name not in self.table:
                 raise KeyError(f"{self.title}[{name!r}] is unknown; {nearest(str(name), self.table)}")
@@ -128,44 +133,44 @@ class Arguments:
 
     @property
     def given(self) -> dict[str, Any]:
-        """The values of the first satellite; those that models are built from are the same for all."""
+        """Values of the first satellite; the ones that models are built from are the same for all."""
         return self._given[0]
 
     @property
     def all_given(self) -> list[Any]:
-        """The values of all satellites."""
+        """Values of all arguments of all satellites."""
         return [value for values in self._given for value in values.values()]
 
     def is_random(self, name: str) -> bool:
-        """Whether the value differs between environments."""
+        """Return whether the value is drawn for each environment."""
         return any(isinstance(values[name], Distribution) or callable(values[name]) for values in self._given)
 
     def draw(self, key: Key, known: Mapping[str, Any] | None = None) -> dict[str, Any]:
-        """Values of all arguments for the n environments of ``key``: [1, ...] where all are the same, else [n * S, ...].
+        """Return the values of all arguments for the n environments of ``key``: [1, ...] if all are equal, else [n * S, ...].
 
-        What is ``known`` already is not drawn again.
+        Arguments that are ``known`` already are not drawn again.
         """
         known = known or {}
         rows = key if self.columns == (0,) else key.of_satellites(torch.tensor(self.columns))
         return {n: known[n] if n in known else self._drawn_or_kept(arg, key, rows) for n, arg in self.table.items()}
 
     def override(self, name: str, values: Any, columns: Tensor, given: Tensor) -> Tensor:
-        """Values [n * S, ...] of the argument ``name``, with those of the satellites ``columns`` [c] replaced.
+        """Return values [n * S, ...] of the argument ``name``, with those of some satellites replaced.
 
         Args:
             name: Argument.
-            values: What was drawn for it, [1, ...] or [n * S, ...], or None.
-            columns: Which of the satellites of this table get others.
+            values: Its drawn values, [1, ...] or [n * S, ...], or None.
+            columns: Indices of the satellites, within the type, that get others, [c].
             given: Their values, [n, c, ...].
 
         Raises:
             KeyError: For an unknown name.
-            ValueError: For values that are not allowed, or where only some satellites have one.
+            ValueError: For values that are not allowed, or if only some satellites have one.
         """
         if name not in self.table:
             raise KeyError(f"sat_arg_randomizer sets {name!r}, which is unknown; {nearest(name, self.table)}")
         arg, (n, c), s = self.table[name], given.shape[:2], len(self.columns)
-        new = convert(arg, given.flatten(0, 1), n * c).view(n, c, *SIZES[arg.kind])
+        new = convert(arg, given.flatten(0, 1), n * c).view(n, c, *SHAPES[arg.kind])
         if c < s and values is None:
             raise ValueError(f"sat_arg_randomizer sets {name} of some satellites of a type; the others need one in sat_args")
         whole = new.new_empty(n, s, *new.shape[2:]) if values is None else values.expand(n * s, *new.shape[2:])
@@ -184,7 +189,7 @@ class Arguments:
         return self._constants[arg.name]
 
     def _drawn_each(self, arg: Arg, key: Key) -> Any:
-        """Values of an argument that is not the same for all satellites, [n * S, ...]."""
+        """Return the values of an argument that was given for each satellite, [n * S, ...]."""
         if arg.shared or arg.kind in ("constant", "stations"):
             raise ValueError(f"{self.title}: {arg.name} must be the same for all satellites of a type")
         if self.is_random(arg.name):
@@ -196,7 +201,7 @@ class Arguments:
         return None if parts is None else parts.expand(len(key), *parts.shape[1:]).flatten(0, 1)
 
     def _each(self, arg: Arg, key: Key) -> Tensor | None:
-        """Values of an argument, [n or 1, S, ...]; None where no satellite has one."""
+        """Return the values of an argument, [n or 1, S, ...]; None if no satellite has one."""
         numbers = (torch.tensor([column]) for column in self.columns)
         parts = [
             self._draw(arg, values[arg.name], key.of_satellites(number))
@@ -239,7 +244,7 @@ class Arguments:
             if arg.default is not None and arg.name != "oe":
                 raise ValueError(f"{arg.name}=None is not allowed; give {arg.doc} in {arg.unit}")
             return None
-        return torch.full((1, *SIZES[arg.kind]), arg.missing, dtype=torch.float64)
+        return torch.full((1, *SHAPES[arg.kind]), arg.missing, dtype=torch.float64)
 
 
 def _check_stations(stations: Any) -> None:
@@ -256,7 +261,7 @@ def _check_stations(stations: Any) -> None:
 
 
 def merge(values: Values, components: Iterable[Component], what: str) -> dict[str, Tensor]:
-    """Everything that the components' ``initial`` or ``prepare`` computes from the values."""
+    """Return all that the components' functions ``what``, ``initial`` or ``prepare``, compute from the values, by name."""
     merged: dict[str, Tensor] = {}
     for component in components:
         merged.update(getattr(component, what)(values))

@@ -1,134 +1,161 @@
-"""Repeat the tick until each environment's own end.
+"""Repeat the tick until each row's own end.
 
-The longest duration of each is known when a step starts; a tick that stops (see :class:`bsk_torch.sim.tick.Tick`) may end it
-earlier, and with it the other satellites of its team. Kernels work on blocks of rows with similar durations and end each row, or
-team, at its own tick; elsewhere a loop over ticks holds the rows that have ended. It asks the device for nothing while it runs,
-unless ticks may stop: then once in :data:`PATIENCE` ticks, whether there is any row left.
+The longest duration of each row is known when a step starts; a tick that stops (see :class:`bsk_torch.sim.tick.Tick`) may end it
+earlier, and with it the other satellites of its episode. Kernels work on blocks of rows with similar durations; elsewhere a loop
+over ticks holds the rows that have ended. It does not wait for the device while it runs, unless ticks may stop: then once in
+:data:`CHECK_EVERY` ticks, whether there is any row left.
 """
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any, NamedTuple
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple, Protocol
 
 import torch
 from torch import Tensor
 
-from bsk_torch.lanes.expr import UntraceableError
-from bsk_torch.lanes.loop import Loop, Samples
-from bsk_torch.sim.compiler import BACKENDS, just_in_time
+from bsk_torch.codegen.inductor import BACKENDS, just_in_time
+from bsk_torch.codegen.ir import UntraceableError
+from bsk_torch.codegen.kernel import Samples
 from bsk_torch.sim.tick import Tick
 
 logger = logging.getLogger(__name__)
 
-PATIENCE = 64
-"""Ticks between two questions whether all rows have ended."""
+CHECK_EVERY = 64
+"""Number of ticks between two checks whether all rows have ended."""
 
 
-@dataclass(frozen=True)
-class Flight:
-    """What a run starts from.
+class Runner(Protocol):
+    """Runs ticks of rows; kernels are runners, see :meth:`bsk_torch.codegen.kernel.Kernel.__call__`."""
 
-    ``state`` [C, N], which the run changes, ``shared`` [C, 1] and ``own`` [C, N] are float64 packs; ``mode`` [N] chooses
-    columns of the flag table ``flags`` [F, M]; ``ticks`` [N] is the number of ticks since reset; ``tracks`` are known in advance.
-    ``order`` [N] is the number of ticks to be expected, where stops make it differ from the longest; a matter of speed only.
-    Every ``team`` rows, from the first on, fly in one episode: they have run as many ticks, are to run as many, and end in the
-    tick in which the first of them stops.
-    """
+    def __call__(
+        self,
+        state: Tensor,
+        counts: Tensor,
+        tracks: Sequence[Samples],
+        *,
+        expected_ticks: Tensor | None = None,
+        shared: Tensor,
+        own: Tensor,
+        mode: Tensor,
+        flags: Tensor,
+        ticks: Tensor,
+        nanoseconds: int,
+        lockstep: int = 1,
+    ) -> Tensor:
+        """Run each row for at most its number of ticks, or until it stops.
 
-    state: Tensor
-    shared: Tensor
-    own: Tensor
-    mode: Tensor
-    flags: Tensor
-    ticks: Tensor
-    tracks: tuple[Samples, ...]
-    order: Tensor | None = None
-    team: int = 1
+        Args:
+            state: Fields of the components [C, N] float64, which change.
+            counts: Number of ticks [N].
+            tracks: Samples of quantities that are known in advance.
+            expected_ticks: Probable number of ticks [N], where stops make it differ from ``counts``; a matter of speed only.
+            shared: Uniform parameters [C, 1] float64.
+            own: Parameters of each row [C, N] float64.
+            mode: Column of ``flags`` for each row [N].
+            flags: Flags [F, M] of the modes.
+            ticks: Number of ticks since reset [N].
+            nanoseconds: Length of a tick.
+            lockstep: Rows of an episode, which end together in the tick in which the first of them stops.
 
-
-Runner = Callable[[Flight, Tensor], Tensor]
-"""Runs each row of a flight for its number of ticks [N] or until it stops; the number of ticks that each has run, [N]."""
+        Returns:
+            Number of ticks that each row has run, [N].
+        """
 
 
 class Runners(NamedTuple):
-    """What repeats ticks, and what does the tick at time zero, once for each row."""
+    """Runs ticks, and the tick at time zero, once for each row."""
 
     run: Runner
-    wake: Runner
+    first_tick: Runner
 
 
-def make_runners(tick: Tick, backend: str, device: torch.device, team: int = 1) -> Runners:
-    """What runs ``tick`` under a back end; flights of other teams than ``team`` may have to wait for the compiler."""
+def make_runners(tick: Tick, backend: str, device: torch.device, lockstep: int = 1) -> Runners:
+    """Return the runners of ``tick`` under a back end; runs in groups of other sizes may have to wait for the compiler.
+
+    Raises:
+        ValueError: For an unknown back end.
+    """
     if backend not in BACKENDS:
         raise ValueError(f"backend={backend!r} must be one of {list(BACKENDS)}")
     if backend == "compiled" and device.type == "cpu":
         try:
-            return Runners(*(kernel_loop(tick.kernel(wakes, team), tick.h_ns) for wakes in (False, True)))
+            return Runners(*(tick.kernel(wakes, lockstep) for wakes in (False, True)))
         except UntraceableError as error:
             logger.warning("%s; the tick is compiled by inductor instead, which is slower", error)
     step: Callable[..., Any] = tick.step
     if backend == "compiled":
         step = just_in_time(step, "tick")
-    return Runners(loop(step, tick.stops), waking(tick))
+    return Runners(TickLoop(step, tick.stops), FirstTick(tick))
 
 
-def waking(tick: Tick) -> Runner:
-    """The tick at time zero on tensors."""
+class FirstTick:
+    """The tick at time zero on tensors; a :class:`Runner`."""
 
-    def wake(flight: Flight, counts: Tensor) -> Tensor:
-        tables, starts = [track.table for track in flight.tracks], [track.start for track in flight.tracks]
-        packs = flight.state, flight.shared, flight.own, flight.flags[:, flight.mode]
-        planes = tick.wake(tick.inputs(*packs, tables, starts, flight.ticks.double()))
-        flight.state.copy_(torch.stack([plane.expand(len(counts)).double() for plane in planes]))
+    def __init__(self, tick: Tick) -> None:
+        """Run ``tick``."""
+        self.tick = tick
+
+    def __call__(
+        self,
+        state: Tensor,
+        counts: Tensor,
+        tracks: Sequence[Samples],
+        *,
+        shared: Tensor,
+        own: Tensor,
+        mode: Tensor,
+        flags: Tensor,
+        ticks: Tensor,
+        **_: Any,
+    ) -> Tensor:
+        """See :class:`Runner`."""
+        tables, starts = [track.table for track in tracks], [track.start for track in tracks]
+        planes = self.tick.wake(self.tick.inputs(state, shared, own, flags[:, mode], tables, starts, ticks.double()))
+        state.copy_(torch.stack([plane.expand(len(counts)).double() for plane in planes]))
         return counts
 
-    return wake
 
+class TickLoop:
+    """A loop over ticks that holds the rows that have ended; shapes never change, so that graphs can be replayed.
 
-def loop(step: Callable[..., tuple[Tensor, Tensor]], stops: bool = False) -> Runner:
-    """A loop over ticks that holds the rows that have ended: shapes never change, so that graphs can be replayed."""
+    A :class:`Runner`.
+    """
 
-    def run(flight: Flight, counts: Tensor) -> Tensor:
-        flags, end, now = flight.flags[:, flight.mode], (flight.ticks + counts).double(), flight.ticks.double()
-        tracks = *(t.table for t in flight.tracks), *(t.start for t in flight.tracks)
-        state = flight.state
+    def __init__(self, step: Callable[..., tuple[Tensor, Tensor]], stops: bool = False) -> None:
+        """Repeat ``step``, see :meth:`bsk_torch.sim.tick.Tick.step`, which may stop rows if it ``stops``."""
+        self.step, self.stops = step, stops
+
+    def __call__(
+        self,
+        state: Tensor,
+        counts: Tensor,
+        tracks: Sequence[Samples],
+        *,
+        shared: Tensor,
+        own: Tensor,
+        mode: Tensor,
+        flags: Tensor,
+        ticks: Tensor,
+        lockstep: int = 1,
+        **_: Any,
+    ) -> Tensor:
+        """See :class:`Runner`."""
+        flags, end, now = flags[:, mode], (ticks + counts).double(), ticks.double()
+        samples = *(t.table for t in tracks), *(t.start for t in tracks)
+        planes = state
         for k in range(int(counts.max())):
-            if stops and k and k % PATIENCE == 0 and not bool((now < end).any()):
+            if self.stops and k and k % CHECK_EVERY == 0 and not bool((now < end).any()):
                 break
             now = now + 1.0
-            state, end = step(state, flight.shared, flight.own, flags, now, end, *tracks)
-            if stops and flight.team > 1:
-                end = earliest(end, flight.team)
-        flight.state.copy_(state)
-        return end.long() - flight.ticks if stops else counts
-
-    return run
+            planes, end = self.step(planes, shared, own, flags, now, end, *samples)
+            if self.stops and lockstep > 1:
+                end = earliest(end, lockstep)
+        state.copy_(planes)
+        return end.long() - ticks if self.stops else counts
 
 
-def earliest(end: Tensor, team: int) -> Tensor:
-    """The first ``end`` [N] of each team, for all of its rows."""
-    return end.view(-1, team).amin(1).repeat_interleave(team)
-
-
-def kernel_loop(kernel: Loop, h_ns: int) -> Runner:
-    """A kernel of a tick of ``h_ns`` nanoseconds."""
-
-    def run(flight: Flight, counts: Tensor) -> Tensor:
-        return kernel(
-            flight.state,
-            counts,
-            flight.tracks,
-            order=flight.order,
-            shared=flight.shared,
-            own=flight.own,
-            mode=flight.mode,
-            flags=flight.flags,
-            ticks=flight.ticks,
-            nanoseconds=h_ns,
-            team=flight.team,
-        )
-
-    return run
+def earliest(end: Tensor, lockstep: int) -> Tensor:
+    """Return the first ``end`` [N] of each episode for all of its ``lockstep`` rows."""
+    return end.view(-1, lockstep).amin(1).repeat_interleave(lockstep)

@@ -1,7 +1,7 @@
 """One simulated tick of one satellite type: the function that is compiled.
 
 Inside a tick every quantity is a plane, one number of every environment. The same source runs on tensors [n], eagerly or through
-inductor, and on symbolic planes, which become one loop in C++ (:mod:`bsk_torch.lanes`).
+inductor, and on symbolic planes, which become one loop in C++ (:mod:`bsk_torch.codegen`).
 """
 
 from __future__ import annotations
@@ -12,16 +12,16 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
+from bsk_torch.codegen.ir import Loop
+from bsk_torch.codegen.kernel import Kernel
+from bsk_torch.codegen.trace import Tracer
 from bsk_torch.constants import NANO
-from bsk_torch.lanes import expr
-from bsk_torch.lanes.loop import Loop
 from bsk_torch.sim.component import Bus, Component, Field, Layout, Track, neighbours
-from bsk_torch.sim.fsw.modes import FLAGS
-from bsk_torch.sim.orbit import ARC, follow_arc
-from bsk_torch.sim.sky import SKY, put_track
-from bsk_torch.sim.world import WORLD_SLOTS
+from bsk_torch.sim.environment.ephemeris import EPHEMERIS_TRACK, put_track
+from bsk_torch.sim.fsw.modes import MODE_FLAGS
+from bsk_torch.sim.orbit.arcs import ARC, follow_arc
 
-ARC_ORBIT = Component(slot="orbit", order=195, update=follow_arc)
+ARC_ORBIT = Component(slot="orbit", update=follow_arc)
 
 
 class Inputs(NamedTuple):
@@ -61,11 +61,11 @@ class Tick:
         self.state = Layout(field for component in components for field in component.state)
         self.shared = Layout(field for field in params if field.name in shared)
         self.own = Layout(field for field in params if field.name not in shared)
-        self.flags = Layout(Field(name) for name in FLAGS)
-        self.tracks: tuple[Track, ...] = (SKY, ARC) if on_arc else (SKY,)
+        self.flags = Layout(Field(name) for name in MODE_FLAGS)
+        self.tracks: tuple[Track, ...] = (EPHEMERIS_TRACK, ARC) if on_arc else (EPHEMERIS_TRACK,)
 
     def bus(self, inputs: Inputs, h_ns: int | None = None) -> Bus:
-        """The bus at the start of a tick."""
+        """Return the bus at the start of a tick."""
         bus = Bus(self.h_ns if h_ns is None else h_ns, self.dtype, self.opaque_field)
         packs = (self.state, inputs.state), (self.shared, inputs.shared), (self.own, inputs.own), (self.flags, inputs.flags)
         for layout, planes in packs:
@@ -76,7 +76,7 @@ class Tick:
         return bus
 
     def advance(self, inputs: Inputs) -> tuple[list[Any], Any]:
-        """Planes of the state at the end of the tick, and the mask of rows that end their run with it, or None."""
+        """Return the planes of the state at the end of the tick, and the mask of rows that end their run with it, or None."""
         bus = self.bus(inputs)
         _update(bus, self.components)
         stop = bus.stop if self.stops and bus.has("stop") else None
@@ -85,10 +85,15 @@ class Tick:
         return self.state.gather(bus), stop
 
     def wake(self, inputs: Inputs) -> list[Any]:
-        """Planes of the state after Basilisk's tick at time zero: messages of the world, and the density latched from them."""
+        """Return the state's planes after Basilisk's tick at time zero: messages of the world, and values latched from it."""
         bus = self.bus(inputs, h_ns=0)
-        _update(bus, [c for c in self.components if c.slot in (*WORLD_SLOTS, "drag")])
+        _update(bus, [component for component in self.components if component.at_start])
         return self.state.gather(bus)
+
+    @property
+    def schedule(self) -> tuple[str, ...]:
+        """Slots of the components that run in the tick, in their order."""
+        return tuple(component.slot for component in self.components if component.update is not None)
 
     # -- on tensors -----------------------------------------------------------------------------------------------------
 
@@ -102,7 +107,7 @@ class Tick:
         starts: Sequence[Tensor],
         ticks: Tensor,
     ) -> Inputs:
-        """Inputs of the tick number ``ticks`` [n] from packs [C, n], tables [n, R, C] of the tracks and their starts [n], s."""
+        """Return the inputs of tick ``ticks`` [n] from packs [C, n], tables [n, R, C] of the tracks and their starts [n], s."""
         time, rows = ticks * self.h_ns * NANO, torch.arange(state.shape[1], device=state.device)
         records, taus = [], []
         for track, table, begin in zip(self.tracks, tables, starts, strict=True):
@@ -126,7 +131,7 @@ class Tick:
         end: Tensor,
         *tracks: Tensor,
     ) -> tuple[Tensor, Tensor]:
-        """State [C, n] after one tick, and the new ``end`` [n]; rows whose time is up keep both, bit for bit.
+        """Return the state [C, n] after one tick, and the new ``end`` [n]; rows whose time is up keep both, bit for bit.
 
         Args:
             state: State pack [C, n].
@@ -145,34 +150,34 @@ class Tick:
 
     # -- as a kernel ----------------------------------------------------------------------------------------------------
 
-    def kernel(self, wakes: bool = False, team: int = 1) -> Loop:
-        """The kernel that repeats the tick, or does what happens at time zero; raises UntraceableError for what has none.
+    def trace(self, wakes: bool = False) -> Loop:
+        """Return the traced tick, or that at time zero; UntraceableError for tensor code that has no kernel."""
+        program = Tracer()
 
-        It is built for runs of such a ``team``; see :class:`bsk_torch.lanes.loop.Loop`.
-        """
-        program = expr.Program()
-        fast = expr.KINDS[self.dtype]
-
-        def pack(source: str, layout: Layout, lasts: int) -> list[Any]:
-            kinds = (expr.DOUBLE if exact else fast for exact in layout.exact)
-            return [program.input((source, k), kind, lasts) for k, kind in enumerate(kinds)]
+        def pack(source: str, layout: Layout) -> list[Any]:
+            dtypes = (torch.float64 if exact else self.dtype for exact in layout.exact)
+            return [program.input(source, k, dtype=dtype) for k, dtype in enumerate(dtypes)]
 
         def records(t: int, track: Track) -> list[Any]:
-            return [program.input(("track", t, k), expr.DOUBLE, t) for k in range(track.count * track.width)]
+            return [program.input("track", t, k) for k in range(track.count * track.width)]
 
         inputs = Inputs(
-            pack("state", self.state, expr.TICK),
-            pack("shared", self.shared, expr.ALWAYS),
-            pack("own", self.own, expr.ALWAYS),
-            pack("flag", self.flags, expr.ALWAYS),
+            pack("state", self.state),
+            pack("shared", self.shared),
+            pack("own", self.own),
+            pack("flag", self.flags),
             [records(t, track) for t, track in enumerate(self.tracks, 1)],
-            [program.input(("tau", t), expr.DOUBLE, expr.TICK) for t in range(1, len(self.tracks) + 1)],
-            program.input(("ticks", "now"), expr.DOUBLE, expr.TICK),
+            [program.input("tau", t) for t in range(1, len(self.tracks) + 1)],
+            program.input("ticks_now"),
         )
         if wakes:
-            return Loop("first tick", program, self.wake(inputs), self.tracks, clock="start")
+            return Loop(program, self.wake(inputs), self.tracks, clock="start")
         planes, stop = self.advance(inputs)
-        return Loop("tick", program, planes, self.tracks, stop=stop, team=team)
+        return Loop(program, planes, self.tracks, stop=stop)
+
+    def kernel(self, wakes: bool = False, lockstep: int = 1) -> Kernel:
+        """Return the kernel of :meth:`trace`, built for groups of ``lockstep`` rows that end together."""
+        return Kernel("first tick" if wakes else "tick", self.trace(wakes), lockstep)
 
 
 def _update(bus: Bus, components: Sequence[Component]) -> None:

@@ -1,4 +1,4 @@
-"""Views of the environments for other libraries: the same simulation behind their interfaces."""
+"""Environments under the interfaces of other libraries: Gymnasium, PettingZoo and Stable-Baselines3."""
 
 from bsk_torch.wrappers.general import GymJointEnv
 from bsk_torch.wrappers.gymnasium import GymEnv, GymVectorEnv

@@ -1,4 +1,4 @@
-"""Gymnasium's interface to one episode of a constellation with one commander."""
+"""Gymnasium's interface to one episode of a constellation with one agent for all satellites."""
 
 from __future__ import annotations
 
@@ -14,20 +14,9 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from bsk_torch.env import ConstellationTasking
-from bsk_torch.wrappers.gymnasium import (
-    RENDERING,
-    as_numpy,
-    begin,
-    build,
-    check_options,
-    legal_tasks,
-    parse_render_mode,
-    read_task,
-    reseed,
-    satellite_infos,
-    snapshots,
-    unbounded,
-)
+from bsk_torch.wrappers.core import RENDERING, as_numpy, begin, build, check_options, parse_render_mode, snapshots
+from bsk_torch.wrappers.spaces import unbounded
+from bsk_torch.wrappers.tasks import legal_tasks, read_task, satellite_infos
 
 Core = ConstellationTasking | str | Callable[..., ConstellationTasking]
 """An environment with ``joint=True``, the name of a preset, or a function that returns an environment."""
@@ -36,10 +25,10 @@ Core = ConstellationTasking | str | Callable[..., ConstellationTasking]
 class GymJointEnv(gymnasium.Env[tuple[Any, ...], Sequence[Any]]):
     """One episode at a time, as ``gymnasium.Env``, with the tuples of bsk_rl's ``GeneralSatelliteTasking``.
 
-    Observations and actions are tuples with an entry for each satellite; ``None`` or ``NO_ACTION`` goes on with the satellite's
-    task. The reward is that of all satellites. ``info`` has, under the name of each satellite, ``requires_retasking`` and what
-    is counted of it, and ``d_ts`` (seconds that the step took) and ``action_mask`` (a mask for each satellite, int8, 1 where a
-    new task is legal). The simulation is :attr:`core`.
+    Observations and actions are tuples with an entry for each satellite; ``None`` or ``NO_ACTION`` continues the satellite's
+    task. The reward is the sum over all satellites. ``info`` has, under the name of each satellite, ``requires_retasking`` and
+    its counters; and ``d_ts`` (duration of the step, s) and ``action_mask`` (a mask for each satellite, int8, 1 for actions that
+    are legal as new tasks). The batched environment is :attr:`core`.
 
     Example:
         >>> env = GymJointEnv("Constellation-v1", n_satellites=3, n_targets=100, backend="eager", time_limit=60.0)
@@ -78,23 +67,23 @@ class GymJointEnv(gymnasium.Env[tuple[Any, ...], Sequence[Any]]):
         """Start an episode.
 
         Args:
-            seed: The episodes that follow are those of this seed; None for the next episode of the present one.
+            seed: Begin with the first episode of this seed; None for the next episode of the present seed.
             options: ``{"state": state}`` starts from a state of ``core.get_state()`` instead.
         """
         options = check_options(options, ("state",))
         super().reset(seed=seed)
         if seed is not None:
-            reseed(self.core, seed, self._every)
+            self.core.reseed(seed)
         seen = begin(self.core, self._every, state=options.get("state"))
         self._running = True
         return self._observation(seen), self._info(seen)
 
     def step(self, action: Sequence[Any]) -> tuple[tuple[Any, ...], float, bool, bool, dict[str, Any]]:
-        """Do the actions until the first satellite has finished its task.
+        """Carry out the actions until the first satellite has finished its task.
 
         Raises:
             ResetNeeded: If no episode is running.
-            ValueError: For a wrong number of actions, or one out of range; nothing has moved then.
+            ValueError: For a wrong number of actions, or one out of range; no state has changed then.
             TypeError: For an action that is no integer.
         """
         if not self._running:
@@ -105,12 +94,12 @@ class GymJointEnv(gymnasium.Env[tuple[Any, ...], Sequence[Any]]):
         return self._observation(seen), float(seen["reward"]), terminated, truncated, self._info(seen)
 
     def render(self) -> np.ndarray | None:
-        """A picture of the present, [480, 640, 3] uint8; see :meth:`bsk_torch.env.base.Tasking.render`."""
+        """Return a picture of the present state, [480, 640, 3] uint8; see :meth:`bsk_torch.env.base.Tasking.render`."""
         pictures = snapshots(self.core, self.render_mode)
         return pictures[0] if pictures else None
 
     def _decoded(self, action: Sequence[Any]) -> Tensor:
-        """Actions [1, S]."""
+        """Return the actions [1, S]."""
         if len(action) != len(self._parts):
             raise ValueError(f"action has {len(action)} entries; it must have {len(self._parts)}, one per satellite")
         pairs = zip(self.core.names, action, self._parts, strict=True)

@@ -14,25 +14,22 @@ from pettingzoo import ParallelEnv
 from tensordict import TensorDictBase
 from torch import Tensor
 
+from bsk_torch.data import checked
 from bsk_torch.env import ConstellationTasking
-from bsk_torch.env.groups import Group
+from bsk_torch.env.agents import Group
 from bsk_torch.sats.satellite import Satellite
 from bsk_torch.sim.params import nearest
-from bsk_torch.wrappers.gymnasium import (
+from bsk_torch.wrappers.core import (
     RENDERING,
     as_numpy,
     begin,
     build,
-    legal_tasks,
     map_leaves,
-    observation_space,
     parse_render_mode,
-    read_task,
-    reseed,
-    satellite_infos,
     snapshots,
-    unbounded,
 )
+from bsk_torch.wrappers.spaces import observation_space, unbounded
+from bsk_torch.wrappers.tasks import legal_tasks, read_task, satellite_infos
 
 logger = logging.getLogger(__name__)
 
@@ -43,11 +40,11 @@ Steps = tuple[dict[str, Any], dict[str, float], dict[str, bool], dict[str, bool]
 """Observations, rewards, terminations, truncations and infos by agent."""
 
 COMMON = "__common__"
-"""Name under which bsk_rl tells what all agents share."""
+"""Key of the info that all agents share, as in bsk_rl."""
 
 
 class Seat(NamedTuple):
-    """Where an agent stands: its group, its number there, and the numbers and types of its satellites."""
+    """Place of an agent in the environment: its group, its number there, and the numbers and types of its satellites."""
 
     group: Group
     number: int
@@ -58,13 +55,13 @@ class Seat(NamedTuple):
 class PettingZooEnv(ParallelEnv[str, Any, Any]):
     """One episode at a time, as ``pettingzoo.ParallelEnv``, with the agents and spaces of bsk_rl's ``ConstellationTasking``.
 
-    An agent that is missing in the actions, or whose action is ``None`` or ``NO_ACTION``, goes on with its task; an agent that
-    commands several satellites acts with one such entry for each, or with one for all. An agent leaves ``agents`` with the step
-    that terminates or truncates it; actions that it is given afterwards are not looked at.
+    An agent that is missing in the actions, or whose action is ``None`` or ``NO_ACTION``, continues its task; an agent that
+    commands several satellites acts with one such entry for each, or with one for all. The step that terminates or truncates an
+    agent removes it from ``agents``; later actions for it are ignored, with a warning.
 
-    The info of an agent has ``requires_retasking``, ``d_ts`` (seconds that the step took), ``action_mask`` (int8, 1 where a new
-    task is legal) and what is counted of its satellite. An agent that commands several has a tuple of masks, and an entry for
-    each satellite by name. The simulation is :attr:`core`.
+    The info of an agent has ``requires_retasking``, ``d_ts`` (duration of the step, s), ``action_mask`` (int8, 1 for actions that
+    are legal as new tasks) and the counters of its satellite. An agent that commands several satellites has a tuple of masks, and
+    an entry for each satellite by name. The batched environment is :attr:`core`.
 
     Example:
         >>> env = PettingZooEnv("Constellation-v1", n_satellites=3, n_targets=100, backend="eager", time_limit=60.0)
@@ -89,8 +86,8 @@ class PettingZooEnv(ParallelEnv[str, Any, Any]):
         Args:
             core: A :class:`~bsk_torch.ConstellationTasking` with ``num_envs=1``, the name of a preset, or a function that returns
                 such an environment.
-            continue_action: Whether spaces and masks have a last action that goes on with the task, and masks leave the busy
-                nothing else unless the core has ``mask_busy=False``; for policies that have to act in every step.
+            continue_action: Whether spaces and masks have a last action that continues the task, and masks allow only that one to
+                agents with a task in progress, unless the core has ``mask_busy=False``; for policies that act in every step.
             common_info: Whether infos have an entry ``"__common__"`` with ``d_ts``, as bsk_rl's.
             render_mode: ``"rgb_array"`` for pictures by :meth:`render`, which need the extra ``viz``.
             **options: Arguments for the preset or function, such as ``time_limit=600.0``.
@@ -152,24 +149,25 @@ class PettingZooEnv(ParallelEnv[str, Any, Any]):
         """Start an episode.
 
         Args:
-            seed: The episodes that follow are those of this seed; None for the next episode of the present one.
-            options: ``{"state": state}`` starts from a state of ``core.get_state()`` instead; PettingZoo lets others pass.
+            seed: Begin with the first episode of this seed; None for the next episode of the present seed.
+            options: ``{"state": state}`` starts from a state of ``core.get_state()`` instead; other keys are ignored, as in
+                PettingZoo's own environments.
         """
         every = torch.ones(1, dtype=torch.bool, device=self.core.device)
         if seed is not None:
-            reseed(self.core, seed, every)
+            self.core.reseed(seed)
         seen = self._seen = begin(self.core, every, state=(options or {}).get("state"))
-        gone = self._by_agent(self.core.fleet.inert | self.core.dead)
+        gone = self._by_agent(self.core.fleet.state.removed | self.core.dead)
         self.agents = [agent for agent in self.possible_agents if not gone[agent]]
         self._warned = False
         return {agent: self._observation(seen, agent) for agent in self.agents}, self._infos(seen, self.agents)
 
     def step(self, actions: Mapping[str, Any]) -> Steps:
-        """Do ``actions`` until the first satellite has finished its task.
+        """Carry out ``actions`` until the first satellite has finished its task.
 
         Raises:
             ResetNeeded: Before the first reset.
-            ValueError: For an unknown agent, or an action out of range; nothing has moved then.
+            ValueError: For an unknown agent, or an action out of range; no state has changed then.
             TypeError: For an action that is no integer.
         """
         if self._seen is None:
@@ -190,34 +188,34 @@ class PettingZooEnv(ParallelEnv[str, Any, Any]):
         )
 
     def render(self) -> np.ndarray | None:
-        """A picture of the present, [480, 640, 3] uint8; see :meth:`bsk_torch.env.base.Tasking.render`."""
+        """Return a picture of the present state, [480, 640, 3] uint8; see :meth:`bsk_torch.env.base.Tasking.render`."""
         pictures = snapshots(self.core, self.render_mode)
         return pictures[0] if pictures else None
 
     def _ends(self, seen: TensorDictBase) -> tuple[dict[str, bool], bool]:
-        """Which agents are terminated, and whether everything is truncated."""
+        """Return which agents are terminated, and whether the episode is truncated."""
         core = self.core
-        cut = core.truncated_by_time | core.rewarder.is_truncated().any(1)
-        ended = core.dead | core.rewarder.is_terminated()
+        cut = core.truncated_by_time | checked.truncated(core.rewarder).any(1)
+        ended = core.dead | checked.terminated(core.rewarder)
         if core.terminate_on_time_limit:
             ended = ended | cut.unsqueeze(-1)
         return self._by_agent(ended), bool(cut)
 
     def _by_agent(self, flags: Tensor) -> dict[str, bool]:
-        """Which agents have a satellite with a flag [1, S]."""
+        """Return which agents have a satellite with a flag [1, S]."""
         table = flags[0].tolist()
         return {agent: any(table[k] for k in seat.members) for agent, seat in self._seats.items()}
 
     # -- actions ------------------------------------------------------------------------------------------------------
 
     def _decoded(self, actions: Mapping[str, Any]) -> list[Tensor]:
-        """Actions of each group, [1, A] or [1, A, M]."""
+        """Return the actions of each group, [1, A] or [1, A, M]."""
         for agent in actions:
             self._known(agent, "actions: agent")
         live = set(self.agents)
         if self.agents and (late := [agent for agent in actions if agent not in live]) and not self._warned:
             self._warned = True  # once in an episode: some trainers send actions for everybody
-            logger.warning("actions of %s are not looked at: they have left the episode", late)
+            logger.warning("actions of %s are ignored: they have left the episode", late)
         tables = []
         for group in self.core.groups:
             rows = [self._row(agent, actions.get(agent) if agent in live else None) for agent in group.agents]
@@ -226,7 +224,7 @@ class PettingZooEnv(ParallelEnv[str, Any, Any]):
         return tables
 
     def _row(self, agent: str, action: Any) -> list[int]:
-        """An agent's action for each of its satellites."""
+        """Return an agent's action for each of its satellites."""
         seat = self._seats[agent]
         if isinstance(action, np.ndarray | Tensor):
             action = action.tolist()
@@ -237,10 +235,10 @@ class PettingZooEnv(ParallelEnv[str, Any, Any]):
         where = f"actions[{agent!r}]"
         return [read_task(where, value, part, self._continues) for value, part in zip(action, seat.parts, strict=True)]
 
-    # -- what agents see ----------------------------------------------------------------------------------------------
+    # -- results -------------------------------------------------------------------------------------------------------
 
     def _of(self, seen: TensorDictBase, agent: str, name: str) -> Any:
-        """An agent's entry of what its group sees."""
+        """Return an agent's entry of the results of its group."""
         group, number, *_ = self._seats[agent]
         return seen[group.name, name][0, number]
 
@@ -261,7 +259,7 @@ class PettingZooEnv(ParallelEnv[str, Any, Any]):
         return own | {self.core.names[k]: each[k] for k in members}
 
     def _masks(self, seen: TensorDictBase, agent: str, legal: Sequence[np.ndarray]) -> tuple[np.ndarray, ...]:
-        """Legal actions of each satellite of an agent."""
+        """Return the legal actions of each satellite of an agent."""
         group, number, _, parts = self._seats[agent]
         if self._continues:
             flags = self._of(seen, agent, "action_mask").split([self._size(part) for part in parts])
@@ -269,7 +267,7 @@ class PettingZooEnv(ParallelEnv[str, Any, Any]):
         return tuple(legal[t][int(within[number])].copy() for t, within in zip(group.types, group.within, strict=True))
 
     def state(self) -> np.ndarray:
-        """Observations of all agents side by side, in the order of ``possible_agents``; zero for those who have left."""
+        """Return the observations of all agents side by side, in the order of ``possible_agents``; zeros for removed agents."""
         if self._seen is None:
             raise ResetNeeded("state() needs an episode; call reset() first")
         observed = [(self.observation_spaces[a], self._observation(self._seen, a)) for a in self.possible_agents]
@@ -277,5 +275,5 @@ class PettingZooEnv(ParallelEnv[str, Any, Any]):
 
 
 def parallel_env(core: Core, **options: Any) -> PettingZooEnv:
-    """A :class:`PettingZooEnv` under the name by which PettingZoo's users look for it: ``parallel_env("Constellation-v1")``."""
+    """Return a :class:`PettingZooEnv`, as ``parallel_env("Constellation-v1")``: PettingZoo's name for such a function."""
     return PettingZooEnv(core, **options)

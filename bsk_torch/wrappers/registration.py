@@ -12,17 +12,17 @@ from bsk_torch.presets import PRESETS
 MODULE = "bsk_torch.wrappers"
 
 ONE = {"entry_point": f"{MODULE}.gymnasium:GymEnv", "vector_entry_point": f"{MODULE}.gymnasium:GymVectorEnv"}
-"""Views of a preset with one satellite."""
+"""Entry points of presets with one satellite."""
 
 MANY = {"entry_point": f"{MODULE}.general:GymJointEnv"}
-"""View of a constellation: Gymnasium knows one agent only."""
+"""Entry point of constellations, which have one agent under Gymnasium."""
 
 
 def register() -> None:
-    """Register every preset as ``bsk_torch/<name>`` for ``gymnasium.make`` and ``gymnasium.make_vec``; again does nothing.
+    """Register every preset as ``bsk_torch/<name>`` for ``gymnasium.make`` and ``gymnasium.make_vec``; repeated calls do nothing.
 
     Options of the preset pass through: ``gymnasium.make_vec("bsk_torch/NadirScan-v1", num_envs=64, backend="eager")``.
-    Constellations have one commander there; :func:`bsk_torch.wrappers.pettingzoo.parallel_env` has one agent for each satellite.
+    Constellations have one agent for all satellites; :func:`bsk_torch.wrappers.pettingzoo.parallel_env` has one for each.
     """
     for name, preset in PRESETS.items():
         env_id = f"bsk_torch/{name}"

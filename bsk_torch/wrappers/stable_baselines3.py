@@ -10,7 +10,9 @@ from gymnasium import Wrapper, spaces
 from gymnasium.vector import AutoresetMode
 
 from bsk_torch.sim.params import nearest
-from bsk_torch.wrappers.gymnasium import Core, GymVectorEnv, check_options
+from bsk_torch.wrappers.core import check_options
+from bsk_torch.wrappers.gymnasium.single import Core
+from bsk_torch.wrappers.gymnasium.vector import GymVectorEnv
 
 try:
     from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvIndices, VecEnvStepReturn
@@ -22,14 +24,14 @@ SEPARATOR = "/"
 
 
 def flat_space(space: spaces.Space[Any]) -> spaces.Space[Any]:
-    """A Box as it is; for nested observations a Dict of one level, such as ``sat_props/storage_level_fraction``."""
+    """Return a Box as it is, and for nested observations a Dict of one level, such as ``sat_props/storage_level_fraction``."""
     if not isinstance(space, spaces.Dict):
         return space
     return spaces.Dict({name: _at_least_1d(box) for name, box in flat(space.spaces).items()})
 
 
 def flat(tree: Mapping[str, Any]) -> dict[str, Any]:
-    """The leaves of nested dictionaries or Dict spaces, by their joined names."""
+    """Return the leaves of nested dictionaries or Dict spaces, by their joined names."""
     leaves: dict[str, Any] = {}
     for name, part in tree.items():
         inner = flat(part) if isinstance(part, Mapping) else None
@@ -43,7 +45,7 @@ def _at_least_1d(box: Any) -> spaces.Box:
 
 
 def by_row(columns: Mapping[str, Any], rows: Sequence[int] | slice = slice(None)) -> list[dict[str, Any]]:
-    """The entries [N, ...] of a vector environment's info as a dictionary for each of ``rows``, without their companions."""
+    """Return a vector environment's info [N, ...] as a dictionary for each of ``rows``, without the boolean companions."""
     chosen = {name: column[rows] for name, column in columns.items() if not name.startswith(("_", "final_"))}
     values = [column.tolist() if column.ndim == 1 else list(column) for column in chosen.values()]
     return [dict(zip(chosen, row, strict=True)) for row in zip(*values, strict=True)]
@@ -53,9 +55,10 @@ class SB3VecEnv(VecEnv):
     """N episodes in one simulation, as Stable-Baselines3's ``VecEnv``; episodes that end start anew at once.
 
     ``infos`` has for each episode the entries of :class:`~bsk_torch.wrappers.GymEnv`, ``TimeLimit.truncated``, and at an end
-    ``terminal_observation``. ``reset_infos`` is what the new episodes begin with. Named observations come with one level of
-    names, such as ``sat_props/storage_level_fraction``. sb3-contrib's MaskablePPO finds its :meth:`action_masks`.
-    Stable-Baselines3 discounts per decision, however long it took: ``infos[k]["duration"]``, s. The simulation is :attr:`core`.
+    ``terminal_observation``. ``reset_infos`` are the infos with which new episodes begin. Named observations have one level
+    of names, such as ``sat_props/storage_level_fraction``. sb3-contrib's MaskablePPO calls :meth:`action_masks`.
+    Stable-Baselines3 discounts per decision, however long it took: ``infos[k]["duration"]``, s. The batched environment is
+    :attr:`core`.
 
     Example:
         >>> from sb3_contrib import MaskablePPO
@@ -101,7 +104,7 @@ class SB3VecEnv(VecEnv):
         self._begin_with = check_options(options, ("state",))
 
     def reset(self) -> Any:
-        """Start the next episodes, or those of :meth:`seed` or :meth:`set_options`; what they see, [N, ...]."""
+        """Start the next episodes, or those of :meth:`seed` or :meth:`set_options`; return their observations, [N, ...]."""
         observation, info = self.vector.reset(seed=self._seeds, options=self._begin_with)
         self._reset_seeds()
         self._begin_with, self._actions = {}, None
@@ -109,11 +112,11 @@ class SB3VecEnv(VecEnv):
         return self._observed(observation)
 
     def step_async(self, actions: np.ndarray) -> None:
-        """Note the ``actions`` [N] of the next step."""
+        """Store the ``actions`` [N] of the next step."""
         self._actions = actions
 
     def step_wait(self) -> VecEnvStepReturn:
-        """Do the noted actions; ValueError or TypeError for actions outside the space, before anything moves."""
+        """Carry out the stored actions; ValueError or TypeError for actions outside the space, before any state changes."""
         if self._actions is None:
             raise RuntimeError("step_wait() needs actions; call step_async(actions) first, or step(actions)")
         actions, self._actions = self._actions, None
@@ -131,7 +134,7 @@ class SB3VecEnv(VecEnv):
             infos[row] = final | {"terminal_observation": self._observed(info["final_obs"][row], 0)}
 
     def _observed(self, observation: Any, batch_dims: int = 1) -> Any:
-        """An observation in the form of the observation space."""
+        """Return an observation in the form of the observation space."""
         if not isinstance(observation, Mapping):
             return observation
         leaves = flat(observation).items()
@@ -141,18 +144,18 @@ class SB3VecEnv(VecEnv):
         """Nothing has to be closed beside the views."""
         self.vector.close()
 
-    # -- what Stable-Baselines3 asks single environments --------------------------------------------------------------
+    # -- calls of single environments ---------------------------------------------------------------------------------
 
     def action_masks(self) -> np.ndarray:
-        """Legal actions now, [N, n] booleans; the name that sb3-contrib asks for."""
+        """Return which actions are legal now, [N, n] bool; sb3-contrib calls a method of this name."""
         return self.vector.action_masks()
 
     def get_images(self) -> Sequence[np.ndarray | None]:
-        """A picture of the present of each episode, [480, 640, 3] uint8; None without render mode."""
+        """Return a picture of the present state of each episode, [480, 640, 3] uint8; None without render mode."""
         return self.vector.render() or [None] * self.num_envs
 
     def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
-        """An attribute of the vector environment or of :attr:`core`, the same for each episode; AttributeError if none has it."""
+        """Return an attribute of the vector environment or of :attr:`core` for each episode; AttributeError if none has it."""
         for owner in (self.vector, self.core):
             if hasattr(owner, attr_name):
                 return [getattr(owner, attr_name) for _ in self._get_indices(indices)]
@@ -163,7 +166,7 @@ class SB3VecEnv(VecEnv):
         raise NotImplementedError(f"the episodes share one simulation; set {attr_name!r} in its attribute core, for all of them")
 
     def env_method(self, method_name: str, *method_args: Any, indices: VecEnvIndices = None, **method_kwargs: Any) -> list[Any]:
-        """Results of ``action_masks()`` or ``render()`` for each episode; AttributeError for other methods."""
+        """Return results of ``action_masks()`` or ``render()`` for each episode; AttributeError for other methods."""
         methods: dict[str, Callable[..., Any]] = {"action_masks": self.action_masks, "render": self.get_images}
         if method_name not in methods:
             raise AttributeError(

@@ -78,6 +78,7 @@ def moment(degree: int, start: int, end: int, twice: bool) -> float:
 )
 def test_exact_on_polynomials(nodes, end, twice):
     weights = (position_weights if twice else velocity_weights)(nodes, 0, end)
+    assert len(weights) == len(nodes) > 0
     for degree in range(len(nodes)):
         terms = [w * n**degree for w, n in zip(weights, nodes, strict=True)]
         # the weights' own rounding, 1e-16 of each term

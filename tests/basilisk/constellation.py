@@ -15,7 +15,7 @@ from torch import Tensor
 from bsk_torch import act, comm, data, obs, rand, sats, scene
 from bsk_torch.env import NO_ACTION, ConstellationTasking
 from bsk_torch.sim import dyn, fsw
-from tests.basilisk.replay import HERE, STATE_COLUMNS, Difference, split
+from tests.basilisk.replay import RECORDINGS, STATE_COLUMNS, Difference, split
 
 BOUNDARY = ("obs", "observed", "state", "requires_retasking", "alive", "active", "knows", "known", "everyone", "imaged")
 OF_STEPS = ("action", "duration", "present", "reward", "terminated", "truncated", "paid", "image", "access", "links", "evaluated")
@@ -86,7 +86,7 @@ class ConstellationRecording:
 
 def load(name: str) -> ConstellationRecording:
     """Read a recording, split into episodes."""
-    with np.load(HERE / f"constellation_{name}.npz") as archive:
+    with np.load(RECORDINGS / f"constellation_{name}.npz") as archive:
         file = {key: archive[key] for key in archive.files}
     lengths, arrays = split(file, BOUNDARY, OF_STEPS)
     initial, fixed, env = (json.loads(str(file[key])) for key in ("ic", "fixed", "env"))

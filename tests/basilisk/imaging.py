@@ -13,7 +13,7 @@ import torch
 
 from bsk_torch import SatelliteTasking, act, data, obs, rand, sats, scene
 from bsk_torch.sim import dyn, fsw
-from tests.basilisk.replay import HERE, STEPS, Difference, Recording, arguments, common_options, split
+from tests.basilisk.replay import RECORDINGS, STEPS, Difference, Recording, arguments, common_options, split
 from tests.basilisk.replay import replay as replay_state
 
 EARTH_RADIUS = 6378136.6
@@ -43,7 +43,7 @@ class ImagingRecording(Recording):
 
 
 def make_targets(seed: int, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Positions [count, 3] m and priorities [count] of recorded targets: what scripts/record_imaging.py draws."""
+    """Positions [count, 3] m and priorities [count] of recorded targets: what recorders/record_imaging.py draws."""
     rng = np.random.RandomState(seed)
     r_LP_P = rng.normal(size=(count, 3))
     r_LP_P *= EARTH_RADIUS / np.sqrt((r_LP_P**2).sum(1, keepdims=True))
@@ -52,7 +52,7 @@ def make_targets(seed: int, count: int) -> tuple[np.ndarray, np.ndarray]:
 
 def load(name: str) -> ImagingRecording:
     """Read a recording, split into episodes."""
-    with np.load(HERE / f"{name}.npz") as archive:
+    with np.load(RECORDINGS / f"{name}.npz") as archive:
         file = {key: archive[key] for key in archive.files}
     lengths, arrays = split(file, BOUNDARY, IMAGING_STEPS)
     initial, fixed, env = (json.loads(str(file[key])) for key in ("ic", "fixed", "env"))

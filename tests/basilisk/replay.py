@@ -16,7 +16,7 @@ from torch import Tensor
 from bsk_torch import SatelliteTasking, act, data, rand, scene
 from bsk_torch.presets.nadir_scan import ScanningSatellite
 
-HERE = Path(__file__).parent
+RECORDINGS = Path(__file__).parent / "recordings"
 
 STATE_COLUMNS = {
     "r": slice(1, 4),
@@ -65,7 +65,7 @@ def split(file: Any, boundary: Sequence[str], steps: Sequence[str]) -> tuple[lis
 
 def load(name: str) -> Recording:
     """Read a recording, split into episodes."""
-    file = np.load(HERE / f"{name}.npz")
+    file = np.load(RECORDINGS / f"{name}.npz")
     lengths, arrays = split(file, ("obs", "state"), STEPS)
     texts = {key: json.loads(str(file[key])) for key in ("ic", "fixed", "env")}
     return Recording(texts["ic"], texts["fixed"], texts["env"], lengths, arrays)

@@ -93,7 +93,9 @@ def episodes(name):
 
 def test_all_recordings_are_asynchronous():
     for name in NAMES:
-        for e in episodes(name):
+        recorded = episodes(name)
+        assert recorded, name
+        for e in recorded:
             assert (e.retask[1:-1].any(1) & ~e.retask[1:-1].all(1)).any(), name
             assert (~e.tasked & ~e.retask[:-1]).any(), name
             assert abs(np.linalg.norm(e.state[0, :, 1:4], axis=-1) - 6871e3).max() < 1.0, name

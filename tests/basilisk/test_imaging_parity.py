@@ -260,7 +260,9 @@ def test_data_are_stored_at_the_start():
 
 
 def test_time_is_unlimited():
-    for e in episodes("unlimited"):
+    recorded = episodes("unlimited")
+    assert recorded
+    for e in recorded:
         assert len(e.action) == 30
         assert not e.truncated.any()
         assert e.windows(0).close.max() < 3600.0  # known after reset: no more than what was asked for

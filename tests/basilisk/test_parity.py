@@ -12,7 +12,7 @@ Bounds are those of the design for float64 and ticks of 1 s. What limits each of
 import numpy as np
 import pytest
 
-from tests.basilisk.replay import HERE, Difference, environment, load, replay
+from tests.basilisk.replay import RECORDINGS, Difference, environment, load, replay
 
 BOUNDS = {
     "sigma": 1e-7,
@@ -104,7 +104,7 @@ def test_ticks(orbit):
 
 def test_recordings_cover_what_they_claim():
     """The comparison would be empty if the recordings did not contain the events they stand for."""
-    assert (np.load(HERE / "saturation.npz")["saturated_ticks"] > 100).all()
+    assert (np.load(RECORDINGS / "saturation.npz")["saturated_ticks"] > 100).all()
     full = load("full")
     assert all(state[:, 17].max() == 4e10 for state in full.arrays["state"])
     assert any(

@@ -9,15 +9,15 @@ from bsk_torch.presets.nadir_scan import ScanningDownlinkDynModel
 from bsk_torch.rand import Key
 from bsk_torch.sim import fsw
 from bsk_torch.sim.simulator import Simulator
-from tests.basilisk.replay import HERE
+from tests.basilisk.replay import RECORDINGS
 
 COLUMNS = {
-    "r": "r",
-    "v": "v",
-    "sigma": "sigma",
-    "omega": "omega",
-    "Omega": "Omega",
-    "u": "motor_torque",
+    "r": "r_BN_N",
+    "v": "v_BN_N",
+    "sigma": "sigma_BN",
+    "omega": "omega_BN_B",
+    "Omega": "Omega_WB_B",
+    "u": "motor_torque_B",
     "battery": "charge",
     "storage": "storage",
     "illum": "illumination",
@@ -33,13 +33,13 @@ def make(arguments: dict, orbit: str) -> Simulator:
     options = dict(num_envs=1, device=torch.device("cpu"), dtype=torch.float64, sim_rate=1.0, horizon=600.0, backend="eager")
     simulator = Simulator(*models, values, {"utc_init": arguments["utc_init"]}, orbit=orbit, **options)
     zero = torch.zeros(1, dtype=torch.int64)
-    simulator.reset(simulator.all_rows, simulator.draw(Key(zero, zero, zero), {}), torch.full((1,), 600.0, dtype=torch.float64))
+    simulator.reset(simulator.state.all_rows, simulator.draw(Key(zero, zero, zero)), torch.full((1,), 600.0, dtype=torch.float64))
     return simulator
 
 
 def compare_ticks(name: str, ticks: int, orbit: str) -> dict[str, float]:
     """Largest absolute differences over the first ``ticks`` ticks of a recording."""
-    file = np.load(HERE / f"{name}.npz")
+    file = np.load(RECORDINGS / f"{name}.npz")
     arguments = json.loads(str(file["fixed"])) | json.loads(str(file["init"]))
     simulator = make(arguments, orbit)
     starts = {round(start): action for start, _, action, *_ in json.loads(str(file["actions"]))}

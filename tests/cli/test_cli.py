@@ -21,19 +21,18 @@ def test_args_of_constellations_are_those_of_their_first_type(run):
     assert "losMaximumRange" in run("args", "RelayConstellation-v1").output
 
 
-@pytest.mark.compiled
-@pytest.mark.parametrize(
-    "command", [("train", *SHORT, "Constellation-v1"), ("eval", "random", "--seeds", "0:2", "--preset", "Constellation-v1")]
-)
-def test_constellations_are_trained_by_a_script(run, command):
-    result = run(*command)
-    assert result.exit_code == 1
-    assert "scripts/train_constellation.py --preset Constellation-v1" in result.output
-
-
 @pytest.mark.parametrize("command", [("args",), ("train", *SHORT), ("eval", "rule", *SHORT, "--preset")])
 def test_an_unknown_preset_is_answered_with_the_nearest(run, command):
     result = run(*command, "NadirScam-v1")
     assert result.exit_code == 1
     assert "did you mean 'NadirScan-v1'" in result.output
+    assert len(result.output.splitlines()) == 1
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize("command", [("train", *SHORT), ("eval", "random", "--seeds", "0:2", "--backend", "eager", "--preset")])
+def test_constellations_of_unlike_satellites_are_refused(run, command):
+    result = run(*command, "RelayConstellation-v1")
+    assert result.exit_code == 1
+    assert "RelayConstellation-v1 cannot be learned by one shared policy" in result.output
     assert len(result.output.splitlines()) == 1

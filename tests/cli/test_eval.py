@@ -1,15 +1,15 @@
 """``bsk-torch eval``."""
 
 import csv
+import importlib
 import json
 
 import pytest
 import torch
 
 import bsk_torch
-from bsk_torch.rl import pretrained
-from bsk_torch.rl.networks import PLANS
-from bsk_torch.rl.policies import save_policy
+from bsk_torch.rl.networks.plans import PLANS
+from bsk_torch.rl.policies.files import save_policy
 
 pytestmark = pytest.mark.compiled
 
@@ -52,6 +52,7 @@ def test_shielded_policies_stand_beside_the_same_without(run, folder, tmp_path):
 
 
 def test_the_policy_that_comes_with_the_package(run, folder, tmp_path, monkeypatch):
+    pretrained = importlib.import_module("bsk_torch.rl.policies.pretrained")
     monkeypatch.setattr(pretrained, "makings", lambda: {"NadirScan-v1": {}})
     monkeypatch.setattr(pretrained, "FOLDER", tmp_path)
     (tmp_path / "NadirScan-v1.pt").write_bytes((folder / "policy.pt").read_bytes())
@@ -67,9 +68,9 @@ def test_a_rule_may_come_from_the_present_folder(run, folder, tmp_path, monkeypa
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend("")  # is taken off again afterwards, with what the command puts there
     (tmp_path / "my_shield.py").write_text(
-        "from bsk_torch.rl.shield import only\n\n\n"
+        "from bsk_torch.act import allow_only\n\n\n"
         "def only_charge(see, actions):\n"
-        "    return only(actions, 'action_charge', where=see['time'] >= 0.0)\n"
+        "    return allow_only(actions, 'action_charge', where=see['time'] >= 0.0)\n"
     )
     result = run("eval", "random", *TWO, "--no-baselines", "--shield", "my_shield:only_charge", "--out", "e.json")
     assert result.exit_code == 0, result.output

@@ -4,8 +4,8 @@ import json
 
 import pytest
 
-from bsk_torch.rl.config import PPOConfig, load_config
-from bsk_torch.rl.log import read_log
+from bsk_torch.rl.training.config import PPOConfig, load_config
+from bsk_torch.rl.training.log import read_log
 
 pytestmark = pytest.mark.compiled
 

@@ -9,10 +9,10 @@ from typing import Any
 import torch
 
 from bsk_torch.astro.orbit import Elements, elements_to_rv
+from bsk_torch.comm.los import MAX_RANGE
 from bsk_torch.rand import first_key
 from bsk_torch.sim import dyn, fsw
 from bsk_torch.sim.fleet import Fleet
-from bsk_torch.sim.los import RANGE
 from bsk_torch.sim.simulator import Simulator
 
 UTC = "2021 MAR 05 07:12:33.250 (UTC)"
@@ -58,9 +58,10 @@ def make_fleet(
         more = {"sim_rate": sim_rate, "orbit": orbit, "backend": backend, "columns": list(columns)}
         simulators.append(Simulator(models[k], fsw.BasicFSWModel, fixed, {"utc_init": UTC}, **options, **more))
     fleet = Fleet(simulators, [f"Sat{k}" for k in range(len(satellites))])
-    fleet.parts = tuple(SimpleNamespace(dyn_type=models[k], simulator=part) for k, part in enumerate(fleet.simulators))
+    satellites = (SimpleNamespace(dyn_type=models[k], simulator=part) for k, part in enumerate(fleet.simulators))
+    fleet.groups = tuple(SimpleNamespace(satellite=satellite) for satellite in satellites)
     key, none = first_key(num_envs), torch.zeros(num_envs, dtype=torch.float64)
-    fleet.reset(fleet.all_envs, fleet.draw(key), [none] * len(types))
+    fleet.reset(fleet.all_envs, fleet.draw(key), [none] * len(types), none)
     return fleet
 
 
@@ -69,13 +70,13 @@ def step(fleet: Fleet, ticks: int | Sequence[int] | torch.Tensor) -> None:
     fleet.since = fleet.ticks.clone()
     ticks = torch.as_tensor(ticks).expand(fleet.num_envs)
     for simulator in fleet.simulators:
-        simulator.reach(simulator.sim_time + simulator.of_env(ticks) * simulator.h)
-        simulator.ticks = simulator.ticks + simulator.of_env(ticks)
+        simulator.lookahead.reach(simulator.sim_time + simulator.of_env(ticks) * simulator.h, simulator.sim_time)
+        simulator.state.ticks = simulator.ticks + simulator.of_env(ticks)
 
 
 def with_ranges(satellites: Sequence[dict[str, Any]], reach: Sequence[float]) -> list[dict[str, Any]]:
     """The satellites with their longest ranges, m."""
-    return [{**satellite, RANGE: float(x)} for satellite, x in zip(satellites, reach, strict=True)]
+    return [{**satellite, MAX_RANGE: float(x)} for satellite, x in zip(satellites, reach, strict=True)]
 
 
 def recorded(file: dict[str, Any], backend: str = "eager") -> Fleet:

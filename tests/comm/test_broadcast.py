@@ -11,7 +11,7 @@ from bsk_torch import act
 from bsk_torch.act.base import ActionBuilder
 from bsk_torch.act.broadcast import PENDING
 from bsk_torch.act.discrete import FOREVER
-from bsk_torch.sim.memory import Memory
+from bsk_torch.sim.state import StateTable
 
 DRIFT, NADIR = 0, 3
 MOVES = torch.ones(4, dtype=torch.bool)
@@ -20,17 +20,17 @@ MOVES = torch.ones(4, dtype=torch.bool)
 def make_satellite(n: int = 4) -> SimpleNamespace:
     """As much of a satellite as actions look at; it has been pointing at nadir."""
     simulator = SimpleNamespace(
-        memory=Memory(n, torch.device("cpu")),
+        memory=StateTable(n),
         mode=torch.full((n,), NADIR),
         ticks=torch.zeros(n, dtype=torch.int64),
-        draws=0,
+        state=SimpleNamespace(arguments=SimpleNamespace(version=0)),
         check_command=lambda command: None,
         mode_index=lambda command: torch.full((n,), DRIFT),
     )
     return SimpleNamespace(simulator=simulator)
 
 
-def make_actions(*spec: act.Action) -> tuple[ActionBuilder, Memory]:
+def make_actions(*spec: act.Action) -> tuple[ActionBuilder, StateTable]:
     satellite = make_satellite()
     return ActionBuilder(spec, satellite), satellite.simulator.memory
 

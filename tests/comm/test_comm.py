@@ -11,7 +11,7 @@ from bsk_torch.act.broadcast import PENDING
 from bsk_torch.comm.base import LAST
 from bsk_torch.comm.multi import connected
 from bsk_torch.sim import dyn
-from bsk_torch.sim.memory import Memory
+from bsk_torch.sim.state import StateTable
 from tests.comm.fleets import drawn_elements, make_fleet, recorded, states, step
 
 ALL = torch.tensor([True, True, True])
@@ -23,16 +23,14 @@ class FakeFleet(SimpleNamespace):
     def __init__(self, size: int, talkers: int | None = None) -> None:
         talkers = size if talkers is None else talkers
         super().__init__(num_envs=3, size=size, device=torch.device("cpu"), names=[f"Sat{k}" for k in range(size)])
-        self.memory, self.sim_time = Memory(3, self.device), torch.zeros(3, dtype=torch.float64)
+        self.memory, self.sim_time = StateTable(3), torch.zeros(3, dtype=torch.float64)
         self.simulators = [self.part(count) for count in (talkers, size - talkers) if count]
         if talkers:
-            self.simulators[0].memory.add(PENDING, False, dtype=torch.bool)
+            self.simulators[0].memory.declare(PENDING, False, dtype=torch.bool)
 
     def part(self, count: int) -> SimpleNamespace:
         size, of_env = 3 * count, lambda table: table.repeat_interleave(count, 0)
-        return SimpleNamespace(
-            memory=Memory(size, self.device), ticks=torch.zeros(size, dtype=torch.int64), of_env=of_env, count=count
-        )
+        return SimpleNamespace(memory=StateTable(size), ticks=torch.zeros(size, dtype=torch.int64), of_env=of_env, count=count)
 
     def joined(self, parts: list[torch.Tensor]) -> torch.Tensor:
         return torch.cat([part.view(3, -1) for part in parts], 1)
@@ -130,7 +128,9 @@ def components(pairs: torch.Tensor) -> torch.Tensor:
 @pytest.mark.parametrize("size", [1, 2, 3, 5, 9, 17, 33, 64])
 @pytest.mark.parametrize("links", [0.5, 1.0, 3.0])
 def test_components_are_those_of_a_walk(size, links):
-    for graph in graphs(size, links / size):
+    drawn = graphs(size, links / size)
+    assert len(drawn)
+    for graph in drawn:
         assert torch.equal(connected(graph.unsqueeze(0))[0], components(graph))
 
 
@@ -297,7 +297,7 @@ def test_broadcasts_need_the_action():
 
 def test_sight_needs_the_model():
     fleet = make_fleet(states(drawn_elements(3)), types=[[0, 2], [1]])
-    fleet.parts[1].dyn_type = dyn.ImagingDynModel
+    fleet.satellites[1].dyn_type = dyn.ImagingDynModel
     with pytest.raises(TypeError, match=r"LOSCommDynModel among the bases of Sat1's dyn_type, which is ImagingDynModel"):
         comm.LOSCommunication().link(fleet)
 

@@ -15,7 +15,8 @@ from torch.overrides import TorchFunctionMode
 from torch.utils._python_dispatch import TorchDispatchMode
 
 import bsk_torch
-from bsk_torch.sim.run import Flight, loop
+from bsk_torch.sim.run import TickLoop
+from tests.sim.runs import start_of
 
 WAITS = 5
 """Waits of a step: are all actions legal, do the arcs reach (twice), how long is the longest duration, who lacks a window."""
@@ -100,11 +101,6 @@ def started(request):
     return env, env.reset()
 
 
-def flight(simulator) -> Flight:
-    packs = simulator.pack.clone(), simulator.shared, simulator.own, simulator.mode, simulator.flag_table, simulator.ticks
-    return Flight(*packs, simulator.arcs.tracks(simulator.tick.tracks))
-
-
 def test_a_step_waits_for_the_device_a_few_times(started):
     env, td = started
     for _ in range(3):
@@ -125,13 +121,13 @@ def test_ticks_never_wait_and_never_change_shape(started):
         return result
 
     for ticks in (5, 50):
-        start, counts = flight(simulator), torch.arange(simulator.num_envs) % ticks
+        start, counts = start_of(simulator), torch.arange(simulator.num_envs) % ticks
         counts[-1] = ticks
         seen.clear()
         with Audit() as audit:
-            loop(simulator.tick.step)(start, counts)
+            start.run(TickLoop(simulator.tick.step), counts)
         assert audit.waits == {"_local_scalar_dense": 1}, f"{ticks} ticks"
-        loop(step)(flight(simulator), counts)
+        start_of(simulator).run(TickLoop(step), counts)
         assert len(seen) == ticks
         assert all(ran == seen[0] for ran in seen), "a tick ran other operators, or on other shapes"
         assert not any(inside)
@@ -141,7 +137,7 @@ def test_ticks_never_wait_and_never_change_shape(started):
 def test_a_tick_does_not_look_at_its_data(mode, started):
     """On tensors without data it is the same tick."""
     simulator = started[0].simulator
-    start = flight(simulator)
+    start = start_of(simulator)
     now, flags = start.ticks.double() + 1.0, start.flags[:, start.mode]
     parts = *(track.table for track in start.tracks), *(track.start for track in start.tracks)
     inputs = start.state, start.shared, start.own, flags, now, now + 1.0, *parts

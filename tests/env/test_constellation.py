@@ -73,7 +73,7 @@ def chosen(env: ConstellationTasking, td: TensorDict, step: int, rows: Tensor | 
     for group in env.groups:
         mask = td[group.name, "action_mask"]
         envs = torch.arange(len(mask)) if rows is None else rows
-        sizes = [env.fleet.parts[t].actions.n_actions + 1 for t in group.types]
+        sizes = [env.fleet.satellites[t].actions.n_actions + 1 for t in group.types]
         columns = []
         for m, part in enumerate(mask.split(sizes, -1)):
             want = (envs[:, None] * 7 + group.members[:, m] * 3 + step) % (sizes[m] - 1)
@@ -124,6 +124,27 @@ def test_groups_and_their_shapes() -> None:
     assert td["imager_and_relay", "action_mask"].shape == (3, 1, 6 + 3)
     assert env.full_action_spec["imager_and_relay", "action"].shape == (3, 1, 2)
     assert env.full_action_spec["imager", "action"].shape == (3, 1)
+
+
+class FarSighted(Imager):
+    action_spec = (act.Charge(duration=47.0), act.Image(n_ahead_image=5))
+
+
+@pytest.mark.parametrize("order", [(0, 1, 2), (0, 2, 1), (2, 0, 1)])
+def test_several_imagers_of_one_type_beside_another_type(order: tuple[int, ...]) -> None:
+    """Satellites of both types are paid for images of targets that neither has imaged before."""
+    one, two = imagers(2)
+    satellites = [(one, two, FarSighted("EO2", ARGS, may_see_nothing=True))[k] for k in order]
+    env = build(satellites, time_limit=3000.0, communicator=comm.FreeCommunication())
+    assert sorted(len(group.agents) for group in env.groups) == [1, 2]
+    paid, td = torch.zeros(3, 3, dtype=torch.float64), env.reset()
+    for step in range(40):
+        td = env.step(chosen(env, td, step))["next"].clone()
+        for group in env.groups:
+            paid[:, group.members.squeeze(-1)] += td[group.name, "reward"].squeeze(-1)
+    worth = (env.rewarder.imaged * env.scenario.priority).sum(1)
+    assert (paid.amax(0) > 0.0).all()
+    torch.testing.assert_close(paid.sum(1), worth, rtol=1e-6, atol=0)
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
@@ -188,6 +209,7 @@ def test_batch_and_order_do_not_matter(kind: str) -> None:
     whole = play(made(num_envs=5), 20)
     rows = torch.tensor([3, 0])
     some = play(made(num_envs=2, env_ids=rows), 20, rows)
+    assert len(whole) == 20
     for a, b in zip(whole, some, strict=True):
         assert_equal(a[rows], b)
 
@@ -195,7 +217,9 @@ def test_batch_and_order_do_not_matter(kind: str) -> None:
 @pytest.mark.parametrize("kind", ["one", "two"])
 def test_back_ends_agree(kind: str) -> None:
     """Ends of steps, tasks and rewards are the same; observations within the difference of the two orbit solvers."""
-    for a, b in zip(*(play(GROUPS_OF[kind](backend), 10) for backend in ("eager", "compiled")), strict=True):
+    eager, compiled = (play(GROUPS_OF[kind](backend), 10) for backend in ("eager", "compiled"))
+    assert len(eager) == 10
+    for a, b in zip(eager, compiled, strict=True):
         for key in a.keys(True, True):
             if a[key].dtype.is_floating_point and "observation" in key:
                 torch.testing.assert_close(a[key], b[key], atol=2e-5, rtol=0)
@@ -296,12 +320,12 @@ def test_the_next_episode_begins_with_everybody() -> None:
     state = env.get_state()
     while bool(td["agents", "mask"].all()):
         td = env.step(chosen(env, td, 0))["next"].clone()
-    assert env.satellites[0].absent.any()
+    assert env.satellites[0].removed.any()
     again = env.reset(td.set("_reset", torch.tensor([[True], [False]])))
     assert again["agents", "mask"][0].all()
-    assert not env.satellites[0].absent[:3].any()
+    assert not env.satellites[0].removed[:3].any()
     env.reset(TensorDict({"state": state}, [2]), set_state=True)
-    assert not env.satellites[0].absent.any()
+    assert not env.satellites[0].removed.any()
 
 
 def test_the_episode_ends_when_all_are_dead() -> None:
@@ -342,7 +366,9 @@ def test_members_of_meta_agents_that_are_busy_keep_their_tasks_on_request() -> N
 
 def test_only_those_who_decide_observe_on_request() -> None:
     env = build(imagers(3), generate_obs_retasking_only=True)
-    for td in play(env, 12):
+    played = play(env, 12)
+    assert len(played) == 12
+    for td in played:
         idle = td["agents", "requires_retasking"].squeeze(-1)
         assert torch.all(td["agents", "observation"][~idle] == 0.0)
         assert torch.all(td["agents", "observation"][idle].abs().sum(-1) > 0.0)
@@ -377,6 +403,7 @@ def test_states_can_be_saved_in_the_middle_of_tasks() -> None:
 
     first = onwards(env, td)
     env.reset(TensorDict({"state": state}, [3]), set_state=True)
+    assert len(first) == 8
     for a, b in zip(first, onwards(env, td), strict=True):
         assert_equal(a, b)
 
@@ -564,6 +591,7 @@ def test_pools_of_prepared_episodes_change_nothing(monkeypatch: pytest.MonkeyPat
         return seen
 
     without = episodes()
-    monkeypatch.setattr("bsk_torch.env.base.SMALLEST", 1)
+    monkeypatch.setattr("bsk_torch.env.build.SMALLEST", 1)
+    assert len(without) == 25
     for a, b in zip(without, episodes(), strict=True):
         assert_equal(a, b)

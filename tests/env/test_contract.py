@@ -52,7 +52,7 @@ def test_one_alone_equals_one_of_many_bit_for_bit():
         alone = make(1, time_limit=200.0, dtype=torch.float64, env_ids=[i])
         for a, b in zip(play(alone, plan[:, i : i + 1]), together, strict=True):
             assert equal(a, b, slice(i, i + 1))
-        assert torch.equal(alone.get_state()["type_0", "pack"][0], many.get_state()["type_0", "pack"][i])
+        assert torch.equal(alone.get_state()["satellites_0", "planes"][0], many.get_state()["satellites_0", "planes"][i])
 
 
 def test_a_pool_of_prepared_episodes_changes_nothing():
@@ -67,7 +67,7 @@ def test_a_pool_of_prepared_episodes_changes_nothing():
         a = many.reset(TensorDict({"_reset": mask}, [33]))
         b = few.reset(TensorDict({"_reset": mask[:2]}, [2]))
         assert torch.equal(a["observation"][row], b["observation"][row])
-    assert torch.equal(many.get_state()["type_0", "pack"][:2], few.get_state()["type_0", "pack"])
+    assert torch.equal(many.get_state()["satellites_0", "planes"][:2], few.get_state()["satellites_0", "planes"])
     assert many.episode[:3].tolist() == [2, 1, 0]
 
 
@@ -76,6 +76,7 @@ def test_permutation():
     plan = actions(3, 5)
     straight = play(make(5, dtype=torch.float64), plan)
     shuffled = play(make(5, dtype=torch.float64, env_ids=order), plan[:, order])
+    assert len(straight) >= len(plan)
     for a, b in zip(shuffled, straight, strict=True):
         assert equal(a, b, order)
 
@@ -89,13 +90,12 @@ def test_observation_of_next_step_is_the_last_one():
 def test_partial_reset_touches_only_its_rows():
     env = make(4)
     play(env, actions(2, 4))
-    before = env.get_state()
+    before, old = env.get_state(), env.simulator.argument("wheelSpeeds").clone()
     env.reset(TensorDict({"_reset": torch.tensor([[True], [False], [True], [False]])}, [4]))
-    after = env.get_state()
+    after, speeds = env.get_state(), env.simulator.argument("wheelSpeeds")
     for key in before.keys(True, True):
         assert torch.equal(before[key][1::2], after[key][1::2]), key
-    assert (after["type_0", "ticks"] == 0).tolist() == [True, False, True, False]
-    speeds, old = (state["type_0", "arguments", "wheelSpeeds"] for state in (after, before))
+    assert (after["satellites_0", "ticks"] == 0).tolist() == [True, False, True, False]
     assert (speeds != old).any(-1).tolist() == [True, False, True, False]
 
 
@@ -108,7 +108,7 @@ def test_partial_step_touches_only_its_rows():
     after = env.get_state()
     for key in before.keys(True, True):
         assert torch.equal(before[key][1:3], after[key][1:3]), key
-    assert after["type_0", "ticks"].tolist() == [180, 0, 0, 60]
+    assert after["satellites_0", "ticks"].tolist() == [180, 0, 0, 60]
 
 
 @pytest.mark.parametrize("way", ["set_state", "state_dict", "pickle", "deepcopy"])
@@ -138,8 +138,8 @@ def test_state_of_a_step_is_restored_for_some_rows():
     play(env, actions(1, 3, seed=1), env.reset())
     rows = torch.tensor([[False], [True], [False]])
     env.reset(TensorDict({"state": saved.clone(), "_reset": rows}, [3]), set_state=True)
-    assert torch.equal(env.get_state()["type_0", "pack"][1], saved["type_0", "pack"][1])
-    assert not torch.equal(env.get_state()["type_0", "pack"][0], saved["type_0", "pack"][0])
+    assert torch.equal(env.get_state()["satellites_0", "planes"][1], saved["satellites_0", "planes"][1])
+    assert not torch.equal(env.get_state()["satellites_0", "planes"][0], saved["satellites_0", "planes"][0])
 
 
 def test_actions_and_outputs_stay_what_they_were():
@@ -153,6 +153,7 @@ def test_actions_and_outputs_stay_what_they_were():
         td = env.step(td)["next"].exclude("reward")
         kept.append((td, td.clone()))
         env.reset(TensorDict({"_reset": torch.tensor([[True], [False], [True], [False]])}, [4]))
+    assert len(kept) == 6
     for now, before in kept:
         for key in before.keys(True, True):
             assert torch.equal(now[key], before[key]), key
@@ -184,7 +185,7 @@ def test_time_limit_beats_the_action_and_terminates():
 def test_time_limit_from_a_distribution():
     env = make(3, time_limit=bsk_torch.rand.per_env([100.0, 200.0, 300.0]))
     env.reset()
-    assert env.limit_ticks.tolist() == [100, 200, 300]
+    assert env.state.limit_ticks.tolist() == [100, 200, 300]
 
 
 def test_a_long_episode_after_short_ones_has_all_its_windows():
@@ -193,14 +194,14 @@ def test_a_long_episode_after_short_ones_has_all_its_windows():
     env, long = make(2, time_limit=lambda: limit[0]), make(2, time_limit=40000.0)
     env.reset()
     limit[0] = 40000.0
-    before = env.get_state()["type_0", "arcs_flown"][1].clone()
+    before = env.get_state()["satellites_0", "lookahead", "arcs", "flown"][1].clone()
     long.reset()
     row = TensorDict({"_reset": torch.tensor([[True], [False]])}, [2])
     a, b = env.reset(row.clone()), long.reset(row.clone())
     assert torch.equal(a["observation"][0], b["observation"][0])
     mine, other = (e.simulator.access.windows["ground_station"] for e in (env, long))
     assert torch.equal(mine.close[0][mine.close[0] < 40000.0], other.close[0][other.close[0] < 40000.0])
-    assert torch.equal(env.get_state()["type_0", "arcs_flown"][1][: len(before)], before)
+    assert torch.equal(env.get_state()["satellites_0", "lookahead", "arcs", "flown"][1][: len(before)], before)
 
 
 def test_longest_step_and_fixed_intervals():
@@ -250,7 +251,7 @@ def test_nan_stays_in_its_row_and_is_named():
     plan = actions(3, 3)
     clean = play(make(3), plan)
     td = env.reset()
-    env.simulator.pack[env.simulator.tick.state.slices["omega"], 1] = torch.nan
+    env.simulator.state.planes[env.simulator.tick.state.slices["omega_BN_B"], 1] = torch.nan
     dirty = play(env, plan, td)
     for a, b in zip(dirty, clean, strict=True):
         assert equal(a[[0, 2]], b[[0, 2]])
@@ -274,3 +275,21 @@ def test_parallel_env():
         assert rollout["observation"].shape == (2, 2, 2, 12)
     finally:
         env.close()
+
+
+def test_reseeded_environments_begin_with_the_first_episode_of_their_seed():
+    env, other = make(3), make(3, seed=8)
+    first = other.reset()["observation"]
+    env.reset()
+    env.reseed([8, None, 8], torch.tensor([True, True, False]))
+    assert env.state.seed.tolist() == [8, 3, 3]
+    assert torch.equal(env.reset()["observation"][0], first[0])
+    assert env.episode.tolist() == [0, 1, 1]
+    env.reseed(8)
+    assert torch.equal(env.reset()["observation"], first)
+
+
+@pytest.mark.parametrize(("seeds", "words"), [([1, 2], "seed has 2 entries"), (-1, "seed=-1 must be"), ([1, 2, 0.5], "seed=0.5")])
+def test_seeds_are_checked(seeds, words):
+    with pytest.raises(ValueError, match=words):
+        make(3).reseed(seeds)

@@ -11,11 +11,11 @@ import bsk_torch
 from bsk_torch import SatelliteTasking, act, data, fsw, obs, rand, sats, scene
 from bsk_torch.obs.base import ObservationBuilder
 from bsk_torch.presets.aeos import agile_args
-from bsk_torch.sim.access import next_of
+from bsk_torch.sim.access.window_table import next_to_close
 
 pytestmark = pytest.mark.compiled
 
-AHEAD = 6
+SEARCH_AHEAD = 6
 TARGETS = 700
 
 
@@ -27,11 +27,11 @@ class Imager(sats.ImagingSatellite):
             dict(prop="opportunity_open"),
             dict(prop="opportunity_close"),
             dict(fn=lambda satellite, targets: targets.place, name="place"),
-            n_ahead_observe=AHEAD,
+            n_ahead_observe=SEARCH_AHEAD,
         ),
         obs.Time(norm=1.0),
     )
-    action_spec = (act.Charge(duration=60.0), act.Image(n_ahead_image=AHEAD))
+    action_spec = (act.Charge(duration=60.0), act.Image(n_ahead_image=SEARCH_AHEAD))
     fsw_type = fsw.ImagingFSWModel
 
 
@@ -87,7 +87,7 @@ def test_an_image_pays_its_priority_once_and_ends_the_step():
         assert (duration[taken & running] < close[taken & running]).all()
         assert torch.equal(duration[~taken & running], torch.ceil(close[~taken & running]))
         assert env.rewarder.imaged.gather(1, place.long().unsqueeze(-1)).squeeze(-1)[taken].all()
-        seen = torch.stack([column(env, td, "place", k) for k in range(AHEAD)], 1)
+        seen = torch.stack([column(env, td, "place", k) for k in range(SEARCH_AHEAD)], 1)
         assert not (seen == place.unsqueeze(-1))[taken].any()
         paid += td["reward"].squeeze(-1)
         if not running.all():
@@ -100,6 +100,37 @@ def test_an_image_pays_its_priority_once_and_ends_the_step():
     assert torch.equal(td["counts", "imaged"].squeeze(-1), env.satellite.imaged)
 
 
+def test_entries_are_told_which_actions_ended_and_why():
+    """The decision marks those that an image has ended as well as those that have run out of time."""
+    calls = []
+
+    class Noted(act.Image):
+        def end(self, mask, decision, event):
+            calls.append((mask, decision.retask, event))
+
+    env = imager(8, varied(action_spec=(act.Charge(duration=60.0), Noted(n_ahead_image=SEARCH_AHEAD))))
+    env.reset()
+    for _ in range(6):
+        before = env.satellite.imaged.clone()
+        step(env, 1)
+        mask, retask, event = calls.pop()
+        assert not calls
+        assert torch.equal(event, env.satellite.imaged > before)
+        assert torch.equal(mask, retask)
+        assert mask[event].all()
+    assert env.satellite.imaged.sum() > 0
+
+
+def test_actions_changed_in_place_after_a_step_do_not_reach_the_episodes():
+    env = imager(2)
+    env.reset()
+    action = torch.ones(2, dtype=torch.int64)
+    env.step(TensorDict({"action": action}, [2]))
+    carried_out = env.get_state()
+    action.zero_()
+    assert (env.get_state() == carried_out).all()
+
+
 def test_rows_are_what_actions_mean():
     env = imager(4)
     td = env.reset()
@@ -107,7 +138,7 @@ def test_rows_are_what_actions_mean():
         place = column(env, td, "place", slot)
         td = step(env, 1 + slot)
         assert torch.equal(env.satellite.latest_target.double(), place)
-        r_P = env.simulator.read("target_r_P")
+        r_P = env.simulator.read("r_LP_P")
         torch.testing.assert_close(r_P, env.scenario.r_LP_P[torch.arange(4), place.long()], rtol=0, atol=0)
 
 
@@ -132,7 +163,7 @@ def test_the_same_target_again_only_waits_on():
     assert once.sum() > 1
     target, begin = env.satellite.latest_target, env.simulator.sim_time
     close = env.satellite.window_of(target)[1]
-    td = step(env, act.of_target(torch.where(once, target, env.satellite.find_next_opportunities(1).place.squeeze(1))))
+    td = step(env, act.image_target(torch.where(once, target, env.satellite.find_next_opportunities(1).place.squeeze(1))))
     assert (env.satellite.imaged[once] == 1).all()
     torch.testing.assert_close(td["duration"].squeeze(-1)[once], (torch.ceil(close) - begin)[once], rtol=0, atol=1e-9)
 
@@ -143,20 +174,20 @@ def test_explicit_targets():
     place = column(env, td, "place", 2).long()
     other = imager(4)
     other.reset()
-    one, two = step(env, act.of_target(place)), step(other, 3)
+    one, two = step(env, act.image_target(place)), step(other, 3)
     for key in ("observation", "reward", "duration"):
         assert torch.equal(one[key], two[key])
     never = int((~torch.isfinite(env.satellite.next_opportunities("target")[1][0])).nonzero()[0])
     with pytest.raises(ValueError, match=f"environment 0 asks for target {never}, which has been imaged"):
-        step(env, act.of_target(never))
+        step(env, act.image_target(never))
     with pytest.raises(ValueError, match=f"-1 to -{TARGETS} for a target by its index"):
         step(env, -TARGETS - 1)
 
 
 def test_longest_duration():
-    env = imager(4, satellite=varied(action_spec=(act.Image(AHEAD, max_duration=7.0),)))
+    env = imager(4, satellite=varied(action_spec=(act.Image(SEARCH_AHEAD, max_duration=7.0),)))
     env.reset()
-    td = step(env, AHEAD - 1)
+    td = step(env, SEARCH_AHEAD - 1)
     assert (td["duration"] == 7.0).all()
     assert env.satellite.missed.tolist() == [0] * 4
 
@@ -177,11 +208,11 @@ def test_equal_intervals():
 
 
 def test_mask_of_repeated_targets():
-    env = imager(3, satellite=varied(action_spec=(act.Charge(duration=60.0), act.Image(AHEAD, mask_repeated=True))),
+    env = imager(3, satellite=varied(action_spec=(act.Charge(duration=60.0), act.Image(SEARCH_AHEAD, mask_repeated=True))),
                  targets=scene.UniformTargets(20), time_limit=600.0,
                  options=dict(max_generation_duration_beyond_initial=6000.0))  # fmt: skip
     td = env.reset()
-    found = env.satellite.find_next_opportunities(AHEAD).found
+    found = env.satellite.find_next_opportunities(SEARCH_AHEAD).found
     assert torch.equal(td["action_mask"].sum(1), 1 + found)
     assert (imager(3).reset()["action_mask"]).all()
 
@@ -189,13 +220,13 @@ def test_mask_of_repeated_targets():
 def test_fewer_windows_than_slots_repeat_the_last():
     env = imager(5, targets=scene.UniformTargets(150), options=dict(max_generation_duration_beyond_initial=0.0))
     td = env.reset()
-    ahead = env.satellite.find_next_opportunities(AHEAD)
-    assert (ahead.found < AHEAD).any()
+    ahead = env.satellite.find_next_opportunities(SEARCH_AHEAD)
+    assert (ahead.found < SEARCH_AHEAD).any()
     for row in range(5):
         k = int(ahead.found[row])
         assert (ahead.place[row, k:] == ahead.place[row, k - 1]).all()
-        assert ahead.mask[row].tolist() == [True] * k + [False] * (AHEAD - k)
-    assert torch.equal(column(env, td, "place", AHEAD - 1).long(), ahead.place[:, -1])
+        assert ahead.mask[row].tolist() == [True] * k + [False] * (SEARCH_AHEAD - k)
+    assert torch.equal(column(env, td, "place", SEARCH_AHEAD - 1).long(), ahead.place[:, -1])
 
 
 def test_different_numbers_of_targets_in_a_batch():
@@ -211,11 +242,12 @@ def test_different_numbers_of_targets_in_a_batch():
 
 def test_one_alone_equals_one_of_many():
     """Bit for bit, whatever the others do, over resets and a pool."""
-    plan = torch.randint(0, AHEAD + 1, (9, 40), generator=torch.Generator().manual_seed(1))
+    plan = torch.randint(0, SEARCH_AHEAD + 1, (9, 40), generator=torch.Generator().manual_seed(1))
     many = imager(40, time_limit=900.0)
     td = many.reset()
     alone = {i: imager(1, time_limit=900.0, env_ids=[i]) for i in (0, 17)}
     ones = {i: env.reset() for i, env in alone.items()}
+    assert len(plan) == 9
     for action in plan:
         td = many.step(TensorDict({"action": action}, [40]))["next"]
         for i, env in alone.items():
@@ -275,7 +307,7 @@ def test_full_store():
 def test_no_image_when_the_time_limit_comes_first():
     env = imager(4, time_limit=30.0, options=dict(initial_generation_duration=1200.0))
     env.reset()
-    td = step(env, AHEAD)
+    td = step(env, SEARCH_AHEAD)
     assert td["truncated"].all()
     assert (td["duration"] == 30.0).all()
     assert env.satellite.missed.tolist() == [0] * 4
@@ -311,7 +343,10 @@ def test_queries():
     assert torch.equal(opens.gather(1, first.place), first.open)
     known = env.satellite.opportunities_dict(1, upcoming=True)
     assert sum(len(windows) for windows in known.values()) == int(torch.isfinite(coming.close[1]).sum())
-    assert next_of(env.simulator.access.windows["target"], now, env.simulator.access.until, 1, None)[0].close.shape == (3, 1)
+    assert next_to_close(env.simulator.access.windows["target"], now, env.simulator.access.until, 1, None)[0].close.shape == (
+        3,
+        1,
+    )
     with pytest.raises(ValueError, match="did you mean 'target'"):
         env.satellite.find_next_opportunities(3, "targets")
 
@@ -321,7 +356,7 @@ def test_access_filters_of_users():
     env = imager(3)
     env.satellite.add_access_filter(lambda: env.scenario.r_LP_P[..., 2] > 0.0)
     env.reset()
-    ahead = env.satellite.find_next_opportunities(AHEAD)
+    ahead = env.satellite.find_next_opportunities(SEARCH_AHEAD)
     assert (ahead.r_LP_P[..., 2] > 0.0).all()
 
 

@@ -6,10 +6,10 @@ from tensordict import TensorDict
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 import bsk_torch
-from bsk_torch.rl.attention import LEAST
-from bsk_torch.rl.networks import AttentionPlan, MLPPlan
-from bsk_torch.rl.policies import load_policy, save_policy
-from bsk_torch.rl.sight import MASK, OWN, ROWS, Normaliser, symlog
+from bsk_torch.rl.networks.attention import LEAST
+from bsk_torch.rl.networks.normaliser import MASK, OWN, ROWS, FeatureNormaliser, symlog
+from bsk_torch.rl.networks.plans import AttentionPlan, MLPPlan
+from bsk_torch.rl.policies.files import load_policy, save_policy
 
 N, K, F, D = 6, 5, 4, 3
 OTHERS = 2
@@ -98,7 +98,7 @@ def test_an_untrained_actor_is_nearly_uniform(networks, seen):
 def test_normaliser_merges_moments_of_parts():
     torch.manual_seed(0)
     x = 3.0 * torch.randn(1000, 4, dtype=torch.float64) + 5.0
-    normaliser = Normaliser(4)
+    normaliser = FeatureNormaliser(4)
     for part in x.split([1, 9, 490, 500]):
         normaliser.update(part)
     expected = symlog(x)
@@ -111,7 +111,7 @@ def test_normaliser_merges_moments_of_parts():
 def test_normaliser_ignores_padding():
     rows = torch.randn(7, 5, 2)
     mask = torch.rand(7, 5) < 0.5
-    one, other = Normaliser(2), Normaliser(2)
+    one, other = FeatureNormaliser(2), FeatureNormaliser(2)
     one.update(torch.where(mask.unsqueeze(-1), rows, 1e6), mask)
     other.update(rows[mask])
     assert torch.equal(one.mean, other.mean)
@@ -121,7 +121,7 @@ def test_normaliser_ignores_padding():
 
 
 def test_normaliser_is_bounded_and_survives_constants():
-    normaliser = Normaliser(1)
+    normaliser = FeatureNormaliser(1)
     normaliser.update(torch.ones(10, 1))
     assert float(normaliser(torch.ones(1, 1))) == pytest.approx(0.0, abs=1e-3)
     assert float(normaliser(torch.full((1, 1), 1e30))) == 10.0
@@ -166,7 +166,7 @@ def test_a_kept_policy_acts_the_same(tmp_path):
         "observation": {"target": {"rows": 5.0 * torch.randn(40, K, F), "mask": torch.ones(40, K)}, "time": torch.rand(40)},
         "action_mask": torch.ones(40, OTHERS + K, dtype=torch.bool),
     }, [40])  # fmt: skip
-    networks.sight.update(situation)
+    networks.normaliser.update(situation)
     save_policy(tmp_path / "policy.pt", plan, networks, "AEOS-v1", {})
     kept = load_policy(tmp_path / "policy.pt")
     with set_exploration_type(ExplorationType.DETERMINISTIC):

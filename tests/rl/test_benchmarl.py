@@ -1,7 +1,7 @@
 """Constellations as BenchMARL's tasks: what it is told of them, and a short training.
 
 BenchMARL 1.5 wants an older TorchRL than this package, so scripts/test.sh installs it without its dependencies: see
-:mod:`bsk_torch.rl.benchmarl`.
+:mod:`bsk_torch.rl.marl.benchmarl`.
 """
 
 from importlib.util import find_spec
@@ -12,7 +12,7 @@ import torch
 if find_spec("benchmarl") is None:
     pytest.skip("needs pip install --no-deps benchmarl==1.5.2", allow_module_level=True)
 
-from bsk_torch.rl.benchmarl import ConstellationTask, TaskConfig
+from bsk_torch.rl.marl.benchmarl import ConstellationTask, TaskConfig
 
 # isort: split
 from benchmarl.algorithms import IppoConfig, MappoConfig

@@ -5,8 +5,8 @@ from itertools import pairwise
 import pytest
 
 from bsk_torch import scene
-from bsk_torch.rl.config import SCHEDULES, PPOConfig, load_config, override, save_config
-from bsk_torch.rl.marl import CrewConfig
+from bsk_torch.rl.marl.mappo import MAPPOConfig
+from bsk_torch.rl.training.config import SCHEDULES, PPOConfig, load_config, override, save_config
 
 
 def test_changes_are_read_in_their_types():
@@ -53,9 +53,9 @@ def test_episodes_are_shared_out_evenly():
 
 
 def test_files_give_back_what_was_saved(tmp_path):
-    config = CrewConfig(algorithm="ippo", hidden=(32,), options={"n_targets": (10, 20), "as_set": True})
+    config = MAPPOConfig(algorithm="ippo", hidden=(32,), options={"n_targets": (10, 20), "as_set": True})
     save_config(config, tmp_path / "config.yaml")
-    read = load_config(tmp_path / "config.yaml", CrewConfig)
+    read = load_config(tmp_path / "config.yaml", MAPPOConfig)
     assert read.options == {"n_targets": [10, 20], "as_set": True}
     assert (read.algorithm, read.hidden) == ("ippo", (32,))
     with pytest.raises(ValueError, match="'algorithm' not in 'PPOConfig'"):

@@ -7,8 +7,8 @@ from tensordict import TensorDict
 from tensordict.nn import TensorDictModule, TensorDictModuleBase
 
 import bsk_torch
-from bsk_torch.rl.baselines import BASELINES, LOT, random_policy
-from bsk_torch.rl.evaluate import Evaluation, evaluate
+from bsk_torch.rl.evaluation.evaluate import Evaluation, evaluate
+from bsk_torch.rl.rules.baselines import BASELINES, LOT, random_policy
 
 pytestmark = pytest.mark.compiled
 

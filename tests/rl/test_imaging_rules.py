@@ -7,10 +7,10 @@ from tensordict import TensorDict
 import bsk_torch
 from bsk_torch import obs
 from bsk_torch.obs.base import ObservationBuilder
-from bsk_torch.rl.baselines import BASELINES
-from bsk_torch.rl.evaluate import evaluate
-from bsk_torch.rl.imaging import ImagingRule, by_closing, by_haste, by_priority
-from bsk_torch.rl.targets import TargetReader, image_actions, read
+from bsk_torch.rl.evaluation.evaluate import evaluate
+from bsk_torch.rl.rules.baselines import BASELINES
+from bsk_torch.rl.rules.imaging import ImagingRule, by_closing, by_discounted_priority, by_priority
+from bsk_torch.rl.rules.targets import TargetReader, image_actions, read
 
 # priority, position (3 columns), angle / rad, opening and closing / 300 s
 TARGETS = [
@@ -63,13 +63,13 @@ ALL = {*HOUSEKEEPING, *IMAGES}
 
 
 @FORMS
-@pytest.mark.parametrize(("worth", "expected"), [(by_priority, 1), (by_closing, 0), (by_haste, 0)])
+@pytest.mark.parametrize(("worth", "expected"), [(by_priority, 1), (by_closing, 0), (by_discounted_priority, 0)])
 def test_rules_choose_what_they_are_named_after(nested, as_set, worth, expected):
     assert decide(worth, ALL, nested=nested, as_set=as_set) == f"action_image_{expected}"
 
 
 @FORMS
-@pytest.mark.parametrize(("worth", "expected"), [(by_priority, 2), (by_closing, 2), (by_haste, 2)])
+@pytest.mark.parametrize(("worth", "expected"), [(by_priority, 2), (by_closing, 2), (by_discounted_priority, 2)])
 def test_rules_choose_among_legal_images_and_the_first_of_equals(nested, as_set, worth, expected):
     legal = {"action_charge", "action_image_2", "action_image_3"}
     assert decide(worth, legal, nested=nested, as_set=as_set) == f"action_image_{expected}"

@@ -1,9 +1,6 @@
-"""Learning in constellations: who decides, what is learned from, what death ends, and rules and scripts from end to end."""
+"""Learning in constellations: who decides, what is learned from, what death ends, and runs from end to end."""
 
-import importlib.util
-import json
-import sys
-from pathlib import Path
+import dataclasses
 
 import pytest
 import torch
@@ -13,16 +10,14 @@ from torchrl.modules import ValueOperator
 
 import bsk_torch
 from bsk_torch import comm
-from bsk_torch.rl.baselines import BASELINES
-from bsk_torch.rl.collect import make_collector
-from bsk_torch.rl.crew import Crew, crew_baseline, evaluate_crew, member
-from bsk_torch.rl.evaluate import evaluate
-from bsk_torch.rl.marl import ALIVE, CrewConfig, CrewCritic, CrewTraining, by_team, estimate_advantages
-from bsk_torch.rl.policies import load_policy
-from bsk_torch.rl.sight import MASK, OWN, ROWS
+from bsk_torch.rl.evaluation.evaluate import evaluate
+from bsk_torch.rl.marl.mappo import ALIVE, ConstellationCritic, MAPPOConfig, MAPPOTraining, team_advantages, team_batch
+from bsk_torch.rl.networks.normaliser import MASK, OWN, ROWS
+from bsk_torch.rl.policies.shared_policy import SharedPolicy, member_view, shared_baseline
+from bsk_torch.rl.rules.baselines import BASELINES
+from bsk_torch.rl.training.collect import make_collector
 
 WORLD = {"as_set": True, "n_targets": 2000, "n_satellites": 3, "n_planes": 1, "phasing": 0, "time_limit": 900.0}
-SCRIPTS = Path(__file__).parents[2] / "scripts"
 
 FLOAT32_SUMS = dict(atol=5e-5, rtol=1e-5)
 """A dozen numbers of order one, each good to 1e-7 of the largest, multiplied and added up in float32 in another order."""
@@ -45,7 +40,7 @@ def last_legal(action_mask):
 
 
 def test_only_those_who_need_a_task_are_asked():
-    crew = Crew(TensorDictModule(last_legal, in_keys=["action_mask"], out_keys=["action"]))
+    crew = SharedPolicy(TensorDictModule(last_legal, in_keys=["action_mask"], out_keys=["action"]))
     told = crew(situation([[True, False, True], [False, False, False]]))
     assert told["agents", "action"].tolist() == [[2, 3, 2], [3, 3, 3]]
 
@@ -57,13 +52,13 @@ def test_steps_after_which_nobody_needs_a_task(name):
     now = env.reset()
     going_on = now["agents", "action_mask"].shape[-1] - 1
     now["agents", "action_mask"] = (torch.arange(going_on + 1) == going_on).expand(2, 3, -1)
-    assert bool((crew_baseline(name, env)(now)["agents", "action"] == going_on).all())
+    assert bool((shared_baseline(name, env)(now)["agents", "action"] == going_on).all())
 
 
 def test_constellations_of_unlike_satellites_are_refused():
     env = bsk_torch.make("RelayConstellation-v1", num_envs=1, backend="eager")
     with pytest.raises(ValueError, match="broadcasting_imager"):
-        member(env)
+        member_view(env)
 
 
 @pytest.mark.compiled
@@ -75,7 +70,7 @@ def test_rules_earn_the_same_in_a_constellation_of_one_as_alone(name):
     alone = bsk_torch.make("AEOS-v1", **world)
     crew = bsk_torch.make("AEOSConstellation-v1", n_satellites=1, sat_arg_randomizer=None, **world)
     expected = evaluate(BASELINES[name](alone, 0), alone, seed=3)
-    found = evaluate_crew(crew_baseline(name, crew), crew, seed=3)
+    found = evaluate(shared_baseline(name, crew), crew, seed=3)
     assert float(expected.returns.min()) > 0.0
     assert torch.equal(found.returns, expected.returns)
     assert torch.equal(found.decisions, expected.decisions)
@@ -114,13 +109,13 @@ def decisions(n, steps, satellites, deaths):
 
 
 def critic(sees_all=True):
-    return ValueOperator(CrewCritic(2, 3, 8, sees_all), in_keys=[OWN, ROWS, MASK, ALIVE])
+    return ValueOperator(ConstellationCritic(2, 3, 8, sees_all), in_keys=[OWN, ROWS, MASK, ALIVE])
 
 
-def brute_force(reward, seconds, gone, value, following, gamma, lmbda):
-    """Targets [T] by the definition: with g = gamma^t, A = g (r + V') - V + g lambda A', cut where a satellite is gone; A + V."""
+def brute_force(reward, seconds, removed, value, following, gamma, lmbda):
+    """Targets [T] by the definition: with g = gamma^t, A = g (r + V') - V + g lambda A', cut where one is removed; A + V."""
     advantage, targets = 0.0, []
-    for r, t, d, v, w in reversed(list(zip(reward, seconds, gone, value, following, strict=True))):
+    for r, t, d, v, w in reversed(list(zip(reward, seconds, removed, value, following, strict=True))):
         discount = gamma**t
         advantage = discount * (r + w * (not d)) - v + discount * lmbda * advantage * (not d)
         targets.append(advantage + v)
@@ -130,12 +125,12 @@ def brute_force(reward, seconds, gone, value, following, gamma, lmbda):
 @pytest.mark.parametrize("sees_all", [True, False])
 def test_values_are_discounted_by_elapsed_time_and_end_with_death(sees_all):
     gamma, lmbda, judge = 0.99, 0.9, critic(sees_all)
-    team = by_team(decisions(2, 9, 3, deaths=[(0, 1, 2), (1, 5, 0)]))
-    estimate_advantages(team, judge, gamma, lmbda)
+    team = team_batch(decisions(2, 9, 3, deaths=[(0, 1, 2), (1, 5, 0)]))
+    team_advantages(team, judge, gamma, lmbda)
     with torch.no_grad():
         value, following = (judge(x.select("seen"))["state_value"].squeeze(-1) for x in (team, team["next"]))
     for episode, satellite in torch.cartesian_prod(torch.arange(2), torch.arange(3)).tolist():
-        row = [team["next", key][episode, :, satellite, 0].double().tolist() for key in ("reward", "duration", "gone")]
+        row = [team["next", key][episode, :, satellite, 0].double().tolist() for key in ("reward", "duration", "removed")]
         of = [x[episode, :, satellite].tolist() for x in (value, following)]
         expected = brute_force(*row, *of, gamma, lmbda).float()
         torch.testing.assert_close(team["value_target"][episode, :, satellite, 0], expected, **FLOAT32_SUMS)
@@ -145,24 +140,24 @@ def test_values_are_discounted_by_elapsed_time_and_end_with_death(sees_all):
 
 
 def test_advantages_are_standardised_over_decisions():
-    team = by_team(decisions(4, 30, 3, deaths=[(2, 8, 1)]))
-    estimate_advantages(team, critic(), 0.99, 0.9)
+    team = team_batch(decisions(4, 30, 3, deaths=[(2, 8, 1)]))
+    team_advantages(team, critic(), 0.99, 0.9)
     chosen = team["advantage"][team["decides"]]
     assert float(chosen.mean()) == pytest.approx(0.0, abs=1e-5)
     assert float(chosen.std()) == pytest.approx(1.0, abs=1e-4)
 
 
 def test_a_death_is_no_decision_of_the_others():
-    one, other = (by_team(decisions(1, 9, 3, deaths=deaths)) for deaths in ([], [(0, 5, 0)]))
+    one, other = (team_batch(decisions(1, 9, 3, deaths=deaths)) for deaths in ([], [(0, 5, 0)]))
     judge = critic(sees_all=False)
     for team in (one, other):
-        estimate_advantages(team, judge, 0.99, 0.9)
+        team_advantages(team, judge, 0.99, 0.9)
     assert torch.equal(one["value_target"][:, :, 1:], other["value_target"][:, :, 1:])
     assert not torch.equal(one["value_target"][:, :, 0], other["value_target"][:, :, 0])
 
 
 def test_only_the_central_critic_looks_at_others():
-    seen = by_team(decisions(1, 4, 3, deaths=[(0, 0, 2)])).select("seen")
+    seen = team_batch(decisions(1, 4, 3, deaths=[(0, 0, 2)])).select("seen")
     changed = seen.clone()
     changed["seen", "own"][:, :, 1:] += 1.0
     for sees_all in (True, False):
@@ -181,14 +176,14 @@ def test_only_the_central_critic_looks_at_others():
 @pytest.fixture(scope="module", params=["mappo", "ippo"])
 def learned(request, tmp_path_factory):
     """A learner and the batch, as it was seen before the first gradient step, of one iteration."""
-    config = CrewConfig(algorithm=request.param, seconds=5.0, num_envs=4, rollout=24, minibatch=32, epochs=4, options=WORLD)
-    training = CrewTraining(config, tmp_path_factory.mktemp(request.param))
+    config = MAPPOConfig(algorithm=request.param, seconds=5.0, num_envs=4, rollout=24, minibatch=32, epochs=4, options=WORLD)
+    training = MAPPOTraining(config, tmp_path_factory.mktemp(request.param))
     collector = make_collector(config, training.env, training.actor, None)
     batch = next(iter(collector))
     collector.shutdown()
     report = training.learner.learn(batch)
-    team = by_team(batch)
-    estimate_advantages(team, training.learner.critic, config.gamma, training.learner.lmbda)
+    team = team_batch(batch)
+    team_advantages(team, training.learner.critic, config.gamma, training.learner.lmbda)
     return training.learner, team, report
 
 
@@ -237,7 +232,7 @@ def test_the_loss_is_that_of_decisions_alone(learned):
 )
 def test_configurations_that_do_not_work(changes, message):
     with pytest.raises(ValueError, match=message):
-        CrewConfig(**changes)
+        MAPPOConfig(**changes)
 
 
 # -- from end to end --------------------------------------------------------------------------------------------------
@@ -247,42 +242,24 @@ def test_configurations_that_do_not_work(changes, message):
 def test_evaluation_adds_up_the_team_and_repeats_itself():
     world = WORLD | {"communicator": comm.FreeCommunication()}
     env = bsk_torch.make("Constellation-v1", num_envs=3, seed=0, **world)
-    first, again = (evaluate_crew(crew_baseline("hasty", env), env, seed=5) for _ in range(2))
+    first, again = (evaluate(shared_baseline("hasty", env), env, seed=5) for _ in range(2))
     assert torch.equal(first.returns, again.returns)
-    assert torch.equal(first.seconds, torch.full((3,), 900.0))
+    assert torch.equal(first.seconds, torch.full((3,), 900.0, dtype=torch.float64))
     assert first.survival == 1.0
     assert bool((first.counts["imaged"] >= first.returns).all())  # priorities are below one
     assert bool((first.decisions >= first.counts["imaged"]).all())
     assert float(first.returns.min()) > 1.0
 
 
-def run(script, *arguments):
-    """Run a script's main function in this process."""
-    spec = importlib.util.spec_from_file_location(script, SCRIPTS / f"{script}.py")
-    module = importlib.util.module_from_spec(spec)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(sys, "argv", [script, *map(str, arguments)])
-        spec.loader.exec_module(module)
-        module.main()
-
-
-SHORT = ("--minutes", 0.02, "--episodes", 2, "--n-targets", 500, "--time-limit", 400)
-
-
 @pytest.mark.compiled
-def test_training_script(tmp_path, capsys):
-    run("train_constellation", *SHORT, "--num-envs", 2, "--rollout", 8, "--no-share", "--out", tmp_path)
-    printed = capsys.readouterr().out
-    assert "| mappo |" in printed
-    assert "| hasty |" in printed
-    assert len(json.loads((tmp_path / "evaluation.json").read_text())["mappo"]) == 2
-    assert "NoCommunication" in (tmp_path / "config.yaml").read_text()
-    assert load_policy(tmp_path / "policy.pt") is not None
-
-
-@pytest.mark.compiled
-def test_sharing_script(tmp_path, capsys):
-    run("share_intent", *SHORT, "--num-envs", 4, "--n-satellites", 3, "--out", tmp_path)
-    printed = capsys.readouterr().out
-    assert printed.count("| trained alone |") == printed.count("| greedy |") == 4
-    assert set(json.loads((tmp_path / "share_intent.json").read_text())) == {"trained alone", "greedy"}
+def test_an_interrupted_training_goes_on_as_if_nothing_had_happened(tmp_path):
+    sizes = dict(
+        num_envs=2, rollout=16, minibatch=16, seconds=None, learning_rate_schedule="constant", entropy_schedule="constant"
+    )
+    config = MAPPOConfig(frames=128, options=WORLD | {"n_targets": 500}, **sizes)
+    whole = MAPPOTraining(config, tmp_path / "whole").run().state_dict()
+    MAPPOTraining(dataclasses.replace(config, frames=64), tmp_path / "parts").run()
+    parts = MAPPOTraining(config, tmp_path / "parts", resume=True).run().state_dict()
+    assert whole.keys() == parts.keys()
+    for name, value in whole.items():
+        assert torch.equal(parts[name], value), name

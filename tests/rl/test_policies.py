@@ -6,8 +6,8 @@ import pytest
 import torch
 
 import bsk_torch
-from bsk_torch.rl.networks import MLPPlan
-from bsk_torch.rl.policies import check_fits, load_policy, read_card, save_policy
+from bsk_torch.rl.networks.plans import MLPPlan
+from bsk_torch.rl.policies.files import check_fits, load_policy, read_card, save_policy
 
 
 @pytest.fixture(scope="module")

@@ -4,11 +4,10 @@ import pytest
 import torch
 
 import bsk_torch
-from bsk_torch.env import SatelliteTasking
-from bsk_torch.rl.crew import Crew, evaluate_crew
-from bsk_torch.rl.evaluate import evaluate
-from bsk_torch.rl.policies import read_card
-from bsk_torch.rl.pretrained import FOLDER, makings, pretrained, pretrained_file
+from bsk_torch.rl.evaluation.evaluate import evaluate
+from bsk_torch.rl.policies.files import read_card
+from bsk_torch.rl.policies.pretrained import FOLDER, makings, pretrained, pretrained_file
+from bsk_torch.rl.policies.shared_policy import shared
 
 SAME = 0.02
 """Relative: where two actions are equally good to rounding, another processor may take the other one."""
@@ -22,16 +21,14 @@ def test_a_pretrained_policy_has_its_score(preset):
     expected = torch.tensor(noted["first"], dtype=torch.float64)
     env = bsk_torch.make(preset, num_envs=len(expected), **card["options"])
     policy, seed = pretrained(preset), noted["score"]["seed"]
-    result = (
-        evaluate(policy, env, seed=seed) if isinstance(env, SatelliteTasking) else evaluate_crew(Crew(policy), env, seed=seed)
-    )
+    result = evaluate(shared(policy, env), env, seed=seed)
     torch.testing.assert_close(result.returns.mean(), expected.mean(), rtol=SAME, atol=0.0)
 
 
 def test_what_made_them_is_noted():
     assert {path.stem for path in FOLDER.glob("*.pt")} == set(makings())
     for noted in makings().values():
-        assert noted["command"].split()[0] in ("bsk-torch", "python")
+        assert noted["command"].split()[0] == "bsk-torch"
         assert noted["seconds"] > 0
         assert noted["score"]["episodes"] >= 256
     assert sum(path.stat().st_size for path in FOLDER.iterdir()) < 5e6

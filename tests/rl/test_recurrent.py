@@ -7,12 +7,12 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
 from torchrl.modules import set_recurrent_mode
 
 import bsk_torch
-from bsk_torch.rl.collect import make_collector
-from bsk_torch.rl.config import PPOConfig
-from bsk_torch.rl.evaluate import evaluate
-from bsk_torch.rl.networks import INIT, MEMORY, GRUPlan
-from bsk_torch.rl.policies import load_policy
-from bsk_torch.rl.training import Training
+from bsk_torch.rl.evaluation.evaluate import evaluate
+from bsk_torch.rl.networks.plans import INIT, MEMORY, GRUPlan
+from bsk_torch.rl.policies.files import load_policy
+from bsk_torch.rl.training.collect import make_collector
+from bsk_torch.rl.training.config import PPOConfig
+from bsk_torch.rl.training.trainer import Training
 
 pytestmark = pytest.mark.compiled
 
@@ -58,7 +58,7 @@ def test_experience_is_judged_as_it_was_made(tmp_path):
     batch = next(iter(collector))
     collector.shutdown()
     assert bool(batch["next", "done"][:, :-1].any())  # memories end within the batch
-    training.learner.networks.sight(batch)
+    training.learner.networks.normaliser(batch)
     with set_recurrent_mode(True), torch.no_grad():
         again = training.learner.networks.actor.get_dist(batch.clone()).log_prob(batch["action"])
     torch.testing.assert_close(again, batch["action_log_prob"], atol=2e-6, rtol=0.0)  # float32, in another order

@@ -6,10 +6,11 @@ from tensordict.nn import TensorDictModule
 
 import bsk_torch
 from bsk_torch import rand
-from bsk_torch.rl.charge_bound import least_charge, longest_action, most_power, sunlight
-from bsk_torch.rl.failures import can_be_saved, explain
-from bsk_torch.rl.replay import OVER, begin, by_list, by_policy, fly
-from bsk_torch.rl.rescue import CALMEST, LOST, OPEN, SAVED, exhaust, rescue_plans, spliced
+from bsk_torch.rl.evaluation.charge_bound import least_charge, longest_action, most_power, sunlight
+from bsk_torch.rl.evaluation.evaluate import start_episodes
+from bsk_torch.rl.evaluation.failures import can_be_saved, explain
+from bsk_torch.rl.evaluation.replay import OVER, fly
+from bsk_torch.rl.evaluation.rescue import CALMEST, LOST, OPEN, SAVED, exhaust, rescue_plans, spliced
 
 CAPACITY = 200 * 3600.0
 
@@ -57,7 +58,7 @@ def test_the_bound_is_exactly_what_a_battery_needs_whose_actions_end_as_late_as_
 @pytest.mark.compiled
 def test_what_flies_is_lit_as_foreseen_and_never_charged_above_the_bound():
     env, row = build(16, 6000.0, storedCharge_Init=rand.Uniform(0.0, 0.05 * CAPACITY)), torch.arange(16)
-    begin(env, row)
+    start_episodes(env, range(16))
     lit, _ = sunlight(env, row, torch.arange(1.0, 6001.0, dtype=torch.float64))
     most = [env.satellite.dynamics.battery_charge]
     for gain in most_power(env, row).unbind(1):
@@ -75,18 +76,18 @@ def test_what_flies_is_lit_as_foreseen_and_never_charged_above_the_bound():
 @pytest.mark.compiled
 def test_whoever_has_less_than_the_bound_dies_whatever_he_does():
     env, seeds = build(64, storedCharge_Init=rand.Uniform(0.0, 0.03 * CAPACITY)), torch.arange(64)
-    begin(env, seeds)
+    start_episodes(env, range(64))
     first = env.satellite.dynamics.battery_charge
     doomed = first <= least_charge(most_power(env, seeds), longest_action(env))[:, 0]
     assert 5 < int(doomed.sum()) < 60
     for plan in rescue_plans(env, n_random=4):
-        assert not bool((fly(env, seeds, by_list(plan.expand(64, -1))).survived & doomed).any())
+        assert not bool((fly(env, seeds, plan.expand(64, -1)).survived & doomed).any())
 
 
 @pytest.mark.compiled
 def test_the_bound_refuses_wheels_that_give_power_back():
     env = build(1, rwMechToElecEfficiency=0.5, storedCharge_Init=1e5)
-    begin(env, torch.tensor([DARK]))
+    start_episodes(env, [DARK])
     with pytest.raises(ValueError, match="rwMechToElecEfficiency"):
         most_power(env, torch.tensor([0]))
 
@@ -122,7 +123,7 @@ def test_the_easy_are_saved_by_search():
     env = build(16, time_limit=400.0, storedCharge_Init=0.5 * CAPACITY)
     verdict = exhaust(env, DARK, NONE, 0)
     assert verdict.outcome == SAVED
-    assert bool(fly(env, torch.tensor([DARK]), by_list(verdict.actions.unsqueeze(0))).survived)
+    assert bool(fly(env, torch.tensor([DARK]), verdict.actions.unsqueeze(0)).survived)
 
 
 @pytest.mark.compiled
@@ -150,7 +151,7 @@ def test_failures_are_told_apart_and_rescues_fly_again():
     last = sunlit.last_chance.decision
     assert sunlit.rescue[:last] == [SCAN] * last
     assert sunlit.lost_from == last + 1
-    again = fly(env, seeds[:1], by_list(torch.tensor([sunlit.rescue])))
+    again = fly(env, seeds[:1], torch.tensor([sunlit.rescue]))
     assert bool(again.survived)
     assert float(again.returns) <= sunlit.best_return
     assert can_be_saved(env, seeds).tolist() == [True, False]
@@ -166,8 +167,8 @@ def test_whoever_is_dead_at_the_start_is_lost():
 def test_what_a_policy_did_is_what_its_list_of_actions_does_in_any_batch():
     wide, narrow = build(8, 1200.0), build(3, 1200.0)
     seeds = torch.arange(5)
-    flown = fly(wide, seeds, by_policy(always(DESAT)))
-    again = fly(narrow, seeds, by_list(flown.actions.clamp(min=0)), notes=True)
+    flown = fly(wide, seeds, always(DESAT))
+    again = fly(narrow, seeds, flown.actions.clamp(min=0), notes=True)
     assert torch.equal(again.returns, flown.returns)
     assert torch.equal(again.actions, flown.actions)
     assert again.series["wheel_speeds"].shape == (5, flown.actions.shape[1] + 1, 3)
@@ -175,4 +176,4 @@ def test_what_a_policy_did_is_what_its_list_of_actions_does_in_any_batch():
 
 def test_seeds_need_rows_that_play_environment_0():
     with pytest.raises(ValueError, match="env_ids"):
-        begin(bsk_torch.make("NadirScan-v1", num_envs=2, backend="eager"), torch.arange(2))
+        start_episodes(bsk_torch.make("NadirScan-v1", num_envs=2, backend="eager"), range(2))

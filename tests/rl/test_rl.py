@@ -6,14 +6,14 @@ from tensordict import TensorDict
 from torchrl.modules import ValueOperator
 
 import bsk_torch
-from bsk_torch.rl.baselines import Columns, ScanRule, random_policy
-from bsk_torch.rl.config import PPOConfig
-from bsk_torch.rl.evaluate import evaluate
-from bsk_torch.rl.policies import load_policy
-from bsk_torch.rl.ppo import estimate_advantages
-from bsk_torch.rl.recipes import configure
-from bsk_torch.rl.sight import OWN
-from bsk_torch.rl.training import train
+from bsk_torch.rl.evaluation.evaluate import evaluate
+from bsk_torch.rl.networks.normaliser import OWN
+from bsk_torch.rl.policies.files import load_policy
+from bsk_torch.rl.rules.baselines import Columns, ScanRule, random_policy
+from bsk_torch.rl.training.advantages import estimate_advantages
+from bsk_torch.rl.training.config import PPOConfig
+from bsk_torch.rl.training.recipes import configure
+from bsk_torch.rl.training.trainer import train
 
 FLOAT32_SUMS = dict(atol=5e-5, rtol=1e-5)
 """A dozen numbers of order one, each good to 1e-7 of the largest, multiplied and added up in float32 in another order."""

@@ -6,11 +6,11 @@ from tensordict import TensorDict
 from torchrl.collectors import Collector
 
 import bsk_torch
-from bsk_torch.act import never, only
+from bsk_torch.act import allow_only, forbid
 from bsk_torch.presets.aeos_power import FAST, RESERVE
-from bsk_torch.rl.baselines import Columns, random_policy
-from bsk_torch.rl.evaluate import evaluate
-from bsk_torch.rl.shield import RULES, SafeRule, find_rule, shield, shielded
+from bsk_torch.rl.evaluation.evaluate import evaluate
+from bsk_torch.rl.rules.baselines import Columns, random_policy
+from bsk_torch.rl.rules.shield import RULES, SafeRule, find_rule, shield, shielded
 
 ACTIONS = ["action_nadir_scan", "action_charge", "action_downlink", "action_desat"]
 
@@ -27,7 +27,7 @@ def eager():
 
 def never_scan(see, actions):
     """A rule without any exception."""
-    return never(actions, "action_nadir_scan", where=see["time"] >= 0.0)
+    return forbid(actions, "action_nadir_scan", where=see["time"] >= 0.0)
 
 
 def names(mask):
@@ -40,10 +40,10 @@ def names(mask):
 
 def test_masks_by_name():
     where = torch.tensor([True, False])
-    assert only(ACTIONS, "action_charge", "action_desat", where=where).tolist() == [[False, True, False, True], [True] * 4]
-    assert never(ACTIONS, "action_charge", where=where).tolist() == [[True, False, True, True], [True] * 4]
+    assert allow_only(ACTIONS, "action_charge", "action_desat", where=where).tolist() == [[False, True, False, True], [True] * 4]
+    assert forbid(ACTIONS, "action_charge", where=where).tolist() == [[True, False, True, True], [True] * 4]
     with pytest.raises(ValueError, match=r"'action_charg' is not one of the actions; did you mean 'action_charge'"):
-        only(ACTIONS, "action_charg", where=where)
+        allow_only(ACTIONS, "action_charg", where=where)
 
 
 # -- the built-in rule ------------------------------------------------------------------------------------------------
@@ -120,7 +120,7 @@ def test_the_shield_of_aeos_power_is_such_a_rule():
         needed = RESERVE + torch.clamp((dawn - dusk) - dusk, min=0.0)
         low = (dawn >= dusk) & (see["battery_charge_fraction"] < needed)
         fast = ~low & (see.all("wheel_speeds_fraction").abs().amax(-1) > FAST)
-        return only(actions, "action_charge", where=low) & only(actions, "action_desat", where=fast)
+        return allow_only(actions, "action_charge", where=low) & allow_only(actions, "action_desat", where=fast)
 
     inside, outside = (
         bsk_torch.make(
@@ -140,7 +140,7 @@ def test_the_shield_of_aeos_power_is_such_a_rule():
     ("rule", "error", "message"),
     [
         (lambda see, actions: see["batery_charge_fraction"] > 0.0, KeyError, "did you mean 'battery_charge_fraction'"),
-        (lambda see, actions: only(actions, "charge", where=see["time"] > 0.0), ValueError, "did you mean 'action_charge'"),
+        (lambda see, actions: allow_only(actions, "charge", where=see["time"] > 0.0), ValueError, "did you mean 'action_charge'"),
         (lambda see, actions: see["time"] > 0.0, ValueError, r"gives torch.bool \[4\]; it must give booleans \[4, 4\]"),
         (lambda see, actions: {"action_charge": True}, ValueError, r"gives {'action_charge': True}"),
     ],
@@ -152,7 +152,7 @@ def test_rules_that_do_not_fit_are_refused_at_once(eager, rule, error, message):
 
 def test_rules_are_found_by_name():
     assert find_rule("safe") is RULES["safe"]
-    assert find_rule("bsk_torch.rl.shield:SafeRule") is SafeRule
+    assert find_rule("bsk_torch.rl.rules.shield:SafeRule") is SafeRule
     for name, message in [
         ("save", "did you mean 'safe'"),
         ("nowhere:f", "nowhere"),

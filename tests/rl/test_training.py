@@ -8,12 +8,12 @@ import pytest
 import torch
 
 import bsk_torch
-from bsk_torch.rl.collect import make_collector, prepared, start_worker
-from bsk_torch.rl.config import CONFIG, PPOConfig, load_config
-from bsk_torch.rl.episodes import RecentEpisodes
-from bsk_torch.rl.log import COLUMNS, EVALUATED, EVALUATIONS, LOG, read_log
-from bsk_torch.rl.policies import POLICY, load_policy
-from bsk_torch.rl.training import CHECKPOINT, Training, resume, train
+from bsk_torch.rl.policies.files import POLICY, load_policy
+from bsk_torch.rl.training.collect import make_collector, prepared, start_worker
+from bsk_torch.rl.training.config import CONFIG, PPOConfig, load_config
+from bsk_torch.rl.training.episodes import RecentEpisodes
+from bsk_torch.rl.training.log import COLUMNS, EVALUATED, EVALUATIONS, LOG, read_log
+from bsk_torch.rl.training.trainer import CHECKPOINT, Training, resume, train
 
 pytestmark = pytest.mark.compiled
 
@@ -187,14 +187,14 @@ def test_tensorboard_gets_what_the_files_get(tmp_path):
 
 
 def test_a_missing_ray_is_named_before_anything_is_made(tmp_path, monkeypatch):
-    monkeypatch.setattr("bsk_torch.rl.collect.find_spec", lambda name: None)
+    monkeypatch.setattr("bsk_torch.rl.training.collect.find_spec", lambda name: None)
     with pytest.raises(ModuleNotFoundError, match=r"pip install 'bsk_torch\[ray\]'"):
         Training(dataclasses.replace(TINY, collector="ray"), tmp_path / "run")
     assert not (tmp_path / "run").exists()
 
 
 def test_a_missing_logger_is_named_before_anything_is_made(tmp_path, monkeypatch):
-    monkeypatch.setattr("bsk_torch.rl.log.find_spec", lambda name: None)
+    monkeypatch.setattr("bsk_torch.rl.training.log.find_spec", lambda name: None)
     with pytest.raises(ModuleNotFoundError, match=r"pip install 'bsk_torch\[wandb\]'"):
         Training(dataclasses.replace(TINY, loggers=("csv", "wandb")), tmp_path / "run")
     assert not (tmp_path / "run").exists()

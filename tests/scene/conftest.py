@@ -27,16 +27,16 @@ class HoldingFleet:
     """What the scenario has drawn for N episodes of one satellite, and their time."""
 
     def __init__(self, n: int) -> None:
-        self.num_envs, self.sim_time, self.tables = n, torch.zeros(n, dtype=torch.float64), {}
-        self.parts = (SimpleNamespace(name="Imager", target_types=("target",)),)
+        self.num_envs, self.sim_time, self.scenario_state = n, torch.zeros(n, dtype=torch.float64), {}
+        self.satellites = (SimpleNamespace(name="Imager", target_types=("target",)),)
 
     def keep(self, envs: torch.Tensor, asked: dict[str, torch.Tensor]) -> None:
         for name, value in asked.items():
             assert value.dtype == torch.float64, name
             assert len(value) in (1, len(envs)), name
-            if name not in self.tables:
-                self.tables[name] = torch.zeros(self.num_envs, *value.shape[1:], dtype=torch.float64)
-            self.tables[name][envs] = value
+            if name not in self.scenario_state:
+                self.scenario_state[name] = torch.zeros(self.num_envs, *value.shape[1:], dtype=torch.float64)
+            self.scenario_state[name][envs] = value
 
 
 @pytest.fixture

@@ -63,10 +63,11 @@ def test_an_environment_draws_the_same_in_any_batch(scenario):
     """Environment 7 alone, in a batch of 8, and in a shuffled batch."""
     whole, alone = scenario.draw(key(8)), scenario.draw(rows_of(key(8), [7]))
     shuffled = scenario.draw(rows_of(key(8), [3, 7, 0]))
-    for name, value in whole.items():
-        if len(value) == 8:
-            assert torch.equal(value[7:], alone[name]), name
-            assert torch.equal(value[[3, 7, 0]], shuffled[name]), name
+    by_environment = {name: value for name, value in whole.items() if len(value) == 8}
+    assert by_environment
+    for name, value in by_environment.items():
+        assert torch.equal(value[7:], alone[name]), name
+        assert torch.equal(value[[3, 7, 0]], shuffled[name]), name
 
 
 def test_episodes_seeds_and_environments_differ():
@@ -211,7 +212,7 @@ def test_wrong_radius():
 
 def test_a_satellite_without_targets():
     with pytest.raises(ValueError, match=r"scene.UniformTargets needs a satellite that sees targets, .*; Scanner is a SimpleN"):
-        scene.UniformTargets(3).link(SimpleNamespace(parts=(SimpleNamespace(name="Scanner"),)))
+        scene.UniformTargets(3).link(SimpleNamespace(satellites=(SimpleNamespace(name="Scanner"),)))
 
 
 def test_own_layouts_are_checked(begin):

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import pytest
 
-from tests.sim.arcs import Solved
+from tests.sim.orbit.arcs import Solved
 
 
 @pytest.fixture(scope="session")

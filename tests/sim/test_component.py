@@ -4,10 +4,16 @@ import pytest
 import torch
 
 from bsk_torch.sim.component import Bus, Field, Layout, Track, neighbours, vec
-from bsk_torch.sim.sky import put_track
+from bsk_torch.sim.environment.ephemeris import put_track
 from bsk_torch.vec3 import Vec3
 
-FIELDS = (vec("r", exact=True), Field("charge", exact=True), Field("pulse", 4), Field("one_of_many", 1, many=True), Field("idle"))
+FIELDS = (
+    vec("r_BN_N", exact=True),
+    Field("charge", exact=True),
+    Field("pulse", 4),
+    Field("one_of_many", 1, many=True),
+    Field("idle"),
+)
 
 
 def planes(size: int, n: int = 5) -> list[torch.Tensor]:
@@ -38,8 +44,8 @@ def test_layouts_write_fields_to_the_bus_and_gather_them():
     layout, bus = Layout(FIELDS), Bus(1)
     pack = planes(layout.size)
     layout.put(bus, pack)
-    assert isinstance(bus.r, Vec3)
-    assert all(a is b for a, b in zip(bus.r, pack[:3], strict=True))
+    assert isinstance(bus.r_BN_N, Vec3)
+    assert all(a is b for a, b in zip(bus.r_BN_N, pack[:3], strict=True))
     assert bus.charge is pack[3]
     assert isinstance(bus.pulse, tuple)
     assert len(bus.pulse) == 4
@@ -60,9 +66,9 @@ def test_equal_names_are_one_field():
 
 def test_rows_and_views_of_a_pack():
     layout = Layout(FIELDS[:3])
-    values = {"r": torch.randn(4, 3).double(), "charge": torch.randn(1).double(), "pulse": torch.randn(1, 4).double()}
+    values = {"r_BN_N": torch.randn(4, 3).double(), "charge": torch.randn(1).double(), "pulse": torch.randn(1, 4).double()}
     pack = layout.rows(values, 4)
-    assert torch.equal(layout.view(pack, "r"), values["r"].mT)
+    assert torch.equal(layout.view(pack, "r_BN_N"), values["r_BN_N"].mT)
     assert torch.equal(layout.view(pack, "charge"), values["charge"].expand(4))
     assert torch.equal(layout.view(pack, "pulse"), values["pulse"].mT.expand(4, 4))
     layout.view(pack, "charge")[2] = 7.0

@@ -10,18 +10,21 @@ from bsk_torch.rand import first_key
 from bsk_torch.sim import dyn, fsw
 from bsk_torch.sim.fleet import Fleet, share
 from bsk_torch.sim.simulator import Simulator
+from bsk_torch.sim.state import StateTable
 
 N = 3
 
 
 def part(*columns: int, n: int = N) -> SimpleNamespace:
     """A stand-in for the simulation of the satellites ``columns``."""
-    return SimpleNamespace(num_envs=n, count=len(columns), size=n * len(columns), columns=columns, device=torch.device("cpu"))
+    tables = {"state": StateTable(n, len(columns)), "scenario_state": StateTable(n)}
+    return SimpleNamespace(num_envs=n, count=len(columns), columns=columns, device=torch.device("cpu"), **tables)
 
 
 def fleet_of(*types: tuple[int, ...], n: int = N) -> Fleet:
     fleet = Fleet([part(*columns, n=n) for columns in types], [f"S{k}" for columns in types for k in columns])
-    fleet.parts = tuple(SimpleNamespace(**{f"own_{k}": rows_of(columns)}) for k, columns in enumerate(types))
+    satellites = (SimpleNamespace(**{f"own_{k}": rows_of(columns)}) for k, columns in enumerate(types))
+    fleet.groups = tuple(SimpleNamespace(satellite=satellite) for satellite in satellites)
     return fleet
 
 
@@ -46,13 +49,13 @@ def test_rows_of_types_and_tables_of_satellites(types):
     for k, rows in enumerate(parts):
         assert torch.equal(fleet.rows_of(k, WHOLE), rows)
         envs = torch.tensor([2, 0])
-        assert torch.equal(rows[fleet.rows(k, envs)].view(2, -1, 2), rows.view(N, -1, 2)[envs])
+        assert torch.equal(rows[fleet.simulators[k].state.rows_of(envs)].view(2, -1, 2), rows.view(N, -1, 2)[envs])
 
 
 def test_reading_what_all_have():
     fleet = fleet_of((0, 2), (1, 3))
     values = [rows_of((0, 2)), rows_of((1, 3))]
-    assert torch.equal(fleet.each(lambda part: values[fleet.parts.index(part)]), WHOLE)
+    assert torch.equal(fleet.each(lambda part: values[fleet.satellites.index(part)]), WHOLE)
 
 
 def test_reading_what_only_some_have():
@@ -101,17 +104,19 @@ def drawing() -> Fleet:
     """Satellites 0 and 2 of one type and 1 of another, whose arguments, world and scenario are random."""
     args, world = {"K": rand.Uniform(1.0, 2.0)}, {"utc_init": rand.random_epoch()}
     options = {"num_envs": N, "device": torch.device("cpu"), "dtype": torch.float64, "sim_rate": 1.0, "horizon": 0.0}
-    options |= {"backend": "eager", "scene": lambda key: {"asked": key.named("asked").uniform(2)}}
+    scenario_state = StateTable(N)
+    scenario_state.declare("asked", None, 2)
+    options |= {"backend": "eager", "scenario_state": scenario_state}
     models = dyn.BasicDynamicsModel, fsw.BasicFSWModel
     first = Simulator(*models, args, world, columns=(0, 2), **options)
-    second = Simulator(*models, args, world, columns=(1,), tables=first.tables, **options)
-    return Fleet([first, second], ["A", "B", "C"])
+    second = Simulator(*models, args, world, columns=(1,), **options)
+    return Fleet([first, second], ["A", "B", "C"], lambda key: {"asked": key.named("asked").uniform(2)})
 
 
 def test_world_and_scenario_are_drawn_once(drawing):
     """All satellites of an episode live in one world; each draws arguments of its own, as it would among satellites like it."""
     drawn = drawing.draw(first_key(N))
-    assert torch.equal(drawn.asked["asked"], first_key(N).named("asked").uniform(2))
+    assert torch.equal(drawn.scenario["asked"], first_key(N).named("asked").uniform(2))
     two, one = drawn.values
     assert len(one["utc_init"].unique()) == N
     assert torch.equal(two["utc_init"], one["utc_init"].repeat_interleave(2))
@@ -143,10 +148,9 @@ def test_what_is_set_for_all_together(drawing):
 
 def test_tables_are_shared(drawing):
     first, second = drawing.simulators
-    assert drawing.tables is first.tables is second.tables
-    assert first.owns_tables
-    assert not second.owns_tables
-    assert drawing.tables["asked"].shape == (N, 2)
+    assert drawing.scenario_state is first.scenario_state is second.scenario_state
+    assert drawing.state.tables["scenario"] is drawing.scenario_state
+    assert drawing.scenario_state["asked"].shape == (N, 2)
     assert drawing.ticks.shape == drawing.sim_time.shape == (N,)
 
 
@@ -156,42 +160,67 @@ FAR = 10**6
 ENDLESS = torch.full((N,), FAR)
 
 
+class Clock(StateTable):
+    """Ticks of one satellite in each episode, from 5 on."""
+
+    def __init__(self) -> None:
+        super().__init__(N)
+        self.declare("ticks", 5)
+
+    def of_env(self, table):
+        return table
+
+
 class Flyer:
-    """Counts ticks from 5 on, up to its event at tick ``event`` [N] if that ``stops`` it; ``flights`` is what it was told."""
+    """Counts ticks, up to its event at tick ``event`` [N] if that ``stops`` it; ``flights`` are the ticks of its runs."""
 
     def __init__(self, column: int, event: list[int] | None = None, stops: bool = True) -> None:
         self.num_envs, self.count, self.columns, self.device = N, 1, (column,), torch.device("cpu")
         self.has_events, self.stops = event is not None, stops and event is not None
-        self.ticks, self.event = torch.full((N,), 5), torch.tensor(event or [FAR] * N)
+        self.state, self.scenario_state, self.event = Clock(), StateTable(N), torch.tensor(event or [FAR] * N)
         self.flights: list[list[int]] = []
+
+    @property
+    def ticks(self):
+        return self.state.ticks
 
     @property
     def events(self):
         return (self.ticks >= self.event).long()
 
-    def of_env(self, table):
-        return table
-
-    def run(self, ticks, order):
+    def run(self, ticks, expected=None):
         self.flights.append(ticks.tolist())
         left = self.event - self.ticks
         flown = torch.where((left > 0) & self.stops, torch.minimum(ticks, left), ticks)
-        self.ticks = self.ticks + flown
+        self.state.ticks = self.ticks + flown
         return flown
 
     def checkpoint(self):
         return self.ticks.clone()
 
     def rewind(self, checkpoint, rows):
-        self.ticks = torch.where(rows, checkpoint, self.ticks)
+        self.state.ticks = torch.where(rows, checkpoint, self.ticks)
+
+
+class Group:
+    """The satellites of a flyer, whose tasks end at tick ``ends`` [N]; keeps the events that it is settled with."""
+
+    def __init__(self, flyer: Flyer, ends: torch.Tensor) -> None:
+        self.simulator, self.satellite = flyer, SimpleNamespace(variable_interval=True)
+        self.task = SimpleNamespace(ends=ends, expected=ends)
+
+    def settle(self, event, moves, last):
+        self.event = None if event is None else event.tolist()
 
 
 def fly(flyers, ticks, left=ENDLESS) -> list[list[bool] | None]:
-    """Which had an event that was looked at, None for types without; all must have flown as far."""
+    """Which had an event that was evaluated, None for types without; all must have flown as far."""
     fleet = Fleet(flyers, [f"S{k}" for k in range(len(flyers))])
-    seen = fleet.run(torch.tensor(ticks), torch.as_tensor(left), [None] * len(flyers))
+    now = flyers[0].ticks
+    fleet.groups = groups = tuple(Group(flyer, now + torch.tensor(ticks)) for flyer in flyers)
+    fleet.run(torch.ones(N, dtype=torch.bool), now + torch.as_tensor(left), FAR)
     assert all(torch.equal(flyer.ticks, flyers[0].ticks) for flyer in flyers)
-    return [None if events is None else events.tolist() for events in seen]
+    return [group.event for group in groups]
 
 
 def test_all_types_fly_to_the_first_event_of_any():

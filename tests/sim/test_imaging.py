@@ -17,14 +17,14 @@ from bsk_torch.sim import dyn, fsw
 from bsk_torch.sim.component import Bus
 from bsk_torch.sim.dyn import events
 from bsk_torch.sim.dyn.events import DISARMED
+from bsk_torch.sim.environment.ephemeris import pole_matrix
 from bsk_torch.sim.fsw import guidance, instrument, target
 from bsk_torch.sim.simulator import Simulator
-from bsk_torch.sim.span import pole_matrix
 from bsk_torch.vec3 import Vec3
 from tests.sim.buses import plane, write
 
 CONTROLLER = np.load(Path(__file__).with_name("data") / "controller.npz")
-"""Recorded by scripts/record_modules.py: simpleInstrumentController under random errors, access and tasks."""
+"""Recorded by tests/basilisk/recorders/record_modules.py: simpleInstrumentController under random errors, access and tasks."""
 
 
 # -- controllers ---------------------------------------------------------------------------------------------------------------
@@ -89,8 +89,8 @@ def aimed(target_P: torch.Tensor, r: torch.Tensor, elevation: float, reach: floa
     """What the target says of positions [N, 3] in N, all of them a tick before the epoch."""
     bus, n = Bus(round(H * 1e9)), len(r)
     epoch = torch.full((n,), EPOCH, dtype=torch.float64)
-    bus.sky, bus.sky_tau = [SimpleNamespace(earth_angle=earth_angles(epoch)[2])], torch.zeros_like(epoch)
-    write(bus, pole=pole_matrix(epoch), r=Vec3.of(r), target_r_P=Vec3.of(target_P), location_on=plane(location, n))
+    bus.ephemeris, bus.ephemeris_tau = [SimpleNamespace(earth_angle=earth_angles(epoch)[2])], torch.zeros_like(epoch)
+    write(bus, EN=pole_matrix(epoch), r_BN_N=Vec3.of(r), r_LP_P=Vec3.of(target_P), location_on=plane(location, n))
     args = {"imageTargetMinimumElevation": plane(elevation, 1), "imageTargetMaximumRange": plane(reach, 1)}
     write(bus, **target.IMAGE_TARGET.prepare(args))
     target.aim_at_place(bus)
@@ -107,7 +107,7 @@ def test_a_target_sees_what_is_above_its_limit_and_within_its_range(elevation, r
     up = torch.nn.functional.normalize(places + 1e6 * torch.randn(n, 3, dtype=torch.float64), dim=-1)
     r = 7.1e6 * up @ PN  # from P to N
     bus = aimed(places, r, math.radians(elevation), reach)
-    torch.testing.assert_close(bus.target_N.stack(), places @ PN, rtol=0, atol=8e-12 * H * R_EARTH * 1.1)
+    torch.testing.assert_close(bus.r_LN_N.stack(), places @ PN, rtol=0, atol=8e-12 * H * R_EARTH * 1.1)
     line = r @ PN.mT - places
     distance = line.norm(dim=-1)
     margin = torch.asin((line * places).sum(-1) / (distance * R_EARTH)) - math.radians(elevation)
@@ -130,7 +130,7 @@ def test_without_pointing_there_is_no_target():
     places = torch.tensor([[R_EARTH, 0.0, 0.0]], dtype=torch.float64)
     bus = aimed(places, places * 1.1, 0.5, -1.0, location=0.0)
     assert bus.target_access.item() == 0.0
-    assert (bus.target_N.stack() == 0.0).all()
+    assert (bus.r_LN_N.stack() == 0.0).all()
 
 
 @pytest.mark.parametrize(
@@ -150,16 +150,16 @@ def test_elevations_in_degrees_are_refused(elevation, message):
 
 def test_the_first_target_lies_on_the_equator():
     state = target.IMAGE_TARGET.initial({"groundLocationPlanetRadius": torch.tensor([R_EARTH], dtype=torch.float64)})
-    assert state["target_r_P"].tolist() == [[R_EARTH + 1000.0, 0.0, 0.0]]
+    assert state["r_LP_P"].tolist() == [[R_EARTH + 1000.0, 0.0, 0.0]]
 
 
 def test_target_of_a_scan_is_the_earths_centre_but_for_ten_centimetres():
     position = Vec3.of(torch.tensor([[7e6, 0.0, 0.0]], dtype=torch.float64))
-    bus = write(Bus(1_000_000_000), pole=pole_matrix(torch.zeros(1, dtype=torch.float64)), r=position)
+    bus = write(Bus(1_000_000_000), EN=pole_matrix(torch.zeros(1, dtype=torch.float64)), r_BN_N=position)
     for limit, reaches in ((-1.0, 1.0), (6.9e6, 0.0), (7.1e6, 1.0)):
         target.aim_at_earth_centre(write(bus, target_range=plane(limit, 1)))
         assert bus.target_access.item() == reaches
-    assert bus.target_N.stack()[0].tolist() == pytest.approx([0.0, 0.0, 0.1], abs=1e-12)
+    assert bus.r_LN_N.stack()[0].tolist() == pytest.approx([0.0, 0.0, 0.1], abs=1e-12)
 
 
 # -- event ---------------------------------------------------------------------------------------------------------------------
@@ -212,13 +212,13 @@ def imager(backend: str) -> Simulator:
     models = dyn.GroundStationDynModel, fsw.SteeringImagerFSWModel
     options = dict(num_envs=n, device=torch.device("cpu"), dtype=torch.float64, sim_rate=1.0, horizon=600.0, stops=True)
     simulator = Simulator(*models, ARGS, WORLD, orbit="arc", backend=backend, **options)
-    simulator.reset(simulator.all_rows, simulator.draw(first_key(n), {}), torch.full((n,), 600.0, dtype=torch.float64))
+    simulator.reset(simulator.state.all_rows, simulator.draw(first_key(n)), torch.full((n,), 600.0, dtype=torch.float64))
     modes = torch.cat([simulator.mode_index(mode)[:1] for mode in MODES])
     simulator.command(torch.ones(n, dtype=torch.bool), modes)
     view = simulator.tick.state.view
-    view(simulator.pack, "target_r_P")[:] = places().mT
-    view(simulator.pack, "data_partition")[:] = torch.tensor([0, 1, 0, 0, 0, 0, 0, 1])
-    view(simulator.pack, "image_level")[:3] = view(simulator.pack, "partitions")[0, :3]
+    view(simulator.state.planes, "r_LP_P")[:] = places().mT
+    view(simulator.state.planes, "data_partition")[:] = torch.tensor([0, 1, 0, 0, 0, 0, 0, 1])
+    view(simulator.state.planes, "image_level")[:3] = view(simulator.state.planes, "partitions")[0, :3]
     return simulator
 
 
@@ -270,14 +270,14 @@ def test_kernels_and_loops_agree():
     store = ("partitions", "storage", "packet", "packet_partition", "transmitter_time")
     for name in (*store, "images", "image_taken", "image_level"):
         assert torch.equal(eager.read(name), compiled.read(name)), name
-    for name, bound in {"sigma": 1e-9, "omega": 1e-10, "Omega": 1e-7, "control_integral": 1e-9}.items():
+    for name, bound in {"sigma_BN": 1e-9, "omega_BN_B": 1e-10, "Omega_WB_B": 1e-7, "control_integral_B": 1e-9}.items():
         torch.testing.assert_close(eager.read(name), compiled.read(name), rtol=0, atol=bound)
 
 
 def test_a_command_left_over_records_in_every_tick(backend):
     """Whoever is tasked anew in the very tick in which the image was ordered; a new image task ends it."""
     simulator, rows = imager(backend), torch.arange(len(MODES)) == 0
-    simulator.tick.state.view(simulator.pack, "image_level")[:] = math.inf
+    simulator.tick.state.view(simulator.state.planes, "image_level")[:] = math.inf
     one = torch.ones(len(MODES), dtype=torch.int64)
     while simulator.read("instrument_command")[0] == 0.0:
         simulator.run(one)
@@ -309,8 +309,8 @@ def test_float32_has_the_same_data():
     args = {name: value for name, value in ARGS.items() if name not in ("K1", "omega_max", "servo_P")}
     options = dict(num_envs=2, device=torch.device("cpu"), dtype=torch.float32, sim_rate=1.0, horizon=600.0, backend="eager")
     simulator = Simulator(*models, args, {"utc_init": WORLD["utc_init"]}, **options)
-    simulator.reset(simulator.all_rows, simulator.draw(first_key(2), {}), torch.full((2,), 600.0, dtype=torch.float64))
-    simulator.tick.state.view(simulator.pack, "target_r_P")[:] = places()[2:3].mT
+    simulator.reset(simulator.state.all_rows, simulator.draw(first_key(2)), torch.full((2,), 600.0, dtype=torch.float64))
+    simulator.tick.state.view(simulator.state.planes, "r_LP_P")[:] = places()[2:3].mT
     simulator.command(torch.ones(2, dtype=torch.bool), simulator.mode_index("image"))
     simulator.run(torch.tensor([TICKS, 1]))
     assert simulator.read("partitions").tolist() == [[8e6, 0.0, 16e6], [0.0, 0.0, 16e6]]

@@ -15,12 +15,12 @@ from bsk_torch.sim.component import Arg
 from bsk_torch.sim.dyn.hub import HUB
 from bsk_torch.sim.dyn.power import BATTERY, PANEL
 from bsk_torch.sim.dyn.storage import TRANSMITTER
+from bsk_torch.sim.environment.world import EPHEMERIS, GROUND_STATIONS
 from bsk_torch.sim.fsw.control import MRP_FEEDBACK
 from bsk_torch.sim.fsw.desaturation import DESATURATION
 from bsk_torch.sim.fsw.guidance import LOCATION_POINTING
 from bsk_torch.sim.fsw.instrument import SCANNING_CONTROLLER
 from bsk_torch.sim.params import Arguments, convert, merge, nearest
-from bsk_torch.sim.world import EPHEMERIS, GROUND_STATIONS
 
 PARTS = (HUB, PANEL, BATTERY, TRANSMITTER, MRP_FEEDBACK, DESATURATION, SCANNING_CONTROLLER, LOCATION_POINTING)
 WORLD = (EPHEMERIS, GROUND_STATIONS)
@@ -92,7 +92,7 @@ def test_orbits_that_say_too_little_or_too_much(given, listed):
 @pytest.mark.parametrize("given", [{}, {"oe": ORBIT}, {"oe": None, "rN": [7e6, 0, 0], "vN": [0, 7e3, 0]}])
 def test_orbits_that_are_complete(given):
     state = merge(draw(given), (HUB,), "initial")
-    assert state["r"].shape[-1] == state["v"].shape[-1] == 3
+    assert state["r_BN_N"].shape[-1] == state["v_BN_N"].shape[-1] == 3
 
 
 def test_position_replaces_the_default_elements():
@@ -130,7 +130,7 @@ def test_stations_as_bsk_rl_takes_them():
     assert arrays["station_sin_elevations"].tolist() == [pytest.approx([math.sin(math.radians(10.0)), math.sin(0.5)])]
     assert arrays["station_ranges"].tolist() == [[-1.0, 2e6]]
     expected = [6378136.6, 0.0, 0.0, 1e6 + 100.0, 0.0, 0.0]  # all x, all y, all z
-    assert arrays["station_positions"][0].tolist() == pytest.approx(expected, abs=1e-6)
+    assert arrays["station_positions_P"][0].tolist() == pytest.approx(expected, abs=1e-6)
 
 
 @pytest.mark.parametrize("epoch", ["yesterday", "2021-13-01T00:00:00", "1950-01-01T00:00:00"])

@@ -9,14 +9,15 @@ import pytest
 import torch
 
 import bsk_torch
-from bsk_torch.lanes.loop import Samples
+from bsk_torch.codegen.kernel import Samples
 from bsk_torch.sim.component import Component, Field, vec
-from bsk_torch.sim.fsw.modes import FLAGS
-from bsk_torch.sim.run import Flight, Runners, loop, make_runners
-from bsk_torch.sim.sky import sky_records
-from bsk_torch.sim.span import SPAN
+from bsk_torch.sim.environment.ephemeris import ephemeris_records
+from bsk_torch.sim.fsw.modes import MODE_FLAGS
+from bsk_torch.sim.orbit.grid import ARC_SEGMENT
+from bsk_torch.sim.run import Runners, TickLoop, make_runners
 from bsk_torch.sim.tick import Tick
 from bsk_torch.vec3 import Vec3, only
+from tests.sim.runs import Start, start_of
 
 CPU = torch.device("cpu")
 H_NS = 500_000_000
@@ -35,23 +36,23 @@ COUNTS = [
 
 
 def play(bus) -> None:
-    """Something of everything: state, shared and own parameters, flags, the number of the tick, and the sky."""
+    """Something of everything: state, shared and own parameters, flags, the number of the tick, and the ephemeris."""
     bus.count = bus.count + 1.0
-    bus.seen, bus.tau = bus.ticks, bus.sky_tau
-    push = Vec3(bus.own_rate, bus.sun_on, bus.sky[0].earth_angle * 1e-6)
+    bus.seen, bus.tau = bus.ticks, bus.ephemeris_tau
+    push = Vec3(bus.own_rate, bus.sun_on, bus.ephemeris[0].earth_angle * 1e-6)
     bus.x = only(bus.control_on > 0.0, lambda: bus.x * bus.shared_gain + push * bus.h, bus.x - push)
 
 
 def note(bus) -> None:
     """What a part of the world does."""
-    bus.noted = bus.sky[0].earth_angle + bus.sky_tau
+    bus.noted = bus.ephemeris[0].earth_angle + bus.ephemeris_tau
 
 
 TOYS = (
-    Component("eclipse", 130, note, state=(Field("noted", exact=True),)),
+    Component("eclipse", note, state=(Field("noted", exact=True),), at_start=True),
     Component(
         slot="toy",
-        order=200,
+        after="hub",
         update=play,
         state=(Field("count"), Field("seen", exact=True), Field("tau", exact=True), vec("x")),
         params=(Field("shared_gain"), Field("own_rate")),
@@ -68,19 +69,19 @@ def runners(backend) -> Runners:
     return make_runners(toy_tick(), backend, CPU)
 
 
-def flight(n: int) -> Flight:
+def flight(n: int) -> Start:
     """Random rows in different modes at different times of their episodes."""
     state = torch.randn(7, n, dtype=torch.float64)
     state[1] = 0.0
     shared, own = torch.full((1, 1), 0.999, dtype=torch.float64), torch.rand(1, n, dtype=torch.float64)
-    flags = torch.zeros(len(FLAGS), 3, dtype=torch.float64)
-    flags[FLAGS.index("control_on"), 1:], flags[FLAGS.index("sun_on"), 2] = 1.0, 1.0
-    ticks = torch.randint(0, round((HOURS - 1) * SPAN * 1e9 / H_NS) - 500, (n,))
-    sky = Samples(sky_records(1e8 * torch.rand(n, dtype=torch.float64), HOURS), torch.zeros(n, dtype=torch.float64))
-    return Flight(state, shared, own, torch.randint(0, 3, (n,)), flags, ticks, (sky,))
+    flags = torch.zeros(len(MODE_FLAGS), 3, dtype=torch.float64)
+    flags[MODE_FLAGS.index("control_on"), 1:], flags[MODE_FLAGS.index("sun_on"), 2] = 1.0, 1.0
+    ticks = torch.randint(0, round((HOURS - 1) * ARC_SEGMENT * 1e9 / H_NS) - 500, (n,))
+    sky = Samples(ephemeris_records(1e8 * torch.rand(n, dtype=torch.float64), HOURS), torch.zeros(n, dtype=torch.float64))
+    return Start(state, shared, own, torch.randint(0, 3, (n,)), flags, ticks, (sky,), H_NS)
 
 
-def part(whole: Flight, rows: torch.Tensor) -> Flight:
+def part(whole: Start, rows: torch.Tensor) -> Start:
     """A flight of some rows."""
     tracks = tuple(Samples(track.table[rows], track.start[rows]) for track in whole.tracks)
     return dataclasses.replace(
@@ -93,10 +94,10 @@ def part(whole: Flight, rows: torch.Tensor) -> Flight:
     )
 
 
-def after(runners: Runners, start: Flight, counts: torch.Tensor) -> torch.Tensor:
+def after(runners: Runners, start: Start, counts: torch.Tensor) -> torch.Tensor:
     """State of a flight after its run; the flight itself stays as it is."""
     copy = dataclasses.replace(start, state=start.state.clone())
-    runners.run(copy, counts)
+    copy.run(runners.run, counts)
     return copy.state
 
 
@@ -112,7 +113,7 @@ def test_every_row_runs_its_ticks_and_stays_in_its_place(counts, runners):
     last = (start.ticks + counts).double()
     assert torch.equal(state[2, moved], last[moved])
     # rounding of the clock
-    torch.testing.assert_close(state[3, moved], (last * H_NS * 1e-9 % SPAN)[moved], rtol=0, atol=1e-11)
+    torch.testing.assert_close(state[3, moved], (last * H_NS * 1e-9 % ARC_SEGMENT)[moved], rtol=0, atol=1e-11)
 
 
 @pytest.mark.parametrize("counts", COUNTS, ids=str)
@@ -131,6 +132,7 @@ def test_rows_are_bit_identical_to_rows_that_ran_alone(counts, runners):
     """What a row sees never depends on when others end."""
     start, counts = flight(len(counts)), torch.tensor(counts)
     together = after(runners, start, counts)
+    assert together.shape[1] == len(counts) > 0
     for row in range(len(counts)):
         index = torch.tensor([row])
         assert torch.equal(after(runners, part(start, index), counts[index]), together[:, index])
@@ -149,7 +151,7 @@ def test_a_tick_is_what_the_components_say(runners):
     start = flight(6)
     start.mode[:] = torch.tensor([0, 1, 2, 0, 1, 2])
     state = after(runners, start, torch.ones(6, dtype=torch.int64))
-    angle = start.tracks[0].table[torch.arange(6), ((start.ticks + 1) * H_NS * 1e-9 / SPAN).long(), 6]
+    angle = start.tracks[0].table[torch.arange(6), ((start.ticks + 1) * H_NS * 1e-9 / ARC_SEGMENT).long(), 6]
     push = torch.stack([start.own[0], (start.mode == 2).double(), angle * 1e-6])
     expected = torch.where(start.mode > 0, start.state[4:] * 0.999 + push * 0.5, start.state[4:] - push)
     torch.testing.assert_close(state[4:], expected, rtol=1e-15, atol=1e-15)  # a rounding, or one less where fused
@@ -173,7 +175,7 @@ def test_waking_runs_the_world_only(runners):
     start.ticks[:] = 0
     expected = start.state.clone()
     expected[0] = start.tracks[0].table[:, 0, 6]
-    runners.wake(start, torch.ones(11, dtype=torch.int64))
+    start.run(runners.first_tick, torch.ones(11, dtype=torch.int64))
     assert torch.equal(start.state, expected)
 
 
@@ -190,7 +192,7 @@ def halt(bus) -> None:
     bus.stop = bus.count >= bus.own_rate * 200.0
 
 
-STOPPING = (*TOYS, Component("halt", 300, halt, stops=True))
+STOPPING = (*TOYS, Component("halt", halt, stops=True, after="navigation"))
 
 
 @pytest.fixture(scope="module")
@@ -198,7 +200,7 @@ def stopping(backend) -> Runners:
     return make_runners(toy_tick(toys=STOPPING, stops=True), backend, CPU)
 
 
-def stops(start: Flight, counts: torch.Tensor) -> torch.Tensor:
+def stops(start: Start, counts: torch.Tensor) -> torch.Tensor:
     """How many ticks each row runs: at least the one in which it sees that it should stop."""
     return torch.minimum(counts, (start.own[0] * 200.0).ceil().long().clamp(min=1))
 
@@ -211,8 +213,8 @@ def test_rows_that_stop_are_as_if_they_had_been_to_run_that_long(n, stopping, ru
         expected = stops(start, counts)
         state = after(runners, start, expected)
         for order in (None, expected, torch.randint(0, longest, (n,))):
-            copy = dataclasses.replace(start, state=start.state.clone(), order=order)
-            assert torch.equal(stopping.run(copy, counts), expected)
+            copy = dataclasses.replace(start, state=start.state.clone(), expected_ticks=order)
+            assert torch.equal(copy.run(stopping.run, counts), expected)
             assert torch.equal(copy.state, state)
 
 
@@ -221,23 +223,23 @@ def test_rows_may_stop_in_their_first_and_in_their_last_tick(tick, stopping, run
     start, counts = flight(4), torch.tensor([tick, tick + 1, 300, 0])
     start.own[0] = tick / 200.0
     copy = dataclasses.replace(start, state=start.state.clone())
-    assert stopping.run(copy, counts).tolist() == [tick, tick, tick, 0]
+    assert copy.run(stopping.run, counts).tolist() == [tick, tick, tick, 0]
     assert torch.equal(copy.state, after(runners, start, torch.tensor([tick, tick, tick, 0])))
 
 
 def test_who_does_not_stop_runs_the_whole_time(runners):
     counts = torch.tensor([3, 0, 70])
-    assert torch.equal(runners.run(flight(3), counts), counts)
-    assert torch.equal(runners.wake(flight(3), torch.ones(3, dtype=torch.int64)), torch.ones(3, dtype=torch.int64))
+    ones = torch.ones(3, dtype=torch.int64)
+    assert torch.equal(flight(3).run(runners.run, counts), counts)
+    assert torch.equal(flight(3).run(runners.first_tick, ones), ones)
 
 
 def test_stops_are_heeded_only_where_the_tick_stops(backend):
     start, counts = flight(5), torch.full((5,), 250)
     deaf, mute = toy_tick(toys=STOPPING), toy_tick(stops=True)
     for tick in (deaf, mute):
-        assert torch.equal(
-            make_runners(tick, backend, CPU).run(dataclasses.replace(start, state=start.state.clone()), counts), counts
-        )
+        copy = dataclasses.replace(start, state=start.state.clone())
+        assert torch.equal(copy.run(make_runners(tick, backend, CPU).run, counts), counts)
 
 
 @pytest.mark.parametrize(("longest", "questions"), [(1, 0), (64, 0), (65, 1), (128, 1), (129, 2), (100_000, 4)])
@@ -253,7 +255,7 @@ def test_loops_seldom_ask_whether_all_rows_have_ended(longest, questions, monkey
     start.own[0] = torch.tensor([0.01, 0.2, 1.0])
     real = torch.Tensor.any
     monkeypatch.setattr(torch.Tensor, "any", lambda x: asked.append(x) or real(x))
-    loop(step, stops=True)(start, torch.full((3,), longest))
+    start.run(TickLoop(step, stops=True), torch.full((3,), longest))
     assert len(asked) == questions
     assert len(ran) == min(longest, 256)
 
@@ -261,13 +263,13 @@ def test_loops_seldom_ask_whether_all_rows_have_ended(longest, questions, monkey
 # -- teams ------------------------------------------------------------------------------------------------------------------
 
 
-def in_teams(episodes: int, team: int, longest: int) -> tuple[Flight, torch.Tensor, torch.Tensor]:
+def in_teams(episodes: int, team: int, longest: int) -> tuple[Start, torch.Tensor, torch.Tensor]:
     """Rows of the same clock, numbers of ticks for them, and how many they will run."""
     start = flight(episodes * team)
     ticks = start.ticks[::team].repeat_interleave(team)
     counts = torch.where(torch.rand(episodes) < 0.2, 0, torch.randint(0, longest, (episodes,))).repeat_interleave(team)
     ends = stops(start, counts).view(episodes, team).amin(1).repeat_interleave(team)
-    return dataclasses.replace(start, ticks=ticks, team=team), counts, ends
+    return dataclasses.replace(start, ticks=ticks, lockstep=team), counts, ends
 
 
 @pytest.mark.parametrize("team", [1, 2, 3, 7, 12, 40])
@@ -276,8 +278,8 @@ def test_teams_end_with_the_first_row_that_stops(team, stopping, runners):
     for episodes, longest in ((1, 20), (3, 64), (20, 65), (9, 300)):
         start, counts, ends = in_teams(episodes, team, longest)
         for order in (None, ends):
-            copy = dataclasses.replace(start, state=start.state.clone(), order=order)
-            assert torch.equal(stopping.run(copy, counts), ends)
+            copy = dataclasses.replace(start, state=start.state.clone(), expected_ticks=order)
+            assert torch.equal(copy.run(stopping.run, counts), ends)
             assert torch.equal(copy.state, after(runners, start, ends))
 
 
@@ -286,24 +288,24 @@ def test_teams_may_stop_in_their_first_and_in_their_last_tick(tick, stopping, ru
     start, counts = flight(12), torch.tensor([tick, tick + 1, 300, 0]).repeat_interleave(3)
     start.own[0], start.ticks[:] = 2.0, start.ticks[0]
     start.own[0, 1::3] = tick / 200.0
-    copy = dataclasses.replace(start, state=start.state.clone(), team=3)
+    copy = dataclasses.replace(start, state=start.state.clone(), lockstep=3)
     ends = torch.tensor([tick, tick, tick, 0]).repeat_interleave(3)
-    assert torch.equal(stopping.run(copy, counts), ends)
+    assert torch.equal(copy.run(stopping.run, counts), ends)
     assert torch.equal(copy.state, after(runners, start, ends))
 
 
 def test_teams_that_do_not_stop_are_none(runners):
     start, counts = flight(12), torch.randint(0, 50, (12,))
-    copy = dataclasses.replace(start, state=start.state.clone(), team=4)
-    assert torch.equal(runners.run(copy, counts), counts)
+    copy = dataclasses.replace(start, state=start.state.clone(), lockstep=4)
+    assert torch.equal(copy.run(runners.run, counts), counts)
     assert torch.equal(copy.state, after(runners, start, counts))
 
 
 @pytest.mark.parametrize(
-    "make", [lambda tick, flight: tick.kernel(), lambda tick, flight: loop(tick.step)(flight, flight.ticks + 1)]
+    "make", [lambda tick, flight: tick.kernel(), lambda tick, start: start.run(TickLoop(tick.step), start.ticks + 1)]
 )
 def test_a_stop_must_be_a_mask(make):
-    halts = Component("halt", 300, lambda bus: setattr(bus, "stop", bus.count), stops=True)
+    halts = Component("halt", lambda bus: setattr(bus, "stop", bus.count), stops=True, after="navigation")
     with pytest.raises(TypeError, match=r"bus.stop has numbers of type torch.float64; it must be a mask"):
         make(toy_tick(toys=(*TOYS, halts), stops=True), flight(2))
 
@@ -322,12 +324,6 @@ def scanners():
     return env.simulator
 
 
-def satellites(simulator) -> Flight:
-    tracks = simulator.arcs.tracks(simulator.tick.tracks)
-    packs = simulator.pack.clone(), simulator.shared, simulator.own, simulator.mode, simulator.flag_table, simulator.ticks
-    return Flight(*packs, tracks)
-
-
 MIXED = [180, 0, 60, 61, 1, 120, 179, 60]
 
 
@@ -335,7 +331,7 @@ MIXED = [180, 0, 60, 61, 1, 120, 179, 60]
 @pytest.mark.parametrize("rows", [[0], [5, 40, 7], list(range(8)), list(range(20, 29)), list(range(63, -1, -1))], ids=len)
 def test_satellites_are_bit_identical_in_every_batch(rows, scanners):
     """Whatever the batch's size, composition and order: one row, part of a block, a block, a row more, all backwards."""
-    start, counts, rows = satellites(scanners), torch.tensor(MIXED * 8), torch.tensor(rows)
+    start, counts, rows = start_of(scanners), torch.tensor(MIXED * 8), torch.tensor(rows)
     whole, some = after(scanners.runners, start, counts), after(scanners.runners, part(start, rows), counts[rows])
     assert torch.equal(some, whole[:, rows])
     assert torch.equal(whole[:, counts == 0], start.state[:, counts == 0])
@@ -343,7 +339,7 @@ def test_satellites_are_bit_identical_in_every_batch(rows, scanners):
 
 @pytest.mark.compiled
 def test_satellites_fly_in_parts_as_in_one(scanners):
-    start, counts = satellites(scanners), torch.tensor(MIXED * 8)
+    start, counts = start_of(scanners), torch.tensor(MIXED * 8)
     first = torch.minimum(counts, torch.randint(0, 180, (64,)))
     between = after(scanners.runners, start, first)
     later = dataclasses.replace(start, state=between, ticks=start.ticks + first)
@@ -357,8 +353,8 @@ def test_satellites_of_a_team_are_bit_identical_to_lonely_ones(dtype):
     env = bsk_torch.make("AEOS-v1", num_envs=84, n_targets=300, seed=4, backend="compiled", sim_dtype=dtype)
     runners, flights = env.simulator.runners, []
 
-    def run(flight: Flight, counts: torch.Tensor) -> torch.Tensor:
-        flights.append((dataclasses.replace(flight, state=flight.state.clone()), runners.run(flight, counts)))
+    def run(state: torch.Tensor, counts: torch.Tensor, tracks: tuple[Samples, ...], **parts) -> torch.Tensor:
+        flights.append((Start(state.clone(), tracks=tracks, **parts), runners.run(state, counts, tracks, **parts)))
         return flights[-1][1]
 
     env.simulator.runners = runners._replace(run=run)
@@ -368,9 +364,9 @@ def test_satellites_of_a_team_are_bit_identical_to_lonely_ones(dtype):
     for team in (2, 3, 12, 42):
         counts = flown.view(-1, team).amax(1).repeat_interleave(team) + torch.randint(0, 2, (84 // team,)).repeat_interleave(team)
         lonely = dataclasses.replace(start, state=start.state.clone())
-        ends = runners.run(lonely, counts).view(-1, team).amin(1).repeat_interleave(team)
-        together = dataclasses.replace(start, state=start.state.clone(), team=team)
-        assert torch.equal(runners.run(together, counts), ends)
+        ends = lonely.run(runners.run, counts).view(-1, team).amin(1).repeat_interleave(team)
+        together = dataclasses.replace(start, state=start.state.clone(), lockstep=team)
+        assert torch.equal(together.run(runners.run, counts), ends)
         assert torch.equal(together.state, after(runners, start, ends))
         early += int((ends < counts).sum())
     assert early > 20

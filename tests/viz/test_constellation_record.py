@@ -7,8 +7,8 @@ from tensordict.nn import TensorDictModule
 pytest.importorskip("matplotlib")
 
 from bsk_torch import comm, make
-from bsk_torch.viz.constellation import constellation_figure
-from bsk_torch.viz.constellation_record import record_constellation
+from bsk_torch.viz.figures.constellation import constellation_figure
+from bsk_torch.viz.recorders.constellation import record_constellation
 
 pytestmark = pytest.mark.compiled
 

@@ -14,8 +14,8 @@ from bsk_torch.astro.frames import fixed_to_lla, rotate_z
 from bsk_torch.astro.orbit import Elements, elements_to_rv
 from bsk_torch.constants import MU_EARTH
 from bsk_torch.formations import walker_delta
-from bsk_torch.viz import constellation as pictures
-from bsk_torch.viz.style import PALETTE
+from bsk_torch.viz.figures import constellation as pictures
+from bsk_torch.viz.figures.style import PALETTE
 
 PNG = b"\x89PNG"
 

@@ -13,10 +13,10 @@ from tensordict import TensorDict
 import bsk_torch
 from bsk_torch.astro.frames import lla_to_fixed
 from bsk_torch.constants import R_EARTH
-from bsk_torch.viz.frames import MOST, picture
-from bsk_torch.viz.frames_globe import LAND, NIGHT, SEA, Camera, camera, globe
-from bsk_torch.viz.frames_marks import DONE, color_of
-from bsk_torch.viz.frames_moment import DEAD, look, revolution
+from bsk_torch.viz.render.frames import MOST, picture
+from bsk_torch.viz.render.globe import LAND, NIGHT, SEA, Camera, camera, globe
+from bsk_torch.viz.render.marks import DONE, color_of
+from bsk_torch.viz.render.moment import DEAD, look, revolution
 from tests.wrappers.constellations import EMPTY, FULL, trio
 
 pytestmark = pytest.mark.compiled
@@ -82,7 +82,7 @@ def test_wrong_arguments_are_named():
 def test_a_missing_extra_is_named(monkeypatch):
     env = scanner()
     env.reset()
-    for name in [name for name in sys.modules if name.startswith("bsk_torch.viz.frames")]:
+    for name in [name for name in sys.modules if name.startswith("bsk_torch.viz.render.frames")]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "PIL", None)
     with pytest.raises(ModuleNotFoundError, match=r"needs PIL.*pip install 'bsk_torch\[viz\]'"):
@@ -102,6 +102,7 @@ def test_drawing_changes_nothing(make):
                 env.render(height=120)
             td = env.rand_step(td)["next"]
         results.append((td, env.get_state()))
+    assert len(results) == 2
     for left, right in zip(*results, strict=True):
         assert bool((left == right).all())
 

@@ -10,14 +10,14 @@ from tensordict.nn import TensorDictModule
 import bsk_torch
 from bsk_torch.astro.frames import lla_to_fixed, sin_elevation
 from bsk_torch.constants import R_EARTH
-from bsk_torch.sim.orbit import ARC
-from bsk_torch.sim.sight import View, owned, planned_position
-from bsk_torch.sim.sky import SKY, fixed
+from bsk_torch.sim.access.visibility.planned import PlannedOrbits, planned_position, take_rows
+from bsk_torch.sim.environment.ephemeris import EPHEMERIS_TRACK, fixed
+from bsk_torch.sim.orbit.arcs import ARC
 from bsk_torch.vec3 import Vec3
-from bsk_torch.viz import ground_track as pictures
-from bsk_torch.viz.imaging import IMAGED, LOST, NONE, OPEN, UNPAID, record_imaging_episode
-from bsk_torch.viz.timeline import timeline
-from bsk_torch.viz.track import ground
+from bsk_torch.viz.figures import ground_track as pictures
+from bsk_torch.viz.figures.timeline import timeline
+from bsk_torch.viz.recorders.imaging import IMAGED, LOST, NONE, OPEN, UNPAID, record_imaging_episode
+from bsk_torch.viz.recorders.track import ground
 
 PNG = b"\x89PNG"
 
@@ -83,8 +83,10 @@ def test_the_track_is_the_arc_that_was_flown(env, episode):
     simulator, time = env.simulator, episode.track_times
     assert float(time.diff().max()) <= 30.0
     assert float(time.diff().min()) > 0.0
-    flown, sky = (owned(samples, torch.zeros(len(time), dtype=torch.int64)) for samples in simulator.arcs.tracks((ARC, SKY)))
-    r_N, around = planned_position(View(flown, sky), time)
+    flown, ephemeris = (
+        take_rows(samples, torch.zeros(len(time), dtype=torch.int64)) for samples in simulator.arcs.tracks((ARC, EPHEMERIS_TRACK))
+    )
+    r_N, around = planned_position(PlannedOrbits(flown, ephemeris), time)
     assert angle(episode.track, fixed(around, r_N).stack()) < DEGREES
 
 

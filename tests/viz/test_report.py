@@ -16,15 +16,15 @@ from typer.testing import CliRunner
 import bsk_torch
 from bsk_torch.cli import app
 from bsk_torch.cli.report import command_of, extremes
-from bsk_torch.rl.baselines import scan_rule
-from bsk_torch.rl.config import PPOConfig, save_config
-from bsk_torch.rl.networks import MLPPlan
-from bsk_torch.rl.policies import save_policy
-from bsk_torch.rl.recipes import configure
-from bsk_torch.viz.report import Chosen, RunData, clock, table, write_report
-from bsk_torch.viz.track import record_track
-from bsk_torch.viz.track_map import decision_of, runs, track_map, within
-from bsk_torch.viz.world import pieces
+from bsk_torch.rl.networks.plans import MLPPlan
+from bsk_torch.rl.policies.files import save_policy
+from bsk_torch.rl.rules.baselines import scan_rule
+from bsk_torch.rl.training.config import PPOConfig, save_config
+from bsk_torch.rl.training.recipes import configure
+from bsk_torch.viz.figures.track_map import decision_of, runs, track_map, within
+from bsk_torch.viz.figures.world import pieces
+from bsk_torch.viz.recorders.track import record_track
+from bsk_torch.viz.report.page import Chosen, RunData, clock, table, write_report
 
 NAN = float("nan")
 
@@ -282,5 +282,5 @@ def test_the_command_of_a_run_is_given(config, command):
 
 def test_the_package_carries_the_page_and_the_map():
     folder = Path(bsk_torch.__file__).parent / "viz"
-    assert (folder / "report.html.jinja").is_file()
-    assert (folder / "land_110m.geojson").is_file()
+    assert (folder / "report" / "report.html.jinja").is_file()
+    assert (folder / "figures" / "land_110m.geojson").is_file()

@@ -4,11 +4,11 @@ import pytest
 import torch
 
 import bsk_torch
-from bsk_torch.rl.baselines import scan_rule
-from bsk_torch.viz.curves import learning_curve
-from bsk_torch.viz.record import union
-from bsk_torch.viz.style import spread
-from bsk_torch.viz.timeline import record_episode, timeline
+from bsk_torch.rl.rules.baselines import scan_rule
+from bsk_torch.viz.figures.curves import learning_curve
+from bsk_torch.viz.figures.style import spread
+from bsk_torch.viz.figures.timeline import record_episode, timeline
+from bsk_torch.viz.recorders.episode import union
 
 PNG = b"\x89PNG"
 

@@ -7,7 +7,7 @@ import torch
 from matplotlib.figure import Figure
 from matplotlib.path import Path as MapPath
 
-from bsk_torch.viz.world import land, pieces, world_map
+from bsk_torch.viz.figures.world import land, pieces, world_map
 
 
 @pytest.mark.parametrize(

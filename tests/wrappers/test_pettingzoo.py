@@ -185,7 +185,7 @@ def test_actions_of_the_dead_are_not_looked_at(caplog):
         env.step(everybody)
     said = [record.message for record in caplog.records]
     assert said == [
-        f"actions of {[a for a in env.possible_agents if a not in env.agents]} are not looked at: they have left the episode"
+        f"actions of {[a for a in env.possible_agents if a not in env.agents]} are ignored: they have left the episode"
     ]
 
 

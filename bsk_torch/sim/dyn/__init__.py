@@ -11,8 +11,8 @@ from bsk_torch.sim.dyn.models import (
     ImagingDynModel,
     LOSCommDynModel,
 )
-from bsk_torch.sim.model import aliveness_checker
-from bsk_torch.sim.observe import Now, observable, vital
+from bsk_torch.sim.readout.model import aliveness_checker
+from bsk_torch.sim.readout.observables import Now, observable, vital
 
 __all__ = [
     "AtmosphericDragDynModel",

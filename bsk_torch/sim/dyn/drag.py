@@ -1,4 +1,4 @@
-"""Drag on flat facets and a constant disturbance torque."""
+"""Drag on flat facets and a constant disturbance torque: Basilisk's facetDragDynamicEffector and extForceTorque."""
 
 from __future__ import annotations
 
@@ -10,21 +10,26 @@ from bsk_torch.vec3 import Vec3
 
 
 def _facet_areas(args: Values) -> dict[str, Tensor]:
-    """Areas, m^2, and offsets, m, of the facets of bsk_rl: six sides of the box and the two faces of the panel."""
+    """Return areas A, m^2, and offsets l, m, of the facets of bsk_rl: six sides of the box and both faces of the panel.
+
+    With width w, depth d, height h and the panel's area S: ``A = w d, h w, h d, S / 2`` and ``l = h / 2, d / 2, w / 2, h`` for
+    the sides normal to x, y and z and the faces of the panel, which are normal to y.
+    """
     w, d, h, panel = (args[name] for name in ("width", "depth", "height", "panelArea"))
     areas = torch.stack(torch.broadcast_tensors(w * d, h * w, h * d, panel / 2.0), -1)
     offsets = torch.stack(torch.broadcast_tensors(h / 2.0, d / 2.0, w / 2.0, h), -1)
     return {"facet_areas": areas, "facet_offsets": offsets, "drag_coefficient": args["dragCoeff"]}
 
 
-def drag(bus: Bus, v_B: Vec3) -> tuple[Vec3, Vec3]:
-    """Drag force, N, and torque, N m, in B for the inertial velocity v_B, m/s, in B.
+def drag(bus: Bus, v_BN_B: Vec3) -> tuple[Vec3, Vec3]:
+    """Return the drag force, N, and its torque, N m, in B for the velocity v_BN_B, m/s.
 
-    ``F = -1/2 rho v^2 Cd A (n . v^) v^`` at the location l of every facet that faces the flow, torque ``l x F``; the
-    atmosphere does not rotate. Both x facets sit at +height/2, as bsk_rl builds them.
+    ``F = -1/2 rho v^2 Cd A (n . v^) v^`` at the location l of every facet whose normal n has ``n . v^ > 0``, and ``L = l x F``
+    (Vallado, section 8.6.2; the atmosphere does not rotate). Of two opposite facets one faces the flow, so ``A |v^_i|`` serves
+    both, and the sign of v^_i tells on which side it sits. Both x facets sit at +height/2, as bsk_rl builds them.
     """
-    speed2 = v_B.dot(v_B)
-    flow = v_B / torch.sqrt(speed2)
+    speed2 = v_BN_B.dot(v_BN_B)
+    flow = v_BN_B / torch.sqrt(speed2)
     x_side, y_side, z_side, panel = bus.facet_areas
     x_at, y_at, z_at, panel_at = bus.facet_offsets
     facing_x, facing_y, facing_z = torch.abs(flow.x), torch.abs(flow.y), torch.abs(flow.z)
@@ -45,7 +50,6 @@ def _latch_density(bus: Bus) -> None:
 
 DRAG = Component(
     slot="drag",
-    order=210,
     update=_latch_density,
     args=(
         Arg("dragCoeff", 2.2, "-", "drag coefficient", low=0.0),
@@ -56,12 +60,12 @@ DRAG = Component(
     initial=lambda args: {"density": torch.zeros(1, dtype=torch.float64)},
     prepare=_facet_areas,
     integrated_only=True,
+    at_start=True,
 )
 
 DISTURBANCE = Component(
     slot="disturbance",
-    order=199,
     args=(Arg("disturbance_vector", None, "N m", "constant torque in B", kind="vector", missing=0.0),),
-    params=(vec("disturbance_torque", "N m"),),
-    prepare=lambda args: {"disturbance_torque": args["disturbance_vector"]},
+    params=(vec("disturbance_torque_B", "N m"),),
+    prepare=lambda args: {"disturbance_torque_B": args["disturbance_vector"]},
 )

@@ -1,4 +1,4 @@
-"""What ends a step from within a tick: the first image of a task."""
+"""The event that ends a step from within a tick: the first image of a task."""
 
 from __future__ import annotations
 
@@ -23,7 +23,6 @@ def notice_image(bus: Bus) -> None:
 
 IMAGE_EVENT = Component(
     slot="image_event",
-    order=225,
     update=notice_image,
     stops=True,
     state=(
@@ -36,5 +35,5 @@ IMAGE_EVENT = Component(
     },
 )
 
-NO_IMAGE_EVENT = Component(slot="image_event", order=225)
+NO_IMAGE_EVENT = Component(slot="image_event")
 """Nothing in the slot: for models whose data are no images."""

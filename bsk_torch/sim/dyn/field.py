@@ -12,12 +12,12 @@ import torch
 from torch import Tensor
 
 from bsk_torch.astro.gravity import DEGREE, field, field_weights
-from bsk_torch.sim.compiler import just_in_time
+from bsk_torch.codegen.inductor import just_in_time
 from bsk_torch.vec3 import Vec3
 
 
 def full_field(r: Vec3) -> Vec3:
-    """Acceleration, m/s^2, of the Earth's full field at the Earth-fixed position r, m."""
+    """Return the acceleration, m/s^2, by the Earth's field of degree and order 10 at the Earth-fixed position r, m, both in P."""
     return field(r, field_weights(DEGREE))
 
 
@@ -31,7 +31,7 @@ def _kernel(device: str, dtype: torch.dtype) -> Callable[..., Tensor]:
 
 
 def prepare(device: torch.device, dtype: torch.dtype) -> None:
-    """Build what the operator calls; inside a compiled tick it would be too late."""
+    """Build the kernel that the operator calls, which cannot be built inside a compiled tick."""
     _kernel(device.type, dtype)(torch.full((3, 2), 7e6, device=device, dtype=dtype))
 
 
@@ -46,5 +46,5 @@ def _(r: Tensor) -> Tensor:
 
 
 def called_field(r: Vec3) -> Vec3:
-    """The same as :func:`full_field`, opaque to the compiler of the tick around it."""
+    """Return the same as :func:`full_field`, by an operator that is opaque to the compiler of the tick around it."""
     return Vec3(*_operator(torch.stack(list(r))).unbind(0))

@@ -22,13 +22,16 @@ from bsk_torch.vec3 import Vec3
 
 
 def box_inertia(mass: Tensor, width: Tensor, depth: Tensor, height: Tensor) -> Tensor:
-    """Principal inertia [n, 3], kg m^2, of a uniform box of the given mass, kg, and sides, m."""
+    """Return the principal inertia [n, 3], kg m^2, about the centre of a uniform box of the given mass, kg, and sides, m.
+
+    ``I = m / 12 (w^2 + d^2, d^2 + h^2, w^2 + h^2)``, with width w, depth d and height h, in the order in which bsk_rl sets it.
+    """
     sides = width**2 + depth**2, depth**2 + height**2, width**2 + height**2
     return torch.stack(torch.broadcast_tensors(*(mass / 12.0 * side for side in sides)), -1)
 
 
 def initial_orbit(args: Values) -> tuple[Tensor, Tensor]:
-    """Initial position, m, and velocity, m/s, [n or 1, 3] each, from ``oe`` or from ``rN`` and ``vN``."""
+    """Return initial position, m, and velocity, m/s, in N, [n or 1, 3] each, from ``oe`` or from ``rN`` and ``vN``."""
     if args["oe"] is None:
         return args["rN"], args["vN"]
     r, v = elements_to_rv(Elements(*args["oe"].unbind(-1)), args["mu"])
@@ -53,70 +56,88 @@ def _check_elements(oe: Tensor) -> None:
 def _initial(args: Values) -> dict[str, Tensor]:
     r, v = initial_orbit(args)
     sigma = mrp_switch(Vec3.of(args["sigma_init"]))  # Basilisk's tick at t = 0 already switches
-    return {"r": r, "v": v, "sigma": sigma.stack(), "omega": args["omega_init"]}
+    return {"r_BN_N": r, "v_BN_N": v, "sigma_BN": sigma.stack(), "omega_BN_B": args["omega_init"]}
 
 
 def _prepare(args: Values) -> dict[str, Tensor]:
-    return {"inertia": box_inertia(args["mass"], args["width"], args["depth"], args["height"]), "mass": args["mass"]}
+    return {"inertia_B": box_inertia(args["mass"], args["width"], args["depth"], args["height"]), "mass": args["mass"]}
 
 
-def _attitude_rates(bus: Bus, torque: Vec3, sigma: Vec3, omega: Vec3, wheels: tuple[Vec3, ...]) -> State:
-    """Rates of the MRP, the body rate and, where there are wheels, their speeds.
+def _attitude_rates(bus: Bus, L_B: Vec3, sigma_BN: Vec3, omega_BN_B: Vec3, wheels: tuple[Vec3, ...]) -> State:
+    """Return the rates of the MRP sigma_BN, 1/s, the body rate omega_BN, rad/s^2 in B, and, with wheels, their speeds, rad/s^2.
 
-    ``(I - Js) omega' = L - omega x (I omega) - u - Js omega x Omega`` and ``Omega' = u / Js - omega'`` for three balanced
-    wheels on the body axes (Schaub and Junkins, section 4.5).
+    For three balanced wheels on the body axes, with the inertia Js about their own::
+
+        sigma' = 1/4 B(sigma) omega
+        (I - Js) omega' = L - omega x (I omega) - u - Js omega x Omega
+        Omega' = u / Js - omega'
+
+    where L is the external torque, N m, u the motor torque on the wheels, N m, and Omega their speed relative to the hub (Schaub
+    and Junkins, section 4.5). Without wheels ``I omega' = L - omega x (I omega)``.
     """
-    total = torque - omega.cross(bus.inertia.scale(omega))
+    total = L_B - omega_BN_B.cross(bus.inertia_B.scale(omega_BN_B))
     if not wheels:
-        return mrp_rate(sigma, omega), total.map(torch.div, bus.inertia)
-    total = total - bus.motor_torque - omega.cross(wheels[0]) * SPIN_INERTIA
-    omega_dot = total.map(lambda x, i: x * (1.0 / (i - SPIN_INERTIA)), bus.inertia)
-    return mrp_rate(sigma, omega), omega_dot, bus.motor_torque * (1.0 / SPIN_INERTIA) - omega_dot
+        return mrp_rate(sigma_BN, omega_BN_B), total.map(torch.div, bus.inertia_B)
+    total = total - bus.motor_torque_B - omega_BN_B.cross(wheels[0]) * SPIN_INERTIA
+    omega_dot = total.map(lambda x, i: x * (1.0 / (i - SPIN_INERTIA)), bus.inertia_B)
+    return mrp_rate(sigma_BN, omega_BN_B), omega_dot, bus.motor_torque_B * (1.0 / SPIN_INERTIA) - omega_dot
 
 
 def _torque(bus: Bus, stage: int) -> Vec3:
-    """Torque, N m, that does not depend on the orbit; thrusters act in the first stage only, as Basilisk's do."""
-    torque = bus.disturbance_torque if bus.has("disturbance_torque") else Vec3.zeros_like(bus.sigma.x)
+    """Return the external torque, N m in B, that does not depend on the orbit: the constant disturbance and the thrusters.
+
+    Thrusters act in the first stage only, as Basilisk's do; see :mod:`bsk_torch.sim.dyn.thrusters`.
+    """
+    torque = bus.disturbance_torque_B if bus.has("disturbance_torque_B") else Vec3.zeros_like(bus.sigma_BN.x)
     return torque + pulse_torque(bus.pulse) if stage == 0 and bus.has("pulse") else torque
 
 
 def _wheel_speeds(bus: Bus) -> tuple[Vec3, ...]:
-    return (bus.Omega,) if bus.has("Omega") else ()
+    return (bus.Omega_WB_B,) if bus.has("Omega_WB_B") else ()
 
 
 def _finish(bus: Bus, sigma: Vec3, omega: Vec3, wheels: tuple[Vec3, ...]) -> None:
-    bus.sigma, bus.omega = mrp_switch(sigma), omega
+    bus.sigma_BN, bus.omega_BN_B = mrp_switch(sigma), omega
     if wheels:
-        (bus.Omega,) = wheels
+        (bus.Omega_WB_B,) = wheels
 
 
 def rotate(bus: Bus) -> None:
-    """Advance attitude and wheels by one tick; the orbit is known in advance."""
+    """Advance attitude and wheels by one tick, a Runge-Kutta step; the orbit is solved in advance.
+
+    The MRP is switched to its shadow set after the whole step only, never between its stages, as in Basilisk.
+    """
 
     def rates(stage: int, offset: float, y: State) -> State:
         return _attitude_rates(bus, _torque(bus, stage), y[0], y[1], y[2:])
 
-    sigma, omega, *wheels = rk4_step(rates, (bus.sigma, bus.omega, *_wheel_speeds(bus)), bus.h)
+    sigma, omega, *wheels = rk4_step(rates, (bus.sigma_BN, bus.omega_BN_B, *_wheel_speeds(bus)), bus.h)
     _finish(bus, sigma, omega, tuple(wheels))
 
 
 def gravity(bus: Bus, r: Vec3, offset: float) -> Vec3:
-    """Acceleration, m/s^2, ``offset`` seconds after the start of the tick.
+    """Return the acceleration, m/s^2 in N, at r_BN_N, m, ``offset`` seconds after the start of the tick.
 
-    Basilisk evaluates the field with the Earth's orientation of the end of the tick, extrapolated linearly and not
-    orthonormalised, and with the Sun extrapolated linearly too.
+    ``a = C^T f(C r) + a_S(r, r_S + v_S dt)`` with the field f in Earth-fixed axes, the Sun as a third body and
+    ``dt = offset - h <= 0``. Basilisk takes the Earth's orientation ``R3(W) [EN]`` of the end of the tick and extrapolates it
+    linearly, without making it orthonormal: ``C = (I + dt w R3'(0)) R3(W) [EN]``, where w is the Earth's rotation rate. Turned
+    by dt, x and y become ``x + w dt y`` and ``y - w dt x``.
     """
     dt = offset - bus.h
     turn = EARTH_ROTATION_RATE * dt
-    p = rotate_z(bus.pole @ r, bus.cos_earth, bus.sin_earth)
+    p = rotate_z(bus.EN @ r, bus.cos_earth, bus.sin_earth)
     earth_field = called_field if bus.opaque_field else full_field
     f = earth_field(Vec3(p.x + turn * p.y, p.y - turn * p.x, p.z))
     f = Vec3(f.x - turn * f.y, f.y + turn * f.x, f.z)
-    return bus.pole.mT @ rotate_z(f, bus.cos_earth, -bus.sin_earth) + third_body(r, bus.r_sun + bus.v_sun * dt)
+    return bus.EN.mT @ rotate_z(f, bus.cos_earth, -bus.sin_earth) + third_body(r, bus.r_SN_N + bus.v_SN_N * dt)
 
 
 def translate_and_rotate(bus: Bus) -> None:
-    """Advance orbit, attitude and wheels together by one tick, as Basilisk does."""
+    """Advance orbit, attitude and wheels together by one tick, a Runge-Kutta step, as Basilisk does.
+
+    ``r' = v`` and ``v' = a(r, t) + [BN]^T F / m`` with the drag force F, N in B; the rest as in :func:`rotate`, with the torque
+    of the drag.
+    """
 
     def rates(stage: int, offset: float, y: State) -> State:
         r, v, sigma, omega, *wheels = y
@@ -127,14 +148,13 @@ def translate_and_rotate(bus: Bus) -> None:
             acceleration, torque = acceleration + BN.mT @ force / bus.mass, torque + drag_torque.to(bus.dtype)
         return (v, acceleration, *_attitude_rates(bus, torque, sigma, omega, tuple(wheels)))
 
-    start = (bus.r, bus.v, bus.sigma, bus.omega, *_wheel_speeds(bus))
-    bus.r, bus.v, sigma, omega, *wheels = rk4_step(rates, start, bus.h)
+    start = (bus.r_BN_N, bus.v_BN_N, bus.sigma_BN, bus.omega_BN_B, *_wheel_speeds(bus))
+    bus.r_BN_N, bus.v_BN_N, sigma, omega, *wheels = rk4_step(rates, start, bus.h)
     _finish(bus, sigma, omega, tuple(wheels))
 
 
 HUB = Component(
     slot="hub",
-    order=200,
     args=(
         Arg("mass", 330.0, "kg", "hub mass", low=1e-6),
         Arg("width", 1.38, "m", "side of the hub", low=1e-6),
@@ -148,8 +168,13 @@ HUB = Component(
         Arg("mu", MU_EARTH, "m^3/s^2", "gravitational parameter that converts oe", low=1.0),
         Arg("min_orbital_radius", 6578136.6, "m", "a spacecraft at or below this radius dies", low=0.0),
     ),
-    state=(vec("r", "m", exact=True), vec("v", "m/s", exact=True), vec("sigma", "-"), vec("omega", "rad/s")),
-    params=(vec("inertia", "kg m^2"), Field("mass", 1, "kg")),
+    state=(
+        vec("r_BN_N", "m", "position", exact=True),
+        vec("v_BN_N", "m/s", "velocity", exact=True),
+        vec("sigma_BN", "-", "attitude, MRP"),
+        vec("omega_BN_B", "rad/s", "body rate"),
+    ),
+    params=(vec("inertia_B", "kg m^2", "principal inertia of hub and wheels, about the body axes"), Field("mass", 1, "kg")),
     initial=_initial,
     prepare=_prepare,
     check=_check,

@@ -1,4 +1,4 @@
-"""Dynamics models: which components a spacecraft has, and what can be read off it. Names are bsk_rl's."""
+"""Dynamics models: the components of a spacecraft, and its observables. Names are bsk_rl's."""
 
 from __future__ import annotations
 
@@ -9,19 +9,23 @@ from torch import Tensor
 
 from bsk_torch.astro.orbit import Elements
 from bsk_torch.constants import RPM
-from bsk_torch.sim import world
 from bsk_torch.sim.component import Arg, Component
 from bsk_torch.sim.dyn import drag, events, hub, partitions, power, storage, thrusters, wheels
-from bsk_torch.sim.model import Model
-from bsk_torch.sim.observe import Now, observable, vital
+from bsk_torch.sim.environment import world
+from bsk_torch.sim.readout.model import Model
+from bsk_torch.sim.readout.observables import Now, observable, vital
 from bsk_torch.vec3 import Vec3
 
 
 class DynamicsModel(Model):
     """A rigid spacecraft in orbit, without actuators.
 
-    ``world_components`` are the parts of the world that it needs; ``orbit`` is how its orbit is found unless the user says
-    otherwise: ``"arc"`` in advance, or ``"integrated"`` in every tick.
+    ``world_components`` are the parts of the world that it needs; ``orbit`` is the default way to compute its orbit: ``"arc"`` in
+    advance, or ``"integrated"`` in every tick.
+
+    Frames: N is inertial (J2000 equator), B the body, P fixed to the Earth, H the Hill frame. Vectors ``r``, ``v`` and ``h`` in
+    the formulas are ``r_BN_N``, ``v_BN_N`` and their cross product. Equations of two-body motion and of attitude are those of
+    Schaub and Junkins, Analytical Mechanics of Space Systems, chapters 3 and 9.
     """
 
     components: ClassVar[tuple[Component, ...]] = (hub.HUB,)
@@ -30,103 +34,118 @@ class DynamicsModel(Model):
 
     @observable
     def r_BN_N(now: Now) -> Vec3:
-        """Position in N, [N, 3] m."""
-        return now.r
+        """Position ``r_BN_N`` of the satellite relative to the Earth's centre, [N, 3] m in N."""
+        return now.r_BN_N
 
     @observable
     def v_BN_N(now: Now) -> Vec3:
-        """Velocity in N, [N, 3] m/s."""
-        return now.v
+        """Velocity ``v_BN_N = d(r_BN_N)/dt`` as seen from N, [N, 3] m/s in N."""
+        return now.v_BN_N
 
     @observable
     def sigma_BN(now: Now) -> Vec3:
-        """Attitude relative to N, [N, 3] MRP."""
-        return now.sigma
+        """Attitude of B relative to N, ``sigma_BN = tan(phi / 4) e`` (MRP, dimensionless), [N, 3].
+
+        ``phi`` is the principal angle, rad, and ``e`` the principal axis (Schaub and Junkins, section 3.5).
+        """
+        return now.sigma_BN
 
     @observable
     def omega_BN_B(now: Now) -> Vec3:
-        """Body rate in B, [N, 3] rad/s."""
-        return now.omega
+        """Angular velocity ``omega_BN_B`` of B relative to N, [N, 3] rad/s in B."""
+        return now.omega_BN_B
 
     @property
     def BN(self) -> Tensor:
-        """DCM from N to B, [N, 3, 3]."""
+        """DCM from N to B, ``v_B = [BN] v_N``, [N, 3, 3]; see :func:`bsk_torch.astro.attitude.mrp_to_dcm`."""
         return self.simulator.observer.now.BN.stack()
 
     @property
     def HN(self) -> Tensor:
-        """DCM from N to the Hill frame, [N, 3, 3]."""
+        """DCM from N to the Hill frame H, [N, 3, 3].
+
+        Its rows are the axes of H in N: ``r / |r|``, ``h x r / |h x r|`` and ``h / |h|`` with ``h = r_BN_N x v_BN_N``.
+        """
         return self.simulator.observer.now.HN.stack()
 
     @property
     def BP(self) -> Tensor:
-        """DCM from the Earth-fixed frame to B, [N, 3, 3]."""
+        """DCM from the Earth-fixed frame P to B, ``[BP] = [BN] [PN]^T``, [N, 3, 3]."""
         return self.BN @ self.simulator.observer.now.PN.stack().mT
 
     @observable
     def r_BN_P(now: Now) -> Vec3:
-        """Position in the Earth-fixed frame, [N, 3] m."""
-        return now.PN @ now.r
+        """Position ``r_BN_P = [PN] r_BN_N`` in the Earth-fixed frame P, [N, 3] m."""
+        return now.PN @ now.r_BN_N
 
     @observable
     def v_BN_P(now: Now) -> Vec3:
-        """Velocity relative to the Earth-fixed frame, [N, 3] m/s."""
-        return now.PN @ (now.v - now.omega_PN_N.cross(now.r))
+        """Velocity as seen from the Earth-fixed frame P, ``v_BN_P = [PN] (v_BN_N - omega_PN_N x r_BN_N)``, [N, 3] m/s in P."""
+        return now.PN @ (now.v_BN_N - now.omega_PN_N.cross(now.r_BN_N))
 
     @observable
     def omega_BP_P(now: Now) -> Vec3:
-        """Body rate relative to the Earth, in the Earth-fixed frame, [N, 3] rad/s."""
-        return now.PN @ (now.BN.mT @ now.omega - now.omega_PN_N)
+        """Body rate relative to the Earth-fixed frame P, ``omega_BP_P = [PN] ([BN]^T omega_BN_B - omega_PN_N)``, [N, 3] rad/s."""
+        return now.PN @ (now.BN.mT @ now.omega_BN_B - now.omega_PN_N)
 
     @observable
     def omega_BH_H(now: Now) -> Vec3:
-        """Body rate relative to the Hill frame, in the Hill frame, [N, 3] rad/s."""
-        return now.HN @ (now.BN.mT @ now.omega) - now.omega_HN_H
+        """Body rate relative to the Hill frame H, ``omega_BH_H = [HN] [BN]^T omega_BN_B - omega_HN_H``, [N, 3] rad/s.
+
+        ``omega_HN_H = (0, 0, |r x v| / |r|^2)`` with position ``r``, m, and velocity ``v``, m/s (Keplerian motion).
+        """
+        return now.HN @ (now.BN.mT @ now.omega_BN_B) - now.omega_HN_H
 
     @property
     def elements(self) -> Elements:
-        """Osculating elements, [N] each: a in m, angles in rad."""
+        """Osculating elements a (m), e, i, Omega, omega and f (rad) of the present position and velocity, [N] each.
+
+        See :func:`bsk_torch.astro.orbit.rv_to_elements` for the equations, and for circular and equatorial orbits.
+        """
         return self.simulator.observer.now.elements
 
     @observable
     def semi_major_axis(now: Now) -> Tensor:
-        """Semi-major axis, [N] m."""
+        """Semi-major axis ``a = 1 / (2 / |r| - |v|^2 / mu)``, [N] m, with ``mu`` in m^3/s^2."""
         return now.elements.a
 
     @observable
     def eccentricity(now: Now) -> Tensor:
-        """Eccentricity, [N]."""
+        """Eccentricity ``e = |v x h / mu - r / |r||`` with ``h = r x v``, [N]."""
         return now.elements.e
 
     @observable
     def inclination(now: Now) -> Tensor:
-        """Inclination, [N] rad."""
+        """Inclination ``i = acos(h_z / |h|)`` with ``h = r x v`` in N, [N] rad in [0, pi]."""
         return now.elements.i
 
     @observable
     def ascending_node(now: Now) -> Tensor:
-        """Right ascension of the ascending node, [N] rad."""
+        """Right ascension ``Omega`` of the ascending node: angle from N's first axis to the node in N's equator, [N] rad."""
         return now.elements.Omega
 
     @observable
     def argument_of_periapsis(now: Now) -> Tensor:
-        """Argument of periapsis, [N] rad."""
+        """Argument of periapsis ``omega``: angle from the ascending node to the eccentricity vector, [N] rad."""
         return now.elements.omega
 
     @observable
     def true_anomaly(now: Now) -> Tensor:
-        """True anomaly, [N] rad."""
+        """True anomaly ``f``: angle from the eccentricity vector to the position in the orbit plane, [N] rad."""
         return now.elements.f
 
     @observable
     def beta_angle(now: Now) -> Tensor:
-        """Angle between the orbit normal and the Sun, [N] rad in [0, pi], as bsk_rl defines it."""
-        return torch.acos(torch.clamp(now.HN.z.dot(now.r_sun.unit()), -1.0, 1.0))
+        """Angle between orbit normal and Sun, ``beta = acos(h . s)``, [N] rad in [0, pi], as bsk_rl defines it.
+
+        ``h`` is the unit vector along ``r x v``, ``s`` that from the Earth to the Sun; texts often define ``pi / 2 - beta``.
+        """
+        return torch.acos(torch.clamp(now.HN.z.dot(now.r_SN_N.unit()), -1.0, 1.0))
 
     @vital
     def altitude_valid(now: Now) -> Tensor:
-        """Whether the orbit is still above ``min_orbital_radius``, [N]."""
-        return now.r.norm() > now.args.min_orbital_radius
+        """Whether ``|r_BN_N| > min_orbital_radius`` (m), [N]."""
+        return now.r_BN_N.norm() > now.args.min_orbital_radius
 
 
 class EclipseDynModel(DynamicsModel):
@@ -136,7 +155,10 @@ class EclipseDynModel(DynamicsModel):
 
     @observable
     def illumination(now: Now) -> Tensor:
-        """Visible fraction of the solar disc, [N], one tick ago."""
+        """Visible fraction of the solar disc, 0 in the umbra to 1 in sunlight, [N]; that of the previous tick.
+
+        Basilisk's ``eclipse`` runs once a tick; see :mod:`bsk_torch.astro.eclipse` for its equations.
+        """
         return now.illumination
 
 
@@ -147,7 +169,7 @@ class DisturbanceTorqueDynModel(DynamicsModel):
 
 
 class AtmosphericDragDynModel(DynamicsModel):
-    """Adds drag by an exponential atmosphere, felt where the orbit is integrated."""
+    """Adds drag by an exponential atmosphere, which acts where the orbit is integrated; see :mod:`bsk_torch.sim.dyn.drag`."""
 
     components: ClassVar[tuple[Component, ...]] = (drag.DRAG,)
     world_components: ClassVar[tuple[Component, ...]] = (world.ATMOSPHERE,)
@@ -168,41 +190,41 @@ class BasicDynamicsModel(EclipseDynModel, DisturbanceTorqueDynModel, Atmospheric
 
     @observable
     def battery_charge(now: Now) -> Tensor:
-        """Charge of the battery, [N] W s."""
+        """Charge of the battery, [N] W s = J (Basilisk's ``simpleBattery``)."""
         return now.charge
 
     @observable
     def battery_charge_fraction(now: Now) -> Tensor:
-        """Charge over capacity, [N]."""
+        """Charge over capacity, ``charge / batteryStorageCapacity``, [N] in [0, 1]."""
         return now.charge / now.args.batteryStorageCapacity
 
     @observable
     def wheel_speeds(now: Now) -> Vec3:
-        """Wheel speeds, [N, 3] rad/s."""
-        return now.Omega
+        """Speeds ``Omega`` of the wheels relative to B about their spin axes, [N, 3] rad/s."""
+        return now.Omega_WB_B
 
     @observable
     def wheel_speeds_fraction(now: Now) -> Vec3:
-        """Wheel speeds over ``maxWheelSpeed``, [N, 3]."""
-        return now.Omega / (now.args.maxWheelSpeed * RPM)
+        """Wheel speeds ``Omega / Omega_max``, [N, 3], where ``Omega_max`` is ``maxWheelSpeed`` (rpm) in rad/s."""
+        return now.Omega_WB_B / (now.args.maxWheelSpeed * RPM)
 
     @vital
     def rw_speeds_valid(now: Now) -> Tensor:
-        """Whether every wheel is slower than ``maxWheelSpeed``, [N]."""
+        """Whether ``|Omega_k| < Omega_max`` for each wheel, [N], with ``Omega_max`` from ``maxWheelSpeed`` (rpm)."""
         limit = now.args.maxWheelSpeed * RPM
-        x, y, z = (torch.abs(speed) < limit for speed in now.Omega)
+        x, y, z = (torch.abs(speed) < limit for speed in now.Omega_WB_B)
         return x & y & z
 
     @vital
     def battery_valid(now: Now) -> Tensor:
-        """Whether any charge is left, [N]."""
+        """Whether ``charge > 0``, [N]."""
         return now.charge > 0.0
 
 
 class ImagingDynModel(BasicDynamicsModel):
     """Adds an instrument that takes images in a tick each, a store of partitions, and a transmitter.
 
-    A step may end with the image that its task asks for.
+    A step may end with the image of its task.
     """
 
     components: ClassVar[tuple[Component, ...]] = (
@@ -216,12 +238,12 @@ class ImagingDynModel(BasicDynamicsModel):
 
     @observable
     def storage_level(now: Now) -> Tensor:
-        """Data in the store, [N] bit."""
+        """Data in the store, of all its partitions, [N] bit (Basilisk's ``partitionedStorageUnit``)."""
         return now.storage
 
     @observable
     def storage_level_fraction(now: Now) -> Tensor:
-        """Data over capacity, [N]."""
+        """Data over capacity, ``level / dataStorageCapacity``, [N]."""
         return now.storage / now.args.dataStorageCapacity
 
     @observable
@@ -236,7 +258,10 @@ class ImagingDynModel(BasicDynamicsModel):
 
     @vital
     def data_storage_valid(now: Now) -> Tensor:
-        """Whether the store has room left, [N]; always so unless ``storageUnitValidCheck`` is set."""
+        """Whether the store has room, [N]: ``level < C`` or ``|level - C| > 1e-8 + 1e-5 |C|``; True without the check.
+
+        ``C`` is ``dataStorageCapacity``, bit; ``storageUnitValidCheck`` switches the check on, as in bsk_rl.
+        """
         level, capacity = now.storage, now.args.dataStorageCapacity
         full = torch.abs(level - capacity) > 1e-8 + 1e-5 * torch.abs(capacity)  # as close as numpy's isclose
         return (level < capacity) | ~full if now.args.storageUnitValidCheck else torch.ones_like(level) > 0.0
@@ -259,18 +284,17 @@ class ContinuousImagingDynModel(ImagingDynModel):
 
 
 class GroundStationDynModel(ImagingDynModel):
-    """Adds ground stations, without which the transmitter has no one to send to."""
+    """Adds ground stations, without which the transmitter sends nothing."""
 
     world_components: ClassVar[tuple[Component, ...]] = (world.GROUND_STATIONS,)
 
 
 class LOSCommDynModel(DynamicsModel):
-    """Lets satellites see one another; see :class:`~bsk_torch.comm.LOSCommunication`."""
+    """Adds lines of sight between satellites; see :class:`~bsk_torch.comm.LOSCommunication`."""
 
     components: ClassVar[tuple[Component, ...]] = (
         Component(
             slot="los_comms",
-            order=230,
             args=(Arg("losMaximumRange", -1.0, "m", "longest range of sight to other satellites; no limit where not positive"),),
         ),
     )

@@ -34,7 +34,7 @@ Levels = tuple[Tensor, ...]
 
 
 def partition_names(given: Mapping[str, Any]) -> tuple[str, ...]:
-    """Names of the partitions that the arguments ask for, in order; ValueError where they do not fit together."""
+    """Return the names of the partitions that the arguments ask for, in order; ValueError where they do not fit together."""
     names, count = given["bufferNames"], given["transmitterNumBuffers"]
     if not isinstance(count, Real) or not float(count).is_integer() or float(count) < 1.0:
         raise ValueError(
@@ -69,9 +69,9 @@ def _starts_with_data(given: Mapping[str, Any]) -> bool:
 
 
 def take_images(bus: Bus) -> None:
-    """Data rate, bit/s, at which an image takes one tick, under the command that the flight software wrote one tick ago.
+    """Write the data rate of the instrument, bit/s, at which an image takes one tick: ``image / h`` where the command is 1.
 
-    A command that nobody takes back goes on: an image in every tick.
+    The flight software wrote the command one tick ago. One that is not taken back goes on: an image in every tick.
     """
     bus.instrument_rate = bus.instrument_baud / bus.h * bus.instrument_command
 
@@ -80,13 +80,13 @@ def take_images(bus: Bus) -> None:
 
 
 def _time(bus: Bus, ago: int = 0) -> Tensor:
-    """Time, s, at the end of this tick or of an earlier one, rounded as Basilisk rounds it."""
+    """Return the time, s, at the end of this tick or of an earlier one, rounded as in Basilisk: ``fl(nanoseconds) * 1e-9``."""
     # abs keeps compilers from fusing the product into a difference, which would round once instead of twice
     return torch.abs((bus.ticks - float(ago)) * bus.h_ns * NANO)
 
 
 def _level(levels: Levels, index: Tensor) -> Tensor:
-    """Level of the partition number ``index``."""
+    """Return the level of the partition number ``index``."""
     level = levels[0]
     for k, other in enumerate(levels[1:], 1):
         level = torch.where(index == k, other, level)
@@ -94,7 +94,7 @@ def _level(levels: Levels, index: Tensor) -> Tensor:
 
 
 def _fullest(levels: Levels, floor: Tensor) -> tuple[Tensor, Tensor]:
-    """Number and level of the first partition that holds most and more than ``floor``; -1 and ``floor`` where none does."""
+    """Return number and level of the first partition that holds most and more than ``floor``; -1 and ``floor`` if none does."""
     index, most = torch.full_like(floor, -1.0), floor
     for k, level in enumerate(levels):
         more = level > most
@@ -103,10 +103,10 @@ def _fullest(levels: Levels, floor: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def transmit(bus: Bus) -> None:
-    """Data rate, bit/s (negative), of the transmitter, and the partition that it empties, by the levels of one tick ago.
+    """Write the data rate of the transmitter, bit/s (negative), and the partition that it empties, by the levels of one tick ago.
 
-    ``packet`` (negative bits) is what has been sent of the packet under way; both stay while the transmitter is off, and its
-    first tick accounts for all the time since.
+    ``packet`` is the progress of the packet under way, in negative bits; it and its partition stay while the transmitter is off,
+    whose first tick accounts for all the time since; see :func:`_send`.
     """
     one = len(bus.partitions) == 1
     source = torch.zeros_like(bus.packet) if one else bus.packet_partition
@@ -116,10 +116,22 @@ def transmit(bus: Bus) -> None:
 
 
 def _send(bus: Bus, source: Tensor, now: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Data rate, packet and its partition after a tick in which the transmitter is on.
+    """Return data rate, packet and its partition after a tick in which the transmitter is on.
 
-    A packet starts in the partition that holds most, if that is a whole packet, and it is lost with the station. Where its
-    partition has run dry on the way, the next one may start in the same tick, but nothing is sent in it.
+    With the progress p and the size P of a packet, the baud rate B, all three negative, the level L of the packet's partition and
+    ``dt``, the time since the transmitter last ran::
+
+        packet              its level   station     rate    packet after            partition after
+        under way           L > 0       yes         B       goes on, from p         the same
+        under way           L > 0       no          0       0                       the same
+        under way           L <= 0      yes         0       starts in M, or 0       M, if it holds anything
+        under way           L <= 0      no          0       0                       M, if it holds anything
+        none or complete                yes         B       starts in M             M
+        none or complete                no          0       0                       M
+
+    M is the first of the partitions that hold most. A packet starts, from p = 0, if M holds a whole one, ``L_M >= -P``; if not,
+    rate and packet are 0. It then goes on to ``p + B dt``, or to -L where the partition holds less than ``-B dt``. So where a
+    partition has run dry on the way, the next packet may start in the same tick, but nothing is sent in it.
     """
     levels, size, zero = bus.partitions, bus.packet_size, torch.zeros_like(bus.packet)
     sent = -torch.abs(bus.transmitter_baud * (now - bus.transmitter_time))
@@ -128,26 +140,23 @@ def _send(bus: Bus, source: Tensor, now: Tensor) -> tuple[Tensor, Tensor, Tensor
     dry, continues = (packet != 0.0) & (level <= 0.0), (packet != 0.0) & (level > 0.0)
     fullest, most = _fullest(levels, torch.where(dry, 0.0, zero - 1.0))
     source, level = torch.where(continues, source, fullest), torch.where(continues, level, most)
-    works = (_station_access(bus) > 0.0) & (continues | ((fullest >= 0.0) & (level >= -size)))
+    access = bus.station_access if bus.has("station_access") else torch.zeros_like(bus.packet)
+    works = (access > 0.0) & (continues | ((fullest >= 0.0) & (level >= -size)))
     progress = torch.where(level + sent < 0.0, -level, torch.where(continues, packet, zero) + sent)
     return torch.where(works & ~dry, bus.transmitter_baud, zero), torch.where(works, progress, zero), source
-
-
-def _station_access(bus: Bus) -> Tensor:
-    return bus.station_access if bus.has("station_access") else torch.zeros_like(bus.packet)
 
 
 # -- store -------------------------------------------------------------------------------------------------------------------
 
 
 def _whole(bits: Tensor) -> Tensor:
-    """Bits, not negative, rounded half up."""
+    """Return bits, which are not negative, rounded half up."""
     down = torch.floor(bits)
     return torch.where(bits - down >= 0.5, down + 1.0, down)
 
 
 def _changed(levels: Levels, index: Any, change: Tensor) -> Levels:
-    """Levels with ``change`` added to the partition number ``index``."""
+    """Return the levels with ``change`` added to the partition number ``index``."""
     if len(levels) == 1:
         return (levels[0] + change,)
     return tuple(torch.where(index == k, level + change, level) for k, level in enumerate(levels))
@@ -156,7 +165,8 @@ def _changed(levels: Levels, index: Any, change: Tensor) -> Levels:
 def store(bus: Bus) -> None:
     """Add the instrument's bits to the partition of the present task, then take the transmitter's from that of its packet.
 
-    Bits of a tick that would overfill the store are dropped whole; a partition with less than what is sent ends up empty.
+    ``q = round(rate dt)`` with the length dt of the tick as a difference of two rounded times. Bits of a tick that would overfill
+    the store are dropped whole; a partition that holds less than what is sent ends up empty.
     """
     span = _time(bus) - _time(bus, 1)
     data = _whole(torch.abs(bus.instrument_rate * span))
@@ -181,7 +191,7 @@ def _zeros(*names: str) -> dict[str, Tensor]:
 
 
 def transmitter(partitions: int) -> Component:
-    """Transmitter of a store with this many partitions."""
+    """Return the transmitter of a store with this many partitions."""
     names = ("packet", "transmitter_time", *(("packet_partition",) if partitions > 1 else ()))
     fields = {
         "packet": Field("packet", 1, "bit", "sent of the packet under way, negative", exact=True),
@@ -198,7 +208,7 @@ def transmitter(partitions: int) -> Component:
 
 
 def partitioned_store(partitions: int, starts_with_data: bool = False) -> Component:
-    """Store of this many partitions, the last of which holds what the store starts with, if ``starts_with_data``."""
+    """Return a store of this many partitions; if it ``starts_with_data``, they are in the last one."""
 
     def initial(args: Values) -> dict[str, Tensor]:
         total = storage.initial_store(args)["storage"]

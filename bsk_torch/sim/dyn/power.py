@@ -1,4 +1,4 @@
-"""Solar panel, power sinks and battery."""
+"""Solar panel, power sinks and battery: Basilisk's simpleSolarPanel, simplePowerSink and simpleBattery."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from bsk_torch.sim.component import Arg, Bus, Component, Field, Values, vec
 
 
 def unit_rows(vectors: Tensor) -> Tensor:
-    """Rows [n, 3] scaled to length one."""
+    """Return rows [n, 3] scaled to length one."""
     return vectors / vectors.norm(dim=-1, keepdim=True)
 
 
@@ -29,17 +29,22 @@ def check_axis(name: str) -> Callable[[Values], None]:
 
 
 def collect_sunlight(bus: Bus) -> None:
-    """Start the power balance with the panel: ``1361 W/m^2 (AU/d)^2 * illumination * max(A n.s, 0) * efficiency``."""
-    to_sun = bus.r_sun - bus.r
+    """Start the power balance, W, with the solar panel.
+
+    ``P = 1361 W/m^2 (AU / d)^2 A eta nu max(n . s^, 0)`` with the area A, m^2, the efficiency eta, the illumination nu of
+    :mod:`bsk_torch.astro.eclipse`, the panel's normal n in B and the direction ``s^ = [BN] (r_SN - r_BN) / d`` of the Sun, both
+    positions at the end of the tick.
+    """
+    to_sun = bus.r_SN_N - bus.r_BN_N
     distance2 = to_sun.dot(to_sun)
-    s_hat_B = mrp_to_dcm(bus.sigma) @ (to_sun / torch.sqrt(distance2)).to(bus.dtype)
-    cosine = torch.clamp(s_hat_B.dot(bus.panel_normal), min=0.0)
+    s_hat_B = mrp_to_dcm(bus.sigma_BN) @ (to_sun / torch.sqrt(distance2)).to(bus.dtype)
+    cosine = torch.clamp(s_hat_B.dot(bus.panel_normal_B), min=0.0)
     flux = (SOLAR_FLUX * AU * AU / distance2).to(bus.dtype)
     bus.power = flux * bus.panel_gain * bus.illumination * cosine
 
 
 def charge_battery(bus: Bus) -> None:
-    """Integrate the power of the end of the tick over the tick, within the capacity."""
+    """Integrate the power P of the end of the tick over the tick: ``E = min(max(E + P h, 0), capacity)``, W s."""
     charge = torch.clamp(bus.charge + bus.power * bus.h, min=0.0)
     bus.charge = torch.minimum(charge, bus.battery_capacity)
 
@@ -54,30 +59,29 @@ def _check_battery(args: Values) -> None:
 
 PANEL = Component(
     slot="panel",
-    order=213,
     update=collect_sunlight,
     args=(
         Arg("panelArea", 1.0, "m^2", "area of the solar panel", low=0.0),
         Arg("panelEfficiency", 0.2, "-", "share of sunlight turned into power", low=0.0, high=1.0),
         Arg("nHat_B", (0.0, 0.0, -1.0), "-", "panel normal in B", kind="vector"),
     ),
-    params=(Field("panel_gain", 1, "m^2"), vec("panel_normal")),
+    params=(Field("panel_gain", 1, "m^2"), vec("panel_normal_B")),
     prepare=lambda args: {
         "panel_gain": args["panelArea"] * args["panelEfficiency"],
-        "panel_normal": unit_rows(args["nHat_B"]),
+        "panel_normal_B": unit_rows(args["nHat_B"]),
     },
     check=check_axis("nHat_B"),
 )
 
 
 def sink(slot: str, arg: Arg, flag: str | None) -> Component:
-    """A device that draws the power of ``arg`` (negative numbers draw) while the mode's ``flag`` is set."""
+    """Return a device that adds the power of ``arg``, W, to the balance while the mode's ``flag`` is set; negative draws."""
 
     def draw(bus: Bus) -> None:
         power = getattr(bus, slot)
         bus.power = bus.power + (power * getattr(bus, flag) if flag else power)
 
-    return Component(slot, 215, draw, (arg,), params=(Field(slot, 1, "W"),), prepare=lambda args: {slot: args[arg.name]})
+    return Component(slot, draw, (arg,), params=(Field(slot, 1, "W"),), prepare=lambda args: {slot: args[arg.name]})
 
 
 BASE_POWER = sink("base_power", Arg("basePowerDraw", 0.0, "W", "power always drawn, negative"), None)
@@ -85,7 +89,6 @@ THRUSTER_POWER = sink("thruster_draw", Arg("thrusterPowerDraw", 0.0, "W", "power
 
 BATTERY = Component(
     slot="battery",
-    order=217,
     update=charge_battery,
     args=(
         Arg("batteryStorageCapacity", 288000.0, "W s", "battery capacity", low=0.0),

@@ -1,4 +1,7 @@
-"""Instrument, transmitter and a storage unit with a single partition that counts whole bits."""
+"""Instrument, transmitter and a storage unit with a single partition that counts whole bits.
+
+Basilisk's simpleInstrument, spaceToGroundTransmitter and simpleStorageUnit.
+"""
 
 from __future__ import annotations
 
@@ -10,15 +13,25 @@ from bsk_torch.sim.dyn.power import sink
 
 
 def run_instrument(bus: Bus) -> None:
-    """Data rate, bit/s, of the instrument under the command that the flight software wrote one tick ago."""
+    """Write the data rate of the instrument, bit/s: its baud rate if the command of one tick ago is 1 and the mode links it."""
     bus.instrument_rate = bus.instrument_baud * bus.instrument_command * bus.instrument_linked
 
 
 def transmit(bus: Bus) -> None:
-    """Data rate, bit/s (negative), of the transmitter, which works on the storage of one tick ago.
+    """Write the data rate of the transmitter, bit/s (negative), by the level of the store of one tick ago.
 
-    A packet starts only when the store holds a whole one, and its progress ``packet`` (negative bits) is lost with the
-    station. ``idle`` counts the time since the transmitter last ran: its first tick accounts for all of it.
+    ``packet`` p is the progress of the packet under way, in negative bits down to ``packet_size`` P, B the baud rate, both
+    negative, and L the level. With the time ``dt = idle + h`` since the transmitter last ran, all of which its first tick
+    accounts for, a tick in which it is on does::
+
+        packet              level       station     rate    packet after
+        under way           L > 0       yes         B       p + B dt where L + B dt >= 0, else -L
+        under way           L <= 0      any         0       0
+        none or complete    L >= -P     yes         B       B dt where L + B dt >= 0, else -L
+        none or complete    L < -P      any         0       0
+        any                 any         no          0       0
+
+    Where it is off, p stays and ``idle`` grows.
     """
     level, rate, size = bus.storage, bus.transmitter_baud, bus.packet_size
     zero = torch.zeros_like(level)
@@ -35,7 +48,11 @@ def transmit(bus: Bus) -> None:
 
 
 def _stored(level: Tensor, rate: Tensor, bus: Bus) -> Tensor:
-    """Level after one node; data of a tick that would overfill the store are dropped whole."""
+    """Return the level, bit, after one node with a ``rate``, bit/s.
+
+    ``L + q`` with ``q = round(rate h)``, half away from zero, where that is within the capacity or the rate is not positive, but
+    0 where ``L + rate h < 0``. Data of a tick that would overfill the store are dropped whole.
+    """
     bits = rate * bus.h
     whole = torch.sign(bits) * torch.floor(torch.abs(bits) + 0.5)
     accepted = (level + whole <= bus.storage_capacity) | (rate <= 0.0)
@@ -57,7 +74,7 @@ def _packet_size(args: Values) -> dict[str, Tensor]:
 
 
 def initial_store(args: Values) -> dict[str, Tensor]:
-    """The level that the store starts with: whole bits, none where they are more than the capacity."""
+    """Return the level that the store starts with: whole bits, 0 where they are more than the capacity."""
     level, capacity = torch.trunc(args["storageInit"]), torch.trunc(args["dataStorageCapacity"])
     return {"storage": torch.where(level <= capacity, level, torch.zeros_like(level))}
 
@@ -71,7 +88,6 @@ TRANSMITTER_POWER = sink(
 
 INSTRUMENT = Component(
     slot="instrument",
-    order=216,
     update=run_instrument,
     args=(Arg("instrumentBaudRate", 8e6, "bit/s", "data rate while imaging", low=0.0),),
     params=(Field("instrument_baud", 1, "bit/s", exact=True),),
@@ -80,7 +96,6 @@ INSTRUMENT = Component(
 
 TRANSMITTER = Component(
     slot="transmitter",
-    order=218,
     update=transmit,
     args=(
         Arg("transmitterBaudRate", -8e6, "bit/s", "data rate of the downlink, negative", high=0.0),
@@ -95,7 +110,6 @@ TRANSMITTER = Component(
 
 STORAGE = Component(
     slot="storage",
-    order=219,
     update=store,
     args=(
         Arg("dataStorageCapacity", 1.6e8, "bit", "storage capacity", low=0.0),

@@ -1,4 +1,8 @@
-"""Eight attitude thrusters, of which Basilisk's integrator feels a sixth of every full pulse and nothing of shorter ones.
+"""Eight attitude thrusters, Basilisk's thrusterDynamicEffector.
+
+Basilisk's integrator feels a sixth of every full pulse and nothing of shorter ones: a command of time t is latched at t + h and
+acts over (t + h, t + 2 h], but a pulse of at most h ends by t + h, so only the first of the four stages, whose time is t + h, can
+find the thruster on, and its weight is 1/6.
 
 The thrusters come in four pairs whose members have the same torque and opposite forces. Commands follow from torques alone,
 so both members of a pair always fire alike and there is never a net force: the pair is the unit here.
@@ -37,7 +41,10 @@ ARMS = tuple(_arm(p, d) for p, d in zip(POSITIONS, DIRECTIONS, strict=True))
 
 
 def pulse_torque(pulse: tuple[Tensor, ...]) -> Vec3:
-    """Torque, N m, in B of the pairs that fire (``pulse`` is 1 or 0 for each)."""
+    """Return the torque, N m in B, of the pairs that fire (``pulse`` is 1 or 0 for each): ``L = sum 2 F (r x d)``.
+
+    F is the thrust, N, of each of the two thrusters of a pair, r and d are position, m, and force direction of one of them.
+    """
     axes = zip(*ARMS, strict=True)
     terms = ([on * (2.0 * THRUST * arm) for on, arm in zip(pulse, axis, strict=True)] for axis in axes)
     return Vec3(*(a + b + c + d for a, b, c, d in terms))
@@ -46,8 +53,9 @@ def pulse_torque(pulse: tuple[Tensor, ...]) -> Vec3:
 def latch_pulses(bus: Bus) -> None:
     """Latch the commands of the last tick: a message is consumed once.
 
-    Basilisk compares a pulse's end with the time of the next Runge-Kutta stage, both rounded to doubles of seconds; the pulse is
-    missed where rounding puts the end first.
+    Basilisk compares a pulse's end ``t_write + h`` with the time of the next Runge-Kutta stage, both rounded to doubles of
+    seconds; the pulse is missed where rounding puts the end first, ``fl(fl(t_write) + h) < fl(t_write + h)``. For ticks of one
+    second that happens at the write times 14, 28, 57, 114, 228 s, ...
     """
     stage = bus.ticks * bus.h_ns * NANO
     # abs keeps compilers from fusing the product into the sum, which would round once instead of twice
@@ -59,7 +67,6 @@ def latch_pulses(bus: Bus) -> None:
 
 THRUSTERS = Component(
     slot="thrusters",
-    order=212,
     update=latch_pulses,
     state=(
         Field("pulse", 4, "-", "pairs that fire in the first stage of the next tick"),

@@ -1,4 +1,8 @@
-"""Three reaction wheels on the body axes, and the power that they draw."""
+"""Three reaction wheels on the body axes, and the power that they draw.
+
+Basilisk's reactionWheelStateEffector and ReactionWheelPower. As the wheels' axes are those of B, three speeds, or torques, are
+the components of a vector in B.
+"""
 
 from __future__ import annotations
 
@@ -19,13 +23,14 @@ SPIN_INERTIA = 50.0 / MAX_SPEED
 
 def _initial(args: Values) -> dict[str, Tensor]:
     zero = torch.zeros(1, 3, dtype=torch.float64)
-    return {"Omega": args["wheelSpeeds"] * RPM, "motor_torque": zero, "motor_torque_command": zero}
+    return {"Omega_WB_B": args["wheelSpeeds"] * RPM, "motor_torque_B": zero, "motor_torque_command_B": zero}
 
 
 def latch_motor_torque(bus: Bus) -> None:
-    """Limit the commanded torque; what is latched here acts over the whole next tick.
+    """Latch the commanded torque u, N m, which acts over the whole next tick, within the limits of motor and wheel.
 
-    The command was written by the flight software one tick ago: Basilisk's extra tick of delay.
+    ``u = clip(u_cmd, -u_max, u_max)`` where u_max is positive, and 0 where ``|Omega| >= 6000 rpm`` and ``Omega u >= 0``: a wheel
+    at its top speed can only brake. The command was written by the flight software one tick ago: Basilisk's extra tick of delay.
     """
     limit = bus.max_motor_torque
 
@@ -34,31 +39,34 @@ def latch_motor_torque(bus: Bus) -> None:
         saturated = (torch.abs(speed) >= MAX_SPEED) & (speed * torque >= 0.0)
         return torch.where(saturated, torch.zeros_like(torque), torque)
 
-    bus.motor_torque = bus.motor_torque_command.map(limited, bus.Omega)
+    bus.motor_torque_B = bus.motor_torque_command_B.map(limited, bus.Omega_WB_B)
 
 
 def draw_wheel_power(bus: Bus) -> None:
-    """Electrical power of the wheels: accelerating costs, braking returns what its efficiency lets it."""
+    """Add the electrical power of the wheels, W, to the balance: ``P = -sum_i (P_base + need_i)``.
+
+    With the mechanical power ``w = Omega_i u_i``, the need is ``|w| / eta_em`` where w is positive, the wheel accelerates, and
+    ``eta_me w`` where it brakes, which returns power; with a negative eta_me braking costs as accelerating does.
+    """
 
     def need(speed: Tensor, torque: Tensor) -> Tensor:
         mechanical = speed * torque
         costs = (mechanical > 0.0) | (bus.wheel_to_battery < 0.0)
         return torch.where(costs, torch.abs(mechanical) * (1.0 / bus.battery_to_wheel), bus.wheel_to_battery * mechanical)
 
-    needs: Vec3 = bus.Omega.map(need, bus.motor_torque)
+    needs: Vec3 = bus.Omega_WB_B.map(need, bus.motor_torque_B)
     bus.power = bus.power - (needs.x + needs.y + needs.z) - 3.0 * bus.wheel_base_power
 
 
 WHEELS = Component(
     slot="wheels",
-    order=211,
     update=latch_motor_torque,
     args=(
         Arg("wheelSpeeds", Uniform(-1500.0, 1500.0, 3), "rpm", "initial wheel speeds", kind="vector"),
         Arg("maxWheelSpeed", float("inf"), "rpm", "a spacecraft with a wheel at or above this speed dies", low=0.0),
         Arg("u_max", 0.2, "N m", "largest motor torque; no limit where not positive"),
     ),
-    state=(vec("Omega", "rad/s"), vec("motor_torque", "N m"), vec("motor_torque_command", "N m")),
+    state=(vec("Omega_WB_B", "rad/s"), vec("motor_torque_B", "N m"), vec("motor_torque_command_B", "N m")),
     params=(Field("max_motor_torque", 1, "N m"),),
     initial=_initial,
     prepare=lambda args: {"max_motor_torque": args["u_max"]},
@@ -66,7 +74,6 @@ WHEELS = Component(
 
 WHEEL_POWER = Component(
     slot="wheel_power",
-    order=214,
     update=draw_wheel_power,
     args=(
         Arg("rwBasePower", 0.4, "W", "power that each wheel always draws"),

@@ -10,26 +10,35 @@ from bsk_torch.vec3 import Vec3, select
 
 
 def feed_back(bus: Bus) -> None:
-    """Motor torque command ``u = K s + P w + P Ki z - (w_R + Ki z) x (I w_B) + I (w_B x w_R - w_R')``.
+    """Write the motor torque command, N m, of MRP feedback.
 
-    Source: Schaub and Junkins, section 8.4, as in Basilisk's mrpFeedback without wheel momentum. The integral
-    ``z = K int(s dt) + I w`` acts where Ki is positive; its first call has dt = 0, and drifting lets the clock run. With three
-    wheels and three controlled axes the wheel torque is the opposite of the body torque. Where control is off the command holds.
+    The law is::
+
+        u = K sigma_BR + P omega_BR + P Ki z - (omega_RN + Ki z) x (I omega_BN) + I (omega_BN x omega_RN - omega_RN')
+        z = K int(sigma_BR dt) + I omega_BR   where Ki > 0, else 0
+
+    All vectors are in B; I is the inertia, kg m^2, K, N m, and P, N m s, are gains, omega_RN' is the reference's acceleration.
+    Source: Schaub and Junkins, section 8.4, as in Basilisk's mrpFeedback without wheel momentum and rwMotorTorque: with three
+    wheels on the axes of B the wheel torque is the opposite of the body torque.
+
+    The integral is kept within +-0.2 / Ki for each component; its first call has dt = 0, and drifting lets the clock run. Where
+    control is off the command holds.
     """
-    s, w, w_R, dw_R = bus.error
+    sigma_BR, omega_BR_B, omega_RN_B, domega_RN_B = bus.error
     on, never = bus.control_on > 0.0, bus.control_idle < 0.0
     integrates = bus.Ki > 0.0
     Ki = torch.where(integrates, bus.Ki, torch.ones_like(bus.Ki))
     limit = 0.2 / Ki
     dt = torch.where(never, torch.zeros_like(bus.control_idle), bus.control_idle + bus.h)
-    integral = (bus.control_integral + s * (bus.K * dt)).map(lambda x: torch.minimum(torch.maximum(x, -limit), limit))
-    zero = Vec3.zeros_like(s.x)
-    z = select(integrates, (integral + bus.inertia.scale(w)) * Ki, zero)
-    omega = w + w_R
-    gyroscopic = (w_R + z).cross(bus.inertia.scale(omega))
-    command = s * bus.K + w * bus.P + z * bus.P - gyroscopic + bus.inertia.scale(omega.cross(w_R) - dw_R)
-    bus.motor_torque_command = select(on, command, bus.motor_torque_command)
-    bus.control_integral = select(on & integrates, integral, bus.control_integral)
+    integral = (bus.control_integral_B + sigma_BR * (bus.K * dt)).map(lambda x: torch.minimum(torch.maximum(x, -limit), limit))
+    zero = Vec3.zeros_like(sigma_BR.x)
+    Ki_z = select(integrates, (integral + bus.inertia_B.scale(omega_BR_B)) * Ki, zero)
+    omega_BN_B = omega_BR_B + omega_RN_B
+    gyroscopic = (omega_RN_B + Ki_z).cross(bus.inertia_B.scale(omega_BN_B))
+    command = sigma_BR * bus.K + omega_BR_B * bus.P + Ki_z * bus.P - gyroscopic
+    command = command + bus.inertia_B.scale(omega_BN_B.cross(omega_RN_B) - domega_RN_B)
+    bus.motor_torque_command_B = select(on, command, bus.motor_torque_command_B)
+    bus.control_integral_B = select(on & integrates, integral, bus.control_integral_B)
     bus.control_idle = torch.where(on, torch.zeros_like(dt), torch.where(never, bus.control_idle, bus.control_idle + bus.h))
 
 
@@ -44,18 +53,17 @@ def check_control_axes(args: Values) -> None:
 
 
 def initial_control(args: Values) -> dict[str, Tensor]:
-    """A controller that has never been called."""
-    return {"control_integral": torch.zeros(1, 3).double(), "control_idle": -torch.ones(1).double()}
+    """Return the state of a controller that has never been called."""
+    return {"control_integral_B": torch.zeros(1, 3).double(), "control_idle": -torch.ones(1).double()}
 
 
 CONTROL_AXES = Arg("controlAxes_B", (1.0, 0, 0, 0, 1.0, 0, 0, 0, 1.0), "-", "controlled axes in B, one after another", "matrix")
 
-CONTROL_STATE = (vec("control_integral"), Field("control_idle", 1, "s", "since the last call; negative: never called"))
-"""What every control law remembers: its integral, and when it was called."""
+CONTROL_STATE = (vec("control_integral_B"), Field("control_idle", 1, "s", "since the last call; negative: never called"))
+"""State of every control law: its integral, and the time since it was called."""
 
 MRP_FEEDBACK = Component(
     slot="control",
-    order=307,
     update=feed_back,
     args=(
         Arg("K", 7.0, "N m", "attitude gain", low=0.0),

@@ -18,11 +18,17 @@ Pairs = tuple[Tensor, ...]
 
 _D = torch.tensor(ARMS, dtype=torch.float64).mT
 ALLOCATION = (_D.mT @ torch.linalg.inv(2.0 * _D @ _D.mT)).tolist()
-"""Impulse of each thruster of the four pairs, N s, per momentum, N m s, of least norm."""
+"""Impulse of each thruster of the four pairs, N s, per momentum, N m s: ``D^T (D D^T)^-1``, of least norm.
+
+D [3, 8] has the torque per newton, m, of each thruster; those of a pair are equal, so that ``D D^T`` is twice that of four.
+"""
 
 
 def momentum_to_dump(Omega: Vec3, keep: Tensor) -> Vec3:
-    """Change of momentum, N m s, that leaves the wheels with ``keep``; zero where they have less."""
+    """Return the change of momentum, N m s in B, that leaves the wheels with ``keep``, N m s: Basilisk's thrMomentumManagement.
+
+    ``dH = -(|h| - keep) h / |h|`` with the momentum ``h = Js Omega`` of the wheels, and 0 where ``|h| < keep``.
+    """
     h = Omega * SPIN_INERTIA
     size = h.norm()
     excess = torch.where(size < keep, torch.zeros_like(size), size - keep)
@@ -30,7 +36,11 @@ def momentum_to_dump(Omega: Vec3, keep: Tensor) -> Vec3:
 
 
 def impulses(dH: Vec3) -> Pairs:
-    """Impulse, N s, of each pair's thrusters: least norm, then shifted so that none is negative."""
+    """Return the impulse, N s, of each pair's thrusters for the change of momentum dH, N m s in B: Basilisk's thrForceMapping.
+
+    ``F = D^T (D D^T)^-1 dH``, of least norm, then ``F - min(0, min F)``: thrusters only push, and equal impulses of all of them
+    have no torque.
+    """
     wanted = [dH.x * a + dH.y * b + dH.z * c for a, b, c in ALLOCATION]
     least = torch.minimum(torch.minimum(wanted[0], wanted[1]), torch.minimum(wanted[2], wanted[3]))
     least = torch.clamp(least, max=0.0)
@@ -38,21 +48,32 @@ def impulses(dH: Vec3) -> Pairs:
 
 
 def dump_momentum(bus: Bus) -> None:
-    """Fire for one tick, wait ``maxCounterValue`` ticks, until the impulse is spent.
+    """Fire for one tick, wait ``maxCounterValue`` ticks, until the impulse is spent; Basilisk's thrMomentumDumping.
 
-    The momentum is measured in the first tick of the mode, the pulses start in the second. Only pulses of a whole tick
-    reach the integrator, so only those are commanded.
+    Only pulses of a whole tick reach the integrator, so only those are commanded. With on-times left T, ticks to wait c, and
+    impulses F of the momentum measured in the first call::
+
+        call of the mode     condition     command           T after           c after
+        first                              none              T                 c
+        second                             T >= h of F/F0    max(F/F0 - h, 0)  maxCounterValue
+        later                c > 0         none              T                 c - 1
+        later                c = 0         T >= h            max(T - h, 0)     maxCounterValue
+
+    F0 is the thrust of a thruster, N; pulses shorter than ``thrMinFireTime`` are not fired. Entering the mode sets T and c to
+    zero.
     """
     on = bus.desat_on > 0.0
     none = tuple(torch.zeros_like(command) for command in bus.pulse_command)
-    off = none, bus.dump_momentum, bus.dump_remaining, bus.dump_counter, bus.dump_calls
-    bus.pulse_command, bus.dump_momentum, bus.dump_remaining, bus.dump_counter, bus.dump_calls = only(on, lambda: _dump(bus), off)
+    off = none, bus.dump_momentum_B, bus.dump_remaining, bus.dump_counter, bus.dump_calls
+    bus.pulse_command, bus.dump_momentum_B, bus.dump_remaining, bus.dump_counter, bus.dump_calls = only(
+        on, lambda: _dump(bus), off
+    )
 
 
 def _dump(bus: Bus) -> tuple[Pairs, Vec3, Pairs, Tensor, Tensor]:
-    """Commands, momentum to dump, on-times left, ticks to wait and number of calls after a call."""
+    """Return commands, momentum to dump, on-times left, ticks to wait and number of calls after a call."""
     h, first, second = bus.h, bus.dump_calls == 0.0, bus.dump_calls == 1.0
-    dH = select(first, momentum_to_dump(bus.Omega, bus.momentum_to_keep), bus.dump_momentum)
+    dH = select(first, momentum_to_dump(bus.Omega_WB_B, bus.momentum_to_keep), bus.dump_momentum_B)
     waiting = bus.dump_counter > 0.0
     fires = ~first & (second | ~waiting)
     remaining = tuple(torch.where(second, f / THRUST, left) for f, left in zip(impulses(dH), bus.dump_remaining, strict=True))
@@ -68,13 +89,12 @@ def _check(args: Values) -> None:
 
 
 def _initial(args: Values) -> dict[str, Tensor]:
-    widths = {"dump_momentum": 3, "dump_remaining": 4, "dump_counter": 1, "dump_calls": 1}
+    widths = {"dump_momentum_B": 3, "dump_remaining": 4, "dump_counter": 1, "dump_calls": 1}
     return {name: torch.zeros(1, width).double() for name, width in widths.items()}
 
 
 DESATURATION = Component(
     slot="desaturation",
-    order=303,
     update=dump_momentum,
     args=(
         Arg("hs_min", 0.0, "N m s", "momentum left in the wheels", low=0.0),
@@ -84,7 +104,7 @@ DESATURATION = Component(
         Arg("thrForceSign", 1.0, "-", "sign of the thrusters' forces"),
     ),
     state=(
-        vec("dump_momentum", "N m s"),
+        vec("dump_momentum_B", "N m s"),
         Field("dump_remaining", 4, "s", "on-time left for each pair"),
         Field("dump_counter", 1, "-", "ticks to wait"),
         Field("dump_calls", 1, "-", "ticks since the mode was entered"),

@@ -1,4 +1,4 @@
-"""When the instrument is told to record."""
+"""Commands to the instrument: Basilisk's scanningInstrumentController and simpleInstrumentController."""
 
 from __future__ import annotations
 
@@ -11,12 +11,13 @@ from bsk_torch.sim.component import Arg, Bus, Component, Field
 
 
 def permission(bus: Bus) -> Tensor:
-    """1 while attitude and rate errors are small, the target is accessible and the controller is on, else 0.
+    """Return 1 where the instrument may record, else 0.
 
-    The errors are those of location pointing itself, which is the law that is on.
+    It may where ``|sigma_BR| <= attitude tolerance`` and ``|omega_BR| <= rate tolerance``, with the errors of location pointing,
+    which is the law that is on, the target is accessible and the controller is on.
     """
     error = bus.error
-    points = (error.sigma_BR.norm() <= bus.attitude_tolerance) & (error.omega_BR.norm() <= bus.rate_tolerance)
+    points = (error.sigma_BR.norm() <= bus.attitude_tolerance) & (error.omega_BR_B.norm() <= bus.rate_tolerance)
     return torch.where(points, bus.controller_on * bus.target_access, torch.zeros_like(bus.instrument_command))
 
 
@@ -39,7 +40,6 @@ def command_image(bus: Bus) -> None:
 
 SCANNING_CONTROLLER = Component(
     slot="instrument_controller",
-    order=305,
     update=command_scan,
     args=(
         Arg("imageAttErrorRequirement", 0.01, "-", "largest attitude error, MRP norm, while recording", low=0.0),

@@ -7,8 +7,8 @@ from typing import ClassVar
 from bsk_torch.sim.component import Component
 from bsk_torch.sim.fsw import control, desaturation, guidance, instrument, steering, target
 from bsk_torch.sim.fsw.modes import DUMP_RESET, IMAGE_RESET, SUN_RESET, Command, Mode
-from bsk_torch.sim.model import Model
-from bsk_torch.sim.observe import Now, observable
+from bsk_torch.sim.readout.model import Model
+from bsk_torch.sim.readout.observables import Now, observable
 from bsk_torch.vec3 import Vec3
 
 IDLE = "idle"
@@ -70,7 +70,7 @@ class SteeringFSWModel(BasicFSWModel):
 class ImagingFSWModel(BasicFSWModel):
     """Points the instrument at places on the ground, takes one image of each, and downlinks.
 
-    The mode ``"image"`` looks at the place that the state ``target_r_P`` [m, Earth-fixed] holds.
+    The mode ``"image"`` looks at the place that the state ``r_LP_P`` [m, Earth-fixed] holds.
     """
 
     components: ClassVar[tuple[Component, ...]] = (guidance.LOCATION_POINTING, instrument.IMAGE_CONTROLLER, target.IMAGE_TARGET)

@@ -19,10 +19,14 @@ from bsk_torch.vec3 import Vec3, only, select
 
 
 def steering_rate(sigma: Vec3, K1: Tensor, K3: Tensor, omega_max: Tensor) -> tuple[Vec3, Vec3]:
-    """Rate, rad/s, of the body relative to the reference that takes the error ``sigma`` away, and its derivative, rad/s^2.
+    """Return the steering rate omega_B*R, rad/s in B, that takes the error sigma_BR away, and its derivative, rad/s^2.
 
-    ``w = -(2 omega_max / pi) atan(y)`` with ``y = (K1 s + K3 s^3) pi / (2 omega_max)``, axis by axis, never faster than
-    ``omega_max``; the derivative is that along ``s' = 1/4 B(s) w``.
+    Axis by axis, never faster than ``omega_max``::
+
+        w = -(2 omega_max / pi) atan(y),  y = (K1 s + K3 s^3) pi / (2 omega_max)
+        w' = -(K1 + 3 K3 s^2) / (1 + y^2) s',  s' = 1/4 B(s) w
+
+    Source: Schaub and Piggott (2018); Basilisk's mrpSteering.
     """
     y = sigma.map(lambda s: (K1 * s + K3 * s * s * s) * (0.5 * math.pi / omega_max))
     rate = y.map(torch.atan) * (omega_max * (-2.0 / math.pi))
@@ -31,34 +35,41 @@ def steering_rate(sigma: Vec3, K1: Tensor, K3: Tensor, omega_max: Tensor) -> tup
 
 
 def steer(bus: Bus) -> None:
-    """Motor torque command ``u = P e + Ki z - w* x H - I (w_R' + w_s' - w x w_R)``, opposite to the torque on the body.
+    """Write the motor torque command, N m in B, opposite to the torque on the body (Basilisk's rateServoFullNonlinear).
 
-    ``e = w - w*`` is the error of the rate ``w* = w_s + w_R`` that the steering law asks for, and ``z`` its integral, within
-    +-0.2 / servo_Ki, which acts where ``servo_Ki`` is positive and whose first call has dt = 0; ``H`` is the momentum of hub and
-    wheels. Where control is off the command holds, and the clock of the integral runs.
+    The law is::
+
+        u = P e + Ki z - w* x H - I (w_R' + w_s' - w x w_R)
+        w* = w_s + w_R,  e = w - w*,  z = int(e dt),  H = I w + Js (w + Omega)
+
+    with the body rate w = omega_BN, the reference's rate w_R = omega_RN and the steering rate w_s of :func:`steering_rate`, rad/s
+    in B; I is the inertia of hub and wheels, Js that of a wheel about its axis, kg m^2, and Omega the wheels' speed.
+
+    The integral is kept within +-0.2 / servo_Ki for each component; it acts where ``servo_Ki`` is positive, and its first call
+    has dt = 0. Where control is off the command holds, and the clock of the integral runs.
     """
     on, never = bus.control_on > 0.0, bus.control_idle < 0.0
     waited = torch.where(never, bus.control_idle, bus.control_idle + bus.h)
 
     def law() -> tuple[Vec3, Vec3]:
-        s, w_BR, w_R, dw_R = bus.error
-        w_s, dw_s = steering_rate(s, bus.K1, bus.K3, bus.omega_max)
-        w, w_star = w_BR + w_R, w_s + w_R
+        sigma_BR, omega_BR_B, w_R, dw_R = bus.error
+        w_s, dw_s = steering_rate(sigma_BR, bus.K1, bus.K3, bus.omega_max)
+        w, w_star = omega_BR_B + w_R, w_s + w_R
         e = w - w_star
         z = _integral(bus, e, torch.where(never, torch.zeros_like(waited), waited))
-        H = bus.inertia.scale(w) + (w + bus.Omega) * SPIN_INERTIA
+        H = bus.inertia_B.scale(w) + (w + bus.Omega_WB_B) * SPIN_INERTIA
         acceleration = dw_R + dw_s - w.cross(w_R)
-        return e * bus.servo_P + z * bus.servo_Ki - w_star.cross(H) - bus.inertia.scale(acceleration), z
+        return e * bus.servo_P + z * bus.servo_Ki - w_star.cross(H) - bus.inertia_B.scale(acceleration), z
 
-    bus.motor_torque_command, bus.control_integral = only(on, law, (bus.motor_torque_command, bus.control_integral))
+    bus.motor_torque_command_B, bus.control_integral_B = only(on, law, (bus.motor_torque_command_B, bus.control_integral_B))
     bus.control_idle = torch.where(on, torch.zeros_like(waited), waited)
 
 
 def _integral(bus: Bus, e: Vec3, dt: Tensor) -> Vec3:
-    """Integral of the rate error, rad; zero where there is none."""
+    """Return the integral of the rate error, rad; zero where ``servo_Ki`` is not positive."""
     integrates = bus.servo_Ki > 0.0
     limit = 0.2 / torch.where(integrates, bus.servo_Ki, torch.ones_like(bus.servo_Ki))
-    z = (bus.control_integral + e * dt).map(lambda x: torch.minimum(torch.maximum(x, -limit), limit))
+    z = (bus.control_integral_B + e * dt).map(lambda x: torch.minimum(torch.maximum(x, -limit), limit))
     return select(integrates, z, Vec3.zeros_like(e.x))
 
 
@@ -66,7 +77,6 @@ GAINS = ("K1", "K3", "omega_max", "servo_Ki", "servo_P")
 
 MRP_STEERING = Component(
     slot="control",
-    order=307,
     update=steer,
     args=(
         Arg("K1", 0.25, "rad/s", "steering gain of small errors", low=0.0),

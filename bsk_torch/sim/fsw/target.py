@@ -1,6 +1,6 @@
-"""What the instrument is pointed at: a place on the ground that the agent chooses, or the Earth's centre.
+"""Targets of the instrument: a place on the ground that the agent chooses, or the Earth's centre. Basilisk's groundLocation.
 
-Targets are modules of the world, so flight software sees them, and whether they are accessible, as they were one tick ago.
+Targets are modules of the world, so the flight software reads their position and access of one tick ago.
 """
 
 from __future__ import annotations
@@ -13,40 +13,45 @@ from torch import Tensor
 from bsk_torch.astro.frames import rotate_z
 from bsk_torch.constants import R_EARTH
 from bsk_torch.sim.component import Arg, Bus, Component, Field, Values, vec
-from bsk_torch.sim.sky import turned
+from bsk_torch.sim.environment.ephemeris import turned
 from bsk_torch.vec3 import Vec3, only
 
-ALTITUDE = 1000.0
+FIRST_ALTITUDE = 1000.0
 """Height, m, of the place on the equator that is the target until the first task."""
 
 
 def aim_at_place(bus: Bus) -> None:
-    """The place in N, and whether it has the spacecraft above its least elevation and within reach, all one tick ago.
+    """Write the place L in N, m, and its access, 1 or 0, both of one tick ago.
 
-    ``sin(elevation) = p . (r - p) / (|p| |r - p|)`` is compared with its least value, which is positive, as squares. Where no
-    one points at the target there is none.
+    ``r_LN = [PN]^T r_LP`` with the Earth's orientation of one tick ago. It has access where the spacecraft is above the minimum
+    elevation, ``sin(el) = p . d / (|p| |d|)`` with ``p = r_LN`` and ``d = r_BN - r_LN``, and within the maximum range,
+    ``|d| <= reach``, unless that is negative. The sine's minimum is positive, so squares are compared, without roots. Where
+    location pointing is off, position and access are zero.
     """
-    cos, sin = turned(bus.sky[0].earth_angle, bus.sky_tau - bus.h)
+    cos, sin = turned(bus.ephemeris[0].earth_angle, bus.ephemeris_tau - bus.h)
 
     def seen() -> tuple[Vec3, Tensor]:
-        p = bus.pole.mT @ rotate_z(bus.target_r_P, cos, -sin)
-        line, reach = bus.r - p, bus.target_range
+        p = bus.EN.mT @ rotate_z(bus.r_LP_P, cos, -sin)
+        line, reach = bus.r_BN_N - p, bus.target_range
         up, range2 = p.dot(line), line.dot(line)
         rises = (up > 0.0) & (up * up > bus.target_sin2_elevation * p.dot(p) * range2)
         near = (range2 <= reach * reach) | (reach < 0.0)
         return p, torch.where(rises & near, torch.ones_like(up), torch.zeros_like(up))
 
-    none = Vec3.zeros_like(bus.r.x)
-    bus.target_N, access = only(bus.location_on > 0.0, seen, (none, none.x))
+    none = Vec3.zeros_like(bus.r_BN_N.x)
+    bus.r_LN_N, access = only(bus.location_on > 0.0, seen, (none, none.x))
     bus.target_access = access.to(bus.dtype)
 
 
 def aim_at_earth_centre(bus: Bus) -> None:
-    """Target of a scan: a point ten centimetres up the Earth's axis, as bsk_rl sets it, always above its horizon."""
-    bus.target_N = bus.pole.z * 0.1
-    distance, longest = bus.r - bus.target_N, bus.target_range
+    """Write the target of a scan and its access: ``r_LN = 0.1 m`` along the Earth's axis, as in bsk_rl, always above its horizon.
+
+    It has access where ``|r_BN - r_LN| <= reach``, or where the maximum range is negative.
+    """
+    bus.r_LN_N = bus.EN.z * 0.1
+    distance, longest = bus.r_BN_N - bus.r_LN_N, bus.target_range
     reaches = (distance.dot(distance) <= longest * longest) | (longest < 0.0)
-    bus.target_access = torch.where(reaches, torch.ones_like(bus.r.x), torch.zeros_like(bus.r.x)).to(bus.dtype)
+    bus.target_access = torch.where(reaches, torch.ones_like(bus.r_BN_N.x), torch.zeros_like(bus.r_BN_N.x)).to(bus.dtype)
 
 
 def _check_elevation(args: Values) -> None:
@@ -59,22 +64,21 @@ def _check_elevation(args: Values) -> None:
 
 
 def _first_place(args: Values) -> dict[str, Tensor]:
-    height = args["groundLocationPlanetRadius"] + ALTITUDE
-    return {"target_r_P": torch.stack([height, torch.zeros_like(height), torch.zeros_like(height)], -1)}
+    height = args["groundLocationPlanetRadius"] + FIRST_ALTITUDE
+    return {"r_LP_P": torch.stack([height, torch.zeros_like(height), torch.zeros_like(height)], -1)}
 
 
 MAXIMUM_RANGE = Arg("imageTargetMaximumRange", -1.0, "m", "longest range to the target; no limit where negative")
 
 IMAGE_TARGET = Component(
     slot="location_target",
-    order=95,
     update=aim_at_place,
     args=(
         Arg("imageTargetMinimumElevation", math.radians(45.0), "rad", "least elevation of the satellite above the target"),
         MAXIMUM_RANGE,
         Arg("groundLocationPlanetRadius", R_EARTH, "m", "radius of the sphere that the target stands on at first", low=1e-9),
     ),
-    state=(vec("target_r_P", "m", "place that the agent has chosen, Earth-fixed", exact=True),),
+    state=(vec("r_LP_P", "m", "place that the agent has chosen, Earth-fixed", exact=True),),
     params=(Field("target_range", 1, "m", exact=True), Field("target_sin2_elevation", 1, "-", exact=True)),
     initial=_first_place,
     prepare=lambda args: {
@@ -86,7 +90,7 @@ IMAGE_TARGET = Component(
 
 EARTH_CENTRE_TARGET = Component(
     slot="location_target",
-    order=105,
+    after="ground_stations",
     update=aim_at_earth_centre,
     args=(MAXIMUM_RANGE,),
     params=(Field("target_range", 1, "m", exact=True),),

@@ -1,0 +1,82 @@
+"""Policies that the command line names: folders and files of runs, pretrained policies, baselines."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from tensordict.nn import TensorDictModuleBase
+
+from bsk_torch.cli.shared import environment, fail
+from bsk_torch.env import Tasking
+from bsk_torch.presets import PRESETS
+from bsk_torch.rl.policies.files import build_policy, check_fits, read_card
+from bsk_torch.rl.policies.pretrained import pretrained_file
+from bsk_torch.rl.policies.shared_policy import member_view
+from bsk_torch.rl.rules.baselines import BASELINES
+from bsk_torch.sim.params import nearest
+
+TRAINED, PRETRAINED = "trained", "pretrained"
+"""Names, in results, of the policy of a file, and of the one that comes with the package."""
+
+FIRST = next(iter(PRESETS))
+"""The environment unless the command line or a run names another."""
+
+
+@dataclass(frozen=True)
+class NamedPolicy:
+    """A policy for one satellite, and the environment that it is meant for.
+
+    Attributes:
+        name: As given on the command line.
+        preset: Name of the environment.
+        card: Contents of the policy's file; empty for baselines.
+    """
+
+    name: str
+    preset: str
+    card: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def label(self) -> str:
+        """Name in results."""
+        return self.name if self.name in (*BASELINES, PRETRAINED) else TRAINED
+
+    def environment(self, num_envs: int, options: Mapping[str, Any]) -> Tasking:
+        """Return environments that play the episodes of seeds, made as for the policy; ends the program if that fails."""
+        trained = self.card.get("options", {})
+        try:
+            return environment(self.preset, num_envs, trained | options | {"env_ids": [0] * num_envs})
+        except TypeError as error:
+            if not trained:
+                raise
+            made_for = f"the policy was trained for {self.card['preset']} with {trained}"
+            fail(f"{made_for}; {self.preset} cannot be made so: {error}")
+
+    def build(self, env: Tasking, device: str = "cpu") -> TensorDictModuleBase:
+        """Return the policy for one satellite of ``env``; ends the program if it does not fit."""
+        if self.name in BASELINES:
+            try:
+                return BASELINES[self.name](member_view(env), 0)
+            except (KeyError, ValueError):
+                fail(f"the policy {self.name!r} does not fit {self.preset}")
+        try:
+            check_fits(self.card, member_view(env), self.preset)
+            return build_policy(self.card, device)
+        except ValueError as error:
+            fail(str(error))
+
+
+def named_policy(name: str, preset: str | None) -> NamedPolicy:
+    """Return the policy of that name, for ``preset`` if that is given; ends the program if there is none."""
+    if name in BASELINES:
+        return NamedPolicy(name, preset or FIRST)
+    try:
+        card = read_card(pretrained_file(preset or FIRST) if name == PRETRAINED else name)
+    except FileNotFoundError:
+        hint = nearest(name, (*BASELINES, PRETRAINED))
+        fail(f"{name!r} is neither a run with a policy.pt, nor such a file, nor a baseline; {hint}")
+    except ValueError as error:
+        fail(str(error))
+    return NamedPolicy(name, preset or card["preset"], card)

@@ -1,0 +1,57 @@
+"""The order of a tick: all slots, or the components that run for the satellites of a preset."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Annotated
+
+import typer
+
+from bsk_torch.cli.shared import fail
+from bsk_torch.presets import make
+from bsk_torch.sim.component import Component
+from bsk_torch.sim.schedule import INDEX, SCHEDULE, Slot, place
+from bsk_torch.sim.tick import Tick
+
+
+def show_schedule(
+    preset: Annotated[str | None, typer.Argument(help="Name of a preset, such as AEOS-v1; all slots without it.")] = None,
+) -> None:
+    """Print the order of a tick: all slots, or the components that run in a preset."""
+    if preset is None:
+        typer.echo("\n".join(slot_lines(SCHEDULE)))
+        return
+    try:
+        env = make(preset, num_envs=1, backend="eager")
+    except ValueError as error:
+        fail(str(error))
+    for simulator in env.fleet.simulators:
+        names = ", ".join(env.fleet.names[k] for k in simulator.columns)
+        typer.echo("\n".join([f"{names}:", *(f"  {line}" for line in tick_lines(simulator.tick))]))
+
+
+def described(component: Component) -> Slot:
+    """Return the slot of a component; for one of the user's own the first line of its update's docstring describes it."""
+    number, side = place(component)
+    if component.slot in INDEX:
+        return SCHEDULE[INDEX[component.slot]]
+    doc = (getattr(component.update, "__doc__", None) or "").strip().partition("\n")[0]
+    relation = f"{'after' if side > 0 else 'before'} {SCHEDULE[number].name}"
+    return Slot(component.slot, doc or relation, f"none, runs {relation}", SCHEDULE[number].group)
+
+
+def slot_lines(slots: Sequence[Slot]) -> list[str]:
+    """Return one line for each slot, under the names of the groups."""
+    width = max(len(slot.name) for slot in slots)
+    found, group = [], ""
+    for slot in slots:
+        if slot.group != group:
+            group = slot.group
+            found.append(f"{group}:")
+        found.append(f"  {slot.name:<{width}}  {slot.doc} ({slot.basilisk})")
+    return found
+
+
+def tick_lines(tick: Tick) -> list[str]:
+    """Return one line for each component that runs in a tick."""
+    return slot_lines([described(component) for component in tick.components if component.update is not None])

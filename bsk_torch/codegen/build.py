@@ -1,0 +1,197 @@
+"""Compilation and cache of kernels.
+
+A kernel is a shared library in the user's cache folder, or in ``BSK_TORCH_CACHE``. Its name is a hash of its source, of torch's
+version, of the compiler's options and of the processor: a change of any of these builds another library. The file ends with a
+hash of the library, so that a truncated file is built again instead of loaded.
+
+The vector instructions are those that torch's inductor chooses for this machine. ``BSK_TORCH_ISA`` names others: ``avx512``,
+``avx2``, or ``default``, which means plain C++. It is meant for tests; the machine must have the named instructions.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import hashlib
+import logging
+import os
+import platform
+import shlex
+import subprocess
+import tempfile
+import time
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import platformdirs
+import torch
+from torch import Tensor
+
+if TYPE_CHECKING:
+    from torch._inductor.cpu_vec_isa import VecISA
+
+logger = logging.getLogger(__name__)
+
+HEADER = Path(__file__).with_name("simd.h")
+
+INCLUDE = f'#include "{HEADER.name}"'
+
+FLAGS = ("-ffp-contract=fast", "-fno-math-errno", "-fno-trapping-math", "-g0", "-w")
+"""Options of the compiler beside inductor's; contraction fuses a product and a sum into one rounding."""
+
+SCHEDULING = ("-fschedule-insns", "-fsched-pressure")
+"""Options of GCC only: scheduling with regard to register pressure makes ticks 10 % faster."""
+
+ISAS = ("avx512", "avx2", "default")
+"""Values of ``BSK_TORCH_ISA``."""
+
+LOADED: dict[str, ctypes.CDLL] = {}
+"""Libraries that this process has loaded, by their hash."""
+
+WITHOUT = 'backend="eager" needs no compiler, but is slower.'
+
+SHOWN_LINES = 15
+"""Lines of the compiler's output that an error repeats."""
+
+
+def cache_folder() -> Path:
+    """Return the folder of the cache."""
+    return Path(os.environ.get("BSK_TORCH_CACHE") or platformdirs.user_cache_path("bsk_torch"))
+
+
+@cache
+def processor() -> str:
+    """Return a description of the processor: libraries of others may hold instructions that it does not have."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+    except OSError:
+        lines = []
+    described = sorted({line for line in lines if line.startswith(("model name", "flags", "Features", "CPU part"))})
+    return "\n".join([platform.machine(), platform.processor(), torch.backends.cpu.get_cpu_capability(), *described])
+
+
+def entry(library: ctypes.CDLL, signature: str) -> Callable[..., None]:
+    """Return the function ``run`` of a library.
+
+    ``signature`` has a letter for each parameter: p for a contiguous tensor or None, i for an integer.
+    """
+    types: dict[str, Any] = {"p": ctypes.c_void_p, "i": ctypes.c_int64}
+    function = library.run
+    function.argtypes, function.restype = [types[code] for code in signature], None
+
+    def call(*args: Tensor | int | None) -> None:
+        function(*(arg.data_ptr() if isinstance(arg, Tensor) else arg for arg in args))
+
+    return call
+
+
+def load(source: str, name: str) -> ctypes.CDLL:
+    """Return the library of a kernel's source, compiled if the cache lacks it; ``name`` is its name in messages."""
+    parts = [source, HEADER.read_text(), *FLAGS, *SCHEDULING, torch.__version__, processor(), _chosen_isa()]
+    key = hashlib.sha256("\n".join(parts).encode()).hexdigest()[:32]
+    if key not in LOADED:
+        path = cache_folder() / f"{key}.so"
+        LOADED[key] = _kept(path) or _built(source, path, name)
+    return LOADED[key]
+
+
+# -- building ----------------------------------------------------------------------------------------------------------------
+
+
+def _kept(path: Path) -> ctypes.CDLL | None:
+    """Return the library in the cache, or None if it is missing or damaged."""
+    try:
+        content = path.read_bytes()
+    except OSError:
+        return None
+    code, seal = content[:-32], content[-32:]
+    if _seal(code) != seal:
+        logger.warning("%s is damaged and will be built again", path)
+        return None
+    try:
+        return ctypes.CDLL(str(path))
+    except OSError as error:
+        logger.warning("%s cannot be loaded and will be built again: %s", path, error)
+        return None
+
+
+def _seal(code: bytes) -> bytes:
+    return hashlib.sha256(code).digest()
+
+
+@cache
+def _announce(folder: Path) -> None:
+    """Warn once that compilation takes time: a warning reaches users who have not configured logging, too."""
+    logger.warning("compiling for this machine, once: a satellite type takes about 40 s; kernels are kept in %s", folder)
+
+
+def _built(source: str, path: Path, name: str) -> ctypes.CDLL:
+    begin = time.perf_counter()
+    _announce(path.parent)
+    logger.info("compiling the %s", name)
+    command = _command(name)
+    try:
+        _build(source, path, name, command)
+    except OSError as error:
+        raise RuntimeError(
+            f"the {name} cannot be kept in {path.parent} ({error}); let BSK_TORCH_CACHE name a folder that can be written to. "
+            f"{WITHOUT}"
+        ) from error
+    logger.info("compiled the %s in %.1f s; kept in %s", name, time.perf_counter() - begin, path.parent)
+    try:
+        return ctypes.CDLL(str(path))
+    except OSError as error:
+        raise RuntimeError(
+            f"{path}, the {name}, was built but cannot be loaded: {error}; BSK_TORCH_CACHE can name another folder"
+        ) from error
+
+
+def _build(source: str, path: Path, name: str, command: list[str]) -> None:
+    """Compile in a temporary folder and move the library into place at once: several processes may start together."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=path.parent, prefix="build-") as folder:
+        code, library = Path(folder, "kernel.cpp"), Path(folder, "kernel.so")
+        code.write_text(source)
+        run = subprocess.run(command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, errors="replace")
+        if run.returncode:
+            kept = path.with_suffix(".cpp")
+            os.replace(code, kept)
+            complaint = "\n".join(run.stdout.splitlines()[-SHOWN_LINES:])
+            raise RuntimeError(f"{command[0]} cannot compile the {name}:\n{complaint}\nThe source is kept in {kept}. {WITHOUT}")
+        with library.open("ab") as file:
+            file.write(_seal(library.read_bytes()))
+        os.replace(library, path)
+
+
+def _command(name: str) -> list[str]:
+    """Return the compiler and its arguments, which turn kernel.cpp of the working directory into kernel.so."""
+    from torch._inductor import config, cpp_builder, exc
+
+    try:
+        compiler = cpp_builder.get_cpp_compiler()
+    except (exc.InvalidCxxCompiler, OSError) as error:
+        choices = config.cpp.cxx if isinstance(config.cpp.cxx, list | tuple) else [config.cpp.cxx]
+        wanted = " or ".join(str(choice) for choice in choices if choice)
+        raise RuntimeError(
+            f"the {name} needs a C++ compiler, but {wanted} does not run here; install it or let CXX name another one. {WITHOUT}"
+        ) from error
+    flags = [*FLAGS, *(SCHEDULING if cpp_builder.is_gcc() else ()), f"-I{shlex.quote(str(HEADER.parent))}"]
+    options = cpp_builder.CppTorchOptions(vec_isa=_vector_isa(), extra_flags=flags, compiler=compiler)
+    return shlex.split(cpp_builder.CppBuilder("kernel", ["kernel.cpp"], options).get_command_line())
+
+
+def _chosen_isa() -> str:
+    chosen = os.environ.get("BSK_TORCH_ISA", "")
+    if chosen not in ("", *ISAS):
+        raise ValueError(f"BSK_TORCH_ISA={chosen} must be one of {', '.join(ISAS)}")
+    return chosen
+
+
+def _vector_isa() -> VecISA:
+    """Return inductor's description of the vector instructions."""
+    from torch._inductor import cpu_vec_isa
+
+    known = {"avx512": cpu_vec_isa.VecAVX512(), "avx2": cpu_vec_isa.VecAVX2(), "default": cpu_vec_isa.invalid_vec_isa}
+    chosen = _chosen_isa()
+    return known[chosen] if chosen else cpu_vec_isa.pick_vec_isa()

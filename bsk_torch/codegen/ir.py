@@ -1,0 +1,369 @@
+"""Intermediate form of kernels: values, regions, and the statements of a loop.
+
+A :class:`Program` is a graph of values in static single assignment form. Each :class:`Value` stands for one number of every row,
+and has an operation, arguments, a dtype and a lifetime. A :class:`Region` holds the values that are computed only where a mask
+holds. Equal operations are stored once, and known results are folded (:mod:`bsk_torch.codegen.fold`) when a value is made.
+
+:mod:`bsk_torch.codegen.trace` makes programs of tensor code, :mod:`bsk_torch.codegen.passes` turns a traced :class:`Loop` into
+the statements of a :class:`LoweredLoop`, and :mod:`bsk_torch.codegen.cpp` prints that.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, Generic, NamedTuple, Protocol, TypeVar
+
+import torch
+
+from bsk_torch.codegen.fold import fold
+
+DTYPES = (torch.float64, torch.float32, torch.bool)
+"""Types of the numbers that a kernel computes with."""
+
+CALL, TICK = 0, -1
+"""Lifetimes: a value holds for the whole call, or for one tick. A positive number t: as long as one record of track t."""
+
+LIFETIMES = {"state": TICK, "schedule": TICK, "ticks_now": TICK, "tau": TICK, "own": CALL, "shared": CALL, "flag": CALL}
+"""Lifetimes of inputs by their source; those from the source ``track`` hold for one record of their track."""
+
+
+class UntraceableError(TypeError):
+    """Tensor code does something that cannot be computed element by element."""
+
+
+def shortest(lifetimes: Iterable[int]) -> int:
+    """Return the lifetime of a value whose arguments have these ``lifetimes``; that of values from several tracks is one tick."""
+    left = set(lifetimes) - {CALL}
+    return CALL if not left else left.pop() if len(left) == 1 else TICK
+
+
+def require_dtype(dtype: torch.dtype) -> torch.dtype:
+    """Return ``dtype``; raise UntraceableError if kernels have no numbers of this type."""
+    if dtype not in DTYPES:
+        raise UntraceableError(f"a kernel has no numbers of type {dtype}, only {', '.join(map(str, DTYPES))}")
+    return dtype
+
+
+# -- the graph ---------------------------------------------------------------------------------------------------------------
+
+
+class Value:
+    """One number of every row.
+
+    ``op`` is ``constant`` (``attr`` is the number), ``input`` (``attr`` is its source and its index there), ``merge`` (``args``
+    are the mask, the value computed in a region and the one that holds elsewhere) or the name of an operation on ``args``.
+    ``region`` is the one that computes the value, ``index`` its number in the program.
+    """
+
+    def __init__(
+        self,
+        program: Program[Any],
+        op: str,
+        args: tuple[Value, ...],
+        attr: Any,
+        dtype: torch.dtype,
+        lifetime: int,
+        region: Region,
+        index: int,
+    ) -> None:
+        """Values are made by a :class:`Program`."""
+        self.program, self.op, self.args, self.attr = program, op, args, attr
+        self.dtype, self.lifetime, self.region, self.index = dtype, lifetime, region, index
+
+    @property
+    def number(self) -> Any:
+        """The number of a constant, else None."""
+        return self.attr if self.op == "constant" else None
+
+    def is_input(self, *attr: Any) -> bool:
+        """Return whether this is an input from a source, or the input of that index."""
+        return self.op == "input" and self.attr[: len(attr)] == attr
+
+
+class Region:
+    """Values computed under a condition: where ``mask`` holds in some row of a block.
+
+    ``statements`` are its values and the regions inside it, in the order in which they were made; ``merges`` are the values
+    through which its results leave it.
+    """
+
+    def __init__(self, mask: Value | None, parent: Region | None) -> None:
+        """Make a region inside ``parent``; the root of a program has neither mask nor parent."""
+        self.mask, self.parent = mask, parent
+        self.statements: list[Value | Region] = []
+        self.known: dict[Any, Value] = {}
+        self.merges: list[Value] = []
+
+    def chain(self) -> Iterator[Region]:
+        """This region and those around it, from the inside out."""
+        region: Region | None = self
+        while region is not None:
+            yield region
+            region = region.parent
+
+    def require_visible(self, values: Iterable[Value]) -> None:
+        """Raise UntraceableError for values that may not have been computed when this region runs."""
+        inner = {value.region for value in values if value.region is not self and value.region.parent is not None}
+        if inner and not inner <= set(self.chain()):
+            raise UntraceableError("what is computed only where a mask holds must leave as a result of only()")
+
+
+V = TypeVar("V", bound=Value)
+
+
+class Program(Generic[V]):
+    """A graph of values under construction; ``region`` is the one that new values join."""
+
+    value_type: type[V] = Value  # type: ignore[assignment]
+
+    def __init__(self) -> None:
+        """Start an empty program."""
+        self.root = Region(None, None)
+        self.region = self.root
+        self.count = 0
+
+    def constant(self, number: float | bool, dtype: torch.dtype) -> V:
+        """Return a value that is the same everywhere, rounded to its type."""
+        if dtype == torch.bool:
+            number = bool(number)
+        else:
+            number = ctypes.c_float(number).value if dtype == torch.float32 else float(number)
+        return self._intern("constant", (), number, dtype, CALL)
+
+    def input(self, source: str, *index: int, dtype: torch.dtype = torch.float64) -> V:
+        """Return a value that the kernel loads.
+
+        Args:
+            source: ``state``, ``own``, ``shared``, ``flag`` and ``schedule``: rows of the arguments of
+                :meth:`bsk_torch.codegen.kernel.Kernel.__call__`; ``track``: numbers of a record; ``tau``: seconds since the
+                record of a track; ``ticks_now``: number of this tick.
+            *index: Number of the row; of the track (from 1 on) and of the number in its record; or of the track.
+            dtype: Type as which it is loaded.
+
+        Raises:
+            ValueError: For an unknown source.
+        """
+        if source != "track" and source not in LIFETIMES:
+            raise ValueError(f"source={source!r} must be one of {['track', *LIFETIMES]}")
+        lifetime = index[0] if source == "track" else LIFETIMES[source]
+        return self._intern("input", (), (source, *index), dtype, lifetime)
+
+    def operation(self, op: str, args: tuple[Value, ...], dtype: torch.dtype) -> V:
+        """Return the value ``op(args)``: its result where that is known, an equal value that exists, or a new one."""
+        folded = fold(self, op, args, dtype)
+        if folded is not None:
+            return folded
+        return self._intern(op, args, None, dtype, shortest(arg.lifetime for arg in args))
+
+    def cast(self, value: V, dtype: torch.dtype) -> V:
+        """Return the same number as another type."""
+        return value if value.dtype == dtype else self.operation("cast", (value,), dtype)
+
+    @contextlib.contextmanager
+    def branch(self, mask: Value) -> Iterator[Region]:
+        """Open a region that runs where ``mask`` holds in some row; values made in this context join it."""
+        outer, self.region = self.region, Region(mask, self.region)
+        try:
+            yield self.region
+        finally:
+            self.region = outer
+
+    def merge(self, region: Region, pairs: Sequence[tuple[V, V]]) -> list[V]:
+        """Add a finished region; returns the first of each pair, computed in it, where its mask holds, else the second."""
+        if region.mask is None:
+            raise ValueError("the root of a program has no mask and cannot be merged into another region")
+        region.require_visible(inner for inner, _ in pairs)
+        self.region.require_visible((region.mask, *(other for _, other in pairs)))
+        self.region.statements.append(region)
+        return [self._merge(region, region.mask, *pair) for pair in pairs]
+
+    def _merge(self, region: Region, mask: Value, inner: V, other: V) -> V:
+        if inner is other:
+            return inner
+        value = self._new("merge", (mask, inner, other), None, inner.dtype, TICK, self.region)
+        region.merges.append(value)
+        return value
+
+    def _intern(self, op: str, args: tuple[Value, ...], attr: Any, dtype: torch.dtype, lifetime: int) -> V:
+        """Return an equal value that is visible here, or a new one; values that outlive a tick are outside of all conditions."""
+        # repr distinguishes 0.0 from -0.0
+        key = (op, tuple(arg.index for arg in args), repr(attr), dtype)
+        home = self.region if lifetime == TICK and op != "input" else self.root
+        home.require_visible(args)
+        for scope in home.chain():
+            if key in scope.known:
+                return scope.known[key]  # type: ignore[return-value]
+        value = self._new(op, args, attr, dtype, lifetime, home)
+        home.known[key] = value
+        return value
+
+    def _new(self, op: str, args: tuple[Value, ...], attr: Any, dtype: torch.dtype, lifetime: int, region: Region) -> V:
+        value = self.value_type(self, op, args, attr, dtype, lifetime, region, self.count)
+        self.count += 1
+        region.statements.append(value)
+        return value
+
+
+# -- loops -------------------------------------------------------------------------------------------------------------------
+
+
+class TrackShape(Protocol):
+    """A table [N, records, width] of which a tick reads a few neighbouring records."""
+
+    @property
+    def spacing(self) -> float:
+        """Seconds between records."""
+
+    @property
+    def width(self) -> int:
+        """Numbers of a record."""
+
+    @property
+    def count(self) -> int:
+        """Records that a tick reads."""
+
+    @property
+    def before(self) -> int:
+        """Number of them that lie before the last one that has passed."""
+
+
+CLOCKS = ("ticks", "start", "schedule")
+"""Named clocks: the time of this tick, that of the tick at which the call starts, and the first number of the schedule."""
+
+
+@dataclass(frozen=True)
+class Loop:
+    """A traced tick, to be repeated.
+
+    Attributes:
+        program: Graph of all values.
+        outputs: State at the end of a tick, by rows.
+        tracks: Tables that a tick reads, numbered from 1 on.
+        written: Values recorded in every tick.
+        clock: Time at which tracks are looked up: one of :data:`CLOCKS`, or a row of the state, s.
+        schedule: Numbers of the schedule for each tick.
+        stop: Mask of the rows that end with this tick.
+    """
+
+    program: Program[Any]
+    outputs: Sequence[Value]
+    tracks: Sequence[TrackShape] = ()
+    written: Sequence[Value] = ()
+    clock: str | Value = "ticks"
+    schedule: int = 0
+    stop: Value | None = None
+
+    def __post_init__(self) -> None:
+        """Raise ValueError for an unknown clock."""
+        if not isinstance(self.clock, Value) and self.clock not in CLOCKS:
+            raise ValueError(f"clock={self.clock!r} must be one of {list(CLOCKS)} or a row of the state")
+
+    @property
+    def results(self) -> list[Value]:
+        """Values for whose sake all others are computed."""
+        return [*self.outputs, *self.written, *([] if self.stop is None else [self.stop])]
+
+
+class Variable(NamedTuple):
+    """A place that is written more than once, or under another name than that of a value."""
+
+    name: str
+    dtype: torch.dtype
+
+
+class Define(NamedTuple):
+    """Compute a value where it stands."""
+
+    value: Value
+
+
+class Declare(NamedTuple):
+    """Make room for a value that is computed later and may change; ``initial`` is what it holds until then."""
+
+    value: Value
+    initial: Value | None = None
+
+
+class Update(NamedTuple):
+    """Compute a value that has been declared."""
+
+    value: Value
+
+
+class Store(NamedTuple):
+    """Convert a value to the type of a variable and keep it there; with ``declare``, the variable is made, and is constant."""
+
+    target: Variable
+    value: Value | Variable
+    declare: bool = False
+
+
+class Branch(NamedTuple):
+    """Statements that run where ``mask`` holds in some row of a block."""
+
+    mask: Value
+    body: tuple[Statement, ...]
+
+
+Statement = Define | Declare | Update | Store | Branch
+
+
+class Record(NamedTuple):
+    """Values that hold as long as a record of a track.
+
+    When another record is looked up, ``inputs`` are loaded and ``computed`` follow from them; ``kept`` outlive the look-up and
+    ``local`` are needed only there.
+    """
+
+    shape: TrackShape
+    inputs: tuple[Value, ...]
+    computed: tuple[Value, ...]
+    kept: tuple[Value, ...]
+    local: tuple[Value, ...] = ()
+
+
+class Carried(NamedTuple):
+    """Variables that outlive a tick of blocks that run in lockstep.
+
+    ``common`` are equal in all rows. The others belong to a block; ``initial`` are those that are known before its first tick.
+    """
+
+    common: tuple[Value | Variable, ...]
+    initial: tuple[Value | Variable, ...]
+    block: tuple[Value | Variable, ...]
+
+
+@dataclass(frozen=True)
+class LoweredLoop:
+    """A loop as statements, ready for printing.
+
+    Attributes:
+        mixed: Whether some value is float32: a vector then holds as many rows as floats fit a register.
+        loads: Inputs read when a block of rows begins.
+        constants: Values computed once in a call.
+        records: Values that follow from a record, of each track.
+        body: Statements of a tick.
+        stop: Mask of the rows that end with this tick.
+        written: Values recorded in every tick.
+        results: Rows of the state that a tick changes, and where they are found when a row ends.
+        commit: Statements that pass the new state on to the next tick.
+        clock: See :class:`Loop`.
+        schedule: See :class:`Loop`.
+        carried: Variables of a block between two ticks, where groups of rows run in lockstep, else None.
+    """
+
+    mixed: bool
+    loads: tuple[Value, ...]
+    constants: tuple[Value, ...]
+    records: tuple[Record, ...]
+    body: tuple[Statement, ...]
+    stop: Value | None
+    written: tuple[Value, ...]
+    results: tuple[tuple[int, Value | Variable], ...]
+    commit: tuple[Statement, ...]
+    clock: str | Value
+    schedule: int
+    carried: Carried | None = None

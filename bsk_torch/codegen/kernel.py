@@ -1,0 +1,153 @@
+"""Python interface of kernels that repeat ticks."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from functools import cached_property
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from bsk_torch.codegen import build, cpp
+from bsk_torch.codegen.ir import Loop
+from bsk_torch.codegen.passes import lower
+from bsk_torch.codegen.tiling import check_groups, in_blocks, in_tiles
+
+
+class Samples(NamedTuple):
+    """A track's records: ``table`` [N, R, C], and time ``start`` [N], s, of the first one.
+
+    ``owner`` is the row of both for each row of a run, where they are not the same.
+    """
+
+    table: Tensor
+    start: Tensor
+    owner: Tensor | None = None
+
+
+class Entry(NamedTuple):
+    """A library: rows in a block, and its function."""
+
+    width: int
+    run: Callable[..., None]
+
+    @staticmethod
+    def of(loop: Loop, lockstep: bool, name: str) -> Entry:
+        """Build the library of a loop, or load it; ``name`` is used in messages."""
+        lowered = lower(loop, lockstep)
+        library = build.load(cpp.source(lowered, build.INCLUDE), name)
+        return Entry(library.lanes_width(), build.entry(library, cpp.signature(lowered)))
+
+
+class Kernel:
+    """A compiled loop.
+
+    A loop with a stop has two libraries: one in which each row ends by itself, and one in which groups of rows run in lockstep.
+    """
+
+    def __init__(self, name: str, loop: Loop, lockstep: int = 1) -> None:
+        """Build the library for groups of ``lockstep`` rows, or load it; the other one waits until it is needed.
+
+        ``name`` is used in messages.
+        """
+        self.name, self.loop = name, loop
+        self._entry(lockstep)
+
+    @cached_property
+    def independent(self) -> Entry:
+        """The library in which every row has an end of its own."""
+        return Entry.of(self.loop, False, self.name)
+
+    @cached_property
+    def lockstep(self) -> Entry:
+        """The library in which the rows of a group end together."""
+        if self.loop.stop is None:
+            raise ValueError(f"the {self.name} has no stop: its rows cannot run in lockstep")
+        return Entry.of(self.loop, True, f"{self.name} in lockstep")
+
+    def _entry(self, lockstep: int) -> Entry:
+        return self.lockstep if self.loop.stop is not None and lockstep > 1 else self.independent
+
+    def __call__(
+        self,
+        state: Tensor,
+        counts: Tensor | int,
+        tracks: Sequence[Samples],
+        *,
+        expected_ticks: Tensor | None = None,
+        shared: Tensor | None = None,
+        own: Tensor | None = None,
+        mode: Tensor | None = None,
+        flags: Tensor | None = None,
+        ticks: Tensor | None = None,
+        nanoseconds: int = 0,
+        schedule: Tensor | None = None,
+        written: Tensor | None = None,
+        lockstep: int = 1,
+    ) -> Tensor:
+        """Run ``counts`` [n] ticks of every column of ``state`` [C, n], or as many as there are until the kernel's stop.
+
+        Args:
+            state: State [C, n], which changes.
+            counts: Number of ticks, at most, of each row [n], or of all of them.
+            tracks: Records of each track.
+            expected_ticks: Number of ticks to be expected of each row [n], where it differs from ``counts``; it affects the
+                speed only.
+            shared: Numbers that all rows share.
+            own: Numbers of each row [C', n].
+            mode: Column of ``flags`` for each row [n].
+            flags: Flags [F, M] of the modes.
+            ticks: Number of ticks before the first, [n].
+            nanoseconds: Length of a tick.
+            schedule: Numbers of each tick [K, S].
+            written: What each tick writes [n, L, C''], which changes; its rows may lie apart. Rows in lockstep cannot write.
+            lockstep: Rows 0 to lockstep - 1 are the first group, and so on: where the kernel has a stop, the rows of a group,
+                whose ``counts`` are equal, all end in the tick in which the first of them stops.
+
+        Returns:
+            Number of ticks that each row has run, [n].
+
+        Raises:
+            ValueError: For a tensor that is not contiguous or of another type, a table with too few records, or groups that do
+                not fit the rows.
+        """
+        alike, stops = isinstance(counts, int), self.loop.stop is not None
+        counts = torch.full(state.shape[1:], counts) if isinstance(counts, int) else counts
+        _check_tensors((state, counts, shared, own, mode, flags, ticks, schedule, *(part for t in tracks for part in t)))
+        self._check_tables(tracks)
+        n, modes = len(counts), 1 if flags is None else flags.shape[1]
+        packs = n, state, shared, own, flags, modes, mode, ticks, nanoseconds, schedule
+        records = [part for t in tracks for part in (t.table, t.start, t.owner, t.table.shape[1])]
+        expected, entry = counts if expected_ticks is None else expected_ticks, self._entry(lockstep)
+        if stops and lockstep > 1:
+            if written is not None:
+                raise ValueError(f"written must be None where lockstep={lockstep}: rows that end together write nothing")
+            check_groups(counts, lockstep)
+            tiles = in_tiles(counts, expected, mode, lockstep, entry.width)
+            entry.run(*tiles.size, _threads(tiles.size[0]), tiles.rows, tiles.groups, tiles.ends, *packs, *records)
+            return tiles.ends[:-1].repeat_interleave(lockstep)
+        rows, ends = in_blocks(counts, None if alike else expected, mode, modes, entry.width)
+        blocks = len(rows) // entry.width
+        stride = 0 if written is None else written.stride(0)
+        entry.run(blocks, _threads(blocks), rows, ends, *packs, written, stride, *records)
+        return torch.empty_like(counts).index_copy_(0, rows[:n], ends[:n]) if stops else counts
+
+    def _check_tables(self, tracks: Sequence[Samples]) -> None:
+        for track, samples in zip(self.loop.tracks, tracks, strict=True):
+            if samples.table.shape[1] < track.count:
+                raise ValueError(
+                    f"a kernel got a table {list(samples.table.shape)}; it must have at least {track.count} records a row"
+                )
+
+
+def _check_tensors(tensors: Iterable[Tensor | None]) -> None:
+    for tensor in tensors:
+        if tensor is not None and not tensor.is_contiguous():
+            raise ValueError(f"a kernel got a tensor {list(tensor.shape)} with strides {tensor.stride()}; it must be contiguous")
+        if tensor is not None and tensor.dtype not in (torch.float64, torch.int64):
+            raise ValueError(f"a kernel got a tensor {list(tensor.shape)} of {tensor.dtype}; it must be float64 or int64")
+
+
+def _threads(parts: int) -> int:
+    return max(1, min(parts, torch.get_num_threads()))

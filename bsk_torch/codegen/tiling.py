@@ -1,0 +1,103 @@
+"""Arrangement of rows: in blocks, and in tiles of blocks for groups of rows that run in lockstep.
+
+A block holds as many rows as a vector has lanes, and takes as long as its longest row, in every branch that one of its rows
+takes. So rows that are expected to run for about as long, in the same mode, share a block.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+SPARE = 1 / 16
+"""Padding of a tile, as part of its rows, for which no larger tile is taken."""
+
+BLOCKS, TILES = 8, 32
+"""Blocks that a tile may have to sort its rows by mode, where there are so many tiles."""
+
+
+def in_blocks(
+    counts: Tensor, expected_ticks: Tensor | None, mode: Tensor | None, modes: int, width: int
+) -> tuple[Tensor, Tensor]:
+    """Rows in blocks of ``width``, and their numbers of ticks, which a kernel may change; padded with rows that run no tick.
+
+    Args:
+        counts: Number of ticks, at most, of each row [n]; copied unless ``expected_ticks`` is None.
+        expected_ticks: Number of ticks to be expected of each row [n], or None where all are alike.
+        mode: Mode of each row [n], if there are any.
+        modes: Number of modes.
+        width: Rows of a block.
+    """
+    n = len(counts)
+    if expected_ticks is None:
+        rows = torch.arange(n)
+    elif n <= width:
+        rows, counts = torch.arange(n), counts.clone()
+    else:
+        rows = torch.argsort(expected_ticks if mode is None else expected_ticks * modes + mode)
+        counts = counts[rows]
+    padding = -n % width
+    if not padding:
+        return rows, counts
+    return torch.cat([rows, rows[:1].expand(padding)]), torch.cat([counts, counts.new_zeros(padding)])
+
+
+class Tiles(NamedTuple):
+    """Rows in tiles of blocks: ``rows`` and the group of each, [tiles, lanes]; ``ends`` [groups + 1] are ticks of the groups.
+
+    The last group is that of padding, which runs no tick. ``size`` is the number of tiles, and of blocks in each.
+    """
+
+    rows: Tensor
+    groups: Tensor
+    ends: Tensor
+    size: tuple[int, int]
+
+
+def check_groups(counts: Tensor, group: int) -> None:
+    """Raise ValueError for ``counts`` [n] that are not those of groups of ``group`` rows."""
+    if len(counts) % group:
+        raise ValueError(f"lockstep={group} must divide the number of rows, {len(counts)}")
+    uneven = torch.nonzero((counts.view(-1, group) != counts[::group, None]).any(1))
+    if len(uneven):
+        first = int(uneven[0])
+        found = counts.view(-1, group)[first].unique().tolist()
+        raise ValueError(f"counts of group {first} are {found}; rows in lockstep must have the same number of ticks")
+
+
+def in_tiles(counts: Tensor, expected_ticks: Tensor, mode: Tensor | None, group: int, width: int) -> Tiles:
+    """Return tiles of whole groups that should take about as long, with rows of like modes in their blocks.
+
+    Args:
+        counts: Number of ticks, at most, of each row [n].
+        expected_ticks: Number of ticks to be expected of each row [n]; the first row of a group to stop ends it.
+        mode: Mode of each row [n], if there are any.
+        group: Rows of a group.
+        width: Rows of a block.
+    """
+    groups = len(counts) // group
+    each = _groups_of_a_tile(groups, group, width)
+    shape = -(-groups // each), each * group
+    ranked = expected_ticks.view(groups, group).amin(1).argsort()
+    rows = _filled((ranked.unsqueeze(1) * group + torch.arange(group)).flatten(), 0, shape)
+    owners = _filled(ranked.repeat_interleave(group), groups, shape)
+    if mode is not None:
+        alike = mode[rows].argsort(dim=1, stable=True)
+        rows, owners = rows.gather(1, alike), owners.gather(1, alike)
+    padding = 0, -shape[1] % width
+    rows, owners = torch.constant_pad_nd(rows, padding, 0), torch.constant_pad_nd(owners, padding, groups)
+    ends = torch.cat([counts[::group], counts.new_zeros(1)])
+    return Tiles(rows, owners, ends, (shape[0], rows.shape[1] // width))
+
+
+def _groups_of_a_tile(groups: int, group: int, width: int) -> int:
+    """Return the number of groups in a tile: as few as fill its blocks, or a multiple; tiles larger than a cache are slower."""
+    few = next(k for k in range(1, width + 1) if -(k * group) % width <= SPARE * k * group)
+    times = min(BLOCKS * width // (few * group), groups // (few * TILES))
+    return max(1, min(groups, few * max(1, times)))
+
+
+def _filled(values: Tensor, filler: int, shape: tuple[int, int]) -> Tensor:
+    return torch.constant_pad_nd(values, (0, shape[0] * shape[1] - len(values)), filler).view(shape)

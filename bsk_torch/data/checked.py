@@ -1,0 +1,83 @@
+"""Calls of a rewarder's hooks that check what they return.
+
+Environments and :class:`~bsk_torch.data.ComposedReward` call hooks in this way only, so a tensor of a wrong shape is an error
+that names the hook, and is not broadcast to a wrong reward. The checks read shapes and dtypes, never values.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from typing import TYPE_CHECKING
+
+import torch
+from torch import Tensor
+
+from bsk_torch.data.base import GlobalReward, Log
+from bsk_torch.sim.hooks import check_linked, check_tensor
+
+if TYPE_CHECKING:
+    from bsk_torch.scene.base import Scenario
+    from bsk_torch.sim.fleet import Fleet
+
+
+def link(rewarder: GlobalReward, scenario: Scenario, fleet: Fleet) -> None:
+    """Link a rewarder; TypeError if a subclass does not pass the call on to its base class."""
+    rewarder.link(scenario, fleet)
+    check_linked(rewarder, "link(scenario, fleet)", fleet)
+
+
+def log(rewarder: GlobalReward) -> Log:
+    """Return the present log; TypeError unless it is a dictionary of tensors [N, S, ...]."""
+    found, shape = rewarder.read_log(), _shape(rewarder)
+    if not isinstance(found, dict):
+        raise TypeError(f"{type(rewarder).__name__}.read_log() returns {found!r}; it must return a dictionary of tensors")
+    for name, value in found.items():
+        if not isinstance(value, Tensor) or value.shape[:2] != shape:
+            check_tensor(f"{type(rewarder).__name__}.read_log()[{name!r}]", value, shape)
+    return found
+
+
+def reward(rewarder: GlobalReward, before: Log, after: Log) -> Tensor:
+    """Return the reward of a step, [N, S]; TypeError for another shape, or for a dtype that is not floating-point."""
+    found = rewarder.calculate_reward(before, after)
+    check_tensor(f"{type(rewarder).__name__}.calculate_reward()", found, _shape(rewarder), torch.float64, torch.float32)
+    return found
+
+
+def terminated(rewarder: GlobalReward) -> Tensor:
+    """Return the satellites whose episode the rewarder terminates, [N, S] bool; TypeError for another shape or dtype."""
+    found = rewarder.is_terminated()
+    check_tensor(f"{type(rewarder).__name__}.is_terminated()", found, _shape(rewarder), torch.bool)
+    return found
+
+
+def truncated(rewarder: GlobalReward) -> Tensor:
+    """Return the satellites whose episode the rewarder truncates, [N, S] bool; TypeError for another shape or dtype."""
+    found = rewarder.is_truncated()
+    check_tensor(f"{type(rewarder).__name__}.is_truncated()", found, _shape(rewarder), torch.bool)
+    return found
+
+
+def share(rewarder: GlobalReward, links: Tensor) -> None:
+    """Spread knowledge along ``links`` [N, S, S] bool; TypeError if the hook returns something, which would be lost."""
+    if rewarder.share(links) is not None:  # type: ignore[func-returns-value]
+        raise TypeError(f"{type(rewarder).__name__}.share(links) must return None; keep what it computes in fleet.memory")
+
+
+def counts(rewarder: GlobalReward, taken: Collection[str] = ()) -> dict[str, Tensor]:
+    """Return the counters of a rewarder, [N, S] int64 each.
+
+    Raises:
+        TypeError: For a counter of another shape or dtype.
+        ValueError: For a counter whose name is already ``taken`` by the satellites.
+    """
+    found, shape = rewarder.counts(), _shape(rewarder)
+    for name, value in found.items():
+        check_tensor(f"{type(rewarder).__name__}.counts()[{name!r}]", value, shape, torch.int64)
+        if name in taken:
+            raise ValueError(f"{type(rewarder).__name__}.counts() has {name!r}, which the satellites count, too; rename it")
+    return found
+
+
+def _shape(rewarder: GlobalReward) -> tuple[int, int]:
+    return rewarder.fleet.num_envs, rewarder.fleet.size

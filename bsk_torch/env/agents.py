@@ -1,0 +1,157 @@
+"""Agents of a constellation: the satellites that each one commands, and groups of agents that share tensors."""
+
+from __future__ import annotations
+
+import keyword
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from bsk_torch.sim.params import nearest
+
+AGENTS = "agents"
+"""Name of the group where there is only one."""
+
+ROOT = ("observation", "action", "action_mask", "reward", "done", "terminated", "truncated", "duration", "counts", "state")
+"""Names that groups cannot have."""
+
+
+@dataclass(frozen=True)
+class Group:
+    """A agents that are alike: each decides for M satellites, the m-th of which is of type ``types[m]``.
+
+    Attributes:
+        name: Key of the group.
+        agents: Names of the agents.
+        members: Numbers of their satellites among all, [A, M].
+        types: Type of each member, M of them.
+        within: Numbers of the members within their types, M tensors [A].
+        whole: Whether the members are all satellites of their types in order, M of them.
+    """
+
+    name: str
+    agents: tuple[str, ...]
+    members: Tensor
+    types: tuple[int, ...]
+    within: tuple[Tensor, ...]
+    whole: tuple[bool, ...]
+
+    def to(self, device: torch.device) -> Group:
+        """Return the group with its tensors on a device."""
+        return replace(self, members=self.members.to(device), within=tuple(index.to(device) for index in self.within))
+
+    @property
+    def is_meta(self) -> bool:
+        """Whether agents decide for several satellites."""
+        return len(self.types) > 1
+
+
+def agents_of(names: Sequence[str], groupings: Mapping[str, Sequence[str]] | None) -> dict[str, list[str]]:
+    """Return the satellites of every agent, those of ``groupings`` first, then every other satellite on its own.
+
+    Raises:
+        ValueError: For an agent without satellites, or with one that is unknown or another agent's.
+    """
+    agents: dict[str, list[str]] = {}
+    taken: dict[str, str] = {}
+    for agent, members in (groupings or {}).items():
+        if not agent.isidentifier() or keyword.iskeyword(agent):
+            raise ValueError(f"meta_agent_groupings: agent {agent!r} must be a Python identifier")
+        if isinstance(members, str) or not members:
+            raise ValueError(f"meta_agent_groupings[{agent!r}]={members!r} must be a list of at least one satellite's name")
+        for member in members:
+            if member not in names:
+                raise ValueError(
+                    f"meta_agent_groupings[{agent!r}] has {member!r}, which is no satellite; {nearest(member, names)}"
+                )
+            if member in taken:
+                raise ValueError(f"meta_agent_groupings: satellite {member!r} belongs to {taken[member]!r} and to {agent!r}")
+            taken[member] = agent
+        agents[agent] = list(members)
+    others = [name for name in names if name not in taken]
+    if twice := sorted(set(others) & set(agents)):
+        raise ValueError(
+            f"meta_agent_groupings: {twice} are names of satellites that belong to no agent; give agents other names"
+        )
+    return agents | {name: [name] for name in others}
+
+
+def snake(name: str) -> str:
+    """Return the name of a class as the name of a group."""
+    return re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", name).lower()
+
+
+def make_groups(
+    agents: Mapping[str, Sequence[str]],
+    names: Sequence[str],
+    types: Sequence[Sequence[int]],
+    titles: Sequence[str],
+    group_map: Mapping[str, Sequence[str]] | None = None,
+) -> list[Group]:
+    """Return the groups of agents that are alike.
+
+    Args:
+        agents: Satellites of each agent.
+        names: Names of all satellites.
+        types: Numbers of the satellites of each type.
+        titles: What each type is called.
+        group_map: Agents of each group; by type unless given.
+
+    Raises:
+        ValueError: For a ``group_map`` that names unknown agents, does not hold each once, or puts unlike ones together.
+    """
+    place = {names[column]: (t, k) for t, columns in enumerate(types) for k, column in enumerate(columns)}
+    signature = {agent: tuple(place[member][0] for member in members) for agent, members in agents.items()}
+    if group_map is None:
+        kinds: dict[tuple[int, ...], list[str]] = {}
+        for agent, kind in signature.items():
+            kinds.setdefault(kind, []).append(agent)
+        group_map = named(kinds, titles)
+    check_map(group_map, signature)
+    groups = []
+    for name, chosen in group_map.items():
+        table = [[place[member] for member in agents[agent]] for agent in chosen]
+        members = torch.tensor([[names.index(member) for member in agents[agent]] for agent in chosen])
+        within = tuple(torch.tensor([row[m][1] for row in table]) for m in range(members.shape[1]))
+        kind = signature[chosen[0]]
+        whole = tuple(index.tolist() == list(range(len(types[t]))) for t, index in zip(kind, within, strict=True))
+        groups.append(Group(name, tuple(chosen), members, kind, within, whole))
+    return groups
+
+
+def named(kinds: Mapping[tuple[int, ...], list[str]], titles: Sequence[str]) -> dict[str, list[str]]:
+    """Return groups by name: the type's, or the names of the types of its members."""
+    if len(kinds) == 1:
+        return {AGENTS: next(iter(kinds.values()))}
+    found: dict[str, list[str]] = {}
+    for kind, agents in kinds.items():
+        base = name = "_and_".join(snake(titles[t]) for t in kind)
+        number = 1
+        while name in found or name in ROOT:
+            number += 1
+            name = f"{base}_{number}"
+        found[name] = agents
+    return found
+
+
+def check_map(group_map: Mapping[str, Sequence[str]], signature: Mapping[str, tuple[int, ...]]) -> None:
+    """Raise ValueError for a map that does not put each agent into one group with agents like it."""
+    listed = [agent for agents in group_map.values() for agent in agents]
+    for agent in listed:
+        if agent not in signature:
+            raise ValueError(f"group_map has {agent!r}, which is no agent; {nearest(agent, signature)}")
+    if twice := sorted({agent for agent in listed if listed.count(agent) > 1}):
+        raise ValueError(f"group_map has {twice} more than once")
+    if missing := [agent for agent in signature if agent not in listed]:
+        raise ValueError(f"group_map lacks {missing}; every agent needs a group")
+    for name, agents in group_map.items():
+        if not agents or name in ROOT:
+            raise ValueError(f"group_map[{name!r}]={list(agents)} is empty, or its name is one of {list(ROOT)}")
+        other = next((agent for agent in agents if signature[agent] != signature[agents[0]]), None)
+        if other is not None:
+            raise ValueError(
+                f"group_map[{name!r}] puts {agents[0]!r} and {other!r} together, whose satellites are of different types"
+            )

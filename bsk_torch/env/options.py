@@ -1,0 +1,119 @@
+"""The options that all environments share: one list, from which constructors take names, defaults and meaning."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, fields
+from typing import Any, TypeVar
+
+import torch
+from torch import Tensor
+
+from bsk_torch.rand import Distribution
+from bsk_torch.sim.params import nearest
+
+TimeLimit = float | Distribution | Callable[[], float]
+
+Class = TypeVar("Class", bound=type)
+
+
+@dataclass(frozen=True, kw_only=True)
+class TaskingOptions:
+    """Options of :class:`bsk_torch.SatelliteTasking` and :class:`bsk_torch.ConstellationTasking`, given as keyword arguments.
+
+    Attributes:
+        num_envs: Number of episodes N.
+        world_args: Arguments of the world, like ``sat_args``; see :meth:`~bsk_torch.env.base.Tasking.default_world_args`.
+        sim_rate: Length of a tick, s.
+        max_step_duration: Longest step, s.
+        failure_penalty: Added to the reward of a step at whose end the satellite is dead.
+        time_limit: Seconds after which an episode is truncated, rounded up to whole ticks; a number, a distribution or a callable
+            without arguments.
+        terminate_on_time_limit: Whether the time limit also terminates.
+        device: Where the simulation runs.
+        seed: Seed of all draws; None for a random one.
+        env_ids: Index of each episode in the draws, 0 to N - 1 unless given.
+        dtype: Type of observations, rewards and durations.
+        sim_dtype: float64 for parity with Basilisk; float32 for mixed precision: attitude, wheels and flight software in float32,
+            orbit, time and accumulators in float64.
+        orbit: ``"arc"`` (in advance), ``"integrated"`` (in every tick, with drag), or None for the model's own.
+        backend: ``"compiled"``, or ``"eager"`` for debugging.
+        log_level: Level of the package's logger; None leaves it.
+    """
+
+    num_envs: int = 1
+    world_args: Mapping[str, Any] | None = None
+    sim_rate: float = 1.0
+    max_step_duration: float = 1e9
+    failure_penalty: float = -1.0
+    time_limit: TimeLimit = float("inf")
+    terminate_on_time_limit: bool = False
+    device: torch.device | str = "cpu"
+    seed: int | None = None
+    env_ids: Sequence[int] | Tensor | None = None
+    dtype: torch.dtype = torch.float32
+    sim_dtype: torch.dtype = torch.float64
+    orbit: str | None = None
+    backend: str = "compiled"
+    log_level: int | str | None = None
+
+    def __post_init__(self) -> None:
+        """Check the number of environments."""
+        if self.num_envs < 1:
+            raise ValueError(f"num_envs={self.num_envs} must be at least 1")
+
+
+@dataclass(frozen=True, kw_only=True)
+class ConstellationOptions(TaskingOptions):
+    """Further options of :class:`bsk_torch.ConstellationTasking`.
+
+    Attributes:
+        joint: Whether one agent commands all satellites and gets one reward, as in bsk_rl's ``GeneralSatelliteTasking``. Its keys
+            are at the root: ``observation`` [N, O], ``action`` [N, S], ``action_mask``, ``reward`` [N, 1],
+            ``requires_retasking`` [N, S]. The episode ends when any satellite dies.
+        meta_agent_groupings: Names of the satellites of agents that command several; their actions are [N, A, M].
+        only_retask_idle_meta_agent_members: Whether such agents' actions for busy satellites are ignored.
+        group_map: Names of the agents of each group; by types of satellites unless given.
+        generate_obs_retasking_only: Whether agents that need no task observe zeros.
+        mask_busy: Whether ``action_mask`` lets busy satellites only continue.
+    """
+
+    joint: bool = False
+    meta_agent_groupings: Mapping[str, Sequence[str]] | None = None
+    only_retask_idle_meta_agent_members: bool = False
+    group_map: Mapping[str, Sequence[str]] | None = None
+    generate_obs_retasking_only: bool = False
+    mask_busy: bool = True
+
+    def __post_init__(self) -> None:
+        """Check options that exclude each other."""
+        super().__post_init__()
+        if self.joint and (self.meta_agent_groupings or self.group_map):
+            raise ValueError("joint=True puts all satellites under one agent; leave meta_agent_groupings and group_map out")
+
+
+def parse(kind: type[TaskingOptions], given: Mapping[str, Any]) -> Any:
+    """Return the options of a kind; TypeError for an unknown name."""
+    known = [option.name for option in fields(kind)]
+    for name in given:
+        if name not in known:
+            raise TypeError(f"{name}= is not an option of the environment; {nearest(name, known)}")
+    return kind(**given)
+
+
+def takes(kind: type[TaskingOptions]) -> Callable[[Class], Class]:
+    """Return a decorator of environments whose signature then lists the options of a kind in place of ``**options``."""
+    keywords = [
+        inspect.Parameter(option.name, inspect.Parameter.KEYWORD_ONLY, default=option.default, annotation=option.type)
+        for option in fields(kind)
+    ]
+
+    def decorate(env: Class) -> Class:
+        own = [
+            p for p in inspect.signature(vars(env)["__init__"]).parameters.values() if p.kind is not inspect.Parameter.VAR_KEYWORD
+        ]
+        env.__signature__ = inspect.Signature([*own[1:], *keywords])  # type: ignore[attr-defined]
+        return env
+
+    return decorate

@@ -1,1 +1,0 @@
-"""Element-wise tensor code as kernels in C++, whose lanes are environments."""

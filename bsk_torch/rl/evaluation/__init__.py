@@ -1,0 +1,23 @@
+"""Evaluation of policies, and the study of their failures."""
+
+from bsk_torch.rl.evaluation.comparison import compare, comparison_table
+from bsk_torch.rl.evaluation.evaluate import FRESH, Evaluation, evaluate, start_episodes
+from bsk_torch.rl.evaluation.failures import Failure, explain
+from bsk_torch.rl.evaluation.replay import Flown, fly
+from bsk_torch.rl.evaluation.statistics import Estimate, confidence, wilson
+
+__all__ = [
+    "FRESH",
+    "Estimate",
+    "Evaluation",
+    "Failure",
+    "Flown",
+    "compare",
+    "comparison_table",
+    "confidence",
+    "evaluate",
+    "explain",
+    "fly",
+    "start_episodes",
+    "wilson",
+]

@@ -1,0 +1,124 @@
+"""Lower bound on the charge that a satellite needs, whatever its actions: with less it cannot be saved.
+
+The bound supposes that the panel faces the Sun at every moment, that nothing but the base load and idle wheels draws power, and
+that turning is free. Sunlight is what the simulation will see along the orbit, which no action changes.
+"""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor
+
+from bsk_torch.astro.eclipse import illumination
+from bsk_torch.astro.ephemeris import sun_position
+from bsk_torch.astro.interpolate import positions
+from bsk_torch.constants import AU, SOLAR_FLUX
+from bsk_torch.env import SatelliteTasking
+from bsk_torch.sim.component import neighbours
+from bsk_torch.sim.orbit.builder import ARC
+from bsk_torch.sim.orbit.grid import NODE_SPACING
+from bsk_torch.vec3 import Vec3
+
+WHEELS = 3
+
+SINKS = ("instrumentPowerDraw", "transmitterPowerDraw", "thrusterPowerDraw")
+"""Power of what actions may switch on, W; negative where it draws."""
+
+NEEDED = (
+    *SINKS,
+    "panelArea",
+    "panelEfficiency",
+    "basePowerDraw",
+    "rwBasePower",
+    "rwMechToElecEfficiency",
+    "batteryStorageCapacity",
+)
+"""Arguments that the bound follows from."""
+
+CHUNK = 512
+"""Ticks whose sunlight is computed at once."""
+
+
+def check_bounded(env: SatelliteTasking) -> None:
+    """ValueError where the bound would not hold: for satellites without its arguments, or whose wheels give power back."""
+    missing = [name for name in NEEDED if name not in env.satellite.sat_args]
+    if missing:
+        raise ValueError(f"the bound on the charge needs a satellite with the arguments {missing}, such as NadirScan-v1's")
+    if bool((env.satellite.sat_args["rwMechToElecEfficiency"] > 0.0).any()):
+        raise ValueError("rwMechToElecEfficiency is above 0: braking wheels give power back, which the bound does not count")
+
+
+def sunlight(env: SatelliteTasking, rows: Tensor, ticks: Tensor) -> tuple[Tensor, Tensor]:
+    """Illuminated fraction of the Sun and its flux, W/m^2, in ``rows`` [n] at the end of ``ticks`` [T], [n, T] each.
+
+    The episodes must have just begun, and their orbits must be solved in advance. As in a tick, the shadow is that of the
+    position one tick ago.
+    """
+    parts = [_sunlight(env, rows, part) for part in ticks.split(CHUNK)]
+    lit, flux = (torch.cat(columns, 1) for columns in zip(*parts, strict=True))
+    return lit, flux
+
+
+def _sunlight(env: SatelliteTasking, rows: Tensor, ticks: Tensor) -> tuple[Tensor, Tensor]:
+    arcs, h = env.simulator.arcs, env.simulator.h
+    owner = rows.repeat_interleave(len(ticks))
+
+    def place(tick: Tensor) -> Tensor:
+        elapsed = (tick * h).repeat(len(rows)) - arcs.start[owner] + ARC.before * NODE_SPACING
+        nodes, tau = neighbours(ARC, arcs.flown, owner, elapsed)
+        return positions(nodes, tau / NODE_SPACING)
+
+    sun = sun_position(arcs.et[owner] + (ticks * h).repeat(len(rows)))
+    lit = illumination(Vec3.of(place(ticks - 1)), Vec3.of(sun))
+    flux = SOLAR_FLUX * AU * AU / (sun - place(ticks)).square().sum(-1)
+    return lit.view(len(rows), -1), flux.view(len(rows), -1)
+
+
+def most_power(env: SatelliteTasking, rows: Tensor) -> Tensor:
+    """The most power, W, that can go into the battery in tick 1, 2, ... of ``rows`` [n], whose episodes have just begun, [n, T].
+
+    ValueError from :func:`check_bounded`, and for episodes whose orbits are not solved to the end at reset.
+    """
+    check_bounded(env)
+    last = int(env.state.limit_ticks[rows].max())
+    if env.simulator.orbit != "arc" or last * env.simulator.h > env.simulator.arcs.length:
+        raise ValueError(f"time_limit={last * env.simulator.h:g} s: the bound needs orbits that are solved to the end at reset")
+    lit, flux = sunlight(env, rows, torch.arange(1, last + 1, dtype=torch.float64, device=env.device))
+    args = {name: env.satellite.sat_args[name].expand(len(env.env_ids))[rows].unsqueeze(1) for name in NEEDED}
+    always = args["basePowerDraw"] - WHEELS * args["rwBasePower"]
+    gifts = sum(args[name].clamp(min=0.0) for name in SINKS)
+    return lit * flux * (args["panelArea"] * args["panelEfficiency"]) + always + gifts
+
+
+def longest_action(env: SatelliteTasking) -> int:
+    """Ticks of the longest action; ValueError where actions have no fixed durations."""
+    table = env.satellite.actions.table()
+    if not bool(torch.isfinite(table.duration).all()):
+        raise ValueError("the actions of this satellite have no fixed durations, which the search for failures needs")
+    return math.ceil(min(float(table.duration.max()), env.max_step_duration) / env.simulator.h)
+
+
+def least_charge(gain: Tensor, longest: int) -> Tensor:
+    """Charge, W s, at tick 0, 1, ... that a satellite must exceed, or it dies for certain; -infinity for no need, [N, T + 1].
+
+    A satellite dies if its battery is empty at the end of an action. An empty battery stays empty while even the most that can
+    come in is not positive; where that lasts for ``longest`` ticks, or to the end of the episode, an action ends meanwhile. So
+    some charge is needed at the first of these ticks, and before them what is lost until then.
+
+    Args:
+        gain: The most that can go into the battery in each tick, [N, T] W s.
+        longest: Ticks of the longest action.
+    """
+    n, last = gain.shape
+    need, dark = gain.new_zeros(n), torch.zeros(n, dtype=torch.int64, device=gain.device)
+    needs = [need]
+    for tick in range(last - 1, -1, -1):
+        need = need - gain[:, tick]
+        need = torch.where(need >= 0.0, need, -torch.inf)
+        dark = torch.where(gain[:, tick] <= 0.0, dark + 1, 0)
+        empty = (dark >= longest - 1) | (tick + dark >= last)
+        need = torch.where(empty, need.clamp(min=0.0), need)
+        needs.append(need)
+    return torch.stack(needs[::-1], 1)

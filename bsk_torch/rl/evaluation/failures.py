@@ -1,0 +1,135 @@
+"""Explanations of a policy's failures: whether and until when they could have been avoided."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass
+
+import torch
+from tensordict.nn import TensorDictModuleBase
+from torch import Tensor
+
+from bsk_torch.constants import RPM
+from bsk_torch.env import SatelliteTasking
+from bsk_torch.rl.evaluation.replay import OVER, Flown, fly
+from bsk_torch.rl.evaluation.rescue import CALMEST, LOST, OPEN, SAVED, Rescue, exhaust, last_chance, rescue_plans, try_plans
+
+logger = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class Moment:
+    """A decision of an episode: its number and time, s, what was done, and in which state.
+
+    ``charge`` is a fraction of the capacity, ``wheel_rpm`` the speed of the fastest wheel, ``dark`` the time to sunlight, s.
+    """
+
+    decision: int
+    time: float
+    action: str
+    charge: float
+    wheel_rpm: float
+    dark: float
+
+
+@dataclass(frozen=True)
+class Failure:
+    """An episode in which the satellite died, and whether it could have lived.
+
+    Attributes:
+        seed: Of the episode.
+        cause: Aliveness checks that failed.
+        died: Time of death, s.
+        outcome: From the start: :data:`SAVED`, :data:`LOST` or :data:`OPEN`.
+        start: The first decision.
+        last_chance: The last decision at which it could still be saved, if any.
+        lost_from: Number of the first decision that is proven to be too late; after the policy's last one that is death itself.
+        best_return: Largest return of the rescues that were flown.
+        rescue: The actions of the latest of them, from the start; the last one is repeated.
+    """
+
+    seed: int
+    cause: str
+    died: float
+    outcome: str
+    start: Moment
+    last_chance: Moment | None
+    lost_from: int
+    best_return: float | None
+    rescue: list[int] | None
+
+
+def explain(policy: TensorDictModuleBase, env: SatelliteTasking, seeds: Tensor) -> tuple[Flown, list[Failure]]:
+    """Fly the episodes of ``seeds`` [n] with a policy, and find out whether those that it failed could have been survived.
+
+    Returns:
+        What was flown, and the failures in the order of the seeds.
+    """
+    flown = fly(env, seeds, policy)
+    failed = torch.nonzero(~flown.survived).squeeze(-1)
+    logger.info("died in %d of %d episodes; looking for the last decisions that could be survived", len(failed), len(seeds))
+    if not len(failed):
+        return flown, []
+    seeds, actions = seeds[failed], flown.actions[failed]
+    noted = fly(env, seeds, actions.clamp(min=0), notes=True)
+    last, rescue = last_chance(env, seeds, actions, rescue_plans(env))
+    return flown, [_failure(env, noted, int(seed), k, int(last[k]), rescue) for k, seed in enumerate(seeds)]
+
+
+def can_be_saved(env: SatelliteTasking, seeds: Tensor) -> Tensor:
+    """Whether a plan survives the episodes of ``seeds`` [n] from their starts, [n]; the calmest is tried first."""
+    plans = rescue_plans(env)
+    saved = fly(env, seeds, plans[CALMEST].expand(len(seeds), -1)).survived
+    left = torch.nonzero(~saved).squeeze(-1)
+    if len(left):
+        none = torch.zeros_like(left)
+        saved[left] = try_plans(env, seeds[left], none.unsqueeze(1), none, plans).saved
+    return saved
+
+
+def _failure(env: SatelliteTasking, flown: Flown, seed: int, row: int, last: int, rescue: Rescue) -> Failure:
+    """Explain row ``row`` of the failures; ``last`` is the last decision from which a plan saves it, if any."""
+    actions, decisions = flown.actions[row], int((flown.actions[row] != OVER).sum())
+    found = rescue.actions[row] if last > OVER else None
+    returns = [float(rescue.returns[row])] if last > OVER else []
+    tried = last + 1
+    while tried < decisions:
+        verdict = exhaust(env, seed, actions, tried)
+        if verdict.outcome == LOST:
+            break
+        if verdict.actions is not None:
+            again = fly(env, torch.tensor([seed]), verdict.actions.unsqueeze(0))
+            if not bool(again.survived):
+                raise RuntimeError(f"the actions that saved seed {seed} in the search do not when flown from the start")
+            last, found, returns = tried, verdict.actions, [*returns, float(again.returns)]
+        tried += 1
+    return Failure(
+        seed=seed,
+        cause=", ".join(name for name, failed in flown.deaths.items() if bool(failed[row])),
+        died=float(flown.series["time"][row, decisions]),
+        outcome=SAVED if last > OVER else LOST if tried == 0 else OPEN,
+        start=_moment(env, flown, row, 0),
+        last_chance=_moment(env, flown, row, last) if last > OVER else None,
+        lost_from=tried,
+        best_return=max(returns, default=None),
+        rescue=None if found is None else trimmed(found.tolist()),
+    )
+
+
+def trimmed(actions: list[int]) -> list[int]:
+    """The actions without repetitions of the last one."""
+    while len(actions) > 1 and actions[-1] == actions[-2]:
+        actions = actions[:-1]
+    return actions
+
+
+def _moment(env: SatelliteTasking, flown: Flown, row: int, decision: int) -> Moment:
+    there = {name: values[row, decision] for name, values in flown.series.items()}
+    return Moment(
+        decision=decision,
+        time=float(there["time"]),
+        action=env.satellite.action_description[int(flown.actions[row, decision])],
+        charge=float(there["charge_fraction"]),
+        wheel_rpm=float(there["wheel_speeds"].abs().max()) / RPM,
+        dark=float(there["dark"]),
+    )

@@ -1,0 +1,194 @@
+"""Searches for actions that would have saved a satellite, and proofs that there are none.
+
+Actions that are found are flown from the start of the episode. An episode is called lost if that is proven: every sequence of
+actions has been tried until death, or until the charge was below the bound of :mod:`bsk_torch.rl.evaluation.charge_bound`.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torch import Tensor
+
+from bsk_torch.env import SatelliteTasking
+from bsk_torch.env.rollout import play_episodes
+from bsk_torch.rl.evaluation.charge_bound import check_bounded, least_charge, longest_action, most_power
+from bsk_torch.rl.evaluation.evaluate import start_episodes
+from bsk_torch.rl.evaluation.replay import OVER, fly, script
+from bsk_torch.sim.params import nearest
+
+MARGIN = 1.0
+"""Charge, W s, by which a satellite must lie below the bound to be called lost: far more than rounding in five orbits."""
+
+SAVED, LOST, OPEN = "saved", "lost", "open"
+
+CALMEST = 4
+"""Number of the plan that desaturates ten times and then charges for ever."""
+
+
+class Rescue(NamedTuple):
+    """Whether each of n episodes has been saved, [n], by which actions [n, T], and their return [n]; the best of all plans."""
+
+    saved: Tensor
+    actions: Tensor
+    returns: Tensor
+
+
+class Verdict(NamedTuple):
+    """Result of an exhaustive search.
+
+    Attributes:
+        outcome: :data:`SAVED`, :data:`LOST`, or :data:`OPEN` where the search was given up.
+        actions: Actions from the start that survive, [T], if any were found; the last one is repeated.
+        states: Number of states that were reached.
+    """
+
+    outcome: str
+    actions: Tensor | None
+    states: int
+
+
+def check_searchable(env: SatelliteTasking) -> None:
+    """Raise ValueError if failures in the environment cannot be explained: without the actions, arguments or orbits it takes."""
+    for name in ("action_charge", "action_desat"):
+        action_number(env, name)
+    check_bounded(env)
+    longest_action(env)
+
+
+# -- plans -----------------------------------------------------------------------------------------------------------------------
+
+
+def action_number(env: SatelliteTasking, name: str) -> int:
+    """Number of an action; ValueError, with the nearest name, where there is none."""
+    names = env.satellite.action_description
+    if name not in names:
+        raise ValueError(f"rescues need an action {name!r}; {nearest(name, names)}")
+    return names.index(name)
+
+
+def rescue_plans(env: SatelliteTasking, n_random: int = 32, length: int = 40, seed: int = 0) -> Tensor:
+    """Sequences of actions worth trying, [P, 1 + length], at least 30 long, of which the last action, to charge, is for ever.
+
+    To charge at once, after some desaturation or something else, with some desaturation after a while; and random runs.
+    """
+    charge, desat = action_number(env, "action_charge"), action_number(env, "action_desat")
+    n = env.satellite.actions.n_actions
+    runs = [[charge]] + [[desat] * k for k in (1, 2, 4, 10)]
+    runs += [[other] * k for other in range(n) if other not in (charge, desat) for k in (1, 2, 4)]
+    runs += [[charge] * wait + [desat] * k for wait in (3, 10, 20) for k in (2, 5, 10)]
+    runs += _random_runs(n, charge, n_random, length, seed)
+    plans = torch.full((len(runs), 1 + max(map(len, runs))), charge, dtype=torch.int64)
+    for row, run in enumerate(runs):
+        plans[row, : len(run)] = torch.tensor(run)
+    return plans
+
+
+def _random_runs(n: int, charge: int, count: int, length: int, seed: int) -> list[list[int]]:
+    """Random sequences of one to eight of each action, of which charging is as likely as three others."""
+    generator = torch.Generator().manual_seed(seed)
+    weight = torch.ones(n).index_fill(0, torch.tensor([charge]), 3.0)
+    runs = []
+    for _ in range(count):
+        kinds = torch.multinomial(weight, length, replacement=True, generator=generator)
+        runs.append(kinds.repeat_interleave(torch.randint(1, 9, (length,), generator=generator))[:length].tolist())
+    return runs
+
+
+def spliced(actions: Tensor, kept: Tensor, plans: Tensor) -> Tensor:
+    """The first ``kept`` [n] of the actions [n, T], then those of a plan [n, L], whose last one is repeated; [n, T + L]."""
+    column = torch.arange(actions.shape[1] + plans.shape[1])
+    first = actions[:, column.clamp(max=actions.shape[1] - 1)]
+    after = (column - kept.unsqueeze(1)).clamp(0, plans.shape[1] - 1)
+    return torch.where(column < kept.unsqueeze(1), first, plans.gather(1, after))
+
+
+def try_plans(env: SatelliteTasking, seeds: Tensor, actions: Tensor, kept: Tensor, plans: Tensor) -> Rescue:
+    """Fly the first ``kept`` [n] of the actions [n, T] of the episodes of ``seeds`` [n], and then every plan [P, L]."""
+    n, p = len(seeds), len(plans)
+    every = torch.arange(n).repeat_interleave(p)
+    whole = spliced(actions[every], kept[every], plans.repeat(n, 1))
+    flown = fly(env, seeds[every], whole)
+    returns, best = torch.where(flown.survived, flown.returns, -torch.inf).view(n, p).max(1)
+    return Rescue(returns > -torch.inf, whole.view(n, p, -1)[torch.arange(n), best], returns)
+
+
+def last_chance(env: SatelliteTasking, seeds: Tensor, actions: Tensor, plans: Tensor) -> tuple[Tensor, Rescue]:
+    """Number of the last decision [n] from which a plan still saves each of the episodes that ``actions`` [n, T] failed.
+
+    By bisection: an episode that can be saved at a decision can be saved at those before. The number is :data:`OVER` where no
+    plan saves the episode from its start. The rescue is that from the last such decision.
+    """
+    best = try_plans(env, seeds, actions, torch.zeros_like(seeds), plans)
+    low = torch.where(best.saved, 0, OVER)
+    high = torch.where(best.saved, (actions != OVER).sum(1), 0)
+    while bool((high - low > 1).any()):
+        middle = ((low + high) // 2).clamp(min=0)
+        tried = try_plans(env, seeds, actions, middle, plans)
+        better = tried.saved & (high - low > 1)
+        low, high = torch.where(better, middle, low), torch.where(tried.saved, high, middle)
+        best = Rescue(
+            best.saved,
+            torch.where(better.unsqueeze(1), tried.actions, best.actions),
+            torch.where(better, tried.returns, best.returns),
+        )
+    return low, best
+
+
+# -- proofs ----------------------------------------------------------------------------------------------------------------------
+
+
+def exhaust(env: SatelliteTasking, seed: int, actions: Tensor, kept: int, bound: bool = True) -> Verdict:
+    """Try all that can be done after the first ``kept`` of the actions [T] of the episode of ``seed``.
+
+    Breadth first: all actions from all states, without those that die or, with ``bound``, have less charge than it says is
+    needed. The states stand in the environment's rows; once they are too many, charging for ever is tried from each, and that
+    is all.
+    """
+    rows = torch.arange(len(env.env_ids), device=env.device)
+    now = start_episodes(env, [seed])
+    need = least_charge(most_power(env, rows[:1]) * env.simulator.h, longest_action(env))[0]
+    need = need if bound else torch.full_like(need, -torch.inf)
+    for action in actions[:kept]:
+        now = env.play(torch.full_like(rows, int(action)), rows < 1)
+    choices = torch.arange(env.satellite.actions.n_actions, device=env.device)
+    living, paths, states = _hopeful(env, need, rows[:1]), actions[:kept].expand(1, -1), 1
+    while 0 < len(living) * len(choices) <= len(rows):
+        m = len(living) * len(choices)
+        _put(env, living.repeat_interleave(len(choices)))
+        action = choices.repeat(len(living))
+        now = env.play(torch.nn.functional.pad(action, (0, len(rows) - m)), rows < m)
+        paths = torch.cat([paths[living].repeat_interleave(len(choices), 0), action.unsqueeze(1)], 1)
+        survivors = torch.nonzero((now["done"].squeeze(-1) & ~env.dead)[:m]).squeeze(-1)
+        if len(survivors):
+            return Verdict(SAVED, paths[survivors[0]], states + m)
+        living, states = _hopeful(env, need, rows[:m]), states + m
+    if len(living):
+        return _charged(env, now, living, paths, states)
+    return Verdict(LOST, None, states)
+
+
+def _hopeful(env: SatelliteTasking, need: Tensor, rows: Tensor) -> Tensor:
+    """Return those of ``rows`` that are alive and have more charge than the bound ``need`` [T + 1]."""
+    charge = env.satellite.dynamics.battery_charge[rows]
+    return rows[~env.dead[rows] & (charge > need[env.simulator.ticks[rows]] - MARGIN)]
+
+
+def _put(env: SatelliteTasking, sources: Tensor) -> None:
+    """Put copies of the rows ``sources`` [m] into the first m rows."""
+    size = len(env.env_ids)
+    index = torch.nn.functional.pad(sources, (0, size - len(sources)))
+    env.reset(TensorDict({"state": env.get_state()[index]}, [size]), set_state=True)
+
+
+def _charged(env: SatelliteTasking, now: TensorDictBase, living: Tensor, paths: Tensor, states: int) -> Verdict:
+    """Whether any of the rows ``living`` survives if it charges for ever from ``now`` on."""
+    rows, charge = torch.arange(len(env.env_ids), device=env.device), action_number(env, "action_charge")
+    for _ in play_episodes(env, script(torch.full_like(rows, charge).unsqueeze(1)), now, torch.isin(rows, living)):
+        pass
+    survivors = living[~env.dead[living]]
+    if len(survivors):
+        return Verdict(SAVED, torch.cat([paths[survivors[0]], torch.tensor([charge])]), states)
+    return Verdict(OPEN, None, states)

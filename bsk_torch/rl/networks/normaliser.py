@@ -1,0 +1,123 @@
+"""Normalisation of observations to zero mean and unit deviation, without outliers."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import torch
+from tensordict import NestedKey, TensorDictBase
+from tensordict.nn import TensorDictModuleBase
+from torch import Tensor, nn
+
+from bsk_torch._deprecated import deprecated_names
+
+OWN, ROWS, MASK = ("seen", "own"), ("seen", "rows"), ("seen", "mask")
+"""Keys of normalised observations: the satellite's own [..., D], rows of targets [..., K, F], and a mask of rows [..., K]."""
+
+FLOOR = 1e-4
+"""Least deviation that is divided by."""
+
+LARGEST = 10.0
+"""Bound of normalised observations, in deviations."""
+
+
+def symlog(x: Tensor) -> Tensor:
+    """sign(x) log(1 + abs(x)): small numbers as they are, large ones by magnitude (Hafner et al. 2023, arXiv:2301.04104)."""
+    return torch.sign(x) * torch.log1p(x.abs())
+
+
+class FeatureNormaliser(nn.Module):
+    """Standardises features, after :func:`symlog`, with running mean and variance."""
+
+    def __init__(self, width: int) -> None:
+        """Start without samples of ``width`` features; until the first update these are only compressed."""
+        super().__init__()
+        self.register_buffer("count", torch.zeros((), dtype=torch.float64))
+        self.register_buffer("mean", torch.zeros(width, dtype=torch.float64))
+        self.register_buffer("variance", torch.ones(width, dtype=torch.float64))
+
+    count: Tensor
+    mean: Tensor
+    variance: Tensor
+
+    @torch.no_grad()
+    def update(self, x: Tensor, mask: Tensor | None = None) -> None:
+        """Take samples x [..., F] into account, those where ``mask`` [...] is true unless it is None.
+
+        Moments of two parts are merged as in Chan, Golub and LeVeque, "Algorithms for computing the sample variance" (1983).
+        """
+        samples = symlog(x.reshape(-1, x.shape[-1]) if mask is None else x[mask.bool()]).double()
+        if not len(samples):
+            return
+        variance, mean = torch.var_mean(samples, 0, correction=0)
+        share = len(samples) / (self.count + len(samples))
+        shift = mean - self.mean
+        self.mean += share * shift
+        self.variance.copy_(torch.lerp(self.variance, variance, share) + share * (1.0 - share) * shift**2)
+        self.count += len(samples)
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Features [..., F], standardised."""
+        deviation = self.variance.sqrt().clamp(min=FLOOR)
+        z = (symlog(x) - self.mean.to(x.dtype)) / deviation.to(x.dtype)
+        return z.clamp(-LARGEST, LARGEST)
+
+
+class ObservationNormaliser(TensorDictModuleBase, ABC):
+    """Writes normalised observations into tensordicts."""
+
+    @abstractmethod
+    def update(self, tensordict: TensorDictBase) -> None:
+        """Take the observations of a batch into account."""
+
+
+class VectorNormaliser(ObservationNormaliser):
+    """Normaliser of an observation vector."""
+
+    def __init__(self, n_observed: int) -> None:
+        """Expect vectors of width ``n_observed``."""
+        super().__init__()
+        self.in_keys, self.out_keys = ["observation"], [OWN]
+        self.own = FeatureNormaliser(n_observed)
+
+    def update(self, tensordict: TensorDictBase) -> None:
+        """See :meth:`ObservationNormaliser.update`."""
+        self.own.update(tensordict["observation"])
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Write :data:`OWN`."""
+        return tensordict.set(OWN, self.own(tensordict["observation"]))
+
+
+class SetNormaliser(ObservationNormaliser):
+    """Normaliser of an observation with one set: its rows share mean and deviation, all other parts are concatenated."""
+
+    def __init__(self, set_key: NestedKey, own_keys: Sequence[NestedKey], n_own: int, n_features: int) -> None:
+        """Look for ``rows`` and ``mask`` under ``set_key``, with ``n_features`` columns, and for ``n_own`` numbers elsewhere."""
+        super().__init__()
+        self.rows_key, self.mask_key = (*set_key, "rows"), (*set_key, "mask")
+        self.own_keys = own_keys
+        self.in_keys, self.out_keys = [*own_keys, self.rows_key, self.mask_key], [OWN, ROWS, MASK]
+        self.own, self.rows = FeatureNormaliser(n_own), FeatureNormaliser(n_features)
+
+    def _join(self, tensordict: TensorDictBase) -> Tensor:
+        """Return the observations beside the set, [..., D]."""
+        batch = tensordict.batch_size
+        return torch.cat([tensordict[key].reshape(*batch, -1) for key in self.own_keys], -1)
+
+    def update(self, tensordict: TensorDictBase) -> None:
+        """See :meth:`ObservationNormaliser.update`."""
+        self.own.update(self._join(tensordict))
+        self.rows.update(tensordict[self.rows_key], tensordict[self.mask_key])
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Write :data:`OWN`, :data:`ROWS` and :data:`MASK`."""
+        tensordict.set(OWN, self.own(self._join(tensordict)))
+        tensordict.set(ROWS, self.rows(tensordict[self.rows_key]))
+        return tensordict.set(MASK, tensordict[self.mask_key].bool())
+
+
+if not TYPE_CHECKING:
+    __getattr__ = deprecated_names(__name__)

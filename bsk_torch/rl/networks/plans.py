@@ -1,0 +1,234 @@
+"""Masked categorical actors and critics, built from the sizes of observations and actions."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, cast
+
+import torch
+from tensordict import TensorDictBase
+from tensordict.nn import TensorDictModule, TensorDictModuleBase, TensorDictSequential
+from torch import nn
+from torchrl.data import Composite
+from torchrl.modules import MLP, GRUModule, MaskedCategorical, ProbabilisticActor, ValueOperator
+
+from bsk_torch.env import SatelliteTasking
+from bsk_torch.rl.networks.attention import Encoder, SetActor, SetCritic
+from bsk_torch.rl.networks.normaliser import MASK, OWN, ROWS, ObservationNormaliser, SetNormaliser, VectorNormaliser
+from bsk_torch.rl.rules.targets import image_actions
+from bsk_torch.sim.params import nearest
+
+NORMALISER, ACTOR = "sight", "actor"
+"""Keys of weights in files of policies and in checkpoints, as in release 0.1."""
+
+MEMORY, INIT = "memory", "is_init"
+"""Keys of the hidden state of a recurrent policy, and of the first step of an episode."""
+
+INITIAL_LOGITS = 0.01
+"""Factor on the last layer's initial weights, so that an untrained actor is nearly uniform."""
+
+HEAD = 32
+"""Width of an attention head."""
+
+
+@dataclass(frozen=True)
+class Networks:
+    """A normaliser of observations, an actor and a critic."""
+
+    normaliser: ObservationNormaliser
+    actor: ProbabilisticActor
+    critic: ValueOperator
+
+    @property
+    def policy(self) -> TensorDictSequential:
+        """Writes ``action`` into a tensordict with ``observation`` and ``action_mask``.
+
+        One with a memory also writes ``("next", "memory")``, which it wants to find as ``memory`` at the next decision:
+        ``step_mdp`` sees to that.
+        """
+        unit = self.unit
+        return TensorDictSequential(*([] if unit is None else [Recall(unit.gru.hidden_size)]), self.normaliser, self.actor)
+
+    @property
+    def unit(self) -> GRUModule | None:
+        """Recurrent unit of the actor; None if it has none."""
+        return next((part for part in self.actor.modules() if isinstance(part, GRUModule)), None)
+
+    def to(self, device: torch.device | str) -> Networks:
+        """The networks, moved to a device."""
+        return Networks(self.normaliser.to(device), self.actor.to(device), self.critic.to(device))
+
+    def policy_state(self) -> dict[str, Any]:
+        """Weights of the normaliser and of the actor, as files of policies hold them."""
+        return {NORMALISER: self.normaliser.state_dict(), ACTOR: self.actor.state_dict()}
+
+    def load_policy_state(self, state: Mapping[str, Any]) -> None:
+        """Load what :meth:`policy_state` has returned; RuntimeError if it does not fit."""
+        self.normaliser.load_state_dict(state[NORMALISER])
+        self.actor.load_state_dict(state[ACTOR])
+
+
+@dataclass(frozen=True)
+class MLPPlan:
+    """Sizes of plain networks for observation vectors."""
+
+    n_observed: int
+    n_actions: int
+    hidden: tuple[int, ...]
+
+    @classmethod
+    def of(cls, env: SatelliteTasking, hidden: Sequence[int]) -> MLPPlan:
+        """For an environment; ValueError unless it observes one vector."""
+        spec = env.observation_spec["observation"]
+        if isinstance(spec, Composite):
+            raise ValueError(
+                "networks 'mlp' and 'gru' need the observation as one vector; build the satellite with obs_type=torch.Tensor"
+            )
+        return cls(spec.shape[-1], env.satellite.actions.n_actions, tuple(hidden))
+
+    def build(self) -> Networks:
+        """Fresh networks."""
+        actor, critic = (self._layers(n) for n in (self.n_actions, 1))
+        with torch.no_grad():
+            cast(nn.Linear, actor[-1]).weight.mul_(INITIAL_LOGITS)
+        return Networks(VectorNormaliser(self.n_observed), _actor(actor, [OWN]), ValueOperator(critic, in_keys=[OWN]))
+
+    def _layers(self, n_out: int) -> MLP:
+        return MLP(in_features=self.n_observed, out_features=n_out, num_cells=list(self.hidden), activation_class=nn.Tanh)
+
+
+@dataclass(frozen=True)
+class GRUPlan(MLPPlan):
+    """Sizes of networks whose actor remembers what it saw: its last hidden layer is a gated recurrent unit.
+
+    The critic, which is only needed to learn, judges what is seen now.
+    """
+
+    def __post_init__(self) -> None:
+        """ValueError without a layer before the unit."""
+        if len(self.hidden) < 2:
+            raise ValueError(f"hidden={self.hidden}: network='gru' needs a layer before its unit, such as (64, 64)")
+
+    def build(self) -> Networks:
+        """Fresh networks."""
+        *before, last = self.hidden
+        layers = MLP(self.n_observed, before[-1], num_cells=before[:-1], activation_class=nn.Tanh, activate_last_layer=True)
+        unit = GRUModule(before[-1], last, in_keys=["embedded", MEMORY, INIT], out_keys=["remembered", ("next", MEMORY)])
+        head = nn.Linear(last, self.n_actions)
+        with torch.no_grad():
+            head.weight.mul_(INITIAL_LOGITS)
+        parts = [TensorDictModule(layers, [OWN], ["embedded"]), unit, TensorDictModule(head, ["remembered"], ["logits"])]
+        actor = _distributed(TensorDictSequential(*parts))
+        return Networks(VectorNormaliser(self.n_observed), actor, ValueOperator(self._layers(1), in_keys=[OWN]))
+
+
+class Recall(TensorDictModuleBase):
+    """Gives a policy with a memory an empty one where an episode begins: where there is none, or ``is_init`` says so."""
+
+    def __init__(self, width: int) -> None:
+        """The memory has ``width`` numbers."""
+        super().__init__()
+        self.width = width
+        self.in_keys: list[str] = []
+        self.out_keys = [MEMORY, INIT]
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Write what is missing."""
+        shape, on = tensordict.batch_size, {"device": tensordict.device}
+        if MEMORY not in tensordict.keys():  # noqa: SIM118  - a tensordict
+            tensordict[MEMORY] = torch.zeros(*shape, 1, self.width, **on)
+        if INIT not in tensordict.keys():  # noqa: SIM118
+            tensordict[INIT] = torch.zeros(*shape, 1, dtype=torch.bool, **on)
+        return tensordict
+
+
+@dataclass(frozen=True)
+class AttentionPlan:
+    """Sizes of attention networks for observations with one set of targets, and where to find that set.
+
+    ``images`` are the first and the end of the actions that image the targets of the first rows.
+    """
+
+    set_key: tuple[str, ...]
+    own_keys: tuple[tuple[str, ...], ...]
+    n_own: int
+    n_features: int
+    n_actions: int
+    images: tuple[int, int]
+    hidden: tuple[int, ...]
+
+    @classmethod
+    def of(cls, env: SatelliteTasking, hidden: Sequence[int]) -> AttentionPlan:
+        """For an environment; ValueError unless it observes one set, of at least as many targets as can be chosen."""
+        leaves = _leaves(env)
+        sets = [key[:-1] for key in leaves if key[-1] == "rows" and (*key[:-1], "mask") in leaves]
+        if len(sets) != 1:
+            raise ValueError(
+                f"network='attention' needs one observation with as_set=True and the satellite's obs_type=dict; found {len(sets)}"
+            )
+        n_rows, n_features = leaves[(*sets[0], "rows")][-2:]
+        images = image_actions(env)
+        if len(images) > n_rows:
+            raise ValueError(f"network='attention': {len(images)} targets can be chosen, but only {n_rows} are observed")
+        own = {key: shape[1:].numel() for key, shape in leaves.items() if key[:-1] != sets[0]}
+        n_actions = env.satellite.actions.n_actions
+        return cls(sets[0], tuple(own), sum(own.values()), n_features, n_actions, (images.start, images.stop), tuple(hidden))
+
+    def __post_init__(self) -> None:
+        """ValueError for widths that cannot be shared out among heads."""
+        if not self.hidden or len(set(self.hidden)) > 1 or self.hidden[0] % HEAD:
+            raise ValueError(f"hidden={self.hidden}: blocks of attention need equal widths, multiples of {HEAD}")
+
+    def build(self) -> Networks:
+        """Fresh networks."""
+        width, keys = self.hidden[0], [OWN, ROWS, MASK]
+        actor = SetActor(self._encoder(len(self.hidden)), width, self.n_actions, range(*self.images), INITIAL_LOGITS)
+        critic = SetCritic(self._encoder(0), width)
+        normaliser = SetNormaliser(self.set_key, self.own_keys, self.n_own, self.n_features)
+        return Networks(normaliser, _actor(actor, keys), ValueOperator(critic, in_keys=keys))
+
+    def _encoder(self, blocks: int) -> Encoder:
+        width = self.hidden[0]
+        return Encoder(self.n_own, self.n_features, width, width // HEAD, blocks)
+
+
+Plan = MLPPlan | GRUPlan | AttentionPlan
+
+PLANS: dict[str, type[MLPPlan] | type[GRUPlan] | type[AttentionPlan]] = {
+    "mlp": MLPPlan,
+    "gru": GRUPlan,
+    "attention": AttentionPlan,
+}
+"""Kinds of networks by name."""
+
+
+def check_network(network: str) -> None:
+    """ValueError, with the nearest name, unless ``network`` is one of :data:`PLANS`."""
+    if network not in PLANS:
+        raise ValueError(f"network={network!r} must be one of {sorted(PLANS)}; {nearest(network, PLANS)}")
+
+
+def _leaves(env: SatelliteTasking) -> dict[tuple[str, ...], torch.Size]:
+    """Shapes of the parts of a nested observation, by key; empty for a vector."""
+    spec = env.observation_spec["observation"]
+    if not isinstance(spec, Composite):
+        return {}
+    keys = [key if isinstance(key, tuple) else (key,) for key in spec.keys(True, True)]
+    return {("observation", *key): spec[key].shape for key in keys}
+
+
+def _actor(network: nn.Module, in_keys: list[Any]) -> ProbabilisticActor:
+    """Categorical distribution over the legal actions, by a network that gives logits [..., A]."""
+    return _distributed(TensorDictModule(network, in_keys=in_keys, out_keys=["logits"]))
+
+
+def _distributed(module: TensorDictModuleBase) -> ProbabilisticActor:
+    """Categorical distribution over the legal actions, by a module that writes ``logits``."""
+    return ProbabilisticActor(
+        module,
+        in_keys={"logits": "logits", "mask": "action_mask"},
+        out_keys=["action"],
+        distribution_class=MaskedCategorical,
+        return_log_prob=True,
+    )

@@ -1,0 +1,48 @@
+"""Policies that come with the package, one for each preset that has been trained, and how they were made."""
+
+from __future__ import annotations
+
+import json
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import torch
+from tensordict.nn import TensorDictSequential
+
+from bsk_torch.rl.policies.files import load_policy
+from bsk_torch.sim.params import nearest
+
+FOLDER = Path(__file__).parent
+"""Folder of the policies, ``PRESET.pt``, and of their notes."""
+
+INDEX = "policies.json"
+"""File of the notes, which ``bsk-torch publish`` writes."""
+
+
+@cache
+def makings() -> dict[str, dict[str, Any]]:
+    """Return how each policy was trained and its score, by preset.
+
+    ``command``, ``seed``, ``frames``, ``seconds`` and ``machine`` of the training; ``score``, the mean ``return`` with the half
+    width of its 95 % interval and the ``survival`` in ``episodes`` fresh episodes; and ``first``, the returns of the first few.
+    """
+    return json.loads((FOLDER / INDEX).read_text())
+
+
+def pretrained_file(preset: str) -> Path:
+    """File of the policy for ``preset``; ValueError, with the nearest name, where there is none."""
+    if preset not in makings():
+        names = sorted(makings())
+        raise ValueError(f"there is no pretrained policy for {preset!r}; there are {', '.join(names)}; {nearest(preset, names)}")
+    return FOLDER / f"{preset}.pt"
+
+
+def pretrained(preset: str, device: torch.device | str = "cpu") -> TensorDictSequential:
+    """The policy for ``preset``: writes ``action`` into what its environment gives.
+
+    It needs the environment that it was trained in: ``read_card(pretrained_file(preset))["options"]`` says how, such as
+    ``as_set=True``. Policies of constellations decide for one satellite;
+    :class:`~bsk_torch.rl.policies.shared_policy.SharedPolicy` applies them to all.
+    """
+    return load_policy(pretrained_file(preset), device)

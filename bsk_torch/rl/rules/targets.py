@@ -1,0 +1,95 @@
+"""Positions of targets in the actions and observations of an environment."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from bsk_torch.act import Image
+from bsk_torch.env import SatelliteTasking
+from bsk_torch.obs import OpportunityProperties
+from bsk_torch.sim.params import nearest
+
+WIDTHS = {"r_LP_P": 3, "r_LB_H": 3}
+"""Number of columns of the properties of targets that have more than one."""
+
+Observation = Any
+"""A vector [N, F], or a tensordict with its parts."""
+
+
+def image_actions(env: SatelliteTasking) -> range:
+    """Numbers of the actions that image the next targets; ValueError where there are none."""
+    first = 0
+    for entry in env.satellite.actions.entries:
+        if isinstance(entry, Image):
+            return range(first, first + entry.n_actions)
+        first += entry.n_actions
+    raise ValueError(f"{env.satellite.name} images no targets; its actions are {env.satellite.action_description}")
+
+
+def read(observation: Observation, description: Sequence[str], path: str) -> Tensor:
+    """An observed number, [N], by its path, such as ``"sat_props.storage_level_fraction"``; KeyError where it is not observed.
+
+    Args:
+        observation: What is observed.
+        description: Paths of all entries of the vector.
+        path: Names of the nested parts, joined by dots.
+    """
+    if path not in description:
+        raise KeyError(f"{path!r} is not observed; {nearest(path, description)}")
+    if isinstance(observation, Tensor):
+        return observation[..., description.index(path)]
+    return observation[tuple(path.split("."))]
+
+
+class TargetReader:
+    """Reads properties of the next n targets out of observations."""
+
+    def __init__(self, entry: OpportunityProperties, description: Sequence[str]) -> None:
+        """Read what ``entry`` has written into observations whose vector has the entries ``description``."""
+        self.entry, self.name, self.n = entry, entry.name, entry.n_ahead_observe
+        self.column: dict[str, int] = {}
+        self.norm: dict[str, float] = {}
+        width = 0
+        for part in entry.entries:
+            prop = str(part.get("prop") or part["fn"].__name__)
+            self.column[prop], self.norm[prop] = width, float(part.get("norm", 1.0))
+            width += WIDTHS.get(prop, 1)
+        kind = f"{self.name}.rows[" if entry.as_set else f"{self.name}.{self.name}_"
+        self._rows = [k for k, path in enumerate(description) if path.startswith(kind)]
+        self._mask = [k for k, path in enumerate(description) if path.startswith(f"{self.name}.mask[")]
+        if len(self._rows) != self.n * width:
+            raise ValueError(f"{self.name!r} has {len(self._rows) // self.n} columns, not {width}: a function gives several")
+
+    @classmethod
+    def of(cls, env: SatelliteTasking) -> TargetReader:
+        """For an environment; ValueError where no targets are observed, or nested and not as a set."""
+        satellite = env.satellite
+        for entry in satellite.observations.entries:
+            if isinstance(entry, OpportunityProperties) and entry.type == "target":
+                if satellite.obs_type is dict and not entry.as_set:
+                    raise ValueError(f"{entry.name!r} is read from vectors, or from nested observations with as_set=True")
+                return cls(entry, satellite.observation_description)
+        raise ValueError(f"{satellite.name} observes no targets")
+
+    def rows(self, observation: Observation) -> Tensor:
+        """All properties of the targets, [N, n, F], over their norms."""
+        if isinstance(observation, Tensor):
+            return observation[..., self._rows].unflatten(-1, (self.n, -1))
+        return observation[self.name, "rows"]
+
+    def exist(self, observation: Observation) -> Tensor:
+        """Return a mask of targets [N, n]; all are true if padding, which repeats the last one, is not marked."""
+        if not self.entry.as_set:
+            return torch.ones_like(self.rows(observation)[..., 0], dtype=torch.bool)
+        mask = observation[..., self._mask] if isinstance(observation, Tensor) else observation[self.name, "mask"]
+        return mask.bool()
+
+    def read(self, observation: Observation, prop: str) -> Tensor:
+        """A property of the targets, [N, n] in its own unit; KeyError where it is not observed."""
+        if prop not in self.column:
+            raise KeyError(f"{prop!r} of targets is not observed; {nearest(prop, self.column)}")
+        return self.rows(observation)[..., self.column[prop]] * self.norm[prop]

@@ -1,0 +1,152 @@
+"""Collection of experience: in this process, in several on this machine, or on a Ray cluster; and its resumption."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from importlib.util import find_spec
+from multiprocessing import parent_process
+from typing import Any, cast
+
+import torch
+from tensordict import TensorDict, TensorDictBase
+from tensordict.nn import TensorDictModuleBase
+from torchrl.collectors import BaseCollector, Collector, MultiSyncCollector
+from torchrl.data import Unbounded
+from torchrl.envs import Compose, InitTracker, TensorDictPrimer, Transform, TransformedEnv
+
+from bsk_torch.env.base import Tasking
+from bsk_torch.rand import Key
+from bsk_torch.rl.networks.plans import INIT, MEMORY
+from bsk_torch.rl.training.config import PPOConfig
+
+SHORTEST = 0.02
+"""Least fraction of an episode after which it is cut by :class:`Stagger`."""
+
+ENDLESS = 2**62
+"""More decisions than are ever collected: Ray's collector does not accept -1."""
+
+
+class Stagger(Transform):
+    """Truncates the first episode of every environment at a random time, so that batches mix early and late decisions.
+
+    Without it all episodes of a batch start together, and a batch has nothing but early decisions, or late ones.
+    """
+
+    def __init__(self, env: Tasking) -> None:
+        """Draw when to cut the first episodes of ``env``; never where they have no time limit."""
+        super().__init__()
+        key = Key(env.state.seed.cpu(), env.env_ids.cpu(), torch.zeros_like(env.env_ids, device="cpu"))
+        drawn = key.named("stagger").uniform(1).squeeze(-1)
+        self.fraction = (SHORTEST + (1.0 - SHORTEST) * drawn).to(env.device)
+
+    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
+        env = _environment(self)
+        cut = (env.episode == 0) & (env.fleet.sim_time >= self.fraction * env.time_limit)
+        for key in ("truncated", "done"):
+            next_tensordict[key] = next_tensordict[key] | cut.unsqueeze(-1)
+        return next_tensordict
+
+
+def _environment(transform: Transform) -> Any:
+    """The environment of this package that a transform is part of."""
+    return cast(TransformedEnv, transform.parent).base_env
+
+
+class Bookmark(Transform):
+    """Keeps in the collector's ``state_dict`` what collecting depends on, and starts from it instead of with new episodes."""
+
+    def __init__(self, saved: Mapping[str, Any] | None) -> None:
+        """Continue from ``saved``, which :func:`bookmarks` returned; None begins anew."""
+        super().__init__()
+        self.saved = saved
+
+    def get_extra_state(self) -> dict[str, Any]:
+        """State of the environment and of the generator that draws actions."""
+        return {"state": _environment(self).get_state().to_dict(), "generator": torch.get_rng_state()}
+
+    def set_extra_state(self, state: Any) -> None:
+        """Nothing: see the constructor."""
+
+    def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
+        if self.saved is None:
+            return tensordict_reset
+        saved, self.saved = self.saved, None
+        env = _environment(self)
+        env.restore(saved["state"])
+        seen = env.reset(TensorDict({"state": env.get_state()}, env.batch_size), set_state=True)
+        torch.set_rng_state(saved["generator"].cpu())
+        return tensordict_reset.update(seen.select(*tensordict_reset.keys(True, True), strict=False)).update(saved["carried"])
+
+
+def prepared(env: Tasking, config: PPOConfig, saved: Mapping[str, Any] | None) -> TransformedEnv:
+    """An environment that a collector can play in and go on with; one that begins episodes with an empty memory, if need be."""
+    transforms: list[Transform] = [Stagger(env)] if config.stagger else []
+    if config.network == "gru":
+        memory = Unbounded((1, config.hidden[-1]), device=env.device)
+        transforms += [InitTracker(), TensorDictPrimer({MEMORY: memory}, default_value=0.0, expand_specs=True)]
+    return TransformedEnv(env, Compose(*transforms, Bookmark(saved)))  # type: ignore[call-overload]
+
+
+def start_worker(config: PPOConfig, first: int, count: int, saved: Mapping[str, Any] | None) -> TransformedEnv:
+    """In a process of its own: ``count`` episodes from number ``first`` on, and random numbers for their actions."""
+    if parent_process() is not None:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the learner, which ends its workers
+    torch.set_num_threads(1)
+    torch.manual_seed(config.seed + first)
+    return prepared(config.make_env(first, count), config, saved)
+
+
+def check_collector(name: str) -> None:
+    """ModuleNotFoundError, naming the command that installs it, if Ray is asked for but not installed."""
+    if name == "ray" and find_spec("ray") is None:
+        raise ModuleNotFoundError("collector='ray' needs Ray; pip install 'bsk_torch[ray]'", name="ray")
+
+
+def make_collector(
+    config: PPOConfig, env: Tasking, actor: TensorDictModuleBase, saved: Sequence[Mapping[str, Any]] | None
+) -> BaseCollector:
+    """Return a collector that yields batches by ``actor`` without end; see :func:`merged`.
+
+    Args:
+        config: Says where to collect, and how much at once.
+        env: The environment to play in if that is this process; others make their own shares of it.
+        actor: Writes actions and their log-probabilities.
+        saved: What :func:`bookmarks` gave, to go on from there; None to begin.
+    """
+    common: dict[str, Any] = dict(frames_per_batch=config.batch, total_frames=ENDLESS)
+    each: dict[str, Any] = dict(auto_register_policy_transforms=False, use_buffers=False)
+    count = 1 if config.collector == "single" else config.workers
+    marks: Sequence[Mapping[str, Any] | None] = [None] * count if saved is None else saved
+    if config.collector == "single":
+        return Collector(prepared(env, config, marks[0]), actor, track_traj_ids=False, **common, **each)
+    share = config.num_envs // count
+    starts: list[Callable[..., Any]] = [partial(start_worker, config, k * share, share, mark) for k, mark in enumerate(marks)]
+    if config.collector == "multi":
+        return MultiSyncCollector(starts, actor, cat_results="stack", **common, **each)
+    from torchrl.collectors.distributed import RayCollector
+
+    return RayCollector(starts, actor, sync=True, num_collectors=count, collector_kwargs=each, **common)
+
+
+def merged(batch: TensorDictBase) -> TensorDictBase:
+    """A batch [N, T] of one by several processes, [processes, N / processes, T]."""
+    return batch.flatten(0, 1) if batch.ndim > 2 else batch
+
+
+def bookmarks(collector: BaseCollector, batch: TensorDictBase) -> list[Any]:
+    """Return the state from which a collector continues after its last ``batch`` [N, T], for each of its processes."""
+    state = collector.state_dict()
+    parts = state if isinstance(state, list) else [part for name, part in state.items() if name.startswith("worker")] or [state]
+    marks = [next(v for k, v in part["env_state_dict"].items() if k.endswith("_extra_state")) for part in parts]
+    carried = _carried(batch[:, -1]["next"]).chunk(len(marks))
+    return [dict(mark) | {"carried": some.to_dict()} for mark, some in zip(marks, carried, strict=True)]
+
+
+def _carried(last: TensorDictBase) -> TensorDictBase:
+    """Return the hidden state [N] that a recurrent policy carries into its next decision; nothing for other policies."""
+    if MEMORY not in last.keys():  # noqa: SIM118  - a tensordict
+        return last.select()
+    ended = last["done"]
+    return TensorDict({MEMORY: last[MEMORY].masked_fill(ended.unsqueeze(-1), 0.0), INIT: ended.clone()}, last.batch_size)

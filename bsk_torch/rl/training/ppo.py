@@ -1,0 +1,114 @@
+"""Proximal policy optimisation (Schulman et al. 2017, arXiv:1707.06347) with a discount per second.
+
+See :mod:`~bsk_torch.rl.training.advantages` for the returns of decisions that last different times.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import torch
+from tensordict import TensorDictBase
+from torch import Tensor, nn
+from torchrl.data import LazyTensorStorage, ReplayBuffer, SamplerWithoutReplacement
+from torchrl.modules import set_recurrent_mode
+from torchrl.objectives import ClipPPOLoss
+
+from bsk_torch._deprecated import deprecated_names
+from bsk_torch.env import SatelliteTasking
+from bsk_torch.rl.networks.plans import INIT, MEMORY, NORMALISER, PLANS, Networks
+from bsk_torch.rl.training.advantages import estimate_advantages
+from bsk_torch.rl.training.config import SCHEDULES, PPOConfig
+
+REPORTED = ("entropy", "kl_approx", "clip_fraction", "explained_variance", "loss_critic")
+"""Entries of the loss that are logged."""
+
+LEARNED_FROM = ("seen", "action_mask", "action", "action_log_prob", "advantage", "value_target")
+"""Keys of a batch that gradient steps need."""
+
+
+class Learner:
+    """Actor, critic and their optimiser."""
+
+    def __init__(self, config: PPOConfig, env: SatelliteTasking) -> None:
+        """Fresh networks for an environment; ValueError if it does not fit them."""
+        self.config = config
+        self.plan = PLANS[config.network].of(env, config.hidden)
+        self.networks: Networks = self.plan.build().to(env.device)
+        self.loss = ClipPPOLoss(
+            self.networks.actor,
+            self.networks.critic,
+            clip_epsilon=config.clip,
+            entropy_coeff=config.entropy,
+            normalize_advantage=True,
+            loss_critic_type="l2",
+        )
+        self.optimiser = torch.optim.Adam(self.loss.parameters(), config.learning_rate, eps=1e-5)
+        self.recurrent = self.networks.unit is not None
+        self.buffer = ReplayBuffer(
+            storage=LazyTensorStorage(config.batch // self._length, device=env.device),
+            sampler=SamplerWithoutReplacement(),
+            batch_size=self._minibatch // self._length,
+        )
+
+    @property
+    def _length(self) -> int:
+        """Decisions that stay together: the whole rollout of an environment for networks that remember."""
+        return self.config.rollout if self.recurrent else 1
+
+    @property
+    def _minibatch(self) -> int:
+        return max(min(self.config.minibatch, self.config.batch), self._length)
+
+    @property
+    def learning_rate(self) -> float:
+        """Present step of the optimiser."""
+        return float(self.optimiser.param_groups[0]["lr"])
+
+    def anneal(self, fraction: float) -> None:
+        """Set learning rate and weight of the entropy for a used ``fraction`` of the budget."""
+        config = self.config
+        self.optimiser.param_groups[0]["lr"] = config.learning_rate * SCHEDULES[config.learning_rate_schedule](fraction)
+        self.loss.entropy_coeff.fill_(config.entropy * SCHEDULES[config.entropy_schedule](fraction))
+
+    def state_dict(self) -> dict[str, Any]:
+        """Networks, normaliser and optimiser."""
+        return {name: getattr(self, name).state_dict() for name in ("loss", "optimiser")} | {
+            NORMALISER: self.networks.normaliser.state_dict()
+        }
+
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """Restore what :meth:`state_dict` returned."""
+        self.loss.load_state_dict(state["loss"])
+        self.optimiser.load_state_dict(state["optimiser"])
+        self.networks.normaliser.load_state_dict(state[NORMALISER])
+
+    def learn(self, batch: TensorDictBase) -> dict[str, float]:
+        """Several passes over a batch [N, T]; means of the reported entries of the loss."""
+        config = self.config
+        for situations in (batch, batch["next"]):
+            self.networks.normaliser(situations)
+        estimate_advantages(batch, self.networks.critic, config.gamma, config.lmbda, config.reward_time)
+        self.buffer.empty()
+        learned = batch.select(*LEARNED_FROM, *((MEMORY, INIT) if self.recurrent else ()))
+        self.buffer.extend(learned if self.recurrent else learned.reshape(-1))
+        steps = config.epochs * (config.batch // self._minibatch)
+        with set_recurrent_mode(self.recurrent):
+            reports = [self._descend(self.buffer.sample()) for _ in range(steps)]
+        self.networks.normaliser.update(batch)  # afterwards: networks learn from what they saw when they decided
+        means = torch.stack(reports).mean(0)
+        return dict(zip(REPORTED, means.tolist(), strict=True))
+
+    def _descend(self, sample: TensorDictBase) -> Tensor:
+        """Take a gradient step; return the reported entries of the loss, [R]."""
+        losses = self.loss(sample)
+        self.optimiser.zero_grad()
+        (losses["loss_objective"] + losses["loss_critic"] + losses["loss_entropy"]).backward()
+        nn.utils.clip_grad_norm_(self.loss.parameters(), self.config.gradient_norm)
+        self.optimiser.step()
+        return torch.stack([losses[name].detach().mean().float() for name in REPORTED])
+
+
+if not TYPE_CHECKING:
+    __getattr__ = deprecated_names(__name__)

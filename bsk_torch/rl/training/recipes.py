@@ -1,0 +1,53 @@
+"""Settings that work well, by environment and network."""
+
+from __future__ import annotations
+
+from inspect import signature
+from typing import Any
+
+from bsk_torch.presets import PRESETS
+from bsk_torch.rl.networks.plans import check_network
+from bsk_torch.rl.training.config import PPOConfig
+
+COMMON: dict[str, Any] = dict(num_envs=256, rollout=32, minibatch=1024, gamma=0.997, evaluate_every=200_000)
+
+IMAGING: dict[str, dict[str, Any]] = {
+    "mlp": COMMON | dict(hidden=(512, 256), learning_rate=7e-4, epochs=4),
+    "attention": COMMON | dict(hidden=(64,), learning_rate=1e-3, epochs=2),
+}
+"""For choosing targets: what counts is decided within minutes, so the future is discounted accordingly."""
+
+SCANNING: dict[str, dict[str, Any]] = {
+    "mlp": dict(evaluate_every=250_000),
+    "gru": dict(evaluate_every=250_000, rollout=32, minibatch=4096),
+}
+"""For the paper's satellite: how well it does goes up and down, so the best policy is looked for often."""
+
+RECIPES: dict[str, dict[str, dict[str, Any]]] = {
+    "NadirScan-v1": SCANNING,
+    "AEOS-v1": IMAGING,
+    "AEOSPower-v1": IMAGING,
+    "AEOSCity-v1": IMAGING,
+    "CloudyAEOS-v1": IMAGING,
+}
+"""Settings that differ from the defaults of :class:`PPOConfig`, by environment and network."""
+
+
+def configure(preset: str, network: str = "mlp", **changes: Any) -> PPOConfig:
+    """Configuration of a training, with the recipe for the environment where there is one.
+
+    Args:
+        preset: Name of the environment.
+        network: ``"mlp"``, or ``"attention"`` for environments whose targets can be observed as a set.
+        **changes: Fields of :class:`PPOConfig` that differ from the recipe.
+
+    Raises:
+        ValueError: For an unknown network, or one that does not fit the environment.
+    """
+    check_network(network)
+    options = changes.pop("options", {})
+    if network == "attention":
+        if preset in PRESETS and "as_set" not in signature(PRESETS[preset]).parameters:
+            raise ValueError(f"network='attention' does not fit {preset}, which observes no set of targets; use network='mlp'")
+        options = {"as_set": True} | options
+    return PPOConfig(preset, network=network, options=options, **(RECIPES.get(preset, {}).get(network, {}) | changes))

@@ -1,0 +1,281 @@
+"""A training run from end to end: collect, learn, evaluate, log, and leave everything in a folder."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import torch
+from tensordict import TensorDictBase
+from tensordict.nn import TensorDictModuleBase, TensorDictSequential
+from torch import Tensor
+
+from bsk_torch import __version__
+from bsk_torch.constants import DAY
+from bsk_torch.rl.evaluation.evaluate import Evaluation, evaluate
+from bsk_torch.rl.networks.plans import MEMORY
+from bsk_torch.rl.policies.files import POLICY, save_policy
+from bsk_torch.rl.training.collect import bookmarks, check_collector, make_collector, merged
+from bsk_torch.rl.training.config import CONFIG, PPOConfig, load_config, save_config
+from bsk_torch.rl.training.episodes import RecentEpisodes
+from bsk_torch.rl.training.log import RunLog, check_loggers
+from bsk_torch.rl.training.ppo import REPORTED, Learner
+from bsk_torch.rl.training.progress import Progress, check_progress_bar, interruptible, progress_bar, show
+
+logger = logging.getLogger(__name__)
+
+CHECKPOINT = "checkpoint.pt"
+"""File of a run's folder to go on from."""
+
+FIXED = ("preset", "network", "hidden", "num_envs", "collector", "workers")
+"""Settings with which a run has to go on, because its checkpoint depends on them."""
+
+VALIDATION = 2_000_003
+"""Added to the seed of training to get that of the evaluations by which the best policy is chosen."""
+
+LEVEL = "storage_level_fraction"
+"""Observation that says how full the data buffer is."""
+
+
+class Training:
+    """A run: collects, learns, evaluates, logs, and leaves policy, logs, checkpoint and configuration in a folder."""
+
+    def __init__(self, config: PPOConfig, out: Path, resume: bool = False) -> None:
+        """Build environment and networks; nothing is simulated yet.
+
+        Args:
+            config: What to train and how.
+            out: The folder; it must not hold anything yet, unless a run in it is resumed.
+            resume: Go on from the checkpoint in ``out``, as if nothing had happened.
+
+        Raises:
+            FileExistsError: If ``out`` is not empty.
+            FileNotFoundError: If there is no checkpoint to go on from.
+            ModuleNotFoundError: If tqdm, or a logger or Ray that the configuration names, is not installed.
+            ValueError: If the checkpoint is of another version, or of other settings that cannot change.
+        """
+        check_loggers(config.loggers)
+        check_collector(config.collector)
+        check_progress_bar()
+        if not resume:
+            check_folder(out)
+        saved = read_checkpoint(out, config) if resume else None
+        self.config, self.out, self.days, self.iteration = config, out, 0.0, 0
+        self.best: dict[str, Any] = {"return": float("-inf"), "waited": 0, "networks": None}
+        torch.manual_seed(config.seed)
+        self.env = config.make_env() if config.collector == "single" else config.make_env(0, 1)
+        self.judge = self._make_judge()
+        self.learner = self.make_learner()
+        self.progress, self.recent = Progress(config), RecentEpisodes(config.num_envs, self.env.failure_penalty)
+        self.marks: list[Any] | None = None
+        self.interrupted = False
+        out.mkdir(parents=True, exist_ok=True)
+        save_config(config, out / CONFIG)
+        if saved is not None:
+            self._restore(saved)
+
+    # -- what differs for constellations ------------------------------------------------------------------------------
+
+    def make_learner(self) -> Learner:
+        """Return the learner for the environment."""
+        return Learner(self.config, self.env)
+
+    @property
+    def policy(self) -> TensorDictSequential:
+        """The present policy; it goes on learning while training does."""
+        return self.learner.networks.policy
+
+    @property
+    def actor(self) -> TensorDictModuleBase:
+        """Policy that collects experience: it writes actions and their log-probabilities."""
+        memory = [("next", MEMORY)] if self.learner.recurrent else []
+        return self.policy.select_out_keys("action", "action_log_prob", *memory)
+
+    def evaluate(self) -> Evaluation:
+        """The present policy in fresh episodes, the same every time."""
+        return evaluate(self.policy, self.judge, seed=self.config.seed + VALIDATION)
+
+    def rewards(self, batch: TensorDictBase) -> Tensor:
+        """Rewards of a batch, [N, T]."""
+        return batch["next", "reward"].squeeze(-1)
+
+    def fill(self, batch: TensorDictBase) -> Tensor | None:
+        """Return the level of the data buffer after each step, fraction [N, T]; None if no vector shows it."""
+        names = [name.split(".")[-1] for name in self.env.satellite.observation_description]
+        seen = batch["next", "observation"]
+        return seen[..., names.index(LEVEL)] if LEVEL in names and isinstance(seen, Tensor) else None
+
+    # -- running ------------------------------------------------------------------------------------------------------
+
+    def run(self) -> TensorDictSequential:
+        """Train until the budget is used, patience is at its end, or the user interrupts; the best policy."""
+        self._warm_up()
+        collector = make_collector(self.config, self.env, self.actor, self.marks)
+        if self.marks is not None:
+            torch.set_rng_state(self.generator)
+        try:
+            with (
+                RunLog(self.out, self.config.loggers, self.progress.frames) as log,
+                progress_bar() as bar,
+                interruptible() as stop,
+            ):
+                self.progress.start()
+                self._loop(iter(collector), collector, log, bar, stop)
+                self.interrupted = stop.is_set()
+        finally:
+            collector.shutdown()
+        return self._finish()
+
+    def _loop(self, batches: Iterator[TensorDictBase], collector: Any, log: RunLog, bar: Any, stop: threading.Event) -> None:
+        while self.progress.fraction < 1.0:
+            begin = time.perf_counter()
+            batch = merged(next(batches))
+            row = {"iteration": self.iteration, "collect_seconds": time.perf_counter() - begin} | self._learn(batch)
+            self.iteration += 1
+            log.iteration(row)
+            show(bar, self.progress, row)
+            collector.update_policy_weights_()
+            if self._due(self.config.evaluate_every) or (self.config.evaluate_every and self.progress.fraction >= 1.0):
+                log.evaluated(self._judge())
+            enough = self.config.patience is not None and self.best["waited"] >= self.config.patience
+            if self._due(self.config.checkpoint_every) or stop.is_set() or enough or self.progress.fraction >= 1.0:
+                self._save(collector, batch)
+            if stop.is_set() or enough:
+                logger.info("stopped %s", "by the user" if stop.is_set() else "early: the return has not grown any more")
+                return
+
+    def _due(self, every: int) -> bool:
+        """Whether a multiple of ``every`` frames has been passed in the last iteration."""
+        return every > 0 and self.progress.frames // every > (self.progress.frames - self.config.batch) // every
+
+    def _warm_up(self) -> None:
+        """Compile before the clock starts."""
+        begin = time.perf_counter()
+        self.env.step(self.actor(self.env.reset()))
+        self.env.set_seed(self.config.seed)
+        torch.manual_seed(self.config.seed)
+        logger.info("ready after %.1f s", time.perf_counter() - begin)
+
+    def _learn(self, batch: TensorDictBase) -> dict[str, float]:
+        """Learn from a batch [N, T]; a row of the log."""
+        begin = time.perf_counter()
+        done, survived = (batch["next", key].squeeze(-1) for key in ("done", "truncated"))
+        self.recent.add(self.rewards(batch), done, survived, self.fill(batch))
+        self.days += float(batch["next", "duration"].double().sum()) / DAY
+        self.learner.anneal(self.progress.fraction)
+        report = self.learner.learn(batch)
+        self.progress.frames += batch.numel()
+        return {
+            "frames": self.progress.frames,
+            "seconds": self.progress.seconds,
+            "simulated_days": self.days,
+            "episodes": self.recent.count,
+            **self.recent.means(),
+            "kl": report["kl_approx"],
+            "learning_rate": self.learner.learning_rate,
+            "entropy_coefficient": float(self.learner.loss.entropy_coeff),
+            "update_seconds": time.perf_counter() - begin,
+            **{name: report[name] for name in REPORTED if name != "kl_approx"},
+        }
+
+    # -- evaluation ---------------------------------------------------------------------------------------------------
+
+    def _make_judge(self) -> Any:
+        """The environment of evaluations during training; None if there are none."""
+        return self.config.make_env(0, self.config.evaluate_episodes) if self.config.evaluate_every else None
+
+    def _judge(self) -> dict[str, float]:
+        """Evaluate the present policy, and keep it if it is the best so far; a row of the log."""
+        with torch.random.fork_rng(devices=[]):  # seeding an environment seeds torch
+            result = self.evaluate()
+        estimate = result.mean_return
+        if estimate.mean > self.best["return"]:
+            self.best = {"return": estimate.mean, "waited": 0, "networks": self._networks()}
+            self._save_policy()
+        else:
+            self.best["waited"] += 1
+        return {
+            "frames": self.progress.frames,
+            "seconds": self.progress.seconds,
+            "return": estimate.mean,
+            "return_half_width": estimate.half_width,
+            "survival": result.survival,
+            "collected": float(result.collected.double().mean()),
+            "fill": float("nan") if result.fill is None else float(result.fill.double().mean()),
+        }
+
+    def _networks(self) -> dict[str, Any]:
+        """Return copies of the policy's weights."""
+        parts = self.learner.networks.policy_state()
+        return {name: {k: v.detach().clone() for k, v in part.items()} for name, part in parts.items()}
+
+    def _finish(self) -> TensorDictSequential:
+        """The best policy, or the last one if none has been evaluated."""
+        if self.best["networks"] is not None:
+            self.learner.networks.load_policy_state(self.best["networks"])
+        self._save_policy()
+        return self.policy
+
+    def _save_policy(self) -> None:
+        save_policy(self.out / POLICY, self.learner.plan, self.learner.networks, self.config.preset, self.config.options)
+
+    # -- checkpoints --------------------------------------------------------------------------------------------------
+
+    def _save(self, collector: Any, batch: TensorDictBase) -> None:
+        """Write a checkpoint from which a run continues bit for bit."""
+        kept = {
+            "bsk_torch": __version__,
+            **{name: getattr(self.config, name) for name in FIXED},
+            "learner": self.learner.state_dict(),
+            "collected": bookmarks(collector, batch),
+            "generator": torch.get_rng_state(),
+            "recent": self.recent.state_dict(),
+            "progress": (self.progress.frames, self.progress.seconds, self.days, self.iteration),
+            "best": self.best,
+        }
+        part = self.out / f"{CHECKPOINT}.part"
+        torch.save(kept, part)
+        part.replace(self.out / CHECKPOINT)
+
+    def _restore(self, saved: dict[str, Any]) -> None:
+        self.learner.load_state_dict(saved["learner"])
+        self.recent.load_state_dict(saved["recent"])
+        self.progress.frames, self.progress.before, self.days, self.iteration = saved["progress"]
+        self.marks, self.generator, self.best = saved["collected"], saved["generator"], saved["best"]
+
+
+def check_folder(out: Path) -> None:
+    """FileExistsError if there is something in the folder ``out``."""
+    if out.exists() and any(out.iterdir()):
+        raise FileExistsError(f"{str(out)!r} is not empty; choose another folder, or resume the run in it")
+
+
+def read_checkpoint(out: Path, config: PPOConfig) -> dict[str, Any]:
+    """The checkpoint in a run's folder; see :class:`Training` for errors."""
+    path = out / CHECKPOINT
+    if not path.is_file():
+        raise FileNotFoundError(f"{str(out)!r} holds no {CHECKPOINT} to resume from")
+    saved = torch.load(path, weights_only=True)
+    for name in ("bsk_torch", *FIXED):
+        here = __version__ if name == "bsk_torch" else getattr(config, name)
+        if saved[name] != here:
+            raise ValueError(f"the checkpoint in {str(out)!r} is of {name}={saved[name]!r}, and cannot go on as {here!r}")
+    return saved
+
+
+def train(config: PPOConfig, out: Path) -> TensorDictSequential:
+    """Train a policy and leave it in folder ``out`` beside its logs and configuration.
+
+    Returns:
+        The policy: writes ``action`` into a tensordict with ``observation`` and ``action_mask``.
+    """
+    return Training(config, out).run()
+
+
+def resume(out: Path, kind: type[PPOConfig] = PPOConfig, run: type[Training] = Training) -> TensorDictSequential:
+    """Go on with the run in folder ``out``, which an interruption or the end of its budget has left."""
+    return run(load_config(out / CONFIG, kind), out, resume=True).run()

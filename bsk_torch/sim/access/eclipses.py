@@ -1,0 +1,109 @@
+"""Times at which the next eclipse starts and ends, as bsk_rl's look-ahead gives them."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor
+
+from bsk_torch.sim.access.padded import tabulate
+from bsk_torch.sim.access.visibility.backend import Visibility
+from bsk_torch.sim.access.visibility.planned import PlannedOrbits
+from bsk_torch.sim.orbit.arcs import Arcs
+from bsk_torch.sim.orbit.grid import ARC_SEGMENT, PLAN_STEP
+from bsk_torch.sim.state import StateTable
+
+SEARCH_STEP, SEARCHES = 6000.0, 3
+"""bsk_rl searches up to 0, 6000 and 12000 s after the query, and ignores what the third search finds."""
+
+NOT_FOUND = 1.0
+"""Answer to a query whose searches all fail: one second after the epoch, as bsk_rl gives it."""
+
+
+class EclipseTable(StateTable):
+    """Transitions into and out of the umbra on the 30 s grid of the planned arcs.
+
+    bsk_rl's trajectory is propagated only as far as queries need, and its answer depends on how far that is. So the table also
+    keeps the progress that bsk_rl would have made.
+
+    Attributes:
+        starts: Times of transitions into the umbra, [N, W] s since reset, padded with infinity.
+        ends: Times of transitions out of it, likewise.
+        sampled: Time up to which bsk_rl would have propagated its trajectory, [N] s.
+        known: Time up to which bsk_rl would have recorded transitions, [N] s.
+    """
+
+    sampled: Tensor
+    known: Tensor
+    starts: Tensor
+    ends: Tensor
+
+    def __init__(self, arcs: Arcs, visibility: Visibility) -> None:
+        """Prepare an empty table for ``arcs``."""
+        super().__init__(arcs.num_envs, arcs.count, arcs.device)
+        self.arcs, self.visibility = arcs, visibility
+        self.declare("sampled", 0.0)
+        self.declare("known", 0.0)
+        self.declare("starts", math.inf, 1, grows=True)
+        self.declare("ends", math.inf, 1, grows=True)
+
+    def search(self, rows: Tensor, orbits: PlannedOrbits, duration: Tensor) -> None:
+        """Find the transitions of new arcs of ``rows`` [n]; windows have been generated for ``duration`` [n] s."""
+        self.sampled[rows], self.known[rows] = duration, 0.0
+        starts, ends = self._transitions(orbits, torch.zeros_like(duration), round(self.arcs.length / PLAN_STEP))
+        self.write_rows("starts", rows, starts)
+        self.write_rows("ends", rows, ends)
+
+    def lengthen(self, rows: Tensor) -> None:
+        """Add the transitions in the last hour of the arcs of ``rows``; drop those before the begin of the arcs."""
+        orbits = PlannedOrbits(self.arcs.planned_samples, self.arcs.ephemeris_samples).take(rows)
+        starts, ends = self._transitions(orbits, self.arcs.end[rows] - ARC_SEGMENT, round(ARC_SEGMENT / PLAN_STEP))
+        self._append("starts", rows, starts)
+        self._append("ends", rows, ends)
+
+    def _append(self, name: str, rows: Tensor, new: Tensor) -> None:
+        old = self[name][rows]
+        present = torch.where(old < self.arcs.start[rows].unsqueeze(-1), torch.inf, old)
+        both = torch.cat([present, new], 1).sort(1).values
+        width = max(1, int(torch.isfinite(both).sum(1).max()))
+        self.write_rows(name, rows, both[:, :width])
+
+    def _transitions(self, orbits: PlannedOrbits, start: Tensor, steps: int) -> tuple[Tensor, Tensor]:
+        """Return the times of transitions into and out of the umbra after ``start`` [n] s, within so many steps, [n, W] each."""
+        dark = self.visibility.umbra(orbits, start, steps + 1)
+        before, after = dark[:, :-1], dark[:, 1:]
+
+        def times(flags: Tensor) -> Tensor:
+            row, sample = torch.nonzero(flags, as_tuple=True)
+            return tabulate(row, start[row] + PLAN_STEP * (sample + 1), len(start))[0]
+
+        return times(after & ~before), times(before & ~after)
+
+    @staticmethod
+    def _next(table: Tensor, time: Tensor) -> Tensor:
+        """Return the first entry, [N] s, after the sample of the grid at or before ``time`` [N] s."""
+        soonest = (torch.floor(time * (1.0 / PLAN_STEP)) + 1.0) * PLAN_STEP
+        return torch.where(table >= soonest.unsqueeze(-1), table, torch.inf).amin(1)
+
+    def needs(self, time: Tensor) -> Tensor:
+        """Return the time, [N] s, which the arcs must reach for a query at ``time`` [N] s."""
+        return torch.maximum(time + SEARCH_STEP * (SEARCHES - 1), self.known) + 2 * PLAN_STEP
+
+    def query(self, time: Tensor) -> tuple[Tensor, Tensor]:
+        """Return start and end of the next eclipse after ``time`` [N] s, [N] s each.
+
+        Within an eclipse, the end is that of the present one and the start that of the following one.
+        """
+        start, end = self._next(self.starts, time), self._next(self.ends, time)
+        last = torch.maximum(start, end) + PLAN_STEP
+        found = last <= self.known
+        # each search propagates the trajectory, in whole steps, and records transitions up to there
+        for k in range(SEARCHES):
+            reach = torch.floor((time + k * SEARCH_STEP + PLAN_STEP) / PLAN_STEP + 1e-9) * PLAN_STEP
+            self.sampled = torch.where(found, self.sampled, torch.maximum(self.sampled, reach))
+            self.known = torch.where(found, self.known, self.sampled)
+            if k < SEARCHES - 1:
+                found = found | (last <= self.known)
+        not_found = torch.full_like(start, NOT_FOUND)
+        return torch.where(found, start, not_found), torch.where(found, end, not_found)

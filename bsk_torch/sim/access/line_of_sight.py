@@ -1,0 +1,87 @@
+"""Geometry of the line of sight between two satellites, past an ellipsoidal Earth.
+
+The Earth is an ellipsoid of revolution. Stretching all lengths along its axis turns it into a sphere and keeps lines straight, so
+whether a line of sight is blocked is decided in stretched coordinates.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from bsk_torch.astro.orbit import periapsis_radius
+from bsk_torch.constants import R_EARTH
+from bsk_torch.vec3 import Vec3, select
+
+POLAR_STRETCH = 1.0 / 0.98
+"""Factor for lengths along the Earth's axis; bsk_rl sets the polar radius to 0.98 of the equatorial one."""
+
+SPEED_MARGIN = 1.02
+"""Factor of :func:`speed_bound`: perturbations may make a satellite a little faster than at its osculating periapsis."""
+
+TINY_LENGTH = 1e-300
+"""A positive number, far below the rounding error of positions, which keeps quotients finite and ranges inclusive."""
+
+
+def speed_bound(r_BN_N: Vec3, v_BN_N: Vec3) -> Tensor:
+    """Return an upper bound of the speed on an orbit, m/s: that at the osculating periapsis, ``|r x v| / r_p``, and 2 % more."""
+    return SPEED_MARGIN * r_BN_N.cross(v_BN_N).norm() / periapsis_radius(r_BN_N, v_BN_N)
+
+
+def stretch(r_BN_N: Vec3, pole: Vec3) -> Vec3:
+    """Return the position with its component along the unit vector ``pole`` multiplied by :data:`POLAR_STRETCH`."""
+    return r_BN_N + pole * ((POLAR_STRETCH - 1.0) * r_BN_N.dot(pole))
+
+
+def line_clearance(p: Vec3, q: Vec3) -> Tensor:
+    """Return the distance, m, from the surface of a spherical Earth to the segment between p and q; negative if it is blocked.
+
+    The nearest point of the segment to the Earth's centre is ``p + k (q - p)`` with ``k = p . (p - q) / |p - q|^2`` clamped to
+    [0, 1]; its squared distance is ``p . p - k (2 p . (p - q) - k |p - q|^2)``. The distance of a segment from a point changes by
+    no more than the larger displacement of its ends.
+    """
+    p2, q2, pq = p.dot(p), q.dot(q), p.dot(q)
+    along = p2 - pq
+    d2 = along + (q2 - pq)
+    k = torch.clamp(along / torch.clamp(d2, min=TINY_LENGTH), 0.0, 1.0)
+    return torch.sqrt(torch.clamp(p2 - k * (2.0 * along - k * d2), min=0.0)) - R_EARTH
+
+
+class SatellitePositions(NamedTuple):
+    """Positions in N, m, and the same in stretched coordinates."""
+
+    r_BN_N: Vec3
+    stretched: Vec3
+
+    @staticmethod
+    def of(r_BN_N: Vec3, pole: Vec3) -> SatellitePositions:
+        """Return positions with their stretched coordinates, for a direction of the Earth's axis."""
+        return SatellitePositions(r_BN_N, stretch(r_BN_N, pole))
+
+    def map(self, function: Callable[[Tensor], Tensor]) -> SatellitePositions:
+        """Apply ``function`` to every component."""
+        return SatellitePositions(*(part.map(function) for part in self))
+
+    def where(self, condition: Tensor, other: SatellitePositions) -> SatellitePositions:
+        """Return these positions where ``condition`` holds, and those of ``other`` elsewhere."""
+        return SatellitePositions(*(select(condition, mine, theirs) for mine, theirs in zip(self, other, strict=True)))
+
+
+def visibility_margin(own: SatellitePositions, other: SatellitePositions, max_range: Tensor | None) -> Tensor:
+    """Return a margin, m, that is positive if ``other`` is visible from ``own``.
+
+    The margin is ``min(clearance, (max_range - |r_other - r_own|) / 2)``. Both parts change by no more than the larger
+    displacement of the two satellites, which is what the search for lines of sight needs.
+
+    Args:
+        own: Position of the satellite with the sensor.
+        other: Position of the other satellite.
+        max_range: Range of the sensor, m; None for no limit.
+    """
+    clearance = line_clearance(own.stretched, other.stretched)
+    if max_range is None:
+        return clearance
+    return torch.minimum(clearance, 0.5 * (max_range - (other.r_BN_N - own.r_BN_N).norm()) + TINY_LENGTH)

@@ -1,0 +1,225 @@
+"""What lies ahead of satellites: their arcs, eclipses and access windows, extended as runs and queries need it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, NoReturn
+
+import torch
+from tensordict import TensorDictBase
+from torch import Tensor
+
+from bsk_torch.astro.interpolate import COUNT
+from bsk_torch.codegen.kernel import Samples
+from bsk_torch.sim.access.eclipses import SEARCH_STEP, SEARCHES, EclipseTable
+from bsk_torch.sim.access.places import ADVICE
+from bsk_torch.sim.access.visibility.backend import Visibility
+from bsk_torch.sim.access.visibility.planned import PlannedOrbits
+from bsk_torch.sim.access.window_table import Windows
+from bsk_torch.sim.access.windows import MAX_SEGMENTS, AccessWindows, PlacesOf
+from bsk_torch.sim.orbit.arcs import PLANNED_SEGMENTS, Arcs, segments_for
+from bsk_torch.sim.orbit.grid import ARC_SEGMENT, PLAN_STEP
+from bsk_torch.sim.orbit.solution import Solver
+from bsk_torch.sim.state import StateTable
+
+MARGIN = SEARCH_STEP * (SEARCHES - 1) + 2.0 * PLAN_STEP
+"""Seconds that arcs reach beyond the requested time: the range of the search for eclipses."""
+
+KEPT_PAST = ARC_SEGMENT
+"""Seconds of the past that an arc keeps when it moves on."""
+
+CHUNK, DEVICE_CHUNK = 256, 16384
+"""Rows solved at once on the CPU, where they should fit into its cache, and on other devices, where memory bounds them."""
+
+SEARCHED, DEVICE_SEARCHED = 1 << 18, 1 << 24
+"""Pairs of satellite and place whose windows are searched at once, likewise."""
+
+
+class LookAhead(StateTable):
+    """Arcs, eclipses and windows of the satellites of one type.
+
+    Attributes:
+        arcs: Where the satellites will be.
+        eclipses: When they will be in the umbra.
+        access: When places will see them; None without places.
+    """
+
+    arcs: Arcs
+    eclipses: EclipseTable
+    access: AccessWindows | None
+
+    def __init__(
+        self,
+        num_envs: int,
+        count: int,
+        solver: Solver,
+        visibility: Visibility,
+        places: Mapping[str, PlacesOf],
+        *,
+        horizon: float,
+        segment: float,
+    ) -> None:
+        """Make room for ``count`` satellites in each of ``num_envs`` episodes.
+
+        Args:
+            num_envs: Number of episodes.
+            count: Satellites in each.
+            solver: Solver of the arcs.
+            visibility: Geometry of visibility under the back end.
+            places: Places by kind, as functions of rows.
+            horizon: Seconds for which windows are generated at reset.
+            segment: Seconds by which windows are extended.
+        """
+        super().__init__(num_envs, count, solver.device)
+        kept = max(PLANNED_SEGMENTS, segments_for(segment) + PLANNED_SEGMENTS - 1)
+        self.arcs = Arcs(num_envs, segments_for(horizon + MARGIN), solver, kept, count)
+        self.eclipses = EclipseTable(self.arcs, visibility)
+        self.access = AccessWindows(self.arcs, visibility, places, segment) if places else None
+        self.add("arcs", self.arcs)
+        self.add("eclipses", self.eclipses)
+        if self.access is not None:
+            self.add("windows", self.access)
+        self.live = True
+
+    # -- rows ---------------------------------------------------------------------------------------------------------
+
+    def solve(self, rows: Tensor, et: Tensor, r_N: Tensor, v_N: Tensor, duration: Tensor) -> None:
+        """Solve new arcs of ``rows`` [n] and search them for eclipses and windows.
+
+        Args:
+            rows: Satellites, [n].
+            et: ET at time zero, [n] s.
+            r_N: Position at time zero, [n, 3] m.
+            v_N: Velocity at time zero, [n, 3] m/s.
+            duration: Seconds for which windows are generated, [n].
+        """
+        while self.arcs.length < float(duration.max()):
+            self.grow()
+        for part in torch.split(torch.arange(len(rows), device=self.device), self._rows_at_once(rows)):
+            fine = self.arcs.solve(rows[part], et[part], r_N[part], v_N[part])
+            epoch = torch.zeros(len(part), dtype=torch.float64, device=self.device)
+            ephemeris = Samples(self.arcs.ephemeris[rows[part]], epoch)
+            orbits = PlannedOrbits(Samples(fine[:, ::2].contiguous(), epoch), ephemeris, Samples(fine, epoch))
+            self.eclipses.search(rows[part], orbits, duration[part])
+            if self.access is not None:
+                self.access.generate(rows[part], orbits, duration[part])
+
+    def _rows_at_once(self, rows: Tensor) -> int:
+        number, pairs = (CHUNK, SEARCHED) if self.device.type == "cpu" else (DEVICE_CHUNK, DEVICE_SEARCHED)
+        places = 1 if self.access is None else max(of(rows[:1]).r_LP_P.shape[1] for of in self.access.kinds.values())
+        return max(1, min(number, pairs // places))
+
+    def over(self, saved: Mapping[str, Any] | TensorDictBase) -> LookAhead:
+        """See :meth:`StateTable.over`."""
+        other = super().over(saved)
+        tables: Mapping[str, Any] = other.tables
+        other.arcs, other.eclipses, other.access = tables["arcs"], tables["eclipses"], tables.get("windows")
+        other.eclipses.arcs, other.live = other.arcs, False
+        if other.access is not None:
+            other.access.arcs = other.arcs
+        return other
+
+    def copy_rows(self, envs: Tensor, other: StateTable, source: Tensor) -> None:
+        """See :meth:`StateTable.copy_rows`; the shorter arcs of the two are extended first."""
+        assert isinstance(other, LookAhead)
+        if other.arcs.length < self.arcs.length and not other.live:  # saved tensors are not written into
+            other, source = other.taken(source), torch.arange(len(source), device=source.device)
+        while self.arcs.length < other.arcs.length:
+            self.grow()
+        while other.arcs.length < self.arcs.length:
+            other.grow()
+        super().copy_rows(envs, other, source)
+
+    # -- time ---------------------------------------------------------------------------------------------------------
+
+    def reach(self, time: Tensor, now: Tensor) -> None:
+        """Make every arc cover ``time`` [N] s: move it on, or make all longer where it would lose the past of ``now`` [N]."""
+        missing = torch.ceil((time - self.arcs.end) / ARC_SEGMENT).clamp(min=0)
+        if not bool(missing.any()):
+            return
+        room = torch.floor((now - KEPT_PAST - self.arcs.start) / ARC_SEGMENT).clamp(min=0)
+        longer = int((missing - room).max().clamp(min=0))
+        for _ in range(longer):
+            self.grow()
+        missing = (missing - longer).clamp(min=0)
+        for spans in range(1, int(missing.max()) + 1):
+            rows = torch.nonzero(missing >= spans).squeeze(-1)
+            if self.access is not None:
+                self.access.catch_up(rows)
+            self.arcs.extend(rows)
+            self.eclipses.lengthen(rows)
+
+    def grow(self) -> None:
+        """Make every arc an hour longer."""
+        if self.access is not None:
+            self.access.catch_up(self.all_rows)
+        self.arcs.grow()
+        self.eclipses.lengthen(self.all_rows)
+
+    # -- queries ------------------------------------------------------------------------------------------------------
+
+    def next_eclipse(self, time: Tensor) -> tuple[Tensor, Tensor]:
+        """Return the next start and end of an eclipse after ``time`` [N], [N] s since reset; see :meth:`EclipseTable.query`."""
+        self.reach(self.eclipses.needs(time), time)
+        return self.eclipses.query(time)
+
+    def next_windows(
+        self,
+        kind: str,
+        time: Tensor,
+        width: int,
+        allowed: Tensor | None = None,
+        count: Tensor | None = None,
+        last: Tensor | None = None,
+        may_see_nothing: bool = False,
+    ) -> tuple[Windows, Tensor]:
+        """Return the windows over a kind of places that close next, [N, width], and how many of them there are, [N].
+
+        The last is repeated where there are fewer. Segments are added until ``count`` windows are known.
+
+        Args:
+            kind: A key of ``access.kinds``.
+            time: Present time, [N] s since reset.
+            width: Number of windows.
+            allowed: Which places count, [N, P]; all of them unless given.
+            count: Number of windows that each row needs, [N], at most ``width``, which it is unless given.
+            last: Time, [N] s, from which on no segments are added; in any case no more than
+                :data:`~bsk_torch.sim.access.windows.MAX_SEGMENTS` are.
+            may_see_nothing: Whether there may be none at all; look-ahead then ends as many segments from now, so that queries in
+                vain do not add segments again and again.
+
+        Raises:
+            RuntimeError: Where a window is needed, there is none within the look-ahead, and there must be one.
+        """
+        assert self.access is not None
+        access = self.access
+        wanted = torch.full(time.shape, width, dtype=torch.int64, device=self.device) if count is None else count
+        windows, found = access.next(kind, time, width, allowed)
+        short = rows = torch.nonzero(found < wanted).squeeze(-1)
+        if not len(rows):
+            return windows, found
+        limit = (time if may_see_nothing else access.until) + MAX_SEGMENTS * access.segment
+        limit = limit if last is None else torch.minimum(limit, last)
+        while True:
+            some = None if allowed is None else allowed[rows]
+            rows = access.reveal(kind, rows, time[rows], wanted[rows], limit[rows], some)
+            if not len(rows):
+                break
+            target = torch.zeros_like(time)
+            target[rows] = access.ready[rows] + max(access.ahead * access.segment, PLAN_STEP * COUNT)
+            self.reach(target, time)
+            access.extend(rows, time)
+        self.eclipses.sampled = torch.maximum(self.eclipses.sampled, access.until)
+        more, number = access.next(kind, time, width, allowed, short)
+        windows, found = windows.put(short, more), found.index_copy(0, short, number)
+        none = [] if may_see_nothing else torch.nonzero((found == 0) & (wanted > 0)).squeeze(-1).tolist()
+        if none:
+            self._raise_nothing_in_view(kind, [row // self.count for row in none])
+        return windows, found
+
+    def _raise_nothing_in_view(self, kind: str, envs: list[int]) -> NoReturn:
+        seconds = MAX_SEGMENTS * self.access.segment  # type: ignore[union-attr]
+        raise RuntimeError(
+            f"no {kind} comes into view of environments {list(dict.fromkeys(envs))[:5]} within {seconds:g} s; {ADVICE[kind]}, "
+            "or build the satellite with may_see_nothing=True"
+        )

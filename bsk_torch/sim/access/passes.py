@@ -1,0 +1,206 @@
+"""Passes of satellites over places on the ground, for all satellites and places of a batch at once.
+
+The search has three stages. A coarse screen compares every place with one sample in sixteen, as a matrix product of unit
+vectors, and drops most pairs. The remaining pairs are classified at every sample, 30 s apart. Crossings of the elevation limit
+that are found in this way are refined by root finding on an interpolated ground track.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from bsk_torch.codegen.kernel import Samples
+from bsk_torch.sim.access.padded import argsort_by_group
+from bsk_torch.sim.access.visibility.backend import Visibility
+from bsk_torch.sim.access.visibility.geometry import (
+    ABOVE_LIMIT,
+    RISE,
+    SAMPLES_PER_CELL,
+    SET,
+    SHORT_PASS,
+    SearchCells,
+    max_central_angle,
+)
+from bsk_torch.sim.access.visibility.pairs import Brackets, PlacePairs
+from bsk_torch.sim.orbit.grid import PLAN_STEP
+
+SHORTEST_PASS = 0.1
+"""Passes between two samples that last no longer than this, s, are dropped."""
+
+SCREEN_PRODUCTS, DEVICE_SCREEN_PRODUCTS = 1 << 20, 1 << 26
+"""Products of the coarse screen that are held at once: on the CPU, so that they fit into its cache, and on other devices."""
+
+SCREEN_SLACK = 1e-5
+"""Angle, rad, that the coarse screen adds to the reach of a cell: the products are float32, with errors of 1e-7."""
+
+
+class Places(NamedTuple):
+    """Places on the ground; n is the number of satellites, or 1 if all have the same places.
+
+    Attributes:
+        r_LP_P: Earth-fixed positions, [n, P, 3] m; NaN for the padding of satellites that have fewer places than others.
+        sin_min_elevation: Sines of the minimum elevation, [n, P].
+    """
+
+    r_LP_P: Tensor
+    sin_min_elevation: Tensor
+
+
+class GroundTrack(NamedTuple):
+    """Earth-fixed positions of satellites, [n, K, 3] m, every 30 s from ``start`` [n] s on."""
+
+    r_BP_P: Tensor
+    start: Tensor
+
+    @property
+    def end(self) -> Tensor:
+        """Time of the last sample, [n] s."""
+        return self.start + PLAN_STEP * (self.r_BP_P.shape[1] - 1)
+
+
+class CrossingEvents(NamedTuple):
+    """Crossings of the elevation limit in one direction: row, place and time, s, of each, [m]."""
+
+    row: Tensor
+    place: Tensor
+    time: Tensor
+
+
+class Passes(NamedTuple):
+    """Passes of satellite ``row`` over ``place`` from ``open`` to ``close``, s, [m] each.
+
+    Passes in progress at either end of the search are cut there.
+    """
+
+    row: Tensor
+    place: Tensor
+    open: Tensor
+    close: Tensor
+
+
+# -- the coarse screen -----------------------------------------------------------------------------------------------------------
+
+
+def coarse_screen(track: GroundTrack, places: Places) -> tuple[Tensor, Tensor, Tensor]:
+    """Return row, place and cell, [m] each, of all pairs that may be visible from within a cell; a superset of those that are.
+
+    From its middle sample, a satellite turns by at most psi within a cell (one more sample on both sides included), and a place
+    is visible within the central angle theta_max of its subsatellite point. So a place can be visible during the cell only if
+
+        angle(place, middle sample) <= psi + theta_max,
+
+    with theta_max for the lowest limit, the lowest place and the highest altitude in the cell, which makes it largest. That is
+    a comparison of the scalar product of two unit vectors with the cosine of the right-hand side: one matrix product for all.
+    """
+    samples = track.r_BP_P.shape[1]
+    half = SAMPLES_PER_CELL // 2
+    middle = (
+        torch.arange(-(-(samples - 1) // SAMPLES_PER_CELL), device=track.r_BP_P.device).unsqueeze(-1) * SAMPLES_PER_CELL + half
+    )
+    around = (middle + torch.arange(-half - 1, half + 2, device=middle.device)).clamp(0, samples - 1)
+    distance = track.r_BP_P.norm(dim=-1)
+    unit = track.r_BP_P / distance.unsqueeze(-1)
+    unit_middle = unit[:, around[:, half + 1]]
+    cos_psi = (unit[:, around] * unit_middle.unsqueeze(2)).sum(-1).amin(-1)
+    radius = places.r_LP_P.norm(dim=-1)
+    ratio = radius.nan_to_num(nan=torch.inf).amin(-1, keepdim=True) / distance[:, around].amax(-1)
+    theta_max = max_central_angle(ratio, places.sin_min_elevation.amin(-1, keepdim=True))
+    reach = torch.acos(cos_psi.clamp(max=1.0)) + theta_max + SCREEN_SLACK
+    cos_reach = torch.cos(reach.clamp(max=torch.pi)).float()
+    unit_places = (places.r_LP_P / radius.unsqueeze(-1)).float()
+    return _products_above(unit_middle.float(), unit_places, cos_reach)
+
+
+def _products_above(middle: Tensor, places: Tensor, limit: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Return row, place and cell where ``middle`` [n, C, 3] times ``places`` [n or 1, P, 3] exceeds ``limit`` [n, C].
+
+    Products with the NaN of missing places exceed nothing.
+    """
+    room = SCREEN_PRODUCTS if middle.device.type == "cpu" else DEVICE_SCREEN_PRODUCTS
+    at_once = max(1, room // (middle.shape[1] * places.shape[1]))
+    found = []
+    for first in range(0, len(middle), at_once):
+        part = slice(first, first + at_once)
+        near = middle[part] @ (places if len(places) == 1 else places[part]).mT > limit[part].unsqueeze(-1)
+        row, cell, place = torch.nonzero(near, as_tuple=True)
+        found.append((row + first, place, cell))
+    row, place, cell = (torch.cat(parts) for parts in zip(*found, strict=True))
+    return row, place, cell
+
+
+# -- the search ------------------------------------------------------------------------------------------------------------------
+
+
+class PassSearch:
+    """Search for the passes of n satellites over their places during the samples of a ground track."""
+
+    def __init__(self, visibility: Visibility, track: GroundTrack, places: Places) -> None:
+        """Screen all pairs and classify the samples of those that remain."""
+        self.visibility, self.track, self.places = visibility, track, places
+        row, place, cell = coarse_screen(track, places)
+        begin, end = track.start[row], track.end[row]
+        first = begin + PLAN_STEP * SAMPLES_PER_CELL * cell
+        cells = SearchCells(first, torch.minimum(first + PLAN_STEP * SAMPLES_PER_CELL, end), begin, end)
+        codes = visibility.events(self.pairs(row, place), cells).to(torch.uint8)
+        pair, sample = torch.nonzero(codes, as_tuple=True)
+        self._events = row[pair], place[pair], cell[pair] * SAMPLES_PER_CELL + sample
+        self._codes = codes[pair, sample]
+
+    def pairs(self, row: Tensor, place: Tensor) -> PlacePairs:
+        """Return the pairs of satellites ``row`` [m] and places ``place`` [m]."""
+        owner = row if len(self.places.r_LP_P) > 1 else torch.zeros_like(row)
+        samples = Samples(self.track.r_BP_P, self.track.start, row)
+        return PlacePairs(samples, self.places.r_LP_P[owner, place], self.places.sin_min_elevation[owner, place])
+
+    def passes(self) -> Passes:
+        """Return all passes, in no particular order."""
+        # of each pair, rises and sets alternate once the ends of the search are counted, so both lists match when sorted
+        starts = self._sorted(self._above_limit_at(0), self._crossings(RISE))
+        stops = self._sorted(self._crossings(SET), self._above_limit_at(self.track.r_BP_P.shape[1] - 1))
+        long = Passes(starts.row, starts.place, starts.time, stops.time)
+        return Passes(*(torch.cat(parts) for parts in zip(long, self._short_passes(), strict=True)))
+
+    def _with_code(self, bit: int) -> tuple[Tensor, ...]:
+        """Return row, place and sample of the events whose code has a bit."""
+        return tuple(part[(self._codes & bit) > 0] for part in self._events)
+
+    def _sample_time(self, row: Tensor, sample: Tensor) -> Tensor:
+        return self.track.start[row] + PLAN_STEP * sample
+
+    def _above_limit_at(self, sample: int) -> CrossingEvents:
+        """Return the pairs that are above the limit at the first or at the last sample."""
+        row, place, k = self._with_code(ABOVE_LIMIT)
+        there = k == sample
+        return CrossingEvents(row[there], place[there], self._sample_time(row, k)[there])
+
+    def _crossings(self, bit: int) -> CrossingEvents:
+        """Return the rises, or the sets, between samples."""
+        row, place, k = self._with_code(bit)
+        a, b = self._sample_time(row, k - 1), self._sample_time(row, k)
+        pairs = self.pairs(row, place)
+        brackets = Brackets(a, b, *(self.visibility.clearance(pairs, time) for time in (a, b)))
+        return CrossingEvents(row, place, self.visibility.crossings(pairs, brackets))
+
+    def _short_passes(self) -> Passes:
+        """Return the passes that lie between two samples."""
+        row, place, k = self._with_code(SHORT_PASS)
+        a, b = self._sample_time(row, k - 2), self._sample_time(row, k)
+        pairs = self.pairs(row, place)
+        culmination = self.visibility.culminations(pairs, a, b)
+        top = self.visibility.clearance(pairs, culmination)
+        keep = torch.nonzero(top > 0.0).squeeze(-1)
+        row, place, a, b, culmination, top = (x[keep] for x in (row, place, a, b, culmination, top))
+        pairs = pairs.take(keep)
+        edges = (Brackets(outer, culmination, self.visibility.clearance(pairs, outer), top) for outer in (a, b))
+        opens, closes = (self.visibility.crossings(pairs, brackets) for brackets in edges)
+        long = closes - opens > SHORTEST_PASS
+        return Passes(*(x[long] for x in (row, place, opens, closes)))
+
+    def _sorted(self, *parts: CrossingEvents) -> CrossingEvents:
+        """Return events by row, then place, then time."""
+        row, place, time = (torch.cat(columns) for columns in zip(*parts, strict=True))
+        order = argsort_by_group(row * self.places.r_LP_P.shape[1] + place, time)
+        return CrossingEvents(row[order], place[order], time[order])

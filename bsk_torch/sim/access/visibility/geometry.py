@@ -1,0 +1,124 @@
+"""Formulas of the elevation limit and of passes between samples, for tensors and for the values of a kernel alike."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor
+
+from bsk_torch.sim.orbit.grid import PLAN_STEP
+from bsk_torch.vec3 import Vec3
+
+SAMPLES_PER_CELL = 16
+"""Samples of a cell, the unit of the coarse screen, which compares only the middle one with all places."""
+
+CLASSIFIED_SAMPLES = SAMPLES_PER_CELL + 2
+"""Samples that are classified for each cell: its own and two more, so that each triple of neighbours is complete in some cell."""
+
+RISE, SET, SHORT_PASS, ABOVE_LIMIT = 1, 2, 4, 8
+"""Bits of an event code; ``ABOVE_LIMIT`` is set at the first and last sample of a search only."""
+
+CULMINATION_TOLERANCE = 1e-4
+"""Error bound of the maximum of a parabola through three clearances 30 s apart; for low circular orbits it is 1e-6."""
+
+
+class SearchCells(NamedTuple):
+    """Cells whose samples are to be classified: times in s, [m] each.
+
+    Attributes:
+        first: First sample.
+        end: End of the cell.
+        search_begin: First sample of the whole search.
+        search_end: Last sample of the whole search.
+    """
+
+    first: Tensor
+    end: Tensor
+    search_begin: Tensor
+    search_end: Tensor
+
+
+def elevation_clearance(r_BP_P: Vec3, r_LP_P: Vec3, sin_min_elevation: Any) -> Any:
+    """Return a measure of how far a satellite B is above the minimum elevation over a place L; positive if it is visible.
+
+    The measure is ``cos(theta) - cos(theta_max)``, with theta the angle at the Earth's centre between B and L::
+
+        theta_max = acos(q cos e) - e        cos(theta_max) = q cos^2 e + sin e sqrt(1 - q^2 cos^2 e)
+
+    where e is the minimum elevation and ``q = |r_LP| / |r_BP|`` (law of sines in the triangle centre, L, B; Wertz and Larson,
+    Space Mission Analysis and Design, section 5.2). Unlike the elevation, it is nearly a sinusoid of time, so the parabola
+    through three samples gives the height of a culmination between them.
+
+    Args:
+        r_BP_P: Earth-fixed position of the satellite, m.
+        r_LP_P: Earth-fixed position of the place, m.
+        sin_min_elevation: Sine of the minimum elevation.
+    """
+    radius, distance = r_LP_P.norm(), r_BP_P.norm()
+    q, cos2 = radius / distance, 1.0 - sin_min_elevation * sin_min_elevation
+    cos_theta_max = q * cos2 + sin_min_elevation * torch.sqrt(torch.clamp(1.0 - q * q * cos2, min=0.0))
+    return r_LP_P.dot(r_BP_P) / (radius * distance) - cos_theta_max
+
+
+def max_central_angle(radius_ratio: Tensor, sin_min_elevation: Tensor) -> Tensor:
+    """Return the angle at the Earth's centre, rad, at which a satellite stands at the minimum elevation e.
+
+    ``theta_max = acos(q cos e) - e``, see :func:`elevation_clearance`; ``radius_ratio`` is q.
+    """
+    cosine = torch.sqrt(1.0 - sin_min_elevation * sin_min_elevation)
+    return torch.acos(torch.clamp(radius_ratio * cosine, -1.0, 1.0)) - torch.asin(sin_min_elevation)
+
+
+def classify(before: Any, here: Any, after: Any, is_first: Any, is_last: Any) -> tuple[Any, Any, Any]:
+    """Classify three successive clearances: a rise or a set between the last two, or a possible short pass.
+
+    A short pass lies between two samples: no sample is above the limit, but the culmination may be. With the samples at x = -1, 0
+    and 1, the parabola through them has its maximum f_max at x_max::
+
+        bend = 2 f(0) - f(-1) - f(1)     slope = f(1) - f(-1)
+        x_max = slope / (2 bend)         f_max = f(0) + slope^2 / (8 bend)
+
+    Each culmination belongs to the triple in whose middle the largest sample is. The first and the last triple of a search
+    also cover maxima near its two ends, for which no such triple exists.
+
+    Args:
+        before: Clearance at the first sample; may be NaN.
+        here: Clearance at the middle sample.
+        after: Clearance at the last sample.
+        is_first: Whether this is the first triple of a search.
+        is_last: Whether this is the last triple of a search.
+
+    Returns:
+        Three flags: rise, set, possible short pass (``f_max`` above -:data:`CULMINATION_TOLERANCE`).
+    """
+    bend, slope = torch.clamp(2.0 * here - before - after, min=1e-12), after - before
+    x_max, f_max = slope / (2.0 * bend), here + slope * slope / (8.0 * bend)
+    below = (before <= 0.0) & (here <= 0.0) & (after <= 0.0) & (f_max > -CULMINATION_TOLERANCE)
+    # x_max is an estimate: a tenth of a step of slack keeps maxima that lie just inside the search
+    early, late = is_first & (here < before) & (x_max > -1.1), is_last & (here < after) & (x_max < 1.1)
+    short_pass = below & (((here >= before) & (here >= after)) | early | late)
+    return (here <= 0.0) & (after > 0.0), (here > 0.0) & (after <= 0.0), short_pass
+
+
+def event_code(before: Any, here: Any, after: Any, time: Any, cells: SearchCells) -> Any:
+    """Return the event code of three successive clearances, as a sum of bits in floating point.
+
+    Events behind the end of the cell (which the next cell reports) or of the search are left out.
+
+    Args:
+        before: Clearance at the first of the samples.
+        here: Clearance at the middle one.
+        after: Clearance at the last one.
+        time: Time of the last one, s.
+        cells: The cell to which the samples belong.
+    """
+    half = 0.5 * PLAN_STEP  # sample times are compared half a step off, out of reach of rounding
+    is_first, is_last = time < cells.search_begin + 5.0 * half, time > cells.search_end - half
+    rises, sets, short_pass = classify(before, here, after, is_first, is_last)
+    in_cell, in_search = time < cells.end + half, time < cells.search_end + half
+    zero = torch.zeros_like(after)
+    code = torch.where(in_cell & rises, float(RISE), torch.where(in_cell & sets, float(SET), zero))
+    code = torch.where(in_search & short_pass, code + float(SHORT_PASS), code)
+    at_end = in_cell & ((time < cells.search_begin + half) | is_last)
+    return torch.where(at_end & (after > 0.0), code + float(ABOVE_LIMIT), code)

@@ -1,0 +1,185 @@
+"""The geometry of visibility by kernels whose ticks are samples or iterations of a search."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from bsk_torch.astro.eclipse import in_umbra
+from bsk_torch.astro.interpolate import coefficients, position
+from bsk_torch.astro.roots import halved, narrowed, next_guess, placed, refined, sections
+from bsk_torch.codegen.ir import Loop
+from bsk_torch.codegen.kernel import Kernel
+from bsk_torch.sim.access.visibility.geometry import CLASSIFIED_SAMPLES, SearchCells, elevation_clearance, event_code
+from bsk_torch.sim.access.visibility.pairs import (
+    BISECTIONS,
+    CULMINATION_ITERATIONS,
+    GROUND_TRACK,
+    ROOT_ITERATIONS,
+    Brackets,
+    PlacePairs,
+)
+from bsk_torch.sim.access.visibility.planned import PlannedOrbits
+from bsk_torch.sim.component import Bus, Track
+from bsk_torch.sim.environment.ephemeris import EPHEMERIS_TRACK, fixed
+from bsk_torch.sim.orbit.builder import ARC, FINE, KernelBuilder
+from bsk_torch.sim.orbit.grid import PLAN_STEP
+from bsk_torch.vec3 import Vec3
+
+
+class KernelVisibility:
+    """See :class:`bsk_torch.sim.access.visibility.backend.Visibility`."""
+
+    def umbra(self, orbits: PlannedOrbits, start: Tensor, count: int) -> Tensor:
+        """See :meth:`Visibility.umbra`."""
+        return _run_samples(umbra_kernel(orbits.samples is not None), orbits, start, count, 1).squeeze(-1) > 0.5
+
+    def ground_track(self, orbits: PlannedOrbits, start: Tensor, count: int) -> Tensor:
+        """See :meth:`Visibility.ground_track`."""
+        return _run_samples(ground_track_kernel(orbits.samples is not None), orbits, start, count, 3)
+
+    def events(self, pairs: PlacePairs, cells: SearchCells) -> Tensor:
+        """See :meth:`Visibility.events`."""
+        written = torch.empty(len(cells.first), CLASSIFIED_SAMPLES, 1, dtype=torch.float64)
+        state = torch.full((3, len(cells.first)), torch.nan, dtype=torch.float64)
+        state[0] = cells.first
+        limits = cells.end, cells.search_begin, cells.search_end
+        _run_pairs(event_kernel(), pairs, state, CLASSIFIED_SAMPLES, limits, written)
+        return written.squeeze(-1)
+
+    def clearance(self, pairs: PlacePairs, time: Tensor) -> Tensor:
+        """See :meth:`Visibility.clearance`."""
+        state = torch.stack([time, time])
+        _run_pairs(clearance_kernel(), pairs, state, 1)
+        return state[1]
+
+    def crossings(self, pairs: PlacePairs, brackets: Brackets) -> Tensor:
+        """See :meth:`Visibility.crossings`."""
+        state = torch.stack([0.5 * (brackets.a + brackets.b), *brackets])
+        _run_pairs(crossing_kernel(), pairs, state, BISECTIONS + ROOT_ITERATIONS)
+        return state[2]
+
+    def culminations(self, pairs: PlacePairs, a: Tensor, b: Tensor) -> Tensor:
+        """See :meth:`Visibility.culminations`."""
+        left, right = ((time, self.clearance(pairs, time)) for time in sections(a, b))
+        first, last, new = narrowed(a, b, *left, *right)
+        state = torch.stack([new, first, last, *left, *right])
+        _run_pairs(culmination_kernel(), pairs, state, CULMINATION_ITERATIONS)
+        return 0.5 * (state[1] + state[2])
+
+
+# -- running -------------------------------------------------------------------------------------------------------------------
+
+
+def _run_pairs(
+    kernel: Kernel,
+    pairs: PlacePairs,
+    state: Tensor,
+    ticks: int,
+    limits: tuple[Tensor, ...] = (),
+    written: Tensor | None = None,
+) -> None:
+    own = torch.stack([*pairs.r_LP_P.unbind(-1), pairs.sin_min_elevation, *limits])
+    kernel(state, ticks, (pairs.track,), own=own, written=written)
+
+
+def _run_samples(kernel: Kernel, orbits: PlannedOrbits, start: Tensor, count: int, width: int) -> Tensor:
+    written = torch.empty(len(start), count, width, dtype=torch.float64)
+    kernel(start.unsqueeze(0).clone(), count, (orbits.ephemeris, orbits.samples or orbits.nodes), written=written)
+    return written
+
+
+# -- kernels of one satellite: one tick for each sample --------------------------------------------------------------------------
+
+
+def _sample_kernel(name: str, sampled: bool, function: Callable[[Any, Bus], list[Any]]) -> Kernel:
+    """Return a kernel that writes a function of planned position and ephemeris at each sample; its state is the time.
+
+    ``sampled`` says whether positions are read from samples every 30 s instead of interpolated between nodes.
+    """
+    builder = KernelBuilder()
+    (time,) = builder.planes("state", 1)
+    if sampled:
+        r_BN_N = Vec3(*builder.records(2, 3))
+    else:
+        path, s = builder.path(2)
+        r_BN_N = position(path, s)
+    tracks = EPHEMERIS_TRACK, FINE if sampled else ARC
+    return Kernel(name, Loop(builder.program, [time + PLAN_STEP], tracks, function(r_BN_N, builder.ephemeris()), clock=time))
+
+
+@cache
+def umbra_kernel(sampled: bool) -> Kernel:
+    """Return the kernel that writes whether a satellite is in the umbra."""
+    return _sample_kernel("eclipse search", sampled, lambda r_BN_N, ephemeris: [in_umbra(r_BN_N, ephemeris.r_SN_N)])
+
+
+@cache
+def ground_track_kernel(sampled: bool) -> Kernel:
+    """Return the kernel that writes the Earth-fixed position."""
+    return _sample_kernel("ground track", sampled, lambda r_BN_N, ephemeris: list(fixed(ephemeris, r_BN_N)))
+
+
+# -- kernels of pairs: one tick for each sample or iteration ---------------------------------------------------------------------
+
+
+def _time_and_clearance(builder: KernelBuilder, track: Track) -> tuple[Any, Any]:
+    """Return the time of the tick and the clearance then; the place's position and sine of the limit are the ``own`` planes."""
+    (time,) = builder.planes("state", 1)
+    *site, sin_min_elevation = builder.planes("own", 4)
+    planes = builder.records(1, 3 * track.count)
+    nodes = [Vec3(*planes[k : k + 3]) for k in range(0, len(planes), 3)]
+    r_BP_P = nodes[0] if track.count == 1 else position(coefficients(nodes), builder.tau(1) * (1.0 / PLAN_STEP))
+    return time, elevation_clearance(r_BP_P, Vec3(*site), sin_min_elevation)
+
+
+def _pair_kernel(name: str, builder: KernelBuilder, track: Track, outputs: list[Any], written: list[Any]) -> Kernel:
+    (time,) = builder.planes("state", 1)
+    return Kernel(name, Loop(builder.program, outputs, (track,), written, clock=time))
+
+
+@cache
+def event_kernel() -> Kernel:
+    """Return the kernel that writes event codes; its state is the time and the last two clearances."""
+    builder = KernelBuilder()
+    time, clearance = _time_and_clearance(builder, FINE)
+    before, here = builder.planes("state", 2, first=1)
+    end, search_begin, search_end = builder.planes("own", 3, first=4)
+    written = event_code(before, here, clearance, time, SearchCells(time, end, search_begin, search_end))
+    return _pair_kernel("access search", builder, FINE, [time + PLAN_STEP, here, clearance], [written])
+
+
+@cache
+def clearance_kernel() -> Kernel:
+    """Return the kernel that computes the clearance at one time."""
+    builder = KernelBuilder()
+    return _pair_kernel("access clearance", builder, GROUND_TRACK, list(_time_and_clearance(builder, GROUND_TRACK)), [])
+
+
+@cache
+def crossing_kernel() -> Kernel:
+    """Return the kernel of the search for a crossing: first bisections, then regula falsi; see ``roots.find_root``."""
+    builder = KernelBuilder()
+    time, clearance = _time_and_clearance(builder, GROUND_TRACK)
+    a, b, clearance_a, clearance_b = builder.planes("state", 4, first=1)
+    bracket = a, b, clearance_a, clearance_b, time, clearance
+    number: Any = builder.program.input("ticks_now")
+    both = zip(halved(*bracket), refined(*bracket), strict=True)
+    a, b, clearance_a, clearance_b = (torch.where(number <= float(BISECTIONS), x, y) for x, y in both)
+    guess = torch.where(number < float(BISECTIONS), 0.5 * (a + b), next_guess(a, b, clearance_a, clearance_b))
+    return _pair_kernel("access crossings", builder, GROUND_TRACK, [guess, a, b, clearance_a, clearance_b], [])
+
+
+@cache
+def culmination_kernel() -> Kernel:
+    """Return the kernel of the golden-section search for a culmination; see ``roots.find_maximum``."""
+    builder = KernelBuilder()
+    time, clearance = _time_and_clearance(builder, GROUND_TRACK)
+    a, b, left, clearance_left, right, clearance_right = builder.planes("state", 6, first=1)
+    points = placed(left, clearance_left, right, clearance_right, time, clearance)
+    a, b, new = narrowed(a, b, *points)
+    return _pair_kernel("access passes", builder, GROUND_TRACK, [new, a, b, *points], [])

@@ -1,0 +1,62 @@
+"""Planned orbits: their nodes, samples and ephemeris, and positions at arbitrary times."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from bsk_torch.astro.interpolate import positions
+from bsk_torch.codegen.kernel import Samples
+from bsk_torch.sim.component import Bus, Track, neighbours
+from bsk_torch.sim.environment.ephemeris import EPHEMERIS_TRACK, ephemeris_at
+from bsk_torch.sim.orbit.builder import ARC, FINE
+from bsk_torch.sim.orbit.grid import NODE_SPACING, PLAN_STEP
+from bsk_torch.vec3 import Vec3
+
+
+class PlannedOrbits(NamedTuple):
+    """Planned orbits of n satellites as tables; see :class:`bsk_torch.sim.orbit.arcs.Arcs`.
+
+    Attributes:
+        nodes: Positions in N, m, at the nodes of the interpolation.
+        ephemeris: Records of the Sun and of the Earth's orientation.
+        samples: Positions in N, m, every 30 s; None if they are to be interpolated between the nodes.
+    """
+
+    nodes: Samples
+    ephemeris: Samples
+    samples: Samples | None = None
+
+    def take(self, rows: Tensor) -> PlannedOrbits:
+        """Return the orbits of ``rows`` [m], which may repeat."""
+        return PlannedOrbits(*(part and take_rows(part, rows) for part in self))  # type: ignore[arg-type]
+
+
+def take_rows(samples: Samples, rows: Tensor) -> Samples:
+    """Return the samples of ``rows`` [m], which may repeat, without copying the table."""
+    return Samples(samples.table, samples.start, rows if samples.owner is None else samples.owner[rows])
+
+
+def records_around(track: Track, samples: Samples, time: Tensor) -> tuple[Tensor, Tensor]:
+    """Return the records of a track around ``time`` [n] s, one time for each row, and the time since the middle one, [n] s."""
+    rows = torch.arange(len(time), device=time.device) if samples.owner is None else samples.owner
+    return neighbours(track, samples.table, rows, time - samples.start[rows])
+
+
+def planned_position(orbits: PlannedOrbits, time: Tensor) -> tuple[Vec3, Bus]:
+    """Return the planned positions in N, m, at ``time`` [n] s since reset, and Sun and Earth at these times."""
+    nodes, tau = records_around(ARC, orbits.nodes, time)
+    records, ephemeris_tau = records_around(EPHEMERIS_TRACK, orbits.ephemeris, time)
+    return Vec3.of(positions(nodes, tau * (1.0 / NODE_SPACING))), ephemeris_at(records.flatten(1).unbind(-1), ephemeris_tau)
+
+
+def sample_planned(orbits: PlannedOrbits, start: Tensor, count: int) -> tuple[Vec3, Bus]:
+    """Return planned positions, Sun and Earth at ``count`` times 30 s apart from ``start`` [n] s on, flattened to [n * count]."""
+    time = (start.unsqueeze(-1) + PLAN_STEP * torch.arange(count, device=start.device)).flatten()
+    orbits = orbits.take(torch.arange(len(start), device=start.device).repeat_interleave(count))
+    if orbits.samples is None:
+        return planned_position(orbits, time)
+    records, tau = records_around(EPHEMERIS_TRACK, orbits.ephemeris, time)
+    return Vec3.of(records_around(FINE, orbits.samples, time)[0].squeeze(1)), ephemeris_at(records.flatten(1).unbind(-1), tau)

@@ -1,0 +1,62 @@
+"""The geometry of visibility by tensor operations, on any device."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from bsk_torch.astro.eclipse import in_umbra
+from bsk_torch.astro.interpolate import positions
+from bsk_torch.astro.roots import find_maximum, find_root
+from bsk_torch.sim.access.visibility.geometry import CLASSIFIED_SAMPLES, SearchCells, elevation_clearance, event_code
+from bsk_torch.sim.access.visibility.pairs import (
+    BISECTIONS,
+    CULMINATION_ITERATIONS,
+    GROUND_TRACK,
+    ROOT_ITERATIONS,
+    Brackets,
+    PlacePairs,
+)
+from bsk_torch.sim.access.visibility.planned import PlannedOrbits, records_around, sample_planned
+from bsk_torch.sim.environment.ephemeris import fixed
+from bsk_torch.sim.orbit.builder import FINE
+from bsk_torch.sim.orbit.grid import PLAN_STEP
+from bsk_torch.vec3 import Vec3
+
+
+class TensorVisibility:
+    """See :class:`bsk_torch.sim.access.visibility.backend.Visibility`."""
+
+    def umbra(self, orbits: PlannedOrbits, start: Tensor, count: int) -> Tensor:
+        """See :meth:`Visibility.umbra`."""
+        r_BN_N, ephemeris = sample_planned(orbits, start, count)
+        return in_umbra(r_BN_N, ephemeris.r_SN_N).view(-1, count)
+
+    def ground_track(self, orbits: PlannedOrbits, start: Tensor, count: int) -> Tensor:
+        """See :meth:`Visibility.ground_track`."""
+        r_BN_N, ephemeris = sample_planned(orbits, start, count)
+        return fixed(ephemeris, r_BN_N).stack().view(-1, count, 3)
+
+    def events(self, pairs: PlacePairs, cells: SearchCells) -> Tensor:
+        """See :meth:`Visibility.events`."""
+        times = cells.first.unsqueeze(-1) + PLAN_STEP * torch.arange(CLASSIFIED_SAMPLES, device=cells.first.device)
+        every = pairs.take(torch.arange(len(times), device=times.device).repeat_interleave(CLASSIFIED_SAMPLES))
+        r_BP_P = Vec3.of(records_around(FINE, every.track, times.flatten())[0].squeeze(1))
+        clearance = elevation_clearance(r_BP_P, Vec3.of(every.r_LP_P), every.sin_min_elevation).view(times.shape)
+        padded = torch.nn.functional.pad(clearance, (2, 0), value=torch.nan)
+        columns = SearchCells(*(part.unsqueeze(-1) for part in cells))
+        return event_code(padded[:, :-2], padded[:, 1:-1], clearance, times, columns)
+
+    def clearance(self, pairs: PlacePairs, time: Tensor) -> Tensor:
+        """See :meth:`Visibility.clearance`."""
+        nodes, tau = records_around(GROUND_TRACK, pairs.track, time)
+        r_BP_P = Vec3.of(positions(nodes, tau * (1.0 / PLAN_STEP)))
+        return elevation_clearance(r_BP_P, Vec3.of(pairs.r_LP_P), pairs.sin_min_elevation)
+
+    def crossings(self, pairs: PlacePairs, brackets: Brackets) -> Tensor:
+        """See :meth:`Visibility.crossings`."""
+        return find_root(lambda time: self.clearance(pairs, time), *brackets, ROOT_ITERATIONS, BISECTIONS)
+
+    def culminations(self, pairs: PlacePairs, a: Tensor, b: Tensor) -> Tensor:
+        """See :meth:`Visibility.culminations`."""
+        return find_maximum(lambda time: self.clearance(pairs, time), a, b, CULMINATION_ITERATIONS)

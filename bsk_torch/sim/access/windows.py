@@ -1,0 +1,203 @@
+"""Access windows that are kept up to date: generated at reset, extended when a query runs out of them.
+
+Windows are found on the planned trajectory, as bsk_rl finds them, for an interval at a time: once at reset for the whole episode,
+later in segments of ten minutes. A window that is open at the end of an interval is closed there, and joined when the windows of
+the next interval are generated.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+
+import torch
+from torch import Tensor
+
+from bsk_torch.astro.interpolate import COUNT
+from bsk_torch.sim.access.generation import GenerationIntervals, windows_of_passes
+from bsk_torch.sim.access.padded import tabulate
+from bsk_torch.sim.access.passes import GroundTrack, Passes, PassSearch, Places
+from bsk_torch.sim.access.visibility.backend import Visibility
+from bsk_torch.sim.access.visibility.planned import PlannedOrbits
+from bsk_torch.sim.access.window_table import Windows, candidates, join_at, next_to_close
+from bsk_torch.sim.orbit.arcs import Arcs
+from bsk_torch.sim.orbit.grid import ARC_SEGMENT, PLAN_STEP
+from bsk_torch.sim.state import StateTable
+
+MAX_SEGMENTS = 100
+"""Segments that a query may add before it gives up."""
+
+SEARCH_AHEAD = 10800.0
+"""Longest time, s, that is searched at once beyond the end of what queries see; see :meth:`AccessWindows.expect`."""
+
+PASSES_PER_SECOND = 1.2e-5
+"""Typical rate of passes of a low orbit over one place, 1/s."""
+
+PlacesOf = Callable[[Tensor], Places]
+"""Function that returns the places of rows [n]."""
+
+
+class WindowState(StateTable):
+    """Windows [N, W] over the places of one kind, see :class:`~bsk_torch.sim.access.window_table.Windows`."""
+
+    open: Tensor
+    close: Tensor
+    place: Tensor
+
+    def __init__(self, num_envs: int, count: int, device: torch.device) -> None:
+        """Make an empty table."""
+        super().__init__(num_envs, count, device)
+        self.declare("open", math.inf, 1, grows=True)
+        self.declare("close", math.inf, 1, grows=True)
+        self.declare("place", 0, 1, grows=True)
+
+
+class AccessWindows(StateTable):
+    """Windows of N satellites over several kinds of places.
+
+    Searching is batched: windows are searched far ahead, up to ``ready`` [N] s, but queries see only those up to ``until`` [N] s,
+    with windows in progress cut there, as if they had been generated only so far. That is what bsk_rl's agents see.
+
+    Attributes:
+        arcs: Orbits of the satellites.
+        kinds: Places by kind of opportunity.
+        segment: Length, s, of the intervals that queries add.
+        until: End of what queries see, [N] s.
+        ready: End of what has been searched, [N] s.
+        ahead: Segments that are searched at once.
+    """
+
+    until: Tensor
+    ready: Tensor
+
+    def __init__(self, arcs: Arcs, visibility: Visibility, kinds: Mapping[str, PlacesOf], segment: float) -> None:
+        """Prepare empty tables."""
+        super().__init__(arcs.num_envs, arcs.count, arcs.device)
+        self.arcs, self.visibility, self.kinds, self.segment = arcs, visibility, dict(kinds), segment
+        self.declare("until", 0.0)
+        self.declare("ready", 0.0)
+        for kind in kinds:
+            self.add(kind, WindowState(self.num_envs, self.count, self.device))
+        self.ahead, self._expected = max(1, round(SEARCH_AHEAD / segment)), 0.0
+
+    @property
+    def windows(self) -> dict[str, Windows]:
+        """Tables of windows by kind."""
+        return {kind: self._windows_of(kind) for kind in self.kinds}
+
+    def _windows_of(self, kind: str) -> Windows:
+        table = self.tables[kind]
+        return Windows(table.open, table.close, table.place)
+
+    def expect(self, count: int, places: int) -> None:
+        """Announce queries for ``count`` windows over ``places`` places, which sets how far ahead is searched.
+
+        One and a half times the mean time in which so many passes occur, and at least three segments, is searched at once:
+        farther than most queries need, but not much farther.
+        """
+        self._expected = max(self._expected, 3.0 * self.segment, 1.5 * count / (PASSES_PER_SECOND * places))
+        self.ahead = max(1, round(min(SEARCH_AHEAD, self._expected) / self.segment))
+
+    def generate(self, rows: Tensor, orbits: PlannedOrbits, duration: Tensor) -> None:
+        """Generate windows of ``rows`` [n] on new orbits from time zero on.
+
+        Args:
+            rows: Rows that were reset.
+            orbits: Their planned orbits.
+            duration: Seconds for which windows are generated, [n], whole segments; 0 for none. Segments beyond are searched as
+                far as the arcs reach: queries will ask for them.
+        """
+        longest = min(self.arcs.length, max(float(duration.max()) + self.ahead * self.segment, PLAN_STEP * COUNT))
+        longest = max(longest, float(self.arcs.planned_from[rows].max()) + self.segment)
+        start = torch.zeros_like(duration)
+        track = GroundTrack(self.visibility.ground_track(orbits, start, round(longest / PLAN_STEP) + 1), start)
+        end = duration + torch.floor((longest - duration) / self.segment) * self.segment
+        intervals = GenerationIntervals(start, torch.where(duration > 0.0, duration, self.segment), end, self.segment)
+        for kind in self.kinds:
+            self._store_passes(kind, rows, self._generate(kind, rows, track, intervals))
+        self.until[rows], self.ready[rows] = duration, end
+
+    def store(self, kind: str, rows: Tensor, found: Windows) -> None:
+        """Replace the windows of ``rows``."""
+        for name, new in found._asdict().items():
+            self.tables[kind].write_rows(name, rows, new)
+
+    def next(
+        self, kind: str, time: Tensor, width: int, allowed: Tensor | None = None, rows: Tensor | None = None
+    ) -> tuple[Windows, Tensor]:
+        """Return the windows that close next; see :func:`~bsk_torch.sim.access.window_table.next_to_close`.
+
+        ``time`` [N] and ``allowed`` [N, P] belong to all rows; the answer is that of ``rows`` [m], or of all.
+        """
+        if rows is None:
+            return next_to_close(self._windows_of(kind), time, self.until, width, allowed)
+        windows = self._windows_of(kind).take(rows)
+        return next_to_close(windows, time[rows], self.until[rows], width, None if allowed is None else allowed[rows])
+
+    def reveal(
+        self, kind: str, rows: Tensor, time: Tensor, count: Tensor, last: Tensor | None = None, allowed: Tensor | None = None
+    ) -> Tensor:
+        """Extend what queries see by as many searched segments as needed to see ``count`` windows.
+
+        Args:
+            kind: Kind of place.
+            rows: Rows [m] that see too few windows.
+            time: Time of the query, [m] s.
+            count: Number of windows to be seen, [m].
+            last: Time, [m] s, from which on no segment may begin; None for no limit.
+            allowed: Places that count, [m, P]; None for all.
+
+        Returns:
+            Rows for which the searched segments are not enough though more may be added.
+        """
+        windows = self._windows_of(kind).take(rows)
+        valid = candidates(windows, time, torch.full_like(time, torch.inf), allowed).valid
+        enough, until = valid.sum(1) >= count, self.until[rows]
+        opens = torch.where(valid, windows.open, torch.inf).sort(1).values
+        opening = opens.gather(1, (count - 1).clamp(0, opens.shape[1] - 1).unsqueeze(-1)).squeeze(-1)
+        # both the opening and the present must lie before the new end
+        steps = torch.floor((torch.maximum(opening, time) - until) / self.segment) + 1.0
+        most = torch.full_like(until, torch.inf) if last is None else torch.ceil((last - until) / self.segment).clamp(min=0.0)
+        wanted = torch.where(enough, until + torch.minimum(steps.clamp(min=0.0), most) * self.segment, self.ready[rows])
+        self.until[rows] = torch.minimum(wanted, until + most * self.segment)
+        return rows[~enough & (self.until[rows] < until + most * self.segment)]
+
+    def extend(self, rows: Tensor, time: Tensor) -> None:
+        """Search more segments of ``rows``, as far as their arcs reach; drop windows that closed before ``time`` [N] s."""
+        self._search_on(rows, self.ahead, time[rows])
+
+    def catch_up(self, rows: Tensor) -> None:
+        """Search all that the planned arcs of ``rows`` hold, before their first hour is dropped."""
+        started = self.arcs.et[rows] != 0.0
+        behind = rows[started & (self.ready[rows] < self.arcs.planned_from[rows] + ARC_SEGMENT)]
+        if len(behind):
+            self._search_on(behind, 10**9, torch.zeros_like(self.ready[behind]))
+
+    def _search_on(self, rows: Tensor, segments: int, time: Tensor) -> None:
+        """Search at most so many segments of ``rows`` [n]; drop windows that closed before ``time`` [n] s."""
+        room = int(float((self.arcs.end[rows] - self.ready[rows]).min()) / self.segment)
+        segments = min(segments, room)
+        if segments <= 0:
+            return
+        orbits = PlannedOrbits(self.arcs.planned_samples, self.arcs.ephemeris_samples).take(rows)
+        begin, samples = self.ready[rows], max(round(segments * self.segment / PLAN_STEP) + 1, COUNT)
+        track = GroundTrack(self.visibility.ground_track(orbits, begin, samples), begin)
+        end = begin + segments * self.segment
+        intervals = GenerationIntervals(begin, begin + self.segment, end, self.segment)
+        for kind in self.kinds:
+            new = self._generate(kind, rows, track, intervals)
+            old = self._windows_of(kind).take(rows)
+            past = old.close < torch.minimum(time, begin).unsqueeze(-1)  # one that closes at the beginning may be joined
+            row, k = torch.nonzero(torch.isfinite(old.close) & ~past, as_tuple=True)
+            kept = Passes(row, old.place[row, k], old.open[row, k], old.close[row, k])
+            self._store_passes(kind, rows, join_at(kept, new, begin))
+        self.ready[rows] = end
+
+    def _generate(self, kind: str, rows: Tensor, track: GroundTrack, intervals: GenerationIntervals) -> Passes:
+        """Return the windows of ``rows`` [n] over one kind of places."""
+        search = PassSearch(self.visibility, track, self.kinds[kind](rows))
+        return windows_of_passes(search, search.passes(), intervals)
+
+    def _store_passes(self, kind: str, rows: Tensor, found: Passes) -> None:
+        close, opens, place = tabulate(found.row, found.close, len(rows), found.open, found.place)
+        self.store(kind, rows, Windows(opens, close, place))

@@ -1,0 +1,1 @@
+"""The Sun, the Earth, ground stations and the atmosphere."""

@@ -1,0 +1,156 @@
+"""The world around the spacecraft: Sun, Earth's orientation, ground stations, atmosphere, eclipse.
+
+World modules run first in a tick, so they use the position of the spacecraft one tick ago.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from bsk_torch.astro.atmosphere import exponential_density
+from bsk_torch.astro.eclipse import illumination
+from bsk_torch.astro.frames import lla_to_fixed, rotate_z
+from bsk_torch.constants import R_EARTH
+from bsk_torch.rand import random_epoch
+from bsk_torch.sim.component import Arg, Bus, Component, Field, Values
+from bsk_torch.sim.environment.ephemeris import move_sun_and_earth, orient_pole, turned
+from bsk_torch.vec3 import Vec3
+
+DEFAULT_STATIONS: tuple[dict[str, Any], ...] = tuple(
+    {"name": name, "lat": lat, "long": long, "elev": elev}
+    for name, lat, long, elev in (
+        ("Boulder", 40.009971, -105.243895, 1624.0),
+        ("Merritt", 28.3181, -80.6660, 0.9144),
+        ("Singapore", 1.3521, 103.8198, 15.0),
+        ("Weilheim", 47.8407, 11.1421, 563.0),
+        ("Santiago", -33.4489, -70.6693, 570.0),
+        ("Dongara", -29.2452, 114.9326, 34.0),
+        ("Hawaii", 19.8968, -155.5828, 9.0),
+    )
+)
+"""Ground stations of bsk_rl: latitude and longitude in degrees, elevation in metres."""
+
+
+def station_arrays(args: Values) -> dict[str, Tensor]:
+    """Return Earth-fixed positions [1, 3 S], m (all x, all y, all z), sines of minimum elevations [1, S], ranges [1, S], m."""
+    stations = args["groundStationsData"]
+
+    def numbers(key: str, default: Tensor) -> Tensor:
+        # bsk_rl takes a falsy value of a station for an unset one
+        return torch.tensor([s.get(key) or default.item() for s in stations], dtype=torch.float64)
+
+    radius = numbers("groundLocationPlanetRadius", args["groundLocationPlanetRadius"])
+    latitude, longitude = (torch.tensor([math.radians(s[key]) for s in stations], dtype=torch.float64) for key in ("lat", "long"))
+    r_P = lla_to_fixed(latitude, longitude, numbers("elev", torch.zeros(())), radius)
+    return {
+        "station_positions_P": r_P.mT.reshape(1, -1),
+        "station_sin_elevations": numbers("gsMinimumElevation", args["gsMinimumElevation"]).sin()[None],
+        "station_ranges": numbers("gsMaximumRange", args["gsMaximumRange"])[None],
+    }
+
+
+def see_stations(bus: Bus) -> None:
+    """Write 1 where any station has access to the spacecraft, both as they were one tick ago, else 0 (Basilisk's groundLocation).
+
+    A station at p has access to ``r = [PN] r_BN``, m in P, where ``sin(el) = p . (r - p) / (|p| |r - p|)`` is at least the sine
+    of its minimum elevation and ``|r - p|`` at most its maximum range, unless that is negative. Sines are compared as signed
+    squares, without roots.
+    """
+    r = rotate_z(bus.EN @ bus.r_BN_N, *turned(bus.ephemeris[0].earth_angle, bus.ephemeris_tau - bus.h))
+    n, r2 = len(bus.station_ranges), r.dot(r)
+    access = torch.zeros_like(r2)
+    for i in range(n):
+        p = Vec3(*(bus.station_positions_P[i + axis * n] for axis in range(3)))
+        p2, least, reach = p.dot(p), bus.station_sin_elevations[i], bus.station_ranges[i]
+        along = p.dot(r)
+        up = along - p2
+        range2 = r2 - along - up
+        sees = (up * torch.abs(up) >= least * torch.abs(least) * p2 * range2) & ((range2 <= reach * reach) | (reach < 0.0))
+        access = torch.where(sees, 1.0, access)
+    bus.station_access = access
+
+
+def sample_density(bus: Bus) -> None:
+    """Write the density, kg/m^3, at the position of one tick ago; see :func:`bsk_torch.astro.atmosphere.exponential_density`."""
+    base = bus.atmosphere_radius, bus.atmosphere_density, bus.atmosphere_scale_height
+    bus.density_message = exponential_density(bus.r_BN_N, *base)
+
+
+def cast_shadow(bus: Bus) -> None:
+    """Write the illumination at the position of one tick ago under the Sun of this tick; see :mod:`bsk_torch.astro.eclipse`."""
+    bus.illumination = illumination(bus.r_BN_N, bus.r_SN_N).to(bus.dtype)
+
+
+STATION_ARGS = (
+    Arg("groundStationsData", DEFAULT_STATIONS, "deg, m", "list of dictionaries lat, long, elev, name", "stations"),
+    Arg("groundLocationPlanetRadius", R_EARTH, "m", "radius of the sphere that stations stand on", low=1e-9, shared=True),
+    Arg("gsMinimumElevation", math.radians(10.0), "rad", "least elevation", low=-math.pi / 2, high=math.pi / 2, shared=True),
+    Arg("gsMaximumRange", -1.0, "m", "longest range; no limit where negative", shared=True),
+)
+
+
+def ground_stations(count: int) -> Component:
+    """Return the component for ``count`` stations, a number that is fixed when the tick is built."""
+    widths = {"station_positions_P": 3 * count, "station_sin_elevations": count, "station_ranges": count}
+    return Component(
+        slot="ground_stations",
+        update=see_stations,
+        args=STATION_ARGS,
+        state=(Field("station_access", 1, "-", "whether any station sees the spacecraft"),),
+        params=tuple(Field(name, width, many=True, exact=True) for name, width in widths.items()),
+        initial=lambda args: {"station_access": torch.zeros(1, dtype=torch.float64)},
+        prepare=station_arrays,
+    )
+
+
+def _fitted_stations(given: Mapping[str, Any]) -> Component:
+    """Return as many stations as are given, on the world's own sphere: satellites have an argument of the same name."""
+    stations = given["groundStationsData"]
+    count = len(stations) if isinstance(stations, list | tuple) and stations else len(DEFAULT_STATIONS)
+
+    def prepare(args: Values) -> dict[str, Tensor]:
+        radius = torch.as_tensor(given["groundLocationPlanetRadius"], dtype=torch.float64)
+        return station_arrays({**args, "groundLocationPlanetRadius": radius})
+
+    return dataclasses.replace(ground_stations(count), prepare=prepare)
+
+
+GROUND_STATIONS = dataclasses.replace(ground_stations(len(DEFAULT_STATIONS)), fit=_fitted_stations)
+
+EARTH_POLE = Component(slot="earth_pole", update=orient_pole)
+
+EPHEMERIS = Component(
+    slot="ephemeris",
+    update=move_sun_and_earth,
+    args=(Arg("utc_init", random_epoch(), "-", "epoch, such as '2021 FEB 05 09:12:05.830 (UTC)'", kind="utc"),),
+)
+
+ATMOSPHERE = Component(
+    slot="atmosphere",
+    update=sample_density,
+    args=(
+        Arg("planetRadius", R_EARTH, "m", "radius at which the base density holds", low=0.0),
+        Arg("baseDensity", 1.22, "kg/m^3", "density at that radius", low=0.0),
+        Arg("scaleHeight", 8000.0, "m", "height over which density falls by e", low=1e-6),
+    ),
+    params=tuple(Field(name, exact=True) for name in ("atmosphere_radius", "atmosphere_density", "atmosphere_scale_height")),
+    prepare=lambda args: {
+        "atmosphere_radius": args["planetRadius"],
+        "atmosphere_density": args["baseDensity"],
+        "atmosphere_scale_height": args["scaleHeight"],
+    },
+    integrated_only=True,
+)
+
+ECLIPSE = Component(
+    slot="eclipse",
+    update=cast_shadow,
+    state=(Field("illumination", 1, "-", "visible fraction of the solar disc"),),
+    initial=lambda args: {"illumination": torch.ones(1, dtype=torch.float64)},
+)

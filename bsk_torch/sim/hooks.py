@@ -1,0 +1,168 @@
+"""Checks of the classes that users derive from the package's base classes.
+
+A hook is a method, property or value of a base class that subclasses may define. A definition that the package would never use
+otherwise shows only as a wrong result, so :func:`check_class` refuses it when the class is defined.
+"""
+
+from __future__ import annotations
+
+import difflib
+import inspect
+from collections.abc import Callable, Mapping, Sequence
+from functools import cached_property
+from typing import Any
+
+import torch
+from torch import Tensor
+
+SIMILAR = 0.8
+"""Similarity of two names (``difflib``'s ratio) from which one counts as a misspelling of the other."""
+
+FLEET_MEMORY = (
+    "keep values that start anew with every episode in self.fleet.memory, where link(fleet) declares them: "
+    "fleet.memory.declare(name, initial_value)"
+)
+"""Advice for scenarios and communication methods that keep values of episodes themselves."""
+
+
+def check_class(cls: type, base: type, hooks: Sequence[str], unused: Mapping[str, str]) -> None:
+    """Refuse a subclass with definitions that would never be used; call it from ``base.__init_subclass__``.
+
+    Args:
+        cls: The class that is being defined. Its bases that do not derive from ``base`` are checked with it.
+        base: Class that declares the hooks.
+        hooks: Names of the hooks.
+        unused: Names that a user may expect to be hooks, such as those of bsk_rl, each with advice what to write instead.
+
+    Raises:
+        TypeError: For a name in ``unused``; for a public method that is spelled almost like a hook and can be called like it; for
+            a hook that is not of the kind of the base class's, or cannot be called with the arguments of the hook.
+    """
+    for owner in cls.__mro__:
+        if owner is object or (owner is not cls and issubclass(owner, base)):
+            continue  # checked when it was defined
+        for name, value in vars(owner).items():
+            if name in hooks:
+                _check_hook(f"{cls.__name__}.{name}", value, inspect.getattr_static(base, name))
+            elif name in unused:
+                raise TypeError(f"{cls.__name__}.{name} is never used; {unused[name]}")
+            elif (meant := _misspelled(cls, owner, name, value, base, hooks)) is not None:
+                raise TypeError(
+                    f"{cls.__name__}.{name} is never used; did you mean {meant!r}? The name of a helper may begin with an "
+                    f"underscore: '_{name}'"
+                )
+
+
+def defined_first(instance: object, *names: str) -> str:
+    """Return the name that is defined nearest to an instance: in itself, its class, or the first of the bases that define one."""
+    for namespace in (vars(instance), *(vars(cls) for cls in type(instance).__mro__)):
+        for name in names:
+            if name in namespace:
+                return name
+    raise AttributeError(f"{type(instance).__name__} defines none of {list(names)}")
+
+
+def overrides(instance: object, base: type, name: str) -> bool:
+    """Return whether a method of an instance is not the one of ``base``."""
+    return getattr(getattr(instance, name), "__func__", None) is not getattr(base, name)
+
+
+def check_tensor(title: str, value: Any, shape: Sequence[int], *dtypes: torch.dtype) -> None:
+    """Raise TypeError unless a hook's result is a tensor of a shape and of one of several dtypes, any if none is given."""
+    if isinstance(value, Tensor) and value.shape == tuple(shape) and (not dtypes or value.dtype in dtypes):
+        return
+    given = f"a tensor of shape {list(value.shape)} and dtype {value.dtype}" if isinstance(value, Tensor) else repr(value)
+    kinds = f" and dtype {' or '.join(map(str, dtypes))}" if dtypes else ""
+    raise TypeError(f"{title} is {given}; it must be a tensor of shape {list(shape)}{kinds}")
+
+
+def _kind(value: Any) -> str:
+    if isinstance(value, property | cached_property):
+        return "property"
+    return "method" if callable(value) or isinstance(value, staticmethod | classmethod) else "value"
+
+
+def _check_hook(title: str, value: Any, declared: Any) -> None:
+    """Raise TypeError if a definition cannot be used as the hook that is ``declared``."""
+    if (_kind(value) == "method") != (_kind(declared) == "method"):
+        raise TypeError(f"{title} is a {_kind(value)}; it must be a {_kind(declared)}")
+    if _kind(declared) == "method" and not _callable_like(value, declared):
+        name = title.rpartition(".")[2]
+        wanted = ", ".join(_parameters(declared))
+        raise TypeError(f"{title}{inspect.signature(_function(value))} cannot be called as {name}({wanted})")
+
+
+def _misspelled(cls: type, owner: type, name: str, value: Any, base: type, hooks: Sequence[str]) -> str | None:
+    """Return the hook that a public method or property was probably meant to be; None for all others."""
+    if name.startswith("_") or _kind(value) == "value" or isinstance(value, type):
+        return None
+    if any(name in vars(other) for other in cls.__mro__ if other is not owner):
+        return None  # overrides a method of another base, which is free to have any
+    for meant in difflib.get_close_matches(name, hooks, n=1, cutoff=SIMILAR):
+        declared = inspect.getattr_static(base, meant)
+        if _kind(value) == _kind(declared) and (_kind(value) == "property" or _callable_like(value, declared)):
+            return meant
+    return None
+
+
+def _function(value: Any) -> Callable[..., Any]:
+    return value.__func__ if isinstance(value, staticmethod | classmethod) else value
+
+
+def _parameters(declared: Any) -> list[str]:
+    """Return the names of the arguments of a method, without ``self``."""
+    return list(inspect.signature(_function(declared)).parameters)[0 if isinstance(declared, staticmethod) else 1 :]
+
+
+def _callable_like(value: Any, declared: Any) -> bool:
+    """Return whether a method accepts the positional arguments of the ``declared`` one."""
+    try:
+        signature = inspect.signature(_function(value))
+    except (TypeError, ValueError):
+        return True
+    own = 1 if isinstance(value, classmethod) or (hasattr(value, "__get__") and not isinstance(value, staticmethod)) else 0
+    try:
+        signature.bind(*[None] * (own + len(_parameters(declared))))
+    except TypeError:
+        return False
+    return True
+
+
+def check_linked(part: Any, method: str, fleet: Any) -> None:
+    """Raise TypeError unless the ``link`` of a part of an environment has reached its base class, which keeps the fleet."""
+    if getattr(part, "fleet", None) is not fleet:
+        raise TypeError(f"{type(part).__name__}.{method} must call super().{method}")
+
+
+class ChangeGuard:
+    """Finds public attributes in which an object keeps tensors of its own from step to step.
+
+    Such values would not be reset, saved and restored with the episodes that they belong to. A tensor that is assigned once, such
+    as a table that is built when it is first needed, is allowed.
+    """
+
+    def __init__(self) -> None:
+        """Begin without attributes."""
+        self._seen: dict[str, tuple[Tensor, int]] = {}
+
+    def check(self, instance: object, advice: str, exempt: Sequence[str] = ()) -> None:
+        """Compare with the last check.
+
+        Args:
+            instance: The object; attributes whose names begin with an underscore are ignored.
+            advice: What to do instead.
+            exempt: Attributes of the base class that may change.
+
+        Raises:
+            TypeError: If an attribute holds another tensor than at the last check, or the tensor was changed in place.
+        """
+        for name, value in vars(instance).items():
+            if not isinstance(value, Tensor) or name.startswith("_") or name in exempt:
+                continue
+            version = 0 if value.is_inference() else value._version
+            known = self._seen.setdefault(name, (value, version))
+            if known[0] is not value or known[1] != version:
+                raise TypeError(
+                    f"{type(instance).__name__}.{name} is a tensor that has changed during an episode; {advice}. The name of a "
+                    f"cache, which can be recomputed at any time, begins with an underscore: '_{name}'"
+                )

@@ -1,0 +1,137 @@
+"""Kernels of the flown arc, each satellite by itself: a multistep method with an evaluation of the Earth's field every 30 s."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from bsk_torch.astro.frames import rotate_z
+from bsk_torch.astro.gravity import field, third_body
+from bsk_torch.astro.multistep import position_weights, velocity_weights
+from bsk_torch.codegen.kernel import Kernel
+from bsk_torch.sim.component import Bus
+from bsk_torch.sim.environment.ephemeris import EPHEMERIS_TRACK, fixed
+from bsk_torch.sim.orbit.builder import KernelBuilder
+from bsk_torch.sim.orbit.equations import FULL_FIELD, central_gradient, stretched
+from bsk_torch.sim.orbit.grid import LEAD_NODES, NODE_SPACING
+from bsk_torch.vec3 import Vec3, select
+
+MULTISTEP_STEP = NODE_SPACING / 2.0
+"""Step, s, of the multistep method: two for each node that is kept."""
+
+MULTISTEP_ORDER = 12
+"""Accelerations that the multistep method remembers."""
+
+START_SWEEPS = 8
+"""Iterations over the first nodes; each wins two digits."""
+
+
+def weighted(weights: list[Any], vectors: list[Vec3]) -> Vec3:
+    """Return the weighted sum of vectors, smallest (oldest) terms first."""
+    total = vectors[0] * weights[0]
+    for w, v in zip(weights[1:], vectors[1:], strict=True):
+        total = total + v * w
+    return total
+
+
+def acceleration(ephemeris: Bus, r: Vec3, stretch: Any) -> Vec3:
+    """Return the acceleration, m/s^2 in N, at r_BN_N, m, by the Earth's full field and the Sun.
+
+    ``a = [PN]^T S f(S [PN] r) + a_S(r, r_SN)`` with the stretch S of :mod:`bsk_torch.sim.orbit.equations`.
+    """
+    p = fixed(ephemeris, r)
+    f = rotate_z(stretched(field(stretched(p, stretch), FULL_FIELD), stretch), ephemeris.cos_earth, -ephemeris.sin_earth)
+    return ephemeris.EN.mT @ f + third_body(r, ephemeris.r_SN_N)
+
+
+START_STEPS = (*range(-2 * LEAD_NODES, 0), *range(1, MULTISTEP_ORDER - 2 * LEAD_NODES + 1))
+"""Steps from the epoch at which the start finds accelerations."""
+
+START_STATE = 6 + 3 + 6 * MULTISTEP_ORDER + 6
+"""Planes: r and v at the epoch, acceleration there, those of the last and of this sweep, r and v of the node last visited."""
+
+FLOWN_STATE = 6 + 3 * MULTISTEP_ORDER
+"""Planes: r and v at the last node, and the last accelerations, oldest first."""
+
+SCHEDULED = 3 + 2 * (MULTISTEP_ORDER + 1)
+"""Numbers that each tick of the start needs."""
+
+
+def start_schedule() -> Tensor:
+    """Return rows of the start's ticks: time, whether it is the first, whether it ends a sweep, weights in r, then in v.
+
+    Weights are those of the accelerations. The first tick visits the epoch, the following ones visit :data:`START_STEPS`, again
+    and again.
+    """
+    nodes = [0, *START_STEPS]
+    rows = [[0.0, 1.0, 0.0, *[0.0] * (2 * (MULTISTEP_ORDER + 1))]]
+    for node in START_STEPS * START_SWEEPS:
+        r = _scaled(position_weights(nodes, 0, node), MULTISTEP_STEP**2)
+        v = _scaled(velocity_weights(nodes, 0, node), MULTISTEP_STEP)
+        rows.append([node * MULTISTEP_STEP, 0.0, float(node == START_STEPS[-1]), *r, *v])
+    return torch.tensor(rows, dtype=torch.float64)
+
+
+@cache
+def start_kernel() -> Kernel:
+    """Return the kernel that finds positions and accelerations at the first nodes, by Picard iteration; shared is the stretch.
+
+    Each tick visits a node: ``r_k = r0 + v0 t_k + sum_j w_kj a_j``, with the weights of the schedule and the accelerations of the
+    last sweep, and then evaluates its own acceleration. The accelerations of all nodes are replaced at the end of a sweep.
+    """
+    builder = KernelBuilder()
+    r0, v0, a0, *accelerations, _, _ = builder.vectors("state", 3 + 2 * MULTISTEP_ORDER + 2)
+    last, this = accelerations[:MULTISTEP_ORDER], accelerations[MULTISTEP_ORDER:]
+    time, is_first, is_last, *weights = builder.planes("schedule", SCHEDULED)
+    first, ends = is_first > 0.5, is_last > 0.5
+    (stretch,) = builder.planes("shared", 1)
+    r = r0 + v0 * time + weighted(weights[: MULTISTEP_ORDER + 1], [a0, *last])
+    v = v0 + weighted(weights[MULTISTEP_ORDER + 1 :], [a0, *last])
+    a = acceleration(builder.ephemeris(), r, stretch)
+    this = [*this[1:], a]
+    last = [select(first, a, select(ends, new, old)) for new, old in zip(this, last, strict=True)]
+    return builder.kernel(
+        "start of the arcs",
+        [r0, v0, select(first, a, a0), *last, *this, r, v],
+        (EPHEMERIS_TRACK,),
+        [r],
+        "schedule",
+        SCHEDULED,
+    )
+
+
+@cache
+def flown_kernel() -> Kernel:
+    """Return the kernel that finds positions on the flown arc, one each tick of :data:`MULTISTEP_STEP`.
+
+    Predict, evaluate, correct, with q = MULTISTEP_ORDER remembered accelerations and the weights p, c and d of
+    :mod:`bsk_torch.astro.multistep`, h the step::
+
+        r* = r + h v + h^2 sum_j p_j a_j            the last q accelerations
+        a* = a(r*, t + h)
+        r+ = r + h v + h^2 (sum_j c_j a_j + c_q a*)  the last q - 1, and a*
+        v+ = v + h (sum_j d_j a_j + d_q a)
+
+    Then a is moved from r* to r+ by the gradient of the central field, ``a = a* + G(r*) (r+ - r*)``, and r+ with it; without
+    that, long steps are unstable, and a second evaluation of the field would cost as much as the first.
+    """
+    builder = KernelBuilder()
+    r, v, *accelerations = builder.vectors("state", 2 + MULTISTEP_ORDER)
+    (stretch,) = builder.planes("shared", 1)
+    before, after = list(range(1 - MULTISTEP_ORDER, 1)), list(range(2 - MULTISTEP_ORDER, 2))
+    corrector = _scaled(position_weights(after, 0, 1), MULTISTEP_STEP**2)
+    straight = r + v * MULTISTEP_STEP
+    predicted = straight + weighted(_scaled(position_weights(before, 0, 1), MULTISTEP_STEP**2), accelerations)
+    a, remembered = acceleration(builder.ephemeris(), predicted, stretch), accelerations[1:]
+    r = straight + weighted(corrector, [*remembered, a])
+    change = central_gradient(predicted, r - predicted)
+    r, remembered = r + change * corrector[-1], [*remembered, a + change]
+    v = v + weighted(_scaled(velocity_weights(after, 0, 1), MULTISTEP_STEP), remembered)
+    return builder.kernel("flown arc", [r, v, *remembered], (EPHEMERIS_TRACK,), [r])
+
+
+def _scaled(weights: list[float], factor: float) -> list[float]:
+    return [w * factor for w in weights]

@@ -1,0 +1,85 @@
+"""Arcs integrated by kernels, each satellite by itself; for the CPU."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from bsk_torch.codegen.kernel import Samples
+from bsk_torch.sim.orbit import flown_arc, planned_arc
+from bsk_torch.sim.orbit.equations import frame_stretch
+from bsk_torch.sim.orbit.grid import LEAD_NODES, NODE_SPACING, NODES_PER_SEGMENT, PLAN_STEP
+from bsk_torch.sim.orbit.solution import Solution
+
+MINUTE_NS, DIFFERENCE_STEP_NS = round(NODE_SPACING * 1e9), round(planned_arc.DIFFERENCE_STEP * 1e9)
+
+SAMPLES_PER_STEP = round(planned_arc.DIFFERENCE_STEP / PLAN_STEP)
+"""Samples of the planned arc in a step of its kernel."""
+
+
+class KernelSolver:
+    """Solves arcs with kernels; see :class:`bsk_torch.sim.orbit.solution.Solver`.
+
+    The kernels are those of :mod:`bsk_torch.sim.orbit.flown_arc` and :mod:`bsk_torch.sim.orbit.planned_arc`. The tail holds the
+    state of the flown arc's kernel, then that of the planned arc's.
+    """
+
+    device = torch.device("cpu")
+    tail = flown_arc.FLOWN_STATE + planned_arc.PLANNED_STATE
+
+    def __init__(self, step: float) -> None:
+        """Take the stretches of both arcs."""
+        self.stretches = torch.tensor([frame_stretch(step), frame_stretch(PLAN_STEP)], dtype=torch.float64)
+        self.schedule = flown_arc.start_schedule()
+
+    def begin(self, et: Tensor, r: Tensor, v: Tensor, ephemeris: Tensor, nodes: int) -> Solution:
+        """See :class:`bsk_torch.sim.orbit.solution.Solver`."""
+        n, around, lead = len(et), Samples(ephemeris, torch.zeros_like(et)), 2 * LEAD_NODES
+        fine = torch.empty(n, lead + 2 * nodes - 1, 3, dtype=torch.float64)
+        state = self._start(r, v, around, fine)
+        self._fly(state, torch.full((n,), flown_arc.START_STEPS[-1]), around, fine[:, 1 + flown_arc.MULTISTEP_ORDER :])
+        flown = fine[:, ::2].contiguous()
+        planned = torch.empty(n, 2 * nodes - 1, 3, dtype=torch.float64)
+        planned[:, 0] = r
+        tail = torch.zeros(planned_arc.PLANNED_STATE, n, dtype=torch.float64)
+        tracks = around, Samples(flown, around.start - LEAD_NODES * NODE_SPACING)
+        once, epoch = torch.ones(n, dtype=torch.int64), torch.full((n,), -1)
+        planned_arc.defect_kernel()(tail, once, tracks, shared=self.stretches, ticks=epoch, nanoseconds=MINUTE_NS)
+        self._plan(tail, epoch + 1, tracks, planned[:, 1:])
+        return Solution(flown, planned, torch.cat([state, tail]).mT)
+
+    def extend(self, et: Tensor, tail: Tensor, start: Tensor, ephemeris: Tensor, flown: Tensor) -> Solution:
+        """See :class:`bsk_torch.sim.orbit.solution.Solver`."""
+        n, last = flown.shape[0], flown.shape[1] - 1 - LEAD_NODES
+        state, planned_tail = (x.contiguous() for x in tail.mT.split([flown_arc.FLOWN_STATE, planned_arc.PLANNED_STATE]))
+        node = (start / NODE_SPACING).round().long() + last
+        around, fine = Samples(ephemeris, start), flown.new_empty(n, 2 * NODES_PER_SEGMENT, 3)
+        self._fly(state, 2 * node, around, fine)
+        longer = torch.cat([flown, fine[:, 1::2]], 1)
+        planned = torch.empty(n, 2 * NODES_PER_SEGMENT, 3, dtype=torch.float64)
+        tracks = around, Samples(longer, start - LEAD_NODES * NODE_SPACING)
+        self._plan(planned_tail, node * MINUTE_NS // DIFFERENCE_STEP_NS, tracks, planned)
+        return Solution(longer, planned, torch.cat([state, planned_tail]).mT)
+
+    def _start(self, r: Tensor, v: Tensor, around: Samples, flown: Tensor) -> Tensor:
+        """Fill the first positions; the state with which the flown arc goes on."""
+        n, ticks = len(r), len(self.schedule)
+        state = torch.zeros(flown_arc.START_STATE, n, dtype=torch.float64)
+        state[:3], state[3:6] = r.mT, v.mT
+        visited = torch.empty(n, ticks, 3, dtype=torch.float64)
+        counts = torch.full((n,), ticks)
+        flown_arc.start_kernel()(state, counts, [around], shared=self.stretches, schedule=self.schedule, written=visited)
+        lead, found = 2 * LEAD_NODES, visited[:, -flown_arc.MULTISTEP_ORDER :]
+        flown[:, :lead], flown[:, lead] = found[:, :lead], r
+        flown[:, lead + 1 : flown_arc.MULTISTEP_ORDER + 1] = found[:, lead:]
+        accelerations = state[-6 - 3 * flown_arc.MULTISTEP_ORDER : -6]
+        return torch.cat([state[-6:], accelerations[3 : 3 * lead], state[6:9], accelerations[3 * lead :]])
+
+    def _fly(self, state: Tensor, step: Tensor, around: Samples, flown: Tensor) -> None:
+        counts = torch.full_like(step, flown.shape[1])
+        kernel = flown_arc.flown_kernel()
+        kernel(state, counts, [around], shared=self.stretches, ticks=step, nanoseconds=MINUTE_NS // 2, written=flown)
+
+    def _plan(self, tail: Tensor, step: Tensor, tracks: tuple[Samples, Samples], planned: Tensor) -> None:
+        counts, kernel = torch.full_like(step, planned.shape[1] // SAMPLES_PER_STEP), planned_arc.planned_kernel()
+        kernel(tail, counts, tracks, shared=self.stretches, ticks=step, nanoseconds=DIFFERENCE_STEP_NS, written=planned)

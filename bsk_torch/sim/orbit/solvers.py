@@ -1,0 +1,14 @@
+"""Choice between two ways to the same arcs: kernels that integrate each satellite, and Picard iteration on tensors."""
+
+from __future__ import annotations
+
+import torch
+
+from bsk_torch.sim.orbit.kernel_solver import KernelSolver
+from bsk_torch.sim.orbit.picard import PicardSolver
+from bsk_torch.sim.orbit.solution import Solver
+
+
+def make_solver(step: float, backend: str, device: torch.device) -> Solver:
+    """Return the solver for a simulation with ticks of ``step`` seconds."""
+    return KernelSolver(step) if backend == "compiled" and device.type == "cpu" else PicardSolver(step, backend, device)

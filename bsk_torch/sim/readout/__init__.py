@@ -1,0 +1,1 @@
+"""Quantities that are read from a simulation at a decision boundary."""

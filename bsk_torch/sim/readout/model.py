@@ -1,0 +1,82 @@
+"""Base of dynamics and flight-software models: components gathered over base classes, and read-outs by name."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from typing import Any, ClassVar, Protocol, TypeVar
+
+from torch import Tensor
+
+from bsk_torch.sim.component import Component, collect
+from bsk_torch.sim.readout.observables import Observer
+from bsk_torch.sim.readout.surroundings import World
+from bsk_torch.sim.satellite_state import SatelliteState
+from bsk_torch.sim.schedule import place
+
+Checker = TypeVar("Checker", bound=Callable[[Any], Tensor])
+
+
+class Simulation(Protocol):
+    """Part of a :class:`bsk_torch.sim.simulator.Simulator` that models read."""
+
+    state: SatelliteState
+    observer: Observer
+    world: World
+
+
+def aliveness_checker(method: Checker) -> Checker:
+    """Mark a method that returns [N] booleans: a satellite for which one is False is dead."""
+    method.is_aliveness_checker = True  # type: ignore[attr-defined]
+    return method
+
+
+class Model:
+    """Base of dynamics and flight-software models.
+
+    Subclasses list ``components`` of their own; a component replaces the one that a base class has in the same slot. Methods and
+    properties read the simulation at a decision boundary and return tensors with leading dimension N.
+    """
+
+    components: ClassVar[tuple[Component, ...]] = ()
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        """Raise ValueError for components of the class that have no place in the tick."""
+        super().__init_subclass__(**options)
+        for component in (*vars(cls).get("components", ()), *vars(cls).get("world_components", ())):
+            place(component)
+
+    def __init__(self, simulator: Simulation) -> None:
+        """Bind the model to the simulation that it describes."""
+        self.simulator = simulator
+        self.satellite: Any = None
+
+    @classmethod
+    def all_components(cls) -> tuple[Component, ...]:
+        """Return the components of the class and its bases in the order of a tick."""
+        return collect(reversed(cls.__mro__))
+
+    def state(self, name: str) -> Tensor:
+        """Return a field of the state, [N] or [N, width]."""
+        return self.simulator.state.read(name)
+
+    @property
+    def world(self) -> World:
+        """Sun, Earth and ground stations at the present time."""
+        return self.simulator.world
+
+    def aliveness(self) -> dict[str, Tensor]:
+        """Return the result [N] of every aliveness checker, by name."""
+        return {name: getattr(self, name)() for name in self.checks()}
+
+    @classmethod
+    @functools.cache
+    def checks(cls) -> tuple[str, ...]:
+        """Return the names of the aliveness checkers."""
+        return tuple(name for name in dir(cls) if getattr(getattr(cls, name), "is_aliveness_checker", False))
+
+    @classmethod
+    def vitals(cls) -> list[Callable[..., Any]]:
+        """Return the functions of the aliveness checks that kernels compute."""
+        checks = (getattr(cls, name) for name in cls.checks())
+        return [check.function for check in checks if hasattr(check, "function")]

@@ -1,0 +1,167 @@
+"""The state of the satellites of one type: fields of the components, parameters, arguments and memory."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from bsk_torch.constants import NANO
+from bsk_torch.sim.component import Layout
+from bsk_torch.sim.names import current_name
+from bsk_torch.sim.params import nearest
+from bsk_torch.sim.state import StateTable, look_up
+
+
+class ArgumentState(StateTable):
+    """Drawn arguments of satellites and world, [rows, ...] each by name, as views of one tensor: rows are copied at once.
+
+    Attributes:
+        values: All arguments as planes, [C, rows] float64.
+    """
+
+    values: Tensor
+
+    def __init__(self, num_envs: int, count: int, device: torch.device, trial: Mapping[str, Tensor]) -> None:
+        """Make room for arguments like those of a ``trial`` draw, [n or 1] or [n or 1, width] each."""
+        super().__init__(num_envs, count, device)
+        self.places: dict[str, slice | int] = {}
+        first = 0
+        for name, value in trial.items():
+            width = value[0].numel()
+            self.places[name] = first if value.ndim == 1 else slice(first, first + width)
+            first += width
+        self.declare("values", None, first, planes=True)
+
+    def __getitem__(self, name: str) -> Tensor:
+        """Return the argument ``name``, a view [rows] or [rows, width]; KeyError for an unknown name."""
+        if name not in self.places:
+            raise KeyError(f"no argument is called {name!r}; {nearest(name, self.places)}")
+        return self.values[self.places[name]].mT if isinstance(self.places[name], slice) else self.values[self.places[name]]
+
+    def __contains__(self, name: object) -> bool:
+        """Whether an argument of that name is drawn."""
+        return name in self.places
+
+    def __iter__(self) -> Iterator[str]:
+        """Names of the arguments."""
+        return iter(self.places)
+
+
+class SatelliteState(StateTable):
+    """State of ``count`` satellites in each of ``num_envs`` episodes: satellite k of episode e is row ``e * count + k``.
+
+    Attributes:
+        planes: Fields of the components, [C, rows] float64; see :meth:`read`.
+        parameters: Parameters of ticks that differ between rows, [C, rows] float64.
+        ticks: Ticks since reset, [rows].
+        mode: Index into the mode table, [rows].
+        arguments: Drawn arguments of satellites and world, a table of tensors [rows, ...].
+        constants: Arguments that are no numbers, the same for all rows.
+        memory: Declared tensors of satellites' actions, rewarders and users, [rows, ...].
+    """
+
+    planes: Tensor
+    parameters: Tensor
+    ticks: Tensor
+    mode: Tensor
+
+    def __init__(
+        self,
+        layout: Layout,
+        parameters: Layout,
+        arguments: Mapping[str, Any],
+        *,
+        num_envs: int,
+        count: int,
+        device: torch.device,
+        h_ns: int,
+    ) -> None:
+        """Make room for the fields and parameters of two layouts, and for arguments like those of a trial draw."""
+        super().__init__(num_envs, count, device)
+        self.layout, self.h_ns = layout, h_ns
+        self.declare("planes", None, layout.size, planes=True)
+        self.declare("parameters", None, parameters.size, planes=True)
+        self.declare("ticks", 0)
+        self.declare("mode", 0)
+        numbers = {name: value for name, value in arguments.items() if isinstance(value, Tensor)}
+        self.constants = {name: value for name, value in arguments.items() if name not in numbers}
+        self.arguments, self.memory = ArgumentState(num_envs, count, device, numbers), StateTable(num_envs, count, device)
+        self.add("arguments", self.arguments)
+        self.add("memory", self.memory)
+        self._argument_planes: dict[tuple[str, ...], tuple[int, Tensor]] = {}
+
+    # -- time ---------------------------------------------------------------------------------------------------------
+
+    @property
+    def h(self) -> float:
+        """Length of a tick, s."""
+        return self.h_ns * NANO
+
+    @property
+    def sim_time_ns(self) -> Tensor:
+        """Time since reset, [rows] nanoseconds."""
+        return self.ticks * self.h_ns
+
+    @property
+    def sim_time(self) -> Tensor:
+        """Time since reset, [rows] s, float64."""
+        return self.sim_time_ns.double() * NANO
+
+    # -- fields of the components --------------------------------------------------------------------------------------
+
+    def read(self, name: str) -> Tensor:
+        """Return a field of the components, [rows] or [rows, width]."""
+        view = self.layout.view(self.planes, current_name(name))
+        return view.mT.clone() if view.ndim == 2 else view.clone()
+
+    def write(self, name: str, rows: Tensor, value: Tensor) -> None:
+        """Set a field of the components to ``value`` [rows] or [rows, width] where the mask ``rows`` is true."""
+        where = self.layout.slices[current_name(name)]
+        self.planes[where] = torch.where(rows, value.reshape(self.rows, -1).mT, self.planes[where])
+        self.touch()
+
+    # -- arguments ----------------------------------------------------------------------------------------------------
+
+    def set_arguments(self, rows: Tensor, values: Mapping[str, Any]) -> None:
+        """Keep the drawn arguments [1, ...] or [n, ...] of ``rows`` [n]."""
+        for name, value in values.items():
+            if isinstance(value, Tensor):
+                self.arguments[name][rows] = value.to(self.device)
+            else:
+                self.constants[name] = value
+        self.arguments.touch()
+
+    def argument(self, name: str) -> Any:
+        """Return an argument of the present episodes, [rows] or [rows, width], or a constant; KeyError for an unknown name."""
+        if name in self.arguments:
+            return self.arguments[name]
+        if name in self.constants:
+            return self.constants[name]
+        known = [*self.arguments, *self.constants]
+        raise KeyError(f"no argument is called {name!r}; {nearest(name, known)}")
+
+    @property
+    def all_arguments(self) -> dict[str, Any]:
+        """Arguments of the present episodes by name, [rows, ...] each, and the constants."""
+        return {name: self.arguments[name] for name in self.arguments} | self.constants
+
+    def argument_planes(self, names: tuple[str, ...]) -> Tensor:
+        """Return arguments of the present episodes as planes [C, rows]."""
+        version, planes = self._argument_planes.get(names, (-1, self.planes))
+        if version != self.arguments.version:
+            planes = torch.cat([self.arguments[name].reshape(self.rows, -1) for name in names], 1).mT.contiguous()
+            self._argument_planes[names] = self.arguments.version, planes
+        return planes
+
+    # -- episodes and rows --------------------------------------------------------------------------------------------
+
+    def of_env(self, table: Tensor) -> Tensor:
+        """Return values [N, ...] of the episodes for each of their satellites, [rows, ...]."""
+        return table if self.count == 1 else table.repeat_interleave(self.count, 0)
+
+    def look_up(self, table: Tensor, place: Tensor) -> Tensor:
+        """Return entries [rows, n, ...] of a table [N, P, ...] of the episodes for places [rows, n]."""
+        return look_up(table, place)

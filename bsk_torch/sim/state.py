@@ -1,0 +1,314 @@
+"""The state of a batch of episodes: every tensor that belongs to an episode is declared once, in a :class:`StateTable`.
+
+A table holds tensors whose first dimension are rows: episodes, or the satellites of one type, ``count`` of them in each episode.
+Tables contain tables, so the state of an environment is a tree with one root. Starting episodes anew, copying them from another
+batch, saving, restoring, branching and counting bytes are one operation each, which works on rows of the whole tree. A tensor
+that is declared takes part in all of them; all else must follow from the state.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from numbers import Real
+from typing import Any, TypeVar, cast
+
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torch import Tensor
+
+from bsk_torch._deprecated import warn_deprecated
+
+Table = TypeVar("Table", bound="StateTable")
+
+
+@dataclass(frozen=True)
+class StateField:
+    """A declared tensor [rows, *shape].
+
+    Attributes:
+        name: Attribute of the table, and key of saved states.
+        initial: Value at the start of an episode; None where the owner of the table writes it.
+        grows: Whether the dimension behind the rows may become longer, filled up with ``initial``.
+        planes: Whether rows are the last dimension of the stored tensor, as kernels read it; saved states have them first.
+    """
+
+    name: str
+    initial: float | bool | None = None
+    grows: bool = False
+    planes: bool = False
+
+
+class StateTable:
+    """Declared tensors of the same rows, as attributes or items, and tables of the same episodes.
+
+    Tensors are replaced, not written into, where a user may hold them. Large ones (``grows``, ``planes``, and those whose owner
+    writes them at reset) are written in place.
+    """
+
+    num_envs: int
+    """Number of episodes N."""
+    count: int
+    """Rows of each episode."""
+    device: torch.device
+    version: int
+    """Number of changes; caches of queries compare it."""
+
+    def __init__(self, num_envs: int, count: int = 1, device: torch.device | str = "cpu") -> None:
+        """Make a table without fields for ``count`` rows in each of ``num_envs`` episodes."""
+        own = self.__dict__
+        own["num_envs"], own["count"], own["device"] = num_envs, count, torch.device(device)
+        own["fields"], own["tables"], own["version"] = {}, {}, 0
+
+    fields: dict[str, StateField]
+    tables: dict[str, StateTable]
+
+    # -- declaring ----------------------------------------------------------------------------------------------------
+
+    def declare(
+        self,
+        name: str,
+        initial: float | bool | None = None,
+        *shape: int,
+        dtype: torch.dtype | None = None,
+        grows: bool = False,
+        planes: bool = False,
+    ) -> None:
+        """Add a tensor [rows, *shape] to the state.
+
+        Args:
+            name: Name of the tensor.
+            initial: Value at the start of every episode; None where the owner writes it.
+            *shape: Dimensions behind the rows.
+            dtype: Type; that of ``initial`` unless given (float64 for None).
+            grows: Whether the first dimension of ``shape`` may become longer.
+            planes: Whether the tensor is stored as [*shape, rows].
+
+        Raises:
+            ValueError: For a name that is taken.
+        """
+        if name in self.__dict__ or name in self.tables or hasattr(type(self), name):
+            raise ValueError(f"name={name!r} is already declared; known are {sorted((*self.fields, *self.tables))}")
+        if dtype is None:
+            dtype = {bool: torch.bool, int: torch.int64}.get(type(initial), torch.float64)
+        self.fields[name] = StateField(name, initial, grows, planes)
+        size = (*shape, self.rows) if planes else (self.rows, *shape)
+        self.__dict__[name] = torch.full(size, initial or 0, dtype=dtype, device=self.device)
+
+    def add(self, name: str, table: StateTable | float, *shape: int, dtype: torch.dtype = torch.int64) -> None:
+        """Add a table of the same episodes.
+
+        Args:
+            name: Name of the table.
+            table: The table. A number is deprecated: it is the initial value of a tensor, which :meth:`declare` adds.
+            *shape: Dimensions of that tensor behind the rows.
+            dtype: Type of that tensor.
+
+        Raises:
+            TypeError: For something that is neither a table nor a number.
+            ValueError: For a name that is taken, or a table of other episodes.
+        """
+        if isinstance(table, Real):
+            warn_deprecated("memory.add(name, initial)", "memory.declare(name, initial)")
+            self.declare(name, cast(float, table), *shape, dtype=dtype)
+            return
+        if not isinstance(table, StateTable):
+            raise TypeError(f"table={table!r} must be a StateTable; declare(name, initial) adds a tensor")
+        if name in self.fields or name in self.tables:
+            raise ValueError(f"name={name!r} is already declared; known are {sorted((*self.fields, *self.tables))}")
+        if table.num_envs != self.num_envs:
+            raise ValueError(f"table {name!r} has {table.num_envs} episodes; this one has {self.num_envs}")
+        self.tables[name] = table
+
+    # -- reading and writing ------------------------------------------------------------------------------------------
+
+    @property
+    def rows(self) -> int:
+        """Number of rows."""
+        return self.num_envs * self.count
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether the tree has no tensors."""
+        return not self.fields and all(table.is_empty for table in self.tables.values())
+
+    @property
+    def all_rows(self) -> Tensor:
+        """Indices of all rows."""
+        return torch.arange(self.rows, device=self.device)
+
+    def __getattr__(self, name: str) -> Any:
+        """Raise AttributeError for a name that is not declared."""
+        known = sorted((*self.__dict__.get("fields", ()), *self.__dict__.get("tables", ())))
+        raise AttributeError(f"no field of the state is called {name!r}; declared are {known}")
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        """Replace a declared tensor, or set an attribute that is no tensor; AttributeError for another tensor."""
+        if isinstance(value, Tensor) and name not in self.fields:
+            raise AttributeError(f"tensor {name!r} is not declared as part of the state; call declare({name!r}, ...) first")
+        self.__dict__[name] = value
+
+    def __getitem__(self, name: str) -> Tensor:
+        """Return the tensor ``name``; KeyError where it is not declared."""
+        if name not in self.fields:
+            raise KeyError(f"no field of the state is called {name!r}; declared are {sorted(self.fields)}")
+        return self.__dict__[name]
+
+    def __setitem__(self, name: str, value: Tensor) -> None:
+        """Replace the tensor ``name``, keeping its type; ValueError for another shape."""
+        old = self[name]
+        if value.shape != old.shape:
+            raise ValueError(f"{name!r} has shape {list(old.shape)} in the state; it cannot become {list(value.shape)}")
+        self.__dict__[name] = value.to(old.dtype)
+        self.touch()
+
+    def __contains__(self, name: object) -> bool:
+        """Return whether a tensor of that name is declared."""
+        return name in self.fields
+
+    def __iter__(self) -> Iterator[str]:
+        """Iterate over the names of the tensors."""
+        return iter(self.fields)
+
+    def touch(self) -> None:
+        """Increase ``version``: a value that queries depend on has changed."""
+        self.__dict__["version"] += 1
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of all tensors of the tree."""
+        return sum(self.__dict__[name].nbytes for name in self.fields) + sum(table.nbytes for table in self.tables.values())
+
+    # -- rows ---------------------------------------------------------------------------------------------------------
+
+    def rows_of(self, envs: Tensor) -> Tensor:
+        """Return the rows [n * count] of the episodes ``envs`` [n]."""
+        if self.count == 1:
+            return envs
+        return (envs.unsqueeze(-1) * self.count + torch.arange(self.count, device=envs.device)).flatten()
+
+    def reset(self, envs: Tensor) -> None:
+        """Set the episodes ``envs`` [n] back to their initial values, in all tables."""
+        rows = self.rows_of(envs)
+        for name in self.fields:
+            self._reset_field(name, rows)
+        for table in self.tables.values():
+            table.reset(envs)
+        self.touch()
+
+    def _reset_field(self, name: str, rows: Tensor) -> None:
+        field, value = self.fields[name], self.__dict__[name]
+        if field.initial is None:
+            return
+        if field.planes:
+            value[..., rows] = field.initial
+        elif field.grows:
+            value[rows] = field.initial
+        else:
+            self.__dict__[name] = value.index_fill(0, rows, field.initial)
+
+    def copy_rows(self, envs: Tensor, other: StateTable, source: Tensor) -> None:
+        """Copy the episodes ``source`` [n] of ``other`` into the episodes ``envs`` [n], in all tables.
+
+        Fields and tables that ``other`` lacks are set back to their initial values.
+        """
+        rows, theirs = self.rows_of(envs), other.rows_of(source)
+        for name in self.fields:
+            if name in other.fields:
+                self._copy_field(name, rows, other.__dict__[name], theirs)
+            else:
+                self._reset_field(name, rows)
+        for name, table in self.tables.items():
+            if name in other.tables:
+                table.copy_rows(envs, other.tables[name], source)
+            else:
+                table.reset(envs)
+        self.touch()
+
+    def _copy_field(self, name: str, rows: Tensor, value: Tensor, source: Tensor) -> None:
+        field, mine = self.fields[name], self.__dict__[name]
+        if field.planes:
+            mine[..., rows] = value[..., source]
+        elif field.grows:
+            self.write_rows(name, rows, value[source])
+        elif field.initial is None:
+            mine[rows] = value[source]
+        else:
+            self.__dict__[name] = mine.index_copy(0, rows, value[source])
+
+    def write_rows(self, name: str, rows: Tensor, new: Tensor) -> None:
+        """Put ``new`` [n, W, ...] into ``rows`` [n] of a field that grows; the narrower one is filled up with ``initial``."""
+        initial, old = self.fields[name].initial or 0.0, self.__dict__[name]
+        width = max(old.shape[1], new.shape[1])
+        table = self.__dict__[name] = widened(old, width, initial)
+        table[rows] = widened(new, width, initial)
+
+    def taken(self: Table, envs: Tensor) -> Table:
+        """Return a table of the same make that holds copies of the episodes ``envs`` [n]."""
+        return self.over(self._gathered(envs))
+
+    def _gathered(self, envs: Tensor) -> dict[str, Any]:
+        values: dict[str, Any] = {name: self._by_episode(name)[envs] for name in self.fields}
+        return values | {name: table._gathered(envs) for name, table in self.tables.items()}
+
+    # -- saving -------------------------------------------------------------------------------------------------------
+
+    def to_tensordict(self) -> TensorDict:
+        """Return a copy of the tree, episodes first: [N, ...], or [N, count, ...] where an episode has several rows."""
+        values: dict[str, Any] = {name: self._by_episode(name).clone() for name in self.fields}
+        values |= {name: table.to_tensordict() for name, table in self.tables.items()}
+        return TensorDict(values, [self.num_envs], device=self.device)
+
+    def _by_episode(self, name: str) -> Tensor:
+        value = self.__dict__[name].movedim(-1, 0) if self.fields[name].planes else self.__dict__[name]
+        return value if self.count == 1 else value.reshape(self.num_envs, self.count, *value.shape[1:])
+
+    def over(self: Table, saved: Mapping[str, Any] | TensorDictBase) -> Table:
+        """Return a table of the same make over saved tensors, which are not copied.
+
+        Raises:
+            KeyError: If a field or a table is missing in ``saved``, or one of them is unknown.
+            ValueError: For a tensor of another shape or type.
+        """
+        other = copy.copy(self)
+        keys = set(saved.keys())
+        if keys != {*self.fields, *self.tables}:
+            missing, unknown = sorted({*self.fields, *self.tables} - keys), sorted(keys - {*self.fields, *self.tables})
+            raise KeyError(f"the saved state lacks {missing} and has {unknown} beside; it was saved by another environment")
+        own = other.__dict__
+        own["tables"] = {name: table.over(saved[name]) for name, table in self.tables.items()}
+        numbers = {len(saved[name]) for name in self.fields} | {t.num_envs for t in other.tables.values() if not t.is_empty}
+        if len(numbers) > 1:
+            raise ValueError(f"tensors of the saved state have {sorted(numbers)} episodes; they must have equally many")
+        own["num_envs"] = numbers.pop() if numbers else self.num_envs
+        for name in self.fields:
+            own[name] = self._checked(name, saved[name])
+        return other
+
+    def _checked(self, name: str, value: Tensor) -> Tensor:
+        """Return a saved tensor as this table stores it."""
+        field, mine = self.fields[name], self.__dict__[name]
+        if value.dtype != mine.dtype:
+            raise ValueError(f"{name!r} of the saved state has dtype {value.dtype}; it must be {mine.dtype}")
+        value = value if self.count == 1 else value.flatten(0, 1)
+        value = value.movedim(0, -1) if field.planes else value
+        shapes = (list(x.shape[:-1]) if field.planes else list(x.shape[2 if field.grows else 1 :]) for x in (value, mine))
+        found, wanted = shapes
+        if found != wanted:
+            raise ValueError(f"{name!r} of the saved state has shape {list(value.shape)}; it must be [..., {wanted}]")
+        return value.to(self.device)
+
+
+def widened(table: Tensor, width: int, value: float) -> Tensor:
+    """Return the table [n, W, ...] with at least ``width`` columns, new ones filled with ``value``."""
+    extra = width - table.shape[1]
+    padding = (0, 0) * (table.ndim - 2) + (0, extra)
+    return torch.nn.functional.pad(table, padding, value=value) if extra > 0 else table
+
+
+def look_up(table: Tensor, place: Tensor) -> Tensor:
+    """Return the entries [N, n, ...] of a table [num_envs, P, ...] for places [N, n]; each environment has N / num_envs rows."""
+    flat = place.reshape(len(table), -1)
+    index = flat.view(*flat.shape, *[1] * (table.ndim - 2)).expand(*flat.shape, *table.shape[2:])
+    return table.gather(1, index).view(*place.shape, *table.shape[2:])

@@ -1,0 +1,184 @@
+"""Figure of an episode of an imaging policy: ground track, images, and decisions over time."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from matplotlib.colors import LinearSegmentedColormap
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from torch import Tensor
+
+from bsk_torch.constants import R_EARTH
+from bsk_torch.viz.figures.decisions import decisions, resources
+from bsk_torch.viz.figures.style import INK, PALETTE, caption, dot, headline, label, save, tidy
+from bsk_torch.viz.figures.timeline import HOUR, time_axis
+from bsk_torch.viz.figures.world import pieces, world_map
+from bsk_torch.viz.recorders.imaging import IMAGED, LOST, OPEN, UNPAID, ImagingEpisode, record_imaging_episode
+from bsk_torch.viz.recorders.track import ground
+
+__all__ = ["ground_track", "record_imaging_episode"]
+
+CLOSE_UP = 600.0
+"""Seconds of flight that are drawn large."""
+
+SHOULDER = 30.0
+"""Seconds of these before the first image and after the last."""
+
+KM = R_EARTH / 1e3
+"""Kilometres on the ground for a radian at the Earth's centre."""
+
+HEIGHTS = 4.35, 2.0, 1.6
+"""Heights of the panels, inches."""
+
+GAP = 0.06
+"""Half of the space between panels, inches."""
+
+CROWD = 1000
+"""Number of targets from which on dots become smaller."""
+
+SIZES = 2.5, 17.0
+"""Area of a target's dot, points^2: least, and what is added for the highest priority."""
+
+LARGER = 2.2
+"""Factor on the size of dots in the close-up."""
+
+LOOKS = {
+    OPEN: ("none", "#9aa3af", "not chosen"),
+    LOST: ("none", PALETTE[3], "chosen, not imaged"),
+    UNPAID: (PALETTE[1], PALETTE[1], "imaged, no reward"),
+    IMAGED: (PALETTE[2], PALETTE[2], "imaged"),
+}
+"""Face, edge and name of targets by what became of them."""
+
+LEGEND: dict[str, Any] = dict(
+    loc="upper center", frameon=False, fontsize=9, labelcolor=INK, handletextpad=0.5, columnspacing=1.4, borderaxespad=0.0
+)
+
+DAY = LinearSegmentedColormap.from_list("day", ("#b9d3ee", PALETTE[0], "#12305a"))
+"""Colours of the track from start to end."""
+
+
+def ground_track(episode: ImagingEpisode, path: Path, title: str = "") -> Path:
+    """Draw an episode to the file ``path``, .png or .svg, with headline ``title`` unless that is empty.
+
+    From above: the world with the ground track and all targets; ten minutes of it large, with lines from the satellite to what
+    it imaged; decisions and reward over time; and battery, wheels and store where the satellite can do something for them.
+    """
+    heights = [*HEIGHTS, *([1.1] if len(episode.names) > 1 else [])]
+    figure = Figure(figsize=(10.0, sum(heights) + 2.6), dpi=140, facecolor="white")
+    figure.set_layout_engine("constrained", h_pad=GAP)
+    panels = figure.subplots(len(heights), 1, height_ratios=heights).tolist()
+    for panel in panels:
+        tidy(panel)
+    span = busiest(episode)
+    _world(panels[0], episode, span)
+    _close_up(panels[1], episode, span)
+    handles = decisions(panels[2], episode, span)
+    for panel in panels[3:]:
+        handles += resources(panel, episode)
+    for panel in panels[2:]:
+        time_axis(panel, episode, named=panel is panels[-1])
+    if title:
+        headline(figure, f"{title}: {episode.outcome}")
+    figure.legend(handles=handles, loc="outside lower center", ncols=5, frameon=False, fontsize=9, labelcolor=INK)
+    return save(figure, path)
+
+
+def busiest(episode: ImagingEpisode) -> tuple[float, float]:
+    """Start and end, s, of the :data:`CLOSE_UP` seconds with the most images, within the episode."""
+    last, images = float(episode.times[-1]), episode.times[1:][episode.imaged]
+    start = 0.5 * (last - CLOSE_UP)
+    if len(images):
+        until = torch.searchsorted(images, images + CLOSE_UP - 2.0 * SHOULDER, right=True)
+        start = float(images[int((until - torch.arange(len(images))).argmax())]) - SHOULDER
+    start = max(0.0, min(start, last - CLOSE_UP))
+    return start, min(start + CLOSE_UP, last)
+
+
+# -- the world -------------------------------------------------------------------------------------------------------------------
+
+
+def _world(panel: Axes, episode: ImagingEpisode, span: tuple[float, float]) -> None:
+    world_map(panel)
+    _targets(panel, episode, ground(episode.r_LP_P), episode.exists)
+    lines, hours = pieces(*ground(episode.track)), episode.track_times / HOUR
+    shown = (episode.track_times[1:] > span[0]) & (episode.track_times[:-1] < span[1])
+    panel.add_collection(LineCollection(lines[shown].tolist(), color=INK, linewidth=7.0, alpha=0.2, zorder=2.5))
+    track = LineCollection(lines.tolist(), array=hours[1:].numpy(), cmap=DAY, linewidth=1.6, zorder=3)
+    track.set_clim(0.0, float(hours[-1]))
+    panel.add_collection(track)
+    panel.plot(*ground(episode.stations), "^", color=INK, markeredgecolor="white", markersize=7.5, zorder=5)
+    for k, marker in ((0, "o"), (-1, "s")):
+        panel.plot(*ground(episode.track[k]), marker, color="white", markeredgecolor=INK, markersize=6.5, zorder=6)
+    bar = panel.figure.colorbar(track, cax=panel.inset_axes((1.012, 0.1, 0.014, 0.8)))
+    bar.outline.set_visible(False)
+    bar.ax.tick_params(colors=INK, labelsize=9, length=3)
+    label(bar.ax, "hours since the start")
+    caption(panel, "ground track and targets; the larger a dot, the higher its priority")
+    panel.legend(handles=_world_legend(episode), bbox_to_anchor=(0.5, -0.06), ncols=8, **LEGEND)
+
+
+def _targets(panel: Axes, episode: ImagingEpisode, at: tuple[Tensor, Tensor], shown: Tensor, scale: float = 1.0) -> None:
+    """The targets that are ``shown`` [K], as dots."""
+    share = episode.priority / episode.priority.max().clamp(min=1e-12)
+    crowd = max(1.0, int(episode.exists.sum()) / CROWD) ** 0.5
+    area, fate = scale / crowd * (SIZES[0] + SIZES[1] * share), episode.fate
+    for kind, (face, edge, _) in LOOKS.items():
+        rows, (width, layer) = shown & (fate == kind), (0.6, 2) if kind == OPEN else (1.2, 4)
+        where = (x[rows].tolist() for x in (*at, area))
+        panel.scatter(*where, facecolors=face, edgecolors=edge, linewidths=width, zorder=layer, rasterized=True)
+
+
+def _world_legend(episode: ImagingEpisode) -> list[Line2D]:
+    present = set(episode.fate[episode.exists].tolist())
+    markers = [("o", *look) for kind, look in LOOKS.items() if kind in present][::-1]
+    markers += [("o", "white", INK, "start"), ("s", "white", INK, "end")]
+    markers += [("^", INK, INK, "ground station")] if len(episode.stations) else []
+    return [*(dot(*marker) for marker in markers), Line2D([], [], color=INK, alpha=0.2, linewidth=7.0, label="shown below")]
+
+
+# -- ten minutes -----------------------------------------------------------------------------------------------------------------
+
+
+def along_and_across(r_P: Tensor, path: Tensor) -> tuple[Tensor, Tensor]:
+    """Distances on the ground, km, along a short path and to its left, of Earth-fixed positions [n, 3].
+
+    They are arcs from the middle of the path [m, 3] along the great circle that fits it best, and from that circle.
+    """
+    normal = torch.linalg.cross(path[:-1], path[1:]).mean(0)
+    normal = normal / normal.norm()
+    middle = path[len(path) // 2]
+    middle = middle - normal * (normal @ middle)
+    middle = middle / middle.norm()
+    along = torch.atan2(r_P @ torch.linalg.cross(normal, middle), r_P @ middle)
+    return along * KM, torch.asin(r_P @ normal / r_P.norm(dim=-1)) * KM
+
+
+def _close_up(panel: Axes, episode: ImagingEpisode, span: tuple[float, float]) -> None:
+    during = (episode.track_times >= span[0]) & (episode.track_times <= span[1])
+    path = episode.track[during]
+    x, y = along_and_across(path, path)
+    reach = episode.reach * KM
+    panel.fill_between(x, y - reach, y + reach, color=PALETTE[0], alpha=0.08, linewidth=0)
+    panel.plot(x, y, color=PALETTE[0], linewidth=2.2)
+    minutes = torch.arange(span[0], span[1] + 1e-6, 60.0)
+    panel.plot(*(np.interp(minutes, episode.track_times[during], q) for q in (x, y)), "|", color=PALETTE[0], markersize=8.0)
+    panel.set(aspect="equal", anchor="W", xlim=(float(x[0]) - reach, float(x[-1]) + reach), ylim=(-1.15 * reach, 1.15 * reach))
+    places = along_and_across(episode.r_LP_P, path)
+    near = (places[0] > x[0] - reach) & (places[0] < x[-1] + reach) & (places[1].abs() < 1.15 * reach)
+    _targets(panel, episode, places, episode.exists & near, LARGER)
+    rows = episode.imaged & (episode.times[1:] >= span[0]) & (episode.times[1:] <= span[1])
+    eyes, seen = along_and_across(episode.r_BN_P[1:][rows], path), [q[episode.chosen[rows]] for q in places]
+    lines = torch.stack([torch.stack(eyes, -1), torch.stack(seen, -1)], 1)
+    panel.add_collection(LineCollection(lines.tolist(), color=INK, linewidth=1.0, zorder=3))
+    panel.plot(*eyes, "o", color=INK, markersize=3.2, zorder=5)
+    panel.set_xlabel("along the track, km", color=INK, fontsize=9.5)
+    label(panel, "across, km")
+    start, end = (f"{int(t // 3600)}:{int(t % 3600 // 60):02d}" for t in span)
+    caption(panel, f"{start} to {end} h, a tick a minute: lines lead from the satellite to what it images, shaded is its reach")

@@ -1,0 +1,87 @@
+"""The look that all pictures share. Figures are made without pyplot, so nothing global changes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
+from math import isfinite
+from pathlib import Path
+
+from matplotlib import rc_context
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+PALETTE = ("#2f6db3", "#e8a628", "#2f9e72", "#c1476b", "#7b62b8", "#5aa9c9", "#8c6d4f", "#6b7280")
+"""Colours that stay apart in print and for the colour-blind."""
+
+INK, FAINT = "#333a45", "#d9dde3"
+"""Colours of text, and of lines that only guide the eye."""
+
+
+def panels(heights: Sequence[float], width: float = 10.0) -> tuple[Figure, list[Axes]]:
+    """A figure of panels above each other that share the abscissa; ``heights`` in inches."""
+    figure = Figure(figsize=(width, sum(heights) + 1.2), dpi=140, layout="constrained", facecolor="white")
+    axes = figure.subplots(len(heights), 1, sharex=True, squeeze=False, height_ratios=list(heights))[:, 0]
+    for panel in axes:
+        tidy(panel)
+    return figure, list(axes)
+
+
+def tidy(panel: Axes) -> None:
+    """Light grid, no box."""
+    panel.spines[["top", "right"]].set_visible(False)
+    panel.spines[["left", "bottom"]].set_color(FAINT)
+    panel.tick_params(colors=INK, labelsize=9, length=3)
+    panel.grid(axis="y", color=FAINT, linewidth=0.6)
+    panel.set_axisbelow(True)
+
+
+def label(panel: Axes, text: str) -> None:
+    """Name of the ordinate."""
+    panel.set_ylabel(text, color=INK, fontsize=9.5)
+
+
+def caption(panel: Axes, text: str) -> None:
+    """Write the title of a panel above it."""
+    panel.set_title(text, loc="left", color=INK, fontsize=9.5)
+
+
+def name_lines(panel: Axes, lines: Mapping[str, tuple[float, str]], height: float) -> None:
+    """Names at the right of lines that end at given heights, in the lines' colours; a name has ``height`` of the panel's."""
+    bottom, top = panel.get_ylim()
+    finite = {name: (end, color) for name, (end, color) in lines.items() if isfinite(end)}
+    ends = spread([end for end, _ in finite.values()], height * (top - bottom))
+    for end, (name, (_, color)) in zip(ends, finite.items(), strict=True):
+        panel.text(1.01, end, name, transform=panel.get_yaxis_transform(), color=color, fontsize=9, va="center")
+
+
+def spread(heights: Sequence[float], gap: float) -> list[float]:
+    """Heights moved up or down in their order until neighbours are at least ``gap`` apart."""
+    order = sorted(range(len(heights)), key=heights.__getitem__)
+    moved = list(heights)
+    for _ in range(100):
+        for low, high in pairwise(order):
+            excess = 0.5 * max(0.0, gap - (moved[high] - moved[low]))
+            moved[low], moved[high] = moved[low] - excess, moved[high] + excess
+    return moved
+
+
+def dot(marker: str, face: str, edge: str, name: str) -> Line2D:
+    """Entry of a legend for a marker."""
+    return Line2D([], [], linestyle="", marker=marker, color=face, markeredgecolor=edge, markersize=6.0, label=name)
+
+
+def headline(figure: Figure, text: str) -> None:
+    """Title at the left of the figure."""
+    figure.suptitle(text, x=0.01, ha="left", color=INK, fontsize=12.5, fontweight="bold")
+
+
+def save(figure: Figure, path: Path) -> Path:
+    """Write a picture in the format that the path's suffix says, .png or .svg, and return the path.
+
+    The same figure gives the same file: an SVG has no date, and names of its parts that depend on what is drawn.
+    """
+    with rc_context({"svg.hashsalt": "bsk_torch"}):
+        figure.savefig(path, metadata={"Date": None} if path.suffix == ".svg" else None)
+    return path

@@ -1,0 +1,157 @@
+"""One episode of a constellation, recorded to be drawn by :func:`bsk_torch.viz.figures.constellation.constellation_figure`."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from tensordict import TensorDictBase
+from tensordict.nn import TensorDictModuleBase
+from torch import Tensor
+
+from bsk_torch.astro.frames import fixed_to_lla
+from bsk_torch.env import NO_ACTION, ConstellationTasking
+from bsk_torch.env.rollout import play_episodes
+from bsk_torch.viz.figures.constellation import ConstellationEpisode
+from bsk_torch.viz.recorders.episode import first_row
+
+SAME_PLANE = 1e-6
+"""Nodes and inclinations, rad, that differ by less are those of one plane."""
+
+
+class Image(NamedTuple):
+    """An image: when, by which satellite, of which target, and whether it was rewarded."""
+
+    time: float
+    satellite: int
+    target: int
+    paid: bool
+
+
+class Task(NamedTuple):
+    """A task: which satellite began it when, and what it was, by its name."""
+
+    satellite: int
+    begin: float
+    name: str
+
+
+class ConstellationRecorder:
+    """Notes what episode 0 of an environment shows at every decision boundary, without changing what comes next."""
+
+    def __init__(self, env: ConstellationTasking) -> None:
+        """Record ``env``, from its next reset on."""
+        self.env, self.fleet = env, env.fleet
+        self.times: list[float] = []
+        self.places: list[Tensor] = []
+        self.links: list[Tensor] = []
+        self.images: list[Image] = []
+        self.tasks: list[Task] = []
+        self.deaths = torch.full((self.fleet.size,), torch.inf, dtype=torch.float64)
+        self.total = 0.0
+
+    def look(self) -> None:
+        """Note where the satellites are, and who has talked."""
+        self.times.append(float(self.fleet.sim_time[0]))
+        self.places.append(self.fleet.each(lambda part: part.dynamics.r_BN_P)[0].cpu())
+        links = self.env.links
+        none = torch.zeros(self.fleet.size, self.fleet.size, dtype=torch.bool)
+        self.links.append(none if links is None or len(self.times) == 1 else links[0].cpu())
+        self.counted, self.removed = self._counts(), self.fleet.state.removed[0].clone()
+        self.deaths = torch.where(self.env.dead[0].cpu(), self.deaths.clamp(max=self.times[-1]), self.deaths)
+
+    def play(self, policy: TensorDictModuleBase, seed: int) -> None:
+        """Play the first episode of ``seed``, with the most probable actions."""
+        self.env.set_seed(seed)
+        start = self.env.reset()
+        self.look()
+        for _, step in play_episodes(self.env, policy, start, first_row(self.env)):
+            self._note_tasks(step)
+            before = self.counted
+            self.look()
+            self._note_images(before)
+            self.total += sum(float(step["next", group.name, "reward"][0].sum()) for group in self.env.groups)
+
+    def _counts(self) -> tuple[Tensor, Tensor]:
+        """Images and images without reward of each satellite, [S] each."""
+        counts, none = self.env.counts(), torch.zeros(1, self.fleet.size)
+        return counts.get("imaged", none)[0].clone(), counts.get("duplicates", none)[0].clone()
+
+    def _note_images(self, before: tuple[Tensor, Tensor]) -> None:
+        images, again = (after - old for after, old in zip(self.counted, before, strict=True))
+        if not bool(images.any()):
+            return
+        target = self.fleet.each(lambda part: part.latest_target, missing=-1)[0]
+        for k in torch.nonzero(images > 0).flatten().tolist():
+            self.images.append(Image(self.times[-1], k, int(target[k]), not bool(again[k])))
+
+    def _note_tasks(self, step: TensorDictBase) -> None:
+        """Note the tasks that began with a step."""
+        for group in self.env.groups:
+            action = step[group.name, "action"][0].view(len(group.agents), -1)
+            for row, members in zip(action.tolist(), group.members.tolist(), strict=True):
+                for number, satellite, kind in zip(row, members, group.types, strict=True):
+                    actions = self.fleet.satellites[kind].actions
+                    if number not in (actions.n_actions, NO_ACTION) and not bool(self.removed[satellite]):
+                        self.tasks.append(Task(satellite, self.times[-1], actions.entries[actions.entry_of(number)].name))
+
+    def _planes(self) -> Tensor | None:
+        """Orbital plane of each satellite, [S]; None where orbits were not given as elements."""
+        if any(part.simulator.argument("oe") is None for part in self.fleet.satellites):
+            return None
+        oe = self.fleet.each(lambda part: part.simulator.state.arguments["oe"])[0].cpu()
+        _, plane = torch.unique(torch.round(oe[:, 2:4] / SAME_PLANE), dim=0, return_inverse=True)
+        return plane
+
+    def episode(self) -> ConstellationEpisode:
+        """Return the recorded episode."""
+        latitude, longitude, _ = fixed_to_lla(torch.stack(self.places, 1))
+        images = torch.tensor([image.target for image in self.images], dtype=torch.int64)
+        targets = self.env.scenario.r_LP_P[0].cpu() if hasattr(self.env.scenario, "r_LP_P") else torch.empty(0, 3)
+        if hasattr(self.env.scenario, "most_targets"):
+            there = self.fleet.scenario_state["target_exists"][0].cpu() > 0.5
+        else:
+            there = torch.zeros(0, dtype=torch.bool)
+        where = fixed_to_lla(targets)
+        names = list(dict.fromkeys(task.name for task in self.tasks))
+        return ConstellationEpisode(
+            names=self.fleet.names,
+            times=torch.tensor(self.times, dtype=torch.float64),
+            latitude=torch.rad2deg(latitude),
+            longitude=torch.rad2deg(longitude),
+            groups=self._planes(),
+            links=None if self.env.links is None else torch.stack(self.links),
+            image_times=torch.tensor([image.time for image in self.images], dtype=torch.float64),
+            image_satellite=torch.tensor([image.satellite for image in self.images], dtype=torch.int64),
+            image_latitude=torch.rad2deg(where[0])[images],
+            image_longitude=torch.rad2deg(where[1])[images],
+            image_paid=torch.tensor([image.paid for image in self.images], dtype=torch.bool),
+            target_latitude=torch.rad2deg(where[0])[there],
+            target_longitude=torch.rad2deg(where[1])[there],
+            task_satellite=torch.tensor([task.satellite for task in self.tasks], dtype=torch.int64),
+            task_spans=self._spans(),
+            task_kind=torch.tensor([names.index(task.name) for task in self.tasks], dtype=torch.int64),
+            task_names=names,
+            deaths=self.deaths,
+        )
+
+    def _spans(self) -> Tensor:
+        """Begin and end of every task, [M, 2]: it ends with the satellite's next one, or with the episode."""
+        until = dict.fromkeys(range(self.fleet.size), self.times[-1])
+        spans = []
+        for task in reversed(self.tasks):
+            spans.append([task.begin, until[task.satellite]])
+            until[task.satellite] = task.begin
+        return torch.tensor(spans[::-1], dtype=torch.float64).reshape(-1, 2)
+
+
+def record_constellation(policy: TensorDictModuleBase, env: ConstellationTasking, *, seed: int) -> ConstellationEpisode:
+    """Play the first episode of ``seed`` in row 0 of ``env``, with the most probable actions.
+
+    ValueError for ``joint=True``, whose agent has no group.
+    """
+    if env.joint:
+        raise ValueError("env has joint=True; a constellation is recorded agent by agent, so build it without")
+    recorder = ConstellationRecorder(env)
+    recorder.play(policy, seed)
+    return recorder.episode()

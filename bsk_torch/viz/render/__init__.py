@@ -1,0 +1,1 @@
+"""Pictures of the present moment of an environment."""

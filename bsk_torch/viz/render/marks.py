@@ -1,0 +1,162 @@
+"""Marks on the globe: targets, ground stations, orbits, contacts and satellites."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from itertools import pairwise
+from typing import Any, NamedTuple
+
+import numpy as np
+from PIL import ImageColor, ImageFont
+from PIL.ImageDraw import ImageDraw
+
+from bsk_torch.viz.figures.style import INK, PALETTE
+from bsk_torch.viz.render.globe import Camera
+from bsk_torch.viz.render.moment import DEAD, Array, Moment
+
+COLORS = {
+    "image": PALETTE[0],
+    "nadir_scan": PALETTE[0],
+    "charge": PALETTE[1],
+    "downlink": PALETTE[2],
+    "desat": PALETTE[3],
+    "nadir_point": PALETTE[4],
+    "drift": PALETTE[5],
+    "idle": PALETTE[7],
+    DEAD: "#14171c",
+}
+"""Colours of what satellites do."""
+
+OTHER = PALETTE[6]
+"""Colour of whatever else they do."""
+
+NEW, DONE = "#3f4856", "#12b76a"
+"""Colours of targets, and of those that have been imaged."""
+
+TRIANGLE = 3
+"""Sides of the marks of ground stations."""
+
+TRAIL = 0.3
+"""Part of the last orbit that fades behind a satellite."""
+
+FRESH, FAINT = 235, 70
+"""Opacity of the orbit right behind a satellite, and of the rest, of 255."""
+
+NAMED = 16
+"""Satellites of an episode up to which names are written beside them."""
+
+
+EDGE = 0.88
+"""Part of the picture's width from which on names are written to the left."""
+
+
+class Pen(NamedTuple):
+    """Canvas and camera, and the length of a pixel of a frame of 480 lines."""
+
+    draw: ImageDraw
+    eye: Camera
+    unit: float
+
+    def circle(self, at: tuple[float, float], radius: float, **look: Any) -> None:
+        """A circle around a pixel, its radius in units."""
+        self.draw.circle(at, radius * self.unit, **look)
+
+    def mark(self, at: tuple[float, float], radius: float, color: str, sides: int = 0) -> None:
+        """A filled circle, or a regular polygon with some sides."""
+        if sides:
+            self.draw.regular_polygon((*at, 1.2 * radius * self.unit), sides, fill=color, outline="white")
+        else:
+            self.circle(at, radius, fill=color)
+
+    def line(self, start: Array, end: Array, width: float, color: tuple[int, ...]) -> None:
+        """A line between pixels, its width in units."""
+        self.draw.line((*start, *end), fill=color, width=max(1, round(width * self.unit)))
+
+    def text(self, at: tuple[float, float], text: str, size: float, color: str = INK, **look: Any) -> None:
+        """A text of a size in units."""
+        self.draw.text(at, text, fill=color, font=font(size * self.unit), **look)
+
+
+@lru_cache(maxsize=32)
+def font(size: float) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
+    """The font that Pillow carries."""
+    return ImageFont.load_default(size)
+
+
+def color_of(mode: str) -> str:
+    """Colour of what a satellite does."""
+    return COLORS.get(mode, OTHER)
+
+
+def shade(color: str, opacity: int) -> tuple[int, ...]:
+    """A colour with an opacity of 0 to 255."""
+    return (*ImageColor.getrgb(color)[:3], opacity)
+
+
+def draw_marks(pen: Pen, moment: Moment) -> None:
+    """Draw everything that has no letters."""
+    _targets(pen, moment)
+    _stations(pen, moment)
+    _orbits(pen, moment)
+    _lines(pen, moment)
+    _satellites(pen, moment)
+
+
+def _targets(pen: Pen, moment: Moment) -> None:
+    pixels, there = pen.eye.seen(moment.targets_P @ moment.PN)
+    size = 0.8 + 1.4 * min(1.0, (300 / max(1, len(pixels))) ** 0.5)
+    for rows, color, larger in ((~moment.imaged, NEW, 0.0), (moment.imaged, DONE, 0.8)):
+        for at in pixels[rows & there].tolist():
+            pen.circle(at, size + larger, fill=shade(color, 255))
+
+
+def _stations(pen: Pen, moment: Moment) -> None:
+    pixels, there = pen.eye.seen(moment.stations_P @ moment.PN)
+    for at in pixels[there].tolist():
+        pen.mark(at, 4.2, INK, TRIANGLE)
+
+
+def _orbits(pen: Pen, moment: Moment) -> None:
+    """One revolution of each, from where the satellite is backwards."""
+    pixels, there = pen.eye.seen(moment.orbits_N)
+    fresh = TRAIL * (pixels.shape[1] - 1)
+    for path, seen, mode in zip(pixels.tolist(), (there[:, 1:] & there[:, :-1]).tolist(), moment.modes, strict=True):
+        for k, (start, end) in enumerate(pairwise(path)):
+            age = min(1.0, k / fresh)
+            if seen[k] and (mode != DEAD or age == 1.0):
+                pen.line(start, end, 2.6 - 1.6 * age, shade(INK, round(FRESH + (FAINT - FRESH) * age)))
+
+
+def _lines(pen: Pen, moment: Moment) -> None:
+    """Between satellites that have talked, and from satellites to the targets that they look at, once these have risen."""
+    pixels, there = pen.eye.seen(moment.r_N)
+    for a, b in np.argwhere(np.triu(moment.links | moment.links.T, 1)).tolist():
+        if there[a] and there[b]:
+            pen.line(pixels[a], pixels[b], 1.0, shade(PALETTE[4], 150))
+    aims_N = moment.aims_P @ moment.PN
+    aims, _ = pen.eye.seen(aims_N)
+    risen = ((moment.r_N - aims_N) * aims_N).sum(-1) > 0.0  # false where there is no target
+    for k in np.flatnonzero(there & risen).tolist():
+        pen.line(pixels[k], aims[k], 2.0, shade(color_of(moment.modes[k]), 255))
+
+
+def _satellites(pen: Pen, moment: Moment) -> None:
+    pixels, there = pen.eye.seen(moment.r_N)
+    size = 6.5 if len(pixels) == 1 else 5.0 if len(pixels) <= NAMED else 3.5
+    for at, seen, mode in zip(pixels.tolist(), there.tolist(), moment.modes, strict=True):
+        if seen:
+            pen.circle(at, size + 1.5, fill="white")
+            pen.circle(at, size, fill=color_of(mode))
+        else:
+            pen.circle(at, 0.6 * size, outline=shade(color_of(mode), 150), width=round(1.5 * pen.unit))
+
+
+def write_names(pen: Pen, moment: Moment) -> None:
+    """Names beside the satellites of a constellation that is not too large."""
+    pixels, there = pen.eye.seen(moment.r_N)
+    if 1 < len(pixels) <= NAMED:
+        for at, seen, name in zip(pixels.tolist(), there.tolist(), moment.names, strict=True):
+            if seen:
+                side, anchor = (9.0, "lm") if at[0] < EDGE * 2.0 * pen.eye.centre else (-9.0, "rm")
+                where = at[0] + side * pen.unit, at[1]
+                pen.text(where, name, 11.0, anchor=anchor, stroke_width=round(1.5 * pen.unit), stroke_fill="white")

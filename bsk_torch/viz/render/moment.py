@@ -1,0 +1,184 @@
+"""State of one episode that a frame of a video shows, read without changing the episode."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from bsk_torch.astro.orbit import Elements, elements_to_rv, rv_to_elements
+from bsk_torch.vec3 import Vec3
+from bsk_torch.viz.recorders.episode import QUANTITIES
+
+if TYPE_CHECKING:
+    from bsk_torch.env.base import Tasking
+    from bsk_torch.sats.satellite import Satellite
+    from bsk_torch.sim.simulator import Simulator
+
+DEAD = "dead"
+"""Mode of a satellite that has died."""
+
+IMAGING = "image"
+"""Mode in which a satellite looks at the target that it has chosen last."""
+
+NONE = -1
+"""Target of a satellite that looks at none."""
+
+LOW = "battery"
+"""The resource of which little is bad; of the others it is much."""
+
+POINTS = 121
+"""Points of a revolution."""
+
+Array = np.ndarray[Any, Any]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Moment:
+    """One episode with S satellites, K ground stations and T targets; positions in m, frames N (inertial) and P (Earth-fixed).
+
+    Attributes:
+        names: Name of each satellite.
+        modes: What each is doing: the command of its flight software, or :data:`DEAD`.
+        r_N: Positions, [S, 3].
+        orbits_N: One osculating revolution of each from there backwards, [S, M, 3].
+        sun_N: Direction to the Sun, [3].
+        PN: DCM from N to P, [3, 3].
+        stations_P: Ground stations, [K, 3].
+        targets_P: The targets that can be chosen now or have been imaged, [T, 3].
+        imaged: Which of them have been imaged, [T].
+        aims_P: Target that each satellite looks at, [S, 3]; not a number where there is none.
+        links: Who has told whom after the last step, [S, S].
+        levels: Resources by name, 0 to 1; of several satellites the worst, see :data:`LOW`.
+        time: Seconds since reset.
+        limit: Length of the episode, s; infinite where there is no limit.
+        total: Return so far.
+        counts: What is counted, by name, of all satellites together.
+    """
+
+    names: list[str]
+    modes: list[str]
+    r_N: Array
+    orbits_N: Array
+    sun_N: Array
+    PN: Array
+    stations_P: Array
+    targets_P: Array
+    imaged: Array
+    aims_P: Array
+    links: Array
+    levels: dict[str, float]
+    time: float
+    limit: float
+    total: float
+    counts: dict[str, int]
+
+
+@torch.no_grad()
+def look(env: Tasking, row: int) -> Moment:
+    """The present of episode ``row`` of an environment."""
+    fleet = env.fleet
+    modes, world = _modes(env, row), env.simulator.world
+    first = row * env.simulator.count
+    r_LP_P, imaged, aims_P = _targets(env, row, modes)
+    r_N, v_N = (_of(env, row, name) for name in ("r_BN_N", "v_BN_N"))
+    silent = env.links is None or not bool(fleet.ticks[row])
+    links = torch.zeros(fleet.size, fleet.size, dtype=torch.bool) if silent else env.links[row]  # type: ignore[index]
+    return Moment(
+        names=list(fleet.names),
+        modes=modes,
+        r_N=_array(r_N),
+        orbits_N=_array(revolution(r_N, v_N)),
+        sun_N=_array(world.sun_direction_N[first]),
+        PN=_array(world.PN[first]),
+        stations_P=_array(_stations(fleet.simulators)),
+        targets_P=_array(r_LP_P),
+        imaged=_array(imaged),
+        aims_P=_array(aims_P),
+        links=_array(links),
+        levels=_levels(env, row),
+        time=float(fleet.sim_time[row]),
+        limit=float(env.time_limit[row]),
+        total=float(env.returns[row]),
+        counts={name: int(count[row].sum()) for name, count in env.counts().items()},
+    )
+
+
+def _array(value: Tensor) -> Array:
+    return value.cpu().numpy()
+
+
+def _of(env: Tasking, row: int, name: str) -> Tensor:
+    """A property of the dynamics for each satellite, [S, ...]; not a number for those without it."""
+    return env.fleet.each(lambda part: getattr(part.dynamics, name), missing=math.nan)[row]
+
+
+def revolution(r_N: Tensor, v_N: Tensor) -> Tensor:
+    """Positions [S, M, 3] m on the ellipses through [S, 3], from there on backwards and once around."""
+    now = Elements(*(x.unsqueeze(-1) for x in rv_to_elements(Vec3.of(r_N), Vec3.of(v_N))))
+    back = torch.linspace(0.0, 2.0 * math.pi, POINTS, dtype=r_N.dtype, device=r_N.device)
+    r, _ = elements_to_rv(Elements(*torch.broadcast_tensors(*now[:-1], now.f - back)))
+    return r.stack()
+
+
+def _modes(env: Tasking, row: int) -> list[str]:
+    modes = {}
+    for group in env.fleet.groups:
+        simulator, first = group.simulator, row * group.simulator.count
+        named = [command_of(simulator, name) for name in simulator.mode_names]
+        mine = slice(first, first + simulator.count)
+        for column, mode, dead in zip(
+            simulator.columns, simulator.mode[mine].tolist(), group.task.dead[mine].tolist(), strict=True
+        ):
+            modes[column] = DEAD if dead else named[mode]
+    return [modes[column] for column in range(env.fleet.size)]
+
+
+def command_of(simulator: Simulator, mode: str) -> str:
+    """Return the name of the command that enters a mode: ``"desat"`` for ``"desat_nadir"``, and mostly the mode's own."""
+    wider = (name for name, command in simulator.commands.items() if mode in command.modes and len(command.modes) > 1)
+    return next(wider, mode)
+
+
+def _stations(simulators: Iterable[Simulator]) -> Tensor:
+    """Earth-fixed positions [K, 3] of the ground stations, if anybody sees some."""
+    for simulator in simulators:
+        if simulator.access is not None and "ground_station" in simulator.access.kinds:
+            return simulator.access.kinds["ground_station"](simulator.state.all_rows).r_LP_P[0]
+    return torch.empty(0, 3, dtype=torch.float64)
+
+
+def _targets(env: Tasking, row: int, modes: list[str]) -> tuple[Tensor, Tensor, Tensor]:
+    """Positions of the targets [T, 3], which have been imaged [T], and where each satellite looks [S, 3]."""
+    nowhere = torch.full((env.fleet.size, 3), torch.nan, dtype=torch.float64)
+    scenario: Any = env.scenario
+    if not hasattr(scenario, "most_targets"):
+        return torch.empty(0, 3, dtype=torch.float64), torch.zeros(0, dtype=torch.bool), nowhere
+    r_LP_P, available = scenario.r_LP_P[row].cpu(), scenario.available[row].cpu()
+    imaged = env.rewarder.imaged[row].cpu() if hasattr(env.rewarder, "imaged") else torch.zeros_like(available)
+    target = env.fleet.each(lambda part: getattr(part, "latest_target", none(part)))[row].cpu()
+    looks = torch.tensor([mode == IMAGING for mode in modes]) & (target >= 0)
+    aims = torch.where(looks.unsqueeze(-1), r_LP_P[target.clamp(min=0)], nowhere)
+    shown = available | imaged
+    return r_LP_P[shown], imaged[shown], aims
+
+
+def none(part: Satellite) -> Tensor:
+    """Targets [N] of satellites that choose none."""
+    return torch.full_like(part.simulator.ticks, NONE)
+
+
+def _levels(env: Tasking, row: int) -> dict[str, float]:
+    levels = {}
+    for name, title in QUANTITIES.items():
+        there = [part for part in env.fleet.satellites if hasattr(type(part.dynamics), name)]
+        if there:
+            values = _of(env, row, name)
+            values = values[torch.isfinite(values)].abs()
+            levels[title] = float(values.min() if title == LOW else values.max())
+    return levels

@@ -1,0 +1,266 @@
+"""The report of a training run: one HTML page that needs nothing else."""
+
+from __future__ import annotations
+
+from base64 import b64encode
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from math import isfinite
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, NamedTuple
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+
+from bsk_torch.viz.figures.constellation import ConstellationEpisode, constellation_figure
+from bsk_torch.viz.figures.ground_track import ground_track
+from bsk_torch.viz.figures.timeline import timeline
+from bsk_torch.viz.figures.track_map import track_map
+from bsk_torch.viz.recorders.imaging import ImagingEpisode
+from bsk_torch.viz.recorders.track import TrackEpisode
+from bsk_torch.viz.report.curves import MARKED, MEASURES, Columns, Measure, curve, shown
+from bsk_torch.viz.report.deaths import deaths_chart, plain_cause
+
+TEMPLATE = "report.html.jinja"
+
+TRAINED = "trained"
+"""Name of the run's policy in the final evaluation."""
+
+PAPER_SPEED = "The paper reports 103,000 steps and 165.5 simulated days per core and hour (Apple M2 Pro)."
+"""Source: section 4.2 of the BSK-RL paper."""
+
+
+class Chosen(NamedTuple):
+    """An episode of a report: why it is shown ("best"), its number among those that were played, and what happened."""
+
+    why: str
+    number: int
+    episode: TrackEpisode | ConstellationEpisode
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunData:
+    """Contents of a report.
+
+    Attributes:
+        name: Of the run, such as its folder.
+        preset: Name of the environment.
+        log: Columns of the log of training; empty if there is none.
+        evaluations: Columns of the log of evaluations on fresh episodes, likewise.
+        results: Final evaluation: by policy ``return`` (``mean`` and ``half_width``) and, where known, ``survival``,
+            ``survival_interval``, ``collected``, ``fill``, ``deaths`` by cause, ``counts`` by name, ``episodes`` (how many) and
+            ``gain`` over other policies by name.
+        episodes: Episodes to be shown, in this order.
+        played: Number of fresh episodes that these were chosen from.
+        config: Settings by name.
+        facts: What else should be noted, by name: versions, machine.
+        command: Shell command that makes such a run.
+    """
+
+    name: str
+    preset: str
+    log: Columns
+    evaluations: Columns
+    results: Mapping[str, Mapping[str, Any]]
+    episodes: Sequence[Chosen] = ()
+    played: int = 0
+    config: Mapping[str, Any] = field(default_factory=dict)
+    facts: Mapping[str, str] = field(default_factory=dict)
+    command: str = ""
+
+    @property
+    def marked(self) -> bool:
+        """Whether the paper has trained in the same environment."""
+        return self.preset == MARKED
+
+
+class Shown(NamedTuple):
+    """A picture on the page: its address with everything in it, what it shows in a sentence, what stands in for it, its name."""
+
+    source: str
+    caption: str
+    alternative: str
+    title: str = ""
+
+
+def write_report(run: RunData, path: Path) -> Path:
+    """Write the report of ``run`` as an HTML page that needs no other file and no network; an older one is replaced.
+
+    Args:
+        run: What is reported.
+        path: The file to write.
+    """
+    page = Environment(
+        loader=PackageLoader("bsk_torch.viz.report", "."),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    html = page.get_template(TEMPLATE).render(
+        run=run,
+        trained=TRAINED,
+        summary=summary(run),
+        speed=PAPER_SPEED if run.marked else "",
+        curves=_curves(run),
+        table=table(run.results),
+        evaluated=next((result["episodes"] for result in run.results.values() if "episodes" in result), None),
+        deaths=_deaths(run.results),
+        episodes=[(chosen, _pictures(chosen)) for chosen in run.episodes],
+        settings={name: _setting(value) for name, value in run.config.items()},
+    )
+    part = path.with_suffix(".part")
+    part.write_text(html, encoding="utf-8")
+    part.replace(path)
+    return path
+
+
+# -- pictures --------------------------------------------------------------------------------------------------------------------
+
+
+def picture(draw: Callable[[Path], Path], caption: str, alternative: str, title: str = "") -> Shown:
+    """Return the picture that ``draw`` writes to a file, as an SVG within the page."""
+    with TemporaryDirectory() as folder:
+        data = draw(Path(folder) / "picture.svg").read_bytes()
+    return Shown(f"data:image/svg+xml;base64,{b64encode(data).decode()}", caption, alternative, title)
+
+
+def _curves(run: RunData) -> list[Shown]:
+    """The measures that there is something to show of."""
+    drawn = [measure for measure in MEASURES if shown(measure, run.log, run.evaluations)]
+    draw = {measure: partial(curve, measure, run.log, run.evaluations, marked=run.marked) for measure in drawn}
+    return [picture(draw[measure], _caption(measure, run.marked), _ends(measure, run), measure.title) for measure in drawn]
+
+
+def _caption(measure: Measure, marked: bool) -> str:
+    return f"{measure.about}{f', as figure {measure.figure} of the paper' if marked else ''}."
+
+
+def _ends(measure: Measure, run: RunData) -> str:
+    """A curve in words: where it begins and ends."""
+    part = run.evaluations if run.evaluations.get(measure.name) else run.log
+    values = [value for value in part[measure.name] if isfinite(value)]
+    return f"{measure.title} over training: from {values[0]:.3f} to {values[-1]:.3f} after {part['frames'][-1]:,.0f} steps."
+
+
+def _deaths(results: Mapping[str, Mapping[str, Any]]) -> Shown | None:
+    """Causes of death; None if no satellite died."""
+    deaths = {policy: result.get("deaths", {}) for policy, result in results.items()}
+    if not any(sum(counts.values()) for counts in deaths.values()):
+        return None
+    words = "; ".join(f"{policy}: {_listed(counts) or 'none'}" for policy, counts in deaths.items())
+    return picture(
+        partial(deaths_chart, deaths),
+        "Episodes of the final evaluation that ended with the loss of the satellite, by the limit that was broken.",
+        f"Bar chart of deaths by policy. {words}.",
+    )
+
+
+def _listed(counts: Mapping[str, int]) -> str:
+    return ", ".join(f"{n} {plain_cause(cause)}" for cause, n in counts.items() if n)
+
+
+def _pictures(chosen: Chosen) -> list[Shown]:
+    """The pictures of an episode."""
+    episode, words = chosen.episode, f"of the {chosen.why} episode: {chosen.episode.outcome}"
+    if isinstance(episode, ConstellationEpisode):
+        return [
+            picture(
+                partial(constellation_figure, episode, title="constellation"),
+                "Ground tracks and images of all satellites, contacts at the moment of most contacts, and tasks over time.",
+                f"World map with ground tracks {words}.",
+            )
+        ]
+    if isinstance(episode, ImagingEpisode):
+        text = (
+            "Where the satellite flew, what it imaged, ten minutes of that large, and decisions, reward and resources over time."
+        )
+        return [picture(partial(ground_track, episode), text, f"World map with ground track and targets {words}.")]
+    return [
+        picture(
+            partial(track_map, episode),
+            "Where the satellite flew: coloured by mode, thick where a reward was earned, shaded in eclipse.",
+            f"World map with the ground track {words}.",
+        ),
+        picture(
+            partial(timeline, episode),
+            "What the satellite did and what became of its resources, with eclipses in grey and station passes in green.",
+            f"Modes and resources over time {words}.",
+        ),
+    ]
+
+
+# -- words and numbers -----------------------------------------------------------------------------------------------------------
+
+
+def summary(run: RunData) -> dict[str, str]:
+    """The numbers at the top of the page, by name."""
+    trained = run.results.get(TRAINED, {})
+    told = {"return": interval(trained["return"])} if trained else {}
+    told |= {"survival": f"{trained['survival']:.1%}"} if _number(trained.get("survival")) else {}
+    if run.log:
+        seconds, frames, days = (run.log[name][-1] for name in ("seconds", "frames", "simulated_days"))
+        told |= {"steps": f"{frames:,.0f}", "training time": clock(seconds), "simulated days": f"{days:,.0f}"}
+        told |= {"steps per hour": f"{frames / seconds * 3600.0 / 1e6:,.1f} million"}
+    return told
+
+
+def clock(seconds: float) -> str:
+    """A time as people say it."""
+    minutes, rest = divmod(round(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    if hours:
+        return f"{hours} h {minutes:02d} min"
+    return f"{minutes} min {rest:02d} s" if minutes else f"{rest} s"
+
+
+def interval(estimate: Mapping[str, float], sign: str = "") -> str:
+    """A mean with the half width of its interval."""
+    return f"{estimate['mean']:{sign}.3f} ± {estimate['half_width']:.3f}".replace("-", "−")
+
+
+def table(results: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, str]]:
+    """Return the cells of the table of the final evaluation, by policy and column; columns without numbers are left out."""
+    gain = results.get(TRAINED, {}).get("gain", {})
+    mortal = any(result.get("deaths") for result in results.values())
+    rows = {policy: _row(result, mortal) | {f"gain of {TRAINED}": _gain(gain.get(policy))} for policy, result in results.items()}
+    columns = dict.fromkeys(name for row in rows.values() for name in row)
+    kept = [name for name in columns if any(row.get(name, "") for row in rows.values())]
+    return {policy: {name: row.get(name, "") or "–" for name in kept} for policy, row in rows.items()}
+
+
+def _row(result: Mapping[str, Any], mortal: bool) -> dict[str, str]:
+    """Return the cells of a policy, by column; ``collected`` is left out unless some satellite died (``mortal``)."""
+    row = {"return": interval(result["return"]), "survival": survival(result)}
+    for name, text in (("collected", "{:.3f}"),) * mortal + (("fill", "{:.1%}"),):
+        row[name] = text.format(result[name]) if _number(result.get(name)) else ""
+    row |= {name: f"{value:.1f}" for name, value in result.get("counts", {}).items()}
+    return row | {"deaths": _listed(result.get("deaths", {}))}
+
+
+def survival(result: Mapping[str, Any]) -> str:
+    """The share of episodes that a policy survived, with its interval where that is known."""
+    if not _number(result.get("survival")):
+        return ""
+    limits = " to ".join(f"{limit:.1%}" for limit in result.get("survival_interval", ()))
+    return f"{result['survival']:.1%}" + f" ({limits})" * bool(limits)
+
+
+def _gain(estimate: Mapping[str, float] | None) -> str:
+    return interval(estimate, "+") if estimate else ""
+
+
+def _number(value: Any) -> bool:
+    return isinstance(value, int | float) and isfinite(value)
+
+
+def _setting(value: Any) -> str:
+    """A setting as people write it."""
+    if isinstance(value, float):
+        return f"{value:g}"
+    if isinstance(value, Mapping):
+        return _setting([f"{name}={_setting(part)}" for name, part in value.items()])
+    if isinstance(value, list | tuple):
+        return ", ".join(_setting(part) for part in value) or "none"
+    return "none" if value is None else str(value)

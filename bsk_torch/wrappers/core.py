@@ -1,0 +1,117 @@
+"""Steps that all wrappers share: build the batched environment, check options, start episodes, render."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection
+from typing import Any, TypeVar
+
+import gymnasium
+import numpy as np
+import torch
+from gymnasium.error import ResetNeeded
+from tensordict import TensorDict, TensorDictBase
+from torch import Tensor
+
+from bsk_torch.env.base import Tasking
+from bsk_torch.presets import make
+
+Kind = TypeVar("Kind", bound=Tasking)
+
+RENDERING: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 10}
+"""Metadata of wrappers. A step lasts minutes, so ten frames in a second make a video slow enough."""
+
+SEEN = ("observation", "action_mask", "duration", "counts")
+"""Results of a step that environments keep while others are reset."""
+
+
+def build(core: Kind | str | Callable[..., Kind], options: dict[str, Any], kind: type[Kind]) -> Kind:
+    """Return the environment of a wrapper.
+
+    Args:
+        core: An environment, the name of a preset, or a function that returns an environment.
+        options: Arguments of the preset or function.
+        kind: Class that the wrapper needs.
+
+    Raises:
+        TypeError: For an environment of another class, or options that come with an environment that has been built.
+    """
+    if isinstance(core, Tasking):
+        if options:
+            raise TypeError(f"options {sorted(options)} come with a ready environment; give them to the environment instead")
+        env: Any = core
+    else:
+        env = make(core, **options) if isinstance(core, str) else core(**options)
+    if not isinstance(env, kind):
+        named = f"core={core!r} makes" if isinstance(core, str) else "core is or makes"
+        raise TypeError(f"{named} a {type(env).__name__}; this view needs a {kind.__name__}")
+    return env
+
+
+def check_options(options: dict[str, Any] | None, allowed: Collection[str]) -> dict[str, Any]:
+    """Return the options of a reset; ValueError for an unknown one."""
+    options = options or {}
+    unknown = sorted(set(options) - set(allowed))
+    if unknown:
+        raise ValueError(f"options has unknown keys {unknown}; allowed are {sorted(allowed)}")
+    return options
+
+
+def begin(core: Tasking, mask: Tensor, seen: TensorDictBase | None = None, state: TensorDictBase | None = None) -> TensorDictBase:
+    """Start new episodes, or restore a state of ``core.get_state()``.
+
+    Args:
+        core: The environment.
+        mask: Environments to start, [N] bool.
+        seen: Last results of all environments. Without it TorchRL's reset returns zeros for those outside ``mask``.
+        state: State to restore; None for new episodes.
+
+    Returns:
+        Results for all environments; ``seen`` itself is left alone.
+    """
+    call = TensorDict({}, core.batch_size, device=core.device) if seen is None else seen.select(*SEEN, strict=False).clone()
+    call["_reset"] = mask.unsqueeze(-1)
+    if state is not None:
+        call["state"] = state.clone()
+    return core.reset(call, set_state=state is not None)
+
+
+def read_actions(core: Tasking, action: Any) -> Tensor:
+    """Return actions [N] on the core's device; ValueError for another shape. The core checks their dtype and range."""
+    tensor = torch.as_tensor(action, device=core.device)
+    if tensor.shape != core.batch_size:
+        raise ValueError(f"action has shape {list(tensor.shape)}; it must be {list(core.batch_size)}, one per environment")
+    return tensor
+
+
+def as_numpy(value: Tensor) -> np.ndarray:
+    """Return a copy as an array."""
+    return value.cpu().numpy().copy()
+
+
+def map_leaves(value: Any, function: Callable[[Tensor], Any]) -> Any:
+    """Return ``function`` of an observation, or of every part of a named one, as nested dictionaries."""
+    if isinstance(value, Tensor):
+        return function(value)
+    return {name: map_leaves(part, function) for name, part in value.items()}
+
+
+def counts(seen: TensorDictBase) -> dict[str, Tensor]:
+    """Return the counters of an environment, such as images, by name; [N, S] int64 each."""
+    return dict(seen["counts"].items()) if "counts" in seen.keys() else {}  # noqa: SIM118  - a tensordict
+
+
+def parse_render_mode(mode: str | None) -> str | None:
+    """Return the render mode; ValueError for an unknown one."""
+    if mode is not None and mode not in RENDERING["render_modes"]:
+        raise ValueError(f"render_mode={mode!r} must be one of {RENDERING['render_modes']}, or None")
+    return mode
+
+
+def snapshots(core: Tasking, mode: str | None) -> tuple[np.ndarray, ...] | None:
+    """Return a picture of each environment, [480, 640, 3] uint8; None, with a warning, without a render mode."""
+    if mode is None:
+        gymnasium.logger.warn("render() draws nothing without a render mode; make the environment with render_mode='rgb_array'")
+        return None
+    if bool((core.episode < 0).any()):
+        raise ResetNeeded("render() needs an episode; call reset() first")
+    return tuple(core.render(rows=range(core.batch_size[0])).cpu().numpy())

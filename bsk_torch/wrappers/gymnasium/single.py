@@ -1,0 +1,116 @@
+"""Gymnasium's interface to one episode of one satellite."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, ClassVar
+
+import gymnasium
+import numpy as np
+import torch
+from gymnasium.error import ResetNeeded
+from tensordict import TensorDictBase
+
+from bsk_torch.env import SatelliteTasking
+from bsk_torch.wrappers.core import (
+    RENDERING,
+    as_numpy,
+    begin,
+    build,
+    check_options,
+    counts,
+    map_leaves,
+    parse_render_mode,
+    read_actions,
+    snapshots,
+)
+from bsk_torch.wrappers.spaces import action_space, observation_space
+
+Core = SatelliteTasking | str | Callable[..., SatelliteTasking]
+"""An environment, the name of a preset, or a function that returns an environment."""
+
+
+class GymEnv(gymnasium.Env[Any, Any]):
+    """One episode at a time, as ``gymnasium.Env``.
+
+    ``info`` has ``action_mask`` ([n] int8, 1 for legal actions), ``duration`` (of the step, s; also under bsk_rl's name
+    ``d_ts``), ``requires_retasking`` (bool), and the counters of satellite and rewarder, such as ``imaged`` and ``missed`` of
+    imaging satellites (int). The batched environment is :attr:`core`.
+
+    Example:
+        >>> env = GymEnv("NadirScan-v1", backend="eager", time_limit=600.0)
+        >>> observation, info = env.reset(seed=0)
+        >>> observation, reward, terminated, truncated, info = env.step(env.action_space.sample(info["action_mask"]))
+    """
+
+    metadata: ClassVar[dict[str, Any]] = RENDERING  # type: ignore[misc]
+
+    def __init__(self, core: Core, *, render_mode: str | None = None, **options: Any) -> None:
+        """Wrap an environment of one episode.
+
+        Args:
+            core: A :class:`~bsk_torch.env.SatelliteTasking` with ``num_envs=1``, the name of a preset, or a function that returns
+                such an environment.
+            render_mode: ``"rgb_array"`` for pictures by :meth:`render`, which need the extra ``viz``.
+            **options: Arguments for the preset or function, such as ``time_limit=600.0``.
+        """
+        self.render_mode = parse_render_mode(render_mode)
+        self.core = build(core, options, SatelliteTasking)
+        if self.core.batch_size != (1,):
+            raise ValueError(f"core has num_envs={self.core.batch_size[0]}; GymEnv needs 1, GymVectorEnv takes more")
+        self.observation_space = observation_space(self.core.observation_spec["observation"])
+        self.action_space = action_space(self.core)
+        self._running = False
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        """Start an episode.
+
+        Args:
+            seed: Begin with the first episode of this seed; None for the next episode of the present seed.
+            options: ``{"state": state}`` starts from a state of ``core.get_state()`` instead.
+        """
+        options = check_options(options, ("state",))
+        super().reset(seed=seed)
+        if seed is not None:
+            self.core.reseed(seed)
+        seen = begin(self.core, torch.ones_like(self.core.dead), state=options.get("state"))
+        self._running = True
+        return self._observation(seen), self._info(seen)
+
+    def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        """Carry out ``action`` until it ends, or an event, the time limit or ``max_step_duration`` ends the step.
+
+        Raises:
+            ResetNeeded: If no episode is running.
+            ValueError: For an action out of range.
+            TypeError: For an action that is no integer.
+        """
+        if not self._running:
+            raise ResetNeeded("step() needs a running episode; call reset() first")
+        actions = read_actions(self.core, torch.as_tensor(action).reshape(-1))
+        seen = self.core.play(actions)
+        terminated, truncated = bool(seen["terminated"]), bool(seen["truncated"])
+        self._running = not (terminated or truncated)
+        return self._observation(seen), float(seen["reward"]), terminated, truncated, self._info(seen)
+
+    def render(self) -> np.ndarray | None:
+        """Return a picture of the present state, [480, 640, 3] uint8; see :meth:`bsk_torch.env.base.Tasking.render`."""
+        pictures = snapshots(self.core, self.render_mode)
+        return pictures[0] if pictures else None
+
+    def action_masks(self) -> np.ndarray:
+        """Return which actions are legal now, [n] bool; sb3-contrib calls a method of this name."""
+        return as_numpy(self.core.satellite.action_mask()[0])
+
+    def _observation(self, seen: TensorDictBase) -> Any:
+        return map_leaves(seen["observation"][0], as_numpy)
+
+    def _info(self, seen: TensorDictBase) -> dict[str, Any]:
+        duration = float(seen["duration"])
+        return {
+            "action_mask": as_numpy(seen["action_mask"][0]).astype(np.int8),
+            "duration": duration,
+            "d_ts": duration,
+            "requires_retasking": bool(self.core.requires_retasking[0]),
+            **{name: int(count) for name, count in counts(seen).items()},
+        }

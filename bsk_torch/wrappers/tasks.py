@@ -1,0 +1,53 @@
+"""Actions, masks and infos of the single satellites of a constellation."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from tensordict import TensorDictBase
+from torch import Tensor
+
+from bsk_torch.env import NO_ACTION, ConstellationTasking
+from bsk_torch.sats.satellite import Satellite
+from bsk_torch.wrappers.core import as_numpy, counts
+
+
+def read_task(where: str, value: Any, satellite: Satellite, extra: int = 0) -> int:
+    """Return a satellite's action as the environment takes it; ``NO_ACTION`` for None.
+
+    Args:
+        where: Name of the argument, for messages.
+        value: An integer, also as an array or tensor without dimensions; or None to continue the present task.
+        satellite: The satellite, as it lives in the environment.
+        extra: Number of actions after the satellite's own that also continue the task.
+
+    Raises:
+        TypeError: For a value that is no integer.
+        ValueError: For an action out of range.
+    """
+    n, negative = satellite.actions.n_actions, satellite.actions.n_negative_actions
+    if value is None:
+        return NO_ACTION
+    if isinstance(value, np.ndarray | Tensor) and value.ndim == 0:
+        value = value.item()
+    if isinstance(value, bool) or not isinstance(value, int | np.integer):
+        raise TypeError(f"{where} is {value!r}; it must be an integer, or None to go on with the task")
+    if value != NO_ACTION and not -negative <= value < n + extra:
+        names = [f"{k}: {name}" for k, name in enumerate(satellite.action_description)]
+        names += [f"-1 to {-negative}: a target by its index"] if negative else []
+        names += [f"{n} or None: go on" if extra else "None: go on"]
+        raise ValueError(f"{where} is {value}; it must be one of {', '.join(names)}")
+    return int(value)
+
+
+def legal_tasks(core: ConstellationTasking) -> list[np.ndarray]:
+    """Return which actions are legal as new tasks, [count, n_actions] int8 for each type of satellites."""
+    return [as_numpy(part.action_mask()).astype(np.int8) for part in core.satellites]
+
+
+def satellite_infos(core: ConstellationTasking, seen: TensorDictBase) -> list[dict[str, Any]]:
+    """Return the info of each satellite: whether it needs a task, and its counters."""
+    counted = {name: count[0].tolist() for name, count in counts(seen).items()}
+    idle = core.requires_retasking[0].tolist()
+    return [{"requires_retasking": idle[k], **{name: count[k] for name, count in counted.items()}} for k in range(len(idle))]

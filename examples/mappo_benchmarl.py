@@ -1,0 +1,99 @@
+"""Train a small constellation with BenchMARL's MAPPO or IPPO, and compare it with rules on fresh episodes.
+
+It needs BenchMARL without the older TorchRL that it asks for:
+
+    pip install --no-deps benchmarl==1.5.2
+    python examples/mappo_benchmarl.py --iterations 60
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from bsk_torch.rl.evaluation import FRESH, compare, comparison_table, evaluate
+
+# first, since it lets BenchMARL import newer versions of TorchRL
+from bsk_torch.rl.marl.benchmarl import ConstellationTask
+
+# isort: split
+from benchmarl.algorithms import IppoConfig, MappoConfig
+from benchmarl.experiment import Experiment, ExperimentConfig
+from benchmarl.models.mlp import MlpConfig
+
+ALGORITHMS = {"mappo": MappoConfig, "ippo": IppoConfig}
+
+
+def experiment_config(options: argparse.Namespace) -> ExperimentConfig:
+    """BenchMARL's settings for batched environments with steps of minutes."""
+    config = ExperimentConfig.get_from_yaml()
+    changes: dict[str, Any] = dict(
+        gamma=options.gamma,
+        lr=7e-4,
+        max_n_iters=options.iterations,
+        max_n_frames=None,
+        on_policy_n_envs_per_worker=options.num_envs,
+        on_policy_collected_frames_per_batch=options.num_envs * options.rollout,
+        on_policy_minibatch_size=1024,
+        on_policy_n_minibatch_iters=4,
+        evaluation=False,
+        render=False,
+        loggers=["csv"],
+        create_json=False,
+        save_folder=str(options.out),
+    )
+    for name, value in changes.items():
+        setattr(config, name, value)
+    return config
+
+
+def make_experiment(options: argparse.Namespace) -> Experiment:
+    """The training, ready to run."""
+    world = {name: getattr(options, name) for name in ("n_satellites", "n_planes", "n_targets", "time_limit")}
+    algorithm, model = ALGORITHMS[options.algorithm].get_from_yaml(), MlpConfig.get_from_yaml()
+    algorithm.entropy_coef, model.num_cells = 0.01, [256, 256]
+    return Experiment(
+        task=ConstellationTask.CONSTELLATION.get_task({"options": world}),
+        algorithm_config=algorithm,
+        model_config=model,
+        seed=options.seed,
+        config=experiment_config(options),
+    )
+
+
+def arguments() -> argparse.Namespace:
+    """Parse the command line."""
+    parser = argparse.ArgumentParser(description="Train a constellation with BenchMARL.")
+    parser.add_argument("--algorithm", default="mappo", choices=sorted(ALGORITHMS))
+    parser.add_argument("--iterations", type=int, default=60, help="batches to collect and learn from")
+    parser.add_argument("--num-envs", type=int, default=128, help="episodes at once")
+    parser.add_argument("--rollout", type=int, default=32, help="steps of each between two updates")
+    parser.add_argument("--gamma", type=float, default=0.99, help="discount per step")
+    parser.add_argument("--n-satellites", type=int, default=4)
+    parser.add_argument("--n-planes", type=int, default=2)
+    parser.add_argument("--n-targets", type=int, default=1000)
+    parser.add_argument("--time-limit", type=float, default=2850.0, help="length of an episode, s")
+    parser.add_argument("--episodes", type=int, default=256, help="fresh episodes for every evaluation")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--out", type=Path, default=Path("runs"), help="folder for BenchMARL's logs")
+    return parser.parse_args()
+
+
+def main() -> None:
+    """Evaluate, train, evaluate."""
+    options = arguments()
+    torch.set_num_threads(1)
+    options.out.mkdir(parents=True, exist_ok=True)
+    experiment = make_experiment(options)
+    env = experiment.task.get_env_fun(options.episodes, False, options.seed, "cpu")()
+    untrained = evaluate(experiment.policy, env, seed=options.seed + FRESH)
+    experiment.run()
+    results = compare({options.algorithm: experiment.policy}, env, options.seed)
+    print(comparison_table(results | {"untrained": untrained}))
+
+
+if __name__ == "__main__":
+    main()

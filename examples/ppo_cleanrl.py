@@ -1,0 +1,245 @@
+"""PPO in one file, in the manner of CleanRL, on the Gymnasium vector environment: torch only, masked, with time-aware discount.
+
+    python examples/ppo_cleanrl.py
+    python examples/ppo_cleanrl.py --preset AEOSPower-v1 --num-envs 256 --rollout 32 --gamma 0.997
+
+Decisions last different times, so gamma is a discount per second: after a step of t seconds the future counts gamma^t.
+``info["duration"]`` tells t, ``info["action_mask"]`` which actions are legal.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import torch
+from torch import Tensor, nn
+from torch.distributions import Categorical
+
+import bsk_torch  # noqa: F401  - registers the presets with Gymnasium
+
+FRESH = 1_000_003
+"""Added to the seed of training to get that of evaluation, whose episodes are then new to the agent."""
+
+LEAST = 0.05
+"""Fraction of learning rate and entropy weight that is left at the end."""
+
+
+# -- agent ------------------------------------------------------------------------------------------------------------
+
+
+class Agent(nn.Module):
+    """Actor and critic, on observations that are normalised by what has been seen so far."""
+
+    def __init__(self, n_observed: int, n_actions: int, hidden: int) -> None:
+        """Networks of two layers of ``hidden`` units; the untrained actor is nearly uniform."""
+        super().__init__()
+        self.actor, self.critic = (
+            nn.Sequential(
+                nn.Linear(n_observed, hidden), nn.Tanh(), nn.Linear(hidden, hidden), nn.Tanh(), nn.Linear(hidden, n_out)
+            )
+            for n_out in (n_actions, 1)
+        )
+        nn.init.orthogonal_(self.actor[-1].weight, 0.01)
+        self.register_buffer("count", torch.ones((), dtype=torch.float64))
+        self.register_buffer("mean", torch.zeros(n_observed, dtype=torch.float64))
+        self.register_buffer("square", torch.ones(n_observed, dtype=torch.float64))
+
+    def look(self, observation: Tensor) -> None:
+        """Take observations [..., F] into account in the normalisation."""
+        rows = observation.flatten(0, -2).double()
+        self.count += len(rows)
+        self.mean += (rows.mean(0) - self.mean) * len(rows) / self.count
+        self.square += (rows.square().mean(0) - self.square) * len(rows) / self.count
+
+    def normalised(self, observation: Tensor) -> Tensor:
+        """Observations [..., F] of mean 0 and variance 1, within ten standard deviations."""
+        deviation = (self.square - self.mean.square()).clamp(min=1e-8).sqrt()
+        return ((observation - self.mean) / deviation).clamp(-10.0, 10.0).float()
+
+    def policy(self, observation: Tensor, mask: Tensor) -> Categorical:
+        """Distribution over the actions that ``mask`` [..., n] allows."""
+        logits = self.actor(self.normalised(observation))
+        return Categorical(logits=logits.masked_fill(~mask, torch.finfo(logits.dtype).min))
+
+    def value(self, observation: Tensor) -> Tensor:
+        """Expected return from observations [..., F], [...]."""
+        return self.critic(self.normalised(observation)).squeeze(-1)
+
+
+# -- experience -------------------------------------------------------------------------------------------------------
+
+
+@dataclass
+class Step:
+    """A step of N environments, each [N, ...]; ``following`` is the value of what came next, 0 after a terminal state."""
+
+    observation: Tensor
+    mask: Tensor
+    action: Tensor
+    log_prob: Tensor
+    value: Tensor
+    reward: Tensor
+    seconds: Tensor
+    ended: Tensor
+    following: Tensor
+
+
+class Collector:
+    """Plays on in the vector environment, and remembers how the last episodes went."""
+
+    def __init__(self, env: gymnasium.vector.VectorEnv, agent: Agent, seed: int) -> None:
+        """Begin with the first episodes of ``seed``."""
+        self.env, self.agent = env, agent
+        self.observation, self.info = env.reset(seed=seed)
+        self.running = torch.zeros(env.num_envs, dtype=torch.float64)
+        self.returns: list[float] = []
+
+    @torch.no_grad()
+    def step(self) -> Step:
+        """Let every environment do an action of the agent."""
+        observation, mask = self.observation, self.info["action_mask"].bool()
+        chosen = self.agent.policy(observation, mask)
+        action = chosen.sample()
+        self.observation, reward, terminated, truncated, self.info = self.env.step(action)
+        ended = terminated | truncated
+        self._count(reward, ended)
+        last = self.info.get("final_obs", self.observation)  # environments that have ended show their next episode already
+        seconds = torch.where(ended, self.info.get("final_info", self.info)["duration"], self.info["duration"])
+        following = self.agent.value(torch.where(ended.unsqueeze(-1), last, self.observation)).masked_fill(terminated, 0.0)
+        value = self.agent.value(observation)
+        return Step(observation, mask, action, chosen.log_prob(action), value, reward, seconds, ended, following)
+
+    def _count(self, reward: Tensor, ended: Tensor) -> None:
+        self.running += reward
+        self.returns = (self.returns + self.running[ended].tolist())[-len(ended) :]
+        self.running = self.running.masked_fill(ended, 0.0)
+
+
+def advantages(steps: list[Step], gamma: float, lmbda: float) -> Tensor:
+    """Generalised advantages [T, N] with ``gamma`` per second and ``lmbda`` per decision."""
+    result, later = [], torch.zeros_like(steps[0].value)
+    for step in reversed(steps):
+        discount = (gamma ** step.seconds.double()).float()
+        surprise = discount * (step.reward + step.following) - step.value
+        later = surprise + discount * lmbda * later.masked_fill(step.ended, 0.0)
+        result.append(later)
+    return torch.stack(result[::-1])
+
+
+# -- learning ---------------------------------------------------------------------------------------------------------
+
+
+def learn(agent: Agent, optimiser: torch.optim.Optimizer, steps: list[Step], options: argparse.Namespace, left: float) -> None:
+    """Several passes over the steps of a rollout; ``left`` is the fraction of the entropy's weight."""
+    advantage = advantages(steps, options.gamma, options.lmbda)
+    names = ("observation", "mask", "action", "log_prob", "value")
+    batch = {name: torch.stack([getattr(step, name) for step in steps]).flatten(0, 1) for name in names}
+    batch |= {"advantage": advantage.flatten(), "target": advantage.flatten() + batch["value"]}
+    for _ in range(options.epochs):
+        for rows in torch.randperm(len(advantage.flatten())).split(options.minibatch):
+            loss = ppo_loss(agent, {name: value[rows] for name, value in batch.items()}, options.clip, options.entropy * left)
+            optimiser.zero_grad()
+            loss.backward()
+            nn.utils.clip_grad_norm_(agent.parameters(), options.gradient_norm)
+            optimiser.step()
+    agent.look(batch["observation"])  # only now, since the probabilities that were noted are those of the old normalisation
+
+
+def ppo_loss(agent: Agent, part: dict[str, Tensor], clip: float, entropy: float) -> Tensor:
+    """Clipped surrogate, squared error of the values, and a bonus for entropy."""
+    policy = agent.policy(part["observation"], part["mask"])
+    ratio = (policy.log_prob(part["action"]) - part["log_prob"]).exp()
+    advantage = (part["advantage"] - part["advantage"].mean()) / (part["advantage"].std() + 1e-8)
+    gain = torch.minimum(ratio * advantage, ratio.clamp(1.0 - clip, 1.0 + clip) * advantage).mean()
+    error = (agent.value(part["observation"]) - part["target"]).square().mean()
+    return error - gain - entropy * policy.entropy().mean()
+
+
+# -- evaluation -------------------------------------------------------------------------------------------------------
+
+
+@torch.no_grad()
+def evaluate(env: gymnasium.vector.VectorEnv, agent: Agent | None, seed: int) -> tuple[Tensor, Tensor]:
+    """Play one episode in each environment: returns [N] and whether the time limit ended them [N]. Without agent, at random."""
+    observation, info = env.reset(seed=seed)
+    returns, over, lasted = (torch.zeros(env.num_envs, dtype=kind) for kind in (torch.float64, torch.bool, torch.bool))
+    while not bool(over.all()):
+        mask = info["action_mask"]
+        policy = Categorical(probs=mask.float()) if agent is None else agent.policy(observation, mask.bool())
+        action = policy.sample() if agent is None else policy.probs.argmax(-1)
+        observation, reward, terminated, truncated, info = env.step(action)
+        returns += torch.where(over, 0.0, reward)
+        lasted = lasted | (truncated & ~over)
+        over = over | terminated | truncated
+    return returns, lasted
+
+
+def show(title: str, returns: Tensor, lasted: Tensor) -> None:
+    """Print the mean return of an evaluation with its 95 % confidence interval, and the survival."""
+    half = 1.96 * returns.std() / len(returns) ** 0.5
+    print(f"{title:>10}: return {returns.mean():.3f} ± {half:.3f}, survival {lasted.double().mean():.1%}")
+
+
+def arguments() -> argparse.Namespace:
+    """Parse the command line."""
+    parser = argparse.ArgumentParser(description="PPO in one file, on the Gymnasium vector environment.")
+    parser.add_argument("--preset", default="NadirScan-v1", help="environment with one satellite that observes a vector")
+    parser.add_argument("--steps", type=int, default=2_000_000, help="decisions to learn from")
+    parser.add_argument("--num-envs", type=int, default=1024, help="episodes at once")
+    parser.add_argument("--rollout", type=int, default=16, help="decisions of each between two updates")
+    parser.add_argument("--hidden", type=int, default=64, help="width of the two hidden layers")
+    parser.add_argument("--learning-rate", type=float, default=2.5e-3, help="at the start; it falls linearly")
+    parser.add_argument("--gamma", type=float, default=0.99999, help="discount per second")
+    parser.add_argument("--lmbda", type=float, default=0.95, help="decay of the advantage estimator, per decision")
+    parser.add_argument("--clip", type=float, default=0.2, help="largest change of an action's probability ratio")
+    parser.add_argument("--entropy", type=float, default=0.01, help="weight of the entropy at the start; it falls linearly")
+    parser.add_argument("--epochs", type=int, default=8, help="passes over a rollout")
+    parser.add_argument("--minibatch", type=int, default=2048, help="decisions in a gradient step")
+    parser.add_argument("--gradient-norm", type=float, default=0.5, help="gradients are scaled down to this norm")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--episodes", type=int, default=1024, help="fresh episodes for every evaluation")
+    parser.add_argument("--time-limit", type=float, help="length of an episode, s, instead of the preset's")
+    parser.add_argument("--backend", default="compiled", choices=["compiled", "eager"])
+    parser.add_argument("--out", type=Path, help="file for the agent's weights")
+    options = parser.parse_args()
+    known = [name for name, spec in gymnasium.registry.items() if name.startswith("bsk_torch/") and spec.vector_entry_point]
+    if f"bsk_torch/{options.preset}" not in known:
+        names = ", ".join(name.removeprefix("bsk_torch/") for name in known)
+        parser.error(f"--preset {options.preset!r} is no environment of one satellite; these are {names}")
+    return options
+
+
+def main() -> None:
+    """Train and evaluate."""
+    options = arguments()
+    torch.set_num_threads(1)
+    torch.manual_seed(options.seed)
+    world: dict[str, Any] = {} if options.time_limit is None else {"time_limit": options.time_limit}
+    world |= {"backend": options.backend, "output": "torch", "autoreset_mode": "SameStep"}
+    env_id = f"bsk_torch/{options.preset}"
+    env = gymnasium.make_vec(env_id, num_envs=options.num_envs, **world)
+    agent = Agent(env.single_observation_space.shape[0], int(env.single_action_space.n), options.hidden)
+    optimiser = torch.optim.Adam(agent.parameters(), options.learning_rate, eps=1e-5)
+    collector = Collector(env, agent, options.seed)
+    per_update, begin = options.num_envs * options.rollout, time.perf_counter()
+    for update in range(max(1, options.steps // per_update)):
+        left = max(LEAST, 1.0 - update * per_update / options.steps)
+        optimiser.param_groups[0]["lr"] = options.learning_rate * left
+        learn(agent, optimiser, [collector.step() for _ in range(options.rollout)], options, left)
+        if update % 10 == 9 and collector.returns:
+            recent = sum(collector.returns) / len(collector.returns)
+            print(f"{(update + 1) * per_update:>9} steps, {time.perf_counter() - begin:4.0f} s: return {recent:.3f}")
+    fresh = gymnasium.make_vec(env_id, num_envs=options.episodes, **world)
+    show("random", *evaluate(fresh, None, options.seed + FRESH))
+    show("trained", *evaluate(fresh, agent, options.seed + FRESH))
+    if options.out is not None:
+        torch.save(agent.state_dict(), options.out)
+
+
+if __name__ == "__main__":
+    main()

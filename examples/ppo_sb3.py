@@ -1,0 +1,107 @@
+"""Train with sb3-contrib's MaskablePPO, and compare it with random actions and the rules on fresh episodes.
+
+It needs Stable-Baselines3: pip install 'bsk_torch[sb3]'
+
+    python examples/ppo_sb3.py
+    python examples/ppo_sb3.py --preset AEOSPower-v1 --gamma 0.95 --rollout 32 --num-envs 256
+
+Stable-Baselines3 discounts per decision: a step of a minute counts as much as one of three. The trainings of bsk_torch.rl and of
+examples/ppo_cleanrl.py discount per second.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import torch
+from sb3_contrib import MaskablePPO
+from stable_baselines3.common.utils import LinearSchedule
+from stable_baselines3.common.vec_env import VecMonitor, VecNormalize
+from tensordict.nn import TensorDictModule
+from torch import Tensor
+
+from bsk_torch.presets import make
+from bsk_torch.rl.evaluation import compare, comparison_table
+from bsk_torch.wrappers.stable_baselines3 import SB3VecEnv
+
+LEAST = 0.05
+"""Fraction of the learning rate that is left at the end."""
+
+
+def make_env(options: argparse.Namespace, world: dict[str, Any]) -> VecNormalize:
+    """The environment to train in, with episodes on record and observations of mean 0 and variance 1."""
+    return VecNormalize(VecMonitor(SB3VecEnv(options.preset, options.num_envs, **world)), norm_reward=False)
+
+
+def make_model(options: argparse.Namespace, env: VecNormalize) -> MaskablePPO:
+    """MaskablePPO with the settings of :mod:`bsk_torch.rl.training.ppo`, as far as it has them."""
+    rate = options.learning_rate
+    return MaskablePPO(
+        "MlpPolicy",
+        env,
+        learning_rate=LinearSchedule(rate, LEAST * rate, 1.0),
+        n_steps=options.rollout,
+        batch_size=min(2048, options.num_envs * options.rollout),
+        n_epochs=8,
+        gamma=options.gamma,
+        ent_coef=0.01,
+        policy_kwargs={"net_arch": [64, 64]},
+        seed=options.seed,
+        device="cpu",
+        verbose=1,
+    )
+
+
+def as_policy(model: MaskablePPO, env: VecNormalize) -> TensorDictModule:
+    """The model's most probable actions, as what :func:`bsk_torch.rl.evaluation.evaluate` plays."""
+
+    def choose(observation: Tensor, action_mask: Tensor) -> Tensor:
+        seen = env.normalize_obs(observation.numpy())
+        actions, _ = model.predict(seen, deterministic=True, action_masks=action_mask.numpy())
+        return torch.as_tensor(actions)
+
+    return TensorDictModule(choose, in_keys=["observation", "action_mask"], out_keys=["action"])
+
+
+def arguments() -> argparse.Namespace:
+    """Parse the command line."""
+    parser = argparse.ArgumentParser(description="Train with sb3-contrib's MaskablePPO.")
+    parser.add_argument("--preset", default="NadirScan-v1", help="environment with one satellite that observes a vector")
+    parser.add_argument("--steps", type=int, default=2_000_000, help="decisions to learn from")
+    parser.add_argument("--num-envs", type=int, default=1024, help="episodes at once")
+    parser.add_argument("--rollout", type=int, default=16, help="decisions of each between two updates")
+    parser.add_argument("--learning-rate", type=float, default=2.5e-3, help="at the start; it falls linearly")
+    parser.add_argument("--gamma", type=float, default=0.999, help="discount per decision")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--episodes", type=int, default=1024, help="fresh episodes for every evaluation")
+    parser.add_argument("--time-limit", type=float, help="length of an episode, s, instead of the preset's")
+    parser.add_argument("--backend", default="compiled", choices=["compiled", "eager"])
+    parser.add_argument("--out", type=Path, help="folder for the model; a new one in runs/ unless given")
+    return parser.parse_args()
+
+
+def main() -> None:
+    """Train, save, evaluate."""
+    options = arguments()
+    torch.set_num_threads(1)
+    world = {"backend": options.backend} | ({} if options.time_limit is None else {"time_limit": options.time_limit})
+    env = make_env(options, world)
+    model = make_model(options, env)
+    begin = time.perf_counter()
+    model.learn(options.steps, log_interval=10)
+    seconds = time.perf_counter() - begin
+    out = options.out or Path("runs") / f"{options.preset}_sb3_{datetime.now():%Y%m%d-%H%M%S}"
+    out.mkdir(parents=True, exist_ok=True)
+    model.save(out / "model.zip")
+    env.save(str(out / "normalize.pkl"))
+    fresh = make(options.preset, num_envs=options.episodes, **world)
+    print(comparison_table(compare({"MaskablePPO": as_policy(model, env)}, fresh, options.seed)))
+    print(f"{model.num_timesteps} decisions in {seconds:.0f} s; the model and what normalises its observations are in {out}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,128 @@
+"""Policies that fly, trained ones and baselines, the same in bsk_torch and on Basilisk."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from flight import Pilot
+from tensordict import TensorDict
+from tensordict.nn import TensorDictModuleBase
+from torch import Tensor
+from torchrl.envs.utils import ExplorationType, set_exploration_type
+
+from bsk_torch.env import SatelliteTasking
+from bsk_torch.presets import make
+from bsk_torch.rl.policies.files import check_fits, load_policy, read_card
+from bsk_torch.rl.rules.baselines import BASELINES
+from bsk_torch.sim.params import nearest
+
+FLOWN = "NadirScan-v1", "AEOS-v1", "AEOSPower-v1"
+"""Presets that ``flight_basilisk.py`` can build; the first one unless asked otherwise."""
+
+RANDOM = "random"
+"""Name of the policy whose actions depend on the episode's seed and the number of the decision only."""
+
+TARGET = "target"
+"""Name of the observation of targets."""
+
+
+@dataclass(frozen=True)
+class Flyer:
+    """A policy and the environment that it flies in: what a run has kept, or a baseline in a preset.
+
+    ``options`` are arguments of the preset. Where they ask for targets ``as_set``, both sides observe a vector like bsk_rl, and
+    :func:`as_sets` makes of it what the policy is used to.
+    """
+
+    policy: str
+    preset: str
+    options: dict[str, Any]
+
+    def environment(self, num_envs: int, **options: Any) -> SatelliteTasking:
+        """The environment with float64 outputs: rewards are then summed, and observations compared, without rounding."""
+        where = {"num_envs": num_envs, "env_ids": [0] * num_envs, "dtype": torch.float64, "device": "cpu"}
+        asked = self.options | options
+        return make(self.preset, **(asked | where | ({"as_set": False} if "as_set" in asked else {})))
+
+    def check(self) -> None:
+        """ValueError or KeyError where the policy does not fit its environment."""
+        if self.preset not in FLOWN:
+            raise ValueError(f"preset {self.preset!r} cannot be flown on Basilisk; {', '.join(FLOWN)} can")
+        if self.policy in BASELINES:
+            self.pilot(())
+            return
+        try:
+            env = make(self.preset, **(self.options | {"backend": "eager"}))
+        except TypeError as error:
+            raise ValueError(
+                f"preset {self.preset!r} does not take the options of the training, {self.options}: {error}"
+            ) from error
+        check_fits(read_card(self.policy), env, self.preset)
+
+    def pilot(self, observed: Sequence[str]) -> Pilot:
+        """Return the pilot, the same on both sides; ``observed`` names the entries of the observation."""
+        if self.policy == RANDOM:
+            return random_action
+        if self.policy in BASELINES:
+            return policy_pilot(BASELINES[self.policy](self.environment(1, backend="eager"), 0))
+        return policy_pilot(load_policy(self.policy), observed if self.options.get("as_set") else ())
+
+
+def recruit(policy: str, preset: str | None) -> Flyer:
+    """Return the policy that a command line names.
+
+    Raises:
+        ValueError: Where nothing is called so, or a file does not say what this version has to know.
+    """
+    if policy in BASELINES:
+        return Flyer(policy, preset or FLOWN[0], {})
+    try:
+        card = read_card(policy)
+    except FileNotFoundError as error:
+        raise ValueError(f"POLICY={policy!r} is no baseline either: {nearest(policy, BASELINES)}; {error}") from error
+    return Flyer(policy, preset or card["preset"], card["options"])
+
+
+def random_action(seen: TensorDict, seeds: Sequence[int], step: int) -> tuple[Tensor, Tensor]:
+    """Legal actions with equal probability, drawn from the episode's seed and the decision's number only."""
+    legal = seen["action_mask"].cumsum(-1)
+    draws = [np.random.default_rng((seed, step)).random() for seed in seeds]
+    chosen = torch.tensor(draws, dtype=torch.float64) * legal[:, -1]
+    return (legal <= chosen.unsqueeze(-1)).sum(-1), seen["action_mask"].new_zeros(len(seeds), 0, dtype=torch.float64)
+
+
+def policy_pilot(policy: TensorDictModuleBase, observed: Sequence[str] = ()) -> Pilot:
+    """The most probable action of a policy, which sees observations in float32 as in training, ``as_sets`` if they are named."""
+
+    def decide(seen: TensorDict, seeds: Sequence[int], step: int) -> tuple[Tensor, Tensor]:
+        vector = seen["observation"].float()
+        what = as_sets(vector, observed) if observed else vector
+        with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
+            done = policy(TensorDict({"observation": what, "action_mask": seen["action_mask"]}, seen.batch_size))
+        return done["action"], done.get("logits", torch.zeros(len(seeds), 0)).double()
+
+    return decide
+
+
+def as_sets(vector: Tensor, observed: Sequence[str]) -> TensorDict:
+    """Return the observations of presets with ``as_set=True`` from the vector [n, F] of those without, whose entries are named.
+
+    Targets become ``rows`` [n, T, features] with a ``mask`` [n, T], which is 0 for repetitions of the last target.
+    """
+    columns: dict[tuple[str, ...], list[int]] = {}
+    for k, name in enumerate(observed):
+        path = tuple(name.partition("[")[0].split("."))
+        columns.setdefault((TARGET, "rows") if path[0] == TARGET else path, []).append(k)
+    parts = TensorDict({}, vector.shape[:1])
+    for path, where in columns.items():
+        parts[path] = vector[:, where] if "[" in observed[where[0]] else vector[:, where[0]]
+    if (TARGET, "rows") in columns:
+        count = len({name.split(".")[1] for name in observed if name.startswith(f"{TARGET}.")})
+        rows = vector[:, columns[TARGET, "rows"]].unflatten(1, (count, -1))
+        new = (rows[:, 1:] != rows[:, :-1]).any(-1)
+        parts[TARGET, "rows"], parts[TARGET, "mask"] = rows, torch.cat([new[:, :1] | True, new], 1).to(vector.dtype)
+    return parts

@@ -1,0 +1,109 @@
+"""Constellations on the command line, from training to the report."""
+
+import json
+
+import pytest
+
+from bsk_torch.rl.marl import MAPPOConfig, read_config
+from bsk_torch.rl.policies import load_policy
+from bsk_torch.rl.training.log import read_log
+
+pytestmark = pytest.mark.compiled
+
+SMALL = ("options.n_satellites=3", "options.n_planes=1", "options.phasing=0", "options.n_targets=300")
+SHORT = ("--time-limit", "400", "--episodes", "2", "num_envs=2", "rollout=8")
+RULES = ["random", "greedy", "nearest", "hasty"]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """An empty folder for the tests of this module, which build upon each other's results."""
+    return tmp_path_factory.mktemp("runs") / "ippo"
+
+
+@pytest.fixture
+def trained(run, folder):
+    """Folder of a run, which is trained once."""
+    if not folder.exists():
+        result = run("train", "Constellation-v1", "--algorithm", "ippo", "--frames", 32, *SMALL, *SHORT, "--out", folder)
+        assert result.exit_code == 0, result.output
+    return folder
+
+
+def test_training_compares_with_the_rules_and_draws(trained):
+    names = {"checkpoint.pt", "config.yaml", "evaluation.json", "evaluations.csv", "log.csv", "policy.pt"}
+    assert {path.name for path in trained.iterdir()} >= names | {"learning_curve.png", "constellation.png"}
+    kept = json.loads((trained / "evaluation.json").read_text())
+    assert list(kept) == [*RULES, "untrained", "trained"]
+    assert kept["nearest"]["counts"]["imaged"] > 0.0
+    config = read_config(trained)
+    assert isinstance(config, MAPPOConfig)
+    assert (config.algorithm, config.options["as_set"], config.options["n_satellites"]) == ("ippo", True, 3)
+    assert load_policy(trained).in_keys
+
+
+def test_policies_are_evaluated_and_shielded(run, trained, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend("")
+    (tmp_path / "first_target.py").write_text(
+        "from bsk_torch.act import allow_only\n\n\n"
+        "def rule(see, actions):\n"
+        "    return allow_only(actions, actions[0], where=see.observation['time'] >= 0.0)\n"
+    )
+    out = ("--out", "e.json", "--episodes-out", "e.csv")
+    result = run("eval", trained, "--seeds", "0:3", "--time-limit", "400", "--shield", "first_target:rule", *out)
+    assert result.exit_code == 0, result.output
+    kept = json.loads((tmp_path / "e.json").read_text())
+    assert list(kept) == ["trained + first_target:rule", "trained", *RULES]
+    assert set(kept["trained + first_target:rule"]["gain"]) == {"trained", *RULES}
+    assert len((tmp_path / "e.csv").read_text().splitlines()) == 1 + 3 * 6
+
+
+def test_the_report_shows_all_satellites(run, trained):
+    result = run("report", trained, "--episodes", 3)
+    assert result.exit_code == 0, result.output
+    page = (trained / "report.html").read_text()
+    assert "images by 3 satellites" in page or "image by 3 satellites" in page
+    assert "bsk-torch train Constellation-v1 --algorithm ippo --network attention --frames" in page
+
+
+def test_a_policy_is_published(run, trained, tmp_path):
+    result = run("publish", trained, "--episodes", 4, "--folder", tmp_path)
+    assert result.exit_code == 0, result.output
+    noted = json.loads((tmp_path / "policies.json").read_text())["Constellation-v1"]
+    assert noted["command"].startswith("bsk-torch train Constellation-v1 --algorithm ippo")
+    assert (noted["score"]["episodes"], noted["score"]["seed"], len(noted["first"])) == (4, 1_000_003, 4)
+    assert sum(noted["first"]) / 4 == pytest.approx(noted["score"]["return"])
+    assert (tmp_path / "Constellation-v1.pt").read_bytes() == (trained / "policy.pt").read_bytes()
+
+
+def test_what_is_no_run_is_not_published(run, tmp_path):
+    result = run("publish", tmp_path)
+    assert result.exit_code == 1
+    assert "it is no folder of a run" in result.output
+
+
+def test_a_run_goes_on(run, trained):
+    before = read_log(trained / "log.csv")["frames"][-1]
+    again = run("train", trained, "--resume", f"frames={int(before) + 16}", "--episodes", 2)
+    assert again.exit_code == 0, again.output
+    assert read_log(trained / "log.csv")["frames"][-1] == before + 16
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (
+            ("Constellation-v1", "--algorithm", "ppo"),
+            "does not train Constellation-v1, which has many satellites; use mappo or ippo",
+        ),
+        (("NadirScan-v1", "--algorithm", "mappo"), "does not train NadirScan-v1, which has one satellite; use ppo"),
+        (("Constellation-v1", "--algorithm", "mapo"), "did you mean 'mappo'"),
+        (("Constellation-v1", "--network", "mlp"), "constellations learn with 'attention'"),
+    ],
+)
+def test_what_cannot_be_trained_is_refused(run, arguments, message):
+    result = run("train", *arguments, *SHORT)
+    assert result.exit_code == 1
+    assert message in result.output
+    assert len(result.output.splitlines()) == 1

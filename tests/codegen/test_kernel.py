@@ -1,0 +1,331 @@
+"""Kernels: what they compute, and how they are built, kept and loaded."""
+
+from __future__ import annotations
+
+import itertools
+import logging
+import math
+import os
+import subprocess
+import sys
+from functools import cache
+from pathlib import Path
+
+import pytest
+import torch
+
+from bsk_torch.codegen import build
+from bsk_torch.codegen.trace import BINARY, COMPARISONS, ELEMENTARY, EXPONENTIAL, TRIGONOMETRIC
+from bsk_torch.vec3 import only
+from tests.codegen.columns import mapped
+
+pytestmark = pytest.mark.compiled
+
+ISAS = ["", "avx2", "default"] if torch.backends.cpu.get_cpu_capability() in ("AVX2", "AVX512") else ["", "default"]
+DTYPES = {"double": torch.float64, "float": torch.float32}
+TOLERANCE = {"double": dict(rtol=1e-12, atol=0.0), "float": dict(rtol=1e-6, atol=0.0)}
+
+NAN = math.nan
+SPECIAL = [NAN, math.inf, -math.inf, 0.0, -0.0, 1.0, -1.0, 0.5, 2.5, -2.5, 7.0, 1e-30, -1e30]
+
+
+def unary(name):
+    return lambda a, b, c: getattr(torch, name)(a)
+
+
+def binary(name):
+    return lambda a, b, c: getattr(torch, name)(a, b)
+
+
+def without_nan(b):
+    return torch.where(torch.isnan(b), 0.25, b)
+
+
+def nested(a, b, c):
+    def inner():
+        return only(b > 0.0, lambda: torch.sqrt(b) + torch.exp(c), torch.cos(b))
+
+    return only(a > 0.0, inner, a)
+
+
+def within(a, b, c):
+    return torch.sqrt(a) * b
+
+
+CASES = {
+    **{name: unary(name) for name in (*ELEMENTARY, *EXPONENTIAL, *TRIGONOMETRIC)},
+    **{name: binary(name) for name in (*BINARY, *COMPARISONS) if name not in ("minimum", "maximum", "fmod")},
+    **{name: unary(name) for name in ("reciprocal", "rsqrt", "square", "isnan", "isinf", "isfinite", "deg2rad", "rad2deg")},
+    **{name: unary(name) for name in ("zeros_like", "ones_like", "clone")},
+    # only NaNs of the first argument are kept everywhere
+    "minimum": lambda a, b, c: torch.minimum(a, without_nan(b)),
+    "maximum": lambda a, b, c: torch.maximum(a, without_nan(b)),
+    "minimum_of_number": lambda a, b, c: torch.minimum(a, torch.full_like(a, 0.3)),
+    "clamp_below": lambda a, b, c: torch.clamp(a, min=-0.5),
+    "clamp_above": lambda a, b, c: a.clamp(max=0.5),
+    "clamp_both": lambda a, b, c: torch.clamp(a, -0.5, 0.75),
+    "clamp_planes": lambda a, b, c: torch.clamp(a, min=-abs(c), max=abs(c)),
+    # quotients of any size would need more than Sleef has
+    "fmod": lambda a, b, c: torch.fmod(torch.clamp(a, -50.0, 50.0), 0.75),
+    "remainder": lambda a, b, c: torch.clamp(a, -50.0, 50.0) % 0.75,
+    "remainder_of_planes": lambda a, b, c: torch.remainder(torch.clamp(a, -50.0, 50.0), c),
+    "operators": lambda a, b, c: (2.0 - a) * -b / (c + 3.0),
+    "operators_with_numbers": lambda a, b, c: (1.0 / (abs(a) ** 2 + 0.5)) * (0.5 + b**3 * b),
+    "full_like": lambda a, b, c: torch.full_like(a, -0.1),
+    "atan2_of_zeros": lambda a, b, c: torch.atan2(torch.full_like(a, -0.0), torch.where(a > 0.0, 0.0, -0.0)),
+    "infinity": lambda a, b, c: torch.where(a > b, torch.inf, -torch.inf),
+    "nan": lambda a, b, c: torch.where(a > b, a, NAN),
+    # masks
+    "and": lambda a, b, c: (a > 0.0) & (b <= 0.5),
+    "or": lambda a, b, c: (a > 0.0) | (b <= 0.5),
+    "xor": lambda a, b, c: (a > 0.0) ^ (b <= 0.5),
+    "not": lambda a, b, c: ~(a > 0.0),
+    "and_true": lambda a, b, c: (a > 0.0) & True,
+    "logical": lambda a, b, c: torch.logical_or(torch.logical_not(a), torch.logical_and(b, c > 0.0)),
+    "equal_masks": lambda a, b, c: (a > 0.0) == (b > 0.0),
+    "different_masks": lambda a, b, c: (a > 0.0) != (b > 0.0),
+    "where": lambda a, b, c: torch.where(a > b, a + c, b),
+    "where_of_numbers": lambda a, b, c: torch.where(a >= b, 1.0, 0.1) * c,
+    "where_of_masks": lambda a, b, c: torch.where(a > 0.0, b > 0.0, c > 0.0),
+    "mask_as_number": lambda a, b, c: (a > b).to(a.dtype) * c + (a < b).double(),
+    "number_as_mask": lambda a, b, c: a.bool() & (b.to(torch.bool) | (c > 0.0)),
+    "mask_times_number": lambda a, b, c: (a > b) * 0.1,
+    # one type of number and another
+    "float": lambda a, b, c: a.float(),
+    "double": lambda a, b, c: a.double() / 3.0,
+    "promoted": lambda a, b, c: a.float() * c.double(),
+    "rounded": lambda a, b, c: (c.double() * 0.1).to(torch.float32) * 3.0,
+    # regions
+    "only": lambda a, b, c: only(a > 0.0, lambda: within(a, b, c), c),
+    "only_never": lambda a, b, c: only(abs(a) < -1.0, lambda: within(a, b, c), c),
+    "only_always": lambda a, b, c: only((a == a) | (a != a), lambda: within(a, b, c), c),
+    "only_constant": lambda a, b, c: only(torch.ones_like(a) > 0.0, lambda: within(a, b, c), c),
+    "only_nested": nested,
+    "only_masks": lambda a, b, c: only(a > 0.0, lambda: b > c, b < c),
+}
+
+
+def samples():
+    """Planes [3, n] with special numbers in all combinations, then common ones; n is no multiple of any width."""
+    special = torch.tensor(list(itertools.product(SPECIAL, SPECIAL)), dtype=torch.float64).T
+    generator = torch.Generator().manual_seed(5)
+    x = torch.cat([special, 3.0 * torch.randn(2, 300 - special.shape[1] + 3, dtype=torch.float64, generator=generator)], 1)
+    c = torch.randn(1, x.shape[1], dtype=torch.float64, generator=generator)
+    return torch.cat([x, c]).float().double()
+
+
+@cache
+def results(isa, dtype):
+    """What a kernel computes for every case, and what torch does."""
+
+    def function(planes, _):
+        a, b, c = (plane.to(DTYPES[dtype]) for plane in planes)
+        return [case(a, b, c) for case in CASES.values()]
+
+    with pytest.MonkeyPatch.context() as patch:
+        if isa:
+            patch.setenv("BSK_TORCH_ISA", isa)
+        found = mapped(function, 3, 0, f"test of {isa or 'native'} {dtype}")(samples())
+    expected = [y.double() for y in function(samples().unbind(0), [])]
+    return dict(zip(CASES, zip(found, expected, strict=True), strict=True))
+
+
+@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("dtype", DTYPES)
+@pytest.mark.parametrize("isa", ISAS)
+def test_kernels_compute_what_torch_does(isa, dtype, name):
+    found, expected = results(isa, dtype)[name]
+    torch.testing.assert_close(found, expected, equal_nan=True, **TOLERANCE[dtype])
+
+
+def rounding(planes, shared):
+    a, b, c, other = planes
+    return [a * b + c, torch.abs(other * b) + c, torch.sin(shared[0]) * a, shared[1], a, a, torch.ones_like(a)]
+
+
+@cache
+def rounding_kernel(isa):
+    with pytest.MonkeyPatch.context() as patch:
+        if isa:
+            patch.setenv("BSK_TORCH_ISA", isa)
+        return mapped(rounding, 4, 2, "test of rounding")
+
+
+@pytest.mark.parametrize("isa", ISAS)
+def test_products_are_fused_into_sums_unless_abs_stands_between(isa):
+    e = 2.0**-30
+    x = torch.tensor([[1.0 + e], [1.0 - e], [-1.0], [1.0 + e]], dtype=torch.float64).expand(4, 20).contiguous()
+    y = rounding_kernel(isa)(x, torch.zeros(2, dtype=torch.float64))
+    if torch.backends.cpu.get_cpu_capability() == "AVX512" and isa != "default":
+        assert (y[0] == -e * e).all()  # rounded once
+    assert (y[1] == 0.0).all()  # rounded twice
+
+
+@pytest.mark.parametrize("n", [*range(0, 35), 1000])
+def test_any_number_of_columns(n):
+    x, shared = torch.randn(4, n, dtype=torch.float64), torch.randn(2, dtype=torch.float64)
+    y = rounding_kernel("")(x, shared)
+    assert y.shape == (7, n)
+    expected = [value.expand(n) for value in rounding(x.unbind(0), shared.unbind(0))]
+    torch.testing.assert_close(y, torch.stack(expected), rtol=1e-12, atol=1e-12)
+
+
+# -- building ----------------------------------------------------------------------------------------------------------------
+
+SOURCE = 'extern "C" int lanes_width() { return 42; }'
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """An empty cache, of which this process has loaded nothing."""
+    monkeypatch.setenv("BSK_TORCH_CACHE", str(tmp_path / "a cache"))
+    monkeypatch.setattr(build, "LOADED", {})
+    return tmp_path / "a cache"
+
+
+def names(folder):
+    return sorted(path.suffix or path.name for path in folder.iterdir())
+
+
+def test_libraries_are_kept(folder, monkeypatch, caplog):
+    caplog.set_level(logging.INFO, logger="bsk_torch")
+    assert build.load(SOURCE, "test kernel").lanes_width() == 42
+    assert names(folder) == [".so"]
+    assert "compiling the test kernel" in caplog.text
+    caplog.clear()
+    assert build.load(SOURCE, "test kernel") is build.load(SOURCE, "test kernel")
+    monkeypatch.setattr(build, "LOADED", {})
+    assert build.load(SOURCE, "test kernel").lanes_width() == 42
+    assert not caplog.text
+
+
+def test_instructions_are_part_of_the_name(folder, monkeypatch):
+    build.load(SOURCE, "test kernel")
+    monkeypatch.setenv("BSK_TORCH_ISA", "default")
+    build.load(SOURCE, "test kernel")
+    assert names(folder) == [".so", ".so"]
+
+
+def test_unknown_instructions(folder, monkeypatch):
+    monkeypatch.setenv("BSK_TORCH_ISA", "mmx")
+    with pytest.raises(ValueError, match="BSK_TORCH_ISA=mmx must be one of avx512, avx2, default"):
+        build.load(SOURCE, "test kernel")
+
+
+@pytest.mark.parametrize(
+    ("damage", "warning"),
+    [
+        (lambda content: content[: len(content) // 2], "damaged"),
+        (lambda content: b"", "damaged"),
+        (lambda content: content[:100] + b"?" + content[101:], "damaged"),
+        (lambda content: b"no library" + build._seal(b"no library"), "cannot be loaded"),
+    ],
+    ids=["cut", "empty", "changed", "sealed"],
+)
+def test_damaged_libraries_are_built_again(folder, monkeypatch, caplog, damage, warning):
+    build.load(SOURCE, "test kernel")
+    (library,) = folder.iterdir()
+    elsewhere = folder.with_name("elsewhere")  # what this process has loaded must not change
+    elsewhere.mkdir()
+    damaged = elsewhere / library.name
+    damaged.write_bytes(damage(library.read_bytes()))
+    monkeypatch.setenv("BSK_TORCH_CACHE", str(elsewhere))
+    for _ in range(2):
+        monkeypatch.setattr(build, "LOADED", {})
+        assert build.load(SOURCE, "test kernel").lanes_width() == 42
+    others = [record for record in caplog.records if "compiling for this machine" not in record.message]
+    assert [record.levelname for record in others] == ["WARNING"]
+    assert warning in caplog.text
+    assert str(damaged) in caplog.text
+    assert damaged.read_bytes() == library.read_bytes()
+    assert names(elsewhere) == [".so"]
+
+
+def test_no_compiler(folder):
+    from torch._inductor import config
+
+    with (
+        config.patch({"cpp.cxx": (None, "/missing/c++")}),
+        pytest.raises(RuntimeError, match=r"test kernel needs a C\+\+ compiler, but /missing/c\+\+ .*CXX.*backend=\"eager\""),
+    ):
+        build.load(SOURCE, "test kernel")
+    assert not folder.exists()
+
+
+def test_compiler_errors(folder):
+    with pytest.raises(RuntimeError, match=r"cannot compile the test kernel(.|\n)*nonsense(.|\n)*backend=\"eager\"") as caught:
+        build.load("int nonsense(", "test kernel")
+    (kept,) = folder.iterdir()
+    assert str(kept) in str(caught.value)
+    assert kept.read_text() == "int nonsense("
+
+
+def test_unloadable_libraries(folder):
+    source = 'extern "C" int missing_function(); extern "C" int lanes_width() { return missing_function(); }'
+    with pytest.raises(
+        RuntimeError, match=r"test kernel, was built but cannot be loaded.*missing_function(.|\n)*BSK_TORCH_CACHE"
+    ):
+        build.load(source, "test kernel")
+
+
+@pytest.mark.parametrize(
+    "make", [lambda path: path.write_text(""), lambda path: path.symlink_to("/dev/null")], ids=["file", "device"]
+)
+def test_unwritable_caches(tmp_path, monkeypatch, make):
+    make(tmp_path / "file")
+    monkeypatch.setenv("BSK_TORCH_CACHE", str(tmp_path / "file" / "cache"))
+    with pytest.raises(RuntimeError, match=r"test kernel cannot be kept in .*file/cache .*BSK_TORCH_CACHE"):
+        build.load(SOURCE.replace("42", "43"), "test kernel")
+
+
+# Importing all of bsk_torch would take most of the time.
+START = f"""
+import sys, types
+package = types.ModuleType("bsk_torch")
+package.__path__ = [{str(Path(build.__file__).parents[1])!r}]
+sys.modules["bsk_torch"] = package
+from bsk_torch.codegen import build
+"""
+
+BUILD = f"""{START}
+from torch._inductor import cpp_builder
+print("ready", flush=True)
+sys.stdin.readline()
+print(build.load({SOURCE!r}, "test kernel").lanes_width())
+"""
+
+LOAD = f"""{START}
+print(build.load({SOURCE!r}, "test kernel").lanes_width())
+print([name for name in sys.modules if name.startswith(("torch._inductor", "torch._dynamo"))])
+"""
+
+
+def test_processes_that_start_at_once(folder):
+    env = os.environ | {"BSK_TORCH_CACHE": str(folder), "BSK_TORCH_ISA": "default"}
+    pipe = subprocess.PIPE
+    processes = [
+        subprocess.Popen([sys.executable, "-c", BUILD], env=env, stdin=pipe, stdout=pipe, stderr=pipe, text=True)
+        for _ in range(3)
+    ]
+    for process in processes:
+        assert process.stdout.readline() == "ready\n", process.stderr.read()
+    assert not folder.exists()
+    for process in processes:
+        process.stdin.write("go\n")
+        process.stdin.flush()
+    for process in processes:
+        out, errors = process.communicate(timeout=120)
+        assert (process.returncode, out) == (0, "42\n"), errors
+    assert names(folder) == [".so"]
+    later = subprocess.run(
+        [sys.executable, "-c", LOAD], env=env | {"CXX": "/missing/c++"}, capture_output=True, text=True, timeout=120
+    )
+    assert later.stdout == "42\n[]\n", later.stderr
+
+
+def test_the_wait_is_announced_once_for_each_folder(folder, monkeypatch, caplog):
+    for number in (1, 2):
+        build.load(SOURCE.replace("42", f"4{number}"), "test kernel")
+    announced = [record for record in caplog.records if "compiling for this machine" in record.message]
+    assert [record.levelname for record in announced] == ["WARNING"]
+    assert str(folder) in announced[0].message

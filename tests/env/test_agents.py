@@ -1,0 +1,171 @@
+"""Who decides for which satellites, and which agents share tensors."""
+
+import re
+
+import pytest
+import torch
+
+from bsk_torch.env.agents import ROOT, Group, agents_of, check_map, make_groups, named, snake
+
+NAMES = ["A", "B", "C", "D", "E"]
+TYPES = [[0, 3], [1, 2, 4]]
+TITLES = ["WideImager", "Relay"]
+AGENTS = {name: [name] for name in NAMES}
+
+
+def groups(agents=None, types=None, group_map=None) -> dict[str, Group]:
+    return {g.name: g for g in make_groups(agents or AGENTS, NAMES, types or TYPES, TITLES, group_map)}
+
+
+# -- agents -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("nothing", [None, {}])
+def test_every_satellite_is_an_agent_unless_others_decide_for_it(nothing):
+    assert agents_of(NAMES, nothing) == AGENTS
+
+
+def test_agents_of_several_satellites_come_first():
+    agents = agents_of(NAMES, {"Crew": ("D", "A"), "Solo": ["C"]})
+    assert list(agents.items()) == [("Crew", ["D", "A"]), ("Solo", ["C"]), ("B", ["B"]), ("E", ["E"])]
+
+
+def test_an_agent_may_be_called_like_a_satellite_that_is_his():
+    assert agents_of(["A", "B"], {"A": ["B", "A"]}) == {"A": ["B", "A"]}
+
+
+@pytest.mark.parametrize(
+    ("groupings", "message"),
+    [
+        ({"my crew": ["A"]}, "meta_agent_groupings: agent 'my crew' must be a Python identifier"),
+        ({"class": ["A"]}, "meta_agent_groupings: agent 'class' must be a Python identifier"),
+        ({"Crew": []}, "meta_agent_groupings['Crew']=[] must be a list of at least one satellite's name"),
+        ({"Crew": "A"}, "meta_agent_groupings['Crew']='A' must be a list of at least one satellite's name"),
+        ({"Crew": ["A", "b"]}, "meta_agent_groupings['Crew'] has 'b', which is no satellite; did you mean 'B'?"),
+        ({"Crew": ["Zeppelin"]}, "has 'Zeppelin', which is no satellite; valid names: A, B, C, D, E"),
+        ({"Crew": ["A"], "Team": ["B", "A"]}, "meta_agent_groupings: satellite 'A' belongs to 'Crew' and to 'Team'"),
+        ({"Crew": ["A", "A"]}, "meta_agent_groupings: satellite 'A' belongs to 'Crew' and to 'Crew'"),
+        ({"B": ["A", "C"]}, "['B'] are names of satellites that belong to no agent; give agents other names"),
+    ],
+)
+def test_wrong_agents(groupings, message):
+    with pytest.raises(ValueError, match=re.escape(message)):
+        agents_of(NAMES, groupings)
+
+
+# -- groups -----------------------------------------------------------------------------------------------------------
+
+
+def test_satellites_of_one_type_make_one_group():
+    (group,) = groups(types=[[0, 1, 2, 3, 4]]).values()
+    assert (group.name, group.agents, group.types, group.whole) == ("agents", tuple(NAMES), (0,), (True,))
+    assert group.members.tolist() == [[0], [1], [2], [3], [4]]
+    assert group.within[0].tolist() == [0, 1, 2, 3, 4]
+    assert not group.is_meta
+
+
+def test_groups_by_type():
+    found = groups()
+    assert list(found) == ["wide_imager", "relay"]
+    assert [group.agents for group in found.values()] == [("A", "D"), ("B", "C", "E")]
+    assert [group.members.flatten().tolist() for group in found.values()] == TYPES
+    assert [group.within[0].tolist() for group in found.values()] == [[0, 1], [0, 1, 2]]
+    assert all(group.whole == (True,) for group in found.values())
+
+
+def test_agents_that_decide_for_several():
+    """Agents are alike where their members are of the same types in the same order; satellites that are left are apart."""
+    found = groups(agents_of(NAMES, {"One": ["E", "A"], "Two": ["B", "D"]}))
+    assert {name: group.agents for name, group in found.items()} == {"relay_and_wide_imager": ("One", "Two"), "relay": ("C",)}
+    meta, alone = found.values()
+    assert meta.is_meta
+    assert meta.members.tolist() == [[4, 0], [1, 3]]
+    assert meta.types == (1, 0)
+    assert [index.tolist() for index in meta.within] == [[2, 0], [0, 1]]
+    assert meta.whole == (False, True)
+    assert (alone.members.tolist(), alone.within[0].tolist(), alone.whole) == ([[2]], [1], (False,))
+
+
+def test_the_order_of_members_matters():
+    found = groups(agents_of(NAMES, {"One": ["A", "B"], "Two": ["C", "D"]}))
+    assert list(found) == ["wide_imager_and_relay", "relay_and_wide_imager", "relay"]
+
+
+def test_groups_of_the_user():
+    found = groups(group_map={"near": ["E", "B"], "far": ["C"], "eyes": ["D", "A"]})
+    assert {name: group.members.flatten().tolist() for name, group in found.items()} == {
+        "near": [4, 1],
+        "far": [2],
+        "eyes": [3, 0],
+    }
+    assert [group.within[0].tolist() for group in found.values()] == [[2, 0], [1], [1, 0]]
+    assert not any(group.whole[0] for group in found.values())
+
+
+def test_members_find_their_satellites():
+    """``columns[type][within]`` are the members, whatever the agents."""
+    for agents in (AGENTS, agents_of(NAMES, {"One": ["E", "A", "C"]}), agents_of(NAMES, {"One": ["A", "D"]})):
+        made = groups(agents)
+        assert made
+        for group in made.values():
+            assert len(group.types)
+            for m, (t, within) in enumerate(zip(group.types, group.within, strict=True)):
+                assert torch.equal(torch.tensor(TYPES[t])[within], group.members[:, m])
+                assert group.whole[m] == (group.members[:, m].tolist() == TYPES[t])
+                assert [NAMES[k] for k in group.members[:, m].tolist()] == [agents[agent][m] for agent in group.agents]
+
+
+def test_groups_move_to_devices():
+    group = groups()["relay"].to(torch.device("meta"))
+    assert group.members.is_meta
+    assert group.within[0].is_meta
+    assert group.agents == ("B", "C", "E")
+
+
+# -- names ------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("title", "name"), [("Imager", "imager"), ("WideImager", "wide_imager"), ("Relay2B", "relay2_b"), ("wide", "wide")]
+)
+def test_snake(title, name):
+    assert snake(title) == name
+
+
+def test_names_of_groups_differ():
+    kinds = {(0,): ["A"], (1,): ["B"], (2,): ["C"], (0, 1): ["D"]}
+    assert named(kinds, ["Imager", "Imager", "Imager_2"]) == {
+        "imager": ["A"],
+        "imager_2": ["B"],
+        "imager_2_2": ["C"],
+        "imager_and_imager": ["D"],
+    }
+
+
+def test_groups_do_not_hide_other_entries():
+    assert list(named({(0,): ["A"], (1,): ["B"]}, ["Reward", "Done"])) == ["reward_2", "done_2"]
+
+
+@pytest.mark.parametrize(
+    ("group_map", "message"),
+    [
+        ({"all": ["A", "F"]}, "group_map has 'F', which is no agent; valid names: A, B, C"),
+        ({"all": ["A", "c"]}, "group_map has 'c', which is no agent; did you mean 'C'?"),
+        ({"one": ["A", "B"], "two": ["B", "C"]}, "group_map has ['B'] more than once"),
+        ({"one": ["A", "B"]}, "group_map lacks ['C']; every agent needs a group"),
+        ({}, "group_map lacks ['A', 'B', 'C']; every agent needs a group"),
+        ({"one": ["A", "B"], "none": [], "two": ["C"]}, "group_map['none']=[] is empty, or its name is one of ['observation',"),
+        ({"one": ["A", "B"], "reward": ["C"]}, "group_map['reward']=['C'] is empty, or its name is one of"),
+        ({"one": ["A", "B", "C"]}, "group_map['one'] puts 'A' and 'C' together, whose satellites are of different types"),
+    ],
+)
+def test_wrong_maps(group_map, message):
+    with pytest.raises(ValueError, match=re.escape(message)):
+        check_map(group_map, {"A": (0,), "B": (0,), "C": (1, 0)})
+
+
+def test_right_maps():
+    signature = {"A": (0,), "B": (0,), "C": (1, 0)}
+    check_map({"one": ["B", "A"], "two": ["C"]}, signature)
+    check_map({"one": ["B"], "agents": ["A"], "two": ["C"]}, signature)
+    assert "agents" not in ROOT

@@ -1,0 +1,325 @@
+"""The state of episodes: declared once, it takes part in resets, pools, saved states, copies of rows and pickles."""
+
+from __future__ import annotations
+
+import pickle
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from tensordict import TensorDict
+
+import bsk_torch
+from bsk_torch import scene
+from bsk_torch.sim.state import StateTable
+
+N = 7
+"""Number of environments; no other tensor has a dimension of this size, or of twice or thrice that, by chance."""
+
+PACKAGE = str(Path(bsk_torch.__file__).parent)
+
+SETUPS: dict[str, Any] = {
+    "scan": lambda **options: bsk_torch.make("NadirScan-v1", **options),
+    "imaging": lambda **options: bsk_torch.make("AEOS-v1", n_targets=120, **options),
+    "constellation": lambda **options: bsk_torch.make("Constellation-v1", n_satellites=3, **options),
+}
+"""One satellite that scans, one that images, and three that talk."""
+
+DERIVED = {
+    "env_ids": "an argument",
+    "links": "communication of the last step, for pictures and tests",
+    "due": "episodes of the last communication",
+    "since": "start of the present step",
+    "all_envs": "indices",
+    "seed": "prepared episodes: refilled where seeds differ",
+    "episode": "prepared episodes",
+    "filled": "prepared episodes",
+    "_available": "computed from the scenario's draws",
+    "_present": "computed from the scenario's draws and the time",
+    "_values": "observables read since the last change",
+    "_now": "the present on tensors",
+    "_cache": "opportunities of the present decision",
+    "_aims": "geometry of the present decision",
+    "_argument_planes": "arguments as kernels read them",
+    "_table": "fixed commands of actions",
+    "_all_legal": "a constant",
+    "terms": "rewards of the last step by rewarder",
+}
+"""Attributes that hold tensors of the batch without being state, and why: they follow from it, or from arguments."""
+
+
+def make(setup: str, n: int = N, **options: Any) -> Any:
+    return SETUPS[setup](num_envs=n, seed=3, time_limit=2400.0, **options)
+
+
+def play(env: Any, td: TensorDict, steps: int, seed: int = 0) -> tuple[TensorDict, list[torch.Tensor]]:
+    """Random legal actions that depend on the environment's row and the step only; the rewards of each step."""
+    rewards = []
+    for k in range(steps):
+        generator = torch.Generator().manual_seed(seed + k)
+        for key in env.action_keys:
+            mask = td[(*key[:-1], "action_mask")] if isinstance(key, tuple) else td["action_mask"]
+            draw = torch.rand(mask.shape[1:], generator=generator)
+            td = td.set(key, torch.where(mask, draw, -1.0).argmax(-1))
+        td = env.step(td)["next"]
+        rewards.append(torch.cat([td[key].flatten(1) for key in env.reward_keys], 1))
+    return td, rewards
+
+
+def same(one: TensorDict, two: TensorDict) -> bool:
+    """Whether two states are equal, but for the width of tables that grow."""
+    for key in one.keys(include_nested=True, leaves_only=True):
+        a, b = one[key], two[key]
+        if a.shape != b.shape:
+            width = min(a.shape[-1], b.shape[-1])
+            a, b = a[..., :width], b[..., :width]
+        if not torch.equal(a, b):
+            return False
+    return True
+
+
+def now(env: Any) -> TensorDict:
+    """The present of an environment, as a reset that puts its own state back gives it."""
+    return env.reset(TensorDict({"state": env.get_state()}, env.batch_size), set_state=True)
+
+
+# -- every operation on a declared field ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize("n", [N, 40], ids=["without pool", "with pool"])
+def test_a_declared_field_takes_part_in_everything(n):
+    """A dummy of each form, in each table: nothing but its declaration mentions it."""
+    env, other = (make("constellation", n), make("constellation", 5))
+    for each in (env, other):
+        each.fleet.memory.declare("dummy", 1.5, 2)
+        each.simulator.memory.declare("dummy", 2, dtype=torch.int64)
+        each.simulator.lookahead.declare("dummy", float("inf"), 1, grows=True)
+    before = env.bytes_per_env
+    env.reset(), other.reset()
+    tables = [(e.fleet.memory, e.simulator.memory, e.simulator.lookahead) for e in (env, other)]
+    for (per_episode, per_satellite, growing), size in zip(tables, (n, 5), strict=True):
+        per_episode["dummy"] = torch.arange(2.0 * size).view(size, 2)
+        per_satellite["dummy"] = torch.arange(3 * size)
+        growing.dummy = torch.arange(3.0 * size * size).view(3 * size, size)
+    saved = pickle.loads(pickle.dumps(env.get_state()))
+    assert saved["memory", "dummy"].tolist() == env.fleet.memory["dummy"].tolist()
+    envs, source = torch.tensor([0, 4, 2]), torch.tensor([1, 1, 4])
+    env.restore(other, envs, source)
+    assert env.fleet.memory["dummy"][envs].tolist() == other.fleet.memory["dummy"][source].tolist()
+    assert env.simulator.memory["dummy"].view(n, 3)[envs].tolist() == other.simulator.memory["dummy"].view(5, 3)[source].tolist()
+    grown = env.simulator.lookahead.dummy.view(n, 3, -1)
+    assert torch.equal(grown[envs, :, :5], other.simulator.lookahead.dummy.view(5, 3, 5)[source])
+    assert torch.isinf(grown[envs, :, 5:]).all()
+    assert torch.equal(env.fleet.memory["dummy"][5:], saved["memory", "dummy"][5:])
+    env.reset(TensorDict({"_reset": torch.arange(n).unsqueeze(-1) == 4}, [n]))
+    assert env.fleet.memory["dummy"][4].tolist() == [1.5, 1.5]
+    assert env.simulator.memory["dummy"].view(n, 3)[4].tolist() == [2, 2, 2]
+    assert env.fleet.memory["dummy"][0].tolist() == [2.0, 3.0]
+    env.restore(saved)
+    assert torch.equal(env.simulator.memory["dummy"], torch.arange(3 * n))
+    assert env.bytes_per_env > before
+
+
+def tensors_of(thing: Any, path: tuple[str, ...], known: set[int], declared: set[int]) -> Iterator[tuple[tuple[str, ...], Any]]:
+    """Tensors that are reachable from an object, by the names on the way there; those of tables are added to ``declared``."""
+    if id(thing) in known or isinstance(thing, type | str | int | float | torch.dtype | torch.device):
+        return
+    known.add(id(thing))
+    if isinstance(thing, torch.Tensor):
+        yield path, thing
+        return
+    if isinstance(thing, StateTable):
+        declared |= {thing[name].untyped_storage().data_ptr() for name in thing}
+    if isinstance(thing, dict):
+        parts = [(str(name), value) for name, value in thing.items()]
+    elif isinstance(thing, list | tuple | set):
+        parts = [("", value) for value in thing]
+    elif type(thing).__module__.startswith(("bsk_torch", "tests")):
+        parts = list(getattr(thing, "__dict__", {}).items())
+    else:
+        return
+    for name, value in parts:
+        yield from tensors_of(value, (*path, name) if name else path, known, declared)
+
+
+def strays(env: Any) -> set[str]:
+    """Tensors of the batch that are reachable from an environment, and neither declared nor derived."""
+    declared: set[int] = set()
+    parts = {name: value for name, value in vars(env).items() if not name.startswith(("_specs", "_arguments", "builder"))}
+    parts |= {"scenario": env.scenario, "rewarder": env.rewarder, "communicator": env.communicator}
+    found = list(tensors_of(parts, (), set(), declared))
+    assert len(declared) > 30
+    sizes = {N, N * env.simulator.count}
+    return {
+        ".".join(path)
+        for path, tensor in found
+        if {*tensor.shape[:1], *tensor.shape[-1:]} & sizes
+        and tensor.untyped_storage().data_ptr() not in declared
+        and not set(path) & set(DERIVED)
+    }
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize("setup", SETUPS)
+def test_tensors_of_the_batch_are_declared_or_derived(setup):
+    env = make(setup)
+    play(env, env.reset(), 3)
+    assert not strays(env)
+
+
+@pytest.mark.compiled
+def test_a_tensor_that_is_not_declared_is_found():
+    env = make("scan")
+    env.reset()
+    env.rewarder.stray, env.simulator.lookahead.arcs.solver.stray = torch.zeros(N, 2), torch.zeros(2, N)
+    assert {name.split(".")[-1] for name in strays(env)} == {"stray"}
+
+
+# -- restoring ------------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize("form", ["tensordict", "dictionary", "file", "environment"])
+@pytest.mark.parametrize("setup", SETUPS)
+def test_restored_episodes_go_on_bit_for_bit(setup, form, tmp_path):
+    """In another batch size, in any rows, and several times."""
+    env, other = make(setup), make(setup, 4)
+    td, _ = play(env, env.reset(), 4)
+    other.reset()
+    saved: Any = env.get_state()
+    if form == "environment":
+        saved = env
+    elif form != "tensordict":
+        saved = saved.to_dict()
+    if form == "file":
+        torch.save(saved, tmp_path / "state.pt")
+        saved = torch.load(tmp_path / "state.pt")
+    envs, source = torch.tensor([3, 0, 1]), torch.tensor([5, 5, 2])
+    untouched = other.get_state()[2]
+    other.restore(saved, envs, source)
+    assert same(other.get_state()[2], untouched)
+    ahead = now(other)
+    for key in env.observation_keys:
+        if "duration" not in key:  # of the last step, which a reset does not have
+            assert torch.equal(ahead[key][envs], td[key][source]), key
+    mine, theirs = env.get_state(), other.get_state()
+    _, expected = play(env, td, 3, seed=100)
+    _, rewards = play(other, ahead, 3, seed=100)
+    for a, b in zip(expected, rewards, strict=True):
+        assert torch.equal(b[envs], a[source])
+    assert torch.equal(mine["returns"][source], theirs["returns"][envs])
+
+
+@pytest.mark.compiled
+def test_longer_arcs_are_met():
+    """The shorter arcs of two environments are extended, and nothing of a saved state is written into."""
+    long, short = make("scan"), SETUPS["scan"](num_envs=3, seed=8, time_limit=600.0)
+    states = [env.reset() is not None and env.get_state() for env in (long, short)]
+    copies = [state.clone() for state in states]
+    lengths = [env.simulator.arcs.length for env in (long, short)]
+    assert lengths[0] > lengths[1]
+    one = torch.tensor([1])
+    long.restore(states[1], torch.tensor([6]), one)
+    short.restore(states[0], one, torch.tensor([2]))
+    assert short.simulator.arcs.length == lengths[0]
+    for state, kept in zip(states, copies, strict=True):
+        assert (state == kept).all()
+    r = [env.satellite.dynamics.r_BN_N for env in (long, short)]
+    assert torch.equal(r[1][1], r[0][2])
+    eclipses = [env.satellite.next_eclipse() for env in (long, short)]
+    for a, b in zip(*eclipses, strict=True):
+        assert a[2] == b[1]
+
+
+WRONG: dict[str, Any] = {
+    "tick": (lambda: SETUPS["scan"](num_envs=3, sim_rate=2.0), "length of a tick, ns: 2000000000, not 1000000000"),
+    "backend": (lambda: SETUPS["scan"](num_envs=3, backend="eager"), "satellites, world or back end"),
+    "mass": (lambda: SETUPS["scan"](num_envs=3, sat_args={"mass": 200.0}), "satellites, world or back end"),
+    "preset": (lambda: SETUPS["imaging"](num_envs=3, sim_rate=1.0), "satellites, world or back end"),
+}
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize("case", WRONG)
+def test_states_of_other_makes_are_refused(case):
+    build, message = WRONG[case]
+    env, other = SETUPS["scan"](num_envs=4, seed=1), build()
+    env.reset(), other.reset()
+    before = env.get_state()
+    for state in (other, other.get_state()):
+        with pytest.raises(ValueError, match=message):
+            env.restore(state, torch.tensor([0]), torch.tensor([1]))
+    assert (env.get_state() == before).all()
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize(
+    ("envs", "source", "message"),
+    [
+        ([4], [0], "envs has indices"),
+        ([0], [-1], "source has indices"),
+        ([0, 1], [0], "envs has 2 indices, source has 1"),
+    ],
+)
+def test_wrong_rows_are_refused(envs, source, message):
+    env = SETUPS["scan"](num_envs=4, seed=1)
+    env.reset()
+    with pytest.raises(IndexError, match=message):
+        env.restore(env, torch.tensor(envs), torch.tensor(source))
+
+
+@pytest.mark.compiled
+def test_damaged_states_are_refused():
+    env = SETUPS["scan"](num_envs=4, seed=1)
+    env.reset()
+    state = env.get_state()
+    with pytest.raises(ValueError, match=r"mode of the saved state has values outside of 0 to \d+"):
+        env.restore(state.clone().set(("satellites_0", "mode"), torch.full((4,), 99)))
+    with pytest.raises(ValueError, match=r"release 0\.1 cannot be restored"):
+        env.restore(state.clone().exclude("made_by"))
+    with pytest.raises(KeyError, match=r"lacks \['returns'\]"):
+        env.restore(state.clone().exclude("returns"))
+
+
+# -- the way of an action -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize("setup", SETUPS)
+def test_at_most_seven_frames_lie_between_a_step_and_its_kernel(setup):
+    env = make(setup)
+    td, ways = env.reset(), []
+
+    def watch(frame: Any, event: str, _: Any) -> None:
+        if event == "call" and frame.f_code.co_name == "call" and frame.f_code.co_filename.endswith("codegen/build.py"):
+            names, at = [], frame
+            while at is not None and at.f_code.co_name != "step":
+                names += (
+                    [getattr(at.f_code, "co_qualname", at.f_code.co_name)] if at.f_code.co_filename.startswith(PACKAGE) else []
+                )
+                at = at.f_back
+            ways.append(names[::-1])
+
+    for key in env.action_keys:
+        td = td.set(key, env.full_action_spec[key].zero())
+    sys.setprofile(watch)
+    try:
+        env.step(td)
+    finally:
+        sys.setprofile(None)
+    flown = [way for way in ways if "Simulator.run" in way and "LookAhead.reach" not in way]
+    assert flown
+    assert all(len(way) <= 7 for way in flown), flown
+
+
+def test_scenarios_that_draw_an_argument_are_refused():
+    class Draws(scene.Scenario):
+        def draw(self, key):
+            return {"mass": torch.zeros(len(key), dtype=torch.float64)}
+
+    with pytest.raises(ValueError, match=r"the scenario draws \['mass'\], which are arguments"):
+        bsk_torch.SatelliteTasking(make("scan", 1).builder.satellites[0], Draws())

@@ -1,0 +1,119 @@
+"""A subclass's observation is observed, as a vector and by name; what would not be is refused."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+from bsk_torch import SatelliteTasking, act, obs, sats, scene
+
+PLACES = dict(fn=lambda satellite, targets: targets.place.double(), name="place")
+
+
+class Two(obs.OpportunityProperties):
+    """Overrides only get_obs, of a class that has a faster vector."""
+
+    def get_obs(self):
+        return {"target_0": super().get_obs()["target_0"], "two": torch.full((len(self.simulator.ticks),), 2.0)}
+
+
+class Constant(obs.Observation):
+    value = None
+
+    def get_obs(self):
+        return self.value
+
+
+def make(*spec, obs_type=torch.Tensor, num_envs=2):
+    attributes = {"observation_spec": spec, "action_spec": (act.Image(2),)}
+    satellite = type("Imager", (sats.ImagingSatellite,), attributes)("A", obs_type=obs_type)
+    options = dict(num_envs=num_envs, time_limit=600.0, seed=1, backend="eager", dtype=torch.float64)
+    return SatelliteTasking(satellite, scene.UniformTargets(400), **options)
+
+
+def constant(value):
+    return type("Mine", (Constant,), {"value": value})("mine")
+
+
+def test_a_subclass_that_overrides_only_get_obs_is_observed():
+    entry = Two(dict(prop="priority"), PLACES, n_ahead_observe=3)
+    named, vector = make(entry, obs_type=dict).reset()["observation"], make(entry).reset()["observation"]
+    assert vector.shape == (2, 3)
+    assert (vector[:, 2] == 2.0).all()
+    assert torch.equal(vector[:, 0], named["target", "target_0", "priority"])
+    assert torch.equal(vector[:, 1], named["target", "target_0", "place"])
+
+
+def test_a_subclass_may_have_a_vector_of_its_own():
+    class Fast(Constant):
+        def get_obs(self):
+            ones = torch.ones(len(self.simulator.ticks))
+            return {"a": ones, "b": 2 * ones}
+
+        def get_vector(self):
+            return torch.tensor([[1.0, 2.0]]).expand(len(self.simulator.ticks), -1)
+
+    assert make(Fast("mine")).reset()["observation"].tolist() == [[1.0, 2.0]] * 2
+    narrow = type("Narrow", (Fast,), {"get_obs": Fast.get_obs, "get_vector": lambda self: Fast.get_vector(self)[:, :1]})
+    env = make(narrow("mine"))
+    with pytest.raises(
+        TypeError, match=r"Narrow.get_vector\(\) is a tensor of shape \[2, 1\] .* must be a tensor of shape \[2, 2\]"
+    ):
+        env.reset()
+
+
+@pytest.mark.parametrize(
+    ("members", "words"),
+    [
+        (dict(get_vector=lambda self: None), r"get_vector\(\) without get_obs\(\)"),
+        (dict(get_observation=lambda self: None), r"define get_obs\(\)"),
+        (dict(observation_space=property(lambda self: None)), "trial call"),
+        (dict(reset_post_sim_init=lambda self: None), r"memory\.declare"),
+        (dict(getobs=lambda self: None), "did you mean 'get_obs'"),
+        (dict(link_satelite=lambda self, satellite: None), "did you mean 'link_satellite'"),
+        (dict(get_obs=lambda self, satellite: None), r"cannot be called as get_obs\(\)"),
+        (dict(get_obs=3.0), "get_obs is a value; it must be a method"),
+    ],
+)
+def test_what_would_not_run_is_refused_at_the_definition(members, words):
+    with pytest.raises(TypeError, match=words):
+        type("Mine", (obs.Observation,), members)
+
+
+def test_the_chain_of_links_must_be_whole():
+    mine = type("Mine", (obs.SatProperties,), {"link_satellite": lambda self, satellite: None})
+    with pytest.raises(TypeError, match=r"Mine\.link_satellite\(satellite\) must call super\(\)"):
+        make(mine(dict(prop="r_BN_N")))
+
+
+@pytest.mark.parametrize(
+    ("value", "words"),
+    [
+        (1.0, r"observation 'mine' is 1\.0; it must be a tensor of shape"),
+        (torch.tensor(1.0), r"observation 'mine' is a tensor of shape \[\]"),
+        ({"a": {"b": torch.ones(3)}}, r"observation 'mine\.a\.b' is a tensor of shape \[3\]"),
+    ],
+)
+def test_observations_of_wrong_shape_are_named(value, words):
+    with pytest.raises(TypeError, match=words):
+        make(constant(value))
+
+
+@pytest.mark.parametrize("obs_type", [torch.Tensor, dict])
+def test_observations_of_one_environment_for_all_are_named(obs_type):
+    """The shape [1] fits the trial of one environment, but not the batch."""
+    env = make(constant(torch.ones(1)), obs_type=obs_type)
+    with pytest.raises(TypeError, match=r"observation 'mine' is a tensor of shape \[1\]; it must be a tensor of shape \[2\]"):
+        env.reset()
+
+
+def test_functions_of_opportunities_have_a_value_for_each():
+    with pytest.raises(TypeError, match=r"'first' of 'target' is a tensor of shape \[1\]; fn must return \[1, 3\]"):
+        make(obs.OpportunityProperties(dict(fn=lambda s, targets: targets.open[:, 0], name="first"), n_ahead_observe=3))
+
+
+def test_equal_names_are_refused():
+    """The second one would replace the first."""
+    with pytest.raises(ValueError, match=r"several properties called \['r_BN_N_normd'\]; tell them apart by the key 'name'"):
+        obs.SatProperties(dict(prop="r_BN_N", norm=2.0), dict(prop="r_BN_N", norm=3.0))
+    obs.SatProperties(dict(prop="r_BN_N"), dict(prop="r_BN_N", norm=3.0))

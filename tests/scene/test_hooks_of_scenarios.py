@@ -1,0 +1,281 @@
+"""Every hook of a subclass runs and leaves nothing of the package behind; what would never run is refused."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import pytest
+import torch
+from tensordict import TensorDict
+
+from bsk_torch import SatelliteTasking, act, data, obs, sats, scene
+from bsk_torch.sim.state import StateTable
+
+from .conftest import HoldingFleet, key, rows_of
+
+
+def rows(n: int = 2) -> torch.Tensor:
+    return torch.arange(n)
+
+
+def attached(scenario, n: int = 2):
+    """The scenario at the start of n episodes, as an environment calls it."""
+    fleet = HoldingFleet(n)
+    fleet.memory = StateTable(n)
+    scenario.attach(fleet)
+    fleet.keep(rows(n), scenario.draw_checked(key(n)))
+    scenario.begin_episodes(rows(n))
+    return scenario
+
+
+def finish(scenario, time: float) -> None:
+    scenario.fleet.sim_time = torch.full_like(scenario.fleet.sim_time, time)
+    scenario.finish_step(scenario.fleet.sim_time)
+
+
+class Deadlines(scene.ChangingTargets, scene.UniformTargets):
+    """Targets that vanish after a minute."""
+
+    def at(self, time):
+        late = (time >= 60.0).unsqueeze(-1)
+        return torch.where(late, 5.0, self.drawn("target_priority")), ~late.expand(-1, self.most_targets)
+
+
+# -- hooks without super() -----------------------------------------------------------------------------------------------------
+
+
+def test_targets_change_whatever_after_step_does():
+    class Counted(Deadlines):
+        steps = 0
+
+        def after_step(self, sim_time):
+            self.steps += 1
+
+    scenario = attached(Counted(3, 2.0))
+    assert scenario.available.all()
+    finish(scenario, 60.0)
+    assert scenario.steps == 1
+    assert not scenario.available.any()
+    assert (scenario.priority == 5.0).all()
+
+
+def test_targets_are_those_of_the_new_episode_whatever_reset_does():
+    class Counted(scene.UniformTargets):
+        resets = 0
+
+        def reset(self, rows):
+            self.resets += 1
+
+    scenario = attached(Counted((1, 9)), 20)
+    before = scenario.available
+    fleet, again = scenario.fleet, torch.arange(10, 20)
+    fleet.keep(again, scenario.draw_checked(rows_of(key(20, episode=1), again.tolist())))
+    scenario.begin_episodes(again)
+    assert scenario.resets == 2
+    assert torch.equal(scenario.available, fleet.scenario_state["target_exists"].bool())
+    assert not torch.equal(scenario.available, before)
+
+
+def test_priorities_are_those_of_the_new_episode_whatever_reset_does():
+    class Idle(Deadlines):
+        def reset(self, rows):
+            pass
+
+    scenario = attached(Idle(3, 2.0))
+    finish(scenario, 60.0)
+    scenario.fleet.sim_time = torch.tensor([60.0, 0.0], dtype=torch.float64)
+    scenario.begin_episodes(torch.tensor([1]))
+    assert scenario.available.tolist() == [[False] * 3, [True] * 3]
+
+
+def test_at_is_evaluated_once_a_step():
+    class Counted(Deadlines):
+        calls = 0
+
+        def at(self, time):
+            self.calls += 1
+            return super().at(time)
+
+    scenario = attached(Counted(3, 2.0))
+    assert scenario.calls == 1
+    finish(scenario, 30.0)
+    assert scenario.priority is scenario.priority
+    assert scenario.calls == 2
+
+
+def test_targets_that_change_under_clouds_that_change():
+    """Both scenarios move on: that in front, and the one that the clouds are over."""
+
+    class Thinning(scene.ChangingTargets, scene.CloudyTargets):
+        def at(self, time):
+            return self.drawn("target_priority"), torch.ones_like(self.drawn("target_exists"), dtype=torch.bool)
+
+    scenario = attached(Thinning(Deadlines(3, 2.0)))
+    assert scenario.available.all()
+    finish(scenario, 60.0)
+    assert not scenario.available.any()
+
+
+def test_link_without_super():
+    """It does no harm to a scenario that the package's link does not prepare, and is an error for others."""
+
+    class Plain(scene.Scenario):
+        def link(self, fleet):
+            self.linked = True
+
+    plain = Plain()
+    plain.attach(SimpleNamespace())
+    assert plain.linked
+
+    class Lost(scene.UniformTargets):
+        def link(self, fleet):
+            pass
+
+    with pytest.raises(TypeError, match=r"Lost.link\(fleet\) must call super\(\).link\(fleet\)"):
+        Lost(3).attach(HoldingFleet(2))
+
+
+def test_draw_returns_the_same_names_and_shapes():
+    class Fickle(scene.UniformTargets):
+        extra = ("mood",)
+
+        def draw(self, key):
+            return super().draw(key) | {name: torch.zeros(1, len(name)).double() for name in self.extra}
+
+    scenario = attached(Fickle(3))
+    for extra, message in (
+        ((), r"target_exists \[3\] but earlier .*, mood \[4\]; all"),
+        (("moods",), r"moods \[5\] but earlier"),
+    ):
+        scenario.extra = extra
+        with pytest.raises(ValueError, match=message):
+            scenario.draw_checked(key(2))
+
+
+# -- values of episodes --------------------------------------------------------------------------------------------------------
+
+
+class Own(scene.UniformTargets):
+    """Counts steps in an attribute."""
+
+    def link(self, fleet):
+        super().link(fleet)
+        self.count = torch.zeros(fleet.num_envs)
+
+    def after_step(self, sim_time):
+        self.count = self.count + 1.0
+
+
+class InPlace(Own):
+    def after_step(self, sim_time):
+        self.count += 1.0
+
+
+@pytest.mark.parametrize("cls", [Own, InPlace])
+@pytest.mark.parametrize("n", [1, 2])
+def test_tensors_of_its_own(cls, n):
+    scenario = attached(cls(3), n)
+    finish(scenario, 1.0)
+    with pytest.raises(TypeError, match=rf"{cls.__name__}.count is a tensor that has changed .*fleet.memory.declare.*'_count'"):
+        finish(scenario, 2.0)
+
+
+def test_tensors_that_may_be_kept():
+    """Constants, tables that are built when they are first needed, caches with an underscore, and memory."""
+
+    class Fine(scene.UniformTargets):
+        def link(self, fleet):
+            super().link(fleet)
+            self.constant = torch.ones(fleet.num_envs)
+            fleet.memory.declare("steps", 0)
+
+        def after_step(self, sim_time):
+            if sim_time[0] >= 2.0 and not hasattr(self, "late"):
+                self.late = torch.ones(2)
+            self._cache = 2.0 * sim_time
+            self.fleet.memory["steps"] = self.fleet.memory["steps"] + 1
+
+    scenario = attached(Fine(3))
+    for time in (1.0, 2.0, 3.0):
+        finish(scenario, time)
+    assert scenario.fleet.memory["steps"].tolist() == [3, 3]
+
+
+# -- names that mean nothing ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("name", "advice"),
+    [
+        ("link_satellites", r"define link\(fleet\)"),
+        ("validate_satellite_names", r"define link\(fleet\), which finds the names in fleet.names"),
+        ("reset_overwrite_previous", r"keep values .* in self.fleet.memory"),
+        ("reset_pre_sim_init", r"define draw\(key\)"),
+        ("reset_during_sim_init", r"define draw\(key\)"),
+        ("reset_post_sim_init", r"define reset\(rows\)"),
+        ("regenerate_targets", r"places\(key\) in a subclass of UniformTargets"),
+        ("begin_episodes", r"define reset\(rows\)"),
+        ("finish_step", r"define after_step\(sim_time\)"),
+    ],
+)
+@pytest.mark.parametrize("base", [scene.Scenario, scene.UniformTargets, scene.CloudyTargets])
+def test_names_that_are_no_hooks(base, name, advice):
+    with pytest.raises(TypeError, match=rf"Mine.{name} is never used; .*{advice}"):
+        type("Mine", (base,), {name: lambda self: None})
+
+
+@pytest.mark.parametrize(
+    ("base", "name", "meant"),
+    [
+        (scene.Scenario, "after_steps", "after_step"),
+        (scene.UniformTargets, "place", "places"),
+        (scene.UniformTargets, "name", "names"),
+    ],
+)
+def test_misspelled_hooks(base, name, meant):
+    with pytest.raises(TypeError, match=rf"Mine.{name} is never used; did you mean '{meant}'"):
+        type("Mine", (base,), {name: lambda self, argument: None})
+
+
+def test_hooks_with_other_arguments():
+    with pytest.raises(TypeError, match=r"Mine.after_step\(self\) cannot be called as after_step\(sim_time\)"):
+        type("Mine", (scene.Scenario,), {"after_step": lambda self: None})
+
+
+# -- in an environment ---------------------------------------------------------------------------------------------------------
+
+
+class Recorded(scene.UniformTargets):
+    """Notes the calls of its hooks."""
+
+    calls: list[str]
+
+    def draw(self, key):
+        self.calls.append("draw")
+        return super().draw(key)
+
+    def link(self, fleet):
+        self.calls.append("link")
+
+        super().link(fleet)
+
+    def reset(self, rows):
+        self.calls.append(f"reset {rows.tolist()}")
+
+    def after_step(self, sim_time):
+        self.calls.append(f"after_step {sim_time.tolist()}")
+
+
+def test_hooks_run_in_an_environment():
+    attributes = {"action_spec": (act.Charge(duration=5.0),), "observation_spec": (obs.Time(norm=1.0),)}
+    satellite = type("Imager", (sats.ImagingSatellite,), attributes)("A")
+    scenario = Recorded(400)
+    scenario.calls = []
+    env = SatelliteTasking(satellite, scenario, data.NoReward(), num_envs=2, time_limit=60.0, seed=1, backend="eager")
+    assert scenario.calls.count("link") == 2  # once for a trial episode
+    scenario.calls.clear()
+    env.reset()
+    assert scenario.calls == ["draw", "reset [0, 1]"]
+    scenario.calls.clear()
+    env.step(TensorDict({"action": torch.tensor([0, 0])}, env.batch_size))
+    assert scenario.calls == ["after_step [5.0, 5.0]"]

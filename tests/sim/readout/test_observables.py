@@ -1,0 +1,126 @@
+"""Observables: the same numbers from the kernel, on tensors and as plain properties."""
+
+import math
+
+import pytest
+import torch
+
+import bsk_torch
+from bsk_torch import SatelliteTasking, act, dyn, obs, sats
+from bsk_torch.astro.attitude import mrp_to_dcm
+from bsk_torch.astro.ephemeris import earth_orientation, sun_position
+from bsk_torch.sim.dyn import Now, observable
+from bsk_torch.vec3 import Vec3, only
+
+READ = ("r_BN_N", "v_BN_P", "omega_BP_P", "omega_BH_H", "beta_angle", "true_anomaly", "wheel_speeds_fraction", "illumination")
+
+
+class WatchedDynModel(dyn.BasicDynamicsModel):
+    """Adds a property on planes, one on tensors, and one that no kernel can compute."""
+
+    @observable
+    def height_over_poles(now: Now):
+        return torch.abs((now.PN @ now.r_BN_N).z) / now.args.min_orbital_radius
+
+    @property
+    def height_on_tensors(self):
+        return self.r_BN_P[:, 2].abs() / self.satellite.sat_args["min_orbital_radius"]
+
+    @observable
+    def median_speed(now: Now) -> torch.Tensor:
+        return torch.stack(list(now.v_BN_N)).median(0).values
+
+
+class Watched(sats.Satellite):
+    observation_spec = (obs.SatProperties(*(dict(prop=name) for name in READ), dict(prop="height_over_poles")),)
+    action_spec = (act.Charge(duration=60.0),)
+    dyn_type = WatchedDynModel
+
+
+def flown(backend: str, satellite: type[sats.Satellite] = Watched) -> SatelliteTasking:
+    env = SatelliteTasking(satellite("Watched1"), num_envs=9, seed=3, backend=backend, dtype=torch.float64)
+    env.rollout(2)
+    return env
+
+
+@pytest.mark.compiled
+def test_kernels_and_tensors_agree():
+    env = flown("compiled")
+    dynamics, observer = env.satellite.dynamics, env.simulator.observer
+    for name in (*READ, "height_over_poles"):
+        function = getattr(WatchedDynModel, name).function
+        assert function in observer.wanted
+        value = function(observer.now)
+        expected = value.stack() if isinstance(value, Vec3) else value
+        # fused multiply-adds; the true anomaly of a nearly circular orbit loses three digits
+        torch.testing.assert_close(getattr(dynamics, name), expected, rtol=1e-9, atol=1e-9)
+    assert torch.equal(dynamics.battery_valid(), dynamics.battery_charge > 0.0)
+    torch.testing.assert_close(dynamics.height_over_poles, dynamics.height_on_tensors, rtol=1e-12, atol=0)
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize("backend", ["eager", "compiled"])
+def test_frames(backend):
+    """Against matrices that are computed another way; 1e-11 is the rounding of the Earth's angle."""
+    env = flown(backend)
+    dynamics, et = env.satellite.dynamics, env.simulator.world.et
+    PN, BN = earth_orientation(et), mrp_to_dcm(Vec3.of(dynamics.sigma_BN)).stack()
+    torch.testing.assert_close(dynamics.r_BN_P, (PN @ dynamics.r_BN_N.unsqueeze(-1)).squeeze(-1), rtol=0, atol=1e-3)
+    torch.testing.assert_close(dynamics.BP, BN @ PN.mT, rtol=0, atol=1e-10)
+    normal = torch.linalg.cross(dynamics.r_BN_N, dynamics.v_BN_N)
+    sun = sun_position(et)
+    cosine = (normal * sun).sum(-1) / (normal.norm(dim=-1) * sun.norm(dim=-1))
+    torch.testing.assert_close(dynamics.beta_angle, torch.acos(cosine), rtol=0, atol=1e-9)
+
+
+@pytest.mark.compiled
+def test_values_follow_the_state():
+    env = flown("compiled")
+    before = env.satellite.dynamics.r_BN_N
+    assert torch.equal(env.satellite.dynamics.r_BN_N, before)
+    env.step(env.rand_action(env.reset()))
+    assert not torch.equal(env.satellite.dynamics.r_BN_N, before)
+
+
+@pytest.mark.compiled
+def test_what_no_kernel_can_compute_is_computed_on_tensors():
+    class Median(Watched):
+        observation_spec = (obs.SatProperties(dict(prop="median_speed"), dict(prop="r_BN_N")),)
+
+    env = flown("compiled", Median)
+    assert not env.simulator.observer.kernels
+    dynamics = env.satellite.dynamics
+    assert torch.equal(dynamics.median_speed, dynamics.v_BN_N.median(-1).values)
+
+
+def test_unknown_argument_is_named():
+    class Typo(dyn.BasicDynamicsModel):
+        @observable
+        def wrong(now: Now):
+            return now.args.batteryStorageCapcity
+
+    class Wrong(Watched):
+        observation_spec = (obs.SatProperties(dict(prop="wrong")),)
+        dyn_type = Typo
+
+    with pytest.raises(KeyError, match="batteryStorageCapacity"):
+        SatelliteTasking(Wrong("Wrong1"), backend="eager")
+
+
+def test_only_chooses_parts_of_trees():
+    mask = torch.tensor([True, False])
+    one, two = torch.ones(2), torch.full((2,), 2.0)
+    vector, (plane, pair) = only(mask, lambda: (Vec3(one, one, one), (one, (one, one))), (Vec3(two, two, two), (two, (two, two))))
+    assert isinstance(vector, Vec3)
+    for part in (*vector, plane, *pair):
+        assert part.tolist() == [1.0, 2.0]
+
+
+def test_presets_read_nothing_but_observables():
+    """What the paper's agent sees of its satellite comes from one kernel."""
+    env = bsk_torch.make("NadirScan-v1", num_envs=1, backend="eager")
+    env.reset()
+    names = [entry["prop"] for entry in env.satellite.observations.entries[0].entries]
+    models = type(env.satellite.dynamics), type(env.satellite.fsw)
+    assert all(any(isinstance(getattr(model, name, None), observable) for model in models) for name in names)
+    assert env.satellite.dynamics.instrument_pointing_error.max() <= math.pi

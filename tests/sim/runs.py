@@ -1,0 +1,39 @@
+"""Starts of runs: everything that a runner needs beside the number of ticks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from torch import Tensor
+
+from bsk_torch.codegen.kernel import Samples
+from bsk_torch.sim.run import Runner
+from bsk_torch.sim.simulator import Simulator
+
+
+@dataclass(frozen=True)
+class Start:
+    """Arguments of a :class:`bsk_torch.sim.run.Runner`."""
+
+    state: Tensor
+    shared: Tensor
+    own: Tensor
+    mode: Tensor
+    flags: Tensor
+    ticks: Tensor
+    tracks: tuple[Samples, ...]
+    nanoseconds: int
+    expected_ticks: Tensor | None = None
+    lockstep: int = 1
+
+    def run(self, runner: Runner, counts: Tensor) -> Tensor:
+        """Run from here, which changes ``state``; returns the number of ticks of each row."""
+        names = ("expected_ticks", "shared", "own", "mode", "flags", "ticks", "nanoseconds", "lockstep")
+        return runner(self.state, counts, self.tracks, **{name: getattr(self, name) for name in names})
+
+
+def start_of(simulator: Simulator) -> Start:
+    """The start of a run of a simulation, with a copy of its state."""
+    state, tracks = simulator.state, simulator.lookahead.arcs.tracks(simulator.tick.tracks)
+    packs = state.planes.clone(), simulator.uniform, state.parameters, state.mode, simulator.flag_table, state.ticks
+    return Start(*packs, tracks, simulator.h_ns)

@@ -1,0 +1,168 @@
+from __future__ import annotations
+
+import re
+
+import pytest
+import torch
+from typer.testing import CliRunner
+
+from bsk_torch.cli import app
+from bsk_torch.cli.schedule import described
+from bsk_torch.presets import make
+from bsk_torch.rand import first_key
+from bsk_torch.sim import dyn, fsw
+from bsk_torch.sim.component import Component, Field, collect
+from bsk_torch.sim.schedule import SCHEDULE, ordered, place
+from bsk_torch.sim.simulator import Simulator
+
+NADIR_SCAN = (
+    *("earth_pole", "ground_stations", "location_target", "ephemeris", "eclipse", "orbit", "hub", "wheels", "thrusters"),
+    *("panel", "wheel_power", "base_power", "thruster_draw", "instrument_draw", "transmitter_draw"),
+    *("instrument", "battery", "transmitter", "storage"),
+    *("navigation", "sun_pointing", "nadir_pointing", "desaturation", "location_pointing", "instrument_controller", "control"),
+)
+
+AEOS = (
+    *("earth_pole", "location_target", "ephemeris", "eclipse", "orbit", "hub", "wheels", "thrusters"),
+    *("panel", "wheel_power", "base_power", "thruster_draw", "instrument_draw", "transmitter_draw"),
+    *("instrument", "battery", "transmitter", "storage", "image_event"),
+    *("navigation", "sun_pointing", "nadir_pointing", "desaturation", "location_pointing", "instrument_controller", "control"),
+)
+
+
+def component(slot: str, **options: str) -> Component:
+    return Component(slot, lambda bus: None, **options)
+
+
+def test_every_slot_has_a_name_of_its_own_and_a_group():
+    names = [slot.name for slot in SCHEDULE]
+    assert len(set(names)) == len(names)
+    assert all(all(slot) for slot in SCHEDULE)
+    assert list(dict.fromkeys(slot.group for slot in SCHEDULE)) == ["environment", "orbit", "dynamics", "flight software"]
+
+
+@pytest.mark.parametrize(("name", "slots"), [("NadirScan-v1", NADIR_SCAN), ("AEOS-v1", AEOS)])
+@pytest.mark.parametrize("backend", ["eager", pytest.param("compiled", marks=pytest.mark.compiled)])
+def test_the_order_of_presets(name, slots, backend):
+    """Basilisk's order of modules; the same under both back ends."""
+    assert make(name, num_envs=1, backend=backend).fleet.simulators[0].tick.schedule == slots
+
+
+def test_where_drag_acts_if_the_orbit_is_integrated():
+    schedule = make("NadirScan-v1", num_envs=1, backend="eager", orbit="integrated").fleet.simulators[0].tick.schedule
+    assert schedule.index("ephemeris") < schedule.index("atmosphere") < schedule.index("eclipse") < schedule.index("hub")
+    assert schedule[schedule.index("hub") + 1] == "drag"
+    assert "orbit" not in schedule
+
+
+def test_own_components_run_after_and_before_slots():
+    """Where several say the same, in the order in which they are given; one may also leave its slot's place."""
+    mine = [component(name, **where) for name, where in {
+        "c": {"after": "battery"}, "b": {"before": "battery"}, "a": {"before": "battery"}, "d": {"after": "battery"},
+    }.items()]  # fmt: skip
+    moved = component("eclipse", after="control")
+    scheduled = [component(name) for name in ("transmitter", "battery", "instrument")]
+    names = [c.slot for c in ordered([moved, *mine, *scheduled])]
+    assert names == ["instrument", "b", "a", "battery", "c", "d", "transmitter", "eclipse"]
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"slot": "batery"}, r"slot='batery' is not in the schedule .* did you mean 'battery'"),
+        ({"slot": "heater", "after": "batery"}, r"slot='heater' has after='batery', .* did you mean 'battery'"),
+        ({"slot": "heater", "before": "heater"}, r"slot='heater' has before='heater', which is no slot"),
+        ({"slot": "heater", "after": "battery", "before": "hub"}, r"after='battery' and before='hub'; give one"),
+    ],
+)
+@pytest.mark.parametrize("attribute", ["components", "world_components"])
+def test_a_component_without_a_place_is_refused_where_the_model_is_written(options, message, attribute):
+    wrong = component(**options)
+    with pytest.raises(ValueError, match=message):
+        type("WrongDynModel", (dyn.DynamicsModel,), {attribute: (wrong,)})
+    with pytest.raises(ValueError, match=message):
+        place(wrong)
+
+
+def test_replacing_a_slot_keeps_its_place():
+    class Replaced(dyn.BasicDynamicsModel):
+        components = (component("battery"),)
+
+    before, after = (collect(reversed(cls.__mro__)) for cls in (dyn.BasicDynamicsModel, Replaced))
+    assert [c.slot for c in before] == [c.slot for c in after]
+    assert next(c for c in after if c.slot == "battery") is Replaced.components[0]
+
+
+# -- the tick at time zero -----------------------------------------------------------------------------------------------------
+
+
+def measure(bus) -> None:
+    """Distance of the Sun."""
+    bus.sun_range = bus.r_SN_N.norm()
+    bus.sun_calls = bus.sun_calls + 1.0
+
+
+def count(bus) -> None:
+    """Ticks."""
+    bus.calls = bus.calls + 1.0
+
+
+def fields(*names: str) -> dict:
+    zeros = {name: torch.zeros(1, dtype=torch.float64) for name in names}
+    return dict(state=tuple(Field(name, exact=True) for name in names), initial=lambda args: zeros)
+
+
+class Measuring(dyn.DynamicsModel):
+    """A world component of the user's own, and one of the spacecraft that runs at time zero only if it says so."""
+
+    components = (
+        Component("counter", count, after="hub", **fields("calls")),
+        Component(
+            "starter",
+            lambda bus: setattr(bus, "starts", bus.starts + 1.0),
+            after="hub",
+            at_start=True,
+            **fields("starts"),
+        ),
+    )
+    world_components = (Component("sun_range", measure, after="ephemeris", **fields("sun_range", "sun_calls")),)
+
+
+@pytest.mark.parametrize("backend", ["eager", pytest.param("compiled", marks=pytest.mark.compiled)])
+def test_components_of_the_world_take_part_in_the_tick_at_time_zero(backend):
+    options = dict(num_envs=2, device=torch.device("cpu"), dtype=torch.float64, sim_rate=1.0, horizon=600.0, backend=backend)
+    simulator = Simulator(Measuring, fsw.FSWModel, {}, world_args={}, orbit="arc", segment=600.0, max_time=600.0, **options)
+    simulator.reset(simulator.state.all_rows, simulator.draw(first_key(2)), torch.zeros(2, dtype=torch.float64))
+    torch.testing.assert_close(simulator.read("sun_range"), simulator.world.r_SN_N.norm(dim=-1), rtol=1e-9, atol=0)
+    names = "sun_calls", "starts", "calls"
+    assert [simulator.read(name).tolist() for name in names] == [[1.0, 1.0], [1.0, 1.0], [0.0, 0.0]]
+    simulator.run(torch.tensor([3, 0]))
+    assert [simulator.read(name).tolist() for name in names] == [[4.0, 1.0], [4.0, 1.0], [3.0, 0.0]]
+    assert simulator.tick.schedule == (
+        *("earth_pole", "ephemeris", "sun_range", "orbit", "hub", "counter", "starter", "navigation"),
+    )
+
+
+# -- the printed list ----------------------------------------------------------------------------------------------------------
+
+
+def test_the_list_is_printed_in_order():
+    printed = re.findall(r"^  (\w+) ", CliRunner().invoke(app, ["schedule"]).output, re.MULTILINE)
+    assert printed == [slot.name for slot in SCHEDULE]
+
+
+def test_the_components_of_a_preset_are_printed_in_order():
+    printed = CliRunner().invoke(app, ["schedule", "NadirScan-v1"]).output
+    assert re.findall(r"^    (\w+) ", printed, re.MULTILINE) == list(NADIR_SCAN)
+    assert printed.startswith("Scanner1:\n  environment:\n    earth_pole ")
+
+
+def test_unknown_presets_are_refused():
+    result = CliRunner().invoke(app, ["schedule", "NadirScn-v1"])
+    assert result.exit_code != 0
+    assert "did you mean 'NadirScan-v1'" in result.output
+
+
+def test_own_components_are_described_by_their_update():
+    slot = described(Measuring.world_components[0])
+    assert slot == ("sun_range", "Distance of the Sun.", "none, runs after ephemeris", "environment")

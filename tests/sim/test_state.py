@@ -1,0 +1,183 @@
+"""Declared tensors take part in resets, copies of rows, and saved states, and tensors that are not declared are refused."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+from bsk_torch.sim.state import StateTable, widened
+
+
+@pytest.fixture
+def memory() -> StateTable:
+    """Of four environments: the last target, images of three places, whether any was taken, and a matrix."""
+    made = StateTable(4)
+    made.declare("target", -1)
+    made.declare("images", 0, 3)
+    made.declare("taken_any", False, dtype=torch.bool)
+    made.declare("value", 0.5, 2, 2, dtype=torch.float64)
+    return made
+
+
+def test_names_start_with_their_initial_values(memory):
+    assert list(memory) == ["target", "images", "taken_any", "value"]
+    assert torch.equal(memory["target"], torch.full((4,), -1))
+    assert torch.equal(memory["images"], torch.zeros(4, 3, dtype=torch.int64))
+    assert torch.equal(memory["taken_any"], torch.zeros(4, dtype=torch.bool))
+    assert torch.equal(memory["value"], torch.full((4, 2, 2), 0.5, dtype=torch.float64))
+
+
+@pytest.mark.parametrize("name", ["taken_any", "version", "rows", "reset"])
+def test_a_name_is_taken_once(memory, name):
+    with pytest.raises(ValueError, match=rf"name='{name}' is already declared; known are .*'images', 'taken_any', 'target'"):
+        memory.declare(name, 0)
+
+
+def test_tensors_that_are_not_declared_are_refused(memory):
+    with pytest.raises(AttributeError, match=r"tensor 'charge' is not declared .* declare\('charge', ...\) first"):
+        memory.charge = torch.zeros(4)
+    with pytest.raises(AttributeError, match="no field of the state is called 'charge'"):
+        memory.charge  # noqa: B018
+
+
+def test_shapes_do_not_change(memory):
+    with pytest.raises(ValueError, match=r"'images' has shape \[4, 3\] in the state; it cannot become \[4\]"):
+        memory["images"] = torch.zeros(4)
+
+
+def test_what_is_stored_keeps_its_type(memory):
+    memory["target"] = torch.tensor([3.0, 2.0, 1.0, 0.0])
+    memory["taken_any"] = torch.tensor([0, 1, 0, 1])
+    assert torch.equal(memory["target"], torch.tensor([3, 2, 1, 0]))
+    assert torch.equal(memory["taken_any"], torch.tensor([False, True, False, True]))
+
+
+def test_names_that_are_not_remembered(memory):
+    with pytest.raises(KeyError):
+        memory["targets"]
+    with pytest.raises(KeyError):
+        memory["targets"] = torch.zeros(4)
+    assert "targets" not in list(memory)
+
+
+def test_resets_set_all_names_back_in_their_rows(memory):
+    memory["target"] = torch.arange(4)
+    memory["images"] = torch.arange(12).view(4, 3)
+    memory["value"] = torch.ones(4, 2, 2)
+    memory.reset(torch.tensor([2, 0]))
+    assert memory["target"].tolist() == [-1, 1, -1, 3]
+    assert memory["images"].tolist() == [[0, 0, 0], [3, 4, 5], [0, 0, 0], [9, 10, 11]]
+    assert memory["value"][:, 0, 1].tolist() == [0.5, 1.0, 0.5, 1.0]
+    memory.reset(torch.tensor([], dtype=torch.int64))
+    assert memory["target"].tolist() == [-1, 1, -1, 3]
+
+
+def test_rows_are_copied_from_another_table_of_another_size(memory):
+    other = memory.taken(torch.tensor([3, 1, 0, 2, 2, 1]))
+    other["images"], other["target"] = torch.arange(18).view(6, 3), torch.arange(6)
+    memory.copy_rows(torch.tensor([0, 2, 3]), other, torch.tensor([5, 5, 1]))
+    assert memory["images"].tolist() == [[15, 16, 17], [0, 0, 0], [15, 16, 17], [3, 4, 5]]
+    assert memory["target"].tolist() == [5, -1, 5, 1]
+
+
+def test_fields_that_another_table_lacks_start_anew(memory):
+    memory["images"], other = torch.ones(4, 3), StateTable(4)
+    other.declare("target", -1)
+    memory.copy_rows(torch.tensor([1, 2]), other, torch.tensor([0, 0]))
+    assert memory["images"].sum(1).tolist() == [3, 0, 0, 3]
+
+
+def nested(n: int) -> StateTable:
+    """Episodes of two satellites each, with a table that grows, one of planes, and one that its owner writes."""
+    root, part = StateTable(n), StateTable(n, 2)
+    root.declare("returns", 0.0)
+    part.declare("planes", None, 3, planes=True)
+    part.declare("windows", float("inf"), 1, grows=True)
+    part.declare("tail", None, 2)
+    root.add("satellites", part)
+    part.planes.copy_(torch.arange(6.0 * n).view(3, 2 * n))
+    part.tail.copy_(torch.arange(4.0 * n).view(2 * n, 2))
+    part.windows = torch.arange(2.0 * n * n).view(2 * n, n)
+    root.returns = torch.arange(float(n)).double()
+    return root
+
+
+def test_saved_states_put_episodes_first_and_restore_any_rows_of_them():
+    mine, saved = nested(3), nested(5).to_tensordict()
+    assert saved["satellites", "planes"].shape == (5, 2, 3)
+    assert saved["satellites", "windows"].shape == (5, 2, 5)
+    before = mine.to_tensordict()
+    for given in (saved, saved.to_dict()):
+        mine.copy_rows(torch.tensor([2, 0]), mine.over(given), torch.tensor([4, 4]))
+        after = mine.to_tensordict()
+        for row, source in ((0, saved[4]), (2, saved[4])):
+            assert (after[row] == source).all()
+        assert torch.equal(after["satellites", "windows"][1, :, :3], before["satellites", "windows"][1])
+        assert torch.isinf(after["satellites", "windows"][1, :, 3:]).all()
+        assert torch.equal(after["satellites", "planes"][1], before["satellites", "planes"][1])
+
+
+@pytest.mark.parametrize(
+    ("change", "error", "message"),
+    [
+        (lambda saved: saved.pop("returns"), KeyError, r"lacks \['returns'\]"),
+        (lambda saved: saved.update(more=saved["returns"]), KeyError, r"has \['more'\] beside"),
+        (lambda saved: saved.update(returns=saved["returns"].float()), ValueError, "'returns' .* dtype torch.float32"),
+        (lambda saved: saved.update(returns=saved["returns"][:2]), ValueError, r"\[2, 4\] episodes"),
+        (lambda saved: saved["satellites"].update(tail=saved["satellites"]["tail"][..., :1]), ValueError, "'tail' .* shape"),
+    ],
+)
+def test_states_that_do_not_fit_are_refused(change, error, message):
+    table, saved = nested(4), nested(4).to_tensordict().to_dict()
+    change(saved)
+    with pytest.raises(error, match=message):
+        table.over(saved)
+
+
+def test_rows_of_a_growing_field_are_written_whatever_their_width():
+    def written(rows: list[int], *new: list[float]) -> list[list[float]]:
+        table = StateTable(2)
+        table.declare("times", float("inf"), 2, grows=True)
+        table.times.copy_(torch.tensor([[1.0, 2.0], [3.0, 4.0]]))
+        table.write_rows("times", torch.tensor(rows), torch.tensor(new, dtype=torch.float64))
+        return table.times.tolist()
+
+    inf = float("inf")
+    assert written([1], [9.0]) == [[1.0, 2.0], [9.0, inf]]  # what was there before is gone
+    assert written([1], [7.0, 8.0, 9.0]) == [[1.0, 2.0, inf], [7.0, 8.0, 9.0]]
+    assert written([1, 0], [5.0], [6.0]) == [[6.0, inf], [5.0, inf]]
+
+
+def test_tables_are_widened_only_where_they_are_narrower():
+    table = torch.zeros(2, 3)
+    assert widened(table, 2, 1.0) is widened(table, 3, 1.0) is table
+    assert widened(torch.tensor([[1, 2]]), 3, 0).tolist() == [[1, 2, 0]]
+    assert widened(torch.zeros(1, 1, 2), 2, 5.0).tolist() == [[[0.0, 0.0], [5.0, 5.0]]]
+
+
+def test_what_has_been_handed_out_does_not_change(memory):
+    """An observation made of it stays as it was."""
+    images = memory["images"]
+    before = images.clone()
+    memory["images"] = torch.ones(4, 3)
+    ones = memory["images"]
+    memory.reset(torch.arange(4))
+    memory.copy_rows(torch.tensor([0]), memory.taken(torch.tensor([1])), torch.tensor([0]))
+    assert torch.equal(images, before)
+    assert torch.equal(ones, torch.ones(4, 3, dtype=torch.int64))
+
+
+def test_every_change_is_a_new_version(memory):
+    """Queries that depend on the memory ask again after each."""
+    versions = [memory.version]
+    for change in (
+        lambda: memory.__setitem__("target", torch.zeros(4)),
+        memory.touch,
+        lambda: memory.reset(torch.tensor([1])),
+        lambda: memory.copy_rows(torch.tensor([1]), memory.taken(torch.tensor([0])), torch.tensor([0])),
+    ):
+        change()
+        versions.append(memory.version)
+    assert versions == sorted(set(versions))
+    memory["taken_any"], list(memory)
+    assert memory.version == versions[-1]

@@ -1,0 +1,31 @@
+"""Every package, and every module of rl, can be the first one that is imported."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+
+FILES = sorted({*(ROOT / "bsk_torch").rglob("__init__.py"), *(ROOT / "bsk_torch" / "rl").rglob("*.py")})
+
+MODULES = [".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__") for path in FILES]
+
+CODE = """
+import importlib, os, sys
+import torchrl.envs, torchrl.objectives, torchrl.collectors  # once for all
+for module in sys.argv[1:]:
+    child = os.fork()
+    if not child:
+        try:
+            importlib.import_module(module)
+        except BaseException as error:
+            print(module, repr(error), flush=True)
+        os._exit(0)
+    os.waitpid(child, 0)
+"""
+
+
+def test_modules_can_be_imported_first():
+    assert len(MODULES) >= 50
+    run = subprocess.run([sys.executable, "-c", CODE, *MODULES], capture_output=True, text=True, check=True)
+    assert run.stdout == ""

@@ -1,0 +1,206 @@
+"""Every script, benchmark, example and recorder runs at its smallest size, and none is forgotten."""
+
+from __future__ import annotations
+
+import ast
+import os
+import re
+import shutil
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+
+ROOT = Path(__file__).parents[1]
+
+FOLDERS = ("benchmarks", "examples", "scripts", "tests/basilisk/recorders")
+
+TRAIN = "--frames 32 num_envs=2 rollout=8 evaluate_every=16 evaluate_episodes=2 --episodes 2 --time-limit 300"
+"""What makes a training of ``bsk-torch`` short."""
+
+
+class Start(NamedTuple):
+    """A command that takes seconds: the script's arguments, a regular expression of its output, and a marker of what it needs."""
+
+    arguments: str
+    printed: str
+    needs: str = "compiled"
+
+
+STARTS: dict[str, list[Start]] = {
+    "benchmarks/breakdown.py": [Start("--batches 2 --seconds 0.1 --warm-up 1", r"\| scan \| 2 \| all \| [\d,.]+ \| 100.0 \|")],
+    "benchmarks/compare.py": [
+        Start("--base {root} --only 1 --turns 1 --seconds 0.1 --warm-up 1", r"\| 1 \| \d+ \| .* \| True \|"),
+    ],
+    "benchmarks/constellation.py": [
+        Start("--satellites 1 2 --rows 2 --turns 1 --modes tasks", r"\| tasks \| 2 \| 1 \| [\d,]+ \|"),
+        Start(
+            "--satellites 1 --rows 1 --turns 1 --modes intervals --seconds 0.1 --basilisk {python}",
+            r"\| intervals \| 1 \| 1 \| [\d,]+ \|.*\| [\d,]+ \| [\d,]+ \|",
+            "basilisk",
+        ),
+    ],
+    "benchmarks/memory.py": [Start("--batch 4 --steps 40 --warm-up 1", r"\| scan \| 40 \| [\d,.]+ \|")],
+    "benchmarks/reset.py": [
+        Start("--batch 4 --rows 1 --rounds 1 --shares 2 --seconds 0.1 --warm-up 1", r"\| scan \| 2 \| [\d.]+% \|"),
+    ],
+    "benchmarks/scaling.py": [
+        Start(
+            "--batches 1 --split 2 --layouts processes --seconds 0.1 --warm-up 1",
+            r"(?s)\| scan \| 1 \| [\d,]+ \|.*\| scan \| processes \| 2 \| [\d,]+ \|",
+        ),
+    ],
+    "benchmarks/startup.py": [
+        Start("--batches 1 --dtypes float64 --warm 0 --backend eager", r"\| scan \| 1 \| float64 \| nothing \| [\d.]+ \|"),
+    ],
+    "benchmarks/state.py": [Start("--tasks scan --rows 3 --rounds 1 --steps 2", r"\| scan \| 3 \| [\d.]+ \|")],
+    "benchmarks/vs_basilisk.py": [
+        Start(
+            "--only 1 gymnasium 64-collector --turns 1 --seconds 0.1 --warm-up 1",
+            r"(?s)\| 1 \| 1 \|.*\| gymnasium \| 1 \|.*\| 64-collector \| 64 \| float64 \| [\d,]+ \| - \|",
+        ),
+        Start(
+            "--only 1 --turns 1 --seconds 0.1 --warm-up 1 --basilisk {python}",
+            r"\| 1 \| 1 \|.*\| [\d.]+ to [\d.]+ \|",
+            "basilisk",
+        ),
+    ],
+    "scripts/demo.sh": [Start(f"{TRAIN} --out run", "trained")],
+    "scripts/tools/make_coastlines.py": [Start("{countries} --out land.geojson", "2 pieces of land", "coastlines")],
+    "scripts/tools/make_tables.py": [Start("--samples --out .", "largest position error 0.49", "basilisk")],
+    "scripts/tools/update_golden.py": [
+        Start("--folder golden", "files in golden; written or changed: NadirScan-v1.cpp, AEOS-v1.cpp")
+    ],
+    "scripts/validation/fly_on_basilisk.py": [
+        Start(
+            "rule --seeds 1:2 --workers 1 --time-limit 400 --out out.json",
+            "the same 1 episodes in bsk_torch and in Basilisk",
+            "basilisk",
+        ),
+    ],
+}
+"""Commands by script, run in an empty folder."""
+
+RECORDED = {
+    "record_basilisk": "basilisk/recordings/two_seconds",
+    "record_constellation": "basilisk/recordings/constellation_untasked",
+    "record_imaging": "basilisk/recordings/imaging_half_second",
+    "record_los": "basilisk/recordings/los_two_seconds",
+    "record_modules": "sim/data/controller",
+}
+"""A short recording of each recorder."""
+
+ELSEWHERE = {
+    "examples/mappo_benchmarl.py": "tests/test_clients.py",
+    "examples/ppo_cleanrl.py": "tests/test_clients.py",
+    "examples/ppo_rllib.py": "tests/test_clients.py",
+    "examples/ppo_sb3.py": "tests/test_clients.py",
+    "examples/share_intent.py": "tests/test_clients.py",
+    "scripts/test.sh": ".ci/run",
+    **{f"tests/basilisk/recorders/{script}.py": "tests/test_scripts.py" for script in RECORDED},
+}
+"""Scripts that other tests start, and where."""
+
+STARTED_BY_OTHERS = {"benchmarks/basilisk_side.py": "benchmarks/harness.py"}
+"""Scripts that others start in another interpreter: their names occur there."""
+
+RUNS = [
+    pytest.param(path, start, marks=[pytest.mark.compiled, getattr(pytest.mark, start.needs)], id=f"{Path(path).name}-{k}")
+    for path, starts in STARTS.items()
+    for k, start in enumerate(starts)
+]
+
+
+def run(folder: Path, path: str, *arguments: str) -> str:
+    """What a script prints; its errors are shown where it fails."""
+    command = [sys.executable] if path.endswith(".py") else ["bash"]
+    environment = os.environ | {
+        "OMP_NUM_THREADS": "1",
+        "PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")]),
+    }
+    result = subprocess.run(
+        [*command, str(ROOT / path), *arguments], cwd=folder, env=environment, capture_output=True, text=True, check=False
+    )
+    assert result.returncode == 0, result.stdout + result.stderr
+    return result.stdout
+
+
+@pytest.mark.parametrize(("path", "start"), RUNS)
+def test_runs(path, start, tmp_path):
+    if path == "scripts/demo.sh" and not (ROOT / ".venv/bin/bsk-torch").exists():
+        pytest.skip("needs .venv, which scripts/test.sh makes")
+    values = {"root": str(ROOT), "python": sys.executable, "countries": "countries.whl"}
+    if "{countries}" in start.arguments:
+        write_countries(tmp_path / values["countries"])
+    printed = run(tmp_path, path, *start.arguments.format(**values).split())
+    assert re.search(start.printed, printed), printed
+
+
+def write_countries(wheel: Path) -> None:
+    """A wheel with the borders of two neighbours and an island, in place of that of geopandas."""
+    import shapefile
+
+    with shapefile.Writer(str(wheel.with_suffix("")), shapeType=shapefile.POLYGON) as writer:
+        writer.field("name", "C")
+        for k in (0, 1, 5):
+            writer.poly([[[k, 0], [k, 1], [k + 1, 1], [k + 1, 0], [k, 0]]])
+            writer.record(f"country {k}")
+    with zipfile.ZipFile(wheel, "w") as archive:
+        for kind in ("shp", "shx", "dbf"):
+            archive.write(wheel.with_suffix(f".{kind}"), f"geopandas/datasets/naturalearth_lowres/naturalearth_lowres.{kind}")
+
+
+@pytest.mark.basilisk
+@pytest.mark.parametrize(("script", "recording"), RECORDED.items())
+def test_a_recording_can_be_repeated(script, recording, tmp_path):
+    name = Path(recording).name
+    run(tmp_path, f"tests/basilisk/recorders/{script}.py", name, "--out", ".")
+    with np.load(tmp_path / f"{name}.npz") as new, np.load(ROOT / "tests" / f"{recording}.npz") as old:
+        assert set(new.files) == set(old.files)
+        for key in set(old.files) - {"sensitivity", "versions"}:  # rounding errors as such, and what they depend on
+            if old[key].dtype.kind == "f":
+                np.testing.assert_allclose(
+                    new[key], old[key], rtol=1e-9, atol=1e-7, err_msg=key
+                )  # other processors round otherwise
+            else:
+                np.testing.assert_array_equal(new[key], old[key], err_msg=key)
+
+
+# -- completeness -----------------------------------------------------------------------------------------------------
+
+
+def imported(path: Path) -> set[str]:
+    """Names of the top-level modules that a script imports anywhere."""
+    nodes = list(ast.walk(ast.parse(path.read_text())))
+    direct = {alias.name for node in nodes if isinstance(node, ast.Import) for alias in node.names}
+    return direct | {node.module for node in nodes if isinstance(node, ast.ImportFrom) and node.module}
+
+
+def test_every_script_is_started():
+    files = {path for folder in FOLDERS for path in (ROOT / folder).rglob("*") if path.suffix in (".py", ".sh")}
+    names = {str(path.relative_to(ROOT)) for path in files}
+    started = {*STARTS, *ELSEWHERE}
+    assert started <= names, f"there is no {', '.join(sorted(started - names))}"
+    for path, where in (ELSEWHERE | STARTED_BY_OTHERS).items():
+        assert Path(path).stem in (ROOT / where).read_text(), f"{where} does not start {path}"
+    reached = started | set(STARTED_BY_OTHERS)
+    modules = {Path(name).stem: name for name in names if name.endswith(".py")}
+    waiting = list(reached)
+    while waiting:  # and what those import
+        path = waiting.pop()
+        found = {modules[module] for module in imported(ROOT / path) & modules.keys()} if path.endswith(".py") else set()
+        waiting += found - reached
+        reached |= found
+    assert not names - reached, f"no test starts {', '.join(sorted(names - reached))}: add them to STARTS"
+
+
+def test_shell_scripts_are_executable():
+    scripts = [*(ROOT / "scripts").glob("*.sh"), ROOT / ".ci/run"]
+    assert len(scripts) >= 3
+    for script in scripts:
+        assert shutil.which(str(script)), f"{script} is not executable"
+        subprocess.run(["bash", "-n", str(script)], check=True)
