@@ -29,11 +29,11 @@ from bsk_torch.env.pool import EpisodePool
 from bsk_torch.env.randomizer import make_randomizer
 from bsk_torch.env.satellite_group import groups_of
 from bsk_torch.env.state import MADE_BY, check_compatible, check_fingerprint, fingerprint
-from bsk_torch.env.types import world_components
 from bsk_torch.obs.base import Values
 from bsk_torch.rand import Key
-from bsk_torch.sats.satellite import ArgumentTable, Satellite
+from bsk_torch.sats.satellite import Satellite
 from bsk_torch.scene.base import Scenario
+from bsk_torch.sim.argument_table import ArgumentTable
 from bsk_torch.sim.fleet import Fleet, FleetState
 from bsk_torch.sim.simulator import Simulator, whole_nanoseconds
 from bsk_torch.sim.state import StateTable
@@ -437,8 +437,7 @@ class Tasking(EnvBase):
 
     def default_world_args(self) -> ArgumentTable:
         """Return every argument that ``world_args`` accepts, with default, unit and meaning; print it to read it."""
-        first_of_each = (self.builder.satellites[columns[0]] for columns in self.builder.types)
-        return ArgumentTable([part for satellite in first_of_each for part in world_components(satellite)])
+        return self.builder.default_world_args()
 
     @property
     def bytes_per_env(self) -> int:

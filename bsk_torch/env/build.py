@@ -15,16 +15,19 @@ from bsk_torch.env.options import TaskingOptions
 from bsk_torch.env.pool import SMALLEST
 from bsk_torch.env.randomizer import Randomizer
 from bsk_torch.env.satellite_group import groups_of
-from bsk_torch.env.types import check_names, check_world, grouped, world_arguments
+from bsk_torch.env.types import check_names, check_world, grouped, world_arguments, world_components
 from bsk_torch.obs.base import Values
 from bsk_torch.rand import Distribution, Key, first_key
 from bsk_torch.sats.satellite import Satellite
 from bsk_torch.scene.base import Scenario
+from bsk_torch.sim.argument_table import ArgumentTable
 from bsk_torch.sim.component import Arg
+from bsk_torch.sim.composition import compose
 from bsk_torch.sim.fleet import EpisodeDraw, Fleet, share
 from bsk_torch.sim.params import Overrides, convert
 from bsk_torch.sim.simulator import Simulator
 from bsk_torch.sim.state import StateTable
+from bsk_torch.sim.world import WorldModel
 
 LIMIT = Arg("time_limit", float("inf"), "s", "time after which an episode is truncated", low=0.0)
 
@@ -39,6 +42,7 @@ class FleetBuilder:
         satellites: The user's satellites.
         names: Their names.
         types: Positions of the satellites of each type.
+        world_type: World model of the options; None where it follows from the satellites.
         scenario: The scenario, a copy of the user's.
         options: Options of the environment.
         randomizer: Draws arguments of all satellites together, if any.
@@ -55,8 +59,15 @@ class FleetBuilder:
         """Check the names of the satellites, group them by type, and check the world's arguments."""
         self.satellites, self.names, self.types = list(satellites), check_names(satellites), grouped(satellites)
         self.scenario, self.options, self.randomizer, self.device = scenario, options, randomizer, device
-        self._world_names = [set(world_arguments(self.satellites[columns[0]])) for columns in self.types]
-        check_world(options.world_args or {}, self._world_names)
+        self.world_type = None if options.world_type is None else compose(options.world_type, WorldModel)
+        self._world_names = [set(world_arguments(self.satellites[columns[0]], self.world_type)) for columns in self.types]
+        check_world(options.world_args or {}, [*self._world_names, self.default_world_args()])
+
+    def default_world_args(self) -> ArgumentTable:
+        """Return every argument of the world, with its default."""
+        first_of_each = (self.satellites[columns[0]] for columns in self.types)
+        parts = [part for satellite in first_of_each for part in world_components(satellite, self.world_type)]
+        return ArgumentTable([*(self.world_type.all_components() if self.world_type else ()), *parts])
 
     # -- fleets -------------------------------------------------------------------------------------------------------
 
@@ -95,6 +106,7 @@ class FleetBuilder:
             stops=satellite.variable_interval,
             columns=columns,
             randomize=self._share_of(columns),
+            world_type=self.world_type,
         )
 
     def _share_of(self, columns: Sequence[int]) -> Callable[[Key], Overrides]:

@@ -12,6 +12,7 @@ from torch import Tensor
 
 from bsk_torch.rand import Distribution
 from bsk_torch.sim.params import nearest
+from bsk_torch.sim.world import WorldModel
 
 TimeLimit = float | Distribution | Callable[[], float]
 
@@ -24,6 +25,8 @@ class TaskingOptions:
 
     Attributes:
         num_envs: Number of episodes N.
+        world_type: World model, or several, of :mod:`bsk_torch.sim.world`, of which the first wins; None for those that the
+            dynamics models of the satellites require.
         world_args: Arguments of the world, like ``sat_args``; see :meth:`~bsk_torch.env.base.Tasking.default_world_args`.
         sim_rate: Length of a tick, s.
         max_step_duration: Longest step, s.
@@ -43,6 +46,7 @@ class TaskingOptions:
     """
 
     num_envs: int = 1
+    world_type: type[WorldModel] | Sequence[type[WorldModel]] | None = None
     world_args: Mapping[str, Any] | None = None
     sim_rate: float = 1.0
     max_step_duration: float = 1e9

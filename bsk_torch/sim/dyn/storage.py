@@ -31,7 +31,7 @@ def transmit(bus: Bus) -> None:
         none or complete    L < -P      any         0       0
         any                 any         no          0       0
 
-    Where it is off, p stays and ``idle`` grows.
+    Where it is off, p stays and ``idle`` grows. Without ground stations there is never one: nothing is sent, as in bsk_rl.
     """
     level, rate, size = bus.storage, bus.transmitter_baud, bus.packet_size
     zero = torch.zeros_like(level)
@@ -39,7 +39,8 @@ def transmit(bus: Bus) -> None:
     empty = (packet != 0.0) & (level <= 0.0)
     sent = rate * (bus.idle + bus.h)
     starved = (packet == 0.0) & (level < -size)
-    sends = (bus.station_access > 0.0) & ~empty & ~starved
+    access = bus.station_access if bus.has("station_access") else zero
+    sends = (access > 0.0) & ~empty & ~starved
     progress = torch.where(level + sent < 0.0, -level, packet + sent)
     on = bus.transmitter_on > 0.0
     bus.packet = torch.where(on, torch.where(sends, progress, zero), bus.packet)
