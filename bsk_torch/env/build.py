@@ -162,5 +162,5 @@ def link(fleet: Fleet, scenario: Scenario, rewarder: GlobalReward) -> None:
     """Link satellites, scenario and rewarder."""
     scenario.attach(fleet)
     for group in fleet.groups:
-        group.scenario = scenario
+        group.scenario, group.rewarder = scenario, rewarder
     checked.link(rewarder, scenario, fleet)

@@ -60,6 +60,7 @@ class SatelliteGroup:
         fleet: All satellites of the environment.
         index: Number of the group in the fleet.
         names: Name of each satellite of an episode.
+        scenario, rewarder: Those of the environment, once it has linked them.
         dynamics, fsw: Their models.
         actions: Their actions.
         observations: Their observations.
@@ -72,6 +73,7 @@ class SatelliteGroup:
         self.simulator: Simulator = fleet.simulators[index]
         self.names = tuple(fleet.names[column] for column in fleet.columns[index].tolist())
         self.scenario: Any = None
+        self.rewarder: Any = None
         self.observation_description: list[str] = []
         state = self.simulator.state
         self.task = TaskState(state.num_envs, state.count, state.device)

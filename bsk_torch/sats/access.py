@@ -200,18 +200,55 @@ class AccessSatellite(Satellite):
         self._check_type(type)
         return self._known(type, self.simulator.sim_time, self.allowed(type))
 
-    def _known(self, type: str, time: Tensor, allowed: Tensor | None) -> Windows:
+    def _known(self, type: str, time: Tensor, allowed: Tensor | None, before: Tensor | None = None) -> Windows:
+        """Return the windows that have not closed at ``time`` and, if given, that open ``before`` [N] s."""
         access = self.simulator.access
         known = candidates(access.windows[type], time, access.until, allowed)  # type: ignore[union-attr]
+        if before is not None:
+            known = known._replace(valid=known.valid & (known.windows.open < before.unsqueeze(-1)))
         key, order = torch.sort(known.sort_key, dim=1, stable=True)
         there = torch.isfinite(key)
         opens, close, place = (table.gather(1, order) for table in known.windows)
         opens, close = (torch.where(there, table, torch.inf) for table in (opens, close))
         return Windows(opens, close, torch.where(there, place, 0))
 
-    def next_opportunities(self, type: str) -> tuple[Tensor, Tensor]:
-        """Return opening and closing time of the next window of every place of a type, [N, P] s each; infinity where none."""
-        windows = self.upcoming_opportunities(type)
+    def find_windows(self, until: float | Tensor, type: str = "target") -> Windows:
+        """Return all windows of ``type`` that have not closed, that open before ``until`` and that pass the filters.
+
+        Look-ahead is extended to ``until`` first, by whole segments as bsk_rl's ``calculate_additional_windows`` does, also
+        beyond the time limit. Later queries see as far.
+
+        Args:
+            until: Time, s since reset: one for all, or [N].
+            type: Type of opportunity.
+
+        Returns:
+            Windows sorted by closing time, [N, W]; missing ones open and close at infinity. Windows in progress at the end of
+            look-ahead close there.
+
+        Raises:
+            ValueError: For an unknown type, or an ``until`` of another shape or that is not finite.
+        """
+        self._check_type(type)
+        now = self.simulator.sim_time
+        times = torch.as_tensor(until, dtype=torch.float64, device=now.device)
+        if times.shape not in ((), now.shape) or not bool(torch.isfinite(times).all()):
+            raise ValueError(
+                f"until={until!r} must be finite seconds since reset: one number, or a tensor of shape {list(now.shape)}"
+            )
+        self.simulator.lookahead.generate_until(times.expand_as(now), now)
+        return self._known(type, now, self.allowed(type), times.expand_as(now))
+
+    def look_up(self, table: Tensor, place: Tensor) -> Tensor:
+        """Return the entries [N, n, ...] of a table [num_envs, P, ...], such as ``scenario.priority``, for places [N, n]."""
+        return self.simulator.look_up(table, place)
+
+    def next_opportunities(self, type: str, until: float | Tensor | None = None) -> tuple[Tensor, Tensor]:
+        """Return opening and closing time of the next window of every place of a type, [N, P] s each; infinity where none.
+
+        Look-ahead is extended to ``until`` (s since reset, one for all or [N]) first; see :meth:`find_windows`.
+        """
+        windows = self.upcoming_opportunities(type) if until is None else self.find_windows(until, type)
         places = self.simulator.access.kinds[type](self.simulator.state.all_rows).r_LP_P.shape[1]  # type: ignore[union-attr]
         none = torch.full((len(windows.place), places), torch.inf, dtype=torch.float64, device=windows.open.device)
         # windows of a place do not overlap, so the first to close is the first to open

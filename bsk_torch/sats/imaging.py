@@ -45,6 +45,14 @@ class ImagingSatellite(AccessSatellite):
         return self.simulator.state.memory["latest_target"]
 
     @property
+    def known_images(self) -> Tensor:
+        """Targets of whose images each satellite knows, [N, T] bool: its own, and those that it was told of.
+
+        AttributeError for a rewarder that does not keep them, as :class:`bsk_torch.data.UniqueImageReward` does.
+        """
+        return self.group.fleet.rows_of(self.group.index, self.rewarder.known)
+
+    @property
     def imaged(self) -> Tensor:
         """Number of images taken, [N]."""
         return self.simulator.state.memory["imaged"]

@@ -19,6 +19,7 @@ from bsk_torch.sim.hooks import check_tensor
 from bsk_torch.sim.params import nearest
 from bsk_torch.sim.satellite_state import SatelliteState
 from bsk_torch.sim.simulator import Simulator
+from bsk_torch.sim.state import StateTable
 
 OBS_TYPES = (torch.Tensor, dict)
 
@@ -104,6 +105,9 @@ class Group(Protocol):
     fsw: Any
     names: tuple[str, ...]
     scenario: Any
+    rewarder: Any
+    fleet: Any
+    index: int
     observation_description: list[str]
 
     @property
@@ -253,6 +257,27 @@ class Satellite:
     def scenario(self) -> Any:
         """Scenario of the environment."""
         return self.group.scenario
+
+    @property
+    def rewarder(self) -> Any:
+        """Rewarder of the environment; None where there is none, as in a fleet of its own."""
+        return self.group.rewarder
+
+    @property
+    def data_store(self) -> Any:
+        """What the satellites know, as the rewarder keeps it, in ``data_store.data``; AttributeError for rewarders without it."""
+        store_of = getattr(self.rewarder, "store_of", None)
+        if store_of is None:
+            raise AttributeError(
+                f"{type(self.rewarder).__name__} keeps no data of satellites; data.UniqueImageReward does, and rewarders in "
+                "bsk_rl's form with a data_store_type"
+            )
+        return store_of(self.group.index)
+
+    @property
+    def memory(self) -> StateTable:
+        """Tensors [N, ...] that start anew with every episode; ``memory.declare(name, initial, *shape)`` adds one."""
+        return self.simulator.memory
 
     @property
     def time_limit(self) -> Tensor:

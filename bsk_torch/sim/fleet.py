@@ -56,6 +56,7 @@ class Group(Protocol):
     satellite: Any
     simulator: Simulator
     scenario: Any
+    rewarder: Any
     observation_description: list[str]
 
     @property
