@@ -8,6 +8,8 @@ import torch
 from torch import Tensor
 
 from bsk_torch.sats.access import AccessSatellite
+from bsk_torch.sats.one import OneSatellite
+from bsk_torch.sats.one_access import OneImagingSatellite
 from bsk_torch.sim.dyn import DynamicsModel, ImagingDynModel
 from bsk_torch.sim.fsw import FSWModel, ImagingFSWModel
 
@@ -26,6 +28,7 @@ class ImagingSatellite(AccessSatellite):
 
     dyn_type: ClassVar[type[DynamicsModel]] = ImagingDynModel
     fsw_type: ClassVar[type[FSWModel]] = ImagingFSWModel
+    view_type: ClassVar[type[OneSatellite]] = OneImagingSatellite
     target_types: str = "target"
 
     def __init__(self, name: str, sat_args: dict[str, Any] | None = None, **options: Any) -> None:

@@ -12,6 +12,8 @@ from torch import Tensor
 
 from bsk_torch._deprecated import deprecated_attributes, warn_deprecated
 from bsk_torch.sats.hooks import check_satellite
+from bsk_torch.sats.one import OneSatellite
+from bsk_torch.sats.user_function import UserFunction
 from bsk_torch.sim.component import Component
 from bsk_torch.sim.dyn.models import BasicDynamicsModel, DynamicsModel
 from bsk_torch.sim.fsw.models import BasicFSWModel, FSWModel
@@ -136,6 +138,7 @@ class Satellite:
     dyn_type: ClassVar[type[DynamicsModel]] = BasicDynamicsModel
     fsw_type: ClassVar[type[FSWModel]] = BasicFSWModel
     opportunity_types: tuple[str, ...] = ()
+    view_type: ClassVar[type[OneSatellite]] = OneSatellite
 
     def __init_subclass__(cls, **options: Any) -> None:
         """Refuse definitions that no environment would use, by a TypeError with advice."""
@@ -214,6 +217,19 @@ class Satellite:
     def counts(self) -> dict[str, Tensor]:
         """Return the counters of the present episodes, [N] each, by name."""
         return {}
+
+    def one(self, row: int) -> OneSatellite:
+        """Return a read-only view of the satellite of one row [N], which answers as a satellite of bsk_rl does.
+
+        Its properties are NumPy arrays and Python numbers; see :mod:`bsk_torch.sats.one`. With one satellite of the type in each
+        environment, ``row`` is the number of the environment.
+        """
+        return self.view_type(self, row)
+
+    @property
+    def functions(self) -> list[UserFunction]:
+        """Functions of users that the satellite calls; an environment tries them when it is built."""
+        return []
 
     def title(self, row: int) -> str:
         """Return the name of the satellite of a row [N] in errors."""
