@@ -29,6 +29,7 @@ from bsk_torch.env.pool import EpisodePool
 from bsk_torch.env.randomizer import make_randomizer
 from bsk_torch.env.satellite_group import groups_of
 from bsk_torch.env.state import MADE_BY, check_compatible, check_fingerprint, fingerprint
+from bsk_torch.env.trial import try_out
 from bsk_torch.env.types import world_components
 from bsk_torch.obs.base import Values
 from bsk_torch.rand import Key
@@ -118,7 +119,7 @@ class Tasking(EnvBase):
         randomizer = make_randomizer(sat_arg_randomizer, satellites)
         self.builder = FleetBuilder(satellites, self.scenario, options, randomizer, torch.device(self.device))
         self.names = self.builder.names
-        trial = self.builder.trial(self.rewarder)
+        trial = try_out(self.builder, self.rewarder)
         n = options.num_envs
         self.fleet = self.builder.make_fleet(n)
         self.pool = EpisodePool(self.builder.make_fleet(n), self._start) if self.builder.pool_pays else None
@@ -128,7 +129,8 @@ class Tasking(EnvBase):
         self.communicator.attach(self.fleet)
         if self.pool is not None:
             self._share_search_range(self.pool.fleet)
-        self._make_specs(trial)
+        trial.decide(self.fleet.groups)  # type: ignore[arg-type]
+        self._make_specs(trial.values)
         self.longest_ticks = math.ceil(whole_nanoseconds(min(self.max_step_duration, ENDLESS)) / self.simulator.h_ns)
         self.fingerprint = fingerprint(self.fleet)
         self.set_seed(options.seed)

@@ -12,6 +12,7 @@ from torch import Tensor
 from bsk_torch.act.base import ActionBuilder, Decision
 from bsk_torch.obs.base import ObservationBuilder
 from bsk_torch.sats.satellite import Satellite
+from bsk_torch.sats.user_function import UserFunction
 from bsk_torch.sim.dyn.events import DISARMED
 from bsk_torch.sim.fleet import NEVER, Fleet
 from bsk_torch.sim.simulator import Simulator
@@ -86,6 +87,11 @@ class SatelliteGroup:
         self.actions = ActionBuilder(copy.deepcopy(list(satellite.action_spec)), self.satellite)
         self.observations = ObservationBuilder(copy.deepcopy(list(satellite.observation_spec)), self.satellite)
         self.simulator.observer.want((*self.observations.observables, *self.dynamics.vitals(), *self.fsw.vitals()))
+
+    @property
+    def functions(self) -> list[UserFunction]:
+        """Functions of users that observations and satellites call."""
+        return [*self.observations.functions, *self.satellite.functions]
 
     @property
     def time_limit(self) -> Tensor:

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 import torch
 from torch import Tensor
 
+from bsk_torch.sats.one import is_ours
+from bsk_torch.sats.user_function import UserFunction
 from bsk_torch.sim.hooks import check_class, check_tensor, defined_first
 
 if TYPE_CHECKING:
@@ -15,6 +18,12 @@ if TYPE_CHECKING:
 
 HOOKS = ("link_satellite", "observables", "get_obs", "get_vector")
 """Members of :class:`Observation` that subclasses may define."""
+
+ADVICE = (
+    "let it return [N] or [N, ...] for all satellites: properties are tensors, whose first dimension is the satellite, such as "
+    "self.satellite.dynamics.r_BN_N [N, 3], and torch.linalg.norm(r, dim=-1) takes the place of np.linalg.norm(r)"
+)
+"""How to write an observation for all satellites."""
 
 MEMORY = (
     "keep values that start anew with every episode in satellite.simulator.memory; declare them in link_satellite(satellite): "
@@ -77,6 +86,11 @@ class Observation:
         """Simulation of the satellites."""
         return self.satellite.simulator
 
+    @property
+    def functions(self) -> list[UserFunction]:
+        """Functions of users that the observation calls; an environment tries them when it is built."""
+        return []
+
     def observables(self) -> list[Any]:
         """Return functions of observables that :meth:`get_obs` reads, so that one kernel computes them together.
 
@@ -85,7 +99,11 @@ class Observation:
         return []
 
     def get_obs(self) -> Tensor | Values:
-        """Return the present observation: a tensor [N] or [N, ...], or a dictionary of them by name, which may be nested."""
+        """Return the present observation: a tensor [N] or [N, ...], or a dictionary of them by name, which may be nested.
+
+        NumPy arrays may take the place of tensors. A subclass of this class may also be written for one satellite, as in bsk_rl:
+        it is then called for one environment after the other, which is slow, with arrays and numbers of that environment.
+        """
         raise NotImplementedError(f"{type(self).__name__} must implement get_obs()")
 
     def get_vector(self) -> Tensor:
@@ -94,30 +112,6 @@ class Observation:
         A class may define a faster way beside its ``get_obs``; a subclass that overrides only ``get_obs`` gets this one again.
         """
         return torch.cat([value for _, value in flatten({self.name: self.get_obs()}, len(self.simulator.ticks))], -1)
-
-
-def scaled(value: Tensor, norm: float) -> Tensor:
-    """Return the value divided by its norm."""
-    return value if norm == 1.0 else value / norm
-
-
-def property_name(entry: dict[str, Any]) -> str:
-    """Return the name of an observed property: ``name``, or that of the property, with ``_normd`` if a norm divides it."""
-    default = str(entry.get("prop") or getattr(entry.get("fn"), "__name__", "fn"))
-    return str(entry.get("name") or default + ("_normd" if entry.get("norm", 1.0) != 1.0 else ""))
-
-
-def check_entries(entries: Sequence[dict[str, Any]], allowed: set[str], title: str) -> None:
-    """Raise ValueError for dictionaries with unknown keys, with neither or both of ``prop`` and ``fn``, or with equal names."""
-    for entry in entries:
-        unknown = set(entry) - allowed
-        if unknown:
-            raise ValueError(f"{title} got unknown keys {sorted(unknown)} in {entry}; allowed are {sorted(allowed)}")
-        if ("prop" in entry) == ("fn" in entry):
-            raise ValueError(f"{title} needs either 'prop' or 'fn' in {entry}")
-    names = [property_name(entry) for entry in entries]
-    if twice := sorted({name for name in names if names.count(name) > 1}):
-        raise ValueError(f"{title} has several properties called {twice}; tell them apart by the key 'name'")
 
 
 def flatten(values: Values, count: int | None = None, prefix: str = "") -> Iterator[tuple[str, Tensor]]:
@@ -137,6 +131,17 @@ def flatten(values: Values, count: int | None = None, prefix: str = "") -> Itera
             raise TypeError(
                 f"observation {path!r} is {given}; it must be a tensor of shape [{count or 'N'}] or [{count or 'N'}, ...]"
             )
+
+
+def own_function(entry: Observation) -> UserFunction | None:
+    """Return the function that calls ``get_obs`` of a user's class; None for a class of the package.
+
+    A class that overrides the ``get_obs`` of another one may call that for all satellites, so it is not mapped.
+    """
+    owners = [cls for cls in type(entry).__mro__ if "get_obs" in vars(cls)]
+    if is_ours(owners[0]) or owners[1:] != [Observation]:
+        return None
+    return UserFunction(f"{type(entry).__name__}.get_obs()", ADVICE)
 
 
 class ObservationBuilder:
@@ -165,6 +170,33 @@ class ObservationBuilder:
         # get_vector() belongs to the get_obs() of the same class: a subclass that overrides only the latter does not use it
         self._has_vector = [defined_first(entry, "get_vector", "get_obs") == "get_vector" for entry in self.entries]
         self._compared = False
+        self._own_functions = [own_function(entry) for entry in self.entries]
+
+    @property
+    def functions(self) -> list[UserFunction]:
+        """Functions of users that entries call, and entries of users' classes."""
+        own = [function for function in self._own_functions if function is not None]
+        return [*own, *(function for entry in self.entries for function in entry.functions)]
+
+    def _read(self, entry: Observation, function: UserFunction | None) -> Tensor | Values:
+        """Return the observation of an entry; those of users' classes are called for all satellites, or for each."""
+        if function is None:
+            return entry.get_obs()
+        simulator = self.satellite.simulator
+
+        def one(row: int) -> Any:
+            view = copy.copy(entry)
+            view.satellite = self.satellite.one(row)
+            return view.get_obs()
+
+        return function((len(simulator.ticks),), simulator.device, entry.get_obs, one)
+
+    def _vector_of(self, entry: Observation, function: UserFunction | None, has_vector: bool) -> Tensor:
+        """Return the observation of an entry as a vector [N, width]."""
+        if has_vector:
+            return entry.get_vector()
+        values = self._read(entry, function)
+        return torch.cat([value for _, value in flatten({entry.name: values}, len(self.satellite.simulator.ticks))], -1)
 
     @property
     def observables(self) -> list[Any]:
@@ -174,12 +206,12 @@ class ObservationBuilder:
     def get_dict(self) -> Values:
         """Return all observations by name; repeated names get a number, as in ``target_2``."""
         values: Values = {}
-        for entry in self.entries:
+        for entry, function in zip(self.entries, self._own_functions, strict=True):
             name, number = entry.name, 1
             while name in values:
                 number += 1
                 name = f"{entry.name}_{number}"
-            values[name] = entry.get_obs()
+            values[name] = self._read(entry, function)
         for _ in flatten(values, len(self.satellite.simulator.ticks)):
             pass  # raises for leaves of a wrong shape
         return values
@@ -190,12 +222,12 @@ class ObservationBuilder:
         Raises:
             TypeError: At the first call, for a vector of a user's class that has not the width of its named observations.
         """
-        pairs = list(zip(self.entries, self._has_vector, strict=True))
-        parts = [entry.get_vector() if own else Observation.get_vector(entry) for entry, own in pairs]
+        entries = zip(self.entries, self._own_functions, self._has_vector, strict=True)
+        parts = [self._vector_of(*entry) for entry in entries]
         if not self._compared:
-            for entry, part in zip(self.entries, parts, strict=True):
-                if not type(entry).__module__.startswith("bsk_torch."):
-                    check_tensor(f"{type(entry).__name__}.get_vector()", part, Observation.get_vector(entry).shape)
+            for entry, function, part in zip(self.entries, self._own_functions, parts, strict=True):
+                if not is_ours(type(entry)):
+                    check_tensor(f"{type(entry).__name__}.get_vector()", part, self._vector_of(entry, function, False).shape)
             self._compared = True
         return torch.cat(parts, -1).to(dtype)
 

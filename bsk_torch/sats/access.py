@@ -132,7 +132,7 @@ class AccessSatellite(Satellite):
     def on_bind(self) -> None:
         """See :meth:`Satellite.on_bind`."""
         super().on_bind()
-        self.access_filters = [given.copy() for given in self.access_filters]
+        self.access_filters = [given.bound(self.opportunity_types) for given in self.access_filters]
         self._cache: dict[tuple[str, int], tuple[tuple[int, int], Opportunities]] = {}
         self._lists: dict[tuple[str, bool], tuple[tuple[int, int], Windows]] = {}
         self._aims: tuple[Opportunities, int, Tensor] | None = None

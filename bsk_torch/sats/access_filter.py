@@ -81,9 +81,16 @@ class AccessFilter:
         self.types, self.takes_opportunity = types, takes_opportunity
         self.functions: dict[str, UserFunction] = {}
 
-    def copy(self) -> AccessFilter:
-        """Return a filter for another environment."""
-        return AccessFilter(self.function, self.types, self.takes_opportunity)
+    def bound(self, kinds: Collection[str]) -> AccessFilter:
+        """Return a filter for the satellites of an environment, which have opportunities of several ``kinds``."""
+        made = AccessFilter(self.function, self.types, self.takes_opportunity)
+        if made.takes_opportunity:
+            made.functions = {kind: made.user_function() for kind in kinds if made.concerns(kind)}
+        return made
+
+    def user_function(self) -> UserFunction:
+        """Return the function for a type of opportunities."""
+        return UserFunction(f"the access filter {self.function!r}", ADVICE)
 
     def __eq__(self, other: object) -> bool:
         """Whether it is the same function for the same types: satellites with equal filters are of one type."""
@@ -102,7 +109,7 @@ class AccessFilter:
         if not self.takes_opportunity:
             return self.function()
         if kind not in self.functions:
-            self.functions[kind] = UserFunction(f"the access filter {self.function!r}", ADVICE)
+            self.functions[kind] = self.user_function()
         rows, places, device = len(satellite.simulator.ticks), satellite.places(kind), satellite.simulator.device
 
         def whole() -> Any:

@@ -47,12 +47,12 @@ class OneAccessSatellite(OneSatellite):
             return target_table(self._whole, "r_LP_P")[self._env].cpu().numpy()
         return self._whole.simulator.access.kinds[kind](None).r_LP_P[0].cpu().numpy()
 
-    def of_windows(self, kind: str, windows: Any) -> list[OneOpportunity]:
-        """Return windows [N, W] of a type, without their padding, as opportunities of this row."""
+    def of_windows(self, kind: str, windows: Any, padding: bool = False) -> list[OneOpportunity]:
+        """Return windows [N, W] of a type, with or without their ``padding``, as opportunities of this row."""
         found, r_LP_P = [], self._positions(kind)
         columns = (table[self._row].tolist() for table in (windows.place, windows.open, windows.close))
         for place, opens, closes in zip(*columns, strict=True):
-            if closes < float("inf"):
+            if padding or closes < float("inf"):
                 found.append(self._make(kind, place, r_LP_P[place].copy(), window=(opens, closes)))
         return found
 

@@ -85,16 +85,16 @@ class UserFunction:
         if failure is None and alike(first_of(batched), first):
             self.mapped = False
             return batched
-        self.map_because(f"{_told(failure)}" if failure else "it mixes environments if it is called for all of them")
+        self._map_because(_told(failure) if failure else "it mixes environments if it is called for all of them", lead[0])
         return self._map(lead, device, one)
 
     def _map(self, lead: Sequence[int], device: torch.device, one: Callable[[int], Any]) -> Tree:
         return as_batch(self.title, stacked(self.title, [one(row) for row in range(lead[0])]), lead, device)
 
-    def map_because(self, why: str) -> None:
-        """Map the function from now on; a note in the log says so, except on a trial."""
+    def _map_because(self, why: str, rows: int) -> None:
+        """Map the function from now on; a note in the log says so, except on a trial and of a single satellite."""
         self.mapped, self.why = True, why
-        if self.results is None:
+        if self.results is None and rows > 1:
             logger.warning("%s is called for one environment after the other, which is slow: %s. To call it once for all, %s",
                            self.title, self.why, self.advice)  # fmt: skip
 
@@ -104,16 +104,16 @@ class UserFunction:
         """Keep results from now on, and write nothing to the log."""
         self.results = []
 
-    def adopt(self, alone: UserFunction, together: UserFunction) -> None:
-        """Decide by trials with one environment and with several, of which the first is the same.
+    def adopt(self, alone: UserFunction, together: UserFunction, rows: int) -> None:
+        """Decide how ``rows`` satellites are observed, by trials with one environment and with several that begin with the same.
 
         Raises:
             TypeError: If the result of an environment depends on the others.
         """
-        tries = (alone, together)
-        if alone.mapped is None or together.mapped is None or not alone.results or not together.results:
+        if not alone.results or not together.results:
             return
-        agree = alike(first_of(alone.results[0]), first_of(together.results[0]))
+        tries = (alone, together)
+        agree = alike(first_of(alone.results[-1]), first_of(together.results[-1]))
         if not agree and (alone.mapped or together.mapped):
             raise TypeError(
                 f"{self.title} gives other values in two calls for the same state of a satellite; it must follow from the state "
@@ -122,7 +122,7 @@ class UserFunction:
         if not agree:
             raise TypeError(f"{self.title} mixes environments: an environment gives other values in a batch; {self.advice}")
         if why := next((each.why for each in tries if each.mapped), None):
-            self.map_because(why)
+            self._map_because(why, rows)
         else:
             self.mapped = False
 
