@@ -33,6 +33,7 @@ from bsk_torch.env.trial import try_out
 from bsk_torch.env.types import world_components
 from bsk_torch.obs.base import Values
 from bsk_torch.rand import Key
+from bsk_torch.sats.dtypes import common_dtype
 from bsk_torch.sats.satellite import ArgumentTable, Satellite
 from bsk_torch.scene.base import Scenario
 from bsk_torch.sim.fleet import Fleet, FleetState
@@ -111,7 +112,7 @@ class Tasking(EnvBase):
             logging.getLogger("bsk_torch").setLevel(options.log_level)
         if options.failure_penalty > 0.0:
             logger.warning("failure_penalty=%g rewards failure; it should not be positive", options.failure_penalty)
-        self.dtype, self.failure_penalty = options.dtype, float(options.failure_penalty)
+        self.dtype, self.failure_penalty = common_dtype(options.dtype, satellites), float(options.failure_penalty)
         self.terminate_on_time_limit = options.terminate_on_time_limit
         self.max_step_duration = float(options.max_step_duration)
         self.scenario, self.rewarder = copy.copy(scenario or Scenario()), composed(rewarder)

@@ -7,10 +7,12 @@ import keyword
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, ClassVar, Protocol
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from bsk_torch._deprecated import deprecated_attributes, warn_deprecated
+from bsk_torch.sats.dtypes import as_dtype
 from bsk_torch.sats.hooks import check_satellite
 from bsk_torch.sats.one import OneSatellite
 from bsk_torch.sats.user_function import UserFunction
@@ -23,7 +25,8 @@ from bsk_torch.sim.satellite_state import SatelliteState
 from bsk_torch.sim.simulator import Simulator
 from bsk_torch.sim.state import StateTable
 
-OBS_TYPES = (torch.Tensor, dict)
+VECTOR_TYPES = (torch.Tensor, np.ndarray, list)
+"""Values of ``obs_type`` that mean one vector; the latter two are bsk_rl's."""
 
 
 class ArgumentTable(dict[str, Any]):
@@ -153,6 +156,7 @@ class Satellite:
         sat_args: Mapping[str, Any] | None = None,
         *,
         obs_type: type = torch.Tensor,
+        dtype: Any = None,
         variable_interval: bool = True,
     ) -> None:
         """Describe a satellite; an environment makes its own copy and simulates that.
@@ -161,14 +165,18 @@ class Satellite:
             name: A Python identifier.
             sat_args: Arguments of the models that differ from :meth:`default_sat_args`: constants, distributions of
                 :mod:`bsk_torch.rand`, or callables without arguments.
-            obs_type: ``torch.Tensor`` for one vector, ``dict`` for named observations.
+            obs_type: ``torch.Tensor`` for one vector, ``dict`` for named observations; bsk_rl's ``np.ndarray`` and ``list`` mean
+                one vector, too.
+            dtype: Type of observations, of torch or NumPy, unless the environment names one; all satellites of an environment
+                have the same.
             variable_interval: Whether the end of an action ends the step; else steps last ``max_step_duration``.
         """
         if not name.isidentifier() or keyword.iskeyword(name):
             raise ValueError(f"name={name!r} must be a Python identifier, such as 'Scanner1'")
-        if obs_type not in OBS_TYPES:
-            raise ValueError(f"obs_type={obs_type!r} must be torch.Tensor or dict")
-        self.name, self.obs_type, self.variable_interval = name, obs_type, variable_interval
+        if obs_type is not dict and obs_type not in VECTOR_TYPES:
+            raise ValueError(f"obs_type={obs_type!r} must be dict, or one of torch.Tensor, np.ndarray and list for one vector")
+        self.name, self.obs_type, self.variable_interval = name, dict if obs_type is dict else torch.Tensor, variable_interval
+        self.dtype = as_dtype(dtype)
         self.sat_args_generator = dict(sat_args or {})
 
     @classmethod
