@@ -143,7 +143,7 @@ class Tasking(EnvBase):
         ids = torch.arange(n) if env_ids is None else torch.as_tensor(env_ids, dtype=torch.int64)
         if ids.shape != (n,) or bool((ids < 0).any()):
             raise ValueError(f"env_ids has shape {list(ids.shape)}; it needs {n} indices that are not negative")
-        self.env_ids = ids.to(self.device)
+        self.env_ids = self.fleet.env_ids = ids.to(self.device)
         for name, dtype in (("episode", torch.int64), ("seed", torch.int64), ("limit_ticks", torch.int64)):
             self.state.declare(name, None, dtype=dtype)
         self.state.episode = self.state.episode - 1
@@ -292,6 +292,8 @@ class Tasking(EnvBase):
         whole = torch.where(torch.isfinite(limit), ticks * self.fleet.h, limit)
         state.time_limit = state.time_limit.index_copy(0, envs, whole)
         self.scenario.begin_episodes(envs)
+        for begin in self.fleet.beginnings:
+            begin(envs)
         for group in self.fleet.groups:
             rows = group.task.rows_of(envs)
             group.task.dead = group.task.dead.index_copy(0, rows, ~group.satellite.is_alive()[rows])
