@@ -12,6 +12,7 @@ from bsk_torch.sim.hooks import check_class
 if TYPE_CHECKING:
     from bsk_torch.scene.base import Scenario
     from bsk_torch.sim.fleet import Fleet
+    from bsk_torch.sim.state import StateTable
 
 Log = dict[str, Tensor]
 """Properties of the satellites at a decision boundary by name, [N, S, ...] each."""
@@ -74,6 +75,11 @@ class GlobalReward:
         not fit.
         """
         self.scenario, self.fleet = scenario, fleet
+
+    @property
+    def memory(self) -> StateTable:
+        """Tensors [N, ...] that start anew with every episode; ``memory.declare(name, initial, *shape)`` in ``link`` adds one."""
+        return self.fleet.memory
 
     def read_log(self) -> Log:
         """Return the present log, read at every decision boundary; tensors [N, S, ...] by name."""

@@ -29,8 +29,10 @@ from bsk_torch.env.pool import EpisodePool
 from bsk_torch.env.randomizer import make_randomizer
 from bsk_torch.env.satellite_group import groups_of
 from bsk_torch.env.state import MADE_BY, check_compatible, check_fingerprint, fingerprint
+from bsk_torch.env.trial import try_out
 from bsk_torch.obs.base import Values
 from bsk_torch.rand import Key
+from bsk_torch.sats.dtypes import common_dtype
 from bsk_torch.sats.satellite import Satellite
 from bsk_torch.scene.base import Scenario
 from bsk_torch.sim.argument_table import ArgumentTable
@@ -110,7 +112,7 @@ class Tasking(EnvBase):
             logging.getLogger("bsk_torch").setLevel(options.log_level)
         if options.failure_penalty > 0.0:
             logger.warning("failure_penalty=%g rewards failure; it should not be positive", options.failure_penalty)
-        self.dtype, self.failure_penalty = options.dtype, float(options.failure_penalty)
+        self.dtype, self.failure_penalty = common_dtype(options.dtype, satellites), float(options.failure_penalty)
         self.terminate_on_time_limit = options.terminate_on_time_limit
         self.max_step_duration = float(options.max_step_duration)
         self.scenario, self.rewarder = copy.copy(scenario or Scenario()), composed(rewarder)
@@ -118,7 +120,7 @@ class Tasking(EnvBase):
         randomizer = make_randomizer(sat_arg_randomizer, satellites)
         self.builder = FleetBuilder(satellites, self.scenario, options, randomizer, torch.device(self.device))
         self.names = self.builder.names
-        trial = self.builder.trial(self.rewarder)
+        trial = try_out(self.builder, self.rewarder)
         n = options.num_envs
         self.fleet = self.builder.make_fleet(n)
         self.pool = EpisodePool(self.builder.make_fleet(n), self._start) if self.builder.pool_pays else None
@@ -128,7 +130,8 @@ class Tasking(EnvBase):
         self.communicator.attach(self.fleet)
         if self.pool is not None:
             self._share_search_range(self.pool.fleet)
-        self._make_specs(trial)
+        trial.decide(self.fleet.groups)  # type: ignore[arg-type]
+        self._make_specs(trial.values)
         self.longest_ticks = math.ceil(whole_nanoseconds(min(self.max_step_duration, ENDLESS)) / self.simulator.h_ns)
         self.fingerprint = fingerprint(self.fleet)
         self.set_seed(options.seed)
@@ -140,7 +143,7 @@ class Tasking(EnvBase):
         ids = torch.arange(n) if env_ids is None else torch.as_tensor(env_ids, dtype=torch.int64)
         if ids.shape != (n,) or bool((ids < 0).any()):
             raise ValueError(f"env_ids has shape {list(ids.shape)}; it needs {n} indices that are not negative")
-        self.env_ids = ids.to(self.device)
+        self.env_ids = self.fleet.env_ids = ids.to(self.device)
         for name, dtype in (("episode", torch.int64), ("seed", torch.int64), ("limit_ticks", torch.int64)):
             self.state.declare(name, None, dtype=dtype)
         self.state.episode = self.state.episode - 1
@@ -289,6 +292,8 @@ class Tasking(EnvBase):
         whole = torch.where(torch.isfinite(limit), ticks * self.fleet.h, limit)
         state.time_limit = state.time_limit.index_copy(0, envs, whole)
         self.scenario.begin_episodes(envs)
+        for begin in self.fleet.beginnings:
+            begin(envs)
         for group in self.fleet.groups:
             rows = group.task.rows_of(envs)
             group.task.dead = group.task.dead.index_copy(0, rows, ~group.satellite.is_alive()[rows])

@@ -1,8 +1,7 @@
-"""From satellites and options to simulations: fleets of N episodes, and the trial episode from which specs are made."""
+"""From satellites and options to simulations: fleets of N episodes, their draws and starts."""
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Callable, Sequence
 
 import torch
@@ -10,13 +9,10 @@ from torch import Tensor
 
 from bsk_torch.data import checked
 from bsk_torch.data.base import GlobalReward
-from bsk_torch.env.machine import check_memory
 from bsk_torch.env.options import TaskingOptions
 from bsk_torch.env.pool import SMALLEST
 from bsk_torch.env.randomizer import Randomizer
-from bsk_torch.env.satellite_group import groups_of
 from bsk_torch.env.types import check_names, check_world, grouped, world_arguments, world_components
-from bsk_torch.obs.base import Values
 from bsk_torch.rand import Distribution, Key, first_key
 from bsk_torch.sats.satellite import Satellite
 from bsk_torch.scene.base import Scenario
@@ -148,31 +144,10 @@ class FleetBuilder:
         durations = [self.satellites[s.columns[0]].generation(limit) for s in fleet.simulators]
         fleet.reset(envs, drawn, durations, limit)
 
-    # -- trial --------------------------------------------------------------------------------------------------------
-
-    def trial(self, rewarder: GlobalReward) -> list[Values]:
-        """Return the observations of a trial episode, for each type: their shapes make the specs.
-
-        Raises:
-            MemoryError: If the batch will not fit into memory.
-        """
-        fleet, scenario = self.make_fleet(1, trial=True), copy.copy(self.scenario)
-        drawn, limit = self.draw(fleet, first_key(1))
-        groups = groups_of(self.satellites, fleet)
-        each = sum(s.state.nbytes * len(columns) for s, columns in zip(fleet.simulators, self.types, strict=True))
-        each += fleet.scenario_state.nbytes
-        check_memory(self.device, self.options.num_envs, each * (2 if self.pool_pays else 1))
-        link(fleet, scenario, copy.copy(rewarder))
-        self.start(fleet, fleet.all_envs, drawn, limit)
-        scenario.begin_episodes(fleet.all_envs)
-        for group in groups:
-            group.satellite.is_alive()
-        return [group.observations.get_dict() for group in groups]
-
 
 def link(fleet: Fleet, scenario: Scenario, rewarder: GlobalReward) -> None:
     """Link satellites, scenario and rewarder."""
     scenario.attach(fleet)
     for group in fleet.groups:
-        group.scenario = scenario
+        group.scenario, group.rewarder = scenario, rewarder
     checked.link(rewarder, scenario, fleet)

@@ -37,7 +37,8 @@ class TaskingOptions:
         device: Where the simulation runs.
         seed: Seed of all draws; None for a random one.
         env_ids: Index of each episode in the draws, 0 to N - 1 unless given.
-        dtype: Type of observations, rewards and durations.
+        dtype: Type of observations, rewards and durations, of torch or NumPy; None for the one that the satellites name, or
+            float32.
         sim_dtype: float64 for parity with Basilisk; float32 for mixed precision: attitude, wheels and flight software in float32,
             orbit, time and accumulators in float64.
         orbit: ``"arc"`` (in advance), ``"integrated"`` (in every tick, with drag), or None for the model's own.
@@ -56,7 +57,7 @@ class TaskingOptions:
     device: torch.device | str = "cpu"
     seed: int | None = None
     env_ids: Sequence[int] | Tensor | None = None
-    dtype: torch.dtype = torch.float32
+    dtype: Any = None
     sim_dtype: torch.dtype = torch.float64
     orbit: str | None = None
     backend: str = "compiled"

@@ -7,11 +7,15 @@ import keyword
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, ClassVar, Protocol
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from bsk_torch._deprecated import deprecated_attributes, warn_deprecated
+from bsk_torch.sats.dtypes import as_dtype
 from bsk_torch.sats.hooks import check_satellite
+from bsk_torch.sats.one import OneSatellite
+from bsk_torch.sats.user_function import UserFunction
 from bsk_torch.sim.argument_table import ArgumentTable
 from bsk_torch.sim.composition import compose
 from bsk_torch.sim.dyn.models import BasicDynamicsModel, DynamicsModel
@@ -20,8 +24,10 @@ from bsk_torch.sim.hooks import check_tensor
 from bsk_torch.sim.params import nearest
 from bsk_torch.sim.satellite_state import SatelliteState
 from bsk_torch.sim.simulator import Simulator
+from bsk_torch.sim.state import StateTable
 
-OBS_TYPES = (torch.Tensor, dict)
+VECTOR_TYPES = (torch.Tensor, np.ndarray, list)
+"""Values of ``obs_type`` that mean one vector; the latter two are bsk_rl's."""
 
 
 class _Arguments(Mapping[str, Any]):
@@ -84,6 +90,9 @@ class Group(Protocol):
     fsw: Any
     names: tuple[str, ...]
     scenario: Any
+    rewarder: Any
+    fleet: Any
+    index: int
     observation_description: list[str]
 
     @property
@@ -116,6 +125,7 @@ class Satellite:
     dyn_type: ClassVar[Any] = BasicDynamicsModel
     fsw_type: ClassVar[Any] = BasicFSWModel
     opportunity_types: tuple[str, ...] = ()
+    view_type: ClassVar[type[OneSatellite]] = OneSatellite
 
     def __init_subclass__(cls, **options: Any) -> None:
         """Refuse definitions that no environment would use, by a TypeError with advice."""
@@ -131,6 +141,7 @@ class Satellite:
         sat_args: Mapping[str, Any] | None = None,
         *,
         obs_type: type = torch.Tensor,
+        dtype: Any = None,
         variable_interval: bool = True,
     ) -> None:
         """Describe a satellite; an environment makes its own copy and simulates that.
@@ -139,15 +150,19 @@ class Satellite:
             name: A Python identifier.
             sat_args: Arguments of the models that differ from :meth:`default_sat_args`: constants, distributions of
                 :mod:`bsk_torch.rand`, or callables without arguments.
-            obs_type: ``torch.Tensor`` for one vector, ``dict`` for named observations.
+            obs_type: ``torch.Tensor`` for one vector, ``dict`` for named observations; bsk_rl's ``np.ndarray`` and ``list`` mean
+                one vector, too.
+            dtype: Type of observations, of torch or NumPy, unless the environment names one; all satellites of an environment
+                have the same.
             variable_interval: Whether the end of an action ends the step; else steps last ``max_step_duration``.
         """
         if not name.isidentifier() or keyword.iskeyword(name):
             raise ValueError(f"name={name!r} must be a Python identifier, such as 'Scanner1'")
-        if obs_type not in OBS_TYPES:
-            raise ValueError(f"obs_type={obs_type!r} must be torch.Tensor or dict")
+        if obs_type is not dict and obs_type not in VECTOR_TYPES:
+            raise ValueError(f"obs_type={obs_type!r} must be dict, or one of torch.Tensor, np.ndarray and list for one vector")
+        self.name, self.obs_type, self.variable_interval = name, dict if obs_type is dict else torch.Tensor, variable_interval
+        self.dtype = as_dtype(dtype)
         self._compose_models()
-        self.name, self.obs_type, self.variable_interval = name, obs_type, variable_interval
         self.sat_args_generator = dict(sat_args or {})
 
     @classmethod
@@ -221,6 +236,19 @@ class Satellite:
         """Return the counters of the present episodes, [N] each, by name."""
         return {}
 
+    def one(self, row: int) -> OneSatellite:
+        """Return a read-only view of the satellite of one row [N], which answers as a satellite of bsk_rl does.
+
+        Its properties are NumPy arrays and Python numbers; see :mod:`bsk_torch.sats.one`. With one satellite of the type in each
+        environment, ``row`` is the number of the environment.
+        """
+        return self.view_type(self, row)
+
+    @property
+    def functions(self) -> list[UserFunction]:
+        """Functions of users that the satellite calls; an environment tries them when it is built."""
+        return []
+
     def title(self, row: int) -> str:
         """Return the name of the satellite of a row [N] in errors."""
         env, k = divmod(row, len(self.names))
@@ -263,6 +291,27 @@ class Satellite:
     def scenario(self) -> Any:
         """Scenario of the environment."""
         return self.group.scenario
+
+    @property
+    def rewarder(self) -> Any:
+        """Rewarder of the environment; None where there is none, as in a fleet of its own."""
+        return self.group.rewarder
+
+    @property
+    def data_store(self) -> Any:
+        """What the satellites know, as the rewarder keeps it, in ``data_store.data``; AttributeError for rewarders without it."""
+        store_of = getattr(self.rewarder, "store_of", None)
+        if store_of is None:
+            raise AttributeError(
+                f"{type(self.rewarder).__name__} keeps no data of satellites; data.UniqueImageReward does, and rewarders in "
+                "bsk_rl's form with a data_store_type"
+            )
+        return store_of(self.group.index)
+
+    @property
+    def memory(self) -> StateTable:
+        """Tensors [N, ...] that start anew with every episode; ``memory.declare(name, initial, *shape)`` adds one."""
+        return self.simulator.memory
 
     @property
     def time_limit(self) -> Tensor:
