@@ -2,7 +2,7 @@
 
 from bsk_torch import act, comm, data, formations, obs, rand, sats, scene
 from bsk_torch._deprecated import install as _install_deprecated
-from bsk_torch.env import NO_ACTION, ConstellationTasking, SatelliteTasking
+from bsk_torch.env import NO_ACTION, ConstellationTasking, GeneralSatelliteTasking, SatelliteTasking
 from bsk_torch.presets import make
 from bsk_torch.sim import dyn, fsw
 from bsk_torch.wrappers.registration import register as _register
@@ -15,6 +15,7 @@ _register()
 __all__ = [
     "NO_ACTION",
     "ConstellationTasking",
+    "GeneralSatelliteTasking",
     "SatelliteTasking",
     "act",
     "comm",

@@ -16,6 +16,7 @@ from torch import Tensor
 
 from bsk_torch.env import SatelliteTasking
 from bsk_torch.env.base import Tasking
+from bsk_torch.sats import Satellite
 from bsk_torch.wrappers.core import (
     RENDERING,
     SEEN,
@@ -95,6 +96,11 @@ class GymVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         self.single_action_space = action_space(self.core)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
+
+    @property
+    def satellite(self) -> Satellite:
+        """The satellite, whose properties are tensors [N, ...] of all episodes."""
+        return self.core.satellite
 
     # -- reset --------------------------------------------------------------------------------------------------------
 
