@@ -19,7 +19,7 @@ from torchrl.envs import EnvBase
 
 from bsk_torch._deprecated import deprecated_attributes
 from bsk_torch.comm import CommunicationMethod, NoCommunication
-from bsk_torch.data import checked
+from bsk_torch.data import checked, totals
 from bsk_torch.data.base import GlobalReward, NoReward
 from bsk_torch.data.composed import ComposedReward
 from bsk_torch.env import hints
@@ -126,6 +126,7 @@ class Tasking(EnvBase):
         self._declare_state(options.env_ids)
         groups_of(self.builder.satellites, self.fleet)
         link(self.fleet, self.scenario, self.rewarder)
+        totals.declare(self.rewarder, self.fleet)
         self.communicator.attach(self.fleet)
         if self.pool is not None:
             self._share_search_range(self.pool.fleet)
@@ -331,6 +332,7 @@ class Tasking(EnvBase):
             group.command(action, mine, all_act)
         fleet.run(moves, self.state.limit_ticks, self.longest_ticks)
         reward = checked.reward(self.rewarder, before, checked.log(self.rewarder)) * moves.unsqueeze(-1)
+        totals.add(self.rewarder, reward, moves)
         self.scenario.finish_step(fleet.sim_time)
         if not self.communicator.is_silent:
             self.links = self.communicator.exchange(moves)

@@ -22,7 +22,7 @@ from bsk_torch.sats.satellite import Satellite
 from bsk_torch.scene.base import Scenario
 from bsk_torch.sim.component import Arg
 from bsk_torch.sim.fleet import EpisodeDraw, Fleet, share
-from bsk_torch.sim.params import Overrides, convert
+from bsk_torch.sim.params import Overrides, called, convert
 from bsk_torch.sim.simulator import Simulator
 from bsk_torch.sim.state import StateTable
 
@@ -124,7 +124,7 @@ class FleetBuilder:
         value = self.options.time_limit
         if isinstance(value, Distribution):
             return convert(LIMIT, value.draw(key.named("time_limit")), len(key))
-        values = [value() for _ in range(len(key))] if callable(value) else [value] * len(key)
+        values = called(value, key.named("time_limit")) if callable(value) else [value] * len(key)
         return convert(LIMIT, values, len(key))
 
     def draw(self, fleet: Fleet, key: Key) -> tuple[EpisodeDraw, Tensor]:
