@@ -279,6 +279,40 @@ def random_orbit(
     return RandomOrbit(a * 1e3, e, i, Omega, omega, f)
 
 
+def random_circular_orbit(
+    i: float | None = None,
+    alt: float = 500.0,
+    r_body: float = 6371.0,
+    Omega: float | None = None,
+    f: float | None = None,
+) -> RandomOrbit:
+    """Return a distribution of elements of circular orbits, as bsk_rl's; the argument of perigee is zero.
+
+    Args:
+        i: Inclination, degrees; None for uniform in [-180, 180).
+        alt: Altitude above ``r_body``, km.
+        r_body: Radius from which altitudes are counted, km.
+        Omega: Right ascension of the ascending node, degrees; None for uniform in [0, 360).
+        f: True anomaly, degrees; likewise.
+    """
+    return random_orbit(i=i, a=r_body + alt, Omega=Omega, omega=0.0, f=f)
+
+
+@dataclass(frozen=True)
+class UnitVector(Distribution):
+    """Directions that are uniform over the sphere, [n, 3]."""
+
+    def draw(self, key: Key) -> Tensor:
+        """See :meth:`Distribution.draw`."""
+        vector = key.normal(3)
+        return vector / torch.linalg.vector_norm(vector, dim=-1, keepdim=True)
+
+
+def random_unit_vector() -> UnitVector:
+    """Return a distribution of unit vectors that are uniform over the sphere."""
+    return UnitVector()
+
+
 @dataclass(frozen=True)
 class RandomEpoch(Distribution):
     """Epochs as strings. See :func:`random_epoch`."""

@@ -19,9 +19,10 @@ from torchrl.envs import EnvBase
 
 from bsk_torch._deprecated import deprecated_attributes
 from bsk_torch.comm import CommunicationMethod, NoCommunication
-from bsk_torch.data import checked
+from bsk_torch.data import checked, totals
 from bsk_torch.data.base import GlobalReward, NoReward
 from bsk_torch.data.composed import ComposedReward
+from bsk_torch.env import hints
 from bsk_torch.env.build import FleetBuilder, link
 from bsk_torch.env.machine import existing_device
 from bsk_torch.env.options import TaskingOptions, TimeLimit
@@ -127,6 +128,7 @@ class Tasking(EnvBase):
         self._declare_state(options.env_ids)
         groups_of(self.builder.satellites, self.fleet)
         link(self.fleet, self.scenario, self.rewarder)
+        totals.declare(self.rewarder, self.fleet)
         self.communicator.attach(self.fleet)
         if self.pool is not None:
             self._share_search_range(self.pool.fleet)
@@ -172,6 +174,12 @@ class Tasking(EnvBase):
         return Composite(flags, shape=b, **on)
 
     # -- reading ------------------------------------------------------------------------------------------------------
+
+    def __getattr__(self, name: str) -> Any:
+        """Look up what a module of torch registers; AttributeError with advice for names of Gymnasium's environments."""
+        if name in hints.ATTRIBUTES:
+            raise hints.no_attribute(type(self).__name__, name)
+        return super().__getattr__(name)
 
     @property
     def num_envs(self) -> int:
@@ -259,7 +267,19 @@ class Tasking(EnvBase):
         self.state.seed = torch.where(rows, values, self.state.seed)
         self.state.episode = self.episode.masked_fill(rows, -1)
 
-    def _reset(self, tensordict: TensorDictBase | None = None, *, set_state: bool = False, **_: Any) -> TensorDict:
+    def _assert_tensordict_shape(self, tensordict: TensorDictBase) -> None:
+        """Check the argument of ``step`` and ``reset``."""
+        hints.check_call(type(self).__name__, self._action_name, tensordict)
+        super()._assert_tensordict_shape(tensordict)
+
+    @property
+    def _action_name(self) -> str:
+        """Key of the action, as one writes it."""
+        return "'action'"
+
+    def _reset(self, tensordict: TensorDictBase | None = None, *, set_state: bool = False, **unknown: Any) -> TensorDict:
+        if unknown:
+            hints.check_reset(type(self).__name__, unknown)
         mask = None if tensordict is None else tensordict.get("_reset", None)
         envs = self.fleet.all_envs if mask is None else torch.nonzero(mask.reshape(-1)).squeeze(-1)
         if set_state and tensordict is not None and "state" in tensordict:
@@ -317,6 +337,7 @@ class Tasking(EnvBase):
             group.command(action, mine, all_act)
         fleet.run(moves, self.state.limit_ticks, self.longest_ticks)
         reward = checked.reward(self.rewarder, before, checked.log(self.rewarder)) * moves.unsqueeze(-1)
+        totals.add(self.rewarder, reward, moves)
         self.scenario.finish_step(fleet.sim_time)
         if not self.communicator.is_silent:
             self.links = self.communicator.exchange(moves)

@@ -20,7 +20,7 @@ from bsk_torch.sim.argument_table import ArgumentTable
 from bsk_torch.sim.component import Arg
 from bsk_torch.sim.composition import compose
 from bsk_torch.sim.fleet import EpisodeDraw, Fleet, share
-from bsk_torch.sim.params import Overrides, convert
+from bsk_torch.sim.params import Overrides, called, convert
 from bsk_torch.sim.simulator import Simulator
 from bsk_torch.sim.state import StateTable
 from bsk_torch.sim.world import WorldModel
@@ -132,7 +132,7 @@ class FleetBuilder:
         value = self.options.time_limit
         if isinstance(value, Distribution):
             return convert(LIMIT, value.draw(key.named("time_limit")), len(key))
-        values = [value() for _ in range(len(key))] if callable(value) else [value] * len(key)
+        values = called(value, key.named("time_limit")) if callable(value) else [value] * len(key)
         return convert(LIMIT, values, len(key))
 
     def draw(self, fleet: Fleet, key: Key) -> tuple[EpisodeDraw, Tensor]:

@@ -6,7 +6,7 @@ with leading dimension 1, the others with one row for each environment being res
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -57,6 +57,12 @@ def _shaped(arg: Arg, values: Tensor, rows: int) -> Tensor:
         worst = values[bad][0].item()
         raise ValueError(f"{arg.name}={worst:g} {arg.unit} is not allowed; it must lie in [{arg.low:g}, {arg.high:g}]")
     return values
+
+
+def called(function: Callable[[], Any], key: Key) -> list[Any]:
+    """Return what a function of the user's returns for each row of ``key``; a distribution that it returns is drawn from."""
+    rows = ((function(), own) for own in key.split(1))
+    return [value.draw(own)[0] if isinstance(value, Distribution) else value for value, own in rows]
 
 
 def convert(arg: Arg, values: Any, rows: int) -> Any:
@@ -224,7 +230,7 @@ class Arguments:
             if isinstance(value, Distribution):
                 return convert(arg, value.draw(key.named(arg.name)), len(key))
             if callable(value):
-                return convert(arg, [value() for _ in range(len(key))], len(key))
+                return convert(arg, called(value, key.named(arg.name)), len(key))
             if value is None and arg.kind != "choice":
                 return self._missing(arg)
             return convert(arg, [value], 1)
