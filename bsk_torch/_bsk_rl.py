@@ -193,16 +193,12 @@ GROUPS: dict[str, str] = {
     "TimeDiscountedGAEPPOTfLearner",
     PICTURES: "visualize get_color",
     LOGS: "style_string SimFormatter ContextFilter",
-    COMPOSE: "compose_types FullFeaturedDynModel mock_safe_bases remove_duplicate_bases remove_inherited_bases",
+    COMPOSE: "compose_types mock_safe_bases remove_duplicate_bases remove_inherited_bases",
     PLAIN: "valid_func_name safe_dict_merge vectorize_nested_dict is_property AbstractClassProperty",
 }
 
 ADVICE: dict[str, str] = {name: advice for advice, names in GROUPS.items() for name in names.split()} | {
     "DiscreteAction": "is act.Action here: define decide(), which returns modes and durations of all environments",
-    "ResourceRewardWeight": LATER
-    + "an observation of reward weights. dict(prop='weight', fn=...) of obs.SatProperties can return them",
-    "Target": "objects are rows of tensors here: scene.Targets(r_LP_P, priority) makes a scenario of them; env.scenario.r_LP_P, "
-    ".priority and .names(row) are read",
     "DynamicsModelABC": "is dyn.DynamicsModel here",
     "FSWModelABC": "is fsw.FSWModel here",
     "Task": "objects are modes here: rows of the mode table of a flight-software model; see bsk_torch/sim/fsw/models.py",

@@ -27,6 +27,11 @@ def test_many_names_are_there():
     assert len(HERE) > 100
 
 
+def test_no_advice_is_given_for_what_is_there():
+    homes = [(name, importlib.import_module(place(home))) for module, name in NAMES for home in MODULES[module][0].split()]
+    assert not [f"{home.__name__}.{name}" for name, home in homes if name in ADVICE and name in vars(home)]
+
+
 @pytest.mark.parametrize("module", MODULES)
 def test_modules_lead_to_their_submodules(module):
     found = importlib.import_module(place(module))

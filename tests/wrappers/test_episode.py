@@ -39,12 +39,12 @@ def test_methods_and_arguments(single):
     assert single.satellite.is_alive() is True
     assert single.satellite.next_eclipse()[0] > 0.0
     assert single.satellite.sat_args["maxWheelSpeed"] == 6000.0
-    assert single.satellite.find_next_opportunities(1, "ground_station").r_LP_P.shape == (1, 3)
+    assert single.satellite.find_next_opportunities(1, types="ground_station")[0]["r_LP_P"].shape == (3,)
     assert single.satellite.action_description[1] == "action_charge"
 
 
 def test_what_is_set_would_be_lost_and_is_refused(single):
-    with pytest.raises(AttributeError, match="cannot be set in the view of one episode"):
+    with pytest.raises(AttributeError, match="'name' cannot be set: the view of one environment is read-only"):
         single.satellite.name = "other"
 
 
