@@ -201,8 +201,6 @@ ADVICE: dict[str, str] = {name: advice for advice, names in GROUPS.items() for n
     "DiscreteAction": "is act.Action here: define decide(), which returns modes and durations of all environments",
     "DynamicsModelABC": "is dyn.DynamicsModel here",
     "FSWModelABC": "is fsw.FSWModel here",
-    "Task": "objects are modes here: rows of the mode table of a flight-software model; see bsk_torch/sim/fsw/models.py",
-    "action": "marks methods of flight software in bsk_rl; here each is a row of the mode table, as in fsw.BasicFSWModel.modes",
     "default_args": "declares arguments in bsk_rl; here a Component lists them, args=(Arg(name, default, unit, meaning),): see "
     "'How to extend' in README.md",
     "collect_default_args": "is default_sat_args() of a satellite class here",
