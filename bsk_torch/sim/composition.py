@@ -129,6 +129,16 @@ def providers(name: str) -> Sequence[str]:
     return found
 
 
+def commanded_by(command: str) -> Sequence[str]:
+    """Return the package's flight-software models that bring a command, as users write them."""
+    found = []
+    for cls in _subclasses(FSWModel):
+        modes, commands = (vars(cls).get(table, {}) for table in ("modes", "commands"))
+        if cls.__module__.startswith("bsk_torch.sim.") and (modes.get(command) or command in commands):
+            found.append(f"fsw.{cls.__name__}")
+    return found
+
+
 def _subclasses(base: type) -> list[type]:
     children: list[type] = type.__subclasses__(base)
     return list(dict.fromkeys([base, *(cls for child in children for cls in _subclasses(child))]))

@@ -22,7 +22,7 @@ from bsk_torch.sim.access.places import place_kinds
 from bsk_torch.sim.access.visibility.backend import make_visibility
 from bsk_torch.sim.access.windows import AccessWindows
 from bsk_torch.sim.component import Component, MissingMessageError
-from bsk_torch.sim.composition import check_required_dyn, providers, world_components, world_of
+from bsk_torch.sim.composition import check_required_dyn, commanded_by, providers, world_components, world_of
 from bsk_torch.sim.dyn import hub
 from bsk_torch.sim.dyn.field import prepare
 from bsk_torch.sim.dyn.models import DynamicsModel
@@ -322,7 +322,9 @@ class Simulator:
     def check_command(self, command: str) -> None:
         """Raise ValueError for a command that the flight software does not have."""
         if command not in self.commands:
-            raise ValueError(f"fsw_action={command!r} is not a command of the flight software; {nearest(command, self.commands)}")
+            having = commanded_by(command)
+            advice = f"{' or '.join(having)} has it" if having else nearest(command, self.commands)
+            raise ValueError(f"fsw_action={command!r} is not a command of the flight software; {advice}")
 
     def mode_index(self, command: str) -> Tensor:
         """Return the index into the mode table, [N], that a command means for each row."""

@@ -13,8 +13,13 @@ from bsk_torch.sim.dyn.power import sink
 
 
 def run_instrument(bus: Bus) -> None:
-    """Write the data rate of the instrument, bit/s: its baud rate if the command of one tick ago is 1 and the mode links it."""
-    bus.instrument_rate = bus.instrument_baud * bus.instrument_command * bus.instrument_linked
+    """Write the data rate of the instrument, bit/s: its baud rate if the command of one tick ago is 1 and the mode links it.
+
+    Under flight software that commands no instrument it always records, as Basilisk's devices do that get no command.
+    """
+    commanded = bus.has("instrument_command")
+    rate = bus.instrument_baud
+    bus.instrument_rate = rate * bus.instrument_command * bus.instrument_linked if commanded else rate
 
 
 def transmit(bus: Bus) -> None:
