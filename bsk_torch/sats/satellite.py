@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import keyword
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, ClassVar, Protocol
 
 import torch
@@ -15,6 +15,7 @@ from bsk_torch.sats.hooks import check_satellite
 from bsk_torch.sim.component import Component
 from bsk_torch.sim.dyn.models import BasicDynamicsModel, DynamicsModel
 from bsk_torch.sim.fsw.models import BasicFSWModel, FSWModel
+from bsk_torch.sim.given import Given, expand
 from bsk_torch.sim.hooks import check_tensor
 from bsk_torch.sim.params import nearest
 from bsk_torch.sim.satellite_state import SatelliteState
@@ -143,7 +144,7 @@ class Satellite:
     def __init__(
         self,
         name: str,
-        sat_args: Mapping[str, Any] | None = None,
+        sat_args: Mapping[str, Any] | Callable[[], Mapping[str, Any]] | None = None,
         *,
         obs_type: type = torch.Tensor,
         variable_interval: bool = True,
@@ -153,7 +154,8 @@ class Satellite:
         Args:
             name: A Python identifier.
             sat_args: Arguments of the models that differ from :meth:`default_sat_args`: constants, distributions of
-                :mod:`bsk_torch.rand`, or callables without arguments.
+                :mod:`bsk_torch.rand`, or callables without arguments; or one callable that returns a dictionary of them, for
+                values that depend on one another.
             obs_type: ``torch.Tensor`` for one vector, ``dict`` for named observations.
             variable_interval: Whether the end of an action ends the step; else steps last ``max_step_duration``.
         """
@@ -162,7 +164,7 @@ class Satellite:
         if obs_type not in OBS_TYPES:
             raise ValueError(f"obs_type={obs_type!r} must be torch.Tensor or dict")
         self.name, self.obs_type, self.variable_interval = name, obs_type, variable_interval
-        self.sat_args_generator = dict(sat_args or {})
+        self.sat_args_generator = Given(expand(sat_args, "sat_args"), type(self).default_sat_args(), "sat_args")
 
     @classmethod
     def default_sat_args(cls) -> ArgumentTable:
@@ -179,6 +181,12 @@ class Satellite:
     def segment(self) -> float:
         """Seconds by which access windows are extended."""
         return 600.0
+
+    def as_given(self) -> Satellite:
+        """Return a copy that later changes of ``sat_args_generator`` do not reach."""
+        copied = copy.copy(self)
+        copied.sat_args_generator = copy.copy(self.sat_args_generator)
+        return copied
 
     def bound_to(self, group: Group) -> Satellite:
         """Return a copy that represents all satellites of a group in an environment."""

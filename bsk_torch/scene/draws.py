@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from bsk_torch.rand import Distribution, Key, PerEnv, first_key
+from bsk_torch.rand import Distribution, Key, PerEnv, first_key, seeded
 
 Numbers = float | Distribution | Callable[[], float]
 """One number for each target: the same for all, a distribution of :mod:`bsk_torch.rand`, or a callable without arguments."""
@@ -80,7 +80,8 @@ def _drawn(value: Any, key: Key, count: int) -> Tensor:
         rows = as_numbers(value.draw(key))
         return rows.unsqueeze(-1).expand(-1, count) if isinstance(value, PerEnv) and rows.ndim == 1 else rows
     if callable(value):
-        return torch.tensor([[float(value()) for _ in range(count)] for _ in range(len(key))], dtype=torch.float64)
+        with seeded(key) as envs:
+            return torch.tensor([[float(value()) for _ in range(count)] for _ in envs], dtype=torch.float64).view(len(key), count)
     given = as_numbers(value)
     return given.unsqueeze(0) if given.ndim else given.expand(1, count)
 
