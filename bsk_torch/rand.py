@@ -372,6 +372,27 @@ def _elements(orbit: RandomOrbit) -> ClassicElements:
 
 
 @dataclass(frozen=True)
+class UnitVector(Distribution):
+    """Directions that are uniform over the sphere, [n, 3]."""
+
+    def draw(self, key: Key) -> Tensor:
+        """See :meth:`Distribution.draw`."""
+        vector = key.normal(3)
+        return vector / torch.linalg.vector_norm(vector, dim=-1, keepdim=True)
+
+
+def random_unit_vector() -> Any:
+    """Return a distribution of unit vectors that are uniform over the sphere.
+
+    Within a function of the user that draws a value, it returns a drawn vector [3] instead, from NumPy's global generator.
+    """
+    if not _drawing:
+        return UnitVector()
+    vector = np.random.randn(3)
+    return vector / np.linalg.norm(vector)
+
+
+@dataclass(frozen=True)
 class RandomEpoch(Distribution):
     """Epochs as strings. See :func:`random_epoch`."""
 
@@ -404,7 +425,7 @@ def random_epoch(start: int = 2000, end: int = 2022) -> Any:
     return epochs.at(np.random.rand(1, 7))[0] if _drawing else epochs
 
 
-MAKERS = (random_orbit, random_circular_orbit, random_epoch)
+MAKERS = (random_orbit, random_circular_orbit, random_unit_vector, random_epoch)
 """Functions that return a distribution where they are called without arguments."""
 
 

@@ -107,6 +107,9 @@ class Tasking(EnvBase):
     ) -> None:
         """Build everything; nothing is simulated before the first reset."""
         EnvBase.__init__(self, device=existing_device(options.device), batch_size=(options.num_envs,))
+        for name, value, kind in (("scenario", scenario, Scenario), ("communicator", communicator, CommunicationMethod)):
+            if value is not None and not isinstance(value, kind):
+                raise TypeError(f"{name}={value!r} must be a {kind.__name__}, made with parentheses")
         self.options = options
         if options.log_level is not None:
             logging.getLogger("bsk_torch").setLevel(options.log_level)
@@ -565,10 +568,15 @@ def pictures() -> Any:
 
 
 def composed(rewarder: GlobalReward | Iterable[GlobalReward] | None) -> GlobalReward:
-    """Return a copy of the rewarder, or of the sum of several."""
+    """Return a copy of the rewarder, or of the sum of several; TypeError for anything else."""
     if rewarder is None:
         return NoReward()
-    return copy.copy(rewarder) if isinstance(rewarder, GlobalReward) else ComposedReward(*map(copy.copy, rewarder))
+    several = isinstance(rewarder, Iterable) and not isinstance(rewarder, type)
+    listed: list[Any] = list(rewarder) if several else [rewarder]  # type: ignore[arg-type]
+    for part in listed:
+        if not isinstance(part, GlobalReward):
+            raise TypeError(f"rewarder={part!r} must be a rewarder, made with parentheses, such as data.UniqueImageReward()")
+    return ComposedReward(*map(copy.copy, listed)) if several else copy.copy(listed[0])
 
 
 def _counted(name: str, satellite: Satellite) -> Tensor:

@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any, TypeVar
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -17,6 +18,13 @@ TimeLimit = float | Distribution | Callable[[], float]
 
 Class = TypeVar("Class", bound=type)
 
+ABSENT = {
+    "vizard_dir": "there is no Vizard here; env.render() draws pictures, and 'bsk-torch report' films",
+    "vizard_settings": "there is no Vizard here; env.render() draws pictures, and 'bsk-torch report' films",
+    "render_mode": "bsk_rl does not use it; env.render() returns pixels",
+}
+"""Options of bsk_rl's environments that mean nothing here unless they are None, and what to use instead."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class TaskingOptions:
@@ -24,7 +32,8 @@ class TaskingOptions:
 
     Attributes:
         num_envs: Number of episodes N.
-        world_args: Arguments of the world, like ``sat_args``; see :meth:`~bsk_torch.env.base.Tasking.default_world_args`.
+        world_args: Arguments of the world, like ``sat_args``, also as one callable that returns a dictionary; see
+            :meth:`~bsk_torch.env.base.Tasking.default_world_args`.
         sim_rate: Length of a tick, s.
         max_step_duration: Longest step, s.
         failure_penalty: Added to the reward of a step at whose end the satellite is dead.
@@ -34,7 +43,7 @@ class TaskingOptions:
         device: Where the simulation runs.
         seed: Seed of all draws; None for a random one.
         env_ids: Index of each episode in the draws, 0 to N - 1 unless given.
-        dtype: Type of observations, rewards and durations.
+        dtype: Type of observations, rewards and durations, of torch or of NumPy; None for float32.
         sim_dtype: float64 for parity with Basilisk; float32 for mixed precision: attitude, wheels and flight software in float32,
             orbit, time and accumulators in float64.
         orbit: ``"arc"`` (in advance), ``"integrated"`` (in every tick, with drag), or None for the model's own.
@@ -43,7 +52,7 @@ class TaskingOptions:
     """
 
     num_envs: int = 1
-    world_args: Mapping[str, Any] | None = None
+    world_args: Mapping[str, Any] | Callable[[], Mapping[str, Any]] | None = None
     sim_rate: float = 1.0
     max_step_duration: float = 1e9
     failure_penalty: float = -1.0
@@ -59,9 +68,12 @@ class TaskingOptions:
     log_level: int | str | None = None
 
     def __post_init__(self) -> None:
-        """Check the number of environments."""
+        """Check numbers, and translate the type of observations."""
         if self.num_envs < 1:
             raise ValueError(f"num_envs={self.num_envs} must be at least 1")
+        if not self.max_step_duration > 0.0:
+            raise ValueError(f"max_step_duration={self.max_step_duration!r} must be positive, in s")
+        object.__setattr__(self, "dtype", floating(self.dtype))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -93,10 +105,28 @@ class ConstellationOptions(TaskingOptions):
             raise ValueError("joint=True puts all satellites under one agent; leave meta_agent_groupings and group_map out")
 
 
+def floating(dtype: Any) -> torch.dtype:
+    """Return a floating-point type of torch or of NumPy as one of torch; ValueError for any other."""
+    if dtype is None:
+        return torch.float32
+    given = dtype
+    if not isinstance(dtype, torch.dtype):
+        try:
+            dtype = torch.from_numpy(np.zeros(0, np.dtype(dtype))).dtype
+        except TypeError:
+            dtype = torch.bool
+    if not dtype.is_floating_point:
+        raise ValueError(f"dtype={given!r} must be a floating-point type, such as torch.float32 or np.float64")
+    return dtype
+
+
 def parse(kind: type[TaskingOptions], given: Mapping[str, Any]) -> Any:
     """Return the options of a kind; TypeError for an unknown name."""
     known = [option.name for option in fields(kind)]
+    given = {name: value for name, value in given.items() if name not in ABSENT or value is not None}
     for name in given:
+        if name in ABSENT:
+            raise TypeError(f"{name}={given[name]!r} is an option of bsk_rl's environments: {ABSENT[name]}")
         if name not in known:
             raise TypeError(f"{name}= is not an option of the environment; {nearest(name, known)}")
     return kind(**given)

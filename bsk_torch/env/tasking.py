@@ -46,9 +46,10 @@ class SatelliteTasking(Tasking):
             communicator: As in :class:`bsk_torch.ConstellationTasking`; one satellite has nobody to talk to.
             sat_arg_randomizer: Draws arguments that belong together: a formation of :mod:`bsk_torch.formations`, or a function of
                 the list of the one satellite, called for each episode, that returns ``{satellite: {argument: value}}``.
-            **options: See :class:`bsk_torch.env.options.TaskingOptions`.
+            **options: ``generate_obs_retasking_only``, which has no effect with one satellite, as in bsk_rl; for the others see
+                :class:`bsk_torch.env.options.TaskingOptions`.
         """
-        parsed = parse(TaskingOptions, options)
+        parsed = parse(TaskingOptions, {name: value for name, value in options.items() if name != "generate_obs_retasking_only"})
         alone = satellite[0] if isinstance(satellite, list | tuple) and len(satellite) == 1 else satellite
         if not isinstance(alone, Satellite):
             raise ValueError(f"satellite={satellite!r} must be one satellite; several need a ConstellationTasking")

@@ -35,27 +35,32 @@ def count_range(what: str, count: Count) -> tuple[int, int]:
         count: The argument.
 
     Raises:
-        ValueError: Unless every number in the range is at least 1.
+        ValueError: Unless every number in the range is at least 0.
     """
     try:
         low, end = map(operator.index, count if isinstance(count, Sequence) else (count, count + 1))
     except (TypeError, ValueError) as error:
         raise ValueError(f"{what}={count!r} must be an integer, or a range (low, high) of two integers") from error
-    if low < 1:
-        raise ValueError(f"{what}={count!r} asks for {low} targets; there must be at least 1")
+    if low < 0:
+        raise ValueError(f"{what}={count!r} asks for {low} targets; there must be at least 0")
     if end <= low:
         raise ValueError(f"{what}={count!r} is empty: high is exclusive, as in bsk_rl, so it must be at least {low + 1}")
     return low, end
 
 
+def columns_for(end: int) -> int:
+    """Return the number of columns for fewer than ``end`` targets: one, of padding, where there are none at all."""
+    return max(1, end - 1)
+
+
 def draw_exists(key: Key, low: int, end: int) -> Tensor:
     """Draw the number of targets uniformly from ``low`` to ``end - 1``; return 1.0 for so many first columns, 0.0 for the others.
 
-    The shape is [n, end - 1], or [1, end - 1] if the range holds only one number.
+    The shape is [n, T], or [1, T] if the range holds only one number, with T of :func:`columns_for`.
     """
-    columns = torch.arange(end - 1)
+    columns = torch.arange(columns_for(end))
     if end == low + 1:
-        return torch.ones(1, end - 1, dtype=torch.float64)
+        return (columns < low).double().unsqueeze(0)
     return (columns < low + torch.floor(key.uniform(1) * (end - low))).double()
 
 

@@ -234,9 +234,10 @@ class Arguments:
                 continue
             for other, answer in value.ask(self.title).items():
                 if other in self.table and is_fixed(self.table[other]) and not alike(answer, self._given[k][other]):
+                    first = self._given[k][other]
                     raise ValueError(
-                        f"{self.title}: {other}={answer!r} was {self._given[k][other]!r} at the function's first call; it decides "
-                        "what is built, so it must be the same in all episodes"
+                        f"{self.title}: {other}={answer!r} was {first!r} at the function's first call; it decides what is "
+                        "built, so it must be the same in all episodes"
                     )
                 mine = self.value(k, other, env) if other in self.table else value
                 if isinstance(mine, Member) and mine.function is value.function:
