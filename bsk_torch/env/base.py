@@ -24,6 +24,7 @@ from bsk_torch.data.base import GlobalReward, NoReward
 from bsk_torch.data.composed import ComposedReward
 from bsk_torch.env import hints
 from bsk_torch.env.build import FleetBuilder, link
+from bsk_torch.env.changes import Change, LiveArguments, apply, episodes, of_satellites, of_world, remembered
 from bsk_torch.env.machine import existing_device
 from bsk_torch.env.options import TaskingOptions, TimeLimit
 from bsk_torch.env.pool import EpisodePool
@@ -31,6 +32,7 @@ from bsk_torch.env.randomizer import make_randomizer
 from bsk_torch.env.satellite_group import groups_of
 from bsk_torch.env.state import MADE_BY, check_compatible, check_fingerprint, fingerprint
 from bsk_torch.env.trial import try_out
+from bsk_torch.env.types import check_world
 from bsk_torch.obs.base import Values
 from bsk_torch.rand import Key
 from bsk_torch.sats.dtypes import common_dtype
@@ -38,6 +40,7 @@ from bsk_torch.sats.satellite import Satellite
 from bsk_torch.scene.base import Scenario
 from bsk_torch.sim.argument_table import ArgumentTable
 from bsk_torch.sim.fleet import Fleet, FleetState
+from bsk_torch.sim.params import Arguments
 from bsk_torch.sim.simulator import Simulator, whole_nanoseconds
 from bsk_torch.sim.state import StateTable
 
@@ -108,6 +111,9 @@ class Tasking(EnvBase):
     ) -> None:
         """Build everything; nothing is simulated before the first reset."""
         EnvBase.__init__(self, device=existing_device(options.device), batch_size=(options.num_envs,))
+        for name, value, kind in (("scenario", scenario, Scenario), ("communicator", communicator, CommunicationMethod)):
+            if value is not None and not isinstance(value, kind):
+                raise TypeError(f"{name}={value!r} must be a {kind.__name__}, made with parentheses")
         self.options = options
         if options.log_level is not None:
             logging.getLogger("bsk_torch").setLevel(options.log_level)
@@ -136,6 +142,8 @@ class Tasking(EnvBase):
         self._make_specs(trial.values)
         self.longest_ticks = math.ceil(whole_nanoseconds(min(self.max_step_duration, ENDLESS)) / self.simulator.h_ns)
         self.fingerprint = fingerprint(self.fleet)
+        self._changes: list[Change] = []
+        self._show_arguments()
         self.set_seed(options.seed)
 
     # -- construction -------------------------------------------------------------------------------------------------
@@ -299,7 +307,7 @@ class Tasking(EnvBase):
         """Start new episodes in ``envs`` [n]."""
         state = self.state
         seeds, episodes = state.seed, state.episode + 1
-        if self.pool is not None:
+        if self.pool is not None and not self.fleet.calls_user:
             self.pool.fill(envs, seeds, self.env_ids, episodes)
             state.copy_rows(envs, self.pool.fleet.state, envs)
         else:
@@ -317,6 +325,77 @@ class Tasking(EnvBase):
         for group in self.fleet.groups:
             rows = group.task.rows_of(envs)
             group.task.dead = group.task.dead.index_copy(0, rows, ~group.satellite.is_alive()[rows])
+
+    # -- arguments of later episodes ----------------------------------------------------------------------------------
+
+    def set_sat_args(self, args: Any, envs: Any = None) -> None:
+        """Change arguments of satellites; episodes that begin after this call have the new ones, present ones keep theirs.
+
+        Values are those that ``sat_args`` accepts, ``rand.per_env`` for a value of each environment among them. Nothing is
+        compiled
+        anew for arguments that were drawn from the start (a distribution, ``rand.per_env``, a callable), or that only say how an
+        episode begins. Where a parameter of the tick was one constant so far, the tick is built again, once.
+
+        Args:
+            args: New values by name of the argument, for all satellites; or, by name of the satellite, such dictionaries; or a
+                function that returns a dictionary.
+            envs: Indices of the environments that get them, [n], or a mask [N]; all unless given.
+
+        Raises:
+            KeyError: For an unknown argument.
+            ValueError: For a value that is not allowed, an argument that decides what is built, or an unknown satellite.
+        """
+        rows, ids = episodes(envs, self.num_envs, self.env_ids)
+        self._change(of_satellites(args, self.names, ids), rows)
+
+    def set_world_args(self, args: Any, envs: Any = None) -> None:
+        """Change arguments of the world, as :meth:`set_sat_args` does for satellites.
+
+        Args:
+            args: New values by name, or a function that returns a dictionary.
+            envs: Indices of the environments that get them, [n], or a mask [N]; all unless given.
+
+        Raises:
+            KeyError: For an unknown argument.
+            ValueError: For a value that is not allowed, or an argument that decides what is built.
+        """
+        rows, ids = episodes(envs, self.num_envs, self.env_ids)
+        changes = of_world(args, ids)
+        check_world([change.name for change in changes], [s.world_args.table for s in self.fleet.simulators])
+        self._change(changes, rows)
+
+    def _change(self, changes: Sequence[Change], rows: Tensor | None = None) -> None:
+        """Make changes of arguments in ``rows`` [n] of the batch, or in all; nothing changes where one of them is wrong."""
+        fleets = [self.fleet] if self.pool is None else [self.fleet, self.pool.fleet]
+        for make in [apply(fleet, changes) for fleet in fleets]:
+            make()
+        if self.pool is not None:
+            self.pool.forget(rows)
+        self._changes = remembered(self._changes, changes)
+        self.fingerprint = fingerprint(self.fleet)
+
+    def _show_arguments(self) -> None:
+        """Let users read and set arguments in the dictionaries that bsk_rl has."""
+        for simulator, group in zip(self.fleet.simulators, self.fleet.groups, strict=True):
+            group.satellite.sat_args_generator = LiveArguments(
+                functools.partial(_sat_args_of, simulator),
+                functools.partial(self._set_type, [self.names[column] for column in simulator.columns]),
+                "sat_args_generator",
+            )
+
+    def _set_type(self, names: Sequence[str], values: dict[str, Any]) -> None:
+        if len(names) > 1:
+            raise TypeError(
+                f"sat_args_generator belongs to {list(names)}; env.set_sat_args({{{names[0]!r}: {values}}}) sets one of them"
+            )
+        self.set_sat_args({names[0]: values})
+
+    @property
+    def world_args_generator(self) -> LiveArguments:
+        """Values of all arguments of the world; setting one is :meth:`set_world_args`."""
+        return LiveArguments(
+            lambda: [simulator.world_args for simulator in self.fleet.simulators], self.set_world_args, "world_args_generator"
+        )
 
     # -- step ---------------------------------------------------------------------------------------------------------
 
@@ -431,7 +510,8 @@ class Tasking(EnvBase):
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle the arguments and the state, not the compiled tick."""
-        return _rebuild, (type(self), self._arguments, self.state.seed, self.episode, self.get_extra_state())
+        state = self.state.seed, self.episode, self.get_extra_state()
+        return _rebuild, (type(self), self._arguments, *state, self._changes)
 
     # -- pictures -----------------------------------------------------------------------------------------------------
 
@@ -485,11 +565,24 @@ class Tasking(EnvBase):
                     )
 
 
-def _rebuild(kind: type[Tasking], arguments: dict[str, Any], seeds: Tensor, episode: Tensor, state: TensorDict | None) -> Tasking:
+def _rebuild(
+    kind: type[Tasking],
+    arguments: dict[str, Any],
+    seeds: Tensor,
+    episode: Tensor,
+    state: TensorDict | None,
+    changes: Sequence[Change] = (),
+) -> Tasking:
     env = kind(**arguments)
+    if changes:
+        env._change(changes)
     env.state.seed, env.state.episode = seeds, episode
     env.set_extra_state(state)
     return env
+
+
+def _sat_args_of(simulator: Simulator) -> list[Arguments]:
+    return [simulator.sat_args]
 
 
 def pictures() -> Any:
@@ -501,10 +594,15 @@ def pictures() -> Any:
 
 
 def composed(rewarder: GlobalReward | Iterable[GlobalReward] | None) -> GlobalReward:
-    """Return a copy of the rewarder, or of the sum of several."""
+    """Return a copy of the rewarder, or of the sum of several; TypeError for anything else."""
     if rewarder is None:
         return NoReward()
-    return copy.copy(rewarder) if isinstance(rewarder, GlobalReward) else ComposedReward(*map(copy.copy, rewarder))
+    several = isinstance(rewarder, Iterable) and not isinstance(rewarder, type)
+    listed: list[Any] = list(rewarder) if several else [rewarder]  # type: ignore[arg-type]
+    for part in listed:
+        if not isinstance(part, GlobalReward):
+            raise TypeError(f"rewarder={part!r} must be a rewarder, made with parentheses, such as data.UniqueImageReward()")
+    return ComposedReward(*map(copy.copy, listed)) if several else copy.copy(listed[0])
 
 
 def _counted(name: str, satellite: Satellite) -> Tensor:

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import keyword
-from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
+from collections.abc import Iterable, Sequence
 
 from bsk_torch.rand import MOST_SATELLITES
 from bsk_torch.sats.satellite import Satellite
@@ -44,7 +43,7 @@ def same_type(a: Satellite, b: Satellite) -> bool:
         return False
     if a.sat_args_generator is b.sat_args_generator:
         return True
-    table = a.default_sat_args().rows
+    table = type(a).default_sat_args().rows
     fixed = [name for name, arg in table.items() if arg.shared or arg.kind in ("constant", "stations")]
     mine, theirs = a.sat_args_generator, b.sat_args_generator
     if any((mine.get(name) is None) != (theirs.get(name) is None) for name in ("rN", "vN")):
@@ -74,7 +73,7 @@ def world_arguments(satellite: Satellite, world_type: type[WorldModel] | None = 
     return [arg.name for component in world_components(satellite, world_type) for arg in component.args]
 
 
-def check_world(world_args: Mapping[str, Any], known: Iterable[Iterable[str]]) -> None:
+def check_world(world_args: Iterable[str], known: Iterable[Iterable[str]]) -> None:
     """Raise KeyError for an argument that the world of no satellite has."""
     names = {name for group in known for name in group}
     for name in world_args:

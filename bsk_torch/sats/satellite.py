@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import keyword
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, ClassVar, Protocol
 
 import numpy as np
@@ -20,6 +20,7 @@ from bsk_torch.sim.argument_table import ArgumentTable
 from bsk_torch.sim.composition import compose
 from bsk_torch.sim.dyn.models import BasicDynamicsModel, DynamicsModel
 from bsk_torch.sim.fsw.models import BasicFSWModel, FSWModel
+from bsk_torch.sim.given import Given, expand
 from bsk_torch.sim.hooks import check_tensor
 from bsk_torch.sim.params import nearest
 from bsk_torch.sim.satellite_state import SatelliteState
@@ -138,7 +139,7 @@ class Satellite:
     def __init__(
         self,
         name: str,
-        sat_args: Mapping[str, Any] | None = None,
+        sat_args: Mapping[str, Any] | Callable[[], Mapping[str, Any]] | None = None,
         *,
         obs_type: type = torch.Tensor,
         dtype: Any = None,
@@ -149,7 +150,8 @@ class Satellite:
         Args:
             name: A Python identifier.
             sat_args: Arguments of the models that differ from :meth:`default_sat_args`: constants, distributions of
-                :mod:`bsk_torch.rand`, or callables without arguments.
+                :mod:`bsk_torch.rand`, or callables without arguments; or one callable that returns a dictionary of them, for
+                values that depend on one another.
             obs_type: ``torch.Tensor`` for one vector, ``dict`` for named observations; bsk_rl's ``np.ndarray`` and ``list`` mean
                 one vector, too.
             dtype: Type of observations, of torch or NumPy, unless the environment names one; all satellites of an environment
@@ -163,7 +165,7 @@ class Satellite:
         self.name, self.obs_type, self.variable_interval = name, dict if obs_type is dict else torch.Tensor, variable_interval
         self.dtype = as_dtype(dtype)
         self._compose_models()
-        self.sat_args_generator = dict(sat_args or {})
+        self.sat_args_generator = Given(expand(sat_args, "sat_args"), type(self).default_sat_args(), "sat_args")
 
     @classmethod
     def default_sat_args(cls, **overrides: Any) -> ArgumentTable:
@@ -204,6 +206,12 @@ class Satellite:
     def segment(self) -> float:
         """Seconds by which access windows are extended."""
         return 600.0
+
+    def as_given(self) -> Satellite:
+        """Return a copy that later changes of ``sat_args_generator`` do not reach."""
+        copied = copy.copy(self)
+        copied.sat_args_generator = copy.copy(self.sat_args_generator)
+        return copied
 
     def bound_to(self, group: Group) -> Satellite:
         """Return a copy that represents all satellites of a group in an environment."""

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Callable, Collection, Mapping, Sequence
+import logging
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from typing import Any
 
 import torch
@@ -21,13 +22,14 @@ from bsk_torch.sim.access.lookahead import LookAhead
 from bsk_torch.sim.access.places import place_kinds
 from bsk_torch.sim.access.visibility.backend import make_visibility
 from bsk_torch.sim.access.windows import AccessWindows
-from bsk_torch.sim.component import Component, MissingMessageError
+from bsk_torch.sim.component import Component, Layout, MissingMessageError
 from bsk_torch.sim.composition import check_required_dyn, commanded_by, providers, world_components, world_of
 from bsk_torch.sim.dyn import hub
 from bsk_torch.sim.dyn.field import prepare
 from bsk_torch.sim.dyn.models import DynamicsModel
 from bsk_torch.sim.fsw.models import IDLE, FSWModel
 from bsk_torch.sim.fsw.modes import ALWAYS_RESET, MODE_FLAGS, Mode
+from bsk_torch.sim.given import Answers
 from bsk_torch.sim.orbit.arcs import Arcs
 from bsk_torch.sim.orbit.solvers import make_solver
 from bsk_torch.sim.params import Arguments, Overrides, merge, nearest
@@ -40,14 +42,41 @@ from bsk_torch.sim.tick import ARC_ORBIT, Tick
 from bsk_torch.sim.world import WorldModel
 from bsk_torch.vec3 import Vec3
 
+logger = logging.getLogger(__name__)
+
+ArgumentChange = tuple[int, str, Any, Sequence[int] | None]
+"""See :meth:`bsk_torch.sim.params.Arguments.changed`."""
+
 ORBITS = ("arc", "integrated")
 
 LONGEST_TICK = 60.0
 
 
+class _Looked(dict[str, Any]):
+    """Given arguments that remember which of them were looked at."""
+
+    def __init__(self, given: Mapping[str, Any]) -> None:
+        super().__init__(given)
+        self.seen: set[str] = set()
+
+    def __getitem__(self, name: str) -> Any:
+        self.seen.add(name)
+        return super().__getitem__(name)
+
+    def get(self, name: str, default: Any = None) -> Any:
+        """Return an argument, or the default."""
+        self.seen.add(name)
+        return super().get(name, default)
+
+
 def fitted(parts: tuple[Component, ...], given: Mapping[str, Any]) -> tuple[Component, ...]:
     """Return the parts with the structure that the given arguments need."""
     return tuple(part.fit(given) if part.fit else part for part in parts)
+
+
+def _planes(layout: Layout, names: Iterable[str]) -> list[int]:
+    """Return the planes of some fields of a layout."""
+    return [plane for name in names for plane in range(layout.slices[name].start, layout.slices[name].stop)]
 
 
 def whole_nanoseconds(seconds: float) -> int:
@@ -159,8 +188,9 @@ class Simulator:
         if not 0 < self.h_ns * NANO <= LONGEST_TICK:
             raise ValueError(f"sim_rate={sim_rate:g} s must lie in (0, {LONGEST_TICK:g}]")
         self.max_time, self.stops = max_time, stops
+        self._randomize = randomize
         self._make_components(dyn_type, fsw_type, world_type, sat_args, world_args)
-        self._make_tick(randomize)
+        self._make_tick()
         self._make_lookahead(horizon, segment)
         self.observer = Observer(self.state, self.lookahead.arcs, backend)
         stations = self.world_args.given.get("groundStationsData", ())
@@ -176,30 +206,43 @@ class Simulator:
         self.world_args = Arguments(world_parts, world_args, "world_args")
         own = (*dyn_type.all_components(), *fsw_type.all_components())
         self.sat_args = Arguments(own, sat_args, "sat_args", self.columns)
-        world_parts, own = fitted(world_parts, self.world_args.given), fitted(own, self.sat_args.given)
+        around, given = _Looked(self.world_args.given), _Looked(self.sat_args.given)
+        world_parts, own = fitted(world_parts, around), fitted(own, given)
+        looked = (self.world_args, around.seen), (self.sat_args, given.seen)
+        self._structural = {name for args, names in looked for name in names if not args.is_random(name)}
         self.parts = ordered((*(dataclasses.replace(part, at_start=True) for part in world_parts), *own))
         self.modes, self.commands = fsw_type.all_modes(), fsw_type.all_commands()
         self.mode_names = tuple(self.modes)
         declared = declared_fields(dyn_type, fsw_type, self.world_type)
         check_resets(self.modes, {*declared, *(f.name for part in self.parts for f in part.state)})
 
-    def _make_tick(self, randomize: Callable[[Key], Overrides]) -> None:
-        """Build the tick and its state; a trial draw determines which parameters are uniform."""
+    def _trial(self, envs: Sequence[int] = ()) -> tuple[dict[str, Any], dict[str, Tensor], set[str]]:
+        """Return the arguments and parameters of a trial draw, and the names of the parameters that are uniform.
+
+        The first of ``envs`` takes part in the draw.
+        """
         key = first_key(min(2, self.num_envs))
-        given = randomize(key)
+        if envs:
+            key = dataclasses.replace(key, env_id=torch.tensor([envs[0], *envs[-1:]])[: len(key)])
+        given = self._randomize(key)
         trial = self.draw(key, given=given)
         random = {name for args in (self.sat_args, self.world_args) for name in args.table if args.is_random(name)} | set(given)
         params = merge(trial, self.parts, "prepare")
         uniform = {name for name, value in params.items() if len(value) == 1}
         if self.num_envs * self.count == 1:
             uniform = self._independent_of(random, uniform, trial)
+        return trial, params, uniform
+
+    def _make_tick(self) -> None:
+        """Build the tick and its state; a trial draw determines which parameters are uniform."""
+        trial, params, uniform = self._trial()
         on_arc = self.orbit == "arc"
         parts = tuple(self._scheduled(part, on_arc) for part in self._running(on_arc))
         opaque = self.device.type != "cpu"
         self.tick = Tick(parts, uniform, self.h_ns, on_arc, self.dtype, opaque, self.stops)
         if opaque and not on_arc:
             prepare(self.device, torch.float64)
-        shared, n = self.tick.shared.rows(params, 1), len(key) * self.count
+        shared, n = self.tick.shared.rows(params, 1), min(2, self.num_envs) * self.count
         initial = self.tick.state.rows(merge(trial, self.parts, "initial"), n)
         start = initial, shared, self.tick.own.rows(params, n)
         self.runners = checked_runners(self.tick, start, self.backend, self.device, self.count)
@@ -238,23 +281,79 @@ class Simulator:
         self.lookahead = LookAhead(self.num_envs, self.count, solver, visibility, places, horizon=horizon, segment=segment)
         self.state.add("lookahead", self.lookahead)
 
+    # -- changes of arguments -----------------------------------------------------------------------------------------
+
+    def prepare_change(self, own: Sequence[ArgumentChange], world: Sequence[ArgumentChange]) -> Callable[[], None]:
+        """Check changes of the arguments of satellites and world by a trial draw; return a function that makes them.
+
+        Raises:
+            KeyError, ValueError: For wrong changes.
+        """
+        for _, name, _, _ in (*own, *world):
+            if name in self._structural:
+                raise ValueError(
+                    f"{name} was the same for all environments when this one was built, and components were made for it; give a "
+                    "distribution, such as rand.Choice, when an environment is built, and it can be changed"
+                )
+        before = self.sat_args, self.world_args
+        self.sat_args, self.world_args = after = self.sat_args.changed(own), self.world_args.changed(world)
+        try:
+            trial, _, uniform = self._trial([env for *_, envs in (*own, *world) for env in envs or ()])
+            for _, name, _, _ in (*own, *world):
+                if isinstance(trial[name], Tensor) != (name in self.state.arguments):
+                    was = "a value" if name in self.state.arguments else "None"
+                    raise ValueError(
+                        f"{name} had {was} when the environment was built, which decides what is built; build another"
+                    )
+        finally:
+            self.sat_args, self.world_args = before
+
+        def make() -> None:
+            self.sat_args, self.world_args = after
+            self._free(set(self.tick.shared.fields) - uniform)
+
+        return make
+
+    def _free(self, names: set[str]) -> None:
+        """Let parameters, which were the same for all rows so far, differ between rows: needs another tick."""
+        if not names:
+            return
+        logger.info("a tick is built in which %s may differ between environments", sorted(names))
+        old, shared, parameters = self.tick, self.uniform, self.state.parameters
+        left = set(old.shared.fields) - names
+        self.tick = Tick(old.components, left, self.h_ns, self.orbit == "arc", self.dtype, old.opaque_field, self.stops)
+        self.runners = make_runners(self.tick, self.backend, self.device, self.count)
+        self.uniform = shared[_planes(old.shared, self.tick.shared.fields)].contiguous()
+        rows = [
+            shared[old.shared.slices[name]].expand(-1, self.state.rows) if name in names else parameters[old.own.slices[name]]
+            for name in self.tick.own.fields
+        ]
+        self.state.parameters = torch.cat(rows)
+
     # -- reset --------------------------------------------------------------------------------------------------------
 
-    def draw(self, key: Key, world: Mapping[str, Any] | None = None, given: Overrides | None = None) -> dict[str, Any]:
+    def draw(
+        self,
+        key: Key,
+        world: Mapping[str, Any] | None = None,
+        given: Overrides | None = None,
+        answers: Sequence[Answers] | None = None,
+    ) -> dict[str, Any]:
         """Return the arguments from which episodes of the key's n environments start; raises before anything has changed.
 
         Args:
             key: Key of the environments.
             world: Arguments of the world that have been drawn already, such as by a simulation of other satellites.
             given: Arguments that replace those of some satellites.
+            answers: What functions of the user returned for each environment; unless given, they are called now.
 
         Returns:
             Values of satellites and world by name, [1, ...] or [n * count, ...].
         """
-        around = self.world_args.draw(key, world)
+        around = self.world_args.draw(key, world, answers)
         random = (name for name in around if self.count > 1 and self.world_args.is_random(name))
         values = {**around, **{name: around[name].repeat_interleave(self.count, 0) for name in random}}
-        values |= self.sat_args.draw(key)
+        values |= self.sat_args.draw(key, None, answers)
         for name, (columns, replaced) in (given or {}).items():
             values[name] = self.sat_args.override(name, values.get(name), columns, replaced)
         if taken := sorted(values.keys() & set(self.scenario_state)):
