@@ -22,6 +22,7 @@ from bsk_torch.comm import CommunicationMethod, NoCommunication
 from bsk_torch.data import checked
 from bsk_torch.data.base import GlobalReward, NoReward
 from bsk_torch.data.composed import ComposedReward
+from bsk_torch.data.mapped import for_batch
 from bsk_torch.env.build import FleetBuilder, link
 from bsk_torch.env.machine import existing_device
 from bsk_torch.env.options import TaskingOptions, TimeLimit
@@ -481,7 +482,7 @@ def composed(rewarder: GlobalReward | Iterable[GlobalReward] | None) -> GlobalRe
     """Return a copy of the rewarder, or of the sum of several."""
     if rewarder is None:
         return NoReward()
-    return copy.copy(rewarder) if isinstance(rewarder, GlobalReward) else ComposedReward(*map(copy.copy, rewarder))
+    return for_batch(rewarder) if isinstance(rewarder, GlobalReward) else ComposedReward(*map(copy.copy, rewarder))
 
 
 def _counted(name: str, satellite: Satellite) -> Tensor:

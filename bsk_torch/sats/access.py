@@ -394,8 +394,7 @@ class AccessSatellite(Satellite):
         Raises:
             ValueError: For an unknown type, or an ``until`` of another shape or that is not finite.
         """
-        self._check_type(type)
-        now = self.simulator.sim_time
+        kind, now = self._kind(type), self.simulator.sim_time
         times = torch.as_tensor(until, dtype=torch.float64, device=now.device)
         if times.shape not in ((), now.shape) or not bool(torch.isfinite(times).all()):
             raise ValueError(
@@ -404,7 +403,7 @@ class AccessSatellite(Satellite):
         if self.simulator.lookahead.generate_until(times.expand_as(now), now):
             self._cache.clear()
             self._lists.clear()
-        return self._known(type, now, self.allowed(type), times.expand_as(now))
+        return self._known(kind, now, self.allowed(kind), times.expand_as(now))
 
     def look_up(self, table: Tensor, place: Tensor) -> Tensor:
         """Return the entries [N, n, ...] of a table [num_envs, P, ...], such as ``scenario.priority``, for places [N, n]."""
