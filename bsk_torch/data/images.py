@@ -139,6 +139,13 @@ class UniqueImageReward(ImageReward):
         imaged = [self.scenario.target_object(row, k) for k in torch.nonzero(self.imaged[row]).squeeze(-1).tolist()]
         return UniqueImageData(imaged, int(self.data.duplicates[row]), self.scenario.target_objects(row))
 
+    def store_of_one(self, part: int, row: int) -> Known:
+        """Return what the satellite of a row [N * count] of type number ``part`` knows, in the form of :meth:`data_of`."""
+        env = row // len(self.fleet.columns[part])
+        known, duplicates = (self.fleet.rows_of(part, table)[row] for table in (self.known, self.memory["duplicates"]))
+        imaged = [self.scenario.target_object(env, k) for k in torch.nonzero(known).squeeze(-1).tolist()]
+        return Known(UniqueImageData(imaged, int(duplicates), self.scenario.target_objects(env)))
+
     def store_of(self, part: int) -> Known:
         """Return what the satellites of type number ``part`` know, [N * count, ...]; it is their ``data_store``."""
         exists = self.scenario.drawn("target_exists").bool().unsqueeze(1).expand_as(self.known)

@@ -25,12 +25,6 @@ class UniqueImages(NamedTuple):
     duplicates: Tensor
 
 
-class Known(NamedTuple):
-    """A store of data, as bsk_rl's ``satellite.data_store``: ``data`` is what it holds."""
-
-    data: UniqueImages
-
-
 class UniqueImageData(Data):
     """Images of targets of one environment, in bsk_rl's form.
 
@@ -54,3 +48,9 @@ class UniqueImageData(Data):
         imaged = self.imaged | other.imaged
         overlap = len(self.imaged) + len(other.imaged) - len(imaged)
         return type(self)(imaged=imaged, duplicates=self.duplicates + other.duplicates + overlap, known=self.known | other.known)
+
+
+class Known(NamedTuple):
+    """A store of data, as bsk_rl's ``satellite.data_store``: ``data`` is what it holds."""
+
+    data: UniqueImages | UniqueImageData

@@ -22,6 +22,7 @@ from bsk_torch.comm import CommunicationMethod, NoCommunication
 from bsk_torch.data import checked, totals
 from bsk_torch.data.base import GlobalReward, NoReward
 from bsk_torch.data.composed import ComposedReward
+from bsk_torch.data.mapped import for_batch
 from bsk_torch.env import hints
 from bsk_torch.env.build import FleetBuilder, link
 from bsk_torch.env.changes import Change, LiveArguments, apply, episodes, of_satellites, of_world, remembered
@@ -602,7 +603,7 @@ def composed(rewarder: GlobalReward | Iterable[GlobalReward] | None) -> GlobalRe
     for part in listed:
         if not isinstance(part, GlobalReward):
             raise TypeError(f"rewarder={part!r} must be a rewarder, made with parentheses, such as data.UniqueImageReward()")
-    return ComposedReward(*map(copy.copy, listed)) if several else copy.copy(listed[0])
+    return ComposedReward(*map(copy.copy, listed)) if several else for_batch(listed[0])
 
 
 def _counted(name: str, satellite: Satellite) -> Tensor:

@@ -100,18 +100,32 @@ class OneTarget:
         return target_names(self._satellite, self._env)[self.id]
 
     def __getattr__(self, name: str) -> Any:
-        """Return a value of the target, a number or a NumPy array; AttributeError for an unknown name."""
+        """Return a value of the target, a number or a NumPy array, or an attribute of the object that the scenario made for it.
+
+        AttributeError for an unknown name.
+        """
         if name.startswith("_"):
             raise AttributeError(name)
-        return of_row(target_table(self._satellite, name)[self._env], self.id)
+        try:
+            return of_row(target_table(self._satellite, name)[self._env], self.id)
+        except AttributeError:
+            made = getattr(self._satellite.scenario, "target_object", None)
+            if made is None or not hasattr(target := made(self._env, self.id), name):
+                raise
+            return getattr(target, name)
+
+    @property
+    def _place(self) -> tuple[int, int]:
+        """Environment and index, by which targets are compared."""
+        return self._env, self.id
 
     def __eq__(self, other: object) -> bool:
         """Whether it is the same target of the same environment."""
-        return isinstance(other, OneTarget) and (self._env, self.id) == (other._env, other.id)
+        return getattr(other, "_place", None) == self._place
 
     def __hash__(self) -> int:
         """Agree with equality."""
-        return hash((self._env, self.id))
+        return hash(self._place)
 
     def __repr__(self) -> str:
         """Return the name as bsk_rl shows it."""

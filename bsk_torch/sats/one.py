@@ -260,6 +260,12 @@ class OneSatellite(OneView):
         return OneArguments(self._whole.sat_args, self._row)
 
     @property
+    def data_store(self) -> Any:
+        """Store of the satellite in the rewarder: ``data_store.data``; AttributeError for rewarders without stores."""
+        whole = self._whole
+        return whole.rewarder.store_of_one(whole.group.index, self._row) if whole.data_store is not None else None
+
+    @property
     def scenario(self) -> OneScenario:
         """The scenario in the environment of the satellite."""
         return OneScenario(self._whole.scenario, self._env, self._whole.simulator.num_envs)

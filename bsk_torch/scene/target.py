@@ -23,6 +23,17 @@ class Target:
         """See the attributes."""
         self.name, self.r_LP_P, self.priority = name, np.asarray(r_LP_P, dtype=float), priority
 
+    _place: tuple[int, int] | None = None
+    """Environment and index, of targets of an environment, by which they are compared."""
+
+    def __eq__(self, other: object) -> bool:
+        """Whether both are the same target of the same environment; targets of no environment are compared by identity."""
+        return self is other if self._place is None else getattr(other, "_place", None) == self._place
+
+    def __hash__(self) -> int:
+        """Agree with equality."""
+        return id(self) if self._place is None else hash(self._place)
+
     @property
     def id(self) -> str:
         """Name and number of the object: unique."""

@@ -133,6 +133,8 @@ class TargetScenario(Scenario):
         """
         if row not in self._objects:
             self._objects[row] = dict(self._make_objects(row))
+            for index, target in self._objects[row].items():
+                target._place = row, index
         return list(self._objects[row].values())
 
     def target_object(self, row: int, target: int) -> Target:
