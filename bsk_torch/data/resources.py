@@ -64,21 +64,21 @@ class ResourceReward(GlobalReward):
             number = sum(name.startswith(MEMORY) for name in fleet.memory)
             self._name = f"{MEMORY}_{number}"
             fleet.memory.declare(self._name, float("nan"))
-            fleet.beginnings.append(lambda envs: self.reward_weight)
+            fleet.beginnings.append(self._draw)
 
     @property
     def reward_weight(self) -> Tensor:
         """Present weight of each environment, [N] float64."""
         fleet = self.fleet
-        if self._name is None:
-            return torch.full((fleet.num_envs,), self.weight, dtype=torch.float64, device=fleet.device)  # type: ignore[arg-type]
-        weight = fleet.memory[self._name]
-        undrawn = torch.isnan(weight)
-        if bool(undrawn.any()):  # of episodes that have just begun
-            rows = torch.nonzero(undrawn).squeeze(-1)
-            drawn = draw_weights(self.weight, fleet.key().named(self._name), rows.tolist())
-            weight = fleet.memory[self._name] = weight.index_copy(0, rows, drawn.to(weight.device))
-        return weight
+        if self._name is not None:
+            return fleet.memory[self._name]
+        return torch.full((fleet.num_envs,), self.weight, dtype=torch.float64, device=fleet.device)  # type: ignore[arg-type]
+
+    def _draw(self, envs: Tensor) -> None:
+        """Draw the weights of the environments ``envs`` [n], whose episodes have begun."""
+        memory, name = self.fleet.memory, str(self._name)
+        drawn = draw_weights(self.weight, self.fleet.key().named(name), envs.tolist())
+        memory[name] = memory[name].index_copy(0, envs, drawn.to(memory.device))
 
     @property
     def resource_weights(self) -> tuple[Tensor, ...]:

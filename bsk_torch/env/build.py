@@ -75,7 +75,7 @@ class FleetBuilder:
         """Return simulations of ``n`` episodes; of one satellite of each type only, if on ``trial``."""
         # the trial's arcs shall be as long as those of the batch: see check_memory
         sample = isinstance(self.options.time_limit, Distribution) and n < self.options.num_envs
-        limit = self.draw_time_limit(first_key(min(SAMPLE, self.options.num_envs) if sample else n))
+        limit = self.draw_time_limit(first_key(min(SAMPLE if sample else n, self.options.num_envs)))
         types = [columns[:1] for columns in self.types] if trial else self.types
         scenario_state = StateTable(n, 1, self.device)
         for name, value in self.scenario.draw_checked(first_key(min(2, n))).items():

@@ -54,10 +54,12 @@ class Observation:
 
     Attributes:
         name: Name of the entry in the observation.
+        unique_name: The same with a number where several entries of the satellite have it, as in ``target_2``.
         satellite: The satellites, once an environment has been built.
     """
 
     satellite: Any
+    unique_name: str
 
     def __init__(self, name: str) -> None:
         """Name the entry."""
@@ -222,6 +224,11 @@ class ObservationBuilder:
             link(entry, satellite)
         self.entries, self.satellite = tuple(spec), satellite
         self._readers = [Reader(entry) for entry in self.entries]
+        names: list[str] = []
+        for entry in self.entries:
+            number = 1 + sum(entry.name == other.name for other in self.entries[: len(names)])
+            names.append(entry.name if number == 1 else f"{entry.name}_{number}")
+            entry.unique_name = names[-1]
 
     @property
     def functions(self) -> list[UserFunction]:
@@ -237,11 +244,7 @@ class ObservationBuilder:
         """Return all observations by name; repeated names get a number, as in ``target_2``."""
         values: Values = {}
         for reader in self._readers:
-            name, number = reader.entry.name, 1
-            while name in values:
-                number += 1
-                name = f"{reader.entry.name}_{number}"
-            values[name] = reader.values()
+            values[reader.entry.unique_name] = reader.values()
         for _ in flatten(values, len(self.satellite.simulator.ticks)):
             pass  # raises for leaves of a wrong shape
         return values

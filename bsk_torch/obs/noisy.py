@@ -58,6 +58,8 @@ class Noisy(Observation):
         """
         if not isinstance(observation, Observation):
             raise ValueError(f"obs.Noisy({observation!r}): it must be an observation; write obs.Time(), with parentheses")
+        if isinstance(observation, Noisy):
+            raise ValueError(f"obs.Noisy of {observation.name!r}, which has noise already: give that one the larger noise")
         super().__init__(name or observation.name)
         self.observation = observation
         self._parts = [(_parse(noise, "noise"), False), (_parse(bias, "bias"), True)]
@@ -76,7 +78,7 @@ class Noisy(Observation):
         self._reader = Reader(self.observation)
         if OWNER not in satellite.simulator.memory:
             satellite.simulator.memory.declare(OWNER, -1)
-            satellite.group.fleet.beginnings.append(lambda envs: self._key())
+            satellite.group.fleet.beginnings.append(self._own)
 
     @property
     def functions(self) -> list[UserFunction]:
@@ -119,17 +121,23 @@ class Noisy(Observation):
             for plan, (_, of_episode), title in zip(self._plans, self._parts, ("noise", "bias"), strict=True):
                 mine = key if of_episode else self._now(key)
                 for number, (distribution, columns) in enumerate(plan):
-                    drawn = _draw(distribution, mine.named(f"{self.name} {title} {number}"), len(columns)).to(vector.device)
+                    drawn = _draw(distribution, mine.named(f"{self.unique_name} {title} {number}"), len(columns)).to(
+                        vector.device
+                    )
                     noise = noise.index_add(1, torch.tensor(columns, device=vector.device), drawn)
         return noise
 
+    def _own(self, envs: Tensor) -> None:
+        """Keep the index of the environments ``envs`` [n], whose episodes have begun."""
+        state, memory = self.simulator.state, self.simulator.memory
+        rows = state.rows_of(envs)
+        memory[OWNER] = memory[OWNER].index_copy(0, rows, state.of_env(self.satellite.group.fleet.env_ids)[rows])
+
     def _key(self) -> Key:
         """Return the key of the satellites' episodes, [N]."""
-        group, memory = self.satellite.group, self.simulator.memory
+        group = self.satellite.group
         key = group.fleet.key().of_satellites(group.fleet.columns[group.index].cpu())
-        if bool((memory[OWNER] < 0).any()):
-            memory[OWNER] = torch.where(memory[OWNER] < 0, key.env_id.to(memory.device), memory[OWNER])
-        return replace(key, env_id=memory[OWNER].cpu())
+        return replace(key, env_id=self.simulator.memory[OWNER].cpu())
 
     def _now(self, key: Key) -> Key:
         """Return a key of the present time."""
