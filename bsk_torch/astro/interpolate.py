@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from functools import cache
 
-import numpy as np
 import torch
 from torch import Tensor
 
+from bsk_torch.astro.multistep import lagrange
 from bsk_torch.vec3 import Vec3
 
 COUNT, BEFORE = 10, 4
@@ -18,13 +18,12 @@ COUNT, BEFORE = 10, 4
 def _from_differences() -> tuple[tuple[float, ...], ...]:
     """Return the matrix from the nodes' differences to node :data:`BEFORE` to the coefficients of s, s^2, ... (rows), s in steps.
 
-    It is the inverse of the Vandermonde matrix ``s_j^k`` of the other nodes, ``s_j = j - BEFORE``, k = 1 to COUNT - 1.
+    Its columns are Lagrange's polynomials ``l_j(s)`` of the other nodes, exact fractions that are rounded once: the same on every
+    processor. As ``sum_j l_j(s) = 1``, ``r(s) = r_m + sum_j (r_j - r_m) l_j(s)`` with the middle node m.
     """
-    s = np.delete(np.arange(COUNT) - BEFORE, BEFORE).astype(float)
-    powers = s[:, None] ** np.arange(1, COUNT)
-    inverse = np.linalg.inv(powers)
-    inverse += inverse @ (np.eye(COUNT - 1) - powers @ inverse)  # one Newton step: integers are that well conditioned
-    return tuple(tuple(row) for row in inverse.tolist())
+    polynomials = lagrange(tuple(k - BEFORE for k in range(COUNT)))
+    others = [terms for k, terms in enumerate(polynomials) if k != BEFORE]
+    return tuple(tuple(float(terms[power]) for terms in others) for power in range(1, COUNT))
 
 
 def coefficients(nodes: list[Vec3]) -> list[Vec3]:

@@ -13,7 +13,7 @@ from functools import cache
 
 
 @cache
-def _lagrange(nodes: tuple[int, ...]) -> tuple[tuple[Fraction, ...], ...]:
+def lagrange(nodes: tuple[int, ...]) -> tuple[tuple[Fraction, ...], ...]:
     """Return the coefficients, constant term first, of Lagrange's ``l_j(s) = prod_i (s - s_i) / (s_j - s_i)``, i != j."""
     polynomials = []
     for node in nodes:
@@ -34,7 +34,7 @@ def velocity_weights(nodes: Sequence[int], start: int, end: int) -> list[float]:
     """
     return [
         float(sum(c * Fraction(end ** (k + 1) - start ** (k + 1), k + 1) for k, c in enumerate(terms)))
-        for terms in _lagrange(tuple(nodes))
+        for terms in lagrange(tuple(nodes))
     ]
 
 
@@ -49,4 +49,4 @@ def position_weights(nodes: Sequence[int], start: int, end: int) -> list[float]:
         whole = Fraction(end ** (k + 1) - start ** (k + 1), k + 1) * end
         return whole - Fraction(end ** (k + 2) - start ** (k + 2), k + 2)
 
-    return [float(sum(c * moment(k) for k, c in enumerate(terms))) for terms in _lagrange(tuple(nodes))]
+    return [float(sum(c * moment(k) for k, c in enumerate(terms))) for terms in lagrange(tuple(nodes))]
