@@ -14,15 +14,15 @@ from bsk_torch.env.machine import check_memory
 from bsk_torch.env.options import TaskingOptions
 from bsk_torch.env.pool import SMALLEST
 from bsk_torch.env.randomizer import Randomizer
-from bsk_torch.env.satellite_group import groups_of
+from bsk_torch.env.satellite_group import SatelliteGroup, groups_of
 from bsk_torch.env.types import check_names, check_world, grouped, world_arguments, world_components
 from bsk_torch.obs.base import Values
 from bsk_torch.rand import Distribution, Key, first_key
 from bsk_torch.sats.satellite import Satellite
 from bsk_torch.scene.base import Scenario
 from bsk_torch.sim.argument_table import ArgumentTable
-from bsk_torch.sim.component import Arg
-from bsk_torch.sim.composition import compose
+from bsk_torch.sim.component import Arg, MissingMessageError
+from bsk_torch.sim.composition import compose, provided_by
 from bsk_torch.sim.fleet import EpisodeDraw, Fleet, share
 from bsk_torch.sim.params import Overrides, convert
 from bsk_torch.sim.simulator import Simulator
@@ -165,9 +165,16 @@ class FleetBuilder:
         link(fleet, scenario, copy.copy(rewarder))
         self.start(fleet, fleet.all_envs, drawn, limit)
         scenario.begin_episodes(fleet.all_envs)
-        for group in groups:
-            group.satellite.is_alive()
-        return [group.observations.get_dict() for group in groups]
+        return [_observed(group) for group in groups]
+
+
+def _observed(group: SatelliteGroup) -> Values:
+    """Return the observations of a trial; TypeError for one that reads a field which the satellite's models lack."""
+    try:
+        group.satellite.is_alive()
+        return group.observations.get_dict()
+    except MissingMessageError as error:
+        raise TypeError(f"{group.satellite.name}: {error}; {provided_by(str(error.name))}") from error
 
 
 def link(fleet: Fleet, scenario: Scenario, rewarder: GlobalReward) -> None:

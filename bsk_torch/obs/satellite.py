@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from bsk_torch.obs.base import Observation, Values, check_entries, property_name, scaled
+from bsk_torch.sim.composition import having
 from bsk_torch.sim.params import nearest
 from bsk_torch.sim.readout.observables import observable
 
@@ -49,7 +50,9 @@ class SatProperties(Observation):
             if hasattr(type(module), entry["prop"]):
                 return module
         known = {n for m in modules.values() for n in dir(type(m)) if isinstance(getattr(type(m), n, None), property)}
-        raise ValueError(f"prop={entry['prop']!r} is not a property of {self.satellite.name}; {nearest(entry['prop'], known)}")
+        models = having(entry["prop"])
+        advice = f"{' or '.join(models)} has it" if models else nearest(entry["prop"], known)
+        raise ValueError(f"prop={entry['prop']!r} is not a property of {self.satellite.name}; {advice}")
 
     def get_obs(self) -> Values:
         """See :meth:`Observation.get_obs`."""
