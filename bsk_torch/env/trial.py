@@ -15,6 +15,8 @@ from bsk_torch.obs.base import Values
 from bsk_torch.rand import first_key
 from bsk_torch.sats.user_function import UserFunction
 from bsk_torch.scene.base import Scenario
+from bsk_torch.sim.component import MissingMessageError
+from bsk_torch.sim.composition import provided_by
 from bsk_torch.sim.fleet import Fleet
 
 BATCHES = (5, 7, 11, 13, 17, 19)
@@ -67,10 +69,8 @@ class TrialFleet:
         return functions
 
     def observe(self) -> list[Values]:
-        """Return the observations of each type."""
-        for group in self.groups:
-            group.satellite.is_alive()
-        return [group.observations.get_dict() for group in self.groups]
+        """Return the observations of each type; TypeError for one that reads a field which the satellite's models lack."""
+        return [_observed(group) for group in self.groups]
 
     def spread(self) -> None:
         """Let every environment have a time of its own, some seconds after the start, so that mixed up ones show."""
@@ -84,6 +84,14 @@ class TrialFleet:
         first = self.fleet.all_envs[:1]
         self.fleet.state.copy_rows(first, other.state, first)
         self.scenario.begin_episodes(first)
+
+
+def _observed(group: SatelliteGroup) -> Values:
+    try:
+        group.satellite.is_alive()
+        return group.observations.get_dict()
+    except MissingMessageError as error:
+        raise TypeError(f"{group.satellite.name}: {error}; {provided_by(str(error.name))}") from error
 
 
 def try_out(builder: FleetBuilder, rewarder: GlobalReward) -> Trial:

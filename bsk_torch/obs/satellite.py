@@ -12,6 +12,7 @@ from bsk_torch.obs.base import ADVICE, Observation, Values
 from bsk_torch.obs.entries import is_own, parse_entries, parse_norm, scaled
 from bsk_torch.sats.one import is_ours
 from bsk_torch.sats.user_function import UserFunction
+from bsk_torch.sim.composition import having
 from bsk_torch.sim.params import nearest
 from bsk_torch.sim.readout.observables import observable
 
@@ -72,7 +73,9 @@ class SatProperties(Observation):
             if hasattr(type(module), entry["prop"]):
                 return module
         known = {n for m in modules.values() for n in dir(type(m)) if isinstance(getattr(type(m), n, None), property)}
-        raise ValueError(f"prop={entry['prop']!r} is not a property of {self.satellite.name}; {nearest(entry['prop'], known)}")
+        models = having(entry["prop"])
+        advice = f"{' or '.join(models)} has it" if models else nearest(entry["prop"], known)
+        raise ValueError(f"prop={entry['prop']!r} is not a property of {self.satellite.name}; {advice}")
 
     def get_obs(self) -> Values:
         """See :meth:`Observation.get_obs`."""

@@ -129,6 +129,22 @@ def providers(name: str) -> Sequence[str]:
     return found
 
 
+def provided_by(name: str) -> str:
+    """Return advice for a model that lacks the message, field or parameter ``name``."""
+    known = providers(name)
+    return f"{' or '.join(known)} provides it" if known else "list a Component that provides it, too"
+
+
+def having(name: str) -> Sequence[str]:
+    """Return the package's models that define the property or method ``name``, as users write them."""
+    found = []
+    for base, module in ((DynamicsModel, "dyn"), (FSWModel, "fsw")):
+        for cls in _subclasses(base):
+            if cls.__module__.startswith("bsk_torch.sim.") and name in vars(cls):
+                found.append(f"{module}.{cls.__name__}")
+    return found
+
+
 def commanded_by(command: str) -> Sequence[str]:
     """Return the package's flight-software models that bring a command, as users write them."""
     found = []

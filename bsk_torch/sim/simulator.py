@@ -23,7 +23,7 @@ from bsk_torch.sim.access.places import place_kinds
 from bsk_torch.sim.access.visibility.backend import make_visibility
 from bsk_torch.sim.access.windows import AccessWindows
 from bsk_torch.sim.component import Component, Layout, MissingMessageError
-from bsk_torch.sim.composition import check_required_dyn, commanded_by, providers, world_components, world_of
+from bsk_torch.sim.composition import check_required_dyn, commanded_by, provided_by, world_components, world_of
 from bsk_torch.sim.dyn import hub
 from bsk_torch.sim.dyn.field import prepare
 from bsk_torch.sim.dyn.models import DynamicsModel
@@ -114,9 +114,7 @@ def checked_runners(tick: Tick, start: tuple[Tensor, Tensor, Tensor], backend: s
         if isinstance(runners.run, TickLoop):  # kernels have been traced, which shows the same
             tick.check_messages(*start)
     except MissingMessageError as error:
-        known = providers(str(error.name))
-        advice = f"{' or '.join(known)} provides it" if known else "list a Component that provides it, too"
-        raise TypeError(f"{error}; {advice}") from None
+        raise TypeError(f"{error}; {provided_by(str(error.name))}") from None
     return runners
 
 

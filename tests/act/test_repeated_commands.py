@@ -44,7 +44,5 @@ def test_commands_may_be_named_as_methods_of_bsk_rl(env):
 
 def test_a_command_that_the_flight_software_lacks_is_refused_with_the_model_that_has_it():
     charging = type("Charging", (Pointing,), {"action_spec": (act.Charge(),)})
-    with pytest.raises(
-        ValueError, match=r"fsw_action='charge' is not a command of the flight software; fsw.BasicFSWModel has it"
-    ):
+    with pytest.raises(ValueError, match=r"fsw_action='charge' is not a command .*; fsw.BasicFSWModel has it"):
         SatelliteTasking(charging("A"), backend="eager", time_limit=100.0)

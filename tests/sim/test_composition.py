@@ -208,6 +208,22 @@ def test_the_model_that_provides_a_message_is_found(name, model):
     assert model in providers(name)
 
 
+@pytest.mark.parametrize(
+    ("prop", "error", "words"),
+    [
+        ("battery_charge_fraction", ValueError, r"is not a property of A; dyn.BasicDynamicsModel has it"),
+        ("c_hat_P", ValueError, r"is not a property of A; fsw.ImagingFSWModel has it"),
+        ("tanks", TypeError, r"A: the satellite has no state 'charge'; dyn.BasicDynamicsModel provides it"),
+    ],
+)
+def test_observations_of_what_the_models_lack_name_the_model_that_has_it(prop, error, words):
+    tanks = dyn.observable(lambda now: now.charge)
+    model = type("Tanks", (dyn.DynamicsModel,), {"tanks": tanks})
+    members = {"dyn_type": model, "fsw_type": fsw.FSWModel, "observation_spec": (obs.SatProperties(dict(prop=prop)),)}
+    with pytest.raises(error, match=words):
+        SatelliteTasking(type("Mine", (Composed,), members)("A"), backend="eager", time_limit=60.0)
+
+
 # -- worlds --------------------------------------------------------------------------------------------------------------------
 
 MOON = Component("moon", lambda bus: None, (Arg("moonMass", 7.3e22, "kg", "mass"),), after="ephemeris")

@@ -115,7 +115,7 @@ def _check_table(title: str, name: str, value: Any) -> None:
         if not isinstance(value, tuple | list) or not all(isinstance(entry, Component) for entry in value):
             raise TypeError(f"{title}={value!r} is no tuple of Components; {example}")
     elif name in ("requires_world", "requires_dyn"):
-        if not isinstance(value, tuple) or not all(inspect.isclass(entry) for entry in value):
+        if not isinstance(value, tuple | list) or not all(inspect.isclass(entry) for entry in value):
             raise TypeError(f"{title}={value!r} is no tuple of models; {example}")
     elif name in ("modes", "commands") and not isinstance(value, Mapping):
         raise TypeError(f"{title}={value!r} is no dictionary; {example}")

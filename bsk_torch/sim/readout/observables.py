@@ -20,7 +20,7 @@ from bsk_torch.astro.orbit import Elements, hill_frame, hill_rate, rv_to_element
 from bsk_torch.codegen.ir import Loop, UntraceableError
 from bsk_torch.codegen.kernel import Kernel
 from bsk_torch.codegen.trace import Tracer
-from bsk_torch.sim.component import Bus, neighbours
+from bsk_torch.sim.component import Bus, MissingMessageError, neighbours
 from bsk_torch.sim.environment.ephemeris import EPHEMERIS_TRACK, ephemeris_at
 from bsk_torch.sim.names import RENAMED, current_name
 from bsk_torch.sim.orbit.arcs import Arcs
@@ -63,10 +63,10 @@ class Now:
         return self._ephemeris()
 
     def __getattr__(self, name: str) -> Any:
-        """Read an old name; AttributeError for a name that the state lacks."""
+        """Read an old name; MissingMessageError for a name that the state lacks."""
         if name in RENAMED:
             return getattr(self, current_name(name))
-        raise AttributeError(f"the satellite has no state {name!r}")
+        raise MissingMessageError(f"the satellite has no state {name!r}", name=name)
 
     @functools.cached_property
     def BN(self) -> Mat3:
