@@ -8,6 +8,7 @@ is a single number. So a function is tried on all satellites, and compared with 
 from __future__ import annotations
 
 import logging
+import warnings
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -69,12 +70,16 @@ class UserFunction:
     def _decide(self, lead: Sequence[int], device: torch.device, whole: Callable[[], Any], one: Callable[[int], Any]) -> Tree:
         failure: Exception | None = None
         try:
-            batched = as_batch(self.title, whole(), lead, device)
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # NumPy and torch warn of what the comparison below finds
+                batched = as_batch(self.title, whole(), lead, device)
         except Exception as error:
             batched, failure = None, error
         try:
             first = self._map((1, *lead[1:]), device, one)
         except Exception as error:
+            if isinstance(failure, AttributeError) and isinstance(error, AttributeError):
+                raise failure from None  # satellites of another type may have it
             if failure is not None:
                 raise TypeError(
                     f"{self.title} fails for all satellites at once ({_told(failure)}), and for one of them ({_told(error)}); "

@@ -125,7 +125,7 @@ def test_an_environment_alone_observes_the_same(three):
         (dict(fn=lambda sat: np.random.normal(), name="x"), TypeError, r"'x' of 'sat_props' gives other values .* obs\.Noisy"),
         (dict(fn=lambda sat: sat.dynamics.r_BN_N - sat.dynamics.r_BN_N.mean(dim=0), name="x"), TypeError, "mixes environments"),
         (dict(fn=lambda sat: "far", name="x"), TypeError, "'x' of 'sat_props' is 'far'; it must be a number"),
-        (dict(fn=lambda sat: sat.dynamics.speedy, name="x"), TypeError, "no attribute 'speedy'"),
+        (dict(fn=lambda sat: sat.dynamics.speedy, name="x"), AttributeError, "no attribute 'speedy'"),
     ],
 )
 def test_what_is_no_observation_is_refused_when_an_environment_is_built(entry, error, words):

@@ -1,0 +1,114 @@
+"""Rewards for resources: weights of their own for every episode, resources as bsk_rl's users write them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from tensordict import TensorDict
+
+from bsk_torch import SatelliteTasking, act, data, obs, rand, sats
+
+
+def elapsed(sat):
+    return sat.simulator.sim_time
+
+
+def squared(sat):
+    return np.sum(sat.dynamics.r_BN_N**2)
+
+
+class Drifter(sats.Satellite):
+    observation_spec = (obs.ResourceRewardWeight(), obs.Noisy(obs.ResourceRewardWeight("half", norm=[2.0, 1.0]), 0.0))
+    action_spec = (act.Drift(duration=60.0),)
+
+
+def make(num_envs=3, rewarder=None, spec=None, **options):
+    satellite = Drifter("A") if spec is None else type("Own", (Drifter,), {"observation_spec": spec})("A")
+    rewarder = rewarder or (
+        data.ResourceReward(reward_weight=lambda: np.random.uniform(1.0, 2.0), resource_fn=elapsed),
+        data.ComposedReward(
+            data.NoReward(), data.ResourceReward(rand.Uniform(-2.0, -1.0), lambda sat: np.sum(sat.dynamics.r_BN_N**2))
+        ),
+    )
+    given = dict(time_limit=600.0, seed=1, backend="eager", dtype=torch.float64) | options
+    return SatelliteTasking(satellite, rewarder=rewarder, num_envs=num_envs, **given)
+
+
+def step(env):
+    return env.step(TensorDict({"action": torch.zeros(env.num_envs, dtype=torch.int64)}, [env.num_envs]))["next"]
+
+
+@pytest.fixture(scope="module")
+def env():
+    return make()
+
+
+def weights(env):
+    env.set_seed(1)
+    return env.reset()["observation"]
+
+
+def test_weights_are_drawn_for_every_episode_and_observed_in_order(env):
+    first, second = weights(env), env.reset()["observation"]
+    assert len(torch.cat([first[:, :2], second[:, :2]]).unique()) == 12
+    assert ((first[:, 0] > 1.0) & (first[:, 0] < 2.0) & (first[:, 1] < -1.0) & (first[:, 1] > -2.0)).all()
+    assert torch.equal(first[:, 2:], first[:, :2] / torch.tensor([2.0, 1.0]))
+    assert torch.equal(weights(env), first)
+
+
+def test_weights_do_not_depend_on_the_batch_or_on_numpys_generator(env):
+    whole = weights(env)
+    np.random.seed(5)
+    before = np.random.get_state()[1].copy()
+    alone = make(1, env_ids=[2])
+    assert torch.equal(alone.reset()["observation"][0], whole[2])
+    assert np.array_equal(np.random.get_state()[1], before)
+
+
+def test_rewards_are_weights_times_growth(env):
+    weight = weights(env)
+    before = (env.satellite.dynamics.r_BN_N**2).sum(-1)
+    reward = step(env)["reward"].squeeze(-1)
+    growth = (env.satellite.dynamics.r_BN_N**2).sum(-1) - before
+    assert torch.allclose(reward, weight[:, 0] * 60.0 + weight[:, 1] * growth)
+
+
+def test_copies_of_an_episode_have_its_weights(env):
+    weight, other = weights(env), make(1)
+    other.reset()
+    other.restore(env, torch.tensor([0]), torch.tensor([2]))
+    assert torch.equal(step(other)["observation"][0], weight[2])
+
+
+def test_a_fixed_weight_is_observed_too():
+    env = make(2, data.ResourceReward(3.0, elapsed), (obs.ResourceRewardWeight(),))
+    assert env.reset()["observation"].tolist() == [[3.0], [3.0]]
+    assert torch.allclose(step(env)["reward"], torch.full((2, 1), 180.0, dtype=torch.float64))
+
+
+def test_the_order_of_earlier_releases_is_deprecated():
+    with pytest.warns(DeprecationWarning, match=r"ResourceReward\(reward_weight, resource_fn\)"):
+        old = data.ResourceReward(elapsed, -1.0)
+    assert (old.resource_fn, old.weight) == (elapsed, -1.0)
+
+
+@pytest.mark.parametrize(
+    ("call", "error", "words"),
+    [
+        (lambda: data.ResourceReward(2.0), TypeError, "resource_fn=None must be a function of the satellite"),
+        (lambda: make(2, data.NoReward()), ValueError, "'resource_reward_weight' observes weights .* a NoReward, does not have"),
+        (lambda: make(2, data.ResourceReward(2.0, elapsed)), ValueError, "'half' has 2 norms for 1 weights"),
+        (lambda: make(2, (data.ResourceReward(lambda: np.nan, elapsed),) * 2).reset(), ValueError, "must give a finite number"),
+        (lambda: step(_begun(lambda sat: sat.dynamics.r_BN_N)), TypeError, "one number for each satellite"),
+    ],
+)
+def test_what_is_no_resource_is_refused(call, error, words):
+    with pytest.raises(error, match=words):
+        call()
+
+
+def _begun(resource):
+    env = make(3, (data.ResourceReward(1.0, resource),) * 2)
+    env.reset()
+    return env
