@@ -69,6 +69,9 @@ STARTS: dict[str, list[Start]] = {
             "basilisk",
         ),
     ],
+    "examples/curriculum.py": [
+        Start("--num-envs 4 --steps 10 --time-limit 360 --rise 0.5", r"(?s)step 10: \d+ episodes.*nothing was built anew"),
+    ],
     "scripts/demo.sh": [Start(f"{TRAIN} --out run", "trained")],
     "scripts/tools/make_coastlines.py": [Start("{countries} --out land.geojson", "2 pieces of land", "coastlines")],
     "scripts/tools/make_tables.py": [Start("--samples --out .", "largest position error 0.49", "basilisk")],
