@@ -335,8 +335,8 @@ def random_orbit(
         Omega: Right ascension of the ascending node, degrees; None for uniform in [0, 360).
         omega: Argument of perigee, degrees; likewise.
         f: True anomaly, degrees; likewise.
-        alt: Altitude above ``r_body``, km, of a circular orbit with ``omega = 0``, in place of ``a``, ``e`` and ``omega``: an old
-            form of :func:`random_circular_orbit`.
+        alt: Altitude above ``r_body``, km, of a circular orbit with ``omega = 0``, in place of ``a``, ``e`` and ``omega``; the
+            old form of :func:`random_circular_orbit`.
         r_body: Radius from which ``alt`` counts, km.
     """
     if alt is not None:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import torch
 from torch import Tensor
 
+from bsk_torch.comm.mapped import OneEnvironmentNeededError, listed_pairs
 from bsk_torch.sim.hooks import FLEET_MEMORY, ChangeGuard, check_class, check_linked, check_tensor, overrides
 
 if TYPE_CHECKING:
@@ -53,6 +54,8 @@ class CommunicationMethod:
 
     fleet: Fleet
     due: Tensor
+    one_environment: list[Any] | None = None
+    """Satellites of the environment for which pairs are listed."""
 
     def __init__(self, min_period: float = 0.0) -> None:
         """Communicate at most every ``min_period`` seconds; ValueError if it is negative."""
@@ -91,6 +94,23 @@ class CommunicationMethod:
         """Return the pairs that communicate, [N, S, S] booleans by episode, sender and receiver; the diagonal is ignored."""
         raise NotImplementedError(f"{type(self).__name__} must implement communication_pairs()")
 
+    @property
+    def satellites(self) -> list[Any]:
+        """Satellites of one environment, for a ``communication_pairs()`` in bsk_rl's form, which lists (sender, receiver) pairs.
+
+        A method that asks for them is called for each environment, which is slow.
+        """
+        if self.one_environment is None:
+            raise OneEnvironmentNeededError(f"{type(self).__name__}.satellites are known in communication_pairs() only")
+        return self.one_environment
+
+    def _pairs(self) -> Tensor:
+        try:
+            pairs: Any = self.communication_pairs()
+        except OneEnvironmentNeededError:
+            pairs = []
+        return listed_pairs(self) if isinstance(pairs, list | tuple) else pairs
+
     def communicate(self, moves: Tensor) -> Tensor:
         """Return the pairs that communicate after a step, in episodes whose last communication is ``min_period`` ago.
 
@@ -105,10 +125,11 @@ class CommunicationMethod:
         """
         time, memory = self.fleet.sim_time, self.fleet.memory
         self.due = moves & (time - memory[LAST] >= self.min_period)
-        pairs, wanted = self.communication_pairs(), (self.fleet.num_envs, self.fleet.size, self.fleet.size)
-        if pairs.dtype != torch.bool or pairs.shape != wanted:
+        pairs, wanted = self._pairs(), (self.fleet.num_envs, self.fleet.size, self.fleet.size)
+        if not isinstance(pairs, Tensor) or pairs.dtype != torch.bool or pairs.shape != wanted:
+            given = f"{pairs.dtype} {list(pairs.shape)}" if isinstance(pairs, Tensor) else repr(pairs)
             raise TypeError(
-                f"{type(self).__name__}.communication_pairs() gave {pairs.dtype} {list(pairs.shape)}; "
+                f"{type(self).__name__}.communication_pairs() gave {given}; "
                 f"it must give torch.bool {list(wanted)}: episode, sender, receiver"
             )
         memory[LAST] = torch.where(self.due, time, memory[LAST])

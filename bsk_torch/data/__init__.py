@@ -2,17 +2,25 @@
 
 from bsk_torch.data.base import GlobalReward, NoReward
 from bsk_torch.data.clouds import CloudFreeImageReward
-from bsk_torch.data.composed import ComposedReward, ResourceReward
+from bsk_torch.data.composed import ComposedReward
 from bsk_torch.data.images import ImageReward, UniqueImageReward
+from bsk_torch.data.resources import ResourceReward
 from bsk_torch.data.scanning import ScanningTimeReward
+from bsk_torch.data.single import UniqueImageStore
+from bsk_torch.data.store import Data, DataStore
+from bsk_torch.data.unique_images import UniqueImageData
 
 __all__ = [
     "CloudFreeImageReward",
     "ComposedReward",
+    "Data",
+    "DataStore",
     "GlobalReward",
     "ImageReward",
     "NoReward",
     "ResourceReward",
     "ScanningTimeReward",
+    "UniqueImageData",
     "UniqueImageReward",
+    "UniqueImageStore",
 ]

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+import inspect
+from abc import ABCMeta
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import torch
 from torch import Tensor
@@ -12,6 +15,7 @@ from bsk_torch.sim.hooks import check_class
 if TYPE_CHECKING:
     from bsk_torch.scene.base import Scenario
     from bsk_torch.sim.fleet import Fleet
+    from bsk_torch.sim.state import StateTable
 
 Log = dict[str, Tensor]
 """Properties of the satellites at a decision boundary by name, [N, S, ...] each."""
@@ -30,11 +34,6 @@ UNUSED = {
     "get_log_state": LOGS,
     "compare_log_states": LOGS,
     "update_from_logs": LOGS,
-    "data_type": LOGS,
-    "data_store_type": LOGS,
-    "datastore_type": LOGS,
-    "create_data_store": MEMORY,
-    "initial_data": MEMORY,
     "link_scenario": "define link(scenario, fleet)",
     "link_satellite": "define link(scenario, fleet); fleet.each(function) reads a property of all satellites",
     "link_simulator": "define link(scenario, fleet)",
@@ -48,19 +47,73 @@ UNUSED = {
 """Names that are no hooks of rewarders, those of bsk_rl among them, and what to write instead."""
 
 
-class GlobalReward:
+MARKS = ("data_store_type", "datastore_type", "data_type", "create_data_store", "initial_data")
+"""Names that only rewarders in bsk_rl's form define."""
+
+SINGLE_ARGUMENTS = {"calculate_reward": (1, 2), "is_terminated": (1, 0), "is_truncated": (1, 0)}
+"""Methods that have other arguments in bsk_rl's form: their number there and here, beside ``self``."""
+
+
+def is_single_form(body: Mapping[str, Any]) -> bool:
+    """Return whether the body of a class is in bsk_rl's form: rewards of one environment, from data of each satellite."""
+    return any(name in body for name in MARKS) or any(
+        takes(body[name], theirs) and not takes(body[name], ours)
+        for name, (theirs, ours) in SINGLE_ARGUMENTS.items()
+        if inspect.isfunction(body.get(name))
+    )
+
+
+def takes(function: Callable[..., Any], count: int) -> bool:
+    """Return whether a method can be called with ``count`` arguments beside ``self``."""
+    try:
+        inspect.signature(function).bind(*[None] * (count + 1))
+    except TypeError:
+        return False
+    return True
+
+
+class RewarderType(ABCMeta):
+    """Class of rewarders. Those whose body is in bsk_rl's form derive from bases of that form, which run per environment."""
+
+    def __new__(cls, name: str, bases: tuple[type, ...], body: dict[str, Any], **options: Any) -> RewarderType:
+        """Make a class; TypeError for one in bsk_rl's form whose base has no counterpart there."""
+        if is_single_form(body):
+            bases = tuple(cls._single(name, base) for base in bases)
+        return super().__new__(cls, name, bases, body, **options)
+
+    @staticmethod
+    def _single(name: str, base: type) -> type:
+        if not isinstance(base, RewarderType) or getattr(base, "is_single", False):
+            return base
+        if (found := vars(base).get("single")) is None:
+            raise TypeError(
+                f"{name} is in bsk_rl's form, for which {base.__name__} has no counterpart; derive from data.GlobalReward, "
+                "NoReward, ScanningTimeReward or UniqueImageReward, or define read_log() and calculate_reward(before, after)"
+            )
+        return found
+
+
+class GlobalReward(metaclass=RewarderType):
     """Base of rewarders, which score a step by the logs of the satellites before and after it.
 
     Subclasses define :meth:`calculate_reward`, and :meth:`read_log` for what it needs; the other hooks are optional. N is the
     number of episodes, S that of satellites in each; :meth:`bsk_torch.sim.fleet.Fleet.each` reads a property of all satellites.
 
+    A subclass may also be in bsk_rl's form: ``data_store_type``, ``calculate_reward(new_data_dict)`` and so on; see
+    :mod:`bsk_torch.data.single`. It runs for each environment, which is slow.
+
     Attributes:
+        single: Base of subclasses in bsk_rl's form.
         scenario: The scenario, once an environment has been built.
         fleet: The satellites, once an environment has been built.
     """
 
+    single: ClassVar[type | None] = None
     scenario: Any
     fleet: Fleet
+
+    total_name: str
+    """Field of the state with :attr:`cum_reward`; see :mod:`bsk_torch.data.totals`."""
 
     def __init_subclass__(cls, **options: Any) -> None:
         """Refuse definitions that no environment would use; TypeError says what to write instead."""
@@ -74,6 +127,21 @@ class GlobalReward:
         not fit.
         """
         self.scenario, self.fleet = scenario, fleet
+
+    @property
+    def memory(self) -> StateTable:
+        """Tensors [N, ...] that start anew with every episode; ``memory.declare(name, initial, *shape)`` in ``link`` adds one."""
+        return self.fleet.memory
+
+    @property
+    def cum_reward(self) -> dict[str, Tensor]:
+        """Reward of each satellite in the present episodes so far, without failure penalties: [N] float64 by its name.
+
+        AttributeError for a rewarder that belongs to no environment.
+        """
+        if not hasattr(self, "total_name"):
+            raise AttributeError("cum_reward is read from the rewarder of an environment: env.rewarder.cum_reward")
+        return dict(zip(self.fleet.names, self.fleet.state[self.total_name].unbind(1), strict=True))
 
     def read_log(self) -> Log:
         """Return the present log, read at every decision boundary; tensors [N, S, ...] by name."""

@@ -11,6 +11,7 @@ from torch import Tensor
 
 from bsk_torch._deprecated import warn_deprecated
 from bsk_torch.data.base import GlobalReward, Log
+from bsk_torch.data.unique_images import Known, UniqueImageData, UniqueImages
 from bsk_torch.sim.hooks import check_class, check_tensor
 
 if TYPE_CHECKING:
@@ -44,7 +45,6 @@ class ImageReward(GlobalReward):
             raise ValueError(
                 f"{type(self).__name__} needs a satellite that images targets, such as a sats.ImagingSatellite; {are}"
             )
-        self.memory = fleet.memory
         for k, part in imagers.items():
             part.add_access_filter(functools.partial(self._selectable_by, k), part.target_types)
 
@@ -128,6 +128,29 @@ class UniqueImageReward(ImageReward):
     def known(self) -> Tensor:
         """Targets of whose images each satellite knows, [N, S, T] bool."""
         return self.memory["known_images"] if self.fleet.size > 1 else self.imaged.unsqueeze(1)
+
+    @property
+    def data(self) -> UniqueImages:
+        """What all satellites together have collected, for people to read."""
+        return UniqueImages(self.imaged, self.scenario.drawn("target_exists").bool(), self.memory["duplicates"].sum(1))
+
+    def data_of(self, row: int) -> UniqueImageData:
+        """Return what has been collected in environment ``row``, with Python sets of targets as bsk_rl's ``rewarder.data``."""
+        imaged = [self.scenario.target_object(row, k) for k in torch.nonzero(self.imaged[row]).squeeze(-1).tolist()]
+        return UniqueImageData(imaged, int(self.data.duplicates[row]), self.scenario.target_objects(row))
+
+    def store_of_one(self, part: int, row: int) -> Known:
+        """Return what the satellite of a row [N * count] of type number ``part`` knows, in the form of :meth:`data_of`."""
+        env = row // len(self.fleet.columns[part])
+        known, duplicates = (self.fleet.rows_of(part, table)[row] for table in (self.known, self.memory["duplicates"]))
+        imaged = [self.scenario.target_object(env, k) for k in torch.nonzero(known).squeeze(-1).tolist()]
+        return Known(UniqueImageData(imaged, int(duplicates), self.scenario.target_objects(env)))
+
+    def store_of(self, part: int) -> Known:
+        """Return what the satellites of type number ``part`` know, [N * count, ...]; it is their ``data_store``."""
+        exists = self.scenario.drawn("target_exists").bool().unsqueeze(1).expand_as(self.known)
+        tables = self.known, exists, self.memory["duplicates"]
+        return Known(UniqueImages(*(self.fleet.rows_of(part, table) for table in tables)))
 
     def counts(self) -> dict[str, Tensor]:
         """See :meth:`GlobalReward.counts`."""

@@ -19,9 +19,11 @@ from torchrl.envs import EnvBase
 
 from bsk_torch._deprecated import deprecated_attributes
 from bsk_torch.comm import CommunicationMethod, NoCommunication
-from bsk_torch.data import checked
+from bsk_torch.data import checked, totals
 from bsk_torch.data.base import GlobalReward, NoReward
 from bsk_torch.data.composed import ComposedReward
+from bsk_torch.data.mapped import for_batch
+from bsk_torch.env import hints
 from bsk_torch.env.build import FleetBuilder, link
 from bsk_torch.env.changes import Change, LiveArguments, apply, episodes, of_satellites, of_world, remembered
 from bsk_torch.env.machine import existing_device
@@ -30,11 +32,14 @@ from bsk_torch.env.pool import EpisodePool
 from bsk_torch.env.randomizer import make_randomizer
 from bsk_torch.env.satellite_group import groups_of
 from bsk_torch.env.state import MADE_BY, check_compatible, check_fingerprint, fingerprint
-from bsk_torch.env.types import check_world, world_components
+from bsk_torch.env.trial import try_out
+from bsk_torch.env.types import check_world
 from bsk_torch.obs.base import Values
 from bsk_torch.rand import Key
-from bsk_torch.sats.satellite import ArgumentTable, Satellite
+from bsk_torch.sats.dtypes import common_dtype
+from bsk_torch.sats.satellite import Satellite
 from bsk_torch.scene.base import Scenario
+from bsk_torch.sim.argument_table import ArgumentTable
 from bsk_torch.sim.fleet import Fleet, FleetState
 from bsk_torch.sim.params import Arguments
 from bsk_torch.sim.simulator import Simulator, whole_nanoseconds
@@ -115,7 +120,7 @@ class Tasking(EnvBase):
             logging.getLogger("bsk_torch").setLevel(options.log_level)
         if options.failure_penalty > 0.0:
             logger.warning("failure_penalty=%g rewards failure; it should not be positive", options.failure_penalty)
-        self.dtype, self.failure_penalty = options.dtype, float(options.failure_penalty)
+        self.dtype, self.failure_penalty = common_dtype(options.dtype, satellites), float(options.failure_penalty)
         self.terminate_on_time_limit = options.terminate_on_time_limit
         self.max_step_duration = float(options.max_step_duration)
         self.scenario, self.rewarder = copy.copy(scenario or Scenario()), composed(rewarder)
@@ -123,17 +128,19 @@ class Tasking(EnvBase):
         randomizer = make_randomizer(sat_arg_randomizer, satellites)
         self.builder = FleetBuilder(satellites, self.scenario, options, randomizer, torch.device(self.device))
         self.names = self.builder.names
-        trial = self.builder.trial(self.rewarder)
+        trial = try_out(self.builder, self.rewarder)
         n = options.num_envs
         self.fleet = self.builder.make_fleet(n)
         self.pool = EpisodePool(self.builder.make_fleet(n), self._start) if self.builder.pool_pays else None
         self._declare_state(options.env_ids)
         groups_of(self.builder.satellites, self.fleet)
         link(self.fleet, self.scenario, self.rewarder)
+        totals.declare(self.rewarder, self.fleet)
         self.communicator.attach(self.fleet)
         if self.pool is not None:
             self._share_search_range(self.pool.fleet)
-        self._make_specs(trial)
+        trial.decide(self.fleet.groups)  # type: ignore[arg-type]
+        self._make_specs(trial.values)
         self.longest_ticks = math.ceil(whole_nanoseconds(min(self.max_step_duration, ENDLESS)) / self.simulator.h_ns)
         self.fingerprint = fingerprint(self.fleet)
         self._changes: list[Change] = []
@@ -147,7 +154,7 @@ class Tasking(EnvBase):
         ids = torch.arange(n) if env_ids is None else torch.as_tensor(env_ids, dtype=torch.int64)
         if ids.shape != (n,) or bool((ids < 0).any()):
             raise ValueError(f"env_ids has shape {list(ids.shape)}; it needs {n} indices that are not negative")
-        self.env_ids = ids.to(self.device)
+        self.env_ids = self.fleet.env_ids = ids.to(self.device)
         for name, dtype in (("episode", torch.int64), ("seed", torch.int64), ("limit_ticks", torch.int64)):
             self.state.declare(name, None, dtype=dtype)
         self.state.episode = self.state.episode - 1
@@ -176,6 +183,12 @@ class Tasking(EnvBase):
         return Composite(flags, shape=b, **on)
 
     # -- reading ------------------------------------------------------------------------------------------------------
+
+    def __getattr__(self, name: str) -> Any:
+        """Look up what a module of torch registers; AttributeError with advice for names of Gymnasium's environments."""
+        if name in hints.ATTRIBUTES:
+            raise hints.no_attribute(type(self).__name__, name)
+        return super().__getattr__(name)
 
     @property
     def num_envs(self) -> int:
@@ -263,7 +276,19 @@ class Tasking(EnvBase):
         self.state.seed = torch.where(rows, values, self.state.seed)
         self.state.episode = self.episode.masked_fill(rows, -1)
 
-    def _reset(self, tensordict: TensorDictBase | None = None, *, set_state: bool = False, **_: Any) -> TensorDict:
+    def _assert_tensordict_shape(self, tensordict: TensorDictBase) -> None:
+        """Check the argument of ``step`` and ``reset``."""
+        hints.check_call(type(self).__name__, self._action_name, tensordict)
+        super()._assert_tensordict_shape(tensordict)
+
+    @property
+    def _action_name(self) -> str:
+        """Key of the action, as one writes it."""
+        return "'action'"
+
+    def _reset(self, tensordict: TensorDictBase | None = None, *, set_state: bool = False, **unknown: Any) -> TensorDict:
+        if unknown:
+            hints.check_reset(type(self).__name__, unknown)
         mask = None if tensordict is None else tensordict.get("_reset", None)
         envs = self.fleet.all_envs if mask is None else torch.nonzero(mask.reshape(-1)).squeeze(-1)
         if set_state and tensordict is not None and "state" in tensordict:
@@ -296,6 +321,8 @@ class Tasking(EnvBase):
         whole = torch.where(torch.isfinite(limit), ticks * self.fleet.h, limit)
         state.time_limit = state.time_limit.index_copy(0, envs, whole)
         self.scenario.begin_episodes(envs)
+        for begin in self.fleet.beginnings:
+            begin(envs)
         for group in self.fleet.groups:
             rows = group.task.rows_of(envs)
             group.task.dead = group.task.dead.index_copy(0, rows, ~group.satellite.is_alive()[rows])
@@ -391,6 +418,7 @@ class Tasking(EnvBase):
             group.command(action, mine, all_act)
         fleet.run(moves, self.state.limit_ticks, self.longest_ticks)
         reward = checked.reward(self.rewarder, before, checked.log(self.rewarder)) * moves.unsqueeze(-1)
+        totals.add(self.rewarder, reward, moves)
         self.scenario.finish_step(fleet.sim_time)
         if not self.communicator.is_silent:
             self.links = self.communicator.exchange(moves)
@@ -517,8 +545,7 @@ class Tasking(EnvBase):
 
     def default_world_args(self) -> ArgumentTable:
         """Return every argument that ``world_args`` accepts, with default, unit and meaning; print it to read it."""
-        first_of_each = (self.builder.satellites[columns[0]] for columns in self.builder.types)
-        return ArgumentTable([part for satellite in first_of_each for part in world_components(satellite)])
+        return self.builder.default_world_args()
 
     @property
     def bytes_per_env(self) -> int:
@@ -577,7 +604,7 @@ def composed(rewarder: GlobalReward | Iterable[GlobalReward] | None) -> GlobalRe
     for part in listed:
         if not isinstance(part, GlobalReward):
             raise TypeError(f"rewarder={part!r} must be a rewarder, made with parentheses, such as data.UniqueImageReward()")
-    return ComposedReward(*map(copy.copy, listed)) if several else copy.copy(listed[0])
+    return ComposedReward(*map(copy.copy, listed)) if several else for_batch(listed[0])
 
 
 def _counted(name: str, satellite: Satellite) -> Tensor:

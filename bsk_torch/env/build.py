@@ -1,8 +1,7 @@
-"""From satellites and options to simulations: fleets of N episodes, and the trial episode from which specs are made."""
+"""From satellites and options to simulations: fleets of N episodes, their draws and starts."""
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Callable, Sequence
 
 import torch
@@ -10,22 +9,22 @@ from torch import Tensor
 
 from bsk_torch.data import checked
 from bsk_torch.data.base import GlobalReward
-from bsk_torch.env.machine import check_memory
 from bsk_torch.env.options import TaskingOptions
 from bsk_torch.env.pool import SMALLEST
 from bsk_torch.env.randomizer import Randomizer
-from bsk_torch.env.satellite_group import groups_of
-from bsk_torch.env.types import check_names, check_world, grouped, world_arguments
-from bsk_torch.obs.base import Values
+from bsk_torch.env.types import check_names, check_world, grouped, world_arguments, world_components
 from bsk_torch.rand import Distribution, Key, first_key, seeded
 from bsk_torch.sats.satellite import Satellite
 from bsk_torch.scene.base import Scenario
+from bsk_torch.sim.argument_table import ArgumentTable
 from bsk_torch.sim.component import Arg
+from bsk_torch.sim.composition import compose
 from bsk_torch.sim.fleet import EpisodeDraw, Fleet, share
 from bsk_torch.sim.given import Answers, expand, is_function
 from bsk_torch.sim.params import Overrides, convert
 from bsk_torch.sim.simulator import Simulator
 from bsk_torch.sim.state import StateTable
+from bsk_torch.sim.world import WorldModel
 
 LIMIT = Arg("time_limit", float("inf"), "s", "time after which an episode is truncated", low=0.0)
 
@@ -40,6 +39,7 @@ class FleetBuilder:
         satellites: The user's satellites.
         names: Their names.
         types: Positions of the satellites of each type.
+        world_type: World model of the options; None where it follows from the satellites.
         scenario: The scenario, a copy of the user's.
         options: Options of the environment.
         randomizer: Draws arguments of all satellites together, if any.
@@ -58,9 +58,16 @@ class FleetBuilder:
         self.satellites = [satellite.as_given() for satellite in satellites]
         self.types = grouped(self.satellites)
         self.scenario, self.options, self.randomizer, self.device = scenario, options, randomizer, device
-        self._world_names = [set(world_arguments(self.satellites[columns[0]])) for columns in self.types]
+        self.world_type = None if options.world_type is None else compose(options.world_type, WorldModel)
+        self._world_names = [set(world_arguments(self.satellites[columns[0]], self.world_type)) for columns in self.types]
         self.world_args = expand(options.world_args, "world_args")
-        check_world(self.world_args, self._world_names)
+        check_world(self.world_args, [*self._world_names, self.default_world_args()])
+
+    def default_world_args(self) -> ArgumentTable:
+        """Return every argument of the world, with its default."""
+        first_of_each = (self.satellites[columns[0]] for columns in self.types)
+        parts = [part for satellite in first_of_each for part in world_components(satellite, self.world_type)]
+        return ArgumentTable([*(self.world_type.all_components() if self.world_type else ()), *parts])
 
     # -- fleets -------------------------------------------------------------------------------------------------------
 
@@ -68,7 +75,7 @@ class FleetBuilder:
         """Return simulations of ``n`` episodes; of one satellite of each type only, if on ``trial``."""
         # the trial's arcs shall be as long as those of the batch: see check_memory
         sample = isinstance(self.options.time_limit, Distribution) and n < self.options.num_envs
-        limit = self.draw_time_limit(first_key(min(SAMPLE, self.options.num_envs) if sample else n))
+        limit = self.draw_time_limit(first_key(min(SAMPLE if sample else n, self.options.num_envs)))
         types = [columns[:1] for columns in self.types] if trial else self.types
         scenario_state = StateTable(n, 1, self.device)
         for name, value in self.scenario.draw_checked(first_key(min(2, n))).items():
@@ -99,6 +106,7 @@ class FleetBuilder:
             stops=satellite.variable_interval,
             columns=columns,
             randomize=self._share_of(columns),
+            world_type=self.world_type,
         )
 
     def _share_of(self, columns: Sequence[int]) -> Callable[[Key], Overrides]:
@@ -172,31 +180,10 @@ class FleetBuilder:
         durations = [self.satellites[s.columns[0]].generation(limit) for s in fleet.simulators]
         fleet.reset(envs, drawn, durations, limit)
 
-    # -- trial --------------------------------------------------------------------------------------------------------
-
-    def trial(self, rewarder: GlobalReward) -> list[Values]:
-        """Return the observations of a trial episode, for each type: their shapes make the specs.
-
-        Raises:
-            MemoryError: If the batch will not fit into memory.
-        """
-        fleet, scenario = self.make_fleet(1, trial=True), copy.copy(self.scenario)
-        drawn, limit = self.draw(fleet, first_key(1))
-        groups = groups_of(self.satellites, fleet)
-        each = sum(s.state.nbytes * len(columns) for s, columns in zip(fleet.simulators, self.types, strict=True))
-        each += fleet.scenario_state.nbytes
-        check_memory(self.device, self.options.num_envs, each * (2 if self.pool_pays else 1))
-        link(fleet, scenario, copy.copy(rewarder))
-        self.start(fleet, fleet.all_envs, drawn, limit)
-        scenario.begin_episodes(fleet.all_envs)
-        for group in groups:
-            group.satellite.is_alive()
-        return [group.observations.get_dict() for group in groups]
-
 
 def link(fleet: Fleet, scenario: Scenario, rewarder: GlobalReward) -> None:
     """Link satellites, scenario and rewarder."""
     scenario.attach(fleet)
     for group in fleet.groups:
-        group.scenario = scenario
+        group.scenario, group.rewarder = scenario, rewarder
     checked.link(rewarder, scenario, fleet)

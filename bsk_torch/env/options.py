@@ -7,12 +7,13 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any, TypeVar
 
-import numpy as np
 import torch
 from torch import Tensor
 
 from bsk_torch.rand import Distribution
+from bsk_torch.sats.dtypes import as_dtype
 from bsk_torch.sim.params import nearest
+from bsk_torch.sim.world import WorldModel
 
 TimeLimit = float | Distribution | Callable[[], float]
 
@@ -32,6 +33,8 @@ class TaskingOptions:
 
     Attributes:
         num_envs: Number of episodes N.
+        world_type: World model, or several, of :mod:`bsk_torch.sim.world`, of which the first wins; None for those that the
+            dynamics models of the satellites require.
         world_args: Arguments of the world, like ``sat_args``, also as one callable that returns a dictionary; see
             :meth:`~bsk_torch.env.base.Tasking.default_world_args`.
         sim_rate: Length of a tick, s.
@@ -43,7 +46,8 @@ class TaskingOptions:
         device: Where the simulation runs.
         seed: Seed of all draws; None for a random one.
         env_ids: Index of each episode in the draws, 0 to N - 1 unless given.
-        dtype: Type of observations, rewards and durations, of torch or of NumPy; None for float32.
+        dtype: Type of observations, rewards and durations, of torch or NumPy; None for the one that the satellites name, or
+            float32.
         sim_dtype: float64 for parity with Basilisk; float32 for mixed precision: attitude, wheels and flight software in float32,
             orbit, time and accumulators in float64.
         orbit: ``"arc"`` (in advance), ``"integrated"`` (in every tick, with drag), or None for the model's own.
@@ -52,6 +56,7 @@ class TaskingOptions:
     """
 
     num_envs: int = 1
+    world_type: type[WorldModel] | Sequence[type[WorldModel]] | None = None
     world_args: Mapping[str, Any] | Callable[[], Mapping[str, Any]] | None = None
     sim_rate: float = 1.0
     max_step_duration: float = 1e9
@@ -61,7 +66,7 @@ class TaskingOptions:
     device: torch.device | str = "cpu"
     seed: int | None = None
     env_ids: Sequence[int] | Tensor | None = None
-    dtype: torch.dtype = torch.float32
+    dtype: Any = None
     sim_dtype: torch.dtype = torch.float64
     orbit: str | None = None
     backend: str = "compiled"
@@ -73,7 +78,7 @@ class TaskingOptions:
             raise ValueError(f"num_envs={self.num_envs} must be at least 1")
         if not self.max_step_duration > 0.0:
             raise ValueError(f"max_step_duration={self.max_step_duration!r} must be positive, in s")
-        object.__setattr__(self, "dtype", floating(self.dtype))
+        object.__setattr__(self, "dtype", as_dtype(self.dtype))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,21 +108,6 @@ class ConstellationOptions(TaskingOptions):
         super().__post_init__()
         if self.joint and (self.meta_agent_groupings or self.group_map):
             raise ValueError("joint=True puts all satellites under one agent; leave meta_agent_groupings and group_map out")
-
-
-def floating(dtype: Any) -> torch.dtype:
-    """Return a floating-point type of torch or of NumPy as one of torch; ValueError for any other."""
-    if dtype is None:
-        return torch.float32
-    given = dtype
-    if not isinstance(dtype, torch.dtype):
-        try:
-            dtype = torch.from_numpy(np.zeros(0, np.dtype(dtype))).dtype
-        except TypeError:
-            dtype = torch.bool
-    if not dtype.is_floating_point:
-        raise ValueError(f"dtype={given!r} must be a floating-point type, such as torch.float32 or np.float64")
-    return dtype
 
 
 def parse(kind: type[TaskingOptions], given: Mapping[str, Any]) -> Any:

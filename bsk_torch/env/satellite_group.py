@@ -12,6 +12,7 @@ from torch import Tensor
 from bsk_torch.act.base import ActionBuilder, Decision
 from bsk_torch.obs.base import ObservationBuilder
 from bsk_torch.sats.satellite import Satellite
+from bsk_torch.sats.user_function import UserFunction
 from bsk_torch.sim.dyn.events import DISARMED
 from bsk_torch.sim.fleet import NEVER, Fleet
 from bsk_torch.sim.simulator import Simulator
@@ -60,6 +61,7 @@ class SatelliteGroup:
         fleet: All satellites of the environment.
         index: Number of the group in the fleet.
         names: Name of each satellite of an episode.
+        scenario, rewarder: Those of the environment, once it has linked them.
         dynamics, fsw: Their models.
         actions: Their actions.
         observations: Their observations.
@@ -72,6 +74,7 @@ class SatelliteGroup:
         self.simulator: Simulator = fleet.simulators[index]
         self.names = tuple(fleet.names[column] for column in fleet.columns[index].tolist())
         self.scenario: Any = None
+        self.rewarder: Any = None
         self.observation_description: list[str] = []
         state = self.simulator.state
         self.task = TaskState(state.num_envs, state.count, state.device)
@@ -84,6 +87,11 @@ class SatelliteGroup:
         self.actions = ActionBuilder(copy.deepcopy(list(satellite.action_spec)), self.satellite)
         self.observations = ObservationBuilder(copy.deepcopy(list(satellite.observation_spec)), self.satellite)
         self.simulator.observer.want((*self.observations.observables, *self.dynamics.vitals(), *self.fsw.vitals()))
+
+    @property
+    def functions(self) -> list[UserFunction]:
+        """Functions of users that observations and satellites call."""
+        return [*self.observations.functions, *self.satellite.functions]
 
     @property
     def time_limit(self) -> Tensor:

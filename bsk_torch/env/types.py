@@ -7,8 +7,10 @@ from collections.abc import Iterable, Sequence
 
 from bsk_torch.rand import MOST_SATELLITES
 from bsk_torch.sats.satellite import Satellite
-from bsk_torch.sim.component import Component, collect
+from bsk_torch.sim.component import Component
+from bsk_torch.sim.composition import world_components as components_of_world
 from bsk_torch.sim.params import alike, nearest
+from bsk_torch.sim.world import WorldModel
 
 OWN = ("name", "sat_args_generator")
 """Attributes in which satellites of one type may differ."""
@@ -61,14 +63,14 @@ def grouped(satellites: Sequence[Satellite]) -> list[list[int]]:
     return types
 
 
-def world_components(satellite: Satellite) -> tuple[Component, ...]:
-    """Return the components of the world that a satellite's models need."""
-    return collect(reversed(satellite.dyn_type.__mro__), "world_components")
+def world_components(satellite: Satellite, world_type: type[WorldModel] | None = None) -> tuple[Component, ...]:
+    """Return the components of a satellite's world: those of ``world_type``, or those that its models need."""
+    return components_of_world(satellite.dyn_type, world_type)
 
 
-def world_arguments(satellite: Satellite) -> list[str]:
+def world_arguments(satellite: Satellite, world_type: type[WorldModel] | None = None) -> list[str]:
     """Return the names of the arguments of a satellite's world."""
-    return [arg.name for component in world_components(satellite) for arg in component.args]
+    return [arg.name for component in world_components(satellite, world_type) for arg in component.args]
 
 
 def check_world(world_args: Iterable[str], known: Iterable[Iterable[str]]) -> None:

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 import torch
 from torch import Tensor
 
+from bsk_torch.sats.one import is_ours
+from bsk_torch.sats.user_function import UserFunction
 from bsk_torch.sim.hooks import check_class, check_tensor, defined_first
 
 if TYPE_CHECKING:
@@ -15,6 +18,12 @@ if TYPE_CHECKING:
 
 HOOKS = ("link_satellite", "observables", "get_obs", "get_vector")
 """Members of :class:`Observation` that subclasses may define."""
+
+ADVICE = (
+    "let it return [N] or [N, ...] for all satellites: properties are tensors, whose first dimension is the satellite, such as "
+    "self.satellite.dynamics.r_BN_N [N, 3], and torch.linalg.norm(r, dim=-1) takes the place of np.linalg.norm(r)"
+)
+"""How to write an observation for all satellites."""
 
 MEMORY = (
     "keep values that start anew with every episode in satellite.simulator.memory; declare them in link_satellite(satellite): "
@@ -45,10 +54,12 @@ class Observation:
 
     Attributes:
         name: Name of the entry in the observation.
+        unique_name: The same with a number where several entries of the satellite have it, as in ``target_2``.
         satellite: The satellites, once an environment has been built.
     """
 
     satellite: Any
+    unique_name: str
 
     def __init__(self, name: str) -> None:
         """Name the entry."""
@@ -77,6 +88,11 @@ class Observation:
         """Simulation of the satellites."""
         return self.satellite.simulator
 
+    @property
+    def functions(self) -> list[UserFunction]:
+        """Functions of users that the observation calls; an environment tries them when it is built."""
+        return []
+
     def observables(self) -> list[Any]:
         """Return functions of observables that :meth:`get_obs` reads, so that one kernel computes them together.
 
@@ -85,7 +101,11 @@ class Observation:
         return []
 
     def get_obs(self) -> Tensor | Values:
-        """Return the present observation: a tensor [N] or [N, ...], or a dictionary of them by name, which may be nested."""
+        """Return the present observation: a tensor [N] or [N, ...], or a dictionary of them by name, which may be nested.
+
+        NumPy arrays may take the place of tensors. A subclass of this class may also be written for one satellite, as in bsk_rl:
+        it is then called for one environment after the other, which is slow, with arrays and numbers of that environment.
+        """
         raise NotImplementedError(f"{type(self).__name__} must implement get_obs()")
 
     def get_vector(self) -> Tensor:
@@ -94,30 +114,6 @@ class Observation:
         A class may define a faster way beside its ``get_obs``; a subclass that overrides only ``get_obs`` gets this one again.
         """
         return torch.cat([value for _, value in flatten({self.name: self.get_obs()}, len(self.simulator.ticks))], -1)
-
-
-def scaled(value: Tensor, norm: float) -> Tensor:
-    """Return the value divided by its norm."""
-    return value if norm == 1.0 else value / norm
-
-
-def property_name(entry: dict[str, Any]) -> str:
-    """Return the name of an observed property: ``name``, or that of the property, with ``_normd`` if a norm divides it."""
-    default = str(entry.get("prop") or getattr(entry.get("fn"), "__name__", "fn"))
-    return str(entry.get("name") or default + ("_normd" if entry.get("norm", 1.0) != 1.0 else ""))
-
-
-def check_entries(entries: Sequence[dict[str, Any]], allowed: set[str], title: str) -> None:
-    """Raise ValueError for dictionaries with unknown keys, with neither or both of ``prop`` and ``fn``, or with equal names."""
-    for entry in entries:
-        unknown = set(entry) - allowed
-        if unknown:
-            raise ValueError(f"{title} got unknown keys {sorted(unknown)} in {entry}; allowed are {sorted(allowed)}")
-        if ("prop" in entry) == ("fn" in entry):
-            raise ValueError(f"{title} needs either 'prop' or 'fn' in {entry}")
-    names = [property_name(entry) for entry in entries]
-    if twice := sorted({name for name in names if names.count(name) > 1}):
-        raise ValueError(f"{title} has several properties called {twice}; tell them apart by the key 'name'")
 
 
 def flatten(values: Values, count: int | None = None, prefix: str = "") -> Iterator[tuple[str, Tensor]]:
@@ -139,6 +135,75 @@ def flatten(values: Values, count: int | None = None, prefix: str = "") -> Itera
             )
 
 
+def link(entry: Any, satellite: Satellite) -> None:
+    """Link an observation to a satellite.
+
+    Raises:
+        ValueError: For an entry that is no observation.
+        TypeError: For an entry whose ``link_satellite`` does not call that of its base class.
+    """
+    if not isinstance(entry, Observation):
+        raise ValueError(f"observation_spec holds {entry!r}, which is no observation; write obs.Time(), with parentheses")
+    entry.link_satellite(satellite)
+    if getattr(entry, "satellite", None) is not satellite:
+        raise TypeError(f"{type(entry).__name__}.link_satellite(satellite) must call super().link_satellite(satellite)")
+
+
+class Reader:
+    """Reads an observation, by name or as a vector; one of a user's class is called for all satellites, or for each.
+
+    Attributes:
+        entry: The observation.
+    """
+
+    def __init__(self, entry: Observation) -> None:
+        """Read an ``entry``, which is linked to its satellites."""
+        self.entry = entry
+        # get_vector() belongs to the get_obs() of the same class: a subclass that overrides only the latter does not use it
+        self._has_vector = defined_first(entry, "get_vector", "get_obs") == "get_vector"
+        self._compared = is_ours(type(entry)) or not self._has_vector
+        # a class that overrides the get_obs() of another one may call that for all satellites, so it is not mapped
+        owners = [cls for cls in type(entry).__mro__ if "get_obs" in vars(cls)]
+        mapped = not is_ours(owners[0]) and owners[1:] == [Observation]
+        self._function = UserFunction(f"{type(entry).__name__}.get_obs()", ADVICE) if mapped else None
+
+    @property
+    def functions(self) -> list[UserFunction]:
+        """Functions of users that the observation calls, that of its own class included."""
+        return [*([] if self._function is None else [self._function]), *self.entry.functions]
+
+    def values(self) -> Tensor | Values:
+        """Return the observation, a tensor [N] or [N, ...] or a dictionary of them."""
+        entry = self.entry
+        if self._function is None:
+            return entry.get_obs()
+        satellite = entry.satellite
+
+        def one(row: int) -> Any:
+            view = copy.copy(entry)
+            view.satellite = satellite.one(row)
+            return view.get_obs()
+
+        return self._function((len(satellite.simulator.ticks),), satellite.simulator.device, entry.get_obs, one)
+
+    def vector(self) -> Tensor:
+        """Return the observation as a vector, [N, width].
+
+        Raises:
+            TypeError: At the first call, for a vector of a user's class that has not the width of its named observations.
+        """
+        if not self._has_vector:
+            return self._flat()
+        vector = self.entry.get_vector()
+        if not self._compared:
+            check_tensor(f"{type(self.entry).__name__}.get_vector()", vector, self._flat().shape)
+            self._compared = True
+        return vector
+
+    def _flat(self) -> Tensor:
+        return torch.cat([value for _, value in flatten({self.entry.name: self.values()}, len(self.entry.simulator.ticks))], -1)
+
+
 class ObservationBuilder:
     """The observations of a satellite type, in the order of its ``observation_spec``.
 
@@ -156,15 +221,19 @@ class ObservationBuilder:
         if not spec:
             raise ValueError(f"{type(satellite).__name__}.observation_spec is empty; list at least one, such as obs.Time()")
         for entry in spec:
-            if not isinstance(entry, Observation):
-                raise ValueError(f"observation_spec holds {entry!r}, which is no observation; write obs.Time(), with parentheses")
-            entry.link_satellite(satellite)
-            if getattr(entry, "satellite", None) is not satellite:
-                raise TypeError(f"{type(entry).__name__}.link_satellite(satellite) must call super().link_satellite(satellite)")
+            link(entry, satellite)
         self.entries, self.satellite = tuple(spec), satellite
-        # get_vector() belongs to the get_obs() of the same class: a subclass that overrides only the latter does not use it
-        self._has_vector = [defined_first(entry, "get_vector", "get_obs") == "get_vector" for entry in self.entries]
-        self._compared = False
+        self._readers = [Reader(entry) for entry in self.entries]
+        names: list[str] = []
+        for entry in self.entries:
+            number = 1 + sum(entry.name == other.name for other in self.entries[: len(names)])
+            names.append(entry.name if number == 1 else f"{entry.name}_{number}")
+            entry.unique_name = names[-1]
+
+    @property
+    def functions(self) -> list[UserFunction]:
+        """Functions of users that entries call, and entries of users' classes."""
+        return [function for reader in self._readers for function in reader.functions]
 
     @property
     def observables(self) -> list[Any]:
@@ -174,30 +243,15 @@ class ObservationBuilder:
     def get_dict(self) -> Values:
         """Return all observations by name; repeated names get a number, as in ``target_2``."""
         values: Values = {}
-        for entry in self.entries:
-            name, number = entry.name, 1
-            while name in values:
-                number += 1
-                name = f"{entry.name}_{number}"
-            values[name] = entry.get_obs()
+        for reader in self._readers:
+            values[reader.entry.unique_name] = reader.values()
         for _ in flatten(values, len(self.satellite.simulator.ticks)):
             pass  # raises for leaves of a wrong shape
         return values
 
     def get_vector(self, dtype: torch.dtype) -> Tensor:
-        """Return all observations side by side, [N, width].
-
-        Raises:
-            TypeError: At the first call, for a vector of a user's class that has not the width of its named observations.
-        """
-        pairs = list(zip(self.entries, self._has_vector, strict=True))
-        parts = [entry.get_vector() if own else Observation.get_vector(entry) for entry, own in pairs]
-        if not self._compared:
-            for entry, part in zip(self.entries, parts, strict=True):
-                if not type(entry).__module__.startswith("bsk_torch."):
-                    check_tensor(f"{type(entry).__name__}.get_vector()", part, Observation.get_vector(entry).shape)
-            self._compared = True
-        return torch.cat(parts, -1).to(dtype)
+        """Return all observations side by side, [N, width]."""
+        return torch.cat([reader.vector() for reader in self._readers], -1).to(dtype)
 
     @staticmethod
     def vector(values: Values, dtype: torch.dtype) -> Tensor:

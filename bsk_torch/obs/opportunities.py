@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING, Any, cast
 import torch
 from torch import Tensor
 
-from bsk_torch.obs.base import Observation, Values, check_entries, property_name, scaled
+from bsk_torch.obs.base import Observation, Values
+from bsk_torch.obs.entries import is_own, parse_entries, scaled
+from bsk_torch.sats.user_function import UserFunction
 from bsk_torch.sim.access.relative_geometry import SATELLITE_PROPERTIES
 from bsk_torch.sim.params import nearest
 from bsk_torch.sim.readout.observables import observable
@@ -40,6 +42,12 @@ def _relative_geometry(part: slice | int) -> Preset:
     return geometry
 
 
+ADVICE = (
+    "let it return [N, n] or [N, n, width] for all satellites: opp['object'].priority and opp['window'][0] are tensors [N, n], "
+    "opp['r_LP_P'] [N, n, 3], and properties of the satellite [N, ...], as in satellite.simulator.sim_time.unsqueeze(-1)"
+)
+"""How to write a function of opportunities for all satellites."""
+
 PRESETS: dict[str, Preset] = {
     "priority": priority,
     "r_LP_P": lambda satellite, opportunities: opportunities.r_LP_P,
@@ -67,8 +75,11 @@ class OpportunityProperties(Observation):
     """Properties of the n opportunities that close next; the i-th target is the one that action i of ``act.Image`` images.
 
     Each argument is a dictionary with ``prop`` (see :data:`PRESETS`) or ``fn`` (function of the satellite and its
-    :class:`~bsk_torch.sats.access.Opportunities` that returns [N, n] or [N, n, width]), and optionally ``norm`` (divisor) and
-    ``name``. If there are fewer opportunities, the last one is repeated.
+    :class:`~bsk_torch.sats.access.Opportunities` that returns [N, n] or [N, n, width]), and optionally ``norm`` (divisor; None
+    for 1) and ``name``. With ``fn``, ``prop`` is only a name. If there are fewer opportunities, the last one is repeated.
+
+    bsk_rl's functions of a satellite and an opportunity work as they stand: ``opp["object"].priority``, ``opp["window"][0]``.
+    Where one cannot be called for all opportunities at once, it is called for each, which is slow; the log says so.
     """
 
     def __init__(
@@ -93,15 +104,28 @@ class OpportunityProperties(Observation):
             ValueError: For unknown keys or presets, equal names, or fewer than one opportunity.
         """
         super().__init__(name or type)
-        check_entries(entries, {"prop", "fn", "norm", "name"}, "obs.OpportunityProperties")
-        for entry in entries:
-            if "prop" in entry and entry["prop"] not in PRESETS:
+        parsed = parse_entries(entries, {"prop", "fn", "norm", "name"}, "obs.OpportunityProperties")
+        for entry in parsed:
+            if "fn" in entry:
+                continue
+            if entry["prop"] not in PRESETS:
                 raise ValueError(f"prop={entry['prop']!r} is not a property of opportunities; {nearest(entry['prop'], PRESETS)}")
-            if entry.get("prop") in ONLY_TARGETS and type != "target":
+            if entry["prop"] in ONLY_TARGETS and type != "target":
                 raise ValueError(f"prop={entry['prop']!r} is a property of targets; opportunities of type {type!r} have none")
-        if n_ahead_observe < 1:
-            raise ValueError(f"n_ahead_observe={n_ahead_observe} must be at least 1")
-        self.entries, self.n_ahead_observe, self.type, self.as_set = entries, n_ahead_observe, type, as_set
+        if n_ahead_observe != int(n_ahead_observe) or n_ahead_observe < 1:
+            raise ValueError(f"n_ahead_observe={n_ahead_observe} must be a whole number from 1 on")
+        self.entries, self.n_ahead_observe, self.type, self.as_set = parsed, int(n_ahead_observe), type, as_set
+        self.exact = ("mask",) if as_set else ()  # what obs.Noisy leaves alone
+        titles = (f"{entry['name']!r} of {self.name!r}" for entry in parsed)
+        self._functions = [
+            UserFunction(title, ADVICE) if "fn" in entry and not is_own(entry["fn"]) else None
+            for entry, title in zip(parsed, titles, strict=True)
+        ]
+
+    @property
+    def functions(self) -> list[UserFunction]:
+        """See :attr:`Observation.functions`."""
+        return [function for function in self._functions if function is not None]
 
     def link_satellite(self, satellite: Satellite) -> None:
         """See :meth:`Observation.link_satellite`; ValueError for a satellite without such opportunities."""
@@ -122,7 +146,8 @@ class OpportunityProperties(Observation):
 
     def _needs(self) -> list[str]:
         """Return names of the properties of the satellite that the entries read."""
-        return [name for entry in self.entries for name in NEEDS.get(str(entry.get("prop")), ())]
+        props = (entry["prop"] for entry in self.entries if "fn" not in entry)
+        return [name for prop in props for name in NEEDS.get(prop, ())]
 
     def observables(self) -> list[Any]:
         """See :meth:`Observation.observables`."""
@@ -134,20 +159,26 @@ class OpportunityProperties(Observation):
         """Return properties by name, [N, n] or [N, n, width], and which opportunities do not repeat the last one, [N, n] bool."""
         opportunities = cast("AccessSatellite", self.satellite).find_next_opportunities(self.n_ahead_observe, self.type)
         columns = {}
-        for entry in self.entries:
-            function = entry.get("fn") or PRESETS[entry["prop"]]
-            column = function(self.satellite, opportunities)
-            if "fn" in entry and (not isinstance(column, Tensor) or column.shape[:2] != opportunities.open.shape):
-                given = f"a tensor of shape {list(column.shape)}" if isinstance(column, Tensor) else repr(column)
-                n, k = opportunities.open.shape
-                raise TypeError(
-                    f"{property_name(entry)!r} of {self.name!r} is {given}; fn must return [{n}, {k}] or [{n}, {k}, width]"
-                )
-            columns[property_name(entry)] = scaled(column, entry.get("norm", 1.0))
+        for entry, function in zip(self.entries, self._functions, strict=True):
+            if function is None:
+                column = (entry.get("fn") or PRESETS[entry["prop"]])(self.satellite, opportunities)
+            else:
+                column = self._call(entry["fn"], function, opportunities)
+            columns[entry["name"]] = scaled(column, entry["norm"])
         if getattr(self.satellite, "may_see_nothing", False):
             nothing = opportunities.found == 0
             columns = {name: blank(column, nothing) for name, column in columns.items()}
         return columns, opportunities.mask
+
+    def _call(self, given: Callable[..., Any], function: UserFunction, opportunities: Opportunities) -> Tensor:
+        """Call a user's function of the satellite and its opportunities, for all or for each; return [N, n] or [N, n, width]."""
+
+        def one(row: int) -> list[Any]:
+            view = self.satellite.one(row)
+            return [given(view, each) for each in view.of_windows(self.type, opportunities, padding=True)]
+
+        shape = tuple(opportunities.open.shape)
+        return function(shape, self.simulator.device, lambda: given(self.satellite, opportunities), one)
 
     @staticmethod
     def _rows(columns: dict[str, Tensor]) -> Tensor:

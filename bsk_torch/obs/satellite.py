@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Any
 
 import torch
 from torch import Tensor
 
-from bsk_torch.obs.base import Observation, Values, check_entries, property_name, scaled
+from bsk_torch.obs.base import ADVICE, Observation, Values
+from bsk_torch.obs.entries import is_own, parse_entries, parse_norm, scaled
+from bsk_torch.sats.one import is_ours
+from bsk_torch.sats.user_function import UserFunction
 from bsk_torch.sim.params import nearest
 from bsk_torch.sim.readout.observables import observable
 
@@ -19,19 +23,38 @@ class SatProperties(Observation):
     """Properties of the dynamics or flight-software model, those that a user's model adds included.
 
     Each argument is a dictionary with ``prop`` (name of the property) or ``fn`` (function of the satellite that returns [N] or
-    [N, width]), and optionally ``module`` (``"dynamics"`` or ``"fsw"``), ``norm`` (divisor) and ``name``.
+    [N, width]), and optionally ``module`` (``"dynamics"`` or ``"fsw"``), ``norm`` (divisor; None for 1) and ``name``. With
+    ``fn``, ``prop`` is only a name.
+
+    Functions, and properties that a user's model adds, may be written for one satellite as in bsk_rl: with NumPy, returning a
+    number or an array. Where they cannot be called for all satellites at once, they are called for each, which is slow; the log
+    says so. See :class:`bsk_torch.sats.user_function.UserFunction`.
     """
 
     def __init__(self, *entries: dict[str, Any], name: str = "sat_props") -> None:
         """See the class; ValueError for unknown keys or equal names."""
         super().__init__(name)
-        check_entries(entries, {"prop", "fn", "module", "norm", "name"}, "obs.SatProperties")
-        self.entries = entries
+        self.entries = parse_entries(entries, {"prop", "fn", "module", "norm", "name"}, "obs.SatProperties")
 
     def link_satellite(self, satellite: Satellite) -> None:
         """See :meth:`Observation.link_satellite`; ValueError for a property that does not exist."""
         super().link_satellite(satellite)
-        self.modules = [self._module(entry) if "prop" in entry else None for entry in self.entries]
+        self.modules = [None if "fn" in entry else self._module(entry) for entry in self.entries]
+        self._functions = [self._function(entry, module) for entry, module in zip(self.entries, self.modules, strict=True)]
+
+    @property
+    def functions(self) -> list[UserFunction]:
+        """See :attr:`Observation.functions`."""
+        return [function for function in self._functions if function is not None]
+
+    def _function(self, entry: dict[str, Any], module: Any) -> UserFunction | None:
+        """Return the user's function or property that an entry calls; None for those of the package."""
+        title = f"{entry['name']!r} of {self.name!r}"
+        if module is None:
+            return None if is_own(entry["fn"]) else UserFunction(title, ADVICE)
+        owner = next(cls for cls in type(module).__mro__ if entry["prop"] in vars(cls))
+        own = is_ours(owner) or isinstance(vars(owner)[entry["prop"]], observable)
+        return None if own else UserFunction(f"{title}, {owner.__name__}.{entry['prop']},", ADVICE)
 
     def observables(self) -> list[Any]:
         """See :meth:`Observation.observables`."""
@@ -54,10 +77,28 @@ class SatProperties(Observation):
     def get_obs(self) -> Values:
         """See :meth:`Observation.get_obs`."""
         values = {}
-        for entry, module in zip(self.entries, self.modules, strict=True):
-            value = entry["fn"](self.satellite) if module is None else getattr(module, entry["prop"])
-            values[property_name(entry)] = scaled(value, entry.get("norm", 1.0))
+        for entry, module, function in zip(self.entries, self.modules, self._functions, strict=True):
+            if function is not None:
+                value = self._call(entry, module, function)
+            else:
+                value = entry["fn"](self.satellite) if module is None else getattr(module, entry["prop"])
+            values[entry["name"]] = scaled(value, entry["norm"])
         return values
+
+    def _call(self, entry: dict[str, Any], module: Any, function: UserFunction) -> Tensor:
+        """Call a user's function or property."""
+        satellite = self.satellite
+
+        def one(row: int) -> Any:
+            view = satellite.one(row)
+            if module is None:
+                return entry["fn"](view)
+            return getattr(view.dynamics if module is satellite.dynamics else view.fsw, entry["prop"])
+
+        def whole() -> Any:
+            return entry["fn"](satellite) if module is None else getattr(module, entry["prop"])
+
+        return function((len(self.simulator.ticks),), self.simulator.device, whole, one)
 
 
 class Time(Observation):
@@ -84,18 +125,24 @@ class Time(Observation):
 
 
 class Eclipse(Observation):
-    """Time until the next start and until the next end of an eclipse, divided by ``norm`` seconds; [N, 2].
+    """Time until the next start and until the next end of an eclipse, divided by ``norm`` seconds, or the period; [N, 2].
 
     They need not belong to the same eclipse. As in bsk_rl, times are on a grid of 30 s, and both are one second after the epoch
     if no eclipse begins or ends in the time that is searched.
     """
 
-    def __init__(self, norm: float = 1.0, name: str = "eclipse") -> None:
-        """Observe eclipses; ``norm`` is the divisor, s."""
+    def __init__(self, norm: float | None = 1.0, name: str = "eclipse") -> None:
+        """Observe eclipses; ``norm`` is the divisor, s, or None for the period of the satellite's present orbit."""
         super().__init__(name)
-        self.norm = norm
+        self.norm = None if norm is None else parse_norm(norm, "obs.Eclipse: norm")
 
     def get_obs(self) -> Tensor:
         """See :meth:`Observation.get_obs`."""
         start, end = self.satellite.next_eclipse()
-        return (torch.stack([start, end], -1) - self.simulator.sim_time.unsqueeze(-1)) / self.norm
+        return (torch.stack([start, end], -1) - self.simulator.sim_time.unsqueeze(-1)) / self._divisor()
+
+    def _divisor(self) -> Any:
+        if self.norm is not None:
+            return self.norm
+        a, mu = self.satellite.dynamics.semi_major_axis, self.satellite.sat_args["mu"]
+        return (2.0 * math.pi * torch.sqrt(a**3 / mu)).unsqueeze(-1)

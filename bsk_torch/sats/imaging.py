@@ -8,6 +8,8 @@ import torch
 from torch import Tensor
 
 from bsk_torch.sats.access import AccessSatellite
+from bsk_torch.sats.one import OneSatellite
+from bsk_torch.sats.one_access import OneImagingSatellite
 from bsk_torch.sim.dyn import DynamicsModel, ImagingDynModel
 from bsk_torch.sim.fsw import FSWModel, ImagingFSWModel
 
@@ -26,6 +28,7 @@ class ImagingSatellite(AccessSatellite):
 
     dyn_type: ClassVar[type[DynamicsModel]] = ImagingDynModel
     fsw_type: ClassVar[type[FSWModel]] = ImagingFSWModel
+    view_type: ClassVar[type[OneSatellite]] = OneImagingSatellite
     target_types: str = "target"
 
     def __init__(self, name: str, sat_args: dict[str, Any] | None = None, **options: Any) -> None:
@@ -43,6 +46,14 @@ class ImagingSatellite(AccessSatellite):
     def latest_target(self) -> Tensor:
         """Target that was chosen last, [N]; -1 before the first."""
         return self.simulator.state.memory["latest_target"]
+
+    @property
+    def known_images(self) -> Tensor:
+        """Targets of whose images each satellite knows, [N, T] bool: its own, and those that it was told of.
+
+        AttributeError for a rewarder that does not keep them, as :class:`bsk_torch.data.UniqueImageReward` does.
+        """
+        return self.group.fleet.rows_of(self.group.index, self.rewarder.known)
 
     @property
     def imaged(self) -> Tensor:

@@ -7,12 +7,17 @@ import keyword
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, ClassVar, Protocol
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from bsk_torch._deprecated import deprecated_attributes, warn_deprecated
+from bsk_torch.sats.dtypes import as_dtype
 from bsk_torch.sats.hooks import check_satellite
-from bsk_torch.sim.component import Component
+from bsk_torch.sats.one import OneSatellite
+from bsk_torch.sats.user_function import UserFunction
+from bsk_torch.sim.argument_table import ArgumentTable
+from bsk_torch.sim.composition import compose
 from bsk_torch.sim.dyn.models import BasicDynamicsModel, DynamicsModel
 from bsk_torch.sim.fsw.models import BasicFSWModel, FSWModel
 from bsk_torch.sim.given import Given, expand
@@ -20,29 +25,10 @@ from bsk_torch.sim.hooks import check_tensor
 from bsk_torch.sim.params import nearest
 from bsk_torch.sim.satellite_state import SatelliteState
 from bsk_torch.sim.simulator import Simulator
+from bsk_torch.sim.state import StateTable
 
-OBS_TYPES = (torch.Tensor, dict)
-
-
-class ArgumentTable(dict[str, Any]):
-    """Default arguments by name, shown as a table with unit and meaning."""
-
-    def __init__(self, components: Sequence[Component]) -> None:
-        """Collect the arguments of ``components``."""
-        self.rows = {arg.name: arg for component in components for arg in component.args}
-        super().__init__({name: arg.default for name, arg in self.rows.items()})
-
-    def __repr__(self) -> str:
-        """Return one line for each argument."""
-        lines = [(arg.name, _short(arg.default), arg.unit, arg.doc) for arg in self.rows.values()]
-        widths = [max(len(line[k]) for line in lines) for k in range(3)]
-        return "\n".join("  ".join((*(text.ljust(w) for text, w in zip(line, widths, strict=False)), line[3])) for line in lines)
-
-
-def _short(value: Any) -> str:
-    if isinstance(value, tuple) and value and isinstance(value[0], dict):
-        return f"{len(value)} stations"
-    return f"{value:g}" if isinstance(value, float) else str(value)
+VECTOR_TYPES = (torch.Tensor, np.ndarray, list)
+"""Values of ``obs_type`` that mean one vector; the latter two are bsk_rl's."""
 
 
 class _Arguments(Mapping[str, Any]):
@@ -105,6 +91,9 @@ class Group(Protocol):
     fsw: Any
     names: tuple[str, ...]
     scenario: Any
+    rewarder: Any
+    fleet: Any
+    index: int
     observation_description: list[str]
 
     @property
@@ -126,18 +115,24 @@ class Group(Protocol):
 
 @deprecated_attributes
 class Satellite:
-    """An agent. Subclasses set ``observation_spec``, ``action_spec``, ``dyn_type`` and ``fsw_type``."""
+    """An agent. Subclasses set ``observation_spec``, ``action_spec``, ``dyn_type`` and ``fsw_type``.
+
+    ``dyn_type`` and ``fsw_type`` are written as a class of :mod:`bsk_torch.sim.dyn` or :mod:`bsk_torch.sim.fsw`, or as a tuple of
+    classes, of which the first wins; they are read as the one class that these stand for.
+    """
 
     observation_spec: ClassVar[Sequence[Any]] = ()
     action_spec: ClassVar[Sequence[Any]] = ()
-    dyn_type: ClassVar[type[DynamicsModel]] = BasicDynamicsModel
-    fsw_type: ClassVar[type[FSWModel]] = BasicFSWModel
+    dyn_type: ClassVar[Any] = BasicDynamicsModel
+    fsw_type: ClassVar[Any] = BasicFSWModel
     opportunity_types: tuple[str, ...] = ()
+    view_type: ClassVar[type[OneSatellite]] = OneSatellite
 
     def __init_subclass__(cls, **options: Any) -> None:
         """Refuse definitions that no environment would use, by a TypeError with advice."""
         super().__init_subclass__(**options)
         check_satellite(cls, Satellite)
+        cls._compose_models()
         if cls.equip is not Satellite.equip:
             warn_deprecated(f"{cls.__name__}.equip", f"{cls.__name__}.on_bind")
 
@@ -147,6 +142,7 @@ class Satellite:
         sat_args: Mapping[str, Any] | Callable[[], Mapping[str, Any]] | None = None,
         *,
         obs_type: type = torch.Tensor,
+        dtype: Any = None,
         variable_interval: bool = True,
     ) -> None:
         """Describe a satellite; an environment makes its own copy and simulates that.
@@ -156,20 +152,49 @@ class Satellite:
             sat_args: Arguments of the models that differ from :meth:`default_sat_args`: constants, distributions of
                 :mod:`bsk_torch.rand`, or callables without arguments; or one callable that returns a dictionary of them, for
                 values that depend on one another.
-            obs_type: ``torch.Tensor`` for one vector, ``dict`` for named observations.
+            obs_type: ``torch.Tensor`` for one vector, ``dict`` for named observations; bsk_rl's ``np.ndarray`` and ``list`` mean
+                one vector, too.
+            dtype: Type of observations, of torch or NumPy, unless the environment names one; all satellites of an environment
+                have the same.
             variable_interval: Whether the end of an action ends the step; else steps last ``max_step_duration``.
         """
         if not name.isidentifier() or keyword.iskeyword(name):
             raise ValueError(f"name={name!r} must be a Python identifier, such as 'Scanner1'")
-        if obs_type not in OBS_TYPES:
-            raise ValueError(f"obs_type={obs_type!r} must be torch.Tensor or dict")
-        self.name, self.obs_type, self.variable_interval = name, obs_type, variable_interval
+        if obs_type is not dict and obs_type not in VECTOR_TYPES:
+            raise ValueError(f"obs_type={obs_type!r} must be dict, or one of torch.Tensor, np.ndarray and list for one vector")
+        self.name, self.obs_type, self.variable_interval = name, dict if obs_type is dict else torch.Tensor, variable_interval
+        self.dtype = as_dtype(dtype)
+        self._compose_models()
         self.sat_args_generator = Given(expand(sat_args, "sat_args"), type(self).default_sat_args(), "sat_args")
 
     @classmethod
-    def default_sat_args(cls) -> ArgumentTable:
-        """Return every argument that ``sat_args`` accepts, with its default."""
-        return ArgumentTable((*cls.dyn_type.all_components(), *cls.fsw_type.all_components()))
+    def default_sat_args(cls, **overrides: Any) -> ArgumentTable:
+        """Return every argument that ``sat_args`` accepts, with its default or the given value.
+
+        Raises:
+            KeyError: For a value of an unknown argument.
+        """
+        cls._compose_models()
+        return ArgumentTable((*cls.dyn_type.all_components(), *cls.fsw_type.all_components()), overrides)
+
+    @classmethod
+    def get_dyn_type(cls) -> type[DynamicsModel]:
+        """Return the dynamics model that ``dyn_type`` stands for."""
+        cls._compose_models()
+        return cls.dyn_type
+
+    @classmethod
+    def get_fsw_type(cls) -> type[FSWModel]:
+        """Return the flight-software model that ``fsw_type`` stands for."""
+        cls._compose_models()
+        return cls.fsw_type
+
+    @classmethod
+    def _compose_models(cls) -> None:
+        """Replace tuples of models, where they were written, by the classes that they stand for; TypeError for what is none."""
+        for name, base in (("dyn_type", DynamicsModel), ("fsw_type", FSWModel)):
+            owner = next(other for other in cls.__mro__ if name in vars(other))
+            setattr(owner, name, compose(getattr(owner, name), base, owner.__name__))
 
     # -- in an environment --------------------------------------------------------------------------------------------
 
@@ -219,6 +244,19 @@ class Satellite:
         """Return the counters of the present episodes, [N] each, by name."""
         return {}
 
+    def one(self, row: int) -> OneSatellite:
+        """Return a read-only view of the satellite of one row [N], which answers as a satellite of bsk_rl does.
+
+        Its properties are NumPy arrays and Python numbers; see :mod:`bsk_torch.sats.one`. With one satellite of the type in each
+        environment, ``row`` is the number of the environment.
+        """
+        return self.view_type(self, row)
+
+    @property
+    def functions(self) -> list[UserFunction]:
+        """Functions of users that the satellite calls; an environment tries them when it is built."""
+        return []
+
     def title(self, row: int) -> str:
         """Return the name of the satellite of a row [N] in errors."""
         env, k = divmod(row, len(self.names))
@@ -261,6 +299,27 @@ class Satellite:
     def scenario(self) -> Any:
         """Scenario of the environment."""
         return self.group.scenario
+
+    @property
+    def rewarder(self) -> Any:
+        """Rewarder of the environment; None where there is none, as in a fleet of its own."""
+        return self.group.rewarder
+
+    @property
+    def data_store(self) -> Any:
+        """What the satellites know, as the rewarder keeps it, in ``data_store.data``; AttributeError for rewarders without it."""
+        store_of = getattr(self.rewarder, "store_of", None)
+        if store_of is None:
+            raise AttributeError(
+                f"{type(self.rewarder).__name__} keeps no data of satellites; data.UniqueImageReward does, and rewarders in "
+                "bsk_rl's form with a data_store_type"
+            )
+        return store_of(self.group.index)
+
+    @property
+    def memory(self) -> StateTable:
+        """Tensors [N, ...] that start anew with every episode; ``memory.declare(name, initial, *shape)`` adds one."""
+        return self.simulator.memory
 
     @property
     def time_limit(self) -> Tensor:

@@ -5,6 +5,7 @@ from bsk_torch.scene.cities import CityTargets
 from bsk_torch.scene.clouds import CloudyTargets
 from bsk_torch.scene.explicit import Targets
 from bsk_torch.scene.scanning import UniformNadirScanning
+from bsk_torch.scene.target import Target
 from bsk_torch.scene.targets import ChangingTargets, TargetScenario
 from bsk_torch.scene.uniform import UniformTargets
 from bsk_torch.scene.wildfires import Wildfires
@@ -14,6 +15,7 @@ __all__ = [
     "CityTargets",
     "CloudyTargets",
     "Scenario",
+    "Target",
     "TargetScenario",
     "Targets",
     "UniformNadirScanning",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
@@ -14,6 +14,7 @@ from bsk_torch.sim.hooks import FLEET_MEMORY, ChangeGuard, check_class, check_li
 if TYPE_CHECKING:
     from bsk_torch.rand import Key
     from bsk_torch.sim.fleet import Fleet
+    from bsk_torch.sim.state import StateTable
 
 HOOKS = ("calls_user", "draw", "link", "reset", "after_step")
 """Members of :class:`Scenario` that subclasses may define."""
@@ -25,7 +26,7 @@ UNUSED = {
     "reset_pre_sim_init": "define draw(key) for what differs between episodes",
     "reset_during_sim_init": "define draw(key) for what differs between episodes",
     "reset_post_sim_init": "define reset(rows)",
-    "regenerate_targets": "define draw(key), or places(key) in a subclass of UniformTargets",
+    "regenerate_targets": "define it in a subclass of UniformTargets; or define draw(key)",
     "attach": "define link(fleet)",
     "draw_checked": "define draw(key)",
     "begin_episodes": "define reset(rows)",
@@ -56,12 +57,13 @@ class Scenario:
 
     fleet: Fleet
     _link_needs_super: ClassVar[bool] = False
+    _old_hooks: ClassVar[Sequence[str]] = ()
     _form: Mapping[str, torch.Size] | None = None
 
     def __init_subclass__(cls, **options: Any) -> None:
         """Refuse definitions that no environment would use; TypeError says what to write instead."""
         super().__init_subclass__(**options)
-        check_class(cls, Scenario, HOOKS, UNUSED)
+        check_class(cls, Scenario, HOOKS, {name: advice for name, advice in UNUSED.items() if name not in cls._old_hooks})
 
     # -- hooks --------------------------------------------------------------------------------------------------------
 
@@ -100,6 +102,11 @@ class Scenario:
 
     def after_step(self, sim_time: Tensor) -> None:
         """Move on to ``sim_time`` [N] s; called after the reward of a step and before its communication and observation."""
+
+    @property
+    def memory(self) -> StateTable:
+        """Tensors [N, ...] that start anew with every episode; ``memory.declare(name, initial, *shape)`` in ``link`` adds one."""
+        return self.fleet.memory
 
     def drawn(self, name: str) -> Tensor:
         """Return a value that :meth:`draw` gave for the present episodes, [N, ...].

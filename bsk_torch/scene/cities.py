@@ -92,5 +92,11 @@ class CityTargets(UniformTargets):
 
     def names(self, row: int) -> list[str]:
         """Return the names of the cities of the present episode of environment ``row``."""
+        if self._regenerates:
+            return super().names(row)
+        return self._names_of({"target_city": self.drawn("target_city")[row : row + 1]})
+
+    def _names_of(self, values: dict[str, Tensor]) -> list[str]:
+        """See :meth:`UniformTargets._names_of`."""
         table = city_table()[0]
-        return [table[k] for k in self.drawn("target_city")[row].long().tolist()]
+        return [table[k] for k in values["target_city"][0].long().tolist()]

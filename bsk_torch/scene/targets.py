@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
 import torch
@@ -10,7 +11,10 @@ from torch import Tensor
 from bsk_torch.rand import first_key
 from bsk_torch.scene.base import Scenario
 from bsk_torch.scene.draws import check_positions
+from bsk_torch.scene.target import Target
 from bsk_torch.sim.hooks import check_class
+from bsk_torch.sim.names import nearest
+from bsk_torch.sim.state import look_up
 
 if TYPE_CHECKING:
     from bsk_torch.sim.fleet import Fleet
@@ -61,6 +65,7 @@ class TargetScenario(Scenario):
                 f"scene.{type(self).__name__} needs a satellite that sees targets, such as a sats.ImagingSatellite; {are}"
             )
         self._check_draw()
+        self._objects: dict[int, dict[int, Target]] = {}
         super().link(fleet)
 
     def _check_draw(self) -> None:
@@ -91,6 +96,67 @@ class TargetScenario(Scenario):
         if self._available is None:
             self._available = self.drawn("target_exists").bool()
         return self._available
+
+    # -- reading ------------------------------------------------------------------------------------------------------
+
+    def target_attribute(self, name: str) -> Tensor:
+        """Return an attribute of all targets, [N, T, ...].
+
+        ``priority``, ``r_LP_P``, or a value that :meth:`draw` returns for each target as ``target_<name>`` or ``<name>``; with
+        :meth:`UniformTargets.regenerate_targets`, attributes of the targets that are numbers.
+
+        Raises:
+            AttributeError: For another name.
+        """
+        if name in ("priority", "r_LP_P"):
+            return getattr(self, name)
+        for drawn in (f"target_{name}", name):
+            if drawn in self._attributes():
+                return self.drawn(drawn)
+        known = ["priority", "r_LP_P", *(drawn.removeprefix("target_") for drawn in self._attributes())]
+        raise AttributeError(f"targets of scene.{type(self).__name__} have no {name!r}; {nearest(name, known)}")
+
+    def _attributes(self) -> list[str]:
+        """Return the names of drawn values that targets have beside position, priority and existence."""
+        drawn = ((name, self.drawn(name)) for name in self.fleet.scenario_state)
+        each = [name for name, value in drawn if value.ndim > 1 and value.shape[1] == self.most_targets]
+        return [name for name in each if name not in ("target_r_LP_P", "target_priority", "target_exists", "target_key")]
+
+    def look_up(self, table: Tensor | str, target: Tensor) -> Tensor:
+        """Return entries [N, n, ...] of a table [N, T, ...], or of a :meth:`target_attribute`, for indices of targets [N, n]."""
+        return look_up(self.target_attribute(table) if isinstance(table, str) else table, target)
+
+    def target_objects(self, row: int) -> list[Target]:
+        """Return the targets of the present episode of environment ``row``, without padding, as objects for people to read.
+
+        They are the same objects until the environment is reset or restored. Priorities are those of the episode's start.
+        """
+        if row not in self._objects:
+            self._objects[row] = dict(self._make_objects(row))
+            for index, target in self._objects[row].items():
+                target._place = row, index
+        return list(self._objects[row].values())
+
+    def target_object(self, row: int, target: int) -> Target:
+        """Return a target of :meth:`target_objects` by its index; KeyError for padding."""
+        self.target_objects(row)
+        return self._objects[row][target]
+
+    def _make_objects(self, row: int) -> Iterable[tuple[int, Target]]:
+        """Return the targets of an environment with their indices."""
+        exists = self.drawn("target_exists")[row].bool().tolist()
+        names, r_LP_P, priority = self.names(row), self.r_LP_P[row].cpu().numpy(), self.drawn("target_priority")[row].tolist()
+        made = [Target(*column) for column in zip(names, r_LP_P, priority, strict=True)]
+        for name in self._attributes():
+            for target, value in zip(made, self.drawn(name)[row].cpu().numpy(), strict=True):
+                setattr(target, name.removeprefix("target_"), value.item() if value.ndim == 0 else value)
+        return ((k, target) for k, target in enumerate(made) if exists[k])
+
+    def _forget_objects(self, rows: Tensor) -> None:
+        """See :meth:`Scenario._forget_objects`."""
+        if self._objects:
+            for row in rows.tolist():
+                self._objects.pop(row, None)
 
     def reset(self, rows: Tensor) -> None:
         """See :meth:`Scenario.reset`."""

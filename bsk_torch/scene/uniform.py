@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any
 
 from torch import Tensor
@@ -20,20 +21,31 @@ from bsk_torch.scene.draws import (
     draw_numbers,
     on_sphere,
 )
+from bsk_torch.scene.regenerated import draw_regenerated, made_again
+from bsk_torch.scene.target import Target
 from bsk_torch.scene.targets import TargetScenario
-from bsk_torch.sim.hooks import check_class
+from bsk_torch.sim.hooks import check_class, overrides
 
 
 class UniformTargets(TargetScenario):
     """Targets drawn uniformly by area from a sphere, anew in every episode, as bsk_rl's ``UniformTargets``.
 
-    Subclasses define :meth:`places` for other layouts.
+    Subclasses define :meth:`places` for other layouts; or, as in bsk_rl and slower, :meth:`regenerate_targets`.
+
+    Attributes:
+        targets: In :meth:`regenerate_targets`, the targets of one environment.
+        n_targets: In :meth:`regenerate_targets`, their number by the argument of this name.
     """
+
+    _old_hooks = ("regenerate_targets",)
+    targets: list[Target]
+    n_targets: int
+    regenerated_key: Key | None = None
 
     def __init_subclass__(cls, **options: Any) -> None:
         """See :meth:`Scenario.__init_subclass__`."""
         super().__init_subclass__(**options)
-        check_class(cls, UniformTargets, ("places",), {})
+        check_class(cls, UniformTargets, ("places", "regenerate_targets"), {})
 
     def __init__(self, n_targets: Count, priority_distribution: Numbers | None = None, radius: float = R_EARTH) -> None:
         """ValueError for a wrong argument.
@@ -55,11 +67,23 @@ class UniformTargets(TargetScenario):
     @property
     def calls_user(self) -> bool:
         """See :attr:`Scenario.calls_user`."""
-        return calls_user(self.priority_distribution)
+        return self._regenerates or calls_user(self.priority_distribution)
+
+    @property
+    def _regenerates(self) -> bool:
+        """Whether a subclass makes targets in bsk_rl's way."""
+        return overrides(self, UniformTargets, "regenerate_targets")
 
     def draw(self, key: Key) -> dict[str, Tensor]:
         """See :class:`TargetScenario`."""
-        exists = draw_exists(key.named("target_count"), self.low, self.end)
+        return draw_regenerated(self, key) if self._regenerates else self._draw_batch(key)
+
+    def draw_exists(self, key: Key) -> Tensor:
+        """Draw the number of targets; return 1.0 for the columns of targets, 0.0 for padding, [n or 1, T]."""
+        return draw_exists(key.named("target_count"), self.low, self.end)
+
+    def _draw_batch(self, key: Key) -> dict[str, Tensor]:
+        exists = self.draw_exists(key)
         named = key.named("target_priority")
         priority = draw_numbers("priority_distribution", self.priority_distribution, named, self.most_targets)
         return {**self.places(key), "target_priority": priority * exists, "target_exists": exists}
@@ -68,3 +92,33 @@ class UniformTargets(TargetScenario):
         """Draw positions: return ``target_r_LP_P`` [n or 1, T, 3] m, and further values to be kept with them, by name."""
         u = key.named("target_r_LP_P").uniform(2 * self.most_targets)
         return {"target_r_LP_P": self.radius * on_sphere(u.view(len(key), -1, 2))}
+
+    def regenerate_targets(self) -> None:
+        """Fill ``self.targets`` with a :class:`Target` each, for one environment; the hook of bsk_rl.
+
+        A subclass that defines it is called for each environment at its reset, on a copy of the scenario that has ``n_targets``,
+        ``radius`` and ``priority_distribution``; NumPy's global generator then has a stream of its own for each environment and
+        episode. ``super().regenerate_targets()`` makes the targets that the base class would draw. Attributes of targets that are
+        numbers become drawn values: see :meth:`target_attribute`.
+        """
+        if self.regenerated_key is None:
+            raise RuntimeError("regenerate_targets() is called by environments only, for each of them at its reset")
+        values = self._draw_batch(self.regenerated_key)
+        r_LP_P, priority = values["target_r_LP_P"][0].numpy(), values["target_priority"][0].tolist()
+        names = self._names_of(values)
+        self.targets = [Target(names[k], r_LP_P[k], priority[k]) for k in range(self.n_targets)]
+
+    def _names_of(self, values: dict[str, Tensor]) -> list[str]:
+        """Return the names of targets that have been drawn for one environment."""
+        return [f"tgt-{k}" for k in range(values["target_priority"].shape[1])]
+
+    def names(self, row: int) -> list[str]:
+        """See :meth:`TargetScenario.names`."""
+        if not self._regenerates:
+            return super().names(row)
+        given = [target.name for target in self.target_objects(row)]
+        return given + self.target_names[len(given) :]
+
+    def _make_objects(self, row: int) -> Iterable[tuple[int, Target]]:
+        """See :meth:`TargetScenario._make_objects`."""
+        return enumerate(made_again(self, row)) if self._regenerates else super()._make_objects(row)

@@ -57,6 +57,7 @@ class Group(Protocol):
     satellite: Any
     simulator: Simulator
     scenario: Any
+    rewarder: Any
     observation_description: list[str]
 
     @property
@@ -91,6 +92,8 @@ class Fleet:
         memory: The table ``memory`` of the state, [N, ...] each.
         scenario_state: The table ``scenario`` of the state, [N, ...] each.
         since: Ticks since reset at the start of the present step, [N].
+        env_ids: Index of each episode in draws, [N].
+        beginnings: Functions that an environment calls with the episodes [n] that have begun.
     """
 
     groups: tuple[Group, ...] = ()
@@ -116,8 +119,9 @@ class Fleet:
         self.columns = tuple(torch.tensor([position[c] for c in s.columns], device=self.device) for s in self.simulators)
         order = torch.cat(self.columns)
         self._order = None if torch.equal(order, torch.arange(self.size, device=self.device)) else order.argsort()
+        self.beginnings: list[Callable[[Tensor], Any]] = []
         self.since = torch.zeros(self.num_envs, dtype=torch.int64, device=self.device)
-        self.all_envs = torch.arange(self.num_envs, device=self.device)
+        self.all_envs = self.env_ids = torch.arange(self.num_envs, device=self.device)
         self.state = FleetState(self.num_envs, self.size, self.device)
         self.memory, self.scenario_state = StateTable(self.num_envs, 1, self.device), first.scenario_state
         self.state.add("memory", self.memory)
@@ -190,6 +194,12 @@ class Fleet:
                 for value, simulator in zip(found, self.simulators, strict=True)
             ]
         )
+
+    def key(self) -> Key:
+        """Return the key of random numbers of the present episodes; that of first episodes under seed 0 on a trial."""
+        none = torch.zeros(self.num_envs, dtype=torch.int64)
+        seed, episode = (self.state[name].cpu() if name in self.state else none for name in ("seed", "episode"))
+        return Key(seed, self.env_ids.cpu(), episode)
 
     # -- episodes -----------------------------------------------------------------------------------------------------
 

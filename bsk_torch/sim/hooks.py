@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import difflib
 import inspect
+import logging
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 from typing import Any
@@ -23,6 +24,18 @@ FLEET_MEMORY = (
     "fleet.memory.declare(name, initial_value)"
 )
 """Advice for scenarios and communication methods that keep values of episodes themselves."""
+
+
+logger = logging.getLogger(__name__)
+
+_noted: set[str] = set()
+
+
+def note_slow(title: str, advice: str) -> None:
+    """Log, once for each ``title``, that a hook in bsk_rl's form is called environment by environment, and what is faster."""
+    if title not in _noted:
+        _noted.add(title)
+        logger.warning("%s is in bsk_rl's form: it is called for each environment, which is slow; to be fast, %s", title, advice)
 
 
 def check_class(cls: type, base: type, hooks: Sequence[str], unused: Mapping[str, str]) -> None:

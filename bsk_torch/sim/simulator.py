@@ -22,7 +22,8 @@ from bsk_torch.sim.access.lookahead import LookAhead
 from bsk_torch.sim.access.places import place_kinds
 from bsk_torch.sim.access.visibility.backend import make_visibility
 from bsk_torch.sim.access.windows import AccessWindows
-from bsk_torch.sim.component import Component, Layout, collect
+from bsk_torch.sim.component import Component, Layout, MissingMessageError
+from bsk_torch.sim.composition import check_required_dyn, commanded_by, providers, world_components, world_of
 from bsk_torch.sim.dyn import hub
 from bsk_torch.sim.dyn.field import prepare
 from bsk_torch.sim.dyn.models import DynamicsModel
@@ -33,12 +34,12 @@ from bsk_torch.sim.orbit.arcs import Arcs
 from bsk_torch.sim.orbit.solvers import make_solver
 from bsk_torch.sim.params import Arguments, Overrides, merge, nearest
 from bsk_torch.sim.readout.observables import Observer
-from bsk_torch.sim.readout.surroundings import World
-from bsk_torch.sim.run import make_runners
+from bsk_torch.sim.run import Runners, TickLoop, make_runners
 from bsk_torch.sim.satellite_state import SatelliteState
 from bsk_torch.sim.schedule import ordered
 from bsk_torch.sim.state import StateTable
 from bsk_torch.sim.tick import ARC_ORBIT, Tick
+from bsk_torch.sim.world import WorldModel
 from bsk_torch.vec3 import Vec3
 
 logger = logging.getLogger(__name__)
@@ -103,6 +104,22 @@ def check_resets(modes: Mapping[str, Mode], known: Collection[str]) -> None:
                 raise ValueError(f"mode {title!r} resets {name!r}, which is no field of the state; {nearest(name, known)}")
 
 
+def checked_runners(tick: Tick, start: tuple[Tensor, Tensor, Tensor], backend: str, device: torch.device, count: int) -> Runners:
+    """Return the runners of a tick; TypeError for a component that reads what none writes, with the models that provide it.
+
+    ``start`` holds a state [C, n] and parameters [C, 1] and [C, n] on which a tick can run.
+    """
+    try:
+        runners = make_runners(tick, backend, device, count)
+        if isinstance(runners.run, TickLoop):  # kernels have been traced, which shows the same
+            tick.check_messages(*start)
+    except MissingMessageError as error:
+        known = providers(str(error.name))
+        advice = f"{' or '.join(known)} provides it" if known else "list a Component that provides it, too"
+        raise TypeError(f"{error}; {advice}") from None
+    return runners
+
+
 @deprecated_attributes
 class Simulator:
     """The simulation of the satellites of one type in ``num_envs`` environments, ``count`` of them in each.
@@ -135,6 +152,7 @@ class Simulator:
         stops: bool = False,
         columns: Sequence[int] = (0,),
         randomize: Callable[[Key], Overrides] = lambda key: {},
+        world_type: type[WorldModel] | None = None,
     ) -> None:
         """Build the tick and check the arguments with trial draws; :meth:`reset` fills the state.
 
@@ -156,6 +174,10 @@ class Simulator:
             stops: Whether events such as an image end a run.
             columns: Numbers of the satellites among all those of an environment, of other types too.
             randomize: Draws arguments that replace those of some satellites.
+            world_type: World model; None for what the dynamics model requires.
+
+        Raises:
+            TypeError: For models that do not fit together, or a component that reads what none writes.
         """
         self.num_envs, self.count, self.device, self.dtype = num_envs, len(columns), device, dtype
         self.columns, self.backend = tuple(columns), backend
@@ -167,17 +189,20 @@ class Simulator:
             raise ValueError(f"sim_rate={sim_rate:g} s must lie in (0, {LONGEST_TICK:g}]")
         self.max_time, self.stops = max_time, stops
         self._randomize = randomize
-        self._make_components(dyn_type, fsw_type, sat_args, world_args)
+        self._make_components(dyn_type, fsw_type, world_type, sat_args, world_args)
         self._make_tick()
         self._make_lookahead(horizon, segment)
         self.observer = Observer(self.state, self.lookahead.arcs, backend)
         stations = self.world_args.given.get("groundStationsData", ())
-        self.world = World(self.state, self.lookahead.arcs, stations)
+        self.world = self.world_type(self.state, self.lookahead.arcs, stations)
 
     # -- construction -------------------------------------------------------------------------------------------------
 
-    def _make_components(self, dyn_type: Any, fsw_type: Any, sat_args: Any, world_args: Mapping[str, Any]) -> None:
-        world_parts = collect(reversed(dyn_type.__mro__), "world_components")
+    def _make_components(
+        self, dyn_type: Any, fsw_type: Any, world_type: Any, sat_args: Any, world_args: Mapping[str, Any]
+    ) -> None:
+        check_required_dyn(dyn_type, fsw_type)
+        self.world_type, world_parts = world_of(dyn_type, world_type), world_components(dyn_type, world_type)
         self.world_args = Arguments(world_parts, world_args, "world_args")
         own = (*dyn_type.all_components(), *fsw_type.all_components())
         self.sat_args = Arguments(own, sat_args, "sat_args", self.columns)
@@ -188,7 +213,8 @@ class Simulator:
         self.parts = ordered((*(dataclasses.replace(part, at_start=True) for part in world_parts), *own))
         self.modes, self.commands = fsw_type.all_modes(), fsw_type.all_commands()
         self.mode_names = tuple(self.modes)
-        check_resets(self.modes, {*declared_fields(dyn_type, fsw_type), *(f.name for part in self.parts for f in part.state)})
+        declared = declared_fields(dyn_type, fsw_type, self.world_type)
+        check_resets(self.modes, {*declared, *(f.name for part in self.parts for f in part.state)})
 
     def _trial(self, envs: Sequence[int] = ()) -> tuple[dict[str, Any], dict[str, Tensor], set[str]]:
         """Return the arguments and parameters of a trial draw, and the names of the parameters that are uniform.
@@ -216,8 +242,11 @@ class Simulator:
         self.tick = Tick(parts, uniform, self.h_ns, on_arc, self.dtype, opaque, self.stops)
         if opaque and not on_arc:
             prepare(self.device, torch.float64)
-        self.runners = make_runners(self.tick, self.backend, self.device, self.count)
-        self.uniform = self.tick.shared.rows(params, 1).to(self.device).contiguous()
+        shared, n = self.tick.shared.rows(params, 1), min(2, self.num_envs) * self.count
+        initial = self.tick.state.rows(merge(trial, self.parts, "initial"), n)
+        start = initial, shared, self.tick.own.rows(params, n)
+        self.runners = checked_runners(self.tick, start, self.backend, self.device, self.count)
+        self.uniform = shared.to(self.device).contiguous()
         on = [[float(flag in self.modes[name].on) for name in self.mode_names] for flag in MODE_FLAGS]
         self.flag_table = torch.tensor(on, device=self.device, dtype=torch.float64)
         self.state = SatelliteState(
@@ -228,6 +257,7 @@ class Simulator:
             count=self.count,
             device=self.device,
             h_ns=self.h_ns,
+            overwritten=dict(pair for part in parts for pair in part.overwrites),
         )
 
     def _independent_of(self, random: set[str], uniform: set[str], trial: dict[str, Any]) -> set[str]:
@@ -391,7 +421,9 @@ class Simulator:
     def check_command(self, command: str) -> None:
         """Raise ValueError for a command that the flight software does not have."""
         if command not in self.commands:
-            raise ValueError(f"fsw_action={command!r} is not a command of the flight software; {nearest(command, self.commands)}")
+            having = commanded_by(command)
+            advice = f"{' or '.join(having)} has it" if having else nearest(command, self.commands)
+            raise ValueError(f"fsw_action={command!r} is not a command of the flight software; {advice}")
 
     def mode_index(self, command: str) -> Tensor:
         """Return the index into the mode table, [N], that a command means for each row."""

@@ -168,13 +168,10 @@ def test_choices_of_wrong_shape_are_named():
     [
         (
             data.GlobalReward,
-            dict(calculate_reward=lambda self, new_data_dict: None),
+            dict(calculate_reward=lambda self, before, after, time: None),
             r"called as calculate_reward\(before, after\)",
         ),
-        (data.GlobalReward, dict(is_terminated=lambda self, satellite: None), r"cannot be called as is_terminated\(\)"),
-        (data.GlobalReward, dict(create_data_store=lambda self, satellite: None), r"fleet\.memory"),
-        (data.GlobalReward, dict(data_store_type=dict), r"define read_log\(\)"),
-        (data.GlobalReward, dict(data_type=dict), r"define read_log\(\)"),
+        (data.GlobalReward, dict(is_terminated=lambda self, satellite, time: None), r"cannot be called as is_terminated\(\)"),
         (data.GlobalReward, dict(compare_log_states=lambda self, old, new: None), r"define read_log\(\)"),
         (data.GlobalReward, dict(get_log_state=lambda self: None), r"define read_log\(\)"),
         (data.GlobalReward, dict(update_from_logs=lambda self: None), r"define read_log\(\)"),

@@ -213,7 +213,6 @@ def test_tensors_that_may_be_kept():
         ("reset_pre_sim_init", r"define draw\(key\)"),
         ("reset_during_sim_init", r"define draw\(key\)"),
         ("reset_post_sim_init", r"define reset\(rows\)"),
-        ("regenerate_targets", r"places\(key\) in a subclass of UniformTargets"),
         ("begin_episodes", r"define reset\(rows\)"),
         ("finish_step", r"define after_step\(sim_time\)"),
     ],

@@ -56,7 +56,7 @@ class TargetReader:
         width = 0
         for part in entry.entries:
             prop = str(part.get("prop") or part["fn"].__name__)
-            self.column[prop], self.norm[prop] = width, float(part.get("norm", 1.0))
+            self.column[prop], self.norm[prop] = width, float(part["norm"])
             width += WIDTHS.get(prop, 1)
         kind = f"{self.name}.rows[" if entry.as_set else f"{self.name}.{self.name}_"
         self._rows = [k for k, path in enumerate(description) if path.startswith(kind)]

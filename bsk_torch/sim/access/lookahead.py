@@ -217,6 +217,26 @@ class LookAhead(StateTable):
             self._raise_nothing_in_view(kind, [row // self.count for row in none])
         return windows, found
 
+    def generate_until(self, until: Tensor, now: Tensor) -> bool:
+        """Let queries see all windows that open before ``until`` [N] s: whole segments are added, of all kinds of places.
+
+        ``now`` [N] s is the present. Rows that see so far already are left alone. Return whether any sees more than before.
+        """
+        assert self.access is not None
+        access = self.access
+        steps = torch.ceil((until - access.until) / access.segment).clamp(min=0.0)
+        if not bool((steps > 0.0).any()):
+            return False
+        end = access.until + steps * access.segment
+        while len(behind := torch.nonzero(access.ready < end).squeeze(-1)):
+            target = torch.zeros_like(now)
+            target[behind] = access.ready[behind] + max(access.ahead * access.segment, PLAN_STEP * COUNT)
+            self.reach(target, now)
+            access.extend(behind, now)
+        access.until = end
+        self.eclipses.sampled = torch.maximum(self.eclipses.sampled, end)
+        return True
+
     def _raise_nothing_in_view(self, kind: str, envs: list[int]) -> NoReturn:
         seconds = MAX_SEGMENTS * self.access.segment  # type: ignore[union-attr]
         raise RuntimeError(

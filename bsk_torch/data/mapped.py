@@ -1,0 +1,157 @@
+"""Rewarders in bsk_rl's form, run for each environment of a batch."""
+
+from __future__ import annotations
+
+import copy
+import functools
+from typing import TYPE_CHECKING, Any
+
+import torch
+from torch import Tensor
+
+from bsk_torch.data.base import GlobalReward, Log
+from bsk_torch.data.record import Record, SingleScenario, StoringSatellite
+from bsk_torch.data.single import SingleReward
+from bsk_torch.sim.hooks import note_slow
+from bsk_torch.sim.object_table import ObjectTable
+
+if TYPE_CHECKING:
+    from bsk_torch.scene.base import Scenario
+    from bsk_torch.sim.fleet import Fleet
+
+ADVICE = (
+    "keep tensors of all environments in rewarder.memory, and define read_log() and calculate_reward(before, after), or derive "
+    "from data.ImageReward and define selectable() and value(target, taken)"
+)
+
+
+def for_batch(rewarder: GlobalReward) -> GlobalReward:
+    """Return a copy of a rewarder for a batch of environments; one in bsk_rl's form is run for each of them."""
+    return MappedReward(rewarder) if isinstance(rewarder, SingleReward) else copy.copy(rewarder)
+
+
+class MappedReward(GlobalReward):
+    """Runs a rewarder in bsk_rl's form for each environment, with stores of its own for each.
+
+    Attributes:
+        given: The user's rewarder; every episode begins with a deep copy of it.
+        records: Rewarder and stores of each environment, part of the state.
+    """
+
+    given: SingleReward
+    records: ObjectTable
+
+    def __init__(self, given: SingleReward) -> None:
+        """Run copies of ``given``."""
+        given.find_types()
+        self.given = given
+        note_slow(f"rewarder {type(given).__name__}", ADVICE)
+
+    def link(self, scenario: Scenario, fleet: Fleet) -> None:
+        """See :meth:`GlobalReward.link`."""
+        super().link(scenario, fleet)
+        dump = functools.partial(Record.dump, given=self.given)
+        self.records = ObjectTable(fleet.num_envs, fleet.device, self._begin, dump, self._load)
+        number = sum(name.startswith("records_") for name in self.memory.tables)
+        self.memory.add(f"records_{number}", self.records)
+        for k, part in enumerate(fleet.satellites):
+            for kind in part.opportunity_types:
+                part.add_access_filter(functools.partial(self._allowed, k, kind), kind)
+
+    # -- records ------------------------------------------------------------------------------------------------------
+
+    def _record(self, env: int) -> Record:
+        satellites: list[Any] = [None] * self.fleet.size
+        for part, columns in zip(self.fleet.satellites, self.fleet.columns, strict=True):
+            for number, column in enumerate(columns.tolist()):
+                satellites[column] = StoringSatellite(part.one(env * len(columns) + number))
+        scenario = SingleScenario(self.scenario, env, self.fleet.num_envs, satellites)
+        return Record(copy.deepcopy(self.given), satellites, scenario)
+
+    def _begin(self, env: int) -> Record:
+        record = self._record(env)
+        record.begin()
+        return record
+
+    def _load(self, env: int, saved: bytes) -> Record:
+        record = self._record(env)
+        record.load(self.given, saved)
+        return record
+
+    def _all(self) -> list[Record]:
+        return [self.records.of(env) for env in range(self.fleet.num_envs)]
+
+    def _allowed(self, part: int, kind: str) -> Tensor:
+        """Return the places of a type that the filters of each satellite leave, [N * count, P] bool."""
+        satellite, columns = self.fleet.satellites[part], self.fleet.columns[part].tolist()
+        rows = [record.satellites[column] for record in self._all() for column in columns]
+        allowed = torch.ones(len(rows), satellite.places(kind), dtype=torch.bool)
+        for mine, one in zip(allowed, rows, strict=True):
+            one.hide(kind, mine)
+        return allowed.to(self.fleet.device)
+
+    # -- hooks --------------------------------------------------------------------------------------------------------
+
+    def read_log(self) -> Log:
+        """See :meth:`GlobalReward.read_log`; stores keep their own."""
+        self._all()  # episodes that begin read their first log now
+        return {}
+
+    def calculate_reward(self, before: Log, after: Log) -> Tensor:
+        """See :meth:`GlobalReward.calculate_reward`; TypeError unless every satellite has a number."""
+        reward = torch.zeros(self.fleet.num_envs, self.fleet.size, dtype=torch.float64)
+        for env in torch.nonzero(self.fleet.ticks > self.fleet.since).squeeze(-1).tolist():
+            found = self.records.of(env).step()
+            for k, name in enumerate(self.fleet.names):
+                try:
+                    reward[env, k] = float(found[name])
+                except (KeyError, TypeError, ValueError) as error:
+                    raise TypeError(
+                        f"{type(self.given).__name__}.calculate_reward(new_data_dict) returns {found!r}; it must return a number "
+                        f"for each of {self.fleet.names}"
+                    ) from error
+        return reward.to(self.fleet.device)
+
+    def share(self, links: Tensor) -> None:
+        """See :meth:`GlobalReward.share`."""
+        for env in torch.nonzero(links.flatten(1).any(1)).squeeze(-1).tolist():
+            self.records.of(env).share(links[env].tolist())
+
+    def is_terminated(self) -> Tensor:
+        """See :meth:`GlobalReward.is_terminated`."""
+        return self._flags("is_terminated")
+
+    def is_truncated(self) -> Tensor:
+        """See :meth:`GlobalReward.is_truncated`."""
+        return self._flags("is_truncated")
+
+    def _flags(self, hook: str) -> Tensor:
+        if getattr(type(self.given), hook) is getattr(SingleReward, hook):
+            return getattr(super(), hook)()
+        found = [[bool(getattr(r.rewarder, hook)(satellite)) for satellite in r.satellites] for r in self._all()]
+        return torch.tensor(found, device=self.fleet.device)
+
+    # -- reading ------------------------------------------------------------------------------------------------------
+
+    def rewarder_of(self, row: int) -> Any:
+        """Return the rewarder of environment ``row``."""
+        return self.records.of(row).rewarder
+
+    def data_of(self, row: int) -> Any:
+        """Return all data that has been collected in environment ``row``."""
+        return self.rewarder_of(row).data
+
+    @property
+    def data(self) -> list[Any]:
+        """All data that has been collected, of each environment."""
+        return [record.rewarder.data for record in self._all()]
+
+    def store_of(self, part: int) -> list[Any]:
+        """Return the stores of the satellites of type number ``part``, a list of N * count; it is their ``data_store``."""
+        columns = self.fleet.columns[part].tolist()
+        return [record.satellites[column].data_store for record in self._all() for column in columns]
+
+    def store_of_one(self, part: int, row: int) -> Any:
+        """Return the store of the satellite of a row [N * count]."""
+        env, number = divmod(row, len(self.fleet.columns[part]))
+        return self.records.of(env).satellites[int(self.fleet.columns[part][number])].data_store

@@ -1,0 +1,205 @@
+"""What a rewarder in bsk_rl's form keeps of one environment, and how that is saved."""
+
+from __future__ import annotations
+
+import copy
+import io
+import pickle
+from collections.abc import Callable, Mapping
+from types import FunctionType
+from typing import Any
+
+from torch import Tensor
+
+from bsk_torch.data.single import HideImaged, SingleReward
+from bsk_torch.sats.one import OneSatellite, OneScenario, OneView
+from bsk_torch.sats.one_access import OneAccessSatellite
+
+Filter = Callable[[Mapping[str, Any]], Any]
+
+
+class StoringSatellite:
+    """One satellite of one environment, read as :class:`~bsk_torch.sats.one.OneSatellite`, to which attributes can be added.
+
+    ``data_store`` is one of them. Filters that are added hide opportunities of this satellite in this episode.
+    """
+
+    def __init__(self, one: OneSatellite) -> None:
+        """Add attributes to a view."""
+        own = self.__dict__
+        own["_one"], own["_filters"] = one, []
+
+    _one: OneSatellite
+    _filters: list[Filter]
+
+    def __getattr__(self, name: str) -> Any:
+        """Return an attribute of the view."""
+        if name.startswith("__"):
+            raise AttributeError(name)
+        return getattr(self.__dict__["_one"], name)
+
+    def __repr__(self) -> str:
+        """Return the name and the environment."""
+        return f"<{self._one.name} of environment {self._one.env}>"
+
+    def add_access_filter(self, access_filter: Filter, types: Any = None) -> None:
+        """Hide opportunities of this satellite for which ``access_filter(opportunity)`` is false."""
+        kinds = (types,) if isinstance(types, str) else types
+        keep = access_filter if kinds is None else Only(access_filter, tuple(kinds))
+        self._filters.append(keep)
+
+    def hide(self, kind: str, allowed: Tensor) -> None:
+        """Set the places of a type that a filter hides to False in ``allowed`` [P]."""
+        others = [keep for keep in self._filters if not isinstance(keep, HideImaged)]
+        if kind == "target":
+            for keep in self._filters:
+                if isinstance(keep, HideImaged):
+                    for target in keep.store.data.imaged:
+                        allowed[target._place[1]] = False
+        if others:
+            assert isinstance(self._one, OneAccessSatellite)
+            for place, opportunity in enumerate(self._one.all_places(kind)):
+                if not all(keep(opportunity) for keep in others):
+                    allowed[place] = False
+
+
+class Only:
+    """A filter of some types of opportunities."""
+
+    def __init__(self, keep: Filter, kinds: tuple[str, ...]) -> None:
+        """Filter ``kinds`` by ``keep``."""
+        self.keep, self.kinds = keep, kinds
+
+    def __call__(self, opportunity: Mapping[str, Any]) -> Any:
+        """Return whether an opportunity remains."""
+        return opportunity["type"] not in self.kinds or self.keep(opportunity)
+
+
+class SingleScenario(OneScenario):
+    """The scenario in one environment, as rewarders in bsk_rl's form read it."""
+
+    def __init__(self, whole: Any, env: int, num_envs: int, satellites: list[StoringSatellite]) -> None:
+        """View environment ``env`` of a scenario."""
+        super().__init__(whole, env, num_envs)
+        self.__dict__["satellites"] = satellites
+
+    satellites: list[StoringSatellite]
+
+    @property
+    def targets(self) -> list[Any]:
+        """The targets."""
+        return self._whole.target_objects(self._row)
+
+
+class Record:
+    """A rewarder in bsk_rl's form, and the satellites with their stores, of one environment.
+
+    Attributes:
+        rewarder: Copy of the user's rewarder.
+        satellites: Satellites by their number in the episode.
+        scenario: View of the scenario.
+        steps: Steps that have been scored.
+    """
+
+    def __init__(self, rewarder: SingleReward, satellites: list[StoringSatellite], scenario: SingleScenario) -> None:
+        """Put the parts together; see :meth:`begin`."""
+        self.rewarder, self.satellites, self.scenario, self.steps = rewarder, satellites, scenario, 0
+
+    def begin(self) -> None:
+        """Start the episode, in bsk_rl's order."""
+        rewarder = self.rewarder
+        rewarder.link_scenario(self.scenario)
+        rewarder.reset_overwrite_previous()
+        rewarder.reset_pre_sim_init()
+        for satellite in self.satellites:
+            rewarder.create_data_store(satellite)
+            rewarder.data += satellite.data_store.data
+        rewarder.reset_during_sim_init()
+        rewarder.reset_post_sim_init()
+        for satellite in self.satellites:
+            satellite.data_store.update_from_logs()
+
+    def step(self) -> dict[str, float]:
+        """Let stores read their logs; return the reward of each satellite by name."""
+        self.steps += 1
+        return self.rewarder.reward({satellite.name: satellite.data_store.update_from_logs() for satellite in self.satellites})
+
+    def share(self, links: list[list[bool]]) -> None:
+        """Spread data along ``links`` by sender and receiver; where all are linked with all, they get the sum, as in bsk_rl."""
+        stores = [satellite.data_store for satellite in self.satellites]
+        pairs = [(a, b) for a in range(len(stores)) for b in range(len(stores)) if a != b and links[a][b]]
+        if len(pairs) == len(stores) * (len(stores) - 1):
+            whole = type(stores[0].data)()
+            for store in stores:
+                whole += store.data
+            for store in stores:
+                store.data = copy.copy(whole)
+            return
+        for sender, receiver in pairs:
+            stores[receiver].stage_communicated_data(stores[sender].data)
+        for store in stores:
+            store.update_with_communicated_data()
+
+    # -- saving -------------------------------------------------------------------------------------------------------
+
+    def dump(self, given: SingleReward) -> bytes:
+        """Return all that may have changed since :meth:`begin`, as bytes; none before the first step.
+
+        Raises:
+            TypeError: For values that cannot be pickled.
+        """
+        if not self.steps:
+            return b""
+        file = io.BytesIO()
+        own = [{name: value for name, value in vars(satellite).items() if name != "_one"} for satellite in self.satellites]
+        try:
+            _Pickler(file, self._names(given)).dump((vars(self.rewarder), own, self.steps))
+        except (pickle.PicklingError, TypeError, AttributeError) as error:
+            raise TypeError(
+                f"{type(self.rewarder).__name__} or its stores keep values that cannot be saved or copied with an episode: "
+                f"{error}. Keep numbers, arrays, targets and satellites, and filters that are objects of a class, not functions"
+            ) from error
+        return file.getvalue()
+
+    def load(self, given: SingleReward, saved: bytes) -> None:
+        """Take over what :meth:`dump` returned."""
+        objects = {name: value for value, name in self._named(given)}
+        rewarder, own, self.steps = _Unpickler(io.BytesIO(saved), objects, self.scenario).load()
+        self.rewarder.__dict__ = rewarder
+        for satellite, attributes in zip(self.satellites, own, strict=True):
+            satellite.__dict__.update(attributes)
+
+    def _named(self, given: SingleReward) -> list[tuple[Any, str]]:
+        """Return the objects that are not saved but found again, with their names."""
+        named: list[tuple[Any, str]] = [(self.rewarder, "rewarder"), (self.scenario, "scenario")]
+        named += [(satellite, f"satellite {k}") for k, satellite in enumerate(self.satellites)]
+        return named + [(value, f"argument {name}") for name, value in vars(given).items() if isinstance(value, FunctionType)]
+
+    def _names(self, given: SingleReward) -> dict[int, str]:
+        return {id(value): name for value, name in self._named(given)}
+
+
+class _Pickler(pickle.Pickler):
+    def __init__(self, file: io.BytesIO, names: dict[int, str]) -> None:
+        super().__init__(file)
+        self.names = names
+
+    def persistent_id(self, value: Any) -> Any:
+        if (name := self.names.get(id(value))) is not None:
+            return name
+        if hasattr(type(value), "_place") and value._place is not None:
+            return value._place[1]
+        if isinstance(value, OneView):
+            raise TypeError(f"{value!r} is a view of the simulation")
+        return None
+
+
+class _Unpickler(pickle.Unpickler):
+    def __init__(self, file: io.BytesIO, objects: dict[str, Any], scenario: SingleScenario) -> None:
+        super().__init__(file)
+        self.objects, self.scenario = objects, scenario
+
+    def persistent_load(self, name: Any) -> Any:
+        if isinstance(name, int):
+            return self.scenario._whole.target_object(self.scenario._row, name)
+        return self.objects[name]

@@ -1,0 +1,112 @@
+"""Trial episodes before an environment is built: shapes of observations, and how functions of users are called."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+from bsk_torch.data.base import GlobalReward
+from bsk_torch.env.build import FleetBuilder, link
+from bsk_torch.env.machine import check_memory
+from bsk_torch.env.satellite_group import SatelliteGroup, groups_of
+from bsk_torch.obs.base import Values
+from bsk_torch.rand import first_key
+from bsk_torch.sats.user_function import UserFunction
+from bsk_torch.scene.base import Scenario
+from bsk_torch.sim.fleet import Fleet
+
+BATCHES = (5, 7, 11, 13, 17, 19)
+"""Environments of the second trial: the first number that is no other dimension of what is observed."""
+
+
+class Trial(NamedTuple):
+    """What trial episodes show.
+
+    Attributes:
+        values: Observations of one environment, for each type of satellite.
+        functions: Functions of users of each type, tried with one environment.
+        batched: The same functions, tried with several; empty if there are none, or only one environment.
+    """
+
+    values: list[Values]
+    functions: list[list[UserFunction]]
+    batched: list[list[UserFunction]]
+
+    def decide(self, groups: Sequence[SatelliteGroup]) -> None:
+        """Let the functions of an environment's satellites be called as the trials show.
+
+        Raises:
+            TypeError: For a function whose result for one environment depends on others.
+        """
+        for group, alone, together in zip(groups, self.functions, self.batched or self.functions, strict=True):
+            for function, one, several in zip(group.functions, alone, together, strict=True):
+                function.adopt(one, several, group.simulator.state.rows)
+
+
+class TrialFleet:
+    """A fleet of ``n`` environments with one satellite of each type, in its first episodes."""
+
+    def __init__(self, builder: FleetBuilder, n: int) -> None:
+        """Make the satellites, which are not linked with anything yet."""
+        self.builder, self.fleet = builder, builder.make_fleet(n, trial=True)
+        first = first_key(n)
+        self.drawn = builder.draw(self.fleet, replace(first, env_id=first.env_id % builder.options.num_envs))
+        self.groups = groups_of(builder.satellites, self.fleet)
+        self.scenario: Scenario = copy.copy(builder.scenario)
+
+    def start(self, rewarder: GlobalReward) -> list[list[UserFunction]]:
+        """Start the episodes; return the functions of users of each type, which keep their results from now on."""
+        link(self.fleet, self.scenario, copy.copy(rewarder))
+        functions = [group.functions for group in self.groups]
+        for function in (each for some in functions for each in some):
+            function.begin_trial()
+        self.builder.start(self.fleet, self.fleet.all_envs, *self.drawn)
+        self.scenario.begin_episodes(self.fleet.all_envs)
+        return functions
+
+    def observe(self) -> list[Values]:
+        """Return the observations of each type."""
+        for group in self.groups:
+            group.satellite.is_alive()
+        return [group.observations.get_dict() for group in self.groups]
+
+    def spread(self) -> None:
+        """Let every environment have a time of its own, some seconds after the start, so that mixed up ones show."""
+        for simulator in self.fleet.simulators:
+            state = simulator.state
+            state.ticks = state.ticks + state.of_env(self.fleet.all_envs + 1)
+            state.touch()
+
+    def become(self, other: Fleet) -> None:
+        """Put the first environment of another fleet into the place of the first."""
+        first = self.fleet.all_envs[:1]
+        self.fleet.state.copy_rows(first, other.state, first)
+        self.scenario.begin_episodes(first)
+
+
+def try_out(builder: FleetBuilder, rewarder: GlobalReward) -> Trial:
+    """Observe a trial episode, from whose shapes specs are made; try functions of users with one and with several environments.
+
+    Raises:
+        MemoryError: If the batch will not fit into memory.
+        TypeError: For an observation of a wrong shape.
+    """
+    alone = TrialFleet(builder, 1)
+    fleet, n = alone.fleet, builder.options.num_envs
+    each = sum(s.state.nbytes * len(columns) for s, columns in zip(fleet.simulators, builder.types, strict=True))
+    each += fleet.scenario_state.nbytes
+    check_memory(builder.device, n, each * (2 if builder.pool_pays else 1))
+    functions = alone.start(rewarder)
+    values = alone.observe()
+    if n == 1 or not any(functions):
+        return Trial(values, functions, [])
+    dimensions = {size for some in functions for function in some for size in function.dimensions()}
+    together = TrialFleet(builder, next((size for size in BATCHES if size not in dimensions), BATCHES[-1]))
+    batched = together.start(rewarder)
+    together.spread()
+    together.observe()
+    alone.become(together.fleet)
+    alone.observe()
+    return Trial(values, functions, batched)

@@ -1,0 +1,75 @@
+"""Dictionaries that describe observed properties: ``prop`` or ``fn``, ``norm``, ``name``."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from bsk_torch.sats.one import OWN_PACKAGE
+
+Norm = float | Tensor
+"""Divisor: a number, or one for each component of a property."""
+
+
+def parse_entries(entries: Iterable[dict[str, Any]], allowed: set[str], title: str) -> tuple[dict[str, Any], ...]:
+    """Return copies of the dictionaries that a user has given, in which ``norm`` and ``name`` are set.
+
+    As in bsk_rl, ``fn`` comes before ``prop``, which then only names the property. Names are ``name``; else ``prop``, or
+    ``prop_0`` and so on for a function without one, with ``_normd`` where a norm divides it.
+
+    Raises:
+        ValueError: For unknown keys, neither ``prop`` nor ``fn``, a norm that is no number or is zero, or equal names.
+        TypeError: For an entry that is no dictionary, or a ``fn`` that is no function.
+    """
+    parsed = tuple(_parsed(entry, number, allowed, title) for number, entry in enumerate(entries))
+    names = [entry["name"] for entry in parsed]
+    if twice := sorted({name for name in names if names.count(name) > 1}):
+        raise ValueError(f"{title} has several properties called {twice}; tell them apart by the key 'name'")
+    return parsed
+
+
+def _parsed(entry: Any, number: int, allowed: set[str], title: str) -> dict[str, Any]:
+    if not isinstance(entry, dict):
+        raise TypeError(f"{title} got {entry!r}; it must be a dictionary, such as dict(prop={str(entry)!r})")
+    unknown = set(entry) - allowed
+    if unknown:
+        raise ValueError(f"{title} got unknown keys {sorted(unknown)} in {entry}; allowed are {sorted(allowed)}")
+    given = {key: value for key, value in entry.items() if value is not None}
+    if "prop" not in given and "fn" not in given:
+        raise ValueError(f"{title} needs 'prop' or 'fn' in {entry}")
+    if "fn" in given and not callable(given["fn"]):
+        raise TypeError(f"{title}: fn={given['fn']!r} must be a function")
+    norm = parse_norm(given.get("norm"), f"{title}: norm of {entry}")
+    default = str(given.get("prop", f"prop_{number}")) + ("_normd" if divides(norm) else "")
+    return {**given, "norm": norm, "name": str(given.get("name", default))}
+
+
+def parse_norm(norm: Any, title: str) -> Norm:
+    """Return a norm as a number or a tensor; 1 for None. ValueError for one that is no number, or zero."""
+    try:
+        table = torch.as_tensor(1.0 if norm is None else norm, dtype=torch.float64)
+    except (TypeError, ValueError, RuntimeError):
+        raise ValueError(f"{title} is {norm!r}; it must be a number, an array of numbers, or None for 1") from None
+    if not bool((table != 0.0).all()):
+        raise ValueError(f"{title} is {norm!r}; it must not be zero")
+    return table.item() if table.ndim == 0 else table
+
+
+def divides(norm: Norm) -> bool:
+    """Return whether a norm changes anything."""
+    return isinstance(norm, Tensor) or norm != 1.0
+
+
+def scaled(value: Tensor, norm: Norm) -> Tensor:
+    """Return the value divided by its norm."""
+    if not divides(norm):
+        return value
+    return value / (norm.to(value.device) if isinstance(norm, Tensor) else norm)
+
+
+def is_own(function: Callable[..., Any]) -> bool:
+    """Return whether a function belongs to this package, and so takes all satellites at once."""
+    return str(getattr(function, "__module__", "")).startswith(OWN_PACKAGE)

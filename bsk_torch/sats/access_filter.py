@@ -1,0 +1,154 @@
+"""Filters of opportunities: functions that say which places satellites may choose."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Collection
+from typing import TYPE_CHECKING, Any, NoReturn
+
+import torch
+from torch import Tensor
+
+from bsk_torch.sats.one_access import OneAccessSatellite
+from bsk_torch.sats.user_function import UserFunction
+from bsk_torch.sim.access.places import TARGET_KIND
+from bsk_torch.sim.names import nearest
+
+if TYPE_CHECKING:
+    from bsk_torch.sats.access import AccessSatellite
+
+Filter = Callable[[], Tensor] | Callable[[Any], Any]
+"""Function that returns the places that remain, [N, P] booleans; or bsk_rl's function of an opportunity."""
+
+ADVICE = (
+    "write a function without arguments that returns booleans [N, P], such as lambda: env.scenario.priority > 0.5, or keep to "
+    "comparisons of opportunity['object'].priority, .id and the like, joined by & and |"
+)
+
+WINDOWS = (
+    "filters say which places count, whatever the window; satellite.one(row).find_next_opportunities(n, filter=fn) filters "
+    "windows, and legal_actions() of the satellite forbids actions"
+)
+
+
+class AllPlaces:
+    """All places of a type as an opportunity of a filter: ``["object"]``, ``["type"]`` and ``["r_LP_P"]`` [N, P, 3] m."""
+
+    def __init__(self, satellite: AccessSatellite, kind: str) -> None:
+        """Describe all places of type ``kind``."""
+        rows = len(satellite.simulator.ticks)
+        self._satellite, self._kind = satellite, kind
+        self._place = torch.arange(satellite.places(kind), device=satellite.simulator.device).expand(rows, -1)
+        self.differs = False  # whether something has been read that differs between places
+
+    def __getitem__(self, key: str) -> Any:
+        """Return an item of bsk_rl's opportunities; KeyError for windows."""
+        if key == "type":
+            return self._kind
+        self.differs = True
+        if key == "object":
+            return self._satellite.objects(self._kind, self._place)
+        if key == "r_LP_P":
+            return self._satellite.positions(self._kind, self._place)
+        return raise_for(key)
+
+
+class OnePlace(dict[str, Any]):
+    """One place of one environment as an opportunity of a filter."""
+
+    def __missing__(self, key: str) -> NoReturn:
+        """Raise KeyError for windows."""
+        raise_for(key)
+
+
+def raise_for(key: str) -> NoReturn:
+    """Raise KeyError for an item that the opportunities of filters lack."""
+    if key == "window":
+        raise KeyError(f"opportunity['window'] is not known to a filter: {WINDOWS}")
+    raise KeyError(f"opportunities have no {key!r}; {nearest(key, ('object', 'type', 'r_LP_P'))}")
+
+
+class AccessFilter:
+    """A filter that is added to a satellite.
+
+    Attributes:
+        functions: The user's function of an opportunity, for each type to which it has been applied.
+    """
+
+    def __init__(self, function: Filter, types: tuple[str, ...] | None, takes_opportunity: bool) -> None:
+        """Filter ``types``, or all if None."""
+        self.function: Any = function
+        self.types, self.takes_opportunity = types, takes_opportunity
+        self.functions: dict[str, UserFunction] = {}
+
+    def bound(self, kinds: Collection[str]) -> AccessFilter:
+        """Return a filter for the satellites of an environment, which have opportunities of several ``kinds``."""
+        made = AccessFilter(self.function, self.types, self.takes_opportunity)
+        if made.takes_opportunity:
+            made.functions = {kind: made.user_function() for kind in kinds if made.concerns(kind)}
+        return made
+
+    def user_function(self) -> UserFunction:
+        """Return the function for a type of opportunities."""
+        return UserFunction(f"the access filter {self.function!r}", ADVICE)
+
+    def __eq__(self, other: object) -> bool:
+        """Whether it is the same function for the same types: satellites with equal filters are of one type."""
+        return isinstance(other, AccessFilter) and (self.function, self.types) == (other.function, other.types)
+
+    def __hash__(self) -> int:
+        """Agree with equality."""
+        return hash((self.function, self.types))
+
+    def concerns(self, kind: str) -> bool:
+        """Return whether opportunities of a type are filtered."""
+        return self.types is None or kind in self.types
+
+    def __call__(self, satellite: AccessSatellite, kind: str) -> Tensor:
+        """Return the places of a type that remain, [N, P] booleans."""
+        if not self.takes_opportunity:
+            return self.function()
+        if kind not in self.functions:
+            self.functions[kind] = self.user_function()
+        rows, places, device = len(satellite.simulator.ticks), satellite.places(kind), satellite.simulator.device
+
+        def whole() -> Any:
+            everywhere = AllPlaces(satellite, kind)
+            found = self.function(everywhere)
+            same = isinstance(found, bool) and not everywhere.differs
+            return torch.full((rows, places), found, device=device) if same else found
+
+        found = self.functions[kind]((rows, places), device, whole, lambda row: self._one(satellite, kind, row))
+        if found.shape != (rows, places):
+            raise TypeError(f"{self.functions[kind].title} gives shape {list(found.shape)}; it must be [{rows}, {places}]")
+        return found.bool()
+
+    def _one(self, satellite: AccessSatellite, kind: str, row: int) -> list[bool]:
+        one = satellite.one(row)
+        assert isinstance(one, OneAccessSatellite)
+        return [bool(self.function(OnePlace(opportunity))) for opportunity in one.all_places(kind)]
+
+
+def make_filter(given: Any, types: str | Collection[str] | None) -> AccessFilter:
+    """Return a filter from a function; TypeError for anything else."""
+    kinds = (types,) if isinstance(types, str) else None if types is None else tuple(types)
+    if not callable(given):
+        raise TypeError(f"access filter {given!r} must be a function without arguments, or of an opportunity")
+    if _takes_one(given):
+        return AccessFilter(given, kinds, True)
+    return AccessFilter(given, kinds or (TARGET_KIND,), False)
+
+
+def _takes_one(function: Callable[..., Any]) -> bool:
+    """Return whether a function wants an argument; TypeError if it wants several."""
+    try:
+        signature = inspect.signature(function)
+    except (TypeError, ValueError):
+        return True
+    for count in (0, 1):
+        try:
+            signature.bind(*[None] * count)
+        except TypeError:
+            continue
+        return count == 1
+    raise TypeError(f"access filter {function!r}{signature} must take an opportunity, or nothing")

@@ -1,0 +1,200 @@
+"""Functions of users that observe satellites: called once for all of them, or for one after the other where they need that.
+
+Functions that were written for bsk_rl expect one satellite. Many work on tensors of all satellites without a change, which is
+fast. Some fail, and some give a wrong result without failing: ``np.linalg.norm(satellite.dynamics.r_BN_N)`` of positions [N, 3]
+is a single number. So a function is tried on all satellites, and compared with what it gives for one; see :class:`UserFunction`.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+logger = logging.getLogger(__name__)
+
+RELATIVE, ABSOLUTE = 1e-6, 1e-7
+"""Differences of two results that count as rounding: relative to the largest number, and absolute."""
+
+Tree = Any
+"""A tensor, or a dictionary of tensors by name, which may be nested."""
+
+
+class UserFunction:
+    """A function of a user that is called for all N satellites at once, if it gives the same as for each of them.
+
+    The first call decides: it compares the result of all with that of the first satellite. If the function fails for a single
+    satellite, it was written for tensors, and only its shape is checked; if it fails for all, or differs, it is mapped.
+
+    Attributes:
+        title: What the function is, for messages.
+        mapped: Whether it is called for each satellite; None before the first call.
+        why: Why it is mapped.
+        results: Results of a trial, kept if :meth:`begin_trial` was called.
+    """
+
+    def __init__(self, title: str, advice: str) -> None:
+        """Describe a function; ``advice`` says how to write it for all satellites."""
+        self.title, self.advice = title, advice
+        self.mapped: bool | None = None
+        self.why = ""
+        self.results: list[Tree] | None = None
+
+    def __call__(self, lead: Sequence[int], device: torch.device, whole: Callable[[], Any], one: Callable[[int], Any]) -> Tree:
+        """Return the result for all satellites, tensors [*lead, ...].
+
+        Args:
+            lead: Leading dimensions of the result: the number N of satellites, perhaps followed by others.
+            device: Device of the result.
+            whole: The call for all satellites.
+            one: The call for the satellite of a row.
+
+        Raises:
+            TypeError: For a function that can be called neither way, or whose results do not fit.
+        """
+        if self.mapped is None:
+            found = self._decide(lead, device, whole, one)
+        elif self.mapped:
+            found = self._map(lead, device, one)
+        else:
+            found = as_batch(self.title, whole(), lead, device)
+        if self.results is not None:
+            self.results.append(found)
+        return found
+
+    def _decide(self, lead: Sequence[int], device: torch.device, whole: Callable[[], Any], one: Callable[[int], Any]) -> Tree:
+        failure: Exception | None = None
+        try:
+            batched = as_batch(self.title, whole(), lead, device)
+        except Exception as error:
+            batched, failure = None, error
+        try:
+            first = self._map((1, *lead[1:]), device, one)
+        except Exception as error:
+            if failure is not None:
+                raise TypeError(
+                    f"{self.title} fails for all satellites at once ({_told(failure)}), and for one of them ({_told(error)}); "
+                    f"{self.advice}"
+                ) from error
+            self.mapped = False
+            return batched
+        if failure is None and alike(first_of(batched), first):
+            self.mapped = False
+            return batched
+        self._map_because(_told(failure) if failure else "it mixes environments if it is called for all of them", lead[0])
+        return self._map(lead, device, one)
+
+    def _map(self, lead: Sequence[int], device: torch.device, one: Callable[[int], Any]) -> Tree:
+        return as_batch(self.title, stacked(self.title, [one(row) for row in range(lead[0])]), lead, device)
+
+    def _map_because(self, why: str, rows: int) -> None:
+        """Map the function from now on; a note in the log says so, except on a trial and of a single satellite."""
+        self.mapped, self.why = True, why
+        if self.results is None and rows > 1:
+            logger.warning("%s is called for one environment after the other, which is slow: %s. To call it once for all, %s",
+                           self.title, self.why, self.advice)  # fmt: skip
+
+    # -- trials -------------------------------------------------------------------------------------------------------
+
+    def begin_trial(self) -> None:
+        """Keep results from now on, and write nothing to the log."""
+        self.results = []
+
+    def dimensions(self) -> set[int]:
+        """Return the sizes of all dimensions of the results but the first."""
+        return {size for tree in self.results or () for tensor in leaves_of(tree) for size in tensor.shape[1:]}
+
+    def adopt(self, alone: UserFunction, together: UserFunction, rows: int) -> None:
+        """Decide how ``rows`` satellites are observed, by trials with one environment and with several that begin with the same.
+
+        Raises:
+            TypeError: If the result of an environment depends on the others.
+        """
+        if not alone.results or not together.results:
+            return
+        tries = (alone, together)
+        agree = alike(first_of(alone.results[-1]), first_of(together.results[-1]))
+        if not agree and (alone.mapped or together.mapped):
+            raise TypeError(
+                f"{self.title} gives other values in two calls for the same state of a satellite; it must follow from the state "
+                "of the satellite alone. obs.Noisy(observation, ...) adds random numbers"
+            )
+        if not agree:
+            raise TypeError(f"{self.title} mixes environments: an environment gives other values in a batch; {self.advice}")
+        if why := next((each.why for each in tries if each.mapped), None):
+            self._map_because(why, rows)
+        else:
+            self.mapped = False
+
+
+def _told(error: Exception) -> str:
+    """Return the first line of an error."""
+    text = str(error).partition("\n")[0]
+    return f"{type(error).__name__}: {text}"
+
+
+def leaves_of(tree: Tree) -> list[Tensor]:
+    """Return the tensors of a result."""
+    return [leaf for part in tree.values() for leaf in leaves_of(part)] if isinstance(tree, dict) else [tree]
+
+
+def first_of(tree: Tree) -> Tree:
+    """Return the first row of each tensor, [1, ...]."""
+    return {name: first_of(part) for name, part in tree.items()} if isinstance(tree, dict) else tree[:1]
+
+
+def alike(a: Tree, b: Tree) -> bool:
+    """Return whether two results agree in names, shapes, and values up to rounding."""
+    if isinstance(a, dict) or isinstance(b, dict):
+        return isinstance(a, dict) and isinstance(b, dict) and a.keys() == b.keys() and all(alike(a[n], b[n]) for n in a)
+    if a.shape != b.shape:
+        return False
+    a, b = a.double(), b.double()
+    scale = torch.cat([a.flatten(), b.flatten()]).abs().nan_to_num(0.0, 0.0, 0.0)
+    tolerance = ABSOLUTE + RELATIVE * float(scale.max()) if scale.numel() else 0.0
+    return bool(torch.isclose(a, b, rtol=0.0, atol=tolerance, equal_nan=True).all())
+
+
+def as_batch(title: str, value: Any, lead: Sequence[int], device: torch.device) -> Tree:
+    """Return the result for all satellites as tensors [*lead, ...].
+
+    Tensors and NumPy arrays are taken as they are; a list of tensors [*lead] and numbers becomes [*lead, len(list)].
+
+    Raises:
+        TypeError: For a result without the leading dimensions.
+    """
+    if isinstance(value, dict):
+        return {str(name): as_batch(f"{title}[{name!r}]", part, lead, device) for name, part in value.items()}
+    if isinstance(value, list | tuple) and any(isinstance(part, Tensor | np.ndarray) and part.ndim for part in value):
+        parts = [torch.as_tensor(part, device=device) for part in value]
+        if any(part.ndim and tuple(part.shape) != tuple(lead) for part in parts):
+            raise TypeError(f"{title} is a list of shapes {[list(p.shape) for p in parts]}; the shape must be {list(lead)}")
+        value = torch.stack([part.double().expand(*lead) for part in parts], -1)
+    if isinstance(value, np.ndarray | np.generic) and value.dtype.kind in "biuf":
+        value = torch.from_numpy(np.array(value))
+    if isinstance(value, Tensor) and tuple(value.shape[: len(lead)]) == tuple(lead):
+        return value.to(device)
+    given = f"of shape {list(value.shape)}" if isinstance(value, Tensor | np.ndarray) else repr(value)
+    wanted = ", ".join(map(str, lead))
+    raise TypeError(f"{title} is {given}; it must be of shape [{wanted}] or [{wanted}, ...]")
+
+
+def stacked(title: str, values: Sequence[Any]) -> Tree:
+    """Return the results of several satellites as one tensor [n, ...], float64 unless they are booleans.
+
+    Raises:
+        TypeError: For results that are no numbers, or of different shapes.
+    """
+    if isinstance(values[0], dict):
+        return {name: stacked(f"{title}[{name!r}]", [value[name] for value in values]) for name in values[0]}
+    parts = [value.detach().cpu().numpy() if isinstance(value, Tensor) else np.asarray(value) for value in values]
+    if any(part.shape != parts[0].shape for part in parts):
+        raise TypeError(f"{title} has shapes {sorted({part.shape for part in parts})} in different environments; they must agree")
+    if any(part.dtype.kind not in "biuf" for part in parts):
+        raise TypeError(f"{title} is {values[0]!r}; it must be a number or an array of numbers")
+    table = np.stack(parts)
+    return torch.from_numpy(table if table.dtype.kind == "b" else table.astype(np.float64))

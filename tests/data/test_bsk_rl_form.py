@@ -1,0 +1,340 @@
+"""Data, stores and rewarders in bsk_rl's form, run for each environment."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import torch
+from tensordict import TensorDict
+
+import bsk_torch
+from bsk_torch import ConstellationTasking, act, comm, data, obs, rand, scene
+from bsk_torch.presets.nadir_scan import ScanningSatellite, scanning_args
+
+pytestmark = pytest.mark.compiled
+
+N = 3
+
+
+# -- the cloud example of bsk_rl -----------------------------------------------------------------------------------------------
+
+
+class CloudTargets(scene.UniformTargets):
+    def regenerate_targets(self) -> None:
+        super().regenerate_targets()
+        for target in self.targets:
+            target.true_cloud_cover = np.clip(np.random.uniform(0.0, 1.348), 0.0, 1.0)
+
+
+class CloudData(data.UniqueImageData):
+    def __init__(self, imaged=None, duplicates=0, known=None, covered=None, free=None):
+        super().__init__(imaged=imaged, duplicates=duplicates, known=known)
+        self.cloud_covered, self.cloud_free = list(set(covered or [])), list(set(free or []))
+
+    def __add__(self, other):
+        both = super().__add__(other)
+        covered, free = self.cloud_covered + other.cloud_covered, self.cloud_free + other.cloud_free
+        return self.__class__(both.imaged, both.duplicates, both.known, covered, free)
+
+
+class CloudStore(data.UniqueImageStore):
+    data_type = CloudData
+
+    def compare_log_states(self, old_state, new_state):
+        imaged = list(super().compare_log_states(old_state, new_state).imaged)
+        split = {covered: [t for t in imaged if (t.true_cloud_cover > 0.7) == covered] for covered in (True, False)}
+        return CloudData(imaged=imaged, covered=split[True], free=split[False])
+
+
+class CloudRewarder(data.UniqueImageReward):
+    datastore_type = CloudStore
+
+    def calculate_reward(self, new_data_dict):
+        reward = {}
+        imaged = [target for new in new_data_dict.values() for target in new.cloud_free]
+        for name, new in new_data_dict.items():
+            reward[name] = 0.0
+            for target in new.cloud_free:
+                if target not in self.data.imaged:
+                    reward[name] += self.reward_fn(target.priority, target.true_cloud_cover, imaged.count(target))
+        return reward
+
+
+class Batched(data.UniqueImageReward):
+    """The same for all environments at once."""
+
+    def value(self, target, taken):
+        paid = super().value(target, taken) > 0.0
+        priority, cover = (self.scenario.look_up(name, target) for name in ("priority", "true_cloud_cover"))
+        return torch.where(paid & (cover <= 0.7), priority * (1.0 - cover / 0.7), 0.0)
+
+
+def linear(priority, cover, count):
+    return priority / count * (1 - cover / 0.7)
+
+
+def imaging(rewarder, scenario=None, **options):
+    fixed = dict(num_envs=N, seed=4, time_limit=3000.0, dtype=torch.float64)
+    return bsk_torch.make("AEOS-v1", scenario=scenario or CloudTargets(300), rewarder=rewarder, **(fixed | options))
+
+
+def play(env, steps=6, resume=False):
+    """Rewards [N, steps] and last observations of episodes in which the first target is always chosen."""
+    rewards = []
+    if not resume:
+        env.reset()
+    for _ in range(steps):
+        td = env.step(TensorDict({"action": torch.zeros(env.num_envs, dtype=torch.int64)}, env.batch_size))["next"]
+        rewards.append(td["reward"].squeeze(-1))
+    return torch.stack(rewards, 1), td["observation"]
+
+
+@pytest.fixture(scope="module")
+def clouds():
+    env = imaging(CloudRewarder(linear))
+    return env, *play(env)
+
+
+def test_rewards_are_those_of_the_batched_form(clouds):
+    env, rewards, observations = clouds
+    batched = imaging(Batched())
+    expected, seen = play(batched)
+    assert (expected > 0.0).sum() >= 3
+    assert torch.allclose(rewards, expected)
+    assert torch.allclose(observations, seen)  # so the same targets are hidden
+    imaged = batched.rewarder.imaged
+    for row, found in enumerate(env.rewarder.data):
+        assert sorted(target._place[1] for target in found.imaged) == torch.nonzero(imaged[row]).squeeze(-1).tolist()
+        assert len(found.cloud_covered) + len(found.cloud_free) == len(found.imaged)
+        assert env.rewarder.rewarder_of(row).cum_reward == {"EO1": pytest.approx(rewards[row].sum().item())}
+
+
+def test_environments_do_not_depend_on_the_batch(clouds):
+    _, rewards, _ = clouds
+    alone = imaging(CloudRewarder(linear), num_envs=1, env_ids=[1])
+    assert torch.allclose(play(alone)[0], rewards[1:2])
+
+
+def test_one_environment_begins_anew(clouds):
+    env = imaging(CloudRewarder(linear))
+    play(env, 3)
+    before = [found.imaged for found in env.rewarder.data]
+    env.reset(TensorDict({"_reset": torch.tensor([[False], [True], [False]])}, [N]))
+    assert [found.imaged for found in env.rewarder.data] == [before[0], set(), before[2]]
+    assert env.rewarder.rewarder_of(1).cum_reward == {"EO1": 0.0}
+
+
+def test_saved_episodes_go_on(clouds):
+    """Stores are saved and restored with the state, into other environments and other rows."""
+    env, other = imaging(CloudRewarder(linear)), imaging(CloudRewarder(linear), num_envs=2, seed=9)
+    _, rewards, _ = clouds
+    play(env, 3)
+    saved = env.get_state()
+    other.reset()
+    other.restore(saved, torch.tensor([1, 0]), torch.tensor([2, 1]))
+    assert {target.name for target in other.rewarder.data_of(1).imaged} == {t.name for t in env.rewarder.data_of(2).imaged}
+    assert torch.allclose(play(other, 3, resume=True)[0][[1, 0]], rewards[[2, 1], 3:])
+    other.restore(env)  # other.num_envs rows of a live environment
+    assert len(other.rewarder.data_of(0).known) == 300
+
+
+def test_stores_that_cannot_be_saved_are_named():
+    class Kept(data.UniqueImageReward):
+        def create_data_store(self, satellite):
+            super().create_data_store(satellite)
+            satellite.add_access_filter(lambda opportunity: True)
+
+    env = imaging(Kept())
+    play(env, 1)
+    with pytest.raises(TypeError, match=r"Kept or its stores keep values that cannot be saved .* objects of a class"):
+        env.get_state()
+
+
+def test_filters_of_stores_hide_opportunities():
+    class Some(data.UniqueImageReward):
+        def create_data_store(self, satellite):
+            super().create_data_store(satellite)
+            satellite.add_access_filter(lambda opportunity: opportunity["object"].true_cloud_cover < 0.2, types="target")
+
+    env = imaging(Some(), time_limit=300.0)
+    env.reset()
+    allowed = env.satellite.allowed("target")
+    assert torch.equal(allowed, env.scenario.target_attribute("true_cloud_cover") < 0.2)
+
+
+# -- several satellites --------------------------------------------------------------------------------------------------------
+
+
+class Visits(data.Data):
+    def __init__(self, names=()):
+        self.names = set(names)
+
+    def __add__(self, other):
+        return Visits(self.names | other.names)
+
+
+class VisitStore(data.DataStore):
+    data_type = Visits
+
+    def get_log_state(self):
+        return self.satellite.simulator.sim_time
+
+    def compare_log_states(self, old_state, new_state):
+        assert new_state - old_state == 5.0
+        return Visits([f"{self.satellite.name} at {new_state:g}"])
+
+
+class VisitReward(data.GlobalReward):
+    data_store_type = VisitStore
+    limit = 99
+
+    def initial_data(self, satellite):
+        return Visits([f"{satellite.name} at 0"])
+
+    def calculate_reward(self, new_data_dict):
+        return {name: float(len(self.data.names) + len(new.names)) for name, new in new_data_dict.items()}
+
+    def is_terminated(self, satellite):
+        return len(satellite.data_store.data.names) >= self.limit
+
+
+class Brief(ScanningSatellite):
+    action_spec = (act.Charge(duration=5.0),)
+
+
+def crew(rewarder, communicator=None, count=3, **options):
+    orbit = dict(oe=rand.random_orbit())
+    satellites = [Brief(f"S{k}", scanning_args() | orbit) for k in range(count)]
+    fixed = dict(num_envs=2, time_limit=60.0, seed=1, backend="eager", dtype=torch.float64)
+    return ConstellationTasking(satellites, scene.UniformNadirScanning(), rewarder, communicator, **(fixed | options))
+
+
+def step(env):
+    shape = env.num_envs, len(env.names)
+    action = TensorDict({"action": torch.zeros(shape, dtype=torch.int64)}, shape)
+    return env.step(TensorDict({"agents": action}, shape[:1]))["next"]
+
+
+class Ring(comm.CommunicationMethod):
+    """Each satellite tells the next one, in bsk_rl's form."""
+
+    def communication_pairs(self):
+        satellites = self.satellites
+        return [(satellites[k], satellites[k + 1]) for k in range(len(satellites) - 1)]
+
+
+def test_data_take_one_hop_in_a_step():
+    env = crew(VisitReward(), Ring())
+    env.reset()
+    assert (step(env)["agents", "reward"] == 4.0).all()
+    stores = env.satellites[0].data_store
+    mine = [{f"S{k} at 0", f"S{k} at 5"} for k in range(3)]
+    for env_stores in (stores[:3], stores[3:]):
+        assert [store.data.names for store in env_stores] == [mine[0], mine[0] | mine[1], mine[1] | mine[2]]
+    assert env.rewarder.data_of(1).names == mine[0] | mine[1] | mine[2]
+    assert env.links[0].tolist() == [[False, True, False], [False, False, True], [False, False, False]]
+
+
+def test_all_get_the_sum_where_all_are_linked():
+    env = crew(VisitReward(), comm.FreeCommunication())
+    env.reset()
+    step(env)
+    assert [len(store.data.names) for store in env.satellites[0].data_store] == [6] * 6
+
+
+def test_episodes_end_by_the_rewarder():
+    class Short(VisitReward):
+        limit = 2
+
+    env = crew(Short())
+    env.reset()
+    assert step(env)["terminated"].all()
+
+
+def test_a_part_of_a_sum():
+    env = crew([VisitReward(), VisitReward()])
+    env.reset()
+    assert (step(env)["agents", "reward"] == 8.0).all()
+    assert [len(part.data) for part in env.rewarder.rewarders] == [2, 2]
+
+
+class HalfTime(data.ScanningTimeReward):
+    def calculate_reward(self, new_data_dict):
+        return {name: 0.5 * value for name, value in super().calculate_reward(new_data_dict).items()}
+
+
+def test_base_classes_reward_as_the_batched_ones():
+    """Growth of the store over the rate of the instrument, never less than nothing."""
+    rewarder = HalfTime()
+    rewarder.link_scenario(SimpleNamespace(value_per_second=3.0))
+    rewarder.reset_overwrite_previous()
+    satellite = SimpleNamespace(name="A", dynamics=SimpleNamespace(storage_level=100.0, instrument_baud=10.0))
+    rewarder.create_data_store(satellite)
+    satellite.data_store.update_from_logs()
+    for level, expected in ((140.0, 6.0), (20.0, 0.0)):
+        satellite.dynamics.storage_level = level
+        assert rewarder.reward({"A": satellite.data_store.update_from_logs()}) == {"A": expected}
+    assert rewarder.cum_reward == {"A": 6.0}
+    assert rewarder.data.scanning_time == 4.0
+
+
+def test_observations_read_the_store_of_each_satellite():
+    class Observer(Brief):
+        observation_spec = (obs.SatProperties(dict(fn=lambda sat: len(sat.data_store.data.names), name="visits")),)
+
+    fixed = dict(num_envs=2, time_limit=60.0, seed=1, backend="eager")
+    env = ConstellationTasking([Observer("A", scanning_args())], scene.UniformNadirScanning(), VisitReward(), **fixed)
+    assert (env.reset()["agents", "observation"] == 1.0).all()
+    assert (step(env)["agents", "observation"] == 2.0).all()
+
+
+# -- what cannot run -----------------------------------------------------------------------------------------------------------
+
+
+class Wrong(VisitReward):
+    def calculate_reward(self, new_data_dict):
+        return {"S0": 1.0}
+
+
+def test_rewards_that_are_missing_are_named():
+    env = crew(Wrong())
+    env.reset()
+    with pytest.raises(TypeError, match=r"Wrong.calculate_reward\(new_data_dict\) returns .* for each of \['S0', 'S1', 'S2'\]"):
+        step(env)
+
+
+@pytest.mark.parametrize(
+    ("base", "members", "words"),
+    [
+        (data.CloudFreeImageReward, dict(data_store_type=CloudStore), "CloudFreeImageReward has no counterpart; derive from"),
+        (
+            data.GlobalReward,
+            dict(data_store_type=VisitStore, read_log=lambda self: {}),
+            "either that or tensors .* with read_log",
+        ),
+        (
+            data.GlobalReward,
+            dict(data_store_type=VisitStore, calc_reward=lambda self, new: {}),
+            "did you mean 'calculate_reward'",
+        ),
+        (
+            data.UniqueImageReward,
+            dict(is_truncated=lambda self, sat: False, compare_log_states=lambda self, a, b: 0),
+            "define it in the data.DataStore",
+        ),
+    ],
+)
+def test_forms_cannot_be_mixed(base, members, words):
+    with pytest.raises(TypeError, match=words):
+        type("Mine", (base,), members)
+
+
+def test_a_rewarder_without_a_store_is_refused():
+    class Storeless(data.GlobalReward):
+        def calculate_reward(self, new_data_dict):
+            return {}
+
+    with pytest.raises(TypeError, match="Storeless must set data_store_type"):
+        Storeless()

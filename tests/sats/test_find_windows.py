@@ -1,0 +1,133 @@
+"""Windows beyond what has been generated, and what satellites know of the rewarder."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+from bsk_torch import ConstellationTasking, SatelliteTasking, act, data, obs, sats, scene
+from bsk_torch.presets.aeos import agile_args
+
+LIMIT, BINS, WIDTH = 600.0, 20, 180.0
+
+
+class Density(obs.Observation):
+    """Sum of the priorities of targets whose next window closes in each of 20 bins of 180 s, divided by 5."""
+
+    def __init__(self):
+        super().__init__("density")
+
+    def get_obs(self):
+        satellite, now = self.satellite, self.simulator.sim_time.unsqueeze(-1)
+        close = satellite.next_opportunities("target", until=now.squeeze(-1) + (BINS + 1) * WIDTH)[1]
+        number = torch.floor((close - now) / WIDTH).clamp(max=BINS).long()  # infinity, too, goes into the last one, left out
+        priority = self.simulator.of_env(satellite.scenario.priority)
+        return torch.zeros(len(now), BINS + 1).double().scatter_add(1, number, priority)[:, :BINS] / 5.0
+
+
+class Imager(sats.ImagingSatellite):
+    observation_spec = (obs.Time(norm=1.0),)
+    action_spec = (act.Charge(duration=60.0), act.Image(n_ahead_image=2))
+
+
+class Dense(Imager):
+    observation_spec = (Density(),)
+
+
+def args():
+    return {name: value for name, value in agile_args().items() if name not in ("omega_max", "servo_P")}
+
+
+def make(cls=Imager, time_limit=LIMIT, **options):
+    fixed = dict(num_envs=2, seed=3, backend="eager", dtype=torch.float64, rewarder=data.UniqueImageReward())
+    return SatelliteTasking(cls("EO", args()), scene.UniformTargets(300), time_limit=time_limit, **(fixed | options))
+
+
+def test_windows_beyond_the_time_limit():
+    """They are those that an environment with a longer limit has generated at reset."""
+    short, long = make(), make(time_limit=6000.0)
+    for env in (short, long):
+        env.reset(seed=3)
+    few, until = short.satellite.upcoming_opportunities("target"), torch.tensor([3000.0, 4100.0]).double()
+    found = short.satellite.find_windows(until)
+    expected = long.satellite.find_windows(until)
+    there = torch.isfinite(found.close)
+    assert torch.isfinite(few.close).sum() < there.sum()
+    assert (found.open[there] < until.unsqueeze(-1).expand_as(found.open)[there]).all()
+    assert (found.close.diff(dim=1)[there[:, 1:]] >= 0.0).all()  # sorted, the missing ones last
+    for row in range(2):
+        whole = found.close[row] < 0.99 * until[row]  # windows in progress at the end of look-ahead are cut there
+        count = int(whole.sum())
+        assert count > 10
+        assert torch.allclose(found.close[row, :count], expected.close[row, :count], atol=1e-6)
+        assert torch.equal(found.place[row, :count], expected.place[row, :count])
+
+
+def test_rows_extend_their_own_look_ahead_only():
+    env = make()
+    env.reset(seed=3)
+    access = env.simulator.access
+    before = access.until.clone()
+    env.satellite.find_windows(torch.tensor([100.0, 2500.0]).double())
+    assert access.until.tolist() == [float(before[0]), 3000.0]
+
+
+def test_density_of_targets():
+    env = make(Dense)
+    td = env.reset(seed=3)
+    windows = env.satellite.opportunities_dict(1)
+    expected = torch.zeros(BINS).double()
+    for place, times in windows.items():
+        if times[0][1] < BINS * WIDTH:
+            expected[int(times[0][1] // WIDTH)] += env.scenario.priority[1, place] / 5.0
+    assert torch.allclose(td["observation"][1], expected)
+    assert expected[-5:].sum() > 0.0  # far beyond the time limit
+
+
+@pytest.mark.parametrize("until", [torch.zeros(3), float("inf"), torch.tensor([1.0, float("nan")])])
+def test_times_that_cannot_be_used(until):
+    env = make()
+    env.reset(seed=3)
+    with pytest.raises(ValueError, match=r"until=.* must be finite seconds since reset: .* shape \[2\]"):
+        env.satellite.find_windows(until)
+    with pytest.raises(ValueError, match="type='targets' is not a type of opportunity; did you mean 'target'"):
+        env.satellite.find_windows(100.0, "targets")
+
+
+def pair():
+    satellites = [Imager(name, args()) for name in ("A", "B")]
+    fixed = dict(num_envs=2, seed=3, backend="eager", time_limit=60.0)
+    return ConstellationTasking(satellites, scene.UniformTargets(30), data.UniqueImageReward(), **fixed)
+
+
+def test_satellites_ask_the_rewarder():
+    env = pair()
+    env.reset()
+    nobody = torch.zeros(2, 2, dtype=torch.bool)
+    env.rewarder.value(torch.tensor([[5, 0], [7, 7]]), nobody.index_fill(1, torch.tensor([0]), True))
+    satellite, known = env.satellites[0], torch.zeros(2, 2, 30, dtype=torch.bool)
+    known[0, 0, 5] = known[1, 0, 7] = True
+    assert satellite.rewarder is env.rewarder
+    assert torch.equal(satellite.known_images, known.flatten(0, 1))
+    assert torch.equal(satellite.data_store.data.imaged, satellite.known_images)
+    env.rewarder.share(torch.ones(2, 2, 2, dtype=torch.bool))
+    assert satellite.known_images.view(2, 2, 30)[1, 1, 7]
+    assert torch.equal(env.rewarder.data.imaged, known[:, 0])
+    assert env.rewarder.data.known.all()
+
+
+def test_data_of_one_environment_are_sets_of_targets():
+    env = pair()
+    env.reset()
+    env.rewarder.value(torch.tensor([[5, 6], [7, 7]]), torch.tensor([[True, True], [True, False]]))
+    one, other = (env.rewarder.data_of(row) for row in range(2))
+    assert one.imaged == {env.scenario.target_object(0, 5), env.scenario.target_object(0, 6)}
+    assert len(other.imaged) == 1
+    assert len(one.known) == 30
+    assert (one + one).duplicates == 2  # merging counts what both have, as in bsk_rl
+
+
+def test_rewarders_without_a_store_say_so():
+    env = make(rewarder=data.NoReward())
+    with pytest.raises(AttributeError, match="NoReward keeps no data of satellites"):
+        _ = env.satellite.data_store

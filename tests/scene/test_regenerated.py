@@ -1,0 +1,153 @@
+"""Targets that a subclass makes environment by environment, in bsk_rl's ``regenerate_targets``."""
+
+from __future__ import annotations
+
+import logging
+
+import numpy as np
+import pytest
+import torch
+
+from bsk_torch import rand, scene
+from bsk_torch.scene.targets import Target
+from bsk_torch.sim import hooks
+
+from .conftest import key, rows_of
+
+
+class CloudTargets(scene.UniformTargets):
+    """As in bsk_rl's cloud example."""
+
+    mu_data = 0.6740208166434426
+
+    def regenerate_targets(self) -> None:
+        super().regenerate_targets()
+        for target in self.targets:
+            target.true_cloud_cover = np.clip(np.random.uniform(0.0, self.mu_data * 2), 0.0, 1.0)
+            target.direction = np.random.normal(size=2)
+            target.region = "north" if target.r_LP_P[2] > 0.0 else "south"
+
+
+class Three(scene.UniformTargets):
+    """Makes all of its targets."""
+
+    def regenerate_targets(self):
+        self.targets = [Target(f"site-{k}", [7e6, 0.0, k], self.priority_distribution()) for k in range(3)]
+
+
+def test_attributes_that_are_numbers_become_drawn_values():
+    values = CloudTargets((2, 6)).draw(key(3))
+    assert values["target_true_cloud_cover"].shape == values["target_exists"].shape == (3, 5)
+    assert values["target_direction"].shape == (3, 5, 2)
+    assert set(values) == {f"target_{n}" for n in ("exists", "r_LP_P", "priority", "true_cloud_cover", "direction", "key")}
+    cover = values["target_true_cloud_cover"][values["target_exists"].bool()]
+    assert ((cover > 0.0) & (cover <= 1.0)).all()
+    assert len(cover.unique()) > 3
+
+
+def test_what_the_base_class_makes_is_what_it_draws():
+    mine, plain = CloudTargets((2, 6)).draw(key(4)), scene.UniformTargets((2, 6)).draw(key(4))
+    exists = plain["target_exists"].bool()
+    assert torch.equal(mine["target_exists"].bool(), exists)
+    for name in ("target_r_LP_P", "target_priority"):
+        assert torch.equal(mine[name][exists], plain[name][exists])
+
+
+def test_draws_depend_on_the_key_alone():
+    scenario, whole = CloudTargets(4), key(5)
+    np.random.seed(1)
+    before = np.random.get_state()[1].copy()
+    all_at_once = scenario.draw(whole)
+    assert (np.random.get_state()[1] == before).all()  # the user's stream is left alone
+    some = CloudTargets(4).draw(rows_of(whole, [3, 1]))
+    for name, value in all_at_once.items():
+        assert torch.equal(value[[3, 1]], some[name]), name
+    other = CloudTargets(4).draw(key(5, episode=1))["target_true_cloud_cover"]
+    assert not (other == all_at_once["target_true_cloud_cover"]).any()
+
+
+def test_objects_are_those_that_the_hook_made(begin):
+    scenario = begin(CloudTargets(4), 2)
+    targets = scenario.target_objects(1)
+    assert [target.region in ("north", "south") for target in targets] == [True] * 4
+    assert scenario.target_objects(1)[0] is targets[0]
+    assert torch.equal(
+        scenario.target_attribute("true_cloud_cover")[1], torch.tensor([t.true_cloud_cover for t in targets]).double()
+    )
+    assert scenario.names(1) == [target.name for target in targets]
+    index = torch.tensor([[2, 0], [1, 1]])
+    assert torch.equal(scenario.look_up("priority", index), scenario.priority.gather(1, index))
+    with pytest.raises(AttributeError, match="have no 'cloud_cover'; did you mean 'true_cloud_cover'"):
+        scenario.target_attribute("cloud_cover")
+
+
+def test_objects_of_targets_that_are_drawn_in_batches(begin):
+    scenario = begin(scene.CloudyTargets(scene.UniformTargets((1, 5))), 3)
+    for row in range(3):
+        targets = scenario.target_objects(row)
+        assert len(targets) == int(scenario.drawn("target_exists")[row].sum())
+        assert [t.cloud_cover for t in targets] == scenario.cloud_cover[row, : len(targets)].tolist()
+        assert (targets[0].r_LP_P == scenario.r_LP_P[row, 0].numpy()).all()
+
+
+def test_a_hook_may_make_more_targets_than_the_argument_says(begin):
+    scenario = begin(Three(1, rand.Uniform(1.0, 2.0)), 2)
+    assert scenario.most_targets == 3
+    assert (scenario.priority >= 1.0).all()
+    assert len(scenario.priority.unique()) == 6
+    assert scenario.names(0) == ["site-0", "site-1", "site-2"]
+
+
+class Growing(scene.UniformTargets):
+    def regenerate_targets(self):
+        self.targets = [Target("one", [7e6, 0.0, 0.0], 1.0)] * (1 + int(self.regenerated_key.episode))
+
+
+class Words(scene.UniformTargets):
+    def regenerate_targets(self):
+        self.targets = ["Boulder"]
+
+
+class Uneven(scene.UniformTargets):
+    def regenerate_targets(self):
+        super().regenerate_targets()
+        self.targets[0].cover = 0.5
+
+
+@pytest.mark.parametrize(
+    ("scenario", "error", "words"),
+    [
+        (Words(1), TypeError, "makes 'Boulder'; it must make scene.Target objects"),
+        (Uneven(2), TypeError, r"Target\(tgt-1\) lacks 'cover', which other targets have"),
+    ],
+)
+def test_what_cannot_be_used_is_refused(scenario, error, words):
+    with pytest.raises(error, match=words):
+        scenario.draw(key(2))
+
+
+def test_later_episodes_must_not_have_more_targets():
+    scenario = Growing(1)
+    scenario.draw(key(1))
+    with pytest.raises(ValueError, match=r"makes 3 targets in environment 0, where there is room for 1; .* n_targets=\(1, 4\)"):
+        scenario.draw(key(1, episode=2))
+
+
+def test_one_note_says_that_it_is_slow(caplog):
+    hooks._noted.clear()
+    with caplog.at_level(logging.WARNING, logger="bsk_torch"):
+        scenario = CloudTargets(2)
+        scenario.draw(key(2))
+        scenario.draw(key(2, episode=1))
+    assert [r.message for r in caplog.records if "CloudTargets.regenerate_targets()" in r.message] == [caplog.records[0].message]
+    assert "places(key)" in caplog.records[0].message
+
+
+def test_only_environments_call_it():
+    with pytest.raises(RuntimeError, match="called by environments only"):
+        CloudTargets(2).regenerate_targets()
+
+
+def test_other_scenarios_have_no_such_hook():
+    with pytest.raises(TypeError, match="regenerate_targets is never used; define it in a subclass of UniformTargets"):
+        type("Mine", (scene.Scenario,), {"regenerate_targets": lambda self: None})
