@@ -7,6 +7,7 @@ random numbers: as easy as 1, 2, 3", 2011).
 
 from __future__ import annotations
 
+import logging
 import math
 import random
 import zlib
@@ -20,6 +21,8 @@ import torch
 from torch import Tensor
 
 from bsk_torch.astro.elements import ClassicElements
+
+logger = logging.getLogger(__name__)
 
 WORD_MASK = 0xFFFFFFFF
 """Lowest 32 bits."""
@@ -337,6 +340,9 @@ def random_orbit(
         r_body: Radius from which ``alt`` counts, km.
     """
     if alt is not None:
+        if (a, e, omega) != (6871.0, 0.0, None):
+            given = f"a={a}, e={e} and omega={omega}"
+            logger.warning("random_orbit(alt=%g): %s do not count, the orbit is circular, as in bsk_rl", alt, given)
         return random_circular_orbit(i, alt, r_body, Omega, f)
     orbit = RandomOrbit(a * 1e3, e, i, Omega, omega, f)
     return _elements(orbit) if _drawing else orbit

@@ -69,6 +69,9 @@ STARTS: dict[str, list[Start]] = {
             "basilisk",
         ),
     ],
+    "examples/curriculum.py": [
+        Start("--num-envs 4 --steps 10 --time-limit 360 --rise 0.5", r"(?s)step 10: \d+ episodes.*nothing was built anew"),
+    ],
     "scripts/demo.sh": [Start(f"{TRAIN} --out run", "trained")],
     "scripts/tools/make_coastlines.py": [Start("{countries} --out land.geojson", "2 pieces of land", "coastlines")],
     "scripts/tools/make_tables.py": [Start("--samples --out .", "largest position error 0.49", "basilisk")],
@@ -101,6 +104,7 @@ ELSEWHERE = {
     "examples/ppo_sb3.py": "tests/test_clients.py",
     "examples/share_intent.py": "tests/test_clients.py",
     "scripts/test.sh": ".ci/run",
+    "tests/basilisk/recorders/record_arguments.py": "tests/test_scripts.py",
     **{f"tests/basilisk/recorders/{script}.py": "tests/test_scripts.py" for script in RECORDED},
 }
 """Scripts that other tests start, and where."""
@@ -168,6 +172,13 @@ def test_a_recording_can_be_repeated(script, recording, tmp_path):
                 )  # other processors round otherwise
             else:
                 np.testing.assert_array_equal(new[key], old[key], err_msg=key)
+
+
+@pytest.mark.basilisk
+def test_tables_of_arguments_and_epochs_can_be_repeated(tmp_path):
+    run(tmp_path, "tests/basilisk/recorders/record_arguments.py", "--out", ".")
+    for name in ("default_args.json", "epochs.json"):
+        assert (tmp_path / name).read_text() == (ROOT / "tests/sim/data" / name).read_text()
 
 
 # -- completeness -----------------------------------------------------------------------------------------------------

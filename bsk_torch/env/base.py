@@ -332,10 +332,11 @@ class Tasking(EnvBase):
     def set_sat_args(self, args: Any, envs: Any = None) -> None:
         """Change arguments of satellites; episodes that begin after this call have the new ones, present ones keep theirs.
 
-        Values are those that ``sat_args`` accepts, ``rand.per_env`` for a value of each environment among them. Nothing is
-        compiled
-        anew for arguments that were drawn from the start (a distribution, ``rand.per_env``, a callable), or that only say how an
-        episode begins. Where a parameter of the tick was one constant so far, the tick is built again, once.
+        Values are those that ``sat_args`` accepts, ``rand.per_env`` for a value of each environment among them; where its tensor
+        is written into, set it again, since episodes may have been prepared. Nothing is compiled anew for arguments that were
+        drawn from the start (a distribution, ``rand.per_env``, a callable), or that only say how an episode begins. Where a
+        parameter of the tick was one constant so far, the tick is built again, once; states that were saved before then do not
+        fit any more.
 
         Args:
             args: New values by name of the argument, for all satellites; or, by name of the satellite, such dictionaries; or a

@@ -83,18 +83,19 @@ def remembered(old: Sequence[Change], new: Sequence[Change]) -> list[Change]:
     """Return the changes that still mean something once the ``new`` ones are made."""
     kept = list(old)
     for change in new:
-        left = []
+        left, known = [], False
         for earlier in kept:
             if (earlier.satellite, earlier.name) == (change.satellite, change.name):
                 if change.envs is None:
                     continue
+                known = known or (earlier.envs is None and earlier.value is change.value)
                 if earlier.envs is not None:
                     envs = tuple(env for env in earlier.envs if env not in change.envs)
                     if not envs:
                         continue
                     earlier = earlier._replace(envs=envs)
             left.append(earlier)
-        kept = [*left, change]
+        kept = left if known else [*left, change]
     return kept
 
 

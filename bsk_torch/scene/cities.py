@@ -53,7 +53,7 @@ class CityTargets(UniformTargets):
 
         Args:
             n_targets: See :class:`UniformTargets`.
-            n_select_from: Number of the most populous cities to draw from; None or ``"all"`` for all.
+            n_select_from: Number of the most populous cities to draw from; None, ``"all"`` or more than there are for all.
             location_offset: Length of a shift in a random direction of space, m; shifted targets are projected back onto the
                 sphere.
             priority_distribution: See :class:`UniformTargets`.
@@ -71,12 +71,11 @@ class CityTargets(UniformTargets):
         total, least = len(city_table()[0]), self.most_targets
         if n_select_from is None or n_select_from == "all":
             n_select_from = total
-        if not isinstance(n_select_from, int) or isinstance(n_select_from, bool) or not least <= n_select_from <= total:
+        if not isinstance(n_select_from, int) or isinstance(n_select_from, bool) or not least <= n_select_from:
             raise ValueError(
-                f"n_select_from={n_select_from!r} must be an integer from {least}, the largest number of targets, to {total}, "
-                "the number of cities in the table, or 'all'"
+                f"n_select_from={n_select_from!r} must be an integer from {least}, the largest number of targets, or 'all'"
             )
-        return n_select_from
+        return min(n_select_from, total)
 
     def places(self, key: Key) -> dict[str, Tensor]:
         """See :meth:`UniformTargets.places`; ``target_city`` are ranks in :func:`city_table`."""

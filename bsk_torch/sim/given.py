@@ -11,16 +11,18 @@ from bsk_torch.sim.names import nearest
 
 BSK_RL_ORDER = (
     "planetRadius baseDensity scaleHeight utc_init groundStationsData groundLocationPlanetRadius gsMinimumElevation "
-    "gsMaximumRange batteryStorageCapacity storedCharge_Init disturbance_vector dragCoeff panelArea "
-    "imageTargetMinimumElevation imageTargetMaximumRange instrumentBaudRate instrumentPowerDraw losMaximumRange "
-    "basePowerDraw wheelSpeeds maxWheelSpeed u_max rwBasePower rwMechToElecEfficiency rwElecToMechEfficiency "
-    "panelEfficiency nHat_B mass width depth height sigma_init omega_init rN vN oe mu min_orbital_radius "
-    "dataStorageCapacity bufferNames storageUnitValidCheck storageInit thrusterPowerDraw transmitterBaudRate "
-    "transmitterNumBuffers transmitterPacketSize transmitterPowerDraw hs_min maxCounterValue thrMinFireTime desatAttitude "
-    "controlAxes_B thrForceSign K Ki P K1 K3 omega_max servo_Ki servo_P imageAttErrorRequirement imageRateErrorRequirement "
-    "inst_pHat_B"
+    "gsMaximumRange hs_min maxCounterValue thrMinFireTime desatAttitude controlAxes_B thrForceSign K Ki P K1 K3 omega_max "
+    "servo_Ki servo_P imageAttErrorRequirement imageRateErrorRequirement inst_pHat_B batteryStorageCapacity "
+    "storedCharge_Init disturbance_vector dragCoeff panelArea imageTargetMinimumElevation imageTargetMaximumRange "
+    "instrumentBaudRate instrumentPowerDraw losMaximumRange basePowerDraw wheelSpeeds maxWheelSpeed u_max rwBasePower "
+    "rwMechToElecEfficiency rwElecToMechEfficiency panelEfficiency nHat_B mass width depth height sigma_init omega_init rN "
+    "vN oe mu min_orbital_radius dataStorageCapacity bufferNames storageUnitValidCheck storageInit thrusterPowerDraw "
+    "transmitterBaudRate transmitterNumBuffers transmitterPacketSize transmitterPowerDraw"
 )
-"""Arguments in the order in which bsk_rl draws them: functions that share state or NumPy's generator depend on it."""
+"""Arguments in the order in which bsk_rl draws them: of the world, of flight software, of dynamics.
+
+Functions that share state or NumPy's generator depend on it.
+"""
 
 RANKS = {name: rank for rank, name in enumerate(BSK_RL_ORDER.split())}
 

@@ -211,6 +211,9 @@ class Arguments:
             if envs is None:
                 new._given[k][name] = value
                 new._of_envs[k].pop(name, None)
+            elif value is new._given[k][name]:
+                left = {env: mine for env, mine in new._of_envs[k].pop(name, {}).items() if env not in envs}
+                new._of_envs[k] |= {name: left} if left else {}
             else:
                 new._of_envs[k].setdefault(name, {}).update(dict.fromkeys(envs, value))
         new._look()

@@ -99,6 +99,17 @@ def test_a_difficulty_for_each_environment():
     assert drawn(env)["storedCharge_Init"].tolist() == [1e4, 2e4, 3e4, 4e4]
 
 
+def test_a_tensor_of_difficulties_may_be_written_into():
+    charge = torch.full((4,), 1e4, dtype=torch.float64)
+    args = {"storedCharge_Init": rand.per_env(charge)}
+    env = build(args)
+    env.set_sat_args({"storedCharge_Init": 5e4}, envs=[2])
+    charge[1] = 2e4
+    env.set_sat_args(args, envs=[1, 2])
+    assert drawn(env)["storedCharge_Init"].tolist() == [1e4, 2e4, 1e4, 1e4]
+    assert not env.simulator.sat_args._of_envs[0]
+
+
 def test_constants_that_are_not_changed_are_kept():
     env = build()
     kept = env.simulator.sat_args.draw(key(4))["mass"]
@@ -262,6 +273,8 @@ def test_changes_are_remembered_as_long_as_they_mean_something():
     kept = remembered([change(1.0), change(2.0, (0, 1)), change(3.0, (2,)), change(9.0, name="K")], [change(4.0, (1, 2))])
     assert kept == [change(1.0), change(2.0, (0,)), change(9.0, name="K"), change(4.0, (1, 2))]
     assert remembered(kept, [change(5.0)]) == [change(9.0, name="K"), change(5.0)]
+    value = rand.per_env([1.0, 2.0, 3.0])
+    assert remembered([change(value), change(1.0, (0,))], [change(value, (0, 2))]) == [change(value)]
 
 
 # -- bad input --------------------------------------------------------------------------------------------------------

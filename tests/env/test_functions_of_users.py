@@ -161,7 +161,7 @@ def test_all_functions_of_an_environment_are_called_before_the_next_ones_and_in_
     env = build(args, sat_arg_randomizer=randomizer, world_args=world, time_limit=tell("limit", 60.0))
     said.clear()
     (values,) = drawn(env, key(2))
-    assert said == ["limit", "density", "utc_init", "randomizer", "battery", "mass", "K"] * 2
+    assert said == ["limit", "density", "utc_init", "randomizer", "K", "battery", "mass"] * 2
     assert values["mass"].tolist() == [200.0, 200.0]
 
 
@@ -261,3 +261,10 @@ def test_random_orbit_itself_stands_for_its_distribution():
     env = build({"oe": rand.random_orbit})
     assert not env.builder.calls_user
     assert torch.equal(drawn(env, key(3))[0]["oe"], rand.random_orbit().draw(key(3).named("oe")))
+
+
+def test_the_old_form_of_circular_orbits_says_what_does_not_count(caplog):
+    assert rand.random_orbit(i=45.0, alt=600.0, r_body=6378.0) == rand.random_circular_orbit(45.0, 600.0, 6378.0)
+    assert not caplog.records
+    rand.random_orbit(a=7000.0, alt=600.0)
+    assert "a=7000.0, e=0.0 and omega=None do not count" in caplog.text

@@ -96,9 +96,13 @@ def test_an_environment_draws_the_same_in_any_batch():
     assert not torch.equal(whole["target_city"], scenario.draw(key(8, episode=1))["target_city"])
 
 
-@pytest.mark.parametrize("wrong", [9, 10**6, 12.5, "most", True])
+def test_more_cities_than_there_are_stand_for_all():
+    assert scene.CityTargets(10, 10**6).n_select_from == len(city_table()[0])
+
+
+@pytest.mark.parametrize("wrong", [9, 12.5, "most", True])
 def test_wrong_numbers_of_cities(wrong):
-    with pytest.raises(ValueError, match=r"n_select_from=.* must be an integer from 10, the largest .* to \d+, .* or 'all'"):
+    with pytest.raises(ValueError, match=r"n_select_from=.* must be an integer from 10, the largest number of targets, or 'all'"):
         scene.CityTargets(10, wrong)
 
 

@@ -11,8 +11,7 @@ import pytest
 
 from bsk_torch import sats
 from bsk_torch.rand import Distribution
-from bsk_torch.sim import dyn, fsw
-from bsk_torch.sim.component import collect
+from bsk_torch.sim import dyn, fsw, world
 from bsk_torch.sim.given import RANKS, in_order
 
 RECORDED = json.loads((Path(__file__).parent / "data" / "default_args.json").read_text())
@@ -33,11 +32,7 @@ def equal(mine: Any, recorded: Any) -> bool:
 
 
 def models(module: Any, kind: str) -> list[Any]:
-    return [
-        pytest.param(getattr(module, name), recorded, id=name)
-        for name, recorded in RECORDED[kind].items()
-        if hasattr(module, name)
-    ]
+    return [pytest.param(getattr(module, name), recorded, id=name) for name, recorded in RECORDED[kind].items()]
 
 
 def check(mine: dict[str, Any], recorded: dict[str, Any], elsewhere: set[str]) -> None:
@@ -64,18 +59,16 @@ def test_where_an_image_is_taken_has_the_defaults_of_bsk_rl():
     assert all(equal(mine[name], recorded[name]) for name in POINTING)
 
 
-def test_worlds_have_the_defaults_of_bsk_rl():
-    parts = collect(reversed(dyn.GroundStationDynModel.__mro__), "world_components")
-    mine = {arg.name: arg.default for part in parts for arg in part.args}
-    recorded = {name: value for model in RECORDED["world"].values() for name, value in model.items()}
-    check(mine, recorded, set())
+@pytest.mark.parametrize(("model", "recorded"), models(world, "world"))
+def test_worlds_have_the_defaults_of_bsk_rl(model, recorded):
+    check({arg.name: arg.default for part in model.all_components() for arg in part.args}, recorded, set())
 
 
 def test_functions_are_called_in_the_order_of_bsk_rl():
-    """World first; in the table of ranks, arguments that the world and imaging share stand with the world."""
+    """World, flight software, dynamics; arguments that the world and imaging share stand with the world."""
     for kind in ("dyn", "fsw"):
         for recorded in RECORDED[kind].values():
             names = [name for name in recorded if name not in ("utc_init", "groundLocationPlanetRadius")]
             assert in_order(sorted(names)) == names
-    assert in_order(["zeta", "K", "mass", "alpha"]) == ["mass", "K", "zeta", "alpha"]
+    assert in_order(["zeta", "mass", "K", "alpha"]) == ["K", "mass", "zeta", "alpha"]
     assert {name for kind in RECORDED.values() for model in kind.values() for name in model} == set(RANKS)
