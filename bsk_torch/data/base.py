@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import torch
 from torch import Tensor
 
+from bsk_torch.data.store import Data, DataStore  # noqa: F401  bsk_rl has them in this module, too
 from bsk_torch.sim.hooks import check_class
 
 if TYPE_CHECKING:
@@ -129,6 +130,11 @@ class GlobalReward(metaclass=RewarderType):
     def memory(self) -> StateTable:
         """Tensors [N, ...] that start anew with every episode; ``memory.declare(name, initial, *shape)`` in ``link`` adds one."""
         return self.fleet.memory
+
+    @property
+    def step_duration(self) -> Tensor:
+        """Time that the present step has taken, [N] s; for :meth:`calculate_reward`."""
+        return (self.fleet.ticks - self.fleet.since).double() * self.fleet.h
 
     def read_log(self) -> Log:
         """Return the present log, read at every decision boundary; tensors [N, S, ...] by name."""
