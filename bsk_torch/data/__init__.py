@@ -6,7 +6,7 @@ from bsk_torch.data.composed import ComposedReward
 from bsk_torch.data.images import ImageReward, UniqueImageReward
 from bsk_torch.data.resources import ResourceReward
 from bsk_torch.data.scanning import ScanningTimeReward
-from bsk_torch.data.single import UniqueImageStore
+from bsk_torch.data.single import NoData, NoDataStore, ScanningTime, ScanningTimeStore, UniqueImageStore
 from bsk_torch.data.store import Data, DataStore
 from bsk_torch.data.unique_images import UniqueImageData
 
@@ -17,9 +17,13 @@ __all__ = [
     "DataStore",
     "GlobalReward",
     "ImageReward",
+    "NoData",
+    "NoDataStore",
     "NoReward",
     "ResourceReward",
+    "ScanningTime",
     "ScanningTimeReward",
+    "ScanningTimeStore",
     "UniqueImageData",
     "UniqueImageReward",
     "UniqueImageStore",

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import torch
 from torch import Tensor
 
+from bsk_torch.data.store import Data, DataStore  # noqa: F401  bsk_rl has them in this module, too
 from bsk_torch.sim.hooks import check_class
 
 if TYPE_CHECKING:
@@ -142,6 +143,11 @@ class GlobalReward(metaclass=RewarderType):
         if not hasattr(self, "total_name"):
             raise AttributeError("cum_reward is read from the rewarder of an environment: env.rewarder.cum_reward")
         return dict(zip(self.fleet.names, self.fleet.state[self.total_name].unbind(1), strict=True))
+
+    @property
+    def step_duration(self) -> Tensor:
+        """Time that the present step has taken, [N] s; for :meth:`calculate_reward`."""
+        return (self.fleet.ticks - self.fleet.since).double() * self.fleet.h
 
     def read_log(self) -> Log:
         """Return the present log, read at every decision boundary; tensors [N, S, ...] by name."""

@@ -124,6 +124,7 @@ class Tasking(EnvBase):
         self.terminate_on_time_limit = options.terminate_on_time_limit
         self.max_step_duration = float(options.max_step_duration)
         self.scenario, self.rewarder = copy.copy(scenario or Scenario()), composed(rewarder)
+        self.scenario.validate_satellite_names(satellites)
         self.communicator = copy.copy(communicator or NoCommunication())
         randomizer = make_randomizer(sat_arg_randomizer, satellites)
         self.builder = FleetBuilder(satellites, self.scenario, options, randomizer, torch.device(self.device))

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
+from bsk_torch.data import checked
 from bsk_torch.data.base import GlobalReward
 from bsk_torch.env.build import FleetBuilder, link
 from bsk_torch.env.machine import check_memory
@@ -60,7 +61,8 @@ class TrialFleet:
 
     def start(self, rewarder: GlobalReward) -> list[list[UserFunction]]:
         """Start the episodes; return the functions of users of each type, which keep their results from now on."""
-        link(self.fleet, self.scenario, copy.copy(rewarder))
+        self.rewarder = copy.copy(rewarder)
+        link(self.fleet, self.scenario, self.rewarder)
         functions = [group.functions for group in self.groups]
         for function in (each for some in functions for each in some):
             function.begin_trial()
@@ -78,6 +80,17 @@ class TrialFleet:
             state = simulator.state
             state.ticks = state.ticks + state.of_env(self.fleet.all_envs + 1)
             state.touch()
+
+    def score(self) -> None:
+        """Call hooks of rewarder and satellites once, for a step that takes no time; TypeError for results of wrong shapes."""
+        rewarder = self.rewarder
+        log = checked.log(rewarder)
+        checked.reward(rewarder, log, checked.log(rewarder))
+        checked.terminated(rewarder)
+        checked.truncated(rewarder)
+        checked.counts(rewarder)
+        for group in self.groups:
+            group.satellite.action_mask()
 
     def become(self, other: Fleet) -> None:
         """Put the first environment of another fleet into the place of the first."""
@@ -108,6 +121,8 @@ def try_out(builder: FleetBuilder, rewarder: GlobalReward) -> Trial:
     check_memory(builder.device, n, each * (2 if builder.pool_pays else 1))
     functions = alone.start(rewarder)
     values = alone.observe()
+    if n == 1 and fleet.size == len(builder.names):
+        alone.score()  # with as many environments and satellites as there will be
     if n == 1 or not any(functions):
         return Trial(values, functions, [])
     dimensions = {size for some in functions for function in some for size in function.dimensions()}

@@ -405,6 +405,20 @@ class AccessSatellite(Satellite):
             self._lists.clear()
         return self._known(kind, now, self.allowed(kind), times.expand_as(now))
 
+    @property
+    def window_calculation_time(self) -> Tensor:
+        """End of look-ahead, [N] s since reset."""
+        return self.simulator.access.until  # type: ignore[union-attr]
+
+    def calculate_additional_windows(self, duration: float | Tensor) -> None:
+        """Extend look-ahead by ``duration`` s, one for all or [N], to whole segments and at least one, as in bsk_rl.
+
+        Where it is not positive, nothing changes. :meth:`find_windows` extends to a time instead.
+        """
+        seconds = torch.as_tensor(duration, dtype=torch.float64, device=self.simulator.device)
+        more = torch.where(seconds > 0.0, seconds.clamp(min=self.segment), 0.0)
+        self.find_windows(self.window_calculation_time + more, self.opportunity_types[0])
+
     def look_up(self, table: Tensor, place: Tensor) -> Tensor:
         """Return the entries [N, n, ...] of a table [num_envs, P, ...], such as ``scenario.priority``, for places [N, n]."""
         return self.simulator.look_up(table, place)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from torch import Tensor
 
@@ -182,6 +182,16 @@ class OneModel(OneView):
         return self._whole.satellite.one(self._row)
 
     @property
+    def storageUnit(self) -> StorageUnit:
+        """The store, with ``storageUnitDataOutMsg.read()``; AttributeError for models without one."""
+        return StorageUnit(self)
+
+    @property
+    def instrument(self) -> StorageUnit:
+        """The instrument, with ``nodeBaudRate``, bit/s; AttributeError for models without one."""
+        return StorageUnit(self)
+
+    @property
     def dynamics(self) -> OneModel:
         """The dynamics model of the satellite."""
         return self.satellite.dynamics
@@ -200,6 +210,41 @@ class OneModel(OneView):
     def world(self) -> OneView:
         """Sun, Earth and ground stations."""
         return self.simulator.world
+
+
+class StorageMessage(NamedTuple):
+    """What Basilisk's store reports: data and capacity, bit, and data of each partition, bit, with their names."""
+
+    storageLevel: float
+    storageCapacity: float
+    storedData: Any
+    storedDataName: list[str]
+
+
+class StorageUnit:
+    """Store and instrument of one satellite under the names of Basilisk that bsk_rl's data stores read."""
+
+    def __init__(self, model: OneModel) -> None:
+        """Read a dynamics model; AttributeError for one that stores nothing."""
+        self._model = model
+        _ = model.storage_level
+
+    @property
+    def storageUnitDataOutMsg(self) -> StorageUnit:
+        """The message, which :meth:`read` reads."""
+        return self
+
+    @property
+    def nodeBaudRate(self) -> float:
+        """Rate of the instrument, bit/s, or data of an image, bit."""
+        return self._model.instrument_baud
+
+    def read(self) -> StorageMessage:
+        """Return what is stored now."""
+        model = self._model
+        levels, names = model.partition_levels, model.satellite.sat_args.get("bufferNames")
+        named = [str(k) for k in range(len(levels))] if names is None else list(names)
+        return StorageMessage(model.storage_level, model.satellite.sat_args["dataStorageCapacity"], levels, named)
 
 
 class OneScenario(OneView):

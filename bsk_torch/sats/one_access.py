@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Collection
 from typing import Any, NoReturn
 
+import torch
+
 from bsk_torch.sats.objects import OneTarget, target_table
 from bsk_torch.sats.one import OneSatellite, of_row
 from bsk_torch.sim.access.places import TARGET_KIND
@@ -145,6 +147,12 @@ class OneAccessSatellite(OneSatellite):
         if not pad or not found:
             raise RuntimeError(f"{len(found)} of {n} opportunities of type {types or 'any'} found for {whole.title(self._row)}")
         return found + [found[-1]] * (n - len(found))
+
+    def calculate_additional_windows(self, duration: float) -> None:
+        """Extend look-ahead of this satellite; see :meth:`bsk_torch.sats.AccessSatellite.calculate_additional_windows`."""
+        seconds = torch.zeros_like(self._whole.simulator.sim_time)
+        seconds[self._row] = duration
+        self._whole.calculate_additional_windows(seconds)
 
     def add_access_filter(self, *_: Any, **__: Any) -> NoReturn:
         """Raise AttributeError: filters belong to the satellites of all environments."""

@@ -16,12 +16,11 @@ if TYPE_CHECKING:
     from bsk_torch.sim.fleet import Fleet
     from bsk_torch.sim.state import StateTable
 
-HOOKS = ("calls_user", "draw", "link", "reset", "after_step")
+HOOKS = ("validate_satellite_names", "calls_user", "draw", "link", "reset", "after_step")
 """Members of :class:`Scenario` that subclasses may define."""
 
 UNUSED = {
     "link_satellites": "define link(fleet)",
-    "validate_satellite_names": "define link(fleet), which finds the names in fleet.names",
     "reset_overwrite_previous": FLEET_MEMORY,
     "reset_pre_sim_init": "define draw(key) for what differs between episodes",
     "reset_during_sim_init": "define draw(key) for what differs between episodes",
@@ -89,6 +88,9 @@ class Scenario:
             ``world_args``.
         """
         return {}
+
+    def validate_satellite_names(self, satellites: Sequence[Any]) -> None:
+        """Raise ValueError for satellites whose names do not fit; called first when an environment is built, as in bsk_rl."""
 
     def link(self, fleet: Fleet) -> None:
         """Prepare for the satellites of an environment; called once when it is built.

@@ -208,7 +208,6 @@ def test_tensors_that_may_be_kept():
     ("name", "advice"),
     [
         ("link_satellites", r"define link\(fleet\)"),
-        ("validate_satellite_names", r"define link\(fleet\), which finds the names in fleet.names"),
         ("reset_overwrite_previous", r"keep values .* in self.fleet.memory"),
         ("reset_pre_sim_init", r"define draw\(key\)"),
         ("reset_during_sim_init", r"define draw\(key\)"),
@@ -278,3 +277,13 @@ def test_hooks_run_in_an_environment():
     scenario.calls.clear()
     env.step(TensorDict({"action": torch.tensor([0, 0])}, env.batch_size))
     assert scenario.calls == ["after_step [5.0, 5.0]"]
+
+
+def test_names_of_satellites_are_validated_first():
+    class Named(scene.UniformNadirScanning):
+        def validate_satellite_names(self, satellites):
+            if "Chief" not in [satellite.name for satellite in satellites]:
+                raise ValueError("there must be a Chief")
+
+    with pytest.raises(ValueError, match="there must be a Chief"):
+        SatelliteTasking(sats.ImagingSatellite("A"), Named(), data.NoReward())
