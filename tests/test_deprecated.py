@@ -95,7 +95,7 @@ def equal(first: Any, second: Any) -> bool:
 def owners():
     """An object of each class with renamed attributes, by the name of the class."""
     env = SatelliteTasking(ScanningSatellite("A"), num_envs=2, backend="eager", time_limit=300.0)
-    env.reset(seed=0)
+    env.reset()
     simulator = env.simulator
     return {
         "Fleet": env.fleet,

@@ -26,6 +26,7 @@ from bsk_torch.data.mapped import for_batch
 from bsk_torch.env import hints
 from bsk_torch.env.build import FleetBuilder, link
 from bsk_torch.env.changes import Change, LiveArguments, apply, episodes, of_satellites, of_world, remembered
+from bsk_torch.env.log import StepLog, configure
 from bsk_torch.env.machine import existing_device
 from bsk_torch.env.options import TaskingOptions, TimeLimit
 from bsk_torch.env.pool import EpisodePool
@@ -116,8 +117,7 @@ class Tasking(EnvBase):
             if value is not None and not isinstance(value, kind):
                 raise TypeError(f"{name}={value!r} must be a {kind.__name__}, made with parentheses")
         self.options = options
-        if options.log_level is not None:
-            logging.getLogger("bsk_torch").setLevel(options.log_level)
+        configure(options.log_level, options.log_dir)
         if options.failure_penalty > 0.0:
             logger.warning("failure_penalty=%g rewards failure; it should not be positive", options.failure_penalty)
         self.dtype, self.failure_penalty = common_dtype(options.dtype, satellites), float(options.failure_penalty)
@@ -140,6 +140,8 @@ class Tasking(EnvBase):
         self.communicator.attach(self.fleet)
         if self.pool is not None:
             self._share_search_range(self.pool.fleet)
+        recorded = options.log_level is not None or options.log_dir is not None
+        self.log = StepLog(self.fleet, self.scenario, options.log_envs) if recorded else None
         trial.decide(self.fleet.groups)  # type: ignore[arg-type]
         self._make_specs(trial.values)
         self.longest_ticks = math.ceil(whole_nanoseconds(min(self.max_step_duration, ENDLESS)) / self.simulator.h_ns)
@@ -327,6 +329,8 @@ class Tasking(EnvBase):
         for group in self.fleet.groups:
             rows = group.task.rows_of(envs)
             group.task.dead = group.task.dead.index_copy(0, rows, ~group.satellite.is_alive()[rows])
+        if self.log is not None and self.log.shows():
+            self.log.began(envs, state.seed, state.episode)
 
     # -- arguments of later episodes ----------------------------------------------------------------------------------
 
@@ -417,6 +421,10 @@ class Tasking(EnvBase):
         before = checked.log(self.rewarder)
         for group, action, mine in zip(fleet.groups, actions, acts, strict=True):
             group.command(action, mine, all_act)
+        log = self.log if self.log is not None and self.log.shows(logging.WARNING) else None
+        if log is not None:
+            log.decided(acts)
+            known = log.before()
         fleet.run(moves, self.state.limit_ticks, self.longest_ticks)
         reward = checked.reward(self.rewarder, before, checked.log(self.rewarder)) * moves.unsqueeze(-1)
         totals.add(self.rewarder, reward, moves)
@@ -427,7 +435,10 @@ class Tasking(EnvBase):
         for group in fleet.groups:
             group.simulator.state.memory.touch()
             group.task.dead = group.task.dead | ~group.satellite.is_alive()
-        return self._judge((fleet.ticks - start) * fleet.h, reward, moves, removed)
+        result = self._judge((fleet.ticks - start) * fleet.h, reward, moves, removed)
+        if log is not None:
+            log.after(known, result, moves)
+        return result
 
     def _judge(self, duration: Tensor, reward: Tensor, moves: Tensor, removed: Tensor) -> StepResult:
         """Return the outcome of a step: adds failure penalties [N, S], and says which episodes have ended."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
+from pathlib import Path
 from typing import Any, TypeVar
 
 import torch
@@ -52,7 +53,10 @@ class TaskingOptions:
             orbit, time and accumulators in float64.
         orbit: ``"arc"`` (in advance), ``"integrated"`` (in every tick, with drag), or None for the model's own.
         backend: ``"compiled"``, or ``"eager"`` for debugging.
-        log_level: Level of the package's logger; None leaves it.
+        log_level: Level of the package's logger: ``"INFO"`` records what satellites do, see :mod:`bsk_torch.env.log`; None leaves
+            it.
+        log_dir: Path of a file (as in bsk_rl) that gets the records, too.
+        log_envs: Environments whose satellites are recorded; the first one unless given.
     """
 
     num_envs: int = 1
@@ -71,6 +75,8 @@ class TaskingOptions:
     orbit: str | None = None
     backend: str = "compiled"
     log_level: int | str | None = None
+    log_dir: str | Path | None = None
+    log_envs: Sequence[int] = (0,)
 
     def __post_init__(self) -> None:
         """Check numbers, and translate the type of observations."""
@@ -118,7 +124,9 @@ def parse(kind: type[TaskingOptions], given: Mapping[str, Any]) -> Any:
         if name in ABSENT:
             raise TypeError(f"{name}={given[name]!r} is an option of bsk_rl's environments: {ABSENT[name]}")
         if name not in known:
-            raise TypeError(f"{name}= is not an option of the environment; {nearest(name, known)}")
+            raise TypeError(  # TorchRL's GymEnv tries arguments, and reads whether they were expected in these words
+                f"unexpected keyword argument {name!r}: {name}= is not an option of the environment; {nearest(name, known)}"
+            )
     return kind(**given)
 
 

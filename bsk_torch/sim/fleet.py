@@ -45,6 +45,7 @@ class Task(Protocol):
     dead: Tensor
     requires_retasking: Tensor
     ends: Tensor
+    action: Tensor
     expected: Tensor
 
     def rows_of(self, envs: Tensor) -> Tensor:

@@ -1,0 +1,216 @@
+"""What satellites do in chosen environments, as records of :mod:`logging`: decisions, images, deaths, rewards, ends.
+
+The logger of a satellite is ``bsk_torch.sats.<name>``, that of an environment ``bsk_torch.env``. Records have the attributes
+``env`` (row), ``episode``, ``sim_time`` (s since reset), ``satellite`` (None for an environment) and ``event``, one of
+:data:`EVENTS`, and those that the functions below name. Nothing is read from the simulation where the level is not enabled.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from torch import Tensor
+
+from bsk_torch.sim.fleet import Fleet
+
+ROOT = "bsk_torch"
+
+EVENTS = ("began", "chose", "took", "counted", "died", "idle", "legal", "step", "ended")
+"""A new episode; a decision; an image; another counter that grew; a death; a satellite without task; its legal actions (of level
+DEBUG); a step; the episode's end."""
+
+Fields = dict[str, Any]
+
+
+class SimulationFormatter(logging.Formatter):
+    """One line for each record: wall clock, logger, level, time since reset, environment and satellite, message."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        """Return the line."""
+        where = f"<{record.sim_time:.2f}> " if hasattr(record, "sim_time") else ""
+        who = getattr(record, "satellite", None)
+        where += f"env {record.env} " if getattr(record, "several", False) else ""  # type: ignore[attr-defined]
+        title = record.name.removeprefix(f"{ROOT}.")
+        line = (
+            f"{self.formatTime(record)} {title:<24} {record.levelname:<8} {where}{f'{who}: ' if who else ''}{record.getMessage()}"
+        )
+        return f"{line}\n{self.formatException(record.exc_info)}" if record.exc_info else line
+
+
+def configure(level: int | str | None, file: str | Path | None) -> None:
+    """Set the package's logger up.
+
+    A level shows records on standard error unless the program has handlers of its own. A file gets the records, too; it is
+    appended to. As in bsk_rl, the level is WARNING where only a file is given.
+
+    Args:
+        level: Level of the logger ``bsk_torch``, such as ``"INFO"``; None leaves it.
+        file: Path of the file, ``log_dir`` of an environment; None for none.
+
+    Raises:
+        ValueError: For an unknown level, or a folder instead of a file.
+    """
+    logger = logging.getLogger(ROOT)
+    if level is not None or file is not None:
+        logger.setLevel(read_level("WARNING" if level is None else level))
+    if level is not None and not logger.hasHandlers():
+        _add(logger, logging.StreamHandler())
+    if file is None:
+        return
+    path = Path(file).absolute()
+    if path.is_dir():
+        raise ValueError(f"log_dir={str(file)!r} is a folder; as in bsk_rl it is the path of a file, such as 'runs/log.txt'")
+    open_files = [handler.baseFilename for handler in logger.handlers if isinstance(handler, logging.FileHandler)]
+    if str(path) not in open_files:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        _add(logger, logging.FileHandler(path))
+
+
+def read_level(level: int | str) -> int | str:
+    """Return a level as :mod:`logging` takes it; ValueError for an unknown one."""
+    names = logging.getLevelNamesMapping() if hasattr(logging, "getLevelNamesMapping") else logging._nameToLevel
+    if isinstance(level, str) and level.upper() not in names:
+        raise ValueError(f"log_level={level!r} must be one of {sorted(names)}, or a number")
+    return level.upper() if isinstance(level, str) else level
+
+
+def _add(logger: logging.Logger, handler: logging.Handler) -> None:
+    handler.setFormatter(SimulationFormatter())
+    logger.addHandler(handler)
+
+
+class StepLog:
+    """Records of the environments ``envs`` of a fleet. Call :meth:`decided`, :meth:`before` and :meth:`after` in every step."""
+
+    def __init__(self, fleet: Fleet, scenario: Any, envs: Sequence[int]) -> None:
+        """Check the rows; ValueError for one that does not exist."""
+        for env in envs:
+            if not 0 <= env < fleet.num_envs:
+                raise ValueError(f"log_envs has {env}; it must hold rows from 0 to {fleet.num_envs - 1}")
+        self.fleet, self.scenario, self.envs = fleet, scenario, list(envs)
+        self.logger = logging.getLogger(f"{ROOT}.env")
+        self.loggers = {name: logging.getLogger(f"{ROOT}.sats.{name}") for name in fleet.names}
+
+    def shows(self, level: int = logging.INFO) -> bool:
+        """Return whether records of a level are wanted."""
+        return self.logger.isEnabledFor(level)
+
+    # -- moments of a step --------------------------------------------------------------------------------------------
+
+    def began(self, envs: Tensor, seeds: Tensor, episodes: Tensor) -> None:
+        """Record new episodes in ``envs`` [n]: ``seed`` and ``episode``."""
+        new = set(envs.tolist())
+        for env in [env for env in self.envs if env in new]:
+            seed, episode = int(seeds[env]), int(episodes[env])
+            self._env(env, "began", "episode %d of seed %d begins", episode, seed, fields={"seed": seed})
+
+    def decided(self, acts: Sequence[Tensor]) -> None:
+        """Record decisions that have been entered, where ``acts`` [N * count] of each type: ``action``, ``target``, ``ends``."""
+        if not self.shows():
+            return
+        for k, group in enumerate(self.fleet.groups):
+            names, ticks, h = group.satellite.action_description, group.task.ends, self.fleet.h
+            for env, name, row in self._rows(k):
+                if not bool(acts[k][row]):
+                    continue
+                action, ends = int(group.task.action[row]), int(ticks[row]) * h
+                known = action >= 0
+                title = names[action] if known else "a target by its index"
+                target = self._target(group.satellite, env, row) if self._images(group.satellite, action) else None
+                fields = {"action": action, "action_name": title, "target": target, "ends": ends}
+                text = "%s, until %.1f s at the latest" if target is None else "%s, until %.1f s at the latest: %s"
+                self._satellite(name, env, "chose", text, title, ends, *([target] if target else []), fields=fields)
+
+    def before(self) -> list[dict[str, Tensor]]:
+        """Return the counters and deaths of each type before a run, for :meth:`after`."""
+        return [{**group.satellite.counts(), "dead": group.task.dead} for group in self.fleet.groups]
+
+    def after(self, old: Sequence[Mapping[str, Tensor]], result: Any, moves: Tensor) -> None:
+        """Record what has happened in a step of the episodes ``moves`` [N].
+
+        ``took`` has ``target``; ``counted`` ``counter`` and ``count``; ``died`` ``checks``; ``legal`` ``action_mask``; ``step``
+        ``duration`` and ``reward``, of all satellites; ``ended`` ``terminated`` and ``truncated``.
+        """
+        flown = [env for env in self.envs if bool(moves[env])]
+        for k, group in enumerate(self.fleet.groups):
+            counts, checks = group.satellite.counts(), None
+            for env, name, row in self._rows(k):
+                if env not in flown:
+                    continue
+                for counter, count in counts.items():
+                    grown = int(count[row]) - int(old[k][counter][row])
+                    if grown > 0:
+                        self._counted(group.satellite, name, env, row, counter, grown)
+                if bool(group.task.dead[row]) and not bool(old[k]["dead"][row]):
+                    checks = group.satellite.aliveness() if checks is None else checks
+                    failed = [check for check, alive in checks.items() if not bool(alive[row])]
+                    text, fields = "died: %s failed", {"checks": failed}
+                    self._satellite(name, env, "died", text, ", ".join(failed), fields=fields, level=logging.WARNING)
+                elif bool(group.task.requires_retasking[row]):
+                    self._satellite(name, env, "idle", "needs a task", fields={})
+                if self.shows(logging.DEBUG):
+                    self._legal(group.satellite, name, env, row)
+        for env in flown if self.shows() else ():
+            self._outcome(env, result)
+
+    # -- records ------------------------------------------------------------------------------------------------------
+
+    def _counted(self, satellite: Any, name: str, env: int, row: int, counter: str, grown: int) -> None:
+        if counter in ("imaged", "missed"):
+            target = self._target(satellite, env, row)
+            event = "took" if counter == "imaged" else "counted"
+            self._satellite(
+                name, env, event, f"{counter} %s", target, fields={"target": target, "counter": counter, "count": grown}
+            )
+        else:
+            self._satellite(name, env, "counted", "%s + %d", counter, grown, fields={"counter": counter, "count": grown})
+
+    def _legal(self, satellite: Any, name: str, env: int, row: int) -> None:
+        mask = satellite.action_mask()[row].tolist()
+        legal = [action for action, may in zip(satellite.action_description, mask, strict=True) if may]
+        self._satellite(name, env, "legal", "may %s", ", ".join(legal), fields={"action_mask": mask}, level=logging.DEBUG)
+
+    def _outcome(self, env: int, result: Any) -> None:
+        duration, rewards = float(result.duration[env]), result.reward[env].tolist()
+        paid = {name: reward for name, reward in zip(self.fleet.names, rewards, strict=True) if reward}
+        fields = {"duration": duration, "reward": dict(zip(self.fleet.names, rewards, strict=True))}
+        text = ", ".join(f"{name} {reward:.6g}" for name, reward in paid.items()) or "0"
+        self._env(env, "step", "step of %.1f s, reward: %s", duration, text, fields=fields)
+        ends = {"terminated": bool(result.terminated[env]), "truncated": bool(result.truncated[env])}
+        if any(ends.values()):
+            self._env(env, "ended", "episode %s", " and ".join(name for name, is_so in ends.items() if is_so), fields=ends)
+
+    def _satellite(
+        self, name: str, env: int, event: str, text: str, *args: Any, fields: Fields, level: int = logging.INFO
+    ) -> None:
+        if self.shows(level):
+            self.loggers[name].log(level, text, *args, extra=self._extra(env, event) | {"satellite": name} | fields)
+
+    def _env(self, env: int, event: str, text: str, *args: Any, fields: Fields) -> None:
+        if self.shows():
+            self.logger.info(text, *args, extra=self._extra(env, event) | {"satellite": None} | fields)
+
+    def _extra(self, env: int, event: str) -> Fields:
+        episode, time = int(self.fleet.state["episode"][env]), float(self.fleet.sim_time[env])
+        return {"env": env, "episode": episode, "sim_time": time, "event": event, "several": len(self.envs) > 1}
+
+    # -- reading ------------------------------------------------------------------------------------------------------
+
+    def _rows(self, k: int) -> list[tuple[int, str, int]]:
+        """Return environment, name and row of each satellite of type ``k`` in the environments that are recorded."""
+        names = self.fleet.groups[k].satellite.names
+        return [(env, name, env * len(names) + m) for env in self.envs for m, name in enumerate(names)]
+
+    @staticmethod
+    def _images(satellite: Any, action: int) -> bool:
+        """Return whether an action chooses a target."""
+        entry = satellite.actions.entries[satellite.actions.entry_of(action)]
+        return hasattr(satellite, "latest_target") and entry.n_negative_actions > 0
+
+    def _target(self, satellite: Any, env: int, row: int) -> str | None:
+        """Return the name of the target that a satellite has chosen last."""
+        target = int(satellite.latest_target[row])
+        return None if target < 0 else self.scenario.names(env)[target]

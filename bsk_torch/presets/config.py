@@ -1,0 +1,60 @@
+"""Presets in configurations of TorchRL's recipes, as ``torchrl.trainers.algorithms.configs`` has them for other libraries.
+
+A recipe names a preset in its YAML file::
+
+    defaults:
+      - env@training_env: bsk_torch
+    training_env:
+      name: NadirScan-v1
+      num_envs: 64
+      options: {time_limit: 5700.0}
+
+after ``bsk_torch.presets.config.register()``; ``hydra.utils.instantiate(cfg.training_env)`` then returns the environment.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from omegaconf import MISSING
+
+from bsk_torch.presets import make
+
+
+@dataclass
+class PresetEnvConfig:
+    """Configuration of a preset's environment.
+
+    Attributes:
+        name: One of :data:`bsk_torch.presets.PRESETS`.
+        num_envs: Number of episodes.
+        seed: Seed of all draws; None for a random one.
+        device: Where the simulation runs.
+        backend: ``"compiled"`` or ``"eager"``.
+        options: Further arguments of the preset, such as ``time_limit``.
+    """
+
+    name: str = MISSING
+    num_envs: int = 1
+    seed: int | None = None
+    device: str = "cpu"
+    backend: str = "compiled"
+    options: dict[str, Any] = field(default_factory=dict)
+    _partial_: bool = False
+    _target_: str = "bsk_torch.presets.config.make_env"
+
+
+def make_env(name: str, options: Mapping[str, Any] | None = None, **arguments: Any) -> Any:
+    """Return the environment of a :class:`PresetEnvConfig`; see :func:`bsk_torch.make`."""
+    return make(name, **arguments, **(options or {}))
+
+
+def register(group: str = "env", name: str = "bsk_torch") -> None:
+    """Put :class:`PresetEnvConfig` into Hydra's store, beside TorchRL's own; ImportError without Hydra."""
+    try:
+        from hydra.core.config_store import ConfigStore
+    except ImportError as error:
+        raise ImportError("recipes of TorchRL are configured with Hydra: pip install hydra-core") from error
+    ConfigStore.instance().store(group=group, name=name, node=PresetEnvConfig)
