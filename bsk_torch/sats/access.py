@@ -89,7 +89,7 @@ class AccessSatellite(Satellite):
     def __init__(
         self,
         name: str,
-        sat_args: Mapping[str, Any] | None = None,
+        sat_args: Mapping[str, Any] | Callable[[], Mapping[str, Any]] | None = None,
         *,
         generation_duration: float = 600.0,
         initial_generation_duration: float | None = None,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from typing import Any, ClassVar
 
 import torch
@@ -31,10 +32,13 @@ class ImagingSatellite(AccessSatellite):
     view_type: ClassVar[type[OneSatellite]] = OneImagingSatellite
     target_types: str = "target"
 
-    def __init__(self, name: str, sat_args: dict[str, Any] | None = None, **options: Any) -> None:
+    def __init__(
+        self, name: str, sat_args: Mapping[str, Any] | Callable[[], Mapping[str, Any]] | None = None, **options: Any
+    ) -> None:
         """See :class:`~bsk_torch.sats.access.AccessSatellite`; the store has one partition, for images."""
-        buffers = {"bufferNames": [BUFFER], "transmitterNumBuffers": 1}
-        super().__init__(name, {**(sat_args or {}), **buffers}, **options)
+        super().__init__(name, sat_args, **options)
+        self.sat_args_generator["bufferNames"] = [BUFFER]
+        self.sat_args_generator["transmitterNumBuffers"] = 1
 
     def on_bind(self) -> None:
         """See :meth:`Satellite.on_bind`."""

@@ -268,3 +268,17 @@ def test_the_old_form_of_circular_orbits_says_what_does_not_count(caplog):
     assert not caplog.records
     rand.random_orbit(a=7000.0, alt=600.0)
     assert "a=7000.0, e=0.0 and omega=None do not count" in caplog.text
+
+
+def test_one_function_for_all_arguments_of_an_imaging_satellite():
+    class Imager(sats.ImagingSatellite):
+        observation_spec = (obs.Time(),)
+        action_spec = (act.Charge(duration=30.0),)
+
+    imager = Imager("EO1", lambda: dict(storedCharge_Init=np.random.uniform(1e5, 2e5), mass=100.0))
+    assert imager.sat_args_generator["bufferNames"] == ["image_buffer"]
+    env = SatelliteTasking(imager, num_envs=2, seed=0, backend="eager")
+    env.reset()
+    charge, mass = (env.satellite.sat_args[name] for name in ("storedCharge_Init", "mass"))
+    assert charge[0] != charge[1]
+    assert mass.tolist() == [100.0, 100.0]
