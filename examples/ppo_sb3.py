@@ -26,15 +26,20 @@ from torch import Tensor
 
 from bsk_torch.presets import make
 from bsk_torch.rl.evaluation import compare, comparison_table
-from bsk_torch.wrappers.stable_baselines3 import SB3VecEnv
+from bsk_torch.wrappers.stable_baselines3 import MetricsCallback, SB3VecEnv
 
 LEAST = 0.05
 """Fraction of the learning rate that is left at the end."""
 
 
+def metrics(env: Any) -> dict[str, Any]:
+    """Return what MetricsCallback logs of each episode when it ends, as ``episode/charge``: numbers [N] by name."""
+    return {"charge": env.satellite.dynamics.battery_charge_fraction}
+
+
 def make_env(options: argparse.Namespace, world: dict[str, Any]) -> VecNormalize:
     """The environment to train in, with episodes on record and observations of mean 0 and variance 1."""
-    return VecNormalize(VecMonitor(SB3VecEnv(options.preset, options.num_envs, **world)), norm_reward=False)
+    return VecNormalize(VecMonitor(SB3VecEnv(options.preset, options.num_envs, metrics=metrics, **world)), norm_reward=False)
 
 
 def make_model(options: argparse.Namespace, env: VecNormalize) -> MaskablePPO:
@@ -92,7 +97,7 @@ def main() -> None:
     env = make_env(options, world)
     model = make_model(options, env)
     begin = time.perf_counter()
-    model.learn(options.steps, log_interval=10)
+    model.learn(options.steps, log_interval=10, callback=MetricsCallback())
     seconds = time.perf_counter() - begin
     out = options.out or Path("runs") / f"{options.preset}_sb3_{datetime.now():%Y%m%d-%H%M%S}"
     out.mkdir(parents=True, exist_ok=True)
