@@ -43,7 +43,6 @@ MODULES: dict[str, str] = {
     "bsk_torch.sim.solver": "bsk_torch.sim.orbit.solvers",
     "bsk_torch.sim.span": "bsk_torch.sim.orbit.equations",
     "bsk_torch.sim.sky": "bsk_torch.sim.environment.ephemeris",
-    "bsk_torch.sim.world": "bsk_torch.sim.environment.world",
     "bsk_torch.sim.search": "bsk_torch.sim.access.passes",
     "bsk_torch.sim.sight": "bsk_torch.sim.access.visibility",
     "bsk_torch.sim.eclipse": "bsk_torch.sim.access.eclipses",
@@ -104,9 +103,10 @@ SPLIT: dict[str, str] = {
     "bsk_torch.rl.training": "bsk_torch.rl.training.trainer",
     "bsk_torch.sim.access": "bsk_torch.sim.access.windows",
     "bsk_torch.sim.orbit": "bsk_torch.sim.orbit.arcs",
+    "bsk_torch.sim.world": "bsk_torch.sim.environment.world",
     "bsk_torch.viz.report": "bsk_torch.viz.report.page",
 }
-"""Modules that are packages now: to the module that holds their contents."""
+"""Modules that are packages, or hold something else, now: to the module that holds their contents."""
 
 NAMES: dict[str, dict[str, str]] = {
     "bsk_torch.act": {"never": "forbid", "of_target": "image_target", "only": "allow_only"},

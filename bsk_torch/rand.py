@@ -8,14 +8,18 @@ random numbers: as easy as 1, 2, 3", 2011).
 from __future__ import annotations
 
 import math
+import random
 import zlib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
+
+from bsk_torch.astro.elements import ClassicElements
 
 WORD_MASK = 0xFFFFFFFF
 """Lowest 32 bits."""
@@ -92,6 +96,12 @@ class Key:
         parts = zip(*(torch.split(x, rows) for x in (self.seed, self.env_id, self.episode, satellite)), strict=True)
         return [Key(seed, env_id, episode, self.name, index) for seed, env_id, episode, index in parts]
 
+    def take(self, rows: Sequence[int]) -> Key:
+        """Return the key of some of its environments."""
+        index = torch.tensor(rows, dtype=torch.int64)
+        satellite = None if self.satellite is None else self.satellite[index]
+        return Key(self.seed[index], self.env_id[index], self.episode[index], self.name, satellite)
+
     def uniform(self, count: int) -> Tensor:
         """Return uniform float64 numbers in [0, 1), [n, count], with 53 random bits each."""
         rows = max(1, BLOCKS_AT_ONCE // max(1, (count + 1) // 2))
@@ -146,6 +156,48 @@ def first_key(n: int) -> Key:
     """Return the key of the first episodes of environments 0 to n - 1 under seed 0, for trial draws."""
     zeros = torch.zeros(n, dtype=torch.int64)
     return Key(zeros, torch.arange(n), zeros)
+
+
+# -- functions of users ----------------------------------------------------------------------------------------------------------
+
+_drawing = False
+"""Whether a function of the user's is being called to draw a value."""
+
+
+@contextmanager
+def seeded(key: Key, anew: bool = False) -> Iterator[Iterator[Key]]:
+    """Seed the global generators of NumPy, ``random`` and torch for functions of the user that draw values with them.
+
+    Iterating over the result gives the key of each environment, and seeds the generators from it before; what a function draws
+    then depends on nothing but the key. Their states are put back at the end. Where one of these contexts contains another, the
+    outer one seeds, unless the inner one begins ``anew``.
+    """
+    global _drawing
+    rows = (key.take([k]) for k in range(len(key)))
+    if _drawing and not anew:
+        yield rows
+        return
+    states, within = (np.random.get_state(), random.getstate(), torch.default_generator.get_state()), _drawing
+    _drawing = True
+    try:
+        yield _seeded_rows(key, rows)
+    finally:
+        _drawing = within
+        np.random.set_state(states[0])
+        random.setstate(states[1])
+        torch.default_generator.set_state(states[2])
+
+
+def _seeded_rows(key: Key, rows: Iterator[Key]) -> Iterator[Key]:
+    words = (key.named(f"{key.name} functions").uniform(3) * 2.0**32).long().tolist()
+    for row, (first, second, third) in zip(rows, words, strict=True):
+        np.random.seed([first, second])
+        random.seed(second << 32 | third)
+        torch.default_generator.manual_seed(third << 32 | first)
+        yield row
+
+
+# -- distributions ---------------------------------------------------------------------------------------------------------------
 
 
 class Distribution:
@@ -265,8 +317,13 @@ def random_orbit(
     Omega: float | None = None,
     omega: float | None = None,
     f: float | None = None,
-) -> RandomOrbit:
+    alt: float | None = None,
+    r_body: float = 6371.0,
+) -> Any:
     """Return a distribution of orbital elements, as bsk_rl's.
+
+    Within a function of the user that draws a value, it returns drawn elements instead,
+    :class:`~bsk_torch.astro.elements.ClassicElements`, from NumPy's global generator.
 
     Args:
         i: Inclination, degrees; None for uniform in [-180, 180).
@@ -275,8 +332,63 @@ def random_orbit(
         Omega: Right ascension of the ascending node, degrees; None for uniform in [0, 360).
         omega: Argument of perigee, degrees; likewise.
         f: True anomaly, degrees; likewise.
+        alt: Altitude above ``r_body``, km, of a circular orbit with ``omega = 0``, in place of ``a``, ``e`` and ``omega``; the
+            old form of :func:`random_circular_orbit`.
+        r_body: Radius from which ``alt`` counts, km.
     """
-    return RandomOrbit(a * 1e3, e, i, Omega, omega, f)
+    if alt is not None:
+        return random_circular_orbit(i, alt, r_body, Omega, f)
+    orbit = RandomOrbit(a * 1e3, e, i, Omega, omega, f)
+    return _elements(orbit) if _drawing else orbit
+
+
+def random_circular_orbit(
+    i: float | None = None,
+    alt: float = 500.0,
+    r_body: float = 6371.0,
+    Omega: float | None = None,
+    f: float | None = None,
+) -> Any:
+    """Return a distribution of circular orbits with argument of perigee zero; like :func:`random_orbit`.
+
+    Args:
+        i: Inclination, degrees; None for uniform in [-180, 180).
+        alt: Altitude above ``r_body``, km.
+        r_body: Radius from which ``alt`` counts, km.
+        Omega: Right ascension of the ascending node, degrees; None for uniform in [0, 360).
+        f: True anomaly, degrees; likewise.
+    """
+    return random_orbit(i, r_body + alt, 0.0, Omega, 0.0, f)
+
+
+def _elements(orbit: RandomOrbit) -> ClassicElements:
+    """Return elements that NumPy's global generator draws, in the order of bsk_rl's draws."""
+    angles = []
+    for k, angle in enumerate((orbit.i, orbit.Omega, orbit.omega, orbit.f)):
+        low, high = (-math.pi, math.pi) if k == 0 else (0.0, 2.0 * math.pi)
+        angles.append(float(np.random.uniform(low, high)) if angle is None else math.radians(angle))
+    return ClassicElements(orbit.a, orbit.e, *angles)
+
+
+@dataclass(frozen=True)
+class UnitVector(Distribution):
+    """Directions that are uniform over the sphere, [n, 3]."""
+
+    def draw(self, key: Key) -> Tensor:
+        """See :meth:`Distribution.draw`."""
+        vector = key.normal(3)
+        return vector / torch.linalg.vector_norm(vector, dim=-1, keepdim=True)
+
+
+def random_unit_vector() -> Any:
+    """Return a distribution of unit vectors that are uniform over the sphere.
+
+    Within a function of the user that draws a value, it returns a drawn vector [3] instead, from NumPy's global generator.
+    """
+    if not _drawing:
+        return UnitVector()
+    vector = np.random.randn(3)
+    return vector / np.linalg.norm(vector)
 
 
 @dataclass(frozen=True)
@@ -288,20 +400,34 @@ class RandomEpoch(Distribution):
 
     def draw(self, key: Key) -> list[str]:
         """See :meth:`Distribution.draw`."""
-        u = key.uniform(7)
-        spans = torch.tensor([self.end - self.start, 12, 27, 23, 59, 59, 999], device=u.device)
-        rows = (u * spans).long().tolist()
+        return self.at(key.uniform(7))
+
+    def at(self, u: Tensor | np.ndarray[Any, Any]) -> list[str]:
+        """Return the epochs for uniform numbers in [0, 1), [n, 7]."""
+        spans = torch.tensor([self.end - self.start, 12, 27, 23, 59, 59, 999])
+        rows = (torch.as_tensor(u).cpu() * spans).long().tolist()
         return [
             f"{self.start + y} {MONTHS[mo]} {1 + d:02d} {h:02d}:{mi:02d}:{s:02d}.{ms:03d} (UTC)"
             for y, mo, d, h, mi, s, ms in rows
         ]
 
 
-def random_epoch(start: int = 2000, end: int = 2022) -> RandomEpoch:
+def random_epoch(start: int = 2000, end: int = 2022) -> Any:
     """Return a distribution of epochs in the years ``start`` to ``end - 1``.
 
-    As in bsk_rl, days are at most 27, hours 22, minutes and seconds 58 and milliseconds 998. ValueError for an empty range.
+    As in bsk_rl, days are at most 27, hours 22, minutes and seconds 58 and milliseconds 998. Within a function of the user
+    that draws a value, it returns a drawn epoch instead, from NumPy's global generator. ValueError for an empty range.
     """
     if not start < end:
         raise ValueError(f"random_epoch(start={start}, end={end}): the first year must come before the last")
-    return RandomEpoch(start, end)
+    epochs = RandomEpoch(start, end)
+    return epochs.at(np.random.rand(1, 7))[0] if _drawing else epochs
+
+
+MAKERS = (random_orbit, random_circular_orbit, random_unit_vector, random_epoch)
+"""Functions that return a distribution where they are called without arguments."""
+
+
+def as_value(given: Any) -> Any:
+    """Return the value of an argument, which for :func:`random_orbit` and the like, given uncalled, is what they return."""
+    return given() if any(given is maker for maker in MAKERS) else given

@@ -167,7 +167,7 @@ def test_submodules_move_with_their_package():
 
 
 def test_the_warning_points_to_the_users_line():
-    code = "import bsk_torch\nimport bsk_torch.sim.world\nfrom bsk_torch.sim.orbit import Arcs\n"
+    code = "import bsk_torch\nimport bsk_torch.sim.sky\nfrom bsk_torch.sim.orbit import Arcs\n"
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     lines = [line.split(": ")[0] for line in result.stderr.splitlines() if "DeprecationWarning" in line]
     assert lines == ["<string>:2", "<string>:3"]

@@ -193,6 +193,22 @@ class ActionBuilder:
         )
         self._all_legal = torch.ones_like(satellite.simulator.ticks, dtype=torch.bool).unsqueeze(1).expand(-1, self.n_actions)
         self._table, self._table_draws = cast("ActionTable | None", None), -1
+        self._keys = self._shared_keys()
+
+    def _shared_keys(self) -> Tensor | None:
+        """Return the key of each action, [n_actions], where several entries give one command; None where keys are numbers.
+
+        An action that repeats the command of the last one lets it go on, whatever the durations of both: as in bsk_rl the command
+        is the key.
+        """
+        first: dict[str, int] = {}
+        keys = list(range(self.n_actions))
+        for k in self._fixed:
+            command = getattr(self.entries[k], "fsw_action", None)
+            if command is not None and self.entries[k].n_actions == 1:
+                keys[self._starts[k]] = first.setdefault(command, self._starts[k])
+        shared = keys != list(range(self.n_actions))
+        return torch.tensor(keys, device=self._all_legal.device) if shared else None
 
     @property
     def description(self) -> list[str]:
@@ -240,7 +256,8 @@ class ActionBuilder:
         if len(self._deciding) == len(self.entries) == 1:
             return self._decided(0, acts, action, previous)
         column = action.clamp(min=0) if self.n_negative_actions else action
-        decision = self.table().decision(column, action, previous)
+        key = action if self._keys is None else torch.where(action < 0, action, self._keys[column])
+        decision = self.table().decision(column, key, previous)
         for k in self._deciding:
             part, mask = self._decided(k, acts, action, previous), self._rows_of(k, action)
             decision = Decision(*(torch.where(mask, new, old) for new, old in zip(part, decision, strict=True)))

@@ -25,7 +25,7 @@ class DiscreteFSWAction(Action):
         """Command a mode of the flight software.
 
         Args:
-            fsw_action: Command of the flight-software model, such as ``"charge"``.
+            fsw_action: Command of the flight-software model, such as ``"charge"``, or ``"action_charge"`` as bsk_rl writes it.
             name: Name in ``action_description``; that of the command unless given.
             duration: Time until the action ends, s; None for 1e9 s.
             reset_task: Whether a repeated action enters the mode again.
@@ -42,6 +42,8 @@ class DiscreteFSWAction(Action):
     def link_satellite(self, satellite: Satellite) -> None:
         """See :meth:`Action.link_satellite`; ValueError if the flight software has no such command."""
         super().link_satellite(satellite)
+        if self.fsw_action not in satellite.simulator.commands:
+            self.fsw_action = self.fsw_action.removeprefix("action_")
         satellite.simulator.check_command(self.fsw_action)
 
     def table(self) -> ActionTable:

@@ -16,7 +16,6 @@ a function compiled with `fullgraph=True`.
 from __future__ import annotations
 
 import math
-import re
 from bisect import bisect_right
 from datetime import datetime, timedelta
 from functools import cache
@@ -28,6 +27,8 @@ import torch
 from numpy.polynomial import chebyshev
 from numpy.typing import NDArray
 from torch import Tensor
+
+from bsk_torch.astro.epochs import read_epoch
 
 _Array = NDArray[np.float64]
 
@@ -68,11 +69,6 @@ LEAP_SECONDS = (
 """TAI - UTC in s from the first day of each (year, month) on, as far back as the Sun table needs (naif0012)."""
 
 _J2000 = datetime(2000, 1, 1, 12)
-_MONTHS = ("JAN", "FEB", "MAR", "APR", "MAY", "JUN", "JUL", "AUG", "SEP", "OCT", "NOV", "DEC")
-_CLOCK = r"(\d{1,2}):(\d{2}):(\d{2}(?:\.\d*)?)"
-_NAIF_FORM = re.compile(rf"\s*(\d{{4}})\s+([A-Z]{{3}})\s+(\d{{1,2}})\s+{_CLOCK}\s*(?:\(UTC\)|UTC)?\s*", re.I | re.A)
-_ISO_FORM = re.compile(rf"\s*(\d{{4}})-(\d{{2}})-(\d{{2}})T{_CLOCK}Z?\s*", re.I | re.A)
-_EXPECTED = "'2021 FEB 05 09:12:05.830 (UTC)' or '2021-02-05T09:12:05.830Z'"
 
 
 class _Series(NamedTuple):
@@ -96,13 +92,13 @@ class _SunTable(NamedTuple):
 _TABLES: dict[torch.device, _SunTable] = {}
 
 
-def parse_utc(text: str) -> float:
-    """Convert a UTC string to ET.
+def parse_utc(text: str | datetime) -> float:
+    """Convert an epoch to ET.
 
     Args:
-        text: The epoch as "2021 FEB 05 09:12:05.830 (UTC)", where the month's case, the fraction and the suffix are
-            free, or as ISO 8601 "2021-02-05T09:12:05.830Z", where the fraction and the Z are optional.  Second 60 is
-            accepted where a leap second was inserted.
+        text: The epoch in a form that SPICE reads, such as "2021 FEB 05 09:12:05.830 (UTC)" or "2021-02-05T09:12:05.830Z" (see
+            :mod:`bsk_torch.astro.epochs`); UTC unless it says TDB, TDT or TT. Second 60 is accepted where a leap second was
+            inserted. Or a ``datetime``, UTC unless it has a time zone.
 
     Returns:
         ET in s past J2000, rounded to about 1e-7 s.
@@ -110,13 +106,12 @@ def parse_utc(text: str) -> float:
     Raises:
         ValueError: If the text has another form, names no real date or time, or lies outside the Sun table.
     """
-    year, month, day, hour, minute, second = _fields(text)
+    date, second, scale = read_epoch(text)
     try:
-        date = datetime(year, month, day, hour, minute)
-        _check_second(date, second)
+        _check_second(date, second, scale)
     except (ValueError, OverflowError) as error:
-        raise ValueError(f"epoch {text!r} is not a valid UTC time, expected one like {_EXPECTED}: {error}") from error
-    et = _et(date, second)
+        raise ValueError(f"epoch {text!r} is not a valid UTC time: {error}") from error
+    et = _et(date, second, scale)
     _check_coverage(et, text)
     return et
 
@@ -226,26 +221,10 @@ def earth_orientation_rate(et: Tensor) -> Tensor:
     return by_spin + by_tilt + POLE_RIGHT_ASCENSION_RATE * (r_spin @ r_tilt @ _about_z_derivative(node))
 
 
-def _fields(text: str) -> tuple[int, int, int, int, int, float]:
-    """Year, month, day, hour, minute and second of a UTC string, each as written."""
-    match = _NAIF_FORM.fullmatch(text) or _ISO_FORM.fullmatch(text)
-    month = _month(match[2]) if match else None
-    if match is None or month is None:
-        raise ValueError(f"epoch {text!r} is not a UTC time of the form {_EXPECTED}")
-    return int(match[1]), month, int(match[3]), int(match[4]), int(match[5]), float(match[6])
-
-
-def _month(name: str) -> int | None:
-    """Number of a month written as digits or as three letters, None for an unknown name."""
-    if name.isdigit():
-        return int(name)
-    return _MONTHS.index(name.upper()) + 1 if name.upper() in _MONTHS else None
-
-
-def _check_second(date: datetime, second: float) -> None:
+def _check_second(date: datetime, second: float, scale: str) -> None:
     """Raise ValueError unless the second exists in the minute `date`."""
     following = date + timedelta(minutes=1)
-    length = 60 + _tai_minus_utc(following) - _tai_minus_utc(date)
+    length = 60 + (_tai_minus_utc(following) - _tai_minus_utc(date) if scale == "UTC" else 0)
     if second >= length:
         raise ValueError(f"second must be below {length}")
 
@@ -256,10 +235,12 @@ def _tai_minus_utc(date: datetime) -> int:
     return LEAP_SECONDS[max(index - 1, 0)][1]
 
 
-def _et(date: datetime, second: float) -> float:
-    """ET in s of a UTC minute and the second in it: ``UTC + (TAI - UTC) + 32.184 s + (TDB - TT)``."""
-    minutes = (date - _J2000) // timedelta(minutes=1)
-    tt = minutes * 60.0 + second + _tai_minus_utc(date) + TT_MINUS_TAI
+def _et(date: datetime, second: float, scale: str) -> float:
+    """ET in s of a minute and the second in it: ``UTC + (TAI - UTC) + 32.184 s + (TDB - TT)``, from ``scale`` on."""
+    seconds = (date - _J2000) // timedelta(minutes=1) * 60.0 + second
+    if scale == "TDB":
+        return seconds
+    tt = seconds if scale == "TT" else seconds + _tai_minus_utc(date) + TT_MINUS_TAI
     return tt + _tdb_minus_tt(tt)
 
 
@@ -272,7 +253,7 @@ def _tdb_minus_tt(tt: float) -> float:
     return 1.657e-3 * math.sin(mean_anomaly + 1.671e-2 * math.sin(mean_anomaly))
 
 
-def _check_coverage(et: float, text: str) -> None:
+def _check_coverage(et: float, text: str | datetime) -> None:
     """Raise ValueError unless ET lies in the Sun table."""
     first, last = coverage()
     if not first <= et <= last:

@@ -2,8 +2,9 @@
 
 from bsk_torch.data.base import GlobalReward, NoReward
 from bsk_torch.data.clouds import CloudFreeImageReward
-from bsk_torch.data.composed import ComposedReward, ResourceReward
+from bsk_torch.data.composed import ComposedReward
 from bsk_torch.data.images import ImageReward, UniqueImageReward
+from bsk_torch.data.resources import ResourceReward
 from bsk_torch.data.scanning import ScanningTimeReward
 from bsk_torch.data.single import NoData, NoDataStore, ScanningTime, ScanningTimeStore, UniqueImageStore
 from bsk_torch.data.store import Data, DataStore

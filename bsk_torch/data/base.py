@@ -113,6 +113,9 @@ class GlobalReward(metaclass=RewarderType):
     scenario: Any
     fleet: Fleet
 
+    total_name: str
+    """Field of the state with :attr:`cum_reward`; see :mod:`bsk_torch.data.totals`."""
+
     def __init_subclass__(cls, **options: Any) -> None:
         """Refuse definitions that no environment would use; TypeError says what to write instead."""
         super().__init_subclass__(**options)
@@ -135,6 +138,16 @@ class GlobalReward(metaclass=RewarderType):
     def step_duration(self) -> Tensor:
         """Time that the present step has taken, [N] s; for :meth:`calculate_reward`."""
         return (self.fleet.ticks - self.fleet.since).double() * self.fleet.h
+
+    @property
+    def cum_reward(self) -> dict[str, Tensor]:
+        """Reward of each satellite in the present episodes so far, without failure penalties: [N] float64 by its name.
+
+        AttributeError for a rewarder that belongs to no environment.
+        """
+        if not hasattr(self, "total_name"):
+            raise AttributeError("cum_reward is read from the rewarder of an environment: env.rewarder.cum_reward")
+        return dict(zip(self.fleet.names, self.fleet.state[self.total_name].unbind(1), strict=True))
 
     def read_log(self) -> Log:
         """Return the present log, read at every decision boundary; tensors [N, S, ...] by name."""

@@ -1,9 +1,9 @@
-"""Sums of several rewards, and rewards for resources."""
+"""Sums of several rewards."""
 
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import torch
@@ -15,7 +15,6 @@ from bsk_torch.data.mapped import for_batch
 from bsk_torch.data.single import SingleReward
 
 if TYPE_CHECKING:
-    from bsk_torch.sats.satellite import Satellite
     from bsk_torch.scene.base import Scenario
     from bsk_torch.sim.fleet import Fleet
 
@@ -86,6 +85,11 @@ class ComposedReward(GlobalReward):
             self.terms[name] = checked.reward(part, *logs)
         return torch.stack(list(self.terms.values())).sum(0)
 
+    @property
+    def resource_weights(self) -> tuple[Tensor, ...]:
+        """Present weights of the resource rewards among the parts, [N] each."""
+        return tuple(weight for part in self.rewarders for weight in getattr(part, "resource_weights", ()))
+
     def share(self, links: Tensor) -> None:
         """See :meth:`GlobalReward.share`."""
         for part in self.rewarders:
@@ -115,30 +119,3 @@ def _numbered(names: Iterable[str]) -> list[str]:
             unique = f"{name}_{number}"
         found.append(unique)
     return found
-
-
-class ResourceReward(GlobalReward):
-    """Pays for the growth of a resource and charges for its use: reward = reward_weight * (resource_after - resource_before)."""
-
-    def __init__(self, resource_fn: Callable[[Satellite], Tensor], reward_weight: float = 1.0) -> None:
-        """Pay for a resource.
-
-        Args:
-            resource_fn: Function that returns the resource of the satellites of a type, [N], such as
-                ``lambda sat: sat.dynamics.battery_charge_fraction``.
-            reward_weight: Reward for one unit of the resource.
-
-        Raises:
-            TypeError: For a ``resource_fn`` that is no function.
-        """
-        if not callable(resource_fn):
-            raise TypeError(f"resource_fn={resource_fn!r} must be a function of the satellite")
-        self.resource_fn, self.reward_weight = resource_fn, float(reward_weight)
-
-    def read_log(self) -> Log:
-        """See :meth:`GlobalReward.read_log`; the resource."""
-        return {"resource": self.fleet.each(lambda satellite: self.resource_fn(satellite).double().clone())}
-
-    def calculate_reward(self, before: Log, after: Log) -> Tensor:
-        """See :meth:`GlobalReward.calculate_reward`."""
-        return self.reward_weight * (after["resource"] - before["resource"])

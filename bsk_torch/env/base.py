@@ -19,11 +19,13 @@ from torchrl.envs import EnvBase
 
 from bsk_torch._deprecated import deprecated_attributes
 from bsk_torch.comm import CommunicationMethod, NoCommunication
-from bsk_torch.data import checked
+from bsk_torch.data import checked, totals
 from bsk_torch.data.base import GlobalReward, NoReward
 from bsk_torch.data.composed import ComposedReward
 from bsk_torch.data.mapped import for_batch
+from bsk_torch.env import hints
 from bsk_torch.env.build import FleetBuilder, link
+from bsk_torch.env.changes import Change, LiveArguments, apply, episodes, of_satellites, of_world, remembered
 from bsk_torch.env.machine import existing_device
 from bsk_torch.env.options import TaskingOptions, TimeLimit
 from bsk_torch.env.pool import EpisodePool
@@ -31,12 +33,15 @@ from bsk_torch.env.randomizer import make_randomizer
 from bsk_torch.env.satellite_group import groups_of
 from bsk_torch.env.state import MADE_BY, check_compatible, check_fingerprint, fingerprint
 from bsk_torch.env.trial import try_out
-from bsk_torch.env.types import world_components
+from bsk_torch.env.types import check_world
 from bsk_torch.obs.base import Values
 from bsk_torch.rand import Key
-from bsk_torch.sats.satellite import ArgumentTable, Satellite
+from bsk_torch.sats.dtypes import common_dtype
+from bsk_torch.sats.satellite import Satellite
 from bsk_torch.scene.base import Scenario
+from bsk_torch.sim.argument_table import ArgumentTable
 from bsk_torch.sim.fleet import Fleet, FleetState
+from bsk_torch.sim.params import Arguments
 from bsk_torch.sim.simulator import Simulator, whole_nanoseconds
 from bsk_torch.sim.state import StateTable
 
@@ -107,12 +112,15 @@ class Tasking(EnvBase):
     ) -> None:
         """Build everything; nothing is simulated before the first reset."""
         EnvBase.__init__(self, device=existing_device(options.device), batch_size=(options.num_envs,))
+        for name, value, kind in (("scenario", scenario, Scenario), ("communicator", communicator, CommunicationMethod)):
+            if value is not None and not isinstance(value, kind):
+                raise TypeError(f"{name}={value!r} must be a {kind.__name__}, made with parentheses")
         self.options = options
         if options.log_level is not None:
             logging.getLogger("bsk_torch").setLevel(options.log_level)
         if options.failure_penalty > 0.0:
             logger.warning("failure_penalty=%g rewards failure; it should not be positive", options.failure_penalty)
-        self.dtype, self.failure_penalty = options.dtype, float(options.failure_penalty)
+        self.dtype, self.failure_penalty = common_dtype(options.dtype, satellites), float(options.failure_penalty)
         self.terminate_on_time_limit = options.terminate_on_time_limit
         self.max_step_duration = float(options.max_step_duration)
         self.scenario, self.rewarder = copy.copy(scenario or Scenario()), composed(rewarder)
@@ -128,6 +136,7 @@ class Tasking(EnvBase):
         self._declare_state(options.env_ids)
         groups_of(self.builder.satellites, self.fleet)
         link(self.fleet, self.scenario, self.rewarder)
+        totals.declare(self.rewarder, self.fleet)
         self.communicator.attach(self.fleet)
         if self.pool is not None:
             self._share_search_range(self.pool.fleet)
@@ -135,6 +144,8 @@ class Tasking(EnvBase):
         self._make_specs(trial.values)
         self.longest_ticks = math.ceil(whole_nanoseconds(min(self.max_step_duration, ENDLESS)) / self.simulator.h_ns)
         self.fingerprint = fingerprint(self.fleet)
+        self._changes: list[Change] = []
+        self._show_arguments()
         self.set_seed(options.seed)
 
     # -- construction -------------------------------------------------------------------------------------------------
@@ -144,7 +155,7 @@ class Tasking(EnvBase):
         ids = torch.arange(n) if env_ids is None else torch.as_tensor(env_ids, dtype=torch.int64)
         if ids.shape != (n,) or bool((ids < 0).any()):
             raise ValueError(f"env_ids has shape {list(ids.shape)}; it needs {n} indices that are not negative")
-        self.env_ids = ids.to(self.device)
+        self.env_ids = self.fleet.env_ids = ids.to(self.device)
         for name, dtype in (("episode", torch.int64), ("seed", torch.int64), ("limit_ticks", torch.int64)):
             self.state.declare(name, None, dtype=dtype)
         self.state.episode = self.state.episode - 1
@@ -173,6 +184,12 @@ class Tasking(EnvBase):
         return Composite(flags, shape=b, **on)
 
     # -- reading ------------------------------------------------------------------------------------------------------
+
+    def __getattr__(self, name: str) -> Any:
+        """Look up what a module of torch registers; AttributeError with advice for names of Gymnasium's environments."""
+        if name in hints.ATTRIBUTES:
+            raise hints.no_attribute(type(self).__name__, name)
+        return super().__getattr__(name)
 
     @property
     def num_envs(self) -> int:
@@ -260,7 +277,19 @@ class Tasking(EnvBase):
         self.state.seed = torch.where(rows, values, self.state.seed)
         self.state.episode = self.episode.masked_fill(rows, -1)
 
-    def _reset(self, tensordict: TensorDictBase | None = None, *, set_state: bool = False, **_: Any) -> TensorDict:
+    def _assert_tensordict_shape(self, tensordict: TensorDictBase) -> None:
+        """Check the argument of ``step`` and ``reset``."""
+        hints.check_call(type(self).__name__, self._action_name, tensordict)
+        super()._assert_tensordict_shape(tensordict)
+
+    @property
+    def _action_name(self) -> str:
+        """Key of the action, as one writes it."""
+        return "'action'"
+
+    def _reset(self, tensordict: TensorDictBase | None = None, *, set_state: bool = False, **unknown: Any) -> TensorDict:
+        if unknown:
+            hints.check_reset(type(self).__name__, unknown)
         mask = None if tensordict is None else tensordict.get("_reset", None)
         envs = self.fleet.all_envs if mask is None else torch.nonzero(mask.reshape(-1)).squeeze(-1)
         if set_state and tensordict is not None and "state" in tensordict:
@@ -280,7 +309,7 @@ class Tasking(EnvBase):
         """Start new episodes in ``envs`` [n]."""
         state = self.state
         seeds, episodes = state.seed, state.episode + 1
-        if self.pool is not None:
+        if self.pool is not None and not self.fleet.calls_user:
             self.pool.fill(envs, seeds, self.env_ids, episodes)
             state.copy_rows(envs, self.pool.fleet.state, envs)
         else:
@@ -293,9 +322,82 @@ class Tasking(EnvBase):
         whole = torch.where(torch.isfinite(limit), ticks * self.fleet.h, limit)
         state.time_limit = state.time_limit.index_copy(0, envs, whole)
         self.scenario.begin_episodes(envs)
+        for begin in self.fleet.beginnings:
+            begin(envs)
         for group in self.fleet.groups:
             rows = group.task.rows_of(envs)
             group.task.dead = group.task.dead.index_copy(0, rows, ~group.satellite.is_alive()[rows])
+
+    # -- arguments of later episodes ----------------------------------------------------------------------------------
+
+    def set_sat_args(self, args: Any, envs: Any = None) -> None:
+        """Change arguments of satellites; episodes that begin after this call have the new ones, present ones keep theirs.
+
+        Values are those that ``sat_args`` accepts, ``rand.per_env`` for a value of each environment among them. Nothing is
+        compiled
+        anew for arguments that were drawn from the start (a distribution, ``rand.per_env``, a callable), or that only say how an
+        episode begins. Where a parameter of the tick was one constant so far, the tick is built again, once.
+
+        Args:
+            args: New values by name of the argument, for all satellites; or, by name of the satellite, such dictionaries; or a
+                function that returns a dictionary.
+            envs: Indices of the environments that get them, [n], or a mask [N]; all unless given.
+
+        Raises:
+            KeyError: For an unknown argument.
+            ValueError: For a value that is not allowed, an argument that decides what is built, or an unknown satellite.
+        """
+        rows, ids = episodes(envs, self.num_envs, self.env_ids)
+        self._change(of_satellites(args, self.names, ids), rows)
+
+    def set_world_args(self, args: Any, envs: Any = None) -> None:
+        """Change arguments of the world, as :meth:`set_sat_args` does for satellites.
+
+        Args:
+            args: New values by name, or a function that returns a dictionary.
+            envs: Indices of the environments that get them, [n], or a mask [N]; all unless given.
+
+        Raises:
+            KeyError: For an unknown argument.
+            ValueError: For a value that is not allowed, or an argument that decides what is built.
+        """
+        rows, ids = episodes(envs, self.num_envs, self.env_ids)
+        changes = of_world(args, ids)
+        check_world([change.name for change in changes], [s.world_args.table for s in self.fleet.simulators])
+        self._change(changes, rows)
+
+    def _change(self, changes: Sequence[Change], rows: Tensor | None = None) -> None:
+        """Make changes of arguments in ``rows`` [n] of the batch, or in all; nothing changes where one of them is wrong."""
+        fleets = [self.fleet] if self.pool is None else [self.fleet, self.pool.fleet]
+        for make in [apply(fleet, changes) for fleet in fleets]:
+            make()
+        if self.pool is not None:
+            self.pool.forget(rows)
+        self._changes = remembered(self._changes, changes)
+        self.fingerprint = fingerprint(self.fleet)
+
+    def _show_arguments(self) -> None:
+        """Let users read and set arguments in the dictionaries that bsk_rl has."""
+        for simulator, group in zip(self.fleet.simulators, self.fleet.groups, strict=True):
+            group.satellite.sat_args_generator = LiveArguments(
+                functools.partial(_sat_args_of, simulator),
+                functools.partial(self._set_type, [self.names[column] for column in simulator.columns]),
+                "sat_args_generator",
+            )
+
+    def _set_type(self, names: Sequence[str], values: dict[str, Any]) -> None:
+        if len(names) > 1:
+            raise TypeError(
+                f"sat_args_generator belongs to {list(names)}; env.set_sat_args({{{names[0]!r}: {values}}}) sets one of them"
+            )
+        self.set_sat_args({names[0]: values})
+
+    @property
+    def world_args_generator(self) -> LiveArguments:
+        """Values of all arguments of the world; setting one is :meth:`set_world_args`."""
+        return LiveArguments(
+            lambda: [simulator.world_args for simulator in self.fleet.simulators], self.set_world_args, "world_args_generator"
+        )
 
     # -- step ---------------------------------------------------------------------------------------------------------
 
@@ -316,6 +418,7 @@ class Tasking(EnvBase):
             group.command(action, mine, all_act)
         fleet.run(moves, self.state.limit_ticks, self.longest_ticks)
         reward = checked.reward(self.rewarder, before, checked.log(self.rewarder)) * moves.unsqueeze(-1)
+        totals.add(self.rewarder, reward, moves)
         self.scenario.finish_step(fleet.sim_time)
         if not self.communicator.is_silent:
             self.links = self.communicator.exchange(moves)
@@ -409,7 +512,8 @@ class Tasking(EnvBase):
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle the arguments and the state, not the compiled tick."""
-        return _rebuild, (type(self), self._arguments, self.state.seed, self.episode, self.get_extra_state())
+        state = self.state.seed, self.episode, self.get_extra_state()
+        return _rebuild, (type(self), self._arguments, *state, self._changes)
 
     # -- pictures -----------------------------------------------------------------------------------------------------
 
@@ -441,8 +545,7 @@ class Tasking(EnvBase):
 
     def default_world_args(self) -> ArgumentTable:
         """Return every argument that ``world_args`` accepts, with default, unit and meaning; print it to read it."""
-        first_of_each = (self.builder.satellites[columns[0]] for columns in self.builder.types)
-        return ArgumentTable([part for satellite in first_of_each for part in world_components(satellite)])
+        return self.builder.default_world_args()
 
     @property
     def bytes_per_env(self) -> int:
@@ -464,11 +567,24 @@ class Tasking(EnvBase):
                     )
 
 
-def _rebuild(kind: type[Tasking], arguments: dict[str, Any], seeds: Tensor, episode: Tensor, state: TensorDict | None) -> Tasking:
+def _rebuild(
+    kind: type[Tasking],
+    arguments: dict[str, Any],
+    seeds: Tensor,
+    episode: Tensor,
+    state: TensorDict | None,
+    changes: Sequence[Change] = (),
+) -> Tasking:
     env = kind(**arguments)
+    if changes:
+        env._change(changes)
     env.state.seed, env.state.episode = seeds, episode
     env.set_extra_state(state)
     return env
+
+
+def _sat_args_of(simulator: Simulator) -> list[Arguments]:
+    return [simulator.sat_args]
 
 
 def pictures() -> Any:
@@ -480,10 +596,15 @@ def pictures() -> Any:
 
 
 def composed(rewarder: GlobalReward | Iterable[GlobalReward] | None) -> GlobalReward:
-    """Return a copy of the rewarder, or of the sum of several."""
+    """Return a copy of the rewarder, or of the sum of several; TypeError for anything else."""
     if rewarder is None:
         return NoReward()
-    return for_batch(rewarder) if isinstance(rewarder, GlobalReward) else ComposedReward(*map(copy.copy, rewarder))
+    several = isinstance(rewarder, Iterable) and not isinstance(rewarder, type)
+    listed: list[Any] = list(rewarder) if several else [rewarder]  # type: ignore[arg-type]
+    for part in listed:
+        if not isinstance(part, GlobalReward):
+            raise TypeError(f"rewarder={part!r} must be a rewarder, made with parentheses, such as data.UniqueImageReward()")
+    return ComposedReward(*map(copy.copy, listed)) if several else for_batch(listed[0])
 
 
 def _counted(name: str, satellite: Satellite) -> Tensor:

@@ -12,15 +12,19 @@ from bsk_torch.data.base import GlobalReward
 from bsk_torch.env.options import TaskingOptions
 from bsk_torch.env.pool import SMALLEST
 from bsk_torch.env.randomizer import Randomizer
-from bsk_torch.env.types import check_names, check_world, grouped, world_arguments
-from bsk_torch.rand import Distribution, Key, first_key
+from bsk_torch.env.types import check_names, check_world, grouped, world_arguments, world_components
+from bsk_torch.rand import Distribution, Key, first_key, seeded
 from bsk_torch.sats.satellite import Satellite
 from bsk_torch.scene.base import Scenario
+from bsk_torch.sim.argument_table import ArgumentTable
 from bsk_torch.sim.component import Arg
+from bsk_torch.sim.composition import compose
 from bsk_torch.sim.fleet import EpisodeDraw, Fleet, share
+from bsk_torch.sim.given import Answers, expand, is_function
 from bsk_torch.sim.params import Overrides, convert
 from bsk_torch.sim.simulator import Simulator
 from bsk_torch.sim.state import StateTable
+from bsk_torch.sim.world import WorldModel
 
 LIMIT = Arg("time_limit", float("inf"), "s", "time after which an episode is truncated", low=0.0)
 
@@ -35,6 +39,7 @@ class FleetBuilder:
         satellites: The user's satellites.
         names: Their names.
         types: Positions of the satellites of each type.
+        world_type: World model of the options; None where it follows from the satellites.
         scenario: The scenario, a copy of the user's.
         options: Options of the environment.
         randomizer: Draws arguments of all satellites together, if any.
@@ -49,10 +54,20 @@ class FleetBuilder:
         device: torch.device,
     ) -> None:
         """Check the names of the satellites, group them by type, and check the world's arguments."""
-        self.satellites, self.names, self.types = list(satellites), check_names(satellites), grouped(satellites)
+        self.names = check_names(satellites)
+        self.satellites = [satellite.as_given() for satellite in satellites]
+        self.types = grouped(self.satellites)
         self.scenario, self.options, self.randomizer, self.device = scenario, options, randomizer, device
-        self._world_names = [set(world_arguments(self.satellites[columns[0]])) for columns in self.types]
-        check_world(options.world_args or {}, self._world_names)
+        self.world_type = None if options.world_type is None else compose(options.world_type, WorldModel)
+        self._world_names = [set(world_arguments(self.satellites[columns[0]], self.world_type)) for columns in self.types]
+        self.world_args = expand(options.world_args, "world_args")
+        check_world(self.world_args, [*self._world_names, self.default_world_args()])
+
+    def default_world_args(self) -> ArgumentTable:
+        """Return every argument of the world, with its default."""
+        first_of_each = (self.satellites[columns[0]] for columns in self.types)
+        parts = [part for satellite in first_of_each for part in world_components(satellite, self.world_type)]
+        return ArgumentTable([*(self.world_type.all_components() if self.world_type else ()), *parts])
 
     # -- fleets -------------------------------------------------------------------------------------------------------
 
@@ -60,7 +75,7 @@ class FleetBuilder:
         """Return simulations of ``n`` episodes; of one satellite of each type only, if on ``trial``."""
         # the trial's arcs shall be as long as those of the batch: see check_memory
         sample = isinstance(self.options.time_limit, Distribution) and n < self.options.num_envs
-        limit = self.draw_time_limit(first_key(min(SAMPLE, self.options.num_envs) if sample else n))
+        limit = self.draw_time_limit(first_key(min(SAMPLE if sample else n, self.options.num_envs)))
         types = [columns[:1] for columns in self.types] if trial else self.types
         scenario_state = StateTable(n, 1, self.device)
         for name, value in self.scenario.draw_checked(first_key(min(2, n))).items():
@@ -77,7 +92,7 @@ class FleetBuilder:
             satellite.dyn_type,
             satellite.fsw_type,
             given[0] if all(args is given[0] for args in given) else given,
-            {name: value for name, value in (options.world_args or {}).items() if name in self._world_names[k]},
+            {name: value for name, value in self.world_args.items() if name in self._world_names[k]},
             num_envs=n,
             device=self.device,
             dtype=options.sim_dtype,
@@ -91,6 +106,7 @@ class FleetBuilder:
             stops=satellite.variable_interval,
             columns=columns,
             randomize=self._share_of(columns),
+            world_type=self.world_type,
         )
 
     def _share_of(self, columns: Sequence[int]) -> Callable[[Key], Overrides]:
@@ -102,11 +118,15 @@ class FleetBuilder:
     @property
     def calls_user(self) -> bool:
         """Whether drawing an episode calls a function of the user; such functions are called only for episodes that begin now."""
-        options = self.options
         given = [value for satellite in self.satellites for value in satellite.sat_args_generator.values()]
-        given += [*(options.world_args or {}).values(), options.time_limit]
-        calls = any(callable(value) and not isinstance(value, Distribution) for value in given)
-        return calls or self.scenario.calls_user or (self.randomizer is not None and self.randomizer.calls_user)
+        calls = any(map(is_function, [*given, *self.world_args.values()]))
+        return calls or self._calls_others
+
+    @property
+    def _calls_others(self) -> bool:
+        """Whether functions of the user give anything but single arguments."""
+        randomizes = self.randomizer is not None and self.randomizer.calls_user
+        return is_function(self.options.time_limit) or randomizes or self.scenario.calls_user
 
     @property
     def pool_pays(self) -> bool:
@@ -115,17 +135,45 @@ class FleetBuilder:
 
     # -- episodes -----------------------------------------------------------------------------------------------------
 
-    def draw_time_limit(self, key: Key) -> Tensor:
+    def draw_time_limit(self, key: Key, answers: Sequence[Answers] = ()) -> Tensor:
         """Return the time limits [n] s of the key's environments, not yet rounded to whole ticks."""
         value = self.options.time_limit
         if isinstance(value, Distribution):
             return convert(LIMIT, value.draw(key.named("time_limit")), len(key))
-        values = [value() for _ in range(len(key))] if callable(value) else [value] * len(key)
-        return convert(LIMIT, values, len(key))
+        if not callable(value):
+            return convert(LIMIT, [value] * len(key), len(key))
+        if answers:
+            return convert(LIMIT, [answer["time_limit"] for answer in answers], len(key))
+        with seeded(key.named("time_limit")) as rows:
+            return convert(LIMIT, [value() for _ in rows], len(key))
+
+    def ask(self, fleet: Fleet, key: Key) -> list[Answers]:
+        """Return what the functions of the user return for each of the key's environments; none if there are no functions.
+
+        They share one stream of random numbers, and are called in bsk_rl's order: time limit, world, randomizer, satellites,
+        scenario.
+        """
+        if not (fleet.calls_user or self._calls_others):
+            return []
+        answers: list[Answers] = []
+        randomize = self.randomizer.ask if self.randomizer is not None and self.randomizer.calls_user else None
+        with seeded(key.named("episode")) as rows:
+            for row in rows:
+                answers.append({})
+                if is_function(self.options.time_limit):
+                    answers[-1]["time_limit"] = self.options.time_limit()  # type: ignore[operator]
+                fleet.ask(int(row.env_id), answers[-1], randomize)
+                if self.scenario.calls_user:
+                    answers[-1]["scenario"] = self.scenario.draw_checked(row)
+        return answers
 
     def draw(self, fleet: Fleet, key: Key) -> tuple[EpisodeDraw, Tensor]:
         """Return draws for the episodes of the key's environments, and their time limits, [n] s."""
-        return fleet.draw(key, self.randomizer), self.draw_time_limit(key).to(self.device)
+        answers = self.ask(fleet, key)
+        given = None if self.randomizer is None else self.randomizer(key, answers)
+        parts = [answer["scenario"] for answer in answers] if self.scenario.calls_user else []
+        scenario = {name: torch.cat([part[name] for part in parts]) for name in parts[0]} if parts else None
+        return fleet.draw(key, given, answers, scenario), self.draw_time_limit(key, answers).to(self.device)
 
     def start(self, fleet: Fleet, envs: Tensor, drawn: EpisodeDraw, limit: Tensor) -> None:
         """Start the episodes ``envs`` [n] of a fleet."""

@@ -15,6 +15,7 @@ from bsk_torch.comm import CommunicationMethod
 from bsk_torch.data.base import GlobalReward
 from bsk_torch.env.agents import AGENTS, Group, agents_of, make_groups
 from bsk_torch.env.base import StepResult, Tasking
+from bsk_torch.env.no_action import NO_ACTION
 from bsk_torch.env.options import ConstellationOptions, parse, takes
 from bsk_torch.formations import Formation
 from bsk_torch.obs.base import ObservationBuilder, Values
@@ -22,9 +23,6 @@ from bsk_torch.sats.satellite import Satellite
 from bsk_torch.scene.base import Scenario
 
 logger = logging.getLogger(__name__)
-
-NO_ACTION = 2**31 - 1
-"""Action of a satellite that goes on with its task, as bsk_rl's; the last action of every space means the same."""
 
 
 @takes(ConstellationOptions)
@@ -162,6 +160,10 @@ class ConstellationTasking(Tasking):
         if group.is_meta or self.joint:
             return MultiCategorical(sizes, shape=(*shape, len(sizes)), dtype=torch.int64)
         return Categorical(sizes[0], shape=shape, dtype=torch.int64)
+
+    @property
+    def _action_name(self) -> str:
+        return "'action'" if self.joint else f"{self.groups[0].name!r}, 'action'"
 
     # -- step ---------------------------------------------------------------------------------------------------------
 
@@ -327,3 +329,26 @@ class ConstellationTasking(Tasking):
 def _blank(leaf: Tensor, hidden: Tensor) -> Tensor:
     """Return the leaf [N, A, ...] with zeros where it is ``hidden`` [N, A]."""
     return torch.where(hidden.view(*hidden.shape, *[1] * (leaf.ndim - 2)), torch.zeros_like(leaf), leaf)
+
+
+@takes(ConstellationOptions)
+class GeneralSatelliteTasking(ConstellationTasking):
+    """A :class:`ConstellationTasking` with one agent for all satellites (``joint=True``): bsk_rl's ``GeneralSatelliteTasking``.
+
+    This is the batched TorchRL environment. ``gymnasium.make("bsk_torch/GeneralSatelliteTasking-v1", satellites=...)`` gives one
+    episode with bsk_rl's tuples of observations and actions (:class:`bsk_torch.wrappers.GymJointEnv`).
+    """
+
+    def __init__(
+        self,
+        satellites: Sequence[Satellite] | Satellite,
+        scenario: Scenario | None = None,
+        rewarder: GlobalReward | Iterable[GlobalReward] | None = None,
+        communicator: CommunicationMethod | None = None,
+        sat_arg_randomizer: Formation | Callable[[list[Satellite]], Mapping[Any, Any]] | None = None,
+        **options: Any,
+    ) -> None:
+        """See :class:`ConstellationTasking`; ValueError for ``joint=False``."""
+        if not options.setdefault("joint", True):
+            raise ValueError("GeneralSatelliteTasking has one agent for all satellites; joint=False is a ConstellationTasking")
+        super().__init__(satellites, scenario, rewarder, communicator, sat_arg_randomizer, **options)

@@ -11,11 +11,20 @@ import torch
 from torch import Tensor
 
 from bsk_torch.rand import Distribution
+from bsk_torch.sats.dtypes import as_dtype
 from bsk_torch.sim.params import nearest
+from bsk_torch.sim.world import WorldModel
 
 TimeLimit = float | Distribution | Callable[[], float]
 
 Class = TypeVar("Class", bound=type)
+
+ABSENT = {
+    "vizard_dir": "there is no Vizard here; env.render() draws pictures, and 'bsk-torch report' films",
+    "vizard_settings": "there is no Vizard here; env.render() draws pictures, and 'bsk-torch report' films",
+    "render_mode": "bsk_rl does not use it; env.render() returns pixels",
+}
+"""Options of bsk_rl's environments that mean nothing here unless they are None, and what to use instead."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,7 +33,10 @@ class TaskingOptions:
 
     Attributes:
         num_envs: Number of episodes N.
-        world_args: Arguments of the world, like ``sat_args``; see :meth:`~bsk_torch.env.base.Tasking.default_world_args`.
+        world_type: World model, or several, of :mod:`bsk_torch.sim.world`, of which the first wins; None for those that the
+            dynamics models of the satellites require.
+        world_args: Arguments of the world, like ``sat_args``, also as one callable that returns a dictionary; see
+            :meth:`~bsk_torch.env.base.Tasking.default_world_args`.
         sim_rate: Length of a tick, s.
         max_step_duration: Longest step, s.
         failure_penalty: Added to the reward of a step at whose end the satellite is dead.
@@ -34,7 +46,8 @@ class TaskingOptions:
         device: Where the simulation runs.
         seed: Seed of all draws; None for a random one.
         env_ids: Index of each episode in the draws, 0 to N - 1 unless given.
-        dtype: Type of observations, rewards and durations.
+        dtype: Type of observations, rewards and durations, of torch or NumPy; None for the one that the satellites name, or
+            float32.
         sim_dtype: float64 for parity with Basilisk; float32 for mixed precision: attitude, wheels and flight software in float32,
             orbit, time and accumulators in float64.
         orbit: ``"arc"`` (in advance), ``"integrated"`` (in every tick, with drag), or None for the model's own.
@@ -43,7 +56,8 @@ class TaskingOptions:
     """
 
     num_envs: int = 1
-    world_args: Mapping[str, Any] | None = None
+    world_type: type[WorldModel] | Sequence[type[WorldModel]] | None = None
+    world_args: Mapping[str, Any] | Callable[[], Mapping[str, Any]] | None = None
     sim_rate: float = 1.0
     max_step_duration: float = 1e9
     failure_penalty: float = -1.0
@@ -52,16 +66,19 @@ class TaskingOptions:
     device: torch.device | str = "cpu"
     seed: int | None = None
     env_ids: Sequence[int] | Tensor | None = None
-    dtype: torch.dtype = torch.float32
+    dtype: Any = None
     sim_dtype: torch.dtype = torch.float64
     orbit: str | None = None
     backend: str = "compiled"
     log_level: int | str | None = None
 
     def __post_init__(self) -> None:
-        """Check the number of environments."""
+        """Check numbers, and translate the type of observations."""
         if self.num_envs < 1:
             raise ValueError(f"num_envs={self.num_envs} must be at least 1")
+        if not self.max_step_duration > 0.0:
+            raise ValueError(f"max_step_duration={self.max_step_duration!r} must be positive, in s")
+        object.__setattr__(self, "dtype", as_dtype(self.dtype))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,7 +113,10 @@ class ConstellationOptions(TaskingOptions):
 def parse(kind: type[TaskingOptions], given: Mapping[str, Any]) -> Any:
     """Return the options of a kind; TypeError for an unknown name."""
     known = [option.name for option in fields(kind)]
+    given = {name: value for name, value in given.items() if name not in ABSENT or value is not None}
     for name in given:
+        if name in ABSENT:
+            raise TypeError(f"{name}={given[name]!r} is an option of bsk_rl's environments: {ABSENT[name]}")
         if name not in known:
             raise TypeError(f"{name}= is not an option of the environment; {nearest(name, known)}")
     return kind(**given)

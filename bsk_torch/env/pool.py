@@ -28,6 +28,10 @@ class EpisodePool:
         unset = torch.full_like(fleet.ticks, -1)
         self.seed, self.episode, self.filled = unset, unset.clone(), torch.zeros_like(unset, dtype=torch.bool)
 
+    def forget(self, envs: Tensor | None) -> None:
+        """Drop the episodes prepared for ``envs`` [n], or all of them: their arguments have changed."""
+        self.filled[slice(None) if envs is None else envs.to(self.filled.device)] = False
+
     def fill(self, envs: Tensor, seeds: Tensor, env_ids: Tensor, episodes: Tensor) -> None:
         """Let ``envs`` [n] hold their ``episodes`` [N] of ``seeds`` [N]; if any lacks it, all stale rows are refilled."""
         stale = ~self.filled | (self.seed != seeds) | (self.episode != episodes)

@@ -9,8 +9,9 @@ import torch
 from torch import Tensor
 
 from bsk_torch.formations import Formation
-from bsk_torch.rand import Key
+from bsk_torch.rand import Key, seeded
 from bsk_torch.sats.satellite import Satellite
+from bsk_torch.sim.given import Answers
 from bsk_torch.sim.params import nearest, numbers
 
 Draws = dict[str, tuple[Sequence[int], Tensor]]
@@ -34,15 +35,20 @@ class Randomizer:
         """Whether a function of the user's is called; such functions are called only for episodes that begin now."""
         return not isinstance(self.given, Formation)
 
-    def __call__(self, key: Key) -> Draws:
-        """Return the drawn arguments by name."""
+    def __call__(self, key: Key, answers: Sequence[Answers] | None = None) -> Draws:
+        """Return the drawn arguments by name; ``answers`` of the user's function were asked before, or it is called now."""
         if isinstance(self.given, Formation):
             return self.given.draw_checked(key, self.names)
-        return self._stacked([self._values() for _ in range(len(key))])
+        if answers:
+            return self._stacked([answer["sat_arg_randomizer"] for answer in answers])
+        with seeded(key.named("sat_arg_randomizer")) as rows:
+            return self._stacked([self.ask() for _ in rows])
 
-    def _values(self) -> dict[tuple[str, int], Any]:
+    def ask(self) -> dict[tuple[str, int], Any]:
         """Return the values of the user's function for one episode, by argument and satellite."""
         answer = self.given(self.satellites)  # type: ignore[operator]
+        if not isinstance(answer, Mapping):
+            raise TypeError(f"sat_arg_randomizer returned {answer!r}; it must return {{satellite: {{argument: value}}}}")
         return {(name, self._number(who)): value for who, args in answer.items() for name, value in args.items()}
 
     def _number(self, who: Any) -> int:

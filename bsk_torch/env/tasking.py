@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import torch
@@ -10,9 +10,11 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.data import Binary, Categorical, Composite, Unbounded
 
+from bsk_torch.comm import CommunicationMethod
 from bsk_torch.data.base import GlobalReward
 from bsk_torch.env.base import StepResult, Tasking
 from bsk_torch.env.options import TaskingOptions, parse, takes
+from bsk_torch.formations import Formation
 from bsk_torch.obs.base import ObservationBuilder, Values
 from bsk_torch.sats.satellite import Satellite
 from bsk_torch.scene.base import Scenario
@@ -28,24 +30,32 @@ class SatelliteTasking(Tasking):
 
     def __init__(
         self,
-        satellite: Satellite,
+        satellite: Satellite | Sequence[Satellite],
         scenario: Scenario | None = None,
         rewarder: GlobalReward | Iterable[GlobalReward] | None = None,
+        communicator: CommunicationMethod | None = None,
+        sat_arg_randomizer: Formation | Callable[[list[Satellite]], Mapping[Any, Any]] | None = None,
         **options: Any,
     ) -> None:
         """Build the environment and check its arguments; nothing is simulated before the first reset.
 
         Args:
-            satellite: The satellite; the environment works on a copy.
+            satellite: The satellite, or a list of it alone; the environment works on a copy.
             scenario: Task of the satellite; None for none.
             rewarder: Value of its data, the sum of several if there are several; None for zero.
-            **options: See :class:`bsk_torch.env.options.TaskingOptions`.
+            communicator: As in :class:`bsk_torch.ConstellationTasking`; one satellite has nobody to talk to.
+            sat_arg_randomizer: Draws arguments that belong together: a formation of :mod:`bsk_torch.formations`, or a function of
+                the list of the one satellite, called for each episode, that returns ``{satellite: {argument: value}}``.
+            **options: ``generate_obs_retasking_only``, which has no effect with one satellite, as in bsk_rl; for the others see
+                :class:`bsk_torch.env.options.TaskingOptions`.
         """
-        parsed = parse(TaskingOptions, options)
-        if not isinstance(satellite, Satellite):
+        parsed = parse(TaskingOptions, {name: value for name, value in options.items() if name != "generate_obs_retasking_only"})
+        alone = satellite[0] if isinstance(satellite, list | tuple) and len(satellite) == 1 else satellite
+        if not isinstance(alone, Satellite):
             raise ValueError(f"satellite={satellite!r} must be one satellite; several need a ConstellationTasking")
-        self._build([satellite], scenario, rewarder, None, None, parsed)
-        self._arguments = {"satellite": satellite, "scenario": scenario, "rewarder": rewarder, **options}
+        self._build([alone], scenario, rewarder, communicator, sat_arg_randomizer, parsed)
+        given = {"satellite": satellite, "scenario": scenario, "rewarder": rewarder, "communicator": communicator}
+        self._arguments = {**given, "sat_arg_randomizer": sat_arg_randomizer, **options}
 
     def _make_specs(self, trial: list[Values]) -> None:
         b, on, values = self.batch_size, {"device": self.device}, trial[0]

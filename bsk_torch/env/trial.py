@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 from bsk_torch.data import checked
@@ -17,8 +18,8 @@ from bsk_torch.sats.user_function import UserFunction
 from bsk_torch.scene.base import Scenario
 from bsk_torch.sim.fleet import Fleet
 
-BATCH = 5
-"""Environments of the second trial, if the batch has so many. A result [1, ...] of one and [5, ...] of five is one for each."""
+BATCHES = (5, 7, 11, 13, 17, 19)
+"""Environments of the second trial: the first number that is no other dimension of what is observed."""
 
 
 class Trial(NamedTuple):
@@ -51,7 +52,8 @@ class TrialFleet:
     def __init__(self, builder: FleetBuilder, n: int) -> None:
         """Make the satellites, which are not linked with anything yet."""
         self.builder, self.fleet = builder, builder.make_fleet(n, trial=True)
-        self.drawn = builder.draw(self.fleet, first_key(n))
+        first = first_key(n)
+        self.drawn = builder.draw(self.fleet, replace(first, env_id=first.env_id % builder.options.num_envs))
         self.groups = groups_of(builder.satellites, self.fleet)
         self.scenario: Scenario = copy.copy(builder.scenario)
 
@@ -83,6 +85,13 @@ class TrialFleet:
         for group in self.groups:
             group.satellite.action_mask()
 
+    def spread(self) -> None:
+        """Let every environment have a time of its own, some seconds after the start, so that mixed up ones show."""
+        for simulator in self.fleet.simulators:
+            state = simulator.state
+            state.ticks = state.ticks + state.of_env(self.fleet.all_envs + 1)
+            state.touch()
+
     def become(self, other: Fleet) -> None:
         """Put the first environment of another fleet into the place of the first."""
         first = self.fleet.all_envs[:1]
@@ -108,8 +117,10 @@ def try_out(builder: FleetBuilder, rewarder: GlobalReward) -> Trial:
         alone.score()  # with as many environments and satellites as there will be
     if n == 1 or not any(functions):
         return Trial(values, functions, [])
-    together = TrialFleet(builder, min(n, BATCH))
+    dimensions = {size for some in functions for function in some for size in function.dimensions()}
+    together = TrialFleet(builder, next((size for size in BATCHES if size not in dimensions), BATCHES[-1]))
     batched = together.start(rewarder)
+    together.spread()
     together.observe()
     alone.become(together.fleet)
     alone.observe()

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import keyword
-from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
+from collections.abc import Iterable, Sequence
 
 from bsk_torch.rand import MOST_SATELLITES
 from bsk_torch.sats.satellite import Satellite
-from bsk_torch.sim.component import Component, collect
+from bsk_torch.sim.component import Component
+from bsk_torch.sim.composition import world_components as components_of_world
 from bsk_torch.sim.params import alike, nearest
+from bsk_torch.sim.world import WorldModel
 
 OWN = ("name", "sat_args_generator")
 """Attributes in which satellites of one type may differ."""
@@ -42,7 +43,7 @@ def same_type(a: Satellite, b: Satellite) -> bool:
         return False
     if a.sat_args_generator is b.sat_args_generator:
         return True
-    table = a.default_sat_args().rows
+    table = type(a).default_sat_args().rows
     fixed = [name for name, arg in table.items() if arg.shared or arg.kind in ("constant", "stations")]
     mine, theirs = a.sat_args_generator, b.sat_args_generator
     if any((mine.get(name) is None) != (theirs.get(name) is None) for name in ("rN", "vN")):
@@ -62,17 +63,17 @@ def grouped(satellites: Sequence[Satellite]) -> list[list[int]]:
     return types
 
 
-def world_components(satellite: Satellite) -> tuple[Component, ...]:
-    """Return the components of the world that a satellite's models need."""
-    return collect(reversed(satellite.dyn_type.__mro__), "world_components")
+def world_components(satellite: Satellite, world_type: type[WorldModel] | None = None) -> tuple[Component, ...]:
+    """Return the components of a satellite's world: those of ``world_type``, or those that its models need."""
+    return components_of_world(satellite.dyn_type, world_type)
 
 
-def world_arguments(satellite: Satellite) -> list[str]:
+def world_arguments(satellite: Satellite, world_type: type[WorldModel] | None = None) -> list[str]:
     """Return the names of the arguments of a satellite's world."""
-    return [arg.name for component in world_components(satellite) for arg in component.args]
+    return [arg.name for component in world_components(satellite, world_type) for arg in component.args]
 
 
-def check_world(world_args: Mapping[str, Any], known: Iterable[Iterable[str]]) -> None:
+def check_world(world_args: Iterable[str], known: Iterable[Iterable[str]]) -> None:
     """Raise KeyError for an argument that the world of no satellite has."""
     names = {name for group in known for name in group}
     for name in world_args:

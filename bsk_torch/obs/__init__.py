@@ -1,7 +1,27 @@
 """Observations: entries of a satellite's ``observation_spec``."""
 
+from typing import TYPE_CHECKING
+
 from bsk_torch.obs.base import Observation
+from bsk_torch.obs.noisy import Noisy
 from bsk_torch.obs.opportunities import OpportunityProperties
+from bsk_torch.obs.resources import ResourceRewardWeight
 from bsk_torch.obs.satellite import Eclipse, SatProperties, Time
 
-__all__ = ["Eclipse", "Observation", "OpportunityProperties", "SatProperties", "Time"]
+__all__ = ["Eclipse", "Noisy", "Observation", "OpportunityProperties", "ResourceRewardWeight", "SatProperties", "Time"]
+
+_LACKING = {
+    "RelativeProperties": "properties relative to another satellite: obs.SatProperties(dict(prop=..., fn=...)) observes what a "
+    "function computes from the satellite, but relative motion is not simulated yet",
+    "RSOTargetProperties": "satellites as targets, which are not simulated yet; obs.OpportunityProperties observes places on the "
+    "ground",
+}
+"""Observations of bsk_rl that are not here yet."""
+
+if not TYPE_CHECKING:
+
+    def __getattr__(name: str) -> object:
+        """Say of an observation of bsk_rl that it is not here yet."""
+        if name in _LACKING:
+            raise AttributeError(f"obs.{name} of bsk_rl is not part of bsk_torch yet: {_LACKING[name]}")
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

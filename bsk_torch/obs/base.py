@@ -54,10 +54,12 @@ class Observation:
 
     Attributes:
         name: Name of the entry in the observation.
+        unique_name: The same with a number where several entries of the satellite have it, as in ``target_2``.
         satellite: The satellites, once an environment has been built.
     """
 
     satellite: Any
+    unique_name: str
 
     def __init__(self, name: str) -> None:
         """Name the entry."""
@@ -133,15 +135,73 @@ def flatten(values: Values, count: int | None = None, prefix: str = "") -> Itera
             )
 
 
-def own_function(entry: Observation) -> UserFunction | None:
-    """Return the function that calls ``get_obs`` of a user's class; None for a class of the package.
+def link(entry: Any, satellite: Satellite) -> None:
+    """Link an observation to a satellite.
 
-    A class that overrides the ``get_obs`` of another one may call that for all satellites, so it is not mapped.
+    Raises:
+        ValueError: For an entry that is no observation.
+        TypeError: For an entry whose ``link_satellite`` does not call that of its base class.
     """
-    owners = [cls for cls in type(entry).__mro__ if "get_obs" in vars(cls)]
-    if is_ours(owners[0]) or owners[1:] != [Observation]:
-        return None
-    return UserFunction(f"{type(entry).__name__}.get_obs()", ADVICE)
+    if not isinstance(entry, Observation):
+        raise ValueError(f"observation_spec holds {entry!r}, which is no observation; write obs.Time(), with parentheses")
+    entry.link_satellite(satellite)
+    if getattr(entry, "satellite", None) is not satellite:
+        raise TypeError(f"{type(entry).__name__}.link_satellite(satellite) must call super().link_satellite(satellite)")
+
+
+class Reader:
+    """Reads an observation, by name or as a vector; one of a user's class is called for all satellites, or for each.
+
+    Attributes:
+        entry: The observation.
+    """
+
+    def __init__(self, entry: Observation) -> None:
+        """Read an ``entry``, which is linked to its satellites."""
+        self.entry = entry
+        # get_vector() belongs to the get_obs() of the same class: a subclass that overrides only the latter does not use it
+        self._has_vector = defined_first(entry, "get_vector", "get_obs") == "get_vector"
+        self._compared = is_ours(type(entry)) or not self._has_vector
+        # a class that overrides the get_obs() of another one may call that for all satellites, so it is not mapped
+        owners = [cls for cls in type(entry).__mro__ if "get_obs" in vars(cls)]
+        mapped = not is_ours(owners[0]) and owners[1:] == [Observation]
+        self._function = UserFunction(f"{type(entry).__name__}.get_obs()", ADVICE) if mapped else None
+
+    @property
+    def functions(self) -> list[UserFunction]:
+        """Functions of users that the observation calls, that of its own class included."""
+        return [*([] if self._function is None else [self._function]), *self.entry.functions]
+
+    def values(self) -> Tensor | Values:
+        """Return the observation, a tensor [N] or [N, ...] or a dictionary of them."""
+        entry = self.entry
+        if self._function is None:
+            return entry.get_obs()
+        satellite = entry.satellite
+
+        def one(row: int) -> Any:
+            view = copy.copy(entry)
+            view.satellite = satellite.one(row)
+            return view.get_obs()
+
+        return self._function((len(satellite.simulator.ticks),), satellite.simulator.device, entry.get_obs, one)
+
+    def vector(self) -> Tensor:
+        """Return the observation as a vector, [N, width].
+
+        Raises:
+            TypeError: At the first call, for a vector of a user's class that has not the width of its named observations.
+        """
+        if not self._has_vector:
+            return self._flat()
+        vector = self.entry.get_vector()
+        if not self._compared:
+            check_tensor(f"{type(self.entry).__name__}.get_vector()", vector, self._flat().shape)
+            self._compared = True
+        return vector
+
+    def _flat(self) -> Tensor:
+        return torch.cat([value for _, value in flatten({self.entry.name: self.values()}, len(self.entry.simulator.ticks))], -1)
 
 
 class ObservationBuilder:
@@ -161,42 +221,19 @@ class ObservationBuilder:
         if not spec:
             raise ValueError(f"{type(satellite).__name__}.observation_spec is empty; list at least one, such as obs.Time()")
         for entry in spec:
-            if not isinstance(entry, Observation):
-                raise ValueError(f"observation_spec holds {entry!r}, which is no observation; write obs.Time(), with parentheses")
-            entry.link_satellite(satellite)
-            if getattr(entry, "satellite", None) is not satellite:
-                raise TypeError(f"{type(entry).__name__}.link_satellite(satellite) must call super().link_satellite(satellite)")
+            link(entry, satellite)
         self.entries, self.satellite = tuple(spec), satellite
-        # get_vector() belongs to the get_obs() of the same class: a subclass that overrides only the latter does not use it
-        self._has_vector = [defined_first(entry, "get_vector", "get_obs") == "get_vector" for entry in self.entries]
-        self._compared = False
-        self._own_functions = [own_function(entry) for entry in self.entries]
+        self._readers = [Reader(entry) for entry in self.entries]
+        names: list[str] = []
+        for entry in self.entries:
+            number = 1 + sum(entry.name == other.name for other in self.entries[: len(names)])
+            names.append(entry.name if number == 1 else f"{entry.name}_{number}")
+            entry.unique_name = names[-1]
 
     @property
     def functions(self) -> list[UserFunction]:
         """Functions of users that entries call, and entries of users' classes."""
-        own = [function for function in self._own_functions if function is not None]
-        return [*own, *(function for entry in self.entries for function in entry.functions)]
-
-    def _read(self, entry: Observation, function: UserFunction | None) -> Tensor | Values:
-        """Return the observation of an entry; those of users' classes are called for all satellites, or for each."""
-        if function is None:
-            return entry.get_obs()
-        simulator = self.satellite.simulator
-
-        def one(row: int) -> Any:
-            view = copy.copy(entry)
-            view.satellite = self.satellite.one(row)
-            return view.get_obs()
-
-        return function((len(simulator.ticks),), simulator.device, entry.get_obs, one)
-
-    def _vector_of(self, entry: Observation, function: UserFunction | None, has_vector: bool) -> Tensor:
-        """Return the observation of an entry as a vector [N, width]."""
-        if has_vector:
-            return entry.get_vector()
-        values = self._read(entry, function)
-        return torch.cat([value for _, value in flatten({entry.name: values}, len(self.satellite.simulator.ticks))], -1)
+        return [function for reader in self._readers for function in reader.functions]
 
     @property
     def observables(self) -> list[Any]:
@@ -206,30 +243,15 @@ class ObservationBuilder:
     def get_dict(self) -> Values:
         """Return all observations by name; repeated names get a number, as in ``target_2``."""
         values: Values = {}
-        for entry, function in zip(self.entries, self._own_functions, strict=True):
-            name, number = entry.name, 1
-            while name in values:
-                number += 1
-                name = f"{entry.name}_{number}"
-            values[name] = self._read(entry, function)
+        for reader in self._readers:
+            values[reader.entry.unique_name] = reader.values()
         for _ in flatten(values, len(self.satellite.simulator.ticks)):
             pass  # raises for leaves of a wrong shape
         return values
 
     def get_vector(self, dtype: torch.dtype) -> Tensor:
-        """Return all observations side by side, [N, width].
-
-        Raises:
-            TypeError: At the first call, for a vector of a user's class that has not the width of its named observations.
-        """
-        entries = zip(self.entries, self._own_functions, self._has_vector, strict=True)
-        parts = [self._vector_of(*entry) for entry in entries]
-        if not self._compared:
-            for entry, function, part in zip(self.entries, self._own_functions, parts, strict=True):
-                if not is_ours(type(entry)):
-                    check_tensor(f"{type(entry).__name__}.get_vector()", part, self._vector_of(entry, function, False).shape)
-            self._compared = True
-        return torch.cat(parts, -1).to(dtype)
+        """Return all observations side by side, [N, width]."""
+        return torch.cat([reader.vector() for reader in self._readers], -1).to(dtype)
 
     @staticmethod
     def vector(values: Values, dtype: torch.dtype) -> Tensor:

@@ -115,6 +115,7 @@ class OpportunityProperties(Observation):
         if n_ahead_observe != int(n_ahead_observe) or n_ahead_observe < 1:
             raise ValueError(f"n_ahead_observe={n_ahead_observe} must be a whole number from 1 on")
         self.entries, self.n_ahead_observe, self.type, self.as_set = parsed, int(n_ahead_observe), type, as_set
+        self.exact = ("mask",) if as_set else ()  # what obs.Noisy leaves alone
         titles = (f"{entry['name']!r} of {self.name!r}" for entry in parsed)
         self._functions = [
             UserFunction(title, ADVICE) if "fn" in entry and not is_own(entry["fn"]) else None

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Any
 
 import torch
 from torch import Tensor
 
 from bsk_torch.obs.base import ADVICE, Observation, Values
-from bsk_torch.obs.entries import is_own, parse_entries, scaled
+from bsk_torch.obs.entries import is_own, parse_entries, parse_norm, scaled
 from bsk_torch.sats.one import is_ours
 from bsk_torch.sats.user_function import UserFunction
 from bsk_torch.sim.params import nearest
@@ -124,18 +125,24 @@ class Time(Observation):
 
 
 class Eclipse(Observation):
-    """Time until the next start and until the next end of an eclipse, divided by ``norm`` seconds; [N, 2].
+    """Time until the next start and until the next end of an eclipse, divided by ``norm`` seconds, or the period; [N, 2].
 
     They need not belong to the same eclipse. As in bsk_rl, times are on a grid of 30 s, and both are one second after the epoch
     if no eclipse begins or ends in the time that is searched.
     """
 
-    def __init__(self, norm: float = 1.0, name: str = "eclipse") -> None:
-        """Observe eclipses; ``norm`` is the divisor, s."""
+    def __init__(self, norm: float | None = 1.0, name: str = "eclipse") -> None:
+        """Observe eclipses; ``norm`` is the divisor, s, or None for the period of the satellite's present orbit."""
         super().__init__(name)
-        self.norm = norm
+        self.norm = None if norm is None else parse_norm(norm, "obs.Eclipse: norm")
 
     def get_obs(self) -> Tensor:
         """See :meth:`Observation.get_obs`."""
         start, end = self.satellite.next_eclipse()
-        return (torch.stack([start, end], -1) - self.simulator.sim_time.unsqueeze(-1)) / self.norm
+        return (torch.stack([start, end], -1) - self.simulator.sim_time.unsqueeze(-1)) / self._divisor()
+
+    def _divisor(self) -> Any:
+        if self.norm is not None:
+            return self.norm
+        a, mu = self.satellite.dynamics.semi_major_axis, self.satellite.sat_args["mu"]
+        return (2.0 * math.pi * torch.sqrt(a**3 / mu)).unsqueeze(-1)

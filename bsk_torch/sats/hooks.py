@@ -22,6 +22,7 @@ UNUSED = {
     "set_action_override": ENTRY,
     "action_space": "it follows from action_spec",
     "get_action_mask": "define legal_actions()",
+    "default_sat_args": "pass sat_args to the satellite; defaults are those of Arg in args= of a Component of its models",
     "get_dyn_type": "set dyn_type",
     "get_fsw_type": "set fsw_type",
     "update_timed_terminal_event": "return a duration from decide() of an act.Action",

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 OWN_PACKAGE = __name__.partition(".")[0] + "."
 
 READ_ONLY = (
-    "satellites are read-only in functions that are called for each environment; keep values that start anew with every episode "
+    "the view of one environment is read-only; set sat_args, or keep values that start anew with every episode "
     "in satellite.simulator.memory: memory.declare(name, initial_value)"
 )
 
@@ -273,6 +273,11 @@ class OneSatellite(OneView):
     def name(self) -> str:
         """Name of the satellite."""
         return self._whole.names[self._number]
+
+    @property
+    def id(self) -> str:
+        """The name, as in bsk_rl."""
+        return self.name
 
     @property
     def env(self) -> int:

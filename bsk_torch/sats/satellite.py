@@ -4,47 +4,31 @@ from __future__ import annotations
 
 import copy
 import keyword
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, ClassVar, Protocol
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from bsk_torch._deprecated import deprecated_attributes, warn_deprecated
+from bsk_torch.sats.dtypes import as_dtype
 from bsk_torch.sats.hooks import check_satellite
 from bsk_torch.sats.one import OneSatellite
 from bsk_torch.sats.user_function import UserFunction
-from bsk_torch.sim.component import Component
+from bsk_torch.sim.argument_table import ArgumentTable
+from bsk_torch.sim.composition import compose
 from bsk_torch.sim.dyn.models import BasicDynamicsModel, DynamicsModel
 from bsk_torch.sim.fsw.models import BasicFSWModel, FSWModel
+from bsk_torch.sim.given import Given, expand
 from bsk_torch.sim.hooks import check_tensor
 from bsk_torch.sim.params import nearest
 from bsk_torch.sim.satellite_state import SatelliteState
 from bsk_torch.sim.simulator import Simulator
 from bsk_torch.sim.state import StateTable
 
-OBS_TYPES = (torch.Tensor, dict)
-
-
-class ArgumentTable(dict[str, Any]):
-    """Default arguments by name, shown as a table with unit and meaning."""
-
-    def __init__(self, components: Sequence[Component]) -> None:
-        """Collect the arguments of ``components``."""
-        self.rows = {arg.name: arg for component in components for arg in component.args}
-        super().__init__({name: arg.default for name, arg in self.rows.items()})
-
-    def __repr__(self) -> str:
-        """Return one line for each argument."""
-        lines = [(arg.name, _short(arg.default), arg.unit, arg.doc) for arg in self.rows.values()]
-        widths = [max(len(line[k]) for line in lines) for k in range(3)]
-        return "\n".join("  ".join((*(text.ljust(w) for text, w in zip(line, widths, strict=False)), line[3])) for line in lines)
-
-
-def _short(value: Any) -> str:
-    if isinstance(value, tuple) and value and isinstance(value[0], dict):
-        return f"{len(value)} stations"
-    return f"{value:g}" if isinstance(value, float) else str(value)
+VECTOR_TYPES = (torch.Tensor, np.ndarray, list)
+"""Values of ``obs_type`` that mean one vector; the latter two are bsk_rl's."""
 
 
 class _Arguments(Mapping[str, Any]):
@@ -131,12 +115,16 @@ class Group(Protocol):
 
 @deprecated_attributes
 class Satellite:
-    """An agent. Subclasses set ``observation_spec``, ``action_spec``, ``dyn_type`` and ``fsw_type``."""
+    """An agent. Subclasses set ``observation_spec``, ``action_spec``, ``dyn_type`` and ``fsw_type``.
+
+    ``dyn_type`` and ``fsw_type`` are written as a class of :mod:`bsk_torch.sim.dyn` or :mod:`bsk_torch.sim.fsw`, or as a tuple of
+    classes, of which the first wins; they are read as the one class that these stand for.
+    """
 
     observation_spec: ClassVar[Sequence[Any]] = ()
     action_spec: ClassVar[Sequence[Any]] = ()
-    dyn_type: ClassVar[type[DynamicsModel]] = BasicDynamicsModel
-    fsw_type: ClassVar[type[FSWModel]] = BasicFSWModel
+    dyn_type: ClassVar[Any] = BasicDynamicsModel
+    fsw_type: ClassVar[Any] = BasicFSWModel
     opportunity_types: tuple[str, ...] = ()
     view_type: ClassVar[type[OneSatellite]] = OneSatellite
 
@@ -144,15 +132,17 @@ class Satellite:
         """Refuse definitions that no environment would use, by a TypeError with advice."""
         super().__init_subclass__(**options)
         check_satellite(cls, Satellite)
+        cls._compose_models()
         if cls.equip is not Satellite.equip:
             warn_deprecated(f"{cls.__name__}.equip", f"{cls.__name__}.on_bind")
 
     def __init__(
         self,
         name: str,
-        sat_args: Mapping[str, Any] | None = None,
+        sat_args: Mapping[str, Any] | Callable[[], Mapping[str, Any]] | None = None,
         *,
         obs_type: type = torch.Tensor,
+        dtype: Any = None,
         variable_interval: bool = True,
     ) -> None:
         """Describe a satellite; an environment makes its own copy and simulates that.
@@ -160,21 +150,51 @@ class Satellite:
         Args:
             name: A Python identifier.
             sat_args: Arguments of the models that differ from :meth:`default_sat_args`: constants, distributions of
-                :mod:`bsk_torch.rand`, or callables without arguments.
-            obs_type: ``torch.Tensor`` for one vector, ``dict`` for named observations.
+                :mod:`bsk_torch.rand`, or callables without arguments; or one callable that returns a dictionary of them, for
+                values that depend on one another.
+            obs_type: ``torch.Tensor`` for one vector, ``dict`` for named observations; bsk_rl's ``np.ndarray`` and ``list`` mean
+                one vector, too.
+            dtype: Type of observations, of torch or NumPy, unless the environment names one; all satellites of an environment
+                have the same.
             variable_interval: Whether the end of an action ends the step; else steps last ``max_step_duration``.
         """
         if not name.isidentifier() or keyword.iskeyword(name):
             raise ValueError(f"name={name!r} must be a Python identifier, such as 'Scanner1'")
-        if obs_type not in OBS_TYPES:
-            raise ValueError(f"obs_type={obs_type!r} must be torch.Tensor or dict")
-        self.name, self.obs_type, self.variable_interval = name, obs_type, variable_interval
-        self.sat_args_generator = dict(sat_args or {})
+        if obs_type is not dict and obs_type not in VECTOR_TYPES:
+            raise ValueError(f"obs_type={obs_type!r} must be dict, or one of torch.Tensor, np.ndarray and list for one vector")
+        self.name, self.obs_type, self.variable_interval = name, dict if obs_type is dict else torch.Tensor, variable_interval
+        self.dtype = as_dtype(dtype)
+        self._compose_models()
+        self.sat_args_generator = Given(expand(sat_args, "sat_args"), type(self).default_sat_args(), "sat_args")
 
     @classmethod
-    def default_sat_args(cls) -> ArgumentTable:
-        """Return every argument that ``sat_args`` accepts, with its default."""
-        return ArgumentTable((*cls.dyn_type.all_components(), *cls.fsw_type.all_components()))
+    def default_sat_args(cls, **overrides: Any) -> ArgumentTable:
+        """Return every argument that ``sat_args`` accepts, with its default or the given value.
+
+        Raises:
+            KeyError: For a value of an unknown argument.
+        """
+        cls._compose_models()
+        return ArgumentTable((*cls.dyn_type.all_components(), *cls.fsw_type.all_components()), overrides)
+
+    @classmethod
+    def get_dyn_type(cls) -> type[DynamicsModel]:
+        """Return the dynamics model that ``dyn_type`` stands for."""
+        cls._compose_models()
+        return cls.dyn_type
+
+    @classmethod
+    def get_fsw_type(cls) -> type[FSWModel]:
+        """Return the flight-software model that ``fsw_type`` stands for."""
+        cls._compose_models()
+        return cls.fsw_type
+
+    @classmethod
+    def _compose_models(cls) -> None:
+        """Replace tuples of models, where they were written, by the classes that they stand for; TypeError for what is none."""
+        for name, base in (("dyn_type", DynamicsModel), ("fsw_type", FSWModel)):
+            owner = next(other for other in cls.__mro__ if name in vars(other))
+            setattr(owner, name, compose(getattr(owner, name), base, owner.__name__))
 
     # -- in an environment --------------------------------------------------------------------------------------------
 
@@ -186,6 +206,12 @@ class Satellite:
     def segment(self) -> float:
         """Seconds by which access windows are extended."""
         return 600.0
+
+    def as_given(self) -> Satellite:
+        """Return a copy that later changes of ``sat_args_generator`` do not reach."""
+        copied = copy.copy(self)
+        copied.sat_args_generator = copy.copy(self.sat_args_generator)
+        return copied
 
     def bound_to(self, group: Group) -> Satellite:
         """Return a copy that represents all satellites of a group in an environment."""

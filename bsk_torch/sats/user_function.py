@@ -104,6 +104,10 @@ class UserFunction:
         """Keep results from now on, and write nothing to the log."""
         self.results = []
 
+    def dimensions(self) -> set[int]:
+        """Return the sizes of all dimensions of the results but the first."""
+        return {size for tree in self.results or () for tensor in leaves_of(tree) for size in tensor.shape[1:]}
+
     def adopt(self, alone: UserFunction, together: UserFunction, rows: int) -> None:
         """Decide how ``rows`` satellites are observed, by trials with one environment and with several that begin with the same.
 
@@ -131,6 +135,11 @@ def _told(error: Exception) -> str:
     """Return the first line of an error."""
     text = str(error).partition("\n")[0]
     return f"{type(error).__name__}: {text}"
+
+
+def leaves_of(tree: Tree) -> list[Tensor]:
+    """Return the tensors of a result."""
+    return [leaf for part in tree.values() for leaf in leaves_of(part)] if isinstance(tree, dict) else [tree]
 
 
 def first_of(tree: Tree) -> Tree:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -31,6 +32,11 @@ UNUSED = {
     "finish_step": "define after_step(sim_time)",
 }
 """Names that are no hooks of scenarios, those of bsk_rl among them, and what to write instead."""
+
+
+def _same(one: Any, other: Any) -> bool:
+    """Return whether two states of NumPy's global generator are equal."""
+    return one[2:] == other[2:] and bool((one[1] == other[1]).all())
 
 
 class Scenario:
@@ -62,7 +68,10 @@ class Scenario:
 
     @property
     def calls_user(self) -> bool:
-        """Whether :meth:`draw` calls functions of the user; these are called only for episodes that begin now, not in advance."""
+        """Whether :meth:`draw` calls functions of the user, or uses NumPy's global generator.
+
+        It is then called for one environment at a time, with the generator seeded, and only for episodes that begin now.
+        """
         return False
 
     def draw(self, key: Key) -> dict[str, Tensor]:
@@ -126,9 +135,17 @@ class Scenario:
         """Call :meth:`draw`; not to be overridden.
 
         Raises:
+            TypeError: If NumPy's global generator was used though ``calls_user`` is False.
             ValueError: If names or shapes differ from those of the first call: values of other episodes would be left behind.
         """
+        before = None if self.calls_user else np.random.get_state()
         values = self.draw(key)
+        if before is not None and not _same(before, np.random.get_state()):
+            np.random.set_state(before)
+            raise TypeError(
+                f"{type(self).__name__}.draw(key) used NumPy's global generator, so episodes would depend on the batch; draw "
+                'from key.named("..."), or set calls_user = True: it is then called for one environment at a time, and seeded'
+            )
         form = {name: value.shape[1:] for name, value in values.items()}
         if self._form is None:
             self._form = form

@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from bsk_torch.rand import Distribution, Key, PerEnv, first_key
+from bsk_torch.rand import Distribution, Key, PerEnv, first_key, seeded
 
 Numbers = float | Distribution | Callable[[], float]
 """One number for each target: the same for all, a distribution of :mod:`bsk_torch.rand`, or a callable without arguments."""
@@ -35,27 +35,32 @@ def count_range(what: str, count: Count) -> tuple[int, int]:
         count: The argument.
 
     Raises:
-        ValueError: Unless every number in the range is at least 1.
+        ValueError: Unless every number in the range is at least 0.
     """
     try:
         low, end = map(operator.index, count if isinstance(count, Sequence) else (count, count + 1))
     except (TypeError, ValueError) as error:
         raise ValueError(f"{what}={count!r} must be an integer, or a range (low, high) of two integers") from error
-    if low < 1:
-        raise ValueError(f"{what}={count!r} asks for {low} targets; there must be at least 1")
+    if low < 0:
+        raise ValueError(f"{what}={count!r} asks for {low} targets; there must be at least 0")
     if end <= low:
         raise ValueError(f"{what}={count!r} is empty: high is exclusive, as in bsk_rl, so it must be at least {low + 1}")
     return low, end
 
 
+def columns_for(end: int) -> int:
+    """Return the number of columns for fewer than ``end`` targets: one, of padding, where there are none at all."""
+    return max(1, end - 1)
+
+
 def draw_exists(key: Key, low: int, end: int) -> Tensor:
     """Draw the number of targets uniformly from ``low`` to ``end - 1``; return 1.0 for so many first columns, 0.0 for the others.
 
-    The shape is [n, end - 1], or [1, end - 1] if the range holds only one number.
+    The shape is [n, T], or [1, T] if the range holds only one number, with T of :func:`columns_for`.
     """
-    columns = torch.arange(end - 1)
+    columns = torch.arange(columns_for(end))
     if end == low + 1:
-        return torch.ones(1, end - 1, dtype=torch.float64)
+        return (columns < low).double().unsqueeze(0)
     return (columns < low + torch.floor(key.uniform(1) * (end - low))).double()
 
 
@@ -80,7 +85,8 @@ def _drawn(value: Any, key: Key, count: int) -> Tensor:
         rows = as_numbers(value.draw(key))
         return rows.unsqueeze(-1).expand(-1, count) if isinstance(value, PerEnv) and rows.ndim == 1 else rows
     if callable(value):
-        return torch.tensor([[float(value()) for _ in range(count)] for _ in range(len(key))], dtype=torch.float64)
+        with seeded(key) as envs:
+            return torch.tensor([[float(value()) for _ in range(count)] for _ in envs], dtype=torch.float64).view(len(key), count)
     given = as_numbers(value)
     return given.unsqueeze(0) if given.ndim else given.expand(1, count)
 

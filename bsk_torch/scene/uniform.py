@@ -15,6 +15,7 @@ from bsk_torch.scene.draws import (
     calls_user,
     check_numbers,
     check_radius,
+    columns_for,
     count_range,
     draw_exists,
     draw_numbers,
@@ -51,13 +52,14 @@ class UniformTargets(TargetScenario):
 
         Args:
             n_targets: Number of targets, or a range (low, high) from which the number is drawn in each episode. ``high`` is
-                exclusive, as in bsk_rl's draws (its documentation says inclusive).
+                exclusive, as in bsk_rl's draws (its documentation says inclusive). Where there are none, satellites that look for
+                some raise RuntimeError as in bsk_rl, unless they are built with ``may_see_nothing=True``.
             priority_distribution: Priority of each target: a number, a distribution, or a callable without arguments that is
                 called for each target; None for uniform in [0, 1).
             radius: Distance of the targets from the Earth's centre, m.
         """
         self.low, self.end = count_range("n_targets", n_targets)
-        self.most_targets = self.end - 1
+        self.most_targets = columns_for(self.end)
         self.priority_distribution = Uniform() if priority_distribution is None else priority_distribution
         check_numbers("priority_distribution", self.priority_distribution, self.most_targets)
         self.radius = check_radius("radius", radius)

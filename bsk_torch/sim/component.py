@@ -25,6 +25,10 @@ Values = Mapping[str, Any]
 """Arguments of the rows being reset: tensors with leading dimension n, or 1 where all environments agree."""
 
 
+class MissingMessageError(AttributeError):
+    """A component reads a message, field or parameter that none has written."""
+
+
 class Bus:
     """The values of one tick by name: state, parameters, flags of the flight mode and messages.
 
@@ -38,10 +42,10 @@ class Bus:
         self.h_ns, self.h, self.dtype, self.opaque_field = h_ns, h_ns * NANO, dtype, opaque_field
 
     def __getattr__(self, name: str) -> Any:
-        """Read an old name; AttributeError for a name that no component has written."""
+        """Read an old name; MissingMessageError for a name that no component has written."""
         if name in RENAMED:
             return getattr(self, current_name(name))
-        raise AttributeError(f"no component has written {name!r} to the bus before it is read")
+        raise MissingMessageError(f"no component has written {name!r} to the bus before it is read", name=name, obj=self)
 
     def __setattr__(self, name: str, value: Any) -> None:
         """Write a message; one with an old name goes where the present one does."""
@@ -146,9 +150,11 @@ class Component:
     ``at_start`` it takes part in the tick at time zero, whose length is zero; components of the world always do.
 
     ``initial`` and ``prepare`` compute, from the arguments of the rows being reset, the state and the tick parameters as float64
-    tensors [n or 1] and [n or 1, width]; ``check`` raises for arguments that do not fit together. ``integrated_only`` components
-    run only where the orbit is integrated in the tick. ``fit`` makes the component that is used from the arguments as users gave
-    them, defaults included, where its structure depends on them: it is called once, when the simulation is built.
+    tensors [n or 1] and [n or 1, width]; ``check`` raises for arguments that do not fit together. ``overwrites`` lists fields
+    whose last value the update does not read, so that what a user writes into them is lost, each with advice what to do instead.
+    ``integrated_only`` components run only where the orbit is integrated in the tick. ``fit`` makes the component that is used
+    from the arguments as users gave them, defaults included, where its structure depends on them: it is called once, when the
+    simulation is built.
     """
 
     slot: str
@@ -159,6 +165,7 @@ class Component:
     initial: Callable[[Values], dict[str, Tensor]] = _nothing
     prepare: Callable[[Values], dict[str, Tensor]] = _nothing
     check: Callable[[Values], None] = _accept
+    overwrites: tuple[tuple[str, str], ...] = ()
     integrated_only: bool = False
     stops: bool = False
     after: str | None = None
@@ -173,11 +180,12 @@ def collect(classes: Iterable[type], attribute: str = "components") -> tuple[Com
     Raises:
         ValueError: For a component without a place in the tick.
     """
-    slots: dict[str, Component] = {}
-    for cls in classes:
-        for component in vars(cls).get(attribute, ()):
-            slots[component.slot] = component
-    return ordered(slots.values())
+    return replaced(component for cls in classes for component in vars(cls).get(attribute, ()))
+
+
+def replaced(components: Iterable[Component]) -> tuple[Component, ...]:
+    """Return components in the order of a tick, the last of each slot."""
+    return ordered({component.slot: component for component in components}.values())
 
 
 class Layout:

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from bsk_torch._deprecated import deprecated_attributes
 from bsk_torch.rand import Key
+from bsk_torch.sim.given import Answers
 from bsk_torch.sim.params import Overrides
 from bsk_torch.sim.simulator import Simulator
 from bsk_torch.sim.state import StateTable
@@ -91,6 +92,8 @@ class Fleet:
         memory: The table ``memory`` of the state, [N, ...] each.
         scenario_state: The table ``scenario`` of the state, [N, ...] each.
         since: Ticks since reset at the start of the present step, [N].
+        env_ids: Index of each episode in draws, [N].
+        beginnings: Functions that an environment calls with the episodes [n] that have begun.
     """
 
     groups: tuple[Group, ...] = ()
@@ -116,8 +119,9 @@ class Fleet:
         self.columns = tuple(torch.tensor([position[c] for c in s.columns], device=self.device) for s in self.simulators)
         order = torch.cat(self.columns)
         self._order = None if torch.equal(order, torch.arange(self.size, device=self.device)) else order.argsort()
+        self.beginnings: list[Callable[[Tensor], Any]] = []
         self.since = torch.zeros(self.num_envs, dtype=torch.int64, device=self.device)
-        self.all_envs = torch.arange(self.num_envs, device=self.device)
+        self.all_envs = self.env_ids = torch.arange(self.num_envs, device=self.device)
         self.state = FleetState(self.num_envs, self.size, self.device)
         self.memory, self.scenario_state = StateTable(self.num_envs, 1, self.device), first.scenario_state
         self.state.add("memory", self.memory)
@@ -191,21 +195,56 @@ class Fleet:
             ]
         )
 
+    def key(self) -> Key:
+        """Return the key of random numbers of the present episodes; that of first episodes under seed 0 on a trial."""
+        none = torch.zeros(self.num_envs, dtype=torch.int64)
+        seed, episode = (self.state[name].cpu() if name in self.state else none for name in ("seed", "episode"))
+        return Key(seed, self.env_ids.cpu(), episode)
+
     # -- episodes -----------------------------------------------------------------------------------------------------
 
-    def draw(self, key: Key, randomize: Callable[[Key], Mapping[str, tuple[Sequence[int], Tensor]]] | None = None) -> EpisodeDraw:
+    def ask(self, env: int, answers: Answers, randomize: Callable[[], Any] | None = None) -> None:
+        """Call the functions of the user that give arguments of the environment ``env``, in bsk_rl's order; add their answers.
+
+        World first, then ``randomize``, which gives arguments of all satellites, then the satellites in their order.
+        """
+        for simulator in self.simulators:
+            simulator.world_args.ask(0, env, answers)
+        if randomize is not None:
+            answers["sat_arg_randomizer"] = randomize()
+        for _, arguments, k in sorted(
+            ((column, s.sat_args, k) for s in self.simulators for k, column in enumerate(s.columns)), key=lambda entry: entry[0]
+        ):
+            arguments.ask(k, env, answers)
+
+    @property
+    def calls_user(self) -> bool:
+        """Whether arguments are given by functions of the user."""
+        return any(arguments.calls_user for s in self.simulators for arguments in (s.world_args, s.sat_args))
+
+    def draw(
+        self,
+        key: Key,
+        given: Mapping[str, tuple[Sequence[int], Tensor]] | None = None,
+        answers: Sequence[Answers] | None = None,
+        scenario: dict[str, Tensor] | None = None,
+    ) -> EpisodeDraw:
         """Return the draws of the key's environments; raises before anything has changed.
 
-        ``randomize`` draws arguments for satellites of all types: by name, the satellites [c] and their values [n, c, ...].
+        Args:
+            key: Key of the n environments.
+            given: Arguments of satellites of all types that replace others: by name, the satellites [c] and values [n, c, ...].
+            answers: What functions of the user returned for each of the environments (see :meth:`ask`); unless given, they are
+                called now.
+            scenario: Draws of the scenario, if they have been made.
         """
-        drawn = self.draw_scenario(key)
-        given = {} if randomize is None else randomize(key)
+        drawn = self.draw_scenario(key) if scenario is None else scenario
         world: dict[str, Any] = {}
         values = []
         for simulator in self.simulators:
-            around = simulator.world_args.draw(key, world)
+            around = simulator.world_args.draw(key, world, answers)
             world |= around
-            values.append(simulator.draw(key, around, share(given, simulator.columns)))
+            values.append(simulator.draw(key, around, share(given or {}, simulator.columns), answers))
         return EpisodeDraw(drawn, values)
 
     def reset(self, envs: Tensor, drawn: EpisodeDraw, durations: Sequence[Tensor], time_limit: Tensor) -> None:

@@ -2,11 +2,16 @@
 
 A value may be a constant, a distribution of :mod:`bsk_torch.rand`, or a callable without arguments. Constants become tensors
 with leading dimension 1, the others with one row for each environment being reset.
+
+Functions of the user may share state and NumPy's generator, so they are called apart from the rest, in :meth:`Arguments.ask`: all
+of one environment before those of the next. :meth:`Arguments.draw` converts their answers, and draws all else in batches.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+import copy
+from collections.abc import Container, Iterable, Mapping, Sequence
+from datetime import datetime
 from typing import Any
 
 import numpy as np
@@ -14,8 +19,9 @@ import torch
 from torch import Tensor
 
 from bsk_torch.astro.ephemeris import parse_utc
-from bsk_torch.rand import Distribution, Key
+from bsk_torch.rand import Distribution, Key, seeded
 from bsk_torch.sim.component import Arg, Component, Values
+from bsk_torch.sim.given import Answers, Member, in_order, is_function, unknown
 from bsk_torch.sim.names import nearest
 
 Overrides = Mapping[str, tuple[Tensor, Tensor]]
@@ -73,7 +79,7 @@ def convert(arg: Arg, values: Any, rows: int) -> Any:
     if arg.kind == "choice":
         return torch.tensor([_index(arg, v) for v in values], dtype=torch.float64)
     if arg.kind == "utc":
-        return torch.tensor([parse_utc(str(v)) for v in values], dtype=torch.float64)
+        return torch.tensor([parse_utc(v if isinstance(v, datetime) else str(v)) for v in values], dtype=torch.float64)
     try:
         given = numbers(values)
     except (TypeError, ValueError, RuntimeError) as error:
@@ -89,6 +95,11 @@ def alike(a: Any, b: Any) -> bool:
         return type(a) is type(b) and np.shape(a) == np.shape(b) and bool(np.all(np.asarray(a == b)))
     except (TypeError, ValueError, RuntimeError):
         return False
+
+
+def is_fixed(arg: Arg) -> bool:
+    """Return whether an argument is the same for all environments and episodes, since it decides what is built."""
+    return arg.shared or arg.kind in ("constant", "stations")
 
 
 class Arguments:
@@ -113,23 +124,45 @@ class Arguments:
             KeyError: For an unknown name.
         """
         self.title, self.columns = title, tuple(columns)
+        self.owners = tuple(columns) if title == "sat_args" else (title,)
         self.table = {arg.name: arg for component in components for arg in component.args}
         each = [given] if isinstance(given, Mapping) else list(given)
         merged = [self._merged(values) for values in each]
-        self._given = merged * len(columns) if isinstance(given, Mapping) else merged
-        self._alike = {name: all(alike(values[name], self._given[0][name]) for values in self._given) for name in self.table}
-        self._constants: dict[str, Any] = {}
+        self._given = [dict(merged[0]) for _ in columns] if isinstance(given, Mapping) else merged
+        self._of_envs: list[dict[str, dict[int, Any]]] = [{} for _ in self._given]
+        self._changed: set[str] = set()
+        self._look()
 
     def _merged(self, given: Mapping[str, Any]) -> dict[str, Any]:
         """Return the values of one satellite, with defaults for those that are not given."""
         for name in given:
             if name not in self.table:
-                raise KeyError(f"{self.title}[{name!r}] is unknown; {nearest(str(name), self.table)}")
+                raise KeyError(unknown(self.title, name, self.table))
         merged = {name: given.get(name, arg.default) for name, arg in self.table.items()}
         replaced = {"rN", "vN"} & {name for name in given if given[name] is not None}
         if replaced and "oe" not in given and "oe" in merged:
             merged["oe"] = None  # an explicit position replaces the default elements
+        for name, value in merged.items():
+            if isinstance(value, Member) and is_fixed(self.table[name]):
+                merged[name] = value.trial
         return merged
+
+    def _look(self) -> None:
+        """Find out which arguments are equal for all satellites, and which are asked of functions; forget constants."""
+        self._constants: dict[str, Any] = {}
+        apart = {name for of_envs in self._of_envs for name in of_envs}
+        self._asked = [
+            in_order(name for name in self.table if any(map(is_function, self._values_of(k, name))))
+            for k in range(len(self._given))
+        ]
+        apart |= {name for names in self._asked for name in names if not is_fixed(self.table[name])}
+        self._alike = {
+            name: name not in apart and all(alike(values[name], self._given[0][name]) for values in self._given)
+            for name in self.table
+        }
+
+    def _values_of(self, k: int, name: str) -> list[Any]:
+        return [self._given[k][name], *self._of_envs[k].get(name, {}).values()]
 
     @property
     def given(self) -> dict[str, Any]:
@@ -139,20 +172,99 @@ class Arguments:
     @property
     def all_given(self) -> list[Any]:
         """Values of all arguments of all satellites."""
-        return [value for values in self._given for value in values.values()]
+        return [value for k, values in enumerate(self._given) for name in values for value in self._values_of(k, name)]
+
+    @property
+    def calls_user(self) -> bool:
+        """Whether a function of the user is called for each episode."""
+        return any(self._asked)
 
     def is_random(self, name: str) -> bool:
-        """Return whether the value is drawn for each environment."""
-        return any(isinstance(values[name], Distribution) or callable(values[name]) for values in self._given)
+        """Return whether the value may differ between environments: it is drawn for each, or has been changed."""
+        values = (values[name] for values in self._given)
+        return name in self._changed or any(isinstance(value, Distribution) or callable(value) for value in values)
 
-    def draw(self, key: Key, known: Mapping[str, Any] | None = None) -> dict[str, Any]:
+    # -- changes ------------------------------------------------------------------------------------------------------
+
+    def changed(self, changes: Iterable[tuple[int, str, Any, Sequence[int] | None]]) -> Arguments:
+        """Return arguments with other values; these are kept as they are.
+
+        Args:
+            changes: Index of a satellite within the type, name, value, and the environments that get it; None for all.
+
+        Raises:
+            KeyError: For an unknown name.
+            ValueError: For an argument that decides what is built.
+        """
+        new = copy.copy(self)
+        new._given, new._changed = [dict(values) for values in self._given], set(self._changed)
+        new._of_envs = [{name: dict(values) for name, values in each.items()} for each in self._of_envs]
+        for k, name, value, envs in changes:
+            if name not in self.table:
+                raise KeyError(unknown(self.title, name, self.table))
+            if is_fixed(self.table[name]):
+                raise ValueError(
+                    f"{self.title}: {name} decides what is built, so it cannot be changed between episodes; "
+                    "build another environment"
+                )
+            new._changed.add(name)
+            if envs is None:
+                new._given[k][name] = value
+                new._of_envs[k].pop(name, None)
+            else:
+                new._of_envs[k].setdefault(name, {}).update(dict.fromkeys(envs, value))
+        new._look()
+        return new
+
+    # -- drawing ------------------------------------------------------------------------------------------------------
+
+    def value(self, k: int, name: str, env: int) -> Any:
+        """Return the given value of satellite k of the type in the environment ``env``."""
+        return self._of_envs[k].get(name, {}).get(env, self._given[k][name])
+
+    def ask(self, k: int, env: int, answers: Answers) -> None:
+        """Call the functions of satellite k for an episode of the environment ``env``, in order, and add what they return."""
+        owner = self.owners[k]
+        for name in self._asked[k]:
+            value = self.value(k, name, env)
+            if (owner, name) in answers or not is_function(value):
+                continue
+            if not isinstance(value, Member):
+                answers[owner, name] = value()
+                continue
+            for other, answer in value.ask(self.title).items():
+                if other in self.table and is_fixed(self.table[other]) and not alike(answer, self._given[k][other]):
+                    first = self._given[k][other]
+                    raise ValueError(
+                        f"{self.title}: {other}={answer!r} was {first!r} at the function's first call; it decides what is "
+                        "built, so it must be the same in all episodes"
+                    )
+                mine = self.value(k, other, env) if other in self.table else value
+                if isinstance(mine, Member) and mine.function is value.function:
+                    answers[owner, other] = answer
+
+    def _asked_alone(self, key: Key, known: Container[str]) -> list[Answers]:
+        """Return the answers for each environment of a key, of all functions whose values are not known."""
+        if not self.calls_user:
+            return []
+        answers: list[Answers] = []
+        with seeded(key.named(self.title)) as rows:
+            for row in rows:
+                answers.append({(self.owners[0], name): None for name in self.table if name in known})
+                for k in range(len(self.owners)):
+                    self.ask(k, int(row.env_id), answers[-1])
+        return answers
+
+    def draw(self, key: Key, known: Mapping[str, Any] | None = None, answers: Sequence[Answers] | None = None) -> dict[str, Any]:
         """Return the values of all arguments for the n environments of ``key``: [1, ...] if all are equal, else [n * S, ...].
 
-        Arguments that are ``known`` already are not drawn again.
+        Arguments that are ``known`` already are not drawn again. ``answers`` are those of the user's functions for each
+        environment; unless given, the functions are called now.
         """
         known = known or {}
+        answers = self._asked_alone(key, known) if answers is None else answers
         rows = key if self.columns == (0,) else key.of_satellites(torch.tensor(self.columns))
-        return {n: known[n] if n in known else self._drawn_or_kept(arg, key, rows) for n, arg in self.table.items()}
+        return {n: known[n] if n in known else self._drawn_or_kept(arg, key, rows, answers) for n, arg in self.table.items()}
 
     def override(self, name: str, values: Any, columns: Tensor, given: Tensor) -> Tensor:
         """Return values [n * S, ...] of the argument ``name``, with those of some satellites replaced.
@@ -178,35 +290,32 @@ class Arguments:
         whole[:, columns] = new
         return whole.flatten(0, 1)
 
-    def _drawn_or_kept(self, arg: Arg, key: Key, rows: Key) -> Any:
+    def _drawn_or_kept(self, arg: Arg, key: Key, rows: Key, answers: Sequence[Answers]) -> Any:
         value = self.given[arg.name]
         if not self._alike[arg.name]:
-            return self._drawn_each(arg, key)
-        if self.is_random(arg.name):
+            return self._drawn_each(arg, key, answers)
+        if isinstance(value, Distribution):
             return self._draw(arg, value, rows)
         if arg.name not in self._constants:
             self._constants[arg.name] = self._draw(arg, value, key)
-        return self._constants[arg.name]
+        kept = self._constants[arg.name]
+        return kept.expand(len(rows), *kept.shape[1:]) if arg.name in self._changed and isinstance(kept, Tensor) else kept
 
-    def _drawn_each(self, arg: Arg, key: Key) -> Any:
+    def _drawn_each(self, arg: Arg, key: Key, answers: Sequence[Answers]) -> Any:
         """Return the values of an argument that was given for each satellite, [n * S, ...]."""
-        if arg.shared or arg.kind in ("constant", "stations"):
+        if is_fixed(arg):
             raise ValueError(f"{self.title}: {arg.name} must be the same for all satellites of a type")
         if self.is_random(arg.name):
-            parts = self._each(arg, key)
+            parts = self._each(arg, key, answers)
         elif arg.name in self._constants:
             parts = self._constants[arg.name]
         else:
-            parts = self._constants[arg.name] = self._each(arg, key)
+            parts = self._constants[arg.name] = self._each(arg, key, answers)
         return None if parts is None else parts.expand(len(key), *parts.shape[1:]).flatten(0, 1)
 
-    def _each(self, arg: Arg, key: Key) -> Tensor | None:
+    def _each(self, arg: Arg, key: Key, answers: Sequence[Answers]) -> Tensor | None:
         """Return the values of an argument, [n or 1, S, ...]; None if no satellite has one."""
-        numbers = (torch.tensor([column]) for column in self.columns)
-        parts = [
-            self._draw(arg, values[arg.name], key.of_satellites(number))
-            for values, number in zip(self._given, numbers, strict=True)
-        ]
+        parts = [self._of_satellite(k, arg, key, answers) for k in range(len(self._given))]
         missing = [part is None for part in parts]
         if all(missing):
             return None
@@ -215,16 +324,37 @@ class Arguments:
         n = max(len(part) for part in parts)
         return torch.stack([part.expand(n, *part.shape[1:]) for part in parts], 1)
 
-    def _draw(self, arg: Arg, value: Any, key: Key) -> Any:
+    def _of_satellite(self, k: int, arg: Arg, key: Key, answers: Sequence[Answers]) -> Any:
+        """Return the values of an argument of one satellite, [n or 1, ...]; None if it has none."""
+        own, asked = (
+            key.of_satellites(torch.tensor([self.columns[k]])),
+            [answer.get((self.owners[k], arg.name)) for answer in answers],
+        )
+        value, of_envs = self._given[k][arg.name], self._of_envs[k].get(arg.name)
+        if not of_envs:
+            return self._draw(arg, value, own, asked)
+        groups: dict[int, tuple[Any, list[int]]] = {}
+        for row, env in enumerate(key.env_id.tolist()):
+            mine = of_envs.get(env, value)
+            groups.setdefault(id(mine), (mine, []))[1].append(row)
+        whole = torch.empty(len(key), *SHAPES.get(arg.kind, ()), dtype=torch.float64)
+        for mine, rows in groups.values():
+            part = self._draw(arg, mine, own.take(rows), [asked[row] for row in rows] if asked else asked)
+            if part is None:
+                raise ValueError(f"{self.title}: {arg.name} must be given for all environments, or for none")
+            whole[rows] = part.expand(len(rows), *part.shape[1:])
+        return whole
+
+    def _draw(self, arg: Arg, value: Any, key: Key, asked: Sequence[Any] = ()) -> Any:
         try:
-            if arg.shared or arg.kind in ("constant", "stations"):
+            if is_fixed(arg):
                 self._check_shared(arg, value)
             if arg.kind in ("constant", "stations"):
                 return value
             if isinstance(value, Distribution):
                 return convert(arg, value.draw(key.named(arg.name)), len(key))
             if callable(value):
-                return convert(arg, [value() for _ in range(len(key))], len(key))
+                return convert(arg, [_once(arg, answer, key, row) for row, answer in enumerate(asked)], len(key))
             if value is None and arg.kind != "choice":
                 return self._missing(arg)
             return convert(arg, [value], 1)
@@ -245,6 +375,11 @@ class Arguments:
                 raise ValueError(f"{arg.name}=None is not allowed; give {arg.doc} in {arg.unit}")
             return None
         return torch.full((1, *SHAPES[arg.kind]), arg.missing, dtype=torch.float64)
+
+
+def _once(arg: Arg, answer: Any, key: Key, row: int) -> Any:
+    """Return the value of a function's answer for one row of a key; a distribution is drawn."""
+    return answer.draw(key.take([row]).named(arg.name))[0] if isinstance(answer, Distribution) else answer
 
 
 def _check_stations(stations: Any) -> None:

@@ -78,10 +78,14 @@ class SatelliteState(StateTable):
         count: int,
         device: torch.device,
         h_ns: int,
+        overwritten: Mapping[str, str] | None = None,
     ) -> None:
-        """Make room for the fields and parameters of two layouts, and for arguments like those of a trial draw."""
+        """Make room for the fields and parameters of two layouts, and for arguments like those of a trial draw.
+
+        ``overwritten`` are fields that cannot be written, with advice; see :class:`~bsk_torch.sim.component.Component`.
+        """
         super().__init__(num_envs, count, device)
-        self.layout, self.h_ns = layout, h_ns
+        self.layout, self.h_ns, self.overwritten = layout, h_ns, dict(overwritten or {})
         self.declare("planes", None, layout.size, planes=True)
         self.declare("parameters", None, parameters.size, planes=True)
         self.declare("ticks", 0)
@@ -113,15 +117,28 @@ class SatelliteState(StateTable):
     # -- fields of the components --------------------------------------------------------------------------------------
 
     def read(self, name: str) -> Tensor:
-        """Return a field of the components, [rows] or [rows, width]."""
-        view = self.layout.view(self.planes, current_name(name))
+        """Return a field of the components, [rows] or [rows, width]; KeyError for a name that none declares."""
+        view = self.layout.view(self.planes, self._known(current_name(name)))
         return view.mT.clone() if view.ndim == 2 else view.clone()
 
     def write(self, name: str, rows: Tensor, value: Tensor) -> None:
-        """Set a field of the components to ``value`` [rows] or [rows, width] where the mask ``rows`` is true."""
-        where = self.layout.slices[current_name(name)]
+        """Set a field of the components to ``value`` [rows] or [rows, width] where the mask ``rows`` is true.
+
+        Raises:
+            KeyError: For a name that no component declares.
+            ValueError: For a field that every tick computes anew, so that what is written is lost.
+        """
+        name = current_name(name)
+        if name in self.overwritten:
+            raise ValueError(f"write({name!r}) would be lost in the next tick: {self.overwritten[name]}")
+        where = self.layout.slices[self._known(name)]
         self.planes[where] = torch.where(rows, value.reshape(self.rows, -1).mT, self.planes[where])
         self.touch()
+
+    def _known(self, name: str) -> str:
+        if name not in self.layout.fields:
+            raise KeyError(f"the satellite has no field {name!r}; {nearest(name, self.layout.fields)}")
+        return name
 
     # -- arguments ----------------------------------------------------------------------------------------------------
 

@@ -52,6 +52,7 @@ SCHEDULE: tuple[Slot, ...] = (
         "dynamics",
         ("disturbance", "constant torque", "extForceTorque"),
         ("hub", "attitude and wheels, and the orbit where it is integrated, over the tick", "spacecraft"),
+        ("imposed_attitude", "attitude of the last reference, where there are no actuators", "spacecraft"),
         ("drag", "latch the density for the next tick", "facetDragDynamicEffector"),
         ("wheels", "latch the motor torque for the next tick", "reactionWheelStateEffector"),
         ("thrusters", "latch the pulses for the next tick", "thrusterDynamicEffector"),

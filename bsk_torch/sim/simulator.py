@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Callable, Collection, Mapping, Sequence
+import logging
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from typing import Any
 
 import torch
@@ -21,32 +22,61 @@ from bsk_torch.sim.access.lookahead import LookAhead
 from bsk_torch.sim.access.places import place_kinds
 from bsk_torch.sim.access.visibility.backend import make_visibility
 from bsk_torch.sim.access.windows import AccessWindows
-from bsk_torch.sim.component import Component, collect
+from bsk_torch.sim.component import Component, Layout, MissingMessageError
+from bsk_torch.sim.composition import check_required_dyn, commanded_by, providers, world_components, world_of
 from bsk_torch.sim.dyn import hub
 from bsk_torch.sim.dyn.field import prepare
 from bsk_torch.sim.dyn.models import DynamicsModel
 from bsk_torch.sim.fsw.models import IDLE, FSWModel
 from bsk_torch.sim.fsw.modes import ALWAYS_RESET, MODE_FLAGS, Mode
+from bsk_torch.sim.given import Answers
 from bsk_torch.sim.orbit.arcs import Arcs
 from bsk_torch.sim.orbit.solvers import make_solver
 from bsk_torch.sim.params import Arguments, Overrides, merge, nearest
 from bsk_torch.sim.readout.observables import Observer
-from bsk_torch.sim.readout.surroundings import World
-from bsk_torch.sim.run import make_runners
+from bsk_torch.sim.run import Runners, TickLoop, make_runners
 from bsk_torch.sim.satellite_state import SatelliteState
 from bsk_torch.sim.schedule import ordered
 from bsk_torch.sim.state import StateTable
 from bsk_torch.sim.tick import ARC_ORBIT, Tick
+from bsk_torch.sim.world import WorldModel
 from bsk_torch.vec3 import Vec3
+
+logger = logging.getLogger(__name__)
+
+ArgumentChange = tuple[int, str, Any, Sequence[int] | None]
+"""See :meth:`bsk_torch.sim.params.Arguments.changed`."""
 
 ORBITS = ("arc", "integrated")
 
 LONGEST_TICK = 60.0
 
 
+class _Looked(dict[str, Any]):
+    """Given arguments that remember which of them were looked at."""
+
+    def __init__(self, given: Mapping[str, Any]) -> None:
+        super().__init__(given)
+        self.seen: set[str] = set()
+
+    def __getitem__(self, name: str) -> Any:
+        self.seen.add(name)
+        return super().__getitem__(name)
+
+    def get(self, name: str, default: Any = None) -> Any:
+        """Return an argument, or the default."""
+        self.seen.add(name)
+        return super().get(name, default)
+
+
 def fitted(parts: tuple[Component, ...], given: Mapping[str, Any]) -> tuple[Component, ...]:
     """Return the parts with the structure that the given arguments need."""
     return tuple(part.fit(given) if part.fit else part for part in parts)
+
+
+def _planes(layout: Layout, names: Iterable[str]) -> list[int]:
+    """Return the planes of some fields of a layout."""
+    return [plane for name in names for plane in range(layout.slices[name].start, layout.slices[name].stop)]
 
 
 def whole_nanoseconds(seconds: float) -> int:
@@ -72,6 +102,22 @@ def check_resets(modes: Mapping[str, Mode], known: Collection[str]) -> None:
         for name in mode.resets:
             if name not in known and name not in ALWAYS_RESET:
                 raise ValueError(f"mode {title!r} resets {name!r}, which is no field of the state; {nearest(name, known)}")
+
+
+def checked_runners(tick: Tick, start: tuple[Tensor, Tensor, Tensor], backend: str, device: torch.device, count: int) -> Runners:
+    """Return the runners of a tick; TypeError for a component that reads what none writes, with the models that provide it.
+
+    ``start`` holds a state [C, n] and parameters [C, 1] and [C, n] on which a tick can run.
+    """
+    try:
+        runners = make_runners(tick, backend, device, count)
+        if isinstance(runners.run, TickLoop):  # kernels have been traced, which shows the same
+            tick.check_messages(*start)
+    except MissingMessageError as error:
+        known = providers(str(error.name))
+        advice = f"{' or '.join(known)} provides it" if known else "list a Component that provides it, too"
+        raise TypeError(f"{error}; {advice}") from None
+    return runners
 
 
 @deprecated_attributes
@@ -106,6 +152,7 @@ class Simulator:
         stops: bool = False,
         columns: Sequence[int] = (0,),
         randomize: Callable[[Key], Overrides] = lambda key: {},
+        world_type: type[WorldModel] | None = None,
     ) -> None:
         """Build the tick and check the arguments with trial draws; :meth:`reset` fills the state.
 
@@ -127,6 +174,10 @@ class Simulator:
             stops: Whether events such as an image end a run.
             columns: Numbers of the satellites among all those of an environment, of other types too.
             randomize: Draws arguments that replace those of some satellites.
+            world_type: World model; None for what the dynamics model requires.
+
+        Raises:
+            TypeError: For models that do not fit together, or a component that reads what none writes.
         """
         self.num_envs, self.count, self.device, self.dtype = num_envs, len(columns), device, dtype
         self.columns, self.backend = tuple(columns), backend
@@ -137,44 +188,65 @@ class Simulator:
         if not 0 < self.h_ns * NANO <= LONGEST_TICK:
             raise ValueError(f"sim_rate={sim_rate:g} s must lie in (0, {LONGEST_TICK:g}]")
         self.max_time, self.stops = max_time, stops
-        self._make_components(dyn_type, fsw_type, sat_args, world_args)
-        self._make_tick(randomize)
+        self._randomize = randomize
+        self._make_components(dyn_type, fsw_type, world_type, sat_args, world_args)
+        self._make_tick()
         self._make_lookahead(horizon, segment)
         self.observer = Observer(self.state, self.lookahead.arcs, backend)
         stations = self.world_args.given.get("groundStationsData", ())
-        self.world = World(self.state, self.lookahead.arcs, stations)
+        self.world = self.world_type(self.state, self.lookahead.arcs, stations)
 
     # -- construction -------------------------------------------------------------------------------------------------
 
-    def _make_components(self, dyn_type: Any, fsw_type: Any, sat_args: Any, world_args: Mapping[str, Any]) -> None:
-        world_parts = collect(reversed(dyn_type.__mro__), "world_components")
+    def _make_components(
+        self, dyn_type: Any, fsw_type: Any, world_type: Any, sat_args: Any, world_args: Mapping[str, Any]
+    ) -> None:
+        check_required_dyn(dyn_type, fsw_type)
+        self.world_type, world_parts = world_of(dyn_type, world_type), world_components(dyn_type, world_type)
         self.world_args = Arguments(world_parts, world_args, "world_args")
         own = (*dyn_type.all_components(), *fsw_type.all_components())
         self.sat_args = Arguments(own, sat_args, "sat_args", self.columns)
-        world_parts, own = fitted(world_parts, self.world_args.given), fitted(own, self.sat_args.given)
+        around, given = _Looked(self.world_args.given), _Looked(self.sat_args.given)
+        world_parts, own = fitted(world_parts, around), fitted(own, given)
+        looked = (self.world_args, around.seen), (self.sat_args, given.seen)
+        self._structural = {name for args, names in looked for name in names if not args.is_random(name)}
         self.parts = ordered((*(dataclasses.replace(part, at_start=True) for part in world_parts), *own))
         self.modes, self.commands = fsw_type.all_modes(), fsw_type.all_commands()
         self.mode_names = tuple(self.modes)
-        check_resets(self.modes, {*declared_fields(dyn_type, fsw_type), *(f.name for part in self.parts for f in part.state)})
+        declared = declared_fields(dyn_type, fsw_type, self.world_type)
+        check_resets(self.modes, {*declared, *(f.name for part in self.parts for f in part.state)})
 
-    def _make_tick(self, randomize: Callable[[Key], Overrides]) -> None:
-        """Build the tick and its state; a trial draw determines which parameters are uniform."""
+    def _trial(self, envs: Sequence[int] = ()) -> tuple[dict[str, Any], dict[str, Tensor], set[str]]:
+        """Return the arguments and parameters of a trial draw, and the names of the parameters that are uniform.
+
+        The first of ``envs`` takes part in the draw.
+        """
         key = first_key(min(2, self.num_envs))
-        given = randomize(key)
+        if envs:
+            key = dataclasses.replace(key, env_id=torch.tensor([envs[0], *envs[-1:]])[: len(key)])
+        given = self._randomize(key)
         trial = self.draw(key, given=given)
         random = {name for args in (self.sat_args, self.world_args) for name in args.table if args.is_random(name)} | set(given)
         params = merge(trial, self.parts, "prepare")
         uniform = {name for name, value in params.items() if len(value) == 1}
         if self.num_envs * self.count == 1:
             uniform = self._independent_of(random, uniform, trial)
+        return trial, params, uniform
+
+    def _make_tick(self) -> None:
+        """Build the tick and its state; a trial draw determines which parameters are uniform."""
+        trial, params, uniform = self._trial()
         on_arc = self.orbit == "arc"
         parts = tuple(self._scheduled(part, on_arc) for part in self._running(on_arc))
         opaque = self.device.type != "cpu"
         self.tick = Tick(parts, uniform, self.h_ns, on_arc, self.dtype, opaque, self.stops)
         if opaque and not on_arc:
             prepare(self.device, torch.float64)
-        self.runners = make_runners(self.tick, self.backend, self.device, self.count)
-        self.uniform = self.tick.shared.rows(params, 1).to(self.device).contiguous()
+        shared, n = self.tick.shared.rows(params, 1), min(2, self.num_envs) * self.count
+        initial = self.tick.state.rows(merge(trial, self.parts, "initial"), n)
+        start = initial, shared, self.tick.own.rows(params, n)
+        self.runners = checked_runners(self.tick, start, self.backend, self.device, self.count)
+        self.uniform = shared.to(self.device).contiguous()
         on = [[float(flag in self.modes[name].on) for name in self.mode_names] for flag in MODE_FLAGS]
         self.flag_table = torch.tensor(on, device=self.device, dtype=torch.float64)
         self.state = SatelliteState(
@@ -185,6 +257,7 @@ class Simulator:
             count=self.count,
             device=self.device,
             h_ns=self.h_ns,
+            overwritten=dict(pair for part in parts for pair in part.overwrites),
         )
 
     def _independent_of(self, random: set[str], uniform: set[str], trial: dict[str, Any]) -> set[str]:
@@ -208,23 +281,79 @@ class Simulator:
         self.lookahead = LookAhead(self.num_envs, self.count, solver, visibility, places, horizon=horizon, segment=segment)
         self.state.add("lookahead", self.lookahead)
 
+    # -- changes of arguments -----------------------------------------------------------------------------------------
+
+    def prepare_change(self, own: Sequence[ArgumentChange], world: Sequence[ArgumentChange]) -> Callable[[], None]:
+        """Check changes of the arguments of satellites and world by a trial draw; return a function that makes them.
+
+        Raises:
+            KeyError, ValueError: For wrong changes.
+        """
+        for _, name, _, _ in (*own, *world):
+            if name in self._structural:
+                raise ValueError(
+                    f"{name} was the same for all environments when this one was built, and components were made for it; give a "
+                    "distribution, such as rand.Choice, when an environment is built, and it can be changed"
+                )
+        before = self.sat_args, self.world_args
+        self.sat_args, self.world_args = after = self.sat_args.changed(own), self.world_args.changed(world)
+        try:
+            trial, _, uniform = self._trial([env for *_, envs in (*own, *world) for env in envs or ()])
+            for _, name, _, _ in (*own, *world):
+                if isinstance(trial[name], Tensor) != (name in self.state.arguments):
+                    was = "a value" if name in self.state.arguments else "None"
+                    raise ValueError(
+                        f"{name} had {was} when the environment was built, which decides what is built; build another"
+                    )
+        finally:
+            self.sat_args, self.world_args = before
+
+        def make() -> None:
+            self.sat_args, self.world_args = after
+            self._free(set(self.tick.shared.fields) - uniform)
+
+        return make
+
+    def _free(self, names: set[str]) -> None:
+        """Let parameters, which were the same for all rows so far, differ between rows: needs another tick."""
+        if not names:
+            return
+        logger.info("a tick is built in which %s may differ between environments", sorted(names))
+        old, shared, parameters = self.tick, self.uniform, self.state.parameters
+        left = set(old.shared.fields) - names
+        self.tick = Tick(old.components, left, self.h_ns, self.orbit == "arc", self.dtype, old.opaque_field, self.stops)
+        self.runners = make_runners(self.tick, self.backend, self.device, self.count)
+        self.uniform = shared[_planes(old.shared, self.tick.shared.fields)].contiguous()
+        rows = [
+            shared[old.shared.slices[name]].expand(-1, self.state.rows) if name in names else parameters[old.own.slices[name]]
+            for name in self.tick.own.fields
+        ]
+        self.state.parameters = torch.cat(rows)
+
     # -- reset --------------------------------------------------------------------------------------------------------
 
-    def draw(self, key: Key, world: Mapping[str, Any] | None = None, given: Overrides | None = None) -> dict[str, Any]:
+    def draw(
+        self,
+        key: Key,
+        world: Mapping[str, Any] | None = None,
+        given: Overrides | None = None,
+        answers: Sequence[Answers] | None = None,
+    ) -> dict[str, Any]:
         """Return the arguments from which episodes of the key's n environments start; raises before anything has changed.
 
         Args:
             key: Key of the environments.
             world: Arguments of the world that have been drawn already, such as by a simulation of other satellites.
             given: Arguments that replace those of some satellites.
+            answers: What functions of the user returned for each environment; unless given, they are called now.
 
         Returns:
             Values of satellites and world by name, [1, ...] or [n * count, ...].
         """
-        around = self.world_args.draw(key, world)
+        around = self.world_args.draw(key, world, answers)
         random = (name for name in around if self.count > 1 and self.world_args.is_random(name))
         values = {**around, **{name: around[name].repeat_interleave(self.count, 0) for name in random}}
-        values |= self.sat_args.draw(key)
+        values |= self.sat_args.draw(key, None, answers)
         for name, (columns, replaced) in (given or {}).items():
             values[name] = self.sat_args.override(name, values.get(name), columns, replaced)
         if taken := sorted(values.keys() & set(self.scenario_state)):
@@ -292,7 +421,9 @@ class Simulator:
     def check_command(self, command: str) -> None:
         """Raise ValueError for a command that the flight software does not have."""
         if command not in self.commands:
-            raise ValueError(f"fsw_action={command!r} is not a command of the flight software; {nearest(command, self.commands)}")
+            having = commanded_by(command)
+            advice = f"{' or '.join(having)} has it" if having else nearest(command, self.commands)
+            raise ValueError(f"fsw_action={command!r} is not a command of the flight software; {advice}")
 
     def mode_index(self, command: str) -> Tensor:
         """Return the index into the mode table, [N], that a command means for each row."""

@@ -16,12 +16,14 @@ from bsk_torch.codegen.ir import Loop
 from bsk_torch.codegen.kernel import Kernel
 from bsk_torch.codegen.trace import Tracer
 from bsk_torch.constants import NANO
-from bsk_torch.sim.component import Bus, Component, Field, Layout, Track, neighbours
+from bsk_torch.sim.component import Bus, Component, Field, Layout, MissingMessageError, Track, neighbours
 from bsk_torch.sim.environment.ephemeris import EPHEMERIS_TRACK, put_track
 from bsk_torch.sim.fsw.modes import MODE_FLAGS
 from bsk_torch.sim.orbit.arcs import ARC, follow_arc
 
-ARC_ORBIT = Component(slot="orbit", update=follow_arc)
+_ON_ARC = "the orbit was computed in advance; pass orbit='integrated' to the environment"
+
+ARC_ORBIT = Component(slot="orbit", update=follow_arc, overwrites=(("r_BN_N", _ON_ARC), ("v_BN_N", _ON_ARC)))
 
 
 class Inputs(NamedTuple):
@@ -75,10 +77,14 @@ class Tick:
         bus.ticks = inputs.ticks
         return bus
 
-    def advance(self, inputs: Inputs) -> tuple[list[Any], Any]:
-        """Return the planes of the state at the end of the tick, and the mask of rows that end their run with it, or None."""
+    def advance(self, inputs: Inputs, named: bool = False) -> tuple[list[Any], Any]:
+        """Return the planes of the state at the end of the tick, and the mask of rows that end their run with it, or None.
+
+        A MissingMessageError of a component says which one it is, if ``named``.
+        """
         bus = self.bus(inputs)
-        _update(bus, self.components)
+        update = _update_named if named else _update
+        update(bus, self.components)
         stop = bus.stop if self.stops and bus.has("stop") else None
         if stop is not None and stop.dtype is not torch.bool:
             raise TypeError(f"bus.stop has numbers of type {stop.dtype}; it must be a mask, which a comparison makes")
@@ -89,6 +95,17 @@ class Tick:
         bus = self.bus(inputs, h_ns=0)
         _update(bus, [component for component in self.components if component.at_start])
         return self.state.gather(bus)
+
+    def check_messages(self, state: Tensor, shared: Tensor, own: Tensor) -> None:
+        """Run the components once on tensors: state [C, n], parameters [C, 1] and [C, n].
+
+        Raises:
+            MissingMessageError: For a component that reads what none writes, with the name and the component's slot.
+        """
+        n = state.shape[1]
+        tables = [state.new_zeros(n, track.count, track.width) for track in self.tracks]
+        flags, zero = state.new_zeros(self.flags.size, n), state.new_zeros(n)
+        self.advance(self.inputs(state, shared, own, flags, tables, [zero] * len(tables), zero), named=True)
 
     @property
     def schedule(self) -> tuple[str, ...]:
@@ -172,7 +189,7 @@ class Tick:
         )
         if wakes:
             return Loop(program, self.wake(inputs), self.tracks, clock="start")
-        planes, stop = self.advance(inputs)
+        planes, stop = self.advance(inputs, named=True)
         return Loop(program, planes, self.tracks, stop=stop)
 
     def kernel(self, wakes: bool = False, lockstep: int = 1) -> Kernel:
@@ -184,3 +201,12 @@ def _update(bus: Bus, components: Sequence[Component]) -> None:
     for component in components:
         if component.update:
             component.update(bus)
+
+
+def _update_named(bus: Bus, components: Sequence[Component]) -> None:
+    for component in components:
+        try:
+            _update(bus, (component,))
+        except MissingMessageError as error:
+            title = f"the component in slot {component.slot!r} reads {error.name!r}, which no component writes before it"
+            raise MissingMessageError(title, name=error.name) from None

@@ -15,6 +15,7 @@ from torch import Tensor
 
 from bsk_torch.env import ConstellationTasking
 from bsk_torch.wrappers.core import RENDERING, as_numpy, begin, build, check_options, parse_render_mode, snapshots
+from bsk_torch.wrappers.episode import EpisodeView
 from bsk_torch.wrappers.spaces import unbounded
 from bsk_torch.wrappers.tasks import legal_tasks, read_task, satellite_infos
 
@@ -22,7 +23,7 @@ Core = ConstellationTasking | str | Callable[..., ConstellationTasking]
 """An environment with ``joint=True``, the name of a preset, or a function that returns an environment."""
 
 
-class GymJointEnv(gymnasium.Env[tuple[Any, ...], Sequence[Any]]):
+class GymJointEnv(EpisodeView, gymnasium.Env[tuple[Any, ...], Sequence[Any]]):
     """One episode at a time, as ``gymnasium.Env``, with the tuples of bsk_rl's ``GeneralSatelliteTasking``.
 
     Observations and actions are tuples with an entry for each satellite; ``None`` or ``NO_ACTION`` continues the satellite's
@@ -62,6 +63,8 @@ class GymJointEnv(gymnasium.Env[tuple[Any, ...], Sequence[Any]]):
         self.action_space = spaces.Tuple([spaces.Discrete(part.actions.n_actions) for part in self._parts])
         self._every = torch.ones(1, dtype=torch.bool, device=self.core.device)
         self._running = False
+
+    core: ConstellationTasking
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[tuple[Any, ...], dict[str, Any]]:
         """Start an episode.
@@ -112,4 +115,5 @@ class GymJointEnv(gymnasium.Env[tuple[Any, ...], Sequence[Any]]):
     def _info(self, seen: TensorDictBase) -> dict[str, Any]:
         legal, infos = legal_tasks(self.core), satellite_infos(self.core, seen)
         masks = tuple(legal[t][row].copy() for t, row in self._rows)
-        return dict(zip(self.core.names, infos, strict=True)) | {"d_ts": float(seen["duration"]), "action_mask": masks}
+        self.latest_step_duration = float(seen["duration"])
+        return dict(zip(self.core.names, infos, strict=True)) | {"d_ts": self.latest_step_duration, "action_mask": masks}

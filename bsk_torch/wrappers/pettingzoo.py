@@ -28,6 +28,7 @@ from bsk_torch.wrappers.core import (
     parse_render_mode,
     snapshots,
 )
+from bsk_torch.wrappers.episode import EpisodeView
 from bsk_torch.wrappers.spaces import observation_space, unbounded
 from bsk_torch.wrappers.tasks import legal_tasks, read_task, satellite_infos
 
@@ -52,7 +53,7 @@ class Seat(NamedTuple):
     parts: tuple[Satellite, ...]
 
 
-class PettingZooEnv(ParallelEnv[str, Any, Any]):
+class PettingZooEnv(EpisodeView, ParallelEnv[str, Any, Any]):
     """One episode at a time, as ``pettingzoo.ParallelEnv``, with the agents and spaces of bsk_rl's ``ConstellationTasking``.
 
     An agent that is missing in the actions, or whose action is ``None`` or ``NO_ACTION``, continues its task; an agent that
@@ -71,6 +72,7 @@ class PettingZooEnv(ParallelEnv[str, Any, Any]):
     """
 
     metadata: ClassVar[dict[str, Any]] = RENDERING | {"name": "constellation", "is_parallelizable": True}
+    core: ConstellationTasking
 
     def __init__(
         self,
@@ -246,7 +248,8 @@ class PettingZooEnv(ParallelEnv[str, Any, Any]):
         return map_leaves(self._of(seen, agent, "observation"), as_numpy)
 
     def _infos(self, seen: TensorDictBase, agents: Sequence[str]) -> dict[str, dict[str, Any]]:
-        step = {"d_ts": float(seen["duration"])}
+        self.latest_step_duration = float(seen["duration"])
+        step = {"d_ts": self.latest_step_duration}
         each, legal = satellite_infos(self.core, seen), legal_tasks(self.core)
         infos = {agent: self._info(agent, each, self._masks(seen, agent, legal)) | step for agent in agents}
         return infos | ({COMMON: step} if self._common else {})

@@ -13,8 +13,10 @@ from bsk_torch.sim.params import nearest
 from bsk_torch.wrappers.core import check_options
 from bsk_torch.wrappers.gymnasium.single import Core
 from bsk_torch.wrappers.gymnasium.vector import GymVectorEnv
+from bsk_torch.wrappers.metrics import METRICS, BatchCallback
 
 try:
+    from stable_baselines3.common.callbacks import BaseCallback
     from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvIndices, VecEnvStepReturn
 except ImportError as error:
     raise ImportError("SB3VecEnv is an environment of Stable-Baselines3: pip install 'bsk_torch[sb3]'") from error
@@ -66,13 +68,23 @@ class SB3VecEnv(VecEnv):
         >>> MaskablePPO("MlpPolicy", env, n_steps=32).learn(100_000)
     """
 
-    def __init__(self, core: Core, num_envs: int | None = None, *, render_mode: str | None = None, **options: Any) -> None:
+    def __init__(
+        self,
+        core: Core,
+        num_envs: int | None = None,
+        *,
+        render_mode: str | None = None,
+        metrics: BatchCallback | None = None,
+        **options: Any,
+    ) -> None:
         """Wrap a batch of environments.
 
         Args:
             core: A :class:`~bsk_torch.SatelliteTasking`, the name of a preset, or a function that returns an environment.
             num_envs: Number of environments; None for what ``core`` says.
             render_mode: ``"rgb_array"`` for pictures by :meth:`render`, tiled, which need the extra ``viz``.
+            metrics: Function of :attr:`core` that returns numbers [N] by name: ``infos[k]["metrics"]`` has those of an episode
+                that ends, and :class:`MetricsCallback` logs their means.
             **options: Arguments for the preset or function, such as ``time_limit=600.0``.
 
         Raises:
@@ -80,6 +92,7 @@ class SB3VecEnv(VecEnv):
             ValueError: For arguments that the environment does not take.
         """
         fixed: dict[str, Any] = {"autoreset_mode": AutoresetMode.SAME_STEP, "output": "numpy", "render_mode": render_mode}
+        fixed["metrics"] = metrics
         self.vector = GymVectorEnv(core, num_envs, **fixed, **options)
         self.core = self.vector.core
         self._actions: np.ndarray | None = None
@@ -122,9 +135,13 @@ class SB3VecEnv(VecEnv):
         actions, self._actions = self._actions, None
         observation, reward, terminated, truncated, info = self.vector.step(actions)
         cut, ended = {"TimeLimit.truncated": truncated & ~terminated}, terminated | truncated
+        measured = info.pop(METRICS, {})
         infos = by_row(info | cut)
         if ended.any():
             self._replace(infos, info, cut, np.flatnonzero(ended).tolist())
+        if measured:
+            for row in np.flatnonzero(ended).tolist():
+                infos[row][METRICS] = {name: float(values[row]) for name, values in measured.items()}
         return self._observed(observation), reward.astype(np.float32), ended, infos
 
     def _replace(self, infos: list[dict[str, Any]], info: dict[str, Any], cut: dict[str, Any], rows: list[int]) -> None:
@@ -178,3 +195,18 @@ class SB3VecEnv(VecEnv):
     def env_is_wrapped(self, wrapper_class: type[Wrapper[Any, Any, Any, Any]], indices: VecEnvIndices = None) -> list[bool]:
         """False for each episode: single environments are not wrapped, ``VecEnvWrapper`` is for the batch."""
         return [False for _ in self._get_indices(indices)]
+
+
+class MetricsCallback(BaseCallback):
+    """Logs the means of the metrics of the episodes that have ended since the last log, as ``episode/<name>``.
+
+    Example:
+        >>> env = SB3VecEnv("NadirScan-v1", num_envs=64, metrics=lambda env: {"reward": sum(env.rewarder.cum_reward.values())})
+        >>> PPO("MlpPolicy", env).learn(100_000, callback=MetricsCallback())
+    """
+
+    def _on_step(self) -> bool:
+        for info in self.locals["infos"]:
+            for name, value in info.get(METRICS, {}).items():
+                self.logger.record_mean(f"episode/{name}", value)
+        return True

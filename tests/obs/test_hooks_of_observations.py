@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 import torch
 
@@ -89,26 +90,25 @@ def test_the_chain_of_links_must_be_whole():
 @pytest.mark.parametrize(
     ("value", "words"),
     [
-        (1.0, r"observation 'mine' is 1\.0; it must be a tensor of shape"),
-        (torch.tensor(1.0), r"observation 'mine' is a tensor of shape \[\]"),
-        ({"a": {"b": torch.ones(3)}}, r"observation 'mine\.a\.b' is a tensor of shape \[3\]"),
+        (None, r"Mine\.get_obs\(\) is None; it must be of shape"),
+        ("far", r"Mine\.get_obs\(\) is 'far'"),
+        ({"a": {"b": object()}}, r"Mine\.get_obs\(\)\['a'\]\['b'\] is <object"),
     ],
 )
-def test_observations_of_wrong_shape_are_named(value, words):
+def test_observations_that_are_no_numbers_are_named(value, words):
     with pytest.raises(TypeError, match=words):
         make(constant(value))
 
 
-@pytest.mark.parametrize("obs_type", [torch.Tensor, dict])
-def test_observations_of_one_environment_for_all_are_named(obs_type):
-    """The shape [1] fits the trial of one environment, but not the batch."""
-    env = make(constant(torch.ones(1)), obs_type=obs_type)
-    with pytest.raises(TypeError, match=r"observation 'mine' is a tensor of shape \[1\]; it must be a tensor of shape \[2\]"):
-        env.reset()
+@pytest.mark.parametrize("value", [1.0, torch.tensor(1.0), torch.ones(1), torch.ones(2), np.ones(3), [1.0, 2.0]])
+def test_observations_of_one_satellite_are_those_of_each(value):
+    """Shapes [1] and [2] fit trials of one environment, and batches of two."""
+    observation = make(constant(value)).reset()["observation"]
+    assert torch.equal(observation, torch.as_tensor(value).double().reshape(1, -1).expand(2, -1))
 
 
 def test_functions_of_opportunities_have_a_value_for_each():
-    with pytest.raises(TypeError, match=r"'first' of 'target' is a tensor of shape \[1\]; fn must return \[1, 3\]"):
+    with pytest.raises(TypeError, match=r"'first' of 'target' is of shape \[1\]; it must be of shape \[1, 3\] or"):
         make(obs.OpportunityProperties(dict(fn=lambda s, targets: targets.open[:, 0], name="first"), n_ahead_observe=3))
 
 

@@ -158,9 +158,8 @@ def test_callables_are_asked_for_each_target():
 @pytest.mark.parametrize(
     ("count", "message"),
     [
-        (0, r"n_targets=0 asks for 0 targets; there must be at least 1"),
-        (-3, r"n_targets=-3 asks for -3 targets"),
-        ((0, 4), r"n_targets=\(0, 4\) asks for 0 targets"),
+        (-3, r"n_targets=-3 asks for -3 targets; there must be at least 0"),
+        ((-1, 4), r"n_targets=\(-1, 4\) asks for -1 targets"),
         ((4, 4), r"n_targets=\(4, 4\) is empty: high is exclusive, as in bsk_rl, so it must be at least 5"),
         (2.5, r"n_targets=2.5 must be an integer, or a range \(low, high\) of two integers"),
         ((1, 2, 3), r"n_targets=\(1, 2, 3\) must be an integer"),

@@ -10,7 +10,7 @@ from bsk_torch.sim.names import RENAMED, current_name
 from bsk_torch.sim.simulator import Simulator
 
 
-class Checking(dyn.BasicDynamicsModel):
+class Checking(dyn.ImagingDynModel):
     """A model whose observable uses names of release 0.1."""
 
     @dyn.observable
@@ -27,6 +27,7 @@ class Checking(dyn.BasicDynamicsModel):
 @pytest.fixture(scope="module")
 def simulator() -> Simulator:
     options = dict(num_envs=2, device=torch.device("cpu"), dtype=torch.float64, sim_rate=1.0, horizon=600.0, backend="eager")
+    options |= dict(orbit="integrated")  # on an arc, position and velocity cannot be written
     simulator = Simulator(Checking, fsw.ImagingFSWModel, {}, {}, **options)
     simulator.reset(simulator.state.all_rows, simulator.draw(first_key(2)), torch.zeros(2, dtype=torch.float64))
     return simulator

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from typing import ClassVar
 
 import torch
@@ -9,10 +10,10 @@ from torch import Tensor
 
 from bsk_torch.astro.orbit import Elements
 from bsk_torch.constants import RPM
+from bsk_torch.sim import world
 from bsk_torch.sim.component import Arg, Component
 from bsk_torch.sim.dyn import drag, events, hub, partitions, power, storage, thrusters, wheels
-from bsk_torch.sim.environment import world
-from bsk_torch.sim.readout.model import Model
+from bsk_torch.sim.readout.model import Model, Simulation
 from bsk_torch.sim.readout.observables import Now, observable, vital
 from bsk_torch.vec3 import Vec3
 
@@ -20,8 +21,9 @@ from bsk_torch.vec3 import Vec3
 class DynamicsModel(Model):
     """A rigid spacecraft in orbit, without actuators.
 
-    ``world_components`` are the parts of the world that it needs; ``orbit`` is the default way to compute its orbit: ``"arc"`` in
-    advance, or ``"integrated"`` in every tick.
+    ``requires_world`` are the world models that it needs, with those of the base classes; ``world_components`` are further parts
+    of the world, which replace those of world models in the same slots. ``orbit`` is the default way to compute its orbit:
+    ``"arc"`` in advance, or ``"integrated"`` in every tick.
 
     Frames: N is inertial (J2000 equator), B the body, P fixed to the Earth, H the Hill frame. Vectors ``r``, ``v`` and ``h`` in
     the formulas are ``r_BN_N``, ``v_BN_N`` and their cross product. Equations of two-body motion and of attitude are those of
@@ -29,8 +31,14 @@ class DynamicsModel(Model):
     """
 
     components: ClassVar[tuple[Component, ...]] = (hub.HUB,)
-    world_components: ClassVar[tuple[Component, ...]] = (world.EARTH_POLE, world.EPHEMERIS)
+    world_components: ClassVar[tuple[Component, ...]] = ()
+    requires_world: ClassVar[tuple[type[world.WorldModel], ...]] = (world.WorldModel,)
     orbit: ClassVar[str] = "arc"
+
+    @classmethod
+    def all_required_worlds(cls) -> tuple[type[world.WorldModel], ...]:
+        """Return the world models that the class and its bases require."""
+        return tuple(dict.fromkeys(model for base in cls.__mro__ for model in vars(base).get("requires_world", ())))
 
     @observable
     def r_BN_N(now: Now) -> Vec3:
@@ -151,7 +159,7 @@ class DynamicsModel(Model):
 class EclipseDynModel(DynamicsModel):
     """Adds the eclipse."""
 
-    world_components: ClassVar[tuple[Component, ...]] = (world.ECLIPSE,)
+    requires_world: ClassVar[tuple[type[world.WorldModel], ...]] = (world.EclipseWorldModel,)
 
     @observable
     def illumination(now: Now) -> Tensor:
@@ -172,7 +180,7 @@ class AtmosphericDragDynModel(DynamicsModel):
     """Adds drag by an exponential atmosphere, which acts where the orbit is integrated; see :mod:`bsk_torch.sim.dyn.drag`."""
 
     components: ClassVar[tuple[Component, ...]] = (drag.DRAG,)
-    world_components: ClassVar[tuple[Component, ...]] = (world.ATMOSPHERE,)
+    requires_world: ClassVar[tuple[type[world.WorldModel], ...]] = (world.AtmosphereWorldModel,)
 
 
 class BasicDynamicsModel(EclipseDynModel, DisturbanceTorqueDynModel, AtmosphericDragDynModel):
@@ -286,7 +294,7 @@ class ContinuousImagingDynModel(ImagingDynModel):
 class GroundStationDynModel(ImagingDynModel):
     """Adds ground stations, without which the transmitter sends nothing."""
 
-    world_components: ClassVar[tuple[Component, ...]] = (world.GROUND_STATIONS,)
+    requires_world: ClassVar[tuple[type[world.WorldModel], ...]] = (world.GroundStationWorldModel,)
 
 
 class LOSCommDynModel(DynamicsModel):
@@ -298,3 +306,17 @@ class LOSCommDynModel(DynamicsModel):
             args=(Arg("losMaximumRange", -1.0, "m", "longest range of sight to other satellites; no limit where not positive"),),
         ),
     )
+
+
+class FullFeaturedDynModel(GroundStationDynModel, LOSCommDynModel):
+    """Ground stations and lines of sight; bsk_rl deprecates it, a tuple of both models in ``dyn_type`` says the same."""
+
+    def __init__(self, simulator: Simulation) -> None:
+        """Warn of the deprecation, and bind the model to a simulation."""
+        warnings.warn(
+            "dyn.FullFeaturedDynModel is deprecated, as in bsk_rl; "
+            "write dyn_type = (dyn.GroundStationDynModel, dyn.LOSCommDynModel)",
+            DeprecationWarning,
+            stacklevel=2,
+        )
+        super().__init__(simulator)

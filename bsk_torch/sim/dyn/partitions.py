@@ -71,9 +71,11 @@ def _starts_with_data(given: Mapping[str, Any]) -> bool:
 def take_images(bus: Bus) -> None:
     """Write the data rate of the instrument, bit/s, at which an image takes one tick: ``image / h`` where the command is 1.
 
-    The flight software wrote the command one tick ago. One that is not taken back goes on: an image in every tick.
+    The flight software wrote the command one tick ago. One that is not taken back goes on: an image in every tick. So it does
+    under flight software that commands no instrument, as with Basilisk's devices that get no command.
     """
-    bus.instrument_rate = bus.instrument_baud / bus.h * bus.instrument_command
+    rate = bus.instrument_baud / bus.h
+    bus.instrument_rate = rate * bus.instrument_command if bus.has("instrument_command") else rate
 
 
 # -- transmitter -------------------------------------------------------------------------------------------------------------

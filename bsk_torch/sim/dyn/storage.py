@@ -13,8 +13,13 @@ from bsk_torch.sim.dyn.power import sink
 
 
 def run_instrument(bus: Bus) -> None:
-    """Write the data rate of the instrument, bit/s: its baud rate if the command of one tick ago is 1 and the mode links it."""
-    bus.instrument_rate = bus.instrument_baud * bus.instrument_command * bus.instrument_linked
+    """Write the data rate of the instrument, bit/s: its baud rate if the command of one tick ago is 1 and the mode links it.
+
+    Under flight software that commands no instrument it always records, as Basilisk's devices do that get no command.
+    """
+    commanded = bus.has("instrument_command")
+    rate = bus.instrument_baud
+    bus.instrument_rate = rate * bus.instrument_command * bus.instrument_linked if commanded else rate
 
 
 def transmit(bus: Bus) -> None:
@@ -31,7 +36,7 @@ def transmit(bus: Bus) -> None:
         none or complete    L < -P      any         0       0
         any                 any         no          0       0
 
-    Where it is off, p stays and ``idle`` grows.
+    Where it is off, p stays and ``idle`` grows. Without ground stations there is never one: nothing is sent, as in bsk_rl.
     """
     level, rate, size = bus.storage, bus.transmitter_baud, bus.packet_size
     zero = torch.zeros_like(level)
@@ -39,7 +44,8 @@ def transmit(bus: Bus) -> None:
     empty = (packet != 0.0) & (level <= 0.0)
     sent = rate * (bus.idle + bus.h)
     starved = (packet == 0.0) & (level < -size)
-    sends = (bus.station_access > 0.0) & ~empty & ~starved
+    access = bus.station_access if bus.has("station_access") else zero
+    sends = (access > 0.0) & ~empty & ~starved
     progress = torch.where(level + sent < 0.0, -level, packet + sent)
     on = bus.transmitter_on > 0.0
     bus.packet = torch.where(on, torch.where(sends, progress, zero), bus.packet)

@@ -105,6 +105,7 @@ def ground_stations(count: int) -> Component:
         state=(Field("station_access", 1, "-", "whether any station sees the spacecraft"),),
         params=tuple(Field(name, width, many=True, exact=True) for name, width in widths.items()),
         initial=lambda args: {"station_access": torch.zeros(1, dtype=torch.float64)},
+        overwrites=(("station_access", "it follows from orbit and stations"),),
         prepare=station_arrays,
     )
 
@@ -153,4 +154,5 @@ ECLIPSE = Component(
     update=cast_shadow,
     state=(Field("illumination", 1, "-", "visible fraction of the solar disc"),),
     initial=lambda args: {"illumination": torch.ones(1, dtype=torch.float64)},
+    overwrites=(("illumination", "it follows from orbit and Sun"),),
 )

@@ -9,6 +9,7 @@ from bsk_torch.sim.fsw.models import (
     SteeringImagerFSWModel,
 )
 from bsk_torch.sim.fsw.modes import Command, Mode
+from bsk_torch.sim.fsw.tasks import Task, action
 
 __all__ = [
     "BasicFSWModel",
@@ -19,4 +20,6 @@ __all__ = [
     "Mode",
     "SteeringFSWModel",
     "SteeringImagerFSWModel",
+    "Task",
+    "action",
 ]

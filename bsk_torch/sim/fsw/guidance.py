@@ -16,7 +16,7 @@ from bsk_torch.astro.attitude import dcm_to_mrp, mrp_rate_to_omega, mrp_subtract
 from bsk_torch.astro.orbit import hill_frame
 from bsk_torch.sim.component import Arg, Bus, Component, Field, vec
 from bsk_torch.sim.dyn.power import check_axis, unit_rows
-from bsk_torch.vec3 import Vec3, only, select
+from bsk_torch.vec3 import Mat3, Vec3, only, select
 
 
 class Error(NamedTuple):
@@ -85,22 +85,35 @@ def point_at_location(bus: Bus) -> None:
     point_at(bus, bus.instrument_axis_B, bus.r_LN_N, "location")
 
 
+class HillMotion(NamedTuple):
+    """The Hill frame [HN], its rate about the orbit normal, rad/s, and the acceleration, rad/s^2."""
+
+    HN: Mat3
+    rate: Tensor
+    acceleration: Tensor
+
+
+def hill_motion(bus: Bus) -> HillMotion:
+    """Return the Hill frame H and its motion, ``f' = |r x v| / r^2`` and ``f'' = -2 (v . r) f' / r^2``."""
+    HN = hill_frame(bus.r_BN_N, bus.v_BN_N)
+    radius2, momentum = bus.r_BN_N.dot(bus.r_BN_N), bus.r_BN_N.cross(bus.v_BN_N).norm()
+    rate = momentum / radius2
+    acceleration = -2.0 * bus.v_BN_N.dot(bus.r_BN_N) / radius2 * rate
+    return HillMotion(HN.to(bus.dtype), rate.to(bus.dtype), acceleration.to(bus.dtype))
+
+
 def point_along_hill(bus: Bus) -> None:
     """Write the error of pointing B along the Hill frame H: x radially out, z along the orbit normal (Basilisk's hillPoint).
 
     With ``R = H`` (see :func:`bsk_torch.astro.orbit.hill_frame`), the orbit normal o_h and the true anomaly f::
 
         sigma_BR = sigma_BN relative to the MRP of [HN]
-        omega_RN_B = [BN] f' o_h,  f' = |r x v| / r^2
-        domega_RN_B = [BN] f'' o_h,  f'' = -2 (v . r) f' / r^2
+        omega_RN_B = [BN] f' o_h
+        domega_RN_B = [BN] f'' o_h
     """
 
     def law() -> Error:
-        HN = hill_frame(bus.r_BN_N, bus.v_BN_N)
-        radius2, momentum = bus.r_BN_N.dot(bus.r_BN_N), bus.r_BN_N.cross(bus.v_BN_N).norm()
-        rate = momentum / radius2
-        acceleration = -2.0 * bus.v_BN_N.dot(bus.r_BN_N) / radius2 * rate
-        HN, rate, acceleration = HN.to(bus.dtype), rate.to(bus.dtype), acceleration.to(bus.dtype)
+        HN, rate, acceleration = hill_motion(bus)
         omega_RN_B, domega_RN_B = bus.BN @ (HN.z * rate), bus.BN @ (HN.z * acceleration)
         sigma_BR = mrp_subtract(bus.sigma_BN, dcm_to_mrp(HN))
         return Error(sigma_BR, bus.omega_BN_B - omega_RN_B, omega_RN_B, domega_RN_B)

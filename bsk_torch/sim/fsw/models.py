@@ -5,7 +5,8 @@ from __future__ import annotations
 from typing import ClassVar
 
 from bsk_torch.sim.component import Component
-from bsk_torch.sim.fsw import control, desaturation, guidance, instrument, steering, target
+from bsk_torch.sim.dyn.models import BasicDynamicsModel, DynamicsModel, ImagingDynModel
+from bsk_torch.sim.fsw import control, desaturation, guidance, imposed, instrument, steering, target
 from bsk_torch.sim.fsw.modes import DUMP_RESET, IMAGE_RESET, SUN_RESET, Command, Mode
 from bsk_torch.sim.readout.model import Model
 from bsk_torch.sim.readout.observables import Now, observable
@@ -16,15 +17,29 @@ IDLE = "idle"
 
 
 class FSWModel(Model):
-    """Flight software that can be commanded but has no actuators of its own.
+    """Flight software without actuators: drift and nadir pointing, whose attitude is imposed on the spacecraft.
+
+    The attitude of a tick is the reference of the tick before, at once and exactly. Until a guidance law writes a reference, and
+    while the spacecraft drifts, it is zero: B is N, at rest, whatever ``sigma_init`` and ``omega_init`` say.
 
     ``modes`` maps names to rows of the mode table, ``commands`` maps what actions ask for to modes; both are merged with those
-    of the base classes. None takes the mode of a base class away.
+    of the base classes. None takes the mode of a base class away. ``requires_dyn`` are dynamics models without which the flight
+    software has nothing to command; those of the base classes are required too.
     """
 
-    components: ClassVar[tuple[Component, ...]] = (guidance.NAVIGATION,)
-    modes: ClassVar[dict[str, Mode | None]] = {IDLE: Mode(on=("instrument_power", "transmitter_on", "thruster_power"))}
+    components: ClassVar[tuple[Component, ...]] = (guidance.NAVIGATION, imposed.HILL_REFERENCE, imposed.IMPOSED_ATTITUDE)
+    modes: ClassVar[dict[str, Mode | None]] = {
+        IDLE: Mode(on=("instrument_power", "transmitter_on", "thruster_power")),
+        "drift": Mode(on=()),
+        "nadir_point": Mode(("nadir_on",)),
+    }
     commands: ClassVar[dict[str, Command]] = {}
+    requires_dyn: ClassVar[tuple[type[DynamicsModel], ...]] = (DynamicsModel,)
+
+    @classmethod
+    def all_required_dyn(cls) -> tuple[type[DynamicsModel], ...]:
+        """Return the dynamics models that the class and its bases require."""
+        return tuple(dict.fromkeys(dynamics for base in cls.__mro__ for dynamics in vars(base).get("requires_dyn", ())))
 
     @classmethod
     def all_modes(cls) -> dict[str, Mode]:
@@ -43,13 +58,14 @@ class BasicFSWModel(FSWModel):
     """MRP feedback with reaction wheels: drift, charge, nadir pointing, desaturation."""
 
     components: ClassVar[tuple[Component, ...]] = (
+        imposed.ACTUATORS,
         guidance.SUN_POINTING,
         guidance.NADIR_POINTING,
         desaturation.DESATURATION,
         control.MRP_FEEDBACK,
     )
+    requires_dyn: ClassVar[tuple[type[DynamicsModel], ...]] = (BasicDynamicsModel,)
     modes: ClassVar[dict[str, Mode | None]] = {
-        "drift": Mode(on=()),
         "charge": Mode(("control_on", "sun_on"), SUN_RESET),
         "nadir_point": Mode(("control_on", "nadir_on")),
         "desat_sun": Mode(("control_on", "desat_on", "thruster_power", "sun_on"), SUN_RESET | DUMP_RESET),
@@ -73,6 +89,7 @@ class ImagingFSWModel(BasicFSWModel):
     The mode ``"image"`` looks at the place that the state ``r_LP_P`` [m, Earth-fixed] holds.
     """
 
+    requires_dyn: ClassVar[tuple[type[DynamicsModel], ...]] = (ImagingDynModel,)
     components: ClassVar[tuple[Component, ...]] = (guidance.LOCATION_POINTING, instrument.IMAGE_CONTROLLER, target.IMAGE_TARGET)
     modes: ClassVar[dict[str, Mode | None]] = {
         "downlink": Mode(("control_on", "nadir_on", "transmitter_on")),

@@ -1,7 +1,7 @@
 """Flight modes as a table: what each one switches on, and what entering it resets.
 
-Every command first switches all tasks and devices off and resets location pointing; the rest persists, as in Basilisk: torque,
-thruster and instrument commands, the transmitter's packet, the integral of the control law.
+Every command first switches all tasks and devices off and resets location pointing and the reference that is imposed; the rest
+persists, as in Basilisk: torque, thruster and instrument commands, the transmitter's packet, the integral of the control law.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ MODE_FLAGS = (
 )
 """Tasks, controllers and devices that a mode may switch on; each is 1 or 0 on the bus."""
 
-ALWAYS_RESET = {"location_fresh": 1.0, "location_sigma_BR": 0.0}
+ALWAYS_RESET = {"location_fresh": 1.0, "location_sigma_BR": 0.0, "sigma_RN": 0.0, "omega_RN_N": 0.0}
 SUN_RESET = {"sun_fresh": 1.0, "sun_sigma_BR": 0.0}
 IMAGE_RESET = {"image_taken": 0.0}
 DUMP_RESET = {"dump_calls": 0.0, "dump_counter": 0.0, "dump_remaining": 0.0}

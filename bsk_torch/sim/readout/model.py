@@ -9,10 +9,10 @@ from typing import Any, ClassVar, Protocol, TypeVar
 from torch import Tensor
 
 from bsk_torch.sim.component import Component, collect
+from bsk_torch.sim.readout.hooks import check_model
 from bsk_torch.sim.readout.observables import Observer
 from bsk_torch.sim.readout.surroundings import World
 from bsk_torch.sim.satellite_state import SatelliteState
-from bsk_torch.sim.schedule import place
 
 Checker = TypeVar("Checker", bound=Callable[[Any], Tensor])
 
@@ -41,10 +41,9 @@ class Model:
     components: ClassVar[tuple[Component, ...]] = ()
 
     def __init_subclass__(cls, **options: Any) -> None:
-        """Raise ValueError for components of the class that have no place in the tick."""
+        """Refuse definitions that would never be used, by a TypeError with advice."""
         super().__init_subclass__(**options)
-        for component in (*vars(cls).get("components", ()), *vars(cls).get("world_components", ())):
-            place(component)
+        check_model(cls, Model)
 
     def __init__(self, simulator: Simulation) -> None:
         """Bind the model to the simulation that it describes."""

@@ -24,18 +24,20 @@ from bsk_torch.wrappers.core import (
     read_actions,
     snapshots,
 )
+from bsk_torch.wrappers.episode import EpisodeView
 from bsk_torch.wrappers.spaces import action_space, observation_space
 
 Core = SatelliteTasking | str | Callable[..., SatelliteTasking]
 """An environment, the name of a preset, or a function that returns an environment."""
 
 
-class GymEnv(gymnasium.Env[Any, Any]):
+class GymEnv(EpisodeView, gymnasium.Env[Any, Any]):
     """One episode at a time, as ``gymnasium.Env``.
 
     ``info`` has ``action_mask`` ([n] int8, 1 for legal actions), ``duration`` (of the step, s; also under bsk_rl's name
     ``d_ts``), ``requires_retasking`` (bool), and the counters of satellite and rewarder, such as ``imaged`` and ``missed`` of
-    imaging satellites (int). The batched environment is :attr:`core`.
+    imaging satellites (int). The batched environment is :attr:`core`; :class:`~bsk_torch.wrappers.episode.EpisodeView` has what
+    bsk_rl's environments have, such as ``satellite``, ``simulator.sim_time`` and ``rewarder.cum_reward``.
 
     Example:
         >>> env = GymEnv("NadirScan-v1", backend="eager", time_limit=600.0)
@@ -61,6 +63,13 @@ class GymEnv(gymnasium.Env[Any, Any]):
         self.observation_space = observation_space(self.core.observation_spec["observation"])
         self.action_space = action_space(self.core)
         self._running = False
+
+    core: SatelliteTasking
+
+    @property
+    def satellite(self) -> Any:
+        """The satellite, as :attr:`~bsk_torch.wrappers.episode.EpisodeView.satellites` has it."""
+        return self.satellites[0]
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Start an episode.
@@ -106,7 +115,7 @@ class GymEnv(gymnasium.Env[Any, Any]):
         return map_leaves(seen["observation"][0], as_numpy)
 
     def _info(self, seen: TensorDictBase) -> dict[str, Any]:
-        duration = float(seen["duration"])
+        duration = self.latest_step_duration = float(seen["duration"])
         return {
             "action_mask": as_numpy(seen["action_mask"][0]).astype(np.int8),
             "duration": duration,

@@ -16,6 +16,7 @@ from torch import Tensor
 
 from bsk_torch.env import SatelliteTasking
 from bsk_torch.env.base import Tasking
+from bsk_torch.sats import Satellite
 from bsk_torch.wrappers.core import (
     RENDERING,
     SEEN,
@@ -30,6 +31,7 @@ from bsk_torch.wrappers.core import (
     snapshots,
 )
 from bsk_torch.wrappers.gymnasium.single import Core
+from bsk_torch.wrappers.metrics import METRICS, BatchCallback, read_metrics
 from bsk_torch.wrappers.spaces import action_space, observation_space
 
 OUTPUTS = ("numpy", "torch")
@@ -61,6 +63,7 @@ class GymVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         output: str = "numpy",
         render_mode: str | None = None,
+        metrics: BatchCallback | None = None,
         **options: Any,
     ) -> None:
         """Wrap a batch of environments.
@@ -73,6 +76,8 @@ class GymVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
                 ``info["final_info"]`` (``SAME_STEP``); or in ``reset(options={"reset_mask": ended})`` (``DISABLED``).
             output: ``"numpy"``, or ``"torch"`` for tensors on the core's device and in its dtype; ``final_obs`` is then batched.
             render_mode: ``"rgb_array"`` for pictures by :meth:`render`, which need the extra ``viz``.
+            metrics: Function of :attr:`core` that returns numbers [N] by name, called when episodes end: ``info["metrics"]`` has
+                those of the episodes that have ended in this step, zeros for the others (``info["_metrics"]`` says which).
             **options: Arguments for the preset or function, such as ``time_limit=600.0``.
         """
         if output not in OUTPUTS:
@@ -89,12 +94,18 @@ class GymVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         self._every = torch.ones_like(self.core.dead)
         self._over = ~self._every
         self._seen: Any = None
+        self._metrics = metrics
 
     def _make_spaces(self) -> None:
         self.single_observation_space = observation_space(self.core.observation_spec["observation"])
         self.single_action_space = action_space(self.core)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
+
+    @property
+    def satellite(self) -> Satellite:
+        """The satellite, whose properties are tensors [N, ...] of all episodes."""
+        return self.core.satellite
 
     # -- reset --------------------------------------------------------------------------------------------------------
 
@@ -144,9 +155,9 @@ class GymVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         anew = ended if same else waiting
         self._over = torch.zeros_like(ended) if same else ended
         results = [self._number(seen["reward"]), *(self._export(seen[name].squeeze(-1)) for name in ("terminated", "truncated"))]
-        info = {}
+        info = self._measured(ended & ~waiting) if self._metrics is not None else {}
         if bool(anew.any()):
-            info = self._final(seen, ended) if same else {}
+            info |= self._final(seen, ended) if same else {}
             seen = begin(self.core, anew, seen)
         self._seen = seen
         return self._observation(seen), results[0], results[1], results[2], info | self._info(seen, self._every)
@@ -203,6 +214,15 @@ class GymVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
             **{name: self._export(count.squeeze(-1).masked_fill(~rows, 0)) for name, count in counts(seen).items()},
         }
         return values | {f"_{name}": self._export(rows) for name in values}
+
+    def _measured(self, ended: Tensor) -> dict[str, Any]:
+        """Return the metrics of the episodes that have ``ended`` [N] bool; nothing where none has."""
+        if not bool(ended.any()):
+            return {}
+        found = read_metrics(self._metrics, self.core)  # type: ignore[arg-type]
+        return {METRICS: {name: self._export(value.masked_fill(~ended, 0)) for name, value in found.items()}} | {
+            f"_{METRICS}": self._export(ended)
+        }
 
     def _final(self, seen: TensorDictBase, ended: Tensor) -> dict[str, Any]:
         """Return the last results of the environments that have ``ended`` [N] bool."""

@@ -1,0 +1,288 @@
+"""Reading of epochs, in the forms that SPICE's ``str2et`` reads: ISO 8601, calendar dates, days of the year, Julian dates.
+
+The rules follow NAIF's Time Required Reading; ``tests/astro/epochs.json`` holds what SPICE itself says to each of the forms.
+"""
+
+from __future__ import annotations
+
+import difflib
+import re
+from datetime import UTC, datetime, timedelta
+from fractions import Fraction
+from typing import NamedTuple
+
+EXAMPLES = (
+    "2021 FEB 05 09:12:05.830 (UTC)",
+    "2021-02-05T09:12:05.830Z",
+    "2021-02-05 09:12:05",
+    "2021-036T09:12:05",
+    "2021-036 // 09:12:05",
+    "2021/02/05 09:12",
+    "02/05/2021 09:12",
+    "February 5, 2021 09:12",
+    "5 FEB 2021 9:12 PM",
+    "2021 FEB 05 09:12:05 TDB",
+    "2021 FEB 05 09:12:05 EST",
+    "JD 2459250.8834",
+)
+"""One epoch of each form, for messages."""
+
+MONTHS = (
+    "JANUARY",
+    "FEBRUARY",
+    "MARCH",
+    "APRIL",
+    "MAY",
+    "JUNE",
+    "JULY",
+    "AUGUST",
+    "SEPTEMBER",
+    "OCTOBER",
+    "NOVEMBER",
+    "DECEMBER",
+)
+DAYS = ("MONDAY", "TUESDAY", "WEDNESDAY", "THURSDAY", "FRIDAY", "SATURDAY", "SUNDAY")
+ZONES = {"EST": -5, "EDT": -4, "CST": -6, "CDT": -5, "MST": -7, "MDT": -6, "PST": -8, "PDT": -7}
+"""Hours that the clocks of American time zones are ahead of UTC."""
+
+FIRST_SHORT_YEAR = 1969
+"""Years of two digits are this one and the 99 that follow."""
+
+JD_J2000 = Fraction(2451545)
+J2000 = datetime(2000, 1, 1, 12)
+
+ISO = re.compile(r"(\d{4})-(\d{1,2})-(\d{1,2})T(.*?)Z?", re.A)
+ISO_DAY = re.compile(r"(\d{4})-(\d{3})T(.*?)Z?", re.A)
+LABEL = re.compile(r"\(?\b(UTC|TDB|TDT|TT)\b([+-]\d{1,2}(?::\d{2})?)?\)?", re.A)
+ZONE = re.compile(rf"\(?\b({'|'.join(ZONES)})\b\)?", re.A)
+HALF = re.compile(r"\b([AP])(?:M\b|\.\s?M\.)", re.A)
+ERA = re.compile(r"\bA\.\s?D\.|\bAD\b", re.A)
+JULIAN = re.compile(r"JD\s?(UTC|TDB|TDT|TT)?\s*(\d+(?:\.\d*)?)|(\d+(?:\.\d*)?)\s*JD\s?(UTC|TDB|TDT|TT)?", re.A)
+TIME = re.compile(r"(?<![\d.])\d{1,2}:\d{1,2}(?:\.\d*)?(?!\d|:)|(?<![\d.])\d{1,2}:\d{1,2}:\d{1,2}(?:\.\d*)?(?!\d|:)", re.A)
+TOKEN = re.compile(r"'?\d+(?:\.\d*)?|[A-Z]+\.?|//|[-/,:\s]", re.A)
+
+
+class Epoch(NamedTuple):
+    """An epoch as it was written.
+
+    Attributes:
+        minute: Its minute, on the clock of ``scale``.
+        second: Seconds since then, less than 61.
+        scale: ``"UTC"``, ``"TDB"`` or ``"TT"``.
+    """
+
+    minute: datetime
+    second: float
+    scale: str
+
+
+class _UnknownFormError(ValueError):
+    """The text has none of the forms."""
+
+
+def read_epoch(given: str | datetime) -> Epoch:
+    """Return an epoch; ``datetime`` objects without a time zone are UTC.
+
+    Raises:
+        ValueError: For a text of another form, or one that names no date or time.
+    """
+    if isinstance(given, datetime):
+        utc = given.astimezone(UTC).replace(tzinfo=None) if given.tzinfo else given
+        return Epoch(utc.replace(second=0, microsecond=0), utc.second + utc.microsecond * 1e-6, "UTC")
+    text = " ".join(given.upper().split())
+    try:
+        return _julian(text) or _iso(text) or _calendar(text)
+    except _UnknownFormError as error:
+        reason = f" ({error})" if str(error) else ""
+        words = f"epoch {given!r} is not a UTC time of a form that SPICE knows{reason}; one like it is {_like(text)!r}"
+        raise ValueError(words) from None
+    except (ValueError, OverflowError) as error:
+        raise ValueError(f"epoch {given!r} is not a valid UTC time, expected one like {_like(text)!r}: {error}") from error
+
+
+def _like(text: str) -> str:
+    """Return the example whose pattern of digits and letters is closest to that of a text."""
+
+    def pattern(epoch: str) -> str:
+        return re.sub(r"[A-Za-z]+", "A", re.sub(r"\d", "9", epoch))
+
+    return max(EXAMPLES, key=lambda example: difflib.SequenceMatcher(None, pattern(text), pattern(example)).ratio())
+
+
+# -- Julian dates ----------------------------------------------------------------------------------------------------------------
+
+
+def _julian(text: str) -> Epoch | None:
+    found, scale = text, "UTC"
+    if label := LABEL.search(found):
+        if label[2]:
+            return None
+        rest = f"{found[: label.start()]}{found[label.end() :]}".strip()
+        if "JD" in rest:
+            found, scale = rest, label[1]
+    match = JULIAN.fullmatch(found)
+    if match is None:
+        return None
+    seconds = (Fraction(match[2] or match[3]) - JD_J2000) * 86400
+    whole = seconds // 60
+    return Epoch(J2000 + timedelta(minutes=int(whole)), float(seconds - whole * 60), _scale(match[1] or match[4] or scale))
+
+
+def _scale(label: str) -> str:
+    return "TT" if label == "TDT" else label
+
+
+# -- ISO 8601 --------------------------------------------------------------------------------------------------------------------
+
+
+def _iso(text: str) -> Epoch | None:
+    if match := ISO.fullmatch(text):
+        day = datetime(int(match[1]), int(match[2]), int(match[3]))
+    elif match := ISO_DAY.fullmatch(text):
+        day = _day_of_year(int(match[1]), int(match[2]))
+    else:
+        return None
+    clock = match[match.lastindex or 0]
+    hour, minute, second = _clock(clock) if clock else (0, 0, 0.0)
+    return Epoch(day + timedelta(hours=hour, minutes=minute), second, "UTC")
+
+
+def _day_of_year(year: int, day: int) -> datetime:
+    date = datetime(year, 1, 1) + timedelta(days=day - 1)
+    if date.year != year or day < 1:
+        raise ValueError(f"day {day} is not in the year {year}")
+    return date
+
+
+def _clock(text: str) -> tuple[int, int, float]:
+    """Return hour, minute and second of "12", "12:00" or "12:00:00", the last of which may have a fraction."""
+    parts = text.split(":")
+    if len(parts) > 3 or not all(re.fullmatch(r"\d{1,2}", part) for part in parts[:-1]):
+        raise _UnknownFormError
+    if not re.fullmatch(r"\d{1,2}(\.\d*)?", parts[-1]):
+        raise _UnknownFormError
+    exact = [Fraction(part.rstrip(".")) for part in parts] + [Fraction(0)] * (3 - len(parts))
+    for value, limit, what in zip(exact, (24, 60, 61), ("hour", "minute", "second"), strict=True):
+        if value >= limit:
+            raise ValueError(f"{what} must be below {limit}")
+    if len(parts) == 3:
+        return int(exact[0]), int(exact[1]), float(parts[2])
+    seconds = exact[0] * 3600 + exact[1] * 60
+    return int(seconds // 3600), int(seconds % 3600 // 60), float(seconds % 60)
+
+
+# -- calendar dates --------------------------------------------------------------------------------------------------------------
+
+
+def _calendar(text: str) -> Epoch:
+    """Return an epoch of a date, in any usual order, and a clock before or behind it."""
+    scale, ahead, half, left = "UTC", timedelta(0), "", text
+    if match := LABEL.search(left):
+        scale, left = _scale(match[1]), _without(left, match)
+        if match[2]:
+            if scale != "UTC":
+                raise _UnknownFormError("only UTC has offsets")
+            ahead = _offset(match[2])
+    elif match := ZONE.search(left):
+        ahead, left = timedelta(hours=ZONES[match[1]]), _without(left, match)
+    if match := HALF.search(left):
+        half, left = match[1], _without(left, match)
+    if match := ERA.search(left):
+        left = _without(left, match)
+    time = TIME.search(left)
+    date = left if time is None else _without(left, time)
+    day, hours = _date(date, time is not None and left[: time.start()].rstrip(" ").endswith("/"))
+    if time is not None and hours is not None:
+        raise _UnknownFormError
+    hour, minute, second = _clock(hours or "0") if time is None else _clock(time[0])
+    if half:
+        if not 1 <= hour <= 12:
+            raise ValueError(f"hour {hour} with A.M. or P.M. must be from 1 to 12")
+        hour = hour % 12 + (12 if half == "P" else 0)
+    return Epoch(day + timedelta(hours=hour, minutes=minute) - ahead, second, scale)
+
+
+def _without(text: str, match: re.Match[str]) -> str:
+    return f"{text[: match.start()]} {text[match.end() :]}".strip()
+
+
+def _offset(text: str) -> timedelta:
+    hours, _, minutes = text[1:].partition(":")
+    size = timedelta(hours=int(hours), minutes=int(minutes or 0))
+    return -size if text[0] == "-" else size
+
+
+def _date(text: str, slash: bool) -> tuple[datetime, str | None]:
+    """Return the day, and the hours if they stand behind it; ``slash`` tells that one stands in front of the clock."""
+    tokens = TOKEN.findall(text)
+    if "".join(tokens) != text:
+        raise _UnknownFormError
+    by_day = "//" in tokens
+    words = [token.rstrip(".") for token in tokens if token[0].isalpha() and not _names(token, DAYS)]
+    numbers = [token for token in tokens if token[0] in "'0123456789"]
+    if len(words) > 1 or any(not _names(word, MONTHS) for word in words):
+        raise _UnknownFormError
+    if not words and len(numbers) == 2 and (by_day or slash):
+        return _of_ordinal(numbers), None
+    if by_day:
+        raise _UnknownFormError
+    count = 2 if words else 3
+    if len(numbers) not in (count, count + 1):
+        raise _UnknownFormError
+    hours = numbers[count] if len(numbers) > count else None
+    numbers = numbers[:count]
+    if any("." in number for number in numbers):
+        raise _UnknownFormError("SPICE drops fractions of a day; write the hour")
+    if not words:
+        return _of_numbers(numbers), hours
+    first = next(token for token in tokens if token[0].isdigit() or token[0] == "'" or token.rstrip(".") == words[0])
+    return _of_month(_names(words[0], MONTHS), numbers, month_first=first[0].isalpha()), hours
+
+
+def _names(word: str, known: tuple[str, ...]) -> int:
+    """Return the number, from 1, of the known name that a word of at least three letters begins, else 0."""
+    word = word.rstrip(".")
+    return next((k for k, name in enumerate(known, 1) if len(word) >= 3 and name.startswith(word)), 0)
+
+
+def _is_year(number: str) -> bool:
+    return number[0] == "'" or len(number) == 4
+
+
+def _year(number: str) -> int:
+    digits = number.lstrip("'")
+    if len(digits) == 4:
+        return int(digits)
+    if len(digits) > 2:
+        raise _UnknownFormError("years have two or four digits")
+    return FIRST_SHORT_YEAR + (int(digits) - FIRST_SHORT_YEAR) % 100
+
+
+def _of_ordinal(numbers: list[str]) -> datetime:
+    """Return the day of a year and a day of the year, of which the year has four digits or stands first."""
+    year, day = reversed(numbers) if _is_year(numbers[1]) else numbers
+    if not day.isdigit() or len(day) > 3:
+        raise _UnknownFormError
+    return _day_of_year(_year(year), int(day))
+
+
+def _of_numbers(numbers: list[str]) -> datetime:
+    """Return the day of three numbers: year, month and day where a year of four digits comes first, else month, day and year."""
+    year, month, day = numbers if _is_year(numbers[0]) else (numbers[2], *numbers[:2])
+    if any(len(part) > 2 or not part.isdigit() for part in (month, day)):
+        raise _UnknownFormError
+    return datetime(_year(year), int(month), int(day))
+
+
+def _of_month(month: int, numbers: list[str], month_first: bool) -> datetime:
+    """Return the day of a month and two numbers; short ones are day and year behind a month, else year and day."""
+    plain = [_is_year(number) for number in numbers]
+    if all(plain):
+        raise _UnknownFormError
+    year_last = plain[1] or (month_first and not plain[0])
+    year, day = reversed(numbers) if year_last else numbers
+    if month_first and plain[0]:
+        raise _UnknownFormError
+    if len(day) > 2:
+        raise _UnknownFormError
+    return datetime(_year(year), month, int(day))

@@ -1,0 +1,132 @@
+"""Rewards for resources."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from bsk_torch._deprecated import warn_deprecated
+from bsk_torch.data.base import GlobalReward, Log
+from bsk_torch.rand import Distribution, Key
+from bsk_torch.sats.user_function import UserFunction
+
+if TYPE_CHECKING:
+    from bsk_torch.scene.base import Scenario
+    from bsk_torch.sim.fleet import Fleet
+
+ADVICE = (
+    "let it return [N] for all satellites: properties such as satellite.dynamics.battery_charge_fraction are tensors [N], and "
+    "torch's functions take the place of NumPy's"
+)
+
+MEMORY = "resource_weight"
+"""Beginning of the names of memory that holds drawn weights."""
+
+Weight = float | Distribution | Callable[[], float]
+
+
+class ResourceReward(GlobalReward):
+    """Pays for the growth of a resource and charges for its use: reward = reward_weight * (resource_after - resource_before)."""
+
+    def __init__(self, reward_weight: Weight = 1.0, resource_fn: Any = None) -> None:
+        """Pay for a resource.
+
+        Args:
+            reward_weight: Reward for one unit of the resource: a number, or what is drawn for each environment in every episode:
+                a distribution of :mod:`bsk_torch.rand`, or a function without arguments, before which NumPy's global generator
+                is seeded.
+            resource_fn: Function that returns the resource of the satellites of a type, [N], such as
+                ``lambda sat: sat.dynamics.battery_charge_fraction``. One that insists on one satellite is called for each, which
+                is slow.
+
+        Raises:
+            TypeError: For a ``resource_fn`` that is no function, or a weight that is neither number, distribution nor function.
+        """
+        if callable(reward_weight) and not isinstance(reward_weight, Distribution) and not callable(resource_fn):
+            warn_deprecated("ResourceReward(resource_fn, reward_weight)", "ResourceReward(reward_weight, resource_fn)")
+            reward_weight, resource_fn = 1.0 if resource_fn is None else resource_fn, reward_weight
+        if not callable(resource_fn):
+            raise TypeError(f"resource_fn={resource_fn!r} must be a function of the satellite")
+        if not callable(reward_weight) and not isinstance(reward_weight, Distribution):
+            reward_weight = float(reward_weight)
+        self.resource_fn, self.weight = resource_fn, reward_weight
+
+    def link(self, scenario: Scenario, fleet: Fleet) -> None:
+        """See :meth:`GlobalReward.link`."""
+        super().link(scenario, fleet)
+        self._functions: dict[int, UserFunction] = {}
+        self._name: str | None = None
+        if not isinstance(self.weight, float):
+            number = sum(name.startswith(MEMORY) for name in fleet.memory)
+            self._name = f"{MEMORY}_{number}"
+            fleet.memory.declare(self._name, float("nan"))
+            fleet.beginnings.append(self._draw)
+
+    @property
+    def reward_weight(self) -> Tensor:
+        """Present weight of each environment, [N] float64."""
+        fleet = self.fleet
+        if self._name is not None:
+            return fleet.memory[self._name]
+        return torch.full((fleet.num_envs,), self.weight, dtype=torch.float64, device=fleet.device)  # type: ignore[arg-type]
+
+    def _draw(self, envs: Tensor) -> None:
+        """Draw the weights of the environments ``envs`` [n], whose episodes have begun."""
+        memory, name = self.fleet.memory, str(self._name)
+        drawn = draw_weights(self.weight, self.fleet.key().named(name), envs.tolist())
+        memory[name] = memory[name].index_copy(0, envs, drawn.to(memory.device))
+
+    @property
+    def resource_weights(self) -> tuple[Tensor, ...]:
+        """The present weight, which :class:`bsk_torch.obs.ResourceRewardWeight` observes."""
+        return (self.reward_weight,)
+
+    def read_log(self) -> Log:
+        """See :meth:`GlobalReward.read_log`; the resource."""
+        return {"resource": self.fleet.each(self._resource)}
+
+    def _resource(self, satellite: Any) -> Tensor:
+        """Return the resource of the satellites of a type, [N]."""
+        simulator = satellite.simulator
+        function = self._functions.setdefault(id(satellite), UserFunction("resource_fn of data.ResourceReward", ADVICE))
+        rows = len(simulator.ticks)
+        found = function(
+            (rows,), simulator.device, lambda: self.resource_fn(satellite), lambda row: self.resource_fn(satellite.one(row))
+        )
+        if found.shape != (rows,):
+            raise TypeError(f"{function.title} gives shape {list(found.shape)}; it must give one number for each satellite")
+        return found.double().clone()
+
+    def calculate_reward(self, before: Log, after: Log) -> Tensor:
+        """See :meth:`GlobalReward.calculate_reward`."""
+        return self.reward_weight.unsqueeze(-1) * (after["resource"] - before["resource"])
+
+
+def draw_weights(weight: Any, key: Key, rows: list[int]) -> Tensor:
+    """Draw weights for some ``rows`` of a key, [len(rows)] float64.
+
+    Raises:
+        ValueError: For a weight that is not a number.
+    """
+    part = Key(key.seed[rows], key.env_id[rows], key.episode[rows], key.name)
+    if isinstance(weight, Distribution):
+        drawn = torch.as_tensor(weight.draw(part), dtype=torch.float64)
+    else:
+        drawn = torch.tensor([_called(weight, each) for each in part.split(1)], dtype=torch.float64)
+    if drawn.shape != (len(rows),) or not bool(torch.isfinite(drawn).all()):
+        raise ValueError(f"reward_weight={weight!r} gives {drawn.tolist()[:5]}; it must give a finite number for each episode")
+    return drawn
+
+
+def _called(function: Callable[[], float], key: Key) -> float:
+    """Call a function with NumPy's global generator seeded by a key of one environment, and put the generator back."""
+    state = np.random.get_state()
+    try:
+        np.random.seed((key.uniform(2) * 2.0**32).long().flatten().tolist())
+        return float(function())
+    finally:
+        np.random.set_state(state)

@@ -1,0 +1,38 @@
+"""Rewards of the present episodes so far, which rewarders have as ``cum_reward``."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from torch import Tensor
+
+from bsk_torch.data.base import GlobalReward
+from bsk_torch.data.composed import ComposedReward
+from bsk_torch.sim.fleet import Fleet
+
+NAME = "cum_reward"
+"""Field of the state with the sums of the whole, [N, S]; those of parts are numbered."""
+
+
+def declare(rewarder: GlobalReward, fleet: Fleet) -> None:
+    """Declare the sums of a rewarder and of its parts in the state of a fleet."""
+    for k, part in enumerate(_parts(rewarder)):
+        name = f"{NAME}_{k}" if k else NAME
+        fleet.state.declare(name, 0.0, fleet.size)
+        part.__dict__["total_name"] = name
+
+
+def add(rewarder: GlobalReward, reward: Tensor, moves: Tensor) -> None:
+    """Add the rewards [N, S] of a step that the episodes ``moves`` [N] took to the sums of a rewarder and its parts."""
+    state = rewarder.fleet.state
+    state[rewarder.total_name] = state[rewarder.total_name] + reward * moves.unsqueeze(-1)
+    if isinstance(rewarder, ComposedReward):
+        for part, term in zip(rewarder.rewarders, rewarder.terms.values(), strict=True):
+            add(part, term, moves)
+
+
+def _parts(rewarder: GlobalReward) -> Iterator[GlobalReward]:
+    yield rewarder
+    if isinstance(rewarder, ComposedReward):
+        for part in rewarder.rewarders:
+            yield from _parts(part)

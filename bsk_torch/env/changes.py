@@ -1,0 +1,157 @@
+"""Changes of ``sat_args`` and ``world_args`` between episodes: who gets what, and the views that users write into."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, MutableMapping, Sequence
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor
+
+from bsk_torch.rand import as_value
+from bsk_torch.sim.fleet import Fleet
+from bsk_torch.sim.given import Member, expand
+from bsk_torch.sim.names import nearest
+from bsk_torch.sim.params import Arguments
+
+WORLD = None
+"""In place of the number of a satellite: the world."""
+
+
+class Change(NamedTuple):
+    """A new value of one argument.
+
+    Attributes:
+        satellite: Number of the satellite; None for the world.
+        name: The argument.
+        value: The value, as it is given in ``sat_args`` or ``world_args``.
+        envs: Indices of the episodes that get it, as the draws count them; None for all.
+    """
+
+    satellite: int | None
+    name: str
+    value: Any
+    envs: tuple[int, ...] | None
+
+
+def of_satellites(args: Any, names: Sequence[str], envs: tuple[int, ...] | None) -> list[Change]:
+    """Return the changes that ``args`` means: arguments of all satellites, or by name of the satellite.
+
+    Raises:
+        ValueError: For names of satellites beside names of arguments.
+    """
+    if not (isinstance(args, Mapping) and any(name in names for name in args)):
+        given = expand(args, "sat_args")
+        return [Change(k, name, value, envs) for k in range(len(names)) for name, value in given.items()]
+    for name in args:
+        if name not in names:
+            raise ValueError(f"set_sat_args: {name!r} is no satellite; {nearest(str(name), names)}")
+    each = {names.index(who): expand(values, f"sat_args of {who}") for who, values in args.items()}
+    return [Change(k, name, value, envs) for k, given in each.items() for name, value in given.items()]
+
+
+def of_world(args: Any, envs: tuple[int, ...] | None) -> list[Change]:
+    """Return the changes of ``world_args`` that ``args`` means."""
+    return [Change(WORLD, name, value, envs) for name, value in expand(args, "world_args").items()]
+
+
+def episodes(envs: Any, num_envs: int, env_ids: Tensor) -> tuple[Tensor | None, tuple[int, ...] | None]:
+    """Return the rows of ``envs``, indices or a mask [N], and their indices in the draws; None twice for all.
+
+    Raises:
+        IndexError: For indices out of range.
+        ValueError: For rows that share their draws with others.
+    """
+    if envs is None:
+        return None, None
+    rows = torch.as_tensor(envs).cpu()
+    if rows.dtype == torch.bool:
+        if rows.shape != (num_envs,):
+            raise IndexError(f"envs is a mask of shape {list(rows.shape)}; it must be [{num_envs}]")
+        rows = torch.nonzero(rows).squeeze(-1)
+    rows = torch.atleast_1d(rows).long()
+    if rows.ndim != 1 or (len(rows) and not 0 <= int(rows.min()) <= int(rows.max()) < num_envs):
+        raise IndexError(f"envs={rows.tolist()} must be indices from 0 to {num_envs - 1}, or a mask [{num_envs}]")
+    ids = env_ids.cpu()
+    mine = torch.isin(ids, ids[rows])
+    if int(mine.sum()) > len(rows.unique()):
+        raise ValueError("envs names episodes whose env_ids others have too; these would change with them: name all of them")
+    return rows, tuple(ids[rows].tolist())
+
+
+def remembered(old: Sequence[Change], new: Sequence[Change]) -> list[Change]:
+    """Return the changes that still mean something once the ``new`` ones are made."""
+    kept = list(old)
+    for change in new:
+        left = []
+        for earlier in kept:
+            if (earlier.satellite, earlier.name) == (change.satellite, change.name):
+                if change.envs is None:
+                    continue
+                if earlier.envs is not None:
+                    envs = tuple(env for env in earlier.envs if env not in change.envs)
+                    if not envs:
+                        continue
+                    earlier = earlier._replace(envs=envs)
+            left.append(earlier)
+        kept = [*left, change]
+    return kept
+
+
+def apply(fleet: Fleet, changes: Sequence[Change]) -> Callable[[], None]:
+    """Check the changes of a fleet's arguments by trial draws, and return a function that makes them.
+
+    Raises:
+        KeyError, ValueError: For wrong changes; the fleet is as before.
+    """
+    made = []
+    for simulator in fleet.simulators:
+        own = [(simulator.columns.index(c.satellite), *c[1:]) for c in changes if c.satellite in simulator.columns]
+        world = [(0, *c[1:]) for c in changes if c.satellite is WORLD and c.name in simulator.world_args.table]
+        if own or world:
+            made.append(simulator.prepare_change(own, world))
+
+    def make() -> None:
+        for change in made:
+            change()
+
+    return make
+
+
+class LiveArguments(MutableMapping[str, Any]):
+    """Given and default values by name; setting one changes it from the next reset on."""
+
+    def __init__(self, arguments: Callable[[], Sequence[Arguments]], write: Callable[[dict[str, Any]], None], title: str) -> None:
+        """Show ``arguments``, of which each name is looked up in the first one that has it; ``write`` sets values."""
+        self._arguments, self._write, self._title = arguments, write, title
+
+    def _table(self) -> dict[str, Any]:
+        return {name: value for arguments in reversed(self._arguments()) for name, value in arguments.given.items()}
+
+    def __getitem__(self, name: str) -> Any:
+        """Return the value of all environments."""
+        table = self._table()
+        if name not in table:
+            raise KeyError(f"{self._title}[{name!r}] is unknown; {nearest(str(name), table)}")
+        value = table[name]
+        return value if not isinstance(value, Member) else value.function
+
+    def __setitem__(self, name: str, value: Any) -> None:
+        """Set the value of all environments."""
+        self._write({name: as_value(value)})
+
+    def __delitem__(self, name: str) -> None:
+        """Refuse: every argument has a value."""
+        raise TypeError(f"{self._title}[{name!r}] cannot be deleted; set it to the value that it should have")
+
+    def __iter__(self) -> Iterator[str]:
+        """Iterate over the names."""
+        return iter(self._table())
+
+    def __len__(self) -> int:
+        """Return the number of arguments."""
+        return len(self._table())
+
+    def __repr__(self) -> str:
+        """Return the values as a dictionary."""
+        return repr(dict(self))

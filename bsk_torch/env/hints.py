@@ -1,0 +1,54 @@
+"""What to write here in place of Gymnasium's ways to use an environment: the advice of errors, in one place."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from tensordict import TensorDictBase
+
+VIEW = "bsk_torch.wrappers.GymEnv(env), or gymnasium.make('bsk_torch/...'), is Gymnasium's view of one episode"
+
+ATTRIBUTES = {
+    "observation_space": f"read env.observation_spec; {VIEW}",
+    "action_space": f"read env.action_spec, whose rand() draws actions for all episodes; {VIEW}",
+    "single_observation_space": "read env.observation_spec; GymVectorEnv(env) is Gymnasium's view of the batch",
+    "single_action_space": "read env.action_spec; GymVectorEnv(env) is Gymnasium's view of the batch",
+    "unwrapped": "it is not wrapped: use env itself (below TorchRL's transforms: env.base_env)",
+    "np_random": "draws are counter-based: env.set_seed(1) seeds them",
+    "spec": "read env.specs",
+    "get_satellite": "env.satellites has the satellite of each type, whose names tell which episodes' satellites it stands for; "
+    "the Gymnasium and PettingZoo views have get_satellite(name)",
+    "latest_step_duration": "read 'duration' in what env.step(td) returns",
+    "world_args": "they are options of the constructor; env.default_world_args() lists them",
+    "sim_rate": "read env.options.sim_rate",
+    "possible_agents": "env.agents names all agents; the PettingZoo view has possible_agents",
+}
+"""Attributes that bsk_rl's environments have as Gymnasium's or PettingZoo's, and what to read here."""
+
+RESET = {
+    "seed": "env.set_seed(seed), then env.reset(): the next episodes are then the first of that seed; GymEnv.reset takes a seed",
+    "options": "env.reset() without it; env.reset(TensorDict({'state': state}, env.batch_size), set_state=True) restores a state",
+}
+"""Arguments of Gymnasium's ``reset``, and what to write here."""
+
+
+def no_attribute(kind: str, name: str) -> AttributeError:
+    """Return the error for one of :data:`ATTRIBUTES` of an environment of the class ``kind``."""
+    return AttributeError(f"{kind} has no attribute {name!r}, for it is an environment of TorchRL: {ATTRIBUTES[name]}")
+
+
+def check_reset(kind: str, arguments: dict[str, Any]) -> None:
+    """Raise TypeError for arguments that ``reset`` of an environment of the class ``kind`` does not take."""
+    for name in arguments:
+        advice = f"write {RESET[name]}" if name in RESET else "it takes a tensordict and set_state"
+        raise TypeError(f"{kind}.reset({name}=...) is not an argument of TorchRL's reset; {advice}")
+
+
+def check_call(kind: str, key: str, tensordict: Any) -> None:
+    """Raise TypeError unless ``step`` or ``reset`` of the class ``kind`` was given a tensordict; ``key`` is the action's."""
+    if not isinstance(tensordict, TensorDictBase):
+        raise TypeError(
+            f"{kind} is an environment of TorchRL, whose step and reset take a tensordict, not {tensordict!r}: "
+            f"td = env.reset(); td[{key}] = actions; td = env.step(td)['next']. For observation, reward, terminated, truncated, "
+            f"info = env.step(action): {VIEW}"
+        )

@@ -1,0 +1,51 @@
+"""The action that goes on with the present task, and the helpers for it that bsk_rl has."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+NO_ACTION = 2**31 - 1
+"""Action of a satellite that goes on with its task, as bsk_rl's; the last action of every space means the same."""
+
+CLOSE = 1.0
+"""Distance from ``NO_ACTION`` within which a floating-point number counts as it; float32 has none that is equal."""
+
+
+def is_no_action(action: Any) -> bool:
+    """Return whether an action only goes on with the task: None, ``NO_ACTION``, or a sequence or array that holds nothing else.
+
+    Floating-point numbers count within 1 of ``NO_ACTION``. An empty array is an action, and so is all that holds no numbers.
+    """
+    if action is None:
+        return True
+    values = action.detach().cpu().numpy() if isinstance(action, Tensor) else action
+    if isinstance(values, bool) or not isinstance(values, int | float | np.number | np.ndarray | list | tuple):
+        return False
+    values = np.asarray(values)
+    if values.size == 0 or not np.issubdtype(values.dtype, np.number):
+        return False
+    exact = np.issubdtype(values.dtype, np.integer)
+    return bool(np.all(values == NO_ACTION if exact else np.abs(values.astype(np.float64) - NO_ACTION) <= CLOSE))
+
+
+def no_action_like(action: Any) -> Any:
+    """Return ``NO_ACTION`` for an integer, else an array or tensor of the action's shape and type that is filled with it."""
+    if isinstance(action, int | np.integer):
+        return NO_ACTION
+    if isinstance(action, Tensor):
+        return torch.full_like(action, NO_ACTION)
+    return action * 0 + NO_ACTION
+
+
+def no_action_keep_indices(actions: Sequence[Any], n_observations: int) -> tuple[list[int], list[int]]:
+    """Return which actions of an episode remain without those that only go on, and which observations belong to them.
+
+    The observations are those at which the remaining actions were chosen, and the last one, so that its duration is kept.
+    """
+    kept = [k for k, action in enumerate(actions) if not is_no_action(action)]
+    return kept, [*kept, n_observations - 1]

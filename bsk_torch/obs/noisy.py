@@ -1,0 +1,220 @@
+"""Noise on observations."""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import torch
+from torch import Tensor
+
+from bsk_torch.obs.base import Observation, Reader, Values, flatten, link
+from bsk_torch.rand import Choice, Distribution, Key, Normal
+from bsk_torch.sats.user_function import UserFunction
+from bsk_torch.sim.names import nearest
+
+if TYPE_CHECKING:
+    from bsk_torch.sats.satellite import Satellite
+
+Noise = float | Distribution | Mapping[str, float | Distribution]
+"""Standard deviation of normal noise, or a distribution, of all numbers that are observed or by name."""
+
+STREAM = 0x1E3779B97F4A7C15
+"""Odd number by which ticks change the seed, so that every decision has random numbers of its own."""
+
+SEED_BITS = 2**63 - 1
+
+OWNER = "noise_env"
+"""Memory that keeps the environment's index under which an episode has begun: copies of the episode share its noise."""
+
+
+class Noisy(Observation):
+    """An observation with noise, as imperfect sensors and navigation give.
+
+    Noise is added to what the observation gives, after division by its norms. It follows from the environment's seed, index and
+    episode, the satellite, the time and the name of the observation: it is new at every decision, the same whenever one decision
+    is observed, and does not depend on the batch. Rewards, flight software and action masks see the true state;
+    ``noisy.observation.get_obs()`` is what would be observed without noise.
+
+    Attributes:
+        observation: The observation without noise.
+    """
+
+    def __init__(self, observation: Observation, noise: Noise = 0.0, bias: Noise = 0.0, name: str | None = None) -> None:
+        """Add noise to an observation.
+
+        Args:
+            observation: Any observation, such as ``obs.SatProperties(...)``.
+            noise: Noise of each decision: the standard deviation of normal noise, a distribution of :mod:`bsk_torch.rand`, or a
+                dictionary of these by the names of properties; properties that it does not name have none.
+            bias: Noise that is drawn once for each episode, likewise.
+            name: Name of the entry; that of the observation unless given.
+
+        Raises:
+            ValueError: For something that is no observation, no noise, or a negative standard deviation.
+        """
+        if not isinstance(observation, Observation):
+            raise ValueError(f"obs.Noisy({observation!r}): it must be an observation; write obs.Time(), with parentheses")
+        if isinstance(observation, Noisy):
+            raise ValueError(f"obs.Noisy of {observation.name!r}, which has noise already: give that one the larger noise")
+        super().__init__(name or observation.name)
+        self.observation = observation
+        self._parts = [(_parse(noise, "noise"), False), (_parse(bias, "bias"), True)]
+        self._plans: list[list[tuple[Distribution, list[int]]]] | None = None
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Noisy:
+        """Return a copy with a copy of the observation; every environment makes one."""
+        made = copy.copy(self)
+        made.observation = copy.deepcopy(self.observation, memo)
+        return made
+
+    def link_satellite(self, satellite: Satellite) -> None:
+        """See :meth:`Observation.link_satellite`."""
+        super().link_satellite(satellite)
+        link(self.observation, satellite)
+        self._reader = Reader(self.observation)
+        if OWNER not in satellite.simulator.memory:
+            satellite.simulator.memory.declare(OWNER, -1)
+            satellite.group.fleet.beginnings.append(self._own)
+
+    @property
+    def functions(self) -> list[UserFunction]:
+        """See :attr:`Observation.functions`."""
+        return self._reader.functions
+
+    def observables(self) -> list[Any]:
+        """See :meth:`Observation.observables`."""
+        return self.observation.observables()
+
+    def get_obs(self) -> Tensor | Values:
+        """See :meth:`Observation.get_obs`."""
+        values = self._reader.values()
+        leaves = list(flatten({self.name: values}, len(self.simulator.ticks)))
+        noise = self._noise(leaves).split([leaf.shape[-1] for _, leaf in leaves], -1)
+        return _with_noise(values, iter(noise))
+
+    def get_vector(self) -> Tensor:
+        """See :meth:`Observation.get_vector`."""
+        vector = self._reader.vector()
+        if self._plans is None:
+            self.get_obs()
+        return vector + self._noise_of(vector)
+
+    # -- random numbers -----------------------------------------------------------------------------------------------
+
+    def _noise(self, leaves: list[tuple[str, Tensor]]) -> Tensor:
+        """Return the noise of the observed numbers side by side, [N, width]."""
+        if self._plans is None:
+            columns = _columns(leaves, getattr(self.observation, "exact", ()))
+            self._plans = [_plan(part, columns, self.name) for part, _ in self._parts]
+        return self._noise_of(torch.cat([leaf for _, leaf in leaves], -1))
+
+    def _noise_of(self, vector: Tensor) -> Tensor:
+        """Return noise for the observed numbers [N, width]."""
+        assert self._plans is not None
+        noise = torch.zeros_like(vector, dtype=torch.float64)
+        if any(self._plans):
+            key = self._key()
+            for plan, (_, of_episode), title in zip(self._plans, self._parts, ("noise", "bias"), strict=True):
+                mine = key if of_episode else self._now(key)
+                for number, (distribution, columns) in enumerate(plan):
+                    drawn = _draw(distribution, mine.named(f"{self.unique_name} {title} {number}"), len(columns)).to(
+                        vector.device
+                    )
+                    noise = noise.index_add(1, torch.tensor(columns, device=vector.device), drawn)
+        return noise
+
+    def _own(self, envs: Tensor) -> None:
+        """Keep the index of the environments ``envs`` [n], whose episodes have begun."""
+        state, memory = self.simulator.state, self.simulator.memory
+        rows = state.rows_of(envs)
+        memory[OWNER] = memory[OWNER].index_copy(0, rows, state.of_env(self.satellite.group.fleet.env_ids)[rows])
+
+    def _key(self) -> Key:
+        """Return the key of the satellites' episodes, [N]."""
+        group = self.satellite.group
+        key = group.fleet.key().of_satellites(group.fleet.columns[group.index].cpu())
+        return replace(key, env_id=self.simulator.memory[OWNER].cpu())
+
+    def _now(self, key: Key) -> Key:
+        """Return a key of the present time."""
+        return replace(key, seed=(key.seed ^ (self.simulator.ticks.cpu() + 1) * STREAM) & SEED_BITS)
+
+
+def _parse(noise: Any, title: str) -> dict[str | None, Distribution]:
+    """Return distributions by name, under None for all numbers; those without noise are left out."""
+    given = dict(noise) if isinstance(noise, Mapping) else {None: noise}
+    found: dict[str | None, Distribution] = {}
+    for name, value in given.items():
+        if isinstance(value, Distribution):
+            found[name] = value
+        elif isinstance(value, int | float) and not isinstance(value, bool) and 0.0 <= value < float("inf"):
+            if value:
+                found[name] = Normal(0.0, float(value))
+        else:
+            raise ValueError(
+                f"obs.Noisy: {title}={value!r}{'' if name is None else f' of {name!r}'} must be a standard deviation from 0 on, "
+                "a distribution of bsk_torch.rand, or a dictionary of these by name"
+            )
+    return found
+
+
+def _columns(leaves: list[tuple[str, Tensor]], exact: tuple[str, ...]) -> list[tuple[str, list[int]]]:
+    """Return the path and the columns of each observed quantity, without those that never have noise."""
+    found, first = [], 0
+    for path, leaf in leaves:
+        if path.rpartition(".")[2] not in exact:
+            found.append((path, list(range(first, first + leaf.shape[-1]))))
+        first += leaf.shape[-1]
+    return found
+
+
+def _plan(
+    part: dict[str | None, Distribution], columns: list[tuple[str, list[int]]], title: str
+) -> list[tuple[Distribution, list[int]]]:
+    """Return each distribution with the columns that it is drawn for.
+
+    Raises:
+        ValueError: For a name that no observed quantity has.
+    """
+    plan = []
+    for name, distribution in part.items():
+        mine = [own for path, own in columns if name is None or name in path.split(".") or name == path]
+        if not mine:
+            known = sorted({path.rpartition(".")[2] for path, _ in columns})
+            raise ValueError(f"obs.Noisy: {name!r} is not observed in {title!r}; {nearest(str(name), known)}")
+        plan.append((distribution, [column for own in mine for column in own]))
+    return plan
+
+
+def _draw(distribution: Distribution, key: Key, count: int) -> Tensor:
+    """Draw ``count`` numbers for each row of the key, [n, count].
+
+    Raises:
+        ValueError: For a distribution that gives another number.
+    """
+    if dataclasses.is_dataclass(distribution) and getattr(distribution, "size", 0) is None and not _is_wide(distribution):
+        if isinstance(distribution, Choice):
+            return torch.as_tensor(Choice(distribution.options, count).draw(key), dtype=torch.float64)
+        return torch.as_tensor(replace(distribution, size=count).draw(key), dtype=torch.float64)
+    drawn = torch.as_tensor(distribution.draw(key), dtype=torch.float64)
+    drawn = drawn.unsqueeze(-1) if drawn.ndim == 1 else drawn
+    if drawn.shape != (len(key), count):
+        raise ValueError(f"obs.Noisy: {distribution!r} gives shape {list(drawn.shape)[1:]}; {count} numbers are observed")
+    return drawn
+
+
+def _is_wide(distribution: Distribution) -> bool:
+    """Return whether bounds set the number of values."""
+    bounds = (getattr(distribution, name, 0.0) for name in ("low", "high"))
+    return any(not isinstance(bound, int | float) for bound in bounds)
+
+
+def _with_noise(values: Any, noise: Any) -> Any:
+    """Return named observations plus their noise, which comes leaf by leaf as [N, width]."""
+    if isinstance(values, dict):
+        return {name: _with_noise(value, noise) for name, value in values.items()}
+    return values + next(noise).reshape(values.shape)

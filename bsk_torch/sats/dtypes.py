@@ -1,0 +1,46 @@
+"""Types of observations: torch's, or NumPy's as in bsk_rl."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+import torch
+
+DEFAULT = torch.float32
+"""Type where neither the environment nor a satellite names one."""
+
+
+def as_dtype(given: Any) -> torch.dtype | None:
+    """Return a floating-point type of torch from one of torch or NumPy (``np.float32``, ``"float32"``), or None for None.
+
+    Raises:
+        ValueError: For anything else.
+    """
+    if given is None:
+        return None
+    found = given
+    if not isinstance(given, torch.dtype):
+        try:
+            found = torch.from_numpy(np.empty(0, np.dtype(given))).dtype
+        except TypeError:
+            found = None
+    if found is None or not found.is_floating_point:
+        raise ValueError(f"dtype={given!r} must be a floating-point type, such as torch.float32 or np.float64")
+    return found
+
+
+def common_dtype(given: Any, satellites: Iterable[Any]) -> torch.dtype:
+    """Return the type of observations of an environment: ``given`` or, if None, the one that its satellites name.
+
+    Raises:
+        ValueError: For satellites that name different types.
+    """
+    if (own := as_dtype(given)) is not None:
+        return own
+    named = {satellite.name: satellite.dtype for satellite in satellites if satellite.dtype is not None}
+    if len(set(named.values())) > 1:
+        each = ", ".join(f"{name}: {dtype}" for name, dtype in named.items())
+        raise ValueError(f"satellites have observations of different types ({each}); an environment has one: pass dtype= to it")
+    return next(iter(named.values()), DEFAULT)

@@ -1,0 +1,24 @@
+"""Names by which bsk_rl's programs define flight software, which here is made of components and modes: they say what to write."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+ADVICE = (
+    "flight software is a Component with update(bus), listed in components of the model, and a row of its table modes, which "
+    "act.DiscreteFSWAction enters; see 'How to extend' in README.md"
+)
+
+
+class Task:
+    """bsk_rl's base class of tasks; deriving from it raises TypeError."""
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        """Refuse the class."""
+        raise TypeError(f"{cls.__qualname__} is a task of bsk_rl, which is never run here; {ADVICE}")
+
+
+def action(function: Callable[..., Any]) -> Callable[..., Any]:
+    """bsk_rl's decorator of commands; raises TypeError."""
+    raise TypeError(f"@action {function.__name__} is a command of bsk_rl, which is never run here; {ADVICE}")

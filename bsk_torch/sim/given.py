@@ -1,0 +1,131 @@
+"""What users give for arguments: values, functions that return one value, and functions that return a dictionary of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from bsk_torch.rand import Distribution, as_value, first_key, seeded
+from bsk_torch.sim.names import nearest
+
+BSK_RL_ORDER = (
+    "planetRadius baseDensity scaleHeight utc_init groundStationsData groundLocationPlanetRadius gsMinimumElevation "
+    "gsMaximumRange batteryStorageCapacity storedCharge_Init disturbance_vector dragCoeff panelArea "
+    "imageTargetMinimumElevation imageTargetMaximumRange instrumentBaudRate instrumentPowerDraw losMaximumRange "
+    "basePowerDraw wheelSpeeds maxWheelSpeed u_max rwBasePower rwMechToElecEfficiency rwElecToMechEfficiency "
+    "panelEfficiency nHat_B mass width depth height sigma_init omega_init rN vN oe mu min_orbital_radius "
+    "dataStorageCapacity bufferNames storageUnitValidCheck storageInit thrusterPowerDraw transmitterBaudRate "
+    "transmitterNumBuffers transmitterPacketSize transmitterPowerDraw hs_min maxCounterValue thrMinFireTime desatAttitude "
+    "controlAxes_B thrForceSign K Ki P K1 K3 omega_max servo_Ki servo_P imageAttErrorRequirement imageRateErrorRequirement "
+    "inst_pHat_B"
+)
+"""Arguments in the order in which bsk_rl draws them: functions that share state or NumPy's generator depend on it."""
+
+RANKS = {name: rank for rank, name in enumerate(BSK_RL_ORDER.split())}
+
+Answers = dict[Any, Any]
+"""What the functions of the user returned for one episode: by owner ("world", or the number of the satellite) and argument."""
+
+
+@dataclass(frozen=True)
+class Member:
+    """One argument of a function that returns a dictionary.
+
+    Attributes:
+        function: The function.
+        name: The argument.
+        trial: Its value in the call that told the names.
+        names: Names that the function sets.
+    """
+
+    function: Callable[[], Mapping[str, Any]]
+    name: str
+    trial: Any = field(compare=False)
+    names: frozenset[str] = field(compare=False)
+
+    def __call__(self) -> Any:
+        """Return the value of a call of the function for this argument alone."""
+        return self.ask("the function")[self.name]
+
+    def ask(self, title: str) -> dict[str, Any]:
+        """Return the values of a call; ValueError where it sets other arguments than the first one."""
+        values = _called(self.function, title)
+        if values.keys() != self.names:
+            raise ValueError(
+                f"{title}={self.function!r} sets {sorted(values)}, but {sorted(self.names)} at its first call; it must set "
+                "the same arguments in all episodes"
+            )
+        return values
+
+
+def in_order(names: Iterable[str]) -> list[str]:
+    """Return names of arguments in the order of bsk_rl's draws, followed by those that bsk_rl lacks."""
+    return sorted(names, key=lambda name: RANKS.get(name, len(RANKS)))
+
+
+def unknown(title: str, name: str, known: Iterable[str]) -> str:
+    """Return the message about a name of an argument that does not exist."""
+    if name == "utc_init":
+        return (
+            f"{title}['utc_init'] is unknown; give it in world_args: bsk_rl, too, takes the epoch of the world for all satellites"
+        )
+    return f"{title}[{name!r}] is unknown; {nearest(str(name), known)}"
+
+
+def is_function(value: Any) -> bool:
+    """Return whether a value is a function of the user, which is called for each episode."""
+    return callable(value) and not isinstance(value, Distribution)
+
+
+def _called(function: Callable[[], Any], title: str) -> dict[str, Any]:
+    answer = function()
+    if not isinstance(answer, Mapping):
+        raise TypeError(f"{title}={function!r} returned {answer!r}; it must return a dictionary of arguments, {{name: value}}")
+    return {name: value() if is_function(value) else value for name, value in answer.items()}
+
+
+def expand(given: Mapping[str, Any] | Callable[[], Mapping[str, Any]] | None, title: str) -> dict[str, Any]:
+    """Return given arguments by name; a function is called once to learn the names that it sets.
+
+    Raises:
+        TypeError: For anything but a dictionary or a function that returns one.
+    """
+    if given is None:
+        return {}
+    if isinstance(given, Mapping):
+        return {name: as_value(value) for name, value in given.items()}
+    if not is_function(given):
+        raise TypeError(f"{title}={given!r} must be a dictionary of arguments, or a function without arguments that returns one")
+    with seeded(first_key(1).named(title)) as rows:
+        next(rows)
+        trial = _called(given, title)
+    names = frozenset(trial)
+    return {name: Member(given, name, value, names) for name, value in trial.items()}
+
+
+class Given(dict[str, Any]):
+    """Arguments that were given; reading another one returns its default. Wrong names raise KeyError."""
+
+    def __init__(self, given: Mapping[str, Any], defaults: Mapping[str, Any], title: str) -> None:
+        """Keep the ``given`` arguments beside the ``defaults`` of all; ``title`` is what the user calls the dictionary."""
+        super().__init__()
+        self.defaults, self.title = defaults, title
+        for name, value in given.items():
+            self[name] = value
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle and copy without the table of defaults being looked up item by item."""
+        return Given, (dict(self), self.defaults, self.title)
+
+    def __setitem__(self, name: str, value: Any) -> None:
+        """Give an argument; KeyError for an unknown name."""
+        if name not in self.defaults:
+            raise KeyError(unknown(self.title, name, self.defaults))
+        super().__setitem__(name, as_value(value))
+
+    def __missing__(self, name: str) -> Any:
+        """Return the default of an argument; KeyError for an unknown name."""
+        if name not in self.defaults:
+            raise KeyError(unknown(self.title, name, self.defaults))
+        return self.defaults[name]

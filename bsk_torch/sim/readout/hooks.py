@@ -1,0 +1,133 @@
+"""Checks of the model classes that users define: what the package would never use is refused at the definition."""
+
+from __future__ import annotations
+
+import difflib
+import inspect
+from collections.abc import Iterator, Mapping
+from typing import Any, NamedTuple
+
+from bsk_torch.sim.component import Component
+from bsk_torch.sim.hooks import check_class
+from bsk_torch.sim.schedule import place
+
+
+class Table(NamedTuple):
+    """A table of a model class: the models that have it, and how it is written."""
+
+    owners: str
+    example: str
+
+
+TABLES: dict[str, Table] = {
+    "components": Table("dynamics, flight-software and world models", "components = (HEATER,)"),
+    "world_components": Table("dynamics models", "world_components = (MOON,)"),
+    "requires_world": Table("dynamics models", "requires_world = (world.EclipseWorldModel,)"),
+    "orbit": Table("dynamics models", "orbit = 'arc'"),
+    "modes": Table("flight-software models", "modes = {'safe': fsw.Mode(('control_on', 'sun_on'))}"),
+    "commands": Table("flight-software models", "commands = {'desat': fsw.Command(('desat_sun',))}"),
+    "requires_dyn": Table("flight-software models", "requires_dyn = (dyn.BasicDynamicsModel,)"),
+    "only_where_required": Table("world models", "only_where_required = True"),
+}
+"""Values that classes of models may define."""
+
+COMPONENT = (
+    "write a Component, from bsk_torch.sim.component, with args=, state= and update(bus), and list it in components "
+    "('How to extend' in README.md)"
+)
+MESSAGES = f"messages are attributes of the bus that components share; {COMPONENT}"
+STATE = f"what starts anew with every episode is a Field in state= of a Component, with initial=; {COMPONENT}"
+DEFAULTS = f"arguments are Arg(name, default, unit, doc) in args= of a Component; {COMPONENT}"
+
+UNUSED: dict[str, str] = {
+    **dict.fromkeys(
+        ("_setup_dynamics_objects", "_setup_fsw_objects", "_setup_world_objects", "_make_task_list", "_create_process"), COMPONENT
+    ),
+    **dict.fromkeys(("create_task", "_create_module_data", "_add_model_to_task", "_utc_init"), COMPONENT),
+    **dict.fromkeys(("_set_messages", "_set_config_msgs", "_set_gateway_msgs", "_zero_gateway_msgs"), MESSAGES),
+    **dict.fromkeys(("_set_vehicle_config_msg", "_set_thrusters_config_msg", "_set_rw_config_msg"), MESSAGES),
+    **dict.fromkeys(("reset_overwrite_previous", "reset_pre_sim_init", "reset_during_sim_init", "reset_post_sim_init"), STATE),
+    "reset_for_action": "name the fields in resets= of an fsw.Mode, a row of the table modes",
+    "_requires_world": f"write {TABLES['requires_world'].example}",
+    "_requires_dyn": f"write {TABLES['requires_dyn'].example}",
+    "default_world_args": DEFAULTS,
+    "is_alive": "mark methods that return [N] booleans with dyn.aliveness_checker",
+}
+"""Names that are no hooks of models, those of bsk_rl among them, and what to write instead."""
+
+SIMILAR = 0.85
+"""Similarity of two names of values from which one counts as a misspelling of the other."""
+
+
+def check_model(cls: type, base: type) -> None:
+    """Refuse a class of models with definitions that would never be used.
+
+    Args:
+        cls: The class that is being defined.
+        base: Base class of the models.
+
+    Raises:
+        TypeError: For hooks of bsk_rl that do not exist here, misspelled tables, and tables that are not made of what they hold.
+        ValueError: For a component that has no place in the tick.
+    """
+    check_class(cls, base, (), UNUSED)
+    for owner in cls.__mro__:
+        if owner is object or (owner is not cls and issubclass(owner, base)):
+            continue  # checked when it was defined
+        for name, value in vars(owner).items():
+            _check_member(cls, owner, base, name, value)
+    for component in _listed(cls):
+        place(component)
+
+
+def _check_member(cls: type, owner: type, base: type, name: str, value: Any) -> None:
+    title = f"{cls.__name__}.{name}"
+    if name in TABLES:
+        if base not in owner.__bases__ and not any(hasattr(parent, name) for parent in cls.__bases__):
+            raise TypeError(f"{title} is never used; it belongs to {TABLES[name].owners}")
+        _check_table(title, name, value)
+    elif inspect.isclass(value):
+        if name.endswith("Task"):
+            raise TypeError(f"{title} is never used; tasks of bsk_rl are components and modes here: {COMPONENT}")
+    elif callable(value) or isinstance(value, staticmethod | classmethod):
+        _check_method(title, name, value)
+    elif not name.startswith("_") and not isinstance(value, property) and (meant := _misspelled(cls, name)) is not None:
+        raise TypeError(f"{title} is never used; did you mean {meant!r}?")
+
+
+def _check_method(title: str, name: str, value: Any) -> None:
+    if name.startswith("setup_"):
+        raise TypeError(f"{title} is never used; {COMPONENT}")
+    if name.startswith("action_"):
+        command = name.removeprefix("action_")
+        raise TypeError(
+            f"{title} is never used; a command is a row of the table modes, which act.DiscreteFSWAction({command!r}) enters: "
+            f"modes = {{{command!r}: fsw.Mode(('control_on', 'nadir_on'))}}"
+        )
+    if isinstance(getattr(value, "defaults", None), Mapping):
+        raise TypeError(f"{title} has default arguments that are never used; {DEFAULTS}")
+
+
+def _check_table(title: str, name: str, value: Any) -> None:
+    """Raise TypeError for a table that is not made of what it holds."""
+    example = f"it must be written like {TABLES[name].example}"
+    if name in ("components", "world_components"):
+        if not isinstance(value, tuple | list) or not all(isinstance(entry, Component) for entry in value):
+            raise TypeError(f"{title}={value!r} is no tuple of Components; {example}")
+    elif name in ("requires_world", "requires_dyn"):
+        if not isinstance(value, tuple) or not all(inspect.isclass(entry) for entry in value):
+            raise TypeError(f"{title}={value!r} is no tuple of models; {example}")
+    elif name in ("modes", "commands") and not isinstance(value, Mapping):
+        raise TypeError(f"{title}={value!r} is no dictionary; {example}")
+
+
+def _misspelled(cls: type, name: str) -> str | None:
+    """Return the table that a value was probably meant to be; None for all others."""
+    if any(hasattr(parent, name) for parent in cls.__bases__):
+        return None
+    return next(iter(difflib.get_close_matches(name, TABLES, n=1, cutoff=SIMILAR)), None)
+
+
+def _listed(cls: type) -> Iterator[Component]:
+    yield from vars(cls).get("components", ())
+    yield from vars(cls).get("world_components", ())

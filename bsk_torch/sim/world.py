@@ -1,0 +1,83 @@
+"""World models: the components of the world around the satellites. Names are bsk_rl's.
+
+An environment infers the world from what the dynamics models of its satellites require; ``world_type=`` of an environment adds
+to it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from bsk_torch._deprecated import deprecated_names
+from bsk_torch.sim.argument_table import ArgumentTable
+from bsk_torch.sim.component import Component, collect
+from bsk_torch.sim.environment import world as environment
+from bsk_torch.sim.readout.hooks import check_model
+from bsk_torch.sim.readout.surroundings import World
+
+__all__ = ["AtmosphereWorldModel", "EclipseWorldModel", "GroundStationWorldModel", "WorldModel"]
+
+
+class WorldModel(World):
+    """Sun and Earth, with the gravity of both.
+
+    Subclasses list ``components`` of their own; a component replaces the one that a base class has in the same slot. An instance,
+    ``simulator.world``, reads the present of the world, as its methods and properties do.
+
+    ``only_where_required`` holds back the components of a class, not of its subclasses, from satellites whose dynamics model does
+    not require the class.
+    """
+
+    components: ClassVar[tuple[Component, ...]] = (environment.EARTH_POLE, environment.EPHEMERIS)
+    only_where_required: ClassVar[bool] = False
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        """Refuse definitions that would never be used, by a TypeError with advice."""
+        super().__init_subclass__(**options)
+        check_model(cls, WorldModel)
+
+    @classmethod
+    def all_components(cls) -> tuple[Component, ...]:
+        """Return the components of the class and its bases in the order of a tick."""
+        return collect(reversed(cls.__mro__))
+
+    @classmethod
+    def default_world_args(cls, **overrides: Any) -> ArgumentTable:
+        """Return every argument that ``world_args`` accepts, with its default or the given value.
+
+        Raises:
+            KeyError: For a value of an unknown argument.
+        """
+        return ArgumentTable(cls.all_components(), overrides, "world_args")
+
+    @classmethod
+    def components_for(cls, required: Iterable[type[WorldModel]]) -> tuple[Component, ...]:
+        """Return the components that act on satellites whose dynamics model requires the world models ``required``."""
+        needed = set().union(*(model.__mro__ for model in required))
+        private = (base for base in cls.__mro__ if vars(base).get("only_where_required") and base not in needed)
+        slots = {component.slot for base in private for component in vars(base).get("components", ())}
+        return tuple(component for component in cls.all_components() if component.slot not in slots)
+
+
+class EclipseWorldModel(WorldModel):
+    """Adds the shadow of the Earth."""
+
+    components: ClassVar[tuple[Component, ...]] = (environment.ECLIPSE,)
+
+
+class AtmosphereWorldModel(WorldModel):
+    """Adds an exponential atmosphere."""
+
+    components: ClassVar[tuple[Component, ...]] = (environment.ATMOSPHERE,)
+
+
+class GroundStationWorldModel(WorldModel):
+    """Adds ground stations; satellites see them only where their dynamics model requires them, as in bsk_rl."""
+
+    components: ClassVar[tuple[Component, ...]] = (environment.GROUND_STATIONS,)
+    only_where_required: ClassVar[bool] = True
+
+
+if not TYPE_CHECKING:
+    __getattr__ = deprecated_names(__name__)

@@ -1,0 +1,308 @@
+"""Changes of ``sat_args`` and ``world_args`` between episodes."""
+
+from __future__ import annotations
+
+import pickle
+
+import pytest
+import torch
+
+from bsk_torch import ConstellationTasking, SatelliteTasking, act, obs, rand, sats
+from bsk_torch.astro.ephemeris import parse_utc
+from bsk_torch.env.changes import Change, episodes, remembered
+from bsk_torch.rand import Key
+from bsk_torch.sim import dyn
+
+
+class Battery(sats.Satellite):
+    observation_spec = (obs.Time(),)
+    action_spec = (act.Drift(duration=60.0),)
+
+
+class Store(sats.ImagingSatellite):
+    observation_spec = (obs.Time(),)
+    action_spec = (act.Drift(duration=60.0),)
+    dyn_type = dyn.GroundStationDynModel
+
+
+class Brief(Battery):
+    action_spec = (act.Drift(duration=3.0),)
+
+
+OPTIONS = {"backend": "eager", "time_limit": 120.0, "seed": 3}
+
+
+def build(args=None, n=4, **options) -> SatelliteTasking:
+    return SatelliteTasking(satellite=Battery("EO1", args or {}), num_envs=n, **OPTIONS | options)
+
+
+def key(n: int, episode: int = 0) -> Key:
+    return Key(torch.full((n,), 3), torch.arange(n), torch.full((n,), episode))
+
+
+def drawn(env, n: int = 4) -> dict:
+    return env.builder.draw(env.fleet, key(n))[0].values[0]
+
+
+@pytest.fixture(scope="module")
+def fresh():
+    """An environment whose arguments no test changes."""
+    return build()
+
+
+# -- what changes -----------------------------------------------------------------------------------------------------
+
+
+def test_a_change_takes_effect_at_the_next_reset_of_its_rows_and_builds_nothing():
+    env = build({"oe": rand.random_orbit(i=45.0)})
+    env.reset()
+    runners, tick = env.simulator.runners, env.simulator.tick
+    env.set_sat_args({"storedCharge_Init": 1e4}, envs=[1, 3])
+    present = env.satellite.sat_args["storedCharge_Init"].clone()
+    env.reset()
+    now = env.satellite.sat_args["storedCharge_Init"]
+    assert now[[1, 3]].tolist() == [1e4, 1e4]
+    assert (present > 1e4).all()
+    assert (now[[0, 2]] > 1e4).all()
+    assert env.simulator.runners is runners
+    assert env.simulator.tick is tick
+    assert env.satellite.dynamics.battery_charge[[1, 3]].tolist() == pytest.approx([1e4, 1e4], rel=1e-2)
+
+
+def test_rows_take_constants_distributions_functions_and_give_them_back():
+    env = build()
+    env.set_sat_args({"storedCharge_Init": rand.Uniform(1e4, 2e4), "sigma_init": [0.1, 0.2, 0.3]}, envs=torch.tensor([0, 1]))
+    env.set_sat_args({"storedCharge_Init": lambda: 5e4}, envs=torch.tensor([False, True, True, False]))
+    values = drawn(env)
+    charge = values["storedCharge_Init"]
+    assert 1e4 <= charge[0] <= 2e4
+    assert charge[1:3].tolist() == [5e4, 5e4]
+    assert charge[3] > 5e4
+    assert charge[0] == rand.Uniform(1e4, 2e4).draw(key(4).named("storedCharge_Init"))[0]
+    assert values["sigma_init"][:2].tolist() == [[0.1, 0.2, 0.3]] * 2
+    env.set_sat_args({"storedCharge_Init": 7e4})
+    assert drawn(env)["storedCharge_Init"].tolist() == [7e4] * 4
+
+
+def test_rows_that_are_not_changed_draw_what_they_drew_before(fresh):
+    env = build()
+    env.set_sat_args({"storedCharge_Init": 1e4, "oe": [7e6, 0.0, 0.1, 0.2, 0.3, 0.4]}, envs=[2])
+    mine, theirs = drawn(env), drawn(fresh)
+    for name in ("storedCharge_Init", "oe", "sigma_init"):
+        assert torch.equal(mine[name][[0, 1, 3]], theirs[name][[0, 1, 3]])
+    assert torch.equal(drawn(env, 3)["oe"], mine["oe"][:3])
+
+
+def test_a_difficulty_for_each_environment():
+    env = build()
+    env.set_sat_args({"storedCharge_Init": rand.per_env(torch.tensor([1e4, 2e4, 3e4, 4e4]))})
+    assert drawn(env)["storedCharge_Init"].tolist() == [1e4, 2e4, 3e4, 4e4]
+
+
+def test_constants_that_are_not_changed_are_kept():
+    env = build()
+    kept = env.simulator.sat_args.draw(key(4))["mass"]
+    env.set_sat_args({"storedCharge_Init": 1e4}, envs=[0])
+    again = [env.simulator.sat_args.draw(key(4))["mass"] for _ in range(2)]
+    assert again[0] is again[1]
+    assert torch.equal(again[0], kept)
+    assert len(again[0]) == 1
+
+
+def test_a_parameter_that_was_one_constant_gets_a_tick_in_which_it_differs_once():
+    env = build()
+    env.reset()
+    tick, charge = env.simulator.tick, env.satellite.dynamics.battery_charge_fraction.clone()
+    env.set_sat_args({"batteryStorageCapacity": 1e6}, envs=[1])
+    changed = env.simulator.tick
+    assert changed is not tick
+    assert torch.equal(env.satellite.dynamics.battery_charge_fraction, charge)
+    env.reset()
+    assert env.satellite.sat_args["batteryStorageCapacity"].tolist() == [288e3, 1e6, 288e3, 288e3]
+    env.set_sat_args({"batteryStorageCapacity": 2e6}, envs=[2])
+    assert env.simulator.tick is changed
+
+
+def test_episodes_in_flight_keep_their_parameters():
+    """The tick is built anew between two steps: nothing changes until the next reset."""
+    still, env = (SatelliteTasking(satellite=Brief("EO1", {}), num_envs=2, **OPTIONS) for _ in range(2))
+    action = torch.zeros(2, dtype=torch.int64)
+    for other in (still, env):
+        other.reset()
+        other.play(action)
+    env.set_sat_args({"batteryStorageCapacity": 1e6, "mass": 100.0})
+    for other in (still, env):
+        other.play(action)
+    for name in ("battery_charge", "r_BN_N", "sigma_BN"):
+        assert torch.equal(getattr(env.satellite.dynamics, name), getattr(still.satellite.dynamics, name)), name
+
+
+def test_drawn_from_the_start_nothing_is_built():
+    env = build({"batteryStorageCapacity": rand.per_env([288e3] * 4)})
+    tick = env.simulator.tick
+    env.set_sat_args({"batteryStorageCapacity": 1e6}, envs=[1])
+    env.set_sat_args({"batteryStorageCapacity": 2e6})
+    assert env.simulator.tick is tick
+    assert drawn(env)["batteryStorageCapacity"].tolist() == [2e6] * 4
+
+
+def test_arguments_of_the_world():
+    env = build()
+    env.set_world_args({"utc_init": "2018-06-27T12:00:00"}, envs=[0])
+    env.set_world_args({"baseDensity": rand.Uniform(1e-12, 2e-12)})
+    values = drawn(env)
+    assert values["utc_init"][0] == parse_utc("2018-06-27T12:00:00")
+    assert (values["utc_init"][1:] != values["utc_init"][0]).all()
+    assert len(values["baseDensity"].unique()) == 4
+
+
+# -- the pool of prepared episodes ------------------------------------------------------------------------------------
+
+
+def test_prepared_episodes_are_drawn_anew():
+    env = build(n=33)
+    assert env.pool is not None
+    env.reset()
+    env.set_sat_args({"storedCharge_Init": 1e4}, envs=[5])
+    env.set_sat_args({"batteryStorageCapacity": 5e5})
+    env.reset()
+    args = env.satellite.sat_args
+    assert args["storedCharge_Init"][5] == 1e4
+    assert (args["batteryStorageCapacity"] == 5e5).all()
+    env.set_sat_args({"storedCharge_Init": lambda: 2e4})
+    env.reset()
+    assert (args["storedCharge_Init"] == 2e4).all()
+
+
+# -- several satellites -----------------------------------------------------------------------------------------------
+
+
+def test_satellites_are_changed_by_name_or_all():
+    satellites = [Battery("A", {}), Battery("B", {}), Battery("C", {"mass": 100.0})]
+    env = ConstellationTasking(satellites, num_envs=2, **OPTIONS)
+    env.set_sat_args({"B": {"storedCharge_Init": 1e4}, "C": {"storedCharge_Init": 2e4}}, envs=[1])
+    env.set_sat_args({"mass": 150.0})
+    values = env.builder.draw(env.fleet, key(2))[0].values[0]
+    charge = values["storedCharge_Init"].view(2, 3)
+    assert (charge[0] > 2e4).all()
+    assert charge[1, 0] > 2e4
+    assert charge[1, 1:].tolist() == [1e4, 2e4]
+    assert values["mass"].tolist() == [150.0] * 6
+    with pytest.raises(ValueError, match="'D' is no satellite"):
+        env.set_sat_args({"B": {"mass": 1.0}, "D": {"mass": 1.0}})
+    with pytest.raises(TypeError, match=r"belongs to \['A', 'B', 'C'\]; env.set_sat_args"):
+        env.satellites[0].sat_args_generator["mass"] = 3.0
+
+
+# -- generator dictionaries -------------------------------------------------------------------------------------------
+
+
+def test_writing_into_the_generator_dictionaries_works():
+    env = build()
+    generator = env.satellite.sat_args_generator
+    assert (generator["mass"], generator["K"]) == (330, 7.0)
+    generator["storedCharge_Init"] = 1e4
+    generator.update(dragCoeff=2.5)
+    env.world_args_generator["utc_init"] = "2018 JUN 27"
+    values = drawn(env)
+    assert values["storedCharge_Init"].tolist() == [1e4] * 4
+    assert values["dragCoeff"].tolist() == [2.5] * 4
+    assert generator["storedCharge_Init"] == 1e4
+    assert env.world_args_generator["utc_init"] == "2018 JUN 27"
+    with pytest.raises(TypeError, match="cannot be deleted"):
+        del generator["mass"]
+    with pytest.raises(KeyError, match="did you mean 'mass'"):
+        generator["masss"] = 1.0
+    with pytest.raises(KeyError, match="did you mean 'mass'"):
+        generator["masss"]
+
+
+def test_the_generator_of_a_satellite_has_all_arguments_and_is_taken_as_it_is_when_an_environment_is_built():
+    satellite = Battery("EO1", {"mass": 100.0})
+    satellite.sat_args_generator["K"] = 6.0
+    assert (satellite.sat_args_generator["mass"], satellite.sat_args_generator["P"]) == (100.0, 35.0)
+    with pytest.raises(KeyError, match="did you mean 'mass'"):
+        satellite.sat_args_generator["masss"] = 1.0
+    env = SatelliteTasking(satellite, num_envs=1, **OPTIONS)
+    satellite.sat_args_generator["K"] = 5.0
+    assert drawn(env, 1)["K"].tolist() == [6.0]
+
+
+# -- saved states -----------------------------------------------------------------------------------------------------
+
+
+def test_changes_survive_pickling_and_states_are_exchanged():
+    env = build(n=2)
+    env.set_sat_args({"batteryStorageCapacity": 1e6, "storedCharge_Init": 1e4}, envs=[1])
+    env.set_world_args({"utc_init": "2018 JUN 27"})
+    env.reset()
+    other = pickle.loads(pickle.dumps(env))
+    assert torch.equal(other.fingerprint, env.fingerprint)
+    env.restore(other.get_state())
+    for each in (env, other):
+        each.reset()
+    for name in ("batteryStorageCapacity", "storedCharge_Init", "utc_init", "oe"):
+        assert torch.equal(env.satellite.sat_args[name], other.satellite.sat_args[name])
+
+
+def test_states_of_before_a_change_that_built_nothing_can_be_restored():
+    env = build(n=2)
+    env.reset()
+    before, charge = env.get_state(), env.satellite.dynamics.battery_charge.clone()
+    env.set_sat_args({"storedCharge_Init": 1e4})
+    env.reset()
+    env.restore(before)
+    assert torch.equal(env.satellite.dynamics.battery_charge, charge)
+
+
+def test_changes_are_remembered_as_long_as_they_mean_something():
+    def change(value, envs=None, name="mass", satellite=0):
+        return Change(satellite, name, value, envs)
+
+    kept = remembered([change(1.0), change(2.0, (0, 1)), change(3.0, (2,)), change(9.0, name="K")], [change(4.0, (1, 2))])
+    assert kept == [change(1.0), change(2.0, (0,)), change(9.0, name="K"), change(4.0, (1, 2))]
+    assert remembered(kept, [change(5.0)]) == [change(9.0, name="K"), change(5.0)]
+
+
+# -- bad input --------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("args", "envs", "error", "message"),
+    [
+        ({"masss": 1.0}, None, KeyError, "did you mean 'mass'"),
+        ({"mass": -1.0}, None, ValueError, "mass=-1 kg is not allowed"),
+        ({"mass": -1.0}, [2], ValueError, "mass=-1 kg is not allowed"),
+        ({"storedCharge_Init": 3e5}, [3], ValueError, "is above batteryStorageCapacity"),
+        ({"rN": [7e6, 0.0, 0.0]}, None, ValueError, "rN had None when the environment was built|give the orbit as 'oe'"),
+        ({"oe": None}, [0], ValueError, "must be given for all environments, or for none"),
+        ({"mass": 100.0}, [4], IndexError, "indices from 0 to 3"),
+        ({"mass": 100.0}, torch.tensor([True]), IndexError, "is a mask of shape"),
+        (3, None, TypeError, "must be a dictionary of arguments"),
+    ],
+)
+def test_wrong_changes_change_nothing(fresh, args, envs, error, message):
+    before, tick = drawn(fresh), fresh.simulator.tick
+    with pytest.raises((error, KeyError) if "rN" in str(args) else error, match=message):
+        fresh.set_sat_args(args, envs)
+    after = drawn(fresh)
+    assert fresh.simulator.tick is tick
+    assert all(torch.equal(after[name], value) for name, value in before.items() if isinstance(value, torch.Tensor))
+
+
+def test_what_decides_what_is_built_cannot_be_changed():
+    env = SatelliteTasking(Store("EO1", {}), num_envs=2, **OPTIONS)
+    with pytest.raises(ValueError, match="gsMinimumElevation decides what is built"):
+        env.set_world_args({"gsMinimumElevation": 0.5})
+    with pytest.raises(ValueError, match=r"storageInit was the same for all environments .* components were made for it"):
+        env.set_sat_args({"storageInit": 100.0})
+    with pytest.raises(KeyError, match="did you mean 'baseDensity'"):
+        env.set_world_args({"baseDensit": 0.5})
+
+
+def test_rows_that_share_their_draws_change_together():
+    ids = torch.tensor([7, 7, 8])
+    assert episodes([0, 1], 3, ids)[1] == (7, 7)
+    assert episodes([2], 3, ids)[1] == (8,)
+    with pytest.raises(ValueError, match="env_ids others have too"):
+        episodes([0], 3, ids)

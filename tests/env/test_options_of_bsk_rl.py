@@ -1,0 +1,162 @@
+"""Arguments of bsk_rl's environments: each works, or raises and names what to use instead."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from bsk_torch import ConstellationTasking, SatelliteTasking, act, comm, data, formations, obs, sats, scene
+from bsk_torch.env.options import floating
+from bsk_torch.rand import first_key
+
+
+class Plain(sats.Satellite):
+    observation_spec = (obs.Time(),)
+    action_spec = (act.Drift(duration=3.0),)
+
+
+class Imager(sats.ImagingSatellite):
+    observation_spec = (obs.OpportunityProperties({"prop": "priority"}, n_ahead_observe=2),)
+    action_spec = (act.Drift(duration=3.0),)
+
+
+def build(satellite=None, **options) -> SatelliteTasking:
+    options = {"num_envs": 2, "backend": "eager", "time_limit": 60.0, "seed": 3} | options
+    return SatelliteTasking(satellite=satellite or Plain("EO1", {}), **options)
+
+
+def masses(env) -> list[float]:
+    env.reset()
+    return env.satellite.sat_args["mass"].tolist()
+
+
+@pytest.mark.parametrize("wrap", [lambda satellite: [satellite], lambda satellite: (satellite,)], ids=["list", "tuple"])
+def test_one_satellite_in_a_list_is_one_satellite(wrap):
+    assert build(wrap(Plain("EO1", {"mass": 100.0}))).names == ["EO1"]
+
+
+@pytest.mark.parametrize("satellite", [[Plain("A"), Plain("B")], [], Plain])
+def test_anything_but_one_satellite_is_refused(satellite):
+    with pytest.raises(ValueError, match="must be one satellite; several need a ConstellationTasking"):
+        SatelliteTasking(satellite=satellite)
+
+
+def test_arguments_are_randomized_together_for_one_satellite():
+    def randomizer(satellites):
+        mass = np.random.uniform(100.0, 200.0)
+        return {satellites[0]: {"mass": mass, "storedCharge_Init": 1e3 * mass}}
+
+    env = build(sat_arg_randomizer=randomizer)
+    first, again = masses(env), masses(build(sat_arg_randomizer=randomizer, num_envs=3))
+    assert first == again[:2]
+    assert first[0] != first[1]
+    assert (env.satellite.sat_args["storedCharge_Init"] == 1e3 * env.satellite.sat_args["mass"]).all()
+
+
+def test_a_formation_arranges_one_satellite():
+    env = build(sat_arg_randomizer=formations.walker_delta_args(1, altitude=600.0))
+    env.reset()
+    assert env.satellite.sat_args["oe"][:, 0].tolist() == [6971e3] * 2
+
+
+def test_a_randomizer_must_return_a_dictionary():
+    with pytest.raises(TypeError, match="sat_arg_randomizer returned None; it must return"):
+        build(sat_arg_randomizer=lambda satellites: None)
+
+
+@pytest.mark.parametrize("kind", [np.float64, "float64", np.dtype("float64"), torch.float64])
+def test_types_of_numpy(kind):
+    assert floating(kind) is torch.float64
+
+
+def test_observations_have_the_given_type():
+    assert build(dtype=np.float64).reset()["observation"].dtype == torch.float64
+    assert floating(None) is torch.float32
+
+
+@pytest.mark.parametrize("kind", [np.int32, torch.int64, "decimal"])
+def test_other_types_are_refused(kind):
+    with pytest.raises(ValueError, match=r"must be a floating-point type, such as torch.float32 or np.float64"):
+        floating(kind)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"vizard_dir": "/tmp/viz"}, "vizard_dir='/tmp/viz' is an option of bsk_rl's environments: .* env.render"),
+        ({"vizard_settings": {"vizard_rate": 5.0}}, "vizard_settings=.* env.render"),
+        ({"render_mode": "human"}, "render_mode='human' .* env.render"),
+        ({"scenario": scene.UniformTargets}, "scenario=<class .* must be a Scenario, made with parentheses"),
+        ({"communicator": comm.FreeCommunication}, "communicator=<class .* must be a CommunicationMethod"),
+        ({"rewarder": data.ScanningTimeReward}, "rewarder=<class .* must be a rewarder, made with parentheses"),
+        ({"rewarder": [data.NoReward(), 3]}, "rewarder=3 must be a rewarder"),
+    ],
+)
+def test_what_cannot_be_used_is_refused_at_construction(options, message):
+    with pytest.raises(TypeError, match=message):
+        build(**options)
+
+
+def test_a_step_must_be_longer_than_nothing():
+    with pytest.raises(ValueError, match=r"max_step_duration=0.0 must be positive"):
+        build(max_step_duration=0.0)
+
+
+def test_options_that_change_nothing_with_one_satellite_are_accepted():
+    env = build(vizard_dir=None, vizard_settings=None, render_mode=None, generate_obs_retasking_only=True)
+    env.reset()
+    assert (env.play(torch.zeros(2, dtype=torch.int64))["observation"] > 0.0).all()
+
+
+@pytest.mark.parametrize("rewarders", [(data.NoReward(),), iter([data.NoReward()])])
+def test_rewarders_of_any_collection_are_added(rewarders):
+    assert build(rewarder=rewarders).rewarder.rewarders
+
+
+def test_time_limits_may_be_functions_that_use_numpy():
+    limits = [build(num_envs=n, time_limit=lambda: np.random.uniform(50.0, 500.0)) for n in (2, 3)]
+    for env in limits:
+        env.reset()
+    assert torch.equal(limits[0].time_limit, limits[1].time_limit[:2])
+    assert len(limits[1].time_limit.unique()) == 3
+
+
+# -- no targets -------------------------------------------------------------------------------------------------------
+
+
+def test_without_targets_a_satellite_that_looks_for_none_flies():
+    class Blind(Imager):
+        observation_spec = (obs.Time(),)
+
+    env = SatelliteTasking(Blind("EO1", {}), scene.UniformTargets(0), data.UniqueImageReward(), backend="eager")
+    env.reset()
+    assert not env.scenario.available.any()
+    assert env.play(torch.zeros(1, dtype=torch.int64))["reward"].tolist() == [[0.0]]
+
+
+def test_without_targets_a_satellite_that_looks_for_some_raises_as_in_bsk_rl_unless_it_may_see_nothing(monkeypatch):
+    monkeypatch.setattr("bsk_torch.sim.access.lookahead.MAX_SEGMENTS", 1)
+
+    def fly(**options):
+        satellite = Imager("EO1", {}, **options)
+        return SatelliteTasking(
+            satellite, scene.UniformTargets(0), data.UniqueImageReward(), backend="eager", time_limit=60.0
+        ).reset()
+
+    with pytest.raises(RuntimeError, match="no target comes into view of environments"):
+        fly()
+    assert (fly(may_see_nothing=True)["observation"] == 0.0).all()
+
+
+def test_some_environments_without_targets():
+    assert not scene.UniformTargets((0, 1)).draw(first_key(2))["target_exists"].any()
+    exists = scene.UniformTargets((0, 3)).draw(first_key(64))["target_exists"]
+    assert set(exists.sum(1).tolist()) == {0.0, 1.0, 2.0}
+
+
+def test_a_constellation_of_one_type_takes_the_same_options():
+    env = ConstellationTasking((Plain("A"), Plain("B")), num_envs=1, backend="eager", dtype=np.float64, render_mode=None)
+    assert env.dtype == torch.float64
+    with pytest.raises(TypeError, match="vizard_dir"):
+        ConstellationTasking((Plain("A"), Plain("B")), vizard_dir="x")

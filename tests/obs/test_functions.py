@@ -1,0 +1,173 @@
+"""Functions and properties as bsk_rl's users write them are observed for all environments, each with its own value."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from bsk_torch import SatelliteTasking, act, dyn, obs, sats, scene
+
+
+def unit(sat):
+    r = sat.dynamics.r_BN_N
+    return r / np.linalg.norm(r)
+
+
+class OwnDynModel(dyn.ImagingDynModel):
+    @property
+    def speed(self):
+        return np.linalg.norm(self.v_BN_N)
+
+    @property
+    def speed_of_all(self):
+        return self.v_BN_N.norm(dim=-1)
+
+    @property
+    def answer(self):
+        return 42
+
+
+class Own(obs.Observation):
+    def get_obs(self):
+        return {"speed": np.linalg.norm(self.satellite.dynamics.v_BN_N), "list": [self.simulator.sim_time, 2.0]}
+
+
+SPEC = (
+    obs.SatProperties(
+        dict(prop="speed"),
+        dict(prop="speed_of_all", norm=None),
+        dict(prop="answer"),
+        dict(prop="unit", fn=unit),
+        dict(fn=lambda sat: sat.dynamics.wheel_speeds_fraction**2, norm=2.0),
+        dict(fn=lambda sat: sat.sat_args["wheelSpeeds"], name="speeds", norm=[1.0, 2.0, 4.0]),
+        dict(prop="pair", fn=lambda sat: [sat.dynamics.battery_charge_fraction, 1.0]),
+        dict(prop="battery_charge", module="dynamics", fn=lambda sat: np.sin(sat.dynamics.battery_charge)),
+    ),
+    obs.OpportunityProperties(
+        dict(fn=lambda sat, opp: opp["object"].priority),
+        dict(prop="wait", fn=lambda sat, opp: opp["window"][0] - sat.simulator.sim_time, norm=100.0),
+        dict(prop="r_LP_P", fn=lambda sat, opp: np.linalg.norm(opp["object"].r_LP_P - sat.dynamics.r_BN_P)),
+        dict(prop="is_target", fn=lambda sat, opp: opp["type"] == "target"),
+        dict(prop="priority"),
+        dict(prop="opportunity_open", norm=100.0),
+        n_ahead_observe=2,
+    ),
+    Own("own"),
+)
+
+WRITTEN_FOR_ONE = {"speed", "answer", "unit", "wait_normd", "r_LP_P", "is_target", "Own.get_obs()"}
+
+
+def make(num_envs, spec=SPEC, **options):
+    satellite = type(
+        "Imager", (sats.ImagingSatellite,), dict(observation_spec=spec, action_spec=(act.Image(2),), dyn_type=OwnDynModel)
+    )
+    given = dict(time_limit=600.0, seed=1, backend="eager", dtype=torch.float64) | options
+    return SatelliteTasking(satellite("A", obs_type=dict), scene.UniformTargets(100), num_envs=num_envs, **given)
+
+
+@pytest.fixture(scope="module")
+def three():
+    """A batch as large as vectors are wide."""
+    env = make(3)
+    return env, env.reset()["observation"]
+
+
+def test_every_environment_has_its_own_value(three):
+    env, seen = three
+    dynamics, own = env.satellite.dynamics, seen["sat_props"]
+    assert torch.allclose(own["speed"], dynamics.v_BN_N.norm(dim=-1))
+    assert torch.equal(own["speed_of_all"], dynamics.v_BN_N.norm(dim=-1))
+    assert own["answer"].tolist() == [42.0] * 3
+    assert torch.allclose(own["unit"], dynamics.r_BN_N / dynamics.r_BN_N.norm(dim=-1, keepdim=True))
+    assert torch.equal(own["prop_4_normd"], dynamics.wheel_speeds_fraction**2 / 2.0)
+    assert torch.equal(own["speeds"], env.satellite.sat_args["wheelSpeeds"] / torch.tensor([1.0, 2.0, 4.0]))
+    assert torch.equal(own["pair"], torch.stack([dynamics.battery_charge_fraction, torch.ones(3)], -1))
+    assert torch.allclose(own["battery_charge"], torch.sin(dynamics.battery_charge))
+    assert torch.allclose(seen["own", "speed"], own["speed_of_all"])
+    assert seen["own", "list"].tolist() == [[0.0, 2.0]] * 3
+
+
+def test_every_opportunity_has_its_own_value(three):
+    env, seen = three
+    found = env.satellite.find_next_opportunities(2)
+    for k in range(2):
+        row = seen["target", f"target_{k}"]
+        assert torch.equal(row["prop_0"], row["priority"])
+        assert torch.allclose(row["wait_normd"], row["opportunity_open_normd"])
+        assert torch.allclose(row["r_LP_P"], (found.r_LP_P[:, k] - env.satellite.dynamics.r_BN_P).norm(dim=-1))
+        assert row["is_target"].tolist() == [1.0] * 3
+
+
+def test_one_note_says_what_is_slow_and_how_to_write_it(caplog):
+    env = make(2)
+    notes = [record.getMessage() for record in caplog.records if record.name == "bsk_torch.sats.user_function"]
+    env.reset()
+    env.reset()
+    assert len(notes) == len(WRITTEN_FOR_ONE)
+    for name in WRITTEN_FOR_ONE:
+        (note,) = (note for note in notes if note.startswith((f"'{name}' of", name)))
+        assert "called for one environment after the other, which is slow" in note
+        assert "torch.linalg.norm(r, dim=-1)" in note or "opp['r_LP_P'] [N, n, 3]" in note
+    assert "mixes environments" in next(note for note in notes if note.startswith("'unit'"))
+
+
+def test_an_environment_alone_observes_the_same(three):
+    alone = make(1).reset()["observation"]
+    for name in ("speed", "unit", "speeds", "pair"):
+        assert torch.equal(alone["sat_props", name][0], three[1]["sat_props", name][0])
+
+
+@pytest.mark.parametrize(
+    ("entry", "error", "words"),
+    [
+        (dict(fn=lambda sat: np.random.normal(), name="x"), TypeError, r"'x' of 'sat_props' gives other values .* obs\.Noisy"),
+        (dict(fn=lambda sat: sat.dynamics.r_BN_N - sat.dynamics.r_BN_N.mean(dim=0), name="x"), TypeError, "mixes environments"),
+        (dict(fn=lambda sat: "far", name="x"), TypeError, "'x' of 'sat_props' is 'far'; it must be a number"),
+        (dict(fn=lambda sat: sat.dynamics.speedy, name="x"), TypeError, "no attribute 'speedy'"),
+    ],
+)
+def test_what_is_no_observation_is_refused_when_an_environment_is_built(entry, error, words):
+    with pytest.raises(error, match=words):
+        make(2, (obs.SatProperties(entry),))
+
+
+@pytest.mark.parametrize(
+    ("entry", "error", "words"),
+    [
+        (dict(norm=2.0), ValueError, "needs 'prop' or 'fn'"),
+        (dict(prop="r_BN_N", norms=2.0), ValueError, r"unknown keys \['norms'\]"),
+        (dict(prop="r_BN_N", norm=0.0), ValueError, "must not be zero"),
+        (dict(prop="r_BN_N", norm="far"), ValueError, "must be a number"),
+        (dict(fn="r_BN_N"), TypeError, "fn='r_BN_N' must be a function"),
+        ("r_BN_N", TypeError, r"must be a dictionary, such as dict\(prop='r_BN_N'\)"),
+    ],
+)
+def test_wrong_entries_are_refused(entry, error, words):
+    with pytest.raises(error, match=words):
+        obs.SatProperties(entry)
+
+
+def test_names_are_those_of_bsk_rl():
+    def named(sat, opp):
+        return opp["object"].priority
+
+    entries = (dict(fn=named), dict(fn=named, norm=2.0), dict(prop="a", fn=named, norm=None), dict(prop="b", fn=named, norm=3))
+    spec = obs.OpportunityProperties(*entries, n_ahead_observe=1)
+    assert [entry["name"] for entry in spec.entries] == ["prop_0", "prop_1_normd", "a", "b_normd"]
+
+
+def test_an_array_means_a_vector_and_a_list_too():
+    satellites = [sats.Satellite("A", obs_type=kind) for kind in (np.ndarray, list, torch.Tensor, dict)]
+    assert [satellite.obs_type for satellite in satellites] == [torch.Tensor] * 3 + [dict]
+    with pytest.raises(ValueError, match=r"obs_type=<class 'tuple'> must be dict, or one of torch.Tensor, np.ndarray and list"):
+        sats.Satellite("A", obs_type=tuple)
+
+
+def test_the_norm_of_an_eclipse_may_be_the_period():
+    spec = (obs.Eclipse(norm=None, name="orbits"), obs.Eclipse())
+    env = make(2, spec)
+    seen = env.reset()["observation"]
+    a, mu = env.satellite.dynamics.semi_major_axis, env.satellite.sat_args["mu"]
+    assert torch.allclose(seen["orbits"], seen["eclipse"] / (2 * torch.pi * (a**3 / mu).sqrt()).unsqueeze(-1))

@@ -1,0 +1,81 @@
+"""Names, units and values of all arguments equal bsk_rl's, as ``tests/basilisk/recorders/record_arguments.py`` recorded them."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from bsk_torch import sats
+from bsk_torch.rand import Distribution
+from bsk_torch.sim import dyn, fsw
+from bsk_torch.sim.component import collect
+from bsk_torch.sim.given import RANKS, in_order
+
+RECORDED = json.loads((Path(__file__).parent / "data" / "default_args.json").read_text())
+
+POINTING = {"groundLocationPlanetRadius", "imageTargetMinimumElevation", "imageTargetMaximumRange"}
+"""Arguments of bsk_rl's dynamics that the flight software has here; every imaging satellite has both."""
+
+
+def equal(mine: Any, recorded: Any) -> bool:
+    """Whether a default is what bsk_rl has."""
+    if recorded == "drawn":
+        return isinstance(mine, Distribution)
+    if mine is None or isinstance(mine, str | bool) or recorded is None:
+        return mine == recorded
+    if isinstance(recorded, list) and isinstance(recorded[0], dict):
+        return [dict(station) for station in mine] == recorded
+    return bool(np.allclose(np.ravel(np.asarray(mine, float)), np.ravel(recorded), rtol=1e-12, atol=0.0))
+
+
+def models(module: Any, kind: str) -> list[Any]:
+    return [
+        pytest.param(getattr(module, name), recorded, id=name)
+        for name, recorded in RECORDED[kind].items()
+        if hasattr(module, name)
+    ]
+
+
+def check(mine: dict[str, Any], recorded: dict[str, Any], elsewhere: set[str]) -> None:
+    lacking = [name for name in recorded if name not in mine and name not in elsewhere]
+    assert not lacking
+    different = {name: (mine[name], value) for name, value in recorded.items() if name in mine and not equal(mine[name], value)}
+    assert not different
+    assert not [name for name in mine if name not in recorded and name not in elsewhere]
+
+
+@pytest.mark.parametrize(("model", "recorded"), models(dyn, "dyn"))
+def test_dynamics_have_the_defaults_of_bsk_rl(model, recorded):
+    check({arg.name: arg.default for part in model.all_components() for arg in part.args}, recorded, {"utc_init"} | POINTING)
+
+
+@pytest.mark.parametrize(("model", "recorded"), models(fsw, "fsw"))
+def test_flight_software_has_the_defaults_of_bsk_rl(model, recorded):
+    check({arg.name: arg.default for part in model.all_components() for arg in part.args}, recorded, POINTING)
+
+
+def test_where_an_image_is_taken_has_the_defaults_of_bsk_rl():
+    recorded = RECORDED["dyn"]["ImagingDynModel"]
+    mine = sats.ImagingSatellite.default_sat_args()
+    assert all(equal(mine[name], recorded[name]) for name in POINTING)
+
+
+def test_worlds_have_the_defaults_of_bsk_rl():
+    parts = collect(reversed(dyn.GroundStationDynModel.__mro__), "world_components")
+    mine = {arg.name: arg.default for part in parts for arg in part.args}
+    recorded = {name: value for model in RECORDED["world"].values() for name, value in model.items()}
+    check(mine, recorded, set())
+
+
+def test_functions_are_called_in_the_order_of_bsk_rl():
+    """World first; in the table of ranks, arguments that the world and imaging share stand with the world."""
+    for kind in ("dyn", "fsw"):
+        for recorded in RECORDED[kind].values():
+            names = [name for name in recorded if name not in ("utc_init", "groundLocationPlanetRadius")]
+            assert in_order(sorted(names)) == names
+    assert in_order(["zeta", "K", "mass", "alpha"]) == ["mass", "K", "zeta", "alpha"]
+    assert {name for kind in RECORDED.values() for model in kind.values() for name in model} == set(RANKS)
