@@ -168,24 +168,24 @@ _drawing = False
 
 
 @contextmanager
-def seeded(key: Key) -> Iterator[Iterator[Key]]:
+def seeded(key: Key, anew: bool = False) -> Iterator[Iterator[Key]]:
     """Seed the global generators of NumPy, ``random`` and torch for functions of the user that draw values with them.
 
     Iterating over the result gives the key of each environment, and seeds the generators from it before; what a function draws
     then depends on nothing but the key. Their states are put back at the end. Where one of these contexts contains another, the
-    outer one seeds.
+    outer one seeds, unless the inner one begins ``anew``.
     """
     global _drawing
     rows = (key.take([k]) for k in range(len(key)))
-    if _drawing:
+    if _drawing and not anew:
         yield rows
         return
-    states = np.random.get_state(), random.getstate(), torch.default_generator.get_state()
+    states, within = (np.random.get_state(), random.getstate(), torch.default_generator.get_state()), _drawing
     _drawing = True
     try:
         yield _seeded_rows(key, rows)
     finally:
-        _drawing = False
+        _drawing = within
         np.random.set_state(states[0])
         random.setstate(states[1])
         torch.default_generator.set_state(states[2])

@@ -9,7 +9,6 @@ from __future__ import annotations
 import copy
 import itertools
 from collections.abc import Callable, Sequence
-from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,7 +16,7 @@ import torch
 from torch import Tensor
 
 from bsk_torch.constants import R_EARTH
-from bsk_torch.rand import Distribution, Key
+from bsk_torch.rand import Distribution, Key, seeded
 from bsk_torch.scene.draws import check_positions, draw_numbers
 from bsk_torch.scene.target import Target
 from bsk_torch.sim.hooks import note_slow
@@ -40,17 +39,6 @@ OWN = ("name", "r_LP_P", "priority")
 
 RESERVED = ("exists", "key")
 """Attributes whose drawn values would take the names of others."""
-
-
-@contextmanager
-def numpy_stream(key: Key) -> Iterator[None]:
-    """Let NumPy's global generator begin with numbers of one environment's key, and put it back afterwards."""
-    before = np.random.get_state()
-    np.random.seed((key.uniform(8)[0] * 2**32).long().numpy().astype(np.uint32))
-    try:
-        yield
-    finally:
-        np.random.set_state(before)
 
 
 def draw_regenerated(scenario: UniformTargets, key: Key) -> dict[str, Tensor]:
@@ -107,7 +95,8 @@ def _make(scenario: UniformTargets, words: tuple[int, ...]) -> list[Target]:
     one.regenerated_key = key
     one.targets, one.n_targets = [], int(scenario.draw_exists(key).sum())
     one.priority_distribution = _one_by_one(scenario, key)
-    with numpy_stream(key.named("regenerate_targets")):
+    with seeded(key.named("regenerate_targets"), anew=True) as rows:  # the same when they are made again, outside of a draw
+        next(rows)
         one.regenerate_targets()
     for target in one.targets:
         if not isinstance(target, Target):

@@ -101,7 +101,7 @@ def test_rewards_are_those_of_the_batched_form(clouds):
     env, rewards, observations = clouds
     batched = imaging(Batched())
     expected, seen = play(batched)
-    assert (expected > 0.0).sum() >= 3
+    assert (expected > 0.0).sum() >= 2
     assert torch.allclose(rewards, expected)
     assert torch.allclose(observations, seen)  # so the same targets are hidden
     imaged = batched.rewarder.imaged

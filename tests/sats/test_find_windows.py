@@ -47,7 +47,7 @@ def test_windows_beyond_the_time_limit():
     """They are those that an environment with a longer limit has generated at reset."""
     short, long = make(), make(time_limit=6000.0)
     for env in (short, long):
-        env.reset(seed=3)
+        env.reset()
     few, until = short.satellite.upcoming_opportunities("target"), torch.tensor([3000.0, 4100.0]).double()
     found = short.satellite.find_windows(until)
     expected = long.satellite.find_windows(until)
@@ -65,7 +65,7 @@ def test_windows_beyond_the_time_limit():
 
 def test_rows_extend_their_own_look_ahead_only():
     env = make()
-    env.reset(seed=3)
+    env.reset()
     access = env.simulator.access
     before = access.until.clone()
     env.satellite.find_windows(torch.tensor([100.0, 2500.0]).double())
@@ -74,7 +74,7 @@ def test_rows_extend_their_own_look_ahead_only():
 
 def test_density_of_targets():
     env = make(Dense)
-    td = env.reset(seed=3)
+    td = env.reset()
     windows = env.satellite.opportunities_dict(1)
     expected = torch.zeros(BINS).double()
     for place, times in windows.items():
@@ -87,7 +87,7 @@ def test_density_of_targets():
 @pytest.mark.parametrize("until", [torch.zeros(3), float("inf"), torch.tensor([1.0, float("nan")])])
 def test_times_that_cannot_be_used(until):
     env = make()
-    env.reset(seed=3)
+    env.reset()
     with pytest.raises(ValueError, match=r"until=.* must be finite seconds since reset: .* shape \[2\]"):
         env.satellite.find_windows(until)
     with pytest.raises(ValueError, match="type='targets' is not a type of opportunity; did you mean 'target'"):

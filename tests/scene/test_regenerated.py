@@ -62,8 +62,18 @@ def test_draws_depend_on_the_key_alone():
     some = CloudTargets(4).draw(rows_of(whole, [3, 1]))
     for name, value in all_at_once.items():
         assert torch.equal(value[[3, 1]], some[name]), name
-    other = CloudTargets(4).draw(key(5, episode=1))["target_true_cloud_cover"]
-    assert not (other == all_at_once["target_true_cloud_cover"]).any()
+    other = CloudTargets(4).draw(key(5, episode=1))["target_direction"]
+    assert not (other == all_at_once["target_direction"]).any()
+
+
+def test_targets_are_made_again_as_they_were(begin):
+    """After a restored state, when the objects are asked for outside of a draw; functions of priorities draw the same, too."""
+    scenario = begin(CloudTargets(4, np.random.rand), 2)
+    scenario.__dict__.pop("_made")
+    for row in range(2):
+        again = scenario.target_objects(row)
+        assert [target.priority for target in again] == scenario.priority[row].tolist()
+        assert [target.true_cloud_cover for target in again] == scenario.target_attribute("true_cloud_cover")[row].tolist()
 
 
 def test_objects_are_those_that_the_hook_made(begin):
