@@ -11,6 +11,7 @@ from typing import Any
 
 from torch import Tensor
 
+from bsk_torch.data.pickled import Pickler, Unpickler, modules_of
 from bsk_torch.data.single import HideImaged, SingleReward
 from bsk_torch.sats.one import OneSatellite, OneScenario, OneView
 from bsk_torch.sats.one_access import OneAccessSatellite
@@ -153,7 +154,7 @@ class Record:
         file = io.BytesIO()
         own = [{name: value for name, value in vars(satellite).items() if name != "_one"} for satellite in self.satellites]
         try:
-            _Pickler(file, self._names(given)).dump((vars(self.rewarder), own, self.steps))
+            Pickler(file, _modules(given), self._name_of(given)).dump((vars(self.rewarder), own, self.steps))
         except (pickle.PicklingError, TypeError, AttributeError) as error:
             raise TypeError(
                 f"{type(self.rewarder).__name__} or its stores keep values that cannot be saved or copied with an episode: "
@@ -162,9 +163,15 @@ class Record:
         return file.getvalue()
 
     def load(self, given: SingleReward, saved: bytes) -> None:
-        """Take over what :meth:`dump` returned."""
+        """Take over what :meth:`dump` returned; UnpicklingError for bytes that hold more than plain data and own classes."""
         objects = {name: value for value, name in self._named(given)}
-        rewarder, own, self.steps = _Unpickler(io.BytesIO(saved), objects, self.scenario).load()
+
+        def find(name: Any) -> Any:
+            if isinstance(name, int):
+                return self.scenario._whole.target_object(self.scenario._row, name)
+            return objects[name]
+
+        rewarder, own, self.steps = Unpickler(io.BytesIO(saved), _modules(given), find).load()
         self.rewarder.__dict__ = rewarder
         for satellite, attributes in zip(self.satellites, own, strict=True):
             satellite.__dict__.update(attributes)
@@ -175,31 +182,22 @@ class Record:
         named += [(satellite, f"satellite {k}") for k, satellite in enumerate(self.satellites)]
         return named + [(value, f"argument {name}") for name, value in vars(given).items() if isinstance(value, FunctionType)]
 
-    def _names(self, given: SingleReward) -> dict[int, str]:
-        return {id(value): name for value, name in self._named(given)}
+    def _name_of(self, given: SingleReward) -> Callable[[Any], Any]:
+        """Return the function that names objects which are not saved; targets have their numbers."""
+        names = {id(value): name for value, name in self._named(given)}
+
+        def name_of(value: Any) -> Any:
+            if (name := names.get(id(value))) is not None:
+                return name
+            if hasattr(type(value), "_place") and value._place is not None:
+                return value._place[1]
+            if isinstance(value, OneView):
+                raise TypeError(f"{value!r} is a view of the simulation")
+            return None
+
+        return name_of
 
 
-class _Pickler(pickle.Pickler):
-    def __init__(self, file: io.BytesIO, names: dict[int, str]) -> None:
-        super().__init__(file)
-        self.names = names
-
-    def persistent_id(self, value: Any) -> Any:
-        if (name := self.names.get(id(value))) is not None:
-            return name
-        if hasattr(type(value), "_place") and value._place is not None:
-            return value._place[1]
-        if isinstance(value, OneView):
-            raise TypeError(f"{value!r} is a view of the simulation")
-        return None
-
-
-class _Unpickler(pickle.Unpickler):
-    def __init__(self, file: io.BytesIO, objects: dict[str, Any], scenario: SingleScenario) -> None:
-        super().__init__(file)
-        self.objects, self.scenario = objects, scenario
-
-    def persistent_load(self, name: Any) -> Any:
-        if isinstance(name, int):
-            return self.scenario._whole.target_object(self.scenario._row, name)
-        return self.objects[name]
+def _modules(given: SingleReward) -> set[str]:
+    """Return the modules whose classes a rewarder's data may be made of: its own, and those of its stores and data."""
+    return modules_of(type(given), given.data_store_type, given.data_type)

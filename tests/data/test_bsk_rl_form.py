@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import io
+import math
+import pickle
+from collections import deque
 from types import SimpleNamespace
 
 import numpy as np
@@ -11,6 +15,7 @@ from tensordict import TensorDict
 
 import bsk_torch
 from bsk_torch import ConstellationTasking, act, comm, data, obs, rand, scene
+from bsk_torch.data.pickled import Pickler, Unpickler, modules_of
 from bsk_torch.presets.nadir_scan import ScanningSatellite, scanning_args
 
 pytestmark = pytest.mark.compiled
@@ -338,3 +343,32 @@ def test_a_rewarder_without_a_store_is_refused():
 
     with pytest.raises(TypeError, match="Storeless must set data_store_type"):
         Storeless()
+
+
+class Evil:
+    """Runs a function where it is unpickled."""
+
+    def __reduce__(self):
+        return print, ("executed",)
+
+
+@pytest.mark.parametrize("payload", [Evil(), [Evil()], pickle.PickleBuffer, math.sin])
+def test_saved_bytes_cannot_run_other_code(payload, capsys):
+    crafted = pickle.dumps(payload)
+    with pytest.raises(pickle.UnpicklingError, match="neither plain data nor a class of"):
+        Unpickler(io.BytesIO(crafted), modules_of(Evil) - {__name__}, str).load()
+    assert capsys.readouterr().out == ""
+
+
+def test_plain_data_come_back():
+    given = {"a": np.arange(3.0), "b": {1, 2}, "c": torch.ones(2), "d": [np.float64(1.5), None, "x"], "e": deque([1])}
+    file = io.BytesIO()
+    Pickler(file, set(), lambda value: None).dump(given)
+    found = Unpickler(io.BytesIO(file.getvalue()), set(), str).load()
+    assert (found["a"].tolist(), found["b"], found["d"], list(found["e"])) == ([0.0, 1.0, 2.0], {1, 2}, [1.5, None, "x"], [1])
+    assert torch.equal(found["c"], given["c"])
+
+
+def test_what_could_not_be_read_is_not_written():
+    with pytest.raises(TypeError, match="of class"):
+        Pickler(io.BytesIO(), set(), lambda value: None).dump({"loop": math.sin})
