@@ -57,7 +57,9 @@ class ComposedReward(GlobalReward):
 
     def __setattr__(self, name: str, value: Any) -> None:
         """Set an attribute of the sum; AttributeError for one of a part, which would not change."""
-        of_part = any(name in vars(rewarder) for rewarder in self.__dict__.get("rewarders", ()))
+        parts = self.__dict__.get("rewarders", ())
+        of_part = any(name in vars(part) or isinstance(getattr(type(part), name, None), property) for part in parts)
+        of_part = of_part and not hasattr(type(self), name)
         if of_part and name not in (*self.__dict__, "scenario", "fleet", "terms"):
             raise AttributeError(f"{name!r} belongs to a part of the sum; set it there, as in rewarders[0].{name}")
         super().__setattr__(name, value)

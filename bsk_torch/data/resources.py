@@ -67,8 +67,10 @@ class ResourceReward(GlobalReward):
             fleet.beginnings.append(self._draw)
 
     @property
-    def reward_weight(self) -> Tensor:
-        """Present weight of each environment, [N] float64."""
+    def reward_weight(self) -> Any:
+        """Present weight of each environment, [N] float64; what has been given before an environment is built."""
+        if not hasattr(self, "fleet"):
+            return self.weight
         fleet = self.fleet
         if self._name is not None:
             return fleet.memory[self._name]

@@ -101,7 +101,7 @@ def test_copies_of_a_sum_share_no_parts():
 
 def test_attributes_of_parts():
     """Read from the sum if there is no doubt whose they are; written where they belong."""
-    drain, gain = (data.ResourceReward(lambda satellite: satellite, weight) for weight in (-1.0, 2.0))
+    drain, gain = (data.ResourceReward(weight, lambda satellite: satellite) for weight in (-1.0, 2.0))
     assert data.ComposedReward(drain, data.NoReward()).reward_weight == -1.0
     with pytest.raises(AttributeError, match=r"several rewarders have 'reward_weight'; .* rewarders\[0\]\.reward_weight"):
         _ = data.ComposedReward(drain, gain).reward_weight

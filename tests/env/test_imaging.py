@@ -362,7 +362,7 @@ def test_access_filters_of_users():
 
 def test_composed_rewards_keep_their_terms():
     """bsk_rl's composition loses the filter of imaged targets; here it stays."""
-    drain = data.ResourceReward(lambda satellite: satellite.dynamics.storage_level_fraction, reward_weight=-1.0)
+    drain = data.ResourceReward(-1.0, lambda satellite: satellite.dynamics.storage_level_fraction)
     env = imager(4, rewarder=data.ComposedReward(data.UniqueImageReward(), drain))
     env.reset()
     for _ in range(4):
