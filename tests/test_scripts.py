@@ -91,6 +91,7 @@ STARTS: dict[str, list[Start]] = {
 RECORDED = {
     "record_basilisk": "basilisk/recordings/two_seconds",
     "record_constellation": "basilisk/recordings/constellation_untasked",
+    "record_examples": "basilisk/recordings/example_configuration_actions",
     "record_imaging": "basilisk/recordings/imaging_half_second",
     "record_los": "basilisk/recordings/los_two_seconds",
     "record_modules": "sim/data/controller",
@@ -98,6 +99,7 @@ RECORDED = {
 """A short recording of each recorder."""
 
 ELSEWHERE = {
+    **{f"examples/bsk_rl/{path.name}": "tests/examples/test_bsk_rl.py" for path in (ROOT / "examples/bsk_rl").glob("*.py")},
     "examples/mappo_benchmarl.py": "tests/test_clients.py",
     "examples/ppo_cleanrl.py": "tests/test_clients.py",
     "examples/ppo_rllib.py": "tests/test_clients.py",

@@ -179,8 +179,6 @@ class ConstellationTasking(Tasking):
         """Carry out the actions of each group where ``moves`` [N] is true; return the entries of ``next``."""
         actions, acts = self._decoded(given, moves)
         result = self._advance(actions, acts, moves)
-        if not self.joint:
-            self._remove()
         return self._outputs(result, **self._ends(result))
 
     def _all_agents_ended(self, ended: Tensor) -> Tensor:
@@ -262,6 +260,8 @@ class ConstellationTasking(Tasking):
             satellite.observations.get_dict() if satellite.obs_type is dict else satellite.observations.get_vector(self.dtype)
             for satellite in self.satellites
         ]
+        if result is not None and not self.joint:
+            self._remove()  # only now: look-ahead is not extended for those that have left, but they have a last observation
         legal = [satellite.action_mask() for satellite in self.satellites]
         for group in self.groups:
             leaves = self._group_outputs(group, seen, legal, hidden)

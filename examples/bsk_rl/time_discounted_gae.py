@@ -1,0 +1,60 @@
+"""Learn with a discount per second: decisions that last longer are discounted more.
+
+    python examples/bsk_rl/time_discounted_gae.py --iterations 100 --num-envs 256
+
+The problem of bsk_rl's page "Time-Discounted GAE", that of ``rllib_training.py`` without the time as an observation. Lines that
+differ from the page say so. With a discount gamma per second, a step of t seconds and rewards at the end of steps, values
+follow
+
+    V = E[gamma^t (r + V')]
+
+which is what ``bsk_torch.rl`` computes unless told otherwise; the decay lambda is per decision, as in bsk_rl.
+"""
+
+from __future__ import annotations
+
+import argparse
+from typing import Any
+
+from rllib_training import SAT_ARGS, ScanningSatellite, show, task, train
+
+from bsk_torch import SatelliteTasking
+from bsk_torch.rl.training.config import PPOConfig
+
+
+class TimelessSatellite(ScanningSatellite):
+    """Does not see the time."""
+
+    observation_spec = ScanningSatellite.observation_spec[:-1]
+
+
+def make(num_envs: int = 1, sat_args: dict[str, Any] | None = None, **options: Any) -> SatelliteTasking:
+    """Return ``num_envs`` episodes of the problem; ``sat_args`` and ``options`` replace its own."""
+    satellite = TimelessSatellite("Scanner1", sat_args=SAT_ARGS | (sat_args or {}))
+    return SatelliteTasking(satellite=satellite, num_envs=num_envs, **(task() | options))  # bsk_rl: one episode
+
+
+def main() -> None:
+    """Train."""
+    parser = argparse.ArgumentParser(description="Learn with a discount per second.")
+    parser.add_argument("--num-envs", type=int, default=64, help="episodes at once")
+    parser.add_argument("--iterations", type=int, default=20, help="batches to learn from")
+    parser.add_argument("--rollout", type=int, default=16, help="decisions of each episode in a batch")
+    parser.add_argument("--time-limit", type=float, default=28500.0, help="length of an episode, s")
+    parser.add_argument("--backend", default="compiled", choices=["compiled", "eager"])
+    options = parser.parse_args()
+    config = PPOConfig(
+        num_envs=options.num_envs,
+        rollout=options.rollout,
+        gamma=0.99999,  # per second; bsk_rl: gamma=0.999, which TimeDiscountedGAEPPOTorchLearner takes to the power of d_ts
+        reward_time="end",  # bsk_rl: config.training(learner_class=TimeDiscountedGAEPPOTorchLearner)
+        lmbda=0.95,
+        clip=0.1,
+        gradient_norm=0.5,
+    )
+    env = make(options.num_envs, time_limit=options.time_limit, backend=options.backend, seed=0)
+    train(env, config, options.iterations, show)  # bsk_rl: tune.run("PPO", ...)
+
+
+if __name__ == "__main__":
+    main()

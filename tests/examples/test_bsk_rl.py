@@ -1,0 +1,174 @@
+"""Examples of bsk_rl's documentation: ours from the same start, with the same actions, give what bsk_rl's gave.
+
+Rewards, durations, names and flags are exact, observations to the bounds of the replays in tests/basilisk.
+"""
+
+import re
+import sys
+
+import pytest
+import torch
+
+from tests.examples.recorded import BY_NAME, FOLDER, Replay, example, load, start
+from tests.examples.scenarios import areas, beliefs, clouds, find_after
+
+pytestmark = pytest.mark.compiled
+
+STEERING = 1e-5
+"""Bound of observations with the steering law, whose loop amplifies rounding; 1e-6 without."""
+
+
+@pytest.mark.parametrize("name", ["simple_environment", "rllib_training", "time_discounted_gae", "async_multiagent_training"])
+def test_scanning(name):
+    """Without targets: the first page, and those that train in nadir scanning."""
+    recorded = load(name)
+    Replay(example(name).make(**start(recorded)), recorded).run()
+
+
+@pytest.mark.parametrize("part", ["properties", "bespoke", "custom", "opportunities", "composed", "actions", "images"])
+def test_satellite_configuration(part):
+    recorded = load(f"configuration_{part}")
+    targets = dict(scenario=recorded.targets) if len(recorded.arrays["targets"]) else {}
+    env = example("satellite_configuration").make(part, **(start(recorded) | targets))
+
+    def look_ahead(env, k):
+        if part == "images":  # the page names the last of the next ten targets
+            assert env.satellite.find_next_opportunities(10).place[0, 9] == recorded.arrays["action"][0, 0] - BY_NAME
+
+    Replay(env, recorded, before=look_ahead).run()
+
+
+@pytest.mark.parametrize("joint", [True, False])
+def test_multiagent_envs(joint):
+    """One satellite is killed in the sixth step, and sees once more where it is an agent of its own."""
+    recorded, module = load("multiagent_general" if joint else "multiagent_constellation"), example("multiagent_envs")
+    env = module.make(joint=joint, **(start(recorded) | dict(scenario=recorded.targets)))
+    Replay(env, recorded, tolerance=STEERING, before=lambda env, k: module.kill(env, 0) if k == 6 else None).run()
+    assert env.dead[0].tolist() == [True, False, False]
+
+
+def test_communication_action():
+    recorded = load("communication_action")
+    env = example("communication_action").make(**(start(recorded) | dict(scenario=recorded.targets)))
+    Replay(env, recorded, tolerance=STEERING).run()
+
+
+@pytest.mark.parametrize("variant", ["S1", "S2", "S3", "power"])
+def test_aeos(variant):
+    recorded = load(f"aeos_{variant}")
+    env = example("aeos").make(variant, **(start(recorded) | dict(scenario=recorded.targets)))
+    Replay(env, recorded, tolerance=STEERING).run()
+    assert recorded.arrays["reward"].sum() > 1.0  # otherwise exact rewards would say little
+
+
+def test_cloud_environment():
+    recorded, module = load("cloud_environment"), example("cloud_environment")
+    env = module.make(**(start(recorded) | dict(scenario=clouds(module, recorded))))
+    Replay(env, recorded, tolerance=STEERING).run()
+    assert (env.counts()["cloud_free"] > 1).all()
+    assert (env.counts()["cloud_covered"] > 1).all()
+
+
+def test_cloud_environment_with_reimaging():
+    recorded, module = load("cloud_environment_with_reimaging"), example("cloud_environment_with_reimaging")
+    env = module.make(**(start(recorded) | dict(scenario=beliefs(module, recorded))))
+    Replay(env, recorded, tolerance=STEERING).run()
+    assert env.counts()["reimaged"].sum() > 0
+
+
+def test_beliefs_at_the_threshold():
+    """An image that completes a target pays once; satellites that image it together update its belief one after the other."""
+    module = example("cloud_environment_with_reimaging")
+    seconds = torch.tensor([-1.0, 0.0, 1.0, 900.0, 1e9])
+    changed = module.time_variation(seconds)
+    assert changed[:2].tolist() == [0.0, 0.0]
+    assert changed[2:].tolist() == pytest.approx([1 / (1 + torch.exp(torch.tensor(-2.5 * (1 / 360 - 2.5)))).item(), 0.5, 1.0])
+
+
+def test_target_location_uncertainty():
+    recorded, module = load("target_location_uncertainty"), example("target_location_uncertainty")
+    env = module.make(**(start(recorded) | dict(scenario=areas(module, recorded))))
+    Replay(env, recorded, tolerance=STEERING, before=lambda env, k: find_after(env, recorded, k)).run()
+    assert int(env.counts()["found_again"]) > 1
+
+
+def test_curriculum_learning():
+    """Three difficulties in one batch; the battery of each follows from it."""
+    recorded = [load(f"curriculum_learning_{level}") for level in (0, 50, 100)]
+    options = start(*recorded)
+    batteries = [one.setup["sat_args"][0]["batteryStorageCapacity"] for one in recorded]
+    del options["sat_args"]["batteryStorageCapacity"]
+    env = example("curriculum_learning").make(difficulty=[0.0, 0.5, 1.0], **options)
+    Replay(env, *recorded).run()
+    assert env.satellite.sat_args["batteryStorageCapacity"].tolist() == pytest.approx(batteries)
+
+
+def test_the_curriculum_draws_what_the_page_draws():
+    module = example("curriculum_learning")
+    env = module.make(num_envs=64, difficulty=1.0, backend="eager", seed=0)
+    env.reset()
+    arguments = env.satellite.sat_args
+    torque = torch.tensor([one["disturbance_vector"] for one in load("curriculum_learning_100").setup["sat_args"]]).norm()
+    torch.testing.assert_close(arguments["disturbance_vector"].norm(dim=1), torque.double().expand(64))
+    share = arguments["storedCharge_Init"] / arguments["batteryStorageCapacity"]
+    low, high = module.INITIAL_CHARGE
+    assert low <= float(share.min()) < float(share.max()) <= high
+
+
+def test_training_with_shield():
+    """The rule replaced actions where the recording says; the mask allows those that were taken."""
+    recorded, module = load("training_with_shield"), example("training_with_shield")
+    env = module.make(masked=True, **(start(recorded) | dict(scenario=recorded.targets)))
+    narrow = []
+
+    def legal(env, k):
+        mask = module.allowed(env.satellite)
+        assert mask.gather(1, torch.from_numpy(recorded.arrays["action"][k]).unsqueeze(1)).all()
+        narrow.append(int(mask.sum()) == 1)
+
+    Replay(env, recorded, tolerance=STEERING, before=legal).run()
+    assert any(narrow)
+    assert not all(narrow)
+
+
+SMALL = "--num-envs 2 --time-limit 300"
+TRAINING = f"{SMALL} --iterations 2 --rollout 4"
+
+STARTS = {
+    "simple_environment": (SMALL, "truncated|charge"),
+    "satellite_configuration": ("--num-envs 2", "reward for target"),
+    "multiagent_envs": ("--num-envs 2", r"alive tensor\(\[\[False"),
+    "communication_action": ("--num-envs 2", "heard"),
+    "aeos": (f"power {SMALL}", "rewards"),
+    "cloud_environment": (SMALL, "cloud_free"),
+    "cloud_environment_with_reimaging": (f"{SMALL} --steps 3", "complete"),
+    "rllib_training": (TRAINING, "rewards of the first"),
+    "time_discounted_gae": (TRAINING, "entropy"),
+    "async_multiagent_training": (TRAINING, "decisions"),
+    "target_location_uncertainty": (f"{SMALL} --n-targets 300", "found_again"),
+    "curriculum_learning": (TRAINING, "torque"),
+    "training_with_shield": (f"{TRAINING} --n-targets 300 --shield replacement", "replaced actions"),
+}
+"""Arguments of the smallest run of each file, and what it prints."""
+
+
+@pytest.mark.parametrize("name", STARTS)
+def test_runs(name, tmp_path, monkeypatch, capsys):
+    arguments, printed = STARTS[name]
+    module = example(name)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "argv", [f"{name}.py", *arguments.split()])
+    module.main()
+    assert re.search(printed, capsys.readouterr().out)
+
+
+def test_every_file_is_started_and_listed():
+    files = {path.stem for path in FOLDER.glob("*.py")}
+    assert files == set(STARTS)
+    table = (FOLDER / "README.md").read_text()
+    assert all(f"`{name}.py`" in table for name in files)
+
+
+def test_lines_that_differ_are_marked():
+    for path in FOLDER.glob("*.py"):
+        assert path.read_text().count("# bsk_rl") >= 2, path.name
