@@ -24,8 +24,9 @@ from bsk_torch.data.base import GlobalReward, NoReward
 from bsk_torch.data.composed import ComposedReward
 from bsk_torch.data.mapped import for_batch
 from bsk_torch.env import hints
+from bsk_torch.env.arguments import ChangingArguments
 from bsk_torch.env.build import FleetBuilder, link
-from bsk_torch.env.changes import Change, LiveArguments, apply, episodes, of_satellites, of_world, remembered
+from bsk_torch.env.changes import Change
 from bsk_torch.env.log import StepLog, configure
 from bsk_torch.env.machine import existing_device
 from bsk_torch.env.options import TaskingOptions, TimeLimit
@@ -34,7 +35,6 @@ from bsk_torch.env.randomizer import make_randomizer
 from bsk_torch.env.satellite_group import groups_of
 from bsk_torch.env.state import MADE_BY, check_compatible, check_fingerprint, fingerprint
 from bsk_torch.env.trial import try_out
-from bsk_torch.env.types import check_world
 from bsk_torch.obs.base import Values
 from bsk_torch.rand import Key
 from bsk_torch.sats.dtypes import common_dtype
@@ -42,7 +42,6 @@ from bsk_torch.sats.satellite import Satellite
 from bsk_torch.scene.base import Scenario
 from bsk_torch.sim.argument_table import ArgumentTable
 from bsk_torch.sim.fleet import Fleet, FleetState
-from bsk_torch.sim.params import Arguments
 from bsk_torch.sim.simulator import Simulator, whole_nanoseconds
 from bsk_torch.sim.state import StateTable
 
@@ -93,7 +92,7 @@ class EpisodeState(FleetState):
 
 
 @deprecated_attributes
-class Tasking(EnvBase):
+class Tasking(ChangingArguments, EnvBase):
     """N independent episodes with S satellites each. Subclasses define agents: their actions, observations and rewards."""
 
     _supports_set_state = True
@@ -332,78 +331,6 @@ class Tasking(EnvBase):
         if self.log is not None and self.log.shows():
             self.log.began(envs, state.seed, state.episode)
 
-    # -- arguments of later episodes ----------------------------------------------------------------------------------
-
-    def set_sat_args(self, args: Any, envs: Any = None) -> None:
-        """Change arguments of satellites; episodes that begin after this call have the new ones, present ones keep theirs.
-
-        Values are those that ``sat_args`` accepts, ``rand.per_env`` for a value of each environment among them; where its tensor
-        is written into, set it again, since episodes may have been prepared. Nothing is compiled anew for arguments that were
-        drawn from the start (a distribution, ``rand.per_env``, a callable), or that only say how an episode begins. Where a
-        parameter of the tick was one constant so far, the tick is built again, once; states that were saved before then do not
-        fit any more.
-
-        Args:
-            args: New values by name of the argument, for all satellites; or, by name of the satellite, such dictionaries; or a
-                function that returns a dictionary.
-            envs: Indices of the environments that get them, [n], or a mask [N]; all unless given.
-
-        Raises:
-            KeyError: For an unknown argument.
-            ValueError: For a value that is not allowed, an argument that decides what is built, or an unknown satellite.
-        """
-        rows, ids = episodes(envs, self.num_envs, self.env_ids)
-        self._change(of_satellites(args, self.names, ids), rows)
-
-    def set_world_args(self, args: Any, envs: Any = None) -> None:
-        """Change arguments of the world, as :meth:`set_sat_args` does for satellites.
-
-        Args:
-            args: New values by name, or a function that returns a dictionary.
-            envs: Indices of the environments that get them, [n], or a mask [N]; all unless given.
-
-        Raises:
-            KeyError: For an unknown argument.
-            ValueError: For a value that is not allowed, or an argument that decides what is built.
-        """
-        rows, ids = episodes(envs, self.num_envs, self.env_ids)
-        changes = of_world(args, ids)
-        check_world([change.name for change in changes], [s.world_args.table for s in self.fleet.simulators])
-        self._change(changes, rows)
-
-    def _change(self, changes: Sequence[Change], rows: Tensor | None = None) -> None:
-        """Make changes of arguments in ``rows`` [n] of the batch, or in all; nothing changes where one of them is wrong."""
-        fleets = [self.fleet] if self.pool is None else [self.fleet, self.pool.fleet]
-        for make in [apply(fleet, changes) for fleet in fleets]:
-            make()
-        if self.pool is not None:
-            self.pool.forget(rows)
-        self._changes = remembered(self._changes, changes)
-        self.fingerprint = fingerprint(self.fleet)
-
-    def _show_arguments(self) -> None:
-        """Let users read and set arguments in the dictionaries that bsk_rl has."""
-        for simulator, group in zip(self.fleet.simulators, self.fleet.groups, strict=True):
-            group.satellite.sat_args_generator = LiveArguments(
-                functools.partial(_sat_args_of, simulator),
-                functools.partial(self._set_type, [self.names[column] for column in simulator.columns]),
-                "sat_args_generator",
-            )
-
-    def _set_type(self, names: Sequence[str], values: dict[str, Any]) -> None:
-        if len(names) > 1:
-            raise TypeError(
-                f"sat_args_generator belongs to {list(names)}; env.set_sat_args({{{names[0]!r}: {values}}}) sets one of them"
-            )
-        self.set_sat_args({names[0]: values})
-
-    @property
-    def world_args_generator(self) -> LiveArguments:
-        """Values of all arguments of the world; setting one is :meth:`set_world_args`."""
-        return LiveArguments(
-            lambda: [simulator.world_args for simulator in self.fleet.simulators], self.set_world_args, "world_args_generator"
-        )
-
     # -- step ---------------------------------------------------------------------------------------------------------
 
     @torch.no_grad()
@@ -593,10 +520,6 @@ def _rebuild(
     env.state.seed, env.state.episode = seeds, episode
     env.set_extra_state(state)
     return env
-
-
-def _sat_args_of(simulator: Simulator) -> list[Arguments]:
-    return [simulator.sat_args]
 
 
 def pictures() -> Any:

@@ -1,0 +1,102 @@
+"""Arguments of satellites and of the world that change between the episodes of an environment."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Sequence
+from typing import Any
+
+from torch import Tensor
+
+from bsk_torch.env.changes import Change, LiveArguments, apply, episodes, of_satellites, of_world, remembered
+from bsk_torch.env.pool import EpisodePool
+from bsk_torch.env.state import fingerprint
+from bsk_torch.env.types import check_world
+from bsk_torch.sim.fleet import Fleet
+from bsk_torch.sim.params import Arguments
+from bsk_torch.sim.simulator import Simulator
+
+
+class ChangingArguments:
+    """Part of an environment: what sets its arguments."""
+
+    env_ids: Tensor
+    names: list[str]
+    fleet: Fleet
+    pool: EpisodePool | None
+    fingerprint: Any
+    _changes: list[Change]
+
+    def set_sat_args(self, args: Any, envs: Any = None) -> None:
+        """Change arguments of satellites; episodes that begin after this call have the new ones, present ones keep theirs.
+
+        Values are those that ``sat_args`` accepts, ``rand.per_env`` for a value of each environment among them; where its tensor
+        is written into, set it again, since episodes may have been prepared. Nothing is compiled anew for arguments that were
+        drawn from the start (a distribution, ``rand.per_env``, a callable), or that only say how an episode begins. Where a
+        parameter of the tick was one constant so far, the tick is built again, once; states that were saved before then do not
+        fit any more.
+
+        Args:
+            args: New values by name of the argument, for all satellites; or, by name of the satellite, such dictionaries; or a
+                function that returns a dictionary.
+            envs: Indices of the environments that get them, [n], or a mask [N]; all unless given.
+
+        Raises:
+            KeyError: For an unknown argument.
+            ValueError: For a value that is not allowed, an argument that decides what is built, or an unknown satellite.
+        """
+        rows, ids = episodes(envs, len(self.env_ids), self.env_ids)
+        self._change(of_satellites(args, self.names, ids), rows)
+
+    def set_world_args(self, args: Any, envs: Any = None) -> None:
+        """Change arguments of the world, as :meth:`set_sat_args` does for satellites.
+
+        Args:
+            args: New values by name, or a function that returns a dictionary.
+            envs: Indices of the environments that get them, [n], or a mask [N]; all unless given.
+
+        Raises:
+            KeyError: For an unknown argument.
+            ValueError: For a value that is not allowed, or an argument that decides what is built.
+        """
+        rows, ids = episodes(envs, len(self.env_ids), self.env_ids)
+        changes = of_world(args, ids)
+        check_world([change.name for change in changes], [s.world_args.table for s in self.fleet.simulators])
+        self._change(changes, rows)
+
+    def _change(self, changes: Sequence[Change], rows: Tensor | None = None) -> None:
+        """Make changes of arguments in ``rows`` [n] of the batch, or in all; nothing changes where one of them is wrong."""
+        fleets = [self.fleet] if self.pool is None else [self.fleet, self.pool.fleet]
+        for make in [apply(fleet, changes) for fleet in fleets]:
+            make()
+        if self.pool is not None:
+            self.pool.forget(rows)
+        self._changes = remembered(self._changes, changes)
+        self.fingerprint = fingerprint(self.fleet)
+
+    def _show_arguments(self) -> None:
+        """Let users read and set arguments in the dictionaries that bsk_rl has."""
+        for simulator, group in zip(self.fleet.simulators, self.fleet.groups, strict=True):
+            group.satellite.sat_args_generator = LiveArguments(
+                functools.partial(_sat_args_of, simulator),
+                functools.partial(self._set_type, [self.names[column] for column in simulator.columns]),
+                "sat_args_generator",
+            )
+
+    def _set_type(self, names: Sequence[str], values: dict[str, Any]) -> None:
+        if len(names) > 1:
+            raise TypeError(
+                f"sat_args_generator belongs to {list(names)}; env.set_sat_args({{{names[0]!r}: {values}}}) sets one of them"
+            )
+        self.set_sat_args({names[0]: values})
+
+    @property
+    def world_args_generator(self) -> LiveArguments:
+        """Values of all arguments of the world; setting one is :meth:`set_world_args`."""
+        return LiveArguments(
+            lambda: [simulator.world_args for simulator in self.fleet.simulators], self.set_world_args, "world_args_generator"
+        )
+
+
+def _sat_args_of(simulator: Simulator) -> list[Arguments]:
+    return [simulator.sat_args]
