@@ -16,7 +16,8 @@ from bsk_torch.sim.params import nearest
 from bsk_torch.sim.readout.observables import observable
 
 if TYPE_CHECKING:
-    from bsk_torch.sats.access import AccessSatellite, Opportunities
+    from bsk_torch.sats.access import AccessSatellite
+    from bsk_torch.sats.opportunities import Opportunities
     from bsk_torch.sats.satellite import Satellite
 
 Preset = Callable[[Any, Any], Tensor]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping
-from typing import Any, ClassVar, NamedTuple, NoReturn
+from typing import Any, ClassVar, NoReturn
 
 import torch
 from torch import Tensor
@@ -12,6 +12,7 @@ from bsk_torch.sats.access_filter import AccessFilter, Filter, make_filter
 from bsk_torch.sats.objects import TargetObjects, station_names
 from bsk_torch.sats.one import OneSatellite
 from bsk_torch.sats.one_access import OneAccessSatellite
+from bsk_torch.sats.opportunities import Opportunities
 from bsk_torch.sats.satellite import Satellite
 from bsk_torch.sats.user_function import UserFunction
 from bsk_torch.sim.access.places import TARGET_KIND, place_positions
@@ -20,65 +21,6 @@ from bsk_torch.sim.access.window_table import Windows, candidates
 from bsk_torch.sim.access.windows import MAX_SEGMENTS
 from bsk_torch.sim.orbit.grid import PLAN_STEP
 from bsk_torch.sim.params import nearest
-
-
-class _Opportunities(NamedTuple):
-    open: Tensor
-    close: Tensor
-    place: Tensor
-    r_LP_P: Tensor
-    found: Tensor
-
-
-class Opportunities(_Opportunities):
-    """The next opportunities, sorted by closing time.
-
-    Where there are fewer than n, the last one is repeated. Items are those of bsk_rl's opportunities, of all satellites:
-    ``opportunities["object"]``, the targets with ``r_LP_P``, ``priority``, ``id``, ``name`` and what the scenario draws for them
-    (:class:`~bsk_torch.sats.objects.TargetObjects`), or an array [N, n] of the names of stations; ``["window"]``, opening and
-    closing time, s since reset, [N, n] each; ``["r_LP_P"]``, [N, n, 3] m; ``["type"]``.
-
-    Attributes:
-        open: Opening time, [N, n] s since reset.
-        close: Closing time, [N, n] s since reset.
-        place: Index of the place among those of its type, [N, n].
-        r_LP_P: Earth-fixed positions, [N, n, 3] m.
-        found: Number of opportunities that do not repeat the last one, [N].
-        satellite: The satellites.
-        type: Type of the opportunities.
-    """
-
-    satellite: AccessSatellite
-    type: str
-
-    def of(self, satellite: AccessSatellite, type: str) -> Opportunities:
-        """Say whose opportunities of which type these are."""
-        self.satellite, self.type = satellite, type
-        return self
-
-    def __getitem__(self, key: Any) -> Any:
-        """Return an item of bsk_rl's opportunities by name, or an entry of the tuple by number."""
-        if not isinstance(key, str):
-            return super().__getitem__(key)
-        if key == "window":
-            return self.open, self.close
-        if key == "r_LP_P":
-            return self.r_LP_P
-        if key == "type":
-            return self.type
-        if key == "object":
-            return self.satellite.objects(self.type, self.place)
-        raise KeyError(f"opportunities have no {key!r}; {nearest(key, ('object', 'window', 'type', 'r_LP_P'))}")
-
-    @property
-    def mid(self) -> Tensor:
-        """Middle of the window, [N, n] s since reset."""
-        return 0.5 * (self.open + self.close)
-
-    @property
-    def mask(self) -> Tensor:
-        """True for those that do not repeat the last one, [N, n]."""
-        return torch.arange(self.place.shape[1], device=self.place.device) < self.found.unsqueeze(-1)
 
 
 class AccessSatellite(Satellite):
