@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 import torch
 from torch import Tensor
 
 from bsk_torch._deprecated import warn_deprecated
 from bsk_torch.data.base import GlobalReward, Log
-from bsk_torch.rand import Distribution, Key
+from bsk_torch.rand import Distribution, Key, seeded
 from bsk_torch.sats.user_function import UserFunction
 
 if TYPE_CHECKING:
@@ -114,21 +113,12 @@ def draw_weights(weight: Any, key: Key, rows: list[int]) -> Tensor:
     Raises:
         ValueError: For a weight that is not a number.
     """
-    part = Key(key.seed[rows], key.env_id[rows], key.episode[rows], key.name)
+    part = key.take(rows)
     if isinstance(weight, Distribution):
         drawn = torch.as_tensor(weight.draw(part), dtype=torch.float64)
     else:
-        drawn = torch.tensor([_called(weight, each) for each in part.split(1)], dtype=torch.float64)
+        with seeded(part) as each:
+            drawn = torch.tensor([float(weight()) for _ in each], dtype=torch.float64)
     if drawn.shape != (len(rows),) or not bool(torch.isfinite(drawn).all()):
         raise ValueError(f"reward_weight={weight!r} gives {drawn.tolist()[:5]}; it must give a finite number for each episode")
     return drawn
-
-
-def _called(function: Callable[[], float], key: Key) -> float:
-    """Call a function with NumPy's global generator seeded by a key of one environment, and put the generator back."""
-    state = np.random.get_state()
-    try:
-        np.random.seed((key.uniform(2) * 2.0**32).long().flatten().tolist())
-        return float(function())
-    finally:
-        np.random.set_state(state)
