@@ -7,8 +7,8 @@ import pytest
 import torch
 
 from bsk_torch import ConstellationTasking, SatelliteTasking, act, comm, data, formations, obs, sats, scene
-from bsk_torch.env.options import floating
 from bsk_torch.rand import first_key
+from bsk_torch.sats.dtypes import as_dtype
 
 
 class Plain(sats.Satellite):
@@ -67,18 +67,18 @@ def test_a_randomizer_must_return_a_dictionary():
 
 @pytest.mark.parametrize("kind", [np.float64, "float64", np.dtype("float64"), torch.float64])
 def test_types_of_numpy(kind):
-    assert floating(kind) is torch.float64
+    assert as_dtype(kind) is torch.float64
 
 
 def test_observations_have_the_given_type():
     assert build(dtype=np.float64).reset()["observation"].dtype == torch.float64
-    assert floating(None) is torch.float32
+    assert build().reset()["observation"].dtype == torch.float32
 
 
 @pytest.mark.parametrize("kind", [np.int32, torch.int64, "decimal"])
 def test_other_types_are_refused(kind):
     with pytest.raises(ValueError, match=r"must be a floating-point type, such as torch.float32 or np.float64"):
-        floating(kind)
+        as_dtype(kind)
 
 
 @pytest.mark.parametrize(
