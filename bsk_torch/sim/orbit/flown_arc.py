@@ -60,11 +60,12 @@ SCHEDULED = 3 + 2 * (MULTISTEP_ORDER + 1)
 """Numbers that each tick of the start needs."""
 
 
+@cache
 def start_schedule() -> Tensor:
     """Return rows of the start's ticks: time, whether it is the first, whether it ends a sweep, weights in r, then in v.
 
     Weights are those of the accelerations. The first tick visits the epoch, the following ones visit :data:`START_STEPS`, again
-    and again.
+    and again. All environments share the rows, which must not be written into.
     """
     nodes = [0, *START_STEPS]
     rows = [[0.0, 1.0, 0.0, *[0.0] * (2 * (MULTISTEP_ORDER + 1))]]
