@@ -26,7 +26,7 @@ from bsk_torch.cli.shared import (
 from bsk_torch.env import Tasking
 from bsk_torch.rl.evaluation.evaluate import Evaluation, evaluate
 from bsk_torch.rl.marl.runs import is_constellation
-from bsk_torch.rl.policies.shared_policy import member_view, shared, shared_baselines
+from bsk_torch.rl.policies.shared_policy import for_each_group, shared, shared_baselines
 from bsk_torch.rl.rules.baselines import BASELINES
 from bsk_torch.rl.rules.shield import find_rule, shielded
 
@@ -77,11 +77,12 @@ def evaluate_policy(
 
 
 def _guarded(policy: TensorDictModuleBase, shield: str, env: Tasking) -> TensorDictModuleBase:
-    """Return a policy for one satellite behind a shield; ends the program if the rule does not exist or does not fit."""
+    """Return a policy for one satellite, or for one of each group, behind a shield; ends the program if that fails."""
     if str(Path.cwd()) not in sys.path:
         sys.path.insert(0, str(Path.cwd()))  # where a user's module is, as python -m would find it
     try:
-        return shielded(policy, find_rule(shield), member_view(env))
+        rule = find_rule(shield)
+        return for_each_group(lambda one, view: shielded(one, rule, view), policy, env)
     except KeyError as error:
         fail(f"the shield {shield!r} does not fit: {error.args[0]}")
     except ValueError as error:

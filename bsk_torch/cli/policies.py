@@ -13,7 +13,7 @@ from bsk_torch.env import Tasking
 from bsk_torch.presets import PRESETS
 from bsk_torch.rl.policies.files import build_policy, check_fits, read_card
 from bsk_torch.rl.policies.pretrained import pretrained_file
-from bsk_torch.rl.policies.shared_policy import member_view
+from bsk_torch.rl.policies.shared_policy import baseline
 from bsk_torch.rl.rules.baselines import BASELINES
 from bsk_torch.sim.params import nearest
 
@@ -26,7 +26,7 @@ FIRST = next(iter(PRESETS))
 
 @dataclass(frozen=True)
 class NamedPolicy:
-    """A policy for one satellite, and the environment that it is meant for.
+    """A policy for one satellite, or for one of each group, and the environment that it is meant for.
 
     Attributes:
         name: As given on the command line.
@@ -55,14 +55,14 @@ class NamedPolicy:
             fail(f"{made_for}; {self.preset} cannot be made so: {error}")
 
     def build(self, env: Tasking, device: str = "cpu") -> TensorDictModuleBase:
-        """Return the policy for one satellite of ``env``; ends the program if it does not fit."""
+        """Return the policy for one satellite of ``env``, or of each group; ends the program if it does not fit."""
         if self.name in BASELINES:
             try:
-                return BASELINES[self.name](member_view(env), 0)
+                return baseline(self.name, env)
             except (KeyError, ValueError):
                 fail(f"the policy {self.name!r} does not fit {self.preset}")
         try:
-            check_fits(self.card, member_view(env), self.preset)
+            check_fits(self.card, env, self.preset)
             return build_policy(self.card, device)
         except ValueError as error:
             fail(str(error))

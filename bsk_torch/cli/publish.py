@@ -17,7 +17,7 @@ from bsk_torch.cli.shared import Device, Threads, console, environment, environm
 from bsk_torch.rl.evaluation.evaluate import FRESH, Evaluation, evaluate
 from bsk_torch.rl.policies.files import POLICY, build_policy, check_fits
 from bsk_torch.rl.policies.pretrained import FOLDER, INDEX
-from bsk_torch.rl.policies.shared_policy import member_view, shared
+from bsk_torch.rl.policies.shared_policy import shared
 from bsk_torch.rl.training.log import LOG, read_log
 
 FIRST = 4
@@ -43,7 +43,7 @@ def publish(
     log, seed, preset = read_log(run / LOG), config.seed + FRESH, card["preset"]
     env = environment(preset, episodes, card["options"] | environment_options("compiled", device, None))
     try:
-        check_fits(card, member_view(env), preset)
+        check_fits(card, env, preset)
         policy = shared(build_policy(card, device), env)
     except ValueError as error:
         fail(str(error))

@@ -28,7 +28,7 @@ from bsk_torch.cli.shared import (
 from bsk_torch.rl.evaluation.evaluate import FRESH, evaluate
 from bsk_torch.rl.marl.runs import PPO, algorithm_of, configure_run, read_config
 from bsk_torch.rl.policies.files import POLICY, build_policy, check_fits, read_card
-from bsk_torch.rl.policies.shared_policy import member_view, shared
+from bsk_torch.rl.policies.shared_policy import shared
 from bsk_torch.rl.training.config import CONFIG, PPOConfig
 from bsk_torch.rl.training.log import EVALUATIONS, LOG, read_log
 
@@ -134,7 +134,7 @@ def _episodes(
     """Yield the reason, the number and the recording of the best, the median and the worst of fresh episodes."""
     env = environment(config.preset, episodes, options)
     try:
-        check_fits(card, member_view(env), config.preset)
+        check_fits(card, env, config.preset)
         policy = shared(build_policy(card, device), env)
     except ValueError as error:
         fail(str(error))

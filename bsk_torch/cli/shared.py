@@ -12,7 +12,7 @@ from rich.console import Console
 
 from bsk_torch.env import Tasking
 from bsk_torch.presets import make
-from bsk_torch.rl.policies.shared_policy import member_view
+from bsk_torch.rl.policies.shared_policy import member_views
 
 console = Console()
 
@@ -39,12 +39,12 @@ def made(preset: str, num_envs: int, options: Mapping[str, Any]) -> Tasking:
 
 
 def environment(preset: str, num_envs: int, options: Mapping[str, Any]) -> Tasking:
-    """Return an environment in which policies are trained and evaluated; ends the program for unlike satellites."""
+    """Return an environment in which policies are trained and evaluated; ends the program for agents of many satellites."""
     env = made(preset, num_envs, options)
     try:
-        member_view(env)
+        member_views(env)
     except ValueError as error:
-        fail(f"{preset} cannot be learned by one shared policy: {error}")
+        fail(f"{preset} cannot be learned: {error}")
     return env
 
 

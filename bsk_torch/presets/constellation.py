@@ -82,6 +82,12 @@ class BroadcastingImager(LinkedImager):
     action_spec = (act.Image(n_ahead_image=CHOICES), act.Broadcast(duration=1.0))
 
 
+class BroadcastingSetImager(BroadcastingImager):
+    """The same, with targets as a set."""
+
+    observation_spec = LinkedSetImager.observation_spec
+
+
 class Relay(sats.Satellite):
     """Passes on knowledge of images, and has to keep its battery charged."""
 
@@ -176,22 +182,30 @@ def aeos_constellation(
 
 
 def relay_constellation(
-    *, n_imagers: int = 4, n_relays: int = 2, n_targets: int | tuple[int, int] = 500, **options: Any
+    *,
+    n_imagers: int = 4,
+    n_relays: int = 2,
+    n_targets: int | tuple[int, int] = 500,
+    as_set: bool = False,
+    **options: Any,
 ) -> ConstellationTasking:
     """Return RelayConstellation-v1: low imagers without line of sight to each other, and high relays; see the module.
 
-    Groups of agents are ``broadcasting_imager`` and ``relay``.
+    Groups of agents are ``broadcasting_imager``, or ``broadcasting_set_imager`` with ``as_set=True``, and ``relay``.
 
     Args:
         n_imagers: Number of imagers, in one plane.
         n_relays: Number of relays, in another one.
         n_targets: Number of targets, or its range (the upper end excluded).
+        as_set: Whether imagers observe targets as a set; see :func:`constellation`.
         **options: Arguments of the environment to override; ``sat_args`` are merged with those of the imagers, ``relay_args``
             with those of the relays.
     """
     arguments = steady_args() | options.pop("sat_args", {})
     relay_args = dict(basePowerDraw=-60.0, batteryStorageCapacity=1e6, storedCharge_Init=5e5) | options.pop("relay_args", {})
-    imagers = [BroadcastingImager(f"EO{k + 1}", arguments, may_see_nothing=True) for k in range(n_imagers)]
+    kind: type[BroadcastingImager] = BroadcastingSetImager if as_set else BroadcastingImager
+    obs_type = dict if as_set else torch.Tensor
+    imagers = [kind(f"EO{k + 1}", arguments, obs_type=obs_type, may_see_nothing=True) for k in range(n_imagers)]
     relays = [Relay(f"Relay{k + 1}", relay_args) for k in range(n_relays)]
     own = dict(
         scenario=scene.UniformTargets(n_targets),

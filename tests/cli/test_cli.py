@@ -29,10 +29,8 @@ def test_an_unknown_preset_is_answered_with_the_nearest(run, command):
     assert len(result.output.splitlines()) == 1
 
 
-@pytest.mark.compiled
-@pytest.mark.parametrize("command", [("train", *SHORT), ("eval", "random", "--seeds", "0:2", "--backend", "eager", "--preset")])
-def test_constellations_of_unlike_satellites_are_refused(run, command):
-    result = run(*command, "RelayConstellation-v1")
+def test_agents_of_several_satellites_are_refused(run):
+    result = run("train", *SHORT, "RelayConstellation-v1", "options.joint=true", "options.as_set=false")
     assert result.exit_code == 1
-    assert "RelayConstellation-v1 cannot be learned by one shared policy" in result.output
+    assert "RelayConstellation-v1 cannot be learned: each satellite must be an agent of its own" in result.output
     assert len(result.output.splitlines()) == 1

@@ -5,12 +5,13 @@ import json
 import pytest
 
 from bsk_torch.rl.marl import MAPPOConfig, read_config
-from bsk_torch.rl.policies import load_policy
+from bsk_torch.rl.policies import load_policy, read_card
 from bsk_torch.rl.training.log import read_log
 
 pytestmark = pytest.mark.compiled
 
 SMALL = ("options.n_satellites=3", "options.n_planes=1", "options.phasing=0", "options.n_targets=300")
+CREW = ("options.n_imagers=2", "options.n_relays=1", "options.n_targets=200", "--time-limit", "100")
 SHORT = ("--time-limit", "400", "--episodes", "2", "num_envs=2", "rollout=8")
 RULES = ["random", "greedy", "nearest", "hasty"]
 
@@ -88,6 +89,56 @@ def test_a_run_goes_on(run, trained):
     again = run("train", trained, "--resume", f"frames={int(before) + 16}", "--episodes", 2)
     assert again.exit_code == 0, again.output
     assert read_log(trained / "log.csv")["frames"][-1] == before + 16
+
+
+@pytest.fixture
+def crew(run, folder):
+    """Folder of a run with satellites of two types, which is trained once."""
+    place = folder.with_name("crew")
+    if not place.exists():
+        result = run("train", "RelayConstellation-v1", "--algorithm", "mappo", "--frames", 16, *SHORT, *CREW, "--out", place)
+        assert result.exit_code == 0, result.output
+    return place
+
+
+def test_satellites_of_several_types_are_trained_together(crew):
+    assert (crew / "constellation.png").is_file()
+    assert list(json.loads((crew / "evaluation.json").read_text())) == [*RULES, "untrained", "trained"]
+    assert list(read_card(crew)["groups"]) == ["broadcasting_set_imager", "relay"]
+
+
+def test_satellites_of_several_types_are_evaluated_and_shielded(run, crew, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend("")
+    (tmp_path / "no_charging.py").write_text(
+        "import torch\n\n\n"
+        "def rule(see, actions):\n"
+        "    time = see.observation[..., -1] if isinstance(see.observation, torch.Tensor) else see.observation['time']\n"
+        "    return torch.tensor([name != 'action_charge' for name in actions]).expand(*time.shape, -1)\n"
+    )
+    result = run("eval", crew, "--seeds", "0:2", "--time-limit", "100", "--shield", "no_charging:rule", "--out", "e.json")
+    assert result.exit_code == 0, result.output
+    assert list(json.loads((tmp_path / "e.json").read_text())) == ["trained + no_charging:rule", "trained", *RULES]
+
+
+def test_the_report_shows_satellites_of_several_types(run, crew):
+    result = run("report", crew, "--episodes", 2)
+    assert result.exit_code == 0, result.output
+    page = (crew / "report.html").read_text()
+    assert "by 3 satellites" in page
+    assert "bsk-torch train RelayConstellation-v1 --algorithm mappo --network attention --frames 16" in page
+
+
+def test_failures_of_several_satellites_are_not_explained(run, crew):
+    result = run("explain", crew, "--seeds", "0:2", "--num-envs", 1)
+    assert result.exit_code == 1
+    assert "RelayConstellation-v1 has many satellites; failures are explained of one" in result.output
+
+
+def test_a_run_with_several_types_goes_on(run, crew):
+    again = run("train", crew, "--resume", "frames=32", "--episodes", 2)
+    assert again.exit_code == 0, again.output
+    assert read_log(crew / "log.csv")["frames"][-1] == 32
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ from bsk_torch import comm
 from bsk_torch.rl.evaluation.evaluate import evaluate
 from bsk_torch.rl.marl.mappo import ALIVE, ConstellationCritic, MAPPOConfig, MAPPOTraining, team_advantages, team_batch
 from bsk_torch.rl.networks.normaliser import MASK, OWN, ROWS
-from bsk_torch.rl.policies.shared_policy import SharedPolicy, member_view, shared_baseline
+from bsk_torch.rl.policies.shared_policy import SharedPolicy, member_view, shared, shared_baseline
 from bsk_torch.rl.rules.baselines import BASELINES
 from bsk_torch.rl.training.collect import make_collector
 
@@ -55,10 +55,12 @@ def test_steps_after_which_nobody_needs_a_task(name):
     assert bool((shared_baseline(name, env)(now)["agents", "action"] == going_on).all())
 
 
-def test_constellations_of_unlike_satellites_are_refused():
+def test_one_policy_for_unlike_satellites_is_refused():
     env = bsk_torch.make("RelayConstellation-v1", num_envs=1, backend="eager")
-    with pytest.raises(ValueError, match="broadcasting_imager"):
+    with pytest.raises(ValueError, match="broadcasting_imager, relay"):
         member_view(env)
+    with pytest.raises(ValueError, match="must be alike"):
+        shared(TensorDictModule(last_legal, in_keys=["action_mask"], out_keys=["action"]), env)
 
 
 @pytest.mark.compiled
@@ -183,8 +185,9 @@ def learned(request, tmp_path_factory):
     collector.shutdown()
     report = training.learner.learn(batch)
     team = team_batch(batch)
-    team_advantages(team, training.learner.critic, config.gamma, training.learner.lmbda)
-    return training.learner, team, report
+    learner = training.learner.groups["agents"]
+    team_advantages(team, learner.critic, config.gamma, learner.lmbda)
+    return learner, team, report
 
 
 @pytest.mark.compiled

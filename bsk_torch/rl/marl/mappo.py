@@ -1,33 +1,39 @@
-"""MAPPO and IPPO for constellations whose satellites are alike: shared networks, decisions at different times.
+"""MAPPO and IPPO for constellations: networks that satellites of one type share, decisions at different times.
 
 A step ends when any satellite has finished its task. Only satellites that then get a new one have decided something, and only
 these decisions are learned from, by TorchRL's ``loss_mask_key``. Every satellite is credited with what it earns itself, from its
 decision on, with a discount for elapsed time as in :mod:`~bsk_torch.rl.training.advantages`. The critic of MAPPO (Yu et al.
 2022, arXiv:2103.01955) observes all satellites, that of IPPO (de Witt et al. 2020, arXiv:2011.09533) one.
+
+Every group of agents, one for each type of satellites, has an actor, a critic and an optimiser of its own. In MAPPO the critics
+observe the satellites of all groups.
 """
 
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import torch
 from tensordict import TensorDict, TensorDictBase
-from tensordict.nn import TensorDictModule
-from torch import Tensor, nn
-from torch.nn.functional import relu
+from tensordict.nn import TensorDictModule, TensorDictModuleBase
+from torch import Tensor
 from torchrl.modules import MaskedCategorical, ProbabilisticActor, ValueOperator
 from torchrl.objectives import IPPOLoss, MAPPOLoss
 from torchrl.objectives.value import MultiAgentGAE
 
 from bsk_torch._deprecated import deprecated_names
-from bsk_torch.env import ConstellationTasking
+from bsk_torch.env import ConstellationTasking, SatelliteTasking
 from bsk_torch.env.agents import AGENTS
 from bsk_torch.rl.evaluation.evaluate import Evaluation, evaluate
-from bsk_torch.rl.networks.normaliser import MASK, OWN, ROWS
-from bsk_torch.rl.networks.plans import AttentionPlan
-from bsk_torch.rl.policies.shared_policy import SharedPolicy, member_view
+from bsk_torch.rl.marl.networks import ConstellationCritic, DecidingOnly
+from bsk_torch.rl.networks.plans import AttentionPlan, MLPPlan, Plan
+from bsk_torch.rl.policies.files import save_policy
+from bsk_torch.rl.policies.shared_policy import member_views, of_groups, shared
+from bsk_torch.rl.rules.targets import image_actions
 from bsk_torch.rl.training.advantages import estimate_advantages
 from bsk_torch.rl.training.config import PPOConfig
 from bsk_torch.rl.training.ppo import REPORTED, Learner
@@ -52,7 +58,7 @@ class MAPPOConfig(PPOConfig):
     """Settings of a training of a constellation; the defaults differ from those for one satellite.
 
     A frame is a step of the constellation, in which about one satellite decides; ``lmbda`` is the decay per decision of a
-    satellite.
+    satellite. ``network`` and ``hidden`` are those of satellites that choose among targets; others learn with ``"mlp"``.
 
     Args:
         algorithm: ``"mappo"`` or ``"ippo"``.
@@ -80,66 +86,26 @@ class MAPPOConfig(PPOConfig):
             raise ValueError(f"network={self.network!r}: constellations learn with 'attention'")
 
 
-class DecidingOnly(nn.Module):
-    """A network that is evaluated for satellites that decide only; zeros for the others."""
-
-    def __init__(self, network: nn.Module) -> None:
-        """``network`` gives [B, A] for what is seen, [B, ...] each."""
-        super().__init__()
-        self.network = network
-
-    def forward(self, own: Tensor, rows: Tensor, mask: Tensor, decides: Tensor) -> Tensor:
-        """Outputs [..., S, A] for what satellites see, [..., S, ...] each, of which ``decides`` [..., S]."""
-        some = self.network(own[decides], rows[decides], mask[decides])
-        return some.new_zeros(*decides.shape, some.shape[-1]).index_put((decides,), some)
-
-
-class ConstellationCritic(nn.Module):
-    """Value of each satellite's state, from its own observation and, in MAPPO, the mean over all that are alive."""
-
-    def __init__(self, n_own: int, n_features: int, width: int, sees_all: bool) -> None:
-        """Expect ``n_own`` numbers of a satellite and ``n_features`` of each of its targets."""
-        super().__init__()
-        self.sees_all = sees_all
-        self.own, self.context, self.row = nn.Linear(n_own, width), nn.Linear(n_own, width), nn.Linear(n_features, width)
-        self.gist = nn.Linear(2 * width, width)
-        self.value = nn.Sequential(nn.Linear((1 + sees_all) * width, width), nn.ReLU(), nn.Linear(width, 1))
-
-    def forward(self, own: Tensor, rows: Tensor, mask: Tensor, alive: Tensor) -> Tensor:
-        """Values [..., S, 1] by ``own`` [..., S, D], ``rows`` [..., S, K, F], ``mask`` [..., S, K] and ``alive`` [..., S]."""
-        targets = mean_where(relu(self.row(rows) + self.context(own).unsqueeze(-2)), mask)
-        each = relu(self.gist(torch.cat([relu(self.own(own)), targets], -1)))
-        if not self.sees_all:
-            return self.value(each)
-        team = mean_where(each, alive).unsqueeze(-2)
-        return self.value(torch.cat([each, team.expand_as(each)], -1))
-
-
-def mean_where(x: Tensor, mask: Tensor) -> Tensor:
-    """Mean [..., W] of those x [..., K, W] where ``mask`` [..., K] is true; zero where there are none."""
-    weight = mask.unsqueeze(-1).to(x.dtype)
-    return (x * weight).sum(-2) / weight.sum(-2).clamp(min=1.0)
-
-
-def team_batch(batch: TensorDictBase) -> TensorDict:
-    """Return observations, actions and rewards [N, T, S, ...] of a batch [N, T] without the level of the group.
+def team_batch(batch: TensorDictBase, group: str = AGENTS, others: Sequence[str] = ()) -> TensorDict:
+    """Return observations, actions and rewards [N, T, S, ...] of a group in a batch [N, T] without the level of the group.
 
     ``decides`` [N, T, S] marks satellites that had to decide; the others could only take the first action, and did. Under
     ``next``, ``done`` [N, T, 1] is the end of the episode, ``removed`` [N, T, S, 1] that of a satellite, by death or with the
-    episode, and ``satellite_terminated`` [N, T, S, 1] an end after which nothing is expected.
+    episode, and ``satellite_terminated`` [N, T, S, 1] an end after which nothing is expected. What the ``others``, further
+    groups, see is at ``("seen", "others", name)``.
     """
-    agents, following = batch[AGENTS], batch["next", AGENTS]
+    agents, following = batch[group], batch["next", group]
     legal = agents["action_mask"]
     decides = ~legal[..., -1]
     first = torch.arange(legal.shape[-1] - 1, device=legal.device) == 0
     parts = {
-        "seen": _seen(agents),
+        "seen": _seen(batch, group, others),
         DECIDES: decides,
         "action_mask": torch.where(decides.unsqueeze(-1), legal[..., :-1], first),
         "action": torch.where(decides, agents["action"], 0),
         "action_log_prob": agents["action_log_prob"],
         "next": {
-            "seen": _seen(following),
+            "seen": _seen(batch["next"], group, others),
             "reward": following["reward"],
             "duration": following["duration"],
             "done": batch["next", "done"],
@@ -150,10 +116,13 @@ def team_batch(batch: TensorDictBase) -> TensorDict:
     return TensorDict(parts, batch.batch_size, names=[None, "time"], device=batch.device)
 
 
-def _seen(agents: TensorDictBase) -> TensorDict:
+def _seen(situations: TensorDictBase, group: str, others: Sequence[str] = ()) -> TensorDict:
     """Return the normalised observations of each agent [N, T, S], as a tensordict [N, T]."""
-    seen = agents["seen"]
-    return TensorDict({"own": seen["own"], "rows": seen["rows"], "mask": seen["mask"], "alive": agents["mask"]}, seen.shape[:-1])
+    agents = situations[group]
+    parts = {**agents["seen"], "alive": agents["mask"]}
+    if others:
+        parts["others"] = {name: _seen(situations, name) for name in others}
+    return TensorDict(parts, situations.batch_size)
 
 
 def team_advantages(team: TensorDictBase, critic: ValueOperator, gamma: float, lmbda: float, reward_time: str = "end") -> None:
@@ -176,19 +145,39 @@ def team_advantages(team: TensorDictBase, critic: ValueOperator, gamma: float, l
     team["advantage"] = (team["advantage"] - mean) / deviation.clamp(min=1e-4)
 
 
-class MAPPOLearner(Learner):
-    """One actor and one critic for all satellites, and their optimiser."""
+def group_plan(config: MAPPOConfig, view: SatelliteTasking) -> Plan:
+    """Return how networks of a group are built: those of the configuration where it chooses among targets, else ``"mlp"``."""
+    try:
+        image_actions(view)
+    except ValueError:
+        return MLPPlan.of(view, config.hidden)
+    return AttentionPlan.of(view, config.hidden)
+
+
+def observed_sizes(plan: Plan) -> tuple[int, int]:
+    """Return how many numbers a satellite observes of itself and of each target of a set; 0 for no set."""
+    return (plan.n_own, plan.n_features) if isinstance(plan, AttentionPlan) else (plan.n_observed, 0)
+
+
+class GroupLearner(Learner):
+    """Actor and critic of all satellites of a group, and their optimiser."""
 
     config: MAPPOConfig
 
-    def __init__(self, config: MAPPOConfig, env: ConstellationTasking) -> None:
-        """Fresh networks for an environment; ValueError if it does not fit them."""
-        super().__init__(config, member_view(env))
-        assert isinstance(self.plan, AttentionPlan)
+    def __init__(self, config: MAPPOConfig, env: ConstellationTasking, group: str) -> None:
+        """Fresh networks for a group of an environment; ValueError if it does not fit them."""
+        views = member_views(env)
+        super().__init__(config, views[group])
+        self.group = group
         self.lmbda = config.lmbda ** (1.0 / env.fleet.size)
-        keys = [OWN, ROWS, MASK]
-        judge = ConstellationCritic(self.plan.n_own, self.plan.n_features, CRITIC_WIDTH, config.algorithm == "mappo")
-        self.critic = ValueOperator(judge, in_keys=[*keys, ALIVE]).to(env.device)
+        sees_all = config.algorithm == "mappo"
+        plans = {name: group_plan(config, view) for name, view in views.items() if sees_all and name != group}
+        self.others = list(plans)
+        sizes = [observed_sizes(plan) for plan in plans.values()]
+        judge = ConstellationCritic(*observed_sizes(self.plan), CRITIC_WIDTH, sees_all, sizes)
+        keys = list(self.networks.normaliser.out_keys)
+        parts = [("seen", "others", name, part) for name, plan in plans.items() for part in observed_parts(plan)]
+        self.critic = ValueOperator(judge, in_keys=[*keys, ALIVE, *parts]).to(env.device)
         logits = DecidingOnly(self.networks.actor[0].module)
         actor = ProbabilisticActor(
             TensorDictModule(logits, in_keys=[*keys, DECIDES], out_keys=["logits"]),
@@ -207,25 +196,144 @@ class MAPPOLearner(Learner):
         self.loss.loss_mask_key = DECIDES
         self.optimiser = torch.optim.Adam(self.loss.parameters(), config.learning_rate, eps=1e-5)
 
-    def learn(self, batch: TensorDictBase) -> dict[str, float]:
-        """Several passes over a batch [N, T]; means of what the loss reports."""
-        agents = batch[AGENTS]
-        for situations in (agents, batch["next", AGENTS]):
+    def make_plan(self, env: SatelliteTasking) -> Plan:
+        """See :meth:`Learner.make_plan`."""
+        return group_plan(self.config, env)
+
+    def normalise(self, batch: TensorDictBase) -> None:
+        """Write what is ``seen`` into the situations of a batch [N, T]."""
+        for situations in (batch[self.group], batch["next", self.group]):
             self.networks.normaliser(situations)
-        team = team_batch(batch)
+
+    def update_normaliser(self, batch: TensorDictBase) -> None:
+        """Take the situations of a batch [N, T] in which a satellite decided into account."""
+        agents = batch[self.group]
+        self.networks.normaliser.update(agents.select("observation")[~agents["action_mask"][..., -1]])
+
+    def learn(self, batch: TensorDictBase) -> dict[str, float]:
+        """Several passes over a batch [N, T] of normalised situations; means of what the loss reports.
+
+        ``decisions`` is the number of decisions that were learned from: 0, and nothing else is reported, where the satellites of
+        the group were busy but for one decision at most, which has no standardised advantage.
+        """
+        team = team_batch(batch, self.group, self.others)
+        decisions = int(team[DECIDES].sum())
+        if decisions < 2:
+            return {"decisions": 0}
         team_advantages(team, self.critic, self.config.gamma, self.lmbda, self.config.reward_time)
         self.buffer.empty()
         self.buffer.extend(team.select(*LEARNED_FROM).reshape(-1))
         steps = self.config.epochs * (self.config.batch // self._minibatch)
-        reports = [self._descend(self.buffer.sample()) for _ in range(steps)]
-        self.networks.normaliser.update(agents.select("observation")[~agents["action_mask"][..., -1]])
+        samples = (self.buffer.sample() for _ in range(steps))
+        reports = [self._descend(sample) for sample in samples if bool(sample[DECIDES].any())]
+        if not reports:
+            return {"decisions": 0}
         report = dict(zip(REPORTED, torch.stack(reports).mean(0).tolist(), strict=True))
         share = float(team[DECIDES].float().mean())
-        return report | {name: report[name] / share for name in ("entropy", "kl_approx", "clip_fraction")}
+        return (
+            report | {name: report[name] / share for name in ("entropy", "kl_approx", "clip_fraction")} | {"decisions": decisions}
+        )
+
+
+def observed_parts(plan: Plan) -> list[str]:
+    """Return the names of what critics of other groups observe of a group."""
+    return ["own", *(["rows", "mask"] if isinstance(plan, AttentionPlan) else []), "alive"]
+
+
+class MAPPOLearner:
+    """The learners of all groups of a constellation.
+
+    Plans, networks and states of the only group are its own, and by the names of the groups where there are several.
+    """
+
+    recurrent = False
+
+    def __init__(self, config: MAPPOConfig, env: ConstellationTasking) -> None:
+        """Fresh networks for an environment; ValueError if it does not fit them."""
+        self.config = config
+        self.groups = {group: GroupLearner(config, env, group) for group in member_views(env)}
+
+    @property
+    def learning_rate(self) -> float:
+        """Present step of the optimisers."""
+        return self._first.learning_rate
+
+    @property
+    def entropy_coefficient(self) -> float:
+        """Present weight of the entropy."""
+        return self._first.entropy_coefficient
+
+    @property
+    def _first(self) -> GroupLearner:
+        return next(iter(self.groups.values()))
+
+    @property
+    def policy(self) -> TensorDictModuleBase:
+        """The present policy for one satellite, or those of all groups; it goes on learning while training does."""
+        return of_groups({name: group.policy for name, group in self.groups.items()})
+
+    def policy_state(self) -> dict[str, Any]:
+        """Return the weights of the policies."""
+        return joined({name: group.policy_state() for name, group in self.groups.items()})
+
+    def load_policy_state(self, state: Mapping[str, Any]) -> None:
+        """Restore what :meth:`policy_state` returned."""
+        for name, part in self._each(state).items():
+            self.groups[name].load_policy_state(part)
+
+    def save_policy(self, path: Path) -> None:
+        """Write the file of the present policies."""
+        plan, networks = (joined({name: getattr(g, what) for name, g in self.groups.items()}) for what in ("plan", "networks"))
+        save_policy(path, plan, networks, self.config.preset, self.config.options)
+
+    def anneal(self, fraction: float) -> None:
+        """See :meth:`Learner.anneal`."""
+        for group in self.groups.values():
+            group.anneal(fraction)
+
+    def state_dict(self) -> dict[str, Any]:
+        """See :meth:`Learner.state_dict`."""
+        return joined({name: group.state_dict() for name, group in self.groups.items()})
+
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """Restore what :meth:`state_dict` returned."""
+        for name, part in self._each(state).items():
+            self.groups[name].load_state_dict(part)
+
+    def _each(self, state: Mapping[str, Any]) -> Mapping[str, Any]:
+        """Return what :func:`joined` was given."""
+        return {next(iter(self.groups)): state} if len(self.groups) == 1 else state
+
+    def learn(self, batch: TensorDictBase) -> dict[str, float]:
+        """Several passes over a batch [N, T] for each group; means over all decisions of what the losses report."""
+        for group in self.groups.values():  # critics observe all groups
+            group.normalise(batch)
+        reports = [group.learn(batch) for group in self.groups.values()]
+        for group in self.groups.values():  # afterwards: networks learn from what they saw when they decided
+            group.update_normaliser(batch)
+        return mean_report(reports)
+
+
+def joined(parts: Mapping[str, Any]) -> Any:
+    """Return the part of the only group, or the parts of several by name: files of one group name none."""
+    return next(iter(parts.values())) if len(parts) == 1 else dict(parts)
+
+
+def mean_report(reports: Sequence[Mapping[str, float]]) -> dict[str, float]:
+    """Means over the decisions of all groups; nan where nothing was learned from."""
+    learned = [report for report in reports if report["decisions"]]
+    total = sum(report["decisions"] for report in learned)
+    if not total:
+        return dict.fromkeys(REPORTED, float("nan"))
+    return {name: sum(report[name] * (report["decisions"] / total) for report in learned) for name in REPORTED}
 
 
 class MAPPOTraining(Training):
-    """A run in a constellation; the policy that it leaves is for one satellite; see ``SharedPolicy``."""
+    """A run in a constellation.
+
+    The policy that it leaves is for one satellite where all are alike, and a ``GroupPolicies`` where there are several groups;
+    see :mod:`~bsk_torch.rl.policies.shared_policy`.
+    """
 
     config: MAPPOConfig
     env: Any  # a constellation, where the base class has one satellite
@@ -235,9 +343,9 @@ class MAPPOTraining(Training):
         return MAPPOLearner(self.config, self.env)
 
     @property
-    def actor(self) -> SharedPolicy:
+    def actor(self) -> TensorDictModuleBase:
         """See :attr:`Training.actor`."""
-        return SharedPolicy(self.policy)
+        return shared(self.policy, self.env)
 
     def evaluate(self) -> Evaluation:
         """See :meth:`Training.evaluate`."""
@@ -245,7 +353,7 @@ class MAPPOTraining(Training):
 
     def rewards(self, batch: TensorDictBase) -> Tensor:
         """See :meth:`Training.rewards`."""
-        return batch["next", AGENTS, "reward"].sum((-2, -1))
+        return torch.stack([batch["next", group, "reward"].sum((-2, -1)) for group in self.learner.groups]).sum(0)
 
     def fill(self, batch: TensorDictBase) -> None:
         """Satellites of a constellation are not followed one by one."""

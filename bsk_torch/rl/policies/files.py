@@ -10,36 +10,66 @@ from pickle import UnpicklingError
 from typing import Any
 
 import torch
-from tensordict.nn import TensorDictSequential
+from tensordict.nn import TensorDictModuleBase
 
 from bsk_torch import __version__
-from bsk_torch.env import SatelliteTasking
+from bsk_torch.env import Tasking
+from bsk_torch.env.agents import AGENTS
 from bsk_torch.rl.networks.plans import ACTOR, NORMALISER, PLANS, Networks, Plan, check_network
+from bsk_torch.rl.policies.shared_policy import member_views, of_groups
 
 logger = logging.getLogger(__name__)
 
 POLICY = "policy.pt"
 """File of the policy in the folder of a run."""
 
-CARD = {"bsk_torch", "preset", "options", "network", "plan", NORMALISER, ACTOR}
-"""Entries of such a file."""
+CARD = {"bsk_torch", "preset", "options"}
+"""Entries of such a file, beside those of :data:`NETWORK`, or :data:`GROUPS` where there are several groups of satellites."""
+
+NETWORK = {"network", "plan", NORMALISER, ACTOR}
+"""Entries that describe the networks of one group."""
+
+GROUPS = "groups"
+"""Entry with a dictionary like :data:`NETWORK` for each of several groups, by name."""
 
 
-def save_policy(path: Path, plan: Plan, networks: Networks, preset: str, options: Mapping[str, Any]) -> None:
+def save_policy(
+    path: Path,
+    plan: Plan | Mapping[str, Plan],
+    networks: Networks | Mapping[str, Networks],
+    preset: str,
+    options: Mapping[str, Any],
+) -> None:
     """Write what :func:`load_policy` needs, and for which environment the policy was made.
 
     Args:
         path: The file.
-        plan: How the networks are built.
-        networks: The networks.
+        plan: How the networks are built; of several groups of satellites, by name.
+        networks: The networks; likewise.
         preset: Name of the environment.
         options: Arguments of the environment that differ from the preset's; only plain values are kept.
     """
-    kind = next(name for name, known in PLANS.items() if type(plan) is known)
-    card = {"bsk_torch": __version__, "preset": preset, "options": plain(options), "network": kind}
+    card = {"bsk_torch": __version__, "preset": preset, "options": plain(options)}
+    if isinstance(plan, Mapping):
+        assert isinstance(networks, Mapping)
+        card |= {GROUPS: {group: _described(plan[group], part) for group, part in networks.items()}}
+    else:
+        assert isinstance(networks, Networks)
+        card |= _described(plan, networks)
     part = path.with_suffix(".part")
-    torch.save(card | {"plan": dataclasses.asdict(plan)} | networks.policy_state(), part)
+    torch.save(card, part)
     part.replace(path)  # so that no reader finds half a file
+
+
+def _described(plan: Plan, networks: Networks) -> dict[str, Any]:
+    """Return the entries :data:`NETWORK`."""
+    kind = next(name for name, known in PLANS.items() if type(plan) is known)
+    return {"network": kind, "plan": dataclasses.asdict(plan)} | networks.policy_state()
+
+
+def networks_of(card: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
+    """Return the entries :data:`NETWORK` of each group; the only one is called as in environments that name none."""
+    return card.get(GROUPS, {AGENTS: card})
 
 
 def plain(options: Mapping[str, Any]) -> dict[str, Any]:
@@ -56,6 +86,8 @@ def plain(options: Mapping[str, Any]) -> dict[str, Any]:
 def read_card(path: Path | str, device: torch.device | str = "cpu") -> dict[str, Any]:
     """Read the file of a policy, or that of a run's folder: ``preset``, ``options``, ``network``, ``plan`` and weights.
 
+    The last three are under ``groups`` and the name of a group if there are several groups of satellites.
+
     Raises:
         ValueError: For a file that is no policy of this package.
         FileNotFoundError: Where there is none.
@@ -69,21 +101,30 @@ def read_card(path: Path | str, device: torch.device | str = "cpu") -> dict[str,
     except (RuntimeError, UnpicklingError, EOFError) as error:
         reason = str(error).partition("\n")[0].partition(". ")[0]  # torch says much more
         raise ValueError(f"{str(path)!r} is no file of a policy: {reason}") from error
-    if not isinstance(card, dict) or CARD - card.keys():
+    if not isinstance(card, dict) or CARD - card.keys() or any(NETWORK - part.keys() for part in networks_of(card).values()):
         raise ValueError(f"{str(path)!r} is no policy of this version of bsk_torch ({__version__}); train it again")
-    check_network(card["network"])
+    for part in networks_of(card).values():
+        check_network(part["network"])
     return card
 
 
-def check_fits(card: Mapping[str, Any], env: SatelliteTasking, preset: str | None = None) -> None:
+def check_fits(card: Mapping[str, Any], env: Tasking, preset: str | None = None) -> None:
     """ValueError, naming both sides, unless the policy of ``card`` sees and does what there is in ``env``, a ``preset``."""
-    kind, plan = PLANS[card["network"]], card["plan"]
-    here = dataclasses.asdict(kind.of(env, plan["hidden"]))
-    differing = [name for name in here if _listed(here[name]) != _listed(plan[name])]
-    if differing:
-        theirs, ours = (", ".join(f"{name}={values[name]}" for name in differing) for values in (plan, here))
-        trained = " ".join([card["preset"], *(f"{name}={value!r}" for name, value in card["options"].items())])
-        raise ValueError(f"the policy was trained for {trained} with {theirs}; {preset or 'this environment'} has {ours}")
+    parts, views, where = networks_of(card), member_views(env), preset or "this environment"
+    trained = " ".join([card["preset"], *(f"{name}={value!r}" for name, value in card["options"].items())])
+    if len(parts) == len(views) == 1:
+        views = dict(zip(parts, views.values(), strict=True))  # one group may have any name
+    if parts.keys() != views.keys():
+        theirs, ours = (", ".join(names) for names in (parts, views))
+        raise ValueError(f"the policy was trained for {trained} with groups {theirs}; {where} has {ours}")
+    for group, part in parts.items():
+        kind, plan = PLANS[part["network"]], part["plan"]
+        here = dataclasses.asdict(kind.of(views[group], plan["hidden"]))
+        differing = [name for name in here if _listed(here[name]) != _listed(plan[name])]
+        if differing:
+            theirs, ours = (", ".join(f"{name}={values[name]}" for name in differing) for values in (plan, here))
+            of_group = f" in group {group}" if len(parts) > 1 else ""
+            raise ValueError(f"the policy was trained for {trained} with {theirs}{of_group}; {where} has {ours}")
     if card["bsk_torch"] != __version__:
         logger.warning("the policy is of bsk_torch %s; this is %s", card["bsk_torch"], __version__)
 
@@ -92,16 +133,22 @@ def _listed(value: Any) -> Any:
     return [_listed(part) for part in value] if isinstance(value, list | tuple) else value
 
 
-def load_policy(path: Path | str, device: torch.device | str = "cpu") -> TensorDictSequential:
-    """The policy of a file or of a run's folder; see :func:`read_card` for errors."""
+def load_policy(path: Path | str, device: torch.device | str = "cpu") -> TensorDictModuleBase:
+    """The policy of a file or of a run's folder; see :func:`read_card` for errors, and :func:`build_policy`."""
     return build_policy(read_card(path, device), device)
 
 
-def build_policy(card: Mapping[str, Any], device: torch.device | str = "cpu") -> TensorDictSequential:
-    """The policy of a card; ValueError if its weights do not fit its plan."""
-    networks = PLANS[card["network"]](**card["plan"]).build().to(device)
-    try:
-        networks.load_policy_state(card)
-    except RuntimeError as error:
-        raise ValueError(f"the policy of {card['preset']} does not fit this version of bsk_torch: {error}") from error
-    return networks.policy
+def build_policy(card: Mapping[str, Any], device: torch.device | str = "cpu") -> TensorDictModuleBase:
+    """The policy of a card; ValueError if its weights do not fit its plan.
+
+    It is one for one satellite, or :class:`~bsk_torch.rl.policies.shared_policy.GroupPolicies` of several groups.
+    """
+    policies = {}
+    for group, part in networks_of(card).items():
+        networks = PLANS[part["network"]](**part["plan"]).build().to(device)
+        try:
+            networks.load_policy_state(part)
+        except RuntimeError as error:
+            raise ValueError(f"the policy of {card['preset']} does not fit this version of bsk_torch: {error}") from error
+        policies[group] = networks.policy
+    return of_groups(policies)

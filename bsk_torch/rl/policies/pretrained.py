@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from tensordict.nn import TensorDictSequential
+from tensordict.nn import TensorDictModuleBase
 
 from bsk_torch.rl.policies.files import load_policy
 from bsk_torch.sim.params import nearest
@@ -38,11 +38,11 @@ def pretrained_file(preset: str) -> Path:
     return FOLDER / f"{preset}.pt"
 
 
-def pretrained(preset: str, device: torch.device | str = "cpu") -> TensorDictSequential:
+def pretrained(preset: str, device: torch.device | str = "cpu") -> TensorDictModuleBase:
     """The policy for ``preset``: writes ``action`` into what its environment gives.
 
     It needs the environment that it was trained in: ``read_card(pretrained_file(preset))["options"]`` says how, such as
     ``as_set=True``. Policies of constellations decide for one satellite;
-    :class:`~bsk_torch.rl.policies.shared_policy.SharedPolicy` applies them to all.
+    :func:`~bsk_torch.rl.policies.shared_policy.shared` applies them to all.
     """
     return load_policy(pretrained_file(preset), device)

@@ -1,24 +1,22 @@
-"""One policy for all satellites of a constellation, each of which decides by what it observes itself."""
+"""Policies of constellations: one for all satellites of a group, each of which decides by what it observes itself."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, cast
 
 import torch
 from tensordict import TensorDictBase
-from tensordict.nn import TensorDictModuleBase
+from tensordict.nn import TensorDictModuleBase, TensorDictSequential
 from torchrl.data import Binary, Composite
 
 from bsk_torch._deprecated import deprecated_names
 from bsk_torch.env import ConstellationTasking, SatelliteTasking, Tasking
-from bsk_torch.env.agents import AGENTS
-from bsk_torch.rl.rules.baselines import BASELINES
+from bsk_torch.env.agents import AGENTS, Group
+from bsk_torch.rl.rules.baselines import BASELINES, random_policy
 from bsk_torch.sats.satellite import Satellite
-
-ACTION, LOG_PROB = (AGENTS, "action"), (AGENTS, "action_log_prob")
-"""Keys of actions and of their log-probabilities, [N, S] each."""
 
 
 @dataclass(frozen=True)
@@ -30,39 +28,58 @@ class MemberView:
     device: torch.device
 
 
-def member_view(env: Tasking) -> SatelliteTasking:
-    """Return an environment as one of its satellites meets it, so that networks and rules can be built for that satellite.
+def member_views(env: Tasking) -> dict[str, SatelliteTasking]:
+    """Return a constellation as the satellites of each group meet it, by the names of the groups.
 
-    Args:
-        env: An environment of one satellite, which is returned itself, or a constellation.
+    Networks and rules are built for these. An environment of one satellite is returned itself, as the only group.
+
+    Raises:
+        ValueError: Unless every satellite of a constellation is an agent of its own.
+    """
+    if not isinstance(env, ConstellationTasking):
+        return {AGENTS: cast(SatelliteTasking, env)}
+    if env.joint or any(group.is_meta for group in env.groups):
+        raise ValueError(f"each satellite must be an agent of its own; the groups are {dict(env.group_map)}")
+    return {group.name: _view(env, group) for group in env.groups}
+
+
+def _view(env: ConstellationTasking, group: Group) -> SatelliteTasking:
+    seen, satellite = env.observation_spec[group.name][:, 0], env.satellites[group.types[0]]
+    n = satellite.actions.n_actions
+    mask = Binary(n, shape=(*seen.shape, n), dtype=torch.bool, device=env.device)  # without the action that continues
+    spec = Composite({"observation": seen["observation"], "action_mask": mask}, shape=seen.shape, device=env.device)
+    return cast(SatelliteTasking, MemberView(satellite, spec, env.device))
+
+
+def member_view(env: Tasking) -> SatelliteTasking:
+    """Return an environment as one of its satellites meets it, where all of them are alike; see :func:`member_views`.
 
     Raises:
         ValueError: Unless the satellites of a constellation are alike, and each is an agent of its own.
     """
-    if isinstance(env, SatelliteTasking):
-        return env
-    assert isinstance(env, ConstellationTasking)
-    if list(env.group_map) != [AGENTS] or env.joint or env.groups[0].is_meta:
-        raise ValueError(f"satellites must be alike, and each an agent of its own; the groups are {dict(env.group_map)}")
-    seen, n = env.observation_spec[AGENTS][:, 0], env.satellites[0].actions.n_actions
-    mask = Binary(n, shape=(*seen.shape, n), dtype=torch.bool, device=env.device)  # without the action that continues
-    spec = Composite({"observation": seen["observation"], "action_mask": mask}, shape=seen.shape, device=env.device)
-    return cast(SatelliteTasking, MemberView(env.satellites[0], spec, env.device))
+    views = member_views(env)
+    if len(views) > 1:
+        raise ValueError(f"satellites must be alike; the groups are {', '.join(views)}")
+    return next(iter(views.values()))
 
 
 class SharedPolicy(TensorDictModuleBase):
-    """Applies a policy for one satellite to all satellites that need a task; busy and dead ones continue."""
+    """Applies a policy for one satellite to all satellites of a group that need a task; busy and dead ones continue."""
 
-    def __init__(self, policy: TensorDictModuleBase) -> None:
-        """Wrap ``policy``, which writes ``action`` into tensordicts [B] with ``observation`` and ``action_mask``."""
+    def __init__(self, policy: TensorDictModuleBase, group: str = AGENTS) -> None:
+        """Wrap ``policy``, which writes ``action`` into tensordicts [B] with ``observation`` and ``action_mask``.
+
+        The actions of the ``group``, [N, S], and their log-probabilities if the policy returns these, are ``out_keys``.
+        """
         super().__init__()
-        self.policy = policy
-        self.in_keys = [(AGENTS, "observation"), (AGENTS, "action_mask")]
-        self.out_keys = [ACTION, LOG_PROB] if "action_log_prob" in policy.out_keys else [ACTION]
+        self.policy, self.group = policy, group
+        self.in_keys = [(group, "observation"), (group, "action_mask")]
+        self.log_prob_key = (group, "action_log_prob") if "action_log_prob" in policy.out_keys else None
+        self.out_keys = [(group, "action"), *([] if self.log_prob_key is None else [self.log_prob_key])]
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Write :data:`ACTION`, and :data:`LOG_PROB` if the policy returns it: 0 for satellites that continue."""
-        seen = tensordict[AGENTS].select("observation", "action_mask")
+        """Write ``out_keys``; the log-probability is 0 for satellites that continue."""
+        seen = tensordict[self.group].select("observation", "action_mask")
         legal = seen["action_mask"]
         decides = ~legal[..., -1]
         action = torch.full(decides.shape, legal.shape[-1] - 1, device=legal.device)
@@ -72,24 +89,84 @@ class SharedPolicy(TensorDictModuleBase):
             deciding["action_mask"] = deciding["action_mask"][..., :-1]
             decided = self.policy(deciding)
             action[decides] = decided["action"]
-            if LOG_PROB in self.out_keys:
+            if self.log_prob_key is not None:
                 log_prob[decides] = decided["action_log_prob"]
-        tensordict.set(ACTION, action)
-        return tensordict.set(LOG_PROB, log_prob) if LOG_PROB in self.out_keys else tensordict
+        tensordict.set((self.group, "action"), action)
+        return tensordict if self.log_prob_key is None else tensordict.set(self.log_prob_key, log_prob)
+
+
+class GroupPolicies(TensorDictSequential):
+    """The policies of all groups of a constellation, each applied to the satellites of its group."""
+
+    def __init__(self, policies: Mapping[str, TensorDictModuleBase]) -> None:
+        """Apply the ``policies`` for one satellite, by the names of the groups, as :class:`SharedPolicy` does."""
+        super().__init__(*(SharedPolicy(policy, group) for group, policy in policies.items()))
+
+    @property
+    def policies(self) -> dict[str, TensorDictModuleBase]:
+        """The policies for one satellite by the names of the groups."""
+        return {part.group: part.policy for part in self.module}
+
+
+def of_groups(policies: Mapping[str, TensorDictModuleBase]) -> TensorDictModuleBase:
+    """Return the policy of the only group, which is one for one satellite, or :class:`GroupPolicies` of several."""
+    return next(iter(policies.values())) if len(policies) == 1 else GroupPolicies(policies)
 
 
 def shared(policy: TensorDictModuleBase, env: Tasking) -> TensorDictModuleBase:
-    """Return a policy for one satellite as it acts in ``env``: in a constellation as a :class:`SharedPolicy`."""
-    return policy if isinstance(env, SatelliteTasking) else SharedPolicy(policy)
+    """Return a policy as it acts in ``env``.
+
+    That is itself for one satellite, :class:`SharedPolicy` in a constellation of satellites that are alike, and itself where it
+    is a :class:`GroupPolicies`. ValueError for policies of other groups, or of one satellite in a constellation of unlike ones.
+    """
+    views = member_views(env)
+    if isinstance(policy, GroupPolicies):
+        if policy.policies.keys() != views.keys():
+            raise ValueError(f"the policies are for groups {', '.join(policy.policies)}; the environment has {', '.join(views)}")
+        return policy
+    member_view(env)
+    return policy if isinstance(env, SatelliteTasking) else SharedPolicy(policy, next(iter(views)))
+
+
+def for_each_group(
+    change: Callable[[TensorDictModuleBase, SatelliteTasking], TensorDictModuleBase], policy: TensorDictModuleBase, env: Tasking
+) -> TensorDictModuleBase:
+    """Return ``change`` of a policy and of what it is for in ``env``, or of each of :class:`GroupPolicies`."""
+    if not isinstance(policy, GroupPolicies):
+        return change(policy, member_view(env))
+    views = member_views(env)
+    return GroupPolicies({group: change(part, views[group]) for group, part in policy.policies.items()})
+
+
+def baseline(name: str, env: Tasking, seed: int = 0) -> TensorDictModuleBase:
+    """Return one of the ``BASELINES`` for one satellite of ``env``, or for one of each group.
+
+    Groups that the rule does not fit, such as relays where it is about targets, act at random, beside one that it does fit.
+
+    Raises:
+        KeyError, ValueError: If the rule fits no group, or there is none of that name.
+    """
+    rule, views = BASELINES[name], member_views(env)
+    found: dict[str, TensorDictModuleBase] = {}
+    errors: list[Exception] = []
+    for k, (group, view) in enumerate(views.items()):
+        try:
+            found[group] = rule(view, seed + k)
+        except (KeyError, ValueError) as error:
+            errors.append(error)
+            found[group] = random_policy(view, seed + k)
+    if len(errors) == len(views):
+        raise errors[0]
+    return of_groups(found)
 
 
 def shared_baseline(name: str, env: Tasking, seed: int = 0) -> TensorDictModuleBase:
-    """Return one of the ``BASELINES`` for every satellite; KeyError or ValueError if it does not fit."""
-    return shared(BASELINES[name](member_view(env), seed), env)
+    """Return one of the ``BASELINES`` for every satellite; see :func:`baseline`, also for errors."""
+    return shared(baseline(name, env, seed), env)
 
 
 def shared_baselines(env: Tasking, seed: int = 0) -> dict[str, TensorDictModuleBase]:
-    """Return the ``BASELINES`` that fit an environment, for every satellite, by name."""
+    """Return the ``BASELINES`` that fit an environment, for every satellite, by name; see :func:`baseline`."""
     fitting = {}
     for name in BASELINES:
         with suppress(KeyError, ValueError):  # a rule for other observations or actions

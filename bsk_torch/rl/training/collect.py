@@ -12,6 +12,7 @@ from typing import Any, cast
 import torch
 from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
+from torch import Tensor
 from torchrl.collectors import BaseCollector, Collector, MultiSyncCollector
 from torchrl.data import Unbounded
 from torchrl.envs import Compose, InitTracker, TensorDictPrimer, Transform, TransformedEnv
@@ -61,23 +62,50 @@ class Bookmark(Transform):
         """Continue from ``saved``, which :func:`bookmarks` returned; None begins anew."""
         super().__init__()
         self.saved = saved
+        self._last: TensorDictBase = TensorDict()
+        self._begun: tuple[TensorDictBase, Tensor] | None = None
 
     def get_extra_state(self) -> dict[str, Any]:
-        """State of the environment and of the generator that draws actions."""
-        return {"state": _environment(self).get_state().to_dict(), "generator": torch.get_rng_state()}
+        """State of the environment and of the generator that draws actions, and what the next decision is made on.
+
+        That is not observed anew: an eclipse that was out of sight of the first query may be known to the second.
+        """
+        state, generator = _environment(self).get_state().to_dict(), torch.get_rng_state()
+        return {"state": state, "generator": generator, "seen": self._seen().to_dict()}
+
+    def _seen(self) -> TensorDictBase:
+        """What the last step left, and the beginnings of episodes after it."""
+        if self._begun is None:
+            return self._last
+        begun, rows = self._begun
+
+        def newest(new: Tensor, old: Tensor) -> Tensor:
+            return torch.where(rows.view(-1, *[1] * (new.ndim - 1)), new, old)
+
+        return begun.apply(newest, self._last.select(*begun.keys(True, True)))
+
+    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
+        self._last, self._begun = next_tensordict.copy(), None
+        return next_tensordict
 
     def set_extra_state(self, state: Any) -> None:
         """Nothing: see the constructor."""
 
     def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
         if self.saved is None:
+            rows = tensordict.get("_reset", None)
+            if rows is None:
+                self._last, self._begun = tensordict_reset.copy(), None
+            else:
+                self._begun = tensordict_reset.copy(), rows.reshape(-1)
             return tensordict_reset
         saved, self.saved = self.saved, None
         env = _environment(self)
         env.restore(saved["state"])
-        seen = env.reset(TensorDict({"state": env.get_state()}, env.batch_size), set_state=True)
         torch.set_rng_state(saved["generator"].cpu())
-        return tensordict_reset.update(seen.select(*tensordict_reset.keys(True, True), strict=False)).update(saved["carried"])
+        seen = TensorDict(saved["seen"], env.batch_size).select(*tensordict_reset.keys(True, True), strict=False)
+        self._last, self._begun = tensordict_reset.update(seen).copy(), None
+        return tensordict_reset.update(saved["carried"])
 
 
 def prepared(env: Tasking, config: PPOConfig, saved: Mapping[str, Any] | None) -> TransformedEnv:

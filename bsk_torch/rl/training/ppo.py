@@ -6,10 +6,12 @@ See :mod:`~bsk_torch.rl.training.advantages` for the returns of decisions that l
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import torch
 from tensordict import TensorDictBase
+from tensordict.nn import TensorDictModuleBase
 from torch import Tensor, nn
 from torchrl.data import LazyTensorStorage, ReplayBuffer, SamplerWithoutReplacement
 from torchrl.modules import set_recurrent_mode
@@ -17,7 +19,8 @@ from torchrl.objectives import ClipPPOLoss
 
 from bsk_torch._deprecated import deprecated_names
 from bsk_torch.env import SatelliteTasking
-from bsk_torch.rl.networks.plans import INIT, MEMORY, NORMALISER, PLANS, Networks
+from bsk_torch.rl.networks.plans import INIT, MEMORY, NORMALISER, PLANS, Networks, Plan
+from bsk_torch.rl.policies.files import save_policy
 from bsk_torch.rl.training.advantages import estimate_advantages
 from bsk_torch.rl.training.config import SCHEDULES, PPOConfig
 
@@ -34,7 +37,7 @@ class Learner:
     def __init__(self, config: PPOConfig, env: SatelliteTasking) -> None:
         """Fresh networks for an environment; ValueError if it does not fit them."""
         self.config = config
-        self.plan = PLANS[config.network].of(env, config.hidden)
+        self.plan = self.make_plan(env)
         self.networks: Networks = self.plan.build().to(env.device)
         self.loss = ClipPPOLoss(
             self.networks.actor,
@@ -52,6 +55,10 @@ class Learner:
             batch_size=self._minibatch // self._length,
         )
 
+    def make_plan(self, env: SatelliteTasking) -> Plan:
+        """Return how the networks for an environment are built; ValueError if it does not fit them."""
+        return PLANS[self.config.network].of(env, self.config.hidden)
+
     @property
     def _length(self) -> int:
         """Decisions that stay together: the whole rollout of an environment for networks that remember."""
@@ -65,6 +72,28 @@ class Learner:
     def learning_rate(self) -> float:
         """Present step of the optimiser."""
         return float(self.optimiser.param_groups[0]["lr"])
+
+    @property
+    def entropy_coefficient(self) -> float:
+        """Present weight of the entropy."""
+        return float(self.loss.entropy_coeff)
+
+    @property
+    def policy(self) -> TensorDictModuleBase:
+        """The present policy; it goes on learning while training does."""
+        return self.networks.policy
+
+    def policy_state(self) -> dict[str, Any]:
+        """Return the policy's weights; see :meth:`~bsk_torch.rl.networks.plans.Networks.policy_state`."""
+        return self.networks.policy_state()
+
+    def load_policy_state(self, state: Mapping[str, Any]) -> None:
+        """Restore what :meth:`policy_state` returned."""
+        self.networks.load_policy_state(state)
+
+    def save_policy(self, path: Path) -> None:
+        """Write the file of the present policy."""
+        save_policy(path, self.plan, self.networks, self.config.preset, self.config.options)
 
     def anneal(self, fraction: float) -> None:
         """Set learning rate and weight of the entropy for a used ``fraction`` of the budget."""

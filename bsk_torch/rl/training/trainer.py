@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import logging
 import threading
 import time
@@ -11,14 +12,14 @@ from typing import Any
 
 import torch
 from tensordict import TensorDictBase
-from tensordict.nn import TensorDictModuleBase, TensorDictSequential
+from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
 from bsk_torch import __version__
 from bsk_torch.constants import DAY
 from bsk_torch.rl.evaluation.evaluate import Evaluation, evaluate
 from bsk_torch.rl.networks.plans import MEMORY
-from bsk_torch.rl.policies.files import POLICY, save_policy
+from bsk_torch.rl.policies.files import POLICY
 from bsk_torch.rl.training.collect import bookmarks, check_collector, make_collector, merged
 from bsk_torch.rl.training.config import CONFIG, PPOConfig, load_config, save_config
 from bsk_torch.rl.training.episodes import RecentEpisodes
@@ -80,14 +81,14 @@ class Training:
 
     # -- what differs for constellations ------------------------------------------------------------------------------
 
-    def make_learner(self) -> Learner:
-        """Return the learner for the environment."""
+    def make_learner(self) -> Any:
+        """Return the learner for the environment, a :class:`Learner` or what has its attributes."""
         return Learner(self.config, self.env)
 
     @property
-    def policy(self) -> TensorDictSequential:
+    def policy(self) -> TensorDictModuleBase:
         """The present policy; it goes on learning while training does."""
-        return self.learner.networks.policy
+        return self.learner.policy
 
     @property
     def actor(self) -> TensorDictModuleBase:
@@ -111,7 +112,7 @@ class Training:
 
     # -- running ------------------------------------------------------------------------------------------------------
 
-    def run(self) -> TensorDictSequential:
+    def run(self) -> TensorDictModuleBase:
         """Train until the budget is used, patience is at its end, or the user interrupts; the best policy."""
         self._warm_up()
         collector = make_collector(self.config, self.env, self.actor, self.marks)
@@ -177,7 +178,7 @@ class Training:
             **self.recent.means(),
             "kl": report["kl_approx"],
             "learning_rate": self.learner.learning_rate,
-            "entropy_coefficient": float(self.learner.loss.entropy_coeff),
+            "entropy_coefficient": self.learner.entropy_coefficient,
             "update_seconds": time.perf_counter() - begin,
             **{name: report[name] for name in REPORTED if name != "kl_approx"},
         }
@@ -210,18 +211,17 @@ class Training:
 
     def _networks(self) -> dict[str, Any]:
         """Return copies of the policy's weights."""
-        parts = self.learner.networks.policy_state()
-        return {name: {k: v.detach().clone() for k, v in part.items()} for name, part in parts.items()}
+        return copy.deepcopy(self.learner.policy_state())
 
-    def _finish(self) -> TensorDictSequential:
+    def _finish(self) -> TensorDictModuleBase:
         """The best policy, or the last one if none has been evaluated."""
         if self.best["networks"] is not None:
-            self.learner.networks.load_policy_state(self.best["networks"])
+            self.learner.load_policy_state(self.best["networks"])
         self._save_policy()
         return self.policy
 
     def _save_policy(self) -> None:
-        save_policy(self.out / POLICY, self.learner.plan, self.learner.networks, self.config.preset, self.config.options)
+        self.learner.save_policy(self.out / POLICY)
 
     # -- checkpoints --------------------------------------------------------------------------------------------------
 
@@ -267,7 +267,7 @@ def read_checkpoint(out: Path, config: PPOConfig) -> dict[str, Any]:
     return saved
 
 
-def train(config: PPOConfig, out: Path) -> TensorDictSequential:
+def train(config: PPOConfig, out: Path) -> TensorDictModuleBase:
     """Train a policy and leave it in folder ``out`` beside its logs and configuration.
 
     Returns:
@@ -276,6 +276,6 @@ def train(config: PPOConfig, out: Path) -> TensorDictSequential:
     return Training(config, out).run()
 
 
-def resume(out: Path, kind: type[PPOConfig] = PPOConfig, run: type[Training] = Training) -> TensorDictSequential:
+def resume(out: Path, kind: type[PPOConfig] = PPOConfig, run: type[Training] = Training) -> TensorDictModuleBase:
     """Go on with the run in folder ``out``, which an interruption or the end of its budget has left."""
     return run(load_config(out / CONFIG, kind), out, resume=True).run()

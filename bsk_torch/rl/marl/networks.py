@@ -1,0 +1,76 @@
+"""Networks of constellations: actors that are asked for those who decide only, and critics that observe all satellites."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import islice
+
+import torch
+from torch import Tensor, nn
+from torch.nn.functional import relu
+
+
+class DecidingOnly(nn.Module):
+    """A network that is evaluated for satellites that decide only; zeros for the others."""
+
+    def __init__(self, network: nn.Module) -> None:
+        """``network`` gives [B, A] for what is seen, [B, ...] each."""
+        super().__init__()
+        self.network = network
+
+    def forward(self, *seen: Tensor) -> Tensor:
+        """Outputs [..., S, A] for what satellites see, [..., S, ...] each, of which the last, ``decides`` [..., S], decide."""
+        *parts, decides = seen
+        some = self.network(*(part[decides] for part in parts))
+        return some.new_zeros(*decides.shape, some.shape[-1]).index_put((decides,), some)
+
+
+class Gist(nn.Module):
+    """What a satellite sees as one vector: of its own observation, and of the mean over its targets if it observes a set."""
+
+    def __init__(self, n_own: int, n_features: int, width: int) -> None:
+        """Expect ``n_own`` numbers of a satellite and ``n_features`` of each of its targets; 0 for none."""
+        super().__init__()
+        self.own = nn.Linear(n_own, width)
+        if n_features:
+            self.context, self.row = nn.Linear(n_own, width), nn.Linear(n_features, width)
+        self.gist = nn.Linear(2 * width if n_features else width, width)
+        self.n_inputs = 3 if n_features else 1
+
+    def embed(self, own: Tensor, *targets: Tensor) -> Tensor:
+        """Vectors [..., S, W] by ``own`` [..., S, D] and, of a set, rows [..., S, K, F] and their mask [..., S, K]."""
+        parts = [relu(self.own(own))]
+        if targets:
+            rows, mask = targets
+            parts.append(mean_where(relu(self.row(rows) + self.context(own).unsqueeze(-2)), mask))
+        return relu(self.gist(torch.cat(parts, -1)))
+
+
+class ConstellationCritic(Gist):
+    """Value of the state of each satellite of a group, from its own observation and, in MAPPO, the mean over all alive."""
+
+    def __init__(self, n_own: int, n_features: int, width: int, sees_all: bool, others: Sequence[tuple[int, int]] = ()) -> None:
+        """Expect what :class:`Gist` does; ``others`` are the same two numbers of each other group that is observed."""
+        super().__init__(n_own, n_features, width)
+        self.sees_all = sees_all
+        self.value = nn.Sequential(nn.Linear((1 + sees_all) * width, width), nn.ReLU(), nn.Linear(width, 1))
+        self.others = nn.ModuleList(Gist(*sizes, width) for sizes in others)
+
+    def forward(self, *seen: Tensor) -> Tensor:
+        """Values [..., S, 1] by what each group sees, its own first: the arguments of :meth:`embed`, then who is alive."""
+        given = iter(seen)
+        gists, alive = [], []
+        for group in (self, *self.others):
+            gists.append(group.embed(*islice(given, group.n_inputs)))
+            alive.append(next(given))
+        each = gists[0]
+        if not self.sees_all:
+            return self.value(each)
+        team = mean_where(torch.cat(gists, -2), torch.cat(alive, -1)).unsqueeze(-2)
+        return self.value(torch.cat([each, team.expand_as(each)], -1))
+
+
+def mean_where(x: Tensor, mask: Tensor) -> Tensor:
+    """Mean [..., W] of those x [..., K, W] where ``mask`` [..., K] is true; zero where there are none."""
+    weight = mask.unsqueeze(-1).to(x.dtype)
+    return (x * weight).sum(-2) / weight.sum(-2).clamp(min=1.0)

@@ -1,0 +1,199 @@
+"""Constellations of unlike satellites: a policy, a critic and a file's part for each group of agents."""
+
+import shutil
+
+import pytest
+import torch
+from tensordict import TensorDict
+from tensordict.nn import TensorDictModule
+
+import bsk_torch
+from bsk_torch.rl.marl import MAPPOConfig, MAPPOTraining
+from bsk_torch.rl.marl.networks import ConstellationCritic
+from bsk_torch.rl.policies import check_fits, load_policy, read_card
+from bsk_torch.rl.policies.shared_policy import GroupPolicies, for_each_group, member_views, shared, shared_baseline
+from bsk_torch.rl.rules.baselines import RandomPolicy
+from bsk_torch.rl.training.collect import make_collector
+
+IMAGER, RELAY = "broadcasting_set_imager", "relay"
+
+CREW = {"n_imagers": 2, "n_relays": 1, "n_targets": 200, "time_limit": 600.0}
+
+SIZES = dict(preset="RelayConstellation-v1", num_envs=2, rollout=8, minibatch=8, seconds=None)
+CONSTANT = dict(learning_rate_schedule="constant", entropy_schedule="constant")
+
+
+@pytest.fixture(scope="module")
+def env():
+    return bsk_torch.make("RelayConstellation-v1", num_envs=2, seed=0, backend="eager", as_set=True, **CREW)
+
+
+def config(algorithm="mappo", **changes):
+    return MAPPOConfig(algorithm=algorithm, options={"as_set": True} | CREW, **(SIZES | CONSTANT | {"frames": 16} | changes))
+
+
+# -- policies ---------------------------------------------------------------------------------------------------------
+
+
+def always(action):
+    return TensorDictModule(lambda mask: torch.full(mask.shape[:-1], action), in_keys=["action_mask"], out_keys=["action"])
+
+
+def test_each_group_is_asked_for_what_its_satellites_can_do():
+    idle = torch.tensor([[True, False]])
+    parts = {name: TensorDict({"observation": torch.zeros(1, 2, 1), "action_mask": torch.stack([idle] * n + [~idle], -1)}, (1, 2))
+             for name, n in (("a", 3), ("b", 5))}  # fmt: skip
+    told = GroupPolicies({"a": always(1), "b": always(4)})(TensorDict(parts, (1,)))
+    assert told["a", "action"].tolist() == [[1, 3]]
+    assert told["b", "action"].tolist() == [[4, 5]]
+
+
+def test_policies_of_other_groups_are_refused(env):
+    with pytest.raises(ValueError, match="for groups a, b; the environment has broadcasting_set_imager, relay"):
+        shared(GroupPolicies({"a": always(0), "b": always(0)}), env)
+
+
+def test_every_group_is_seen_as_its_satellites_see_it(env):
+    views = member_views(env)
+    assert list(views) == [IMAGER, RELAY]
+    assert [view.observation_spec["action_mask"].shape for view in views.values()] == [(2, 17), (2, 3)]
+    assert views[RELAY].observation_spec["observation"].shape == (2, 7)
+
+
+def test_groups_that_a_rule_does_not_fit_act_at_random(env):
+    policies = shared_baseline("greedy", env).policies
+    assert not isinstance(policies[IMAGER], RandomPolicy)
+    assert isinstance(policies[RELAY], RandomPolicy)
+
+
+def test_a_rule_that_fits_no_group_is_refused(env):
+    with pytest.raises(KeyError, match="storage_level_fraction"):
+        shared_baseline("rule", env)
+
+
+def test_each_group_is_changed_with_its_own_view(env):
+    seen = []
+    changed = for_each_group(
+        lambda one, view: seen.append(view.satellite.actions.n_actions) or one, shared_baseline("random", env), env
+    )
+    assert seen == [17, 3]
+    assert list(changed.policies) == [IMAGER, RELAY]
+
+
+@pytest.mark.parametrize("options", [{"joint": True}, {"meta_agent_groupings": {"pair": ["EO1", "EO2"]}}])
+def test_agents_of_several_satellites_are_refused(options):
+    env = bsk_torch.make("RelayConstellation-v1", num_envs=1, backend="eager", **CREW, **options)
+    with pytest.raises(ValueError, match="each satellite must be an agent of its own"):
+        member_views(env)
+
+
+# -- critics ----------------------------------------------------------------------------------------------------------
+
+
+def test_a_central_critic_observes_the_living_of_all_groups():
+    torch.manual_seed(0)
+    critic = ConstellationCritic(2, 3, 8, True, others=[(4, 0)])
+    own = [
+        torch.randn(1, 2, 2),
+        torch.randn(1, 2, 5, 3),
+        torch.ones(1, 2, 5, dtype=torch.bool),
+        torch.ones(1, 2, dtype=torch.bool),
+    ]
+    other, alive = torch.randn(1, 2, 4), torch.tensor([[True, False]])
+    value = critic(*own, other, alive)
+    assert value.shape == (1, 2, 1)
+    moved = other.clone()
+    moved[:, 1] += 1.0  # dead
+    assert torch.equal(critic(*own, moved, alive), value)
+    moved[:, 0] += 1.0
+    assert not torch.equal(critic(*own, moved, alive), value)
+
+
+# -- learning ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory):
+    """A run of one iteration, and its folder."""
+    out = tmp_path_factory.mktemp("crew") / "run"
+    training = MAPPOTraining(config(), out)
+    return training, training.run(), out
+
+
+@pytest.mark.compiled
+def test_the_file_of_several_groups_holds_each_of_them(trained):
+    training, policy, out = trained
+    card = read_card(out)
+    assert list(card["groups"]) == [IMAGER, RELAY]
+    assert [part["network"] for part in card["groups"].values()] == ["attention", "mlp"]
+    check_fits(card, training.env)
+    start = training.env.reset()
+    again = shared(load_policy(out), training.env)
+    with torch.no_grad():
+        first, second = (player(start.clone()) for player in (policy, again))
+    for group in (IMAGER, RELAY):
+        assert torch.equal(first[group, "action"], second[group, "action"])
+
+
+@pytest.mark.compiled
+def test_policies_of_other_groups_and_sizes_name_both(trained):
+    card = read_card(trained[2])
+    crew = CREW | {"backend": "eager", "num_envs": 1}
+    with pytest.raises(ValueError, match="with groups broadcasting_set_imager, relay; RelayConstellation-v1 has broadcasting_im"):
+        check_fits(card, bsk_torch.make("RelayConstellation-v1", **crew), "RelayConstellation-v1")
+    card["groups"][RELAY]["plan"]["n_observed"] = 6
+    with pytest.raises(ValueError, match="n_observed=6 in group relay; this environment has n_observed=7"):
+        check_fits(card, bsk_torch.make("RelayConstellation-v1", as_set=True, **crew))
+
+
+@pytest.fixture(scope="module", params=["mappo", "ippo"])
+def collected(request, tmp_path_factory):
+    """An algorithm, its learner, and a batch."""
+    settings = config(request.param)
+    training = MAPPOTraining(settings, tmp_path_factory.mktemp(request.param))
+    collector = make_collector(settings, training.env, training.actor, None)
+    batch = next(iter(collector))
+    collector.shutdown()
+    return request.param, training.learner, batch
+
+
+def weights(group):
+    return [part.detach().clone() for part in group.loss.parameters()]
+
+
+@pytest.mark.compiled
+def test_all_groups_learn_and_only_central_critics_observe_the_others(collected):
+    algorithm, learner, batch = collected
+    before = {name: weights(group) for name, group in learner.groups.items()}
+    report = learner.learn(batch.clone())
+    assert 0.0 < report["entropy"] <= float(torch.tensor(17.0).log())
+    for name, group in learner.groups.items():
+        assert group.others == ([other for other in learner.groups if other != name] if algorithm == "mappo" else [])
+        assert any(not torch.equal(old, new) for old, new in zip(before[name], weights(group), strict=True))
+        assert all(bool(new.isfinite().all()) for new in weights(group))
+        assert float(group.networks.normaliser.own.count) == float((~batch[name, "action_mask"][..., -1]).sum())
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize("decisions", [0, 1])
+def test_a_group_without_a_choice_to_compare_learns_nothing(collected, decisions):
+    _, learner, batch = collected
+    batch = batch.clone()
+    busy = (torch.arange(4) == 3).expand_as(batch[RELAY, "action_mask"]).clone()
+    busy[:1, :decisions] = ~busy[:1, :decisions]
+    batch[RELAY, "action_mask"] = busy
+    before = {name: weights(group) for name, group in learner.groups.items()}
+    assert learner.learn(batch)["entropy"] > 0.0
+    assert all(torch.equal(old, new) for old, new in zip(before[RELAY], weights(learner.groups[RELAY]), strict=True))
+    assert any(not torch.equal(old, new) for old, new in zip(before[IMAGER], weights(learner.groups[IMAGER]), strict=True))
+
+
+@pytest.mark.compiled
+def test_an_interrupted_training_of_several_groups_goes_on_as_if_nothing_had_happened(trained, tmp_path):
+    whole = MAPPOTraining(config(frames=32), tmp_path / "whole").run().state_dict()
+    shutil.copytree(trained[2], tmp_path / "parts")
+    parts = MAPPOTraining(config(frames=32), tmp_path / "parts", resume=True).run().state_dict()
+    assert whole.keys() == parts.keys()
+    for name, value in whole.items():
+        assert torch.equal(parts[name], value), name
+    assert any(not torch.equal(value, whole[name]) for name, value in trained[1].state_dict().items())
