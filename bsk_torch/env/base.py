@@ -119,7 +119,7 @@ class Tasking(ChangingArguments, EnvBase):
         configure(options.log_level, options.log_dir)
         if options.failure_penalty > 0.0:
             logger.warning("failure_penalty=%g rewards failure; it should not be positive", options.failure_penalty)
-        self.dtype, self.failure_penalty = common_dtype(options.dtype, satellites), float(options.failure_penalty)
+        self.failure_penalty = float(options.failure_penalty)
         self.terminate_on_time_limit = options.terminate_on_time_limit
         self.max_step_duration = float(options.max_step_duration)
         self.scenario, self.rewarder = copy.copy(scenario or Scenario()), composed(rewarder)
@@ -127,7 +127,7 @@ class Tasking(ChangingArguments, EnvBase):
         self.communicator = copy.copy(communicator or NoCommunication())
         randomizer = make_randomizer(sat_arg_randomizer, satellites)
         self.builder = FleetBuilder(satellites, self.scenario, options, randomizer, torch.device(self.device))
-        self.names = self.builder.names
+        self.names, self.dtype = self.builder.names, common_dtype(options.dtype, self.builder.satellites)
         trial = try_out(self.builder, self.rewarder)
         n = options.num_envs
         self.fleet = self.builder.make_fleet(n)

@@ -212,7 +212,7 @@ def test_satellite_classes(attributes, words):
 def test_specs_of_observations():
     with pytest.raises(ValueError, match="unknown keys"):
         obs.SatProperties(dict(prop="r_BN_N", nrom=1.0))
-    with pytest.raises(ValueError, match="either 'prop' or 'fn'"):
+    with pytest.raises(ValueError, match="needs 'prop' or 'fn'"):
         obs.SatProperties(dict(norm=1.0))
     with pytest.raises(ValueError, match="did you mean 'opportunity_close'"):
         obs.OpportunityProperties(dict(prop="oportunity_close"), n_ahead_observe=1)
