@@ -184,8 +184,7 @@ GROUPS: dict[str, str] = {
     RELATIVE: "RelativeProperties ConjunctionDynModel MaxRangeDynModel r_DC_N r_DC_C r_DC_D r_DC_Hc r_DC_Hd v_DC_N v_DC_C v_DC_D "
     "v_DC_Hc v_DC_Hd sigma_DC sigma_DHc sigma_HdC sigma_HdHc",
     MIXED: "MixedData MixedDataStore MixedReward MixedScenario",
-    STORES: "LogStateType ComposedData ComposedDataStore ScanningTime ScanningTimeStore NoData NoDataStore ResourceData "
-    "ResourceDataStore",
+    STORES: "LogStateType ComposedData ComposedDataStore ResourceData ResourceDataStore",
     BUILDERS: "select_action_builder ActionBuilder DiscreteActionBuilder ObservationBuilder nested_obs_to_space",
     TYPES: "SatObs SatAct MultiSatObs MultiSatAct SatArgRandomizer",
     DISCOUNT: "ContinuePreviousAction ContinuePreviousActionAppended MakeAddedStepActionValid CondenseMultiStepActions "
