@@ -21,7 +21,7 @@ from bsk_torch.sim.component import Arg
 from bsk_torch.sim.composition import compose
 from bsk_torch.sim.fleet import EpisodeDraw, Fleet, share
 from bsk_torch.sim.given import Answers, expand, is_function
-from bsk_torch.sim.params import Overrides, convert
+from bsk_torch.sim.params import Overrides, convert, drawn_once
 from bsk_torch.sim.simulator import Simulator
 from bsk_torch.sim.state import StateTable
 from bsk_torch.sim.world import WorldModel
@@ -143,9 +143,11 @@ class FleetBuilder:
         if not callable(value):
             return convert(LIMIT, [value] * len(key), len(key))
         if answers:
-            return convert(LIMIT, [answer["time_limit"] for answer in answers], len(key))
-        with seeded(key.named("time_limit")) as rows:
-            return convert(LIMIT, [value() for _ in rows], len(key))
+            values = [answer["time_limit"] for answer in answers]
+        else:
+            with seeded(key.named("time_limit")) as rows:
+                values = [value() for _ in rows]
+        return convert(LIMIT, [drawn_once(LIMIT, each, key, row) for row, each in enumerate(values)], len(key))
 
     def ask(self, fleet: Fleet, key: Key) -> list[Answers]:
         """Return what the functions of the user return for each of the key's environments; none if there are no functions.

@@ -357,7 +357,7 @@ class Arguments:
             if isinstance(value, Distribution):
                 return convert(arg, value.draw(key.named(arg.name)), len(key))
             if callable(value):
-                return convert(arg, [_once(arg, answer, key, row) for row, answer in enumerate(asked)], len(key))
+                return convert(arg, [drawn_once(arg, answer, key, row) for row, answer in enumerate(asked)], len(key))
             if value is None and arg.kind != "choice":
                 return self._missing(arg)
             return convert(arg, [value], 1)
@@ -380,7 +380,7 @@ class Arguments:
         return torch.full((1, *SHAPES[arg.kind]), arg.missing, dtype=torch.float64)
 
 
-def _once(arg: Arg, answer: Any, key: Key, row: int) -> Any:
+def drawn_once(arg: Arg, answer: Any, key: Key, row: int) -> Any:
     """Return the value of a function's answer for one row of a key; a distribution is drawn."""
     return answer.draw(key.take([row]).named(arg.name))[0] if isinstance(answer, Distribution) else answer
 
