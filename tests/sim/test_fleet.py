@@ -138,7 +138,7 @@ def test_episodes_draw_the_same_in_any_batch(drawing):
 def test_what_is_set_for_all_together(drawing):
     """Satellites of both types, and some of one only."""
     masses = torch.tensor([[12.0, 11.0], [22.0, 21.0], [32.0, 31.0]])
-    drawn = drawing.draw(first_key(N), lambda key: {"mass": ([2, 1], masses), "hs_min": ([1], masses[:, 1:])})
+    drawn = drawing.draw(first_key(N), {"mass": ([2, 1], masses), "hs_min": ([1], masses[:, 1:])})
     two, one = drawn.values
     default = float(drawing.simulators[0].sat_args.table["mass"].default)
     assert two["mass"].view(N, 2).tolist() == [[default, 12.0], [default, 22.0], [default, 32.0]]

@@ -78,7 +78,7 @@ def test_old_names_in_modes():
 
 
 def test_the_sun_of_the_world(simulator):
-    with pytest.warns(DeprecationWarning, match="World.r_sun_N is deprecated .* use World.r_SN_N"):
+    with pytest.warns(DeprecationWarning, match="World.*r_sun_N is deprecated .* use World.*r_SN_N"):
         old = simulator.world.r_sun_N
     assert torch.equal(old, simulator.world.r_SN_N)
 
