@@ -160,7 +160,7 @@ RELATIVE = LATER + "the motion of satellites relative to each other. fn= of obs.
 MIXED = LATER + "several scenarios in one environment. Satellites of several types can share one scenario"
 STORES = (
     "is not needed: rewarders keep tensors of all episodes (env.rewarder.imaged, .known, .cum_reward). One's own are subclasses "
-    "of data.GlobalReward with read_log() and calculate_reward(before, after)"
+    "of data.GlobalReward with read_log() and calculate_reward(before, after), or have a data.DataStore of their own as in bsk_rl"
 )
 BUILDERS = "is not needed: environments build actions and observations from action_spec and observation_spec"
 TYPES = "is a type for annotations of bsk_rl: write torch.Tensor"
@@ -170,7 +170,7 @@ DISCOUNT = (
 )
 PICTURES = "is for Vizard. env.render() draws the Earth and the satellites (extra viz)"
 LOGS = "is not needed: log_level= and log_dir= of an environment set the logger 'bsk_torch' up; see bsk_torch.env.log"
-COMPOSE = "is not needed: write a class with several bases, such as class Both(dyn.ImagingDynModel, dyn.LOSCommDynModel)"
+COMPOSE = "is not needed: dyn_type, fsw_type and world_type take tuples, as dyn_type = (dyn.ImagingDynModel, dyn.LOSCommDynModel)"
 PLAIN = "is a helper of bsk_rl's inside that has no counterpart: plain Python does the same"
 
 GROUPS: dict[str, str] = {
@@ -208,7 +208,7 @@ ADVICE: dict[str, str] = {name: advice for advice, names in GROUPS.items() for n
     "fleet.memory.declare(name, initial_value)",
     "idealMonarc1Octet": "makes Basilisk's thrusters, which dyn.BasicDynamicsModel has: act.Desat fires them",
     "TrajectorySimulator": "looks ahead along an orbit; here satellites do: satellite.find_next_opportunities(n), "
-    "satellite.next_eclipse()",
+    "satellite.find_windows(until), satellite.next_eclipse()",
     "WrappedEpisodeDataCallbacks": "needs Ray, in an environment of its own: pip install 'ray[rllib]==2.60.0'",
     "load_torch_mlp_policy": "loads a checkpoint of RLlib's: RLModule.from_checkpoint of Ray, as in examples/ppo_rllib.py",
     "EpisodeDataCallbacks": "is deprecated in bsk_rl: wrap the environment in EpisodeDataWrapper",

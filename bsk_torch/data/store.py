@@ -1,7 +1,7 @@
 """Data that satellites collect, as objects of one satellite of one environment: the form of bsk_rl.
 
 Environments keep tensors instead, and use these classes for rewarders in bsk_rl's form only; see
-:mod:`bsk_torch.data.per_environment`.
+:mod:`bsk_torch.data.mapped`.
 """
 
 from __future__ import annotations

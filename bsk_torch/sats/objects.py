@@ -1,8 +1,8 @@
 """Objects of opportunities, targets and ground stations, with the attributes that bsk_rl's have.
 
 ``TargetObjects`` are the targets of opportunities of all satellites, with attributes [N, n]; a :class:`OneTarget` is one target
-of one environment. Both have ``r_LP_P``, ``priority``, ``id``, ``name``, and all values [num_envs, T, ...] of the scenario, drawn
-or an attribute, under its name.
+of one environment. Both have ``r_LP_P``, ``priority``, ``id``, ``name``, and what else
+:meth:`bsk_torch.scene.TargetScenario.target_attribute` finds.
 """
 
 from __future__ import annotations
@@ -14,33 +14,9 @@ import numpy as np
 from torch import Tensor
 
 from bsk_torch.sats.one import of_row
-from bsk_torch.sim.names import nearest
 
 if TYPE_CHECKING:
     from bsk_torch.sats.access import AccessSatellite
-
-DRAWN_PREFIX = "target_"
-"""Prefix of drawn values that attributes of targets may leave out."""
-
-
-def target_table(satellite: AccessSatellite, name: str) -> Tensor:
-    """Return a value of all targets by name, [num_envs, T, ...].
-
-    Raises:
-        AttributeError: For a name that is neither an attribute nor a drawn value of the scenario with a value for every target.
-    """
-    scenario, drawn = satellite.scenario, satellite.simulator.scenario_state
-    shape = tuple(drawn["target_exists"].shape)
-    if not name.startswith("_"):
-        known = (getattr(scenario, name, None), *(drawn[key] for key in (name, DRAWN_PREFIX + name) if key in drawn))
-        for value in known:
-            if isinstance(value, Tensor) and tuple(value.shape[:2]) == shape:
-                return value
-    names = ["r_LP_P", "priority", "id", "name", *drawn]
-    raise AttributeError(
-        f"targets have no attribute {name!r}; {nearest(name, names)} A scenario gives targets an attribute by drawing it, "
-        f"[n, {shape[1]}], in draw(key)"
-    )
 
 
 def target_names(satellite: AccessSatellite, env: int) -> Sequence[str]:
@@ -75,7 +51,7 @@ class TargetObjects:
         """Return a value of the targets, [N, n, ...]; AttributeError for an unknown name."""
         if name.startswith("_"):
             raise AttributeError(name)
-        return self._satellite.simulator.look_up(target_table(self._satellite, name), self.id)
+        return self._satellite.simulator.look_up(self._satellite.scenario.target_attribute(name), self.id)
 
 
 def station_names(stations: Sequence[str], place: Tensor) -> np.ndarray[Any, Any]:
@@ -107,7 +83,7 @@ class OneTarget:
         if name.startswith("_"):
             raise AttributeError(name)
         try:
-            return of_row(target_table(self._satellite, name)[self._env], self.id)
+            return of_row(self._satellite.scenario.target_attribute(name)[self._env], self.id)
         except AttributeError:
             made = getattr(self._satellite.scenario, "target_object", None)
             if made is None or not hasattr(target := made(self._env, self.id), name):

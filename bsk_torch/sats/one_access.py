@@ -7,7 +7,7 @@ from typing import Any, NoReturn
 
 import torch
 
-from bsk_torch.sats.objects import OneTarget, target_table
+from bsk_torch.sats.objects import OneTarget
 from bsk_torch.sats.one import OneSatellite, of_row
 from bsk_torch.sim.access.places import TARGET_KIND
 from bsk_torch.sim.access.windows import MAX_SEGMENTS
@@ -46,7 +46,7 @@ class OneAccessSatellite(OneSatellite):
     def _positions(self, kind: str) -> Any:
         """Return the Earth-fixed positions of all places of a type, [P, 3] m."""
         if kind == TARGET_KIND:
-            return target_table(self._whole, "r_LP_P")[self._env].cpu().numpy()
+            return self._whole.scenario.r_LP_P[self._env].cpu().numpy()
         return self._whole.simulator.access.kinds[kind](None).r_LP_P[0].cpu().numpy()
 
     def of_windows(self, kind: str, windows: Any, padding: bool = False) -> list[OneOpportunity]:

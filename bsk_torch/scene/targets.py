@@ -102,19 +102,23 @@ class TargetScenario(Scenario):
     def target_attribute(self, name: str) -> Tensor:
         """Return an attribute of all targets, [N, T, ...].
 
-        ``priority``, ``r_LP_P``, or a value that :meth:`draw` returns for each target as ``target_<name>`` or ``<name>``; with
-        :meth:`UniformTargets.regenerate_targets`, attributes of the targets that are numbers.
+        A property of the scenario that has a value for every target, such as ``priority``; or what :meth:`draw` returns as
+        ``target_<name>`` or ``<name>``; or, with :meth:`UniformTargets.regenerate_targets`, numbers of the targets.
 
         Raises:
             AttributeError: For another name.
         """
-        if name in ("priority", "r_LP_P"):
-            return getattr(self, name)
+        own = None if name.startswith("_") else getattr(self, name, None)
+        if isinstance(own, Tensor) and own.shape[:2] == self.drawn("target_exists").shape:
+            return own
         for drawn in (f"target_{name}", name):
             if drawn in self._attributes():
                 return self.drawn(drawn)
-        known = ["priority", "r_LP_P", *(drawn.removeprefix("target_") for drawn in self._attributes())]
-        raise AttributeError(f"targets of scene.{type(self).__name__} have no {name!r}; {nearest(name, known)}")
+        known = ["priority", "r_LP_P", "id", "name", *(drawn.removeprefix("target_") for drawn in self._attributes())]
+        raise AttributeError(
+            f"targets have no attribute {name!r}, which {type(self).__name__}.draw(key) may give them, "
+            f"[n, {self.most_targets}]; {nearest(name, known)}"
+        )
 
     def _attributes(self) -> list[str]:
         """Return the names of drawn values that targets have beside position, priority and existence."""
