@@ -87,7 +87,7 @@ def test_objects_are_those_that_the_hook_made(begin):
     assert scenario.names(1) == [target.name for target in targets]
     index = torch.tensor([[2, 0], [1, 1]])
     assert torch.equal(scenario.look_up("priority", index), scenario.priority.gather(1, index))
-    with pytest.raises(AttributeError, match="have no attribute 'cloud_cover', .* did you mean 'true_cloud_cover'"):
+    with pytest.raises(AttributeError, match=r"have no attribute 'cloud_cover', .* did you mean 'true_cloud_cover'"):
         scenario.target_attribute("cloud_cover")
 
 
