@@ -51,6 +51,7 @@ FIRST_SHORT_YEAR = 1969
 JD_J2000 = Fraction(2451545)
 J2000 = datetime(2000, 1, 1, 12)
 
+STANDARD = re.compile(r"(\d{4}) ([A-Z]{3}) (\d\d) (\d\d):(\d\d):(\d\d(?:\.\d+)?) \(UTC\)", re.A)
 ISO = re.compile(r"(\d{4})-(\d{1,2})-(\d{1,2})T(.*?)Z?", re.A)
 ISO_DAY = re.compile(r"(\d{4})-(\d{3})T(.*?)Z?", re.A)
 LABEL = re.compile(r"\(?\b(UTC|TDB|TDT|TT)\b([+-]\d{1,2}(?::\d{2})?)?\)?", re.A)
@@ -91,7 +92,7 @@ def read_epoch(given: str | datetime) -> Epoch:
         return Epoch(utc.replace(second=0, microsecond=0), utc.second + utc.microsecond * 1e-6, "UTC")
     text = " ".join(given.upper().split())
     try:
-        return _julian(text) or _iso(text) or _calendar(text)
+        return _standard(text) or _julian(text) or _iso(text) or _calendar(text)
     except _UnknownFormError as error:
         reason = f" ({error})" if str(error) else ""
         words = f"epoch {given!r} is not a UTC time of a form that SPICE knows{reason}; one like it is {_like(text)!r}"
@@ -107,6 +108,17 @@ def _like(text: str) -> str:
         return re.sub(r"[A-Za-z]+", "A", re.sub(r"\d", "9", epoch))
 
     return max(EXAMPLES, key=lambda example: difflib.SequenceMatcher(None, pattern(text), pattern(example)).ratio())
+
+
+# -- the standard form --------------------------------------------------------------------------------------------------------
+
+
+def _standard(text: str) -> Epoch | None:
+    """Return an epoch of the form that :func:`bsk_torch.rand.random_epoch` draws by thousands; the other ways read it, slower."""
+    match = STANDARD.fullmatch(text)
+    if match is None or not (month := _names(match[2], MONTHS)) or float(match[6]) >= 60.0:
+        return None
+    return Epoch(datetime(int(match[1]), month, int(match[3]), int(match[4]), int(match[5])), float(match[6]), "UTC")
 
 
 # -- Julian dates ----------------------------------------------------------------------------------------------------------------

@@ -23,12 +23,12 @@ def declare(rewarder: GlobalReward, fleet: Fleet) -> None:
 
 
 def add(rewarder: GlobalReward, reward: Tensor, moves: Tensor) -> None:
-    """Add the rewards [N, S] of a step that the episodes ``moves`` [N] took to the sums of a rewarder and its parts."""
+    """Add the rewards [N, S] of a step to the sums of a rewarder and its parts; ``moves`` [N] are the episodes that took it."""
     state = rewarder.fleet.state
-    state[rewarder.total_name] = state[rewarder.total_name] + reward * moves.unsqueeze(-1)
+    state[rewarder.total_name] = state[rewarder.total_name] + reward
     if isinstance(rewarder, ComposedReward):
         for part, term in zip(rewarder.rewarders, rewarder.terms.values(), strict=True):
-            add(part, term, moves)
+            add(part, term * moves.unsqueeze(-1), moves)
 
 
 def _parts(rewarder: GlobalReward) -> Iterator[GlobalReward]:

@@ -197,10 +197,12 @@ class ConstellationTasking(Tasking):
         for group in self.groups:
             gone = self._by_agent(group, dead).unsqueeze(-1).expand(-1, *group.members.shape)
             removed[:, group.members.flatten()] = gone.flatten(1)
+        left = removed & ~self.state.removed
+        if not bool(left.any()):  # what has been asked of the satellites at this time stays valid
+            return
         self.state.removed = removed
         for k, satellites in enumerate(self.fleet.groups):
-            rows = self.fleet.rows_of(k, removed)
-            satellites.cancel(rows)
+            satellites.cancel(self.fleet.rows_of(k, left))
 
     def _decoded(self, given: Sequence[Tensor], moves: Tensor) -> tuple[list[Tensor], list[Tensor]]:
         """Return the actions [N * count] of each type, and masks of those that take effect."""

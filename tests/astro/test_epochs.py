@@ -6,9 +6,12 @@ import json
 from datetime import UTC, datetime, timedelta, timezone
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from bsk_torch.astro.ephemeris import parse_utc
+from bsk_torch.astro.epochs import read_epoch
+from bsk_torch.rand import random_epoch
 
 SPICE = json.loads((Path(__file__).parents[1] / "sim" / "data" / "epochs.json").read_text())
 
@@ -36,6 +39,11 @@ def test_epochs_that_spice_refuses_are_refused_with_an_example(text):
 @pytest.mark.parametrize(("text", "same"), BEYOND.items())
 def test_terrestrial_time_under_its_newer_name(text, same):
     assert parse_utc(text) == parse_utc(same)
+
+
+def test_the_form_that_random_epochs_have_is_read_as_any_other():
+    for text in random_epoch(1990, 2060).at(np.random.default_rng(0).random((300, 7))):
+        assert read_epoch(text) == read_epoch(text.replace(" (UTC)", "  UTC"))
 
 
 def test_at_least_fifty_forms_are_compared():

@@ -13,6 +13,7 @@ from torchrl.envs.utils import check_env_specs, check_marl_grouping
 
 from bsk_torch import NO_ACTION, ConstellationTasking, SatelliteTasking, act, comm, data, formations, obs, rand, sats, scene
 from bsk_torch.sim import dyn, fsw
+from bsk_torch.sim.access.lookahead import LookAhead
 
 pytestmark = pytest.mark.compiled
 
@@ -248,6 +249,16 @@ def test_steps_end_with_the_first_task(go_on: int) -> None:
     td = env.step(td.set(("agents", "action"), torch.tensor([[go_on, 1]])))["next"].clone()
     assert td["duration"].item() == 16.0
     assert td["agents", "requires_retasking"].flatten().tolist() == [True, False]
+
+
+def test_what_was_observed_is_not_searched_again_by_the_next_action(monkeypatch: pytest.MonkeyPatch) -> None:
+    env = build(imagers(2))
+    td, asked = env.reset(), []
+    ask = LookAhead.next_windows
+    monkeypatch.setattr(LookAhead, "next_windows", lambda self, *query: asked.append(query[0]) or ask(self, *query))
+    for step in range(4):
+        td = env.step(chosen(env, td, step))["next"]
+    assert asked == 4 * ["target"]
 
 
 def test_a_busy_satellite_can_be_retasked() -> None:

@@ -105,5 +105,4 @@ class EclipseTable(StateTable):
             self.known = torch.where(found, self.known, self.sampled)
             if k < SEARCHES - 1:
                 found = found | (last <= self.known)
-        not_found = torch.full_like(start, NOT_FOUND)
-        return torch.where(found, start, not_found), torch.where(found, end, not_found)
+        return torch.where(found, start, NOT_FOUND), torch.where(found, end, NOT_FOUND)
