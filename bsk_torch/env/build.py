@@ -107,6 +107,7 @@ class FleetBuilder:
             columns=columns,
             randomize=self._share_of(columns),
             world_type=self.world_type,
+            compat=options.compat,
         )
 
     def _share_of(self, columns: Sequence[int]) -> Callable[[Key], Overrides]:

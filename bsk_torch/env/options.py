@@ -28,6 +28,10 @@ ABSENT = {
 """Options of bsk_rl's environments that mean nothing here unless they are None, and what to use instead."""
 
 
+COMPATIBLE = (None, "bsk_rl")
+"""Simulators whose errors can be repeated."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class TaskingOptions:
     """Options of :class:`bsk_torch.SatelliteTasking` and :class:`bsk_torch.ConstellationTasking`, given as keyword arguments.
@@ -53,6 +57,7 @@ class TaskingOptions:
             orbit, time and accumulators in float64.
         orbit: ``"arc"`` (in advance), ``"integrated"`` (in every tick, with drag), or None for the model's own.
         backend: ``"compiled"``, or ``"eager"`` for debugging.
+        compat: ``"bsk_rl"`` repeats bsk_rl's errors, for comparisons; ``docs/migration.md`` lists them. None for what is true.
         log_level: Level of the package's logger: ``"INFO"`` records what satellites do, see :mod:`bsk_torch.env.log`; None leaves
             it.
         log_dir: Path of a file (as in bsk_rl) that gets the records, too.
@@ -74,6 +79,7 @@ class TaskingOptions:
     sim_dtype: torch.dtype = torch.float64
     orbit: str | None = None
     backend: str = "compiled"
+    compat: str | None = None
     log_level: int | str | None = None
     log_dir: str | Path | None = None
     log_envs: Sequence[int] = (0,)
@@ -84,6 +90,8 @@ class TaskingOptions:
             raise ValueError(f"num_envs={self.num_envs} must be at least 1")
         if not self.max_step_duration > 0.0:
             raise ValueError(f"max_step_duration={self.max_step_duration!r} must be positive, in s")
+        if self.compat not in COMPATIBLE:
+            raise ValueError(f"compat={self.compat!r} must be one of {list(COMPATIBLE)}")
         object.__setattr__(self, "dtype", as_dtype(self.dtype))
 
 

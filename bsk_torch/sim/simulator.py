@@ -151,6 +151,7 @@ class Simulator:
         columns: Sequence[int] = (0,),
         randomize: Callable[[Key], Overrides] = lambda key: {},
         world_type: type[WorldModel] | None = None,
+        compat: str | None = None,
     ) -> None:
         """Build the tick and check the arguments with trial draws; :meth:`reset` fills the state.
 
@@ -173,6 +174,7 @@ class Simulator:
             columns: Numbers of the satellites among all those of an environment, of other types too.
             randomize: Draws arguments that replace those of some satellites.
             world_type: World model; None for what the dynamics model requires.
+            compat: ``"bsk_rl"`` for access windows with bsk_rl's errors.
 
         Raises:
             TypeError: For models that do not fit together, or a component that reads what none writes.
@@ -189,7 +191,7 @@ class Simulator:
         self._randomize = randomize
         self._make_components(dyn_type, fsw_type, world_type, sat_args, world_args)
         self._make_tick()
-        self._make_lookahead(horizon, segment)
+        self._make_lookahead(horizon, segment, compat == "bsk_rl")
         self.observer = Observer(self.state, self.lookahead.arcs, backend)
         stations = self.world_args.given.get("groundStationsData", ())
         self.world = self.world_type(self.state, self.lookahead.arcs, stations)
@@ -272,11 +274,13 @@ class Simulator:
         update = hub.rotate if on_arc else hub.translate_and_rotate
         return dataclasses.replace(part, update=update) if part.slot == "hub" else part
 
-    def _make_lookahead(self, horizon: float, segment: float) -> None:
+    def _make_lookahead(self, horizon: float, segment: float, as_bsk_rl: bool) -> None:
         places = place_kinds(self.world_args, self.scenario_state, self.state.arguments)
         solver = make_solver(self.h_ns * NANO, self.backend, self.device)
         visibility = make_visibility(self.backend, self.device)
-        self.lookahead = LookAhead(self.num_envs, self.count, solver, visibility, places, horizon=horizon, segment=segment)
+        self.lookahead = LookAhead(
+            self.num_envs, self.count, solver, visibility, places, horizon=horizon, segment=segment, as_bsk_rl=as_bsk_rl
+        )
         self.state.add("lookahead", self.lookahead)
 
     # -- changes of arguments -----------------------------------------------------------------------------------------

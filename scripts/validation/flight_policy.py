@@ -43,8 +43,8 @@ class Flyer:
     options: dict[str, Any]
 
     def environment(self, num_envs: int, **options: Any) -> SatelliteTasking:
-        """The environment with float64 outputs: rewards are then summed, and observations compared, without rounding."""
-        where = {"num_envs": num_envs, "env_ids": [0] * num_envs, "dtype": torch.float64, "device": "cpu"}
+        """The environment with bsk_rl's windows and float64 outputs: rewards are summed, and observations compared, unrounded."""
+        where = {"num_envs": num_envs, "env_ids": [0] * num_envs, "dtype": torch.float64, "device": "cpu", "compat": "bsk_rl"}
         asked = self.options | options
         return make(self.preset, **(asked | where | ({"as_set": False} if "as_set" in asked else {})))
 

@@ -150,6 +150,7 @@ def environment(recording: ConstellationRecording, **options: Any) -> Constellat
         only_retask_idle_meta_agent_members=env["idle_only"],
         dtype=torch.float64,
         seed=0,
+        compat="bsk_rl",
     )
     return ConstellationTasking(satellites, **(defaults | agents | env["options"] | options))
 

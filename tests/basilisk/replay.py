@@ -88,6 +88,7 @@ def common_options(recording: Recording) -> dict[str, Any]:
         world_args=dict(utc_init=rand.per_env([episode["utc_init"] for episode in recording.initial])),
         dtype=torch.float64,
         seed=0,
+        compat="bsk_rl",
     )
 
 

@@ -74,6 +74,7 @@ def test_world_arguments(world_args, error, words):
         (dict(sim_rate=0.0), "sim_rate=0"),
         (dict(backend="fast"), "backend='fast'"),
         (dict(orbit="kepler"), "orbit='kepler'"),
+        (dict(compat="basilisk"), "compat='basilisk' must be one of"),
         (dict(time_limit=-1.0), "time_limit=-1"),
         (dict(env_ids=[1, 2, 3]), "env_ids"),
         (dict(rewarder=data.ScanningTimeReward(), scenario=scene.Scenario()), "value_per_second"),

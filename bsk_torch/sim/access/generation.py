@@ -1,9 +1,9 @@
-"""Windows as bsk_rl makes them of passes: interval after interval, each tested at the ends of its close samples only.
+"""Windows of passes: the passes themselves, or what bsk_rl makes of them, interval after interval.
 
 bsk_rl propagates its trajectory by one interval at a time. In each interval it samples only the times at which the satellite is
 near the place, and takes the first and the last of these for the ends of a window or searches for a crossing next to them. That
-has consequences which agents see, and which are reproduced here: an interval that lies within a pass gives no window, and a pass
-that rises in an interval and outlasts it can be taken for one that sets.
+has consequences which agents see, and which ``compat="bsk_rl"`` reproduces: an interval that lies within a pass gives no window,
+and a pass that rises in an interval and outlasts it can be taken for one that sets.
 """
 
 from __future__ import annotations
@@ -69,7 +69,17 @@ def close_from_start(search: PassSearch, row: Tensor, place: Tensor, start: Tens
     return (close | ~before_rise).all(-1)
 
 
-def windows_of_passes(search: PassSearch, passes: Passes, intervals: GenerationIntervals) -> Passes:
+def true_windows(passes: Passes, intervals: GenerationIntervals) -> Passes:
+    """Return the passes that begin before the last interval ends, cut there, without the short ones."""
+    row, place, opens, closes = passes
+    end = intervals.end[row]
+    closes = torch.minimum(closes, end)
+    at_an_end = (opens <= intervals.begin[row]) | (closes >= end)
+    kept = (opens < end) & (at_an_end | (closes - opens > SHORTEST_PASS))
+    return Passes(row[kept], place[kept], opens[kept], closes[kept])
+
+
+def windows_of_bsk_rl(search: PassSearch, passes: Passes, intervals: GenerationIntervals) -> Passes:
     """Return the windows that bsk_rl generates for passes, joined where one closes as the next opens.
 
     A pass within one interval is a window. A pass over several intervals gives a window in its first interval (the head) and one

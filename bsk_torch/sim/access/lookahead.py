@@ -58,6 +58,7 @@ class LookAhead(StateTable):
         *,
         horizon: float,
         segment: float,
+        as_bsk_rl: bool,
     ) -> None:
         """Make room for ``count`` satellites in each of ``num_envs`` episodes.
 
@@ -69,12 +70,13 @@ class LookAhead(StateTable):
             places: Places by kind, as functions of rows.
             horizon: Seconds for which windows are generated at reset.
             segment: Seconds by which windows are extended.
+            as_bsk_rl: See :class:`~bsk_torch.sim.access.windows.AccessWindows`.
         """
         super().__init__(num_envs, count, solver.device)
         kept = max(PLANNED_SEGMENTS, segments_for(segment) + PLANNED_SEGMENTS - 1)
         self.arcs = Arcs(num_envs, segments_for(horizon + MARGIN), solver, kept, count)
         self.eclipses = EclipseTable(self.arcs, visibility)
-        self.access = AccessWindows(self.arcs, visibility, places, segment) if places else None
+        self.access = AccessWindows(self.arcs, visibility, places, segment, as_bsk_rl) if places else None
         self.add("arcs", self.arcs)
         self.add("eclipses", self.eclipses)
         if self.access is not None:

@@ -1,8 +1,7 @@
 """Access windows that are kept up to date: generated at reset, extended when a query runs out of them.
 
-Windows are found on the planned trajectory, as bsk_rl finds them, for an interval at a time: once at reset for the whole episode,
-later in segments of ten minutes. A window that is open at the end of an interval is closed there, and joined when the windows of
-the next interval are generated.
+Windows are found on the planned trajectory, and queries see them as bsk_rl's do, for an interval at a time: once at reset for the
+whole episode, later in segments of ten minutes. A window that is open at the end of what is seen is closed there, until more is.
 """
 
 from __future__ import annotations
@@ -14,7 +13,7 @@ import torch
 from torch import Tensor
 
 from bsk_torch.astro.interpolate import COUNT
-from bsk_torch.sim.access.generation import GenerationIntervals, windows_of_passes
+from bsk_torch.sim.access.generation import GenerationIntervals, true_windows, windows_of_bsk_rl
 from bsk_torch.sim.access.padded import tabulate
 from bsk_torch.sim.access.passes import GroundTrack, Passes, PassSearch, Places
 from bsk_torch.sim.access.visibility.backend import Visibility
@@ -65,15 +64,19 @@ class AccessWindows(StateTable):
         until: End of what queries see, [N] s.
         ready: End of what has been searched, [N] s.
         ahead: Segments that are searched at once.
+        as_bsk_rl: Whether the windows are those that bsk_rl makes of passes, with its errors, instead of the passes themselves.
     """
 
     until: Tensor
     ready: Tensor
 
-    def __init__(self, arcs: Arcs, visibility: Visibility, kinds: Mapping[str, PlacesOf], segment: float) -> None:
+    def __init__(
+        self, arcs: Arcs, visibility: Visibility, kinds: Mapping[str, PlacesOf], segment: float, as_bsk_rl: bool = False
+    ) -> None:
         """Prepare empty tables."""
         super().__init__(arcs.num_envs, arcs.count, arcs.device)
         self.arcs, self.visibility, self.kinds, self.segment = arcs, visibility, dict(kinds), segment
+        self.as_bsk_rl = as_bsk_rl
         self.declare("until", 0.0)
         self.declare("ready", 0.0)
         for kind in kinds:
@@ -196,7 +199,8 @@ class AccessWindows(StateTable):
     def _generate(self, kind: str, rows: Tensor, track: GroundTrack, intervals: GenerationIntervals) -> Passes:
         """Return the windows of ``rows`` [n] over one kind of places."""
         search = PassSearch(self.visibility, track, self.kinds[kind](rows))
-        return windows_of_passes(search, search.passes(), intervals)
+        passes = search.passes()
+        return windows_of_bsk_rl(search, passes, intervals) if self.as_bsk_rl else true_windows(passes, intervals)
 
     def _store_passes(self, kind: str, rows: Tensor, found: Passes) -> None:
         close, opens, place = tabulate(found.row, found.close, len(rows), found.open, found.place)
