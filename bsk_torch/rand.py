@@ -36,6 +36,9 @@ BLOCK_BITS = 20
 
 MOST_SATELLITES = 1 << (32 - BLOCK_BITS)
 
+HIGH_WORDS = zlib.crc32(b"high words of environment and episode")
+"""Stream of the keys of environments and episodes from 2**32 on."""
+
 BLOCKS_AT_ONCE = 1 << 14
 """Philox blocks that are drawn at once, so that their words stay in the processor's cache."""
 
@@ -118,10 +121,25 @@ class Key:
         if self.satellite is not None:
             block = block + (self.satellite << BLOCK_BITS).unsqueeze(-1)
         counter = [block, *((x & WORD_MASK).unsqueeze(-1).expand(shape) for x in (self.episode, self.env_id)), stream]
-        key = [(self.seed & WORD_MASK).unsqueeze(-1).expand(shape), ((self.seed >> 32) & WORD_MASK).unsqueeze(-1).expand(shape)]
+        key = [word.unsqueeze(-1).expand(shape) for word in self._key_words()]
         words = torch.stack(philox(counter, key), -1).reshape(len(self), blocks * 2, 2)
         high, low = words[..., 0] >> 5, words[..., 1] >> 6
         return ((high * 67108864 + low).double() / 9007199254740992.0)[:, :count]
+
+    def _key_words(self) -> list[Tensor]:
+        """Return the two key words, [n] each: those of the seed, exchanged where environment or episode do not fit into 32 bits.
+
+        The counter has their low words. Where there are high words, Philox of them under the seed gives another key, so that all 64
+        bits count, and small numbers have the keys that they had when they alone did.
+        """
+        key = [self.seed & WORD_MASK, (self.seed >> 32) & WORD_MASK]
+        high = [(x >> 32) & WORD_MASK for x in (self.episode, self.env_id)]
+        large = (high[0] | high[1]) != 0
+        if not bool(large.any()):
+            return key
+        zero = torch.zeros_like(self.seed)
+        other = philox([zero, *high, torch.full_like(zero, HIGH_WORDS)], key)
+        return [torch.where(large, new, old) for new, old in zip(other[:2], key, strict=True)]
 
     def normal(self, count: int) -> Tensor:
         """Return standard normal float64 numbers [n, count], by the Box-Muller transform ``sqrt(-2 ln(1 - u)) cos(2 pi u')``."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import torch
 from torch import Tensor
 
@@ -11,7 +13,7 @@ from bsk_torch.astro.frames import rotate_z
 from bsk_torch.astro.gravity import third_body
 from bsk_torch.astro.integrate import State, rk4_step
 from bsk_torch.astro.orbit import Elements, elements_to_rv
-from bsk_torch.constants import MU_EARTH
+from bsk_torch.constants import MU_EARTH, RPM
 from bsk_torch.rand import Uniform, random_orbit
 from bsk_torch.sim.component import Arg, Bus, Component, Field, Values, vec
 from bsk_torch.sim.dyn.drag import drag
@@ -19,6 +21,10 @@ from bsk_torch.sim.dyn.field import called_field, full_field
 from bsk_torch.sim.dyn.thrusters import pulse_torque
 from bsk_torch.sim.dyn.wheels import SPIN_INERTIA
 from bsk_torch.vec3 import Vec3
+
+
+STABLE_TURN = 2.0 * math.sqrt(2.0)
+"""Angle, rad, that a Runge-Kutta step of order four resolves."""
 
 
 def box_inertia(mass: Tensor, width: Tensor, depth: Tensor, height: Tensor) -> Tensor:
@@ -39,11 +45,47 @@ def initial_orbit(args: Values) -> tuple[Tensor, Tensor]:
 
 
 def _check(args: Values) -> None:
+    if "wheelSpeeds" in args:
+        _check_inertia(args)
     given = [name for name in ("oe", "rN", "vN") if args[name] is not None]
     if given not in (["oe"], ["rN", "vN"]):
         raise KeyError(f"give the orbit as 'oe', or as both 'rN' and 'vN' with oe=None; given are {given or 'none'}")
     if args["oe"] is not None:
         _check_elements(args["oe"])
+
+
+def _check_inertia(args: Values) -> None:
+    """Check that the body is heavier than its wheels: the inertia of the box is that of hub and wheels together."""
+    inertia = box_inertia(*(args[name] for name in ("mass", "width", "depth", "height")))
+    light = inertia.min(-1).values <= SPIN_INERTIA
+    if bool(light.any()):
+        row = int(torch.nonzero(light)[0])
+        body = ", ".join(f"{name}={args[name][min(row, len(args[name]) - 1)].item():g}" for name in ("mass", "width", "depth", "height"))
+        raise ValueError(
+            f"{body}: a body whose smallest moment of inertia is {inertia[row].min().item():.3g} kg m^2 cannot hold reaction wheels "
+            f"of {SPIN_INERTIA:.3g} kg m^2 each (Honeywell HR16, as in Basilisk): no gains K and P are stable; give a larger body, or "
+            "models without wheels, dyn.DynamicsModel and fsw.FSWModel"
+        )
+
+
+def _check_spin(args: Values, h: float) -> None:
+    """Check that ticks of h s resolve the initial rates of body and wheels.
+
+    The body turns about its momentum H at up to ``|H| / J``; the Runge-Kutta method of order four is stable up to ``2 sqrt(2)`` rad in a
+    tick (Hairer and Wanner, "Solving ordinary differential equations II", section IV.2), and numbers overflow beyond.
+    """
+    inertia = box_inertia(*(args[name] for name in ("mass", "width", "depth", "height")))
+    H, J, names = inertia * args["omega_init"], inertia, "omega_init"
+    if "wheelSpeeds" in args:
+        H, J, names = H + args["wheelSpeeds"] * (RPM * SPIN_INERTIA), J - SPIN_INERTIA, "wheelSpeeds and omega_init"
+    turn = h * H.norm(dim=-1) / J.min(-1).values
+    if bool((turn > STABLE_TURN).any()):
+        row = int(turn.argmax())
+        raise ValueError(
+            f"{names} turn a body with mass={args['mass'][min(row, len(args['mass']) - 1)].item():g} kg by {turn[row].item():.3g} rad in a "
+            f"tick of sim_rate={h:g} s, and ticks resolve {STABLE_TURN:.3g} rad; give smaller initial rates, a larger body or a "
+            f"sim_rate of at most {h * STABLE_TURN / turn[row].item():.2g} s"
+        )
 
 
 def _check_elements(oe: Tensor) -> None:
@@ -156,16 +198,16 @@ def translate_and_rotate(bus: Bus) -> None:
 HUB = Component(
     slot="hub",
     args=(
-        Arg("mass", 330.0, "kg", "hub mass", low=1e-6),
-        Arg("width", 1.38, "m", "side of the hub", low=1e-6),
-        Arg("depth", 1.04, "m", "side of the hub", low=1e-6),
-        Arg("height", 1.58, "m", "side of the hub", low=1e-6),
-        Arg("sigma_init", Uniform(0.0, 1.0, 3), "-", "initial attitude, MRP of B relative to N", kind="vector"),
-        Arg("omega_init", Uniform(-1e-4, 1e-4, 3), "rad/s", "initial body rate in B", kind="vector"),
+        Arg("mass", 330.0, "kg", "hub mass", low=1e-6, high=1e9),
+        Arg("width", 1.38, "m", "side of the hub", low=1e-6, high=1e4),
+        Arg("depth", 1.04, "m", "side of the hub", low=1e-6, high=1e4),
+        Arg("height", 1.58, "m", "side of the hub", low=1e-6, high=1e4),
+        Arg("sigma_init", Uniform(0.0, 1.0, 3), "-", "initial attitude, MRP of B relative to N", "vector", -1e6, 1e6),
+        Arg("omega_init", Uniform(-1e-4, 1e-4, 3), "rad/s", "initial body rate in B", "vector", -1e3, 1e3),
         Arg("oe", random_orbit(), "m, -, rad", "initial orbit as elements a, e, i, Omega, omega, f", kind="orbit"),
-        Arg("rN", None, "m", "initial position, instead of oe", kind="vector"),
-        Arg("vN", None, "m/s", "initial velocity, instead of oe", kind="vector"),
-        Arg("mu", MU_EARTH, "m^3/s^2", "gravitational parameter that converts oe", low=1.0),
+        Arg("rN", None, "m", "initial position, instead of oe", "vector", -1e9, 1e9),
+        Arg("vN", None, "m/s", "initial velocity, instead of oe", "vector", -1e6, 1e6),
+        Arg("mu", MU_EARTH, "m^3/s^2", "gravitational parameter that converts oe", low=1.0, high=1e20),
         Arg("min_orbital_radius", 6578136.6, "m", "a spacecraft at or below this radius dies", low=0.0),
     ),
     state=(
@@ -178,4 +220,5 @@ HUB = Component(
     initial=_initial,
     prepare=_prepare,
     check=_check,
+    check_tick=_check_spin,
 )
