@@ -1,7 +1,7 @@
 """Checks of single values that users give: numbers within bounds, whole numbers, switches, functions. All raise ValueError.
 
-Messages name the argument, the value and what is allowed. Tables of arguments (:class:`bsk_torch.sim.component.Arg`) check tensors
-of values; these functions are for arguments of constructors.
+Messages name the argument, the value and what is allowed. These functions are for arguments of constructors; tables of arguments
+(:class:`bsk_torch.sim.component.Arg`) check tensors of values.
 """
 
 from __future__ import annotations
@@ -73,10 +73,11 @@ def _real(value: Any) -> float | None:
 
 def whole(title: str, value: Any, low: int, high: int | None = None) -> int:
     """Return a whole number of the user from ``low`` to ``high`` as an int; ValueError for anything else, floats included."""
-    if not isinstance(value, Integral) or isinstance(value, bool | np.bool_) or value < low or (high is not None and value > high):
+    found = int(value) if isinstance(value, Integral) and not isinstance(value, bool | np.bool_) else None
+    if found is None or found < low or (high is not None and found > high):
         allowed = f"from {low} on" if high is None else f"from {low} to {high}"
         raise ValueError(f"{title}={value!r} must be a whole number {allowed}")
-    return int(value)
+    return found
 
 
 def switch(title: str, value: Any) -> bool:
@@ -96,5 +97,5 @@ def text(title: str, value: Any) -> str:
 def function(title: str, value: Any, what: str) -> Callable[..., Any]:
     """Return a function of the user; ValueError for what is none; ``what`` says of what it is a function."""
     if callable(value) and not isinstance(value, type):
-        return value  # type: ignore[no-any-return]
+        return value
     raise ValueError(f"{title}={value!r} must be a function of {what}")

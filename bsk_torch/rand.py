@@ -129,8 +129,8 @@ class Key:
     def _key_words(self) -> list[Tensor]:
         """Return the two key words, [n] each: those of the seed, exchanged where environment or episode do not fit into 32 bits.
 
-        The counter has their low words. Where there are high words, Philox of them under the seed gives another key, so that all 64
-        bits count, and small numbers have the keys that they had when they alone did.
+        The counter has their low words. Where there are high words, Philox of them under the seed gives another key, so that all
+        64 bits count, and numbers below 2**32 have the seed itself as their key.
         """
         key = [self.seed & WORD_MASK, (self.seed >> 32) & WORD_MASK]
         high = [(x >> 32) & WORD_MASK for x in (self.episode, self.env_id)]

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
+from bsk_torch._checks import function
 from bsk_torch.data.base import GlobalReward, Log
 
 if TYPE_CHECKING:
@@ -23,8 +24,11 @@ class ScanningTimeReward(GlobalReward):
     """
 
     def __init__(self, reward_fn: Callable[[Tensor], Tensor] | None = None) -> None:
-        """Pay ``reward_fn`` of seconds [N, S], which returns [N, S]; None multiplies by the scenario's ``value_per_second``."""
-        self.reward_fn = reward_fn
+        """Pay ``reward_fn`` of seconds [N, S], which returns [N, S]; None multiplies by the scenario's ``value_per_second``.
+
+        ValueError for what is no function.
+        """
+        self.reward_fn = None if reward_fn is None else function("reward_fn", reward_fn, "seconds")
 
     def link(self, scenario: Scenario, fleet: Fleet) -> None:
         """See :meth:`GlobalReward.link`; ValueError without a value per second, or without a store."""

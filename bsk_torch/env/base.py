@@ -265,7 +265,7 @@ class Tasking(ChangingArguments, EnvBase):
         """
         count = self.num_envs
         several = isinstance(seeds, Sequence | Tensor | np.ndarray) and not isinstance(seeds, str)
-        given = list(seeds) if several else [seeds] * count  # type: ignore[arg-type]
+        given: list[Any] = list(seeds) if several else [seeds] * count  # type: ignore[arg-type]
         if len(given) != count:
             raise ValueError(f"seed has {len(given)} entries; it must be an integer or have {count}, one per environment")
         given = [seed.item() if isinstance(seed, Tensor) and seed.ndim == 0 else seed for seed in given]

@@ -8,6 +8,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from bsk_torch.act.broadcast import Broadcast
 from bsk_torch.astro.ephemeris import coverage, coverage_in_words
 from bsk_torch.constants import NANO
 from bsk_torch.data import checked
@@ -110,6 +111,7 @@ class FleetBuilder:
             randomize=self._share_of(columns),
             world_type=self.world_type,
             advised=self.advised,
+            controlled=_may_control(satellite),
         )
 
     def _share_of(self, columns: Sequence[int]) -> Callable[[Key], Overrides]:
@@ -188,6 +190,18 @@ class FleetBuilder:
         fleet.reset(envs, drawn, durations, limit)
 
 
+def _may_control(satellite: Satellite) -> bool:
+    """Return whether an action of the satellite may switch attitude control on; those of users' classes may."""
+    modes, commands = satellite.fsw_type.all_modes(), satellite.fsw_type.all_commands()
+    for entry in satellite.action_spec:
+        if isinstance(entry, Broadcast):
+            continue
+        command = commands.get(str(getattr(entry, "fsw_action", "")).removeprefix("action_"))
+        if command is None or any("control_on" in modes[mode].on for mode in command.modes):
+            return True
+    return False
+
+
 def check_ephemeris(drawn: EpisodeDraw, limit: Tensor) -> None:
     """Raise ValueError for episodes with finite time limits [n] s that would go on after the Sun's ephemeris."""
     finite = torch.where(torch.isfinite(limit), limit, 0.0)
@@ -197,8 +211,8 @@ def check_ephemeris(drawn: EpisodeDraw, limit: Tensor) -> None:
         beyond = float(ends.max()) - coverage()[1]
         if beyond > 0.0:
             raise ValueError(
-                f"world_args: utc_init and time_limit: an episode would end {beyond:.0f} s after the ephemeris table, which covers "
-                f"{coverage_in_words()} (TDB); give an earlier utc_init or a shorter time_limit"
+                f"world_args: utc_init and time_limit: an episode would end {beyond:.0f} s after the ephemeris table, which "
+                f"covers {coverage_in_words()} (TDB); give an earlier utc_init or a shorter time_limit"
             )
 
 

@@ -12,6 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from bsk_torch._checks import number
 from bsk_torch.rand import Distribution, Key, PerEnv, first_key, seeded
 
 Numbers = float | Distribution | Callable[[], float]
@@ -135,10 +136,11 @@ def check_numbers(what: str, value: Any, count: int, **bounds: Any) -> None:
 
 def check_radius(what: str, radius: float) -> float:
     """Return ``radius``, m; ValueError if it lies inside the Earth."""
-    problem = _inside(torch.tensor(float(radius), dtype=torch.float64))
+    found = number(what, radius, finite=False)
+    problem = _inside(torch.tensor(found, dtype=torch.float64))
     if problem:
         raise ValueError(f"{what}={radius!r}: the distance {problem}")
-    return float(radius)
+    return found
 
 
 def check_positions(r_LP_P: Tensor, of: str = "") -> None:

@@ -9,6 +9,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from bsk_torch._checks import number
 from bsk_torch.constants import R_EARTH
 from bsk_torch.rand import Key, Uniform
 from bsk_torch.scene.draws import Count, Numbers, calls_user, check_numbers, draw_numbers, on_sphere
@@ -68,11 +69,8 @@ class Wildfires(ChangingTargets, UniformTargets):
         self.fire_args = {"ignition": ignition, "rate_of_spread": rate_of_spread, "burning_time": burning_time}
         for name, value in self.fire_args.items():
             check_numbers(name, value, self.most_targets, **FIRE_BOUNDS[name])
-        if not 1.0 <= length_to_breadth < math.inf:
-            raise ValueError(f"length_to_breadth={length_to_breadth!r} must be at least 1")
-        if not 0.0 < full_area < math.inf:
-            raise ValueError(f"full_area={full_area!r} must be a positive number of m^2")
-        self.length_to_breadth, self.full_area = float(length_to_breadth), float(full_area)
+        self.length_to_breadth = number("length_to_breadth", length_to_breadth, 1.0, 1e6)
+        self.full_area = number("full_area", full_area, 1e-6, 1e18, unit="m^2")
         self.regions = _region_table([WORLD] if regions is None else regions)
 
     @property
@@ -115,7 +113,8 @@ def _region_table(regions: Sequence[Region]) -> Tensor:
     """Return relative area, sines of southern and northern latitude, western edge and width, rad, of each region; [5, R]."""
     rows = []
     for k, region in enumerate(regions):
-        south, north, west, east = region if isinstance(region, Sequence) and len(region) == 4 else (math.nan,) * 4
+        numbers = isinstance(region, Sequence) and len(region) == 4 and all(isinstance(edge, int | float) for edge in region)
+        south, north, west, east = region if numbers else (math.nan,) * 4
         width = east - west if east > west else east - west + 360.0
         if not (-90.0 <= south < north <= 90.0 and -180.0 <= west <= 180.0 and -180.0 <= east <= 180.0 and west != east):
             raise ValueError(

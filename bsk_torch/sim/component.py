@@ -173,8 +173,8 @@ class Component:
     ``at_start`` it takes part in the tick at time zero, whose length is zero; components of the world always do.
 
     ``initial`` and ``prepare`` compute, from the arguments of the rows being reset, the state and the tick parameters as float64
-    tensors [n or 1] and [n or 1, width]; ``check`` raises for arguments that do not fit together, ``check_tick`` for those that do
-    not fit the length of a tick, s, and returns words to be logged about those that hardly do. ``overwrites`` lists fields
+    tensors [n or 1] and [n or 1, width]; ``check`` raises for arguments that do not fit together, ``check_tick`` for those that
+    do not fit the length of a tick, s, and returns words to be logged about those that hardly do. ``overwrites`` lists fields
     whose last value the update does not read, so that what a user writes into them is lost, each with advice what to do instead.
     ``integrated_only`` components run only where the orbit is integrated in the tick. ``fit`` makes the component that is used
     from the arguments as users gave them, defaults included, where its structure depends on them: it is called once, when the

@@ -50,11 +50,11 @@ ArgumentChange = tuple[int, str, Any, Sequence[int] | None]
 ORBITS = ("arc", "integrated")
 
 SHORTEST_TICK, LONGEST_TICK = 1e-3, 60.0
-"""Bounds of the length of a tick, s. Shorter ones make a step of minutes take millions of ticks; longer ones than a minute would pass
-over the nodes of arcs."""
+"""Bounds of the length of a tick, s. With shorter ones a step of minutes takes millions of ticks; longer ones than a minute would
+pass over the nodes of arcs."""
 
 LOWEST_PERIAPSIS, HIGHEST_APOAPSIS = 6.35e6, 1e9
-"""Bounds of the radii of initial orbits, m: the Earth's polar radius is 6.357e6, and beyond the upper one the Moon cannot be left out."""
+"""Bounds of the radii of initial orbits, m: the Earth's polar radius is 6.357e6, and the Moon, which is left out, at 4e8."""
 
 DENSEST_AIR = 10.0
 """Largest density, kg/m^3, at an initial position."""
@@ -164,6 +164,7 @@ class Simulator:
         randomize: Callable[[Key], Overrides] = lambda key: {},
         world_type: type[WorldModel] | None = None,
         advised: set[Any] | None = None,
+        controlled: bool = True,
     ) -> None:
         """Build the tick and check the arguments with trial draws; :meth:`reset` fills the state.
 
@@ -186,6 +187,7 @@ class Simulator:
             randomize: Draws arguments that replace those of some satellites.
             world_type: World model; None for what the dynamics model requires.
             advised: What has been logged about arguments, so that simulations that share it do not say it again.
+            controlled: Whether actions may switch attitude control on, so that its gains matter.
 
         Raises:
             TypeError: For models that do not fit together, or a component that reads what none writes.
@@ -198,7 +200,7 @@ class Simulator:
         if self.orbit not in ORBITS:
             raise ValueError(f"orbit={self.orbit!r} must be one of {list(ORBITS)}, or None for the model's own")
         self.stops, self._randomize = stops, randomize
-        self._advised = set() if advised is None else advised
+        self._advised, self._controlled = set() if advised is None else advised, controlled
         self._make_components(dyn_type, fsw_type, world_type, sat_args, world_args)
         self._make_tick()
         self._make_lookahead(horizon, segment)
@@ -378,6 +380,8 @@ class Simulator:
         """Check that arguments fit the length of a tick; what hardly does is logged once for each part of a model."""
         wrong = []
         for part in self.parts:
+            if part.slot == "control" and not self._controlled:
+                continue
             try:
                 words = part.check_tick(values, self.h_ns * NANO)
             except ValueError as error:
@@ -400,12 +404,12 @@ class Simulator:
             if lowest < top:
                 raise ValueError(
                     f"sat_args: an orbit comes down to {lowest / 1e3:.0f} km from the Earth's centre, but drag is felt below "
-                    f"{top / 1e3:.6g} km (by {', '.join(names)}) and the orbit is computed without it; pass orbit='integrated' to the "
-                    "environment"
+                    f"{top / 1e3:.6g} km (by {', '.join(names)}) and the orbit is computed without it; pass "
+                    "orbit='integrated' to the environment"
                 )
         elif not bool((exponential_density(r, *(values[name] for name in names)) <= DENSEST_AIR).all()):
             raise ValueError(
-                f"world_args: by {', '.join(names)} the air has more than {DENSEST_AIR:g} kg/m^3 at a satellite's initial position"
+                f"world_args: by {', '.join(names)} the air has more than {DENSEST_AIR:g} kg/m^3 at an initial position"
             )
 
     @staticmethod
@@ -419,7 +423,7 @@ class Simulator:
         if not bool(bound.all()):
             raise ValueError(
                 f"sat_args: {given} no orbit around the Earth: {_first(radius, ~bound) / 1e3:g} km from its centre at "
-                f"{_first(speed2.sqrt(), ~bound):g} m/s, with mu={_first(mu, ~bound):g} m^3/s^2; the energy of an orbit is negative"
+                f"{_first(speed2.sqrt(), ~bound):g} m/s, with mu={_first(mu, ~bound):g} m^3/s^2; an orbit's energy is negative"
             )
         periapsis = periapsis_radius(r, v)
         wrong = ~((periapsis >= LOWEST_PERIAPSIS) & (2.0 * a - periapsis <= HIGHEST_APOAPSIS))
@@ -427,8 +431,8 @@ class Simulator:
             low, high = _first(periapsis, wrong), _first(2.0 * a - periapsis, wrong)
             raise ValueError(
                 f"sat_args: {given} an orbit from {low / 1e3:.6g} to {high / 1e3:.6g} km from the Earth's centre; allowed are "
-                f"{LOWEST_PERIAPSIS / 1e3:g} km, its surface, to {HIGHEST_APOAPSIS / 1e3:g} km (oe: a(1 - e) and a(1 + e); rN and vN: not "
-                "parallel)"
+                f"{LOWEST_PERIAPSIS / 1e3:g} km, its surface, to {HIGHEST_APOAPSIS / 1e3:g} km (oe: a(1 - e) and a(1 + e); rN "
+                "and vN: not parallel)"
             )
         return float(periapsis.min())
 

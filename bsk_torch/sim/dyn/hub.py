@@ -22,6 +22,8 @@ from bsk_torch.sim.dyn.thrusters import pulse_torque
 from bsk_torch.sim.dyn.wheels import SPIN_INERTIA
 from bsk_torch.vec3 import Vec3
 
+BODY = ("mass", "width", "depth", "height")
+"""Arguments that the inertia follows from."""
 
 STABLE_TURN = 2.0 * math.sqrt(2.0)
 """Angle, rad, that a Runge-Kutta step of order four resolves."""
@@ -54,37 +56,44 @@ def _check(args: Values) -> None:
         _check_elements(args["oe"])
 
 
+def _inertia(args: Values) -> Tensor:
+    return box_inertia(*(args[name] for name in BODY))
+
+
+def _in_words(args: Values, row: int) -> str:
+    return ", ".join(f"{name}={args[name][min(row, len(args[name]) - 1)].item():g}" for name in BODY)
+
+
 def _check_inertia(args: Values) -> None:
     """Check that the body is heavier than its wheels: the inertia of the box is that of hub and wheels together."""
-    inertia = box_inertia(*(args[name] for name in ("mass", "width", "depth", "height")))
-    light = inertia.min(-1).values <= SPIN_INERTIA
-    if bool(light.any()):
-        row = int(torch.nonzero(light)[0])
-        body = ", ".join(f"{name}={args[name][min(row, len(args[name]) - 1)].item():g}" for name in ("mass", "width", "depth", "height"))
+    smallest = _inertia(args).min(-1).values
+    if bool((smallest <= SPIN_INERTIA).any()):
+        row = int(smallest.argmin())
         raise ValueError(
-            f"{body}: a body whose smallest moment of inertia is {inertia[row].min().item():.3g} kg m^2 cannot hold reaction wheels "
-            f"of {SPIN_INERTIA:.3g} kg m^2 each (Honeywell HR16, as in Basilisk): no gains K and P are stable; give a larger body, or "
-            "models without wheels, dyn.DynamicsModel and fsw.FSWModel"
+            f"{_in_words(args, row)}: a body whose smallest moment of inertia is {smallest[row].item():.3g} kg m^2 cannot hold "
+            f"reaction wheels of {SPIN_INERTIA:.3g} kg m^2 each (Honeywell HR16, as in Basilisk): no gains K and P are stable. "
+            "Give a larger body, or models without wheels, dyn.DynamicsModel and fsw.FSWModel"
         )
 
 
 def _check_spin(args: Values, h: float) -> None:
     """Check that ticks of h s resolve the initial rates of body and wheels.
 
-    The body turns about its momentum H at up to ``|H| / J``; the Runge-Kutta method of order four is stable up to ``2 sqrt(2)`` rad in a
-    tick (Hairer and Wanner, "Solving ordinary differential equations II", section IV.2), and numbers overflow beyond.
+    The body turns about its momentum H at up to ``|H| / J``. The Runge-Kutta method of order four is stable up to ``2 sqrt(2)``
+    rad in a step (Hairer and Wanner, "Solving ordinary differential equations II", section IV.2), and numbers overflow beyond.
     """
-    inertia = box_inertia(*(args[name] for name in ("mass", "width", "depth", "height")))
-    H, J, names = inertia * args["omega_init"], inertia, "omega_init"
+    inertia = _inertia(args)
+    H, J, names = inertia * args["omega_init"], inertia, "omega_init turns"
     if "wheelSpeeds" in args:
-        H, J, names = H + args["wheelSpeeds"] * (RPM * SPIN_INERTIA), J - SPIN_INERTIA, "wheelSpeeds and omega_init"
+        H = H + args["wheelSpeeds"] * (RPM * SPIN_INERTIA)
+        J, names = J - SPIN_INERTIA, "wheelSpeeds and omega_init turn"
     turn = h * H.norm(dim=-1) / J.min(-1).values
-    if bool((turn > STABLE_TURN).any()):
-        row = int(turn.argmax())
+    row = int(turn.argmax())
+    if bool(turn[row] > STABLE_TURN):
         raise ValueError(
-            f"{names} turn a body with mass={args['mass'][min(row, len(args['mass']) - 1)].item():g} kg by {turn[row].item():.3g} rad in a "
-            f"tick of sim_rate={h:g} s, and ticks resolve {STABLE_TURN:.3g} rad; give smaller initial rates, a larger body or a "
-            f"sim_rate of at most {h * STABLE_TURN / turn[row].item():.2g} s"
+            f"{names} a body with {_in_words(args, row)} by {turn[row].item():.3g} rad in a tick of sim_rate={h:g} s; ticks "
+            f"resolve {STABLE_TURN:.3g} rad. Give smaller initial rates, a larger body, or a sim_rate of at most "
+            f"{h * STABLE_TURN / turn[row].item():.2g} s"
         )
 
 

@@ -251,7 +251,7 @@ class ImagingDynModel(BasicDynamicsModel):
 
     @observable
     def storage_level_fraction(now: Now) -> Tensor:
-        """Data over capacity, ``level / dataStorageCapacity``, [N]; 0 without capacity: a store of less than a bit stays empty."""
+        """Data over capacity, ``level / dataStorageCapacity``, [N]; 0 without capacity, where the store stays empty."""
         return now.storage / torch.clamp(now.args.dataStorageCapacity, min=1.0)
 
     @observable
@@ -303,7 +303,15 @@ class LOSCommDynModel(DynamicsModel):
     components: ClassVar[tuple[Component, ...]] = (
         Component(
             slot="los_comms",
-            args=(Arg("losMaximumRange", -1.0, "m", "longest range of sight to other satellites; no limit where not positive", endless=True),),
+            args=(
+                Arg(
+                    "losMaximumRange",
+                    -1.0,
+                    "m",
+                    "longest range of sight to other satellites; no limit where not positive",
+                    endless=True,
+                ),
+            ),
         ),
     )
 

@@ -12,7 +12,6 @@ from bsk_torch.constants import AU, SOLAR_FLUX
 from bsk_torch.rand import Uniform
 from bsk_torch.sim.component import Arg, Bus, Component, Field, Values, vec
 
-
 AXIS_BOUNDS = -1e9, 1e9
 """Bounds of the components of vectors of which only the direction counts."""
 
@@ -97,7 +96,9 @@ def sink(slot: str, arg: Arg, flag: str | None) -> Component:
 
 
 BASE_POWER = sink("base_power", power_arg("basePowerDraw", 0.0, "power always drawn, negative"), None)
-THRUSTER_POWER = sink("thruster_draw", power_arg("thrusterPowerDraw", 0.0, "power while desaturating, negative"), "thruster_power")
+THRUSTER_POWER = sink(
+    "thruster_draw", power_arg("thrusterPowerDraw", 0.0, "power while desaturating, negative"), "thruster_power"
+)
 
 BATTERY = Component(
     slot="battery",

@@ -11,7 +11,6 @@ from torch import Tensor
 from bsk_torch.sim.component import Arg, Bus, Component, Field, Values
 from bsk_torch.sim.dyn.power import power_arg, sink
 
-
 MOST_BITS = 2.0**53
 """Bound of data and of data rates, bit and bit/s: above it whole bits are not exact."""
 
@@ -112,7 +111,9 @@ TRANSMITTER = Component(
     update=transmit,
     args=(
         Arg("transmitterBaudRate", -8e6, "bit/s", "data rate of the downlink, negative", low=-MOST_BITS, high=0.0),
-        Arg("transmitterPacketSize", None, "bit", "packet, negative; None: one second of the instrument", low=-MOST_BITS, high=0.0),
+        Arg(
+            "transmitterPacketSize", None, "bit", "packet, negative; None: one second of the instrument", low=-MOST_BITS, high=0.0
+        ),
         Arg("transmitterNumBuffers", 100.0, "-", "partitions of a partitioned store", low=1.0, high=MOST_BUFFERS, whole=True),
     ),
     state=(Field("packet", 1, "bit", exact=True), Field("idle", 1, "s", exact=True)),

@@ -78,7 +78,9 @@ WHEEL_POWER = Component(
     update=draw_wheel_power,
     args=(
         power_arg("rwBasePower", 0.4, "power that each wheel always draws"),
-        Arg("rwMechToElecEfficiency", 0.0, "-", "share of braking power returned; negative: braking costs too", low=-1e6, high=1.0),
+        Arg(
+            "rwMechToElecEfficiency", 0.0, "-", "share of braking power returned; negative: braking costs too", low=-1e6, high=1.0
+        ),
         Arg("rwElecToMechEfficiency", 0.5, "-", "share of electrical power that accelerates a wheel", low=1e-9, high=1.0),
     ),
     params=(Field("wheel_base_power", 1, "W"), Field("wheel_to_battery"), Field("battery_to_wheel")),

@@ -65,7 +65,11 @@ def ephemeris_records(et: Tensor, hours: int) -> Tensor:
     No episode reaches the end of the Sun's table, but look-ahead may: there the Sun stays where it is at the end.
     """
     times = et.unsqueeze(-1) + EPHEMERIS_TRACK.spacing * torch.arange(hours, device=et.device)
-    parts = [*sun_state(times.clamp(max=coverage()[1])), earth_angles(times)[2].unsqueeze(-1), pole_matrix(times).stack().flatten(-2)]
+    parts = [
+        *sun_state(times.clamp(max=coverage()[1])),
+        earth_angles(times)[2].unsqueeze(-1),
+        pole_matrix(times).stack().flatten(-2),
+    ]
     return torch.cat(parts, -1)
 
 

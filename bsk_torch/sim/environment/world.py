@@ -89,7 +89,9 @@ def cast_shadow(bus: Bus) -> None:
 
 STATION_ARGS = (
     Arg("groundStationsData", DEFAULT_STATIONS, "deg, m", "list of dictionaries lat, long, elev, name", "stations"),
-    Arg("groundLocationPlanetRadius", R_EARTH, "m", "radius of the sphere that stations stand on", low=1e-9, high=1e9, shared=True),
+    Arg(
+        "groundLocationPlanetRadius", R_EARTH, "m", "radius of the sphere that stations stand on", low=1e-9, high=1e9, shared=True
+    ),
     Arg("gsMinimumElevation", math.radians(10.0), "rad", "least elevation", low=-math.pi / 2, high=math.pi / 2, shared=True),
     Arg("gsMaximumRange", -1.0, "m", "longest range; no limit where negative", shared=True, endless=True),
 )

@@ -6,8 +6,8 @@ import torch
 from torch import Tensor
 
 from bsk_torch.sim.component import Arg, Bus, Component, Field, Values, vec
-from bsk_torch.sim.dyn.hub import box_inertia
-from bsk_torch.sim.fsw.stability import INERTIA, Law, check_gains, has_wheels, in_words
+from bsk_torch.sim.dyn.hub import BODY, box_inertia
+from bsk_torch.sim.fsw.stability import Law, check_gains, has_wheels, in_words
 from bsk_torch.vec3 import Vec3, select
 
 
@@ -63,7 +63,7 @@ def feedback_law(args: Values, h: float) -> Law:
     """Return :func:`feed_back` near its reference, in ticks of h s."""
     K, P, Ki = (args[name].unsqueeze(-1) for name in ("K", "P", "Ki"))
     integral, none = torch.clamp(Ki, min=0.0), torch.zeros_like(K + P + Ki)
-    inertia = box_inertia(*(args[name] for name in INERTIA))
+    inertia = box_inertia(*(args[name] for name in BODY))
     return Law(K + none, P * integral * K * h, P * (1.0 + integral * inertia), none)
 
 

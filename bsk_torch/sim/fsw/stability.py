@@ -1,35 +1,32 @@
 """Whether attitude control is stable at the length of a tick: the linear closed loop of one axis, sampled.
 
-With the attitude error s, the rate w and the inertia J of the body without its wheels' spin, ``s' = w / 4`` and ``w' = -u / J``. The
-torque u of a tick is what was commanded one tick earlier, from the state at that tick's start (see
-:mod:`bsk_torch.sim.schedule`), so with ``W = h w / 4`` and the command ``c = A s + R W``, scaled by ``h^2 / (4 J)``::
+With the attitude error s, the rate w and the inertia J of the body without its wheels' spin, ``s' = w / 4`` and ``w' = -u / J``.
+The torque u of a tick is what was commanded one tick before the tick's start (see :mod:`bsk_torch.sim.schedule`), so with
+``W = h w / 4`` and the command ``c = A s + R W``, scaled by ``h^2 / (4 J)``::
 
     W(k + 1) = W(k) - c(k - 1)        s(k + 1) = s(k) + W(k) - c(k - 1) / 2
 
-Where pointing at the Sun or at a place, the rate is a difference of errors: ``R (s(k) - s(k - 1))`` takes the place of ``R W(k)``.
-A law that integrates has ``A = a0 + a1 z / (z - 1)`` and ``R = r0 + r1 z / (z - 1)``. The loop is stable if all roots of its
-characteristic polynomial lie within the unit circle, which the recursion of Schur and Cohn tells (Jury, "Theory and application of the
-z-transform method", 1964, chapter 3).
+Where pointing at the Sun or at a place, the rate is a difference of errors: ``R (s(k) - s(k - 1))`` takes the place of
+``R W(k)``. A law that integrates has ``A = a0 + a1 z / (z - 1)`` and ``R = r0 + r1 z / (z - 1)``. The loop is stable if all roots
+of its characteristic polynomial lie within the unit circle, which the recursion of Schur and Cohn tells (Jury, "Theory and
+application of the z-transform method", 1964, chapter 3).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 
 from bsk_torch.sim.component import Values
-from bsk_torch.sim.dyn.hub import box_inertia
+from bsk_torch.sim.dyn.hub import BODY, box_inertia
 from bsk_torch.sim.dyn.wheels import MAX_SPEED, SPIN_INERTIA
 
-INERTIA = ("mass", "width", "depth", "height")
-"""Arguments that the inertia of the body follows from."""
-
 SUGGESTED = {"P": (0.4, 1), "K": (0.08, 2), "Ki": (0.05, 2)}
-"""Gains that are suggested: ``P h / J``, ``K h^2 / J`` and, of an integral, ``Ki h^2 / J``, about those of bsk_rl's satellite in ticks of
-1 s; J is the smallest moment of inertia."""
+"""Gains that are suggested: ``P h / J``, ``K h^2 / J`` and, of an integral, ``Ki h^2 / J``, with the smallest moment of inertia
+J; about those of bsk_rl's satellite in ticks of 1 s."""
 
 GROWTH = 1.001
 """Factor by which a tick must multiply errors for a loop to grow without bound, and not only to keep them."""
@@ -70,7 +67,7 @@ def _times(p: Polynomial, q: Polynomial) -> list[Tensor]:
 
 def _plus(*parts: Polynomial) -> list[Tensor]:
     size = max(map(len, parts))
-    padded = [[torch.zeros(())] * (size - len(part)) + list(part) for part in parts]
+    padded: list[list[Any]] = [[0.0] * (size - len(part)) + list(part) for part in parts]
     return [sum(column, start=torch.zeros(())) for column in zip(*padded, strict=True)]
 
 
@@ -124,7 +121,7 @@ def check_gains(args: Values, h: float, law: Law, gains: str, suggested: str) ->
     Raises:
         ValueError: Where nothing keeps the growing rates bounded, so that numbers overflow.
     """
-    J = box_inertia(*(args[name] for name in INERTIA)) - SPIN_INERTIA
+    J = box_inertia(*(args[name] for name in BODY)) - SPIN_INERTIA
     unstable = ~is_stable(law, J, h).all(-1)
     if not bool(unstable.any()):
         return None
@@ -135,8 +132,9 @@ def check_gains(args: Values, h: float, law: Law, gains: str, suggested: str) ->
     smallest, mass = (values[min(row, len(values) - 1)].item() for values in (least, args["mass"]))
     better = {name: f"{share * smallest / h**power:.2g}" for name, (share, power) in SUGGESTED.items()}
     words = (
-        f"attitude control with {gains} is not stable at sim_rate={h:g} s for a body with mass={mass:g} kg, whose smallest moment of "
-        f"inertia is {smallest:.3g} kg m^2 without its wheels; {suggested.format(**better)} are stable, or a smaller sim_rate"
+        f"attitude control with {gains} is not stable at sim_rate={h:g} s for a body with mass={mass:g} kg, whose smallest "
+        f"moment of inertia is {smallest:.3g} kg m^2 without its wheels; {suggested.format(**better)} are stable, or a "
+        "smaller sim_rate"
     )
     if bool(overflows.any()):
         raise ValueError(f"{words}. Rates would grow until numbers overflow")
@@ -154,4 +152,4 @@ def in_words(args: Values, *names: str) -> str:
 
 def has_wheels(args: Values) -> bool:
     """Return whether the arguments are those of a body with wheels."""
-    return all(name in args for name in (*INERTIA, "u_max"))
+    return all(name in args for name in (*BODY, "u_max"))

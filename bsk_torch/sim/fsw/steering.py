@@ -13,10 +13,10 @@ from torch import Tensor
 
 from bsk_torch.astro.attitude import mrp_rate
 from bsk_torch.sim.component import Arg, Bus, Component, Field, Values
-from bsk_torch.sim.dyn.hub import box_inertia
+from bsk_torch.sim.dyn.hub import BODY, box_inertia
 from bsk_torch.sim.dyn.wheels import SPIN_INERTIA
 from bsk_torch.sim.fsw.control import CONTROL_AXES, CONTROL_STATE, check_control_axes, initial_control
-from bsk_torch.sim.fsw.stability import INERTIA, Law, check_gains, has_wheels, in_words
+from bsk_torch.sim.fsw.stability import Law, check_gains, has_wheels, in_words
 from bsk_torch.vec3 import Vec3, only, select
 
 
@@ -79,7 +79,7 @@ def steering_law(args: Values, h: float) -> Law:
     """Return :func:`steer` near its reference, in ticks of h s: there ``w_s = -K1 s`` and ``w_s' = K1^2 s / 4``."""
     K1, P, Ki = (args[name].unsqueeze(-1) for name in ("K1", "servo_P", "servo_Ki"))
     sums = torch.clamp(Ki, min=0.0) * h
-    inertia = box_inertia(*(args[name] for name in INERTIA))
+    inertia = box_inertia(*(args[name] for name in BODY))
     none = torch.zeros_like(K1 + P + sums)
     return Law(P * K1 - inertia * K1 * K1 / 4.0, sums * K1, P + none, sums + none)
 

@@ -76,7 +76,14 @@ IMAGE_TARGET = Component(
     args=(
         Arg("imageTargetMinimumElevation", math.radians(45.0), "rad", "least elevation of the satellite above the target"),
         MAXIMUM_RANGE,
-        Arg("groundLocationPlanetRadius", R_EARTH, "m", "radius of the sphere that the target stands on at first", low=1e-9, high=1e9),
+        Arg(
+            "groundLocationPlanetRadius",
+            R_EARTH,
+            "m",
+            "radius of the sphere that the target stands on at first",
+            low=1e-9,
+            high=1e9,
+        ),
     ),
     state=(vec("r_LP_P", "m", "place that the agent has chosen, Earth-fixed", exact=True),),
     params=(Field("target_range", 1, "m", exact=True), Field("target_sin2_elevation", 1, "-", exact=True)),
