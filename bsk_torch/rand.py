@@ -20,6 +20,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from bsk_torch._checks import number, whole
 from bsk_torch.astro.elements import ClassicElements
 
 logger = logging.getLogger(__name__)
@@ -229,6 +230,29 @@ class Distribution:
         raise TypeError(f"{type(self).__name__} does not say how to draw: implement draw(key)")
 
 
+MOST = 1e300
+"""Bound of the numbers of distributions: their differences are finite."""
+
+
+def _check_numbers(**given: Any) -> None:
+    """Raise ValueError for numbers, or sequences of them, that are not finite; the names are those of the arguments."""
+    for name, value in given.items():
+        if type(value) is float and -MOST <= value <= MOST:
+            continue
+        try:
+            table = torch.as_tensor(value, dtype=torch.float64)
+            wrong = not table.numel() or not bool((table.abs() <= MOST).all())
+        except (TypeError, ValueError, RuntimeError, OverflowError):
+            wrong = True
+        if wrong:
+            raise ValueError(f"{name}={value!r} must be a finite number, or a sequence of them")
+
+
+def _check_size(size: Any) -> None:
+    if size is not None:
+        whole("size", size, 1)
+
+
 def _sized(values: Tensor, size: int | None) -> Tensor:
     return values.squeeze(-1) if size is None else values
 
@@ -240,6 +264,11 @@ class Uniform(Distribution):
     low: float | Sequence[float] = 0.0
     high: float | Sequence[float] = 1.0
     size: int | None = None
+
+    def __post_init__(self) -> None:
+        """Check the numbers."""
+        _check_numbers(low=self.low, high=self.high)
+        _check_size(self.size)
 
     def draw(self, key: Key) -> Tensor:
         """See :meth:`Distribution.draw`."""
@@ -257,6 +286,14 @@ class Normal(Distribution):
     std: float = 1.0
     size: int | None = None
 
+    def __post_init__(self) -> None:
+        """Check the numbers."""
+        _check_numbers(mean=self.mean, std=self.std)
+        for name, value in (("mean", self.mean), ("std", self.std)):
+            if isinstance(value, list | tuple):
+                raise ValueError(f"{name}={value!r} must be a number, or a tensor of several")
+        _check_size(self.size)
+
     def draw(self, key: Key) -> Tensor:
         """See :meth:`Distribution.draw`."""
         return _sized(self.mean + self.std * key.normal(self.size or 1), self.size)
@@ -271,6 +308,9 @@ class Choice(Distribution):
 
     def __init__(self, options: Sequence[Any], size: int | None = None) -> None:
         """Choose among ``options``, a non-empty sequence."""
+        if isinstance(options, str | type) or not hasattr(options, "__len__") or not hasattr(options, "__getitem__"):
+            raise ValueError(f"options={options!r} must be a sequence, such as [1.0, 2.0]")
+        _check_size(size)
         if len(options) == 0:
             raise ValueError("options is empty; Choice needs at least one option")
         object.__setattr__(self, "options", tuple(options))
@@ -349,7 +389,7 @@ def random_orbit(
     Args:
         i: Inclination, degrees; None for uniform in [-180, 180).
         a: Semi-major axis, km.
-        e: Eccentricity.
+        e: Eccentricity, at least 0 and below 1.
         Omega: Right ascension of the ascending node, degrees; None for uniform in [0, 360).
         omega: Argument of perigee, degrees; likewise.
         f: True anomaly, degrees; likewise.
@@ -362,7 +402,11 @@ def random_orbit(
             given = f"a={a}, e={e} and omega={omega}"
             logger.warning("random_orbit(alt=%g): %s do not count, the orbit is circular, as in bsk_rl", alt, given)
         return random_circular_orbit(i, alt, r_body, Omega, f)
-    orbit = RandomOrbit(a * 1e3, e, i, Omega, omega, f)
+    for name, angle in (("i", i), ("Omega", Omega), ("omega", omega), ("f", f)):
+        if angle is not None:
+            number(name, angle, unit="degrees", none=True)
+    e = number("e", e, 0.0, math.nextafter(1.0, 0.0))
+    orbit = RandomOrbit(number("a", a, 0.0, 1e9, unit="km", above=True) * 1e3, e, i, Omega, omega, f)
     return _elements(orbit) if _drawing else orbit
 
 
@@ -382,7 +426,8 @@ def random_circular_orbit(
         Omega: Right ascension of the ascending node, degrees; None for uniform in [0, 360).
         f: True anomaly, degrees; likewise.
     """
-    return random_orbit(i, r_body + alt, 0.0, Omega, 0.0, f)
+    radius = number("r_body", r_body, 0.0, 1e9, unit="km") + number("alt", alt, -1e9, 1e9, unit="km")
+    return random_orbit(i, radius, 0.0, Omega, 0.0, f)
 
 
 def _elements(orbit: RandomOrbit) -> ClassicElements:
@@ -442,6 +487,8 @@ def random_epoch(start: int = 2000, end: int = 2022) -> Any:
     As in bsk_rl, days are at most 27, hours 22, minutes and seconds 58 and milliseconds 998. Within a function of the user
     that draws a value, it returns a drawn epoch instead, from NumPy's global generator. ValueError for an empty range.
     """
+    whole("start", start, 1)
+    whole("end", end, 1, 9999)
     if not start < end:
         raise ValueError(f"random_epoch(start={start}, end={end}): the first year must come before the last")
     epochs = RandomEpoch(start, end)

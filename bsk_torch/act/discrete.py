@@ -34,7 +34,7 @@ class DiscreteFSWAction(Action):
         Raises:
             ValueError: For a duration that is not positive, or a name that is no string.
         """
-        super().__init__(name or text("fsw_action", fsw_action))
+        super().__init__(text("fsw_action", fsw_action) if name is None else name)
         self.fsw_action, self.reset_task = text("fsw_action", fsw_action), switch("reset_task", reset_task)
         self.duration = positive_duration("duration", duration, self.name, FOREVER)
 

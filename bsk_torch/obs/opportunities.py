@@ -105,7 +105,7 @@ class OpportunityProperties(Observation):
         Raises:
             ValueError: For unknown keys or presets, equal names, or fewer than one opportunity.
         """
-        super().__init__(name or type)
+        super().__init__(text("type", type) if name is None else name)
         parsed = parse_entries(entries, {"prop", "fn", "norm", "name"}, "obs.OpportunityProperties")
         for entry in parsed:
             if "fn" in entry:

@@ -25,7 +25,7 @@ class Target:
         """See the attributes; ValueError for a position or a priority that is not made of finite numbers."""
         try:
             self.r_LP_P = np.asarray(r_LP_P, dtype=float)
-        except (TypeError, ValueError) as error:
+        except (TypeError, ValueError, OverflowError) as error:
             raise ValueError(f"r_LP_P={r_LP_P!r} must be three numbers, m: {error}") from error
         if self.r_LP_P.shape != (3,) or not np.isfinite(self.r_LP_P).all():
             raise ValueError(f"r_LP_P={r_LP_P!r} must be three finite numbers, m")

@@ -12,7 +12,7 @@ from torch import Tensor
 from bsk_torch._checks import number
 from bsk_torch.constants import R_EARTH
 from bsk_torch.rand import Key, Uniform
-from bsk_torch.scene.draws import Count, Numbers, calls_user, check_numbers, draw_numbers, on_sphere
+from bsk_torch.scene.draws import Count, Numbers, calls_user, check_numbers, count_range, draw_numbers, on_sphere
 from bsk_torch.scene.targets import ChangingTargets
 from bsk_torch.scene.uniform import UniformTargets
 
@@ -65,6 +65,7 @@ class Wildfires(ChangingTargets, UniformTargets):
                 the whole Earth.
             radius: Distance of the fires from the Earth's centre, m.
         """
+        count_range("n_fires", n_fires)
         super().__init__(n_fires, priority_distribution, radius)
         self.fire_args = {"ignition": ignition, "rate_of_spread": rate_of_spread, "burning_time": burning_time}
         for name, value in self.fire_args.items():
@@ -112,6 +113,8 @@ class Wildfires(ChangingTargets, UniformTargets):
 def _region_table(regions: Sequence[Region]) -> Tensor:
     """Return relative area, sines of southern and northern latitude, western edge and width, rad, of each region; [5, R]."""
     rows = []
+    if isinstance(regions, str) or not isinstance(regions, Sequence):
+        raise ValueError(f"regions={regions!r} must be a list of (south, north, west, east), or None for everywhere")
     for k, region in enumerate(regions):
         numbers = isinstance(region, Sequence) and len(region) == 4 and all(isinstance(edge, int | float) for edge in region)
         south, north, west, east = region if numbers else (math.nan,) * 4
