@@ -47,7 +47,7 @@ def check_reset(kind: str, arguments: dict[str, Any]) -> None:
 
 def given_action(tensordict: TensorDictBase, *key: str) -> Tensor:
     """Return the entry of a tensordict that is an action; KeyError where it is missing, TypeError where it is no tensor."""
-    action = tensordict.get(key, None)
+    action = tensordict.get(key if len(key) > 1 else key[0], None)
     if action is None:
         name = ", ".join(map(repr, key))
         raise KeyError(

@@ -90,7 +90,7 @@ class TaskingOptions:
         """Check values, and translate the type of observations."""
         penalty = number("failure_penalty", self.failure_penalty, -MOST_PENALTY, MOST_PENALTY)
         checked = {
-            "num_envs": whole("num_envs", self.num_envs, 1),
+            "num_envs": whole("num_envs", self.num_envs, 1, 2**31 - 1),
             "sim_rate": number("sim_rate", self.sim_rate, SHORTEST_TICK, LONGEST_TICK, unit="s"),
             "max_step_duration": number("max_step_duration", self.max_step_duration, 0.0, unit="s", above=True, finite=False),
             "failure_penalty": penalty,

@@ -327,7 +327,7 @@ def test_no_data_and_no_capacity():
     [
         (dict(rN=[0.0, 0.0, 0.0], vN=[0.0, 7500.0, 0.0]), "rN and vN are no orbit around the Earth"),
         (dict(rN=[7e6, 0.0, 0.0], vN=[7000.0, 0.0, 0.0]), "rN and vN are an orbit from 0 to .* not parallel"),
-        (dict(rN=[7e6, 0.0, 0.0], vN=[0.0, 0.0, 0.0]), "rN and vN are an orbit from 0 to"),
+        (dict(rN=[7e6, 0.0, 0.0], vN=[0.0, 0.0, 0.0]), "rN and vN are an orbit from .* not parallel"),
         (dict(rN=[7e6, 0.0, 0.0], vN=[0.0, 12000.0, 0.0]), "rN and vN are no orbit around the Earth"),
         (dict(oe=[7e6, 1.0, 0.0, 0.0, 0.0, 0.0]), "oe has a=7e"),
         (dict(oe=[7e6, -0.1, 0.0, 0.0, 0.0, 0.0]), "oe has a=7e"),
@@ -375,7 +375,7 @@ def test_episodes_at_the_end_of_the_ephemeris():
     """They look ahead beyond it, where the Sun stands still; one without a limit of its own is truncated at the end."""
     env = make(world_args=LATE, time_limit=float("inf"), seed=1)
     td = env.reset()
-    assert env.state.limit_ticks.tolist() == [529, 529]
+    assert env.state.limit_ticks.tolist() == [531, 531]
     for _ in range(10):
         td = env.step(td.set("action", torch.ones(2, dtype=torch.int64)))["next"]
         assert bool(torch.isfinite(td["observation"]).all())
