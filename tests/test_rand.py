@@ -296,7 +296,7 @@ def test_all_bits_of_a_key_count(word):
     """Environments, episodes and seeds 2**32 apart have other numbers, and rows do not depend on others with large numbers."""
     numbers = torch.tensor([5, 5 + 2**32, 5 + 2**33, 5 + 2**62, 2**32, 2**33], dtype=torch.int64)
     rows = dict.fromkeys(("seed", "env_id", "episode"), torch.full((6,), 3, dtype=torch.int64)) | {word: numbers}
-    key = Key(**rows, name="a")
+    key = rand.Key(**rows, name="a")
     drawn = key.uniform(4)
     assert len(drawn.unique()) == drawn.numel()
     assert torch.equal(key.take([0]).uniform(4), drawn[:1])
@@ -305,5 +305,5 @@ def test_all_bits_of_a_key_count(word):
 
 def test_high_words_of_environment_and_episode_are_told_apart():
     zero, high = torch.zeros(2, dtype=torch.int64), torch.tensor([2**32, 0])
-    drawn = Key(zero, high, high.flip(0), "a").uniform(2)
+    drawn = rand.Key(zero, high, high.flip(0), "a").uniform(2)
     assert len(drawn.unique()) == 4

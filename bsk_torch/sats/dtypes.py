@@ -31,7 +31,7 @@ def as_dtype(given: Any) -> torch.dtype | None:
             found = None
     if found is None or not found.is_floating_point or torch.finfo(found).max < LARGEST:
         raise ValueError(
-            f"dtype={given!r} must be a floating-point type that holds positions in m, such as torch.float32 or np.float64"
+            f"dtype={given!r} must be a floating-point type, such as torch.float32 or np.float64, that holds positions in m"
         )
     return found
 

