@@ -14,9 +14,10 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from bsk_torch._checks import number, switch, text, whole
 from bsk_torch.astro.orbit import Elements, elements_to_rv, hill_to_inertial, rv_to_elements
 from bsk_torch.constants import MU_EARTH
-from bsk_torch.rand import Distribution, Key, first_key
+from bsk_torch.rand import MOST_SATELLITES, Distribution, Key, first_key
 from bsk_torch.sim.component import Arg, Component
 from bsk_torch.sim.hooks import check_class
 from bsk_torch.sim.params import Arguments, nearest
@@ -36,6 +37,9 @@ __all__ = [
 R_ALTITUDE = 6371.0e3
 """Radius, m, above which altitudes are counted: the Earth's mean radius, as in bsk_rl."""
 
+MOST_TURNS = 1e6
+"""Bound of angles, and of shares of a turn."""
+
 DELTA_NODES, STAR_NODES = 360.0, 180.0
 """Angle, degrees, over which the ascending nodes of a Walker delta or star pattern are spread."""
 
@@ -43,7 +47,7 @@ CIRCULAR_BELOW = 1e-14
 """Eccentricity below which a deputy's orbit is taken for a circle; this moves it by less than a micrometre."""
 
 ORBIT_ARGS = (
-    Arg("altitude", 500.0, "km", "altitude above 6371 km", low=0.0),
+    Arg("altitude", 500.0, "km", "altitude above 6371 km", low=0.0, high=1e6),
     Arg("inc", 45.0, "deg", "inclination", low=-180.0, high=180.0),
 )
 
@@ -148,7 +152,7 @@ def walker_delta(
     Raises:
         ValueError: If the satellites do not fill the planes equally, or clusters do not fill a plane.
     """
-    return _walker(_filled(n_spacecraft, n_planes, clustersize), rel_phasing, altitude, inc, clusterspacing, DELTA_NODES)
+    return _pattern(_filled(n_spacecraft, n_planes, clustersize), rel_phasing, altitude, inc, clusterspacing, DELTA_NODES)
 
 
 def walker_star(
@@ -165,7 +169,7 @@ def walker_star(
     Near-polar planes then meet at the poles like the lines of a star, and satellites of neighbouring planes fly side by side
     except at the seam between the last and the first (Walker 1984; Wertz, Mission geometry, 2001, section 13.1).
     """
-    return _walker(_filled(n_spacecraft, n_planes, clustersize), rel_phasing, altitude, inc, clusterspacing, STAR_NODES)
+    return _pattern(_filled(n_spacecraft, n_planes, clustersize), rel_phasing, altitude, inc, clusterspacing, STAR_NODES)
 
 
 def walker_delta_args(
@@ -245,8 +249,8 @@ def walker_star_args(
 
 def _check_counts(**counts: Any) -> None:
     for name, value in counts.items():
-        if not isinstance(value, int) or isinstance(value, bool) or value < 1:
-            raise ValueError(f"{name}={value!r} must be a positive integer")
+        if not isinstance(value, int) or isinstance(value, bool) or not 1 <= value <= MOST_SATELLITES:
+            raise ValueError(f"{name}={value!r} must be a positive integer, up to {MOST_SATELLITES}")
 
 
 def _filled(n_spacecraft: int, n_planes: int, clustersize: int) -> tuple[int, int, int]:
@@ -268,6 +272,22 @@ def _filled(n_spacecraft: int, n_planes: int, clustersize: int) -> tuple[int, in
 
 def _divisors(n: int) -> list[int]:
     return [k for k in range(1, n + 1) if n % k == 0]
+
+
+def _pattern(
+    counts: tuple[int, int, int], rel_phasing: float, altitude: float, inc: float, clusterspacing: float, nodes: float
+) -> Tensor:
+    """Return elements [S, 6] of one pattern; see :func:`walker_delta`. ValueError for wrong numbers."""
+    angles = _checked_angles(rel_phasing, clusterspacing)
+    altitude, inc = number("altitude", altitude, 0.0, 1e9, unit="m"), number("inc", inc, -180.0, 180.0, unit="degrees")
+    return _walker(counts, angles[0], altitude, inc, angles[1], nodes)
+
+
+def _checked_angles(rel_phasing: Any, clusterspacing: Any) -> tuple[float, float]:
+    return (
+        number("rel_phasing", rel_phasing, -MOST_TURNS, MOST_TURNS),
+        number("clusterspacing", clusterspacing, -MOST_TURNS, MOST_TURNS, unit="degrees"),
+    )
 
 
 def _walker(
@@ -322,6 +342,11 @@ class _Walker(Formation):
     def __post_init__(self) -> None:
         """Check the arguments that do not depend on the satellites."""
         _check_counts(n_planes=self.n_planes, clustersize=self.clustersize)
+        self.rel_phasing, self.clusterspacing = _checked_angles(self.rel_phasing, self.clusterspacing)
+        for name in ("randomize_true_anomaly", "randomize_lan"):
+            setattr(self, name, switch(name, getattr(self, name)))
+        if self.phasing is not None:
+            whole("phasing", self.phasing, 0)
         if self.phasing is not None and self.rel_phasing != 0.0:
             raise ValueError(f"give phasing={self.phasing!r} or rel_phasing={self.rel_phasing!r}, not both")
         if self.phasing not in (None, *range(self.n_planes)):
@@ -379,8 +404,8 @@ class _Train(Formation):
     def __post_init__(self) -> None:
         """Make the table of arguments."""
         angles = (
-            Arg("Omega", None, "deg", "ascending node"),
-            Arg("f", None, "deg", "angle of the first satellite from the node"),
+            Arg("Omega", None, "deg", "ascending node", low=-MOST_TURNS, high=MOST_TURNS),
+            Arg("f", None, "deg", "angle of the first satellite from the node", low=-MOST_TURNS, high=MOST_TURNS),
         )
         given = {name: getattr(self, name) for name in ("altitude", "inc", "Omega", "f")}
         self.args = _arguments("train_args", (*ORBIT_ARGS, *angles), given)
@@ -408,7 +433,7 @@ class _Train(Formation):
                 gaps = torch.as_tensor(self.spacing, dtype=torch.float64).unsqueeze(0)
             gaps = gaps if gaps.ndim > 1 else gaps.unsqueeze(-1).expand(-1, count)
             fits = gaps.shape[1:] == (count,) and bool(torch.isfinite(gaps).all())
-        except (TypeError, ValueError, RuntimeError):
+        except (TypeError, ValueError, RuntimeError, OverflowError):
             fits = False
         if not fits:
             raise ValueError(
@@ -455,6 +480,12 @@ class _Relative(Formation):
 
     def __post_init__(self) -> None:
         """Make the table of arguments."""
+        text("chief_name", self.chief_name)
+        if not isinstance(self.deputy_relative_state, Mapping):
+            raise ValueError(
+                f"deputy_relative_state={self.deputy_relative_state!r} must be a dictionary {{name of a deputy: six numbers}}"
+            )
+        self.mu = number("mu", self.mu, 1.0, 1e20, unit="m^3/s^2")
         if self.chief_name in self.deputy_relative_state:
             raise ValueError(f"deputy_relative_state[{self.chief_name!r}] is the chief; a deputy is another satellite")
         self.states = {f"deputy_relative_state[{name!r}]": state for name, state in self.deputy_relative_state.items()}
@@ -507,6 +538,11 @@ def together(formations: Mapping[Sequence[str], Formation]) -> Formation:
     Raises:
         ValueError: At :meth:`Formation.check`, for an unknown name or one that belongs to two formations.
     """
+    if not isinstance(formations, Mapping):
+        raise ValueError(f"formations={formations!r} must be a dictionary {{names of satellites: their formation}}")
+    for members, formation in formations.items():
+        if not isinstance(formation, Formation) or isinstance(members, str):
+            raise ValueError(f"formations has {members!r}: {formation!r}; it must be a tuple of names, and their formation")
     return _Together(dict(formations))
 
 

@@ -15,6 +15,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from bsk_torch._checks import number, switch
 from bsk_torch.astro.relative import aligned_with_hill, like
 from bsk_torch.rand import Distribution, Key, Uniform
 from bsk_torch.sim.names import nearest
@@ -37,7 +38,8 @@ def random_tumble(maxSpinRate: float = 0.001) -> tuple[Uniform, Uniform]:
     Args:
         maxSpinRate: Each component of the rate is uniform within this, rad/s.
     """
-    return Uniform(0.0, 1.0, 3), Uniform(-maxSpinRate, maxSpinRate, 3)
+    rate = number("maxSpinRate", maxSpinRate, -1e3, 1e3, unit="rad/s")
+    return Uniform(0.0, 1.0, 3), Uniform(-rate, rate, 3)
 
 
 @dataclass(frozen=True)
@@ -166,4 +168,9 @@ def balancedHR16Triad(
         randomBounds: Bounds of the random ones, rpm.
         wheelSpeeds: Those that are not random, rpm.
     """
-    return WheelTriad(Uniform(*randomBounds, 3) if useRandom else list(wheelSpeeds))
+    for name, given, count in (("randomBounds", randomBounds, 2), ("wheelSpeeds", wheelSpeeds, 3)):
+        if not isinstance(given, Sequence | np.ndarray) or isinstance(given, str) or len(given) != count:
+            raise ValueError(f"{name}={given!r} must be {count} numbers, rpm")
+        for value in given:
+            number(name, value, unit="rpm")
+    return WheelTriad(Uniform(*randomBounds, 3) if switch("useRandom", useRandom) else list(wheelSpeeds))

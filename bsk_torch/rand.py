@@ -20,6 +20,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from bsk_torch._checks import number, whole
 from bsk_torch.astro.elements import ClassicElements
 
 logger = logging.getLogger(__name__)
@@ -35,6 +36,9 @@ BLOCK_BITS = 20
 """Bits of the first counter word that number the blocks of a draw; the other 12 hold the satellite."""
 
 MOST_SATELLITES = 1 << (32 - BLOCK_BITS)
+
+HIGH_WORDS = zlib.crc32(b"high words of environment and episode")
+"""Stream of the keys of environments and episodes from 2**32 on."""
 
 BLOCKS_AT_ONCE = 1 << 14
 """Philox blocks that are drawn at once, so that their words stay in the processor's cache."""
@@ -118,10 +122,25 @@ class Key:
         if self.satellite is not None:
             block = block + (self.satellite << BLOCK_BITS).unsqueeze(-1)
         counter = [block, *((x & WORD_MASK).unsqueeze(-1).expand(shape) for x in (self.episode, self.env_id)), stream]
-        key = [(self.seed & WORD_MASK).unsqueeze(-1).expand(shape), ((self.seed >> 32) & WORD_MASK).unsqueeze(-1).expand(shape)]
+        key = [word.unsqueeze(-1).expand(shape) for word in self._key_words()]
         words = torch.stack(philox(counter, key), -1).reshape(len(self), blocks * 2, 2)
         high, low = words[..., 0] >> 5, words[..., 1] >> 6
         return ((high * 67108864 + low).double() / 9007199254740992.0)[:, :count]
+
+    def _key_words(self) -> list[Tensor]:
+        """Return the two key words, [n] each: those of the seed, exchanged where environment or episode do not fit into 32 bits.
+
+        The counter has their low words. Where there are high words, Philox of them under the seed gives another key, so that all
+        64 bits count, and numbers below 2**32 have the seed itself as their key.
+        """
+        key = [self.seed & WORD_MASK, (self.seed >> 32) & WORD_MASK]
+        high = [(x >> 32) & WORD_MASK for x in (self.episode, self.env_id)]
+        large = (high[0] | high[1]) != 0
+        if not bool(large.any()):
+            return key
+        zero = torch.zeros_like(self.seed)
+        other = philox([zero, *high, torch.full_like(zero, HIGH_WORDS)], key)
+        return [torch.where(large, new, old) for new, old in zip(other[:2], key, strict=True)]
 
     def normal(self, count: int) -> Tensor:
         """Return standard normal float64 numbers [n, count], by the Box-Muller transform ``sqrt(-2 ln(1 - u)) cos(2 pi u')``."""
@@ -211,6 +230,29 @@ class Distribution:
         raise TypeError(f"{type(self).__name__} does not say how to draw: implement draw(key)")
 
 
+MOST = 1e300
+"""Bound of the numbers of distributions: their differences are finite."""
+
+
+def _check_numbers(**given: Any) -> None:
+    """Raise ValueError for numbers, or sequences of them, that are not finite; the names are those of the arguments."""
+    for name, value in given.items():
+        if type(value) is float and -MOST <= value <= MOST:
+            continue
+        try:
+            table = torch.as_tensor(value, dtype=torch.float64)
+            wrong = not table.numel() or not bool((table.abs() <= MOST).all())
+        except (TypeError, ValueError, RuntimeError, OverflowError):
+            wrong = True
+        if wrong:
+            raise ValueError(f"{name}={value!r} must be a finite number, or a sequence of them")
+
+
+def _check_size(size: Any) -> None:
+    if size is not None:
+        whole("size", size, 1)
+
+
 def _sized(values: Tensor, size: int | None) -> Tensor:
     return values.squeeze(-1) if size is None else values
 
@@ -222,6 +264,11 @@ class Uniform(Distribution):
     low: float | Sequence[float] = 0.0
     high: float | Sequence[float] = 1.0
     size: int | None = None
+
+    def __post_init__(self) -> None:
+        """Check the numbers."""
+        _check_numbers(low=self.low, high=self.high)
+        _check_size(self.size)
 
     def draw(self, key: Key) -> Tensor:
         """See :meth:`Distribution.draw`."""
@@ -239,6 +286,14 @@ class Normal(Distribution):
     std: float = 1.0
     size: int | None = None
 
+    def __post_init__(self) -> None:
+        """Check the numbers."""
+        _check_numbers(mean=self.mean, std=self.std)
+        for name, value in (("mean", self.mean), ("std", self.std)):
+            if isinstance(value, list | tuple):
+                raise ValueError(f"{name}={value!r} must be a number, or a tensor of several")
+        _check_size(self.size)
+
     def draw(self, key: Key) -> Tensor:
         """See :meth:`Distribution.draw`."""
         return _sized(self.mean + self.std * key.normal(self.size or 1), self.size)
@@ -253,6 +308,9 @@ class Choice(Distribution):
 
     def __init__(self, options: Sequence[Any], size: int | None = None) -> None:
         """Choose among ``options``, a non-empty sequence."""
+        if isinstance(options, str | type) or not hasattr(options, "__len__") or not hasattr(options, "__getitem__"):
+            raise ValueError(f"options={options!r} must be a sequence, such as [1.0, 2.0]")
+        _check_size(size)
         if len(options) == 0:
             raise ValueError("options is empty; Choice needs at least one option")
         object.__setattr__(self, "options", tuple(options))
@@ -331,7 +389,7 @@ def random_orbit(
     Args:
         i: Inclination, degrees; None for uniform in [-180, 180).
         a: Semi-major axis, km.
-        e: Eccentricity.
+        e: Eccentricity, at least 0 and below 1.
         Omega: Right ascension of the ascending node, degrees; None for uniform in [0, 360).
         omega: Argument of perigee, degrees; likewise.
         f: True anomaly, degrees; likewise.
@@ -344,7 +402,11 @@ def random_orbit(
             given = f"a={a}, e={e} and omega={omega}"
             logger.warning("random_orbit(alt=%g): %s do not count, the orbit is circular, as in bsk_rl", alt, given)
         return random_circular_orbit(i, alt, r_body, Omega, f)
-    orbit = RandomOrbit(a * 1e3, e, i, Omega, omega, f)
+    for name, angle in (("i", i), ("Omega", Omega), ("omega", omega), ("f", f)):
+        if angle is not None:
+            number(name, angle, unit="degrees", none=True)
+    e = number("e", e, 0.0, math.nextafter(1.0, 0.0))
+    orbit = RandomOrbit(number("a", a, 0.0, 1e9, unit="km", above=True) * 1e3, e, i, Omega, omega, f)
     return _elements(orbit) if _drawing else orbit
 
 
@@ -364,7 +426,8 @@ def random_circular_orbit(
         Omega: Right ascension of the ascending node, degrees; None for uniform in [0, 360).
         f: True anomaly, degrees; likewise.
     """
-    return random_orbit(i, r_body + alt, 0.0, Omega, 0.0, f)
+    radius = number("r_body", r_body, 0.0, 1e9, unit="km") + number("alt", alt, -1e9, 1e9, unit="km")
+    return random_orbit(i, radius, 0.0, Omega, 0.0, f)
 
 
 def _elements(orbit: RandomOrbit) -> ClassicElements:
@@ -424,6 +487,8 @@ def random_epoch(start: int = 2000, end: int = 2022) -> Any:
     As in bsk_rl, days are at most 27, hours 22, minutes and seconds 58 and milliseconds 998. Within a function of the user
     that draws a value, it returns a drawn epoch instead, from NumPy's global generator. ValueError for an empty range.
     """
+    whole("start", start, 1)
+    whole("end", end, 1, 9999)
     if not start < end:
         raise ValueError(f"random_epoch(start={start}, end={end}): the first year must come before the last")
     epochs = RandomEpoch(start, end)

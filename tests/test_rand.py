@@ -286,3 +286,24 @@ def test_neighbouring_satellites_are_independent():
     u = key(MANY).of_satellites(torch.arange(2)).uniform(1).view(MANY, 2)
     assert u.mean(0) - 0.5 == pytest.approx([0, 0], abs=FIVE_SIGMA * 12**-0.5)
     assert torch.corrcoef(u.T)[0, 1].abs() < FIVE_SIGMA
+
+
+# -- 64 bits ------------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("word", ["env_id", "episode", "seed"])
+def test_all_bits_of_a_key_count(word):
+    """Environments, episodes and seeds 2**32 apart have other numbers, and rows do not depend on others with large numbers."""
+    numbers = torch.tensor([5, 5 + 2**32, 5 + 2**33, 5 + 2**62, 2**32, 2**33], dtype=torch.int64)
+    rows = dict.fromkeys(("seed", "env_id", "episode"), torch.full((6,), 3, dtype=torch.int64)) | {word: numbers}
+    key = rand.Key(**rows, name="a")
+    drawn = key.uniform(4)
+    assert len(drawn.unique()) == drawn.numel()
+    assert torch.equal(key.take([0]).uniform(4), drawn[:1])
+    assert torch.equal(key.take([1, 4]).uniform(4), drawn[[1, 4]])
+
+
+def test_high_words_of_environment_and_episode_are_told_apart():
+    zero, high = torch.zeros(2, dtype=torch.int64), torch.tensor([2**32, 0])
+    drawn = rand.Key(zero, high, high.flip(0), "a").uniform(2)
+    assert len(drawn.unique()) == 4

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, cast
 import torch
 from torch import Tensor
 
+from bsk_torch._checks import number, text
 from bsk_torch._deprecated import deprecated_names
 from bsk_torch.sim.hooks import check_class, check_tensor, defined_first, overrides
 
@@ -39,6 +40,21 @@ UNUSED = {
     "explicit": "it is called n_negative_actions",
 }
 """Names that are no hooks of actions, those of bsk_rl among them, and what to write instead."""
+
+
+LONGEST = 1e9
+"""Duration of an action that only another event ends, s; longer ones are this long."""
+
+
+def positive_duration(title: str, duration: Any, name: str, default: float) -> float:
+    """Return the duration of the action ``name``, s, at most the ``default``, which None means.
+
+    Raises:
+        ValueError: Unless it is positive.
+    """
+    if duration is None:
+        return default
+    return min(number(f"action {name!r}: {title}", duration, 0.0, unit="s", above=True, finite=False, none=True), default)
 
 
 class Decision(NamedTuple):
@@ -95,8 +111,8 @@ class Action:
     satellite: Any
 
     def __init__(self, name: str) -> None:
-        """Name the entry."""
-        self.name = name
+        """Name the entry; ValueError for a name that is no string."""
+        self.name = text("name", name)
 
     def __init_subclass__(cls, **options: Any) -> None:
         """Refuse definitions that no environment would use; TypeError says what to write instead."""
@@ -236,6 +252,11 @@ class ActionBuilder:
                 wanted = part[..., columns]
                 check_tensor(f"{type(entry).__name__}.table().{field}", given, wanted.shape, wanted.dtype)
                 wanted.copy_(given)
+            if not bool((table.duration > 0.0).all()):
+                raise ValueError(
+                    f"{type(entry).__name__}.table().duration is {table.duration.tolist()}; it must be positive, in s"
+                )
+            forever[columns].clamp_(max=LONGEST)
         self._table, self._table_draws = whole, draws  # a reset may draw other arguments, on which modes depend
         return whole
 

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
-from bsk_torch.act.base import Action, Decision
-from bsk_torch.act.discrete import FOREVER
+from bsk_torch.act.base import LONGEST, Action, Decision, positive_duration
 
 if TYPE_CHECKING:
     from bsk_torch.sats.satellite import Satellite
@@ -28,9 +27,7 @@ class Broadcast(Action):
     def __init__(self, name: str = "action_broadcast", duration: float | None = None) -> None:
         """Last ``duration`` seconds, None for 1e9 s; ValueError unless it is positive."""
         super().__init__(name)
-        self.duration = FOREVER if duration is None else float(duration)
-        if not self.duration > 0.0:
-            raise ValueError(f"duration={duration!r} s of action {name!r} must be positive, or None")
+        self.duration = positive_duration("duration", duration, name, LONGEST)
 
     def link_satellite(self, satellite: Satellite) -> None:
         """See :meth:`Action.link_satellite`."""

@@ -6,12 +6,13 @@ from typing import TYPE_CHECKING
 
 import torch
 
-from bsk_torch.act.base import Action, ActionTable
+from bsk_torch._checks import switch, text
+from bsk_torch.act.base import LONGEST, Action, ActionTable, positive_duration
 
 if TYPE_CHECKING:
     from bsk_torch.sats.satellite import Satellite
 
-FOREVER = 1e9
+FOREVER = LONGEST
 """Duration of an action that only another event ends, s."""
 
 
@@ -31,13 +32,11 @@ class DiscreteFSWAction(Action):
             reset_task: Whether a repeated action enters the mode again.
 
         Raises:
-            ValueError: For a duration that is not positive.
+            ValueError: For a duration that is not positive, or a name that is no string.
         """
-        super().__init__(name or fsw_action)
-        self.fsw_action, self.reset_task = fsw_action, reset_task
-        self.duration = FOREVER if duration is None else float(duration)
-        if not self.duration > 0.0:
-            raise ValueError(f"duration={duration!r} s of action {self.name!r} must be positive")
+        super().__init__(text("fsw_action", fsw_action) if name is None else name)
+        self.fsw_action, self.reset_task = text("fsw_action", fsw_action), switch("reset_task", reset_task)
+        self.duration = positive_duration("duration", duration, self.name, FOREVER)
 
     def link_satellite(self, satellite: Satellite) -> None:
         """See :meth:`Action.link_satellite`; ValueError if the flight software has no such command."""

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
+from bsk_torch._checks import switch, whole
 from bsk_torch._deprecated import deprecated_names
-from bsk_torch.act.base import Action, Decision
+from bsk_torch.act.base import Action, Decision, positive_duration
 from bsk_torch.sim.access.places import place_positions
 
 if TYPE_CHECKING:
@@ -50,12 +51,8 @@ class Image(Action):
             ValueError: For fewer than one target or a duration that is not positive.
         """
         super().__init__(name)
-        if n_ahead_image < 1:
-            raise ValueError(f"n_ahead_image={n_ahead_image} must be at least 1")
-        if max_duration is not None and not max_duration > 0.0:
-            raise ValueError(f"max_duration={max_duration!r} s of action {name!r} must be positive, or None")
-        self.n_actions, self.mask_repeated = n_ahead_image, mask_repeated
-        self.max_duration = float("inf") if max_duration is None else float(max_duration)
+        self.n_actions, self.mask_repeated = whole("n_ahead_image", n_ahead_image, 1), switch("mask_repeated", mask_repeated)
+        self.max_duration = positive_duration("max_duration", max_duration, name, float("inf"))
 
     def link_satellite(self, satellite: Satellite) -> None:
         """See :meth:`Action.link_satellite`; ValueError for a satellite that cannot image or has no targets."""

@@ -122,6 +122,12 @@ def coverage() -> tuple[float, float]:
     return table.start, table.start + table.segment * table.coefficients.shape[-1]
 
 
+def coverage_in_words() -> str:
+    """The same as dates, such as ``"1989-11-30 to 2060-03-06"``."""
+    begin, end = (_J2000 + timedelta(seconds=bound) for bound in coverage())
+    return f"{begin:%Y-%m-%d} to {end:%Y-%m-%d}"
+
+
 def sun_position(et: Tensor) -> Tensor:
     """Position of the Sun relative to the Earth.
 
@@ -257,9 +263,7 @@ def _check_coverage(et: float, text: str | datetime) -> None:
     """Raise ValueError unless ET lies in the Sun table."""
     first, last = coverage()
     if not first <= et <= last:
-        begin, end = (_J2000 + timedelta(seconds=bound) for bound in (first, last))
-        covered = f"{begin:%Y-%m-%d} to {end:%Y-%m-%d}"
-        raise ValueError(f"epoch {text!r} lies outside the ephemeris table, which covers {covered} (TDB)")
+        raise ValueError(f"epoch {text!r} lies outside the ephemeris table, which covers {coverage_in_words()} (TDB)")
 
 
 @cache

@@ -23,7 +23,7 @@ def show_schedule(
         return
     try:
         env = make(preset, num_envs=1, backend="eager")
-    except ValueError as error:
+    except (ValueError, ImportError) as error:
         fail(str(error))
     for simulator in env.fleet.simulators:
         names = ", ".join(env.fleet.names[k] for k in simulator.columns)

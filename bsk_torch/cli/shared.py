@@ -34,7 +34,7 @@ def made(preset: str, num_envs: int, options: Mapping[str, Any]) -> Tasking:
     """Return an environment of a preset; ends the program if its arguments are refused."""
     try:
         return make(preset, num_envs=num_envs, **options)
-    except ValueError as error:
+    except (ValueError, ImportError) as error:
         fail(str(error))
 
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import torch
 from torch import Tensor
 
+from bsk_torch._checks import number
 from bsk_torch.comm.mapped import OneEnvironmentNeededError, listed_pairs
 from bsk_torch.sim.hooks import FLEET_MEMORY, ChangeGuard, check_class, check_linked, check_tensor, overrides
 
@@ -59,9 +60,7 @@ class CommunicationMethod:
 
     def __init__(self, min_period: float = 0.0) -> None:
         """Communicate at most every ``min_period`` seconds; ValueError if it is negative."""
-        if not min_period >= 0.0:
-            raise ValueError(f"min_period={min_period!r} s must not be negative")
-        self.min_period = float(min_period)
+        self.min_period = number("min_period", min_period, 0.0, unit="s", finite=False)
 
     def __init_subclass__(cls, **options: Any) -> None:
         """Refuse definitions that no environment would use; TypeError says what to write instead."""

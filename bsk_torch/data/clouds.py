@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
+from bsk_torch._checks import number
 from bsk_torch.data.images import UniqueImageReward, identity
 
 if TYPE_CHECKING:
@@ -33,9 +34,7 @@ class CloudFreeImageReward(UniqueImageReward):
             ValueError: For a threshold outside [0, 1].
         """
         super().__init__(reward_fn)
-        if not 0.0 <= threshold <= 1.0:
-            raise ValueError(f"threshold={threshold!r} must lie in [0, 1]: it is a fraction of the sky")
-        self.threshold = threshold
+        self.threshold = number("threshold", threshold, 0.0, 1.0, unit="of the sky")
 
     def link(self, scenario: Scenario, fleet: Fleet) -> None:
         """See :meth:`UniqueImageReward.link`; ValueError without clouds."""

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import torch
 from torch import Tensor
 
+from bsk_torch._checks import number
 from bsk_torch._deprecated import warn_deprecated
 from bsk_torch.data.base import GlobalReward, Log
 from bsk_torch.rand import Distribution, Key, seeded
@@ -43,7 +44,8 @@ class ResourceReward(GlobalReward):
                 is slow.
 
         Raises:
-            TypeError: For a ``resource_fn`` that is no function, or a weight that is neither number, distribution nor function.
+            TypeError: For a ``resource_fn`` that is no function.
+            ValueError: For a weight that is neither a finite number, a distribution nor a function.
         """
         if callable(reward_weight) and not isinstance(reward_weight, Distribution) and not callable(resource_fn):
             warn_deprecated("ResourceReward(resource_fn, reward_weight)", "ResourceReward(reward_weight, resource_fn)")
@@ -51,7 +53,7 @@ class ResourceReward(GlobalReward):
         if not callable(resource_fn):
             raise TypeError(f"resource_fn={resource_fn!r} must be a function of the satellite")
         if not callable(reward_weight) and not isinstance(reward_weight, Distribution):
-            reward_weight = float(reward_weight)
+            reward_weight = number("reward_weight", reward_weight)
         self.resource_fn, self.weight = resource_fn, reward_weight
 
     def link(self, scenario: Scenario, fleet: Fleet) -> None:

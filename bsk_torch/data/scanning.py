@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
+from bsk_torch._checks import function
 from bsk_torch.data.base import GlobalReward, Log
 
 if TYPE_CHECKING:
@@ -19,12 +20,15 @@ class ScanningTimeReward(GlobalReward):
     """Pays for the time spent recording: the growth of the store over a step, divided by the instrument's data rate.
 
     reward = reward_fn(max(0, level_after - level_before) / instrumentBaudRate), with levels in bit and the rate in bit/s. A step
-    in which the store shrinks pays nothing, as in bsk_rl.
+    in which the store shrinks pays nothing, as in bsk_rl; nor does an instrument of rate 0, which gives no data.
     """
 
     def __init__(self, reward_fn: Callable[[Tensor], Tensor] | None = None) -> None:
-        """Pay ``reward_fn`` of seconds [N, S], which returns [N, S]; None multiplies by the scenario's ``value_per_second``."""
-        self.reward_fn = reward_fn
+        """Pay ``reward_fn`` of seconds [N, S], which returns [N, S]; None multiplies by the scenario's ``value_per_second``.
+
+        ValueError for what is no function.
+        """
+        self.reward_fn = None if reward_fn is None else function("reward_fn", reward_fn, "seconds")
 
     def link(self, scenario: Scenario, fleet: Fleet) -> None:
         """See :meth:`GlobalReward.link`; ValueError without a value per second, or without a store."""
@@ -49,7 +53,8 @@ class ScanningTimeReward(GlobalReward):
     def calculate_reward(self, before: Log, after: Log) -> Tensor:
         """See :meth:`GlobalReward.calculate_reward`."""
         gained = torch.clamp(after["storage_level"] - before["storage_level"], min=0.0)
-        seconds = gained / self.fleet.each(lambda satellite: satellite.dynamics.instrument_baud, missing=1.0)
+        rate = self.fleet.each(lambda satellite: satellite.dynamics.instrument_baud, missing=1.0)
+        seconds = gained / torch.where(rate > 0.0, rate, torch.ones_like(rate))
         if self.reward_fn is not None:
             return self.reward_fn(seconds)
         return seconds * self.scenario.value_per_second

@@ -8,16 +8,18 @@ import logging
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from importlib import import_module
-from numbers import Integral
 from typing import Any, NamedTuple
 
+import numpy as np
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.data import Categorical, Composite, Unbounded
 from torchrl.envs import EnvBase
 
+from bsk_torch._checks import whole
 from bsk_torch._deprecated import deprecated_attributes
+from bsk_torch.astro.ephemeris import coverage
 from bsk_torch.comm import CommunicationMethod, NoCommunication
 from bsk_torch.data import checked, totals
 from bsk_torch.data.base import GlobalReward, NoReward
@@ -50,7 +52,7 @@ __all__ = ["StepResult", "Tasking", "TimeLimit"]
 logger = logging.getLogger(__name__)
 
 ENDLESS = 2**31
-"""Seconds after which Basilisk's clock stops an episode without limit."""
+"""Seconds after which Basilisk's clock stops an episode without limit; the end of the Sun's ephemeris does so before."""
 
 
 SEED_LIMIT = 2**63
@@ -119,9 +121,8 @@ class Tasking(ChangingArguments, EnvBase):
         configure(options.log_level, options.log_dir)
         if options.failure_penalty > 0.0:
             logger.warning("failure_penalty=%g rewards failure; it should not be positive", options.failure_penalty)
-        self.failure_penalty = float(options.failure_penalty)
+        self.failure_penalty, self.max_step_duration = options.failure_penalty, options.max_step_duration
         self.terminate_on_time_limit = options.terminate_on_time_limit
-        self.max_step_duration = float(options.max_step_duration)
         self.scenario, self.rewarder = copy.copy(scenario or Scenario()), composed(rewarder)
         self.scenario.validate_satellite_names(satellites)
         self.communicator = copy.copy(communicator or NoCommunication())
@@ -153,10 +154,7 @@ class Tasking(ChangingArguments, EnvBase):
 
     def _declare_state(self, env_ids: Sequence[int] | Tensor | None) -> None:
         n = self.num_envs
-        ids = torch.arange(n) if env_ids is None else torch.as_tensor(env_ids, dtype=torch.int64)
-        if ids.shape != (n,) or bool((ids < 0).any()):
-            raise ValueError(f"env_ids has shape {list(ids.shape)}; it needs {n} indices that are not negative")
-        self.env_ids = self.fleet.env_ids = ids.to(self.device)
+        self.env_ids = self.fleet.env_ids = read_env_ids(env_ids, n).to(self.device)
         for name, dtype in (("episode", torch.int64), ("seed", torch.int64), ("limit_ticks", torch.int64)):
             self.state.declare(name, None, dtype=dtype)
         self.state.episode = self.state.episode - 1
@@ -251,7 +249,7 @@ class Tasking(ChangingArguments, EnvBase):
     # -- reset --------------------------------------------------------------------------------------------------------
 
     def _set_seed(self, seed: int | None) -> None:
-        value = int(torch.empty((), dtype=torch.int64).random_()) if seed is None else int(seed)
+        value = int(torch.empty((), dtype=torch.int64).random_()) if seed is None else whole("seed", seed, 0, SEED_LIMIT - 1)
         self.state.seed = torch.full_like(self.state.seed, value)
         self.state.episode = torch.full_like(self.episode, -1)
 
@@ -266,12 +264,12 @@ class Tasking(ChangingArguments, EnvBase):
             ValueError: For a seed that is no integer from 0 to 2**63 - 1, or a wrong number of them.
         """
         count = self.num_envs
-        given = [seeds] * count if isinstance(seeds, Integral) else list(seeds)  # type: ignore[arg-type]
+        several = isinstance(seeds, Sequence | Tensor | np.ndarray) and not isinstance(seeds, str)
+        given: list[Any] = list(seeds) if several else [seeds] * count  # type: ignore[arg-type]
         if len(given) != count:
             raise ValueError(f"seed has {len(given)} entries; it must be an integer or have {count}, one per environment")
-        for seed in given:
-            if seed is not None and not (isinstance(seed, Integral) and 0 <= int(seed) < SEED_LIMIT):
-                raise ValueError(f"seed={seed!r} must be an integer from 0 to 2**63 - 1")
+        given = [seed.item() if isinstance(seed, Tensor) and seed.ndim == 0 else seed for seed in given]
+        given = [None if seed is None else whole("seed", seed, 0, SEED_LIMIT - 1) for seed in given]
         rows = torch.tensor([seed is not None for seed in given], device=self.device)
         rows = rows if mask is None else rows & mask
         values = torch.tensor([seed or 0 for seed in given], dtype=torch.int64, device=self.device)
@@ -317,7 +315,8 @@ class Tasking(ChangingArguments, EnvBase):
             self._start(self.fleet, envs, Key(seeds[envs].cpu(), self.env_ids[envs].cpu(), episodes[envs].cpu()))
         state.seed, state.episode = seeds, state.episode.index_copy(0, envs, episodes[envs])
         limit = state.time_limit[envs]
-        seconds = torch.where(torch.isfinite(limit), limit, torch.full_like(limit, ENDLESS))
+        et = self.simulator.arcs.et.view(self.num_envs, -1)[envs, 0]
+        seconds = torch.where(torch.isfinite(limit), limit, torch.clamp(coverage()[1] - et, max=ENDLESS))
         ticks = torch.ceil(torch.floor(seconds * 1e9 + 0.5) / self.simulator.h_ns)
         state.limit_ticks = state.limit_ticks.index_copy(0, envs, ticks.long())
         whole = torch.where(torch.isfinite(limit), ticks * self.fleet.h, limit)
@@ -528,6 +527,17 @@ def pictures() -> Any:
         return import_module("bsk_torch.viz.render.frames")
     except ModuleNotFoundError as error:
         raise ModuleNotFoundError(f"render() needs {error.name}: pip install 'bsk_torch[viz]'", name=error.name) from error
+
+
+def read_env_ids(given: Any, n: int) -> Tensor:
+    """Return the index of each episode in draws, [n] int64, 0 to n - 1 unless given; ValueError for what are no such indices."""
+    if given is None:
+        return torch.arange(n)
+    table = given if isinstance(given, Tensor) else np.asarray(given) if isinstance(given, np.ndarray | Sequence) else None
+    if table is None or isinstance(given, str) or tuple(table.shape) != (n,):
+        shape = "" if table is None else f" has shape {list(table.shape)};"
+        raise ValueError(f"env_ids={given!r}:{shape} it needs {n} whole numbers, one for each environment")
+    return torch.tensor([whole("env_ids", number, 0, SEED_LIMIT - 1) for number in table.tolist()])
 
 
 def composed(rewarder: GlobalReward | Iterable[GlobalReward] | None) -> GlobalReward:

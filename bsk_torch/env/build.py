@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import torch
 from torch import Tensor
 
+from bsk_torch.act.broadcast import Broadcast
+from bsk_torch.astro.ephemeris import coverage, coverage_in_words
+from bsk_torch.constants import NANO
 from bsk_torch.data import checked
 from bsk_torch.data.base import GlobalReward
 from bsk_torch.env.options import TaskingOptions
@@ -26,7 +30,7 @@ from bsk_torch.sim.simulator import Simulator
 from bsk_torch.sim.state import StateTable
 from bsk_torch.sim.world import WorldModel
 
-LIMIT = Arg("time_limit", float("inf"), "s", "time after which an episode is truncated", low=0.0)
+LIMIT = Arg("time_limit", float("inf"), "s", "time after which an episode is truncated", low=NANO)
 
 SAMPLE = 1024
 """Random time limits that are drawn to estimate the length of arcs before a batch is built."""
@@ -61,6 +65,7 @@ class FleetBuilder:
         self.world_type = None if options.world_type is None else compose(options.world_type, WorldModel)
         self._world_names = [set(world_arguments(self.satellites[columns[0]], self.world_type)) for columns in self.types]
         self.world_args = expand(options.world_args, "world_args")
+        self.advised: set[Any] = set()
         check_world(self.world_args, [*self._world_names, self.default_world_args()])
 
     def default_world_args(self) -> ArgumentTable:
@@ -87,7 +92,6 @@ class FleetBuilder:
     def _make_simulator(self, k: int, columns: Sequence[int], n: int, limit: Tensor, scenario_state: StateTable) -> Simulator:
         satellite, options = self.satellites[columns[0]], self.options
         given = [self.satellites[column].sat_args_generator for column in columns]
-        finite = limit[torch.isfinite(limit)]
         return Simulator(
             satellite.dyn_type,
             satellite.fsw_type,
@@ -101,13 +105,14 @@ class FleetBuilder:
             orbit=options.orbit,
             backend=options.backend,
             segment=satellite.segment,
-            max_time=float(finite.max()) if len(finite) else 0.0,
             scenario_state=scenario_state,
             stops=satellite.variable_interval,
             columns=columns,
             randomize=self._share_of(columns),
             world_type=self.world_type,
             compat=options.compat,
+            advised=self.advised,
+            controlled=_may_control(satellite),
         )
 
     def _share_of(self, columns: Sequence[int]) -> Callable[[Key], Overrides]:
@@ -176,12 +181,40 @@ class FleetBuilder:
         given = None if self.randomizer is None else self.randomizer(key, answers)
         parts = [answer["scenario"] for answer in answers] if self.scenario.calls_user else []
         scenario = {name: torch.cat([part[name] for part in parts]) for name in parts[0]} if parts else None
-        return fleet.draw(key, given, answers, scenario), self.draw_time_limit(key, answers).to(self.device)
+        drawn, limit = fleet.draw(key, given, answers, scenario), self.draw_time_limit(key, answers)
+        check_ephemeris(drawn, limit)
+        return drawn, limit.to(self.device)
 
     def start(self, fleet: Fleet, envs: Tensor, drawn: EpisodeDraw, limit: Tensor) -> None:
         """Start the episodes ``envs`` [n] of a fleet."""
         durations = [self.satellites[s.columns[0]].generation(limit) for s in fleet.simulators]
         fleet.reset(envs, drawn, durations, limit)
+
+
+def _may_control(satellite: Satellite) -> bool:
+    """Return whether an action of the satellite may switch attitude control on; those of users' classes may."""
+    modes, commands = satellite.fsw_type.all_modes(), satellite.fsw_type.all_commands()
+    for entry in satellite.action_spec:
+        if isinstance(entry, Broadcast):
+            continue
+        command = commands.get(str(getattr(entry, "fsw_action", "")).removeprefix("action_"))
+        if command is None or any("control_on" in modes[mode].on for mode in command.modes):
+            return True
+    return False
+
+
+def check_ephemeris(drawn: EpisodeDraw, limit: Tensor) -> None:
+    """Raise ValueError for episodes with finite time limits [n] s that would go on after the Sun's ephemeris."""
+    finite = torch.where(torch.isfinite(limit), limit, 0.0)
+    for values in drawn.values:
+        et = values["utc_init"].cpu()
+        ends = (et.view(len(limit), -1) if len(et) % len(limit) == 0 else et) + finite.unsqueeze(-1)
+        beyond = float(ends.max()) - coverage()[1]
+        if beyond > 0.0:
+            raise ValueError(
+                f"world_args: utc_init and time_limit: an episode would end {beyond:.0f} s after the ephemeris table, which "
+                f"covers {coverage_in_words()} (TDB); give an earlier utc_init or a shorter time_limit"
+            )
 
 
 def link(fleet: Fleet, scenario: Scenario, rewarder: GlobalReward) -> None:

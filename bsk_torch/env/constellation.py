@@ -13,6 +13,7 @@ from torchrl.data import Binary, Categorical, Composite, MultiCategorical, Unbou
 
 from bsk_torch.comm import CommunicationMethod
 from bsk_torch.data.base import GlobalReward
+from bsk_torch.env import hints
 from bsk_torch.env.agents import AGENTS, Group, agents_of, make_groups
 from bsk_torch.env.base import StepResult, Tasking
 from bsk_torch.env.no_action import NO_ACTION
@@ -171,7 +172,8 @@ class ConstellationTasking(Tasking):
     def _step(self, tensordict: TensorDictBase) -> TensorDict:
         partial = tensordict.get("_step", None)
         moves = torch.ones_like(self.state.removed[:, 0]) if partial is None else partial.reshape(-1)
-        given = [tensordict.get("action") if self.joint else tensordict.get((group.name, "action")) for group in self.groups]
+        keys = [("action",) if self.joint else (group.name, "action") for group in self.groups]
+        given = [hints.given_action(tensordict, *key) for key in keys]
         return self.play(given, moves)
 
     @torch.no_grad()

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from tensordict import TensorDictBase
+from torch import Tensor
 
 VIEW = "bsk_torch.wrappers.GymEnv(env), or gymnasium.make('bsk_torch/...'), is Gymnasium's view of one episode"
 
@@ -42,6 +43,20 @@ def check_reset(kind: str, arguments: dict[str, Any]) -> None:
     for name in arguments:
         advice = f"write {RESET[name]}" if name in RESET else "it takes a tensordict and set_state"
         raise TypeError(f"{kind}.reset({name}=...) is not an argument of TorchRL's reset; {advice}")
+
+
+def given_action(tensordict: TensorDictBase, *key: str) -> Tensor:
+    """Return the entry of a tensordict that is an action; KeyError where it is missing, TypeError where it is no tensor."""
+    action = tensordict.get(key if len(key) > 1 else key[0], None)
+    if action is None:
+        name = ", ".join(map(repr, key))
+        raise KeyError(
+            f"step got a tensordict without the action td[{name}]; set it: td[{name}] = actions, such as those of "
+            f"env.action_spec.rand(); it has {sorted(map(str, tensordict.keys()))}"
+        )
+    if not isinstance(action, Tensor):
+        raise TypeError(f"action is {action!r}; it must be an integer tensor, such as torch.int64")
+    return action
 
 
 def check_call(kind: str, key: str, tensordict: Any) -> None:

@@ -8,7 +8,9 @@ The logger of a satellite is ``bsk_torch.sats.<name>``, that of an environment `
 from __future__ import annotations
 
 import logging
+import os
 from collections.abc import Mapping, Sequence
+from numbers import Integral
 from pathlib import Path
 from typing import Any
 
@@ -60,6 +62,8 @@ def configure(level: int | str | None, file: str | Path | None) -> None:
         _add(logger, logging.StreamHandler())
     if file is None:
         return
+    if not isinstance(file, str | os.PathLike):
+        raise ValueError(f"log_dir={file!r} must be the path of a file, such as 'runs/log.txt', or None")
     path = Path(file).absolute()
     if path.is_dir():
         raise ValueError(f"log_dir={str(file)!r} is a folder; as in bsk_rl it is the path of a file, such as 'runs/log.txt'")
@@ -72,7 +76,8 @@ def configure(level: int | str | None, file: str | Path | None) -> None:
 def read_level(level: int | str) -> int | str:
     """Return a level as :mod:`logging` takes it; ValueError for an unknown one."""
     names = logging.getLevelNamesMapping() if hasattr(logging, "getLevelNamesMapping") else logging._nameToLevel
-    if isinstance(level, str) and level.upper() not in names:
+    wrong = level.upper() not in names if isinstance(level, str) else not isinstance(level, int) or isinstance(level, bool)
+    if wrong:
         raise ValueError(f"log_level={level!r} must be one of {sorted(names)}, or a number")
     return level.upper() if isinstance(level, str) else level
 
@@ -87,9 +92,11 @@ class StepLog:
 
     def __init__(self, fleet: Fleet, scenario: Any, envs: Sequence[int]) -> None:
         """Check the rows; ValueError for one that does not exist."""
+        if isinstance(envs, str) or not isinstance(envs, Sequence):
+            raise ValueError(f"log_envs={envs!r} must be a list of environments, such as [0]")
         for env in envs:
-            if not 0 <= env < fleet.num_envs:
-                raise ValueError(f"log_envs has {env}; it must hold rows from 0 to {fleet.num_envs - 1}")
+            if not isinstance(env, Integral) or isinstance(env, bool) or not 0 <= env < fleet.num_envs:
+                raise ValueError(f"log_envs has {env!r}; it must hold rows from 0 to {fleet.num_envs - 1}")
         self.fleet, self.scenario, self.envs = fleet, scenario, list(envs)
         self.logger = logging.getLogger(f"{ROOT}.env")
         self.loggers = {name: logging.getLogger(f"{ROOT}.sats.{name}") for name in fleet.names}

@@ -11,14 +11,22 @@ from typing import Any, TypeVar
 import torch
 from torch import Tensor
 
+from bsk_torch._checks import number, switch, whole
+from bsk_torch.codegen.inductor import BACKENDS
 from bsk_torch.rand import Distribution
 from bsk_torch.sats.dtypes import as_dtype
 from bsk_torch.sim.params import nearest
+from bsk_torch.sim.simulator import LONGEST_TICK, ORBITS, SHORTEST_TICK
 from bsk_torch.sim.world import WorldModel
 
 TimeLimit = float | Distribution | Callable[[], float]
 
 Class = TypeVar("Class", bound=type)
+
+SIM_DTYPES = (torch.float64, torch.float32)
+
+MOST_PENALTY = 1e30
+"""Bound of the penalty of a failure: a sum of some stays finite in float32."""
 
 ABSENT = {
     "vizard_dir": "there is no Vizard here; env.render() draws pictures, and 'bsk-torch report' films",
@@ -42,15 +50,15 @@ class TaskingOptions:
             dynamics models of the satellites require.
         world_args: Arguments of the world, like ``sat_args``, also as one callable that returns a dictionary; see
             :meth:`~bsk_torch.env.base.Tasking.default_world_args`.
-        sim_rate: Length of a tick, s.
-        max_step_duration: Longest step, s.
+        sim_rate: Length of a tick, 0.001 to 60 s.
+        max_step_duration: Longest step, s; positive.
         failure_penalty: Added to the reward of a step at whose end the satellite is dead.
-        time_limit: Seconds after which an episode is truncated, rounded up to whole ticks; a number, a distribution or a callable
-            without arguments.
+        time_limit: Seconds after which an episode is truncated, rounded up to whole ticks; a positive number, a distribution or a
+            callable without arguments. Where it is infinite, the end of the Sun's ephemeris, in 2060, truncates.
         terminate_on_time_limit: Whether the time limit also terminates.
         device: Where the simulation runs.
-        seed: Seed of all draws; None for a random one.
-        env_ids: Index of each episode in the draws, 0 to N - 1 unless given.
+        seed: Seed of all draws, from 0 to 2**63 - 1; None for a random one.
+        env_ids: Index of each episode in the draws, from 0 to 2**63 - 1; 0 to N - 1 unless given.
         dtype: Type of observations, rewards and durations, of torch or NumPy; None for the one that the satellites name, or
             float32.
         sim_dtype: float64 for parity with Basilisk; float32 for mixed precision: attitude, wheels and flight software in float32,
@@ -85,14 +93,27 @@ class TaskingOptions:
     log_envs: Sequence[int] = (0,)
 
     def __post_init__(self) -> None:
-        """Check numbers, and translate the type of observations."""
-        if self.num_envs < 1:
-            raise ValueError(f"num_envs={self.num_envs} must be at least 1")
-        if not self.max_step_duration > 0.0:
-            raise ValueError(f"max_step_duration={self.max_step_duration!r} must be positive, in s")
+        """Check values, and translate the type of observations."""
+        penalty = number("failure_penalty", self.failure_penalty, -MOST_PENALTY, MOST_PENALTY)
+        checked = {
+            "num_envs": whole("num_envs", self.num_envs, 1, 2**31 - 1),
+            "sim_rate": number("sim_rate", self.sim_rate, SHORTEST_TICK, LONGEST_TICK, unit="s"),
+            "max_step_duration": number("max_step_duration", self.max_step_duration, 0.0, unit="s", above=True, finite=False),
+            "failure_penalty": penalty,
+            "terminate_on_time_limit": switch("terminate_on_time_limit", self.terminate_on_time_limit),
+            "dtype": as_dtype(self.dtype),
+            "seed": None if self.seed is None else whole("seed", self.seed, 0, 2**63 - 1),
+        }
+        if self.sim_dtype not in SIM_DTYPES:
+            raise ValueError(f"sim_dtype={self.sim_dtype!r} must be one of {list(SIM_DTYPES)}")
+        if self.backend not in BACKENDS:
+            raise ValueError(f"backend={self.backend!r} must be one of {list(BACKENDS)}")
+        if self.orbit not in (None, *ORBITS):
+            raise ValueError(f"orbit={self.orbit!r} must be one of {list(ORBITS)}, or None for the model's own")
         if self.compat not in COMPATIBLE:
             raise ValueError(f"compat={self.compat!r} must be one of {list(COMPATIBLE)}")
-        object.__setattr__(self, "dtype", as_dtype(self.dtype))
+        for name, value in checked.items():
+            object.__setattr__(self, name, value)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -118,8 +139,10 @@ class ConstellationOptions(TaskingOptions):
     mask_busy: bool = True
 
     def __post_init__(self) -> None:
-        """Check options that exclude each other."""
+        """Check switches, and options that exclude each other."""
         super().__post_init__()
+        for name in ("joint", "only_retask_idle_meta_agent_members", "generate_obs_retasking_only", "mask_busy"):
+            object.__setattr__(self, name, switch(name, getattr(self, name)))
         if self.joint and (self.meta_agent_groupings or self.group_map):
             raise ValueError("joint=True puts all satellites under one agent; leave meta_agent_groupings and group_map out")
 

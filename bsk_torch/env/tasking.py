@@ -12,6 +12,7 @@ from torchrl.data import Binary, Categorical, Composite, Unbounded
 
 from bsk_torch.comm import CommunicationMethod
 from bsk_torch.data.base import GlobalReward
+from bsk_torch.env import hints
 from bsk_torch.env.base import StepResult, Tasking
 from bsk_torch.env.options import TaskingOptions, parse, takes
 from bsk_torch.formations import Formation
@@ -97,7 +98,7 @@ class SatelliteTasking(Tasking):
 
     def _step(self, tensordict: TensorDictBase) -> TensorDict:
         partial = tensordict.get("_step", None)
-        return self.play(tensordict.get("action"), None if partial is None else partial.reshape(-1))
+        return self.play(hints.given_action(tensordict, "action"), None if partial is None else partial.reshape(-1))
 
     @torch.no_grad()
     def play(self, action: Tensor, moves: Tensor | None = None) -> TensorDict:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import torch
 from torch import Tensor
 
+from bsk_torch._checks import text
 from bsk_torch.sats.one import is_ours
 from bsk_torch.sats.user_function import UserFunction
 from bsk_torch.sim.hooks import check_class, check_tensor, defined_first
@@ -62,8 +63,8 @@ class Observation:
     unique_name: str
 
     def __init__(self, name: str) -> None:
-        """Name the entry."""
-        self.name = name
+        """Name the entry; ValueError for a name that is no string."""
+        self.name = text("name", name)
 
     def __init_subclass__(cls, **options: Any) -> None:
         """Refuse definitions that no environment would use; TypeError says what to write instead."""

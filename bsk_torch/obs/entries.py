@@ -51,10 +51,10 @@ def parse_norm(norm: Any, title: str) -> Norm:
     """Return a norm as a number or a tensor; 1 for None. ValueError for one that is no number, or zero."""
     try:
         table = torch.as_tensor(1.0 if norm is None else norm, dtype=torch.float64)
-    except (TypeError, ValueError, RuntimeError):
+    except (TypeError, ValueError, RuntimeError, OverflowError):
         raise ValueError(f"{title} is {norm!r}; it must be a number, an array of numbers, or None for 1") from None
-    if not bool((table != 0.0).all()):
-        raise ValueError(f"{title} is {norm!r}; it must not be zero")
+    if not bool(((table != 0.0) & torch.isfinite(table)).all()):
+        raise ValueError(f"{title} is {norm!r}; it must be finite and not zero")
     return table.item() if table.ndim == 0 else table
 
 

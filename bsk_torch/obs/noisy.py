@@ -27,6 +27,9 @@ STREAM = 0x1E3779B97F4A7C15
 
 SEED_BITS = 2**63 - 1
 
+MOST_NOISE = 1e30
+"""Standard deviations are below it, so that noise is finite in float32."""
+
 OWNER = "noise_env"
 """Memory that keeps the environment's index under which an episode has begun: copies of the episode share its noise."""
 
@@ -60,7 +63,7 @@ class Noisy(Observation):
             raise ValueError(f"obs.Noisy({observation!r}): it must be an observation; write obs.Time(), with parentheses")
         if isinstance(observation, Noisy):
             raise ValueError(f"obs.Noisy of {observation.name!r}, which has noise already: give that one the larger noise")
-        super().__init__(name or observation.name)
+        super().__init__(observation.name if name is None else name)
         self.observation = observation
         self._parts = [(_parse(noise, "noise"), False), (_parse(bias, "bias"), True)]
         self._plans: list[list[tuple[Distribution, list[int]]]] | None = None
@@ -151,7 +154,7 @@ def _parse(noise: Any, title: str) -> dict[str | None, Distribution]:
     for name, value in given.items():
         if isinstance(value, Distribution):
             found[name] = value
-        elif isinstance(value, int | float) and not isinstance(value, bool) and 0.0 <= value < float("inf"):
+        elif isinstance(value, int | float) and not isinstance(value, bool) and 0.0 <= value < MOST_NOISE:
             if value:
                 found[name] = Normal(0.0, float(value))
         else:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, cast
 import torch
 from torch import Tensor
 
+from bsk_torch._checks import switch, text, whole
 from bsk_torch.obs.base import Observation, Values
 from bsk_torch.obs.entries import is_own, parse_entries, scaled
 from bsk_torch.sats.user_function import UserFunction
@@ -104,7 +105,7 @@ class OpportunityProperties(Observation):
         Raises:
             ValueError: For unknown keys or presets, equal names, or fewer than one opportunity.
         """
-        super().__init__(name or type)
+        super().__init__(text("type", type) if name is None else name)
         parsed = parse_entries(entries, {"prop", "fn", "norm", "name"}, "obs.OpportunityProperties")
         for entry in parsed:
             if "fn" in entry:
@@ -113,9 +114,8 @@ class OpportunityProperties(Observation):
                 raise ValueError(f"prop={entry['prop']!r} is not a property of opportunities; {nearest(entry['prop'], PRESETS)}")
             if entry["prop"] in ONLY_TARGETS and type != "target":
                 raise ValueError(f"prop={entry['prop']!r} is a property of targets; opportunities of type {type!r} have none")
-        if n_ahead_observe != int(n_ahead_observe) or n_ahead_observe < 1:
-            raise ValueError(f"n_ahead_observe={n_ahead_observe} must be a whole number from 1 on")
-        self.entries, self.n_ahead_observe, self.type, self.as_set = parsed, int(n_ahead_observe), type, as_set
+        self.n_ahead_observe = whole("n_ahead_observe", n_ahead_observe, 1)
+        self.entries, self.type, self.as_set = parsed, text("type", type), switch("as_set", as_set)
         self.exact = ("mask",) if as_set else ()  # what obs.Noisy leaves alone
         titles = (f"{entry['name']!r} of {self.name!r}" for entry in parsed)
         self._functions = [

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import torch
 from torch import Tensor
 
+from bsk_torch._checks import number, switch
 from bsk_torch.obs.base import ADVICE, Observation, Values
 from bsk_torch.obs.entries import is_own, parse_entries, parse_norm, scaled
 from bsk_torch.sats.one import is_ours
@@ -116,7 +117,8 @@ class Time(Observation):
             observe_time_remaining: Whether to observe the time until the time limit.
         """
         super().__init__(name)
-        self.norm, self.remaining = norm, observe_time_remaining
+        self.norm = None if norm is None else number("obs.Time: norm", parse_norm(norm, "obs.Time: norm"))
+        self.remaining = switch("observe_time_remaining", observe_time_remaining)
 
     def get_obs(self) -> Tensor:
         """See :meth:`Observation.get_obs`; with an infinite limit the elapsed fraction is 0 and the remaining one 1."""

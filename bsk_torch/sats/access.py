@@ -8,6 +8,7 @@ from typing import Any, ClassVar, NoReturn
 import torch
 from torch import Tensor
 
+from bsk_torch._checks import number, switch
 from bsk_torch.sats.access_filter import AccessFilter, Filter, make_filter
 from bsk_torch.sats.objects import TargetObjects, station_names
 from bsk_torch.sats.one import OneSatellite
@@ -21,6 +22,9 @@ from bsk_torch.sim.access.window_table import Windows, candidates
 from bsk_torch.sim.access.windows import MAX_SEGMENTS
 from bsk_torch.sim.orbit.grid import PLAN_STEP
 from bsk_torch.sim.params import nearest
+
+LONGEST_GENERATION = 1e6
+"""Bound of the seconds that one extension of windows searches, eleven days: all of them are kept."""
 
 
 class AccessSatellite(Satellite):
@@ -53,17 +57,21 @@ class AccessSatellite(Satellite):
             **options: Passed on.
         """
         super().__init__(name, sat_args, **options)
-        whole = generation_duration / PLAN_STEP
-        if generation_duration <= 0.0 or whole != round(whole):
+        self.generation_duration = number(
+            "generation_duration", generation_duration, 0.0, LONGEST_GENERATION, unit="s", above=True
+        )
+        whole = self.generation_duration / PLAN_STEP
+        if whole != round(whole):
             raise ValueError(f"generation_duration={generation_duration:g} s must be a positive multiple of {PLAN_STEP:g} s")
-        if not max_generation_duration_beyond_initial >= 0.0:
-            raise ValueError(
-                f"max_generation_duration_beyond_initial={max_generation_duration_beyond_initial:g} s must not be negative"
-            )
-        self.generation_duration = generation_duration
         self.initial_generation_duration = initial_generation_duration
-        self.max_generation_duration_beyond_initial = max_generation_duration_beyond_initial
-        self.may_see_nothing = may_see_nothing
+        if initial_generation_duration is not None:
+            self.initial_generation_duration = number(
+                "initial_generation_duration", initial_generation_duration, 0.0, unit="s", finite=False, none=True
+            )
+        self.max_generation_duration_beyond_initial = number(
+            "max_generation_duration_beyond_initial", max_generation_duration_beyond_initial, 0.0, unit="s", finite=False
+        )
+        self.may_see_nothing = switch("may_see_nothing", may_see_nothing)
         self.access_filters: list[AccessFilter] = []
 
     @property

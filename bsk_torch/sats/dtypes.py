@@ -8,6 +8,9 @@ from typing import Any
 import numpy as np
 import torch
 
+LARGEST = 1e10
+"""Types of observations hold numbers up to this: in float16 all from 65520 on are infinite."""
+
 DEFAULT = torch.float32
 """Type where neither the environment nor a satellite names one."""
 
@@ -24,10 +27,12 @@ def as_dtype(given: Any) -> torch.dtype | None:
     if not isinstance(given, torch.dtype):
         try:
             found = torch.from_numpy(np.empty(0, np.dtype(given))).dtype
-        except TypeError:
+        except (TypeError, ValueError):
             found = None
-    if found is None or not found.is_floating_point:
-        raise ValueError(f"dtype={given!r} must be a floating-point type, such as torch.float32 or np.float64")
+    if found is None or not found.is_floating_point or torch.finfo(found).max < LARGEST:
+        raise ValueError(
+            f"dtype={given!r} must be a floating-point type, such as torch.float32 or np.float64, that holds positions in m"
+        )
     return found
 
 

@@ -11,6 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from bsk_torch._checks import switch, text
 from bsk_torch._deprecated import deprecated_attributes, warn_deprecated
 from bsk_torch.sats.dtypes import as_dtype
 from bsk_torch.sats.hooks import check_satellite
@@ -158,11 +159,12 @@ class Satellite:
                 have the same.
             variable_interval: Whether the end of an action ends the step; else steps last ``max_step_duration``.
         """
-        if not name.isidentifier() or keyword.iskeyword(name):
+        if not text("name", name).isidentifier() or keyword.iskeyword(name):
             raise ValueError(f"name={name!r} must be a Python identifier, such as 'Scanner1'")
-        if obs_type is not dict and obs_type not in VECTOR_TYPES:
+        if obs_type is not dict and not any(obs_type is kind for kind in VECTOR_TYPES):
             raise ValueError(f"obs_type={obs_type!r} must be dict, or one of torch.Tensor, np.ndarray and list for one vector")
-        self.name, self.obs_type, self.variable_interval = name, dict if obs_type is dict else torch.Tensor, variable_interval
+        self.name, self.obs_type = name, dict if obs_type is dict else torch.Tensor
+        self.variable_interval = switch("variable_interval", variable_interval)
         self.dtype = as_dtype(dtype)
         self._compose_models()
         self.sat_args_generator = Given(expand(sat_args, "sat_args"), type(self).default_sat_args(), "sat_args")

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import functools
+import math
 from typing import Literal
 
 import torch
 from torch import Tensor
 
+from bsk_torch._checks import number
 from bsk_torch.astro.frames import lla_to_fixed
 from bsk_torch.constants import R_EARTH
 from bsk_torch.rand import Key
@@ -63,9 +65,7 @@ class CityTargets(UniformTargets):
         self.n_select_from = self._selected(n_select_from)
         latitude, longitude = city_table()[1][: self.n_select_from].unbind(-1)
         self.r_city_P = lla_to_fixed(latitude, longitude, torch.zeros_like(latitude), self.radius)
-        if not 0.0 <= location_offset < self.radius:
-            raise ValueError(f"location_offset={location_offset!r} must lie in [0, radius) m")
-        self.location_offset = float(location_offset)
+        self.location_offset = number("location_offset", location_offset, 0.0, math.nextafter(self.radius, 0.0), unit="m")
 
     def _selected(self, n_select_from: int | str | None) -> int:
         total, least = len(city_table()[0]), self.most_targets

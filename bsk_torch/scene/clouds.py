@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from torch import Tensor
 
+from bsk_torch._checks import number
 from bsk_torch.rand import Key, Uniform
 from bsk_torch.scene.draws import Numbers, calls_user, check_numbers, draw_numbers
 from bsk_torch.scene.targets import TargetScenario
@@ -45,7 +46,7 @@ class CloudyTargets(TargetScenario):
         self.targets, self.most_targets = targets, targets.most_targets
         check_numbers("cover", cover, self.most_targets)
         check_numbers("forecast_sigma", forecast_sigma, self.most_targets, low=0.0)
-        if largest_forecast is not None and not 0.0 <= largest_forecast <= 1.0:
+        if largest_forecast is not None and not 0.0 <= number("largest_forecast", largest_forecast) <= 1.0:
             raise ValueError(f"largest_forecast={largest_forecast!r} must lie in [0, 1], or be None for no limit")
         self.cover, self.forecast_sigma, self.largest_forecast = cover, forecast_sigma, largest_forecast
 

@@ -12,6 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from bsk_torch._checks import number
 from bsk_torch.rand import Distribution, Key, PerEnv, first_key, seeded
 
 Numbers = float | Distribution | Callable[[], float]
@@ -19,6 +20,9 @@ Numbers = float | Distribution | Callable[[], float]
 
 Count = int | tuple[int, int]
 """A number of targets, or a range of it with an exclusive end."""
+
+MOST_TARGETS = 10**7
+"""Bound of the number of targets: every episode keeps all of them."""
 
 MIN_RADIUS = 6.3e6
 """Minimum distance of a target from the Earth's centre, m; the poles are at 6.357e6."""
@@ -43,6 +47,8 @@ def count_range(what: str, count: Count) -> tuple[int, int]:
         raise ValueError(f"{what}={count!r} must be an integer, or a range (low, high) of two integers") from error
     if low < 0:
         raise ValueError(f"{what}={count!r} asks for {low} targets; there must be at least 0")
+    if end > MOST_TARGETS:
+        raise ValueError(f"{what}={count!r} asks for too many targets; there may be up to {MOST_TARGETS}")
     if end <= low:
         raise ValueError(f"{what}={count!r} is empty: high is exclusive, as in bsk_rl, so it must be at least {low + 1}")
     return low, end
@@ -75,7 +81,10 @@ def as_numbers(value: Any) -> Tensor:
     Raises:
         TypeError, ValueError, RuntimeError: For anything else.
     """
-    return torch.as_tensor(value.detach().cpu() if isinstance(value, Tensor) else np.asarray(value, dtype=float)).double()
+    try:
+        return torch.as_tensor(value.detach().cpu() if isinstance(value, Tensor) else np.asarray(value, dtype=float)).double()
+    except OverflowError as error:
+        raise ValueError(str(error)) from error
 
 
 def _drawn(value: Any, key: Key, count: int) -> Tensor:
@@ -135,10 +144,11 @@ def check_numbers(what: str, value: Any, count: int, **bounds: Any) -> None:
 
 def check_radius(what: str, radius: float) -> float:
     """Return ``radius``, m; ValueError if it lies inside the Earth."""
-    problem = _inside(torch.tensor(float(radius), dtype=torch.float64))
+    found = number(what, radius, finite=False)
+    problem = _inside(torch.tensor(found, dtype=torch.float64))
     if problem:
         raise ValueError(f"{what}={radius!r}: the distance {problem}")
-    return float(radius)
+    return found
 
 
 def check_positions(r_LP_P: Tensor, of: str = "") -> None:

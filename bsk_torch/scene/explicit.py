@@ -8,6 +8,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from bsk_torch._checks import text
 from bsk_torch.rand import Distribution, Key, PerEnv
 from bsk_torch.scene.draws import as_numbers, calls_user, check_numbers, check_positions, draw_numbers
 from bsk_torch.scene.targets import TargetScenario
@@ -34,7 +35,9 @@ class Targets(TargetScenario):
         self.positions = torch.stack([_padded(table, self.most_targets) for table in tables])
         self.priorities = _priorities(priority, counts) if isinstance(priority, PerEnv) else priority
         check_numbers("priority", self.priorities, self.most_targets)
-        self.given_names = None if names is None else list(names)
+        if names is not None and (isinstance(names, str) or not isinstance(names, Sequence)):
+            raise ValueError(f"names={names!r} must be a list of names, one for each target, or None")
+        self.given_names = None if names is None else [text("names", name) for name in names]
         if self.given_names is not None and len(self.given_names) != self.most_targets:
             raise ValueError(f"names has {len(self.given_names)} entries; r_LP_P has {self.most_targets} targets")
 
@@ -105,5 +108,5 @@ def _padded(table: Tensor, length: int) -> Tensor:
 def _numbers(what: str, value: Any) -> Tensor:
     try:
         return as_numbers(value)
-    except (TypeError, ValueError, RuntimeError) as error:
+    except (TypeError, ValueError, RuntimeError, OverflowError) as error:
         raise ValueError(f"{what} is not made of numbers, or of rows of unequal length: {error}") from error

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bsk_torch._checks import number
 from bsk_torch.scene.base import Scenario
 
 
@@ -9,5 +10,5 @@ class UniformNadirScanning(Scenario):
     """Recorded data have the same value everywhere: ``value_per_second`` for every second of recording."""
 
     def __init__(self, value_per_second: float = 1.0) -> None:
-        """Value of one second of recorded data."""
-        self.value_per_second = float(value_per_second)
+        """Value of one second of recorded data; ValueError for what is no finite number."""
+        self.value_per_second = number("value_per_second", value_per_second)

@@ -6,6 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from bsk_torch._checks import number, text
+
 
 class Target:
     """A point on the ground and its worth.
@@ -20,8 +22,14 @@ class Target:
     """
 
     def __init__(self, name: str, r_LP_P: Sequence[float] | np.ndarray, priority: float) -> None:
-        """See the attributes."""
-        self.name, self.r_LP_P, self.priority = name, np.asarray(r_LP_P, dtype=float), priority
+        """See the attributes; ValueError for a position or a priority that is not made of finite numbers."""
+        try:
+            self.r_LP_P = np.asarray(r_LP_P, dtype=float)
+        except (TypeError, ValueError, OverflowError) as error:
+            raise ValueError(f"r_LP_P={r_LP_P!r} must be three numbers, m: {error}") from error
+        if self.r_LP_P.shape != (3,) or not np.isfinite(self.r_LP_P).all():
+            raise ValueError(f"r_LP_P={r_LP_P!r} must be three finite numbers, m")
+        self.name, self.priority = text("name", name), number("priority", priority)
 
     _place: tuple[int, int] | None = None
     """Environment and index, of targets of an environment, by which they are compared."""

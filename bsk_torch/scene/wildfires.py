@@ -9,9 +9,10 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from bsk_torch._checks import number
 from bsk_torch.constants import R_EARTH
 from bsk_torch.rand import Key, Uniform
-from bsk_torch.scene.draws import Count, Numbers, calls_user, check_numbers, draw_numbers, on_sphere
+from bsk_torch.scene.draws import Count, Numbers, calls_user, check_numbers, count_range, draw_numbers, on_sphere
 from bsk_torch.scene.targets import ChangingTargets
 from bsk_torch.scene.uniform import UniformTargets
 
@@ -64,15 +65,13 @@ class Wildfires(ChangingTargets, UniformTargets):
                 the whole Earth.
             radius: Distance of the fires from the Earth's centre, m.
         """
+        count_range("n_fires", n_fires)
         super().__init__(n_fires, priority_distribution, radius)
         self.fire_args = {"ignition": ignition, "rate_of_spread": rate_of_spread, "burning_time": burning_time}
         for name, value in self.fire_args.items():
             check_numbers(name, value, self.most_targets, **FIRE_BOUNDS[name])
-        if not 1.0 <= length_to_breadth < math.inf:
-            raise ValueError(f"length_to_breadth={length_to_breadth!r} must be at least 1")
-        if not 0.0 < full_area < math.inf:
-            raise ValueError(f"full_area={full_area!r} must be a positive number of m^2")
-        self.length_to_breadth, self.full_area = float(length_to_breadth), float(full_area)
+        self.length_to_breadth = number("length_to_breadth", length_to_breadth, 1.0, 1e6)
+        self.full_area = number("full_area", full_area, 1e-6, 1e18, unit="m^2")
         self.regions = _region_table([WORLD] if regions is None else regions)
 
     @property
@@ -114,8 +113,11 @@ class Wildfires(ChangingTargets, UniformTargets):
 def _region_table(regions: Sequence[Region]) -> Tensor:
     """Return relative area, sines of southern and northern latitude, western edge and width, rad, of each region; [5, R]."""
     rows = []
+    if isinstance(regions, str) or not isinstance(regions, Sequence):
+        raise ValueError(f"regions={regions!r} must be a list of (south, north, west, east), or None for everywhere")
     for k, region in enumerate(regions):
-        south, north, west, east = region if isinstance(region, Sequence) and len(region) == 4 else (math.nan,) * 4
+        numbers = isinstance(region, Sequence) and len(region) == 4 and all(isinstance(edge, int | float) for edge in region)
+        south, north, west, east = region if numbers else (math.nan,) * 4
         width = east - west if east > west else east - west + 360.0
         if not (-90.0 <= south < north <= 90.0 and -180.0 <= west <= 180.0 and -180.0 <= east <= 180.0 and west != east):
             raise ValueError(

@@ -9,6 +9,7 @@ simply one that has not been rewritten yet.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -62,7 +63,9 @@ class Arg:
 
     ``kind`` is the form of its values: ``scalar``, ``vector`` (three numbers), ``matrix`` (nine numbers), ``choice``
     (one of ``choices``, kept as its index), ``utc``, ``orbit``, ``stations`` or ``constant`` (kept as it is). ``low`` and
-    ``high`` bound every number (inclusive); ``missing`` stands for None. A ``shared`` one is the same for all environments.
+    ``high`` bound every number (inclusive). Numbers must be finite unless infinity means something, such as no limit: where an
+    argument is ``endless``, or infinite by default. ``whole`` ones have no fraction. ``missing`` stands for None. A ``shared``
+    one is the same for all environments.
     """
 
     name: str
@@ -75,6 +78,22 @@ class Arg:
     missing: float | None = None
     choices: tuple[Any, ...] = ()
     shared: bool = False
+    endless: bool = False
+    whole: bool = False
+
+    @property
+    def may_be_infinite(self) -> bool:
+        """Whether infinity is allowed."""
+        return self.endless or (isinstance(self.default, float) and math.isinf(self.default)) or self.missing == math.inf
+
+    @property
+    def allowed(self) -> str:
+        """What a number must do, in words."""
+        if (self.low, self.high) == (-math.inf, math.inf):
+            return "be finite"
+        begin = "[" if self.may_be_infinite or math.isfinite(self.low) else "("
+        end = "]" if self.may_be_infinite or math.isfinite(self.high) else ")"
+        return f"{'be a whole number' if self.whole else 'lie'} in {begin}{self.low:g}, {self.high:g}{end}"
 
 
 @dataclass(frozen=True)
@@ -141,6 +160,10 @@ def _accept(_: Values) -> None:
     pass
 
 
+def _fits(_: Values, h: float) -> None:
+    pass
+
+
 @dataclass(frozen=True)
 class Component:
     """One part of a model; see the module docstring.
@@ -150,7 +173,8 @@ class Component:
     ``at_start`` it takes part in the tick at time zero, whose length is zero; components of the world always do.
 
     ``initial`` and ``prepare`` compute, from the arguments of the rows being reset, the state and the tick parameters as float64
-    tensors [n or 1] and [n or 1, width]; ``check`` raises for arguments that do not fit together. ``overwrites`` lists fields
+    tensors [n or 1] and [n or 1, width]; ``check`` raises for arguments that do not fit together, ``check_tick`` for those that
+    do not fit the length of a tick, s, and returns words to be logged about those that hardly do. ``overwrites`` lists fields
     whose last value the update does not read, so that what a user writes into them is lost, each with advice what to do instead.
     ``integrated_only`` components run only where the orbit is integrated in the tick. ``fit`` makes the component that is used
     from the arguments as users gave them, defaults included, where its structure depends on them: it is called once, when the
@@ -165,6 +189,7 @@ class Component:
     initial: Callable[[Values], dict[str, Tensor]] = _nothing
     prepare: Callable[[Values], dict[str, Tensor]] = _nothing
     check: Callable[[Values], None] = _accept
+    check_tick: Callable[[Values, float], str | None] = _fits
     overwrites: tuple[tuple[str, str], ...] = ()
     integrated_only: bool = False
     stops: bool = False

@@ -10,6 +10,7 @@ of one environment before those of the next. :meth:`Arguments.draw` converts the
 from __future__ import annotations
 
 import copy
+import math
 from collections.abc import Container, Iterable, Mapping, Sequence
 from datetime import datetime
 from typing import Any
@@ -18,6 +19,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from bsk_torch._checks import number
 from bsk_torch.astro.ephemeris import parse_utc
 from bsk_torch.rand import Distribution, Key, seeded
 from bsk_torch.sim.component import Arg, Component, Values
@@ -43,9 +45,17 @@ def numbers(value: Any) -> Tensor:
 
 
 def _index(arg: Arg, value: Any) -> float:
-    if value not in arg.choices:
-        raise ValueError(f"{arg.name}={value!r} must be one of {list(arg.choices)}")
-    return float(arg.choices.index(value))
+    for k, choice in enumerate(arg.choices):
+        if np.shape(value) == () and (value is choice or bool(value == choice)):
+            return float(k)
+    raise ValueError(f"{arg.name}={value!r} must be one of {list(arg.choices)}")
+
+
+def _epoch(arg: Arg, value: Any) -> float:
+    try:
+        return parse_utc(value if isinstance(value, datetime) else str(value))
+    except ValueError as error:
+        raise ValueError(f"{arg.name}: {error}") from error
 
 
 def _shaped(arg: Arg, values: Tensor, rows: int) -> Tensor:
@@ -59,9 +69,12 @@ def _shaped(arg: Arg, values: Tensor, rows: int) -> Tensor:
         what = {0: "one number"}.get(len(size), f"{(*size, 1)[0]} numbers")
         raise ValueError(f"{arg.name} needs {what} for each environment ({arg.unit}); got shape {list(values.shape[1:])}")
     bad = torch.isnan(values) | (values < arg.low) | (values > arg.high)
+    if not arg.may_be_infinite:
+        bad = bad | torch.isinf(values)
+    if arg.whole:
+        bad = bad | (values != torch.floor(values))
     if bool(bad.any()):
-        worst = values[bad][0].item()
-        raise ValueError(f"{arg.name}={worst:g} {arg.unit} is not allowed; it must lie in [{arg.low:g}, {arg.high:g}]")
+        raise ValueError(f"{arg.name}={values[bad][0].item():g} {arg.unit} is not allowed; it must {arg.allowed}")
     return values
 
 
@@ -79,11 +92,12 @@ def convert(arg: Arg, values: Any, rows: int) -> Any:
     if arg.kind == "choice":
         return torch.tensor([_index(arg, v) for v in values], dtype=torch.float64)
     if arg.kind == "utc":
-        return torch.tensor([parse_utc(v if isinstance(v, datetime) else str(v)) for v in values], dtype=torch.float64)
+        return torch.tensor([_epoch(arg, value) for value in values], dtype=torch.float64)
     try:
         given = numbers(values)
-    except (TypeError, ValueError, RuntimeError) as error:
-        raise ValueError(f"{arg.name}={values!r} is not made of numbers ({arg.unit}): {error}") from error
+    except (TypeError, ValueError, RuntimeError, OverflowError) as error:
+        shown = values[0] if isinstance(values, list) and len(values) == 1 else values
+        raise ValueError(f"{arg.name}={shown!r} is not made of numbers ({arg.unit}): {error}") from error
     return _shaped(arg, given, rows)
 
 
@@ -370,6 +384,8 @@ class Arguments:
             raise ValueError(f"{arg.name}={value!r} must be the same for all environments; give a constant")
         if arg.kind == "stations":
             _check_stations(value)
+        if arg.kind == "constant" and arg.choices:
+            _index(arg, value)
 
     @staticmethod
     def _missing(arg: Arg) -> Tensor | None:
@@ -385,15 +401,32 @@ def drawn_once(arg: Arg, answer: Any, key: Key, row: int) -> Any:
     return answer.draw(key.take([row]).named(arg.name))[0] if isinstance(answer, Distribution) else answer
 
 
+STATION_BOUNDS = {
+    "lat": (-90.0, 90.0),
+    "long": (-360.0, 360.0),
+    "elev": (-1e4, 1e7),
+    "groundLocationPlanetRadius": (1e-9, 1e9),
+    "gsMinimumElevation": (-math.pi / 2, math.pi / 2),
+    "gsMaximumRange": (-math.inf, math.inf),
+}
+"""Bounds of the numbers of a station, degrees for latitude and longitude, else m and rad."""
+
+
 def _check_stations(stations: Any) -> None:
-    known = {"lat", "long", "elev", "name", "groundLocationPlanetRadius", "gsMinimumElevation", "gsMaximumRange"}
+    if isinstance(stations, str | Mapping) or not isinstance(stations, Sequence):
+        raise ValueError(f"groundStationsData={stations!r} must be a list of stations, such as {{'lat': 40.0, 'long': -105.2}}")
     if not stations:
         raise ValueError("groundStationsData is empty; it needs at least one station, such as {'lat': 40.0, 'long': -105.2}")
     for station in stations:
-        for key in station:
-            if key not in known:
-                raise ValueError(f"groundStationsData has an unknown key {key!r}; {nearest(key, known)}")
-        for key, bound in (("lat", 90.0), ("long", 360.0)):
+        if not isinstance(station, Mapping):
+            raise ValueError(f"groundStationsData holds {station!r}; a station is a dictionary, {{'lat': 40.0, 'long': -105.2}}")
+        for key, value in station.items():
+            if key not in (*STATION_BOUNDS, "name"):
+                raise ValueError(f"groundStationsData has an unknown key {key!r}; {nearest(str(key), (*STATION_BOUNDS, 'name'))}")
+            if key in STATION_BOUNDS and key not in ("lat", "long") and value:  # bsk_rl takes a falsy value for an unset one
+                number(f"groundStationsData: {key}", value, *STATION_BOUNDS[key], finite=key != "gsMaximumRange")
+        for key in ("lat", "long"):
+            bound = STATION_BOUNDS[key][1]
             if not isinstance(station.get(key), int | float) or not -bound <= station[key] <= bound:
                 raise ValueError(f"groundStationsData needs {key!r} in degrees within +-{bound:g}; got {station}")
 

@@ -11,12 +11,12 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from bsk_torch._checks import number
 from bsk_torch._deprecated import deprecated_attributes
-from bsk_torch.astro.atmosphere import top_radius
-from bsk_torch.astro.ephemeris import coverage
+from bsk_torch.astro.atmosphere import exponential_density, top_radius
 from bsk_torch.astro.orbit import periapsis_radius
 from bsk_torch.codegen.kernel import Samples
-from bsk_torch.constants import NANO
+from bsk_torch.constants import MU_EARTH, NANO
 from bsk_torch.rand import Key, first_key
 from bsk_torch.sim.access.lookahead import LookAhead
 from bsk_torch.sim.access.places import place_kinds
@@ -49,7 +49,15 @@ ArgumentChange = tuple[int, str, Any, Sequence[int] | None]
 
 ORBITS = ("arc", "integrated")
 
-LONGEST_TICK = 60.0
+SHORTEST_TICK, LONGEST_TICK = 1e-3, 60.0
+"""Bounds of the length of a tick, s. With shorter ones a step of minutes takes millions of ticks; longer ones than a minute would
+pass over the nodes of arcs."""
+
+LOWEST_PERIAPSIS, HIGHEST_APOAPSIS = 6.35e6, 1e9
+"""Bounds of the radii of initial orbits, m: the Earth's polar radius is 6.357e6, and the Moon, which is left out, at 4e8."""
+
+DENSEST_AIR = 10.0
+"""Largest density, kg/m^3, at an initial position."""
 
 
 class _Looked(dict[str, Any]):
@@ -82,6 +90,11 @@ def _planes(layout: Layout, names: Iterable[str]) -> list[int]:
 def whole_nanoseconds(seconds: float) -> int:
     """Return seconds on Basilisk's clock."""
     return int(seconds * 1e9 + 0.5)
+
+
+def _first(values: Tensor, where: Tensor) -> float:
+    """Return the first value [n or 1] of those ``where`` [n] says."""
+    return float(values.expand_as(where)[where][0])
 
 
 def declared_fields(*models: type) -> set[str]:
@@ -145,13 +158,14 @@ class Simulator:
         orbit: str | None = None,
         backend: str = "compiled",
         segment: float = 600.0,
-        max_time: float = 0.0,
         scenario_state: StateTable | None = None,
         stops: bool = False,
         columns: Sequence[int] = (0,),
         randomize: Callable[[Key], Overrides] = lambda key: {},
         world_type: type[WorldModel] | None = None,
         compat: str | None = None,
+        advised: set[Any] | None = None,
+        controlled: bool = True,
     ) -> None:
         """Build the tick and check the arguments with trial draws; :meth:`reset` fills the state.
 
@@ -168,13 +182,14 @@ class Simulator:
             orbit: ``"arc"``, ``"integrated"``, or None for the default of the dynamics model.
             backend: ``"compiled"`` or ``"eager"``.
             segment: Seconds by which look-ahead windows are extended.
-            max_time: Longest finite time limit, to check the ephemeris' coverage.
             scenario_state: The scenario's draws.
             stops: Whether events such as an image end a run.
             columns: Numbers of the satellites among all those of an environment, of other types too.
             randomize: Draws arguments that replace those of some satellites.
             world_type: World model; None for what the dynamics model requires.
             compat: ``"bsk_rl"`` for access windows with bsk_rl's errors.
+            advised: What has been logged about arguments, so that simulations that share it do not say it again.
+            controlled: Whether actions may switch attitude control on, so that its gains matter.
 
         Raises:
             TypeError: For models that do not fit together, or a component that reads what none writes.
@@ -182,13 +197,12 @@ class Simulator:
         self.num_envs, self.count, self.device, self.dtype = num_envs, len(columns), device, dtype
         self.columns, self.backend = tuple(columns), backend
         self.scenario_state = StateTable(num_envs, 1, device) if scenario_state is None else scenario_state
-        self.h_ns, self.orbit = whole_nanoseconds(sim_rate), orbit or dyn_type.orbit
+        self.h_ns = whole_nanoseconds(number("sim_rate", sim_rate, SHORTEST_TICK, LONGEST_TICK, unit="s"))
+        self.orbit = dyn_type.orbit if orbit is None else orbit
         if self.orbit not in ORBITS:
             raise ValueError(f"orbit={self.orbit!r} must be one of {list(ORBITS)}, or None for the model's own")
-        if not 0 < self.h_ns * NANO <= LONGEST_TICK:
-            raise ValueError(f"sim_rate={sim_rate:g} s must lie in (0, {LONGEST_TICK:g}]")
-        self.max_time, self.stops = max_time, stops
-        self._randomize = randomize
+        self.stops, self._randomize = stops, randomize
+        self._advised, self._controlled = set() if advised is None else advised, controlled
         self._make_components(dyn_type, fsw_type, world_type, sat_args, world_args)
         self._make_tick()
         self._make_lookahead(horizon, segment, compat == "bsk_rl")
@@ -362,26 +376,69 @@ class Simulator:
             raise ValueError(f"the scenario draws {taken}, which are arguments of satellite or world; give them other names")
         for part in self.parts:
             part.check(values)
+        self._check_tick(values)
         self._check_orbit(values)
         return values
 
+    def _check_tick(self, values: dict[str, Any]) -> None:
+        """Check that arguments fit the length of a tick; what hardly does is logged once for each part of a model."""
+        wrong = []
+        for part in self.parts:
+            if part.slot == "control" and not self._controlled:
+                continue
+            try:
+                words = part.check_tick(values, self.h_ns * NANO)
+            except ValueError as error:
+                wrong.append(str(error))
+                continue
+            if words and (self.columns, part.slot) not in self._advised:
+                self._advised.add((self.columns, part.slot))
+                logger.warning("sat_args: %s", words)
+        if wrong:
+            raise ValueError(f"sat_args: {'; and '.join(wrong)}")
+
     def _check_orbit(self, values: dict[str, Any]) -> None:
-        end = float(values["utc_init"].max()) + self.max_time
-        if end > coverage()[1]:
-            raise ValueError(
-                f"utc_init: an episode would end {end - coverage()[1]:.0f} s after the ephemeris, which ends in 2060"
-            )
-        if self.orbit != "arc" or "baseDensity" not in values:
-            return
-        air = (float(values[name].max()) for name in ("planetRadius", "baseDensity", "scaleHeight"))
-        top = top_radius(*air)
         r, v = (Vec3.of(x) for x in hub.initial_orbit(values))
-        lowest = float(periapsis_radius(r, v).min())
-        if lowest < top:
+        lowest = self._check_bound(values, r, v)
+        if "baseDensity" not in values:
+            return
+        names = ("planetRadius", "baseDensity", "scaleHeight")
+        if self.orbit == "arc":
+            top = top_radius(*(float(values[name].max()) for name in names))
+            if lowest < top:
+                raise ValueError(
+                    f"sat_args: an orbit comes down to {lowest / 1e3:.0f} km from the Earth's centre, but drag is felt below "
+                    f"{top / 1e3:.6g} km (by {', '.join(names)}) and the orbit is computed without it; pass "
+                    "orbit='integrated' to the environment"
+                )
+        elif not bool((exponential_density(r, *(values[name] for name in names)) <= DENSEST_AIR).all()):
             raise ValueError(
-                f"sat_args: an orbit comes down to {lowest / 1e3:.0f} km from the Earth's centre, but drag is felt below "
-                f"{top / 1e3:.0f} km and the orbit is computed without it; pass orbit='integrated' to the environment"
+                f"world_args: by {', '.join(names)} the air has more than {DENSEST_AIR:g} kg/m^3 at an initial position"
             )
+
+    @staticmethod
+    def _check_bound(values: dict[str, Any], r: Vec3, v: Vec3) -> float:
+        """Return the lowest periapsis, m, of initial positions, m, and velocities, m/s; ValueError for one that is no orbit."""
+        given = "rN and vN are" if values["oe"] is None else "oe is"
+        mu = torch.clamp(values["mu"], max=MU_EARTH)  # observed elements are those under the smaller one
+        radius, speed2 = r.norm(), v.dot(v)
+        a = 1.0 / (2.0 / radius - speed2 / mu)
+        bound = (radius > 0.0) & (a > 0.0)
+        if not bool(bound.all()):
+            raise ValueError(
+                f"sat_args: {given} no orbit around the Earth: {_first(radius, ~bound) / 1e3:g} km from its centre at "
+                f"{_first(speed2.sqrt(), ~bound):g} m/s, with mu={_first(mu, ~bound):g} m^3/s^2; an orbit's energy is negative"
+            )
+        periapsis = periapsis_radius(r, v)
+        wrong = ~((periapsis >= LOWEST_PERIAPSIS) & (2.0 * a - periapsis <= HIGHEST_APOAPSIS))
+        if bool(wrong.any()):
+            low, high = _first(periapsis, wrong), _first(2.0 * a - periapsis, wrong)
+            raise ValueError(
+                f"sat_args: {given} an orbit from {low / 1e3:.6g} to {high / 1e3:.6g} km from the Earth's centre; allowed are "
+                f"{LOWEST_PERIAPSIS / 1e3:g} km, its surface, to {HIGHEST_APOAPSIS / 1e3:g} km (oe: a(1 - e) and a(1 + e); rN "
+                "and vN: not parallel)"
+            )
+        return float(periapsis.min())
 
     def reset(self, envs: Tensor, values: dict[str, Any], duration: Tensor) -> None:
         """Start the episodes ``envs`` [n] anew from drawn ``values``, with windows for ``duration`` [n] s.

@@ -70,5 +70,5 @@ def test_names_and_two_broadcasts_of_one_satellite():
 
 @pytest.mark.parametrize("duration", [0.0, -3.0, float("nan")])
 def test_durations_must_be_positive(duration):
-    with pytest.raises(ValueError, match=r"duration=.* of action 'action_broadcast' must be positive"):
+    with pytest.raises(ValueError, match=r"action 'action_broadcast': duration=.* must be a number in"):
         act.Broadcast(duration=duration)

@@ -164,7 +164,7 @@ class Ranked(dyn.DynamicsModel):
 
 def simulate(backend) -> Simulator:
     options = dict(num_envs=3, device=torch.device("cpu"), dtype=torch.float64, sim_rate=1.0, horizon=600.0, backend=backend)
-    simulator = Simulator(Ranked, fsw.FSWModel, {}, world_args={}, orbit="arc", segment=600.0, max_time=600.0, **options)
+    simulator = Simulator(Ranked, fsw.FSWModel, {}, world_args={}, orbit="arc", segment=600.0, **options)
     values = simulator.draw(first_key(3))
     simulator.reset(simulator.state.all_rows, values, torch.zeros(3, dtype=torch.float64))
     return simulator

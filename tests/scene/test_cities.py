@@ -108,5 +108,5 @@ def test_wrong_numbers_of_cities(wrong):
 
 @pytest.mark.parametrize("wrong", [-1.0, math.nan, 7e6])
 def test_wrong_offsets(wrong):
-    with pytest.raises(ValueError, match=r"location_offset=.* must lie in \[0, radius\) m"):
+    with pytest.raises(ValueError, match=r"location_offset=.* must be a number in \[0, 6.37814e\+06\] m"):
         scene.CityTargets(10, location_offset=wrong)

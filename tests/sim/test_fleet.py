@@ -137,12 +137,12 @@ def test_episodes_draw_the_same_in_any_batch(drawing):
 
 def test_what_is_set_for_all_together(drawing):
     """Satellites of both types, and some of one only."""
-    masses = torch.tensor([[12.0, 11.0], [22.0, 21.0], [32.0, 31.0]])
+    masses = torch.tensor([[120.0, 110.0], [220.0, 210.0], [320.0, 310.0]])
     drawn = drawing.draw(first_key(N), {"mass": ([2, 1], masses), "hs_min": ([1], masses[:, 1:])})
     two, one = drawn.values
     default = float(drawing.simulators[0].sat_args.table["mass"].default)
-    assert two["mass"].view(N, 2).tolist() == [[default, 12.0], [default, 22.0], [default, 32.0]]
-    assert one["mass"].tolist() == one["hs_min"].tolist() == [11.0, 21.0, 31.0]
+    assert two["mass"].view(N, 2).tolist() == [[default, 120.0], [default, 220.0], [default, 320.0]]
+    assert one["mass"].tolist() == one["hs_min"].tolist() == [110.0, 210.0, 310.0]
     assert len(two["hs_min"]) == 1
 
 

@@ -50,11 +50,11 @@ def draw(given: dict, parts=PARTS, n: int = 3, title: str = "sat_args") -> dict:
         ({"sigma_init": [0.1, 0.2]}, ValueError, "sigma_init needs 3 numbers for each environment (-); got shape [2]"),
         ({"oe": [7e6, 0.0]}, ValueError, "oe needs 6 numbers for each environment (m, -, rad); got shape [2]"),
         ({"controlAxes_B": [1.0] * 8}, ValueError, "controlAxes_B needs 9 numbers for each environment (-); got shape [8]"),
-        ({"mass": -1.0}, ValueError, "sat_args: mass=-1 kg is not allowed; it must lie in [1e-06, inf]"),
-        ({"mass": math.nan}, ValueError, "sat_args: mass=nan kg is not allowed; it must lie in [1e-06, inf]"),
+        ({"mass": -1.0}, ValueError, "sat_args: mass=-1 kg is not allowed; it must lie in [1e-06, 1e+09]"),
+        ({"mass": math.nan}, ValueError, "sat_args: mass=nan kg is not allowed; it must lie in [1e-06, 1e+09]"),
         ({"sigma_init": [0.0, math.nan, 0.0]}, ValueError, "sigma_init=nan - is not allowed"),
-        ({"transmitterBaudRate": 1.0}, ValueError, "transmitterBaudRate=1 bit/s is not allowed; it must lie in [-inf, 0]"),
-        ({"mass": "heavy"}, ValueError, "sat_args: mass=['heavy'] is not made of numbers (kg): "),
+        ({"transmitterBaudRate": 1.0}, ValueError, "transmitterBaudRate=1 bit/s is not allowed; it must lie in [-9.0072e+15, 0]"),
+        ({"mass": "heavy"}, ValueError, "sat_args: mass='heavy' is not made of numbers (kg): "),
         ({"mass": rand.Uniform(-5.0, -4.0)}, ValueError, "sat_args: mass=-4."),
         ({"mass": rand.Uniform(size=2)}, ValueError, "mass needs one number for each environment (kg); got shape [2]"),
         ({"mass": rand.per_env([1.0, 2.0])}, ValueError, "sat_args: per_env has 2 rows, but environment 2 needs one"),
@@ -135,7 +135,7 @@ def test_stations_as_bsk_rl_takes_them():
 
 @pytest.mark.parametrize("epoch", ["yesterday", "2021-13-01T00:00:00", "1950-01-01T00:00:00"])
 def test_epochs(epoch):
-    with pytest.raises(ValueError, match=rf"world_args: epoch '{epoch}'"):
+    with pytest.raises(ValueError, match=rf"world_args: utc_init: epoch '{epoch}'"):
         draw({"utc_init": epoch}, WORLD, title="world_args")
 
 
@@ -364,7 +364,7 @@ def test_override_all_satellites():
     ("name", "given", "kind", "message"),
     [
         ("Mass", [[1.0]], KeyError, "sat_arg_randomizer sets 'Mass', which is unknown; did you mean 'mass'?"),
-        ("mass", [[-1.0]], ValueError, "mass=-1 kg is not allowed; it must lie in [1e-06, inf]"),
+        ("mass", [[-1.0]], ValueError, "mass=-1 kg is not allowed; it must lie in [1e-06, 1e+09]"),
         ("mass", [[[1.0, 2.0]]], ValueError, "mass needs one number for each environment (kg); got shape [2]"),
         ("oe", [[ORBIT]], ValueError, "sat_arg_randomizer sets oe of some satellites of a type; the others need one in sat_args"),
     ],

@@ -131,7 +131,7 @@ class Measuring(dyn.DynamicsModel):
 @pytest.mark.parametrize("backend", ["eager", pytest.param("compiled", marks=pytest.mark.compiled)])
 def test_components_of_the_world_take_part_in_the_tick_at_time_zero(backend):
     options = dict(num_envs=2, device=torch.device("cpu"), dtype=torch.float64, sim_rate=1.0, horizon=600.0, backend=backend)
-    simulator = Simulator(Measuring, fsw.FSWModel, {}, world_args={}, orbit="arc", segment=600.0, max_time=600.0, **options)
+    simulator = Simulator(Measuring, fsw.FSWModel, {}, world_args={}, orbit="arc", segment=600.0, **options)
     simulator.reset(simulator.state.all_rows, simulator.draw(first_key(2)), torch.zeros(2, dtype=torch.float64))
     torch.testing.assert_close(simulator.read("sun_range"), simulator.world.r_SN_N.norm(dim=-1), rtol=1e-9, atol=0)
     names = "sun_calls", "starts", "calls"

@@ -52,8 +52,8 @@ DRAG = Component(
     slot="drag",
     update=_latch_density,
     args=(
-        Arg("dragCoeff", 2.2, "-", "drag coefficient", low=0.0),
-        Arg("panelArea", 1.0, "m^2", "area of the solar panel", low=0.0),
+        Arg("dragCoeff", 2.2, "-", "drag coefficient", low=0.0, high=1e3),
+        Arg("panelArea", 1.0, "m^2", "area of the solar panel", low=0.0, high=1e6),
     ),
     state=(Field("density", 1, "kg/m^3", "density that acts over the next tick"),),
     params=(Field("facet_areas", 4, "m^2"), Field("facet_offsets", 4, "m"), Field("drag_coefficient", 1, "-")),
@@ -65,7 +65,7 @@ DRAG = Component(
 
 DISTURBANCE = Component(
     slot="disturbance",
-    args=(Arg("disturbance_vector", None, "N m", "constant torque in B", kind="vector", missing=0.0),),
+    args=(Arg("disturbance_vector", None, "N m", "constant torque in B", "vector", -1.0, 1.0, missing=0.0),),
     params=(vec("disturbance_torque_B", "N m"),),
     prepare=lambda args: {"disturbance_torque_B": args["disturbance_vector"]},
 )

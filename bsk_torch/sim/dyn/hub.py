@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import torch
 from torch import Tensor
 
@@ -11,7 +13,7 @@ from bsk_torch.astro.frames import rotate_z
 from bsk_torch.astro.gravity import third_body
 from bsk_torch.astro.integrate import State, rk4_step
 from bsk_torch.astro.orbit import Elements, elements_to_rv
-from bsk_torch.constants import MU_EARTH
+from bsk_torch.constants import MU_EARTH, RPM
 from bsk_torch.rand import Uniform, random_orbit
 from bsk_torch.sim.component import Arg, Bus, Component, Field, Values, vec
 from bsk_torch.sim.dyn.drag import drag
@@ -19,6 +21,12 @@ from bsk_torch.sim.dyn.field import called_field, full_field
 from bsk_torch.sim.dyn.thrusters import pulse_torque
 from bsk_torch.sim.dyn.wheels import SPIN_INERTIA
 from bsk_torch.vec3 import Vec3
+
+BODY = ("mass", "width", "depth", "height")
+"""Arguments that the inertia follows from."""
+
+STABLE_TURN = 2.0 * math.sqrt(2.0)
+"""Angle, rad, that a Runge-Kutta step of order four resolves."""
 
 
 def box_inertia(mass: Tensor, width: Tensor, depth: Tensor, height: Tensor) -> Tensor:
@@ -39,11 +47,54 @@ def initial_orbit(args: Values) -> tuple[Tensor, Tensor]:
 
 
 def _check(args: Values) -> None:
+    if "wheelSpeeds" in args:
+        _check_inertia(args)
     given = [name for name in ("oe", "rN", "vN") if args[name] is not None]
     if given not in (["oe"], ["rN", "vN"]):
         raise KeyError(f"give the orbit as 'oe', or as both 'rN' and 'vN' with oe=None; given are {given or 'none'}")
     if args["oe"] is not None:
         _check_elements(args["oe"])
+
+
+def _inertia(args: Values) -> Tensor:
+    return box_inertia(*(args[name] for name in BODY))
+
+
+def _in_words(args: Values, row: int) -> str:
+    return ", ".join(f"{name}={args[name][min(row, len(args[name]) - 1)].item():g}" for name in BODY)
+
+
+def _check_inertia(args: Values) -> None:
+    """Check that the body is heavier than its wheels: the inertia of the box is that of hub and wheels together."""
+    smallest = _inertia(args).min(-1).values
+    if bool((smallest <= SPIN_INERTIA).any()):
+        row = int(smallest.argmin())
+        raise ValueError(
+            f"{_in_words(args, row)}: a body whose smallest moment of inertia is {smallest[row].item():.3g} kg m^2 cannot hold "
+            f"reaction wheels of {SPIN_INERTIA:.3g} kg m^2 each (Honeywell HR16, as in Basilisk): no gains K and P are stable. "
+            "Give a larger body, or models without wheels, dyn.DynamicsModel and fsw.FSWModel"
+        )
+
+
+def _check_spin(args: Values, h: float) -> None:
+    """Check that ticks of h s resolve the initial rates of body and wheels.
+
+    The body turns about its momentum H at up to ``|H| / J``. The Runge-Kutta method of order four is stable up to ``2 sqrt(2)``
+    rad in a step (Hairer and Wanner, "Solving ordinary differential equations II", section IV.2), and numbers overflow beyond.
+    """
+    inertia = _inertia(args)
+    H, J, names = inertia * args["omega_init"], inertia, "omega_init turns"
+    if "wheelSpeeds" in args:
+        H = H + args["wheelSpeeds"] * (RPM * SPIN_INERTIA)
+        J, names = J - SPIN_INERTIA, "wheelSpeeds and omega_init turn"
+    turn = h * H.norm(dim=-1) / J.min(-1).values
+    row = int(turn.argmax())
+    if bool(turn[row] > STABLE_TURN):
+        raise ValueError(
+            f"{names} a body with {_in_words(args, row)} by {turn[row].item():.3g} rad in a tick of sim_rate={h:g} s; ticks "
+            f"resolve {STABLE_TURN:.3g} rad. Give smaller initial rates, a larger body, or a sim_rate of at most "
+            f"{h * STABLE_TURN / turn[row].item():.2g} s"
+        )
 
 
 def _check_elements(oe: Tensor) -> None:
@@ -156,16 +207,16 @@ def translate_and_rotate(bus: Bus) -> None:
 HUB = Component(
     slot="hub",
     args=(
-        Arg("mass", 330.0, "kg", "hub mass", low=1e-6),
-        Arg("width", 1.38, "m", "side of the hub", low=1e-6),
-        Arg("depth", 1.04, "m", "side of the hub", low=1e-6),
-        Arg("height", 1.58, "m", "side of the hub", low=1e-6),
-        Arg("sigma_init", Uniform(0.0, 1.0, 3), "-", "initial attitude, MRP of B relative to N", kind="vector"),
-        Arg("omega_init", Uniform(-1e-4, 1e-4, 3), "rad/s", "initial body rate in B", kind="vector"),
+        Arg("mass", 330.0, "kg", "hub mass", low=1e-6, high=1e9),
+        Arg("width", 1.38, "m", "side of the hub", low=1e-6, high=1e4),
+        Arg("depth", 1.04, "m", "side of the hub", low=1e-6, high=1e4),
+        Arg("height", 1.58, "m", "side of the hub", low=1e-6, high=1e4),
+        Arg("sigma_init", Uniform(0.0, 1.0, 3), "-", "initial attitude, MRP of B relative to N", "vector", -1e6, 1e6),
+        Arg("omega_init", Uniform(-1e-4, 1e-4, 3), "rad/s", "initial body rate in B", "vector", -1e3, 1e3),
         Arg("oe", random_orbit(), "m, -, rad", "initial orbit as elements a, e, i, Omega, omega, f", kind="orbit"),
-        Arg("rN", None, "m", "initial position, instead of oe", kind="vector"),
-        Arg("vN", None, "m/s", "initial velocity, instead of oe", kind="vector"),
-        Arg("mu", MU_EARTH, "m^3/s^2", "gravitational parameter that converts oe", low=1.0),
+        Arg("rN", None, "m", "initial position, instead of oe", "vector", -1e9, 1e9),
+        Arg("vN", None, "m/s", "initial velocity, instead of oe", "vector", -1e6, 1e6),
+        Arg("mu", MU_EARTH, "m^3/s^2", "gravitational parameter that converts oe", low=1.0, high=1e20),
         Arg("min_orbital_radius", 6578136.6, "m", "a spacecraft at or below this radius dies", low=0.0),
     ),
     state=(
@@ -178,4 +229,5 @@ HUB = Component(
     initial=_initial,
     prepare=_prepare,
     check=_check,
+    check_tick=_check_spin,
 )

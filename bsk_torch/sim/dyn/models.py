@@ -251,8 +251,8 @@ class ImagingDynModel(BasicDynamicsModel):
 
     @observable
     def storage_level_fraction(now: Now) -> Tensor:
-        """Data over capacity, ``level / dataStorageCapacity``, [N]."""
-        return now.storage / now.args.dataStorageCapacity
+        """Data over capacity, ``level / dataStorageCapacity``, [N]; 0 without capacity, where the store stays empty."""
+        return now.storage / torch.clamp(now.args.dataStorageCapacity, min=1.0)
 
     @observable
     def partition_levels(now: Now) -> tuple[Tensor, ...]:
@@ -303,7 +303,15 @@ class LOSCommDynModel(DynamicsModel):
     components: ClassVar[tuple[Component, ...]] = (
         Component(
             slot="los_comms",
-            args=(Arg("losMaximumRange", -1.0, "m", "longest range of sight to other satellites; no limit where not positive"),),
+            args=(
+                Arg(
+                    "losMaximumRange",
+                    -1.0,
+                    "m",
+                    "longest range of sight to other satellites; no limit where not positive",
+                    endless=True,
+                ),
+            ),
         ),
     )
 

@@ -36,9 +36,10 @@ Levels = tuple[Tensor, ...]
 def partition_names(given: Mapping[str, Any]) -> tuple[str, ...]:
     """Return the names of the partitions that the arguments ask for, in order; ValueError where they do not fit together."""
     names, count = given["bufferNames"], given["transmitterNumBuffers"]
-    if not isinstance(count, Real) or not float(count).is_integer() or float(count) < 1.0:
+    if not isinstance(count, Real) or not 1.0 <= float(count) <= storage.MOST_BUFFERS or not float(count).is_integer():
         raise ValueError(
-            f"sat_args: transmitterNumBuffers={count!r} must be a whole number of at least 1, the same for all environments"
+            f"sat_args: transmitterNumBuffers={count!r} must be a whole number from 1 to {storage.MOST_BUFFERS}, the same for "
+            "all environments"
         )
     count = int(float(count))
     if names is None:
@@ -237,7 +238,7 @@ BUFFER_NAMES = Arg(
 IMAGER = dataclasses.replace(
     storage.INSTRUMENT,
     update=take_images,
-    args=(Arg("instrumentBaudRate", 8e6, "bit", "data of one image", low=0.0),),
+    args=(Arg("instrumentBaudRate", 8e6, "bit", "data of one image", low=0.0, high=storage.MOST_BITS),),
 )
 
 TRANSMITTER = transmitter(NUM_BUFFERS)

@@ -12,6 +12,12 @@ from bsk_torch.constants import AU, SOLAR_FLUX
 from bsk_torch.rand import Uniform
 from bsk_torch.sim.component import Arg, Bus, Component, Field, Values, vec
 
+AXIS_BOUNDS = -1e9, 1e9
+"""Bounds of the components of vectors of which only the direction counts."""
+
+MOST_POWER = 1e12
+"""Bound of powers, W."""
+
 
 def unit_rows(vectors: Tensor) -> Tensor:
     """Return rows [n, 3] scaled to length one."""
@@ -61,9 +67,9 @@ PANEL = Component(
     slot="panel",
     update=collect_sunlight,
     args=(
-        Arg("panelArea", 1.0, "m^2", "area of the solar panel", low=0.0),
+        Arg("panelArea", 1.0, "m^2", "area of the solar panel", low=0.0, high=1e6),
         Arg("panelEfficiency", 0.2, "-", "share of sunlight turned into power", low=0.0, high=1.0),
-        Arg("nHat_B", (0.0, 0.0, -1.0), "-", "panel normal in B", kind="vector"),
+        Arg("nHat_B", (0.0, 0.0, -1.0), "-", "panel normal in B", "vector", *AXIS_BOUNDS),
     ),
     params=(Field("panel_gain", 1, "m^2"), vec("panel_normal_B")),
     prepare=lambda args: {
@@ -72,6 +78,11 @@ PANEL = Component(
     },
     check=check_axis("nHat_B"),
 )
+
+
+def power_arg(name: str, default: float, doc: str) -> Arg:
+    """Return an argument that is a power, W."""
+    return Arg(name, default, "W", doc, low=-MOST_POWER, high=MOST_POWER)
 
 
 def sink(slot: str, arg: Arg, flag: str | None) -> Component:
@@ -84,14 +95,16 @@ def sink(slot: str, arg: Arg, flag: str | None) -> Component:
     return Component(slot, draw, (arg,), params=(Field(slot, 1, "W"),), prepare=lambda args: {slot: args[arg.name]})
 
 
-BASE_POWER = sink("base_power", Arg("basePowerDraw", 0.0, "W", "power always drawn, negative"), None)
-THRUSTER_POWER = sink("thruster_draw", Arg("thrusterPowerDraw", 0.0, "W", "power while desaturating, negative"), "thruster_power")
+BASE_POWER = sink("base_power", power_arg("basePowerDraw", 0.0, "power always drawn, negative"), None)
+THRUSTER_POWER = sink(
+    "thruster_draw", power_arg("thrusterPowerDraw", 0.0, "power while desaturating, negative"), "thruster_power"
+)
 
 BATTERY = Component(
     slot="battery",
     update=charge_battery,
     args=(
-        Arg("batteryStorageCapacity", 288000.0, "W s", "battery capacity", low=0.0),
+        Arg("batteryStorageCapacity", 288000.0, "W s", "battery capacity", low=1e-6, high=1e18),
         Arg("storedCharge_Init", Uniform(108000.0, 252000.0), "W s", "initial charge", low=0.0),
     ),
     state=(Field("charge", 1, "W s", exact=True),),

@@ -9,7 +9,13 @@ import torch
 from torch import Tensor
 
 from bsk_torch.sim.component import Arg, Bus, Component, Field, Values
-from bsk_torch.sim.dyn.power import sink
+from bsk_torch.sim.dyn.power import power_arg, sink
+
+MOST_BITS = 2.0**53
+"""Bound of data and of data rates, bit and bit/s: above it whole bits are not exact."""
+
+MOST_BUFFERS = 1000
+"""Bound of the number of partitions, each of which is part of the state."""
 
 
 def run_instrument(bus: Bus) -> None:
@@ -86,16 +92,16 @@ def initial_store(args: Values) -> dict[str, Tensor]:
 
 
 INSTRUMENT_POWER = sink(
-    "instrument_draw", Arg("instrumentPowerDraw", -30.0, "W", "power while imaging, negative"), "instrument_power"
+    "instrument_draw", power_arg("instrumentPowerDraw", -30.0, "power while imaging, negative"), "instrument_power"
 )
 TRANSMITTER_POWER = sink(
-    "transmitter_draw", Arg("transmitterPowerDraw", -15.0, "W", "power while downlinking, negative"), "transmitter_on"
+    "transmitter_draw", power_arg("transmitterPowerDraw", -15.0, "power while downlinking, negative"), "transmitter_on"
 )
 
 INSTRUMENT = Component(
     slot="instrument",
     update=run_instrument,
-    args=(Arg("instrumentBaudRate", 8e6, "bit/s", "data rate while imaging", low=0.0),),
+    args=(Arg("instrumentBaudRate", 8e6, "bit/s", "data rate while imaging", low=0.0, high=MOST_BITS),),
     params=(Field("instrument_baud", 1, "bit/s", exact=True),),
     prepare=lambda args: {"instrument_baud": args["instrumentBaudRate"]},
 )
@@ -104,9 +110,11 @@ TRANSMITTER = Component(
     slot="transmitter",
     update=transmit,
     args=(
-        Arg("transmitterBaudRate", -8e6, "bit/s", "data rate of the downlink, negative", high=0.0),
-        Arg("transmitterPacketSize", None, "bit", "packet, negative; None: one second of the instrument", high=0.0),
-        Arg("transmitterNumBuffers", 100.0, "-", "partitions of a partitioned store", low=1.0),
+        Arg("transmitterBaudRate", -8e6, "bit/s", "data rate of the downlink, negative", low=-MOST_BITS, high=0.0),
+        Arg(
+            "transmitterPacketSize", None, "bit", "packet, negative; None: one second of the instrument", low=-MOST_BITS, high=0.0
+        ),
+        Arg("transmitterNumBuffers", 100.0, "-", "partitions of a partitioned store", low=1.0, high=MOST_BUFFERS, whole=True),
     ),
     state=(Field("packet", 1, "bit", exact=True), Field("idle", 1, "s", exact=True)),
     params=(Field("transmitter_baud", 1, "bit/s", exact=True), Field("packet_size", 1, "bit", exact=True)),
@@ -118,9 +126,9 @@ STORAGE = Component(
     slot="storage",
     update=store,
     args=(
-        Arg("dataStorageCapacity", 1.6e8, "bit", "storage capacity", low=0.0),
+        Arg("dataStorageCapacity", 1.6e8, "bit", "storage capacity; no limit where infinite", low=0.0, endless=True),
         Arg("storageInit", 0.0, "bit", "initial storage level", low=0.0),
-        Arg("storageUnitValidCheck", False, "-", "whether a full store kills the spacecraft", kind="constant"),
+        Arg("storageUnitValidCheck", False, "-", "whether a full store kills the spacecraft", "constant", choices=(True, False)),
     ),
     state=(Field("storage", 1, "bit", exact=True),),
     params=(Field("storage_capacity", 1, "bit", exact=True),),

@@ -12,6 +12,7 @@ from torch import Tensor
 from bsk_torch.constants import RPM
 from bsk_torch.rand import Uniform
 from bsk_torch.sim.component import Arg, Bus, Component, Field, Values, vec
+from bsk_torch.sim.dyn.power import power_arg
 from bsk_torch.vec3 import Vec3
 
 MAX_SPEED = 6000.0 * RPM
@@ -62,9 +63,9 @@ WHEELS = Component(
     slot="wheels",
     update=latch_motor_torque,
     args=(
-        Arg("wheelSpeeds", Uniform(-1500.0, 1500.0, 3), "rpm", "initial wheel speeds", kind="vector"),
-        Arg("maxWheelSpeed", float("inf"), "rpm", "a spacecraft with a wheel at or above this speed dies", low=0.0),
-        Arg("u_max", 0.2, "N m", "largest motor torque; no limit where not positive"),
+        Arg("wheelSpeeds", Uniform(-1500.0, 1500.0, 3), "rpm", "initial wheel speeds", "vector", -1e6, 1e6),
+        Arg("maxWheelSpeed", float("inf"), "rpm", "a spacecraft with a wheel at or above this speed dies", low=1e-6),
+        Arg("u_max", 0.2, "N m", "largest motor torque; no limit where not positive", endless=True),
     ),
     state=(vec("Omega_WB_B", "rad/s"), vec("motor_torque_B", "N m"), vec("motor_torque_command_B", "N m")),
     params=(Field("max_motor_torque", 1, "N m"),),
@@ -76,8 +77,10 @@ WHEEL_POWER = Component(
     slot="wheel_power",
     update=draw_wheel_power,
     args=(
-        Arg("rwBasePower", 0.4, "W", "power that each wheel always draws"),
-        Arg("rwMechToElecEfficiency", 0.0, "-", "share of braking power returned; negative: braking costs too", high=1.0),
+        power_arg("rwBasePower", 0.4, "power that each wheel always draws"),
+        Arg(
+            "rwMechToElecEfficiency", 0.0, "-", "share of braking power returned; negative: braking costs too", low=-1e6, high=1.0
+        ),
         Arg("rwElecToMechEfficiency", 0.5, "-", "share of electrical power that accelerates a wheel", low=1e-9, high=1.0),
     ),
     params=(Field("wheel_base_power", 1, "W"), Field("wheel_to_battery"), Field("battery_to_wheel")),

@@ -17,6 +17,7 @@ from bsk_torch.astro.ephemeris import (
     EARTH_ROTATION_RATE,
     POLE_DECLINATION_RATE,
     POLE_RIGHT_ASCENSION_RATE,
+    coverage,
     earth_angles,
     sun_state,
 )
@@ -59,9 +60,16 @@ def pole_rate(pole: Mat3) -> Vec3:
 
 
 def ephemeris_records(et: Tensor, hours: int) -> Tensor:
-    """Return records [n, hours, 16] of :data:`EPHEMERIS_TRACK`, one an hour from ET [n], s, on."""
+    """Return records [n, hours, 16] of :data:`EPHEMERIS_TRACK`, one an hour from ET [n], s, on.
+
+    No episode reaches the end of the Sun's table, but look-ahead may: there the Sun stays where it is at the end.
+    """
     times = et.unsqueeze(-1) + EPHEMERIS_TRACK.spacing * torch.arange(hours, device=et.device)
-    parts = [*sun_state(times), earth_angles(times)[2].unsqueeze(-1), pole_matrix(times).stack().flatten(-2)]
+    parts = [
+        *sun_state(times.clamp(max=coverage()[1])),
+        earth_angles(times)[2].unsqueeze(-1),
+        pole_matrix(times).stack().flatten(-2),
+    ]
     return torch.cat(parts, -1)
 
 

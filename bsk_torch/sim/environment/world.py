@@ -89,9 +89,11 @@ def cast_shadow(bus: Bus) -> None:
 
 STATION_ARGS = (
     Arg("groundStationsData", DEFAULT_STATIONS, "deg, m", "list of dictionaries lat, long, elev, name", "stations"),
-    Arg("groundLocationPlanetRadius", R_EARTH, "m", "radius of the sphere that stations stand on", low=1e-9, shared=True),
+    Arg(
+        "groundLocationPlanetRadius", R_EARTH, "m", "radius of the sphere that stations stand on", low=1e-9, high=1e9, shared=True
+    ),
     Arg("gsMinimumElevation", math.radians(10.0), "rad", "least elevation", low=-math.pi / 2, high=math.pi / 2, shared=True),
-    Arg("gsMaximumRange", -1.0, "m", "longest range; no limit where negative", shared=True),
+    Arg("gsMaximumRange", -1.0, "m", "longest range; no limit where negative", shared=True, endless=True),
 )
 
 
@@ -136,9 +138,9 @@ ATMOSPHERE = Component(
     slot="atmosphere",
     update=sample_density,
     args=(
-        Arg("planetRadius", R_EARTH, "m", "radius at which the base density holds", low=0.0),
-        Arg("baseDensity", 1.22, "kg/m^3", "density at that radius", low=0.0),
-        Arg("scaleHeight", 8000.0, "m", "height over which density falls by e", low=1e-6),
+        Arg("planetRadius", R_EARTH, "m", "radius at which the base density holds", low=0.0, high=1e9),
+        Arg("baseDensity", 1.22, "kg/m^3", "density at that radius", low=0.0, high=1e6),
+        Arg("scaleHeight", 8000.0, "m", "height over which density falls by e", low=1e-6, high=1e9),
     ),
     params=tuple(Field(name, exact=True) for name in ("atmosphere_radius", "atmosphere_density", "atmosphere_scale_height")),
     prepare=lambda args: {

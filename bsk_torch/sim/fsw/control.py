@@ -6,6 +6,8 @@ import torch
 from torch import Tensor
 
 from bsk_torch.sim.component import Arg, Bus, Component, Field, Values, vec
+from bsk_torch.sim.dyn.hub import BODY, box_inertia
+from bsk_torch.sim.fsw.stability import Law, check_gains, has_wheels, in_words
 from bsk_torch.vec3 import Vec3, select
 
 
@@ -57,6 +59,22 @@ def initial_control(args: Values) -> dict[str, Tensor]:
     return {"control_integral_B": torch.zeros(1, 3).double(), "control_idle": -torch.ones(1).double()}
 
 
+def feedback_law(args: Values, h: float) -> Law:
+    """Return :func:`feed_back` near its reference, in ticks of h s."""
+    K, P, Ki = (args[name].unsqueeze(-1) for name in ("K", "P", "Ki"))
+    integral, none = torch.clamp(Ki, min=0.0), torch.zeros_like(K + P + Ki)
+    inertia = box_inertia(*(args[name] for name in BODY))
+    return Law(K + none, P * integral * K * h, P * (1.0 + integral * inertia), none)
+
+
+def check_feedback(args: Values, h: float) -> str | None:
+    """Check that the gains are stable; see :func:`bsk_torch.sim.fsw.stability.check_gains`."""
+    if not has_wheels(args):
+        return None
+    names = ("K", "P", "Ki") if bool((args["Ki"] > 0.0).any()) else ("K", "P")
+    return check_gains(args, h, feedback_law(args, h), in_words(args, *names), "K={K}, P={P} and Ki=-1")
+
+
 CONTROL_AXES = Arg("controlAxes_B", (1.0, 0, 0, 0, 1.0, 0, 0, 0, 1.0), "-", "controlled axes in B, one after another", "matrix")
 
 CONTROL_STATE = (vec("control_integral_B"), Field("control_idle", 1, "s", "since the last call; negative: never called"))
@@ -66,9 +84,9 @@ MRP_FEEDBACK = Component(
     slot="control",
     update=feed_back,
     args=(
-        Arg("K", 7.0, "N m", "attitude gain", low=0.0),
-        Arg("Ki", -1.0, "-", "integral gain; no integral where not positive"),
-        Arg("P", 35.0, "N m s", "rate gain", low=0.0),
+        Arg("K", 7.0, "N m", "attitude gain", low=0.0, high=1e6),
+        Arg("Ki", -1.0, "-", "integral gain; no integral where not positive", high=1e6),
+        Arg("P", 35.0, "N m s", "rate gain", low=0.0, high=1e6),
         CONTROL_AXES,
     ),
     state=CONTROL_STATE,
@@ -76,4 +94,5 @@ MRP_FEEDBACK = Component(
     initial=initial_control,
     prepare=lambda args: {name: args[name] for name in ("K", "Ki", "P")},
     check=check_control_axes,
+    check_tick=check_feedback,
 )

@@ -97,9 +97,9 @@ DESATURATION = Component(
     slot="desaturation",
     update=dump_momentum,
     args=(
-        Arg("hs_min", 0.0, "N m s", "momentum left in the wheels", low=0.0),
-        Arg("maxCounterValue", 4.0, "-", "ticks between pulses", low=0.0),
-        Arg("thrMinFireTime", 0.02, "s", "shortest pulse", low=0.0),
+        Arg("hs_min", 0.0, "N m s", "momentum left in the wheels", low=0.0, high=1e6),
+        Arg("maxCounterValue", 4.0, "-", "ticks between pulses", low=0.0, high=2.0**31, whole=True),
+        Arg("thrMinFireTime", 0.02, "s", "shortest pulse", low=0.0, high=1e9),
         Arg("desatAttitude", "sun", "-", "attitude while desaturating", "choice", choices=("sun", "nadir", None)),
         Arg("thrForceSign", 1.0, "-", "sign of the thrusters' forces"),
     ),

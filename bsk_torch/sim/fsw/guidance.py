@@ -15,7 +15,7 @@ from torch import Tensor
 from bsk_torch.astro.attitude import dcm_to_mrp, mrp_rate_to_omega, mrp_subtract, mrp_to_dcm
 from bsk_torch.astro.orbit import hill_frame
 from bsk_torch.sim.component import Arg, Bus, Component, Field, vec
-from bsk_torch.sim.dyn.power import check_axis, unit_rows
+from bsk_torch.sim.dyn.power import AXIS_BOUNDS, check_axis, unit_rows
 from bsk_torch.vec3 import Mat3, Vec3, only, select
 
 
@@ -138,7 +138,7 @@ NADIR_POINTING = Component(slot="nadir_pointing", update=point_along_hill)
 LOCATION_POINTING = Component(
     slot="location_pointing",
     update=point_at_location,
-    args=(Arg("inst_pHat_B", (0.0, 0.0, 1.0), "-", "instrument axis in B", kind="vector"),),
+    args=(Arg("inst_pHat_B", (0.0, 0.0, 1.0), "-", "instrument axis in B", "vector", *AXIS_BOUNDS),),
     state=_memory("location"),
     params=(vec("instrument_axis_B"),),
     initial=lambda args: _forget("location"),

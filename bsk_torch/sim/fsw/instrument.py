@@ -42,8 +42,8 @@ SCANNING_CONTROLLER = Component(
     slot="instrument_controller",
     update=command_scan,
     args=(
-        Arg("imageAttErrorRequirement", 0.01, "-", "largest attitude error, MRP norm, while recording", low=0.0),
-        Arg("imageRateErrorRequirement", None, "rad/s", "largest rate error while recording", missing=float("inf")),
+        Arg("imageAttErrorRequirement", 0.01, "-", "largest attitude error, MRP norm, while recording", low=0.0, endless=True),
+        Arg("imageRateErrorRequirement", None, "rad/s", "largest rate error while recording", low=0.0, missing=float("inf")),
     ),
     state=(Field("instrument_command", 1, "-", "command to the instrument, 0 or 1"),),
     params=(Field("attitude_tolerance"), Field("rate_tolerance", 1, "rad/s")),

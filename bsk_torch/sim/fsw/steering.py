@@ -12,9 +12,11 @@ import torch
 from torch import Tensor
 
 from bsk_torch.astro.attitude import mrp_rate
-from bsk_torch.sim.component import Arg, Bus, Component, Field
+from bsk_torch.sim.component import Arg, Bus, Component, Field, Values
+from bsk_torch.sim.dyn.hub import BODY, box_inertia
 from bsk_torch.sim.dyn.wheels import SPIN_INERTIA
 from bsk_torch.sim.fsw.control import CONTROL_AXES, CONTROL_STATE, check_control_axes, initial_control
+from bsk_torch.sim.fsw.stability import Law, check_gains, has_wheels, in_words
 from bsk_torch.vec3 import Vec3, only, select
 
 
@@ -73,17 +75,34 @@ def _integral(bus: Bus, e: Vec3, dt: Tensor) -> Vec3:
     return select(integrates, z, Vec3.zeros_like(e.x))
 
 
+def steering_law(args: Values, h: float) -> Law:
+    """Return :func:`steer` near its reference, in ticks of h s: there ``w_s = -K1 s`` and ``w_s' = K1^2 s / 4``."""
+    K1, P, Ki = (args[name].unsqueeze(-1) for name in ("K1", "servo_P", "servo_Ki"))
+    sums = torch.clamp(Ki, min=0.0) * h
+    inertia = box_inertia(*(args[name] for name in BODY))
+    none = torch.zeros_like(K1 + P + sums)
+    return Law(P * K1 - inertia * K1 * K1 / 4.0, sums * K1, P + none, sums + none)
+
+
+def check_steering(args: Values, h: float) -> str | None:
+    """Check that the gains are stable; see :func:`bsk_torch.sim.fsw.stability.check_gains`."""
+    if not has_wheels(args):
+        return None
+    gains = in_words(args, "K1", "servo_P", "servo_Ki")
+    return check_gains(args, h, steering_law(args, h), gains, f"K1={0.2 / h:.2g}, servo_P={{P}} and servo_Ki={{Ki}}")
+
+
 GAINS = ("K1", "K3", "omega_max", "servo_Ki", "servo_P")
 
 MRP_STEERING = Component(
     slot="control",
     update=steer,
     args=(
-        Arg("K1", 0.25, "rad/s", "steering gain of small errors", low=0.0),
-        Arg("K3", 3.0, "rad/s", "steering gain of large errors", low=0.0),
-        Arg("omega_max", math.radians(3.0), "rad/s", "fastest rate that the steering law asks for", low=1e-9),
-        Arg("servo_Ki", 5.0, "N m/rad", "integral gain of the rate servo; no integral where not positive"),
-        Arg("servo_P", 150.0, "N m s", "gain of the rate servo", low=0.0),
+        Arg("K1", 0.25, "rad/s", "steering gain of small errors", low=0.0, high=1e6),
+        Arg("K3", 3.0, "rad/s", "steering gain of large errors", low=0.0, high=1e6),
+        Arg("omega_max", math.radians(3.0), "rad/s", "fastest rate that the steering law asks for", low=1e-9, high=1e6),
+        Arg("servo_Ki", 5.0, "N m/rad", "integral gain of the rate servo; no integral where not positive", high=1e6),
+        Arg("servo_P", 150.0, "N m s", "gain of the rate servo", low=0.0, high=1e6),
         CONTROL_AXES,
     ),
     state=CONTROL_STATE,
@@ -91,4 +110,5 @@ MRP_STEERING = Component(
     initial=initial_control,
     prepare=lambda args: {name: args[name] for name in GAINS},
     check=check_control_axes,
+    check_tick=check_steering,
 )

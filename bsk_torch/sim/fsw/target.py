@@ -68,7 +68,7 @@ def _first_place(args: Values) -> dict[str, Tensor]:
     return {"r_LP_P": torch.stack([height, torch.zeros_like(height), torch.zeros_like(height)], -1)}
 
 
-MAXIMUM_RANGE = Arg("imageTargetMaximumRange", -1.0, "m", "longest range to the target; no limit where negative")
+MAXIMUM_RANGE = Arg("imageTargetMaximumRange", -1.0, "m", "longest range to the target; no limit where negative", endless=True)
 
 IMAGE_TARGET = Component(
     slot="location_target",
@@ -76,7 +76,14 @@ IMAGE_TARGET = Component(
     args=(
         Arg("imageTargetMinimumElevation", math.radians(45.0), "rad", "least elevation of the satellite above the target"),
         MAXIMUM_RANGE,
-        Arg("groundLocationPlanetRadius", R_EARTH, "m", "radius of the sphere that the target stands on at first", low=1e-9),
+        Arg(
+            "groundLocationPlanetRadius",
+            R_EARTH,
+            "m",
+            "radius of the sphere that the target stands on at first",
+            low=1e-9,
+            high=1e9,
+        ),
     ),
     state=(vec("r_LP_P", "m", "place that the agent has chosen, Earth-fixed", exact=True),),
     params=(Field("target_range", 1, "m", exact=True), Field("target_sin2_elevation", 1, "-", exact=True)),

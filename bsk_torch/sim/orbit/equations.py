@@ -17,7 +17,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from bsk_torch.astro.ephemeris import EARTH_ROTATION_RATE, earth_angles, sun_state
+from bsk_torch.astro.ephemeris import EARTH_ROTATION_RATE, coverage, earth_angles, sun_state
 from bsk_torch.astro.frames import rotate_z
 from bsk_torch.astro.gravity import DEGREE, J2, field, field_weights, third_body
 from bsk_torch.constants import MU_EARTH, R_EARTH
@@ -93,7 +93,7 @@ class Surroundings(NamedTuple):
 
 def surroundings(et: Tensor, EN: Mat3) -> Surroundings:
     """Return the surroundings at ET [n], s, whose equatorial axes are EN."""
-    sun = [torch.stack(EN @ Vec3.of(part)) for part in sun_state(et)]
+    sun = [torch.stack(EN @ Vec3.of(part)) for part in sun_state(et.clamp(max=coverage()[1]))]
     return Surroundings(sun[0], sun[1], earth_angles(et)[2], torch.stack(list(pole_rate(EN))))
 
 

@@ -255,7 +255,7 @@ def test_partition_names(given, names):
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        ({"transmitterNumBuffers": 0}, "transmitterNumBuffers=0 must be a whole number of at least 1"),
+        ({"transmitterNumBuffers": 0}, "transmitterNumBuffers=0 must be a whole number from 1 to 1000"),
         ({"transmitterNumBuffers": 2.5}, r"transmitterNumBuffers=2\.5 must be a whole number"),
         ({"transmitterNumBuffers": float("nan")}, "transmitterNumBuffers=nan must be a whole number"),
         ({"transmitterNumBuffers": lambda: 3}, "the same for all environments"),

@@ -1,0 +1,101 @@
+"""Checks of single values that users give: numbers within bounds, whole numbers, switches, functions. All raise ValueError.
+
+Messages name the argument, the value and what is allowed. These functions are for arguments of constructors; tables of arguments
+(:class:`bsk_torch.sim.component.Arg`) check tensors of values.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from numbers import Integral, Real
+from typing import Any
+
+import numpy as np
+
+
+def interval(low: float, high: float, unit: str = "", above: bool = False, finite: bool = True) -> str:
+    """Return bounds in words, such as ``"a number in (0, 60] s"``; ``above`` excludes ``low``, ``finite`` infinite bounds."""
+    unit = f" {unit}" if unit else ""
+    if low == -math.inf and high == math.inf:
+        return f"a {'finite ' if finite else ''}number{f' of{unit}' if unit else ''}"
+    begin = "(" if above or (finite and low == -math.inf) else "["
+    end = ")" if finite and high == math.inf else "]"
+    return f"a number in {begin}{low:g}, {high:g}{end}{unit}"
+
+
+def number(
+    title: str,
+    value: Any,
+    low: float = -math.inf,
+    high: float = math.inf,
+    *,
+    unit: str = "",
+    above: bool = False,
+    finite: bool = True,
+    none: bool = False,
+) -> float:
+    """Return a number of the user as a float.
+
+    Args:
+        title: What the user calls it, for the message.
+        value: A number, or an array or tensor of one; neither a string nor a bool.
+        low: Smallest allowed value.
+        high: Largest allowed value.
+        unit: Unit, for the message.
+        above: Whether ``low`` itself is excluded.
+        finite: Whether infinity is excluded.
+        none: Whether the message says that None is allowed, too; callers treat it before.
+
+    Raises:
+        ValueError: For anything else.
+    """
+    found = _real(value)
+    within = found is not None and low <= found <= high and not (above and found == low)
+    if found is None or not within or (finite and math.isinf(found)):
+        raise ValueError(f"{title}={value!r} must be {interval(low, high, unit, above, finite)}{', or None' if none else ''}")
+    return found
+
+
+def _real(value: Any) -> float | None:
+    if isinstance(value, bool | np.bool_):
+        return None
+    if not isinstance(value, Real):
+        # arrays and tensors of one number
+        if getattr(value, "shape", None) not in ((), (1,)) or isinstance(value, np.generic) or not hasattr(value, "item"):
+            return None
+        return _real(value.item())
+    try:
+        return float(value)
+    except OverflowError:
+        return math.inf if int(value) > 0 else -math.inf
+
+
+def whole(title: str, value: Any, low: int, high: int | None = None) -> int:
+    """Return a whole number of the user from ``low`` to ``high`` as an int; ValueError for anything else, floats included."""
+    found = int(value) if isinstance(value, Integral) and not isinstance(value, bool | np.bool_) else None
+    if found is None or found < low or (high is not None and found > high):
+        allowed = f"from {low} on" if high is None else f"from {low} to {high}"
+        raise ValueError(f"{title}={value!r} must be a whole number {allowed}")
+    return found
+
+
+def switch(title: str, value: Any) -> bool:
+    """Return a switch of the user; ValueError for anything but True and False (or 1 and 0)."""
+    if isinstance(value, bool | np.bool_) or (isinstance(value, Integral) and value in (0, 1)):
+        return bool(value)
+    raise ValueError(f"{title}={value!r} must be True or False")
+
+
+def text(title: str, value: Any) -> str:
+    """Return a text of the user; ValueError for anything but a string that is not empty."""
+    if isinstance(value, str) and value:
+        return value
+    raise ValueError(f"{title}={value!r} must be a string")
+
+
+def function(title: str, value: Any, what: str) -> Callable[..., Any]:
+    """Return a function of the user; ValueError for what is none; ``what`` says of what it is a function."""
+    if callable(value) and not isinstance(value, type):
+        return value
+    raise ValueError(f"{title}={value!r} must be a function of {what}")
