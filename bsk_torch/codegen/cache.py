@@ -59,17 +59,18 @@ def check_owner(folder: Path) -> None:
         if not os.environ.get(VARIABLE) and not _foreign(status):  # made under a lenient umask
             folder.chmod(PRIVATE)
             return
-        own = "" if _foreign(status) else f" run chmod go-w {shlex.quote(str(folder))}, or"
+        own = POSIX and status.st_uid == os.geteuid() and not status.st_mode & stat.S_ISVTX
+        advice = f", or run chmod go-w {shlex.quote(str(folder))} if it is yours alone" if own else ""
         raise PermissionError(
-            f"the cache of kernels, {folder}, {complaint}, and libraries that others put there would run with your rights;{own} "
-            f"let {VARIABLE} name a folder of your own"
+            f"the cache of kernels, {folder}, {complaint}, and libraries that others put there would run with your rights; let "
+            f"{VARIABLE} name a folder of your own{advice}"
         )
 
 
 def read_trusted(path: Path) -> bytes | None:
     """Return the content of a library in the cache; None where there is none, or one that others may have put there."""
     try:
-        file = os.open(path, os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0))
+        file = os.open(path, os.O_RDONLY | sum(getattr(os, flag, 0) for flag in ("O_NOFOLLOW", "O_NONBLOCK", "O_BINARY")))
     except FileNotFoundError:
         return None
     except OSError as error:  # a link, for example
