@@ -1,8 +1,9 @@
 """Compilation and cache of kernels.
 
-A kernel is a shared library in the user's cache folder, or in ``BSK_TORCH_CACHE``. Its name is a hash of its source, of torch's
-version, of the compiler's options and of the processor: a change of any of these builds another library. The file ends with a
-hash of the library, so that a truncated file is built again instead of loaded.
+A kernel is a shared library in the user's cache folder, or in ``BSK_TORCH_CACHE``; :mod:`bsk_torch.codegen.cache` says to whom it
+may belong. Its name is a hash of its source, of torch's version, of the compiler's options and of the processor: a change of any
+of these builds another library. The file ends with a hash of the library, so that a truncated file is built again instead of
+loaded.
 
 The vector instructions are those that torch's inductor chooses for this machine. ``BSK_TORCH_ISA`` names others: ``avx512``,
 ``avx2``, or ``default``, which means plain C++. It is meant for tests; the machine must have the named instructions.
@@ -17,16 +18,16 @@ import os
 import platform
 import shlex
 import subprocess
-import tempfile
 import time
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import platformdirs
 import torch
 from torch import Tensor
+
+from bsk_torch.codegen.cache import PRIVATE, build_folder, cache_folder, check_owner, read_trusted, sweep
 
 if TYPE_CHECKING:
     from torch._inductor.cpu_vec_isa import VecISA
@@ -53,11 +54,6 @@ WITHOUT = 'backend="eager" needs no compiler, but is slower.'
 
 SHOWN_LINES = 15
 """Lines of the compiler's output that an error repeats."""
-
-
-def cache_folder() -> Path:
-    """Return the folder of the cache."""
-    return Path(os.environ.get("BSK_TORCH_CACHE") or platformdirs.user_cache_path("bsk_torch"))
 
 
 @cache
@@ -87,7 +83,12 @@ def entry(library: ctypes.CDLL, signature: str) -> Callable[..., None]:
 
 
 def load(source: str, name: str) -> ctypes.CDLL:
-    """Return the library of a kernel's source, compiled if the cache lacks it; ``name`` is its name in messages."""
+    """Return the library of a kernel's source, compiled if the cache lacks it; ``name`` is its name in messages.
+
+    Raises:
+        PermissionError: If others own the cache folder or may write to it.
+        RuntimeError: Without a compiler, or a cache folder that can be written to.
+    """
     parts = [source, HEADER.read_text(), *FLAGS, *SCHEDULING, torch.__version__, processor(), _chosen_isa()]
     key = hashlib.sha256("\n".join(parts).encode()).hexdigest()[:32]
     if key not in LOADED:
@@ -100,10 +101,13 @@ def load(source: str, name: str) -> ctypes.CDLL:
 
 
 def _kept(path: Path) -> ctypes.CDLL | None:
-    """Return the library in the cache, or None if it is missing or damaged."""
-    try:
-        content = path.read_bytes()
-    except OSError:
+    """Return the library in the cache, or None if it is missing, damaged or not to be trusted."""
+    if not path.parent.exists():
+        return None
+    check_owner(path.parent)
+    sweep(path.parent)
+    content = read_trusted(path)
+    if content is None:
         return None
     code, seal = content[:-32], content[-32:]
     if _seal(code) != seal:
@@ -149,9 +153,10 @@ def _built(source: str, path: Path, name: str) -> ctypes.CDLL:
 
 def _build(source: str, path: Path, name: str, command: list[str]) -> None:
     """Compile in a temporary folder and move the library into place at once: several processes may start together."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=path.parent, prefix="build-") as folder:
-        code, library = Path(folder, "kernel.cpp"), Path(folder, "kernel.so")
+    path.parent.mkdir(mode=PRIVATE, parents=True, exist_ok=True)
+    check_owner(path.parent)
+    with build_folder(path.parent) as folder:
+        code, library = folder / "kernel.cpp", folder / "kernel.so"
         code.write_text(source)
         run = subprocess.run(command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, errors="replace")
         if run.returncode:
@@ -161,6 +166,7 @@ def _build(source: str, path: Path, name: str, command: list[str]) -> None:
             raise RuntimeError(f"{command[0]} cannot compile the {name}:\n{complaint}\nThe source is kept in {kept}. {WITHOUT}")
         with library.open("ab") as file:
             file.write(_seal(library.read_bytes()))
+        library.chmod(PRIVATE)  # whatever the umask is
         os.replace(library, path)
 
 

@@ -109,14 +109,16 @@ class Kernel:
             Number of ticks that each row has run, [n].
 
         Raises:
-            ValueError: For a tensor that is not contiguous or of another type, a table with too few records, or groups that do
-                not fit the rows.
+            ValueError: For a tensor that is not contiguous or of another type, a table with too few records, a mode without
+                flags, or groups that do not fit the rows.
         """
         alike, stops = isinstance(counts, int), self.loop.stop is not None
         counts = torch.full(state.shape[1:], counts) if isinstance(counts, int) else counts
         _check_tensors((state, counts, shared, own, mode, flags, ticks, schedule, *(part for t in tracks for part in t)))
         self._check_tables(tracks)
         n, modes = len(counts), 1 if flags is None else flags.shape[1]
+        if mode is not None and n and not 0 <= int(mode.min()) <= int(mode.max()) < modes:
+            raise ValueError(f"a kernel got modes from {int(mode.min())} to {int(mode.max())}; they must lie in [0, {modes - 1}]")
         packs = n, state, shared, own, flags, modes, mode, ticks, nanoseconds, schedule
         records = [part for t in tracks for part in (t.table, t.start, t.owner, t.table.shape[1])]
         expected, entry = counts if expected_ticks is None else expected_ticks, self._entry(lockstep)

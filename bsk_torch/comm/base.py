@@ -10,6 +10,7 @@ from torch import Tensor
 from bsk_torch._checks import number
 from bsk_torch.comm.mapped import OneEnvironmentNeededError, listed_pairs
 from bsk_torch.sim.hooks import FLEET_MEMORY, ChangeGuard, check_class, check_linked, check_tensor, overrides
+from bsk_torch.sim.state import FINITE
 
 if TYPE_CHECKING:
     from bsk_torch.sim.fleet import Fleet
@@ -87,7 +88,7 @@ class CommunicationMethod:
             )
         self.fleet = fleet
         self.due = torch.zeros(fleet.num_envs, dtype=torch.bool, device=fleet.device)
-        fleet.memory.declare(LAST, 0.0, dtype=torch.float64)
+        fleet.memory.declare(LAST, 0.0, dtype=torch.float64, low=0.0, high=FINITE)
 
     def communication_pairs(self) -> Tensor:
         """Return the pairs that communicate, [N, S, S] booleans by episode, sender and receiver; the diagonal is ignored."""

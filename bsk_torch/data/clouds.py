@@ -41,7 +41,7 @@ class CloudFreeImageReward(UniqueImageReward):
         if not hasattr(scenario, "cloud_cover"):
             raise ValueError(f"CloudFreeImageReward needs scene.CloudyTargets; the scenario is {type(scenario).__name__}")
         super().link(scenario, fleet)
-        self.memory.declare("covered", 0, fleet.size)
+        self.memory.declare("covered", 0, fleet.size, low=0)
 
     def counts(self) -> dict[str, Tensor]:
         """See :meth:`GlobalReward.counts`."""

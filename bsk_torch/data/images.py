@@ -117,7 +117,7 @@ class UniqueImageReward(ImageReward):
         self.memory.declare("imaged_targets", 0, self.scenario.most_targets, dtype=torch.bool)
         if fleet.size > 1:  # a single satellite knows of all images
             self.memory.declare("known_images", 0, fleet.size, self.scenario.most_targets, dtype=torch.bool)
-        self.memory.declare("duplicates", 0, fleet.size)
+        self.memory.declare("duplicates", 0, fleet.size, low=0)
 
     @property
     def imaged(self) -> Tensor:

@@ -13,6 +13,7 @@ from bsk_torch._deprecated import warn_deprecated
 from bsk_torch.data.base import GlobalReward, Log
 from bsk_torch.rand import Distribution, Key, seeded
 from bsk_torch.sats.user_function import UserFunction
+from bsk_torch.sim.state import FINITE
 
 if TYPE_CHECKING:
     from bsk_torch.scene.base import Scenario
@@ -64,7 +65,7 @@ class ResourceReward(GlobalReward):
         if not isinstance(self.weight, float):
             number = sum(name.startswith(MEMORY) for name in fleet.memory)
             self._name = f"{MEMORY}_{number}"
-            fleet.memory.declare(self._name, float("nan"))
+            fleet.memory.declare(self._name, float("nan"), low=-FINITE, high=FINITE)
             fleet.beginnings.append(self._draw)
 
     @property

@@ -9,6 +9,7 @@ from torch import Tensor
 from bsk_torch.data.base import GlobalReward
 from bsk_torch.data.composed import ComposedReward
 from bsk_torch.sim.fleet import Fleet
+from bsk_torch.sim.state import FINITE
 
 NAME = "cum_reward"
 """Field of the state with the sums of the whole, [N, S]; those of parts are numbered."""
@@ -18,7 +19,7 @@ def declare(rewarder: GlobalReward, fleet: Fleet) -> None:
     """Declare the sums of a rewarder and of its parts in the state of a fleet."""
     for k, part in enumerate(_parts(rewarder)):
         name = f"{NAME}_{k}" if k else NAME
-        fleet.state.declare(name, 0.0, fleet.size)
+        fleet.state.declare(name, 0.0, fleet.size, low=-FINITE, high=FINITE)
         part.__dict__["total_name"] = name
 
 

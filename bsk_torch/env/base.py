@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import copy
 import functools
 import logging
@@ -19,7 +20,6 @@ from torchrl.envs import EnvBase
 
 from bsk_torch._checks import whole
 from bsk_torch._deprecated import deprecated_attributes
-from bsk_torch.astro.ephemeris import coverage
 from bsk_torch.comm import CommunicationMethod, NoCommunication
 from bsk_torch.data import checked, totals
 from bsk_torch.data.base import GlobalReward, NoReward
@@ -29,13 +29,24 @@ from bsk_torch.env import hints
 from bsk_torch.env.arguments import ChangingArguments
 from bsk_torch.env.build import FleetBuilder, link
 from bsk_torch.env.changes import Change
+from bsk_torch.env.exclusive import Exclusive
 from bsk_torch.env.log import StepLog, configure
 from bsk_torch.env.machine import existing_device
 from bsk_torch.env.options import TaskingOptions, TimeLimit
 from bsk_torch.env.pool import EpisodePool
 from bsk_torch.env.randomizer import make_randomizer
 from bsk_torch.env.satellite_group import groups_of
-from bsk_torch.env.state import MADE_BY, check_compatible, check_fingerprint, fingerprint
+from bsk_torch.env.state import (
+    ENDLESS,
+    MADE_BY,
+    check_fingerprint,
+    check_values,
+    fingerprint,
+    lookahead_of,
+    over_saved,
+    rows_of,
+    whole_limit,
+)
 from bsk_torch.env.trial import try_out
 from bsk_torch.obs.base import Values
 from bsk_torch.rand import Key
@@ -45,18 +56,21 @@ from bsk_torch.scene.base import Scenario
 from bsk_torch.sim.argument_table import ArgumentTable
 from bsk_torch.sim.fleet import Fleet, FleetState
 from bsk_torch.sim.simulator import Simulator, whole_nanoseconds
-from bsk_torch.sim.state import StateTable
+from bsk_torch.sim.state import FINITE, StateTable
 
 __all__ = ["StepResult", "Tasking", "TimeLimit"]
 
 logger = logging.getLogger(__name__)
 
-ENDLESS = 2**31
-"""Seconds after which Basilisk's clock stops an episode without limit; the end of the Sun's ephemeris does so before."""
-
+SHOWN = 5
+"""Number of environments that a message lists."""
 
 SEED_LIMIT = 2**63
 """Seeds are below it."""
+
+
+class ResetNeededError(RuntimeError):
+    """A call needs running episodes, and there are none."""
 
 
 class StepResult(NamedTuple):
@@ -85,12 +99,14 @@ class EpisodeState(FleetState):
         seed: Seed of its draws, [N].
         limit_ticks: Tick at which it is truncated, [N].
         returns: Sum of the rewards of all satellites so far, [N].
+        begun: Episodes that can be stepped: not before the first reset, nor after a call that did not come to its end, [N].
     """
 
     episode: Tensor
     seed: Tensor
     limit_ticks: Tensor
     returns: Tensor
+    begun: Tensor
 
 
 @deprecated_attributes
@@ -147,6 +163,9 @@ class Tasking(ChangingArguments, EnvBase):
         self.longest_ticks = math.ceil(whole_nanoseconds(min(self.max_step_duration, ENDLESS)) / self.simulator.h_ns)
         self.fingerprint = fingerprint(self.fleet)
         self._changes: list[Change] = []
+        self._exclusive = Exclusive(self._leave)
+        self._all_begun = self._broke_off = self._unproven = self._restored = False
+        self._changing: Tensor | None = None
         self._show_arguments()
         self.set_seed(options.seed)
 
@@ -155,10 +174,11 @@ class Tasking(ChangingArguments, EnvBase):
     def _declare_state(self, env_ids: Sequence[int] | Tensor | None) -> None:
         n = self.num_envs
         self.env_ids = self.fleet.env_ids = read_env_ids(env_ids, n).to(self.device)
-        for name, dtype in (("episode", torch.int64), ("seed", torch.int64), ("limit_ticks", torch.int64)):
-            self.state.declare(name, None, dtype=dtype)
+        for name, low in (("episode", -1), ("seed", None), ("limit_ticks", 0)):
+            self.state.declare(name, None, dtype=torch.int64, low=low)
         self.state.episode = self.state.episode - 1
-        self.state.declare("returns", 0.0)
+        self.state.declare("returns", 0.0, low=-FINITE, high=FINITE)
+        self.state.declare("begun", False)
 
     def _share_search_range(self, other: Fleet) -> None:
         """Let the pool search as far ahead for windows as actions and observations need."""
@@ -291,12 +311,14 @@ class Tasking(ChangingArguments, EnvBase):
             hints.check_reset(type(self).__name__, unknown)
         mask = None if tensordict is None else tensordict.get("_reset", None)
         envs = self.fleet.all_envs if mask is None else torch.nonzero(mask.reshape(-1)).squeeze(-1)
-        if set_state and tensordict is not None and "state" in tensordict:
-            self.restore(tensordict["state"], envs)
-        elif len(envs):
-            self._begin(envs)
-        false = torch.zeros(*self.batch_size, 1, dtype=torch.bool, device=self.device)
-        return self._outputs(None, done=false, terminated=false.clone(), truncated=false.clone())
+        with self._exclusive:
+            self.check_begun("reset() of some environments", torch.ones_like(self.state.begun).index_fill(0, envs, False))
+            if set_state and tensordict is not None and "state" in tensordict:
+                self.restore(tensordict["state"], envs)
+            elif len(envs):
+                self._begin(envs)
+            false = torch.zeros(*self.batch_size, 1, dtype=torch.bool, device=self.device)
+            return self._outputs(None, done=false, terminated=false.clone(), truncated=false.clone())
 
     def _start(self, fleet: Fleet, envs: Tensor, key: Key) -> None:
         """Start the key's episodes in ``envs`` [n] of a fleet; everything is drawn and checked before anything changes."""
@@ -307,19 +329,17 @@ class Tasking(ChangingArguments, EnvBase):
     def _begin(self, envs: Tensor) -> None:
         """Start new episodes in ``envs`` [n]."""
         state = self.state
-        seeds, episodes = state.seed, state.episode + 1
+        seeds, episodes, begun = state.seed, state.episode + 1, state.begun
+        self._changing, self._all_begun = torch.zeros_like(begun), False
         if self.pool is not None and not self.fleet.calls_user:
             self.pool.fill(envs, seeds, self.env_ids, episodes)
             state.copy_rows(envs, self.pool.fleet.state, envs)
         else:
             self._start(self.fleet, envs, Key(seeds[envs].cpu(), self.env_ids[envs].cpu(), episodes[envs].cpu()))
         state.seed, state.episode = seeds, state.episode.index_copy(0, envs, episodes[envs])
-        limit = state.time_limit[envs]
         et = self.simulator.arcs.et.view(self.num_envs, -1)[envs, 0]
-        seconds = torch.where(torch.isfinite(limit), limit, torch.clamp(coverage()[1] - et, max=ENDLESS))
-        ticks = torch.ceil(torch.floor(seconds * 1e9 + 0.5) / self.simulator.h_ns)
-        state.limit_ticks = state.limit_ticks.index_copy(0, envs, ticks.long())
-        whole = torch.where(torch.isfinite(limit), ticks * self.fleet.h, limit)
+        ticks, whole = whole_limit(state.time_limit[envs], et, self.simulator.h_ns)
+        state.limit_ticks = state.limit_ticks.index_copy(0, envs, ticks)
         state.time_limit = state.time_limit.index_copy(0, envs, whole)
         self.scenario.begin_episodes(envs)
         for begin in self.fleet.beginnings:
@@ -329,6 +349,32 @@ class Tasking(ChangingArguments, EnvBase):
             group.task.dead = group.task.dead.index_copy(0, rows, ~group.satellite.is_alive()[rows])
         if self.log is not None and self.log.shows():
             self.log.began(envs, state.seed, state.episode)
+        self._have_begun(envs, begun)
+
+    def _have_begun(self, envs: Tensor, others: Tensor) -> None:
+        """Note that the episodes ``envs`` [n] can be stepped, beside those that could before, ``others`` [N]."""
+        self.state.begun = others.index_fill(0, envs, True)
+        self._all_begun = bool(self.state.begun.all())
+        self._broke_off = self._broke_off and not self._all_begun
+
+    def check_begun(self, call: str, envs: Tensor | None = None) -> None:
+        """Check that episodes have begun; ``call`` is what the user called, for the message.
+
+        Args:
+            call: Name of the method.
+            envs: Mask [N] of the episodes that it is about; all unless given.
+
+        Raises:
+            ResetNeededError: For episodes that have not begun, or whose last step was interrupted.
+        """
+        if self._all_begun:
+            return
+        missing = ~self.state.begun if envs is None else envs & ~self.state.begun
+        rows = torch.nonzero(missing).squeeze(-1).tolist()
+        if rows:
+            which = "" if len(rows) == self.num_envs else f" of environments {rows[:SHOWN]} ({len(rows)} in all)"
+            why = "a step was broken off, which leaves its episodes half done" if self._broke_off else "none has begun"
+            raise ResetNeededError(f"{call} needs running episodes{which}, and {why}; call reset() first")
 
     # -- step ---------------------------------------------------------------------------------------------------------
 
@@ -345,8 +391,10 @@ class Tasking(ChangingArguments, EnvBase):
         fleet, removed = self.fleet, self.state.removed
         start = fleet.since = fleet.ticks
         before = checked.log(self.rewarder)
-        for group, action, mine in zip(fleet.groups, actions, acts, strict=True):
-            group.command(action, mine, all_act)
+        decisions = [group.decide(action, mine) for group, action, mine in zip(fleet.groups, actions, acts, strict=True)]
+        self._changing = moves
+        for group, action, mine, decision in zip(fleet.groups, actions, acts, decisions, strict=True):
+            group.command(action, mine, decision, all_act)
         log = self.log if self.log is not None and self.log.shows(logging.WARNING) else None
         if log is not None:
             log.decided(acts)
@@ -365,6 +413,33 @@ class Tasking(ChangingArguments, EnvBase):
         if log is not None:
             log.after(known, result, moves)
         return result
+
+    def _proven(self, outputs: TensorDict) -> TensorDict:
+        """Return the outputs of a step; FloatingPointError if it is the first of a restored state, and numbers are not finite.
+
+        Each number of a state can be right by itself, and no satellite fly with all of them.
+        """
+        if self._unproven:
+            self.check_finite()
+            for key, leaf in outputs.items(True, True):
+                rows = torch.nonzero(torch.isnan(leaf).flatten(1).any(1)).squeeze(-1).tolist()
+                if rows:
+                    raise FloatingPointError(
+                        f"{key!r} of environments {rows[:SHOWN]} is NaN after the step from a restored state"
+                    )
+            self._unproven = False
+        return outputs
+
+    def _leave(self, error: BaseException | None) -> None:
+        """End a call; episodes that an ``error`` has left half changed must begin anew."""
+        if error is not None and self._changing is not None:
+            # an error concerns the episodes of the call; Ctrl-C may come while tables of all episodes are rearranged
+            half = self._changing if isinstance(error, Exception) else torch.ones_like(self._changing)
+            self.state.begun = self.state.begun & ~half
+            self._all_begun, self._broke_off = False, True
+        self._changing = None
+        if isinstance(error, IndexError) and self._restored:
+            raise FloatingPointError(f"no satellite can fly with the numbers of a state that was restored: {error}") from error
 
     def _judge(self, duration: Tensor, reward: Tensor, moves: Tensor, removed: Tensor) -> StepResult:
         """Return the outcome of a step: adds failure penalties [N, S], and says which episodes have ended."""
@@ -403,50 +478,98 @@ class Tasking(ChangingArguments, EnvBase):
     # -- state --------------------------------------------------------------------------------------------------------
 
     def get_state(self) -> TensorDict:
-        """Return a copy of everything that the future depends on, [N, ...]; see :meth:`restore`."""
+        """Return a copy of everything that the future depends on, [N, ...]; see :meth:`restore`.
+
+        Raises:
+            ResetNeededError: For an episode that has not begun.
+        """
+        with self._exclusive:
+            self.check_begun("get_state()")
+            return self._saved()
+
+    def _saved(self) -> TensorDict:
         state = self.state.to_tensordict()
         state[MADE_BY] = self.fingerprint.to(self.device).expand(self.num_envs, -1).clone()
         return state
 
     @torch.no_grad()
     def restore(
-        self, state: TensorDictBase | Mapping[str, Any] | Tasking, envs: Tensor | None = None, source: Tensor | None = None
+        self,
+        state: TensorDictBase | Mapping[str, Any] | Tasking,
+        envs: Tensor | Sequence[int] | None = None,
+        source: Tensor | Sequence[int] | None = None,
     ) -> None:
         """Put the episodes ``source`` of a state into the episodes ``envs``; nothing changes if the state does not fit.
 
         Args:
             state: A state of :meth:`get_state`, also as nested dictionaries (``state.to_dict()``), or an environment of the same
-                make, whose present episodes are copied directly. Batch sizes may differ.
+                make, whose present episodes are copied directly. Batch sizes may differ. Of a state, which may come from a file
+                that somebody else has written, every number that is used is checked.
             envs: Episodes of this environment to be replaced, [n] indices; all unless given.
             source: Episodes of the state, [n] indices, which may repeat; the same as ``envs`` unless given.
 
         Raises:
-            KeyError, ValueError: For a state that another make of environment has saved.
+            KeyError, TypeError, ValueError: For something that is no state, that another make of environment has saved, or with
+                values that no environment has.
             IndexError: For indices out of range, or of different numbers.
+            ResetNeededError: For episodes of another environment that have not begun.
         """
-        envs = self.fleet.all_envs if envs is None else envs
-        source = envs if source is None else source
+        with self._exclusive, state._exclusive if isinstance(state, Tasking) else contextlib.nullcontext():
+            other, envs, source = self._fitting(state, envs, source)
+            begun = self.state.begun
+            self._changing, self._all_begun = torch.zeros_like(begun), False
+            for k, simulator in enumerate(self.fleet.simulators):
+                mine, theirs = simulator.lookahead, lookahead_of(other, k)
+                mine.grow_to(theirs.arcs.length)
+                try:
+                    theirs.grow_to(mine.arcs.length)
+                except (FloatingPointError, IndexError) as error:
+                    raise ValueError(
+                        f"'satellites_{k}.lookahead.arcs' of the saved state cannot be continued: {error}"
+                    ) from error
+            self.state.begun = begun.index_fill(0, envs, False)
+            self.state.copy_rows(envs, other, source)
+            self.scenario.begin_episodes(envs)
+            self._have_begun(envs, begun)
+            if not isinstance(state, Tasking):
+                self._unproven = self._restored = True
+
+    def _fitting(self, state: Any, envs: Any, source: Any) -> tuple[FleetState, Tensor, Tensor]:
+        """Return the checked tables of a state, and the indices [n] of episodes to be replaced and of those that replace them."""
+        other: Any
         if isinstance(state, Tasking):
             check_fingerprint(self.fingerprint, state.fingerprint.unsqueeze(0))
-            other: StateTable = state.state
+            other = state.state
         else:
-            other = check_compatible(self.fleet, self.fingerprint, state)
-        for name, index, n in (("envs", envs, self.num_envs), ("source", source, other.num_envs)):
-            if index.ndim != 1 or (len(index) and (int(index.min()) < 0 or int(index.max()) >= n)):
-                raise IndexError(f"{name} has indices {index.tolist()[:5]}; they must be a list of numbers from 0 to {n - 1}")
+            other = over_saved(self.fleet, self.fingerprint, state)
+        envs = rows_of("envs", self.fleet.all_envs if envs is None else envs, self.num_envs, self.device)
+        source = rows_of("source", envs if source is None else source, other.num_envs, self.device)
         if len(envs) != len(source):
             raise IndexError(f"envs has {len(envs)} indices, source has {len(source)}; they must have equally many")
-        self.state.copy_rows(envs, other, source)
-        self.scenario.begin_episodes(envs)
+        if len(envs.unique()) < len(envs):
+            raise IndexError(f"envs has indices {envs.tolist()!s:.60}; each may be there once only")
+        if isinstance(state, Tasking):
+            state.check_begun("restore(state)", torch.zeros_like(state.state.begun).index_fill(0, source, True))
+            return other, envs, source
+        rows = torch.arange(len(source), device=self.device)
+        used = other if torch.equal(source, other.all_rows) and not self._longer_than(other) else other.taken(source)
+        check_values(self.fleet, used)
+        return used, envs, rows
+
+    def _longer_than(self, other: StateTable) -> bool:
+        """Whether arcs of a saved state must grow, which writes into its tensors."""
+        lengths = ((s.lookahead.arcs.length, lookahead_of(other, k).arcs.length) for k, s in enumerate(self.fleet.simulators))
+        return any(mine > theirs for mine, theirs in lengths)
 
     def get_extra_state(self) -> TensorDict | None:
         """Part of ``state_dict``: see :meth:`get_state`; None before the first reset."""
-        return self.get_state() if bool((self.episode >= 0).any()) else None
+        return self._saved() if bool(self.state.begun.any()) else None
 
     def set_extra_state(self, state: TensorDict | None) -> None:
-        """Part of ``load_state_dict``."""
+        """Part of ``load_state_dict``: restores the episodes that had begun."""
         if state is not None:
-            self.restore(state)
+            begun = state.get("begun", None)
+            self.restore(state, None if begun is None else torch.nonzero(begun.reshape(-1)).squeeze(-1))
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle the arguments and the state, not the compiled tick."""
@@ -470,10 +593,11 @@ class Tasking(ChangingArguments, EnvBase):
 
         Raises:
             ModuleNotFoundError: Without the extra ``viz``.
-            RuntimeError: Before the first reset.
+            ResetNeededError: For episodes that have not begun.
             ValueError: For a wrong argument.
         """
-        return pictures().frames(self, rows, height)
+        with self._exclusive:
+            return pictures().frames(self, rows, height)
 
     # -- help ---------------------------------------------------------------------------------------------------------
 

@@ -82,9 +82,10 @@ class FleetBuilder:
         sample = isinstance(self.options.time_limit, Distribution) and n < self.options.num_envs
         limit = self.draw_time_limit(first_key(min(SAMPLE if sample else n, self.options.num_envs)))
         types = [columns[:1] for columns in self.types] if trial else self.types
-        scenario_state = StateTable(n, 1, self.device)
+        scenario_state, bounds = StateTable(n, 1, self.device), self.scenario._bounds()
         for name, value in self.scenario.draw_checked(first_key(min(2, n))).items():
-            scenario_state.declare(name, None, *value.shape[1:], dtype=value.dtype)
+            low, high = bounds.get(name, (None, None))
+            scenario_state.declare(name, None, *value.shape[1:], dtype=value.dtype, low=low, high=high)
         simulators = [self._make_simulator(k, columns, n, limit, scenario_state) for k, columns in enumerate(types)]
         chosen = sorted(column for columns in types for column in columns)
         return Fleet(simulators, [self.names[k] for k in chosen], self.scenario.draw_checked)

@@ -179,9 +179,11 @@ class ConstellationTasking(Tasking):
     @torch.no_grad()
     def play(self, given: Sequence[Tensor], moves: Tensor) -> TensorDict:
         """Carry out the actions of each group where ``moves`` [N] is true; return the entries of ``next``."""
-        actions, acts = self._decoded(given, moves)
-        result = self._advance(actions, acts, moves)
-        return self._outputs(result, **self._ends(result))
+        with self._exclusive:
+            self.check_begun("step()")
+            actions, acts = self._decoded(given, moves)
+            result = self._advance(actions, acts, moves)
+            return self._proven(self._outputs(result, **self._ends(result)))
 
     def _all_agents_ended(self, ended: Tensor) -> Tensor:
         """Return the episodes whose agents have all lost a satellite of ``ended`` [N, S], or the joint agent any, [N]."""

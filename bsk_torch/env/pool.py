@@ -38,6 +38,7 @@ class EpisodePool:
         if not bool(stale[envs].any()):
             return
         used = torch.nonzero(stale).squeeze(-1)
+        self.filled[used] = False  # until all is done
         self.start(self.fleet, used, Key(seeds[used].cpu(), env_ids[used].cpu(), episodes[used].cpu()))
         self.filled[used] = True
         self.seed, self.episode = torch.where(stale, seeds, self.seed), torch.where(stale, episodes, self.episode)

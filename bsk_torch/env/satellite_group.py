@@ -46,10 +46,10 @@ class TaskState(StateTable):
         self.declare("previous_action", -1)
         self.declare("dead", False)
         self.declare("requires_retasking", True)
-        self.declare("ends", NEVER)
+        self.declare("ends", NEVER, low=0, high=NEVER)
         self.declare("action", 0)
-        self.declare("task_duration", 0.0)
-        self.declare("expected", NEVER)
+        self.declare("task_duration", 0.0, low=0.0)
+        self.declare("expected", NEVER, low=0, high=NEVER)
 
 
 class SatelliteGroup:
@@ -85,6 +85,7 @@ class SatelliteGroup:
         self.satellite.on_bind()
         self.satellite.equip()
         self.actions = ActionBuilder(copy.deepcopy(list(satellite.action_spec)), self.satellite)
+        self.task.bound("action", -self.actions.n_negative_actions, self.actions.n_actions - 1)
         self.observations = ObservationBuilder(copy.deepcopy(list(satellite.observation_spec)), self.satellite)
         self.simulator.observer.want((*self.observations.observables, *self.dynamics.vitals(), *self.fsw.vitals()))
 
@@ -104,14 +105,14 @@ class SatelliteGroup:
         return self.fleet.rows_of(self.index, self.fleet.state.removed) if self.fleet.size > 1 else None
 
     def checked(self, action: Tensor, acts: Tensor) -> Tensor:
-        """Return a copy of the actions [N] as int64, which later changes of the user's tensor do not reach.
+        """Return the actions [N] as int64, 0 where they do not count, in a copy that the user's later changes do not reach.
 
         Raises:
             ValueError: For an action out of range where the mask ``acts`` [N] is true.
         """
         n, negative = self.actions.n_actions, self.actions.n_negative_actions
-        action = action.to(torch.int64, copy=True)
-        wrong = ((action < -negative) | (action >= n)) & acts
+        action = torch.where(acts, action.to(torch.int64), 0)
+        wrong = (action < -negative) | (action >= n)
         if bool(wrong.any()):
             row = int(torch.nonzero(wrong)[0])
             names = ", ".join(f"{k}: {name}" for k, name in enumerate(self.actions.description))
@@ -119,10 +120,13 @@ class SatelliteGroup:
             raise ValueError(f"action {int(action[row])} of {self.satellite.title(row)} is out of range; legal are {names}{more}")
         return action
 
-    def command(self, action: Tensor, acts: Tensor, all_act: bool = False) -> None:
+    def decide(self, action: Tensor, acts: Tensor) -> Decision:
+        """Return the commands of ``action`` [N] where ``acts`` [N] is true; nothing changes yet."""
+        return self.actions.decide(action, self.task.previous_action, acts)
+
+    def command(self, action: Tensor, acts: Tensor, decision: Decision, all_act: bool = False) -> None:
         """Begin ``action`` [N] where ``acts`` [N] is true (``all_act``: everywhere); other satellites continue their tasks."""
         task, simulator = self.task, self.simulator
-        decision = self.actions.decide(action, task.previous_action, acts)
         simulator.command(decision.retask & acts, decision.mode)
         self.actions.begin(action, acts, decision)
         task.previous_action = torch.where(acts, decision.key, task.previous_action)

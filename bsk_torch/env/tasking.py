@@ -107,11 +107,12 @@ class SatelliteTasking(Tasking):
             raise TypeError(f"action has dtype {action.dtype}; it must be an integer tensor, such as torch.int64")
         if action.shape != self.batch_size:
             raise ValueError(f"action has shape {list(action.shape)}; it must be {list(self.batch_size)}, one per environment")
-        every = torch.ones_like(self.dead)
-        action = self.fleet.groups[0].checked(action, every)
-        all_act, moves = moves is None, every if moves is None else moves
-        result = self._advance([action], [moves], moves, all_act)
-        return self._outputs(result, reward=result.reward.to(self.dtype), **self._ends(result))
+        all_act, moves = moves is None, torch.ones_like(self.dead) if moves is None else moves
+        with self._exclusive:
+            self.check_begun("step()")
+            action = self.fleet.groups[0].checked(action, moves)
+            result = self._advance([action], [moves], moves, all_act)
+            return self._proven(self._outputs(result, reward=result.reward.to(self.dtype), **self._ends(result)))
 
     @torch.no_grad()
     def _outputs(self, result: StepResult | None, **parts: Tensor) -> TensorDict:

@@ -80,7 +80,7 @@ class Noisy(Observation):
         link(self.observation, satellite)
         self._reader = Reader(self.observation)
         if OWNER not in satellite.simulator.memory:
-            satellite.simulator.memory.declare(OWNER, -1)
+            satellite.simulator.memory.declare(OWNER, -1, low=-1)
             satellite.group.fleet.beginnings.append(self._own)
 
     @property

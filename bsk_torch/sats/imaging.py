@@ -11,6 +11,7 @@ from torch import Tensor
 from bsk_torch.sats.access import AccessSatellite
 from bsk_torch.sats.one import OneSatellite
 from bsk_torch.sats.one_access import OneImagingSatellite
+from bsk_torch.sim.access.places import TARGETS
 from bsk_torch.sim.dyn import DynamicsModel, ImagingDynModel
 from bsk_torch.sim.fsw import FSWModel, ImagingFSWModel
 
@@ -43,8 +44,10 @@ class ImagingSatellite(AccessSatellite):
     def on_bind(self) -> None:
         """See :meth:`Satellite.on_bind`."""
         super().on_bind()
-        for name, initial in (("latest_target", NONE), ("imaged", 0), ("missed", 0)):
-            self.simulator.state.memory.declare(name, initial)
+        scenario = self.simulator.scenario_state
+        targets = scenario[TARGETS].shape[1] if TARGETS in scenario else 0
+        for name, initial, high in (("latest_target", NONE, targets - 1), ("imaged", 0, None), ("missed", 0, None)):
+            self.simulator.state.memory.declare(name, initial, low=initial, high=high)
 
     @property
     def latest_target(self) -> Tensor:

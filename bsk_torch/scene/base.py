@@ -118,6 +118,13 @@ class Scenario:
         """
         return self.fleet.scenario_state[name]
 
+    def _bounds(self) -> dict[str, tuple[float, float]]:
+        """Return the smallest and the largest value of what :meth:`draw` returns, by name, for states that are restored.
+
+        Values of users' scenarios have no bounds: they are not checked.
+        """
+        return {}
+
     # -- calls by the environment -------------------------------------------------------------------------------------
 
     def attach(self, fleet: Fleet) -> None:

@@ -86,6 +86,10 @@ class CityTargets(UniformTargets):
             r_LP_P = shifted * (self.radius / shifted.norm(dim=-1, keepdim=True))
         return {"target_r_LP_P": r_LP_P, "target_city": city.double()}
 
+    def _bounds(self) -> dict[str, tuple[float, float]]:
+        """See :meth:`Scenario._bounds`."""
+        return super()._bounds() | {"target_city": (0.0, self.n_select_from - 1.0)}
+
     def offset(self, key: Key) -> Tensor:
         """Draw the shifts away from the city centres, [n, T, 3] m."""
         return self.location_offset * on_sphere(key.named("target_offset").uniform(2 * self.most_targets).view(len(key), -1, 2))

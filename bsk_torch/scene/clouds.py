@@ -11,6 +11,7 @@ from bsk_torch._checks import number
 from bsk_torch.rand import Key, Uniform
 from bsk_torch.scene.draws import Numbers, calls_user, check_numbers, draw_numbers
 from bsk_torch.scene.targets import TargetScenario
+from bsk_torch.sim.state import FINITE
 
 if TYPE_CHECKING:
     from bsk_torch.sim.fleet import Fleet
@@ -72,6 +73,12 @@ class CloudyTargets(TargetScenario):
         forecast = (cover + sigma * key.named("cloud_forecast").normal(t)).clamp(0.0, 1.0)
         clouds = {"cloud_cover": cover, "cloud_forecast": forecast, "cloud_forecast_sigma": sigma}
         return self.targets.draw(key) | clouds
+
+    def _bounds(self) -> dict[str, tuple[float, float]]:
+        """See :meth:`Scenario._bounds`."""
+        share = (0.0, 1.0)
+        clouds = {"cloud_cover": share, "cloud_forecast": share, "cloud_forecast_sigma": (0.0, FINITE)}
+        return self.targets._bounds() | clouds
 
     # -- in an environment --------------------------------------------------------------------------------------------
 

@@ -14,7 +14,8 @@ from bsk_torch.scene.draws import check_positions
 from bsk_torch.scene.target import Target
 from bsk_torch.sim.hooks import check_class
 from bsk_torch.sim.names import nearest
-from bsk_torch.sim.state import look_up
+from bsk_torch.sim.orbit.arcs import FARTHEST
+from bsk_torch.sim.state import FINITE, look_up
 
 if TYPE_CHECKING:
     from bsk_torch.sim.fleet import Fleet
@@ -96,6 +97,10 @@ class TargetScenario(Scenario):
         if self._available is None:
             self._available = self.drawn("target_exists").bool()
         return self._available
+
+    def _bounds(self) -> dict[str, tuple[float, float]]:
+        """See :meth:`Scenario._bounds`."""
+        return {"target_r_LP_P": (-FARTHEST, FARTHEST), "target_priority": (-FINITE, FINITE), "target_exists": (0.0, 1.0)}
 
     # -- reading ------------------------------------------------------------------------------------------------------
 

@@ -15,6 +15,7 @@ from bsk_torch.rand import Key, Uniform
 from bsk_torch.scene.draws import Count, Numbers, calls_user, check_numbers, count_range, draw_numbers, on_sphere
 from bsk_torch.scene.targets import ChangingTargets
 from bsk_torch.scene.uniform import UniformTargets
+from bsk_torch.sim.state import FINITE
 
 Region = tuple[float, float, float, float]
 """Southern, northern, western and eastern edge, degrees; west is larger than east if the region crosses 180 degrees."""
@@ -85,6 +86,11 @@ class Wildfires(ChangingTargets, UniformTargets):
         for name, value in self.fire_args.items():
             values[f"fire_{name}"] = draw_numbers(name, value, key.named(f"fire_{name}"), self.most_targets, **FIRE_BOUNDS[name])
         return values
+
+    def _bounds(self) -> dict[str, tuple[float, float]]:
+        """See :meth:`Scenario._bounds`."""
+        fires = {f"fire_{name}": (given.get("low", -FINITE), FINITE) for name, given in FIRE_BOUNDS.items()}
+        return super()._bounds() | fires
 
     def places(self, key: Key) -> dict[str, Tensor]:
         """See :meth:`UniformTargets.places`."""

@@ -100,7 +100,8 @@ class Arg:
 class Field:
     """A named quantity of ``width`` numbers: 1 is a plane, 3 is a :class:`Vec3`; others, and ``many``, are tuples of planes.
 
-    ``exact`` ones are float64 even where attitude and flight software run in float32: orbit, time and accumulators.
+    ``exact`` ones are float64 even where attitude and flight software run in float32: orbit, time and accumulators. ``limit`` is
+    the largest magnitude that a state which is restored may have.
     """
 
     name: str
@@ -109,6 +110,7 @@ class Field:
     doc: str = ""
     many: bool = False
     exact: bool = False
+    limit: float = 1e15
 
     def __post_init__(self) -> None:
         """Refuse a name that means another field for as long as names of earlier releases work."""
@@ -236,6 +238,11 @@ class Layout:
     def exact(self) -> list[bool]:
         """True for each plane that is always float64."""
         return [f.exact for f in self.fields.values() for _ in range(f.width)]
+
+    @property
+    def limits(self) -> list[float]:
+        """Largest magnitude of each plane."""
+        return [f.limit for f in self.fields.values() for _ in range(f.width)]
 
     def gather(self, bus: Bus) -> list[Tensor]:
         """Return the planes of every field, read from the bus in the order of the pack."""

@@ -12,6 +12,7 @@ from bsk_torch._deprecated import deprecated_attributes
 from bsk_torch.rand import Key
 from bsk_torch.sim.given import Answers
 from bsk_torch.sim.params import Overrides
+from bsk_torch.sim.satellite_state import SatelliteState
 from bsk_torch.sim.simulator import Simulator
 from bsk_torch.sim.state import StateTable
 
@@ -35,8 +36,16 @@ class FleetState(StateTable):
     def __init__(self, num_envs: int, size: int, device: torch.device) -> None:
         """Make the table; no satellite has been removed."""
         super().__init__(num_envs, 1, device)
-        self.declare("time_limit", 0.0)
+        self.declare("time_limit", 0.0, low=0.0)
         self.declare("removed", False, size)
+
+    def check_relations(self, path: str) -> None:
+        """See :meth:`StateTable.check_relations`: the clocks of an episode's satellites agree."""
+        clocks = [(name, table.ticks) for name, table in self.tables.items() if isinstance(table, SatelliteState)]
+        now = clocks[0][1].view(self.num_envs, -1)[:, :1]
+        for name, ticks in clocks:
+            each = ticks.view(self.num_envs, -1)
+            self.refuse(f"{path}{name}.ticks", each, each != now, "all satellites of an episode must have the same")
 
 
 class Task(Protocol):
@@ -59,6 +68,7 @@ class Group(Protocol):
     simulator: Simulator
     scenario: Any
     rewarder: Any
+    actions: Any
     observation_description: list[str]
 
     @property
@@ -68,7 +78,10 @@ class Group(Protocol):
     def checked(self, action: Tensor, acts: Tensor) -> Tensor:
         """Return the actions [N] as int64; ValueError for one out of range where ``acts`` [N] is true."""
 
-    def command(self, action: Tensor, acts: Tensor, all_act: bool = False) -> None:
+    def decide(self, action: Tensor, acts: Tensor) -> Any:
+        """Return the commands of ``action`` [N] where ``acts`` [N] is true."""
+
+    def command(self, action: Tensor, acts: Tensor, decision: Any, all_act: bool = False) -> None:
         """Begin ``action`` [N] where ``acts`` [N] is true."""
 
     def settle(self, event: Tensor | None, moves: Tensor, last: Tensor) -> None:
@@ -286,7 +299,7 @@ class Fleet:
             simulator = self.simulators[k]
             if simulator.stops:
                 checkpoints[k] = simulator.checkpoint() if len(order) > 1 else None
-                flown = simulator.run(simulator.state.of_env(ends), self._expected_ticks(k, now, ends))
+                flown = simulator.run(simulator.state.of_env(ends), self._expected_ticks(k, now, ends), len(order) > 1)
                 ends = ran[k] = self._first_of_each(flown, simulator.count)
         for k, checkpoint in checkpoints.items():
             if checkpoint is not None:

@@ -26,6 +26,18 @@ CHECK_EVERY = 64
 """Number of ticks between two checks whether all rows have ended."""
 
 
+WORK = 2**23
+"""Ticks of rows that a thread runs in one call of a kernel: about a third of a second, in which Ctrl-C has to wait."""
+
+LANES = 8
+"""Rows that take as long as one."""
+
+
+def ticks_at_once(rows: int) -> int:
+    """Return the number of ticks, at least 2, that a kernel runs of so many rows in one call."""
+    return max(2, WORK * torch.get_num_threads() // max(rows, LANES))
+
+
 class Runner(Protocol):
     """Runs ticks of rows; kernels are runners, see :meth:`bsk_torch.codegen.kernel.Kernel.__call__`."""
 

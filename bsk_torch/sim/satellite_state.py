@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 from typing import Any
 
@@ -9,10 +10,14 @@ import torch
 from torch import Tensor
 
 from bsk_torch.constants import NANO
+from bsk_torch.sim.access.lookahead import LookAhead
 from bsk_torch.sim.component import Layout
 from bsk_torch.sim.names import current_name
 from bsk_torch.sim.params import nearest
 from bsk_torch.sim.state import StateTable, look_up
+
+LAST_TICK = 2**53
+"""Largest number of a tick: the tick counts in float64."""
 
 
 class ArgumentState(StateTable):
@@ -33,7 +38,7 @@ class ArgumentState(StateTable):
             width = value[0].numel()
             self.places[name] = first if value.ndim == 1 else slice(first, first + width)
             first += width
-        self.declare("values", None, first, planes=True)
+        self.declare("values", None, first, planes=True, low=-math.inf)
 
     def __getitem__(self, name: str) -> Tensor:
         """Return the argument ``name``, a view [rows] or [rows, width]; KeyError for an unknown name."""
@@ -78,18 +83,20 @@ class SatelliteState(StateTable):
         count: int,
         device: torch.device,
         h_ns: int,
+        modes: int,
         overwritten: Mapping[str, str] | None = None,
     ) -> None:
         """Make room for the fields and parameters of two layouts, and for arguments like those of a trial draw.
 
-        ``overwritten`` are fields that cannot be written, with advice; see :class:`~bsk_torch.sim.component.Component`.
+        ``modes`` is the length of the mode table; ``overwritten`` are fields that cannot be written, with advice; see
+        :class:`~bsk_torch.sim.component.Component`.
         """
         super().__init__(num_envs, count, device)
         self.layout, self.h_ns, self.overwritten = layout, h_ns, dict(overwritten or {})
         self.declare("planes", None, layout.size, planes=True)
         self.declare("parameters", None, parameters.size, planes=True)
-        self.declare("ticks", 0)
-        self.declare("mode", 0)
+        self.declare("ticks", 0, low=0, high=LAST_TICK)
+        self.declare("mode", 0, low=0, high=modes - 1)
         numbers = {name: value for name, value in arguments.items() if isinstance(value, Tensor)}
         self.constants = {name: value for name, value in arguments.items() if name not in numbers}
         self.arguments, self.memory = ArgumentState(num_envs, count, device, numbers), StateTable(num_envs, count, device)
@@ -139,6 +146,20 @@ class SatelliteState(StateTable):
         if name not in self.layout.fields:
             raise KeyError(f"the satellite has no field {name!r}; {nearest(name, self.layout.fields)}")
         return name
+
+    def check_relations(self, path: str) -> None:
+        """See :meth:`StateTable.check_relations`: limits of the components' fields, and arcs that cover the present."""
+        limits = torch.tensor(self.layout.limits, dtype=torch.float64, device=self.device)
+        planes = self.planes.mT
+        wrong = ~(planes.abs() <= limits)
+        for name, where in self.layout.slices.items() if bool(wrong.any()) else ():
+            limit = f"it must lie in [{-self.layout.fields[name].limit:g}, {self.layout.fields[name].limit:g}]"
+            self.refuse(f"{path}{name}", planes[:, where], wrong[:, where], limit)
+        ahead = self.tables["lookahead"]
+        assert isinstance(ahead, LookAhead)
+        ahead.check_time(path, self.sim_time)
+        epoch = self.tables["arguments"]["utc_init"]
+        self.refuse(f"{path}lookahead.arcs.et", ahead.arcs.et, ahead.arcs.et != epoch, "it must be the argument utc_init")
 
     # -- arguments ----------------------------------------------------------------------------------------------------
 

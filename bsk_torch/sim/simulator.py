@@ -15,16 +15,17 @@ from bsk_torch._checks import number
 from bsk_torch._deprecated import deprecated_attributes
 from bsk_torch.astro.atmosphere import exponential_density, top_radius
 from bsk_torch.astro.orbit import periapsis_radius
-from bsk_torch.codegen.kernel import Samples
+from bsk_torch.codegen.kernel import Kernel, Samples
 from bsk_torch.constants import MU_EARTH, NANO
 from bsk_torch.rand import Key, first_key
 from bsk_torch.sim.access.lookahead import LookAhead
 from bsk_torch.sim.access.places import place_kinds
 from bsk_torch.sim.access.visibility.backend import make_visibility
 from bsk_torch.sim.access.windows import AccessWindows
-from bsk_torch.sim.component import Component, Layout, MissingMessageError
+from bsk_torch.sim.component import Arg, Component, Layout, MissingMessageError
 from bsk_torch.sim.composition import check_required_dyn, commanded_by, provided_by, world_components, world_of
 from bsk_torch.sim.dyn import hub
+from bsk_torch.sim.dyn.events import notice_image
 from bsk_torch.sim.dyn.field import prepare
 from bsk_torch.sim.dyn.models import DynamicsModel
 from bsk_torch.sim.fsw.models import IDLE, FSWModel
@@ -34,8 +35,8 @@ from bsk_torch.sim.orbit.arcs import Arcs
 from bsk_torch.sim.orbit.solvers import make_solver
 from bsk_torch.sim.params import Arguments, Overrides, merge, nearest
 from bsk_torch.sim.readout.observables import Observer
-from bsk_torch.sim.run import Runners, TickLoop, make_runners
-from bsk_torch.sim.satellite_state import SatelliteState
+from bsk_torch.sim.run import Runners, TickLoop, make_runners, ticks_at_once
+from bsk_torch.sim.satellite_state import ArgumentState, SatelliteState
 from bsk_torch.sim.schedule import ordered
 from bsk_torch.sim.state import StateTable
 from bsk_torch.sim.tick import ARC_ORBIT, Tick
@@ -58,6 +59,9 @@ LOWEST_PERIAPSIS, HIGHEST_APOAPSIS = 6.35e6, 1e9
 
 DENSEST_AIR = 10.0
 """Largest density, kg/m^3, at an initial position."""
+
+CLOSE = 1e-9
+"""Relative difference of parameters that two machines compute from the same arguments."""
 
 
 class _Looked(dict[str, Any]):
@@ -271,6 +275,7 @@ class Simulator:
             count=self.count,
             device=self.device,
             h_ns=self.h_ns,
+            modes=len(self.mode_names),
             overwritten=dict(pair for part in parts for pair in part.overwrites),
         )
 
@@ -457,6 +462,44 @@ class Simulator:
         self._first_tick(rows)
         state.touch()
 
+    def check_saved(self, saved: SatelliteState, path: str) -> None:
+        """Check that arguments and parameters of a saved state are such as are drawn here; ``path`` is its place in the state.
+
+        Raises:
+            ValueError: For arguments that are not allowed, or parameters that do not follow from them.
+        """
+        drawn = saved.tables["arguments"]
+        assert isinstance(drawn, ArgumentState)
+        values, low, high = {name: drawn[name] for name in drawn}, *self._argument_bounds
+        wrong = ~((drawn.values >= low) & (drawn.values <= high))
+        for name, place in drawn.places.items() if bool(wrong.any()) else ():
+            limits = f"[{float(low[place].max()):g}, {float(high[place].min()):g}]"
+            saved.refuse(f"{path}arguments.{name}", values[name], wrong[place].movedim(-1, 0), f"it must lie in {limits}")
+        for name, value in values.items():
+            if self._argument(name).shared:
+                saved.refuse(f"{path}arguments.{name}", value, value != value[:1], "it must be the same in all episodes")
+                values[name] = value[:1]
+        on_host = {name: value.cpu() for name, value in values.items()} | saved.constants
+        for part in self.parts:
+            part.check(on_host)
+        self._check_orbit(on_host)
+        own = self.tick.own.rows(merge(on_host, self.parts, "prepare"), saved.rows).to(saved.device).mT
+        wrong = ~torch.isclose(saved.parameters.mT, own, rtol=CLOSE, atol=0.0, equal_nan=True)
+        saved.refuse(f"{path}parameters", saved.parameters.mT, wrong, "it does not follow from the arguments of the satellite")
+
+    def _argument(self, name: str) -> Arg:
+        return (self.sat_args if name in self.sat_args.table else self.world_args).table[name]
+
+    @functools.cached_property
+    def _argument_bounds(self) -> tuple[Tensor, Tensor]:
+        """Smallest and largest value of each plane of the arguments, [C, 1]."""
+        arguments = self.state.arguments
+        bounds = torch.zeros(2, len(arguments.values), 1, dtype=torch.float64, device=self.device)
+        for name, place in arguments.places.items():
+            arg = self._argument(name)
+            bounds[0, place], bounds[1, place] = (0, len(arg.choices) - 1) if arg.kind == "choice" else (arg.low, arg.high)
+        return bounds[0], bounds[1]
+
     def _first_tick(self, rows: Tensor) -> None:
         """Run Basilisk's tick at time zero in ``rows`` [n]."""
         state = self.state
@@ -577,13 +620,17 @@ class Simulator:
 
     # -- running ------------------------------------------------------------------------------------------------------
 
-    def run(self, ticks: Tensor, expected: Tensor | None = None) -> Tensor:
+    def run(self, ticks: Tensor, expected: Tensor | None = None, may_rewind: bool = False) -> Tensor:
         """Advance every row by at most ``ticks`` [N], zero leaves it untouched; return the number of ticks done, [N].
 
         An event that ends the run of one satellite ends that of all satellites of its environment, in the same tick. ``expected``
-        [N] is the probable number of ticks, if events are expected.
+        [N] is the probable number of ticks, if events are expected. Arcs of runs that :meth:`rewind` may undo keep their past.
         """
         state = self.state
+        if isinstance(self.runners.run, Kernel) and int(ticks.max()) > (most := ticks_at_once(state.rows)):
+            if may_rewind:
+                self.lookahead.reach(state.sim_time + ticks * state.h, state.sim_time)
+            return self._run_in_pieces(ticks, most)
         self.lookahead.reach(state.sim_time + ticks * state.h, state.sim_time)
         flown = self.runners.run(
             state.planes,
@@ -601,6 +648,34 @@ class Simulator:
         state.ticks = state.ticks + flown
         state.touch()
         return flown
+
+    def _run_in_pieces(self, ticks: Tensor, most: int) -> Tensor:
+        """Run ``ticks`` [N], at most ``most`` at once: Python handles signals, such as Ctrl-C, between two calls of a kernel."""
+        flown, left = torch.zeros_like(ticks), ticks
+        while int(left.max()) > 0:
+            ran, stopped = self._run_piece(left.clamp(max=most - 1), left)
+            flown = flown + ran
+            left = torch.where(stopped, 0, left - ran)
+        return flown
+
+    def _run_piece(self, piece: Tensor, left: Tensor) -> tuple[Tensor, Tensor]:
+        """Run ``piece`` [N] of the ticks that are ``left`` [N]; return the number of ticks done, and whether they were stopped.
+
+        The number does not tell whether the last tick of the piece stopped the run. Images are counted; where other components
+        stop runs, a tick more is run first, and rows that were not stopped before it are rewound.
+        """
+        if not self.tick.stops:
+            return self.run(piece), torch.zeros_like(piece, dtype=torch.bool)
+        if all(part.update is notice_image for part in self.tick.components if part.stops):
+            before = self.events
+            ran = self.run(piece)
+            return ran, self.state.of_env((self.events > before).view(self.num_envs, -1).any(1))
+        checkpoint = self.checkpoint()
+        ran = self.run(torch.minimum(piece + 1, left))
+        goes_on = ran > piece
+        self.rewind(checkpoint, goes_on)
+        self.run(torch.where(goes_on, piece, 0))
+        return torch.where(goes_on, piece, ran), ~goes_on
 
     def checkpoint(self) -> tuple[Tensor, Tensor]:
         """Return the fields of the components and the clock; see :meth:`rewind`."""

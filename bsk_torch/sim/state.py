@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from numbers import Real
 from typing import Any, TypeVar, cast
 
@@ -22,6 +22,12 @@ from bsk_torch._deprecated import warn_deprecated
 
 Table = TypeVar("Table", bound="StateTable")
 
+FINITE = 1e30
+"""Bound of a field whose numbers may be any but NaN and infinities; they are finite in float32, too."""
+
+SHOWN = 5
+"""Number of wrong rows that a message lists."""
+
 
 @dataclass(frozen=True)
 class StateField:
@@ -32,12 +38,16 @@ class StateField:
         initial: Value at the start of an episode; None where the owner of the table writes it.
         grows: Whether the dimension behind the rows may become longer, filled up with ``initial``.
         planes: Whether rows are the last dimension of the stored tensor, as kernels read it; saved states have them first.
+        low: Smallest value that a saved state may hold; None for no bound. A field with a bound holds no NaN.
+        high: Largest one, likewise.
     """
 
     name: str
     initial: float | bool | None = None
     grows: bool = False
     planes: bool = False
+    low: float | None = None
+    high: float | None = None
 
 
 class StateTable:
@@ -74,6 +84,8 @@ class StateTable:
         dtype: torch.dtype | None = None,
         grows: bool = False,
         planes: bool = False,
+        low: float | None = None,
+        high: float | None = None,
     ) -> None:
         """Add a tensor [rows, *shape] to the state.
 
@@ -84,6 +96,8 @@ class StateTable:
             dtype: Type; that of ``initial`` unless given (float64 for None).
             grows: Whether the first dimension of ``shape`` may become longer.
             planes: Whether the tensor is stored as [*shape, rows].
+            low: Smallest value that a state which is restored may hold; None for no bound. With a bound, NaN is refused, too.
+            high: Largest one, likewise; :data:`FINITE` where all numbers are right.
 
         Raises:
             ValueError: For a name that is taken.
@@ -92,9 +106,13 @@ class StateTable:
             raise ValueError(f"name={name!r} is already declared; known are {sorted((*self.fields, *self.tables))}")
         if dtype is None:
             dtype = {bool: torch.bool, int: torch.int64}.get(type(initial), torch.float64)
-        self.fields[name] = StateField(name, initial, grows, planes)
+        self.fields[name] = StateField(name, initial, grows, planes, low, high)
         size = (*shape, self.rows) if planes else (self.rows, *shape)
         self.__dict__[name] = torch.full(size, initial or 0, dtype=dtype, device=self.device)
+
+    def bound(self, name: str, low: float | None, high: float | None) -> None:
+        """Set the smallest and the largest value that a state which is restored may hold in a declared field."""
+        self.fields[name] = replace(self.fields[name], low=low, high=high)
 
     def add(self, name: str, table: StateTable | float, *shape: int, dtype: torch.dtype = torch.int64) -> None:
         """Add a table of the same episodes.
@@ -265,12 +283,15 @@ class StateTable:
         return value if self.count == 1 else value.reshape(self.num_envs, self.count, *value.shape[1:])
 
     def over(self: Table, saved: Mapping[str, Any] | TensorDictBase) -> Table:
-        """Return a table of the same make over saved tensors, which are not copied.
+        """Return a table of the same make over saved tensors, which are not copied; :meth:`check` checks their values.
 
         Raises:
             KeyError: If a field or a table is missing in ``saved``, or one of them is unknown.
+            TypeError: For something else in the place of a table or a tensor.
             ValueError: For a tensor of another shape or type.
         """
+        if not isinstance(saved, Mapping | TensorDictBase):
+            raise TypeError(f"the saved state has {saved!r} in the place of {sorted({*self.fields, *self.tables})}")
         other = copy.copy(self)
         keys = set(saved.keys())
         if keys != {*self.fields, *self.tables}:
@@ -278,6 +299,10 @@ class StateTable:
             raise KeyError(f"the saved state lacks {missing} and has {unknown} beside; it was saved by another environment")
         own = other.__dict__
         own["tables"] = {name: table.over(saved[name]) for name, table in self.tables.items()}
+        for name in self.fields:
+            value = saved[name]
+            if not isinstance(value, Tensor) or value.ndim == 0:
+                raise TypeError(f"{name!r} of the saved state is {value!r}; it must be a tensor with a row for each episode")
         numbers = {len(saved[name]) for name in self.fields} | {t.num_envs for t in other.tables.values() if not t.is_empty}
         if len(numbers) > 1:
             raise ValueError(f"tensors of the saved state have {sorted(numbers)} episodes; they must have equally many")
@@ -291,13 +316,47 @@ class StateTable:
         field, mine = self.fields[name], self.__dict__[name]
         if value.dtype != mine.dtype:
             raise ValueError(f"{name!r} of the saved state has dtype {value.dtype}; it must be {mine.dtype}")
-        value = value if self.count == 1 else value.flatten(0, 1)
-        value = value.movedim(0, -1) if field.planes else value
-        shapes = (list(x.shape[:-1]) if field.planes else list(x.shape[2 if field.grows else 1 :]) for x in (value, mine))
-        found, wanted = shapes
-        if found != wanted:
-            raise ValueError(f"{name!r} of the saved state has shape {list(value.shape)}; it must be [..., {wanted}]")
-        return value.to(self.device)
+        leading = 1 if self.count == 1 else 2
+        behind = mine.shape[:-1] if field.planes else mine.shape[1:]
+        wanted: list[Any] = ["N", *[self.count][: leading - 1], *behind]
+        if field.grows:
+            wanted[leading] = "any number"
+        if len(wanted) != value.ndim or any(isinstance(w, int) and w != n for w, n in zip(wanted, value.shape, strict=True)):
+            form = ", ".join(map(str, wanted))
+            raise ValueError(f"{name!r} of the saved state has shape {list(value.shape)}; it must be [{form}]")
+        value = value if leading == 1 else value.flatten(0, 1)
+        return (value.movedim(0, -1) if field.planes else value).to(self.device)
+
+    def check(self, path: str = "") -> None:
+        """Check that all values of the tree lie within the bounds of their fields, and fit together; ValueError names one.
+
+        Subclasses check in :meth:`check_relations` what bounds cannot say. ``path`` is the place of the table in the state.
+        """
+        for name, field in self.fields.items():
+            if field.low is not None or field.high is not None:
+                value = self.__dict__[name]
+                wrong = torch.zeros_like(value, dtype=torch.bool)
+                for bound, beyond in ((field.low, torch.lt), (field.high, torch.gt)):
+                    wrong = wrong if bound is None else wrong | beyond(value, bound)
+                if value.is_floating_point():
+                    wrong = wrong | torch.isnan(value)
+                low, high = ("" if bound is None else f"{bound:g}" for bound in (field.low, field.high))
+                flat = (value, wrong) if not field.planes else (value.movedim(-1, 0), wrong.movedim(-1, 0))
+                self.refuse(path + name, *flat, f"it must lie in [{low}, {high}]")
+        self.check_relations(path)
+        for name, table in self.tables.items():
+            table.check(f"{path}{name}.")
+
+    def check_relations(self, path: str) -> None:
+        """Raise ValueError where values of saved rows do not fit together."""
+
+    def refuse(self, name: str, value: Tensor, wrong: Tensor, why: str) -> None:
+        """Raise ValueError for a saved tensor [rows, ...] that is ``wrong`` somewhere; the mask has its shape, or is [rows]."""
+        rows = wrong.flatten(1).any(1) if wrong.ndim > 1 else wrong
+        if bool(rows.any()):
+            envs = (torch.nonzero(rows).squeeze(-1) // self.count).unique().tolist()
+            worst = value[wrong].flatten()[0].item()
+            raise ValueError(f"{name!r} of the saved state is {worst} in episodes {envs[:SHOWN]} ({len(envs)} in all); {why}")
 
 
 def widened(table: Tensor, width: int, value: float) -> Tensor:

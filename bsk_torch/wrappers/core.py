@@ -12,7 +12,7 @@ from gymnasium.error import ResetNeeded
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
-from bsk_torch.env.base import Tasking
+from bsk_torch.env.base import ResetNeededError, Tasking
 from bsk_torch.presets import make
 
 Kind = TypeVar("Kind", bound=Tasking)
@@ -107,11 +107,18 @@ def parse_render_mode(mode: str | None) -> str | None:
     return mode
 
 
+def check_begun(core: Tasking, call: str) -> None:
+    """Raise ResetNeeded unless the episodes of an environment have begun; ``call`` is what the user called."""
+    try:
+        core.check_begun(call)
+    except ResetNeededError as error:
+        raise ResetNeeded(str(error)) from error
+
+
 def snapshots(core: Tasking, mode: str | None) -> tuple[np.ndarray, ...] | None:
     """Return a picture of each environment, [480, 640, 3] uint8; None, with a warning, without a render mode."""
     if mode is None:
         gymnasium.logger.warn("render() draws nothing without a render mode; make the environment with render_mode='rgb_array'")
         return None
-    if bool((core.episode < 0).any()):
-        raise ResetNeeded("render() needs an episode; call reset() first")
+    check_begun(core, "render()")
     return tuple(core.render(rows=range(core.batch_size[0])).cpu().numpy())

@@ -43,10 +43,10 @@ class EclipseTable(StateTable):
         """Prepare an empty table for ``arcs``."""
         super().__init__(arcs.num_envs, arcs.count, arcs.device)
         self.arcs, self.visibility = arcs, visibility
-        self.declare("sampled", 0.0)
-        self.declare("known", 0.0)
-        self.declare("starts", math.inf, 1, grows=True)
-        self.declare("ends", math.inf, 1, grows=True)
+        self.declare("sampled", 0.0, low=0.0)
+        self.declare("known", 0.0, low=0.0)
+        self.declare("starts", math.inf, 1, grows=True, low=0.0)
+        self.declare("ends", math.inf, 1, grows=True, low=0.0)
 
     def search(self, rows: Tensor, orbits: PlannedOrbits, duration: Tensor) -> None:
         """Find the transitions of new arcs of ``rows`` [n]; windows have been generated for ``duration`` [n] s."""

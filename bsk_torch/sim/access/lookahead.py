@@ -111,6 +111,16 @@ class LookAhead(StateTable):
         places = 1 if self.access is None else max(of(rows[:1]).r_LP_P.shape[1] for of in self.access.kinds.values())
         return max(1, min(number, pairs // places))
 
+    def check_time(self, path: str, time: Tensor) -> None:
+        """Raise ValueError unless arcs, which have been searched for eclipses and windows, cover the ``time`` [rows] s."""
+        arcs, end = self.arcs, self.arcs.end
+        covers = "the arcs must reach from before the present to behind it"
+        self.refuse(f"{path}lookahead.arcs.start", arcs.start, (arcs.start > time) | (end < time), covers)
+        searched = [("eclipses", name, self.eclipses[name]) for name in ("sampled", "known")]
+        searched += [("windows", name, self.access[name]) for name in ("until", "ready")] if self.access is not None else []
+        for table, name, value in searched:
+            self.refuse(f"{path}lookahead.{table}.{name}", value, value > end, "it must lie before the end of the arcs")
+
     def over(self, saved: Mapping[str, Any] | TensorDictBase) -> LookAhead:
         """See :meth:`StateTable.over`."""
         other = super().over(saved)
@@ -124,12 +134,8 @@ class LookAhead(StateTable):
     def copy_rows(self, envs: Tensor, other: StateTable, source: Tensor) -> None:
         """See :meth:`StateTable.copy_rows`; the shorter arcs of the two are extended first."""
         assert isinstance(other, LookAhead)
-        if other.arcs.length < self.arcs.length and not other.live:  # saved tensors are not written into
-            other, source = other.taken(source), torch.arange(len(source), device=source.device)
-        while self.arcs.length < other.arcs.length:
-            self.grow()
-        while other.arcs.length < self.arcs.length:
-            other.grow()
+        self.grow_to(other.arcs.length)
+        other.grow_to(self.arcs.length)
         super().copy_rows(envs, other, source)
 
     # -- time ---------------------------------------------------------------------------------------------------------
@@ -150,6 +156,11 @@ class LookAhead(StateTable):
                 self.access.catch_up(rows)
             self.arcs.extend(rows)
             self.eclipses.lengthen(rows)
+
+    def grow_to(self, length: float) -> None:
+        """Make every arc at least ``length`` s long."""
+        while self.arcs.length < length:
+            self.grow()
 
     def grow(self) -> None:
         """Make every arc an hour longer."""
@@ -200,7 +211,8 @@ class LookAhead(StateTable):
         short = rows = torch.nonzero(found < wanted).squeeze(-1)
         if not len(rows):
             return windows, found
-        limit = (time if may_see_nothing else access.until) + MAX_SEGMENTS * access.segment
+        # a step may have been longer than all that was searched before it
+        limit = (time if may_see_nothing else torch.maximum(access.until, time)) + MAX_SEGMENTS * access.segment
         limit = limit if last is None else torch.minimum(limit, last)
         while True:
             some = None if allowed is None else allowed[rows]

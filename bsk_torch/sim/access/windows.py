@@ -46,9 +46,17 @@ class WindowState(StateTable):
     def __init__(self, num_envs: int, count: int, device: torch.device) -> None:
         """Make an empty table."""
         super().__init__(num_envs, count, device)
-        self.declare("open", math.inf, 1, grows=True)
-        self.declare("close", math.inf, 1, grows=True)
-        self.declare("place", 0, 1, grows=True)
+        self.declare("open", math.inf, 1, grows=True, low=0.0)
+        self.declare("close", math.inf, 1, grows=True, low=0.0)
+        self.declare("place", 0, 1, grows=True, low=0)
+
+    def check_relations(self, path: str) -> None:
+        """See :meth:`StateTable.check_relations`: columns of windows sorted by closing time."""
+        widths = {name: self[name].shape[1] for name in self}
+        if len({*widths.values()}) > 1 or self.close.shape[1] < 1:
+            raise ValueError(f"'{path}*' of the saved state have {widths} columns; they must have equally many, at least one")
+        self.refuse(f"{path}close", self.close[:, 1:], self.close[:, 1:] < self.close[:, :-1], "they must be sorted")
+        self.refuse(f"{path}open", self.open, self.open > self.close, "a window must open before it closes")
 
 
 class AccessWindows(StateTable):
@@ -77,11 +85,20 @@ class AccessWindows(StateTable):
         super().__init__(arcs.num_envs, arcs.count, arcs.device)
         self.arcs, self.visibility, self.kinds, self.segment = arcs, visibility, dict(kinds), segment
         self.as_bsk_rl = as_bsk_rl
-        self.declare("until", 0.0)
-        self.declare("ready", 0.0)
+        self.declare("until", 0.0, low=0.0)
+        self.declare("ready", 0.0, low=0.0)
         for kind in kinds:
             self.add(kind, WindowState(self.num_envs, self.count, self.device))
         self.ahead, self._expected = max(1, round(SEARCH_AHEAD / segment)), 0.0
+
+    def check_relations(self, path: str) -> None:
+        """See :meth:`StateTable.check_relations`: windows over places that exist."""
+        for kind, places in self.kinds.items():
+            count, place = places(self.all_rows[:1]).r_LP_P.shape[1], self.tables[kind]["place"]
+            self.refuse(f"{path}{kind}.place", place, place >= count, f"there are {count} places")
+            close = self.tables[kind]["close"]
+            late = torch.isfinite(close) & (close > self.ready.unsqueeze(-1))
+            self.refuse(f"{path}{kind}.close", close, late, "it must lie before 'ready', the end of what has been searched")
 
     @property
     def windows(self) -> dict[str, Windows]:

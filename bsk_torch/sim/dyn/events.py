@@ -26,7 +26,7 @@ IMAGE_EVENT = Component(
     update=notice_image,
     stops=True,
     state=(
-        Field("image_level", 1, "bit", "level that an image must exceed", exact=True),
+        Field("image_level", 1, "bit", "level that an image must exceed", exact=True, limit=DISARMED),
         Field("images", 1, "-", "images taken since reset", exact=True),
     ),
     initial=lambda args: {

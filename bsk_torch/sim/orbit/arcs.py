@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -23,7 +24,7 @@ from bsk_torch.sim.component import Bus, Track
 from bsk_torch.sim.environment.ephemeris import EPHEMERIS_TRACK, ephemeris_records
 from bsk_torch.sim.orbit.builder import ARC
 from bsk_torch.sim.orbit.grid import ARC_SEGMENT, LEAD_NODES, NODE_SPACING, NODES_PER_SEGMENT
-from bsk_torch.sim.orbit.solution import Solver
+from bsk_torch.sim.orbit.solution import Solution, Solver
 from bsk_torch.sim.state import StateTable
 
 PLANNED_SEGMENTS = 5
@@ -38,6 +39,10 @@ def follow_arc(bus: Bus) -> None:
     """
     path, s = coefficients([node.r_BN_N for node in bus.arc]), bus.arc_tau * (1.0 / NODE_SPACING)
     bus.r_BN_N, bus.v_BN_N = position(path, s), velocity(path, s, NODE_SPACING)
+
+
+FARTHEST = 1e13
+"""Largest number, in m, m/s or s, that arcs may hold; the Sun is 1.5e11 m away."""
 
 
 class Arcs(StateTable):
@@ -59,12 +64,29 @@ class Arcs(StateTable):
         """Make room for ``count`` satellites in each of ``num_envs`` episodes; planned arcs keep their last ``kept`` hours."""
         super().__init__(num_envs, count, solver.device)
         self.solver, self.kept = solver, kept
-        self.declare("flown", None, LEAD_NODES + spans * NODES_PER_SEGMENT + 1, 3, grows=True)
-        self.declare("planned", None, min(spans, kept) * NODES_PER_SEGMENT + 1, 3, grows=True)
-        self.declare("ephemeris", None, spans + 2, EPHEMERIS_TRACK.width, grows=True)
-        self.declare("tail", None, solver.tail)
-        self.declare("start")
+        far: dict[str, Any] = {"low": -FARTHEST, "high": FARTHEST}
+        self.declare("flown", None, LEAD_NODES + spans * NODES_PER_SEGMENT + 1, 3, grows=True, **far)
+        self.declare("planned", None, min(spans, kept) * NODES_PER_SEGMENT + 1, 3, grows=True, **far)
+        self.declare("ephemeris", None, spans + 2, EPHEMERIS_TRACK.width, grows=True, **far)
+        self.declare("tail", None, solver.tail, **far)
+        self.declare("start", low=0.0, high=FARTHEST)
         self.declare("et")
+
+    def check_relations(self, path: str) -> None:
+        """See :meth:`StateTable.check_relations`: tables of equally many hours, which begin at a whole hour."""
+        spans = (self.flown.shape[1] - LEAD_NODES - 1) // NODES_PER_SEGMENT
+        widths = {
+            "flown": LEAD_NODES + spans * NODES_PER_SEGMENT + 1,
+            "planned": min(spans, self.kept) * NODES_PER_SEGMENT + 1,
+            "ephemeris": spans + 2,
+        }
+        for name, width in widths.items():
+            if spans < 1 or self[name].shape[1] != width:
+                raise ValueError(
+                    f"'{path}{name}' of the saved state has {self[name].shape[1]} columns, where those of 'flown' are "
+                    f"{self.flown.shape[1]}; arcs of {spans} hours have {width}"
+                )
+        self.refuse(f"{path}start", self.start, self.start % ARC_SEGMENT != 0.0, f"it must be a multiple of {ARC_SEGMENT:g} s")
 
     @property
     def length(self) -> float:
@@ -114,26 +136,31 @@ class Arcs(StateTable):
 
     def extend(self, rows: Tensor) -> None:
         """Move the arcs of ``rows`` on by an hour, dropping one at their beginning."""
-        self.start[rows] += ARC_SEGMENT
-        self.ephemeris[rows] = ephemeris_records(self.et[rows] + self.start[rows], self.ephemeris.shape[1])
-        self._lengthen(rows, NODES_PER_SEGMENT)
+        start = self.start[rows] + ARC_SEGMENT
+        ephemeris = ephemeris_records(self.et[rows] + start, self.ephemeris.shape[1])
+        kept, planned = self.flown[rows, NODES_PER_SEGMENT:], self.planned[rows, NODES_PER_SEGMENT:]
+        flown, new, tail = self._solved(rows, self.et[rows], self.tail[rows], start, ephemeris, kept)
+        self.start[rows], self.ephemeris[rows], self.tail[rows] = start, ephemeris, tail
+        self.flown[rows], self.planned[rows] = flown, torch.cat([planned, new[:, 1::2]], 1)
+
+    def _solved(self, rows: Tensor, *known: Tensor) -> Solution:
+        """Solve the next hour of ``rows`` [n]; FloatingPointError where positions are not finite."""
+        found = self.solver.extend(*known)
+        wrong = ~torch.isfinite(found.planned).flatten(1).all(1) | ~torch.isfinite(found.flown[:, -1]).all(1)
+        if bool(wrong.any()):
+            envs = (rows[wrong] // self.count).unique().tolist()
+            raise FloatingPointError(
+                f"the orbits of environments {envs[:5]} ({len(envs)} in all) do not stay finite in the next hour"
+            )
+        return found
 
     def grow(self) -> None:
-        """Make every arc an hour longer."""
-        pad = torch.nn.functional.pad
-        self.flown = pad(self.flown, (0, 0, 0, NODES_PER_SEGMENT))
-        if self.planned.shape[1] <= self.kept * NODES_PER_SEGMENT:
-            self.planned = pad(self.planned, (0, 0, NODES_PER_SEGMENT, 0))
-        self.ephemeris = ephemeris_records(self.et + self.start, self.ephemeris.shape[1] + 1)
-        self._lengthen(torch.arange(len(self.start), device=self.device), 0)
-
-    def _lengthen(self, rows: Tensor, drop: int) -> None:
-        """Solve another hour for ``rows``, whose first ``drop`` flown nodes go."""
-        flown = self.flown[rows, drop : self.flown.shape[1] + drop - NODES_PER_SEGMENT]
-        planned = self.planned[rows, NODES_PER_SEGMENT:]
-        start, tail, ephemeris = self.start[rows], self.tail[rows], self.ephemeris[rows]
-        flown, new, self.tail[rows] = self.solver.extend(self.et[rows], tail, start, ephemeris, flown)
-        self.flown[rows], self.planned[rows] = flown, torch.cat([planned, new[:, 1::2]], 1)
+        """Make every arc an hour longer; nothing changes if that fails."""
+        ephemeris = ephemeris_records(self.et + self.start, self.ephemeris.shape[1] + 1)
+        flown, new, tail = self._solved(self.all_rows, self.et, self.tail, self.start, ephemeris, self.flown)
+        full = self.planned.shape[1] > self.kept * NODES_PER_SEGMENT
+        planned = torch.cat([self.planned[:, NODES_PER_SEGMENT if full else 0 :], new[:, 1::2]], 1)
+        self.__dict__.update(ephemeris=ephemeris, flown=flown, planned=planned, tail=tail)
 
 
 def segments_for(seconds: float) -> int:

@@ -37,7 +37,7 @@ def frames(env: Tasking, rows: int | Sequence[int] | None = None, height: int = 
 
 
 def chosen(env: Tasking, rows: int | Sequence[int] | None) -> list[int]:
-    """The episodes to draw; ValueError for wrong ones, RuntimeError for those that have not begun."""
+    """The episodes to draw; ValueError for wrong ones, ResetNeededError for those that have not begun."""
     n = env.batch_size[0]
     if rows is None and n > MOST:
         raise ValueError(
@@ -47,8 +47,7 @@ def chosen(env: Tasking, rows: int | Sequence[int] | None) -> list[int]:
     wanted = list(range(n)) if rows is None else [rows] if isinstance(rows, int) else list(rows)
     if not wanted or any(not 0 <= row < n for row in wanted):
         raise ValueError(f"rows={rows!r} must be an environment from 0 to {n - 1}, or a list of such")
-    if bool((env.episode[wanted] < 0).any()):
-        raise RuntimeError("render() needs an episode; call reset() first")
+    env.check_begun("render()", torch.zeros_like(env.state.begun).index_fill(0, torch.tensor(wanted, device=env.device), True))
     return wanted
 
 

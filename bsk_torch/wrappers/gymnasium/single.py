@@ -17,6 +17,7 @@ from bsk_torch.wrappers.core import (
     as_numpy,
     begin,
     build,
+    check_begun,
     check_options,
     counts,
     map_leaves,
@@ -109,6 +110,7 @@ class GymEnv(EpisodeView, gymnasium.Env[Any, Any]):
 
     def action_masks(self) -> np.ndarray:
         """Return which actions are legal now, [n] bool; sb3-contrib calls a method of this name."""
+        check_begun(self.core, "action_masks()")
         return as_numpy(self.core.satellite.action_mask()[0])
 
     def _observation(self, seen: TensorDictBase) -> Any:

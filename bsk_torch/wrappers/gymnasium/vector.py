@@ -23,6 +23,7 @@ from bsk_torch.wrappers.core import (
     as_numpy,
     begin,
     build,
+    check_begun,
     check_options,
     counts,
     map_leaves,
@@ -188,6 +189,7 @@ class GymVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
 
     def action_masks(self) -> Any:
         """Return which actions are legal now, [N, n] bool."""
+        check_begun(self.core, "action_masks()")
         return self._export(self.core.satellite.action_mask())
 
     # -- output -------------------------------------------------------------------------------------------------------

@@ -1,0 +1,287 @@
+"""Calls out of turn: before the first reset, by two threads at once, for satellites that are dead; in all views."""
+
+from __future__ import annotations
+
+import threading
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import torch
+from gymnasium.error import ResetNeeded
+from tensordict import TensorDict
+
+import bsk_torch
+from bsk_torch.env.base import ResetNeededError
+from bsk_torch.wrappers import GymEnv, GymJointEnv, GymVectorEnv, PettingZooEnv
+
+pytestmark = pytest.mark.compiled
+
+N = 3
+
+SETUPS = {
+    "scan": lambda **options: bsk_torch.make("NadirScan-v1", **options),
+    "imaging": lambda **options: bsk_torch.make("AEOS-v1", n_targets=120, **options),
+    "constellation": lambda **options: bsk_torch.make("Constellation-v1", n_satellites=3, n_targets=120, **options),
+}
+
+
+def make(setup, **options):
+    return SETUPS[setup](**{"num_envs": N, "seed": 3, "time_limit": 2400.0} | options)
+
+
+def acting(env, td=None):
+    td = TensorDict({}, env.batch_size) if td is None else td
+    for key in env.action_keys:
+        td = td.set(key, env.full_action_spec[key].zero())
+    return td
+
+
+# -- before the first reset -----------------------------------------------------------------------------------------------------
+
+CALLS = {
+    "step": lambda env: env.step(acting(env)),
+    "partial step": lambda env: env.step(acting(env).set("_step", torch.tensor([True, False, False]))),
+    "rand_step": lambda env: env.rand_step(),
+    "rollout": lambda env: env.rollout(2, auto_reset=False, tensordict=acting(env)),
+    "get_state": lambda env: env.get_state(),
+    "render": lambda env: env.render(rows=0),
+    "restore from it": lambda env: make("scan").restore(env),
+}
+
+
+@pytest.fixture(scope="module", params=SETUPS)
+def fresh(request):
+    """An environment that is never reset."""
+    return make(request.param)
+
+
+@pytest.mark.parametrize("call", [name for name in CALLS if name != "restore from it"])
+def test_calls_before_the_first_reset(fresh, call):
+    with pytest.raises(ResetNeededError, match=r"needs running episodes.*call reset\(\) first"):
+        CALLS[call](fresh)
+
+
+def test_episodes_that_have_not_begun_are_not_copied():
+    with pytest.raises(ResetNeededError, match=r"restore\(state\) needs running episodes.* none has begun"):
+        CALLS["restore from it"](make("scan"))
+
+
+def test_the_first_reset_starts_all(fresh):
+    """Observations of the others would be those of no satellite."""
+    with pytest.raises(ResetNeededError, match=r"reset\(\) of some environments needs .* \[1, 2\] .*call reset\(\) first"):
+        fresh.reset(TensorDict({"_reset": torch.tensor([[True], [False], [False]])}, [N]))
+
+
+def test_a_new_seed_does_not_end_the_present_episodes():
+    """They go on, can be saved, drawn and pickled."""
+    env = make("scan")
+    env.reset()
+    env.reseed(5)
+    state = env.get_state()
+    assert env.step(acting(env))["next", "duration"].shape == (N, 1)
+    assert env.render(rows=0).shape == (480, 640, 3)
+    other = make("scan")
+    other.load_state_dict(env.state_dict())
+    env.restore(state)
+    assert bool(other.state.begun.all())
+
+
+def test_some_episodes_may_be_restored_before_the_first_reset():
+    env, other = make("scan"), make("scan")
+    env.reset()
+    other.restore(env, [0, 1], [2, 2])
+    assert other.state.begun.tolist() == [True, True, False]
+    with pytest.raises(ResetNeededError, match=r"environments \[2\] \(1 in all\)"):
+        other.step(acting(other))
+    again = make("scan")
+    again.load_state_dict(other.state_dict())
+    assert again.state.begun.tolist() == [True, True, False]
+    other.restore(env, [2])
+    other.step(acting(other))
+
+
+VIEWS = {
+    "gymnasium": lambda: GymEnv(make("scan", num_envs=1)),
+    "vector": lambda: GymVectorEnv(make("scan")),
+    "joint": lambda: GymJointEnv(make("constellation", num_envs=1, joint=True)),
+    "pettingzoo": lambda: PettingZooEnv(make("constellation", num_envs=1)),
+}
+
+
+def test_views_before_the_first_reset():
+    for name, build in VIEWS.items():
+        env = build()
+        action = {} if name == "pettingzoo" else env.action_space.sample()
+        calls = [lambda env=env, action=action: env.step(action)]
+        if name in ("gymnasium", "vector"):
+            calls.append(env.action_masks)
+        for call in calls:
+            with pytest.raises(ResetNeeded, match=r"call reset\(\) first"):
+                call()
+
+
+def test_stable_baselines_before_the_first_reset():
+    sb3 = pytest.importorskip("bsk_torch.wrappers.stable_baselines3")
+    env = sb3.SB3VecEnv(make("scan"))
+    for call in (lambda: env.step(np.zeros(N, dtype=np.int64)), env.action_masks):
+        with pytest.raises(ResetNeeded, match=r"call reset\(\) first"):
+            call()
+
+
+# -- actions --------------------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def lost():
+    """A constellation whose second satellite has died in all episodes, and what its agents saw last."""
+    env = make("constellation")
+    env.reset()
+    state = env.get_state()
+    state["satellites_0", "task", "dead"][:, 1] = True
+    state["removed"][:, 1] = True
+    env.restore(state)
+    return env
+
+
+@pytest.mark.parametrize("action", [10**6, -(10**6), 2**63 - 1, -(2**63)])
+def test_actions_of_the_dead_are_ignored(lost, action):
+    state = lost.get_state()
+    steps = []
+    for number in (0, action):
+        lost.restore(state)
+        td = acting(lost)
+        td["agents", "action"][:, 1] = number
+        steps.append(lost.step(td)["next"])
+    for key in steps[0].keys(True, True):
+        assert torch.equal(steps[0][key], steps[1][key]), key
+    lost.restore(state)
+    td["agents", "action"][:, 0] = action
+    with pytest.raises(ValueError, match=rf"action {action} of .*environment 0 is out of range; legal are 0: "):
+        lost.step(td)
+
+
+def test_actions_of_episodes_that_do_not_move_are_ignored():
+    env = make("scan")
+    td = env.reset().set("action", torch.tensor([0, 99, -7])).set("_step", torch.tensor([True, False, False]))
+    assert env.step(td)["next", "duration"][0] > 0.0
+    with pytest.raises(ValueError, match="action 99 of environment 1 is out of range"):
+        env.step(td.exclude("_step"))
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf"), 0.5])
+def test_actions_that_are_no_integers(value):
+    """All views name them, and nothing has moved."""
+    env = make("scan")
+    env.reset()
+    with pytest.raises(TypeError, match="it must be an integer tensor"):
+        env._step(TensorDict({"action": torch.full((N,), value)}, [N]))
+    constellation = make("constellation")
+    constellation.reset()
+    with pytest.raises(TypeError, match="it must be an integer tensor"):
+        constellation._step(TensorDict({"agents": TensorDict({"action": torch.full((N, 3), value)}, [N, 3])}, [N]))
+    for name, action, bad in (
+        ("gymnasium", value, np.int64(77)),
+        ("vector", np.full(N, value), np.full(N, 77)),
+        ("joint", (value, 0, 0), (0, 77, 0)),
+        ("pettingzoo", {"EO1": value}, {"EO1": -500}),
+    ):
+        view = VIEWS[name]()
+        view.reset(seed=1)
+        ticks = view.core.fleet.ticks.clone()
+        with pytest.raises(TypeError, match="integer"):
+            view.step(action)
+        with pytest.raises(ValueError, match=r"77|-500"):
+            view.step(bad)
+        assert torch.equal(view.core.fleet.ticks, ticks)
+
+
+# -- threads --------------------------------------------------------------------------------------------------------------------
+
+
+def in_thread(call):
+    """Call in another thread; what came of it."""
+    found = SimpleNamespace(result=None, error=None)
+
+    def run():
+        try:
+            found.result = call()
+        except Exception as error:
+            found.error = error
+
+    thread = threading.Thread(target=run, name="visitor")
+    thread.start()
+    thread.join()
+    return found
+
+
+def test_a_second_thread_is_refused_while_one_is_inside(monkeypatch):
+    env = make("scan")
+    td = env.reset()
+    saved, calls = env.get_state(), {}
+    inside = type(env.scenario).finish_step
+
+    def meanwhile(scenario, time):
+        for name, call in {
+            "step": lambda: env.step(acting(env)),
+            "reset": env.reset,
+            "restore": lambda: env.restore(saved),
+            "get_state": env.get_state,
+            "render": lambda: env.render(rows=0),
+        }.items():
+            calls[name] = in_thread(call).error
+        inside(scenario, time)
+
+    expected = make("scan")
+    after = expected.step(expected.reset().set("action", torch.zeros(N, dtype=torch.int64)))["next"]
+    monkeypatch.setattr(type(env.scenario), "finish_step", meanwhile)
+    found = env.step(td.set("action", torch.zeros(N, dtype=torch.int64)))["next"]
+    monkeypatch.undo()
+    for name, error in calls.items():
+        assert isinstance(error, RuntimeError), name
+        assert "in use by thread 'MainThread', and 'visitor' called it at the same time" in str(error)
+    assert torch.equal(found["observation"], after["observation"])
+    assert in_thread(lambda: env.step(acting(env))["next"]).error is None  # one after the other is right
+
+
+def test_threads_with_environments_of_their_own():
+    """At once, and as if each were alone."""
+
+    def play(env):
+        td = env.reset()
+        for _ in range(5):
+            td = env.step(acting(env, td))["next"]
+        return td["observation"]
+
+    expected = [play(make("scan", seed=seed)) for seed in range(3)]
+    envs, found = [make("scan", seed=seed) for seed in range(3)], {}
+    threads = [threading.Thread(target=lambda k=k, env=env: found.update({k: play(env)})) for k, env in enumerate(envs)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert all(torch.equal(found[k], value) for k, value in enumerate(expected))
+
+
+def test_two_threads_that_use_one_environment():
+    """Each call is refused in words, or is right."""
+    env, errors = make("scan", num_envs=40), []
+    env.reset()
+    barrier = threading.Barrier(2)
+
+    def play():
+        barrier.wait()
+        for _ in range(30):
+            try:
+                env.step(acting(env))
+            except RuntimeError as error:
+                errors.append(str(error))
+
+    threads = [threading.Thread(target=play) for _ in range(2)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert all("in use by thread" in error for error in errors)
+    env.check_finite()
+    assert bool(torch.isfinite(env.step(acting(env))["next", "observation"]).all())
