@@ -24,7 +24,7 @@ from bsk_torch.rl.evaluation.evaluate import Evaluation, evaluate
 from bsk_torch.rl.networks.plans import MEMORY
 from bsk_torch.rl.policies.files import POLICY, plain
 from bsk_torch.rl.policies.sealed import load_sealed, save_sealed
-from bsk_torch.rl.training.collect import bookmarks, check_collector, make_collector, merged
+from bsk_torch.rl.training.collect import bookmarks, check_collector, make_collector, merged, update_weights
 from bsk_torch.rl.training.config import CONFIG, PPOConfig, load_config, save_config
 from bsk_torch.rl.training.episodes import RecentEpisodes
 from bsk_torch.rl.training.lock import LOCK, FolderLock
@@ -182,7 +182,7 @@ class Training:
             log.iteration(row)
             show(bar, self.progress, row)
             with self._collecting():
-                collector.update_policy_weights_()
+                update_weights(collector)
             if self._due(self.config.evaluate_every) or (self.config.evaluate_every and self.progress.fraction >= 1.0):
                 log.evaluated(self._judge())
             enough = self.config.patience is not None and self.best["waited"] >= self.config.patience
