@@ -1,6 +1,7 @@
 """Training runs: what they leave behind, how they go on after an interruption, and where experience comes from."""
 
 import dataclasses
+import importlib
 import multiprocessing
 import os
 import signal
@@ -157,6 +158,30 @@ def test_a_lost_process_stops_a_run_that_can_be_resumed(by_several, tmp_path):
     assert weights(resume(out)).equal(weights(policy))
     assert same_logs(out, whole)
     assert {path.name for path in out.iterdir()} == {path.name for path in whole.iterdir()}
+
+
+class LosingActor(Training):
+    """Loses an actor of Ray while it learns from its second batch."""
+
+    def _loop(self, batches, collector, *others):
+        self.actors = collector.remote_collectors
+        super()._loop(batches, collector, *others)
+
+    def _learn(self, batch):
+        if self.iteration == 1:
+            importlib.import_module("ray").kill(self.actors[0])
+        return super()._learn(batch)
+
+
+@pytest.mark.ray
+def test_a_lost_actor_of_ray_stops_a_run_that_can_be_resumed(by_several, tmp_path):
+    """Actors of Ray collect what processes of this machine do, so that the policies are the same."""
+    _, policy = by_several
+    out = tmp_path / "run"
+    with pytest.raises(RuntimeError, match=r"has failed or was lost \(.*\); the run goes on .* bsk-torch train .*run --resume"):
+        LosingActor(dataclasses.replace(SEVERAL, collector="ray"), out).run()
+    assert read_log(out / LOG)["frames"][-1] < SEVERAL.frames
+    assert weights(resume(out)).equal(weights(policy))
 
 
 def test_processes_share_out_the_episodes_of_one(tmp_path):

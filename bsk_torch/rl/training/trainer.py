@@ -167,8 +167,9 @@ class Training:
         except Exception as error:
             if self.config.collector == "single":
                 raise
+            reason = [type(error).__name__, *str(error).strip().splitlines()[:1]][-1]
             raise RuntimeError(
-                f"a process that collects experience has failed or was lost ({str(error).strip() or type(error).__name__}); "
+                f"a process that collects experience has failed or was lost ({reason}); "
                 f"the run goes on from its last checkpoint with: bsk-torch train {self.out} --resume"
             ) from error
 
