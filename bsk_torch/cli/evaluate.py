@@ -60,6 +60,8 @@ def evaluate_policy(
     episodes = seed_range(seeds)
     for path in (out, episodes_out):
         check_writable(path)
+    if out is not None and episodes_out is not None and out.absolute() == episodes_out.absolute():
+        fail(f"--out and --episodes-out are the same file, {str(out)!r}")
     named = named_policy(policy, preset)
     size = min(len(episodes), MOST_TEAMS if is_constellation(named.preset) else MOST)
     env = named.environment(size, environment_options(backend, device, time_limit))

@@ -30,6 +30,7 @@ from bsk_torch.cli.shared import (
     seed_range,
 )
 from bsk_torch.env import SatelliteTasking
+from bsk_torch.files import write_file
 from bsk_torch.rl.evaluation.failures import Failure, Moment, can_be_saved, explain
 from bsk_torch.rl.evaluation.replay import Flown
 from bsk_torch.rl.evaluation.rescue import LOST, OPEN, SAVED, check_searchable
@@ -150,4 +151,4 @@ def save(path: Path, figures: dict[str, Any], failures: Sequence[Failure]) -> No
     """Write figures line by line, then a line for each failure."""
     lines = [f"{json.dumps(name)}: {json.dumps(value)}" for name, value in figures.items()]
     listed = ",\n  ".join(json.dumps(dataclasses.asdict(failure)) for failure in failures)
-    path.write_text("{\n " + ",\n ".join([*lines, f'"failures": [\n  {listed}\n ]']) + "\n}\n")
+    write_file(path, "{\n " + ",\n ".join([*lines, f'"failures": [\n  {listed}\n ]']) + "\n}\n")

@@ -4,19 +4,45 @@ from __future__ import annotations
 
 import logging
 from importlib import import_module
+from typing import Any
 
 import typer
+from typer.core import TyperGroup
 
 from bsk_torch.cli.evaluate import evaluate_policy
 from bsk_torch.cli.explain import explain_failures
 from bsk_torch.cli.publish import publish
 from bsk_torch.cli.report import report
 from bsk_torch.cli.schedule import show_schedule
-from bsk_torch.cli.shared import Preset, made
+from bsk_torch.cli.shared import Preset, fail, made
 from bsk_torch.cli.train import train
 from bsk_torch.presets import PRESETS
 
-app = typer.Typer(help="Train and evaluate satellite-tasking policies.", no_args_is_help=True, add_completion=False)
+logger = logging.getLogger(__name__)
+
+
+class Commands(TyperGroup):
+    """Ends the program with one error, not a traceback, where files, memory or a compiler fail in the middle of a command."""
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run the command."""
+        try:
+            return super().invoke(ctx)
+        except (typer.Exit, typer.Abort, BrokenPipeError):
+            raise
+        except (OSError, RuntimeError, MemoryError) as error:
+            logger.debug("the command failed", exc_info=error)
+            fail(described(error))
+
+
+def described(error: BaseException) -> str:
+    """Return the message of an error; that of the system names the file first."""
+    if isinstance(error, OSError) and error.strerror and error.filename:
+        return f"{str(error.filename)!r}: {error.strerror}"
+    return str(error) or type(error).__name__
+
+
+app = typer.Typer(cls=Commands, help="Train and evaluate satellite-tasking policies.", no_args_is_help=True, add_completion=False)
 
 
 @app.callback()

@@ -46,13 +46,12 @@ class NamedPolicy:
     def environment(self, num_envs: int, options: Mapping[str, Any]) -> Tasking:
         """Return environments that play the episodes of seeds, made as for the policy; ends the program if that fails."""
         trained = self.card.get("options", {})
-        try:
-            return environment(self.preset, num_envs, trained | options | {"env_ids": [0] * num_envs})
-        except TypeError as error:
-            if not trained:
-                raise
-            made_for = f"the policy was trained for {self.card['preset']} with {trained}"
-            fail(f"{made_for}; {self.preset} cannot be made so: {error}")
+        why = (
+            f"the policy was trained for {self.card['preset']} with {trained}; {self.preset} cannot be made so: "
+            if trained
+            else ""
+        )
+        return environment(self.preset, num_envs, trained | options | {"env_ids": [0] * num_envs}, why)
 
     def build(self, env: Tasking, device: str = "cpu") -> TensorDictModuleBase:
         """Return the policy for one satellite of ``env``, or of each group; ends the program if it does not fit."""

@@ -4,19 +4,20 @@ from __future__ import annotations
 
 import json
 import platform
-import shutil
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import torch
 import typer
 
 from bsk_torch import __version__
 from bsk_torch.cli.report import command_of, run_card, run_config
-from bsk_torch.cli.shared import Device, Threads, console, environment, environment_options, fail
+from bsk_torch.cli.shared import Device, Threads, check_writable, console, environment, environment_options, fail
+from bsk_torch.files import write_file
 from bsk_torch.rl.evaluation.evaluate import FRESH, Evaluation, evaluate
-from bsk_torch.rl.policies.files import POLICY, build_policy, check_fits
+from bsk_torch.rl.policies.files import build_policy, check_fits, read_card
 from bsk_torch.rl.policies.pretrained import FOLDER, INDEX
+from bsk_torch.rl.policies.sealed import save_sealed
 from bsk_torch.rl.policies.shared_policy import shared
 from bsk_torch.rl.training.log import LOG, read_log
 
@@ -40,7 +41,9 @@ def publish(
     config, card = run_config(run), run_card(run, device)
     if not (run / LOG).is_file():
         fail(f"{str(run)!r} has no {LOG}, which says how long the training took")
-    log, seed, preset = read_log(run / LOG), config.seed + FRESH, card["preset"]
+    log, listed = _log(run / LOG), _listed(folder)
+    seed, preset = config.seed + FRESH, card["preset"]
+    check_writable(folder / f"{preset}.pt" if folder.exists() else None)
     env = environment(preset, episodes, card["options"] | environment_options("compiled", device, None))
     try:
         check_fits(card, env, preset)
@@ -50,7 +53,7 @@ def publish(
     with console.status(f"playing {episodes} fresh episodes"):
         result = evaluate(policy, env, seed=seed)
     folder.mkdir(parents=True, exist_ok=True)
-    shutil.copyfile(run / POLICY, folder / f"{preset}.pt")
+    save_sealed(folder / f"{preset}.pt", read_card(run))
     notes = {
         "command": command or command_of(config),
         "bsk_torch": __version__,
@@ -61,10 +64,33 @@ def publish(
         "score": score(result, seed),
         "first": result.returns[:FIRST].tolist(),
     }
-    index = folder / INDEX
-    listed = json.loads(index.read_text()) if index.exists() else {}
-    index.write_text(json.dumps(dict(sorted((listed | {preset: notes}).items())), indent=2) + "\n")
+    write_file(folder / INDEX, json.dumps(dict(sorted((listed | {preset: notes}).items())), indent=2) + "\n")
     typer.echo(f"{preset}: {result.mean_return}, survival {result.survival:.1%}; {folder / f'{preset}.pt'}")
+
+
+def _log(path: Path) -> dict[str, list[float]]:
+    """Columns of the log of a training; ends the program if it has no rows."""
+    try:
+        log = read_log(path)
+    except ValueError as error:
+        fail(str(error))
+    if not log:
+        fail(f"{str(path)!r} has no rows; it should say how long the training took")
+    return log
+
+
+def _listed(folder: Path) -> dict[str, Any]:
+    """Notes of the policies in a folder, by preset; ends the program if they are damaged, or it is no folder."""
+    if folder.exists() and not folder.is_dir():
+        fail(f"{str(folder)!r} is no folder; name one for the policies")
+    index = folder / INDEX
+    try:
+        listed = json.loads(index.read_text(encoding="utf-8")) if index.exists() else {}
+    except ValueError as error:
+        fail(f"{str(index)!r} is damaged: {error}")
+    if not isinstance(listed, dict):
+        fail(f"{str(index)!r} holds no notes by preset")
+    return listed
 
 
 def score(result: Evaluation, seed: int) -> dict[str, float]:

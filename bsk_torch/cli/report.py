@@ -20,6 +20,7 @@ from bsk_torch.cli.shared import (
     Backend,
     Device,
     Threads,
+    check_writable,
     console,
     environment,
     environment_options,
@@ -55,15 +56,17 @@ def report(
     """Write report.html into the folder of a run: learning curves, final evaluation, and episodes on maps."""
     torch.set_num_threads(threads)
     pages, config = _pages(), run_config(run)
-    card = run_card(run, device)
+    card, log, evaluations = run_card(run, device), _columns(run / LOG), _columns(run / EVALUATIONS)
+    results = _results(run / RESULTS)
+    check_writable(run / REPORT)
     options = config.options | environment_options(backend, device, None)
     shown = _episodes(config, card, options, episodes, device)
     data = pages.RunData(
         name=run.resolve().name,
         preset=config.preset,
-        log=_columns(run / LOG),
-        evaluations=_columns(run / EVALUATIONS),
-        results=_results(run / RESULTS),
+        log=log,
+        evaluations=evaluations,
+        results=results,
         episodes=[pages.Chosen(*chosen) for chosen in shown],
         played=episodes,
         config=asdict(config),
@@ -108,13 +111,22 @@ def run_card(folder: Path, device: str) -> dict[str, Any]:
 
 
 def _columns(path: Path) -> dict[str, list[float]]:
-    """Columns of a log; none where it was not written."""
-    return read_log(path) if path.is_file() else {}
+    """Columns of a log; none where it was not written. Ends the program if it is no log."""
+    try:
+        return read_log(path) if path.is_file() else {}
+    except ValueError as error:
+        fail(str(error))
 
 
 def _results(path: Path) -> dict[str, Any]:
-    """Final evaluation; nothing where training was stopped before."""
-    return json.loads(path.read_text()) if path.is_file() else {}
+    """Final evaluation; nothing where training was stopped before. Ends the program if the file is damaged."""
+    try:
+        results = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
+    except ValueError as error:  # of JSON, or of text
+        fail(f"{str(path)!r} is damaged: {error}")
+    if not isinstance(results, dict) or not all(isinstance(v, dict) and "return" in v for v in results.values()):
+        fail(f"{str(path)!r} holds no results of an evaluation by policy")
+    return results
 
 
 def _facts(card: dict[str, Any]) -> dict[str, str]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -11,6 +12,7 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
+from bsk_torch.files import write_file
 from bsk_torch.rl.evaluation.evaluate import Evaluation
 from bsk_torch.rl.evaluation.statistics import Estimate, mean
 
@@ -54,16 +56,17 @@ def save_results(results: Mapping[str, Evaluation], path: Path, chosen: str) -> 
     """Write the :meth:`Evaluation.summary` of every policy, with the paired gain of the ``chosen`` one over the others."""
     others = {name: result for name, result in results.items() if name != chosen}
     told = {name: result.summary(others if name == chosen else None) for name, result in results.items()}
-    path.write_text(json.dumps(told, indent=2) + "\n")
+    write_file(path, json.dumps(told, indent=2) + "\n")
 
 
 def save_episodes(results: Mapping[str, Evaluation], seeds: Sequence[int], path: Path) -> None:
     """Write a line of CSV for every episode of every policy."""
     lines = [{"policy": name} | line for name, result in results.items() for line in _episodes(result, seeds)]
-    with path.open("w", newline="") as file:
-        writer = csv.DictWriter(file, list(lines[0]))
-        writer.writeheader()
-        writer.writerows(lines)
+    text = io.StringIO(newline="")
+    writer = csv.DictWriter(text, list(lines[0]))
+    writer.writeheader()
+    writer.writerows(lines)
+    write_file(path, text.getvalue())
 
 
 def _episodes(result: Evaluation, seeds: Sequence[int]) -> Iterator[dict[str, object]]:

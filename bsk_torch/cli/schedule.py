@@ -7,8 +7,7 @@ from typing import Annotated
 
 import typer
 
-from bsk_torch.cli.shared import fail
-from bsk_torch.presets import make
+from bsk_torch.cli.shared import made
 from bsk_torch.sim.component import Component
 from bsk_torch.sim.schedule import INDEX, SCHEDULE, Slot, place
 from bsk_torch.sim.tick import Tick
@@ -21,10 +20,7 @@ def show_schedule(
     if preset is None:
         typer.echo("\n".join(slot_lines(SCHEDULE)))
         return
-    try:
-        env = make(preset, num_envs=1, backend="eager")
-    except (ValueError, ImportError) as error:
-        fail(str(error))
+    env = made(preset, 1, {"backend": "eager"})
     for simulator in env.fleet.simulators:
         names = ", ".join(env.fleet.names[k] for k in simulator.columns)
         typer.echo("\n".join([f"{names}:", *(f"  {line}" for line in tick_lines(simulator.tick))]))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from importlib import import_module
 from pathlib import Path
@@ -16,8 +17,11 @@ from bsk_torch.rl.policies.shared_policy import member_views
 
 console = Console()
 
+LARGEST_SEED, MOST_SEEDS = 2**62, 10_000_000
+"""Bounds of the seeds of episodes, and of their number, that a command plays."""
+
 Preset = Annotated[str, typer.Argument(help="Name of an environment; see 'bsk-torch list'.")]
-Seed = Annotated[int, typer.Option(help="Seed of networks, actions and episodes.")]
+Seed = Annotated[int, typer.Option(min=0, help="Seed of networks, actions and episodes.")]
 Episodes = Annotated[int, typer.Option(min=1, help="Fresh episodes for every evaluation.")]
 Threads = Annotated[int, typer.Option(min=1, help="Threads of torch; one is fastest for these sizes.")]
 Backend = Annotated[str, typer.Option(help="'compiled', or 'eager' for debugging.")]
@@ -30,17 +34,21 @@ def environment_options(backend: str, device: str, time_limit: float | None) -> 
     return {"backend": backend, "device": device} | ({} if time_limit is None else {"time_limit": time_limit})
 
 
-def made(preset: str, num_envs: int, options: Mapping[str, Any]) -> Tasking:
-    """Return an environment of a preset; ends the program if its arguments are refused."""
+def made(preset: str, num_envs: int, options: Mapping[str, Any], why: str = "") -> Tasking:
+    """Return an environment of a preset; ends the program if its arguments are refused. ``why`` introduces unknown ones."""
     try:
         return make(preset, num_envs=num_envs, **options)
+    except KeyError as error:
+        fail(str(error.args[0]))
+    except TypeError as error:
+        fail(f"{why}{error}")
     except (ValueError, ImportError) as error:
         fail(str(error))
 
 
-def environment(preset: str, num_envs: int, options: Mapping[str, Any]) -> Tasking:
+def environment(preset: str, num_envs: int, options: Mapping[str, Any], why: str = "") -> Tasking:
     """Return an environment in which policies are trained and evaluated; ends the program for agents of many satellites."""
-    env = made(preset, num_envs, options)
+    env = made(preset, num_envs, options, why)
     try:
         member_views(env)
     except ValueError as error:
@@ -63,15 +71,25 @@ def seed_range(text: str, option: str = "--seeds") -> range:
         fail(f"{option} {text!r} must be A:B, such as 0:1000, or a single number")
     if not seeds or seeds.start < 0:
         fail(f"{option} {text!r} names no episode; in A:B, A is at least 0 and B is larger")
+    if seeds[-1] > LARGEST_SEED:
+        fail(f"{option} {text!r}: seeds must be at most {LARGEST_SEED}")
+    if seeds[-1] - seeds[0] >= MOST_SEEDS:
+        fail(f"{option} {text!r} names more than {MOST_SEEDS} episodes")
     return seeds
 
 
 def check_writable(path: Path | None) -> None:
     """End the program if a file could not be written, before an hour of work is lost."""
-    if path is not None and path.is_dir():
+    if path is None:
+        return
+    if path.is_dir():
         fail(f"{str(path)!r} is a folder; name a file in it")
-    if path is not None and not path.parent.is_dir():
+    if not path.parent.is_dir():
         fail(f"{str(path)!r} cannot be written: there is no folder {str(path.parent)!r}")
+    if path.is_symlink() or (path.exists() and not path.is_file()):
+        fail(f"{str(path)!r} is no ordinary file, which would be replaced; name another one")
+    if not os.access(path.parent, os.W_OK | os.X_OK):
+        fail(f"{str(path)!r} cannot be written: the folder {str(path.parent)!r} is read-only")
 
 
 def extra(module: str, extras: str = "train,viz") -> Any:

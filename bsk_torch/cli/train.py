@@ -32,9 +32,10 @@ from bsk_torch.rl.evaluation.evaluate import FRESH, Evaluation, evaluate
 from bsk_torch.rl.marl.runs import configure_run, read_config, training_of
 from bsk_torch.rl.policies.shared_policy import shared, shared_baselines
 from bsk_torch.rl.training.config import CONFIG, PPOConfig, override
+from bsk_torch.rl.training.lock import FolderLock
 from bsk_torch.rl.training.log import LOG, read_log
 from bsk_torch.rl.training.progress import check_progress_bar
-from bsk_torch.rl.training.trainer import check_folder
+from bsk_torch.rl.training.trainer import check_folder, read_checkpoint
 
 if TYPE_CHECKING:
     from tensordict.nn import TensorDictModuleBase
@@ -50,7 +51,15 @@ Changes = Annotated[
 ]
 
 
+MINUTES = 3.0
+"""Training time unless a limit is given."""
+
+ANEW = ("algorithm", "network", "minutes", "frames", "seed", "seeds", "out", "backend", "device", "time_limit")
+"""Parameters of the command that say how a run begins; one that is resumed takes changes as NAME=VALUE."""
+
+
 def train(
+    context: typer.Context,
     preset: Annotated[
         str, typer.Argument(help="Name of an environment, see 'bsk-torch list'; or, with --resume, the folder of a run.")
     ],
@@ -65,8 +74,10 @@ def train(
             "constellations."
         ),
     ] = None,
-    minutes: Annotated[float, typer.Option(min=0.01, help="Training time after compilation.")] = 3.0,
-    frames: Annotated[int | None, typer.Option(help="Number of decisions, instead of a time.")] = None,
+    minutes: Annotated[
+        float | None, typer.Option(min=0.01, help=f"Training time after compilation; {MINUTES:g} unless --frames is given.")
+    ] = None,
+    frames: Annotated[int | None, typer.Option(help="Number of decisions; with --minutes, what is reached first counts.")] = None,
     seed: Seed = 0,
     seeds: Annotated[int, typer.Option(min=1, help="Number of trainings, with seeds from --seed on, one after the other.")] = 1,
     resume: Annotated[bool, typer.Option("--resume", help="Go on with the run in the folder that is named.")] = False,
@@ -82,9 +93,19 @@ def train(
     if resume:
         folder = Path(preset)
         config = _read(folder, changes or [])
+        given = [name for name in ANEW if _is_given(context, name)]
+        if given:
+            fail(
+                f"--{given[0].replace('_', '-')} is for new runs; with --resume, changes are written as NAME=VALUE: frames=100000"
+            )
+        _check_resumable(folder, config)
         runs, seed = {folder: config}, config.seed
     else:
-        limit = {"frames": frames, "seconds": None} if frames else {"seconds": 60.0 * minutes}
+        for name, said in (("preset", "the first argument"), ("network", "--network"), ("algorithm", "--algorithm")):
+            if any(change.startswith(f"{name}=") for change in changes or []):
+                fail(f"{name}= is no change of a recipe, which depends on it; name it as {said}")
+        minutes = MINUTES if minutes is None and frames is None else minutes
+        limit = {"frames": frames, "seconds": None if minutes is None else 60.0 * minutes}
         options = environment_options(backend, device, time_limit)
         config = _configured(preset, algorithm, network, changes or [], seed=seed, options=options, **limit)
         folder = out or Path("runs") / f"{preset}_{datetime.now():%Y%m%d-%H%M%S}"
@@ -101,6 +122,12 @@ def train(
         print_results(results | trained, f"{config.preset}, {episodes} fresh episodes")
 
 
+def _is_given(context: typer.Context, name: str) -> bool:
+    """Return whether the command line says a parameter."""
+    source = context.get_parameter_source(name)
+    return source is not None and source.name == "COMMANDLINE"
+
+
 def _check(folders: Iterable[Path]) -> None:
     """End the program before anything is done if a folder is not empty, or a package is missing that is needed at the end."""
     extra("bsk_torch.viz.figures.curves")
@@ -109,6 +136,15 @@ def _check(folders: Iterable[Path]) -> None:
         for folder in folders:
             check_folder(folder)
     except (FileExistsError, ModuleNotFoundError) as error:
+        fail(str(error))
+
+
+def _check_resumable(folder: Path, config: PPOConfig) -> None:
+    """End the program before anything is done if the run in a folder cannot go on, or another process works there."""
+    FolderLock(folder).release()
+    try:
+        read_checkpoint(folder, config)
+    except ValueError as error:
         fail(str(error))
 
 
@@ -164,8 +200,10 @@ def _evaluated(name: str, policy: TensorDictModuleBase, env: Tasking, seed: int)
 def _draw(policy: TensorDictModuleBase, results: Mapping[str, Evaluation], config: PPOConfig, folder: Path) -> None:
     """Draw the learning curve and the first fresh episode."""
     levels = {name: (result.mean_return.mean, result.mean_return.half_width) for name, result in results.items()}
-    curves = extra("bsk_torch.viz.figures.curves")
-    curves.learning_curve(read_log(folder / LOG), folder / "learning_curve.png", levels, f"{config.preset}: learning")
+    log = read_log(folder / LOG) if (folder / LOG).is_file() else {}
+    if log:  # a full disk may have kept it from being written
+        curves = extra("bsk_torch.viz.figures.curves")
+        curves.learning_curve(log, folder / "learning_curve.png", levels, f"{config.preset}: learning")
     env = make(config.preset, num_envs=1, **config.options)
     recorded = record(policy, env, config.seed + FRESH)
     draw_episode(recorded, folder, f"{config.preset}: one episode of the trained policy")

@@ -16,7 +16,9 @@ name                       module                      task
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import difflib
+import inspect
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from bsk_torch.presets.aeos import aeos, aeos_city, cloudy_aeos
@@ -47,8 +49,25 @@ def make(name: str, **options: Any) -> Any:
             are merged with the preset's.
 
     Raises:
-        ValueError: For an unknown name; the message names the nearest.
+        TypeError: For an option that neither the preset nor its environment has; the message names the nearest.
+        ValueError: For an unknown name, likewise; for ``sat_args`` that are no dictionary, and switches that are no booleans.
     """
     if name not in PRESETS:
         raise ValueError(f"name={name!r} is not a preset; {nearest(name, PRESETS)}")
-    return PRESETS[name](**options)
+    parameters = [p for p in inspect.signature(PRESETS[name]).parameters.values() if p.kind is not p.VAR_KEYWORD]
+    for parameter in parameters:
+        value = options.get(parameter.name, parameter.default)
+        if parameter.annotation == "bool" and not isinstance(value, bool):
+            raise ValueError(f"{parameter.name}={value!r} must be True or False")
+    if not isinstance(options.get("sat_args") or {}, Mapping):
+        raise ValueError(f"sat_args={options['sat_args']!r} must be a dictionary of arguments")
+    try:
+        return PRESETS[name](**options)
+    except TypeError as error:
+        own = [parameter.name for parameter in parameters]
+        for option in options:
+            if str(error).startswith(f"unexpected keyword argument {option!r}") and difflib.get_close_matches(option, own):
+                raise TypeError(
+                    f"unexpected keyword argument {option!r}: {name} has no such option; {nearest(option, own)}"
+                ) from None
+        raise

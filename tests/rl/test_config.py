@@ -1,11 +1,14 @@
 """Settings from recipes, files and command lines."""
 
+import dataclasses
 from itertools import pairwise
 
 import pytest
+from omegaconf import OmegaConf
 
 from bsk_torch import scene
 from bsk_torch.rl.marl.mappo import MAPPOConfig
+from bsk_torch.rl.marl.runs import read_config
 from bsk_torch.rl.training.config import SCHEDULES, PPOConfig, load_config, override, save_config
 
 
@@ -40,11 +43,53 @@ def test_changes_are_read_in_their_types():
         ("epochs=0", "at least 1"),
         ("checkpoint_every=-1", "not be negative"),
         ("patience=3", "needs evaluate_every"),
+        ("patience=0", "at least 1"),
+        ("frames=0", "frames=0 must be at least 1"),
+        ("seconds=0", r"seconds=0.0 must lie in \(0, inf\)"),
+        ("seconds=nan", r"seconds=nan must lie in \(0, inf\)"),
+        ("seconds=inf", r"seconds=inf must lie in \(0, inf\)"),
+        ("clip=-1", r"clip=-1.0 must lie in \(0, 1\)"),
+        ("clip=nan", r"clip=nan must lie in \(0, 1\)"),
+        ("lmbda=2", r"lmbda=2.0 must lie in \[0, 1\]"),
+        ("gamma=nan", r"gamma=nan must lie in \(0, 1\]"),
+        ("learning_rate=-1", r"learning_rate=-1.0 must lie in \[0, 1\]"),
+        ("learning_rate=inf", r"learning_rate=inf must lie in \[0, 1\]"),
+        ("entropy=-0.1", r"entropy=-0.1 must lie in \[0, inf\)"),
+        ("gradient_norm=0", r"gradient_norm=0.0 must lie in \(0, inf\)"),
+        ("gradient_norm=nan", r"gradient_norm=nan must lie"),
+        ("hidden=[0]", "hidden=0 must be at least 1"),
+        ("hidden=[64,-1]", "hidden=-1 must be at least 1"),
+        ("hidden=[1000000000]", "hidden=1000000000 must be at most"),
+        ("hidden=[1", "flow sequence"),
+        ("hidden=5", "hidden=5"),
+        ("seed=-1", "seed=-1 must not be negative"),
+        ("seed=9223372036854775808", "must be at most"),
+        ("num_envs=0", "at least 1"),
+        ("minibatch=0", "at least 1"),
+        ("options=5", "options=5"),
+        ("options.num_envs=5", "the setting 'num_envs' decides that"),
+        ("options.seed=5", "the setting 'seed' decides that"),
+        ("options.env_ids=[0]", "the setting 'num_envs' decides that"),
+        ("=1", "no setting of the training"),
     ],
 )
 def test_what_cannot_be_is_named(change, message):
     with pytest.raises(ValueError, match=message):
         override(PPOConfig(), [change])
+
+
+SETTINGS = [field for field in dataclasses.fields(PPOConfig) if field.name not in ("preset", "options")]
+
+
+@pytest.mark.parametrize("name", [field.name for field in SETTINGS])
+def test_every_setting_is_checked(name):
+    """Also where no command line has brought the values into their types."""
+    for value in (float("nan"), -1, "wide", (0.5,), object()):
+        with pytest.raises(ValueError, match=name):
+            PPOConfig(**{name: value})
+    if name not in ("seconds", "frames", "patience"):
+        with pytest.raises(ValueError, match=name):
+            PPOConfig(**{name: None})
 
 
 def test_episodes_are_shared_out_evenly():
@@ -73,3 +118,54 @@ def test_schedules_begin_in_full_and_never_rise(name):
     assert left[0] == pytest.approx(1.0)
     assert all(later <= earlier for earlier, later in pairwise(left))
     assert left[-1] == pytest.approx(1.0 if name == "constant" else 0.05)
+
+
+# -- files of others --------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("hidden: [1\n", "is no configuration: while parsing"),
+        ("- 1\n", "holds no settings by name"),
+        ("\x00\x01", "is no configuration"),
+        ("a: &a [1]\nb: *a\n", "has aliases of YAML"),
+        ("a: !!python/object/apply:os.getcwd []\n", "is no configuration: could not determine a constructor"),
+        ("preset: ${oc.env:HOME}\n", r"preset='\$\{oc.env:HOME\}' would be replaced"),
+        ("options:\n  a:\n  - b: x${oc.env:HOME}\n", r"options.a.b='x\$\{oc.env:HOME\}' would be replaced"),
+        ("preset: ${network}\n", "would be replaced"),
+        ("options:\n  log_dir: /tmp/x\n", "options.log_dir is not read from files"),
+        ("preset: ???\n", "would be replaced"),
+        ("frames: 0\n", "is no configuration: frames=0"),
+        ("hiden: [1]\n", "'hiden' not in 'PPOConfig'"),
+        ("options: 5\n", "is no configuration of this version"),
+        ("[" * 5000, "nested more than 20 levels"),
+        ("#" * 2_000_000, "more than 1000000 characters"),
+    ],
+)
+def test_files_of_others_are_refused(tmp_path, text, message):
+    (tmp_path / "config.yaml").write_text(text)
+    for read in (lambda: load_config(tmp_path / "config.yaml", PPOConfig), lambda: read_config(tmp_path)):
+        with pytest.raises(ValueError, match=message) as caught:
+            read()
+        assert "config.yaml" in str(caught.value)
+
+
+def test_no_resolver_runs(tmp_path):
+    calls = []
+    OmegaConf.register_new_resolver("bsk_torch_test", lambda: calls.append(1), replace=True)
+    (tmp_path / "config.yaml").write_text("seconds: 5\noptions:\n  time_limit: ${bsk_torch_test:}\n")
+    with pytest.raises(ValueError, match="would be replaced"):
+        read_config(tmp_path)
+    assert not calls
+
+
+def test_bytes_that_are_no_text_are_refused(tmp_path):
+    (tmp_path / "config.yaml").write_bytes(b"preset: \xff\xfe")
+    with pytest.raises(ValueError, match="is no configuration"):
+        read_config(tmp_path)
+
+
+def test_logs_are_not_kept(tmp_path):
+    save_config(PPOConfig(options={"log_dir": "x", "as_set": True}), tmp_path / "config.yaml")
+    assert load_config(tmp_path / "config.yaml", PPOConfig).options == {"as_set": True}

@@ -1,6 +1,7 @@
 """Files of policies, and what they are refused for."""
 
 import logging
+import random
 
 import pytest
 import torch
@@ -8,6 +9,8 @@ import torch
 import bsk_torch
 from bsk_torch.rl.networks.plans import MLPPlan
 from bsk_torch.rl.policies.files import check_fits, load_policy, read_card, save_policy
+from bsk_torch.rl.policies.pretrained import FOLDER
+from bsk_torch.rl.policies.sealed import SEAL, save_sealed
 
 
 @pytest.fixture(scope="module")
@@ -69,3 +72,71 @@ def test_other_files_of_torch_are_refused(tmp_path):
 def test_a_missing_policy_is_named(tmp_path):
     with pytest.raises(FileNotFoundError, match="there is no policy"):
         load_policy(tmp_path / "nowhere")
+
+
+# -- damaged files, and files of others -------------------------------------------------------------------------------
+
+
+def test_a_flipped_bit_is_noticed(path):
+    content, draw = path.read_bytes(), random.Random(1)
+    for place in [draw.randrange(8 * len(content)) for _ in range(200)]:
+        changed = bytearray(content)
+        changed[place // 8] ^= 1 << place % 8
+        path.write_bytes(changed)
+        with pytest.raises(ValueError, match=r"policy\.pt' is a damaged policy"):
+            load_policy(path)
+
+
+def test_a_policy_of_release_0_1_loads_with_a_warning(path, caplog):
+    card, weights = read_card(path), weights_of(path)
+    torch.save(card, path)
+    assert weights_of(path).equal(weights)
+    assert "has no checksum" in caplog.text
+
+
+def weights_of(path):
+    return torch.cat([value.double().flatten() for value in load_policy(path).state_dict().values()])
+
+
+def test_policies_of_the_package_carry_checksums():
+    files = sorted(FOLDER.glob("*.pt"))
+    assert len(files) >= 7
+    assert all(file.read_bytes()[:-32].endswith(SEAL) for file in files)
+
+
+@pytest.mark.parametrize(
+    ("entry", "value", "message"),
+    [
+        ("preset", 5, "no policy of this version"),
+        ("options", [1], "no policy of this version"),
+        ("network", None, "no policy of this version"),
+        ("network", "mpl", "did you mean 'mlp'"),
+        ("groups", 5, "no policy of this version"),
+        ("groups", {}, "no policy of this version"),
+        ("groups", {"a": 5}, "no policy of this version"),
+        ("actor", {"x": "y"}, "no policy of this version"),
+        ("plan", {}, "does not fit this version"),
+        ("plan", {"n_observed": 12, "n_actions": 4, "hidden": "wide"}, "does not fit this version"),
+        ("plan", {"n_observed": 12, "n_actions": 4, "hidden": (10**9, 10**9)}, "its plan"),
+        ("plan", {"n_observed": -1, "n_actions": 4, "hidden": (8,)}, "does not fit this version"),
+        ("options", {"log_dir": "somewhere"}, "not taken from files"),
+    ],
+)
+def test_entries_of_others_are_refused(path, entry, value, message):
+    save_sealed(path, read_card(path) | {entry: value})
+    with pytest.raises(ValueError, match=message):
+        load_policy(path)
+
+
+def test_weights_that_are_not_finite_are_refused(path):
+    card = read_card(path)
+    next(iter(card["actor"].values())).view(-1)[0] = torch.nan
+    save_sealed(path, card)
+    with pytest.raises(ValueError, match="no policy of this version"):
+        load_policy(path)
+
+
+def test_logs_are_not_kept(tmp_path, env):
+    plan = MLPPlan.of(env, (8,))
+    save_policy(tmp_path / "policy.pt", plan, plan.build(), "NadirScan-v1", {"log_dir": "x", "log_level": "INFO", "as_set": True})
+    assert read_card(tmp_path)["options"] == {"as_set": True}

@@ -1,6 +1,8 @@
 """Training runs: what they leave behind, how they go on after an interruption, and where experience comes from."""
 
 import dataclasses
+import importlib
+import multiprocessing
 import os
 import signal
 
@@ -119,12 +121,67 @@ def test_a_resumed_run_is_the_uninterrupted_one(run, tmp_path):
     assert weights(again).equal(weights(policy))
 
 
-def test_several_processes_collect_and_go_on_as_one_would(tmp_path):
-    config = dataclasses.replace(TINY, collector="multi", workers=2, evaluate_every=0)
-    whole = train(config, tmp_path / "whole")
-    assert read_log(tmp_path / "whole" / LOG)["frames"] == [24, 48, 72, 96]
-    Interrupted(config, tmp_path / "broken").run()
-    assert weights(resume(tmp_path / "broken")).equal(weights(whole))
+SEVERAL = dataclasses.replace(TINY, collector="multi", workers=2, evaluate_every=0, checkpoint_every=24)
+
+
+@pytest.fixture(scope="module")
+def by_several(tmp_path_factory):
+    """Folder of a run of two processes, and its policy."""
+    out = tmp_path_factory.mktemp("several") / "whole"
+    return out, train(SEVERAL, out)
+
+
+def test_several_processes_collect_and_go_on_as_one_would(by_several, tmp_path):
+    out, policy = by_several
+    assert read_log(out / LOG)["frames"] == [24, 48, 72, 96]
+    Interrupted(SEVERAL, tmp_path / "broken").run()
+    assert weights(resume(tmp_path / "broken")).equal(weights(policy))
+
+
+class Losing(Training):
+    """Loses a process that collects while it learns from its second batch."""
+
+    def _learn(self, batch):
+        if self.iteration == 1:
+            lost = multiprocessing.active_children()[0]
+            os.kill(lost.pid, signal.SIGKILL)
+            lost.join()
+        return super()._learn(batch)
+
+
+def test_a_lost_process_stops_a_run_that_can_be_resumed(by_several, tmp_path):
+    whole, policy = by_several
+    out = tmp_path / "run"
+    with pytest.raises(RuntimeError, match=r"has failed or was lost \(.*\); the run goes on .* bsk-torch train .*run --resume"):
+        Losing(SEVERAL, out).run()
+    assert not multiprocessing.active_children()
+    assert weights(resume(out)).equal(weights(policy))
+    assert same_logs(out, whole)
+    assert {path.name for path in out.iterdir()} == {path.name for path in whole.iterdir()}
+
+
+class LosingActor(Training):
+    """Loses an actor of Ray while it learns from its second batch."""
+
+    def _loop(self, batches, collector, *others):
+        self.actors = collector.remote_collectors
+        super()._loop(batches, collector, *others)
+
+    def _learn(self, batch):
+        if self.iteration == 1:
+            importlib.import_module("ray").kill(self.actors[0])
+        return super()._learn(batch)
+
+
+@pytest.mark.ray
+def test_a_lost_actor_of_ray_stops_a_run_that_can_be_resumed(by_several, tmp_path):
+    """Actors of Ray collect what processes of this machine do, so that the policies are the same."""
+    _, policy = by_several
+    out = tmp_path / "run"
+    with pytest.raises(RuntimeError, match=r"has failed or was lost \(.*\); the run goes on .* bsk-torch train .*run --resume"):
+        LosingActor(dataclasses.replace(SEVERAL, collector="ray"), out).run()
+    assert read_log(out / LOG)["frames"][-1] < SEVERAL.frames
+    assert weights(resume(out)).equal(weights(policy))
 
 
 def test_processes_share_out_the_episodes_of_one(tmp_path):

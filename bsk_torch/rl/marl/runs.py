@@ -6,12 +6,10 @@ import inspect
 from pathlib import Path
 from typing import Any
 
-from omegaconf import OmegaConf
-
 from bsk_torch.env import ConstellationTasking
 from bsk_torch.presets import PRESETS
 from bsk_torch.rl.marl.mappo import LOSSES, MAPPOConfig, MAPPOTraining
-from bsk_torch.rl.training.config import CONFIG, PPOConfig, load_config
+from bsk_torch.rl.training.config import CONFIG, PPOConfig, load_config, read_settings
 from bsk_torch.rl.training.recipes import configure
 from bsk_torch.rl.training.trainer import Training
 from bsk_torch.sim.params import nearest
@@ -62,7 +60,7 @@ def algorithm_of(config: PPOConfig) -> str:
 def read_config(folder: Path) -> PPOConfig:
     """Return the configuration of the run in a folder; ValueError if it is not one of this version."""
     path = folder / CONFIG
-    return load_config(path, MAPPOConfig if "algorithm" in OmegaConf.load(path) else PPOConfig)
+    return load_config(path, MAPPOConfig if "algorithm" in read_settings(path) else PPOConfig)
 
 
 def training_of(config: PPOConfig, out: Path, resume: bool = False) -> Training:

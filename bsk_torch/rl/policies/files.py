@@ -6,7 +6,6 @@ import dataclasses
 import logging
 from collections.abc import Mapping
 from pathlib import Path
-from pickle import UnpicklingError
 from typing import Any
 
 import torch
@@ -16,6 +15,7 @@ from bsk_torch import __version__
 from bsk_torch.env import Tasking
 from bsk_torch.env.agents import AGENTS
 from bsk_torch.rl.networks.plans import ACTOR, NORMALISER, PLANS, Networks, Plan, check_network
+from bsk_torch.rl.policies.sealed import load_sealed, save_sealed
 from bsk_torch.rl.policies.shared_policy import member_views, of_groups
 
 logger = logging.getLogger(__name__)
@@ -28,6 +28,9 @@ CARD = {"bsk_torch", "preset", "options"}
 
 NETWORK = {"network", "plan", NORMALISER, ACTOR}
 """Entries that describe the networks of one group."""
+
+LOGS = ("log_level", "log_dir", "log_envs")
+"""Options that are neither kept in files nor taken from them: whoever makes a file must not choose where others write."""
 
 GROUPS = "groups"
 """Entry with a dictionary like :data:`NETWORK` for each of several groups, by name."""
@@ -56,9 +59,7 @@ def save_policy(
     else:
         assert isinstance(networks, Networks)
         card |= _described(plan, networks)
-    part = path.with_suffix(".part")
-    torch.save(card, part)
-    part.replace(path)  # so that no reader finds half a file
+    save_sealed(path, card)
 
 
 def _described(plan: Plan, networks: Networks) -> dict[str, Any]:
@@ -73,12 +74,12 @@ def networks_of(card: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
 
 
 def plain(options: Mapping[str, Any]) -> dict[str, Any]:
-    """The options that are numbers, words, or lists of them; machines and backends are no part of the problem."""
+    """The options that are numbers, words, or lists of them; machines, backends and logs are no part of the problem."""
     simple = (bool, int, float, str)
     return {
         name: value
         for name, value in options.items()
-        if name not in ("backend", "device")
+        if name not in ("backend", "device", *LOGS)
         and (isinstance(value, simple) or (isinstance(value, list | tuple) and all(isinstance(v, simple) for v in value)))
     }
 
@@ -88,24 +89,47 @@ def read_card(path: Path | str, device: torch.device | str = "cpu") -> dict[str,
 
     The last three are under ``groups`` and the name of a group if there are several groups of satellites.
 
+    Files of release 0.1, which have no checksum, are read with a warning.
+
     Raises:
-        ValueError: For a file that is no policy of this package.
+        ValueError: For a file that is damaged, or no policy of this package; the message names it.
         FileNotFoundError: Where there is none.
     """
     path = Path(path)
     path = path / POLICY if path.is_dir() else path
     if not path.is_file():
         raise FileNotFoundError(f"there is no policy {str(path)!r}; training leaves {POLICY} in its folder")
-    try:
-        card = torch.load(path, weights_only=True, map_location=device)
-    except (RuntimeError, UnpicklingError, EOFError) as error:
-        reason = str(error).partition("\n")[0].partition(". ")[0]  # torch says much more
-        raise ValueError(f"{str(path)!r} is no file of a policy: {reason}") from error
-    if not isinstance(card, dict) or CARD - card.keys() or any(NETWORK - part.keys() for part in networks_of(card).values()):
+    card = load_sealed(path, "policy", device)
+    if not _is_card(card):
         raise ValueError(f"{str(path)!r} is no policy of this version of bsk_torch ({__version__}); train it again")
     for part in networks_of(card).values():
         check_network(part["network"])
+    for name in LOGS:
+        if name in card["options"]:
+            raise ValueError(f"{str(path)!r} has the option {name!r}, which is not taken from files")
     return card
+
+
+def _is_card(card: Mapping[str, Any]) -> bool:
+    """Return whether a dictionary has the entries of a policy's file, of the right types."""
+    parts = networks_of(card)
+    if CARD - card.keys() or not isinstance(parts, dict) or not isinstance(card["preset"], str):
+        return False
+    return isinstance(card["options"], dict) and bool(parts) and all(_is_network(part) for part in parts.values())
+
+
+def _is_network(part: Any) -> bool:
+    """Return whether something has the entries :data:`NETWORK`; weights that are not finite are none."""
+    if not isinstance(part, dict) or NETWORK - part.keys() or not isinstance(part["network"], str):
+        return False
+    states = [part[NORMALISER], part[ACTOR]]
+    return isinstance(part["plan"], dict) and all(
+        isinstance(state, dict) and all(map(_is_weight, state.values())) for state in states
+    )
+
+
+def _is_weight(value: Any) -> bool:
+    return isinstance(value, torch.Tensor) and bool(value.isfinite().all())
 
 
 def check_fits(card: Mapping[str, Any], env: Tasking, preset: str | None = None) -> None:
@@ -145,10 +169,23 @@ def build_policy(card: Mapping[str, Any], device: torch.device | str = "cpu") ->
     """
     policies = {}
     for group, part in networks_of(card).items():
-        networks = PLANS[part["network"]](**part["plan"]).build().to(device)
         try:
+            networks = _built(part).to(device)
             networks.load_policy_state(part)
-        except RuntimeError as error:
+        except (AttributeError, IndexError, KeyError, RuntimeError, TypeError, ValueError) as error:  # a plan of others
             raise ValueError(f"the policy of {card['preset']} does not fit this version of bsk_torch: {error}") from error
         policies[group] = networks.policy
     return of_groups(policies)
+
+
+def _built(part: Mapping[str, Any]) -> Networks:
+    """Return fresh networks by the plan of a file; ValueError before they are made if its weights have other shapes."""
+    plan = PLANS[part["network"]](**part["plan"])
+    with torch.device("meta"):  # takes no memory, whatever the plan asks for
+        planned = plan.build().policy_state()
+    for name in (NORMALISER, ACTOR):
+        wanted, found = ({key: tuple(value.shape) for key, value in state[name].items()} for state in (planned, part))
+        for key in wanted.keys() | found.keys():
+            if wanted.get(key) != found.get(key):
+                raise ValueError(f"{name}.{key} has shape {found.get(key)}, its plan {wanted.get(key)}")
+    return plan.build()

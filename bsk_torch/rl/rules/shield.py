@@ -6,6 +6,7 @@ Source: M. Alshiekh et al., "Safe reinforcement learning via shielding", AAAI 20
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from importlib import import_module
@@ -91,9 +92,15 @@ def find_rule(name: str) -> Rule:
         return RULES[name]
     try:
         rule = getattr(import_module(module), function, None)
-    except (ModuleNotFoundError, ValueError) as error:
+    except (ImportError, TypeError, ValueError) as error:  # TypeError: a relative name
         raise ValueError(f"shield={name!r}: {error}") from error
     if not callable(rule):
         known = [key for key, value in vars(import_module(module)).items() if callable(value)]
         raise ValueError(f"shield={name!r}: {module!r} has no function {function!r}; {nearest(function, known)}")
+    try:
+        inspect.signature(rule).bind(None, None)
+    except TypeError as error:
+        raise ValueError(f"shield={name!r} must take the observed columns and the names of the actions: {error}") from error
+    except ValueError:  # a function without a signature
+        pass
     return rule

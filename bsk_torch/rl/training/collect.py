@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import signal
+import time
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from importlib.util import find_spec
@@ -16,6 +17,7 @@ from torch import Tensor
 from torchrl.collectors import BaseCollector, Collector, MultiSyncCollector
 from torchrl.data import Unbounded
 from torchrl.envs import Compose, InitTracker, TensorDictPrimer, Transform, TransformedEnv
+from torchrl.weight_update import SharedMemWeightSyncScheme, WeightSyncScheme
 
 from bsk_torch.env.base import Tasking
 from bsk_torch.rand import Key
@@ -24,6 +26,9 @@ from bsk_torch.rl.training.config import PPOConfig
 
 SHORTEST = 0.02
 """Least fraction of an episode after which it is cut by :class:`Stagger`."""
+
+ANSWER = 60.0
+"""Time within which a process takes new weights, s; that needs milliseconds."""
 
 ENDLESS = 2**62
 """More decisions than are ever collected: Ray's collector does not accept -1."""
@@ -126,6 +131,24 @@ def start_worker(config: PPOConfig, first: int, count: int, saved: Mapping[str, 
     return prepared(config.make_env(first, count), config, saved)
 
 
+class SharedWeights(SharedMemWeightSyncScheme):
+    """TorchRL's way to hand weights to processes, which would wait for ever for one that is lost."""
+
+    def _wait_for_ack(self, worker_ids: Any = None, timeout: float | None = None) -> None:
+        begin = time.monotonic()
+        super()._wait_for_ack(worker_ids, ANSWER)
+        if time.monotonic() - begin >= ANSWER:
+            raise RuntimeError(f"a process has not taken new weights within {ANSWER:g} s")
+
+
+def update_weights(collector: Any) -> None:
+    """Let all processes act by the present policy; RuntimeError if one of them is lost."""
+    for k, process in enumerate(getattr(collector, "procs", ())):
+        if not process.is_alive():
+            raise RuntimeError(f"process {k} has ended with exit code {process.exitcode}")
+    collector.update_policy_weights_()
+
+
 def check_collector(name: str) -> None:
     """ModuleNotFoundError, naming the command that installs it, if Ray is asked for but not installed."""
     if name == "ray" and find_spec("ray") is None:
@@ -152,7 +175,8 @@ def make_collector(
     share = config.num_envs // count
     starts: list[Callable[..., Any]] = [partial(start_worker, config, k * share, share, mark) for k, mark in enumerate(marks)]
     if config.collector == "multi":
-        return MultiSyncCollector(starts, actor, cat_results="stack", **common, **each)
+        weights: dict[str, WeightSyncScheme] = {"policy": SharedWeights()}
+        return MultiSyncCollector(starts, actor, cat_results="stack", weight_sync_schemes=weights, **common, **each)
     from torchrl.collectors.distributed import RayCollector
 
     return RayCollector(starts, actor, sync=True, num_collectors=count, collector_kwargs=each, **common)

@@ -3,19 +3,25 @@
 from __future__ import annotations
 
 import dataclasses
+import logging
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
-from omegaconf import DictConfig, OmegaConf
+import yaml
+from omegaconf import MISSING, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from bsk_torch.env import SatelliteTasking
+from bsk_torch.files import write_file
 from bsk_torch.presets import make
 from bsk_torch.rl.networks.plans import check_network
+from bsk_torch.rl.policies.files import LOGS
 from bsk_torch.sim.params import nearest
+
+logger = logging.getLogger(__name__)
 
 LEAST = 0.05
 """Fraction of learning rate and entropy weight that is left at the end of a schedule."""
@@ -33,6 +39,44 @@ CONFIG = "config.yaml"
 REWARD_TIMES = ("end", "start")
 LOGGERS = ("csv", "tensorboard", "wandb")
 COLLECTORS = ("single", "multi", "ray")
+
+LEAST_NUMBERS = {
+    "frames": 1,
+    "num_envs": 1,
+    "rollout": 1,
+    "seed": 0,
+    "epochs": 1,
+    "minibatch": 1,
+    "evaluate_every": 0,
+    "evaluate_episodes": 1,
+    "patience": 1,
+    "checkpoint_every": 0,
+    "workers": 1,
+}
+"""Settings that are whole numbers, and the least value of each."""
+
+MOST = 2**62
+"""Largest whole number of a setting, so that those computed from it fit into 64 bits."""
+
+INTERVALS = {
+    "seconds": "(0, inf)",
+    "learning_rate": "[0, 1]",
+    "gamma": "(0, 1]",
+    "lmbda": "[0, 1]",
+    "clip": "(0, 1)",
+    "entropy": "[0, inf)",
+    "gradient_norm": "(0, inf)",
+}
+"""Settings that are real numbers, and the interval in which each must lie."""
+
+WIDEST = 65_536
+"""Largest width of a hidden layer."""
+
+LONGEST, DEEPEST = 1_000_000, 20
+"""Characters of files with settings, and levels of what is nested in them, at most."""
+
+RESERVED = {"num_envs": "num_envs", "seed": "seed", "env_ids": "num_envs"}
+"""Arguments of the environment that are no options, and the settings that they follow from."""
 
 
 @dataclass(frozen=True)
@@ -105,24 +149,34 @@ class PPOConfig:
     def __post_init__(self) -> None:
         """Refuse invalid settings before anything is built."""
         for name in ("hidden", "loggers"):  # files and command lines bring lists
-            object.__setattr__(self, name, tuple(getattr(self, name)))
-        check_network(self.network)
-        limits = [limit for limit in (self.seconds, self.frames) if limit is not None]
-        if not limits or min(limits) <= 0:
-            raise ValueError(f"seconds={self.seconds} and frames={self.frames}: training needs a limit, and a positive one")
-        if not 0.0 < self.gamma <= 1.0:
-            raise ValueError(f"gamma={self.gamma} per second must lie in (0, 1]")
-        for name in ("num_envs", "rollout", "epochs", "minibatch", "workers", "evaluate_episodes"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"{name}={getattr(self, name)} must be at least 1")
-        for name in ("evaluate_every", "checkpoint_every"):
-            if getattr(self, name) < 0:
-                raise ValueError(f"{name}={getattr(self, name)} must not be negative")
+            given = getattr(self, name)
+            if isinstance(given, str) or not isinstance(given, Iterable):
+                raise ValueError(f"{name}={given!r} must be a list")
+            object.__setattr__(self, name, tuple(given))
+        check_network(str(self.network))
+        if self.seconds is None and self.frames is None:
+            raise ValueError("seconds=None and frames=None: training needs a limit")
+        for name, least in LEAST_NUMBERS.items():
+            _check_whole(name, getattr(self, name), least, MOST, optional=name in ("frames", "patience"))
+        for name, interval in INTERVALS.items():
+            _check_within(name, getattr(self, name), interval, optional=name == "seconds")
+        for width in self.hidden:
+            _check_whole("hidden", width, 1, WIDEST)
+        if not isinstance(self.stagger, bool):
+            raise ValueError(f"stagger={self.stagger!r} must be True or False")
+        self._check_options()
         self._check_names()
         if self.collector != "single" and self.num_envs % self.workers:
             raise ValueError(f"num_envs={self.num_envs} cannot be shared out evenly among workers={self.workers}")
-        if self.patience is not None and (self.patience < 1 or not self.evaluate_every):
-            raise ValueError(f"patience={self.patience} must be at least 1, and needs evaluate_every")
+        if self.patience is not None and not self.evaluate_every:
+            raise ValueError(f"patience={self.patience} needs evaluate_every")
+
+    def _check_options(self) -> None:
+        if not isinstance(self.options, Mapping):
+            raise ValueError(f"options={self.options!r} must be a dictionary of arguments of the environment")
+        for name in self.options:
+            if name in RESERVED:
+                raise ValueError(f"options.{name} is no option of a training: the setting {RESERVED[name]!r} decides that")
 
     def _check_names(self) -> None:
         allowed: dict[str, Iterable[str]] = {
@@ -135,7 +189,7 @@ class PPOConfig:
         for name, value in chosen:
             names = list(allowed.get(name, LOGGERS))
             if value not in names:
-                raise ValueError(f"{name}={value!r} must be one of {names}; {nearest(value, names)}")
+                raise ValueError(f"{name}={value!r} must be one of {names}; {nearest(str(value), names)}")
 
     @property
     def batch(self) -> int:
@@ -149,6 +203,30 @@ class PPOConfig:
 
 
 Config = TypeVar("Config", bound=PPOConfig)
+
+
+def _check_whole(name: str, value: Any, least: int, most: int, optional: bool = False) -> None:
+    if value is None and optional:
+        return
+    if not isinstance(value, int) or isinstance(value, bool):
+        raise ValueError(f"{name}={value!r} must be a whole number")
+    if value < least:
+        raise ValueError(f"{name}={value} must {f'be at least {least}' if least else 'not be negative'}")
+    if value > most:
+        raise ValueError(f"{name}={value} must be at most {most}")
+
+
+def _check_within(name: str, value: Any, interval: str, optional: bool = False) -> None:
+    """ValueError unless a number lies in an interval such as ``"(0, 1]"``; nan lies in none."""
+    if value is None and optional:
+        return
+    if not isinstance(value, int | float) or isinstance(value, bool):
+        raise ValueError(f"{name}={value!r} must be a number in {interval}")
+    low, high = (float(end) for end in interval[1:-1].split(","))
+    above = value >= low if interval[0] == "[" else value > low
+    below = value <= high if interval[-1] == "]" else value < high
+    if not (above and below):
+        raise ValueError(f"{name}={value} must lie in {interval}")
 
 
 def override(config: Config, changes: Iterable[str]) -> Config:
@@ -167,7 +245,7 @@ def override(config: Config, changes: Iterable[str]) -> Config:
             raise ValueError(f"{name!r} is no setting of the training; {nearest(name, known)}; all: {', '.join(known)}")
     try:
         return _to_object(OmegaConf.merge(OmegaConf.structured(config), OmegaConf.from_dotlist(changes)))
-    except OmegaConfBaseException as error:
+    except (OmegaConfBaseException, yaml.YAMLError) as error:
         raise ValueError(f"{' '.join(changes)}: {str(error).splitlines()[0]}") from error
 
 
@@ -181,9 +259,13 @@ def _to_object(node: Any) -> Any:
 
 
 def save_config(config: PPOConfig, path: Path) -> None:
-    """Write a configuration as YAML; options that are objects are only noted, by their ``repr``."""
-    kept = dataclasses.replace(config, options={name: _plain(value) for name, value in config.options.items()})
-    OmegaConf.save(OmegaConf.structured(kept), path)
+    """Write a configuration as YAML.
+
+    Options that are objects are only noted, by their ``repr``; :data:`~bsk_torch.rl.policies.files.LOGS` are left out. OSError if
+    the file cannot be written.
+    """
+    options = {name: _plain(value) for name, value in config.options.items() if name not in LOGS}
+    write_file(path, OmegaConf.to_yaml(OmegaConf.structured(dataclasses.replace(config, options=options))))
 
 
 def _plain(value: Any) -> Any:
@@ -194,11 +276,71 @@ def _plain(value: Any) -> Any:
     return value
 
 
+def read_settings(path: Path) -> dict[str, Any]:
+    """Return the settings in a file of :func:`save_config`, as they are written there.
+
+    The file may come from others. Nothing in it is executed or looked up: ``${...}``, which OmegaConf would replace by variables
+    of the environment and the like, is refused, and so are the aliases of YAML and options that write files.
+
+    Raises:
+        ValueError: For a file that holds no settings, or something else besides; the message names it.
+    """
+    try:
+        text = path.read_text(encoding="utf-8")
+        _check_plain(text)
+        read = OmegaConf.to_container(OmegaConf.create(text), resolve=False)
+        if not isinstance(read, dict) or not read:
+            raise ValueError("it holds no settings by name")
+        _check_settings(read)
+    except (OmegaConfBaseException, yaml.YAMLError, ValueError) as error:
+        raise ValueError(f"{path} is no configuration: {str(error).splitlines()[0]}") from error
+    return {str(name): value for name, value in read.items()}
+
+
+def _check_plain(text: str) -> None:
+    """ValueError for YAML that is larger, when read, than it looks."""
+    if len(text) > LONGEST:
+        raise ValueError(f"it has more than {LONGEST} characters")
+    depth = 0
+    for event in yaml.parse(text, Loader=yaml.SafeLoader):
+        if isinstance(event, yaml.AliasEvent):
+            raise ValueError("it has aliases of YAML")
+        depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
+        if depth > DEEPEST:
+            raise ValueError(f"it is nested more than {DEEPEST} levels deep")
+
+
+def _check_settings(settings: Mapping[Any, Any]) -> None:
+    """ValueError for values that stand for others, and options that are not read from files."""
+    for name, value in _leaves("", settings):
+        if isinstance(value, str) and ("${" in value or value == MISSING):
+            raise ValueError(f"{name}={value!r} would be replaced; settings in files are plain values")
+    options = settings.get("options")
+    for name in set(LOGS) & set(options) if isinstance(options, Mapping) else ():
+        raise ValueError(f"options.{name} is not read from files; give it on the command line")
+
+
+def _leaves(name: str, value: Any) -> Iterator[tuple[str, Any]]:
+    """Yield what is nested in a value, with dotted names."""
+    if isinstance(value, Mapping):
+        for key, part in value.items():
+            yield from _leaves(f"{name}.{key}".lstrip("."), part)
+    elif isinstance(value, list):
+        for part in value:
+            yield from _leaves(name, part)
+    else:
+        yield name, value
+
+
 def load_config(path: Path, kind: type[Config]) -> Config:
     """The configuration of a file that :func:`save_config` has written; ValueError if it does not fit ``kind``."""
-    read = OmegaConf.load(path)
+    settings = read_settings(path)
+    missing = [field.name for field in dataclasses.fields(kind) if field.name not in settings]
+    if missing:
+        logger.warning("%s does not say %s; the default applies", path, ", ".join(missing))
     try:
-        assert isinstance(read, DictConfig)
-        return _to_object(OmegaConf.merge(OmegaConf.structured(kind), read))
+        return _to_object(OmegaConf.merge(OmegaConf.structured(kind), settings))
     except OmegaConfBaseException as error:
         raise ValueError(f"{path} is no configuration of this version: {str(error).splitlines()[0]}") from error
+    except ValueError as error:
+        raise ValueError(f"{path} is no configuration: {error}") from error

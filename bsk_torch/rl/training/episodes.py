@@ -63,7 +63,10 @@ class RecentEpisodes:
         return kept | {"ended": list(self.ended)}
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Restore what :meth:`state_dict` returned."""
+        """Restore what :meth:`state_dict` returned; ValueError if it is of another number of environments."""
+        for name in ("returns", "decisions", "first"):
+            if state[name].shape != self.returns.shape:
+                raise ValueError(f"{name!r} has shape {tuple(state[name].shape)}, not {tuple(self.returns.shape)}")
         for name in ("returns", "decisions", "first", "count"):
             setattr(self, name, state[name])
         self.ended.extend(tuple(row) for row in state["ended"])

@@ -108,9 +108,13 @@ class Learner:
         }
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Restore what :meth:`state_dict` returned."""
+        """Restore what :meth:`state_dict` returned; RuntimeError, ValueError or KeyError if it does not fit."""
         self.loss.load_state_dict(state["loss"])
         self.optimiser.load_state_dict(state["optimiser"])
+        for weight, moments in self.optimiser.state.items():  # the optimiser itself does not look at shapes
+            for name, value in moments.items():
+                if isinstance(value, Tensor) and value.ndim and value.shape != weight.shape:
+                    raise ValueError(f"{name} has shape {tuple(value.shape)}, its weight {tuple(weight.shape)}")
         self.networks.normaliser.load_state_dict(state[NORMALISER])
 
     def learn(self, batch: TensorDictBase) -> dict[str, float]:

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import copy
 import logging
+import os
 import threading
 import time
 from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -17,12 +19,15 @@ from torch import Tensor
 
 from bsk_torch import __version__
 from bsk_torch.constants import DAY
+from bsk_torch.files import PART
 from bsk_torch.rl.evaluation.evaluate import Evaluation, evaluate
 from bsk_torch.rl.networks.plans import MEMORY
-from bsk_torch.rl.policies.files import POLICY
-from bsk_torch.rl.training.collect import bookmarks, check_collector, make_collector, merged
+from bsk_torch.rl.policies.files import POLICY, plain
+from bsk_torch.rl.policies.sealed import load_sealed, save_sealed
+from bsk_torch.rl.training.collect import bookmarks, check_collector, make_collector, merged, update_weights
 from bsk_torch.rl.training.config import CONFIG, PPOConfig, load_config, save_config
 from bsk_torch.rl.training.episodes import RecentEpisodes
+from bsk_torch.rl.training.lock import LOCK, FolderLock
 from bsk_torch.rl.training.log import RunLog, check_loggers
 from bsk_torch.rl.training.ppo import REPORTED, Learner
 from bsk_torch.rl.training.progress import Progress, check_progress_bar, interruptible, progress_bar, show
@@ -32,7 +37,7 @@ logger = logging.getLogger(__name__)
 CHECKPOINT = "checkpoint.pt"
 """File of a run's folder to go on from."""
 
-FIXED = ("preset", "network", "hidden", "num_envs", "collector", "workers")
+FIXED = ("preset", "algorithm", "network", "hidden", "num_envs", "collector", "workers", "seed", "options")
 """Settings with which a run has to go on, because its checkpoint depends on them."""
 
 VALIDATION = 2_000_003
@@ -46,38 +51,49 @@ class Training:
     """A run: collects, learns, evaluates, logs, and leaves policy, logs, checkpoint and configuration in a folder."""
 
     def __init__(self, config: PPOConfig, out: Path, resume: bool = False) -> None:
-        """Build environment and networks; nothing is simulated yet.
+        """Build environment and networks; nothing is simulated yet, and nothing is written until all is checked.
 
         Args:
             config: What to train and how.
             out: The folder; it must not hold anything yet, unless a run in it is resumed.
-            resume: Go on from the checkpoint in ``out``, as if nothing had happened.
+            resume: Go on from the checkpoint in ``out``, as if nothing had happened; from the start if the run has not got as far
+                as a checkpoint.
 
         Raises:
-            FileExistsError: If ``out`` is not empty.
-            FileNotFoundError: If there is no checkpoint to go on from.
+            FileExistsError: If ``out`` is not empty, or no folder.
+            FileNotFoundError: If there is no run to go on with.
+            FolderInUseError: If another process works in ``out``.
             ModuleNotFoundError: If tqdm, or a logger or Ray that the configuration names, is not installed.
-            ValueError: If the checkpoint is of another version, or of other settings that cannot change.
+            OSError: If ``out`` cannot be written to.
+            ValueError: If the checkpoint is damaged, of another version, or of other settings that cannot change.
         """
         check_loggers(config.loggers)
         check_collector(config.collector)
         check_progress_bar()
-        if not resume:
-            check_folder(out)
-        saved = read_checkpoint(out, config) if resume else None
+        (check_resumable if resume else check_folder)(out)
         self.config, self.out, self.days, self.iteration = config, out, 0.0, 0
         self.best: dict[str, Any] = {"return": float("-inf"), "waited": 0, "networks": None}
-        torch.manual_seed(config.seed)
-        self.env = config.make_env() if config.collector == "single" else config.make_env(0, 1)
-        self.judge = self._make_judge()
-        self.learner = self.make_learner()
-        self.progress, self.recent = Progress(config), RecentEpisodes(config.num_envs, self.env.failure_penalty)
-        self.marks: list[Any] | None = None
-        self.interrupted = False
-        out.mkdir(parents=True, exist_ok=True)
-        save_config(config, out / CONFIG)
-        if saved is not None:
-            self._restore(saved)
+        with ExitStack() as undo:
+            if resume:
+                self.lock = FolderLock(out)
+                undo.callback(self.lock.release)
+            saved = read_checkpoint(out, config) if resume else None
+            torch.manual_seed(config.seed)
+            self.env = config.make_env() if config.collector == "single" else config.make_env(0, 1)
+            self.judge = self._make_judge()
+            self.learner = self.make_learner()
+            self.progress, self.recent = Progress(config), RecentEpisodes(config.num_envs, self.env.failure_penalty)
+            self.marks: list[Any] | None = None
+            self.interrupted = False
+            if saved is not None:
+                self._restore(saved)
+            if not resume:
+                out.mkdir(parents=True, exist_ok=True)
+                self.lock = FolderLock(out)
+                undo.callback(self.lock.release)
+                check_empty(out)  # another process may have come first
+            save_config(config, out / CONFIG)
+            undo.pop_all()
 
     # -- what differs for constellations ------------------------------------------------------------------------------
 
@@ -113,9 +129,22 @@ class Training:
     # -- running ------------------------------------------------------------------------------------------------------
 
     def run(self) -> TensorDictModuleBase:
-        """Train until the budget is used, patience is at its end, or the user interrupts; the best policy."""
+        """Train until the budget is used, patience is at its end, or the user interrupts; the best policy.
+
+        Raises:
+            RuntimeError: If the training diverges, or a process that collects is lost. The run can be resumed.
+            OSError: If the last checkpoint or the policy cannot be written; likewise.
+        """
+        try:
+            self._train()
+            return self._finish()
+        finally:
+            self.lock.release()
+
+    def _train(self) -> None:
         self._warm_up()
-        collector = make_collector(self.config, self.env, self.actor, self.marks)
+        with self._collecting():
+            collector = make_collector(self.config, self.env, self.actor, self.marks)
         if self.marks is not None:
             torch.set_rng_state(self.generator)
         try:
@@ -128,23 +157,39 @@ class Training:
                 self._loop(iter(collector), collector, log, bar, stop)
                 self.interrupted = stop.is_set()
         finally:
-            collector.shutdown()
-        return self._finish()
+            shut_down(collector)
+
+    @contextmanager
+    def _collecting(self) -> Iterator[None]:
+        """Say of errors in processes that collect how to go on."""
+        try:
+            yield
+        except Exception as error:
+            if self.config.collector == "single":
+                raise
+            reason = [type(error).__name__, *str(error).strip().splitlines()[:1]][-1]
+            raise RuntimeError(
+                f"a process that collects experience has failed or was lost ({reason}); "
+                f"the run goes on from its last checkpoint with: bsk-torch train {self.out} --resume"
+            ) from error
 
     def _loop(self, batches: Iterator[TensorDictBase], collector: Any, log: RunLog, bar: Any, stop: threading.Event) -> None:
         while self.progress.fraction < 1.0:
             begin = time.perf_counter()
-            batch = merged(next(batches))
+            with self._collecting():
+                batch = merged(next(batches))
             row = {"iteration": self.iteration, "collect_seconds": time.perf_counter() - begin} | self._learn(batch)
             self.iteration += 1
             log.iteration(row)
             show(bar, self.progress, row)
-            collector.update_policy_weights_()
+            with self._collecting():
+                update_weights(collector)
             if self._due(self.config.evaluate_every) or (self.config.evaluate_every and self.progress.fraction >= 1.0):
                 log.evaluated(self._judge())
             enough = self.config.patience is not None and self.best["waited"] >= self.config.patience
-            if self._due(self.config.checkpoint_every) or stop.is_set() or enough or self.progress.fraction >= 1.0:
-                self._save(collector, batch)
+            last = stop.is_set() or enough or self.progress.fraction >= 1.0
+            if last or self._due(self.config.checkpoint_every):
+                self._save(collector, batch, last)
             if stop.is_set() or enough:
                 logger.info("stopped %s", "by the user" if stop.is_set() else "early: the return has not grown any more")
                 return
@@ -169,6 +214,11 @@ class Training:
         self.days += float(batch["next", "duration"].double().sum()) / DAY
         self.learner.anneal(self.progress.fraction)
         report = self.learner.learn(batch)
+        if not _finite(self.learner.policy_state()):
+            raise RuntimeError(
+                f"the training has diverged after {self.progress.frames} frames: weights are not finite; try a smaller "
+                f"learning_rate than {self.config.learning_rate}"
+            )
         self.progress.frames += batch.numel()
         return {
             "frames": self.progress.frames,
@@ -196,7 +246,8 @@ class Training:
         estimate = result.mean_return
         if estimate.mean > self.best["return"]:
             self.best = {"return": estimate.mean, "waited": 0, "networks": self._networks()}
-            self._save_policy()
+            with self._unless_last(False, POLICY):
+                self._save_policy()
         else:
             self.best["waited"] += 1
         return {
@@ -225,45 +276,110 @@ class Training:
 
     # -- checkpoints --------------------------------------------------------------------------------------------------
 
-    def _save(self, collector: Any, batch: TensorDictBase) -> None:
-        """Write a checkpoint from which a run continues bit for bit."""
+    def _save(self, collector: Any, batch: TensorDictBase, last: bool) -> None:
+        """Write a checkpoint from which a run continues bit for bit; it may fail unless it is the ``last`` one."""
+        with self._collecting():
+            marks = bookmarks(collector, batch)
         kept = {
             "bsk_torch": __version__,
-            **{name: getattr(self.config, name) for name in FIXED},
+            **fixed(self.config),
             "learner": self.learner.state_dict(),
-            "collected": bookmarks(collector, batch),
+            "collected": marks,
             "generator": torch.get_rng_state(),
             "recent": self.recent.state_dict(),
             "progress": (self.progress.frames, self.progress.seconds, self.days, self.iteration),
             "best": self.best,
         }
-        part = self.out / f"{CHECKPOINT}.part"
-        torch.save(kept, part)
-        part.replace(self.out / CHECKPOINT)
+        with self._unless_last(last, CHECKPOINT):
+            save_sealed(self.out / CHECKPOINT, kept)
+
+    @contextmanager
+    def _unless_last(self, last: bool, name: str) -> Iterator[None]:
+        """Go on without a file that will be written again; the one before it is still there."""
+        try:
+            yield
+        except OSError as error:
+            if last:
+                raise
+            logger.warning("no new %s after %d frames: %s; the training goes on", name, self.progress.frames, error)
 
     def _restore(self, saved: dict[str, Any]) -> None:
-        self.learner.load_state_dict(saved["learner"])
-        self.recent.load_state_dict(saved["recent"])
-        self.progress.frames, self.progress.before, self.days, self.iteration = saved["progress"]
-        self.marks, self.generator, self.best = saved["collected"], saved["generator"], saved["best"]
+        """Go on from a checkpoint; ValueError, which names it, if it does not fit this environment and these networks."""
+        try:
+            self.learner.load_state_dict(saved["learner"])
+            self.recent.load_state_dict(saved["recent"])
+            self.progress.frames, self.progress.before, self.days, self.iteration = saved["progress"]
+            self.marks, self.generator, self.best = saved["collected"], saved["generator"], saved["best"]
+            torch.Generator().set_state(self.generator)
+            first = torch.zeros(1, dtype=torch.long)
+            for mark in self.marks:  # which the collector restores in full
+                self.env.restore(mark["state"], first, first)
+        except (AttributeError, IndexError, KeyError, RuntimeError, TypeError, ValueError) as error:
+            reason = str(error).partition("\n")[0] if isinstance(error, ValueError | RuntimeError) else repr(error)
+            raise ValueError(f"{str(self.out / CHECKPOINT)!r} does not fit this training: {reason}") from error
+
+
+def _finite(state: Any) -> bool:
+    """Return whether all tensors of nested dictionaries are finite."""
+    return all(map(_finite, state.values())) if isinstance(state, dict) else bool(state.isfinite().all())
+
+
+def shut_down(collector: Any) -> None:
+    """End a collector and its processes; that some are lost already is no error of its own."""
+    try:
+        collector.shutdown()
+    except Exception as error:
+        logger.info("the collector did not end in order: %s", error)
 
 
 def check_folder(out: Path) -> None:
-    """FileExistsError if there is something in the folder ``out``."""
-    if out.exists() and any(out.iterdir()):
+    """Check that a run can begin in a folder, which need not exist.
+
+    Raises:
+        FileExistsError: If there is something in it, or ``out`` is no folder.
+        FolderInUseError: If another process works in it.
+        PermissionError: If it cannot be written to.
+    """
+    if not out.is_dir() and (out.exists() or out.is_symlink()):
+        raise FileExistsError(f"{str(out)!r} is no folder; name one for the results")
+    if (out / LOCK).exists():
+        FolderLock(out).release()
+    check_empty(out)
+    there = next(folder for folder in (out, *out.absolute().parents) if folder.exists())
+    if not there.is_dir() or not os.access(there, os.W_OK | os.X_OK):
+        raise PermissionError(
+            f"{str(out)!r} cannot be written: {str(there)!r} is {'read-only' if there.is_dir() else 'no folder'}"
+        )
+
+
+def check_empty(out: Path) -> None:
+    """FileExistsError if there is something in a folder, except for what a process leaves that was killed before it began."""
+    if out.is_dir() and any(path.name != LOCK and not PART.fullmatch(path.name) for path in out.iterdir()):
         raise FileExistsError(f"{str(out)!r} is not empty; choose another folder, or resume the run in it")
 
 
-def read_checkpoint(out: Path, config: PPOConfig) -> dict[str, Any]:
-    """The checkpoint in a run's folder; see :class:`Training` for errors."""
+def check_resumable(out: Path) -> None:
+    """FileNotFoundError if there is no run in a folder."""
+    if not any((out / name).is_file() for name in (CHECKPOINT, CONFIG)):
+        raise FileNotFoundError(f"{str(out)!r} holds no {CHECKPOINT} to resume from")
+
+
+def fixed(config: PPOConfig) -> dict[str, Any]:
+    """Return the settings :data:`FIXED` of a configuration; of the options those that files keep."""
+    options = {name: tuple(value) if isinstance(value, list) else value for name, value in plain(config.options).items()}
+    return {name: getattr(config, name, None) for name in FIXED} | {"options": options}
+
+
+def read_checkpoint(out: Path, config: PPOConfig) -> dict[str, Any] | None:
+    """The checkpoint in a run's folder, None if there is none yet; see :class:`Training` for errors."""
     path = out / CHECKPOINT
     if not path.is_file():
-        raise FileNotFoundError(f"{str(out)!r} holds no {CHECKPOINT} to resume from")
-    saved = torch.load(path, weights_only=True)
-    for name in ("bsk_torch", *FIXED):
-        here = __version__ if name == "bsk_torch" else getattr(config, name)
-        if saved[name] != here:
-            raise ValueError(f"the checkpoint in {str(out)!r} is of {name}={saved[name]!r}, and cannot go on as {here!r}")
+        logger.warning("%s holds no %s; the run begins again", out, CHECKPOINT)
+        return None
+    saved = load_sealed(path, "checkpoint")
+    for name, here in {"bsk_torch": __version__, **fixed(config)}.items():
+        if saved.get(name) != here:
+            raise ValueError(f"the checkpoint in {str(out)!r} is of {name}={saved.get(name)!r}, and cannot go on as {here!r}")
     return saved
 
 

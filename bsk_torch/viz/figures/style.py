@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from io import BytesIO
 from itertools import pairwise
 from math import isfinite
 from pathlib import Path
@@ -11,6 +12,8 @@ from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+
+from bsk_torch.files import write_file
 
 PALETTE = ("#2f6db3", "#e8a628", "#2f9e72", "#c1476b", "#7b62b8", "#5aa9c9", "#8c6d4f", "#6b7280")
 """Colours that stay apart in print and for the colour-blind."""
@@ -83,5 +86,7 @@ def save(figure: Figure, path: Path) -> Path:
     The same figure gives the same file: an SVG has no date, and names of its parts that depend on what is drawn.
     """
     with rc_context({"svg.hashsalt": "bsk_torch"}):
-        figure.savefig(path, metadata={"Date": None} if path.suffix == ".svg" else None)
+        drawn, kind = BytesIO(), path.suffix.removeprefix(".")
+        figure.savefig(drawn, format=kind, metadata={"Date": None} if kind == "svg" else None)
+    write_file(path, drawn.getvalue())
     return path

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
+from bsk_torch.files import write_file
 from bsk_torch.viz.figures.constellation import ConstellationEpisode, constellation_figure
 from bsk_torch.viz.figures.ground_track import ground_track
 from bsk_torch.viz.figures.timeline import timeline
@@ -110,9 +111,7 @@ def write_report(run: RunData, path: Path) -> Path:
         episodes=[(chosen, _pictures(chosen)) for chosen in run.episodes],
         settings={name: _setting(value) for name, value in run.config.items()},
     )
-    part = path.with_suffix(".part")
-    part.write_text(html, encoding="utf-8")
-    part.replace(path)
+    write_file(path, html)
     return path
 
 

@@ -1,0 +1,79 @@
+"""Files of policies and checkpoints: torch's format, followed by a checksum, so that damage does not go unnoticed.
+
+The checksum is the SHA-256 of all that precedes it. It tells damage, not origin: whoever makes a file can also compute its
+checksum. Nothing that a file contains is executed; torch reads tensors and plain values only.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import logging
+import zipfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from bsk_torch.files import write_file
+
+logger = logging.getLogger(__name__)
+
+SEAL = b"\nbsk_torch SHA-256:"
+"""Precedes the checksum, which ends the file; ``torch.load`` reads such files, too, without checking it."""
+
+RECORD, VERSION = "archive/bsk_torch_format", b"2"
+"""Part of the archive in files that end with a checksum, and its content. Files of release 0.1 have neither."""
+
+
+def save_sealed(path: Path, entries: Mapping[str, Any]) -> None:
+    """Write a dictionary of tensors and plain values; see :func:`~bsk_torch.files.write_file` for errors."""
+    buffer = io.BytesIO()
+    torch.save(dict(entries), buffer)
+    with zipfile.ZipFile(buffer, "a") as archive:
+        archive.writestr(zipfile.ZipInfo(RECORD), VERSION)
+    content = buffer.getvalue()
+    write_file(path, content + SEAL + hashlib.sha256(content).digest())
+
+
+def load_sealed(path: Path, what: str, device: torch.device | str = "cpu") -> dict[str, Any]:
+    """Return what :func:`save_sealed` has written, or ``torch.save``, as in release 0.1: that has no checksum, and is warned of.
+
+    Args:
+        path: The file.
+        what: Its kind in messages, such as ``"policy"``.
+        device: Where tensors go.
+
+    Raises:
+        ValueError: For a file that is damaged, truncated or of another kind; the message names it.
+    """
+    content = path.read_bytes()
+    body = len(content) - len(SEAL) - hashlib.sha256().digest_size
+    sealed = body > 0 and content[body:].startswith(SEAL)
+    if sealed and hashlib.sha256(content[:body]).digest() != content[body + len(SEAL) :]:
+        raise ValueError(f"{str(path)!r} is a damaged {what}: its checksum does not fit its content")
+    version, entries = _loaded(path, content[:body] if sealed else content, what, device)
+    if not sealed and version is not None:
+        raise ValueError(f"{str(path)!r} is a damaged {what}: the checksum at its end is missing")
+    if version not in (None, VERSION):
+        raise ValueError(f"{str(path)!r} is a {what} of format {version!r}; this version of bsk_torch reads {VERSION!r}")
+    if not isinstance(entries, dict):
+        raise ValueError(f"{str(path)!r} is no file of a {what}: it holds a {type(entries).__name__}")
+    if not sealed:
+        logger.warning("%s has no checksum, as in release 0.1: damage may go unnoticed", path)
+    return entries
+
+
+def _loaded(path: Path, content: bytes, what: str, device: torch.device | str) -> tuple[bytes | None, Any]:
+    """Return the :data:`RECORD` of a file, if it has one, and what it holds."""
+    try:
+        with zipfile.ZipFile(io.BytesIO(content)) as archive:  # torch does not compare what its archives know of their parts
+            damaged = archive.testzip()
+            version = archive.read(RECORD) if RECORD in archive.namelist() else None
+        if damaged is not None:
+            raise zipfile.BadZipFile(f"{damaged} is damaged")
+        return version, torch.load(io.BytesIO(content), weights_only=True, map_location=device)
+    except Exception as error:  # bytes of others may raise anything within the reader
+        reason = str(error).partition("\n")[0].partition(". ")[0]  # torch says much more
+        raise ValueError(f"{str(path)!r} is no file of a {what}: {reason}") from error

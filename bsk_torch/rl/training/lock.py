@@ -1,0 +1,70 @@
+"""A run's folder is of one process at a time."""
+
+from __future__ import annotations
+
+import os
+import socket
+from contextlib import suppress
+from datetime import datetime
+from pathlib import Path
+
+from filelock import FileLock, Timeout
+
+from bsk_torch.files import sweep
+
+LOCK = "run.lock"
+"""File in a run's folder while a process works there; it says which one."""
+
+WAIT = 0.5
+"""Time to wait for a process that is about to end, s."""
+
+
+class FolderInUseError(RuntimeError):
+    """Another process works in the folder of a run."""
+
+
+class FolderLock:
+    """The right to work in a folder, until :meth:`release` or the end of the process, however it ends.
+
+    The operating system keeps the lock, so that no process has it that is dead; the file that one may have left is used again.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        """Take the lock; what a killed process has left half written in the folder is deleted.
+
+        Raises:
+            FolderInUseError: If another process has it; the message names the process.
+            OSError: If the folder cannot be written to.
+        """
+        self.path = folder / LOCK
+        self._lock = FileLock(self.path, timeout=WAIT, thread_local=False)
+        try:
+            self._lock.acquire()
+        except Timeout:
+            raise FolderInUseError(f"{str(folder)!r} is in use by {_holder(self.path)}; wait for its end, or end it") from None
+        try:
+            _write(self.path, f"process {os.getpid()} on {socket.gethostname()} since {datetime.now():%Y-%m-%d %H:%M:%S}")
+            sweep(folder)
+        except BaseException:
+            self.release()
+            raise
+
+    def release(self) -> None:
+        """Give the lock back; more than once does no harm."""
+        if self._lock.is_locked:
+            with suppress(OSError):
+                self.path.unlink(missing_ok=True)  # while it is ours: who has opened it already sees that and opens the next one
+            self._lock.release()
+
+
+def _write(path: Path, text: str) -> None:
+    with open(os.open(path, os.O_WRONLY | os.O_TRUNC | getattr(os, "O_NOFOLLOW", 0)), "w", encoding="utf-8") as file:
+        file.write(text)
+
+
+def _holder(path: Path) -> str:
+    """Return the words that the process with the lock has written."""
+    try:
+        return path.read_text(encoding="utf-8", errors="replace")[:200] or "another process"
+    except OSError:
+        return "another process"

@@ -1,0 +1,334 @@
+"""Folders of runs: what is checked before anything is written, one process at a time, torn logs, links."""
+
+import dataclasses
+import errno
+import logging
+import os
+import resource
+import shutil
+import signal
+from pathlib import Path
+
+import pytest
+import torch
+
+from bsk_torch.rl.policies.files import POLICY, load_policy
+from bsk_torch.rl.policies.sealed import load_sealed, save_sealed
+from bsk_torch.rl.training.config import CONFIG, PPOConfig, load_config
+from bsk_torch.rl.training.lock import LOCK, FolderInUseError, FolderLock
+from bsk_torch.rl.training.log import EVALUATIONS, LOG, CsvLog, read_log
+from bsk_torch.rl.training.trainer import CHECKPOINT, Training, check_folder, resume, train
+
+pytestmark = pytest.mark.compiled
+
+SMALL = PPOConfig(
+    frames=72,
+    seconds=None,
+    num_envs=4,
+    rollout=6,
+    minibatch=12,
+    epochs=1,
+    hidden=(8,),
+    evaluate_every=24,
+    evaluate_episodes=2,
+    checkpoint_every=24,
+    learning_rate_schedule="constant",
+    entropy_schedule="constant",
+    options={"time_limit": 600.0},
+)
+
+HALF = dataclasses.replace(SMALL, frames=24)
+
+
+def weights(policy):
+    return torch.cat([value.double().flatten() for value in policy.state_dict().values()])
+
+
+def contents(folder):
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """Folder of a run that nothing has interrupted."""
+    out = tmp_path_factory.mktemp("whole")
+    train(SMALL, out)
+    return out
+
+
+@pytest.fixture(scope="module")
+def stopped(tmp_path_factory):
+    """Folder of a run that has used a third of what :data:`SMALL` has, in a way that does not depend on the budget."""
+    out = tmp_path_factory.mktemp("stopped")
+    train(HALF, out)
+    return out
+
+
+@pytest.fixture
+def half(stopped, tmp_path):
+    """A copy of that folder."""
+    return Path(shutil.copytree(stopped, tmp_path / "half"))
+
+
+# -- everything is checked before anything is written -----------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"hidden": (16,)},
+        {"num_envs": 8},
+        {"seed": 1},
+        {"network": "gru", "hidden": (8, 8)},
+        {"collector": "multi"},
+        {"options": {"time_limit": 900.0}},
+        {"options": {"time_limit": 600.0, "backend": "eager"}},
+        {"options": {"time_limit": 600.0, "obs_type": dict}},
+        {"options": {"time_limit": 600.0, "foo": 1}},
+        {"loggers": ("csv", "wandb")},
+        {"preset": "AEOS-v1"},
+    ],
+)
+def test_a_failed_resume_changes_nothing(half, change, monkeypatch):
+    monkeypatch.setattr("bsk_torch.rl.training.log.find_spec", lambda name: None)  # no wandb
+    before, config = contents(half), load_config(half / CONFIG, PPOConfig)
+    with pytest.raises((ValueError, TypeError, ModuleNotFoundError)):
+        Training(dataclasses.replace(config, **change), half, resume=True)
+    assert contents(half) == before
+
+
+def test_after_a_failed_resume_the_run_goes_on_as_if_nothing_had_happened(half, whole):
+    with pytest.raises(ValueError, match="cannot go on as"):
+        Training(dataclasses.replace(SMALL, options={"time_limit": 900.0}), half, resume=True)
+    assert weights(Training(SMALL, half, resume=True).run()).equal(weights(load_policy(whole)))
+
+
+DAMAGES = [lambda data: data[: len(data) // 2 + 3], lambda data: b"no such file", lambda data: b""]
+
+
+@pytest.mark.parametrize(("name", "damage"), [(CHECKPOINT, damage) for damage in DAMAGES] + [(CONFIG, DAMAGES[2])])
+def test_damaged_files_are_named_and_left(half, name, damage):
+    (half / name).write_bytes(damage((half / name).read_bytes()))
+    before = contents(half)
+    with pytest.raises(ValueError, match=name.replace(".", r"\.")):
+        resume(half)
+    assert contents(half) == before
+
+
+@pytest.mark.parametrize(
+    "crafted",
+    [
+        {"learner": {}},
+        {"learner": 5},
+        {"recent": {}},
+        {"progress": (1, 2)},
+        {"generator": torch.zeros(3, dtype=torch.uint8)},
+        {"collected": [{}]},
+        {"collected": 5},
+        {"options": {"time_limit": 9.0}},
+        {"hidden": None},
+    ],
+)
+def test_checkpoints_of_others_are_refused(whole, tmp_path, crafted):
+    for name in (CONFIG, LOG):
+        (tmp_path / name).write_bytes((whole / name).read_bytes())
+    save_sealed(tmp_path / CHECKPOINT, load_sealed(whole / CHECKPOINT, "checkpoint") | crafted)
+    before = contents(tmp_path)
+    with pytest.raises(ValueError, match="checkpoint"):
+        resume(tmp_path)
+    assert contents(tmp_path) == before
+
+
+def test_moments_of_another_shape_are_refused(whole, tmp_path):
+    saved = load_sealed(whole / CHECKPOINT, "checkpoint")
+    next(iter(saved["learner"]["optimiser"]["state"].values()))["exp_avg"] = torch.zeros(7, 7)
+    (tmp_path / CONFIG).write_bytes((whole / CONFIG).read_bytes())
+    save_sealed(tmp_path / CHECKPOINT, saved)
+    with pytest.raises(ValueError, match=r"exp_avg has shape \(7, 7\)"):
+        resume(tmp_path)
+
+
+def test_a_run_without_a_checkpoint_begins_again(whole, tmp_path):
+    for name in (CONFIG, LOG, EVALUATIONS, POLICY):  # what a run leaves that was killed before its first checkpoint
+        (tmp_path / name).write_bytes((whole / name).read_bytes())
+    assert weights(resume(tmp_path)).equal(weights(load_policy(whole)))
+    assert read_log(tmp_path / LOG)["frames"] == [24, 48, 72]
+
+
+def test_a_training_that_diverges_says_so(tmp_path):
+    class Diverging(Training):
+        def _learn(self, batch):
+            if self.iteration == 1:
+                with torch.no_grad():
+                    next(iter(self.learner.networks.actor.parameters())).fill_(torch.nan)
+                batch["action_log_prob"].zero_()
+            return super()._learn(batch)
+
+    with pytest.raises((RuntimeError, ValueError), match="diverged"):
+        Diverging(SMALL, tmp_path / "run").run()
+    assert weights(load_policy(tmp_path / "run")).isfinite().all()
+    assert load_sealed(tmp_path / "run" / CHECKPOINT, "checkpoint")["progress"][0] == 24
+
+
+# -- one process at a time --------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def other(tmp_path):
+    """A function that lets another process take the lock of a folder; returns its number."""
+    children = []
+
+    def take(folder):
+        taken, wrote = os.pipe()
+        child = os.fork()
+        if child == 0:
+            lock = FolderLock(folder)
+            (folder / f".{POLICY}.0123456789abcdef.part").touch()
+            os.write(wrote, b"x")
+            signal.pause()
+            lock.release()
+        children.append(child)
+        assert os.read(taken, 1) == b"x"
+        os.close(taken)
+        os.close(wrote)
+        return child
+
+    yield take
+    for child in children:
+        end(child)
+
+
+def end(child):
+    try:
+        os.kill(child, signal.SIGKILL)
+        os.waitpid(child, 0)
+    except (ProcessLookupError, ChildProcessError):
+        pass
+
+
+def test_a_folder_in_use_is_refused_and_the_other_process_named(half, other):
+    child = other(half)
+    before = contents(half)
+    for begin in (resume, lambda out: train(SMALL, out)):
+        with pytest.raises(FolderInUseError, match=rf"half' is in use by process {child} on {os.uname().nodename} since "):
+            begin(half)
+    assert contents(half) == before
+
+
+def test_the_lock_of_a_dead_process_is_taken_over_and_its_leftovers_swept(half, other):
+    end(other(half))
+    assert {LOCK, f".{POLICY}.0123456789abcdef.part"} <= set(contents(half))
+    resume(half)
+    assert set(contents(half)) == {POLICY, LOG, EVALUATIONS, CONFIG, CHECKPOINT}
+
+
+def test_a_run_may_begin_where_one_was_killed_before_it_began(tmp_path, other):
+    end(other(tmp_path))
+    train(HALF, tmp_path)
+    assert set(contents(tmp_path)) == {POLICY, LOG, EVALUATIONS, CONFIG, CHECKPOINT}
+
+
+def test_one_process_may_not_train_twice_in_a_folder(tmp_path):
+    first = Training(HALF, tmp_path / "run")
+    with pytest.raises(FolderInUseError, match=f"process {os.getpid()} "):
+        resume(tmp_path / "run")
+    first.run()
+    assert LOCK not in contents(tmp_path / "run")
+
+
+def test_a_link_for_a_lock_is_not_followed(half, tmp_path):
+    (tmp_path / "precious").write_text("precious")
+    (half / LOCK).symlink_to(tmp_path / "precious")
+    with pytest.raises(OSError, match="symbolic link"):
+        resume(half)
+    assert (tmp_path / "precious").read_text() == "precious"
+
+
+@pytest.mark.parametrize("name", ["file", "file/run", "link"])
+def test_what_cannot_be_a_folder_is_refused_at_once(tmp_path, name):
+    (tmp_path / "file").touch()
+    (tmp_path / "link").symlink_to(tmp_path / "nowhere")
+    with pytest.raises(OSError, match="no folder"):
+        check_folder(tmp_path / name)
+
+
+# -- logs -------------------------------------------------------------------------------------------------------------
+
+
+TORN = [
+    pytest.param(lambda data: data[:-7], id="torn"),
+    pytest.param(lambda data: data[:-1], id="without its end"),
+    pytest.param(lambda data: data + b"3,1,,x\r\n", id="too few columns"),
+    pytest.param(lambda data: data + b"\x00" * 60, id="zeros"),
+    pytest.param(lambda data: data + data.splitlines(True)[-1].replace(b"1", b"\xff"), id="no text"),
+    pytest.param(lambda data: b"", id="empty"),
+    pytest.param(lambda data: data[:9], id="half a header"),
+]
+
+
+@pytest.mark.parametrize("tear", TORN)
+def test_torn_lines_are_dropped(whole, tmp_path, tear, caplog):
+    path = tmp_path / LOG
+    path.write_bytes(tear((whole / LOG).read_bytes()))
+    read = read_log(path)
+    rows = len(read.get("frames", ()))
+    assert rows in (0, 2, 3)
+    assert all(len(column) == rows for column in read.values())
+    log = CsvLog(path, tuple(read_log(whole / LOG)), keep=48)
+    log.write(dict.fromkeys(log.columns, 96.0))
+    log.close()
+    assert read_log(path)["frames"] == [*[24, 48][:rows], 96]
+
+
+def test_a_torn_log_does_not_block_resuming(half, whole):
+    for name in (LOG, EVALUATIONS):
+        (half / name).write_bytes((half / name).read_bytes() + b"2,48,0.")
+    Training(dataclasses.replace(SMALL, frames=48), half, resume=True).run()
+    assert read_log(half / LOG)["frames"] == [24, 48]
+    assert read_log(half / EVALUATIONS)["frames"] == [24, 48]
+    assert read_log(half / LOG)["loss_critic"] == read_log(whole / LOG)["loss_critic"][:2]
+
+
+def test_other_files_are_no_logs(tmp_path):
+    (tmp_path / LOG).write_text("a,b\n1,2\n")
+    with pytest.raises(ValueError, match=r"log\.csv' is no log of a training"):
+        read_log(tmp_path / LOG)
+
+
+def test_rows_wait_for_room_on_the_disk(tmp_path, caplog):
+    log = CsvLog(tmp_path / LOG, ("frames", "seconds"))
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (25, hard))  # in the middle of a line
+    try:
+        with caplog.at_level(logging.WARNING):
+            for frames in (1, 2, 3):
+                log.write({"frames": frames, "seconds": 0.5})
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert (tmp_path / LOG).stat().st_size == 25
+    assert len([record for record in caplog.records if "the training goes on" in record.message]) == 1
+    log.write({"frames": 4, "seconds": 0.5})
+    log.close()
+    assert read_log(tmp_path / LOG) == {"frames": [1, 2, 3, 4], "seconds": [0.5] * 4}
+
+
+def test_a_log_that_cannot_be_opened_stops_nothing(tmp_path, caplog):
+    (tmp_path / LOG).mkdir()
+    log = CsvLog(tmp_path / LOG, ("frames", "seconds"), keep=5)
+    log.write({"frames": 1, "seconds": 1.0})
+    assert "the training goes on" in caplog.text
+    (tmp_path / LOG).rmdir()
+    log.close()
+    assert read_log(tmp_path / LOG) == {"frames": [1.0], "seconds": [1.0]}
+
+
+def test_a_logger_that_fails_stops_nothing(whole, tmp_path, monkeypatch, caplog):
+    class Failing:
+        def log_scalar(self, *arguments, **options):
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr("bsk_torch.rl.training.log._service", lambda name, out: Failing())
+    monkeypatch.setattr("bsk_torch.rl.training.log.find_spec", lambda name: object())
+    policy = train(dataclasses.replace(SMALL, loggers=("csv", "wandb")), tmp_path / "run")
+    assert weights(policy).equal(weights(load_policy(whole)))
+    assert caplog.text.count("the logger wandb fails") == 1
