@@ -54,6 +54,9 @@ STARTS: dict[str, list[Start]] = {
             r"(?s)\| scan \| 1 \| [\d,]+ \|.*\| scan \| processes \| 2 \| [\d,]+ \|",
         ),
     ],
+    "benchmarks/soak.py": [
+        Start("--cases NadirScan-v1 --scale 0.0004", r"\| NadirScan-v1 \| 4,096 \| [\d,]+ \| \d+ \| [\d,.]+ \| [\d.]+ \| 0 \|"),
+    ],
     "benchmarks/startup.py": [
         Start("--batches 1 --dtypes float64 --warm 0 --backend eager", r"\| scan \| 1 \| float64 \| nothing \| [\d.]+ \|"),
     ],

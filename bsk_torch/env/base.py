@@ -432,13 +432,14 @@ class Tasking(ChangingArguments, EnvBase):
 
     def _leave(self, error: BaseException | None) -> None:
         """End a call; episodes that an ``error`` has left half changed must begin anew."""
+        changing = self._changing is not None
         if error is not None and self._changing is not None:
             # an error concerns the episodes of the call; Ctrl-C may come while tables of all episodes are rearranged
             half = self._changing if isinstance(error, Exception) else torch.ones_like(self._changing)
             self.state.begun = self.state.begun & ~half
             self._all_begun, self._broke_off = False, True
         self._changing = None
-        if isinstance(error, IndexError) and self._restored:
+        if isinstance(error, IndexError) and self._restored and changing:
             raise FloatingPointError(f"no satellite can fly with the numbers of a state that was restored: {error}") from error
 
     def _judge(self, duration: Tensor, reward: Tensor, moves: Tensor, removed: Tensor) -> StepResult:

@@ -147,6 +147,7 @@ class Arcs(StateTable):
         """Solve the next hour of ``rows`` [n]; FloatingPointError where positions are not finite."""
         found = self.solver.extend(*known)
         wrong = ~torch.isfinite(found.planned).flatten(1).all(1) | ~torch.isfinite(found.flown[:, -1]).all(1)
+        wrong = wrong & (self.et[rows] != 0.0)  # where no episode has begun, there is no orbit yet
         if bool(wrong.any()):
             envs = (rows[wrong] // self.count).unique().tolist()
             raise FloatingPointError(
