@@ -335,7 +335,7 @@ def test_users_formations():
         (lambda: fm.walker_delta_args(3, 0.5, phasing=1), "give phasing=1 or rel_phasing=0.5, not both"),
         (
             lambda: fm.walker_delta_args(3, altitude=-1.0),
-            "walker_delta_args: altitude=-1 km is not allowed; it must lie in [0, inf)",
+            "walker_delta_args: altitude=-1 km is not allowed; it must lie in [0, 1e+06]",
         ),
         (
             lambda: fm.walker_star_args(3, inc=200.0),

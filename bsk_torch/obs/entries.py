@@ -54,7 +54,7 @@ def parse_norm(norm: Any, title: str) -> Norm:
     except (TypeError, ValueError, RuntimeError, OverflowError):
         raise ValueError(f"{title} is {norm!r}; it must be a number, an array of numbers, or None for 1") from None
     if not bool(((table != 0.0) & torch.isfinite(table)).all()):
-        raise ValueError(f"{title} is {norm!r}; it must be finite and not zero")
+        raise ValueError(f"{title} is {norm!r}; it must not be zero, NaN or infinite")
     return table.item() if table.ndim == 0 else table
 
 
