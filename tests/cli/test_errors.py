@@ -4,6 +4,7 @@ import errno
 import os
 
 import pytest
+from torch._inductor import config
 
 from bsk_torch.codegen import build
 from bsk_torch.rl.policies.sealed import save_sealed
@@ -198,10 +199,9 @@ def test_a_full_disk_is_named(run, folder, monkeypatch):
 
 def test_a_missing_compiler_is_named(run, folder, monkeypatch):
     monkeypatch.setenv("BSK_TORCH_CACHE", str(folder / "cache"))
-    monkeypatch.setenv("CXX", str(folder / "nowhere"))
     monkeypatch.setattr(build, "LOADED", {})
-    monkeypatch.setattr("torch._inductor.config.cpp.cxx", (str(folder / "nowhere"),))
-    result = run("eval", "random", "--seeds", "0:1", "--time-limit", 60)
+    with config.patch({"cpp.cxx": (None, "/missing/c++")}):
+        result = run("eval", "random", "--seeds", "0:1", "--time-limit", 60)
     assert result.exit_code == 1
     assert isinstance(result.exception, SystemExit)
     assert "needs a C++ compiler" in result.output

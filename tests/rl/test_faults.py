@@ -12,6 +12,7 @@ import time
 
 import pytest
 import torch
+from torch._inductor import config
 
 from bsk_torch.codegen import build
 from bsk_torch.rl.policies.files import POLICY, load_policy
@@ -179,9 +180,9 @@ def test_a_compiler_that_disappears_stops_a_training_that_can_be_resumed(whole, 
     (out / CONFIG).write_bytes((whole[0] / CONFIG).read_bytes())
     monkeypatch.setattr(build, "LOADED", {})
     monkeypatch.setenv("BSK_TORCH_CACHE", str(tmp_path / "cache"))
-    monkeypatch.setattr("torch._inductor.config.cpp.cxx", (str(tmp_path / "nowhere"),))
     before = {path.name: path.read_bytes() for path in out.iterdir()}
-    with pytest.raises(RuntimeError, match=r"needs a C\+\+ compiler, but .*nowhere does not run here"):
+    missing = config.patch({"cpp.cxx": (None, "/missing/c++")})
+    with missing, pytest.raises(RuntimeError, match=r"needs a C\+\+ compiler, but /missing/c\+\+ does not run here"):
         resume(out)
     assert {path.name: path.read_bytes() for path in out.iterdir()} == before
     monkeypatch.undo()
