@@ -117,8 +117,10 @@ class Kernel:
         _check_tensors((state, counts, shared, own, mode, flags, ticks, schedule, *(part for t in tracks for part in t)))
         self._check_tables(tracks)
         n, modes = len(counts), 1 if flags is None else flags.shape[1]
-        if mode is not None and n and not 0 <= int(mode.min()) <= int(mode.max()) < modes:
-            raise ValueError(f"a kernel got modes from {int(mode.min())} to {int(mode.max())}; they must lie in [0, {modes - 1}]")
+        if mode is not None and n:
+            low, high = (int(bound) for bound in torch.aminmax(mode))
+            if low < 0 or high >= modes:
+                raise ValueError(f"a kernel got modes from {low} to {high}; they must lie in [0, {modes - 1}]")
         packs = n, state, shared, own, flags, modes, mode, ticks, nanoseconds, schedule
         records = [part for t in tracks for part in (t.table, t.start, t.owner, t.table.shape[1])]
         expected, entry = counts if expected_ticks is None else expected_ticks, self._entry(lockstep)
