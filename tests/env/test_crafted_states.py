@@ -25,6 +25,7 @@ def attack(columns: int, *names: str) -> dict[str, dict]:
 
 
 def assert_all_ended_well(results: dict[str, dict]) -> None:
+    assert results
     for name, result in results.items():
         assert result["wrong"] == [], name
         assert result["ends"]["refused"] > 100, name
