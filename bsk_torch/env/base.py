@@ -56,14 +56,12 @@ from bsk_torch.scene.base import Scenario
 from bsk_torch.sim.argument_table import ArgumentTable
 from bsk_torch.sim.fleet import Fleet, FleetState
 from bsk_torch.sim.simulator import Simulator, whole_nanoseconds
-from bsk_torch.sim.state import FINITE, StateTable
+from bsk_torch.sim.state import FINITE, SHOWN, StateTable
 
 __all__ = ["StepResult", "Tasking", "TimeLimit"]
 
 logger = logging.getLogger(__name__)
 
-SHOWN = 5
-"""Number of environments that a message lists."""
 
 SEED_LIMIT = 2**63
 """Seeds are below it."""

@@ -13,10 +13,8 @@ from torch import Tensor
 
 from bsk_torch._checks import number
 from bsk_torch._deprecated import deprecated_attributes
-from bsk_torch.astro.atmosphere import exponential_density, top_radius
-from bsk_torch.astro.orbit import periapsis_radius
 from bsk_torch.codegen.kernel import Kernel, Samples
-from bsk_torch.constants import MU_EARTH, NANO
+from bsk_torch.constants import NANO
 from bsk_torch.rand import Key, first_key
 from bsk_torch.sim.access.lookahead import LookAhead
 from bsk_torch.sim.access.places import place_kinds
@@ -31,6 +29,7 @@ from bsk_torch.sim.dyn.models import DynamicsModel
 from bsk_torch.sim.fsw.models import IDLE, FSWModel
 from bsk_torch.sim.fsw.modes import ALWAYS_RESET, MODE_FLAGS, Mode
 from bsk_torch.sim.given import Answers
+from bsk_torch.sim.initial_orbits import check_orbits
 from bsk_torch.sim.orbit.arcs import Arcs
 from bsk_torch.sim.orbit.solvers import make_solver
 from bsk_torch.sim.params import Arguments, Overrides, merge, nearest
@@ -41,7 +40,6 @@ from bsk_torch.sim.schedule import ordered
 from bsk_torch.sim.state import StateTable
 from bsk_torch.sim.tick import ARC_ORBIT, Tick
 from bsk_torch.sim.world import WorldModel
-from bsk_torch.vec3 import Vec3
 
 logger = logging.getLogger(__name__)
 
@@ -53,12 +51,6 @@ ORBITS = ("arc", "integrated")
 SHORTEST_TICK, LONGEST_TICK = 1e-3, 60.0
 """Bounds of the length of a tick, s. With shorter ones a step of minutes takes millions of ticks; longer ones than a minute would
 pass over the nodes of arcs."""
-
-LOWEST_PERIAPSIS, HIGHEST_APOAPSIS = 6.35e6, 1e9
-"""Bounds of the radii of initial orbits, m: the Earth's polar radius is 6.357e6, and the Moon, which is left out, at 4e8."""
-
-DENSEST_AIR = 10.0
-"""Largest density, kg/m^3, at an initial position."""
 
 CLOSE = 1e-9
 """Relative difference of parameters that two machines compute from the same arguments."""
@@ -94,11 +86,6 @@ def _planes(layout: Layout, names: Iterable[str]) -> list[int]:
 def whole_nanoseconds(seconds: float) -> int:
     """Return seconds on Basilisk's clock."""
     return int(seconds * 1e9 + 0.5)
-
-
-def _first(values: Tensor, where: Tensor) -> float:
-    """Return the first value [n or 1] of those ``where`` [n] says."""
-    return float(values.expand_as(where)[where][0])
 
 
 def declared_fields(*models: type) -> set[str]:
@@ -382,7 +369,7 @@ class Simulator:
         for part in self.parts:
             part.check(values)
         self._check_tick(values)
-        self._check_orbit(values)
+        check_orbits(values, on_arc=self.orbit == "arc")
         return values
 
     def _check_tick(self, values: dict[str, Any]) -> None:
@@ -401,49 +388,6 @@ class Simulator:
                 logger.warning("sat_args: %s", words)
         if wrong:
             raise ValueError(f"sat_args: {'; and '.join(wrong)}")
-
-    def _check_orbit(self, values: dict[str, Any]) -> None:
-        r, v = (Vec3.of(x) for x in hub.initial_orbit(values))
-        lowest = self._check_bound(values, r, v)
-        if "baseDensity" not in values:
-            return
-        names = ("planetRadius", "baseDensity", "scaleHeight")
-        if self.orbit == "arc":
-            top = top_radius(*(float(values[name].max()) for name in names))
-            if lowest < top:
-                raise ValueError(
-                    f"sat_args: an orbit comes down to {lowest / 1e3:.0f} km from the Earth's centre, but drag is felt below "
-                    f"{top / 1e3:.6g} km (by {', '.join(names)}) and the orbit is computed without it; pass "
-                    "orbit='integrated' to the environment"
-                )
-        elif not bool((exponential_density(r, *(values[name] for name in names)) <= DENSEST_AIR).all()):
-            raise ValueError(
-                f"world_args: by {', '.join(names)} the air has more than {DENSEST_AIR:g} kg/m^3 at an initial position"
-            )
-
-    @staticmethod
-    def _check_bound(values: dict[str, Any], r: Vec3, v: Vec3) -> float:
-        """Return the lowest periapsis, m, of initial positions, m, and velocities, m/s; ValueError for one that is no orbit."""
-        given = "rN and vN are" if values["oe"] is None else "oe is"
-        mu = torch.clamp(values["mu"], max=MU_EARTH)  # observed elements are those under the smaller one
-        radius, speed2 = r.norm(), v.dot(v)
-        a = 1.0 / (2.0 / radius - speed2 / mu)
-        bound = (radius > 0.0) & (a > 0.0)
-        if not bool(bound.all()):
-            raise ValueError(
-                f"sat_args: {given} no orbit around the Earth: {_first(radius, ~bound) / 1e3:g} km from its centre at "
-                f"{_first(speed2.sqrt(), ~bound):g} m/s, with mu={_first(mu, ~bound):g} m^3/s^2; an orbit's energy is negative"
-            )
-        periapsis = periapsis_radius(r, v)
-        wrong = ~((periapsis >= LOWEST_PERIAPSIS) & (2.0 * a - periapsis <= HIGHEST_APOAPSIS))
-        if bool(wrong.any()):
-            low, high = _first(periapsis, wrong), _first(2.0 * a - periapsis, wrong)
-            raise ValueError(
-                f"sat_args: {given} an orbit from {low / 1e3:.6g} to {high / 1e3:.6g} km from the Earth's centre; allowed are "
-                f"{LOWEST_PERIAPSIS / 1e3:g} km, its surface, to {HIGHEST_APOAPSIS / 1e3:g} km (oe: a(1 - e) and a(1 + e); rN "
-                "and vN: not parallel)"
-            )
-        return float(periapsis.min())
 
     def reset(self, envs: Tensor, values: dict[str, Any], duration: Tensor) -> None:
         """Start the episodes ``envs`` [n] anew from drawn ``values``, with windows for ``duration`` [n] s.
@@ -482,7 +426,7 @@ class Simulator:
         on_host = {name: value.cpu() for name, value in values.items()} | saved.constants
         for part in self.parts:
             part.check(on_host)
-        self._check_orbit(on_host)
+        check_orbits(on_host, on_arc=self.orbit == "arc")
         own = self.tick.own.rows(merge(on_host, self.parts, "prepare"), saved.rows).to(saved.device).mT
         wrong = ~torch.isclose(saved.parameters.mT, own, rtol=CLOSE, atol=0.0, equal_nan=True)
         saved.refuse(f"{path}parameters", saved.parameters.mT, wrong, "it does not follow from the arguments of the satellite")

@@ -1,0 +1,74 @@
+"""Checks of initial orbits: whether they are orbits around the Earth, and whether drag can be left out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from bsk_torch.astro.atmosphere import exponential_density, top_radius
+from bsk_torch.astro.orbit import periapsis_radius
+from bsk_torch.constants import MU_EARTH
+from bsk_torch.sim.dyn import hub
+from bsk_torch.vec3 import Vec3
+
+LOWEST_PERIAPSIS, HIGHEST_APOAPSIS = 6.35e6, 1e9
+"""Bounds of the radii of initial orbits, m: the Earth's polar radius is 6.357e6, and the Moon, which is left out, at 4e8."""
+
+DENSEST_AIR = 10.0
+"""Largest density, kg/m^3, at an initial position."""
+
+
+def check_orbits(values: Mapping[str, Any], on_arc: bool) -> None:
+    """Check the initial orbits of drawn arguments; ``on_arc``: whether they are computed in advance, without drag.
+
+    Raises:
+        ValueError: For positions and velocities that are no orbit around the Earth, or one for which the other way of computing
+            orbits is needed.
+    """
+    r, v = (Vec3.of(x) for x in hub.initial_orbit(values))
+    lowest = _lowest_periapsis(values, r, v)
+    if "baseDensity" not in values:
+        return
+    names = ("planetRadius", "baseDensity", "scaleHeight")
+    if on_arc:
+        top = top_radius(*(float(values[name].max()) for name in names))
+        if lowest < top:
+            raise ValueError(
+                f"sat_args: an orbit comes down to {lowest / 1e3:.0f} km from the Earth's centre, but drag is felt below "
+                f"{top / 1e3:.6g} km (by {', '.join(names)}) and the orbit is computed without it; pass "
+                "orbit='integrated' to the environment"
+            )
+    elif not bool((exponential_density(r, *(values[name] for name in names)) <= DENSEST_AIR).all()):
+        raise ValueError(f"world_args: by {', '.join(names)} the air has more than {DENSEST_AIR:g} kg/m^3 at an initial position")
+
+
+def _lowest_periapsis(values: Mapping[str, Any], r: Vec3, v: Vec3) -> float:
+    """Return the lowest periapsis, m, of initial positions, m, and velocities, m/s; ValueError for one that is no orbit."""
+    given = "rN and vN are" if values["oe"] is None else "oe is"
+    mu = torch.clamp(values["mu"], max=MU_EARTH)  # observed elements are those under the smaller one
+    radius, speed2 = r.norm(), v.dot(v)
+    a = 1.0 / (2.0 / radius - speed2 / mu)
+    bound = (radius > 0.0) & (a > 0.0)
+    if not bool(bound.all()):
+        raise ValueError(
+            f"sat_args: {given} no orbit around the Earth: {_first(radius, ~bound) / 1e3:g} km from its centre at "
+            f"{_first(speed2.sqrt(), ~bound):g} m/s, with mu={_first(mu, ~bound):g} m^3/s^2; an orbit's energy is negative"
+        )
+    periapsis = periapsis_radius(r, v)
+    wrong = ~((periapsis >= LOWEST_PERIAPSIS) & (2.0 * a - periapsis <= HIGHEST_APOAPSIS))
+    if bool(wrong.any()):
+        low, high = _first(periapsis, wrong), _first(2.0 * a - periapsis, wrong)
+        raise ValueError(
+            f"sat_args: {given} an orbit from {low / 1e3:.6g} to {high / 1e3:.6g} km from the Earth's centre; allowed are "
+            f"{LOWEST_PERIAPSIS / 1e3:g} km, its surface, to {HIGHEST_APOAPSIS / 1e3:g} km (oe: a(1 - e) and a(1 + e); rN "
+            "and vN: not parallel)"
+        )
+    return float(periapsis.min())
+
+
+def _first(values: Tensor, where: Tensor) -> float:
+    """Return the first value [n or 1] of those ``where`` [n] says."""
+    return float(values.expand_as(where)[where][0])
