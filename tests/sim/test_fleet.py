@@ -188,7 +188,7 @@ class Flyer:
     def events(self):
         return (self.ticks >= self.event).long()
 
-    def run(self, ticks, expected=None):
+    def run(self, ticks, expected=None, may_rewind=False):
         self.flights.append(ticks.tolist())
         left = self.event - self.ticks
         flown = torch.where((left > 0) & self.stops, torch.minimum(ticks, left), ticks)
