@@ -1,7 +1,7 @@
 """RLlib's configurations of bsk_rl's programs: ``env_config``, registered names, callbacks.
 
 Importing this module, also as ``bsk_torch.utils.rllib``, registers ``"SatelliteTasking-RLlib"`` and
-``"ConstellationTasking-RLlib"`` with Ray where it is installed. Their ``env_config`` has the arguments of the environment, and
+``"ConstellationTasking-RLlib"`` with RLlib where it is installed. Their ``env_config`` has the arguments of the environment, and
 ``episode_data_callback`` and ``satellite_data_callback`` of :mod:`bsk_torch.wrappers.metrics`.
 """
 
@@ -66,7 +66,7 @@ def _split(env_config: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any
     return given, callbacks
 
 
-if find_spec("ray") is not None:
+if all(map(find_spec, ("ray", "tree"))):  # Ray without RLlib lacks the latter
     from ray.rllib.callbacks.callbacks import RLlibCallback
     from ray.tune.registry import register_env
 

@@ -42,7 +42,9 @@ def test_terrestrial_time_under_its_newer_name(text, same):
 
 
 def test_the_form_that_random_epochs_have_is_read_as_any_other():
-    for text in random_epoch(1990, 2060).at(np.random.default_rng(0).random((300, 7))):
+    texts = random_epoch(1990, 2060).at(np.random.default_rng(0).random((300, 7)))
+    assert len(texts) == 300
+    for text in texts:
         assert read_epoch(text) == read_epoch(text.replace(" (UTC)", "  UTC"))
 
 

@@ -303,6 +303,7 @@ BAD = (float("nan"), float("inf"), None, -1.0, 0, "x", "4", [1.0, 2.0], 10**400)
     ],
 )
 def test_values_of_options(name, wrong):
+    assert wrong
     for value in wrong:
         with pytest.raises(ValueError, match=name):
             make(**{name: value})
@@ -367,6 +368,7 @@ def test_episodes_beyond_the_ephemeris_are_refused_before_they_begin():
     with pytest.raises(ValueError, match=words):
         make(world_args=LATE, time_limit=1200.0)
     env = make(world_args=LATE, time_limit=rand.per_env([60.0, 120.0]))
+    env.reset()
     env.set_world_args(dict(utc_init=rand.per_env([LATE["utc_init"], "2060 MAR 06 11:58:30 (UTC)"])))
     before = env.get_state()
     with pytest.raises(ValueError, match=words):

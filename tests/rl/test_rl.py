@@ -137,9 +137,16 @@ def test_unknown_networks_are_answered_with_the_nearest():
         PPOConfig(network="atention")
 
 
-@pytest.mark.parametrize("limits", [{"seconds": None}, {"seconds": 0.0}, {"frames": -1}])
-def test_training_needs_a_limit(limits):
-    with pytest.raises(ValueError, match="needs a limit"):
+@pytest.mark.parametrize(
+    ("limits", "words"),
+    [
+        ({"seconds": None}, "needs a limit"),
+        ({"seconds": 0.0}, "seconds=0.0 must lie in"),
+        ({"frames": -1}, "frames=-1 must be at"),
+    ],
+)
+def test_training_needs_a_limit(limits, words):
+    with pytest.raises(ValueError, match=words):
         PPOConfig(**limits)
 
 

@@ -156,10 +156,12 @@ class PassSearch:
         return PlacePairs(samples, self.places.r_LP_P[owner, place], self.places.sin_min_elevation[owner, place])
 
     def passes(self) -> Passes:
-        """Return all passes, in no particular order."""
+        """Return all passes, in no particular order; FloatingPointError for a ground track that no orbit has."""
         # of each pair, rises and sets alternate once the ends of the search are counted, so both lists match when sorted
         starts = self._sorted(self._above_limit_at(0), self._crossings(RISE))
         stops = self._sorted(self._crossings(SET), self._above_limit_at(self.track.r_BP_P.shape[1] - 1))
+        if len(starts.time) != len(stops.time):
+            raise FloatingPointError("passes rise more often than they set, or the other way: a ground track is that of no orbit")
         long = Passes(starts.row, starts.place, starts.time, stops.time)
         return Passes(*(torch.cat(parts) for parts in zip(long, self._short_passes(), strict=True)))
 
