@@ -75,7 +75,7 @@ STARTS: dict[str, list[Start]] = {
     "examples/curriculum.py": [
         Start("--num-envs 4 --steps 10 --time-limit 360 --rise 0.5", r"(?s)step 10: \d+ episodes.*nothing was built anew"),
     ],
-    "scripts/demo.sh": [Start(f"{TRAIN} --out run", "trained")],
+    "scripts/demo.sh": [Start(f"{TRAIN} --out {{tmp}}/run", "trained")],
     "scripts/tools/make_coastlines.py": [Start("{countries} --out land.geojson", "2 pieces of land", "coastlines")],
     "scripts/tools/make_tables.py": [Start("--samples --out .", "largest position error 0.49", "basilisk")],
     "scripts/tools/update_golden.py": [
@@ -143,7 +143,7 @@ def run(folder: Path, path: str, *arguments: str) -> str:
 def test_runs(path, start, tmp_path):
     if path == "scripts/demo.sh" and not (ROOT / ".venv/bin/bsk-torch").exists():
         pytest.skip("needs .venv, which scripts/test.sh makes")
-    values = {"root": str(ROOT), "python": sys.executable, "countries": "countries.whl"}
+    values = {"root": str(ROOT), "python": sys.executable, "countries": "countries.whl", "tmp": str(tmp_path)}
     if "{countries}" in start.arguments:
         write_countries(tmp_path / values["countries"])
     printed = run(tmp_path, path, *start.arguments.format(**values).split())
