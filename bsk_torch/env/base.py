@@ -310,7 +310,8 @@ class Tasking(ChangingArguments, EnvBase):
         mask = None if tensordict is None else tensordict.get("_reset", None)
         envs = self.fleet.all_envs if mask is None else torch.nonzero(mask.reshape(-1)).squeeze(-1)
         with self._exclusive:
-            self.check_begun("reset() of some environments", torch.ones_like(self.state.begun).index_fill(0, envs, False))
+            if not self._all_begun:
+                self.check_begun("reset() of some environments", torch.ones_like(self.state.begun).index_fill(0, envs, False))
             if set_state and tensordict is not None and "state" in tensordict:
                 self.restore(tensordict["state"], envs)
             elif len(envs):
@@ -371,7 +372,7 @@ class Tasking(ChangingArguments, EnvBase):
         rows = torch.nonzero(missing).squeeze(-1).tolist()
         if rows:
             which = "" if len(rows) == self.num_envs else f" of environments {rows[:SHOWN]} ({len(rows)} in all)"
-            why = "a step was broken off, which leaves its episodes half done" if self._broke_off else "none has begun"
+            why = "a step was broken off, which leaves its episodes half done" if self._broke_off else "these have not begun"
             raise ResetNeededError(f"{call} needs running episodes{which}, and {why}; call reset() first")
 
     # -- step ---------------------------------------------------------------------------------------------------------
@@ -430,14 +431,14 @@ class Tasking(ChangingArguments, EnvBase):
 
     def _leave(self, error: BaseException | None) -> None:
         """End a call; episodes that an ``error`` has left half changed must begin anew."""
-        changing = self._changing is not None
-        if error is not None and self._changing is not None:
-            # an error concerns the episodes of the call; Ctrl-C may come while tables of all episodes are rearranged
-            half = self._changing if isinstance(error, Exception) else torch.ones_like(self._changing)
-            self.state.begun = self.state.begun & ~half
-            self._all_begun, self._broke_off = False, True
-        self._changing = None
-        if isinstance(error, IndexError) and self._restored and changing:
+        changing, self._changing = self._changing, None
+        if error is None or changing is None:
+            return
+        # an error concerns the episodes of the call; Ctrl-C may come while tables of all episodes are rearranged
+        half = changing if isinstance(error, Exception) else torch.ones_like(changing)
+        self.state.begun = self.state.begun & ~half
+        self._all_begun, self._broke_off = False, self._broke_off or bool(half.any())
+        if isinstance(error, IndexError) and self._restored:
             raise FloatingPointError(f"no satellite can fly with the numbers of a state that was restored: {error}") from error
 
     def _judge(self, duration: Tensor, reward: Tensor, moves: Tensor, removed: Tensor) -> StepResult:

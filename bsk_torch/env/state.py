@@ -26,7 +26,12 @@ MADE_BY = "made_by"
 ENDLESS = 2**31
 """Seconds after which Basilisk's clock stops an episode without limit; the end of the Sun's ephemeris does so before."""
 
-MEANING = ("format of the state", "length of a tick, ns", "satellites, world or back end", "actions, or the type of numbers")
+MEANING = (
+    "format of the state",
+    "length of a tick, ns",
+    "satellites, world or back end",
+    "actions, windows, or the type of numbers",
+)
 
 
 def fingerprint(fleet: Fleet) -> Tensor:
@@ -37,8 +42,8 @@ def fingerprint(fleet: Fleet) -> Tensor:
         structure = [list(layout.fields) for layout in (tick.state, tick.shared, tick.own)], simulator.mode_names, simulator.count
         make.update(repr((structure, simulator.state.constants, lookahead.arcs.tail.shape[1])).encode())
         make.update(simulator.uniform.cpu().numpy().tobytes())
-        segment = None if lookahead.access is None else lookahead.access.segment
-        use.update(repr((group.actions.description, simulator.dtype, simulator.orbit, tick.stops, segment)).encode())
+        access = None if lookahead.access is None else (lookahead.access.segment, lookahead.access.as_bsk_rl)
+        use.update(repr((group.actions.description, simulator.dtype, simulator.orbit, tick.stops, access)).encode())
     digests = (int.from_bytes(digest.digest(), "big") for digest in (make, use))
     return torch.tensor([FORMAT, fleet.simulators[0].h_ns, *digests])
 

@@ -239,6 +239,7 @@ WRONG: dict[str, Any] = {
     "tick": (lambda: SETUPS["scan"](num_envs=3, sim_rate=2.0), "length of a tick, ns: 2000000000, not 1000000000"),
     "backend": (lambda: SETUPS["scan"](num_envs=3, backend="eager"), "satellites, world or back end"),
     "mass": (lambda: SETUPS["scan"](num_envs=3, sat_args={"mass": 200.0}), "satellites, world or back end"),
+    "windows": (lambda: SETUPS["scan"](num_envs=3, compat="bsk_rl"), "actions, windows, or the type of numbers"),
     "preset": (lambda: SETUPS["imaging"](num_envs=3, sim_rate=1.0), "satellites, world or back end"),
 }
 

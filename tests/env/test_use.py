@@ -63,7 +63,7 @@ def test_calls_before_the_first_reset(fresh, call):
 
 
 def test_episodes_that_have_not_begun_are_not_copied():
-    with pytest.raises(ResetNeededError, match=r"restore\(state\) needs running episodes.* none has begun"):
+    with pytest.raises(ResetNeededError, match=r"restore\(state\) needs running episodes.* have not begun"):
         CALLS["restore from it"](make("scan"))
 
 
