@@ -91,7 +91,7 @@ def text(title: str, value: Any) -> str:
     """Return a text of the user; ValueError for anything but a string that is not empty."""
     if isinstance(value, str) and value:
         return value
-    raise ValueError(f"{title}={value!r} must be a string")
+    raise ValueError(f"{title}={value!r} must be a string that is not empty")
 
 
 def function(title: str, value: Any, what: str) -> Callable[..., Any]:

@@ -12,9 +12,6 @@ from bsk_torch.act.base import LONGEST, Action, ActionTable, positive_duration
 if TYPE_CHECKING:
     from bsk_torch.sats.satellite import Satellite
 
-FOREVER = LONGEST
-"""Duration of an action that only another event ends, s."""
-
 
 class DiscreteFSWAction(Action):
     """Enter a flight mode for ``duration`` seconds.
@@ -36,7 +33,7 @@ class DiscreteFSWAction(Action):
         """
         super().__init__(text("fsw_action", fsw_action) if name is None else name)
         self.fsw_action, self.reset_task = text("fsw_action", fsw_action), switch("reset_task", reset_task)
-        self.duration = positive_duration("duration", duration, self.name, FOREVER)
+        self.duration = positive_duration("duration", duration, self.name, LONGEST)
 
     def link_satellite(self, satellite: Satellite) -> None:
         """See :meth:`Action.link_satellite`; ValueError if the flight software has no such command."""

@@ -8,9 +8,8 @@ import pytest
 import torch
 
 from bsk_torch import act
-from bsk_torch.act.base import ActionBuilder
+from bsk_torch.act.base import LONGEST, ActionBuilder
 from bsk_torch.act.broadcast import PENDING
-from bsk_torch.act.discrete import FOREVER
 from bsk_torch.sim.state import StateTable
 
 DRIFT, NADIR = 0, 3
@@ -42,7 +41,7 @@ def test_a_broadcast_only_waits():
     decision = actions.decide(torch.tensor([0, 1, 1, 0]), torch.tensor([-1, 0, 1, 1]), MOVES)
     assert decision.retask.tolist() == [True, False, False, True]
     assert decision.mode.tolist() == [DRIFT, NADIR, NADIR, DRIFT]
-    assert decision.duration.tolist() == [FOREVER, 30.0, 30.0, FOREVER]
+    assert decision.duration.tolist() == [LONGEST, 30.0, 30.0, LONGEST]
     assert decision.key.tolist() == [0, 1, 1, 0]
 
 
