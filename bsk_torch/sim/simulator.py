@@ -194,6 +194,7 @@ class Simulator:
             raise ValueError(f"orbit={self.orbit!r} must be one of {list(ORBITS)}, or None for the model's own")
         self.stops, self._randomize = stops, randomize
         self._advised, self._controlled = set() if advised is None else advised, controlled
+        self._fits_tick: dict[str, Arguments] = {}
         self._make_components(dyn_type, fsw_type, world_type, sat_args, world_args)
         self._make_tick()
         self._make_lookahead(horizon, segment, compat == "bsk_rl")
@@ -368,21 +369,28 @@ class Simulator:
             raise ValueError(f"the scenario draws {taken}, which are arguments of satellite or world; give them other names")
         for part in self.parts:
             part.check(values)
-        self._check_tick(values)
+        self._check_tick(values, bool(given))
         check_orbits(values, on_arc=self.orbit == "arc")
         return values
 
-    def _check_tick(self, values: dict[str, Any]) -> None:
-        """Check that arguments fit the length of a tick; what hardly does is logged once for each part of a model."""
+    def _check_tick(self, values: dict[str, Any], replaced: bool) -> None:
+        """Check that arguments fit the length of a tick; what hardly does is logged once for each part of a model.
+
+        Parts whose check reads no random argument are checked once, unless arguments of some satellites are ``replaced``.
+        """
         wrong = []
         for part in self.parts:
-            if part.slot == "control" and not self._controlled:
+            known = self._fits_tick.get(part.slot) is self.sat_args and not replaced
+            if known or (part.slot == "control" and not self._controlled):
                 continue
+            looked = _Looked(values)
             try:
-                words = part.check_tick(values, self.h_ns * NANO)
+                words = part.check_tick(looked, self.h_ns * NANO)
             except ValueError as error:
                 wrong.append(str(error))
                 continue
+            if not replaced and not any(self._arguments_with(name).is_random(name) for name in looked.seen):
+                self._fits_tick[part.slot] = self.sat_args
             if words and (self.columns, part.slot) not in self._advised:
                 self._advised.add((self.columns, part.slot))
                 logger.warning("sat_args: %s", words)
@@ -431,8 +439,11 @@ class Simulator:
         wrong = ~torch.isclose(saved.parameters.mT, own, rtol=CLOSE, atol=0.0, equal_nan=True)
         saved.refuse(f"{path}parameters", saved.parameters.mT, wrong, "it does not follow from the arguments of the satellite")
 
+    def _arguments_with(self, name: str) -> Arguments:
+        return self.sat_args if name in self.sat_args.table else self.world_args
+
     def _argument(self, name: str) -> Arg:
-        return (self.sat_args if name in self.sat_args.table else self.world_args).table[name]
+        return self._arguments_with(name).table[name]
 
     @functools.cached_property
     def _argument_bounds(self) -> tuple[Tensor, Tensor]:
