@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 
+import bsk_torch
 from bsk_torch import SatelliteTasking, act, obs, sats
 from bsk_torch.sim import dyn, fsw
 from bsk_torch.sim.fsw.stability import Law, is_stable, roots_within
@@ -137,3 +138,15 @@ def test_suggested_gains_are_stable(ratio, h):
     P, K1, Ki = 0.4 * 2.0 / h, 0.2 / h, 0.05 * 2.0 / h**2
     steering = Law(P * K1 - (J + 0.08) * K1 * K1 / 4.0, one(Ki * h * K1), one(P), one(Ki * h))
     assert bool(is_stable(steering, J, h)[0, 0])
+
+
+def test_fixed_gains_are_checked_once_and_changed_ones_again(caplog):
+    env = bsk_torch.make("NadirScan-v1", num_envs=2, seed=0, backend="eager")
+    env.reset()
+    assert "control" in env.simulator._fits_tick
+    assert "hub" not in env.simulator._fits_tick  # initial rates are random
+    assert "is not stable" not in caplog.text
+    env.set_sat_args({"P": 1e4})
+    env.reset()
+    assert "P=10000" in caplog.text
+    assert "is not stable" in caplog.text
