@@ -11,6 +11,7 @@ from typer.core import TyperGroup
 
 from bsk_torch.cli.evaluate import evaluate_policy
 from bsk_torch.cli.explain import explain_failures
+from bsk_torch.cli.kernels import build_kernels
 from bsk_torch.cli.publish import publish
 from bsk_torch.cli.report import report
 from bsk_torch.cli.schedule import show_schedule
@@ -69,6 +70,7 @@ def show_arguments(preset: Preset) -> None:
     typer.echo(f"sat_args\n{env.default_sat_args()!r}\n\nworld_args\n{env.default_world_args()!r}")
 
 
+app.command("build-kernels")(build_kernels)
 app.command("eval")(evaluate_policy)
 app.command("explain")(explain_failures)
 app.command("publish")(publish)

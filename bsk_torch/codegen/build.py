@@ -7,6 +7,7 @@ loaded.
 
 The vector instructions are those that torch's inductor chooses for this machine. ``BSK_TORCH_ISA`` names others: ``avx512``,
 ``avx2``, or ``default``, which means plain C++. It is meant for tests; the machine must have the named instructions.
+Kernels that were built for other machines, :mod:`bsk_torch.codegen.shipped`, are looked for before the cache.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ from typing import TYPE_CHECKING, Any
 import torch
 from torch import Tensor
 
+from bsk_torch.codegen import shipped
 from bsk_torch.codegen.cache import PRIVATE, build_folder, cache_folder, check_owner, read_trusted, sweep
 
 if TYPE_CHECKING:
@@ -48,7 +50,7 @@ ISAS = ("avx512", "avx2", "default")
 """Values of ``BSK_TORCH_ISA``."""
 
 LOADED: dict[str, ctypes.CDLL] = {}
-"""Libraries that this process has loaded, by their hash."""
+"""Libraries that this process has loaded, by the names of their files."""
 
 WITHOUT = 'backend="eager" needs no compiler, but is slower.'
 
@@ -86,15 +88,26 @@ def load(source: str, name: str) -> ctypes.CDLL:
     """Return the library of a kernel's source, compiled if the cache lacks it; ``name`` is its name in messages.
 
     Raises:
-        PermissionError: If others own the cache folder or may write to it.
+        FileNotFoundError: If a folder of shipped kernels is missing.
+        PermissionError: If others own the cache folder, or one of shipped kernels, or may write to it.
         RuntimeError: Without a compiler, or a cache folder that can be written to.
     """
-    parts = [source, HEADER.read_text(), *FLAGS, *SCHEDULING, torch.__version__, processor(), _chosen_isa()]
-    key = hashlib.sha256("\n".join(parts).encode()).hexdigest()[:32]
-    if key not in LOADED:
+    parts, target = [source, HEADER.read_text(), *FLAGS, *SCHEDULING, torch.__version__], shipped.BUILDING.get()
+    if target is not None:
+        path = target.folder / shipped.library_name(parts, target.isa)
+    else:
+        key = hashlib.sha256("\n".join([*parts, processor(), _chosen_isa()]).encode()).hexdigest()[:32]
         path = cache_folder() / f"{key}.so"
-        LOADED[key] = _kept(path) or _built(source, path, name)
-    return LOADED[key]
+    if path.name not in LOADED:
+        found = _shipped(parts) if target is None else None
+        LOADED[path.name] = found or _kept(path) or _built(source, path, name)
+    return LOADED[path.name]
+
+
+def _shipped(parts: list[str]) -> ctypes.CDLL | None:
+    """Return the library of a kernel from the folders of shipped ones, or None."""
+    isas = [chosen] if (chosen := _chosen_isa()) else shipped.can_run()
+    return next((library for path in shipped.candidates(parts, isas) if (library := _kept(path))), None)
 
 
 # -- building ----------------------------------------------------------------------------------------------------------------
@@ -166,7 +179,7 @@ def _build(source: str, path: Path, name: str, command: list[str]) -> None:
             raise RuntimeError(f"{command[0]} cannot compile the {name}:\n{complaint}\nThe source is kept in {kept}. {WITHOUT}")
         with library.open("ab") as file:
             file.write(_seal(library.read_bytes()))
-        library.chmod(PRIVATE)  # whatever the umask is
+        library.chmod(PRIVATE if shipped.BUILDING.get() is None else shipped.READABLE)  # whatever the umask is
         os.replace(library, path)
 
 
@@ -180,14 +193,27 @@ def _command(name: str) -> list[str]:
         choices = config.cpp.cxx if isinstance(config.cpp.cxx, list | tuple) else [config.cpp.cxx]
         wanted = " or ".join(str(choice) for choice in choices if choice)
         raise RuntimeError(
-            f"the {name} needs a C++ compiler, but {wanted} does not run here; install it or let CXX name another one. {WITHOUT}"
+            f"the {name} needs a C++ compiler, but {wanted} does not run here; install it or let CXX name another one"
+            f"{_not_shipped()}. {WITHOUT}"
         ) from error
     flags = [*FLAGS, *(SCHEDULING if cpp_builder.is_gcc() else ()), f"-I{shlex.quote(str(HEADER.parent))}"]
     options = cpp_builder.CppTorchOptions(vec_isa=_vector_isa(), extra_flags=flags, compiler=compiler)
-    return shlex.split(cpp_builder.CppBuilder("kernel", ["kernel.cpp"], options).get_command_line())
+    command = shlex.split(cpp_builder.CppBuilder("kernel", ["kernel.cpp"], options).get_command_line())
+    target = shipped.BUILDING.get()
+    return command if target is None else shipped.portable(command, target.isa)
+
+
+def _not_shipped() -> str:
+    """Return what to say of a kernel that the folders of shipped ones lack, if there are such folders."""
+    folders = os.environ.get(shipped.VARIABLE)
+    if not folders:
+        return f"; or let {shipped.VARIABLE} name a folder that 'bsk-torch build-kernels' has filled on another machine"
+    return f"; {shipped.VARIABLE}={folders} has none for this satellite, torch {torch.__version__} and {shipped.can_run()}"
 
 
 def _chosen_isa() -> str:
+    if (target := shipped.BUILDING.get()) is not None:
+        return target.isa
     chosen = os.environ.get("BSK_TORCH_ISA", "")
     if chosen not in ("", *ISAS):
         raise ValueError(f"BSK_TORCH_ISA={chosen} must be one of {', '.join(ISAS)}")
