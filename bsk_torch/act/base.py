@@ -208,6 +208,8 @@ class ActionBuilder:
             [k for k, entry in numbered if overrides(entry, Action, hook)] for hook in ("begin", "end", "mask")
         )
         self._all_legal = torch.ones_like(satellite.simulator.ticks, dtype=torch.bool).unsqueeze(1).expand(-1, self.n_actions)
+        longest = [LONGEST if k in self._fixed else torch.inf for k, size in enumerate(sizes) for _ in range(size)]
+        self._longest = torch.tensor(longest, dtype=torch.float64, device=self._all_legal.device)
         self._table, self._table_draws = cast("ActionTable | None", None), -1
         self._keys = self._shared_keys()
 
@@ -237,28 +239,38 @@ class ActionBuilder:
 
     def table(self) -> ActionTable:
         """Return the tables of all entries side by side; actions of entries without a table have infinite durations there."""
-        ticks, draws = self.satellite.simulator.ticks, self.satellite.simulator.state.arguments.version
+        draws = self.satellite.simulator.state.arguments.version
         if self._table is not None and self._table_draws == draws:
             return self._table
-        mode = torch.zeros(len(ticks), self.n_actions, dtype=torch.int64, device=ticks.device)
-        forever = torch.full_like(mode[0], torch.inf, dtype=torch.float64)
-        whole = ActionTable(mode, torch.zeros_like(forever, dtype=torch.bool), forever)
-        for k in self._fixed:
-            entry, columns = self.entries[k], slice(self._starts[k], self._starts[k] + self.entries[k].n_actions)
-            table = entry.table()
-            if not isinstance(table, ActionTable):
-                raise TypeError(f"{type(entry).__name__}.table() returns {table!r}; it must return an act.ActionTable")
-            for field, part, given in zip(ActionTable._fields, whole, table, strict=True):
-                wanted = part[..., columns]
-                check_tensor(f"{type(entry).__name__}.table().{field}", given, wanted.shape, wanted.dtype)
-                wanted.copy_(given)
-            if self._table is None and not bool((table.duration > 0.0).all()):  # once: a wait for the device
-                raise ValueError(
-                    f"{type(entry).__name__}.table().duration is {table.duration.tolist()}; it must be positive, in s"
-                )
-            forever[columns].clamp_(max=LONGEST)
+        tables = [self._checked_table(k) if k in self._fixed else self._open_table(k) for k in range(len(self.entries))]
+        mode, reset, duration = (torch.cat(parts, -1) for parts in zip(*tables, strict=True))
+        whole = ActionTable(mode, reset, duration.minimum(self._longest))
         self._table, self._table_draws = whole, draws  # a reset may draw other arguments, on which modes depend
         return whole
+
+    def _open_table(self, k: int) -> ActionTable:
+        """Return a table of the k-th entry for rows that :meth:`decide` fills in."""
+        forever = self._longest.new_full((self.entries[k].n_actions,), torch.inf)
+        mode = torch.zeros(len(self._all_legal), len(forever), dtype=torch.int64, device=forever.device)
+        return ActionTable(mode, torch.zeros_like(forever, dtype=torch.bool), forever)
+
+    def _checked_table(self, k: int) -> ActionTable:
+        """Return the table of the k-th entry.
+
+        Raises:
+            TypeError: For something else than a table, or fields of a wrong shape or dtype.
+            ValueError: For durations that are not positive.
+        """
+        entry, table = self.entries[k], self.entries[k].table()
+        if not isinstance(table, ActionTable):
+            raise TypeError(f"{type(entry).__name__}.table() returns {table!r}; it must return an act.ActionTable")
+        n = entry.n_actions
+        wanted = ((len(self._all_legal), n), torch.int64), ((n,), torch.bool), ((n,), torch.float64)
+        for field, given, (shape, dtype) in zip(ActionTable._fields, table, wanted, strict=True):
+            check_tensor(f"{type(entry).__name__}.table().{field}", given, shape, dtype)
+        if self._table is None and not bool((table.duration > 0.0).all()):  # once: a wait for the device
+            raise ValueError(f"{type(entry).__name__}.table().duration is {table.duration.tolist()}; it must be positive, in s")
+        return table
 
     def _rows_of(self, k: int, action: Tensor) -> Tensor:
         """Return in which rows ``action`` [N] belongs to the k-th entry, [N] bool."""

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from bsk_torch._checks import function
 from bsk_torch.data.base import GlobalReward, Log
+from bsk_torch.sim.readout.observables import observable
 
 if TYPE_CHECKING:
     from bsk_torch.scene.base import Scenario
@@ -45,6 +46,9 @@ class ScanningTimeReward(GlobalReward):
                     f"ScanningTimeReward needs a satellite that stores data, such as one with dyn.ContinuousImagingDynModel; "
                     f"{models} has no {name}"
                 )
+        for part in fleet.satellites:  # in the kernel that reads what is observed
+            level = getattr(type(part.dynamics), "storage_level", None)
+            part.simulator.observer.want([level.function] if isinstance(level, observable) else [])
 
     def read_log(self) -> Log:
         """See :meth:`GlobalReward.read_log`; data in the store, bit."""

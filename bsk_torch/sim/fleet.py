@@ -306,12 +306,13 @@ class Fleet:
                 self._fly_again(k, checkpoint, ran[k], ends)
         events: list[Tensor | None] = []
         for k, (simulator, start) in enumerate(zip(self.simulators, before, strict=True)):
-            cut = (ends >= left) & (ends > 0)  # the clock stops before events of the last tick are evaluated
             if start is None:
                 events.append(None)
                 if k not in ran:
                     simulator.run(simulator.state.of_env(ends))
-            elif k in ran:
+                continue
+            cut = (ends >= left) & (ends > 0)  # the clock stops before events of the last tick are evaluated
+            if k in ran:
                 events.append((simulator.events > start) & ~simulator.state.of_env(cut))
             else:
                 events.append(self._events_before_last_tick(simulator, ends, cut) > start)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -55,6 +55,14 @@ class ArgumentState(StateTable):
         return iter(self.places)
 
 
+class Clock(NamedTuple):
+    """Times since reset [rows], s, of a tensor of ticks, and how often both had been written to in place."""
+
+    ticks: Tensor
+    time: Tensor
+    versions: tuple[int, int]
+
+
 class SatelliteState(StateTable):
     """State of ``count`` satellites in each of ``num_envs`` episodes: satellite k of episode e is row ``e * count + k``.
 
@@ -102,6 +110,7 @@ class SatelliteState(StateTable):
         self.arguments, self.memory = ArgumentState(num_envs, count, device, numbers), StateTable(num_envs, count, device)
         self.add("arguments", self.arguments)
         self.add("memory", self.memory)
+        self._clock: Clock | None = None
         self._argument_planes: dict[tuple[str, ...], tuple[int, Tensor]] = {}
 
     # -- time ---------------------------------------------------------------------------------------------------------
@@ -119,7 +128,13 @@ class SatelliteState(StateTable):
     @property
     def sim_time(self) -> Tensor:
         """Time since reset, [rows] s, float64."""
-        return self.sim_time_ns.double() * NANO
+        ticks, clock = self.ticks, self._clock
+        if clock is None or clock.ticks is not ticks or clock.versions != (ticks._version, clock.time._version):
+            time = self.sim_time_ns.double() * NANO
+            if ticks.is_inference() or time.is_inference():  # which do not tell whether they were written to
+                return time
+            clock = self.__dict__["_clock"] = Clock(ticks, time, (ticks._version, time._version))
+        return clock.time
 
     # -- fields of the components --------------------------------------------------------------------------------------
 

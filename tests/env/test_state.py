@@ -43,6 +43,7 @@ DERIVED = {
     "_now": "the present on tensors",
     "_cache": "opportunities of the present decision",
     "_aims": "geometry of the present decision",
+    "_clock": "seconds of the ticks",
     "_argument_planes": "arguments as kernels read them",
     "_table": "fixed commands of actions",
     "_all_legal": "a constant",

@@ -5,6 +5,8 @@ from __future__ import annotations
 import pytest
 import torch
 
+import bsk_torch
+from bsk_torch.constants import NANO
 from bsk_torch.sim.state import StateTable, widened
 
 
@@ -181,3 +183,29 @@ def test_every_change_is_a_new_version(memory):
     assert versions == sorted(set(versions))
     memory["taken_any"], list(memory)
     assert memory.version == versions[-1]
+
+
+# -- clock ----------------------------------------------------------------------------------------------------------------------
+
+
+def test_the_time_follows_the_ticks_however_they_change():
+    env = bsk_torch.make("NadirScan-v1", num_envs=3, seed=0, backend="eager", max_step_duration=5.0)
+    env.reset()
+    state = env.simulator.state
+
+    def right():
+        return torch.equal(state.sim_time, state.sim_time_ns.double() * NANO) and env.simulator.sim_time is state.sim_time
+
+    assert right()
+    state.ticks = state.ticks + 3
+    assert right()
+    state.ticks[0] += 5
+    assert right()
+    state.sim_time.mul_(2.0)
+    assert right()
+    with torch.inference_mode():
+        state.ticks = state.ticks + 1
+        assert torch.equal(state.sim_time, state.sim_time_ns.double() * NANO)
+    assert torch.equal(state.sim_time, state.sim_time_ns.double() * NANO)
+    env.reset()
+    assert right()

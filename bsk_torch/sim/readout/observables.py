@@ -151,8 +151,8 @@ class Observer:
         self._version = -1  # of the state from which values were read
 
     def want(self, functions: Iterable[Function]) -> None:
-        """Set the functions that are read at every step, which one kernel then computes together."""
-        self.wanted, self._kernel = tuple(dict.fromkeys(functions)), None
+        """Add functions to those that are read at every step, which one kernel then computes together."""
+        self.wanted, self._kernel = tuple(dict.fromkeys((*self.wanted, *functions))), None
         self._values = {}
 
     def _forget_the_past(self) -> None:
