@@ -1,12 +1,13 @@
 """Speed and memory of this checkout beside another one, such as a release, without Basilisk.
 
 Usage:
-    python benchmarks/compare.py --base CHECKOUT [--only CASE ...] [--turns 5] [--seconds 5] [--out FILE.json]
+    python benchmarks/compare.py --base CHECKOUT [--only CASE ...] [--turns 5] [--processes 3] [--seconds 5] [--out FILE.json]
 
 Each checkout runs in a process of its own, through the public interface only, and plays the same random actions from the same
 seed. The base measures how many steps take ``--seconds``; a turn is that number of steps on both sides, one after the other, in
-alternating order. The work of a turn is the same if both simulate the same numbers, which the column ``same`` states:
-whether simulated seconds and ended episodes of every turn are equal. The ratio of a turn is base's CPU time divided by this
+alternating order. The same program differs by some percent from one process to the next, so several pairs of processes play.
+The work of a turn is the same if both simulate the same numbers, which the column ``same`` states: whether simulated seconds and
+ended episodes of every turn are equal. The ratio of a turn is base's CPU time divided by this
 checkout's; above 1, this checkout is faster. Memory is ``env.bytes_per_env`` and the growth of the process after the last turn.
 """
 
@@ -75,6 +76,10 @@ COLUMNS = {
 }
 
 
+Pair = dict[str, Turn]
+"""A turn of each checkout."""
+
+
 def serve(name: str, warm_up: int) -> None:
     """Play turns in this process: of ``seconds``, or of exactly ``steps``, as each line of input asks; the last one is empty."""
     answers = os.fdopen(os.dup(1), "w")
@@ -94,27 +99,35 @@ def serve(name: str, warm_up: int) -> None:
             print(json.dumps(turn._asdict()), file=answers, flush=True)
 
 
-def compare(name: str, base: Path, turns: int, seconds: float, warm_up: int) -> dict[str, Any]:
-    """The row of a case."""
+def play_pair(name: str, base: Path, turns: int, seconds: float, steps: int, warm_up: int) -> tuple[list[Pair], Pair]:
+    """Turns of a new process of each checkout, and their sizes; the base measures the steps of a turn if they are 0."""
     with ExitStack() as stack:
         command = [sys.executable, str(Path(__file__).resolve()), "--serve", name, "--warm-up", str(warm_up)]
         sides = {
             side: stack.enter_context(harness.other_process(command, PYTHONPATH=str(root)))
             for side, root in (("base", base), ("here", HERE))
         }
-        steps = sides["base"]({"seconds": seconds}).steps
+        steps = sides["base"]({"steps": steps} if steps else {"seconds": seconds}).steps
         sides["here"]({"steps": steps})
         order, pairs = ["base", "here"], []
         for _ in range(turns):
             pairs.append({side: sides[side]({"steps": steps}) for side in order})
             order.reverse()
-        memory = {side: play("memory") for side, play in sides.items()}
-    medians = {side: statistics.median(pair[side].cpu for pair in pairs) for side in sides}
+        return pairs, {side: play("memory") for side, play in sides.items()}
+
+
+def compare(name: str, base: Path, turns: int, seconds: float, warm_up: int, processes: int) -> dict[str, Any]:
+    """The row of a case."""
+    pairs, memory = play_pair(name, base, turns, seconds, 0, warm_up)
+    steps = pairs[0]["base"].steps
+    for _ in range(processes - 1):
+        pairs += play_pair(name, base, turns, seconds, steps, warm_up)[0]
+    medians = {side: statistics.median(pair[side].cpu for pair in pairs) for side in memory}
     ratios = [pair["base"].cpu / pair["here"].cpu for pair in pairs]
     return {
         "case": name,
         "steps": steps,
-        **{f"{side}_ms": 1e3 * medians[side] / steps for side in sides},
+        **{f"{side}_ms": 1e3 * medians[side] / steps for side in memory},
         "ratio": medians["base"] / medians["here"],
         "turn_low": min(ratios),
         "turn_high": max(ratios),
@@ -131,6 +144,7 @@ def main() -> None:
     """Measure and print a table, or play one side of it."""
     arguments = harness.parser(__doc__, turns=5, seconds=5.0)
     arguments.add_argument("--base", type=Path, metavar="CHECKOUT", help="folder of the other checkout")
+    arguments.add_argument("--processes", type=int, default=3, help="pairs of processes for each case, one after the other")
     arguments.add_argument("--only", nargs="+", choices=CASES, default=DEFAULT, metavar="CASE", help=", ".join(CASES))
     arguments.add_argument("--serve", choices=CASES, help="play turns of one case in this process: for this script's own use")
     options, described = harness.begin(arguments)
@@ -142,7 +156,7 @@ def main() -> None:
     rows = []
     for name in options.only:
         steps = CASES[name].steps if options.warm_up is None else options.warm_up
-        rows.append(compare(name, options.base.resolve(), options.turns, options.seconds, steps))
+        rows.append(compare(name, options.base.resolve(), options.turns, options.seconds, steps, options.processes))
         print(harness.cell("{case}: {ratio:.3f}", rows[-1]), flush=True)
     print(harness.table(COLUMNS, rows))
     harness.write(options, described, rows=rows)

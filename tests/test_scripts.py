@@ -34,7 +34,7 @@ class Start(NamedTuple):
 STARTS: dict[str, list[Start]] = {
     "benchmarks/breakdown.py": [Start("--batches 2 --seconds 0.1 --warm-up 1", r"\| scan \| 2 \| all \| [\d,.]+ \| 100.0 \|")],
     "benchmarks/compare.py": [
-        Start("--base {root} --only 1 --turns 1 --seconds 0.1 --warm-up 1", r"\| 1 \| \d+ \| .* \| True \|"),
+        Start("--base {root} --only 1 --turns 1 --processes 1 --seconds 0.1 --warm-up 1", r"\| 1 \| \d+ \| .* \| True \|"),
     ],
     "benchmarks/constellation.py": [
         Start("--satellites 1 2 --rows 2 --turns 1 --modes tasks", r"\| tasks \| 2 \| 1 \| [\d,]+ \|"),
