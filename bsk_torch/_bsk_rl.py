@@ -201,7 +201,7 @@ ADVICE: dict[str, str] = {name: advice for advice, names in GROUPS.items() for n
     "DynamicsModelABC": "is dyn.DynamicsModel here",
     "FSWModelABC": "is fsw.FSWModel here",
     "default_args": "declares arguments in bsk_rl; here a Component lists them, args=(Arg(name, default, unit, meaning),): see "
-    "'How to extend' in README.md",
+    "docs/how_to/own_component.md",
     "collect_default_args": "is default_sat_args() of a satellite class here",
     "check_aliveness_checkers": "is satellite.is_alive() here, and satellite.aliveness() for each check",
     "Resetable": "has four hooks in bsk_rl; here values of an episode are tensors that are declared once and start anew with it: "

@@ -668,7 +668,7 @@ def composed(rewarder: GlobalReward | Iterable[GlobalReward] | None) -> GlobalRe
     """Return a copy of the rewarder, or of the sum of several; TypeError for anything else."""
     if rewarder is None:
         return NoReward()
-    several = isinstance(rewarder, Iterable) and not isinstance(rewarder, type)
+    several = isinstance(rewarder, Iterable) and not isinstance(rewarder, type | str)
     listed: list[Any] = list(rewarder) if several else [rewarder]  # type: ignore[arg-type]
     for part in listed:
         if not isinstance(part, GlobalReward):

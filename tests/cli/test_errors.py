@@ -49,6 +49,7 @@ def folder(tmp_path, monkeypatch):
         ((*SCAN, "options.sat_args.foo=1"), "sat_args['foo'] is unknown"),
         ((*SCAN, "options.sat_args=[1]"), "sat_args=[1] must be a dictionary"),
         ((*SCAN, "options.scenario=5"), "scenario=5 must be a Scenario"),
+        ((*SCAN, "options.rewarder=Mine"), "rewarder='Mine' must be a rewarder"),
         ((*SCAN, "options.num_envs=5"), "the setting 'num_envs' decides that"),
         ((*SCAN, "preset=AEOS-v1"), "name it as the first argument"),
         ((*SCAN, "network=gru"), "name it as --network"),

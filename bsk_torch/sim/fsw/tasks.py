@@ -7,7 +7,7 @@ from typing import Any
 
 ADVICE = (
     "flight software is a Component with update(bus), listed in components of the model, and a row of its table modes, which "
-    "act.DiscreteFSWAction enters; see 'How to extend' in README.md"
+    "act.DiscreteFSWAction enters; see docs/how_to/own_fsw_mode.md"
 )
 
 

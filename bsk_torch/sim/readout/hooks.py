@@ -33,7 +33,7 @@ TABLES: dict[str, Table] = {
 
 COMPONENT = (
     "write a Component, from bsk_torch.sim.component, with args=, state= and update(bus), and list it in components "
-    "('How to extend' in README.md)"
+    "(docs/how_to/own_component.md)"
 )
 MESSAGES = f"messages are attributes of the bus that components share; {COMPONENT}"
 STATE = f"what starts anew with every episode is a Field in state= of a Component, with initial=; {COMPONENT}"

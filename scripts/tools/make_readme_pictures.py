@@ -1,0 +1,169 @@
+"""Make the pictures of README.md: a film of a trained policy, a thumbnail of every preset, and a plot of speed.
+
+    python scripts/tools/make_readme_pictures.py [film] [thumbnails] [speed]
+
+They are written to docs/_static/readme; all of them unless some are named. The film and the thumbnails show the pretrained
+policies, or a rule where there is none; the plot shows ``benchmarks/results/vs_basilisk.json`` and ``vs_basilisk_imaging.json``.
+Needs the extras ``viz`` and ``cities``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import matplotlib.pyplot as plt
+import torch
+from matplotlib.axes import Axes
+from PIL import Image
+
+from bsk_torch import make
+from bsk_torch.env import Tasking
+from bsk_torch.env.rollout import play_episodes
+from bsk_torch.presets import PRESETS
+from bsk_torch.rl.policies import makings, pretrained, pretrained_file, read_card
+from bsk_torch.rl.policies.shared_policy import shared, shared_baseline
+
+ROOT = Path(__file__).parents[2]
+FOLDER = ROOT / "docs" / "_static" / "readme"
+RESULTS = ROOT / "benchmarks" / "results"
+
+FILM_HEIGHT, FILM_STEP, FILM_TIME, FRAME_MS = 400, 20.0, 2400.0, 90
+"""Pixels from top to bottom, simulated seconds between two frames and in all, and milliseconds that a frame is shown."""
+
+COLORS = 64
+"""Colours of the film."""
+
+THUMBNAIL, THUMBNAIL_TIME, DAYLIGHT = 200, 1500.0, 0.35
+"""Width and height of a thumbnail, pixels; it shows the first decision after so many seconds at which the cosine of the Sun's
+zenith angle below the first satellite is so large."""
+
+ZOOM = 1.3
+"""How much larger a single satellite is shown."""
+
+FILM_SEED, THUMBNAIL_SEED = 3, 59
+"""Seeds of the episodes that are shown; the second one flies over Europe and Asia in daylight."""
+
+RULE = "hasty"
+"""The rule that acts where there is no pretrained policy."""
+
+INK, OURS, THEIRS = "#14171c", "#2a6ebb", "#98a2b3"
+
+
+def options_of(preset: str) -> dict[str, Any]:
+    """Return the options of the environment that the pretrained policy was trained in, without those of its training."""
+    if preset not in makings():
+        return {}
+    options = read_card(pretrained_file(preset))["options"]
+    return {name: value for name, value in options.items() if name != "time_limit"}
+
+
+def played(preset: str, seed: int, **options: Any) -> Iterator[Tasking]:
+    """Yield the environment of one episode at the reset and after each decision of the pretrained policy, or of the rule."""
+    env = make(preset, num_envs=1, seed=seed, **(options_of(preset) | options))
+    policy = shared(pretrained(preset), env) if preset in makings() else shared_baseline(RULE, env)
+    start = env.reset()
+    yield env
+    for _ in play_episodes(env, policy, start):
+        yield env
+
+
+def film(folder: Path) -> Path:
+    """Write ``film.gif``: twelve satellites in the environment Constellation-v1, with 1,000 targets."""
+    frames: list[Image.Image] = []
+    for env in played("Constellation-v1", FILM_SEED, n_targets=1000, max_step_duration=FILM_STEP, time_limit=FILM_TIME):
+        while float(env.fleet.sim_time[0]) >= FILM_STEP * len(frames):  # steps also end with tasks
+            frames.append(Image.fromarray(env.render(0, FILM_HEIGHT).numpy()))
+    palette = frames[len(frames) // 2].quantize(COLORS, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)
+    flat = [frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames]
+    path = folder / "film.gif"
+    flat[0].save(path, save_all=True, append_images=flat[1:], duration=FRAME_MS, loop=0, optimize=True)
+    return path
+
+
+def thumbnails(folder: Path) -> list[Path]:
+    """Write ``<preset>.png`` for every preset: the globe, without the panel beside it."""
+    return [thumbnail(preset, folder / f"{preset}.png") for preset in PRESETS]
+
+
+def thumbnail(preset: str, path: Path) -> Path:
+    """Write a thumbnail of a preset."""
+    env = next(filter(is_bright, played(preset, THUMBNAIL_SEED)))
+    frame = Image.fromarray(env.render(0, 4 * THUMBNAIL).numpy())
+    middle, half = frame.height / 2, frame.height / (2 * ZOOM if env.fleet.size == 1 else 2)
+    box = (middle - half, middle - half, middle + half, middle + half)
+    globe = frame.resize((THUMBNAIL, THUMBNAIL), Image.Resampling.LANCZOS, box)
+    globe.quantize(256, dither=Image.Dither.NONE).save(path, optimize=True)
+    return path
+
+
+def is_bright(env: Tasking) -> bool:
+    """Return whether an episode is in the moment that a thumbnail shows."""
+    position, sun = env.satellites[0].dynamics.r_BN_N[0], env.simulator.world.sun_direction_N[0]
+    return float(env.fleet.sim_time[0]) >= THUMBNAIL_TIME and float(position @ sun / position.norm()) > DAYLIGHT
+
+
+def speed(folder: Path) -> Path:
+    """Write ``speed.png``: simulated seconds per second of one core against the number of episodes, here and in Basilisk."""
+    plt.rcParams["font.size"] = 11
+    figure, panels = plt.subplots(1, 2, figsize=(9.0, 3.4), sharey=True, layout="constrained")
+    tasks = (
+        ("vs_basilisk.json", "4096-", "NadirScan-v1: scanning"),
+        ("vs_basilisk_imaging.json", "-float32", "AEOS-v1: 1,000 targets"),
+    )
+    for panel, (name, without, title) in zip(panels, tasks, strict=True):
+        rows = json.loads((RESULTS / name).read_text())["rows"]
+        plain = [row for row in rows if without not in row["case"] and row["case"] != "gymnasium"]
+        shown = sorted(plain, key=lambda row: row["batch"])
+        draw_speeds(panel, shown, title)
+    panels[0].set_ylabel("simulated seconds\nper core-second")
+    path = folder / "speed.png"
+    figure.savefig(path, dpi=110)
+    plt.close(figure)
+    return path
+
+
+def draw_speeds(panel: Axes, rows: list[dict[str, Any]], title: str) -> None:
+    """Draw the rates of ``rows`` and of Basilisk in the same turns, with the ratio at the largest batch."""
+    batches = [row["batch"] for row in rows]
+    theirs = sorted(row["basilisk_rate"] for row in rows)[len(rows) // 2]
+    panel.plot(batches, [row["rate"] for row in rows], "o-", color=OURS, label="bsk_torch")
+    panel.axhline(theirs, color=THEIRS, linestyle="--", label="BSK-RL on Basilisk, one episode")
+    last = rows[-1]
+    panel.annotate(
+        f"{last['ratio']:,.0f} times",
+        (last["batch"], last["rate"]),
+        textcoords="offset points",
+        xytext=(4, 8),
+        ha="right",
+        color=OURS,
+        weight="bold",
+    )
+    panel.set(xscale="log", yscale="log", xlabel="episodes at once", title=title, ylim=(2e3, 6e7))
+    panel.set_xticks(batches, [f"{batch:,}" for batch in batches])
+    panel.minorticks_off()
+    panel.grid(axis="y", color="#eaecf0")
+    panel.spines[["top", "right"]].set_visible(False)
+    panel.legend(loc="center right", frameon=False, fontsize=9)
+
+
+PICTURES: dict[str, Callable[[Path], Any]] = {"film": film, "thumbnails": thumbnails, "speed": speed}
+
+
+def main() -> None:
+    """Make the pictures that the command line names."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("pictures", nargs="*", choices=[[], *PICTURES], help="which pictures; all unless some are named")
+    parser.add_argument("--out", type=Path, default=FOLDER, help="folder of the pictures")
+    arguments = parser.parse_args()
+    torch.set_num_threads(1)
+    arguments.out.mkdir(parents=True, exist_ok=True)
+    for name in arguments.pictures or PICTURES:
+        print(PICTURES[name](arguments.out))
+
+
+if __name__ == "__main__":
+    main()
