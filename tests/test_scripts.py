@@ -76,6 +76,7 @@ STARTS: dict[str, list[Start]] = {
         Start("--num-envs 4 --steps 10 --time-limit 360 --rise 0.5", r"(?s)step 10: \d+ episodes.*nothing was built anew"),
     ],
     "scripts/demo.sh": [Start(f"{TRAIN} --out {{tmp}}/run", "trained")],
+    "scripts/tools/make_readme_pictures.py": [Start("speed --out .", "speed.png")],
     "scripts/tools/make_coastlines.py": [Start("{countries} --out land.geojson", "2 pieces of land", "coastlines")],
     "scripts/tools/make_tables.py": [Start("--samples --out .", "largest position error 0.49", "basilisk")],
     "scripts/tools/update_golden.py": [
@@ -110,6 +111,7 @@ ELSEWHERE = {
     "examples/ppo_sb3.py": "tests/test_clients.py",
     "examples/share_intent.py": "tests/test_clients.py",
     "scripts/test.sh": ".ci/run",
+    "scripts/tools/try_newest.sh": "tests/packaging/test_packages.py",
     "tests/basilisk/recorders/record_arguments.py": "tests/test_scripts.py",
     **{f"tests/basilisk/recorders/{script}.py": "tests/test_scripts.py" for script in RECORDED},
 }

@@ -93,3 +93,20 @@ def test_all_extras_that_fit_together_are_in_all():
 
 def test_the_image_is_described_as_the_linter_wants_it():
     run(str(Path(sys.executable).with_name("hadolint")), "Dockerfile", cwd=ROOT)
+
+
+def test_the_newest_versions_are_tried_by_a_script(tmp_path):
+    """With a Python that only notes what it is asked to do: the true one would download gigabytes."""
+    python = tmp_path / "bin" / "python"
+    python.parent.mkdir()
+    python.write_text(
+        '#!/bin/sh\necho "$*" >> "$0.log"\ncase "$*" in *pytest\\ -q*) echo "7 passed";; -c*) echo "2 | 1 | 1";; esac\n'
+    )
+    python.chmod(0o755)
+    row = run(
+        str(ROOT / "scripts" / "tools" / "try_newest.sh"), "tests/some.py", env={"PATH": "/usr/bin:/bin", "VENV": str(tmp_path)}
+    )
+    assert row.splitlines()[-1].endswith("| 2 | 1 | 1 | 7 passed |")
+    asked = Path(f"{python}.log").read_text()
+    assert "pip install -q --upgrade torch torchrl tensordict" in asked
+    assert "pytest -q tests/some.py" in asked
