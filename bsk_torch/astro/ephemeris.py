@@ -30,6 +30,17 @@ from torch import Tensor
 
 from bsk_torch.astro.epochs import read_epoch
 
+__all__ = [
+    "coverage",
+    "coverage_in_words",
+    "earth_angles",
+    "earth_orientation",
+    "earth_orientation_rate",
+    "parse_utc",
+    "sun_position",
+    "sun_state",
+]
+
 _Array = NDArray[np.float64]
 
 DAY = 86400.0

@@ -25,6 +25,8 @@ from bsk_torch.viz.figures.style import FAINT, INK, PALETTE, caption, dot, headl
 from bsk_torch.viz.figures.timeline import HOUR, plain, spacing
 from bsk_torch.viz.figures.world import pieces, world_map
 
+__all__ = ["ConstellationEpisode", "constellation_figure"]
+
 TAIL = 900.0
 """Seconds of flight that are drawn bold before the moment that the map shows."""
 

@@ -1,0 +1,94 @@
+"""The public names of bsk_torch: what ``__all__`` of the modules in ``docs/api/modules.txt`` lists."""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+TABLE = Path(__file__).parents[1] / "api" / "modules.txt"
+
+
+@dataclass(frozen=True)
+class Name:
+    """A public name: the module that has its page, and what it is."""
+
+    module: str
+    name: str
+    value: Any
+
+    @property
+    def full(self) -> str:
+        """Name with its module."""
+        return f"{self.module}.{self.name}"
+
+    @property
+    def kind(self) -> str:
+        """``module``, ``class``, ``function`` or ``data``."""
+        if inspect.ismodule(self.value):
+            return "module"
+        if inspect.isclass(self.value):
+            return "class"
+        return "function" if inspect.isroutine(self.value) else "data"
+
+    @property
+    def members(self) -> list[str]:
+        """Public attributes that a class defines itself, with docstrings of their own."""
+        found = []
+        for name, value in vars(self.value).items():
+            function = value.fget if isinstance(value, property) else getattr(value, "__func__", value)
+            if not name.startswith("_") and (inspect.isroutine(function) or hasattr(type(value), "__get__")):
+                found += [name] if inspect.getdoc(value) else []
+        return found
+
+
+@dataclass(frozen=True)
+class Module:
+    """A public module: the names with a page here, and those that have theirs under another module."""
+
+    name: str
+    own: list[Name] = field(default_factory=list)
+    others: list[Name] = field(default_factory=list)
+
+    @property
+    def summary(self) -> str:
+        """First sentence of its docstring."""
+        return (inspect.getdoc(importlib.import_module(self.name)) or "").partition("\n")[0]
+
+    def of(self, kind: str) -> list[Name]:
+        """Own names of a kind."""
+        return [name for name in self.own if name.kind == kind]
+
+
+def sections(table: Path = TABLE) -> dict[str, list[Module]]:
+    """Return the modules by section, as ``docs/api/modules.txt`` has them."""
+    found: dict[str, list[Module]] = {}
+    first: dict[int, Name] = {}
+    for line in (line.strip() for line in table.read_text().splitlines()):
+        if line.startswith("["):
+            found[line.strip("[]")] = []
+        elif line and not line.startswith("#"):
+            found[list(found)[-1]].append(_read(line, first))
+    return found
+
+
+def modules() -> Iterator[Module]:
+    """Yield all modules."""
+    for group in sections().values():
+        yield from group
+
+
+def _read(module: str, first: dict[int, Name]) -> Module:
+    loaded = importlib.import_module(module)
+    entry = Module(module)
+    for name in loaded.__all__:
+        item = Name(module, name, getattr(loaded, name))
+        if item.kind in ("class", "function") and id(item.value) in first:
+            entry.others.append(first[id(item.value)])
+        else:
+            first.setdefault(id(item.value), item)
+            entry.own.append(item)
+    return entry
