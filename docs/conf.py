@@ -20,7 +20,7 @@ QUICK = bool(os.environ.get("BSK_TORCH_DOCS_QUICK"))
 
 project = "bsk_torch"
 author = "the authors of bsk_torch"
-copyright = "the authors of bsk_torch, MIT licence"  # noqa: A001 - Sphinx's name
+copyright = "the authors of bsk_torch, MIT licence"
 version = release = bsk_torch.__version__
 
 extensions = [

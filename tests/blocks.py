@@ -21,6 +21,7 @@ SHORT = {
     "report": "--episodes 3",
     "list": "",
     "schedule": "",
+    "explain": "--seeds 0:1",
     "args": "",
     "examples/share_intent.py": "--minutes 0.02 --episodes 2 --time-limit 300",
 }

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import ast
 import importlib
 import inspect
+import itertools
+import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 TABLE = Path(__file__).parents[1] / "api" / "modules.txt"
@@ -35,6 +39,14 @@ class Name:
         return "function" if inspect.isroutine(self.value) else "data"
 
     @property
+    def documentation(self) -> str:
+        """Docstring; that of data is the string after its assignment, in the module that has one."""
+        if self.kind != "data":
+            return inspect.getdoc(self.value) or ""
+        found = (_after_assignment(module, self) for module in list(sys.modules.values()))
+        return next(filter(None, found), "")
+
+    @property
     def members(self) -> list[str]:
         """Public attributes that a class defines itself, with docstrings of their own."""
         found = []
@@ -61,6 +73,19 @@ class Module:
     def of(self, kind: str) -> list[Name]:
         """Own names of a kind."""
         return [name for name in self.own if name.kind == kind]
+
+
+def _after_assignment(module: ModuleType, name: Name) -> str:
+    """Return the string after the assignment of a name in a module of the package, or nothing."""
+    if not (getattr(module, "__name__", "").startswith("bsk_torch") and vars(module).get(name.name, module) is name.value):
+        return ""
+    body = ast.parse(inspect.getsource(module)).body
+    for statement, following in itertools.pairwise(body):
+        targets = statement.targets if isinstance(statement, ast.Assign) else [getattr(statement, "target", None)]
+        if any(isinstance(target, ast.Name) and target.id == name.name for target in targets):
+            text = following.value if isinstance(following, ast.Expr) else None
+            return inspect.cleandoc(text.value) if isinstance(text, ast.Constant) and isinstance(text.value, str) else ""
+    return ""
 
 
 def sections(table: Path = TABLE) -> dict[str, list[Module]]:

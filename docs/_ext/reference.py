@@ -1,9 +1,10 @@
-"""Writes the pages of the API reference from docstrings: one for each public module, with tables first, and one for each class."""
+"""Writes the pages of the API reference from docstrings: one for each public module, tables first, and one for each class."""
 
 from __future__ import annotations
 
 import builtins
 import inspect
+from collections.abc import Mapping
 from pathlib import Path
 
 from docutils import nodes
@@ -30,6 +31,9 @@ EXTERNAL |= {"tensordict", "torch", "torchrl", "typing", "benchmarl", "ray", "ar
 
 FOLDER = "reference"
 """Folder of the pages within ``docs/api``; git ignores it."""
+
+SHORT_VALUE = 60
+"""Characters of a value that is shown."""
 
 TABLED = 4
 """From so many members on, the page of a class begins with a table of them."""
@@ -87,11 +91,12 @@ def index() -> str:
 def module_page(module: Module) -> str:
     """Return the page of a module."""
     text = [title(f"``{module.name}``"), f".. automodule:: {module.name}\n", f".. currentmodule:: {module.name}\n"]
-    submodules = [(f":doc:`{n.value.__name__} <{n.value.__name__}>`", first_line(n.value)) for n in module.of("module")]
+    submodules = [(f":doc:`{n.value.__name__} <{n.value.__name__}>`", first_line(n.documentation)) for n in module.of("module")]
     tables = {
         "Modules": submodules,
         "Classes": [row(name) for name in module.of("class")],
         "Functions": [row(name) for name in module.of("function")],
+        "Data": [row(name) for name in module.of("data")],
         "Elsewhere": [row(name, name.full) for name in module.others],
     }
     for heading, rows in tables.items():
@@ -101,8 +106,7 @@ def module_page(module: Module) -> str:
         text += [toctree([name.full for name in module.of("class")])]
     for name in module.of("function"):
         text += [f".. autofunction:: {name.full}\n"]
-    for name in module.of("data"):
-        text += [f".. autodata:: {name.full}\n   :no-value:\n" if is_long(name) else f".. autodata:: {name.full}\n"]
+    text += [data(name) for name in module.of("data")]
     return "\n".join(text)
 
 
@@ -110,7 +114,10 @@ def class_page(name: Name) -> str:
     """Return the page of a class: a table of its members where there are some, then everything in full."""
     text = [title(f"``{name.name}``"), f".. currentmodule:: {name.module}\n"]
     if len(name.members) >= TABLED:
-        rows = [(f":py:obj:`{m} <{name.full}.{m}>`", first_line(inspect.getattr_static(name.value, m))) for m in name.members]
+        rows = [
+            (f":py:obj:`{m} <{name.full}.{m}>`", first_line(inspect.getdoc(inspect.getattr_static(name.value, m)) or ""))
+            for m in name.members
+        ]
         text += [f".. rubric:: Members of {name.name}\n", listing(rows)]
     text += [f".. autoclass:: {name.full}\n   :members:\n   :show-inheritance:\n"]
     return "\n".join(text)
@@ -118,18 +125,22 @@ def class_page(name: Name) -> str:
 
 def row(name: Name, shown: str = "") -> tuple[str, str]:
     """Return link and first sentence of a name."""
-    return f":py:obj:`{shown or name.name} <{name.full}>`", first_line(name.value)
+    return f":py:obj:`{shown or name.name} <{name.full}>`", first_line(name.documentation)
 
 
-def first_line(value: object) -> str:
+def first_line(documentation: str) -> str:
     """Return the first sentence of a docstring."""
-    text = (inspect.getdoc(value) or "").partition("\n\n")[0].replace("\n", " ")
+    text = documentation.partition("\n\n")[0].replace("\n", " ")
     return text.partition(". ")[0].rstrip(".") + "." if text else ""
 
 
-def is_long(name: Name) -> bool:
-    """Return whether a value is no one-liner."""
-    return len(repr(name.value)) > 80
+def data(name: Name) -> str:
+    """Return the entry of a constant or a table, whose value is shown where it is short."""
+    value = repr(name.value)
+    keys = [f"``{key}``" for key in name.value] if isinstance(name.value, Mapping) else []
+    shown = [f"   :value: {value}"] if len(value) <= SHORT_VALUE else []
+    parts = [f".. py:data:: {name.full}", *shown, "", *(f"   {line}" for line in name.documentation.splitlines()), ""]
+    return "\n".join([*parts, f"   Keys: {', '.join(keys)}\n" if keys else ""])
 
 
 def title(text: str, line: str = "=") -> str:

@@ -1,18 +1,12 @@
-"""Markdown made when the site is built, from benchmarks' results and from the package itself."""
+"""What pages can ask for with ``<!-- generated: NAME ARGUMENTS -->``; see ``generated.py``."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
 
-DOCS = Path(__file__).parents[1]
+import listings
+import results
+import truth
 
-
-def toctree(*entries: str) -> str:
-    """Return a hidden toctree of those pages that exist."""
-    found = [entry for entry in entries if any((DOCS / f"{entry}.{suffix}").exists() for suffix in ("md", "rst"))]
-    return "\n".join(["```{toctree}", ":hidden:", "", *found, "```"])
-
-
-TABLES: dict[str, Callable[..., str]] = {"toctree": toctree}
-"""Functions by the name that pages use; see ``generated.py``."""
+TABLES: dict[str, Callable[..., str]] = {**listings.TABLES, **results.TABLES, **truth.TABLES}
+"""Functions that return Markdown, by name."""

@@ -82,7 +82,7 @@ class ConstellationEpisode:
         task_satellite: Which satellite did each of M tasks, [M] int64.
         task_spans: When it began and ended, [M, 2].
         task_kind: What it was, a number of ``task_names``, [M] int64.
-        task_names: Names of tasks, such as "image", "charge" and "drift"; a prefix "action_" is dropped.
+        task_names: Names of tasks, such as "image", "charge" and "drift"; a prefix ``action_`` is dropped.
         deaths: When each satellite died, infinite for survivors, [S]; None: all survived. Tracks, tasks and
             contacts are drawn until then.
     """
