@@ -37,7 +37,7 @@ extensions = [
     "reference",
     "generated",
 ]
-exclude_patterns = ["_build", "tutorials/*.rst", "**/README.md", "drawings/README.md", "**/sg_execution_times.rst"]
+exclude_patterns = ["_build", "tutorials/*.rst", "**/README.md", "**/sg_execution_times.rst"]
 source_suffix = {".md": "markdown", ".rst": "restructuredtext"}
 nitpicky = True
 suppress_warnings = ["config.cache"]  # settings hold functions
@@ -54,6 +54,7 @@ napoleon_use_ivar = True
 autodoc_typehints = "description"
 autodoc_typehints_description_target = "documented"
 autodoc_typehints_format = "short"
+autoclass_content = "both"  # arguments are described where __init__ is
 autodoc_member_order = "bysource"
 autosummary_generate = False
 add_module_names = False
@@ -72,9 +73,9 @@ sphinx_gallery_conf = galleries.settings(HERE, ROOT, execute=not QUICK)
 html_theme = "furo"
 html_title = f"bsk_torch {version}"
 html_static_path = ["_static"]
+html_favicon = "_static/favicon.svg"
 html_css_files = ["site.css"]
 html_baseurl = os.environ.get("BSK_TORCH_DOCS_URL", "http://localhost:8000/")
-html_extra_path = []
 html_show_sphinx = False
 sitemap_url_scheme = "{link}"
 sitemap_show_lastmod = False

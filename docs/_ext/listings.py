@@ -5,11 +5,12 @@ from __future__ import annotations
 import importlib
 import inspect
 import math
+import re
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from markdown import block, code, table
+from markdown import block, code, plain, table
 
 DOCS = Path(__file__).parents[1]
 
@@ -111,12 +112,13 @@ def anchor(name: str) -> str:
 
 
 def about(name: str) -> str:
-    """Return what a preset is about: the first line of its function, or of its module."""
-    from bsk_torch.presets import PRESETS
-
-    docs = (PRESETS[name].__doc__ or "", importlib.import_module(PRESETS[name].__module__).__doc__ or "")
-    lines = [doc.partition("\n")[0] for doc in docs]
-    return (lines[0] if lines[0].startswith(f"{name}:") else lines[1]).removeprefix(f"{name}:").strip()
+    """Return what a preset is about, from the table in the docstring of ``bsk_torch.presets``."""
+    found = re.search(
+        rf"^``{re.escape(name)}``\s+``\S+``\s+(.+)$", importlib.import_module("bsk_torch.presets").__doc__ or "", re.M
+    )
+    if found is None:
+        raise ValueError(f"the docstring of bsk_torch.presets has no row for {name}")
+    return found[1]
 
 
 def options(preset: Any) -> str:
@@ -167,7 +169,7 @@ def value(default: Any) -> str:
     if isinstance(default, tuple) and default and isinstance(default[0], dict):
         return f"{len(default)} stations"
     if isinstance(default, float):
-        return code(f"{default:g}")
+        return code(plain(default))
     text = " ".join(str(default).split())
     return code(text) if len(text) <= 60 else f"{code(text[:57])} ..."
 
@@ -178,7 +180,7 @@ def bounds(arg: Any) -> str:
         return ", ".join(code(repr(choice)) for choice in arg.choices)
     if (arg.low, arg.high) == (-math.inf, math.inf):
         return "-"
-    return f"{arg.low:g} to {arg.high:g}"
+    return f"{plain(arg.low)} to {plain(arg.high)}"
 
 
 def schedule() -> str:

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
+WIDEST = 88
+"""Characters of a line of code that a page of 1280 pixels shows."""
+
 
 def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     """Return a table; a cell without anything is an error."""
@@ -37,6 +40,24 @@ def whole(value: float) -> str:
     return f"{value:,.0f}"
 
 
-def digits(value: float, count: int = 2) -> str:
-    """Return a number with at least ``count`` significant digits, without powers of ten."""
-    return whole(value) if abs(value) >= 10**count else f"{value:.{count}g}"
+def digits(value: float) -> str:
+    """Return a number with at least two significant digits, without powers of ten."""
+    return f"{value:.1f}" if abs(value) < 10 else whole(value)
+
+
+def plain(value: float) -> str:
+    """Return a number in the shortest form, such as 1e-6."""
+    mantissa, _, exponent = f"{value:g}".partition("e")
+    return f"{mantissa}e{int(exponent)}" if exponent else mantissa
+
+
+def command(words: Sequence[str]) -> str:
+    """Return a block with a command, which goes on in further lines where it is long."""
+    lines = [words[0]]
+    for word in words[1:]:
+        if len(lines[-1]) + len(word) > WIDEST:
+            lines[-1] += " \\"
+            lines.append(f"    {word}")
+        else:
+            lines[-1] += f" {word}"
+    return block("\n".join(lines))

@@ -9,6 +9,7 @@ import itertools
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -75,11 +76,16 @@ class Module:
         return [name for name in self.own if name.kind == kind]
 
 
+@cache
+def _statements(module: ModuleType) -> list[ast.stmt]:
+    return ast.parse(inspect.getsource(module)).body
+
+
 def _after_assignment(module: ModuleType, name: Name) -> str:
     """Return the string after the assignment of a name in a module of the package, or nothing."""
     if not (getattr(module, "__name__", "").startswith("bsk_torch") and vars(module).get(name.name, module) is name.value):
         return ""
-    body = ast.parse(inspect.getsource(module)).body
+    body = _statements(module)
     for statement, following in itertools.pairwise(body):
         targets = statement.targets if isinstance(statement, ast.Assign) else [getattr(statement, "target", None)]
         if any(isinstance(target, ast.Name) and target.id == name.name for target in targets):

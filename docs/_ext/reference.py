@@ -102,8 +102,6 @@ def module_page(module: Module) -> str:
     for heading, rows in tables.items():
         if rows:
             text += [f".. rubric:: {heading}\n", listing(rows)]
-    if module.of("class"):
-        text += [toctree([name.full for name in module.of("class")])]
     for name in module.of("function"):
         text += [f".. autofunction:: {name.full}\n"]
     text += [data(name) for name in module.of("data")]
@@ -111,8 +109,11 @@ def module_page(module: Module) -> str:
 
 
 def class_page(name: Name) -> str:
-    """Return the page of a class: a table of its members where there are some, then everything in full."""
-    text = [title(f"``{name.name}``"), f".. currentmodule:: {name.module}\n"]
+    """Return the page of a class: a table of its members where there are some, then everything in full.
+
+    It is no entry of the menu, which would be long and slow to build; the page of its module leads there.
+    """
+    text = [":orphan:\n", title(f"``{name.name}``"), f"Part of :doc:`{name.module}`.\n", f".. currentmodule:: {name.module}\n"]
     if len(name.members) >= TABLED:
         rows = [
             (f":py:obj:`{m} <{name.full}.{m}>`", first_line(inspect.getdoc(inspect.getattr_static(name.value, m)) or ""))

@@ -8,7 +8,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from markdown import block, code, digits, short, table, whole
+from markdown import block, code, command, digits, short, table, whole
 
 ROOT = Path(__file__).parents[2]
 RESULTS = ROOT / "benchmarks" / "results"
@@ -43,17 +43,17 @@ def load(name: str) -> dict[str, Any]:
 def made(name: str) -> str:
     """Return the command that writes a result, and what it ran on."""
     result = load(name)
-    command = [f"python benchmarks/{SCRIPTS.get(name, name)}.py"]
+    words = [f"python benchmarks/{SCRIPTS.get(name, name)}.py"]
     for option, value in result["options"].items():
         if option in ("out", "basilisk"):
             value = {"out": f"benchmarks/results/{name}.json", "basilisk": "PYTHON"}[option]
         if value is not None:
-            words = [str(v) for v in value] if isinstance(value, list) else [str(value)]
-            command += [f"--{option.replace('_', '-')} {' '.join(quoted(word) for word in words)}"]
+            values = [str(v) for v in value] if isinstance(value, list) else [str(value)]
+            words += [f"--{option.replace('_', '-')} {' '.join(quoted(text) for text in values)}"]
     where = result["machine"]
     place = f"One thread on a virtual machine with {where['cores']} cores ({where['processor']}, {where['capability']})"
     versions = f"torch {where['torch']}, TorchRL {where['torchrl']}, Python {where['python']}"
-    return f"{block(' '.join(command))}\n\n{place}, {versions}, commit `{where['commit']}`.\n"
+    return f"{command(words)}\n\n{place}, {versions}, commit `{where['commit']}`.\n"
 
 
 def quoted(word: str) -> str:
@@ -213,8 +213,9 @@ def failures() -> str:
         ["starts tried with a fixed sequence of actions", whole(starts["seeds"][1] - starts["seeds"][0])],
         ["starts that it survived", whole(starts["survived"])],
     ]
-    command = f"bsk-torch explain pretrained --preset NadirScan-v1 --seeds {found['seeds'][0]}:{found['seeds'][1]}"
-    return f"{table(['quantity', 'value'], rows)}\n\n{block(command + ' --out benchmarks/results/failures_nadir_scan.json')}\n"
+    seeds = f"--seeds {found['seeds'][0]}:{found['seeds'][1]}"
+    words = ["bsk-torch explain pretrained", "--preset NadirScan-v1", seeds, "--out benchmarks/results/failures_nadir_scan.json"]
+    return f"{table(['quantity', 'value'], rows)}\n\n{command(words)}\n"
 
 
 def pretrained() -> str:

@@ -96,6 +96,7 @@ def cases() -> list[Case]:
 def described(case: Case) -> dict[str, Any]:
     """Replay one recording and return its entry."""
     largest, exact = case.play()
+    exact = {name: bool(value) for name, value in exact.items()}
     return {"group": case.group, "recording": case.recording, "bounds": case.bounds, "largest": largest, "exact": exact}
 
 

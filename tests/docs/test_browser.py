@@ -22,7 +22,7 @@ READABLE = 3.0
 SHOWN = (
     "index.html",
     "truth/scanning.html",
-    "studies/scanning.html",
+    "studies/paper_result.html",
     "api/presets.html",
     "api/reference/bsk_torch.act.Image.html",
 )
