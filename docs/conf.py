@@ -8,12 +8,10 @@ from pathlib import Path
 
 HERE = Path(__file__).parent
 ROOT = HERE.parent
-sys.path[:0] = [str(HERE / "_ext"), str(ROOT)]
-
-import galleries  # noqa: E402
-import inventories  # noqa: E402
+sys.path.insert(0, str(ROOT))
 
 import bsk_torch  # noqa: E402
+from docs._ext import galleries, inventories  # noqa: E402
 
 QUICK = bool(os.environ.get("BSK_TORCH_DOCS_QUICK"))
 """Whether tutorials are shown without being run."""
@@ -33,9 +31,9 @@ extensions = [
     "sphinx_design",
     "sphinx_sitemap",
     "sphinx_llms_txt",
-    "mathml",
-    "reference",
-    "generated",
+    "docs._ext.mathml",
+    "docs._ext.reference",
+    "docs._ext.generated",
 ]
 exclude_patterns = ["_build", "tutorials/*.rst", "**/README.md", "**/sg_execution_times.rst"]
 source_suffix = {".md": "markdown", ".rst": "restructuredtext"}

@@ -5,9 +5,10 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-import tables
 from sphinx.application import Sphinx
 from sphinx.util.typing import ExtensionMetadata
+
+from docs._ext import tables
 
 MARK = re.compile(r"^<!-- generated: (\w+) *(.*?) -->$", re.MULTILINE)
 

@@ -10,7 +10,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from markdown import block, code, plain, table
+from docs._ext.markdown import block, code, plain, table
 
 DOCS = Path(__file__).parents[1]
 

@@ -97,7 +97,7 @@ def _after_assignment(module: ModuleType, name: Name) -> str:
 def sections(table: Path = TABLE) -> dict[str, list[Module]]:
     """Return the modules by section, as ``docs/api/modules.txt`` has them."""
     found: dict[str, list[Module]] = {}
-    first: dict[int, Name] = {}
+    first: dict[tuple[str, int], Name] = {}
     for line in (line.strip() for line in table.read_text().splitlines()):
         if line.startswith("["):
             found[line.strip("[]")] = []
@@ -112,14 +112,11 @@ def modules() -> Iterator[Module]:
         yield from group
 
 
-def _read(module: str, first: dict[int, Name]) -> Module:
+def _read(module: str, first: dict[tuple[str, int], Name]) -> Module:
     loaded = importlib.import_module(module)
     entry = Module(module)
     for name in loaded.__all__:
         item = Name(module, name, getattr(loaded, name))
-        if item.kind in ("class", "function") and id(item.value) in first:
-            entry.others.append(first[id(item.value)])
-        else:
-            first.setdefault(id(item.value), item)
-            entry.own.append(item)
+        before = first.setdefault((name, id(item.value)), item)
+        (entry.own if before is item else entry.others).append(before)
     return entry

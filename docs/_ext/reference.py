@@ -8,11 +8,12 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from docutils import nodes
-from public import Module, Name, sections
 from sphinx import addnodes
 from sphinx.application import Sphinx
 from sphinx.environment import BuildEnvironment
 from sphinx.util.typing import ExtensionMetadata
+
+from docs._ext.public import Module, Name, sections
 
 EXTERNAL = {
     "collections",
@@ -140,7 +141,7 @@ def data(name: Name) -> str:
     value = repr(name.value)
     keys = [f"``{key}``" for key in name.value] if isinstance(name.value, Mapping) else []
     shown = [f"   :value: {value}"] if len(value) <= SHORT_VALUE else []
-    parts = [f".. py:data:: {name.full}", *shown, "", *(f"   {line}" for line in name.documentation.splitlines()), ""]
+    parts = [f".. py:data:: {name.name}", *shown, "", *(f"   {line}" for line in name.documentation.splitlines()), ""]
     return "\n".join([*parts, f"   Keys: {', '.join(keys)}\n" if keys else ""])
 
 

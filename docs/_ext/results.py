@@ -8,7 +8,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from markdown import block, code, command, digits, short, table, whole
+from docs._ext.markdown import block, code, command, digits, short, table, whole
 
 ROOT = Path(__file__).parents[2]
 RESULTS = ROOT / "benchmarks" / "results"

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-import listings
-import results
-import truth
+from docs._ext import listings, results, truth
 
 TABLES: dict[str, Callable[..., str]] = {**listings.TABLES, **results.TABLES, **truth.TABLES}
 """Functions that return Markdown, by name."""

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from markdown import block, code, short, table
-from results import load
+from docs._ext.markdown import block, code, short, table
+from docs._ext.results import load
 
 QUANTITIES = {
     "time": ("end of steps", "s"),

@@ -8,8 +8,6 @@ import pytest
 
 from tests.blocks import ROOT
 
-sys.path.insert(0, str(ROOT / "docs" / "_ext"))
-
 
 @pytest.fixture(scope="session")
 def site(tmp_path_factory):

@@ -31,8 +31,9 @@ def packages():
 
 
 def test_every_public_name_is_in_the_reference(site):
-    import public
     import sphobjinv
+
+    from docs._ext import public
 
     entries = {entry.name for entry in sphobjinv.Inventory(str(site / "objects.inv")).objects if entry.domain == "py"}
     names = [name for module in public.modules() for name in module.own if name.kind != "module"]
@@ -41,13 +42,13 @@ def test_every_public_name_is_in_the_reference(site):
 
 
 def test_public_names_have_docstrings():
-    import public
+    from docs._ext import public
 
     assert not [name.full for module in public.modules() for name in module.own if not name.documentation]
 
 
 def test_modules_have_what_they_list():
-    import public
+    from docs._ext import public
 
     for module in public.modules():
         loaded = importlib.import_module(module.name)
@@ -56,15 +57,16 @@ def test_modules_have_what_they_list():
 
 
 def test_no_package_is_forgotten():
-    import public
+    from docs._ext import public
 
     listed = {module.name for module in public.modules()} | UNLISTED
     assert not [name for name in packages() if name not in listed]
 
 
 def test_members_of_classes_have_entries(site):
-    import public
     import sphobjinv
+
+    from docs._ext import public
 
     entries = {entry.name for entry in sphobjinv.Inventory(str(site / "objects.inv")).objects if entry.domain == "py"}
     classes = [name for module in public.modules() for name in module.of("class")]
@@ -76,7 +78,7 @@ def test_members_of_classes_have_entries(site):
 @pytest.mark.parametrize("table", sorted((ROOT / "docs" / "inventories").glob("*.txt")), ids=lambda table: table.stem)
 def test_tables_of_other_projects_name_what_exists(table):
     """So that a name which another project drops is noticed; the build's warnings show names that a table lacks."""
-    import inventories
+    from docs._ext import inventories
 
     address, rows = inventories.read(table)
     assert address.startswith("https://")

@@ -93,7 +93,7 @@ def test_versions_lie_side_by_side(site, tmp_path):
 
 
 def test_generated_parts_have_no_gaps():
-    import generated
+    from docs._ext import generated
 
     pages = sorted((ROOT / "docs").glob("*/*.md"))
     marks = [(path, mark) for path in pages for mark in generated.MARK.finditer(path.read_text())]

@@ -32,6 +32,6 @@ def test_differences_lie_within_the_bounds():
 
 
 def test_every_quantity_has_a_name_and_a_unit():
-    import truth
+    from docs._ext import truth
 
     assert {name for row in ROWS.values() for name in row["largest"]} <= set(truth.QUANTITIES)
