@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shlex
 import shutil
 import subprocess
 import sys
@@ -23,6 +24,7 @@ SHORT = {
     "schedule": "",
     "explain": "--seeds 0:1",
     "args": "",
+    "examples/curriculum.py": "--num-envs 2 --steps 2",
     "examples/share_intent.py": "--minutes 0.02 --episodes 2 --time-limit 300",
 }
 """What makes a command short enough for a test; later options win over those of the page."""
@@ -41,7 +43,7 @@ class Block(NamedTuple):
     @property
     def commands(self) -> list[list[str]]:
         """Words of each command, without comments; empty lines are left out."""
-        lines = (line.split("#")[0].split() for line in self.code.strip().splitlines())
+        lines = (shlex.split(line, comments=True) for line in self.code.replace("\\\n", " ").strip().splitlines())
         return [words for words in lines if words]
 
 
