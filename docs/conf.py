@@ -65,7 +65,7 @@ intersphinx_timeout = 1
 
 # programs and tutorials as pages
 extensions += galleries.extensions(HERE)
-sphinx_gallery_conf = galleries.settings(HERE, ROOT, execute=not QUICK)
+sphinx_gallery_conf = galleries.settings(HERE, execute=not QUICK)
 
 # the site
 html_theme = "furo"

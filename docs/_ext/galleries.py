@@ -1,17 +1,18 @@
-"""Settings of sphinx-gallery: tutorials, which the build runs, and the programs in ``examples``, which it shows."""
+"""Settings of sphinx-gallery: its folders and links; ``docs/gallery.py``, where it exists, says how programs are executed."""
 
 from __future__ import annotations
 
+import importlib
 from pathlib import Path
 from typing import Any
 
-HEADERS = ("GALLERY_HEADER.rst", "GALLERY_HEADER.md", "README.rst", "README.txt")
+SOURCES = {"tutorials": "_tutorials", "../examples": "gallery"}
+"""Folders of programs, and the folders that their pages go to."""
 
 
 def sources(docs: Path) -> dict[str, str]:
-    """Return the folders of programs that have a header, with the folders that their pages go to."""
-    candidates = {"tutorials": "_tutorials", "../examples": "gallery"}
-    return {source: to for source, to in candidates.items() if any((docs / source / name).exists() for name in HEADERS)}
+    """Return the folders of programs that have a header."""
+    return {source: to for source, to in SOURCES.items() if any((docs / source).glob("GALLERY_HEADER.*"))}
 
 
 def extensions(docs: Path) -> list[str]:
@@ -19,22 +20,15 @@ def extensions(docs: Path) -> list[str]:
     return ["sphinx_gallery.gen_gallery"] if sources(docs) else []
 
 
-def settings(docs: Path, root: Path, execute: bool) -> dict[str, Any]:
-    """Return sphinx-gallery's settings; only tutorials run, and only when they are asked to."""
-    return {
+def settings(docs: Path, execute: bool) -> dict[str, Any]:
+    """Return sphinx-gallery's settings."""
+    own = importlib.import_module("docs.gallery").SETTINGS if (docs / "gallery.py").exists() else {}
+    return own | {
         "examples_dirs": list(sources(docs)),
         "gallery_dirs": list(sources(docs).values()),
-        "filename_pattern": r"[\\/]tutorials[\\/]",
-        "ignore_pattern": r"__init__\.py",
         "plot_gallery": execute,
-        "abort_on_example_error": False,
         "only_warn_on_example_error": False,
         "download_all_examples": False,
-        "show_memory": False,
         "show_signature": False,
-        "min_reported_time": 0,
-        "within_subsection_order": "FileNameSortKey",
-        "reference_url": {"bsk_torch": None},
         "backreferences_dir": None,
-        "remove_config_comments": True,
     }
