@@ -30,9 +30,11 @@ def code(text: str) -> str:
 
 
 def short(value: float) -> str:
-    """Return a small number in two digits, such as 1.4e-10, and 0 for zero."""
+    """Return a number in two digits: 1.4e-10, 0.39, 13, and 0 for zero."""
+    if value == 0 or abs(value) >= 0.01:
+        return f"{value:.2g}"
     mantissa, _, exponent = f"{value:.1e}".partition("e")
-    return "0" if value == 0 else f"{mantissa}e{int(exponent)}" if int(exponent) else mantissa
+    return f"{mantissa.removesuffix('.0')}e{int(exponent)}"
 
 
 def whole(value: float) -> str:

@@ -81,7 +81,8 @@ def cases() -> list[Case]:
     found += [Case("mixed", "nominal", lambda: scan("nominal", sim_dtype=torch.float32), {})]
     bounds = dict.fromkeys(images.FEEDBACK, images.IMAGING) | {"steering": images.STEERING, "padded": images.DAYS}
     for name, bound in bounds.items():
-        found += [Case("imaging", name, lambda name=name: image(f"imaging_{name}"), {**bound, **ahead})]
+        group = "days" if bound is images.DAYS else "imaging"
+        found += [Case(group, name, lambda name=name: image(f"imaging_{name}"), {**bound, **ahead})]
     found += [
         Case("constellations", name, lambda name=name: together(name), {**constellations.CONSTELLATION, **ahead})
         for name in constellations.NAMES
