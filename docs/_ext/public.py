@@ -14,6 +14,9 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+FIELD = "Alias for field number"
+"""Beginning of what NamedTuple says of its fields, which the docstring of the class describes."""
+
 TABLE = Path(__file__).parents[1] / "api" / "modules.txt"
 
 
@@ -54,7 +57,8 @@ class Name:
         for name, value in vars(self.value).items():
             function = value.fget if isinstance(value, property) else getattr(value, "__func__", value)
             if not name.startswith("_") and (inspect.isroutine(function) or hasattr(type(value), "__get__")):
-                found += [name] if inspect.getdoc(value) else []
+                text = inspect.getdoc(value) or ""
+                found += [name] if text and not text.startswith(FIELD) else []
         return found
 
 

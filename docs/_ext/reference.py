@@ -13,7 +13,7 @@ from sphinx.application import Sphinx
 from sphinx.environment import BuildEnvironment
 from sphinx.util.typing import ExtensionMetadata
 
-from docs._ext.public import Module, Name, sections
+from docs._ext.public import FIELD, Module, Name, modules, sections
 
 EXTERNAL = {
     "collections",
@@ -50,7 +50,7 @@ def setup(app: Sphinx) -> ExtensionMetadata:
 
 def prepare(app: Sphinx, what: str, name: str, value: object, options: object, lines: list[str]) -> None:
     """Leave out what NamedTuple says of its fields; keep napoleon from taking words before a colon for the type of a property."""
-    if lines and lines[0].startswith("Alias for field number"):
+    if lines and lines[0].startswith(FIELD):
         lines.clear()
     if lines and what in ("attribute", "data", "property"):
         lines.insert(0, "")
@@ -63,8 +63,18 @@ def inner(app: Sphinx, env: BuildEnvironment, node: addnodes.pending_xref, shown
     return shown if node.get("refdomain") == "py" and not external else None
 
 
+def describe_properties() -> None:
+    """Give the functions behind properties their docstrings, which autodoc reads there; an ``@observable`` has only its own."""
+    for module in modules():
+        for name in module.of("class"):
+            for value in vars(name.value).values():
+                if isinstance(value, property) and value.fget is not None and not value.fget.__doc__:
+                    value.fget.__doc__ = value.__doc__
+
+
 def write(folder: Path) -> None:
     """Write all pages; those that have not changed keep their time, so that they are not read again."""
+    describe_properties()
     folder.mkdir(exist_ok=True)
     pages = {"index.rst": index()}
     for section in sections().values():
