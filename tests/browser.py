@@ -15,6 +15,9 @@ FLAGS = ["--no-sandbox", "--disable-gpu", "--disable-background-networking"]
 NARROW, WIDE = {"width": 390, "height": 844}, {"width": 1280, "height": 900}
 """Sizes of a telephone and of a laptop, in CSS pixels."""
 
+PATIENCE = 120_000
+"""Milliseconds that a page may take, on a machine that does other things."""
+
 WIDER_THAN_SCREEN = "document.documentElement.scrollWidth - document.documentElement.clientWidth"
 PICTURES_LACKING = "[...document.images].filter(image => !image.complete || image.naturalWidth === 0).map(image => image.src)"
 NAMELESS_PICTURES = "[...document.images].filter(image => !image.hasAttribute('alt')).map(image => image.src)"
@@ -49,13 +52,15 @@ CONTRAST = """() => {
 FOCUS = """() => {
   const names = ['outlineStyle', 'outlineWidth', 'boxShadow', 'borderColor', 'backgroundColor', 'textDecoration'];
   const look = e => { const style = getComputedStyle(e); return names.map(name => style[name]).join(); };
-  const element = document.activeElement, focused = look(element);
+  const element = document.activeElement;
+  const near = [element, element.parentElement, element.parentElement.parentElement];
+  const focused = near.map(look).join();
   element.blur();
-  const changed = focused !== look(element);
+  const changed = focused !== near.map(look).join();
   element.focus({focusVisible: true});
   return changed;
 }"""
-"""Whether the element with the focus looks otherwise than without it."""
+"""Whether the element with the focus, or what it is in, looks otherwise than without it."""
 
 
 @contextmanager
@@ -94,6 +99,7 @@ class Visitor:
 
     def __init__(self, browser: Any, **options: Any) -> None:
         self.page, self.troubles = browser.new_page(**options), []
+        self.page.set_default_timeout(PATIENCE)
         self.page.on("console", lambda message: self.troubles.append(message.text) if message.type == "error" else None)
         self.page.on("pageerror", lambda error: self.troubles.append(str(error)))
         self.page.on("requestfailed", lambda request: self.troubles.append(f"failed: {request.url}"))
@@ -112,7 +118,7 @@ class Visitor:
         """Open an address and load all pictures, those that are off the screen too."""
         self.page.goto(address)
         self.page.evaluate("for (const image of document.images) image.loading = 'eager'")
-        self.page.wait_for_load_state("networkidle")
+        self.page.wait_for_function("[...document.images].every(image => image.complete)")
         return self.page
 
     def focus_is_visible(self) -> bool:

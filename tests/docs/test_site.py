@@ -102,4 +102,4 @@ def test_generated_parts_have_no_gaps():
         text = generated.filled(mark[0])
         assert text.strip(), path
         assert "@@" not in text, path
-        assert not re.search(r"\|\s*\|", re.sub(r"`[^`\n]*`", "`", text)), (path, mark[0])
+        assert not re.search(r"\|[ \t]*\|", re.sub(r"`[^`\n]*`", "`", text)), (path, mark[0])
