@@ -143,7 +143,9 @@ def row(name: Name, shown: str = "") -> tuple[str, str]:
 def first_line(documentation: str) -> str:
     """Return the first sentence of a docstring."""
     text = documentation.partition("\n\n")[0].replace("\n", " ")
-    return text.partition(". ")[0].rstrip(".") + "." if text else ""
+    sentence = text.partition(". ")[0]
+    sentence = text if sentence.count("``") % 2 else sentence  # the point may lie in a literal
+    return sentence.rstrip(".") + "." if text else ""
 
 
 def data(name: Name) -> str:
