@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import math
 
+__all__ = ["AU", "DAY", "MU_EARTH", "MU_SUN", "NANO", "RPM", "R_EARTH", "R_SUN", "SOLAR_FLUX"]
+
 MU_EARTH = 398600.436e9
 """Earth's gravitational parameter, m^3/s^2 (Basilisk's body factory; its gravity file says 398600.4415e9)."""
 

@@ -23,6 +23,23 @@ from torch import Tensor
 from bsk_torch._checks import number, whole
 from bsk_torch.astro.elements import ClassicElements
 
+__all__ = [
+    "Choice",
+    "Distribution",
+    "Key",
+    "Normal",
+    "PerEnv",
+    "RandomEpoch",
+    "RandomOrbit",
+    "Uniform",
+    "UnitVector",
+    "per_env",
+    "random_circular_orbit",
+    "random_epoch",
+    "random_orbit",
+    "random_unit_vector",
+]
+
 logger = logging.getLogger(__name__)
 
 WORD_MASK = 0xFFFFFFFF

@@ -13,6 +13,8 @@ from typing import Any, NamedTuple, TypeVar
 import torch
 from torch import Tensor
 
+__all__ = ["Mat3", "Vec3", "only", "select"]
+
 T = TypeVar("T")
 
 Scalar = Tensor | float

@@ -5,6 +5,8 @@
 #                            .venv-rllib. Basilisk downloads its support data unless BSK_SUPPORT_DATA_CACHE names a folder with
 #                            them (see tests/basilisk/recorders/recording.py). No test is skipped for a missing package.
 #   scripts/test.sh --basilisk, --rllib    only one of these two
+#   scripts/test.sh --browser [pytest arguments]    only the tests of pages and reports in Chromium, which is installed with
+#                            apt-get where it is missing; part of --all
 #   scripts/test.sh --nightly [pytest arguments]    only the tests that take long, of the marker nightly
 set -euo pipefail
 cd "$(dirname "$0")/.."
@@ -32,14 +34,32 @@ test_rllib() {
     BSK_TORCH_STRICT_TESTS=1 .venv-rllib/bin/python -m pytest -m rllib tests/test_clients.py
 }
 
+install_chromium() {
+    command -v chromium > /dev/null && return
+    echo "installing Chromium, which the tests of the marker browser need: apt-get install chromium"
+    root=""
+    [ "$(id -u)" = 0 ] || root=sudo
+    $root apt-get update -qq
+    $root apt-get install -y -qq chromium
+}
+
+test_browser() {
+    install_chromium
+    BSK_TORCH_STRICT_TESTS=1 .venv/bin/python -m pytest -m browser tests/docs tests/viz "$@"
+}
+
 case "${1:-}" in
     --basilisk) test_basilisk; exit ;;
     --rllib) test_rllib; exit ;;
 esac
 make_venv .venv
-.venv/bin/python -m pip install -q -c constraints.txt -e ".[train,tensorboard,viz,video,sb3,cities,ray,dev]"
+.venv/bin/python -m pip install -q -c constraints.txt -e ".[train,tensorboard,viz,video,sb3,cities,ray,docs,dev]"
 # a client that no one here wrote; pip would take an older TorchRL with it
 .venv/bin/python -m pip install -q --no-deps benchmarl==1.5.2
+if [ "${1:-}" = --browser ]; then
+    test_browser "${@:2}"
+    exit
+fi
 .venv/bin/ruff check .
 .venv/bin/ruff format --check .
 .venv/bin/mypy
@@ -49,7 +69,8 @@ if [ "${1:-}" = --nightly ]; then
     exec .venv/bin/python -m pytest -m nightly "${@:2}"
 fi
 if [ "${1:-}" = --all ]; then
-    .venv/bin/python -m pytest -n 2 --dist loadgroup
+    .venv/bin/python -m pytest -n 2 --dist loadgroup -m "not nightly and not browser"
+    test_browser
     test_basilisk
     test_rllib
     exit

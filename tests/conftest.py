@@ -4,7 +4,11 @@ from __future__ import annotations
 
 import json
 import os
+<<<<<<< HEAD
 import signal
+=======
+import shutil
+>>>>>>> docs-site
 from collections.abc import Callable
 from functools import cache
 from importlib.util import find_spec
@@ -31,8 +35,13 @@ NEEDS = {
     "ray": (("ray",), "pip install -e '.[ray]'"),
     "rllib": (("ray", "tree"), "pip install 'ray[rllib]==2.60.0' in an environment of its own"),
     "coastlines": (("shapefile", "shapely"), "pip install pyshp shapely"),
+    "docs": (("sphinx", "furo", "myst_parser"), "pip install -e '.[docs]'"),
+    "browser": (("playwright",), "pip install -e '.[dev]'"),
 }
 """By marker: modules that a test needs beyond the extras that scripts/test.sh installs, and how to install them."""
+
+PROGRAMS = {"browser": ("chromium", "Chromium: scripts/test.sh --browser installs it")}
+"""By marker: a program that a test needs, and how to install it."""
 
 STRICT = "BSK_TORCH_STRICT_TESTS"
 """Environment variable under which a test with unmet needs fails, so that scripts/test.sh --all skips none in silence."""
@@ -41,9 +50,12 @@ RECORDINGS = Path(__file__).with_name("basilisk") / "recordings"
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:
-    """Skip tests whose marker in ``NEEDS`` names modules that are not installed."""
+    """Skip tests whose marker in ``NEEDS`` or ``PROGRAMS`` names what is not installed."""
     for marker, (modules, install) in NEEDS.items():
         if item.get_closest_marker(marker) and any(find_spec(module) is None for module in modules):
+            (pytest.fail if os.environ.get(STRICT) else pytest.skip)(f"needs {install}")
+    for marker, (program, install) in PROGRAMS.items():
+        if item.get_closest_marker(marker) and shutil.which(program) is None:
             (pytest.fail if os.environ.get(STRICT) else pytest.skip)(f"needs {install}")
 
 

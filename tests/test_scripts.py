@@ -82,6 +82,9 @@ STARTS: dict[str, list[Start]] = {
     "scripts/tools/update_golden.py": [
         Start("--folder golden", "files in golden; written or changed: NadirScan-v1.cpp, AEOS-v1.cpp")
     ],
+    "scripts/validation/truth.py": [
+        Start("--only spinning --out truth.json", r"spinning \(models\): .* equal: True; beyond their bounds: \[\]"),
+    ],
     "scripts/validation/fly_on_basilisk.py": [
         Start(
             "rule --seeds 1:2 --workers 1 --time-limit 400 --out out.json",
@@ -110,8 +113,13 @@ ELSEWHERE = {
     "examples/ppo_rllib.py": "tests/test_clients.py",
     "examples/ppo_sb3.py": "tests/test_clients.py",
     "examples/share_intent.py": "tests/test_clients.py",
+    "scripts/docs.sh": "tests/docs/test_site.py",
     "scripts/test.sh": ".ci/run",
+<<<<<<< HEAD
     "scripts/tools/try_newest.sh": "tests/packaging/test_packages.py",
+=======
+    "scripts/tools/publish_docs.py": "tests/docs/test_site.py",
+>>>>>>> docs-site
     "tests/basilisk/recorders/record_arguments.py": "tests/test_scripts.py",
     **{f"tests/basilisk/recorders/{script}.py": "tests/test_scripts.py" for script in RECORDED},
 }

@@ -9,6 +9,8 @@ from torch import Tensor
 
 from bsk_torch.vec3 import Scalar, Vec3
 
+__all__ = ["exponential_density", "top_radius"]
+
 NEGLIGIBLE_DENSITY = 1e-20
 """Density, kg/m^3, below which drag moves a spacecraft by less than a micrometre in five orbits."""
 

@@ -11,6 +11,8 @@ from torch import Tensor
 
 from bsk_torch.vec3 import Mat3, Vec3, select
 
+__all__ = ["dcm_to_mrp", "mrp_add", "mrp_rate", "mrp_rate_to_omega", "mrp_shadow", "mrp_subtract", "mrp_switch", "mrp_to_dcm"]
+
 SINGULAR = 0.1
 """Below this denominator Basilisk composes with the shadow set of the first rotation."""
 

@@ -14,6 +14,8 @@ from torch import Tensor
 from bsk_torch.constants import R_EARTH, R_SUN
 from bsk_torch.vec3 import Vec3, only
 
+__all__ = ["illumination", "in_umbra", "visible_fraction"]
+
 
 def _in_shadow_cones(r: Vec3, r_sun: Vec3) -> Tensor:
     """Return whether r lies inside the penumbral or the umbral cone of the spherical Earth (Vallado, section 5.3).

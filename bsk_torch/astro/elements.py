@@ -12,6 +12,8 @@ import torch
 from bsk_torch.astro.orbit import Elements, elements_to_rv, rv_to_elements
 from bsk_torch.vec3 import Vec3
 
+__all__ = ["ClassicElements", "elem2rv", "rv2elem"]
+
 
 @dataclass
 class ClassicElements:

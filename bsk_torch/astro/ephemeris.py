@@ -30,6 +30,17 @@ from torch import Tensor
 
 from bsk_torch.astro.epochs import read_epoch
 
+__all__ = [
+    "coverage",
+    "coverage_in_words",
+    "earth_angles",
+    "earth_orientation",
+    "earth_orientation_rate",
+    "parse_utc",
+    "sun_position",
+    "sun_state",
+]
+
 _Array = NDArray[np.float64]
 
 DAY = 86400.0
@@ -135,7 +146,7 @@ def sun_position(et: Tensor) -> Tensor:
         et: Epochs in s past J2000, float64, any shape and device.
 
     Returns:
-        Position in m along J2000 axes, shape (*et.shape, 3); NaN outside `coverage`.
+        Position in m along J2000 axes, shape ``(*et.shape, 3)``; NaN outside `coverage`.
 
     Raises:
         TypeError: If `et` is not float64.
@@ -152,7 +163,7 @@ def sun_state(et: Tensor) -> tuple[Tensor, Tensor]:
         et: Epochs in s past J2000, float64, any shape and device.
 
     Returns:
-        Position in m and velocity in m/s along J2000 axes, both of shape (*et.shape, 3); NaN outside `coverage`.
+        Position in m and velocity in m/s along J2000 axes, both of shape ``(*et.shape, 3)``; NaN outside `coverage`.
 
     Raises:
         TypeError: If `et` is not float64.
@@ -196,7 +207,7 @@ def earth_orientation(et: Tensor) -> Tensor:
         et: Epochs in s past J2000, float64, any shape and device.
 
     Returns:
-        C = [PN], shape (*et.shape, 3, 3): components along J2000 axes to components along Earth-fixed axes.
+        C = [PN], shape ``(*et.shape, 3, 3)``: components along J2000 axes to components along Earth-fixed axes.
 
     Raises:
         TypeError: If `et` is not float64.
@@ -215,7 +226,7 @@ def earth_orientation_rate(et: Tensor) -> Tensor:
         et: Epochs in s past J2000, float64, any shape and device.
 
     Returns:
-        dC/dt in 1/s, shape (*et.shape, 3, 3).
+        dC/dt in 1/s, shape ``(*et.shape, 3, 3)``.
 
     Raises:
         TypeError: If `et` is not float64.

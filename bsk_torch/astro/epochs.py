@@ -11,6 +11,8 @@ from datetime import UTC, datetime, timedelta
 from fractions import Fraction
 from typing import NamedTuple
 
+__all__ = ["Epoch", "read_epoch"]
+
 EXAMPLES = (
     "2021 FEB 05 09:12:05.830 (UTC)",
     "2021-02-05T09:12:05.830Z",

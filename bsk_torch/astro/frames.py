@@ -10,6 +10,8 @@ from torch import Tensor
 from bsk_torch.constants import R_EARTH
 from bsk_torch.vec3 import Vec3
 
+__all__ = ["angle_between", "fixed_to_lla", "lla_to_fixed", "rotate_z", "sin_elevation"]
+
 
 def lla_to_fixed(latitude: Tensor, longitude: Tensor, altitude: Tensor, radius: Tensor | float = R_EARTH) -> Tensor:
     """Return the Earth-fixed position [..., 3], m, of latitude and longitude, rad, and altitude, m, above a sphere.

@@ -20,6 +20,8 @@ from torch import Tensor
 from bsk_torch.constants import MU_EARTH, MU_SUN, R_EARTH
 from bsk_torch.vec3 import Vec3
 
+__all__ = ["Weights", "field", "field_weights", "third_body"]
+
 DEGREE = 10
 """Degree and order of the Earth's field in bsk_rl."""
 

@@ -11,6 +11,8 @@ from torch import Tensor
 from bsk_torch.constants import MU_EARTH
 from bsk_torch.vec3 import Mat3, Vec3
 
+__all__ = ["Elements", "elements_to_rv", "hill_frame", "hill_rate", "hill_to_inertial", "periapsis_radius", "rv_to_elements"]
+
 SMALL = 1e-11
 """Below this eccentricity or inclination Basilisk treats an orbit as circular or equatorial."""
 

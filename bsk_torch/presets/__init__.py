@@ -27,6 +27,8 @@ from bsk_torch.presets.constellation import aeos_constellation, constellation, r
 from bsk_torch.presets.nadir_scan import nadir_scan
 from bsk_torch.sim.params import nearest
 
+__all__ = ["PRESETS", "make"]
+
 PRESETS: dict[str, Callable[..., Any]] = {
     "NadirScan-v1": nadir_scan,
     "AEOS-v1": aeos,

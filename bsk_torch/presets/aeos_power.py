@@ -5,15 +5,15 @@ actions that a rule calls dangerous; see :func:`shield`.
 
 Observation, 298 numbers: those of AEOS-v1 (:mod:`bsk_torch.presets.aeos`), and
 
-============================  ==================================================================================
-``battery_charge_fraction``   charge of the battery over its capacity
-``wheel_speeds_fraction`` (3) wheel speeds over the largest speed
-``storage_level_fraction``    data in the store over its capacity
-``density`` (20)              sum of the priorities of targets whose next window closes within each of the next
-                              20 intervals of 180 s, over 5
-``ground_station`` (2)        time until the next pass over a station opens and closes, over 5700 s
-``eclipse`` (2)               time until the next eclipse begins and ends, over 5700 s
-============================  ==================================================================================
+=============================  ==================================================================================
+``battery_charge_fraction``    charge of the battery over its capacity
+``wheel_speeds_fraction`` (3)  wheel speeds over the largest speed
+``storage_level_fraction``     data in the store over its capacity
+``density`` (20)               sum of the priorities of targets whose next window closes within each of the next
+                               20 intervals of 180 s, over 5
+``ground_station`` (2)         time until the next pass over a station opens and closes, over 5700 s
+``eclipse`` (2)                time until the next eclipse begins and ends, over 5700 s
+=============================  ==================================================================================
 
 Actions: 0 charge, 1 downlink, 2 desaturate the wheels (60 s each), 3 to 34 image one of the next 32 targets.
 

@@ -22,6 +22,8 @@ from bsk_torch.sim.names import RENAMED, current_name
 from bsk_torch.sim.schedule import ordered
 from bsk_torch.vec3 import Vec3
 
+__all__ = ["Arg", "Bus", "Component", "Field", "MissingMessageError", "Track", "vec"]
+
 Values = Mapping[str, Any]
 """Arguments of the rows being reset: tensors with leading dimension n, or 1 where all environments agree."""
 

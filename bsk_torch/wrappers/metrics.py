@@ -20,6 +20,8 @@ from torchrl.envs import Transform
 
 from bsk_torch.env.base import Tasking
 
+__all__ = ["EpisodeDataLogger", "EpisodeDataParallelWrapper", "EpisodeDataWrapper", "EpisodeMetrics"]
+
 EpisodeCallback = Callable[[Any], Mapping[str, float]]
 """Returns metrics of an episode from its environment, the view of one episode."""
 

@@ -32,6 +32,8 @@ from bsk_torch.wrappers.episode import EpisodeView
 from bsk_torch.wrappers.spaces import observation_space, unbounded
 from bsk_torch.wrappers.tasks import legal_tasks, read_task, satellite_infos
 
+__all__ = ["PettingZooEnv", "parallel_env"]
+
 logger = logging.getLogger(__name__)
 
 Core = ConstellationTasking | str | Callable[..., ConstellationTasking]

@@ -17,6 +17,8 @@ from bsk_torch.wrappers.gymnasium import GymEnv
 from bsk_torch.wrappers.metrics import EpisodeDataParallelWrapper, EpisodeDataWrapper
 from bsk_torch.wrappers.pettingzoo import PettingZooEnv
 
+__all__ = ["constellation_tasking", "satellite_tasking", "unpack_config"]
+
 VIEWS: dict[type, Any] = {GeneralSatelliteTasking: GymJointEnv, ConstellationTasking: PettingZooEnv, SatelliteTasking: GymEnv}
 """View of one episode of each environment, which RLlib's runners step."""
 

@@ -15,6 +15,8 @@ from bsk_torch.wrappers.gymnasium.single import Core
 from bsk_torch.wrappers.gymnasium.vector import GymVectorEnv
 from bsk_torch.wrappers.metrics import METRICS, BatchCallback
 
+__all__ = ["MetricsCallback", "SB3VecEnv"]
+
 try:
     from stable_baselines3.common.callbacks import BaseCallback
     from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvIndices, VecEnvStepReturn

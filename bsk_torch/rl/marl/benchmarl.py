@@ -18,6 +18,8 @@ from torchrl.envs import EnvBase
 
 from bsk_torch.presets import make
 
+__all__ = ["ConstellationClass", "ConstellationTask"]
+
 RENAMED = not hasattr(torchrl.collectors, "SyncDataCollector")
 if RENAMED:  # BenchMARL 1.5 imports TorchRL's collector by the name that it had before 0.12
     torchrl.collectors.SyncDataCollector = torchrl.collectors.Collector

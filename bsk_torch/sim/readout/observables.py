@@ -116,8 +116,9 @@ class observable(property):  # noqa: N801  - a decorator
 
     def __init__(self, function: Function) -> None:
         """Decorate ``function``."""
-        super().__init__(lambda model: model.simulator.observer.read(function), doc=function.__doc__)
+        super().__init__(lambda model: model.simulator.observer.read(function))
         self.function, self.__name__ = function, function.__name__
+        self.__doc__ = function.__doc__  # otherwise a subclass of property has the docstring of the class
 
 
 class vital(observable):  # noqa: N801  - a decorator
@@ -128,7 +129,8 @@ class vital(observable):  # noqa: N801  - a decorator
     def __init__(self, function: Function) -> None:
         """Decorate ``function``; read as an attribute it is a method without arguments."""
         super().__init__(function)
-        property.__init__(self, lambda model: functools.partial(model.simulator.observer.read, function), doc=function.__doc__)
+        property.__init__(self, lambda model: functools.partial(model.simulator.observer.read, function))
+        self.__doc__ = function.__doc__
 
 
 def _tensor(value: Any) -> Tensor:

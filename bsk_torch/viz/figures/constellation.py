@@ -25,6 +25,8 @@ from bsk_torch.viz.figures.style import FAINT, INK, PALETTE, caption, dot, headl
 from bsk_torch.viz.figures.timeline import HOUR, plain, spacing
 from bsk_torch.viz.figures.world import pieces, world_map
 
+__all__ = ["ConstellationEpisode", "constellation_figure"]
+
 TAIL = 900.0
 """Seconds of flight that are drawn bold before the moment that the map shows."""
 
@@ -80,7 +82,7 @@ class ConstellationEpisode:
         task_satellite: Which satellite did each of M tasks, [M] int64.
         task_spans: When it began and ended, [M, 2].
         task_kind: What it was, a number of ``task_names``, [M] int64.
-        task_names: Names of tasks, such as "image", "charge" and "drift"; a prefix "action_" is dropped.
+        task_names: Names of tasks, such as "image", "charge" and "drift"; a prefix ``action_`` is dropped.
         deaths: When each satellite died, infinite for survivors, [S]; None: all survived. Tracks, tasks and
             contacts are drawn until then.
     """

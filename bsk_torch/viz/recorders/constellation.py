@@ -15,6 +15,8 @@ from bsk_torch.env.rollout import play_episodes
 from bsk_torch.viz.figures.constellation import ConstellationEpisode
 from bsk_torch.viz.recorders.episode import first_row
 
+__all__ = ["ConstellationRecorder", "record_constellation"]
+
 SAME_PLANE = 1e-6
 """Nodes and inclinations, rad, that differ by less are those of one plane."""
 

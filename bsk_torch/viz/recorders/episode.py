@@ -12,6 +12,8 @@ from torch import Tensor
 from bsk_torch.env import SatelliteTasking, Tasking
 from bsk_torch.env.rollout import play_episodes
 
+__all__ = ["Episode", "record_episode"]
+
 QUANTITIES = {
     "battery_charge_fraction": "battery",
     "storage_level_fraction": "data store",

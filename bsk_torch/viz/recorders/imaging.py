@@ -14,6 +14,8 @@ from bsk_torch.constants import R_EARTH
 from bsk_torch.env import SatelliteTasking
 from bsk_torch.viz.recorders.track import TrackEpisode, TrackRecorder
 
+__all__ = ["ImagingEpisode", "record_imaging_episode"]
+
 if TYPE_CHECKING:
     from bsk_torch.sats import ImagingSatellite
     from bsk_torch.scene.targets import TargetScenario

@@ -23,6 +23,8 @@ from bsk_torch.viz.recorders.track import TrackEpisode
 from bsk_torch.viz.report.curves import MARKED, MEASURES, Columns, Measure, curve, shown
 from bsk_torch.viz.report.deaths import deaths_chart, plain_cause
 
+__all__ = ["Chosen", "RunData", "write_report"]
+
 TEMPLATE = "report.html.jinja"
 
 TRAINED = "trained"

@@ -1,0 +1,1 @@
+"""Extensions of Sphinx, and what the pages are generated with."""

@@ -1,0 +1,213 @@
+"""Tables of the package itself: its commands, presets, arguments of satellites, and the order of a tick."""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+import math
+import re
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+from docs._ext.markdown import block, code, plain, table
+
+DOCS = Path(__file__).parents[1]
+
+SCHEDULED = ("NadirScan-v1", "AEOS-v1", "Constellation-v1")
+"""Presets whose components are marked in the order of a tick."""
+
+
+CARDS = {
+    "start/index": ("Start", "Install the package and train a first policy in five minutes."),
+    "_tutorials/index": ("Tutorials", "Programs that run, step by step, with their output and pictures."),
+    "how_to/index": ("How to", "Answers to single questions: own actions, rewards, devices, learners."),
+    "how_it_works/index": ("How it works", "The tick, frames, random numbers, kernels and the life of an episode."),
+    "truth/index": ("Truth", "Differences from Basilisk, quantity by quantity."),
+    "speed/index": ("Speed", "Simulated seconds per core-second, here and on Basilisk."),
+    "migration": ("From BSK-RL", "What is accepted as it stands, and what differs."),
+    "studies/index": ("Studies", "What was trained, flown and found."),
+    "api/index": ("API", "Classes, functions, commands, presets and arguments."),
+    "gallery/index": ("Gallery", "Programs to copy."),
+}
+"""Cards of the front page: title and text by page."""
+
+
+def exists(page: str) -> bool:
+    """Return whether a page has a source."""
+    return any((DOCS / f"{page}.{suffix}").exists() for suffix in ("md", "rst"))
+
+
+def cards() -> str:
+    """Return a card for each part of the site that exists."""
+    found = [(page, *words) for page, words in CARDS.items() if exists(page)]
+    return "\n".join(f":::{{grid-item-card}} {title}\n:link: {page}\n:link-type: doc\n{text}\n:::" for page, title, text in found)
+
+
+def toctree(*entries: str) -> str:
+    """Return a hidden toctree of those pages that exist."""
+    found = [entry for entry in entries if exists(entry)]
+    return "\n".join(["```{toctree}", ":hidden:", "", *found, "```"])
+
+
+# -- the command line ----------------------------------------------------------------------------------------------------------
+
+
+def commands() -> str:
+    """Return every command of ``bsk-torch`` with its options."""
+    from typer.main import get_command
+
+    from bsk_torch.cli import app
+
+    group: Any = get_command(app)
+    parts = []
+    for name, command in sorted(group.commands.items()):
+        parts += [f"## bsk-torch {name}", paragraphs(command.help), block(usage(name, command))]
+        rows = [parameter(p) for p in command.params if p.name != "help"]
+        parts += [table(["argument or option", "default", "meaning"], rows)] if rows else []
+    return "\n\n".join(parts) + "\n"
+
+
+def usage(name: str, command: Any) -> str:
+    """Return a command with its arguments."""
+    words = [p.name.upper() if p.required else f"[{p.name.upper()}]" for p in command.params if p.param_type_name == "argument"]
+    return " ".join(["bsk-torch", name, *words, "[OPTIONS]"])
+
+
+def parameter(p: Any) -> list[str]:
+    """Return name, default and meaning of an argument or option."""
+    names = p.name.upper() if p.param_type_name == "argument" else ", ".join([*p.opts, *p.secondary_opts])
+    default = (
+        "required" if p.required else "-" if p.default in (None, (), [], "") or callable(p.default) else code(str(p.default))
+    )
+    return [code(names), default, inspect.cleandoc(p.help or "-")]
+
+
+def paragraphs(text: str | None) -> str:
+    """Return the text of a help without its marks of paragraphs."""
+    return inspect.cleandoc(text or "").replace("\b", "").replace("\f", "")
+
+
+# -- presets -------------------------------------------------------------------------------------------------------------------
+
+
+def presets() -> str:
+    """Return all presets with their options, under the decision process that their module states."""
+    from bsk_torch.presets import PRESETS
+
+    modules: dict[str, list[str]] = {}
+    for name, preset in PRESETS.items():
+        modules.setdefault(preset.__module__, []).append(name)
+    parts = [table(["preset", "task"], [[f"[{name}](#{anchor(name)})", about(name)] for name in PRESETS])]
+    for module, names in modules.items():
+        parts += [f"## {', '.join(names)}", f"```{{eval-rst}}\n.. automodule:: {module}\n   :no-index:\n```"]
+        for name in names:
+            parts += [f"### {name}", f"`bsk_torch.make({name!r}, num_envs=..., **options)`", options(PRESETS[name])]
+    return "\n\n".join(parts) + "\n"
+
+
+def anchor(name: str) -> str:
+    """Return the anchor of a heading."""
+    return name.lower().replace(".", "")
+
+
+def about(name: str) -> str:
+    """Return what a preset is about, from the table in the docstring of ``bsk_torch.presets``."""
+    found = re.search(
+        rf"^``{re.escape(name)}``\s+``\S+``\s+(.+)$", importlib.import_module("bsk_torch.presets").__doc__ or "", re.M
+    )
+    if found is None:
+        raise ValueError(f"the docstring of bsk_torch.presets has no row for {name}")
+    return found[1]
+
+
+def options(preset: Any) -> str:
+    """Return the options that a preset adds to those of its environment."""
+    rows = []
+    for parameter in inspect.signature(preset).parameters.values():
+        if parameter.kind is not parameter.VAR_KEYWORD:
+            rows.append([code(parameter.name), code(repr(parameter.default)), argument(preset, parameter.name)])
+    return table(["option", "default", "meaning"], rows) if rows else "It has no options of its own."
+
+
+def argument(function: Any, name: str) -> str:
+    """Return what the docstring of a function says of an argument."""
+    found, text = False, []
+    for line in (inspect.getdoc(function) or "").splitlines():
+        if line.strip().startswith(f"{name}:"):
+            found, text = True, [line.partition(":")[2].strip()]
+        elif found and line.startswith("        "):
+            text.append(line.strip())
+        elif found:
+            break
+    return " ".join(text) or "-"
+
+
+# -- arguments and the tick ----------------------------------------------------------------------------------------------------
+
+
+def arguments(module: str) -> str:
+    """Return the arguments that each model of a module adds to those of the models before it."""
+    loaded, seen, parts = importlib.import_module(module), set[str](), []
+    models = [getattr(loaded, name) for name in loaded.__all__]
+    for model in sorted((m for m in models if hasattr(m, "all_components")), key=lambda m: len(m.__mro__)):
+        rows = [arg for component in model.all_components() for arg in component.args if arg.name not in seen]
+        seen |= {arg.name for arg in rows}
+        if rows:
+            parts += [f"### {model.__name__}", arguments_of(rows)]
+    return "\n\n".join(parts) + "\n"
+
+
+def arguments_of(rows: Iterable[Any]) -> str:
+    """Return a table of arguments."""
+    cells = [[code(arg.name), value(arg.default), arg.unit or "1", arg.doc or "-", bounds(arg)] for arg in rows]
+    return table(["argument", "default", "unit", "meaning", "range"], cells)
+
+
+def value(default: Any) -> str:
+    """Return a default."""
+    if isinstance(default, tuple) and default and isinstance(default[0], dict):
+        return f"{len(default)} stations"
+    if isinstance(default, float):
+        return code(plain(default))
+    text = " ".join(str(default).split())
+    return code(text) if len(text) <= 60 else f"{code(text[:57])} ..."
+
+
+def bounds(arg: Any) -> str:
+    """Return the range of an argument."""
+    if arg.choices:
+        return ", ".join(code(repr(choice)) for choice in arg.choices)
+    if (arg.low, arg.high) == (-math.inf, math.inf):
+        return "-"
+    return f"{plain(arg.low)} to {plain(arg.high)}"
+
+
+def schedule() -> str:
+    """Return the slots of a tick, in order, and in which presets each of them runs."""
+    import bsk_torch
+    from bsk_torch.sim.schedule import SCHEDULE
+
+    running = {}
+    for name in SCHEDULED:
+        env = bsk_torch.make(name, num_envs=1, backend="eager")
+        parts = (component for simulator in env.fleet.simulators for component in simulator.tick.components)
+        running[name] = {component.slot for component in parts if component.update is not None}
+    sections, groups = [], list(dict.fromkeys(slot.group for slot in SCHEDULE))
+    for group in groups:
+        rows = []
+        for slot in (slot for slot in SCHEDULE if slot.group == group):
+            marks = ["yes" if slot.name in running[name] else "-" for name in SCHEDULED]
+            rows.append([code(slot.name), slot.doc, slot.basilisk, *marks])
+        sections += [f"## {group.capitalize()}", table(["slot", "what runs there", "Basilisk", *SCHEDULED], rows)]
+    return "\n\n".join(sections) + "\n"
+
+
+TABLES = {
+    "toctree": toctree,
+    "cards": cards,
+    "commands": commands,
+    "presets": presets,
+    "arguments": arguments,
+    "schedule": schedule,
+}

@@ -1,0 +1,248 @@
+"""Tables of ``benchmarks/results/*.json``, each with the command that writes the file and with the machine."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from docs._ext.markdown import block, code, command, digits, short, table, whole
+
+ROOT = Path(__file__).parents[2]
+RESULTS = ROOT / "benchmarks" / "results"
+
+SCRIPTS = {
+    "vs_basilisk_imaging": "vs_basilisk",
+    "constellation_intervals": "constellation",
+    "constellation_tasks": "constellation",
+}
+"""Scripts by result, where the names differ."""
+
+CASES = {
+    "4096": "4096 satellites",
+    "4096-float32": "4096 satellites, mixed precision",
+    "4096-collector": "4096 satellites, TorchRL's `Collector` with a policy of 2 x 64",
+    "gymnasium": "one satellite through `gymnasium.make`",
+    "1": "one satellite",
+    "imaging-1k-1024": "1024 satellites",
+    "imaging-1k-64": "64 satellites",
+    "imaging-1k-1": "one satellite",
+}
+"""Cases of ``vs_basilisk.py`` in words; others are numbers of satellites."""
+
+
+@cache
+def load(name: str) -> dict[str, Any]:
+    """Return a result."""
+    content: dict[str, Any] = json.loads((RESULTS / f"{name}.json").read_text())
+    return content
+
+
+def made(name: str) -> str:
+    """Return the command that writes a result, and what it ran on."""
+    result = load(name)
+    words = [f"python benchmarks/{SCRIPTS.get(name, name)}.py"]
+    for option, value in result["options"].items():
+        if option in ("out", "basilisk"):
+            value = {"out": f"benchmarks/results/{name}.json", "basilisk": "PYTHON"}[option]
+        if value is not None:
+            values = [str(v) for v in value] if isinstance(value, list) else [str(value)]
+            words += [f"--{option.replace('_', '-')} {' '.join(quoted(text) for text in values)}"]
+    where = result["machine"]
+    place = f"One thread on a virtual machine with {where['cores']} cores ({where['processor']}, {where['capability']})"
+    versions = f"torch {where['torch']}, TorchRL {where['torchrl']}, Python {where['python']}"
+    return f"{command(words)}\n\n{place}, {versions}, commit `{where['commit']}`.\n"
+
+
+def quoted(word: str) -> str:
+    """Return a word of a command line."""
+    return f"'{word}'" if " " in word else word
+
+
+def with_command(name: str, head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """Return a table with its command below it."""
+    return f"{table(head, rows)}\n\n{made(name)}"
+
+
+# -- speed ---------------------------------------------------------------------------------------------------------------------
+
+
+def vs_basilisk(name: str) -> str:
+    """Return rates here and on Basilisk."""
+    rows = []
+    for row in load(name)["rows"]:
+        words = CASES.get(row["case"], f"{row['case']} satellites")
+        decisions = [whole(row["decision_rate"])] if "decision_rate" in row else []
+        low, high = digits(row["ratio_low"]), digits(row["ratio_high"])
+        rows.append(
+            [words, whole(row["rate"]), *decisions, whole(row["basilisk_rate"]), digits(row["ratio"]), f"{low} to {high}"]
+        )
+    decided = ["decisions per core-s"] if "decision_rate" in load(name)["rows"][0] else []
+    head = ["case", "simulated s per core-s", *decided, "bsk_rl on Basilisk", "ratio", "smallest to largest"]
+    return with_command(name, head, rows)
+
+
+def constellations(name: str) -> str:
+    """Return rates of constellations."""
+    rows = []
+    for row in load(name)["rows"]:
+        ratio = whole(row["ratio"]) if "ratio" in row else "not measured"
+        rows.append([str(row["satellites"]), str(row["batch"]), whole(row["rate"]), f"{row['step']:.0f}", ratio])
+    head = ["satellites", "episodes", "satellite-seconds per core-s", "seconds per step", "ratio to bsk_rl"]
+    return with_command(name, head, rows)
+
+
+def breakdown() -> str:
+    """Return where the time of a step goes."""
+    rows = [row for row in load("breakdown")["rows"] if "part" in row]
+    cells = [[str(row["batch"]), row["part"], whole(row["us"]), f"{row['percent']:.1f}"] for row in rows]
+    return with_command("breakdown", ["satellites", "part of a step", "us per step", "%"], cells)
+
+
+def startup() -> str:
+    """Return the time until the first step is done."""
+    kept = {"nothing": "nothing compiled before", "everything": "everything compiled before"}
+    rows = []
+    for row in load("startup")["rows"]:
+        times = [f"{row[name]:.2f}" for name in ("construction", "reset", "step")]
+        rows.append([str(row["batch"]), row["dtype"], kept[row["cache"]], *times])
+    return with_command("startup", ["satellites", "precision", "cache", "construction, s", "reset, s", "first step, s"], rows)
+
+
+def resets() -> str:
+    """Return the cost of resetting rows of a batch."""
+    rows = []
+    for row in load("reset")["rows"]:
+        times = [f"{row[name]:.1f}" for name in ("ready_ms", "used_ms", "all_used_ms", "whole_ms")]
+        rows.append([whole(row["rows"]), *times])
+    head = ["rows that end", "prepared, ms", "not prepared, ms", "none of the batch prepared, ms", "a batch of that size, ms"]
+    shares = [
+        [str(share["batch"]), f"{100 * share['share']:.0f}", f"{share['episode_ms']:.2f}"] for share in load("reset")["shares"]
+    ]
+    in_rollouts = table(["satellites", "share of resets in a random rollout, %", "a new episode, ms"], shares)
+    return f"{table(head, rows)}\n\n{in_rollouts}\n\n{made('reset')}"
+
+
+def memory() -> str:
+    """Return bytes of an environment, and the memory of a long rollout."""
+    result = load("memory")
+    rows = [[code(row["what"]), whole(row["per_env"])] for row in result["rows"] if row["per_env"] >= 50]
+    flat = [point["megabytes"] for point in result["flatness"]]
+    steps = result["flatness"][-1]["steps"]
+    line = f"Memory of the process along {whole(steps)} steps: {whole(min(flat))} to {whole(max(flat))} MB."
+    return f"{table(['part', 'bytes per environment'], rows)}\n\n{line}\n\n{made('memory')}"
+
+
+def soak() -> str:
+    """Return the long runs: first, smallest to largest and last of ten points."""
+    cases: dict[str, list[dict[str, Any]]] = {}
+    for row in load("soak")["rows"]:
+        cases.setdefault(row["case"], []).append(row)
+    rows = []
+    for case, points in cases.items():
+        last = points[-1]
+        sums = [whole(last["steps"]), whole(last["simulated"]), whole(last["ended"])]
+        bad = str(sum(point["not_finite"] for point in points))
+        rows.append([case, *sums, course(points, "megabytes", 0), course(points, "cpu", 1), bad, short(last["drift"])])
+    head = ["case", "steps", "simulated s", "episodes ended", "memory, MB", "CPU ms per step", "not finite", "clock error, s"]
+    return with_command("soak", head, rows)
+
+
+def course(points: Sequence[Mapping[str, Any]], name: str, count: int) -> str:
+    """Return the first of some points, their range, and the last."""
+    values = [point[name] for point in points]
+    first, low, high, last = (f"{value:,.{count}f}" for value in (values[0], min(values), max(values), values[-1]))
+    return f"{first}, {low} to {high}, {last}"
+
+
+# -- policies and flights ------------------------------------------------------------------------------------------------------
+
+
+def flights(*names: str) -> str:
+    """Return what policies did here and on Basilisk."""
+    rows = []
+    for name in names:
+        flight = load(name)
+        summary, episodes = flight["summary"], flight["episodes"]
+        here, there, count = summary["bsk_torch"], summary["basilisk"], len(episodes["seed"])
+        rows.append(
+            [
+                {"NadirScan-v1.pt": "pretrained"}.get(flight["policy"], flight["policy"]),
+                f"{episodes['seed'][0]} to {episodes['seed'][-1]}",
+                f"{summary['same_actions']} of {count}",
+                whole(sum(episodes["decisions"])),
+                f"{here['return'][0]:.4f} / {there['return'][0]:.4f}",
+                f"{here['survival'][0]:.0%} / {there['survival'][0]:.0%}",
+                short(max(episodes["observation_difference"])),
+            ]
+        )
+    head = ["policy", "seeds", "all actions equal", "decisions", "return here / on Basilisk", "survival here / there"]
+    versions = load(names[0])["versions"]
+    used = ", ".join(f"{package} {number}" for package, number in versions.items())
+    commands = [flight_command(name) for name in names]
+    filled = table([*head, "largest difference of an observation"], rows)
+    return f"{filled}\n\n{block(chr(10).join(commands))}\n\nVersions: {used}.\n"
+
+
+def flight_command(name: str) -> str:
+    """Return the command that writes a flight."""
+    flight = load(name)
+    seeds = flight["episodes"]["seed"]
+    policy = {"NadirScan-v1.pt": "pretrained"}.get(flight["policy"], flight["policy"])
+    out = f"--out benchmarks/results/{name}.json"
+    return f"python scripts/validation/fly_on_basilisk.py {policy} --seeds {seeds[0]}:{seeds[-1] + 1} {out}"
+
+
+def failures() -> str:
+    """Return what the search among the deaths of the pretrained policy found."""
+    found = load("failures_nadir_scan")
+    chance, starts = found["last_chances"], found["starts"]
+    deaths = ", ".join(f"{count} {cause.removesuffix('_valid')}" for cause, count in found["causes"].items())
+    rows = [
+        ["episodes", whole(found["episodes"])],
+        ["deaths", deaths],
+        ["deaths with a sequence of actions that would have survived", str(found["saved"])],
+        ["deaths without one, proven", str(found["lost"])],
+        ["undecided", str(found["open"])],
+        [
+            "charge at the last decision that could have changed it",
+            " to ".join(f"{100 * chance['charge'][k]:.1f} %" for k in (0, -1)),
+        ],
+        ["starts tried with a fixed sequence of actions", whole(starts["seeds"][1] - starts["seeds"][0])],
+        ["starts that it survived", whole(starts["survived"])],
+    ]
+    seeds = f"--seeds {found['seeds'][0]}:{found['seeds'][1]}"
+    words = ["bsk-torch explain pretrained", "--preset NadirScan-v1", seeds, "--out benchmarks/results/failures_nadir_scan.json"]
+    return f"{table(['quantity', 'value'], rows)}\n\n{command(words)}\n"
+
+
+def pretrained() -> str:
+    """Return how the policies of the package were made, and what they reach."""
+    makings = json.loads((ROOT / "bsk_torch" / "rl" / "policies" / "policies.json").read_text())
+    rows = []
+    for preset, made_by in makings.items():
+        score = made_by["score"]
+        minutes, seconds = divmod(round(made_by["seconds"]), 60)
+        reached = f"{score['return']:.3f} +- {score['half_width']:.3f}"
+        time = f"{minutes} min {seconds} s"
+        rows.append([code(preset), code(made_by["command"]), whole(made_by["frames"]), time, reached, f"{score['survival']:.1%}"])
+    machines = sorted({entry["machine"] for entry in makings.values()})
+    episodes = {entry["score"]["episodes"] for entry in makings.values()}
+    note = f"Returns of {', '.join(map(str, episodes))} fresh episodes. Trained on: {'; '.join(machines)}."
+    return f"{table(['preset', 'command', 'decisions', 'wall time', 'return', 'survival'], rows)}\n\n{note}\n"
+
+
+TABLES = {
+    "vs_basilisk": vs_basilisk,
+    "constellations": constellations,
+    "breakdown": breakdown,
+    "startup": startup,
+    "resets": resets,
+    "memory": memory,
+    "soak": soak,
+    "flights": flights,
+    "failures": failures,
+    "pretrained": pretrained,
+}

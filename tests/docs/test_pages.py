@@ -1,0 +1,40 @@
+"""Every block of every page runs: those of one page in order, in one namespace and one empty folder."""
+
+import re
+
+import pytest
+
+from tests.blocks import ROOT, blocks, run_commands, run_python
+
+DOCS = ROOT / "docs"
+GENERATED = ("_build", "_tutorials", "gallery", "api/reference")
+PAGES = [path for path in sorted(DOCS.rglob("*.md")) if not path.relative_to(DOCS).as_posix().startswith(GENERATED)]
+RUNNABLE = [path for path in PAGES if blocks(path, "python", "bash")]
+
+
+def name(path):
+    return path.relative_to(DOCS).as_posix()
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize("path", RUNNABLE, ids=name)
+def test_blocks(path, tmp_path, monkeypatch):
+    """No exception; what is printed is not compared."""
+    monkeypatch.chdir(tmp_path)
+    namespace = {"__name__": "page"}
+    for block in blocks(path, "python", "bash"):
+        run_python(block, path, namespace) if block.language == "python" else run_commands(block)
+
+
+@pytest.mark.parametrize("path", PAGES, ids=name)
+def test_a_page_has_one_heading_and_says_what_it_is_for(path):
+    text = re.sub(r"^```.*?^```", "", path.read_text(), flags=re.DOTALL | re.MULTILINE)
+    if "{include}" in path.read_text():
+        return
+    assert len(re.findall(r"^# ", text, re.MULTILINE)) == 1
+    first = re.sub(r"^# .*", "", text, count=1, flags=re.MULTILINE).strip().partition("\n")[0]
+    assert re.match(r"[\w`*\[(]", first), f"the first line is no sentence: {first}"
+
+
+def test_pages_are_found():
+    assert len(PAGES) >= 10
