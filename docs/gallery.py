@@ -8,8 +8,6 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from sphinx_gallery.scrapers import figure_rst
-
 PICTURES = {".png", ".webp"}
 """Endings of the files that scripts write to be shown."""
 
@@ -17,7 +15,7 @@ ARGUMENTS: dict[str, str] = {
     "examples/curriculum.py": "--num-envs 256 --steps 400 --figure curriculum.png",
     "examples/mappo_benchmarl.py": "--iterations 6 --num-envs 64 --episodes 64 --out {tmp} --figure episode.png",
     "examples/ppo_cleanrl.py": "--steps 400000 --episodes 256 --figure episode.png",
-    "examples/ppo_sb3.py": "--steps 300000 --episodes 256 --out {tmp} --figure episode.png",
+    "examples/ppo_sb3.py": "--num-envs 256 --rollout 32 --steps 400000 --episodes 256 --out {tmp} --figure episode.png",
     "examples/share_intent.py": "--minutes 0.4 --episodes 32 --n-satellites 6 --n-targets 2000 --out {tmp} --figure episode.png",
     "examples/bsk_rl/aeos.py": "S3 --num-envs 4 --figure episode.png",
     "examples/bsk_rl/async_multiagent_training.py": "--iterations 20 --num-envs 32 --figure episode.png",
@@ -27,7 +25,7 @@ ARGUMENTS: dict[str, str] = {
     "examples/bsk_rl/curriculum_learning.py": "--num-envs 256 --iterations 40 --figure curve.png",
     "examples/bsk_rl/multiagent_envs.py": "--num-envs 2 --figure episode.png",
     "examples/bsk_rl/rllib_training.py": "--num-envs 256 --iterations 40 --figure episode.png",
-    "examples/bsk_rl/satellite_configuration.py": "--num-envs 2",
+    "examples/bsk_rl/satellite_configuration.py": "--num-envs 2 --figure episode.png",
     "examples/bsk_rl/simple_environment.py": "--num-envs 4 --figure episode.png",
     "examples/bsk_rl/target_location_uncertainty.py": "--num-envs 4 --figure episode.png",
     "examples/bsk_rl/time_discounted_gae.py": "--num-envs 256 --iterations 40 --figure episode.png",
@@ -53,6 +51,8 @@ def arguments(gallery_conf: dict[str, Any], script_vars: dict[str, Any]) -> list
 
 def written_pictures(block: Any, block_vars: dict[str, Any], gallery_conf: dict[str, Any]) -> str:
     """Show the pictures that a block has written into its working directory, in the order of their making, and move them away."""
+    from sphinx_gallery.scrapers import figure_rst
+
     found = [path for path in Path.cwd().iterdir() if path.suffix in PICTURES]
     moved = []
     for path in sorted(found, key=lambda path: path.stat().st_mtime_ns):

@@ -80,8 +80,8 @@ print("reward  ", td["reward"][:4].flatten().tolist())
 # -----------------------
 #
 # The reward is the time in which data were recorded, in terms of the 28,500 s of the episode: an episode that records all the
-# time returns 1. The instrument records when it points at the ground, so a scan that begins with a turn gives less than
-# 180 / 28,500 = 0.0063, and a full store gives nothing. If the satellite dies, the reward is -1 and the episode is ``terminated``.
+# time returns 1. The instrument records when it points at the ground, so a scan that begins with a turn gives less than 180 /
+# 28,500 = 0.0063, and a full store gives nothing. If the satellite dies, the reward is -1 and the episode is ``terminated``.
 #
 # A policy written by hand
 # ------------------------

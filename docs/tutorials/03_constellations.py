@@ -125,8 +125,8 @@ for group, agents in env.group_map.items():
 # Other views
 # -----------
 #
-# PettingZoo gets one episode, with dictionaries by agent; ``bsk_torch/GeneralSatelliteTasking-v1`` of Gymnasium has one agent that
-# commands all satellites.
+# PettingZoo gets one episode, with dictionaries by agent; ``bsk_torch/GeneralSatelliteTasking-v1`` of Gymnasium has one agent
+# that commands all satellites.
 from bsk_torch.wrappers.pettingzoo import parallel_env
 
 parallel = parallel_env("AEOSConstellation-v1", n_targets=200, time_limit=600.0)

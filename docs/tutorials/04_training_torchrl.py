@@ -67,14 +67,14 @@ path = learning_curve(read_log(folder / LOG), Path("curve.png"), levels, "NadirS
 #
 #     bsk-torch train NadirScan-v1 --frames 262144 num_envs=256 rollout=32 evaluate_every=0 --out runs/scan
 #
-# which also evaluates and draws. ``bsk-torch train runs/scan --resume frames=3000000`` goes on from there. A full training of three
-# million decisions takes a few minutes.
+# which also evaluates and draws. ``bsk-torch train runs/scan --resume frames=3000000`` goes on from there. A full training of
+# three million decisions takes a few minutes.
 #
 # The same by hand
 # ----------------
 #
-# The rest of this page is a PPO of TorchRL's parts, in the form in which you may want to change it. First the environment, and the
-# mean and deviation of its observations under random actions, by which the networks standardise what they see.
+# The rest of this page is a PPO of TorchRL's parts, in the form in which you may want to change it. First the environment, and
+# the mean and deviation of its observations under random actions, by which the networks standardise what they see.
 torch.manual_seed(0)
 env = bsk_torch.make("NadirScan-v1", num_envs=NUM_ENVS, seed=0, time_limit=SECONDS)
 seen = env.rollout(ROLLOUT, break_when_any_done=False)["observation"].flatten(0, 1)

@@ -6,8 +6,8 @@ Train with Stable-Baselines3
 
 Train sb3-contrib's MaskablePPO on many episodes in one simulation, without subprocesses, and compare the result with rules.
 
-This page needs ``pip install 'bsk_torch[sb3]'``. Any other algorithm of Stable-Baselines3 for discrete actions works in the same way;
-MaskablePPO also uses the mask of legal actions.
+This page needs ``pip install 'bsk_torch[sb3]'``. Any other algorithm of Stable-Baselines3 for discrete actions works in the
+same way; MaskablePPO also uses the mask of legal actions.
 """
 
 # %%
@@ -132,7 +132,7 @@ print(type(env.core).__name__, env.core.satellite.action_description)
 # Next
 # ----
 #
-# - :ref:`gallery-sb3`: the same as a program with options, logged metrics, and the model on disk.
+# - :ref:`sphx_glr_gallery_ppo_sb3.py`: the same as a program with options, logged metrics, and the model on disk.
 # - :ref:`tutorial-marl`: RLlib and BenchMARL.
 # - :ref:`tutorial-evaluating`: how good a policy is.
 #

@@ -14,8 +14,8 @@ RLlib asks for an older Gymnasium and needs an environment of its own, so its pa
 # The result
 # ----------
 #
-# Three satellites of one plane learn to share 1,000 targets, in half a minute. ``ConstellationTask`` makes a task of BenchMARL of a
-# preset; everything else is BenchMARL's own configuration.
+# Three satellites of one plane learn to share 1,000 targets, in half a minute. ``ConstellationTask`` makes a task of BenchMARL
+# of a preset; everything else is BenchMARL's own configuration.
 import tempfile
 
 import torch
@@ -118,12 +118,12 @@ path = draw(record(experiment.policy, alone, seed=4), "ippo.png", "IPPO of Bench
 #     :pyobject: as_policy
 #
 # RLlib keeps episodes as Python objects, one decision after the other, and discounts per decision. Several agents with different
-# clocks need connectors there; :ref:`gallery-async` does the same with a mask.
+# clocks need connectors there; :ref:`sphx_glr_gallery_bsk_rl_async_multiagent_training.py` does the same with a mask.
 #
 # Next
 # ----
 #
-# - :ref:`gallery-benchmarl` and :ref:`gallery-rllib`: both as programs with options.
+# - :ref:`sphx_glr_gallery_mappo_benchmarl.py` and :ref:`sphx_glr_gallery_ppo_rllib.py`: both as programs with options.
 # - :ref:`tutorial-constellations`: groups, masks and communication.
 # - :ref:`tutorial-evaluating`: compare and publish policies.
 #

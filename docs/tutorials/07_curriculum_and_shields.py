@@ -138,8 +138,8 @@ for name, result in results.items():
 # Learn behind a shield
 # ---------------------
 #
-# ``shielded`` narrows ``action_mask`` before the policy chooses. So does a method of the satellite: what ``legal_actions`` returns
-# is the ``action_mask`` of the environment, in every library and for every algorithm.
+# ``shielded`` narrows ``action_mask`` before the policy chooses. So does a method of the satellite: what ``legal_actions``
+# returns is the ``action_mask`` of the environment, in every library and for every algorithm.
 from bsk_torch import SatelliteTasking, data, scene
 from bsk_torch.presets.nadir_scan import ScanningSatellite, scanning_args
 
@@ -154,7 +154,9 @@ class CarefulSatellite(ScanningSatellite):
 
 
 env = SatelliteTasking(
-    CarefulSatellite("Scanner1", sat_args=scanning_args() | dict(storedCharge_Init=rand.Uniform(0.05 * CAPACITY, 0.15 * CAPACITY))),
+    CarefulSatellite(
+        "Scanner1", sat_args=scanning_args() | dict(storedCharge_Init=rand.Uniform(0.05 * CAPACITY, 0.15 * CAPACITY))
+    ),
     scenario=scene.UniformNadirScanning(value_per_second=1 / 28_500.0),
     rewarder=data.ScanningTimeReward(),
     time_limit=28_500.0,
@@ -170,8 +172,8 @@ for fraction, mask in zip(env.satellite.dynamics.battery_charge_fraction.tolist(
 # Next
 # ----
 #
-# - :ref:`gallery-curriculum`: the curriculum as a program with options.
-# - :ref:`gallery-shield`: trainings behind masks and replacements, the problem of BSK-RL's page.
+# - :ref:`sphx_glr_gallery_curriculum.py`: the curriculum as a program with options.
+# - :ref:`sphx_glr_gallery_bsk_rl_training_with_shield.py`: trainings behind masks and replacements, the problem of BSK-RL's page.
 # - :ref:`tutorial-evaluating`: compare policies with and without a shield.
 #
 # sphinx_gallery_thumbnail_number = 1

@@ -42,15 +42,15 @@ right.axvline(0.0, color="#333a45", linewidth=1)
 right.set(xlabel="gain (ends of the axis: or more)", ylabel="episodes")
 
 # %%
-# Each dot is an episode; those above the line are better with the trained policy. The mean of the differences is known better than
-# the two means:
+# Each dot is an episode; those above the line are better with the trained policy. The mean of the differences is known better
+# than the two means:
 print("trained:", trained.mean_return, f"survival {trained.survival:.1%}")
 print("rule:   ", rule.mean_return, f"survival {rule.survival:.1%}")
 print("gain:   ", trained.gain_over(rule))
 
 # %%
-# All intervals are those of 95 % confidence. An ``Evaluation`` also has the causes of deaths, the lengths of episodes, how full the
-# store was at the end, and what the environment has counted:
+# All intervals are those of 95 % confidence. An ``Evaluation`` also has the causes of deaths, the lengths of episodes, how full
+# the store was at the end, and what the environment has counted:
 print(rule.causes, f"{trained.fill.mean():.0%} full,", f"{trained.decisions.double().mean():.0f} decisions")
 
 # %%
@@ -87,8 +87,8 @@ bsk_torch_command("eval", "pretrained", "--preset", "NadirScan-v1", "--seeds", S
 # A report
 # --------
 #
-# ``bsk-torch report`` turns the folder of a run into one HTML page: learning curves, the table of the evaluation, causes of death,
-# the best, the median and the worst episode. Here for a short training:
+# ``bsk-torch report`` turns the folder of a run into one HTML page: learning curves, the table of the evaluation, causes of
+# death, the best, the median and the worst episode. Here for a short training:
 import tempfile
 from pathlib import Path
 
@@ -108,9 +108,9 @@ bsk_torch_command("report", str(folder), "--episodes", "8")
 # A policy is a file
 # ------------------
 #
-# ``policy.pt`` in the folder of a run is all that is needed: weights, how the networks are built, and in which environment the policy
-# was trained. ``load_policy`` reads it on another machine, ``read_card`` says what it is, and ``check_fits`` refuses an environment
-# with other observations or actions.
+# ``policy.pt`` in the folder of a run is all that is needed: weights, how the networks are built, and in which environment the
+# policy was trained. ``load_policy`` reads it on another machine, ``read_card`` says what it is, and ``check_fits`` refuses an
+# environment with other observations or actions.
 import shutil
 
 from bsk_torch.rl.policies import check_fits, load_policy, read_card
@@ -136,8 +136,8 @@ except ValueError as error:
     print(str(error).replace(str(folder.parent), "..."))
 
 # %%
-# ``bsk-torch publish RUN --folder FOLDER`` evaluates the policy of a run, copies it, and notes command, time, machine and score beside
-# it in ``policies.json``. The policies of the package were published in this way:
+# ``bsk-torch publish RUN --folder FOLDER`` evaluates the policy of a run, copies it, and notes command, time, machine and score
+# beside it in ``policies.json``. The policies of the package were published in this way:
 from bsk_torch.rl.policies import makings
 
 for preset, making in makings().items():

@@ -13,13 +13,13 @@ A frame shows the present moment of one episode. Nothing needs a display.
 # The result
 # ----------
 #
-# Ten minutes of a satellite that images targets, with the policy of the package. There is one frame per decision.
+# A satellite that images targets, with the policy of the package and one frame per decision:
 import torch
 from PIL import Image
+from torchrl.envs.utils import step_mdp
 
 import bsk_torch
 from bsk_torch.rl.policies import pretrained
-from torchrl.envs.utils import step_mdp
 
 FRAMES = 60
 MEMBERS = 6
@@ -37,14 +37,17 @@ def film(env, policy, path, seed, frames):
         pictures.append(env.render(rows=0))
     first, *others = (Image.fromarray(picture.numpy()) for picture in pictures)
     first.save(path, save_all=True, append_images=others, duration=150, loop=0, quality=70, method=2)
+    print(f"{len(pictures)} pictures of {float(env.fleet.sim_time[0]) / 60:.0f} minutes of flight")
 
 
-env = bsk_torch.make("AEOS-v1", num_envs=1, as_set=True, n_targets=2000)
+env = bsk_torch.make("AEOS-v1", num_envs=1, as_set=True, n_targets=1000)
 film(env, pretrained("AEOS-v1"), "imaging.webp", seed=5, frames=FRAMES)
 
 # %%
-# Lines lead from the satellite to the target that it turns to. Small dots are targets, and those that have been imaged change their
-# colour. ``env.render()`` returns pictures ``[480, 640, 3]`` of unsigned bytes: of the row that is named, or of all up to sixteen.
+# Dark dots are targets, and green ones have been imaged. The strong line is where the satellite has flown, the faint one the rest
+# of its orbit. Pillow writes GIF files in the same way, larger and with 256 colours.
+#
+# ``env.render()`` returns pictures ``[480, 640, 3]`` of unsigned bytes: of the row that is named, or of all up to sixteen.
 print(env.render(rows=0).shape, env.render(rows=0).dtype)
 
 # %%
