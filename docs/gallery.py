@@ -50,7 +50,10 @@ def arguments(gallery_conf: dict[str, Any], script_vars: dict[str, Any]) -> list
 
 
 def written_pictures(block: Any, block_vars: dict[str, Any], gallery_conf: dict[str, Any]) -> str:
-    """Show the pictures that a block has written into its working directory, in the order of their making, and move them away."""
+    """Say how an example was executed, and show the pictures that a block has written into its working directory.
+
+    They are shown in the order of their making, and moved away.
+    """
     from sphinx_gallery.scrapers import figure_rst
 
     found = [path for path in Path.cwd().iterdir() if path.suffix in PICTURES]
@@ -59,7 +62,16 @@ def written_pictures(block: Any, block_vars: dict[str, Any], gallery_conf: dict[
         place = Path(next(block_vars["image_path_iterator"])).with_suffix(path.suffix)
         shutil.move(path, place)
         moved.append(str(place))
-    return figure_rst(moved, gallery_conf["src_dir"])
+    return executed(block_vars["src_file"]) + figure_rst(moved, gallery_conf["src_dir"])
+
+
+def executed(path: str) -> str:
+    """Return the command line of an example as text of a page; nothing for tutorials."""
+    name = name_of(path)
+    if name not in ARGUMENTS:
+        return ""
+    command = f"python {name} {ARGUMENTS[name].replace('{tmp}', 'runs/example')}"
+    return f"\nExecuted as\n\n.. code-block:: text\n\n    {command}\n\n"
 
 
 SETTINGS: dict[str, Any] = {
