@@ -42,4 +42,6 @@ def draw(episode: Recorded, path: Path | str, title: str = "") -> Path:
     path = Path(path)
     if isinstance(episode, ConstellationEpisode):
         return constellation_figure(episode, path, title)
-    return (ground_track if isinstance(episode, ImagingEpisode) else timeline)(episode, path, title)  # type: ignore[operator]
+    if isinstance(episode, ImagingEpisode):
+        return ground_track(episode, path, title)
+    return timeline(episode, path, title)
