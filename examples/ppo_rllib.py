@@ -11,6 +11,15 @@ It needs RLlib, which asks for an older Gymnasium than the newest, so better in 
 
 RLlib handles episodes as Python objects, one decision after the other, and discounts per decision: a step of a minute counts as
 much as one of three.
+
+The documentation does not execute this program, since its packages do not fit those of the others; ``scripts/test.sh --rllib``
+tests it. A run of 100,000 decisions has printed this:
+
+.. literalinclude:: /../examples/recorded/ppo_rllib.txt
+   :language: text
+
+.. image:: /../examples/recorded/ppo_rllib.png
+   :alt: Return of the last episodes over the decisions of this run
 """
 
 from __future__ import annotations
@@ -40,6 +49,8 @@ from torch import Tensor
 
 from bsk_torch.presets import make
 from bsk_torch.rl.evaluation import FRESH, compare, comparison_table
+
+# sphinx_gallery_thumbnail_path = '../examples/recorded/ppo_rllib.png'
 
 NAME = "bsk_torch"
 """Name of the environment in RLlib."""
