@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import logging
 import shlex
 import shutil
 import tempfile
+import warnings
+from functools import partialmethod
 from pathlib import Path
 from typing import Any
 
@@ -45,8 +48,20 @@ def name_of(path: str | Path) -> str:
 
 def arguments(gallery_conf: dict[str, Any], script_vars: dict[str, Any]) -> list[str]:
     """Return the command line with which a script is executed."""
+    keep_quiet()
     line = ARGUMENTS.get(name_of(script_vars["src_file"]), "")
     return shlex.split(line.replace("{tmp}", tempfile.mkdtemp()) if "{tmp}" in line else line)
+
+
+def keep_quiet() -> None:
+    """Keep progress bars, and what TorchRL says of itself, out of the pages: they show all that goes to the standard streams."""
+    from torchrl import logger
+    from tqdm import tqdm
+
+    if not isinstance(vars(tqdm)["__init__"], partialmethod):
+        tqdm.__init__ = partialmethod(tqdm.__init__, disable=True)
+    logger.setLevel(logging.WARNING)
+    warnings.filterwarnings("ignore", module="torchrl", category=FutureWarning)
 
 
 def written_pictures(block: Any, block_vars: dict[str, Any], gallery_conf: dict[str, Any]) -> str:
