@@ -210,6 +210,7 @@ class Show:
             panel.plot([row["decisions"] for row in rows], [row[name] for row in rows], color=style.PALETTE[0])
             style.label(panel, name)
         axes[-1].set_xlabel("decisions")
+        figure.draw_without_rendering()  # ticks, and the room that their labels need, are known after the first layout
         style.save(figure, path)
 
 
