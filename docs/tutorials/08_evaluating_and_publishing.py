@@ -67,7 +67,7 @@ print(rule.causes, f"{trained.fill.mean():.0%} full,", f"{trained.decisions.doub
 import subprocess
 import sys
 
-SEEDS = "0:200"
+SEEDS, SHOWN = "0:200", "8"
 
 
 def bsk_torch_command(*arguments):
@@ -81,7 +81,8 @@ def bsk_torch_command(*arguments):
 import os
 
 environment = os.environ | {"COLUMNS": "120"}
-bsk_torch_command("eval", "pretrained", "--preset", "NadirScan-v1", "--seeds", SEEDS, "--shield", "safe")
+LIMIT = []  # or another length of episodes: ["--time-limit", "5700"]
+bsk_torch_command("eval", "pretrained", "--preset", "NadirScan-v1", "--seeds", SEEDS, "--shield", "safe", *LIMIT)
 
 # %%
 # A report
@@ -95,9 +96,9 @@ from pathlib import Path
 from bsk_torch.rl.training import Training, configure
 
 folder = Path(tempfile.mkdtemp()) / "scan"
-short = dict(frames=FRAMES, seconds=None, num_envs=128, rollout=16, evaluate_every=0)
+short = dict(frames=FRAMES, seconds=None, num_envs=128, rollout=16, evaluate_every=0, options={"time_limit": SECONDS})
 policy = Training(configure("NadirScan-v1", **short), folder).run()
-bsk_torch_command("report", str(folder), "--episodes", "8")
+bsk_torch_command("report", str(folder), "--episodes", SHOWN)
 
 # %%
 # The curves of a report of a full training; the marks are figures of the BSK-RL paper:

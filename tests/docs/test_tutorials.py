@@ -27,7 +27,13 @@ SIZES: dict[str, dict[str, str]] = {
     "05_stable_baselines3.py": {"NUM_ENVS, ROLLOUT": "4, 8", "STEPS": "96", "EPISODES": "4", "SECONDS": "900.0"},
     "06_rllib_benchmarl.py": {"ITERATIONS": "1", "NUM_ENVS, ROLLOUT": "4, 8", "EPISODES": "2", "SECONDS": "400.0"},
     "07_curriculum_and_shields.py": {"NUM_ENVS": "4", "STEPS": "12", "EPISODES": "4", "SECONDS": "600.0"},
-    "08_evaluating_and_publishing.py": {"EPISODES": "8", "FRAMES": "32", "SECONDS": "900.0", "SEEDS": '"0:2"'},
+    "08_evaluating_and_publishing.py": {
+        "EPISODES": "8",
+        "FRAMES": "32",
+        "SECONDS": "900.0",
+        "SEEDS, SHOWN": '"0:2", "1"',
+        "LIMIT": '["--time-limit", "300"]',
+    },
     "09_watch_an_episode.py": {"FRAMES": "3", "MEMBERS": "3"},
 }
 """Values of constants, by tutorial and by what stands left of the equals sign."""
