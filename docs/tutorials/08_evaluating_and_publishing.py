@@ -64,24 +64,19 @@ print(rule.causes, f"{trained.fill.mean():.0%} full,", f"{trained.decisions.doub
 # ``bsk-torch eval`` prints the same numbers for a folder of a run, a file, ``pretrained``, or a baseline. ``--shield`` adds the
 # policy behind a shield, ``--out`` and ``--episodes-out`` keep the numbers. This is
 # ``bsk-torch eval pretrained --preset NadirScan-v1 --seeds 0:200 --shield safe``:
-import subprocess
-import sys
+from bsk_torch.cli import app
+from bsk_torch.cli.shared import console
 
 SEEDS, SHOWN = "0:200", "8"
+LIMIT = []  # or another length of episodes: ["--time-limit", "5700"]
 
 
 def bsk_torch_command(*arguments):
-    """Run the command and print what it prints."""
-    done = subprocess.run(
-        [sys.executable, "-m", "bsk_torch", *arguments], check=True, capture_output=True, text=True, env=environment
-    )
-    print(done.stdout)
+    """Do what the command does, in this process."""
+    app(arguments, standalone_mode=False)
 
 
-import os
-
-environment = os.environ | {"COLUMNS": "120"}
-LIMIT = []  # or another length of episodes: ["--time-limit", "5700"]
+console.width = 120
 bsk_torch_command("eval", "pretrained", "--preset", "NadirScan-v1", "--seeds", SEEDS, "--shield", "safe", *LIMIT)
 
 # %%
