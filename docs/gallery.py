@@ -94,7 +94,7 @@ SETTINGS: dict[str, Any] = {
     "within_subsection_order": "FileNameSortKey",
     "image_scrapers": ("matplotlib", written_pictures),
     "reset_argv": arguments,
-    "capture_repr": ("_repr_html_", "__repr__"),
+    "capture_repr": (),
     "remove_config_comments": True,
     "thumbnail_size": (400, 280),
     "min_reported_time": 1,

@@ -43,7 +43,7 @@ path = draw(episode, "trained.png", "trained policy")
 env = bsk_torch.make("NadirScan-v1", num_envs=EPISODES, time_limit=SECONDS)
 env.set_seed(0)
 td = env.reset()
-td
+print(td)
 
 # %%
 # What it sees
