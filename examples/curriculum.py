@@ -1,4 +1,10 @@
-"""A curriculum for each environment: episodes become harder where they are survived, and easier where they are not.
+"""
+A curriculum for each environment
+=================================
+
+Episodes become harder where they are survived, and easier where they are not.
+
+On the command line::
 
     python examples/curriculum.py
     python examples/curriculum.py --num-envs 64 --steps 400 --rise 0.05 --fall 0.1
@@ -14,6 +20,7 @@ policy in training; the curriculum is what stands between a step and the resets 
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 from typing import Any
 
 import torch
@@ -68,6 +75,19 @@ def rule(satellite: Any) -> Tensor:
     return action
 
 
+def draw(levels: Tensor, path: Path) -> None:
+    """Draw mean and range of levels [T, N] over the steps to a file."""
+    from bsk_torch.viz.figures import style
+
+    figure, (panel,) = style.panels([3.0])
+    steps = range(1, len(levels) + 1)
+    panel.fill_between(steps, levels.amin(1), levels.amax(1), color=style.PALETTE[0], alpha=0.15, linewidth=0)
+    panel.plot(steps, levels.mean(1), color=style.PALETTE[0])
+    style.label(panel, "level: mean, least and largest")
+    panel.set_xlabel("steps")
+    style.save(figure, path)
+
+
 def main() -> None:
     """Play, and print how far the levels have come."""
     parser = argparse.ArgumentParser(description="Let the difficulty of each environment follow its success.")
@@ -77,6 +97,7 @@ def main() -> None:
     parser.add_argument("--rise", type=float, default=0.1)
     parser.add_argument("--fall", type=float, default=0.2)
     parser.add_argument("--backend", choices=("compiled", "eager"), default="compiled")
+    parser.add_argument("--figure", type=Path, help="file for a picture of the levels; needs the extra viz")
     args = parser.parse_args()
 
     curriculum = Curriculum(args.num_envs, args.rise, args.fall)
@@ -84,7 +105,7 @@ def main() -> None:
         "NadirScan-v1", num_envs=args.num_envs, sat_args=curriculum.args, time_limit=args.time_limit, backend=args.backend, seed=1
     )
     kernel, episodes, successes = env.simulator.tick, 0, 0
-    state = env.reset()
+    levels, state = [], env.reset()
     for step in range(1, args.steps + 1):
         state["action"] = rule(env.satellite)
         state = step_mdp(env.step(state))
@@ -95,10 +116,13 @@ def main() -> None:
             env.set_sat_args(curriculum.args, envs=ended)
             episodes, successes = episodes + int(ended.sum()), successes + int((ended & survived).sum())
             state = env.maybe_reset(state)
+        levels.append(curriculum.level.clone())
         if step % max(1, args.steps // 10) == 0:
             mean, low, high = curriculum.level.mean(), curriculum.level.min(), curriculum.level.max()
             print(f"step {step}: {episodes} episodes, {successes} survived, level {mean:.2f} ({low:.2f} to {high:.2f})")
     print("nothing was built anew" if env.simulator.tick is kernel else "a tick was built anew")
+    if args.figure is not None:
+        draw(torch.stack(levels), args.figure)
 
 
 if __name__ == "__main__":

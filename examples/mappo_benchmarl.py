@@ -1,6 +1,10 @@
-"""Train a small constellation with BenchMARL's MAPPO or IPPO, and compare it with rules on fresh episodes.
+"""
+MAPPO and IPPO with BenchMARL
+=============================
 
-It needs BenchMARL without the older TorchRL that it asks for:
+Train a small constellation with BenchMARL, and compare it with rules on fresh episodes.
+
+It needs BenchMARL without the older TorchRL that it asks for::
 
     pip install --no-deps benchmarl==1.5.2
     python examples/mappo_benchmarl.py --iterations 60
@@ -79,6 +83,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--episodes", type=int, default=256, help="fresh episodes for every evaluation")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--out", type=Path, default=Path("runs"), help="folder for BenchMARL's logs")
+    parser.add_argument("--figure", type=Path, help="file for a picture of an episode; needs the extra viz")
     return parser.parse_args()
 
 
@@ -93,6 +98,10 @@ def main() -> None:
     experiment.run()
     results = compare({options.algorithm: experiment.policy}, env, options.seed)
     print(comparison_table(results | {"untrained": untrained}))
+    if options.figure is not None:
+        from bsk_torch.viz.episodes import draw, record
+
+        draw(record(experiment.policy, env, seed=options.seed + FRESH), options.figure, "BenchMARL")
 
 
 if __name__ == "__main__":

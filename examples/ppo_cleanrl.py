@@ -1,4 +1,10 @@
-"""PPO in one file, in the manner of CleanRL, on the Gymnasium vector environment: torch only, masked, with time-aware discount.
+"""
+PPO in one file
+===============
+
+In the manner of CleanRL, on the Gymnasium vector environment: torch only, masked, with time-aware discount.
+
+On the command line::
 
     python examples/ppo_cleanrl.py
     python examples/ppo_cleanrl.py --preset AEOSPower-v1 --num-envs 256 --rollout 32 --gamma 0.997
@@ -185,6 +191,17 @@ def show(title: str, returns: Tensor, lasted: Tensor) -> None:
     print(f"{title:>10}: return {returns.mean():.3f} ± {half:.3f}, survival {lasted.double().mean():.1%}")
 
 
+def draw(curve: list[tuple[int, float]], path: Path) -> None:
+    """Draw the return of the last episodes over the decisions to a file."""
+    from bsk_torch.viz.figures import style
+
+    figure, (panel,) = style.panels([3.0])
+    panel.plot(*zip(*curve, strict=True), color=style.PALETTE[0])
+    style.label(panel, "return while training")
+    panel.set_xlabel("decisions")
+    style.save(figure, path)
+
+
 def arguments() -> argparse.Namespace:
     """Parse the command line."""
     parser = argparse.ArgumentParser(description="PPO in one file, on the Gymnasium vector environment.")
@@ -206,6 +223,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--time-limit", type=float, help="length of an episode, s, instead of the preset's")
     parser.add_argument("--backend", default="compiled", choices=["compiled", "eager"])
     parser.add_argument("--out", type=Path, help="file for the agent's weights")
+    parser.add_argument("--figure", type=Path, help="file for a picture of the learning curve; needs the extra viz")
     options = parser.parse_args()
     known = [name for name, spec in gymnasium.registry.items() if name.startswith("bsk_torch/") and spec.vector_entry_point]
     if f"bsk_torch/{options.preset}" not in known:
@@ -227,18 +245,23 @@ def main() -> None:
     optimiser = torch.optim.Adam(agent.parameters(), options.learning_rate, eps=1e-5)
     collector = Collector(env, agent, options.seed)
     per_update, begin = options.num_envs * options.rollout, time.perf_counter()
+    curve: list[tuple[int, float]] = []
     for update in range(max(1, options.steps // per_update)):
         left = max(LEAST, 1.0 - update * per_update / options.steps)
         optimiser.param_groups[0]["lr"] = options.learning_rate * left
         learn(agent, optimiser, [collector.step() for _ in range(options.rollout)], options, left)
-        if update % 10 == 9 and collector.returns:
-            recent = sum(collector.returns) / len(collector.returns)
+        if collector.returns:
+            curve.append(((update + 1) * per_update, sum(collector.returns) / len(collector.returns)))
+        if update % 10 == 9 and curve:
+            recent = curve[-1][1]
             print(f"{(update + 1) * per_update:>9} steps, {time.perf_counter() - begin:4.0f} s: return {recent:.3f}")
     fresh = gymnasium.make_vec(env_id, num_envs=options.episodes, **world)
     show("random", *evaluate(fresh, None, options.seed + FRESH))
     show("trained", *evaluate(fresh, agent, options.seed + FRESH))
     if options.out is not None:
         torch.save(agent.state_dict(), options.out)
+    if options.figure is not None:
+        draw(curve, options.figure)
 
 
 if __name__ == "__main__":

@@ -1,12 +1,25 @@
-"""Train with RLlib's PPO through Gymnasium's vector entry point, and compare it with random actions and the rules.
+"""
+PPO with RLlib
+==============
 
-It needs RLlib, which asks for an older Gymnasium than the newest, so better in a virtual environment of its own:
+Train through Gymnasium's vector entry point, and compare the policy with random actions and the rules on fresh episodes.
+
+It needs RLlib, which asks for an older Gymnasium than the newest, so better in a virtual environment of its own::
 
     pip install 'ray[rllib]==2.60.0'
     python examples/ppo_rllib.py
 
 RLlib handles episodes as Python objects, one decision after the other, and discounts per decision: a step of a minute counts as
 much as one of three.
+
+The documentation does not execute this program, since its packages do not fit those of the others; ``scripts/test.sh --rllib``
+tests it. A run of 100,000 decisions has printed this:
+
+.. literalinclude:: /../examples/recorded/ppo_rllib.txt
+   :language: text
+
+.. image:: /../examples/recorded/ppo_rllib.png
+   :alt: Return of the last episodes over the decisions of this run
 """
 
 from __future__ import annotations
@@ -35,7 +48,9 @@ from tensordict.nn import TensorDictModule
 from torch import Tensor
 
 from bsk_torch.presets import make
-from bsk_torch.rl.evaluation import compare, comparison_table
+from bsk_torch.rl.evaluation import FRESH, compare, comparison_table
+
+# sphinx_gallery_thumbnail_path = '../examples/recorded/ppo_rllib.png'
 
 NAME = "bsk_torch"
 """Name of the environment in RLlib."""
@@ -145,6 +160,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--time-limit", type=float, help="length of an episode, s, instead of the preset's")
     parser.add_argument("--backend", default="compiled", choices=["compiled", "eager"])
     parser.add_argument("--out", type=Path, help="folder for the checkpoint; a new one in runs/ unless given")
+    parser.add_argument("--figure", type=Path, help="file for a picture of an episode; needs the extra viz")
     return parser.parse_args()
 
 
@@ -161,8 +177,13 @@ def main() -> None:
     seen = algorithm.env_runner.env.env.env.obs_rms  # below RLlib's wrapper and the mask
     np.savez(out / "normalize.npz", mean=seen.mean, variance=seen.var)
     fresh = make(options.preset, num_envs=options.episodes, **world)
-    print(comparison_table(compare({"RLlib PPO": as_policy(algorithm.get_module(), seen.mean, seen.var)}, fresh, options.seed)))
+    policy = as_policy(algorithm.get_module(), seen.mean, seen.var)
+    print(comparison_table(compare({"RLlib PPO": policy}, fresh, options.seed)))
     print(f"checkpoint, and what normalises its observations, are in {out}")
+    if options.figure is not None:
+        from bsk_torch.viz.episodes import draw, record
+
+        draw(record(policy, make(options.preset, num_envs=1, **world), seed=options.seed + FRESH), options.figure, "RLlib PPO")
     algorithm.stop()
 
 

@@ -1,6 +1,12 @@
-"""Train with sb3-contrib's MaskablePPO, and compare it with random actions and the rules on fresh episodes.
+"""
+MaskablePPO with Stable-Baselines3
+==================================
+
+Train with sb3-contrib, and compare the policy with random actions and the rules on fresh episodes.
 
 It needs Stable-Baselines3: pip install 'bsk_torch[sb3]'
+
+On the command line::
 
     python examples/ppo_sb3.py
     python examples/ppo_sb3.py --preset AEOSPower-v1 --gamma 0.95 --rollout 32 --num-envs 256
@@ -25,7 +31,7 @@ from tensordict.nn import TensorDictModule
 from torch import Tensor
 
 from bsk_torch.presets import make
-from bsk_torch.rl.evaluation import compare, comparison_table
+from bsk_torch.rl.evaluation import FRESH, compare, comparison_table
 from bsk_torch.wrappers.stable_baselines3 import MetricsCallback, SB3VecEnv
 
 LEAST = 0.05
@@ -86,6 +92,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--time-limit", type=float, help="length of an episode, s, instead of the preset's")
     parser.add_argument("--backend", default="compiled", choices=["compiled", "eager"])
     parser.add_argument("--out", type=Path, help="folder for the model; a new one in runs/ unless given")
+    parser.add_argument("--figure", type=Path, help="file for a picture of an episode; needs the extra viz")
     return parser.parse_args()
 
 
@@ -104,8 +111,13 @@ def main() -> None:
     model.save(out / "model.zip")
     env.save(str(out / "normalize.pkl"))
     fresh = make(options.preset, num_envs=options.episodes, **world)
-    print(comparison_table(compare({"MaskablePPO": as_policy(model, env)}, fresh, options.seed)))
+    policy = as_policy(model, env)
+    print(comparison_table(compare({"MaskablePPO": policy}, fresh, options.seed)))
     print(f"{model.num_timesteps} decisions in {seconds:.0f} s; the model and what normalises its observations are in {out}")
+    if options.figure is not None:
+        from bsk_torch.viz.episodes import draw, record
+
+        draw(record(policy, make(options.preset, num_envs=1, **world), seed=options.seed + FRESH), options.figure, "MaskablePPO")
 
 
 if __name__ == "__main__":

@@ -1,4 +1,10 @@
-"""Fly a constellation with a policy that was trained on one satellite, and let satellites share what they have imaged.
+"""
+Trained alone, flown together
+=============================
+
+Fly a constellation with a policy that was trained on one satellite, and let satellites share what they have imaged.
+
+On the command line::
 
     python examples/share_intent.py --minutes 4                train on one satellite first
     python examples/share_intent.py --policy runs/alone        a folder that training has left
@@ -74,6 +80,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--backend", default="compiled", choices=["compiled", "eager"])
     parser.add_argument("--out", type=Path, help="folder for the results; a new one in runs/ unless given")
+    parser.add_argument("--figure", type=Path, help="file for a picture of an episode; needs the extra viz")
     return parser.parse_args()
 
 
@@ -98,6 +105,10 @@ def main() -> None:
             result = evaluate(policy, env, seed=options.seed + FRESH)
             print(row(who, sharing, result, alone.setdefault(who, result)), flush=True)
             returns.setdefault(who, {})[sharing] = result.returns.tolist()
+    if options.figure is not None:
+        from bsk_torch.viz.episodes import draw, record
+
+        draw(record(SharedPolicy(trained), env, seed=options.seed + FRESH), options.figure, "trained alone, sharing all")
     out.mkdir(parents=True, exist_ok=True)
     (out / "share_intent.json").write_text(json.dumps(returns) + "\n")
 

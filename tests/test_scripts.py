@@ -73,7 +73,10 @@ STARTS: dict[str, list[Start]] = {
         ),
     ],
     "examples/curriculum.py": [
-        Start("--num-envs 4 --steps 10 --time-limit 360 --rise 0.5", r"(?s)step 10: \d+ episodes.*nothing was built anew"),
+        Start(
+            "--num-envs 4 --steps 10 --time-limit 360 --rise 0.5 --figure levels.png",
+            r"(?s)step 10: \d+ episodes.*nothing was built anew",
+        ),
     ],
     "scripts/demo.sh": [Start(f"{TRAIN} --out {{tmp}}/run", "trained")],
     "scripts/tools/make_readme_pictures.py": [Start("speed --out .", "speed.png")],

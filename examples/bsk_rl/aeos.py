@@ -1,4 +1,10 @@
-"""Agile Earth observation: three sets of observations without a limit of power, and one with a battery to manage.
+"""
+Agile Earth observation
+=======================
+
+Three sets of observations without a limit of power, and one with a battery to manage.
+
+On the command line::
 
     python examples/bsk_rl/aeos.py S3 --num-envs 4
     python examples/bsk_rl/aeos.py power --num-envs 4
@@ -11,6 +17,7 @@ from __future__ import annotations
 
 import argparse
 import math
+from pathlib import Path
 from typing import Any
 
 import torch
@@ -176,12 +183,17 @@ def main() -> None:
     parser.add_argument("--num-envs", type=int, default=4, help="episodes at once")
     parser.add_argument("--time-limit", type=float, default=5 * 5700.0, help="length of an episode, s")
     parser.add_argument("--backend", default="compiled", choices=["compiled", "eager"])
+    parser.add_argument("--figure", type=Path, help="file for a picture of the first episode at the end; needs the extra viz")
     options = parser.parse_args()
     env = make(options.variant, options.num_envs, time_limit=options.time_limit, backend=options.backend, seed=0)
     td = env.reset()
     for _ in range(5):
         td = env.rand_step(td)["next"]  # bsk_rl: env.step(env.action_space.sample())
         print("rewards", td["reward"].squeeze(1).tolist(), "after", td["duration"].squeeze(1).tolist(), "s")
+    if options.figure is not None:
+        from PIL import Image
+
+        Image.fromarray(env.render(rows=0).numpy()).save(options.figure)
 
 
 if __name__ == "__main__":

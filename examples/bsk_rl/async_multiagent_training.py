@@ -1,4 +1,10 @@
-"""Four scanners learn one policy, each on its own clock: a satellite decides when it has finished its task, not when others have.
+"""
+Satellites with clocks of their own
+===================================
+
+Four scanners learn one policy: a satellite decides when it has finished its task, not when others have.
+
+On the command line::
 
     python examples/bsk_rl/async_multiagent_training.py --iterations 50 --num-envs 64
 
@@ -11,10 +17,11 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import torch
-from rllib_training import SAT_ARGS, ScanningSatellite, show, task
+from rllib_training import SAT_ARGS, ScanningSatellite, Show, task
 from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModule, TensorDictSequential
 from torch import Tensor, nn
@@ -139,14 +146,16 @@ def main() -> None:
     parser.add_argument("--rollout", type=int, default=32, help="steps of each episode in a batch")
     parser.add_argument("--time-limit", type=float, default=28500.0, help="length of an episode, s")
     parser.add_argument("--backend", default="compiled", choices=["compiled", "eager"])
+    parser.add_argument("--figure", type=Path, help="file for a picture of the learning curve; needs the extra viz")
     options = parser.parse_args()
     torch.manual_seed(0)
     env = make(options.num_envs, time_limit=options.time_limit, backend=options.backend, seed=0)
     team = Team(env, gamma=0.99997, lmbda=0.95, rate=1e-3)  # bsk_rl: lr=0.00003
-    frames = options.num_envs * options.rollout
+    frames, show = options.num_envs * options.rollout, Show()
     # bsk_rl: tune.run("PPO", ...) with ContinuePreviousAction, MakeAddedStepActionValid and CondenseMultiStepActions
     for k, batch in enumerate(Collector(env, team.policy(), frames_per_batch=frames, total_frames=options.iterations * frames)):
         show((k + 1) * frames, team.learn(batch))
+    show.draw(options.figure, "reward", "decisions")
 
 
 if __name__ == "__main__":

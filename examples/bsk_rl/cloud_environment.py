@@ -1,4 +1,10 @@
-"""Clouds: images pay the more, the clearer the sky over the target is, but only a forecast can be seen beforehand.
+"""
+Targets under clouds
+====================
+
+Images pay the more, the clearer the sky over the target is, but only a forecast can be seen beforehand.
+
+On the command line::
 
     python examples/bsk_rl/cloud_environment.py --num-envs 4
 
@@ -11,6 +17,7 @@ from __future__ import annotations
 import argparse
 import math
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import torch
@@ -169,6 +176,7 @@ def main() -> None:
     parser.add_argument("--num-envs", type=int, default=4, help="episodes at once")
     parser.add_argument("--time-limit", type=float, default=95 * 60 * 3.0, help="length of an episode, s")
     parser.add_argument("--backend", default="compiled", choices=["compiled", "eager"])
+    parser.add_argument("--figure", type=Path, help="file for a picture of the first episode at the end; needs the extra viz")
     options = parser.parse_args()
     env = make(options.num_envs, time_limit=options.time_limit, backend=options.backend, seed=1)
     td = env.reset()  # bsk_rl: env.reset(seed=1)
@@ -183,6 +191,10 @@ def main() -> None:
     print("reward:", total.squeeze(1))  # bsk_rl: env.unwrapped.rewarder.cum_reward
     for name in ("cloud_covered", "cloud_free"):  # bsk_rl: env.unwrapped.rewarder.data.cloud_covered, .cloud_free
         print(f"{name}:", env.counts()[name].squeeze(1))
+    if options.figure is not None:
+        from PIL import Image
+
+        Image.fromarray(env.render(rows=0).numpy()).save(options.figure)
 
 
 if __name__ == "__main__":

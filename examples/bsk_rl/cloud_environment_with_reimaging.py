@@ -1,4 +1,10 @@
-"""Clouds, and images that may be repeated until the target has probably been seen; five satellites and a greedy rule.
+"""
+Clouds and repeated images
+==========================
+
+Images may be repeated until the target has probably been seen; five satellites and a greedy rule.
+
+On the command line::
 
     python examples/bsk_rl/cloud_environment_with_reimaging.py --num-envs 2
 
@@ -13,6 +19,7 @@ from __future__ import annotations
 import argparse
 import math
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import torch
@@ -264,6 +271,7 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=5)
     parser.add_argument("--time-limit", type=float, default=95 * 60 / 2, help="length of an episode, s")
     parser.add_argument("--backend", default="compiled", choices=["compiled", "eager"])
+    parser.add_argument("--figure", type=Path, help="file for a picture of the first episode at the end; needs the extra viz")
     options = parser.parse_args()
     env = make(options.num_envs, time_limit=options.time_limit, backend=options.backend, seed=1)
     td = env.reset()
@@ -276,6 +284,10 @@ def main() -> None:
     print("rewards:", total.tolist())  # bsk_rl: env.unwrapped.rewarder.cum_reward
     for name, count in env.counts().items():
         print(f"{name}:", count.tolist())
+    if options.figure is not None:
+        from PIL import Image
+
+        Image.fromarray(env.render(rows=0).numpy()).save(options.figure)
 
 
 if __name__ == "__main__":

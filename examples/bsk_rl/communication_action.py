@@ -1,4 +1,10 @@
-"""Two imagers, five degrees apart, that share what they have imaged when they take the action to broadcast it.
+"""
+Communication as an action
+==========================
+
+Two imagers, five degrees apart, share what they have imaged when they take the action to broadcast it.
+
+On the command line::
 
     python examples/bsk_rl/communication_action.py --num-envs 2
 
@@ -9,6 +15,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import torch
@@ -86,6 +93,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="Broadcast what has been imaged.")
     parser.add_argument("--num-envs", type=int, default=2, help="episodes at once")
     parser.add_argument("--backend", default="compiled", choices=["compiled", "eager"])
+    parser.add_argument("--figure", type=Path, help="file for a picture of the first episode at the end; needs the extra viz")
     options = parser.parse_args()
     env = make(options.num_envs, backend=options.backend, seed=0)
     td = env.reset()
@@ -95,6 +103,10 @@ def main() -> None:
         heard = env.links.flatten(1).sum(1) - N_AGENTS * env.links.diagonal(dim1=1, dim2=2).any(1)  # everyone hears itself
         known = env.rewarder.known.sum(2)
         print("rewards", td["agents", "reward"].squeeze(2).tolist(), "heard", heard.tolist(), "images known", known.tolist())
+    if options.figure is not None:
+        from PIL import Image
+
+        Image.fromarray(env.render(rows=0).numpy()).save(options.figure)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,10 @@
-"""A curriculum: the battery shrinks and the disturbing torque grows with a difficulty that training raises.
+"""
+A curriculum in training
+========================
+
+The battery shrinks and the disturbing torque grows with a difficulty that training raises.
+
+On the command line::
 
     python examples/bsk_rl/curriculum_learning.py --curriculum direct --iterations 100 --num-envs 256
 
@@ -10,10 +16,11 @@ changes what is drawn from then on: nothing is built or compiled anew.
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 from typing import Any
 
 import torch
-from rllib_training import show, train
+from rllib_training import Show, train
 from torch import Tensor
 
 from bsk_torch import (  # bsk_rl: from bsk_rl import act, data, obs, sats, scene
@@ -191,11 +198,13 @@ def main() -> None:
     parser.add_argument("--rollout", type=int, default=16, help="decisions of each episode in a batch")
     parser.add_argument("--time-limit", type=float, default=INTERVALS * 180.0, help="length of an episode, s")
     parser.add_argument("--backend", default="compiled", choices=["compiled", "eager"])
+    parser.add_argument("--figure", type=Path, help="file for a picture of the learning curve; needs the extra viz")
     options = parser.parse_args()
     config = PPOConfig(num_envs=options.num_envs, rollout=options.rollout, lmbda=0.95, clip=0.2, gradient_norm=0.5, entropy=0.0)
     own = dict(time_limit=options.time_limit, backend=options.backend, seed=0)
     env = make(options.num_envs, curriculum=options.curriculum, **own)
     last = options.iterations * config.batch
+    show = Show()
 
     def harder(frames: int) -> None:
         """Raise the difficulty from 0 to 1 over the training; episodes that begin from then on have it."""
@@ -209,6 +218,7 @@ def main() -> None:
         show(frames, report | {"battery": float(battery), "torque": float(torque)})
 
     train(env, config, options.iterations, tell, harder)  # bsk_rl: tune.run("PPO", ...)
+    show.draw(options.figure, "reward", "battery", "torque")
 
 
 if __name__ == "__main__":

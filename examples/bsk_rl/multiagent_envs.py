@@ -1,4 +1,10 @@
-"""Three imagers of one orbit that tell each other, in line of sight, what they have imaged; under one agent or three.
+"""
+Many agents, or one for all
+===========================
+
+Three imagers of one orbit that tell each other, in line of sight, what they have imaged; under one agent or three.
+
+On the command line::
 
     python examples/bsk_rl/multiagent_envs.py --num-envs 2
 
@@ -9,6 +15,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import torch
@@ -104,6 +111,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="Fly three imagers.")
     parser.add_argument("--num-envs", type=int, default=2, help="episodes at once")
     parser.add_argument("--backend", default="compiled", choices=["compiled", "eager"])
+    parser.add_argument("--figure", type=Path, help="file for a picture of the first episode at the end; needs the extra viz")
     options = parser.parse_args()
     common = dict(num_envs=options.num_envs, backend=options.backend, seed=0)
     first = torch.tensor([7, 9, 8]).expand(options.num_envs, 3)
@@ -126,6 +134,10 @@ def main() -> None:
     td["agents", "action"] = first
     td = env.step(td)["next"]
     print("alive", td["agents", "mask"])
+    if options.figure is not None:
+        from PIL import Image
+
+        Image.fromarray(env.render(rows=0).numpy()).save(options.figure)
 
 
 if __name__ == "__main__":

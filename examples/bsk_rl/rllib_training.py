@@ -1,4 +1,10 @@
-"""Learn to scan the ground below, to charge, to downlink and to slow the wheels down, with metrics of episodes.
+"""
+Training with metrics of episodes
+=================================
+
+Learn to scan the ground below, to charge, to downlink and to slow the wheels down.
+
+On the command line::
 
     python examples/bsk_rl/rllib_training.py --iterations 100 --num-envs 256
 
@@ -11,6 +17,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import torch
@@ -179,9 +186,32 @@ def train(
     return learner
 
 
-def show(frames: int, report: dict[str, float]) -> None:
-    """Print a line."""
-    print(frames, {name: round(value, 4) for name, value in report.items()})
+class Show:
+    """Prints a line for each batch, and draws what the lines say."""
+
+    def __init__(self) -> None:
+        """Nothing has been seen."""
+        self.rows: list[dict[str, float]] = []
+
+    def __call__(self, frames: int, report: dict[str, float]) -> None:
+        """Print a line."""
+        print(frames, {name: round(value, 4) for name, value in report.items()})
+        self.rows.append({"decisions": frames} | report)
+
+    def draw(self, path: Path | None, *names: str) -> None:
+        """Draw some of the numbers over the decisions to a file, unless ``path`` is None; needs the extra viz."""
+        if path is None:
+            return
+        from bsk_torch.viz.figures import style
+
+        figure, axes = style.panels([1.6] * len(names))
+        for panel, name in zip(axes, names, strict=True):
+            rows = [row for row in self.rows if name in row]
+            panel.plot([row["decisions"] for row in rows], [row[name] for row in rows], color=style.PALETTE[0])
+            style.label(panel, name)
+        axes[-1].set_xlabel("decisions")
+        figure.draw_without_rendering()  # ticks, and the room that their labels need, are known after the first layout
+        style.save(figure, path)
 
 
 def main() -> None:
@@ -192,6 +222,7 @@ def main() -> None:
     parser.add_argument("--rollout", type=int, default=16, help="decisions of each episode in a batch")
     parser.add_argument("--time-limit", type=float, default=DURATION, help="length of an episode, s")
     parser.add_argument("--backend", default="compiled", choices=["compiled", "eager"])
+    parser.add_argument("--figure", type=Path, help="file for a picture of the learning curve")
     options = parser.parse_args()
     env = make(options.num_envs, time_limit=options.time_limit, backend=options.backend, seed=0)
     config = PPOConfig(  # bsk_rl: PPOConfig().training(...).env_runners(...).environment(...)
@@ -204,9 +235,11 @@ def main() -> None:
         clip=0.1,
         gradient_norm=0.5,
     )
+    show = Show()
     learner = train(env, config, options.iterations, show)  # bsk_rl: tune.run("PPO", ...)
     rollout = env.rollout(8, learner.networks.policy, break_when_any_done=False)
     print("rewards of the first episode's next steps:", rollout["next", "reward"][0].flatten())
+    show.draw(options.figure, "reward", "alive", "entropy")
 
 
 if __name__ == "__main__":

@@ -1,4 +1,10 @@
-"""How a satellite is described: arguments, observations and actions, in seven small satellites.
+"""
+How a satellite is described
+============================
+
+Arguments, observations and actions, in seven small satellites.
+
+On the command line::
 
     python examples/bsk_rl/satellite_configuration.py --num-envs 2
 
@@ -8,6 +14,7 @@ The satellites of bsk_rl's page "Satellite Configuration". Lines that differ fro
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 from typing import Any
 
 import torch
@@ -131,6 +138,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="Look at the parts of a satellite.")
     parser.add_argument("--num-envs", type=int, default=2, help="episodes at once")
     parser.add_argument("--backend", default="compiled", choices=["compiled", "eager"])
+    parser.add_argument("--figure", type=Path, help="file for a picture of the first episode at the end; needs the extra viz")
     options = parser.parse_args()
     common = dict(num_envs=options.num_envs, backend=options.backend, seed=0)
     print(SimpleSatellite.default_sat_args())
@@ -155,6 +163,10 @@ def main() -> None:
     ninth = env.satellite.find_next_opportunities(10).place[:, 9]  # bsk_rl: find_next_opportunities(n=10)[9]["object"]
     td = env.step(td.set("action", act.image_target(ninth)))["next"]  # bsk_rl: env.step(target)
     print("reward for target", ninth, "is", td["reward"].squeeze(1))
+    if options.figure is not None:
+        from PIL import Image
+
+        Image.fromarray(env.render(rows=0).numpy()).save(options.figure)
 
 
 if __name__ == "__main__":

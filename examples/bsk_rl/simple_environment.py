@@ -1,4 +1,10 @@
-"""Getting started: a satellite that scans the ground for a minute or charges for ten, for one orbit.
+"""
+Getting started
+===============
+
+A satellite that scans the ground for a minute or charges for ten, for one orbit.
+
+On the command line::
 
     python examples/bsk_rl/simple_environment.py --num-envs 4
 
@@ -8,6 +14,7 @@ The problem of bsk_rl's page "Getting Started". Lines that differ from it say so
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 from typing import Any
 
 import torch
@@ -63,6 +70,7 @@ def main() -> None:
     parser.add_argument("--num-envs", type=int, default=4, help="episodes at once")
     parser.add_argument("--time-limit", type=float, default=5700.0, help="length of an episode, s")
     parser.add_argument("--backend", default="compiled", choices=["compiled", "eager"])
+    parser.add_argument("--figure", type=Path, help="file for a picture of the first episode at the end; needs the extra viz")
     options = parser.parse_args()
     env = make(options.num_envs, time_limit=options.time_limit, backend=options.backend, seed=1)
     scan, charge = (torch.full((options.num_envs,), action) for action in (0, 1))
@@ -75,6 +83,10 @@ def main() -> None:
     while not td["truncated"].all():
         td = env.step(td.set("action", charge))["next"]
         print(f"{float(env.simulator.sim_time[0]):6.0f} s, charge:", td["observation"][:, 1])
+    if options.figure is not None:
+        from PIL import Image
+
+        Image.fromarray(env.render(rows=0).numpy()).save(options.figure)
 
 
 if __name__ == "__main__":

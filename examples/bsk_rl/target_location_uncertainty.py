@@ -1,4 +1,10 @@
-"""Targets that must be searched for: images take the longer, the larger the area is in which a target may be, and areas grow.
+"""
+Targets that must be searched for
+=================================
+
+Images take the longer, the larger the area is in which a target may be, and areas grow.
+
+On the command line::
 
     python examples/bsk_rl/target_location_uncertainty.py --num-envs 4
 
@@ -12,6 +18,7 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import math
+from pathlib import Path
 from typing import Any
 
 import torch
@@ -251,6 +258,7 @@ def main() -> None:
     parser.add_argument("--time-limit", type=float, default=3 * PERIOD, help="length of an episode, s")
     parser.add_argument("--n-targets", type=int, default=1000)
     parser.add_argument("--backend", default="compiled", choices=["compiled", "eager"])
+    parser.add_argument("--figure", type=Path, help="file for a picture of the first episode at the end; needs the extra viz")
     options = parser.parse_args()
     env = make(
         options.num_envs,
@@ -267,6 +275,10 @@ def main() -> None:
     print("rewards:", total.squeeze(1).tolist())  # bsk_rl: env.unwrapped.rewarder.cum_reward
     for name in ("found", "found_again"):  # bsk_rl: rewarder.data.imaged, rewarder.data.duplicates
         print(f"{name}:", env.counts()[name].flatten().tolist())
+    if options.figure is not None:
+        from PIL import Image
+
+        Image.fromarray(env.render(rows=0).numpy()).save(options.figure)
 
 
 if __name__ == "__main__":

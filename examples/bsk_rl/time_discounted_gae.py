@@ -1,10 +1,16 @@
-"""Learn with a discount per second: decisions that last longer are discounted more.
+"""
+A discount per second
+=====================
+
+Decisions that last longer are discounted more.
+
+On the command line::
 
     python examples/bsk_rl/time_discounted_gae.py --iterations 100 --num-envs 256
 
 The problem of bsk_rl's page "Time-Discounted GAE", that of ``rllib_training.py`` without the time as an observation. Lines that
 differ from the page say so. With a discount gamma per second, a step of t seconds and rewards at the end of steps, values
-follow
+follow::
 
     V = E[gamma^t (r + V')]
 
@@ -14,9 +20,10 @@ which is what ``bsk_torch.rl`` computes unless told otherwise; the decay lambda 
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 from typing import Any
 
-from rllib_training import SAT_ARGS, ScanningSatellite, show, task, train
+from rllib_training import SAT_ARGS, ScanningSatellite, Show, task, train
 
 from bsk_torch import SatelliteTasking
 from bsk_torch.rl.training.config import PPOConfig
@@ -42,6 +49,7 @@ def main() -> None:
     parser.add_argument("--rollout", type=int, default=16, help="decisions of each episode in a batch")
     parser.add_argument("--time-limit", type=float, default=28500.0, help="length of an episode, s")
     parser.add_argument("--backend", default="compiled", choices=["compiled", "eager"])
+    parser.add_argument("--figure", type=Path, help="file for a picture of the learning curve; needs the extra viz")
     options = parser.parse_args()
     config = PPOConfig(
         num_envs=options.num_envs,
@@ -53,7 +61,9 @@ def main() -> None:
         gradient_norm=0.5,
     )
     env = make(options.num_envs, time_limit=options.time_limit, backend=options.backend, seed=0)
+    show = Show()
     train(env, config, options.iterations, show)  # bsk_rl: tune.run("PPO", ...)
+    show.draw(options.figure, "reward", "alive", "entropy")
 
 
 if __name__ == "__main__":

@@ -1,4 +1,10 @@
-"""Shields: a rule that forbids dangerous actions, as a mask of actions or as a replacement of them, in training and in tests.
+"""
+Training behind a shield
+========================
+
+A rule forbids dangerous actions, as a mask of actions or as a replacement of them, in training and in tests.
+
+On the command line::
 
     python examples/bsk_rl/training_with_shield.py --shield mask --iterations 50 --num-envs 256
     python examples/bsk_rl/training_with_shield.py --shield replacement --penalty -0.1
@@ -12,11 +18,12 @@ from __future__ import annotations
 
 import argparse
 import math
+from pathlib import Path
 from typing import Any
 
 import torch
 from aeos import Density, s_hat_H
-from rllib_training import show, train
+from rllib_training import Show, train
 from tensordict import TensorDictBase
 from torch import Tensor
 from torchrl.envs import Transform, TransformedEnv
@@ -220,6 +227,7 @@ def main() -> None:
     parser.add_argument("--n-targets", type=int, default=1000)
     parser.add_argument("--time-limit", type=float, default=math.floor(3 * PERIOD), help="length of an episode, s")
     parser.add_argument("--backend", default="compiled", choices=["compiled", "eager"])
+    parser.add_argument("--figure", type=Path, help="file for a picture of the learning curve; needs the extra viz")
     options = parser.parse_args()
     env = make(
         options.num_envs,
@@ -230,7 +238,7 @@ def main() -> None:
         backend=options.backend,
         seed=0,
     )
-    shield = Replacement(options.penalty)
+    shield, show = Replacement(options.penalty), Show()
     config = PPOConfig(
         num_envs=options.num_envs,
         rollout=options.rollout,
@@ -242,6 +250,7 @@ def main() -> None:
     )
     train(TransformedEnv(env, shield) if options.shield == "replacement" else env, config, options.iterations, show)
     print("replaced actions:", shield.interferences)
+    show.draw(options.figure, "reward", "alive", "entropy")
 
 
 if __name__ == "__main__":

@@ -157,9 +157,10 @@ def test_runs(name, tmp_path, monkeypatch, capsys):
     arguments, printed = STARTS[name]
     module = example(name)
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sys, "argv", [f"{name}.py", *arguments.split()])
+    monkeypatch.setattr(sys, "argv", [f"{name}.py", *arguments.split(), "--figure", "picture.png"])
     module.main()
     assert re.search(printed, capsys.readouterr().out)
+    assert (tmp_path / "picture.png").read_bytes()[:4] == b"\x89PNG"
 
 
 def test_every_file_is_started_and_listed():

@@ -1,0 +1,184 @@
+"""
+.. _tutorial-torchrl:
+
+Train with TorchRL
+==================
+
+Train a policy for the scanning satellite twice: with the trainer of this package in two lines, and with a PPO loop of TorchRL's
+parts that you can change.
+
+Decisions of this satellite last one to three minutes. The discount is therefore given per second: after a decision of ``t``
+seconds the future counts ``gamma ** t``.
+"""
+
+# %%
+# The result
+# ----------
+#
+# ``configure`` returns the settings that work well for a preset, and ``Training`` collects, learns, and leaves the policy, logs
+# and a checkpoint in a folder. This is less than a tenth of a full training:
+import tempfile
+from pathlib import Path
+
+import torch
+
+import bsk_torch
+from bsk_torch.rl.evaluation import compare, comparison_table
+from bsk_torch.rl.training import Training, configure
+
+NUM_ENVS, ROLLOUT = 256, 32
+FRAMES = 32 * NUM_ENVS * ROLLOUT
+LOOP_FRAMES = 32 * NUM_ENVS * ROLLOUT
+EPISODES = 128
+SECONDS = 28_500.0
+
+torch.set_num_threads(1)
+folder = Path(tempfile.mkdtemp()) / "scan"
+config = configure(
+    "NadirScan-v1",
+    frames=FRAMES,
+    seconds=None,
+    num_envs=NUM_ENVS,
+    rollout=ROLLOUT,
+    evaluate_every=0,
+    options={"time_limit": SECONDS},
+)
+trained = Training(config, folder).run()
+print(sorted(path.name for path in folder.iterdir()))
+
+# %%
+# ``compare`` plays fresh episodes, the same for the policy and for every baseline that fits:
+env = bsk_torch.make("NadirScan-v1", num_envs=EPISODES, time_limit=SECONDS)
+results = compare({"trained": trained}, env, seed=config.seed)
+print(comparison_table(results))
+
+# %%
+# The learning curve, with the baselines as lines:
+from bsk_torch.rl.training.log import LOG, read_log
+from bsk_torch.viz.figures.curves import learning_curve
+
+levels = {name: (r.mean_return.mean, r.mean_return.half_width) for name, r in results.items()}
+path = learning_curve(read_log(folder / LOG), Path("curve.png"), levels, "NadirScan-v1")
+
+# %%
+# On the command line this is
+#
+# .. code-block:: text
+#
+#     bsk-torch train NadirScan-v1 --frames 262144 num_envs=256 rollout=32 evaluate_every=0 --out runs/scan
+#
+# which also evaluates and draws. ``bsk-torch train runs/scan --resume frames=3000000`` goes on from there. A full training of
+# three million decisions takes a few minutes.
+#
+# The same by hand
+# ----------------
+#
+# The rest of this page is a PPO of TorchRL's parts, in the form in which you may want to change it. First the environment, and
+# the mean and deviation of its observations under random actions, by which the networks standardise what they see.
+torch.manual_seed(0)
+env = bsk_torch.make("NadirScan-v1", num_envs=NUM_ENVS, seed=0, time_limit=SECONDS)
+seen = env.rollout(ROLLOUT, break_when_any_done=False)["observation"].flatten(0, 1)
+deviation, mean = torch.std_mean(seen, 0)
+n_actions = env.action_spec.space.n
+
+# %%
+# Actor and critic have two hidden layers. ``MaskedCategorical`` gives illegal actions the probability zero; its mask is the
+# ``action_mask`` of the environment.
+from tensordict.nn import TensorDictModule
+from torch import nn
+from torchrl.modules import MLP, MaskedCategorical, ProbabilisticActor, ValueOperator
+
+
+class Standardised(nn.Module):
+    """A network [N, F] -> [N, outputs] on standardised observations."""
+
+    def __init__(self, outputs):
+        super().__init__()
+        self.net = MLP(len(mean), outputs, num_cells=[64, 64], activation_class=nn.Tanh)
+
+    def forward(self, observation):
+        return self.net(((observation - mean) / (deviation + 1e-4)).clamp(-5.0, 5.0))
+
+
+actor = ProbabilisticActor(
+    TensorDictModule(Standardised(n_actions), in_keys=["observation"], out_keys=["logits"]),
+    in_keys={"logits": "logits", "mask": "action_mask"},
+    distribution_class=MaskedCategorical,
+    return_log_prob=True,
+)
+critic = ValueOperator(Standardised(1), in_keys=["observation"])
+
+# %%
+# The collector steps all episodes together. Those that end begin anew; their last observations are under ``next``.
+from torchrl.collectors import Collector
+
+batch_size = NUM_ENVS * ROLLOUT
+collector = Collector(
+    env,
+    actor,
+    frames_per_batch=batch_size,
+    total_frames=LOOP_FRAMES,
+    auto_register_policy_transforms=False,
+)
+
+# %%
+# The advantages are where time comes in: ``steps_to_next_obs`` is the key with the length of each step, here in seconds. The
+# discount is kept in double precision, because it is close to one: 0.99999 per second is 0.57 over ten orbits.
+from torchrl.objectives import ClipPPOLoss
+from torchrl.objectives.value import GAE
+
+gamma = torch.tensor(0.99999, dtype=torch.float64)
+advantages = GAE(gamma=gamma, lmbda=0.95, value_network=critic, average_gae=False)
+advantages.set_keys(steps_to_next_obs=("next", "duration"))
+loss = ClipPPOLoss(actor, critic, clip_epsilon=0.2, entropy_coeff=0.01, normalize_advantage=True)
+optimiser = torch.optim.Adam(loss.parameters(), lr=2.5e-3, eps=1e-5)
+
+# %%
+# The loop: collect, estimate advantages, and take eight passes over the batch. The learning rate falls linearly.
+returns, running = [], torch.zeros(NUM_ENVS)
+ended = []
+for k, batch in enumerate(collector):
+    optimiser.param_groups[0]["lr"] = 2.5e-3 * max(0.05, 1.0 - k * batch_size / LOOP_FRAMES)
+    with torch.no_grad():
+        advantages(batch)
+    flat = batch.reshape(-1)
+    for _ in range(8):
+        for rows in torch.randperm(len(flat)).split(2048):
+            losses = loss(flat[rows])
+            optimiser.zero_grad()
+            (losses["loss_objective"] + losses["loss_critic"] + losses["loss_entropy"]).backward()
+            nn.utils.clip_grad_norm_(loss.parameters(), 0.5)
+            optimiser.step()
+    for reward, done in zip(*(batch["next", key].squeeze(-1).unbind(1) for key in ("reward", "done")), strict=True):
+        running = running + reward
+        ended += running[done].tolist()
+        running = running.masked_fill(done, 0.0)
+    recent = ended[-NUM_ENVS:]
+    returns.append(sum(recent) / len(recent) if recent else float("nan"))
+collector.shutdown()
+
+# %%
+import matplotlib.pyplot as plt
+
+figure, panel = plt.subplots(figsize=(8, 3), layout="constrained")
+panel.plot([(k + 1) * batch_size for k in range(len(returns))], returns, color="#2f6db3")
+panel.axhline(results["rule"].mean_return.mean, color="#e8a628", linestyle="--", label="rule written by hand")
+panel.set_xlabel("decisions")
+panel.set_ylabel("return while training")
+panel.grid(axis="y", alpha=0.3)
+legend = panel.legend(frameon=False)
+
+# %%
+# Its most probable actions, in the episodes of the table above:
+judge = bsk_torch.make("NadirScan-v1", num_envs=EPISODES, time_limit=SECONDS)
+print(comparison_table(compare({"by hand": actor}, judge, seed=0)))
+
+# %%
+# Next
+# ----
+#
+# - :ref:`tutorial-sb3`: the same task with Stable-Baselines3.
+# - :ref:`tutorial-curriculum`: make episodes harder while training goes on, and forbid dangerous actions.
+# - :ref:`tutorial-evaluating`: compare, report and publish policies.
+#
+# sphinx_gallery_thumbnail_number = 1

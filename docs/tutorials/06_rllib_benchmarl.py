@@ -1,0 +1,130 @@
+"""
+.. _tutorial-marl:
+
+Train with BenchMARL and RLlib
+==============================
+
+A constellation trained with BenchMARL's IPPO, and what RLlib needs to train a single satellite.
+
+BenchMARL is installed without its dependencies, because it asks for an older TorchRL: ``pip install --no-deps benchmarl==1.5.2``.
+RLlib asks for an older Gymnasium and needs an environment of its own, so its part of this page is shown, not executed.
+"""
+
+# %%
+# The result
+# ----------
+#
+# Three satellites of one plane learn to share 1,000 targets, in half a minute. ``ConstellationTask`` makes a task of BenchMARL
+# of a preset; everything else is BenchMARL's own configuration.
+import tempfile
+
+import torch
+
+from bsk_torch.rl.evaluation import comparison_table, evaluate
+from bsk_torch.rl.marl import shared_baseline
+
+# first, since it lets BenchMARL import newer versions of TorchRL
+from bsk_torch.rl.marl.benchmarl import ConstellationTask
+
+# isort: split
+from benchmarl.algorithms import IppoConfig
+from benchmarl.experiment import Experiment, ExperimentConfig
+from benchmarl.models.mlp import MlpConfig
+
+ITERATIONS = 20
+NUM_ENVS, ROLLOUT = 64, 32
+EPISODES = 64
+SECONDS = 2850.0
+
+torch.set_num_threads(1)
+world = dict(n_satellites=3, n_planes=1, n_targets=1000, time_limit=SECONDS)
+
+settings = ExperimentConfig.get_from_yaml()
+settings.gamma, settings.lr = 0.99, 1e-3
+settings.max_n_iters, settings.max_n_frames = ITERATIONS, None
+settings.on_policy_n_envs_per_worker = NUM_ENVS
+settings.on_policy_collected_frames_per_batch = NUM_ENVS * ROLLOUT
+settings.on_policy_minibatch_size, settings.on_policy_n_minibatch_iters = 1024, 4
+settings.evaluation = settings.render = settings.create_json = False
+settings.loggers, settings.save_folder = ["csv"], tempfile.mkdtemp()
+
+algorithm, model = IppoConfig.get_from_yaml(), MlpConfig.get_from_yaml()
+algorithm.entropy_coef, model.num_cells = 0.01, [256, 256]
+
+experiment = Experiment(
+    task=ConstellationTask.CONSTELLATION.get_task({"options": world}),
+    algorithm_config=algorithm,
+    model_config=model,
+    seed=0,
+    config=settings,
+)
+env = experiment.task.get_env_fun(EPISODES, False, 0, "cpu")()
+untrained = evaluate(experiment.policy, env, seed=1)
+experiment.run()
+
+# %%
+# The policy of the experiment writes the actions of all agents into a tensordict, so it can be evaluated like every other one:
+results = {"IPPO": evaluate(experiment.policy, env, seed=1), "untrained": untrained}
+results |= {name: evaluate(shared_baseline(name, env, 0), env, seed=1) for name in ("random", "nearest")}
+print(comparison_table(results))
+
+# %%
+# An episode of the trained constellation:
+import bsk_torch
+from bsk_torch.viz.episodes import draw, record
+
+alone = bsk_torch.make("Constellation-v1", num_envs=1, **world)
+path = draw(record(experiment.policy, alone, seed=4), "ippo.png", "IPPO of BenchMARL")
+
+# %%
+# ``MappoConfig`` trains a critic that observes all satellites. ``AEOS_CONSTELLATION`` and ``RELAY_CONSTELLATION`` are the other
+# tasks. This package has MAPPO and IPPO of its own, with a discount per second and attention over the targets:
+#
+# .. code-block:: text
+#
+#     bsk-torch train Constellation-v1 --algorithm ippo --minutes 4 --time-limit 5700
+#
+# RLlib
+# -----
+#
+# The code below is a part of ``examples/ppo_rllib.py``, which is tested in an environment of its own
+# (``scripts/test.sh --rllib``). To make one:
+#
+# .. code-block:: text
+#
+#     python -m venv .venv-rllib
+#     .venv-rllib/bin/pip install -e . 'ray[rllib]==2.60.0'
+#     .venv-rllib/bin/python examples/ppo_rllib.py
+#
+# RLlib steps batches of episodes through Gymnasium's vector entry point, and looks for the mask of legal actions beside the
+# observation. A wrapper puts it there:
+#
+# .. literalinclude:: /../examples/ppo_rllib.py
+#     :pyobject: MaskedObservations
+#
+# The environment that RLlib is given is one batched simulation:
+#
+# .. literalinclude:: /../examples/ppo_rllib.py
+#     :pyobject: make_vector
+#
+# It is registered under a name, and chosen with the entry point; RLlib's own module for masked actions is the network:
+#
+# .. literalinclude:: /../examples/ppo_rllib.py
+#     :pyobject: make_algorithm
+#
+# And the trained module as a policy for ``evaluate``:
+#
+# .. literalinclude:: /../examples/ppo_rllib.py
+#     :pyobject: as_policy
+#
+# RLlib keeps episodes as Python objects, one decision after the other, and discounts per decision. Several agents with different
+# clocks need connectors there; :ref:`sphx_glr_gallery_bsk_rl_async_multiagent_training.py` does the same with a mask.
+#
+# Next
+# ----
+#
+# - :ref:`sphx_glr_gallery_mappo_benchmarl.py` and :ref:`sphx_glr_gallery_ppo_rllib.py`: both as programs with options.
+# - :ref:`tutorial-constellations`: groups, masks and communication.
+# - :ref:`tutorial-evaluating`: compare and publish policies.
+#
+# sphinx_gallery_thumbnail_number = 1
