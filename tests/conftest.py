@@ -4,11 +4,8 @@ from __future__ import annotations
 
 import json
 import os
-<<<<<<< HEAD
-import signal
-=======
 import shutil
->>>>>>> docs-site
+import signal
 from collections.abc import Callable
 from functools import cache
 from importlib.util import find_spec

@@ -118,11 +118,8 @@ ELSEWHERE = {
     "examples/share_intent.py": "tests/test_clients.py",
     "scripts/docs.sh": "tests/docs/test_site.py",
     "scripts/test.sh": ".ci/run",
-<<<<<<< HEAD
     "scripts/tools/try_newest.sh": "tests/packaging/test_packages.py",
-=======
     "scripts/tools/publish_docs.py": "tests/docs/test_site.py",
->>>>>>> docs-site
     "tests/basilisk/recorders/record_arguments.py": "tests/test_scripts.py",
     **{f"tests/basilisk/recorders/{script}.py": "tests/test_scripts.py" for script in RECORDED},
 }
