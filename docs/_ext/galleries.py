@@ -30,5 +30,6 @@ def settings(docs: Path, execute: bool) -> dict[str, Any]:
         "only_warn_on_example_error": False,
         "download_all_examples": False,
         "show_signature": False,
+        "write_computation_times": False,  # a page that loads scripts from elsewhere
         "backreferences_dir": None,
     }

@@ -76,6 +76,7 @@ def test_conda_reads_the_recipe_and_it_asks_for_what_pip_asks_for():
     (variant,) = recipe.render()
     rendered = variant.recipe.to_dict()
     asked = {" ".join(str(need).split()) for need in rendered["requirements"]["run"]}
+    assert len(PROJECT["dependencies"]) > 8
     for need in PROJECT["dependencies"]:
         name = next(name for name in sorted(PROJECT_NAMES, key=len, reverse=True) if need.startswith(name))
         assert f"{CONDA_NAMES.get(name, name)} {need.removeprefix(name)}" in asked
