@@ -1,6 +1,6 @@
-"""Make the pictures of README.md: a film of a trained policy, a thumbnail of every preset, and a plot of speed.
+"""Make the pictures of README.md: a film of a trained policy, thumbnails of all presets, a plot of speed; and a frame for a page.
 
-    python scripts/tools/make_readme_pictures.py [film] [thumbnails] [speed]
+    python scripts/tools/make_readme_pictures.py [film] [thumbnails] [frame] [speed]
 
 They are written to docs/_static/readme; all of them unless some are named. The film and the thumbnails show the pretrained
 policies, or a rule where there is none; the plot shows ``benchmarks/results/vs_basilisk.json`` and ``vs_basilisk_imaging.json``.
@@ -89,6 +89,14 @@ def thumbnails(folder: Path) -> list[Path]:
     return [thumbnail(preset, folder / f"{preset}.png") for preset in PRESETS]
 
 
+def frame(folder: Path) -> Path:
+    """Write ``frame.png``: a frame of a film of NadirScan-v1, for the page on the first policy."""
+    env = next(filter(is_bright, played("NadirScan-v1", THUMBNAIL_SEED)))
+    path = folder / "frame.png"
+    Image.fromarray(env.render(0).numpy()).quantize(256, dither=Image.Dither.NONE).save(path, optimize=True)
+    return path
+
+
 def thumbnail(preset: str, path: Path) -> Path:
     """Write a thumbnail of a preset."""
     env = next(filter(is_bright, played(preset, THUMBNAIL_SEED)))
@@ -150,7 +158,7 @@ def draw_speeds(panel: Axes, rows: list[dict[str, Any]], title: str) -> None:
     panel.legend(loc="center right", frameon=False, fontsize=9)
 
 
-PICTURES: dict[str, Callable[[Path], Any]] = {"film": film, "thumbnails": thumbnails, "speed": speed}
+PICTURES: dict[str, Callable[[Path], Any]] = {"film": film, "thumbnails": thumbnails, "frame": frame, "speed": speed}
 
 
 def main() -> None:
