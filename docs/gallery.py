@@ -7,7 +7,6 @@ import shlex
 import shutil
 import tempfile
 import warnings
-from functools import partialmethod
 from pathlib import Path
 from typing import Any
 
@@ -54,12 +53,9 @@ def arguments(gallery_conf: dict[str, Any], script_vars: dict[str, Any]) -> list
 
 
 def keep_quiet() -> None:
-    """Keep progress bars, and what TorchRL says of itself, out of the pages: they show all that goes to the standard streams."""
+    """Keep what TorchRL says of itself out of the pages: they show all that goes to the standard streams."""
     from torchrl import logger
-    from tqdm import tqdm
 
-    if not isinstance(vars(tqdm)["__init__"], partialmethod):
-        tqdm.__init__ = partialmethod(tqdm.__init__, disable=True)
     logger.setLevel(logging.WARNING)
     warnings.filterwarnings("ignore", module="torchrl", category=FutureWarning)
 
