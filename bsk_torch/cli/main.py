@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from importlib import import_module
+import sys
 from typing import Any
 
 import typer
@@ -57,7 +57,7 @@ def setup() -> None:
 def list_presets() -> None:
     """List the environments that can be trained in."""
     for name, preset in PRESETS.items():
-        docs = (preset.__doc__ or "", import_module(preset.__module__).__doc__ or "")
+        docs = (preset.__doc__ or "", getattr(sys.modules.get(preset.__module__), "__doc__", None) or "")
         lines = [doc.partition("\n")[0] for doc in docs]
         about = lines[0] if lines[0].startswith(f"{name}:") else lines[1]
         typer.echo(f"{name}  {about.removeprefix(f'{name}:').strip()}")

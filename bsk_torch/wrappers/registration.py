@@ -44,9 +44,15 @@ def register() -> None:
 
     The names of :data:`OWN` are registered without ``bsk_torch/`` too, as bsk_rl does it, unless bsk_rl has been imported: then
     they mean bsk_rl's environments, and they do from the moment on when bsk_rl is imported later. Repeated calls do nothing.
+
+    Raises:
+        TypeError: For a preset of the user's that does not say what it returns.
     """
     for name, preset in PRESETS.items():
-        views: dict[str, Any] = MANY if get_type_hints(preset)["return"] is ConstellationTasking else ONE
+        made = get_type_hints(preset).get("return")
+        if made is None:
+            raise TypeError(f"preset {name!r} does not say what it returns; write def {preset.__name__}(...) -> SatelliteTasking")
+        views: dict[str, Any] = MANY if issubclass(made, ConstellationTasking) else ONE
         _register_once(f"bsk_torch/{name}", **views, kwargs={"core": name})
     for name, entry in OWN.items():
         _register_once(f"bsk_torch/{name}", **entry)

@@ -50,7 +50,7 @@ def test_public_names_have_docstrings():
 def test_modules_have_what_they_list():
     from docs._ext import public
 
-    modules = public.modules()
+    modules = list(public.modules())
     assert len(modules) > 20
     for module in modules:
         loaded = importlib.import_module(module.name)

@@ -4,6 +4,7 @@ import re
 
 import pytest
 
+from bsk_torch.presets import PRESETS
 from tests.blocks import ROOT, blocks, run_commands, run_python
 
 DOCS = ROOT / "docs"
@@ -16,9 +17,18 @@ def name(path):
     return path.relative_to(DOCS).as_posix()
 
 
+@pytest.fixture
+def presets():
+    """Presets that a page adds are forgotten after its test."""
+    known = dict(PRESETS)
+    yield
+    PRESETS.clear()
+    PRESETS.update(known)
+
+
 @pytest.mark.compiled
 @pytest.mark.parametrize("path", RUNNABLE, ids=name)
-def test_blocks(path, tmp_path, monkeypatch):
+def test_blocks(path, tmp_path, monkeypatch, presets):
     """No exception; what is printed is not compared."""
     monkeypatch.chdir(tmp_path)
     namespace = {"__name__": "page"}

@@ -8,6 +8,7 @@ import pytest
 import torch
 
 from bsk_torch import ConstellationTasking, GeneralSatelliteTasking, act, data, obs, sats, scene
+from bsk_torch.presets import PRESETS
 from bsk_torch.wrappers.registration import OWN, register
 
 
@@ -70,3 +71,9 @@ def test_bare_names_are_left_to_bsk_rl_where_it_is_there(there, monkeypatch):
     register()
     assert all(f"bsk_torch/{name}" in gymnasium.registry for name in OWN)
     assert [name in gymnasium.registry for name in OWN] == [not there] * len(OWN)
+
+
+def test_presets_must_say_what_they_return(monkeypatch):
+    monkeypatch.setitem(PRESETS, "Own-v1", lambda **options: None)
+    with pytest.raises(TypeError, match=r"preset 'Own-v1' does not say what it returns; write def .* -> SatelliteTasking"):
+        register()
