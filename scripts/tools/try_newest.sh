@@ -12,7 +12,7 @@ chosen=(tests/codegen/test_kernel.py tests/basilisk tests/env/test_contract.py t
 [ $# -eq 0 ] || chosen=("$@")
 export OMP_NUM_THREADS=1 BSK_TORCH_CACHE="${BSK_TORCH_CACHE:-$venv/kernels}"
 status=0
-"$venv/bin/python" -m pytest -q "${chosen[@]}" | tee "$venv/tests.log" || status=$?
+"$venv/bin/python" -m pytest "${chosen[@]}" | tee "$venv/tests.log" || status=$?
 versions=$("$venv/bin/python" -c "
 from importlib.metadata import version
 print(' | '.join(version(name) for name in ('torch', 'torchrl', 'tensordict')))")

@@ -101,7 +101,7 @@ def test_the_newest_versions_are_tried_by_a_script(tmp_path):
     python = tmp_path / "bin" / "python"
     python.parent.mkdir()
     python.write_text(
-        '#!/bin/sh\necho "$*" >> "$0.log"\ncase "$*" in *pytest\\ -q*) echo "7 passed";; -c*) echo "2 | 1 | 1";; esac\n'
+        '#!/bin/sh\necho "$*" >> "$0.log"\ncase "$*" in *-m\\ pytest*) echo "7 passed";; -c*) echo "2 | 1 | 1";; esac\n'
     )
     python.chmod(0o755)
     row = run(
@@ -110,4 +110,4 @@ def test_the_newest_versions_are_tried_by_a_script(tmp_path):
     assert row.splitlines()[-1].endswith("| 2 | 1 | 1 | 7 passed |")
     asked = Path(f"{python}.log").read_text()
     assert "pip install -q --upgrade torch torchrl tensordict" in asked
-    assert "pytest -q tests/some.py" in asked
+    assert "-m pytest tests/some.py" in asked
