@@ -111,3 +111,11 @@ def test_the_newest_versions_are_tried_by_a_script(tmp_path):
     asked = Path(f"{python}.log").read_text()
     assert "pip install -q --upgrade torch torchrl tensordict" in asked
     assert "-m pytest tests/some.py" in asked
+
+
+def test_nothing_that_is_built_is_kept():
+    names = subprocess.run(["git", "ls-files"], cwd=ROOT, capture_output=True, check=True, text=True).stdout.split()
+    assert len(names) > 500
+    assert not [name for name in names if name.endswith((".so", ".o", ".cpp.lock", ".pyc", ".whl"))]
+    folders = {name.partition("/")[0] for name in names if "/" in name}
+    assert folders == {".ci", "benchmarks", "bsk_torch", "docs", "examples", "packaging", "scripts", "tests"}
