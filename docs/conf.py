@@ -12,7 +12,8 @@ sys.path.insert(0, str(ROOT))
 
 os.environ["TQDM_DISABLE"] = "1"  # tqdm reads it when it is imported: pages show all that goes to the standard streams
 import bsk_torch  # noqa: E402
-from docs._ext import galleries, inventories  # noqa: E402
+from docs import gallery  # noqa: E402
+from docs._ext import inventories  # noqa: E402
 
 QUICK = bool(os.environ.get("BSK_TORCH_DOCS_QUICK"))
 """Whether tutorials are shown without being run."""
@@ -32,11 +33,12 @@ extensions = [
     "sphinx_design",
     "sphinx_sitemap",
     "sphinx_llms_txt",
+    "sphinx_gallery.gen_gallery",
     "docs._ext.mathml",
     "docs._ext.reference",
     "docs._ext.generated",
 ]
-exclude_patterns = ["_build", "tutorials/*.rst", "**/README.md", "**/sg_execution_times.rst"]
+exclude_patterns = ["_build", "tutorials/*.rst", "**/README.md"]
 source_suffix = {".md": "markdown", ".rst": "restructuredtext"}
 nitpicky = True
 suppress_warnings = ["config.cache"]  # settings hold functions
@@ -65,8 +67,7 @@ intersphinx_mapping = inventories.write(HERE / "inventories", HERE / "_build" / 
 intersphinx_timeout = 1
 
 # programs and tutorials as pages
-extensions += galleries.extensions(HERE)
-sphinx_gallery_conf = galleries.settings(HERE, execute=not QUICK)
+sphinx_gallery_conf = gallery.settings(execute=not QUICK)
 
 # the site
 html_theme = "furo"

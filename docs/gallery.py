@@ -1,4 +1,4 @@
-"""How sphinx-gallery executes tutorials and examples; ``conf.py`` takes :data:`SETTINGS` into ``sphinx_gallery_conf``."""
+"""Settings of sphinx-gallery: the folders of tutorials and examples, and how these are executed."""
 
 from __future__ import annotations
 
@@ -85,14 +85,27 @@ def executed(path: str) -> str:
     return f"\nExecuted as\n\n.. code-block:: text\n\n    {command}\n\n"
 
 
-SETTINGS: dict[str, Any] = {
-    "filename_pattern": rf"/(?!{'|'.join(NOT_EXECUTED)})[^/]*\.py$",
-    "within_subsection_order": "FileNameSortKey",
-    "image_scrapers": ("matplotlib", written_pictures),
-    "reset_argv": arguments,
-    "capture_repr": (),
-    "remove_config_comments": True,
-    "thumbnail_size": (400, 280),
-    "min_reported_time": 1,
-}
-"""The part of ``sphinx_gallery_conf`` that tutorials and examples depend on; folders and links are ``conf.py``'s."""
+SOURCES = {"tutorials": "_tutorials", "../examples": "gallery"}
+"""Folders of programs, and the folders that their pages go to."""
+
+
+def settings(execute: bool) -> dict[str, Any]:
+    """Return sphinx-gallery's settings, with which programs are executed or only shown."""
+    return {
+        "examples_dirs": list(SOURCES),
+        "gallery_dirs": list(SOURCES.values()),
+        "plot_gallery": execute,
+        "filename_pattern": rf"/(?!{'|'.join(NOT_EXECUTED)})[^/]*\.py$",
+        "within_subsection_order": "FileNameSortKey",
+        "image_scrapers": ("matplotlib", written_pictures),
+        "reset_argv": arguments,
+        "capture_repr": (),
+        "remove_config_comments": True,
+        "thumbnail_size": (400, 280),
+        "min_reported_time": 1,
+        "only_warn_on_example_error": False,
+        "download_all_examples": False,
+        "show_signature": False,
+        "write_computation_times": False,  # a page that loads scripts from elsewhere
+        "backreferences_dir": None,
+    }

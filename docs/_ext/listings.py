@@ -7,47 +7,12 @@ import inspect
 import math
 import re
 from collections.abc import Iterable
-from pathlib import Path
 from typing import Any
 
 from docs._ext.markdown import block, code, plain, table
 
-DOCS = Path(__file__).parents[1]
-
 SCHEDULED = ("NadirScan-v1", "AEOS-v1", "Constellation-v1")
 """Presets whose components are marked in the order of a tick."""
-
-
-CARDS = {
-    "start/index": ("Start", "Install the package and train a first policy in five minutes."),
-    "_tutorials/index": ("Tutorials", "Programs that run, step by step, with their output and pictures."),
-    "how_to/index": ("How to", "Answers to single questions: own actions, rewards, devices, learners."),
-    "how_it_works/index": ("How it works", "The tick, frames, random numbers, kernels and the life of an episode."),
-    "truth/index": ("Truth", "Differences from Basilisk, quantity by quantity."),
-    "speed/index": ("Speed", "Simulated seconds per core-second, here and on Basilisk."),
-    "migration": ("From BSK-RL", "What is accepted as it stands, and what differs."),
-    "studies/index": ("Studies", "What was trained, flown and found."),
-    "api/index": ("API", "Classes, functions, commands, presets and arguments."),
-    "gallery/index": ("Gallery", "Programs to copy."),
-}
-"""Cards of the front page: title and text by page."""
-
-
-def exists(page: str) -> bool:
-    """Return whether a page has a source."""
-    return any((DOCS / f"{page}.{suffix}").exists() for suffix in ("md", "rst"))
-
-
-def cards() -> str:
-    """Return a card for each part of the site that exists."""
-    found = [(page, *words) for page, words in CARDS.items() if exists(page)]
-    return "\n".join(f":::{{grid-item-card}} {title}\n:link: {page}\n:link-type: doc\n{text}\n:::" for page, title, text in found)
-
-
-def toctree(*entries: str) -> str:
-    """Return a hidden toctree of those pages that exist."""
-    found = [entry for entry in entries if exists(entry)]
-    return "\n".join(["```{toctree}", ":hidden:", "", *found, "```"])
 
 
 # -- the command line ----------------------------------------------------------------------------------------------------------
@@ -204,8 +169,6 @@ def schedule() -> str:
 
 
 TABLES = {
-    "toctree": toctree,
-    "cards": cards,
     "commands": commands,
     "presets": presets,
     "arguments": arguments,

@@ -16,6 +16,8 @@ from sphinx.util.typing import ExtensionMetadata
 from docs._ext.public import FIELD, Module, Name, modules, sections
 
 EXTERNAL = {
+    "argparse",
+    "benchmarl",
     "collections",
     "contextlib",
     "datetime",
@@ -25,9 +27,13 @@ EXTERNAL = {
     "numpy",
     "pathlib",
     "pettingzoo",
+    "ray",
     "stable_baselines3",
+    "tensordict",
+    "torch",
+    "torchrl",
+    "typing",
 }
-EXTERNAL |= {"tensordict", "torch", "torchrl", "typing", "benchmarl", "ray", "argparse"}
 """Packages whose names the tables in ``docs/inventories`` must have."""
 
 FOLDER = "reference"

@@ -76,6 +76,7 @@ def test_the_version_is_that_of_the_package(pages, site):
 
 
 def test_every_formula_is_mathml(pages):
+    assert sum(len(soup.find_all("math")) for soup in pages.values()) > 20
     assert not [path for path, soup in pages.items() if soup.find(string=re.compile(r"\\\(|\\\[.*\\\]"), class_="math")]
 
 

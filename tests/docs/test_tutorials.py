@@ -131,6 +131,6 @@ def test_examples_have_a_title_and_take_their_arguments(path):
 
 
 def test_scripts_that_are_not_executed_are_left_out():
-    pattern = gallery().SETTINGS["filename_pattern"]
+    pattern = gallery().settings(execute=True)["filename_pattern"]
     executed = {path.stem for path in [*programs(), *FOLDER.glob("*.py")] if re.search(pattern, str(path))}
     assert executed == {path.stem for path in [*programs(), *FOLDER.glob("*.py")]} - set(gallery().NOT_EXECUTED)
