@@ -4,8 +4,8 @@ The Clohessy-Wiltshire equations, with position (x, y, z), m: radial, along the 
 
     x'' = 3 n^2 x + 2 n y',  y'' = -2 n x',  z'' = -n^2 z
 
-(Clohessy and Wiltshire, Terminal Guidance System for Satellite Rendezvous, 1960; Schaub and Junkins, section 14.4). They leave out
-terms of the order of distance over radius and of the eccentricity.
+(Clohessy and Wiltshire, Terminal Guidance System for Satellite Rendezvous, 1960; Schaub and Junkins, section 14.4). They leave
+out terms of the order of distance over radius and of the eccentricity.
 """
 
 from __future__ import annotations
