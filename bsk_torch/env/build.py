@@ -89,7 +89,9 @@ class FleetBuilder:
             scenario_state.declare(name, None, *value.shape[1:], dtype=value.dtype, low=low, high=high)
         simulators = [self._make_simulator(k, columns, n, limit, scenario_state) for k, columns in enumerate(types)]
         chosen = sorted(column for columns in types for column in columns)
-        return Fleet(simulators, [self.names[k] for k in chosen], self.scenario.draw_checked)
+        members = {c: (k, 0 if trial else i) for k, columns in enumerate(self.types) for i, c in enumerate(columns)}
+        places = {name: members[column] for column, name in enumerate(self.names)}
+        return Fleet(simulators, [self.names[k] for k in chosen], self.scenario.draw_checked, places)
 
     def _make_simulator(self, k: int, columns: Sequence[int], n: int, limit: Tensor, scenario_state: StateTable) -> Simulator:
         satellite, options = self.satellites[columns[0]], self.options
