@@ -126,6 +126,8 @@ class SatelliteGroup:
         for name, value in new.items():
             where = acts if value.ndim == 1 else acts.unsqueeze(-1)
             setattr(task, name, value if all_act else torch.where(where, value, task[name]))
+        if simulator.has_tank:  # who has emptied it is dead from now on, though the action takes its course
+            task.dead = task.dead | (acts & ~self.fsw.fuel_remaining())
 
     def whole_ticks(self, duration: Tensor) -> Tensor:
         """Return the ticks after which a duration [N] s has passed: an event fires at the first tick at or after its time."""
