@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from bsk_torch.act.broadcast import Broadcast
+from bsk_torch.act.continuous import ContinuousAction
 from bsk_torch.astro.ephemeris import coverage, coverage_in_words
 from bsk_torch.constants import NANO
 from bsk_torch.data import checked
@@ -88,7 +89,9 @@ class FleetBuilder:
             scenario_state.declare(name, None, *value.shape[1:], dtype=value.dtype, low=low, high=high)
         simulators = [self._make_simulator(k, columns, n, limit, scenario_state) for k, columns in enumerate(types)]
         chosen = sorted(column for columns in types for column in columns)
-        return Fleet(simulators, [self.names[k] for k in chosen], self.scenario.draw_checked)
+        members = {c: (k, 0 if trial else i) for k, columns in enumerate(self.types) for i, c in enumerate(columns)}
+        places = {name: members[column] for column, name in enumerate(self.names)}
+        return Fleet(simulators, [self.names[k] for k in chosen], self.scenario.draw_checked, places)
 
     def _make_simulator(self, k: int, columns: Sequence[int], n: int, limit: Tensor, scenario_state: StateTable) -> Simulator:
         satellite, options = self.satellites[columns[0]], self.options
@@ -197,6 +200,8 @@ def _may_control(satellite: Satellite) -> bool:
     """Return whether an action of the satellite may switch attitude control on; those of users' classes may."""
     modes, commands = satellite.fsw_type.all_modes(), satellite.fsw_type.all_commands()
     for entry in satellite.action_spec:
+        if isinstance(entry, ContinuousAction):
+            return True
         if isinstance(entry, Broadcast):
             continue
         command = commands.get(str(getattr(entry, "fsw_action", "")).removeprefix("action_"))

@@ -16,6 +16,7 @@ from bsk_torch._deprecated import deprecated_attributes, warn_deprecated
 from bsk_torch.sats.dtypes import as_dtype
 from bsk_torch.sats.hooks import check_satellite
 from bsk_torch.sats.one import OneSatellite
+from bsk_torch.sats.others import Others, OtherSatellite
 from bsk_torch.sats.user_function import UserFunction
 from bsk_torch.sim.argument_table import ArgumentTable
 from bsk_torch.sim.composition import compose
@@ -62,8 +63,11 @@ class Actions(Protocol):
     def description(self) -> list[str]:
         """Name of every action."""
 
-    def entry_of(self, action: int) -> int:
+    def entry_of(self, action: Any) -> int:
         """Return the number of the entry of ``action_spec`` that an action belongs to."""
+
+    def title(self, action: Tensor) -> str:
+        """Return what an action is called."""
 
     def table(self) -> Any:
         """Return the modes and durations of the actions that have fixed ones."""
@@ -210,9 +214,12 @@ class Satellite:
         return 600.0
 
     def as_given(self) -> Satellite:
-        """Return a copy that later changes of ``sat_args_generator`` do not reach."""
+        """Return a copy that later changes of ``sat_args_generator`` do not reach, with the flight software of its actions."""
         copied = copy.copy(self)
         copied.sat_args_generator = copy.copy(self.sat_args_generator)
+        added = [entry.fsw_type for entry in self.action_spec if getattr(entry, "fsw_type", None) is not None]
+        if added:
+            copied.fsw_type = compose((self.fsw_type, *added), FSWModel)  # type: ignore[misc]
         return copied
 
     def bound_to(self, group: Group) -> Satellite:
@@ -253,6 +260,23 @@ class Satellite:
         environment, ``row`` is the number of the environment.
         """
         return self.view_type(self, row)
+
+    def member(self, number: int, times: int = 1) -> OtherSatellite:
+        """Return a read-only view of one satellite of each environment, whose tensors are [num_envs * times, ...].
+
+        Args:
+            number: Its number among those of the type.
+            times: How often each row is repeated.
+        """
+        return OtherSatellite(self, number, times)
+
+    @property
+    def others(self) -> Others:
+        """The satellites of the episodes by name: ``satellite.others["RSO"].dynamics.r_BN_N`` is [N, 3], beside one's own rows.
+
+        KeyError for an unknown name, with the nearest one. They are there when observations are made, not when they are linked.
+        """
+        return Others(self)
 
     @property
     def functions(self) -> list[UserFunction]:
