@@ -17,7 +17,7 @@ from bsk_torch._deprecated import deprecated_attributes
 from bsk_torch.codegen.kernel import Kernel, Samples
 from bsk_torch.constants import NANO
 from bsk_torch.rand import Key, first_key
-from bsk_torch.sim.access.lookahead import LookAhead
+from bsk_torch.sim.access.lookahead import LookAhead, Manoeuvres
 from bsk_torch.sim.access.places import place_kinds
 from bsk_torch.sim.access.visibility.backend import make_visibility
 from bsk_torch.sim.access.windows import AccessWindows
@@ -27,7 +27,8 @@ from bsk_torch.sim.dyn import hub
 from bsk_torch.sim.dyn.events import notice_image
 from bsk_torch.sim.dyn.field import prepare
 from bsk_torch.sim.dyn.models import DynamicsModel
-from bsk_torch.sim.fsw.models import IDLE, FSWModel
+from bsk_torch.sim.fsw.manoeuvre import burn
+from bsk_torch.sim.fsw.models import IDLE, FSWModel, MagicOrbitalManeuverFSWModel
 from bsk_torch.sim.fsw.modes import ALWAYS_RESET, MODE_FLAGS, Mode
 from bsk_torch.sim.given import Answers
 from bsk_torch.sim.initial_orbits import check_orbits
@@ -134,6 +135,7 @@ class Simulator:
         lookahead: Arcs, eclipses and windows, which are part of the state.
         observer: Properties of the present, computed together.
         world: Sun, Earth and stations at the present time.
+        has_tank: Whether the satellites can change their velocity; see :meth:`thrust`.
     """
 
     def __init__(
@@ -157,6 +159,7 @@ class Simulator:
         randomize: Callable[[Key], Overrides] = lambda key: {},
         world_type: type[WorldModel] | None = None,
         compat: str | None = None,
+        replan: bool = True,
         advised: set[Any] | None = None,
         controlled: bool = True,
         followed: Mapping[str, Sequence[Field]] | None = None,
@@ -182,6 +185,7 @@ class Simulator:
             randomize: Draws arguments that replace those of some satellites.
             world_type: World model; None for what the dynamics model requires.
             compat: ``"bsk_rl"`` for access windows with bsk_rl's errors.
+            replan: Whether windows and eclipses follow manoeuvres.
             advised: What has been logged about arguments, so that simulations that share it do not say it again.
             controlled: Whether actions may switch attitude control on, so that its gains matter.
             followed: Fields that the satellites record which components follow, by their slot; see :mod:`bsk_torch.sim.trace`.
@@ -194,6 +198,8 @@ class Simulator:
         self.scenario_state = StateTable(num_envs, 1, device) if scenario_state is None else scenario_state
         self.h_ns = whole_nanoseconds(number("sim_rate", sim_rate, SHORTEST_TICK, LONGEST_TICK, unit="s"))
         self.orbit = dyn_type.orbit if orbit is None else orbit
+        self.as_bsk_rl = compat == "bsk_rl"
+        self.has_tank = issubclass(fsw_type, MagicOrbitalManeuverFSWModel)
         if self.orbit not in ORBITS:
             raise ValueError(f"orbit={self.orbit!r} must be one of {list(ORBITS)}, or None for the model's own")
         self.stops, self._randomize = stops, randomize
@@ -202,10 +208,10 @@ class Simulator:
         self.followed = dict(followed or {})
         self._make_components(dyn_type, fsw_type, world_type, sat_args, world_args)
         self._make_tick()
-        self._make_lookahead(horizon, segment, compat == "bsk_rl")
-        self.observer = Observer(self.state, self.lookahead.arcs, backend)
+        self._make_lookahead(horizon, segment, replan)
+        self.observer = Observer(self.state, self.lookahead.flight, backend)
         stations = self.world_args.given.get("groundStationsData", ())
-        self.world = self.world_type(self.state, self.lookahead.arcs, stations)
+        self.world = self.world_type(self.state, self.lookahead.flight, stations)
 
     # -- construction -------------------------------------------------------------------------------------------------
 
@@ -286,12 +292,21 @@ class Simulator:
         update = hub.rotate if on_arc else hub.translate_and_rotate
         return dataclasses.replace(part, update=update) if part.slot == "hub" else part
 
-    def _make_lookahead(self, horizon: float, segment: float, as_bsk_rl: bool) -> None:
+    def _make_lookahead(self, horizon: float, segment: float, replan: bool) -> None:
         places = place_kinds(self.world_args, self.scenario_state, self.state.arguments)
         solver = make_solver(self.h_ns * NANO, self.backend, self.device)
         visibility = make_visibility(self.backend, self.device)
+        manoeuvres = Manoeuvres(self.has_tank and (replan or self.orbit == "arc"), self.has_tank and replan)
         self.lookahead = LookAhead(
-            self.num_envs, self.count, solver, visibility, places, horizon=horizon, segment=segment, as_bsk_rl=as_bsk_rl
+            self.num_envs,
+            self.count,
+            solver,
+            visibility,
+            places,
+            horizon=horizon,
+            segment=segment,
+            as_bsk_rl=self.as_bsk_rl,
+            manoeuvres=manoeuvres,
         )
         self.state.add("lookahead", self.lookahead)
 
@@ -467,7 +482,7 @@ class Simulator:
     def _first_tick(self, rows: Tensor, followed: Mapping[str, Samples]) -> None:
         """Run Basilisk's tick at time zero in ``rows`` [n]."""
         state = self.state
-        arcs = self.lookahead.arcs.tracks(self.tick.arc_tracks)
+        arcs = self.lookahead.flight.tracks(self.tick.arc_tracks)
         tracks = [Samples(track.table[rows], track.start[rows]) for track in arcs]
         for name in self.tick.followed:
             trace = followed[name]
@@ -511,6 +526,73 @@ class Simulator:
         where = resets[:, mode] & rows
         state.planes[planes] = torch.where(where, values[:, mode], state.planes[planes])
         state.touch()
+
+    def check_tank(self, title: str) -> None:
+        """Raise ValueError for satellites that cannot change their velocity; ``title`` says what would."""
+        if not self.has_tank:
+            raise ValueError(
+                f"{title} changes the velocity of a satellite without a tank; compose its flight software with one, "
+                "such as fsw_type = (fsw.MagicOrbitalManeuverFSWModel, fsw.ImagingFSWModel)"
+            )
+
+    def thrust(self, rows: Tensor, dv_N: Tensor) -> None:
+        """Change the velocity of satellites at once, at the present time; what the tank is not good for is left out.
+
+        The message of the present keeps the velocity before the manoeuvre until the next tick. A second manoeuvre at the same
+        time is added to the first; under ``compat="bsk_rl"`` it replaces it, though both are paid for.
+
+        Args:
+            rows: Satellites that manoeuvre, [N] bool; those with a change of zero count, too.
+            dv_N: Changes of velocity in N, [N, 3] m/s; those of other rows do not matter.
+
+        Raises:
+            ValueError: For satellites without a tank, tensors of other shapes, or changes that are not finite.
+        """
+        self.check_tank("thrust(rows, dv_N)")
+        state = self.state
+        n = state.rows
+        if rows.shape != (n,) or rows.dtype != torch.bool or dv_N.shape != (n, 3):
+            raise ValueError(
+                f"thrust(rows, dv_N) got rows of shape {list(rows.shape)} and {rows.dtype}, dv_N of shape {list(dv_N.shape)}; "
+                f"rows must be a mask [{n}] bool, dv_N [{n}, 3] m/s"
+            )
+        done = burn(dv_N.double(), state.read("dv_available"))
+        infinite, clipped = torch.stack([(rows & ~torch.isfinite(dv_N).all(-1)).any(), (rows & done.clipped).any()]).tolist()
+        if infinite:
+            row = int(torch.nonzero(rows & ~torch.isfinite(dv_N).all(-1))[0])
+            raise ValueError(f"thrust(rows, dv_N): dv_N[{row}] is {dv_N[row].tolist()} m/s; it must be finite")
+        if clipped and "tank" not in self._advised:
+            self._advised.add("tank")
+            row = int(torch.nonzero(rows & done.clipped)[0])
+            logger.warning(
+                "dv_N[%d] asks for %g m/s where the tank is good for %g m/s, which is what the satellite gets, and dies; this is "
+                "logged once",
+                row,
+                float(dv_N[row].norm()),
+                float(state.read("dv_available")[row]),
+            )
+        before = state.read("delta_v_N")
+        after = torch.where(rows.unsqueeze(-1), done.dv_N + (0.0 if self.as_bsk_rl else before), before)
+        state.write("dv_available", rows, done.left)
+        state.write("thrust_count", rows, state.read("thrust_count") + 1.0)
+        state.write("delta_v_N", rows, after)
+        if self.lookahead.follows:
+            changed = torch.nonzero((after != before).any(-1)).squeeze(-1)
+            if len(changed):
+                self._begin_orbits(changed, before[changed], after[changed])
+
+    def _begin_orbits(self, rows: Tensor, before: Tensor, after: Tensor) -> None:
+        """Let new orbits of ``rows`` [n] begin now.
+
+        The changes of velocity at this time, [n, 3] m/s, were ``before``, which arcs know already, and are ``after``.
+        """
+        now = self.state.sim_time
+        if self.orbit == "arc":
+            r_N, v_N = self.lookahead.state_at(rows, now)
+            v_N = v_N - before
+        else:
+            r_N, v_N = (self.state.read(name)[rows] for name in ("r_BN_N", "v_BN_N"))
+        self.lookahead.restart(rows, now, r_N, v_N + after)
 
     @functools.cached_property
     def resets(self) -> tuple[Tensor, Tensor, Tensor]:
@@ -558,8 +640,8 @@ class Simulator:
 
     @property
     def arcs(self) -> Arcs:
-        """Arcs of the satellites."""
-        return self.lookahead.arcs
+        """Arcs of the satellites, those that they fly on."""
+        return self.lookahead.flight
 
     @property
     def access(self) -> AccessWindows | None:
@@ -618,13 +700,13 @@ class Simulator:
             trace = self.trace(int(ticks.max()))
         if isinstance(self.runners.run, Kernel) and int(ticks.max()) > (most := ticks_at_once(state.rows)):
             if may_rewind:
-                self.lookahead.reach(state.sim_time + ticks * state.h, state.sim_time)
+                self.lookahead.reach_in_flight(state.sim_time + ticks * state.h, state.sim_time)
             return self._run_in_pieces(ticks, most, trace, followed)
-        self.lookahead.reach(state.sim_time + ticks * state.h, state.sim_time)
+        self.lookahead.reach_in_flight(state.sim_time + ticks * state.h, state.sim_time)
         flown = self.runners.run(
             state.planes,
             ticks,
-            [*self.lookahead.arcs.tracks(self.tick.arc_tracks), *(followed[name] for name in self.tick.followed)],
+            [*self.lookahead.flight.tracks(self.tick.arc_tracks), *(followed[name] for name in self.tick.followed)],
             expected_ticks=expected,
             shared=self.uniform,
             own=state.parameters,

@@ -5,18 +5,22 @@ from bsk_torch.sim.fsw.models import (
     ContinuousImagingFSWModel,
     FSWModel,
     ImagingFSWModel,
+    MagicOrbitalManeuverFSWModel,
     SteeringFSWModel,
     SteeringImagerFSWModel,
 )
 from bsk_torch.sim.fsw.modes import Command, Mode
+from bsk_torch.sim.fsw.setpoint import AttitudeSetpointFSWModel
 from bsk_torch.sim.fsw.tasks import Task, action
 
 __all__ = [
+    "AttitudeSetpointFSWModel",
     "BasicFSWModel",
     "Command",
     "ContinuousImagingFSWModel",
     "FSWModel",
     "ImagingFSWModel",
+    "MagicOrbitalManeuverFSWModel",
     "Mode",
     "SteeringFSWModel",
     "SteeringImagerFSWModel",
