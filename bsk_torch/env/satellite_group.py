@@ -137,6 +137,8 @@ class SatelliteGroup:
         new = {"ends": ends, "expected": expected, "action": action, "task_duration": decision.duration}
         for name, value in new.items():
             setattr(task, name, value if all_act else torch.where(acts, value, task[name]))
+        if simulator.has_tank:  # who has emptied it is dead from now on, though the action takes its course
+            task.dead = task.dead | (acts & ~self.fsw.fuel_remaining())
 
     def whole_ticks(self, duration: Tensor) -> Tensor:
         """Return the ticks after which a duration [N] s has passed: an event fires at the first tick at or after its time."""

@@ -46,6 +46,7 @@ SCHEDULE: tuple[Slot, ...] = (
     ),
     *_group(
         "orbit",
+        ("manoeuvre", "the change of velocity that was commanded at the end of the last tick", "spacecraft"),
         ("orbit", "position and velocity from an arc solved in advance", "spacecraft"),
     ),
     *_group(

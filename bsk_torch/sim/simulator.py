@@ -27,7 +27,8 @@ from bsk_torch.sim.dyn import hub
 from bsk_torch.sim.dyn.events import notice_image
 from bsk_torch.sim.dyn.field import prepare
 from bsk_torch.sim.dyn.models import DynamicsModel
-from bsk_torch.sim.fsw.models import IDLE, FSWModel
+from bsk_torch.sim.fsw.manoeuvre import burn
+from bsk_torch.sim.fsw.models import IDLE, FSWModel, MagicOrbitalManeuverFSWModel
 from bsk_torch.sim.fsw.modes import ALWAYS_RESET, MODE_FLAGS, Mode
 from bsk_torch.sim.given import Answers
 from bsk_torch.sim.initial_orbits import check_orbits
@@ -134,6 +135,7 @@ class Simulator:
         lookahead: Arcs, eclipses and windows, which are part of the state.
         observer: Properties of the present, computed together.
         world: Sun, Earth and stations at the present time.
+        has_tank: Whether the satellites can change their velocity; see :meth:`thrust`.
     """
 
     def __init__(
@@ -194,6 +196,8 @@ class Simulator:
         self.scenario_state = StateTable(num_envs, 1, device) if scenario_state is None else scenario_state
         self.h_ns = whole_nanoseconds(number("sim_rate", sim_rate, SHORTEST_TICK, LONGEST_TICK, unit="s"))
         self.orbit = dyn_type.orbit if orbit is None else orbit
+        self.as_bsk_rl = compat == "bsk_rl"
+        self.has_tank = issubclass(fsw_type, MagicOrbitalManeuverFSWModel)
         if self.orbit not in ORBITS:
             raise ValueError(f"orbit={self.orbit!r} must be one of {list(ORBITS)}, or None for the model's own")
         self.stops, self._randomize = stops, randomize
@@ -202,7 +206,7 @@ class Simulator:
         self.followed = dict(followed or {})
         self._make_components(dyn_type, fsw_type, world_type, sat_args, world_args)
         self._make_tick()
-        self._make_lookahead(horizon, segment, compat == "bsk_rl")
+        self._make_lookahead(horizon, segment, self.as_bsk_rl)
         self.observer = Observer(self.state, self.lookahead.arcs, backend)
         stations = self.world_args.given.get("groundStationsData", ())
         self.world = self.world_type(self.state, self.lookahead.arcs, stations)
@@ -511,6 +515,57 @@ class Simulator:
         where = resets[:, mode] & rows
         state.planes[planes] = torch.where(where, values[:, mode], state.planes[planes])
         state.touch()
+
+    def check_tank(self, title: str) -> None:
+        """Raise ValueError for satellites that cannot change their velocity; ``title`` says what would."""
+        if not self.has_tank:
+            raise ValueError(
+                f"{title} changes the velocity of a satellite without a tank; compose its flight software with that of manoeuvres, "
+                "such as fsw_type = (fsw.MagicOrbitalManeuverFSWModel, fsw.ImagingFSWModel)"
+            )
+
+    def thrust(self, rows: Tensor, dv_N: Tensor) -> None:
+        """Change the velocity of satellites at once, at the present time; what the tank is not good for is left out.
+
+        The message of the present keeps the velocity before the manoeuvre until the next tick. A second manoeuvre at the same
+        time is added to the first; under ``compat="bsk_rl"`` it replaces it, though both are paid for.
+
+        Args:
+            rows: Satellites that manoeuvre, [N] bool; those with a change of zero count, too.
+            dv_N: Changes of velocity in N, [N, 3] m/s; those of other rows do not matter.
+
+        Raises:
+            ValueError: For satellites without a tank, tensors of other shapes, or changes that are not finite.
+        """
+        self.check_tank("thrust(rows, dv_N)")
+        if self.orbit == "arc":
+            raise ValueError("thrust(rows, dv_N) needs orbits that are integrated in the tick; pass orbit='integrated'")
+        state = self.state
+        n = state.rows
+        if rows.shape != (n,) or rows.dtype != torch.bool or dv_N.shape != (n, 3):
+            raise ValueError(
+                f"thrust(rows, dv_N) got rows of shape {list(rows.shape)} and {rows.dtype}, dv_N of shape {list(dv_N.shape)}; rows "
+                f"must be a mask [{n}] bool, dv_N [{n}, 3] m/s"
+            )
+        done = burn(dv_N.double(), state.read("dv_available"))
+        infinite, clipped = torch.stack([(rows & ~torch.isfinite(dv_N).all(-1)).any(), (rows & done.clipped).any()]).tolist()
+        if infinite:
+            row = int(torch.nonzero(rows & ~torch.isfinite(dv_N).all(-1))[0])
+            raise ValueError(f"thrust(rows, dv_N): dv_N[{row}] is {dv_N[row].tolist()} m/s; it must be finite")
+        if clipped and "tank" not in self._advised:
+            self._advised.add("tank")
+            row = int(torch.nonzero(rows & done.clipped)[0])
+            logger.warning(
+                "dv_N[%d] asks for %g m/s where the tank is good for %g m/s, which is what the satellite gets, and dies; this is "
+                "logged once",
+                row,
+                float(dv_N[row].norm()),
+                float(state.read("dv_available")[row]),
+            )
+        pending = torch.zeros_like(done.dv_N) if self.as_bsk_rl else state.read("delta_v_N")
+        state.write("dv_available", rows, done.left)
+        state.write("thrust_count", rows, state.read("thrust_count") + 1.0)
+        state.write("delta_v_N", rows, pending + done.dv_N)
 
     @functools.cached_property
     def resets(self) -> tuple[Tensor, Tensor, Tensor]:

@@ -5,6 +5,7 @@ from bsk_torch.sim.fsw.models import (
     ContinuousImagingFSWModel,
     FSWModel,
     ImagingFSWModel,
+    MagicOrbitalManeuverFSWModel,
     SteeringFSWModel,
     SteeringImagerFSWModel,
 )
@@ -17,6 +18,7 @@ __all__ = [
     "ContinuousImagingFSWModel",
     "FSWModel",
     "ImagingFSWModel",
+    "MagicOrbitalManeuverFSWModel",
     "Mode",
     "SteeringFSWModel",
     "SteeringImagerFSWModel",

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from typing import ClassVar
 
+from torch import Tensor
+
 from bsk_torch.sim.component import Component
 from bsk_torch.sim.dyn.models import BasicDynamicsModel, DynamicsModel, ImagingDynModel
-from bsk_torch.sim.fsw import control, desaturation, guidance, imposed, instrument, steering, target
+from bsk_torch.sim.fsw import control, desaturation, guidance, imposed, instrument, manoeuvre, steering, target
 from bsk_torch.sim.fsw.modes import DUMP_RESET, IMAGE_RESET, SUN_RESET, Command, Mode
 from bsk_torch.sim.readout.model import Model
-from bsk_torch.sim.readout.observables import Now, observable
+from bsk_torch.sim.readout.observables import Now, observable, vital
 from bsk_torch.vec3 import Vec3
 
 IDLE = "idle"
@@ -119,3 +121,28 @@ class ContinuousImagingFSWModel(ImagingFSWModel):
 
 class SteeringImagerFSWModel(SteeringFSWModel, ImagingFSWModel):
     """Imaging of places with MRP steering."""
+
+
+class MagicOrbitalManeuverFSWModel(FSWModel):
+    """Changes the velocity at once, by as much as the tank is good for; composed with other flight software.
+
+    ``Simulator.thrust(rows, dv_N)`` commands a manoeuvre, and actions such as ``act.ImpulsiveThrust`` call it. The satellite dies
+    with its last fuel, at the time of the manoeuvre, which is carried out nevertheless. Fuel has no mass.
+    """
+
+    components: ClassVar[tuple[Component, ...]] = (manoeuvre.TANK,)
+
+    @observable
+    def dv_available(now: Now) -> Tensor:
+        """Sum of the changes of velocity that the tank is still good for, [N] m/s."""
+        return now.dv_available
+
+    @observable
+    def thrust_count(now: Now) -> Tensor:
+        """Number of manoeuvres since reset, those of no change of velocity included, [N]."""
+        return now.thrust_count
+
+    @vital
+    def fuel_remaining(now: Now) -> Tensor:
+        """Whether the tank is good for more than 1e-8 m/s, [N]."""
+        return now.dv_available > manoeuvre.EMPTY

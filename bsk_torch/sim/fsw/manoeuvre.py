@@ -1,0 +1,80 @@
+"""Impulsive manoeuvres: the tank, and the change of velocity that the spacecraft takes at the beginning of a tick.
+
+A manoeuvre is commanded at the end of a tick, at time T. The state message of that tick keeps the velocity before it, as in
+Basilisk, so the change waits in ``delta_v_N`` until the next tick begins, from whose start on the orbit is the new one.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from bsk_torch.sim.component import Arg, Bus, Component, Field, vec
+from bsk_torch.vec3 import Vec3
+
+EMPTY = 1e-8
+"""Change of velocity, m/s, up to which a tank counts as empty."""
+
+MOST_FUEL = 1e6
+"""Largest tank, m/s."""
+
+
+def change_velocity(bus: Bus) -> None:
+    """Start the tick from ``v_BN_N + delta_v_N``; where the orbit was solved in advance, that has been done."""
+    bus.v_BN_N = bus.v_BN_N + bus.delta_v_N
+    bus.delta_v_N = Vec3.zeros_like(bus.v_BN_N.x)
+
+
+TANK = Component(
+    slot="manoeuvre",
+    update=change_velocity,
+    args=(
+        Arg(
+            "dv_available_init",
+            100.0,
+            "m/s",
+            "sum of the changes of velocity that a full tank is good for",
+            low=0.0,
+            high=MOST_FUEL,
+        ),
+    ),
+    state=(
+        Field("dv_available", 1, "m/s", "sum of the changes of velocity that are left", exact=True, limit=MOST_FUEL),
+        Field("thrust_count", 1, "-", "manoeuvres since reset", exact=True),
+        vec("delta_v_N", "m/s", "change of velocity with which the next tick begins", exact=True),
+    ),
+    initial=lambda args: {
+        "dv_available": args["dv_available_init"],
+        "thrust_count": torch.zeros(1, dtype=torch.float64),
+        "delta_v_N": torch.zeros(1, 3, dtype=torch.float64),
+    },
+)
+"""The tank of :class:`~bsk_torch.sim.fsw.models.MagicOrbitalManeuverFSWModel`."""
+
+
+class Burn(NamedTuple):
+    """Manoeuvres of N satellites as the tank allows them.
+
+    Attributes:
+        dv_N: Change of velocity in N, [N, 3] m/s.
+        left: What is left in the tank, [N] m/s.
+        clipped: Where the tank was not good for all that was asked, [N].
+    """
+
+    dv_N: Tensor
+    left: Tensor
+    clipped: Tensor
+
+
+def burn(dv_N: Tensor, available: Tensor) -> Burn:
+    """Return the manoeuvres ``dv_N`` [N, 3] m/s with tanks that are good for ``available`` [N] m/s.
+
+    ``dv <- dv min(1, available / |dv|)`` and ``left = available - |dv|``.
+    """
+    asked = dv_N.norm(dim=-1)
+    clipped = asked > available
+    scaled = dv_N / torch.where(clipped, asked, 1.0).unsqueeze(-1) * available.unsqueeze(-1)
+    dv_N = torch.where(clipped.unsqueeze(-1), scaled, dv_N)
+    return Burn(dv_N, (available - dv_N.norm(dim=-1)).clamp(min=0.0), clipped)

@@ -1,0 +1,145 @@
+"""The tank, the change of velocity, and death by an empty tank."""
+
+import logging
+
+import pytest
+import torch
+
+from bsk_torch.sim import fsw
+from bsk_torch.sim.fsw.manoeuvre import burn
+from tests.manoeuvring import R_N, V_N, Imager, Kick, Mover, every, make, push, step
+
+
+@pytest.fixture(params=["integrated"])
+def orbit(request):
+    return request.param
+
+
+def test_a_burn_is_clipped_to_the_tank():
+    done = burn(
+        torch.tensor([[3.0, 4.0, 0.0], [3.0, 4.0, 0.0], [0.0, 0.0, 0.0]]).double(), torch.tensor([10.0, 2.5, 0.0]).double()
+    )
+    assert torch.allclose(done.dv_N, torch.tensor([[3.0, 4.0, 0.0], [1.5, 2.0, 0.0], [0.0, 0.0, 0.0]]).double(), atol=1e-15)
+    assert done.left.tolist() == [5.0, 0.0, 0.0]
+    assert done.clipped.tolist() == [False, True, False]
+
+
+def test_the_message_keeps_the_old_velocity_until_the_next_tick(orbit):
+    env = make(orbit=orbit, sim_rate=0.5)
+    td = env.reset()
+    push(env, 1.0, 2.0, -2.0)
+    fsw_model = env.satellite.fsw
+    assert env.simulator.read("v_BN_N").tolist() == [V_N]
+    assert fsw_model.dv_available.tolist() == [97.0]
+    assert fsw_model.thrust_count.tolist() == [1.0]
+    env.fleet.run(torch.ones(1, dtype=torch.bool), torch.tensor([1]), 1)
+    fall = -3.986004415e14 / 6.9e6**2 * 0.5
+    wanted = torch.tensor([[1.0 + fall, V_N[1] + 2.0, V_N[2] - 2.0]]).double()
+    assert torch.allclose(env.simulator.read("v_BN_N"), wanted, atol=0.02)  # J2 and the curvature of half a second
+    assert torch.allclose(env.simulator.read("r_BN_N"), torch.tensor([R_N]).double() + 0.5 * wanted, atol=3.0)
+    td = step(env, td, 0)
+    assert env.simulator.read("delta_v_N").tolist() == [[0.0, 0.0, 0.0]]
+
+
+@pytest.mark.parametrize("compat", [None, "bsk_rl"])
+def test_a_second_manoeuvre_at_the_same_time(orbit, compat):
+    """Is added; with the errors of bsk_rl it replaces the first, and both are paid for (double thrust)."""
+    twice, once = make(orbit=orbit, compat=compat), make(orbit=orbit, compat=compat)
+    tds = [env.reset() for env in (twice, once)]
+    push(twice, 1.0, 0.0, 0.0)
+    push(twice, 0.0, 2.0, 0.0)
+    push(once, 0.0 if compat else 1.0, 2.0, 0.0)
+    assert twice.satellite.fsw.dv_available.tolist() == [97.0]
+    assert twice.satellite.fsw.thrust_count.tolist() == [2.0]
+    for env, td in zip((twice, once), tds, strict=True):
+        step(env, td, 0)
+    assert torch.equal(twice.simulator.read("r_BN_N"), once.simulator.read("r_BN_N"))
+
+
+def test_who_asks_for_more_gets_what_is_left_and_dies(orbit, caplog):
+    """The drift is flown and the penalty paid once, by a satellite that is dead from the manoeuvre on."""
+    env = make(2, orbit=orbit, sat_args={"dv_available_init": 2.5})
+    td = env.reset()
+    with caplog.at_level(logging.WARNING):
+        for k in range(3):
+            td = step(env, td, 1, 0)
+            assert td["reward"][:, 0].tolist() == [0.0 if k < 2 else -1.0, 0.0]
+    assert "asks for 1 m/s where the tank is good for 0.5 m/s" in caplog.text
+    assert env.satellite.fsw.dv_available.tolist() == [0.0, 2.5]
+    assert env.satellite.fsw.thrust_count.tolist() == [3.0, 0.0]
+    assert env.simulator.sim_time.tolist() == [180.0, 180.0]
+    assert td["terminated"].squeeze(-1).tolist() == [True, False]
+
+
+def test_death_by_the_last_fuel_is_at_the_time_of_the_manoeuvre():
+    env = make(sat_args={"dv_available_init": 1.0}, orbit="integrated")
+    td = env.reset()
+    dead = []
+    run = env.fleet.run
+
+    def watch(*args):
+        dead.append(env.dead.flatten().tolist())
+        run(*args)
+
+    env.fleet.run = watch
+    step(env, td, 1)
+    assert dead == [[True]]
+
+
+def test_a_tank_that_is_empty_from_the_beginning_kills_at_once():
+    env = make(sat_args={"dv_available_init": 0.0})
+    td = env.reset()
+    assert env.dead.tolist() == [True]
+    assert step(env, td, 0)["reward"].item() == -1.0
+
+
+def test_thirty_manoeuvres_use_a_tank_up():
+    """Thirty times 0.1 of 3 m/s leave nothing that counts."""
+    env = make(sat_args={"dv_available_init": 3.0}, orbit="integrated")
+    env.reset()
+    for k in range(30):
+        assert env.satellite.fsw.fuel_remaining().item()
+        push(env, 0.0, 0.0, 0.1 if k % 2 else -0.1)
+    assert not env.satellite.fsw.fuel_remaining().item()
+
+
+def test_manoeuvres_touch_no_other_rows(orbit):
+    many, alone = make(3, orbit=orbit), make(1, orbit=orbit, env_ids=[1])
+    tds = [env.reset() for env in (many, alone)]
+    rows = torch.tensor([True, False, True])
+    push(many, 1.0, 0.0, 0.0, rows=rows)
+    push(alone, 1.0, 0.0, 0.0, rows=rows[1:2])
+    for env, td in zip((many, alone), tds, strict=True):
+        step(env, td, 0)
+    assert torch.equal(many.simulator.read("r_BN_N")[1:2], alone.simulator.read("r_BN_N"))
+    assert many.satellite.fsw.dv_available.tolist() == [99.0, 100.0, 99.0]
+
+
+def test_thrust_without_a_tank_is_refused_when_the_action_is_linked():
+    class NoTank(Mover):
+        fsw_type = fsw.FSWModel
+        observation_spec = Mover.observation_spec[1:]
+
+    with pytest.raises(
+        ValueError, match=r"act.Kick\(\) changes the velocity of a satellite without a tank.*MagicOrbitalManeuver"
+    ):
+        make(kind=NoTank)
+
+
+def test_bad_manoeuvres_are_refused():
+    env = make(orbit="integrated")
+    env.reset()
+    with pytest.raises(ValueError, match=r"dv_N\[0\] is \[nan, 0.0, 0.0\]"):
+        push(env, float("nan"), 0.0, 0.0)
+    with pytest.raises(ValueError, match=r"rows must be a mask \[1\] bool"):
+        env.simulator.thrust(every(env), torch.zeros(3))
+    with pytest.raises(ValueError, match="dv_available_init"):
+        make(sat_args={"dv_available_init": -1.0})
+    assert env.satellite.fsw.dv_available.tolist() == [100.0]
+
+
+def test_a_tank_is_composed_with_other_flight_software():
+    names = [component.slot for component in Imager.get_fsw_type().all_components()]
+    assert "manoeuvre" in names
+    assert "location_pointing" in names
+    assert Kick().name == "kick"
