@@ -35,7 +35,7 @@ CHIEF_FIELDS = (
     vec("r_BN_N", "m", "position", exact=True),
     vec("sigma_BN", "-", "attitude"),
     Field("illumination", 1, "-", "visible fraction of the Sun"),
-    vec("r_SN_N", "m", "Sun relative to the Earth", exact=True),
+    vec("sun_N", "m", "Sun relative to the Earth", exact=True),
     vec("pole_N", "-", "unit vector along the Earth's axis", exact=True),
 )
 """What a record of the inspected spacecraft holds."""
@@ -54,12 +54,14 @@ class Records(NamedTuple):
             (m), direction of the Earth's axis in N.
         inspectors: Inspectors, [N * I, K, 4]: position in N (m), level of the store (bit); a record more than there are ticks.
         ticks: Number of ticks of each episode, [N].
-        lit_from: First record that counts for points being lit, [N].
+        seen_from: First record in which points may be inspected, [N].
+        lit_from: First record in which points may be lit, [N].
     """
 
     chief: Tensor
     inspectors: Tensor
     ticks: Tensor
+    seen_from: Tensor
     lit_from: Tensor
 
 
@@ -86,7 +88,7 @@ class _Moment(NamedTuple):
     r_BN_N: Vec3
     sigma_BN: Vec3
     illumination: Any
-    r_SN_N: Vec3
+    sun_N: Vec3
     pole_N: Vec3
     inspector_N: Vec3
 
@@ -131,7 +133,7 @@ def _look(
         lit: Flags of lit points before it.
     """
     BN = mrp_to_dcm(at.sigma_BN)
-    s_B, rho_N = BN @ at.r_SN_N.unit(), at.inspector_N - at.r_BN_N
+    s_B, rho_N = BN @ at.sun_N.unit(), at.inspector_N - at.r_BN_N
     rho2 = rho_N.dot(rho_N)
 
     def by_day() -> tuple[tuple[Any, ...], tuple[Any, ...]]:
@@ -188,11 +190,11 @@ def flags_kernel(source: str) -> Kernel:
     """Return the kernel of :data:`GROUP` points, whose numbers come from ``source``, ``"shared"`` or ``"own"``.
 
     The state is the flags of inspected, then of lit points, and the last change of the store; ``own`` begins with the number of
-    the last record and that of the first one in which light counts. A tick is a record.
+    the last record and those of the first ones in which points may be inspected, and lit. A tick is a record.
     """
     builder = KernelBuilder()
-    last, lit_from = builder.planes("own", 2)
-    first = 2 if source == "own" else 0
+    last, seen_from, lit_from = builder.planes("own", 3)
+    first = 3 if source == "own" else 0
     limits = _Limits(*builder.planes(source, 3, first))
     numbers = builder.planes(source, COLUMNS * GROUP, first + 3)
     each = [Point.of(numbers[k::GROUP]) for k in range(GROUP)]
@@ -202,7 +204,7 @@ def flags_kernel(source: str) -> Kernel:
     number: Any = builder.program.input("ticks_now")
     change = torch.where(number >= last, change, inspector[2 * INSPECTOR_WIDTH - 1] - inspector[INSPECTOR_WIDTH - 1])
     at = _Moment.of(builder.records(1, CHIEF_WIDTH), inspector)
-    inspected, lit = _look(each, limits, at, change.ne(0.0), number >= lit_from, inspected, lit)
+    inspected, lit = _look(each, limits, at, change.ne(0.0) & (number >= seen_from), number >= lit_from, inspected, lit)
     tracks = Track("chief", 1.0, CHIEF_FIELDS, count=1), Track("inspector", 1.0, INSPECTOR_FIELDS, count=2)
     return Kernel("inspection", Loop(builder.program, [*inspected, *lit, change], tracks))
 
@@ -211,15 +213,17 @@ def _run_kernels(columns: Tensor, records: Records) -> tuple[Tensor, Tensor]:
     """See :func:`find_flags`; flags as numbers."""
     rows, episodes = len(records.inspectors), len(records.chief)
     owner = torch.arange(episodes).repeat_interleave(rows // episodes)
-    ticks, lit_from = records.ticks[owner], records.lit_from[owner]
+    ticks = records.ticks[owner]
+    limits = torch.stack([ticks - 1, records.seen_from[owner], records.lit_from[owner]]).double()
     half = torch.full((max(rows, episodes),), -0.5)  # records are looked up half way between two
     tracks = Samples(records.chief, half[:episodes].double(), owner), Samples(records.inspectors, half[:rows].double())
     source = "shared" if columns.ndim == 2 else "own"
     found = []
     for group in _filled(columns).split(GROUP, -1):
         packs = torch.cat([_bounds(group), group.movedim(-1, 1).flatten(0, 1)])
-        own = torch.stack([ticks - 1, lit_from]).double()
-        given = {"shared": packs, "own": own} if source == "shared" else {"own": torch.cat([own, packs[:, owner]])}
+        given: dict[str, Any] = (
+            {"shared": packs, "own": limits} if source == "shared" else {"own": torch.cat([limits, packs[:, owner]])}
+        )
         state = torch.zeros(2 * GROUP + 1, rows, dtype=torch.float64)
         flags_kernel(source)(state, ticks, tracks, ticks=torch.full_like(ticks, -1), nanoseconds=TICK_NS, **given)
         found.append(state[:-1].unflatten(0, (2, GROUP)))
@@ -240,7 +244,7 @@ def _run_tensors(columns: Tensor, records: Records) -> tuple[Tensor, Tensor]:
     """See :func:`find_flags`; flags as numbers."""
     rows, episodes = len(records.inspectors), len(records.chief)
     owner = torch.arange(episodes, device=columns.device).repeat_interleave(rows // episodes)
-    ticks, lit_from = records.ticks[owner].unsqueeze(-1), records.lit_from[owner].unsqueeze(-1)
+    ticks, seen_from, lit_from = (x[owner].unsqueeze(-1) for x in (records.ticks, records.seen_from, records.lit_from))
     bounds = _bounds(columns)
     each, limits = (columns, bounds.unsqueeze(-1)) if columns.ndim == 2 else (columns[:, owner], bounds[:, owner].unsqueeze(-1))
     points = Point.of(each)
@@ -251,6 +255,6 @@ def _run_tensors(columns: Tensor, records: Records) -> tuple[Tensor, Tensor]:
         growth = inspectors[j + 1][:, INSPECTOR_WIDTH - 1] - inspectors[j][:, INSPECTOR_WIDTH - 1]
         change = torch.where(j >= ticks - 1, change, growth)
         at, runs = _Moment.of(chief[j].unbind(1), inspectors[j].unbind(1)), j < ticks
-        counts, lights = runs & change.ne(0.0), runs & (j >= lit_from)
+        counts, lights = runs & change.ne(0.0) & (j >= seen_from), runs & (j >= lit_from)
         (inspected,), (lit,) = _look([points], _Limits(*limits), at, counts, lights, (inspected,), (lit,))
     return inspected, lit

@@ -42,7 +42,7 @@ def drawn(n: int, ticks: int, low: bool = False) -> Records:
     inspectors = torch.cat([r, r[:, -1:]], 1).unsqueeze(1) + way
     level = torch.randint(0, 2, (n, 2, ticks + 1, 1)).double().cumsum(2)
     records = torch.cat([inspectors, level], -1).flatten(0, 1).contiguous()
-    return Records(chief.contiguous(), records, torch.arange(n) % (ticks + 1), torch.arange(n) % 3)
+    return Records(chief.contiguous(), records, torch.arange(n) % (ticks + 1), torch.arange(n) % 2, torch.arange(n) % 3)
 
 
 def test_every_flag_of_a_recording(recording, backend):
@@ -66,6 +66,7 @@ def test_every_flag_of_a_recording(recording, backend):
         at.unsqueeze(1).repeat(1, 2, 1),
         torch.cat([inspector[:, None, :3].expand(-1, 3, -1), level], -1).contiguous(),
         torch.full((n,), 2),
+        torch.zeros(n, dtype=torch.int64),
         torch.zeros(n, dtype=torch.int64),
     )
     inspected, lit = find_flags(columns, records, backend == "compiled")
@@ -96,13 +97,13 @@ def test_runs_do_not_depend_on_each_other(backend):
     records, columns = drawn(7, 5), sphere(9, theta_max=1.5, range_max=0.0)
     inspected, lit = find_flags(columns, records, backend == "compiled")
     assert not inspected[:2].any()
-    alone = Records(records.chief[3:4], records.inspectors[6:8], records.ticks[3:4], records.lit_from[3:4])
+    alone = Records(records.chief[3:4], records.inspectors[6:8], *(part[3:4] for part in records[2:]))
     found = find_flags(columns, alone, backend == "compiled")
     assert torch.equal(found[0], inspected[6:8])
     assert torch.equal(found[1], lit[6:8])
 
 
-def still(levels: list[float], lit_from: int = 0) -> Records:
+def still(levels: list[float], seen_from: int = 0, lit_from: int = 0) -> Records:
     """A chief at rest in the Sun, an inspector 100 m towards it, and the levels of the store."""
     n = len(levels) - 1
     r = torch.tensor([7e6, 0.0, 0.0], dtype=torch.float64).expand(1, n, 3)
@@ -111,7 +112,8 @@ def still(levels: list[float], lit_from: int = 0) -> Records:
     inspector = torch.tensor([7e6, 0.0, 100.0], dtype=torch.float64).expand(n + 1, 3)
     levels = torch.tensor(levels, dtype=torch.float64).unsqueeze(-1)
     records = torch.cat([inspector, levels], -1).unsqueeze(0)
-    return Records(chief.contiguous(), records.contiguous(), torch.tensor([n]), torch.tensor([lit_from]))
+    starts = torch.tensor([n]), torch.tensor([seen_from]), torch.tensor([lit_from])
+    return Records(chief.contiguous(), records.contiguous(), *starts)
 
 
 def facing(*, theta_max=0.1) -> torch.Tensor:
@@ -137,11 +139,12 @@ def test_a_change_of_the_store_makes_access_count(levels, inspected, backend):
     assert lit.item() is True
 
 
-def test_light_counts_from_a_record_on(backend):
-    """What comes before does not count as lit; as inspected it does."""
-    for lit_from, lit in ((2, True), (3, False)):
-        found = find_flags(facing(), still([0, 1, 2, 3], lit_from), backend == "compiled")
-        assert [flag.item() for flag in found] == [True, lit]
+@pytest.mark.parametrize(("first", "counts"), [(2, True), (3, False)])
+def test_records_count_from_one_on(first, counts, backend):
+    """What comes before does not count as lit, or as inspected; neither depends on the other."""
+    for starts, expected in (((0, first), [True, counts]), ((first, 0), [counts, True])):
+        found = find_flags(facing(), still([0, 1, 2, 3], *starts), backend == "compiled")
+        assert [flag.item() for flag in found] == expected
 
 
 def test_cones_and_ranges():
@@ -175,7 +178,7 @@ def test_the_earth_is_an_ellipsoid(height, visible, backend):
     records = chief_records(r_N, torch.zeros_like(r_N), one, SUN.expand_as(r_N), z.expand_as(r_N))
     inspector = torch.tensor([-half, 0.0, r], dtype=torch.float64).expand(1, n + 1, 3)
     level = torch.arange(3.0, dtype=torch.float64).view(1, 3, 1)
-    run = Records(records.contiguous(), torch.cat([inspector, level], -1), torch.tensor([n]), torch.tensor([0]))
+    run = Records(records.contiguous(), torch.cat([inspector, level], -1), torch.tensor([n]), *torch.zeros(2, 1).long())
     zero, off = torch.zeros(1, 3, dtype=torch.float64), torch.full((1,), -1.0, dtype=torch.float64)
     inspected, _ = find_flags(point_columns(zero, zero + z, off, off, off, off), run, backend == "compiled")
     assert inspected.item() is visible
