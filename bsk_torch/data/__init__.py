@@ -4,6 +4,7 @@ from bsk_torch.data.base import GlobalReward, NoReward
 from bsk_torch.data.clouds import CloudFreeImageReward
 from bsk_torch.data.composed import ComposedReward
 from bsk_torch.data.images import ImageReward, UniqueImageReward
+from bsk_torch.data.inspection import RSOInspectionData, RSOInspectionReward
 from bsk_torch.data.resources import ResourceReward
 from bsk_torch.data.scanning import ScanningTimeReward
 from bsk_torch.data.single import NoData, NoDataStore, ScanningTime, ScanningTimeStore, UniqueImageStore
@@ -20,6 +21,8 @@ __all__ = [
     "NoData",
     "NoDataStore",
     "NoReward",
+    "RSOInspectionData",
+    "RSOInspectionReward",
     "ResourceReward",
     "ScanningTime",
     "ScanningTimeReward",

@@ -4,6 +4,7 @@ from bsk_torch.scene.base import Scenario
 from bsk_torch.scene.cities import CityTargets
 from bsk_torch.scene.clouds import CloudyTargets
 from bsk_torch.scene.explicit import Targets
+from bsk_torch.scene.rso_points import RSOPoint, RSOPoints, SphericalRSO
 from bsk_torch.scene.scanning import UniformNadirScanning
 from bsk_torch.scene.target import Target
 from bsk_torch.scene.targets import ChangingTargets, TargetScenario
@@ -14,7 +15,10 @@ __all__ = [
     "ChangingTargets",
     "CityTargets",
     "CloudyTargets",
+    "RSOPoint",
+    "RSOPoints",
     "Scenario",
+    "SphericalRSO",
     "Target",
     "TargetScenario",
     "Targets",

@@ -225,6 +225,7 @@ class Simulator:
         self.sat_args = Arguments(own, sat_args, "sat_args", self.columns)
         around, given = _Looked(self.world_args.given), _Looked(self.sat_args.given)
         world_parts, own = fitted(world_parts, around), fitted(own, given)
+        own = tuple(part for part in own if not (part.mends and self.as_bsk_rl))
         looked = (self.world_args, around.seen), (self.sat_args, given.seen)
         self._structural = {name for args, names in looked for name in names if not args.is_random(name)}
         self.parts = ordered((*(dataclasses.replace(part, at_start=True) for part in world_parts), *own))

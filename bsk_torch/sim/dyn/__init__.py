@@ -1,5 +1,6 @@
 """Dynamics: the parts of a spacecraft and the models that compose them."""
 
+from bsk_torch.sim.dyn.inspection import RSODynModel, RSOInspectorDynModel
 from bsk_torch.sim.dyn.models import (
     AtmosphericDragDynModel,
     BasicDynamicsModel,
@@ -27,6 +28,8 @@ __all__ = [
     "ImagingDynModel",
     "LOSCommDynModel",
     "Now",
+    "RSODynModel",
+    "RSOInspectorDynModel",
     "aliveness_checker",
     "observable",
     "vital",

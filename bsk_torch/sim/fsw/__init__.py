@@ -1,5 +1,6 @@
 """Flight software: guidance, control, and the modes that actions switch between."""
 
+from bsk_torch.sim.fsw.inspection import RSOInspectorFSWModel
 from bsk_torch.sim.fsw.models import (
     BasicFSWModel,
     ContinuousImagingFSWModel,
@@ -22,6 +23,7 @@ __all__ = [
     "ImagingFSWModel",
     "MagicOrbitalManeuverFSWModel",
     "Mode",
+    "RSOInspectorFSWModel",
     "SteeringFSWModel",
     "SteeringImagerFSWModel",
     "Task",

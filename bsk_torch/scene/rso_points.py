@@ -1,0 +1,275 @@
+"""Points on the surface of a resident space object (RSO), which other satellites inspect."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from bsk_torch._checks import number, whole
+from bsk_torch.astro.relative import fibonacci_sphere
+from bsk_torch.rand import Key, seeded
+from bsk_torch.scene.base import Scenario
+from bsk_torch.sim.dyn.inspection import RSODynModel, RSOInspectorDynModel
+from bsk_torch.sim.fleet import Fleet
+from bsk_torch.sim.fsw.inspection import RSOInspectorFSWModel
+from bsk_torch.sim.hooks import check_class, note_slow
+from bsk_torch.sim.inspection.points import point_columns
+
+DRAWN = "rso_points"
+"""Drawn value with the numbers of the points, [N, P, 10], where they differ between episodes."""
+
+ADVICE = "write points_are_fixed = True into the class if the points are the same in all episodes, and it is called once"
+
+FARTHEST = 1e6
+"""Largest coordinate of a point, m."""
+
+
+@dataclass(eq=False)
+class RSOPoint:
+    """A point on the surface of an RSO.
+
+    Attributes:
+        r_PB_B: Position in body axes, m.
+        n_B: Normal of the surface in body axes, of any length.
+        theta_max: Largest angle between the normal and the direction of the inspector, rad; no limit if it is not positive.
+        range_max: Longest distance of the inspector, m; no limit if it is not positive.
+        theta_solar_max: Largest angle between the normal and the direction of the Sun, rad; no limit if it is negative.
+        min_illumination_factor: Least visible fraction of the Sun; no limit if it is not positive.
+    """
+
+    r_PB_B: Any
+    n_B: Any
+    theta_max: float
+    range_max: float
+    theta_solar_max: float
+    min_illumination_factor: float
+
+    def numbers(self, title: str) -> list[float]:
+        """Return the ten numbers of the point; ValueError that begins with ``title`` for what is none."""
+        r_PB_B, n_B = (_vector(f"{title}.{name}", getattr(self, name)) for name in ("r_PB_B", "n_B"))
+        if max(map(abs, n_B)) == 0.0:
+            raise ValueError(f"{title}.n_B is zero; it must be a direction")
+        limits = ("theta_max", "range_max", "theta_solar_max", "min_illumination_factor")
+        return [*r_PB_B, *n_B, *(number(f"{title}.{name}", getattr(self, name)) for name in limits)]
+
+
+def _vector(title: str, value: Any) -> list[float]:
+    try:
+        array = np.asarray(value.detach().cpu() if isinstance(value, Tensor) else value, dtype=float)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{title}={value!r} must be three numbers") from error
+    if array.shape != (3,) or not np.isfinite(array).all() or np.abs(array).max() > FARTHEST:
+        raise ValueError(f"{title}={value!r} must be three numbers of at most {FARTHEST:g}")
+    return array.tolist()
+
+
+class RSOPoints(Scenario):
+    """Points on the surface of the one satellite with a :class:`~bsk_torch.sim.dyn.RSODynModel`.
+
+    The satellites with a :class:`~bsk_torch.sim.dyn.RSOInspectorDynModel` inspect them, see
+    :class:`bsk_torch.data.RSOInspectionReward`. A subclass defines :meth:`generate_points`.
+
+    A point is *seen* by an inspector within its range and within the cone ``theta_max`` about its normal, if the Earth leaves the
+    line of sight free. It is *lit* where the Sun, as seen from the Earth's centre, stands within ``theta_solar_max`` of its
+    normal, and the RSO is not deeper in the Earth's shadow than ``min_illumination_factor`` says. The RSO itself hides nothing
+    beyond these cones.
+
+    Attributes:
+        points_are_fixed: Whether :meth:`generate_points` makes the same points in all episodes; it is then called once, when an
+            environment is built, else for each episode, which is slow.
+        rso_column: Number of the RSO among the satellites of an episode.
+        inspector_columns: Numbers of the inspectors, [I].
+    """
+
+    points_are_fixed: ClassVar[bool] = False
+    rso_column: int
+    inspector_columns: list[int]
+    _link_needs_super = True
+    _fixed: Tensor | None = None
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        """See :meth:`Scenario.__init_subclass__`; points of a subclass's own differ between episodes unless it says otherwise."""
+        super().__init_subclass__(**options)
+        check_class(cls, RSOPoints, ("generate_points",), {})
+        if "generate_points" in vars(cls) and "points_are_fixed" not in vars(cls):
+            cls.points_are_fixed = False
+
+    # -- points -------------------------------------------------------------------------------------------------------
+
+    def generate_points(self) -> list[RSOPoint]:
+        """Return the points of an episode, equally many in all of them; the hook of bsk_rl.
+
+        NumPy's global generator has a stream of its own for each environment and episode.
+        """
+        raise NotImplementedError(f"{type(self).__name__} must implement generate_points()")
+
+    def _numbers(self) -> list[list[float]]:
+        """Return the numbers of the points that :meth:`generate_points` makes, [P, 10]."""
+        title = f"{type(self).__name__}.generate_points()"
+        made = self.generate_points()
+        if not isinstance(made, Iterable) or isinstance(made, str):
+            raise TypeError(f"{title} returns {made!r}; it must return a list of scene.RSOPoint")
+        points = list(made)
+        if not points:
+            raise ValueError(f"{title} returns no points; there must be at least one")
+        for point in points:
+            if not isinstance(point, RSOPoint):
+                raise TypeError(f"{title} returns {point!r}; it must return scene.RSOPoint objects")
+        return [point.numbers(f"{title}[{k}]") for k, point in enumerate(points)]
+
+    @property
+    def calls_user(self) -> bool:
+        """See :attr:`Scenario.calls_user`."""
+        return not self.points_are_fixed
+
+    def draw(self, key: Key) -> dict[str, Tensor]:
+        """See :meth:`Scenario.draw`; the numbers of points that differ between episodes."""
+        if self.points_are_fixed:
+            return {}
+        note_slow(f"{type(self).__name__}.generate_points()", ADVICE)
+        with seeded(key.named("generate_points")) as rows:
+            made = [self._numbers() for _ in rows]
+        if len({len(points) for points in made}) > 1:
+            raise ValueError(
+                f"{type(self).__name__}.generate_points() returns {sorted({len(points) for points in made})} points in different "
+                "episodes; it must return equally many"
+            )
+        return {DRAWN: torch.tensor(made, dtype=torch.float64)}
+
+    @property
+    def _table(self) -> Tensor:
+        """Numbers of the points, [P, 10], or [N, P, 10] where they differ between episodes."""
+        if not self.points_are_fixed:
+            return self.drawn(DRAWN)
+        if self._fixed is None:
+            self._fixed = torch.tensor(self._numbers(), dtype=torch.float64)
+        return self._fixed if self.__dict__.get("fleet") is None else self._fixed.to(self.fleet.device)
+
+    @property
+    def n_points(self) -> int:
+        """Number of points."""
+        return self._table.shape[-2]
+
+    @property
+    def r_PB_B(self) -> Tensor:
+        """Positions of the points in body axes, [P, 3] m, or [N, P, 3] where they differ between episodes."""
+        return self._table[..., :3]
+
+    @property
+    def columns(self) -> Tensor:
+        """Points as :func:`bsk_torch.sim.inspection.flags.find_flags` takes them, [10, P] or [10, N, P]."""
+        table = self._table
+        return point_columns(table[..., :3], table[..., 3:6], *table[..., 6:].unbind(-1))
+
+    @property
+    def rso_points(self) -> list[RSOPoint]:
+        """The points; AttributeError where they differ between episodes: :meth:`points_of` returns those of one."""
+        if not self.points_are_fixed:
+            raise AttributeError("the points differ between episodes; scenario.points_of(env) returns those of an environment")
+        return self.points_of(0)
+
+    def points_of(self, env: int) -> list[RSOPoint]:
+        """Return the points of the present episode of environment ``env``."""
+        table = self._table if self.points_are_fixed else self._table[env]
+        return [RSOPoint(np.array(row[:3]), np.array(row[3:6]), *row[6:]) for row in table.tolist()]
+
+    # -- satellites ---------------------------------------------------------------------------------------------------
+
+    def validate_satellite_names(self, satellites: Sequence[Any]) -> None:
+        """See :meth:`Scenario.validate_satellite_names`.
+
+        Raises:
+            ValueError: Unless there are one RSO, and at least one inspector with the flight software for it.
+        """
+        rsos, inspectors = (
+            [s.name for s in satellites if issubclass(s.dyn_type, model)] for model in (RSODynModel, RSOInspectorDynModel)
+        )
+        title = f"scene.{type(self).__name__}"
+        if len(rsos) != 1:
+            raise ValueError(
+                f"{title} needs exactly one satellite with dyn.RSODynModel; {rsos or 'none'} of {_names(satellites)} have it"
+            )
+        if not inspectors:
+            raise ValueError(
+                f"{title} needs at least one satellite with dyn.RSOInspectorDynModel and fsw.RSOInspectorFSWModel; none of "
+                f"{_names(satellites)} has that dynamics model"
+            )
+        unfit = [s.name for s in satellites if s.name in inspectors and not issubclass(s.fsw_type, RSOInspectorFSWModel)]
+        if unfit:
+            raise ValueError(
+                f"{title}: {unfit} have dyn.RSOInspectorDynModel, but not fsw.RSOInspectorFSWModel, which points at the RSO"
+            )
+        if both := sorted(set(rsos) & set(inspectors)):
+            raise ValueError(f"{title}: {both} would inspect itself; give the RSO and its inspectors models of their own")
+
+    def link(self, fleet: Fleet) -> None:
+        """See :meth:`Scenario.link`."""
+        super().link(fleet)
+        kinds = [part.dyn_type for part in fleet.satellites]
+        self.rso_type = next(k for k, kind in enumerate(kinds) if issubclass(kind, RSODynModel))
+        self.inspector_types = tuple(k for k, kind in enumerate(kinds) if issubclass(kind, RSOInspectorDynModel))
+        self.rso_column = int(fleet.columns[self.rso_type][0])
+        self.inspector_columns = [column for k in self.inspector_types for column in fleet.columns[k].tolist()]
+
+    @property
+    def rso(self) -> Any:
+        """The RSO."""
+        return self.fleet.satellites[self.rso_type]
+
+    @property
+    def inspectors(self) -> list[Any]:
+        """The inspectors of each type."""
+        return [self.fleet.satellites[k] for k in self.inspector_types]
+
+    def _bounds(self) -> dict[str, tuple[float, float]]:
+        """See :meth:`Scenario._bounds`."""
+        return {} if self.points_are_fixed else {DRAWN: (-1e200, 1e200)}
+
+
+def _names(satellites: Sequence[Any]) -> list[str]:
+    return [satellite.name for satellite in satellites]
+
+
+class SphericalRSO(RSOPoints):
+    """Points spread evenly over a sphere, along Fibonacci's spiral; their normals point outwards."""
+
+    points_are_fixed = True
+
+    def __init__(
+        self,
+        n_points: int = 100,
+        radius: float = 1.0,
+        theta_max: float = math.radians(45.0),
+        range_max: float = -1.0,
+        theta_solar_max: float = math.radians(60.0),
+        min_illumination_factor: float = 0.1,
+    ) -> None:
+        """ValueError for a wrong argument.
+
+        Args:
+            n_points: Number of points.
+            radius: Radius of the sphere, m.
+            theta_max: Largest angle between a point's normal and the direction of the inspector, rad; no limit if it is not
+                positive.
+            range_max: Longest distance between a point and the inspector, m; no limit if it is not positive.
+            theta_solar_max: Largest angle between a point's normal and the direction of the Sun, rad; no limit if it is negative.
+            min_illumination_factor: Least visible fraction of the Sun; no limit if it is not positive.
+        """
+        self.number_of_points = whole("n_points", n_points, 1, 100_000)
+        self.radius = number("radius", radius, 0.0, FARTHEST, unit="m", above=True)
+        angle = "rad"
+        self.theta_max = number("theta_max", theta_max, -math.pi, math.pi, unit=angle)
+        self.range_max = number("range_max", range_max, unit="m")
+        self.theta_solar_max = number("theta_solar_max", theta_solar_max, -math.pi, math.pi, unit=angle)
+        self.min_illumination_factor = number("min_illumination_factor", min_illumination_factor, -math.inf, 1.0)
+
+    def generate_points(self) -> list[RSOPoint]:
+        """See :meth:`RSOPoints.generate_points`."""
+        limits = self.theta_max, self.range_max, self.theta_solar_max, self.min_illumination_factor
+        return [RSOPoint(self.radius * n_B, n_B, *limits) for n_B in fibonacci_sphere(self.number_of_points)]

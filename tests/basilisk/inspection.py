@@ -1,0 +1,183 @@
+"""Recorded episodes of inspection, and how to replay them as one batch."""
+
+from __future__ import annotations
+
+import itertools
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from bsk_torch import ConstellationTasking, act, data, obs, rand, sats, scene
+from bsk_torch.act.base import Decision
+from bsk_torch.sim import dyn, fsw
+from tests.basilisk.replay import RECORDINGS
+
+STEPS = "action rso_action reward inspection fuel duration terminated truncated".split()
+BOUNDARIES = "retask alive agents obs state wheels sun inspected illuminated".split()
+
+
+@dataclass
+class Episodes:
+    """A recording: what each episode starts from, and its arrays, those of steps and those of boundaries."""
+
+    initial: list[dict[str, Any]]
+    arrays: dict[str, list[np.ndarray]]
+    bonus_time: np.ndarray
+    death: np.ndarray
+    names: list[str]
+
+    def __len__(self) -> int:
+        return len(self.initial)
+
+    @property
+    def lengths(self) -> list[int]:
+        return [len(rows) for rows in self.arrays["action"]]
+
+
+def load(case: str) -> Episodes:
+    """Read the recording of a case."""
+    file = np.load(RECORDINGS / f"inspection_{case}.npz")
+    ends = np.cumsum([0, *file["length"]])
+    cuts = dict.fromkeys(STEPS, ends) | dict.fromkeys(BOUNDARIES, ends + np.arange(len(ends)))
+    arrays = {key: [file[key][a:b] for a, b in itertools.pairwise(where)] for key, where in cuts.items()}
+    return Episodes(json.loads(str(file["ic"])), arrays, file["bonus_time"], file["death"], json.loads(str(file["obs_names"])))
+
+
+class Inspect(act.Action):
+    """Inspect the RSO for as long as the memory ``drift`` says."""
+
+    def __init__(self) -> None:
+        super().__init__("inspect")
+
+    def link_satellite(self, satellite) -> None:
+        super().link_satellite(satellite)
+        satellite.simulator.memory.declare("drift", 60.0)
+
+    def decide(self, index: Tensor, mask: Tensor, action: Tensor, previous: Tensor) -> Decision:
+        simulator = self.satellite.simulator
+        drift = simulator.memory["drift"]
+        return Decision(simulator.mode_index("inspect_rso"), torch.ones_like(mask), drift, action, drift)
+
+
+class RSO(sats.Satellite):
+    observation_spec = (obs.Time(),)
+    action_spec = (act.NadirPoint(duration=1e9),)
+    dyn_type = dyn.RSODynModel
+    fsw_type = fsw.FSWModel
+
+
+class Inspector(sats.Satellite):
+    observation_spec = (obs.Time(), obs.ResourceRewardWeight())
+    action_spec = (Inspect(),)
+    dyn_type = dyn.RSOInspectorDynModel
+    fsw_type = (fsw.MagicOrbitalManeuverFSWModel, fsw.RSOInspectorFSWModel)
+
+
+class SteeringInspector(Inspector):
+    fsw_type = (fsw.SteeringFSWModel, fsw.MagicOrbitalManeuverFSWModel, fsw.RSOInspectorFSWModel)
+
+
+LATER = ("conjunction_radius", "max_range_radius", "enforce_range_on_chief", "chief_name")
+"""Arguments of conditions that end the step; see :func:`replay`."""
+
+
+def arguments(initial: list[dict[str, Any]], k: int) -> dict[str, Any]:
+    """Arguments of satellite k, environment by environment."""
+    given = [episode["sats"][k] for episode in initial]
+    values: dict[str, Any] = {"oe": None}
+    for name in set(given[0]) - set(LATER):
+        each = [satellite[name] for satellite in given]
+        if all(value is None for value in each):
+            values[name] = None
+        else:
+            values[name] = rand.per_env(torch.tensor(each, dtype=torch.float64))
+    return values
+
+
+def resource(satellite) -> Tensor:
+    """Fuel, zero for satellites without a tank."""
+    return (
+        satellite.fsw.dv_available if hasattr(satellite.fsw, "dv_available") else torch.zeros_like(satellite.simulator.sim_time)
+    )
+
+
+def environment(recorded: Episodes, **options: Any) -> ConstellationTasking:
+    """An environment whose episodes start where the recorded ones did."""
+    first = recorded.initial[0]
+    kind = SteeringInspector if "servo_P" in first["sats"][1] else Inspector
+    kinds = [RSO, *[kind] * (len(first["sats"]) - 1)]
+    names = ["RSO", *(f"Inspector{k}" for k in range(1, len(kinds)))]
+    defaults = dict(
+        scenario=scene.SphericalRSO(**first["scenario"]),
+        rewarder=(
+            data.RSOInspectionReward(**first["reward"]),
+            data.ResourceReward(reward_weight=first["fuel_weight"], resource_fn=resource),
+        ),
+        world_args=dict(utc_init=rand.per_env([episode["utc_init"] for episode in recorded.initial])),
+        time_limit=first["time_limit"],
+        sim_rate=first["sim_rate"],
+        num_envs=len(recorded),
+        orbit="integrated",
+        dtype=torch.float64,
+        seed=0,
+        compat="bsk_rl",
+    )
+    satellites = [kind(name, arguments(recorded.initial, k)) for k, (kind, name) in enumerate(zip(kinds, names, strict=True))]
+    return ConstellationTasking(satellites, **(defaults | options))
+
+
+class Step(NamedTuple):
+    """A step of a replay: its number, the episodes that took it, and what it gave."""
+
+    number: int
+    moves: Tensor
+    outputs: Any
+
+
+def padded(recorded: Episodes, key: str, k: int) -> Tensor:
+    """Row k of an array of each episode, its last where there is none, [E, ...]."""
+    rows = [array[min(k, len(array) - 1)] for array in recorded.arrays[key]]
+    return torch.tensor(np.array(rows), dtype=torch.float64)
+
+
+def replay(env: ConstellationTasking, recorded: Episodes, limit: int | None = None) -> Iterator[Step]:
+    """Play the recorded actions, step after step; the satellites thrust before their tasks begin."""
+    env.reset()
+    rso, inspectors = env.fleet.simulators
+    lengths = torch.tensor(recorded.lengths)
+    count = inspectors.count
+    for k in range(max(recorded.lengths) if limit is None else limit):
+        moves = k < lengths
+        action = padded(recorded, "action", k)  # [E, I, 4]
+        acts = (~action[..., 0].isnan() & moves.unsqueeze(-1)).flatten()
+        HN = env.satellites[0].dynamics.HN.repeat_interleave(count, 0)
+        dv_N = (HN.mT @ action.nan_to_num().flatten(0, 1)[:, :3, None]).squeeze(-1)
+        asked = dv_N.norm(dim=-1, keepdim=True)
+        dv_N = torch.where(asked > 1.0, dv_N / asked, dv_N)  # max_dv
+        drift = action[..., 3].flatten().nan_to_num(1.0).clamp(2.0 * inspectors.h, 11400.0)
+        inspectors.memory["drift"] = torch.where(acts, drift, inspectors.memory["drift"])
+        orders = acts.view(-1, count)
+        # the recorder of bsk_rl gives the reward of fuel for the step that a manoeuvre begins
+        given = [torch.where(padded(recorded, "rso_action", k)[:, None] == 0, 0, 1).long(), torch.where(orders, 0, 1).long()]
+        yield Step(k, moves, thrust_and_play(env, inspectors, acts, dv_N, given, moves))
+
+
+def thrust_and_play(env, inspectors, acts, dv_N, given, moves) -> Any:
+    """Play a step in which manoeuvres are part of the commands, so that the log before it has the fuel before them."""
+    group = env.fleet.groups[1]
+    command = type(group).command
+
+    def with_thrust(*args: Any, **options: Any) -> None:
+        inspectors.thrust(acts, dv_N)
+        command(group, *args, **options)
+
+    group.command = with_thrust
+    try:
+        return env.play(given, moves)
+    finally:
+        del group.command
