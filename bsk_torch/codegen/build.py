@@ -17,6 +17,7 @@ import hashlib
 import logging
 import os
 import platform
+import re
 import shlex
 import subprocess
 import time
@@ -56,6 +57,14 @@ WITHOUT = 'backend="eager" needs no compiler, but is slower.'
 
 SHOWN_LINES = 15
 """Lines of the compiler's output that an error repeats."""
+
+NO_OPENMP = re.compile(r"-lomp\b|library '?-?l?omp'? not found|\bomp\.h\b.*(not found|No such file)")
+"""What linkers and clang say without OpenMP's library or header, which clang's packages do not bring and g++'s do."""
+
+INSTALL_OPENMP = (
+    "OpenMP's library for this compiler is missing. Install it (libomp-dev on Debian and Ubuntu, libomp-devel on Fedora, "
+    "llvm-openmp with conda), or let CXX name g++, which has its own."
+)
 
 
 @cache
@@ -176,7 +185,10 @@ def _build(source: str, path: Path, name: str, command: list[str]) -> None:
             kept = path.with_suffix(".cpp")
             os.replace(code, kept)
             complaint = "\n".join(run.stdout.splitlines()[-SHOWN_LINES:])
-            raise RuntimeError(f"{command[0]} cannot compile the {name}:\n{complaint}\nThe source is kept in {kept}. {WITHOUT}")
+            advice = f"\n{INSTALL_OPENMP}" if NO_OPENMP.search(run.stdout) else ""
+            raise RuntimeError(
+                f"{command[0]} cannot compile the {name}:\n{complaint}{advice}\nThe source is kept in {kept}. {WITHOUT}"
+            )
         with library.open("ab") as file:
             file.write(_seal(library.read_bytes()))
         library.chmod(PRIVATE if shipped.BUILDING.get() is None else shipped.READABLE)  # whatever the umask is

@@ -1,9 +1,10 @@
-"""Make the pictures of README.md: a film of a trained policy, thumbnails of all presets, a plot of speed; and a frame for a page.
+"""Make the pictures of README.md: a film of a trained policy, thumbnails of all presets, a plot of speed; and those of pages.
 
-    python scripts/tools/make_readme_pictures.py [film] [thumbnails] [frame] [speed]
+    python scripts/tools/make_readme_pictures.py [film] [thumbnails] [frame] [speed] [guides]
 
-They are written to docs/_static/readme; all of them unless some are named. The film and the thumbnails show the pretrained
-policies, or a rule where there is none; the plot shows ``benchmarks/results/vs_basilisk.json`` and ``vs_basilisk_imaging.json``.
+They are written to docs/_static/readme, those of guides to docs/_static/how_to; all of them unless some are named. The film and
+the thumbnails show the pretrained policies, or a rule where there is none; the plot shows ``benchmarks/results/vs_basilisk.json``
+and ``vs_basilisk_imaging.json``; the pictures of guides are those that the blocks of code of these pages draw.
 Needs the extras ``viz`` and ``cities``.
 """
 
@@ -11,6 +12,10 @@ from __future__ import annotations
 
 import argparse
 import json
+import re
+import subprocess
+import sys
+import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -49,6 +54,9 @@ FILM_SEED, THUMBNAIL_SEED = 3, 59
 
 RULE = "hasty"
 """The rule that acts where there is no pretrained policy."""
+
+GUIDES = ("own_rewarder", "own_satellite")
+"""Pages of docs/how_to whose blocks draw ``<page>.png``."""
 
 INK, OURS, THEIRS = "#14171c", "#2a6ebb", "#98a2b3"
 
@@ -158,7 +166,31 @@ def draw_speeds(panel: Axes, rows: list[dict[str, Any]], title: str) -> None:
     panel.legend(loc="center right", frameon=False, fontsize=9)
 
 
-PICTURES: dict[str, Callable[[Path], Any]] = {"film": film, "thumbnails": thumbnails, "frame": frame, "speed": speed}
+def guides(folder: Path) -> list[Path]:
+    """Write ``<page>.png`` for the guides that have a picture, into the folder ``how_to`` beside the given one."""
+    target = folder.resolve().parent / "how_to"
+    target.mkdir(parents=True, exist_ok=True)
+    return [guide(page, target / f"{page}.png") for page in GUIDES]
+
+
+def guide(page: str, path: Path) -> Path:
+    """Run the blocks of a page in an empty folder, and write the picture that they leave there."""
+    text = (ROOT / "docs" / "how_to" / f"{page}.md").read_text()
+    program = "\n".join(re.findall(r"^```python\n(.*?)^```", text, re.DOTALL | re.MULTILINE))
+    with tempfile.TemporaryDirectory() as empty:
+        subprocess.run([sys.executable, "-c", program], cwd=empty, stdout=subprocess.DEVNULL, check=True)
+        picture = Image.open(Path(empty) / path.name).convert("RGB")
+    picture.quantize(COLORS, dither=Image.Dither.NONE).save(path, optimize=True)
+    return path
+
+
+PICTURES: dict[str, Callable[[Path], Any]] = {
+    "film": film,
+    "thumbnails": thumbnails,
+    "frame": frame,
+    "speed": speed,
+    "guides": guides,
+}
 
 
 def main() -> None:

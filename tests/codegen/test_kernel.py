@@ -260,6 +260,50 @@ def test_compiler_errors(folder):
     assert kept.read_text() == "int nonsense("
 
 
+MISSING_OPENMP = [
+    "/usr/bin/ld: cannot find -lomp: No such file or directory",  # clang 14 on Debian 12, without libomp-dev
+    "ld.lld: error: unable to find library -lomp",
+    "ld: library not found for -lomp",
+    "ld: library 'omp' not found",
+    "kernel.cpp:1:10: fatal error: 'omp.h' file not found",
+]
+OTHER_COMPLAINTS = ["/usr/bin/ld: cannot find -lm: No such file or directory", "fatal error: 'vector' file not found"]
+
+
+@pytest.fixture
+def complaining(folder, monkeypatch):
+    """Makes the compiler a program that prints a complaint and fails, and returns the error of a build with it."""
+
+    def error(complaint):
+        compiler = folder.parent / "clang++"
+        failing = f"cat <<'END' >&2\n{complaint}\nclang: error: linker command failed with exit code 1\nEND\nexit 1"
+        compiler.write_text(f'#!/bin/sh\n[ "$1" = --version ] && echo "clang version 14.0.6" && exit 0\n{failing}\n')
+        compiler.chmod(0o755)
+        from torch._inductor import config
+
+        with config.patch({"cpp.cxx": (None, str(compiler))}), pytest.raises(RuntimeError) as caught:
+            build.load(SOURCE, "test kernel")
+        return str(caught.value)
+
+    return error
+
+
+@pytest.mark.parametrize("complaint", MISSING_OPENMP)
+def test_a_missing_library_of_openmp_is_named(complaining, complaint):
+    message = complaining(complaint)
+    assert "clang++ cannot compile the test kernel" in message
+    assert complaint in message
+    assert build.INSTALL_OPENMP in message
+    assert "libomp-dev" in message
+
+
+@pytest.mark.parametrize("complaint", OTHER_COMPLAINTS)
+def test_other_complaints_are_repeated_without_that_advice(complaining, complaint):
+    message = complaining(complaint)
+    assert complaint in message
+    assert "libomp" not in message
+
+
 def test_unloadable_libraries(folder):
     source = 'extern "C" int missing_function(); extern "C" int lanes_width() { return missing_function(); }'
     with pytest.raises(

@@ -29,11 +29,13 @@ def presets():
 @pytest.mark.compiled
 @pytest.mark.parametrize("path", RUNNABLE, ids=name)
 def test_blocks(path, tmp_path, monkeypatch, presets):
-    """No exception; what is printed is not compared."""
+    """No exception; what is printed is not compared. Pictures of a guide are those that its blocks draw."""
     monkeypatch.chdir(tmp_path)
     namespace = {"__name__": "page"}
     for block in blocks(path, "python", "bash"):
         run_python(block, path, namespace) if block.language == "python" else run_commands(block)
+    drawn = re.findall(r"_static/how_to/([\w.]+)", path.read_text())
+    assert all((tmp_path / name).is_file() for name in drawn)
 
 
 @pytest.mark.parametrize("path", PAGES, ids=name)
