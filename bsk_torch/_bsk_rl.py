@@ -73,7 +73,7 @@ MODULES: dict[str, tuple[str, str]] = {
         "ResourceRewardWeight",
     ),
     "obs.relative_observations": (
-        "obs",
+        "obs.relative_observations",
         "r_DC_N r_DC_C r_DC_D r_DC_Hc r_DC_Hd v_DC_N v_DC_C v_DC_D v_DC_Hc v_DC_Hd sigma_DC sigma_DHc sigma_HdC sigma_HdHc "
         "rso_sigma_BH rso_omega_BH rso_imaged_regions RelativeProperties",
     ),
@@ -178,11 +178,10 @@ GROUPS: dict[str, str] = {
     "RSOInspectionDataStore RSO INSPECTOR RSOTargetProperties target_properties RSOPoint RSOPoints SphericalRSO RSOPriorityEvent "
     "RSOTarget RSOTargetCatalog RSOTargets RSOTargetDynModel SpaceToSpaceImagingDynModel RSODynModel RSOInspectorDynModel "
     "SpaceToSpaceImagingFSWModel RSOInspectorFSWModel CandidateSnapshot target_geometry candidate_snapshot illumination_factor "
-    "rso_sigma_BH rso_omega_BH rso_imaged_regions",
+    "rso_imaged_regions",
     THRUST: "AttitudeSetpoint ContinuousAction ContinuousActionBuilder ImpulsiveThrust ImpulsiveThrustHill "
     "MagicOrbitalManeuverFSWModel",
-    RELATIVE: "RelativeProperties ConjunctionDynModel MaxRangeDynModel r_DC_N r_DC_C r_DC_D r_DC_Hc r_DC_Hd v_DC_N v_DC_C v_DC_D "
-    "v_DC_Hc v_DC_Hd sigma_DC sigma_DHc sigma_HdC sigma_HdHc",
+    RELATIVE: "ConjunctionDynModel MaxRangeDynModel",
     MIXED: "MixedData MixedDataStore MixedReward MixedScenario",
     STORES: "LogStateType ComposedData ComposedDataStore ResourceData ResourceDataStore",
     BUILDERS: "select_action_builder ActionBuilder DiscreteActionBuilder ObservationBuilder nested_obs_to_space",

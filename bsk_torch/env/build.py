@@ -92,7 +92,9 @@ class FleetBuilder:
             simulators[k] = self._make_simulator(k, types[k], n, limit, scenario_state, fields)
         chosen = sorted(column for columns in types for column in columns)
         each = [simulators[k] for k in range(len(types))]
-        return Fleet(each, [self.names[k] for k in chosen], self.scenario.draw_checked)
+        members = {c: (k, 0 if trial else i) for k, columns in enumerate(self.types) for i, c in enumerate(columns)}
+        places = {name: members[column] for column, name in enumerate(self.names)}
+        return Fleet(each, [self.names[k] for k in chosen], self.scenario.draw_checked, places)
 
     def _leaders_first(self) -> Iterator[tuple[int, dict[str, int]]]:
         """Yield the types of satellites, each behind those that it follows, with the type that it follows by slot.

@@ -5,14 +5,22 @@ from typing import TYPE_CHECKING
 from bsk_torch.obs.base import Observation
 from bsk_torch.obs.noisy import Noisy
 from bsk_torch.obs.opportunities import OpportunityProperties
+from bsk_torch.obs.relative_observations import RelativeProperties
 from bsk_torch.obs.resources import ResourceRewardWeight
 from bsk_torch.obs.satellite import Eclipse, SatProperties, Time
 
-__all__ = ["Eclipse", "Noisy", "Observation", "OpportunityProperties", "ResourceRewardWeight", "SatProperties", "Time"]
+__all__ = [
+    "Eclipse",
+    "Noisy",
+    "Observation",
+    "OpportunityProperties",
+    "RelativeProperties",
+    "ResourceRewardWeight",
+    "SatProperties",
+    "Time",
+]
 
 _LACKING = {
-    "RelativeProperties": "properties relative to another satellite: obs.SatProperties(dict(prop=..., fn=...)) observes what a "
-    "function computes from the satellite, but relative motion is not simulated yet",
     "RSOTargetProperties": "satellites as targets, which are not simulated yet; obs.OpportunityProperties observes places on the "
     "ground",
 }

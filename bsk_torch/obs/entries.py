@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Iterable
 from typing import Any
 
@@ -71,5 +72,7 @@ def scaled(value: Tensor, norm: Norm) -> Tensor:
 
 
 def is_own(function: Callable[..., Any]) -> bool:
-    """Return whether a function belongs to this package, and so takes all satellites at once."""
+    """Return whether a function belongs to this package, and so takes all satellites at once; partial ones too."""
+    while isinstance(function, functools.partial):
+        function = function.func
     return str(getattr(function, "__module__", "")).startswith(OWN_PACKAGE)

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from torch import Tensor
 
+from bsk_torch.sats.others import OneOthers
 from bsk_torch.sim.names import nearest
 from bsk_torch.sim.readout.observables import observable
 
@@ -167,6 +168,10 @@ class OneSimulator(OneView):
         """Sun, Earth and ground stations."""
         return OneView(self._whole.world, self._row, self._rows)
 
+    def get_satellite(self, name: str) -> OneSatellite:
+        """Return a satellite of the episode; KeyError for an unknown name."""
+        return self._satellite.one(self._row).others[name]
+
     @property
     def memory(self) -> OneArguments:
         """Declared values of the row by name."""
@@ -303,6 +308,11 @@ class OneSatellite(OneView):
     def sat_args(self) -> OneArguments:
         """Arguments of the present episode."""
         return OneArguments(self._whole.sat_args, self._row)
+
+    @property
+    def others(self) -> OneOthers:
+        """The satellites of the episode by name, itself included, as such views."""
+        return OneOthers(self._whole, self._env)
 
     @property
     def data_store(self) -> Any:

@@ -16,6 +16,7 @@ from bsk_torch._deprecated import deprecated_attributes, warn_deprecated
 from bsk_torch.sats.dtypes import as_dtype
 from bsk_torch.sats.hooks import check_satellite
 from bsk_torch.sats.one import OneSatellite
+from bsk_torch.sats.others import Others, OtherSatellite
 from bsk_torch.sats.user_function import UserFunction
 from bsk_torch.sim.argument_table import ArgumentTable
 from bsk_torch.sim.composition import compose
@@ -253,6 +254,23 @@ class Satellite:
         environment, ``row`` is the number of the environment.
         """
         return self.view_type(self, row)
+
+    def member(self, number: int, times: int = 1) -> OtherSatellite:
+        """Return a read-only view of one satellite of each environment, whose tensors are [num_envs * times, ...].
+
+        Args:
+            number: Its number among those of the type.
+            times: How often each row is repeated.
+        """
+        return OtherSatellite(self, number, times)
+
+    @property
+    def others(self) -> Others:
+        """The satellites of the episodes by name: ``satellite.others["RSO"].dynamics.r_BN_N`` is [N, 3], beside one's own rows.
+
+        KeyError for an unknown name, with the nearest one. They are there when observations are made, not when they are linked.
+        """
+        return Others(self)
 
     @property
     def functions(self) -> list[UserFunction]:

@@ -12,6 +12,7 @@ from bsk_torch._deprecated import deprecated_attributes
 from bsk_torch.rand import Key
 from bsk_torch.sim.flight import FlightObserver, Following, StopCondition, fly
 from bsk_torch.sim.given import Answers
+from bsk_torch.sim.names import nearest
 from bsk_torch.sim.params import Overrides
 from bsk_torch.sim.satellite_state import SatelliteState
 from bsk_torch.sim.simulator import Simulator
@@ -100,6 +101,8 @@ class Fleet:
         simulators: One simulation for each type of satellite.
         columns: Positions of the satellites of each type among the S of the fleet, [count] each.
         names: Name of every satellite.
+        places: Type of each satellite of an episode by name, and its number among those of the type; on a trial, where there is
+            one of each type, satellites that are not simulated have the place of that one.
         groups: Models, actions and tasks of each type, once an environment has made them.
         state: Everything that belongs to the present episodes: ``time_limit`` [N] s, ``removed`` [N, S] (satellites that have
             died and left), the tables ``scenario`` (its draws) and ``memory`` (tensors that rewarders, communicators and users
@@ -121,6 +124,7 @@ class Fleet:
         simulators: Sequence[Simulator],
         names: Sequence[str],
         draw_scenario: Callable[[Key], dict[str, Tensor]] = lambda key: {},
+        places: Mapping[str, tuple[int, int]] | None = None,
     ) -> None:
         """Put simulations of the same environments together.
 
@@ -128,6 +132,7 @@ class Fleet:
             simulators: Simulation of each type.
             names: Name of every satellite.
             draw_scenario: Draws for episodes to come; see :meth:`bsk_torch.scene.base.Scenario.draw`.
+            places: See the attribute; those of ``names`` unless given.
         """
         self.simulators, self.names, self.draw_scenario = tuple(simulators), list(names), draw_scenario
         first = self.simulators[0]
@@ -135,6 +140,8 @@ class Fleet:
         flown = sorted(column for simulator in self.simulators for column in simulator.columns)  # of a trial, one of each type
         position = {column: k for k, column in enumerate(flown)}
         self.columns = tuple(torch.tensor([position[c] for c in s.columns], device=self.device) for s in self.simulators)
+        own = {self.names[p]: (k, i) for k, columns in enumerate(self.columns) for i, p in enumerate(columns.tolist())}
+        self.places = {name: own[name] for name in self.names} if places is None else dict(places)
         order = torch.cat(self.columns)
         self._order = None if torch.equal(order, torch.arange(self.size, device=self.device)) else order.argsort()
         self.beginnings: list[Callable[[Tensor], Any]] = []
@@ -154,6 +161,32 @@ class Fleet:
     def satellites(self) -> tuple[Any, ...]:
         """The satellite of each type that is bound to the environment."""
         return tuple(group.satellite for group in self.groups)
+
+    def place_of(self, name: str) -> tuple[int, int]:
+        """Return the type of a satellite and its number within the type; KeyError for an unknown name, with the nearest one."""
+        if name not in self.places:
+            raise KeyError(f"{name!r} is no satellite of the environment; {nearest(str(name), self.places)}")
+        return self.places[name]
+
+    def found(self, name: str) -> tuple[Any, int]:
+        """Return the satellite that stands for the type of a named one, and the number of that one within the type.
+
+        Raises:
+            KeyError: For an unknown name.
+            RuntimeError: While the satellites are being made.
+        """
+        k, number = self.place_of(name)
+        if not self.groups:
+            raise RuntimeError(f"satellite {name!r} is not there yet: others are seen in get_obs(), not in link_satellite()")
+        return self.groups[k].satellite, number
+
+    def satellite(self, name: str) -> Any:
+        """Return a satellite of every episode by its name: its tensors are [N, ...], a row for each episode.
+
+        See :class:`bsk_torch.sats.others.OtherSatellite`; KeyError for an unknown name, with the nearest one.
+        """
+        whole, number = self.found(name)
+        return whole.member(number)
 
     # -- reading ------------------------------------------------------------------------------------------------------
 

@@ -8,7 +8,7 @@ from typing import Any
 from torch import Tensor
 
 from bsk_torch._deprecated import deprecated_attributes
-from bsk_torch.astro.ephemeris import EARTH_ROTATION_RATE, earth_orientation, sun_position
+from bsk_torch.astro.ephemeris import EARTH_ROTATION_RATE, earth_orientation, sun_position, sun_state
 from bsk_torch.sim.environment.ephemeris import pole_matrix
 from bsk_torch.sim.orbit.arcs import Arcs
 from bsk_torch.sim.satellite_state import SatelliteState
@@ -42,6 +42,11 @@ class World:
     def r_SN_N(self) -> Tensor:
         """Sun relative to the Earth, [N, 3] m in N."""
         return sun_position(self.et)
+
+    @property
+    def v_SN_N(self) -> Tensor:
+        """Velocity of the Sun relative to the Earth, [N, 3] m/s in N."""
+        return sun_state(self.et)[1]
 
     @property
     def sun_direction_N(self) -> Tensor:

@@ -1,0 +1,310 @@
+"""Observations of a satellite relative to another one of its episode, and the functions that they observe.
+
+D is the deputy, the satellite that observes, C is the chief. Names say what is observed and in which axes: N inertial, C and D of
+the two bodies, Hc and Hd of their Hill frames (radial, along the track, orbit normal), Hs of the Hill frame of the Earth's orbit
+about the Sun. Velocities are those that an observer in the named frame sees: in a rotating frame F they are
+``[FN] (v_D - v_C - omega_FN x (r_D - r_C))`` (Schaub and Junkins, sections 1.3 and 14.2). Attitudes are MRPs with a length of at
+most one.
+
+All functions take satellites of batches, with tensors [N, ...], or views of one satellite, with arrays.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+from torch import Tensor
+
+from bsk_torch._checks import text
+from bsk_torch.astro.attitude import dcm_to_mrp, mrp_to_dcm
+from bsk_torch.astro.orbit import hill_frame, hill_rate
+from bsk_torch.astro.relative import cd2hill, like, vectors
+from bsk_torch.constants import MU_EARTH
+from bsk_torch.obs.base import ADVICE, Observation, Values
+from bsk_torch.obs.entries import is_own, parse_entries, scaled
+from bsk_torch.sats.user_function import UserFunction
+from bsk_torch.sim.names import nearest
+from bsk_torch.vec3 import Mat3, Vec3
+
+if TYPE_CHECKING:
+    from bsk_torch.sats.satellite import Satellite
+
+__all__ = [
+    "FUNCTIONS",
+    "RelativeProperties",
+    "eccentricity_Hs",
+    "h_Hs",
+    "r_DC_C",
+    "r_DC_D",
+    "r_DC_Hc",
+    "r_DC_Hd",
+    "r_DC_N",
+    "r_Hs",
+    "rso_omega_BH",
+    "rso_sigma_BH",
+    "sigma_DC",
+    "sigma_DHc",
+    "sigma_HdC",
+    "sigma_HdHc",
+    "sun_hat_Hc",
+    "v_DC_C",
+    "v_DC_D",
+    "v_DC_Hc",
+    "v_DC_Hd",
+    "v_DC_N",
+]
+
+
+def states(*satellites: Any) -> list[Vec3]:
+    """Return position, m, and velocity, m/s, of each satellite, one after the other."""
+    return vectors(*(value for satellite in satellites for value in _orbit(satellite)))
+
+
+def _orbit(satellite: Any) -> tuple[Any, Any]:
+    return satellite.dynamics.r_BN_N, satellite.dynamics.v_BN_N
+
+
+def _as(result: Vec3, satellite: Any) -> Any:
+    """Return a vector as a tensor [N, 3], or an array for a view of one satellite."""
+    return like(result.stack(), satellite.dynamics.r_BN_N)
+
+
+def _times(a: Mat3, b: Mat3) -> Mat3:
+    """Return the product of two matrices."""
+    columns = b.mT
+    return Mat3(*(columns @ row for row in a))
+
+
+def _body(satellite: Any) -> Mat3:
+    """Return the DCM [BN] of a satellite."""
+    return mrp_to_dcm(*vectors(satellite.dynamics.sigma_BN))
+
+
+def _hill(satellite: Any) -> Mat3:
+    """Return the DCM [HN] of a satellite's Hill frame."""
+    return hill_frame(*states(satellite))
+
+
+def r_DC_N(deputy: Any, chief: Any) -> Any:
+    """Return the position of the deputy relative to the chief, ``r_D - r_C``, m in N, [N, 3]."""
+    r_D, _, r_C, _ = states(deputy, chief)
+    return _as(r_D - r_C, deputy)
+
+
+def v_DC_N(deputy: Any, chief: Any) -> Any:
+    """Return the inertial velocity of the deputy relative to the chief, ``v_D - v_C``, m/s in N, [N, 3]."""
+    _, v_D, _, v_C = states(deputy, chief)
+    return _as(v_D - v_C, deputy)
+
+
+def r_DC_Hc(deputy: Any, chief: Any) -> Any:
+    """Return the position of the deputy relative to the chief in the chief's Hill frame, m, [N, 3]."""
+    return cd2hill(*_orbit(chief), *_orbit(deputy))[0]
+
+
+def v_DC_Hc(deputy: Any, chief: Any) -> Any:
+    """Return the velocity of the deputy relative to the chief as seen in the chief's Hill frame, m/s, [N, 3]."""
+    return cd2hill(*_orbit(chief), *_orbit(deputy))[1]
+
+
+def r_DC_Hd(deputy: Any, chief: Any) -> Any:
+    """Return the position of the deputy relative to the chief in the deputy's Hill frame, m, [N, 3]."""
+    return -cd2hill(*_orbit(deputy), *_orbit(chief))[0]
+
+
+def v_DC_Hd(deputy: Any, chief: Any) -> Any:
+    """Return the velocity of the deputy relative to the chief as seen in the deputy's Hill frame, m/s, [N, 3]."""
+    return -cd2hill(*_orbit(deputy), *_orbit(chief))[1]
+
+
+def _in_body(body: Any, deputy: Any, chief: Any) -> tuple[Vec3, Vec3]:
+    """Return relative position and velocity of the deputy as seen in the axes of a ``body``, one of the two."""
+    r_D, v_D, r_C, v_C = states(deputy, chief)
+    BN, (omega_BN_B,) = _body(body), vectors(body.dynamics.omega_BN_B)
+    r_DC_B = BN @ (r_D - r_C)
+    return r_DC_B, BN @ (v_D - v_C) - omega_BN_B.cross(r_DC_B)
+
+
+def r_DC_C(deputy: Any, chief: Any) -> Any:
+    """Return the position of the deputy relative to the chief in the chief's body axes, m, [N, 3]."""
+    return _as(_in_body(chief, deputy, chief)[0], deputy)
+
+
+def v_DC_C(deputy: Any, chief: Any) -> Any:
+    """Return the velocity of the deputy relative to the chief as seen in the chief's body axes, m/s, [N, 3]."""
+    return _as(_in_body(chief, deputy, chief)[1], deputy)
+
+
+def r_DC_D(deputy: Any, chief: Any) -> Any:
+    """Return the position of the deputy relative to the chief in the deputy's body axes, m, [N, 3]."""
+    return _as(_in_body(deputy, deputy, chief)[0], deputy)
+
+
+def v_DC_D(deputy: Any, chief: Any) -> Any:
+    """Return the velocity of the deputy relative to the chief as seen in the deputy's body axes, m/s, [N, 3]."""
+    return _as(_in_body(deputy, deputy, chief)[1], deputy)
+
+
+def sigma_DC(deputy: Any, chief: Any) -> Any:
+    """Return the attitude of the deputy's body relative to the chief's, the MRP of ``[DN] [CN]^T``, [N, 3]."""
+    return _as(dcm_to_mrp(_times(_body(deputy), _body(chief).mT)), deputy)
+
+
+def sigma_DHc(deputy: Any, chief: Any) -> Any:
+    """Return the attitude of the deputy's body relative to the chief's Hill frame, the MRP of ``[DN] [HcN]^T``, [N, 3]."""
+    return _as(dcm_to_mrp(_times(_body(deputy), _hill(chief).mT)), deputy)
+
+
+def sigma_HdC(deputy: Any, chief: Any) -> Any:
+    """Return the attitude of the deputy's Hill frame relative to the chief's body, the MRP of ``[HdN] [CN]^T``, [N, 3]."""
+    return _as(dcm_to_mrp(_times(_hill(deputy), _body(chief).mT)), deputy)
+
+
+def sigma_HdHc(deputy: Any, chief: Any) -> Any:
+    """Return the attitude of the deputy's Hill frame relative to the chief's, the MRP of ``[HdN] [HcN]^T``, [N, 3]."""
+    return _as(dcm_to_mrp(_times(_hill(deputy), _hill(chief).mT)), deputy)
+
+
+def rso_sigma_BH(deputy: Any, chief: Any) -> Any:
+    """Return the attitude of the chief's body relative to its own Hill frame, the MRP of ``[CN] [HcN]^T``, [N, 3]."""
+    return _as(dcm_to_mrp(_times(_body(chief), _hill(chief).mT)), deputy)
+
+
+def rso_omega_BH(deputy: Any, chief: Any) -> Any:
+    """Return the rate of the chief's body relative to its own Hill frame, rad/s in that frame, [N, 3].
+
+    ``omega_BH_H = [HN] [BN]^T omega_BN_B - omega_HN_H`` with ``omega_HN_H = (0, 0, |r x v| / |r|^2)``.
+    """
+    r_C, v_C = states(chief)
+    (omega_BN_B,) = vectors(chief.dynamics.omega_BN_B)
+    turning = _hill(chief) @ (_body(chief).mT @ omega_BN_B)
+    return _as(Vec3(turning.x, turning.y, turning.z - hill_rate(r_C, v_C)), deputy)
+
+
+# -- with the Sun ----------------------------------------------------------------------------------------------------------------
+
+
+def sun_hat_Hc(deputy: Any, chief: Any) -> Any:
+    """Return the direction from the Earth to the Sun in the chief's Hill frame, ``[HcN] r_SN / |r_SN|``, [N, 3]."""
+    (r_SN_N,) = vectors(deputy.simulator.world.r_SN_N)
+    return _as(_hill(chief) @ r_SN_N.unit(), deputy)
+
+
+def _sun_hill(satellite: Any) -> Mat3:
+    """Return the DCM [HsN] of the Hill frame of the Earth's motion about the Sun."""
+    world = satellite.simulator.world
+    r_SN_N, v_SN_N = vectors(world.r_SN_N, world.v_SN_N)
+    return hill_frame(-r_SN_N, -v_SN_N)
+
+
+def r_Hs(deputy: Any, chief: Any) -> Any:
+    """Return the chief's position in the Hill frame of the Earth's motion about the Sun, ``[HsN] r_C``, m, [N, 3]."""
+    return _as(_sun_hill(deputy) @ states(chief)[0], deputy)
+
+
+def h_Hs(deputy: Any, chief: Any) -> Any:
+    """Return the chief's angular momentum ``[HsN] (r_C x v_C)``, m^2/s, [N, 3]; for Hs see :func:`r_Hs`."""
+    r_C, v_C = states(chief)
+    return _as(_sun_hill(deputy) @ r_C.cross(v_C), deputy)
+
+
+def eccentricity_Hs(deputy: Any, chief: Any) -> Any:
+    """Return the chief's eccentricity vector ``[HsN] (v_C x h_C / mu - r_C / |r_C|)``, [N, 3]; for Hs see :func:`r_Hs`.
+
+    ``mu`` is that of the Earth, whatever ``sat_args`` convert elements with.
+    """
+    r_C, v_C = states(chief)
+    return _as(_sun_hill(deputy) @ (v_C.cross(r_C.cross(v_C)) / MU_EARTH - r_C.unit()), deputy)
+
+
+RelativeFunction = Callable[[Any, Any], Any]
+
+FUNCTIONS: dict[str, RelativeFunction] = {
+    function.__name__: function
+    for function in (
+        *(r_DC_N, r_DC_C, r_DC_D, r_DC_Hc, r_DC_Hd, v_DC_N, v_DC_C, v_DC_D, v_DC_Hc, v_DC_Hd),
+        *(sigma_DC, sigma_DHc, sigma_HdC, sigma_HdHc, rso_sigma_BH, rso_omega_BH),
+        *(sun_hat_Hc, r_Hs, h_Hs, eccentricity_Hs),
+    )
+}
+"""Functions of deputy and chief that ``prop`` names."""
+
+
+class RelativeProperties(Observation):
+    """Properties of the satellite, the deputy, relative to another one of its episode, the chief.
+
+    Each argument is a dictionary with ``prop`` (name of a function of this module, one of :data:`FUNCTIONS`) or ``fn`` (function
+    of deputy and chief that returns [N] or [N, width]), and optionally ``norm`` (divisor; None for 1) and ``name``, which is
+    ``prop`` unless given, with ``_normd`` where a norm divides. With ``fn``, ``prop`` is only a name.
+
+    The chief may be any satellite, the deputy itself included. Functions see it as
+    :class:`~bsk_torch.sats.others.OtherSatellite`; they may also be written for one deputy and one chief, as in bsk_rl, and are
+    called for each environment then, which is slow. See :class:`bsk_torch.sats.user_function.UserFunction`.
+    """
+
+    def __init__(self, *entries: dict[str, Any], chief_name: str, name: str = "rel_props") -> None:
+        """Observe the satellite relative to ``chief_name``.
+
+        Args:
+            *entries: See the class.
+            chief_name: Name of the chief.
+            name: Name of the observation.
+
+        Raises:
+            ValueError: For unknown keys or properties, or equal names; when an environment is built, for an unknown chief.
+        """
+        super().__init__(name)
+        self.chief_name = text("chief_name", chief_name)
+        self.entries = parse_entries(entries, {"prop", "fn", "norm", "name"}, "obs.RelativeProperties")
+        for entry in self.entries:
+            if "fn" not in entry and entry["prop"] not in FUNCTIONS:
+                raise ValueError(f"prop={entry['prop']!r} is no relative property; {nearest(str(entry['prop']), FUNCTIONS)}")
+        self._calls = [entry["fn"] if "fn" in entry else FUNCTIONS[entry["prop"]] for entry in self.entries]
+
+    def link_satellite(self, satellite: Satellite) -> None:
+        """See :meth:`Observation.link_satellite`; ValueError for an unknown chief."""
+        super().link_satellite(satellite)
+        places = satellite.group.fleet.places
+        if self.chief_name not in places:
+            raise ValueError(
+                f"obs.RelativeProperties: chief_name={self.chief_name!r} is no satellite of the environment; "
+                f"{nearest(self.chief_name, places)}"
+            )
+        titles = (f"{entry['name']!r} of {self.name!r}" for entry in self.entries)
+        self._functions = [None if is_own(c) else UserFunction(t, ADVICE) for c, t in zip(self._calls, titles, strict=True)]
+
+    @property
+    def chief(self) -> Any:
+        """The chief, row by row beside the satellite."""
+        return self.satellite.others[self.chief_name]
+
+    @property
+    def functions(self) -> list[UserFunction]:
+        """See :attr:`Observation.functions`.
+
+        None if the chief is of the deputy's type: trials simulate one satellite of each type, which would be its own chief, and
+        say nothing about functions of two. Those are tried at the first reset.
+        """
+        group = self.satellite.group
+        if group.fleet.place_of(self.chief_name)[0] == group.index:
+            return []
+        return [function for function in self._functions if function is not None]
+
+    def get_obs(self) -> Values:
+        """See :meth:`Observation.get_obs`."""
+        values, chief = {}, self.chief
+        for entry, call, function in zip(self.entries, self._calls, self._functions, strict=True):
+            value = call(self.satellite, chief) if function is None else self._call(call, chief, function)
+            values[entry["name"]] = scaled(value, entry["norm"])
+        return values
+
+    def _call(self, call: RelativeFunction, chief: Any, function: UserFunction) -> Tensor:
+        """Call a user's function."""
+        satellite = self.satellite
+
+        def one(row: int) -> Any:
+            view = satellite.one(row)
+            return call(view, view.others[self.chief_name])
+
+        return function((len(self.simulator.ticks),), self.simulator.device, lambda: call(satellite, chief), one)

@@ -1,0 +1,135 @@
+"""The other satellites of an episode, by name, row by row beside the satellite that asks for them.
+
+With N environments and ``count`` satellites of the asking type in each, the row ``e * count + k`` of what is read here belongs to
+environment e: it is the value of the named satellite in that environment.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+if TYPE_CHECKING:
+    from bsk_torch.sats.one import OneSatellite
+    from bsk_torch.sats.satellite import Satellite
+
+PLAIN = (int, float, str, bytes, type(None), type, np.ndarray, np.generic, torch.dtype, torch.device)
+"""Values that are the same for all rows."""
+
+Take = Callable[[Any], Any]
+
+
+def aligned(value: Any, rows: int, take: Take) -> Any:
+    """Return a value whose tensors of ``rows`` rows are replaced by what ``take`` makes of them, also within containers.
+
+    Functions give aligned results, and objects show aligned attributes.
+    """
+    if isinstance(value, Tensor):
+        return take(value) if value.ndim and len(value) == rows else value
+    if isinstance(value, PLAIN):
+        return value
+    if isinstance(value, tuple | list):
+        parts = [aligned(part, rows, take) for part in value]
+        return type(value)(*parts) if hasattr(value, "_fields") else type(value)(parts)
+    if isinstance(value, dict):
+        return {name: aligned(part, rows, take) for name, part in value.items()}
+    if callable(value):
+        return lambda *args, **options: aligned(value(*args, **options), rows, take)
+    return Aligned(value, rows, take)
+
+
+class Aligned:
+    """Read-only view of an object whose tensors have other rows than those of the satellite that looks at it."""
+
+    def __init__(self, whole: Any, rows: int, take: Take) -> None:
+        """View ``whole``, whose tensors have ``rows`` rows; ``take`` makes a tensor with the rows of the view of one."""
+        own = self.__dict__
+        own["_whole"], own["_rows"], own["_take"] = whole, rows, take
+
+    _whole: Any
+    _rows: int
+    _take: Take
+
+    def __getattr__(self, name: str) -> Any:
+        """Return an attribute, aligned; AttributeError where there is none."""
+        if name.startswith("__"):
+            raise AttributeError(name)
+        return aligned(getattr(self._whole, name), self._rows, self._take)
+
+    def __getitem__(self, name: Any) -> Any:
+        """Return an entry, aligned, such as an argument by its name."""
+        return aligned(self._whole[name], self._rows, self._take)
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        """Raise AttributeError: views are read-only."""
+        raise AttributeError(f"{name!r} cannot be set: another satellite is shown to be read")
+
+    def __repr__(self) -> str:
+        """Name the class that is viewed."""
+        return f"<{type(self._whole).__name__} of another satellite>"
+
+
+class OtherSatellite(Aligned):
+    """A satellite of the same episodes: ``dynamics``, ``fsw``, ``sat_args`` and the rest, as of a :class:`Satellite`.
+
+    Tensors have the rows of the satellite that asks: ``satellite.others["RSO"].dynamics.r_BN_N`` is [N, 3], beside
+    ``satellite.dynamics.r_BN_N``.
+    """
+
+    def __init__(self, whole: Satellite, number: int, times: int) -> None:
+        """View satellite ``number`` of those of the type ``whole``, for ``times`` rows of each episode."""
+        state = whole.simulator.state
+        count = state.count
+
+        def take(value: Tensor) -> Tensor:
+            mine = value if count == 1 else value.view(-1, count, *value.shape[1:])[:, number]
+            return mine if times == 1 else mine.repeat_interleave(times, 0)
+
+        super().__init__(whole, state.rows, take)
+        self.__dict__["name"] = self.__dict__["id"] = whole.names[number]
+
+
+class Others(Mapping[str, OtherSatellite]):
+    """The satellites of an episode by name, as one of its types sees them, itself included."""
+
+    def __init__(self, satellite: Satellite) -> None:
+        """Show the satellites of the fleet to a ``satellite``."""
+        self._satellite, self._fleet = satellite, satellite.group.fleet
+
+    def __getitem__(self, name: str) -> OtherSatellite:
+        """Return a satellite; KeyError for an unknown name, with the nearest one."""
+        whole, number = self._fleet.found(name)
+        return OtherSatellite(whole, number, self._satellite.simulator.count)
+
+    def __iter__(self) -> Iterator[str]:
+        """Names of the satellites, in their order."""
+        return iter(self._fleet.places)
+
+    def __len__(self) -> int:
+        """Number of satellites in an episode."""
+        return len(self._fleet.places)
+
+
+class OneOthers(Mapping[str, Any]):
+    """The satellites of one episode by name, each as a view of one row."""
+
+    def __init__(self, satellite: Satellite, env: int) -> None:
+        """Show the satellites of environment number ``env``."""
+        self._fleet, self._env = satellite.group.fleet, env
+
+    def __getitem__(self, name: str) -> OneSatellite:
+        """Return a satellite; KeyError for an unknown name, with the nearest one."""
+        whole, number = self._fleet.found(name)
+        return whole.one(self._env * whole.simulator.count + number)
+
+    def __iter__(self) -> Iterator[str]:
+        """Names of the satellites, in their order."""
+        return iter(self._fleet.places)
+
+    def __len__(self) -> int:
+        """Number of satellites in an episode."""
+        return len(self._fleet.places)
