@@ -1,4 +1,4 @@
-"""Actions: entries of a satellite's ``action_spec``, the commands that an agent can choose from."""
+"""Actions: entries of a satellite's ``action_spec``, the commands that an agent can choose from, or one of real numbers."""
 
 from __future__ import annotations
 
@@ -7,20 +7,25 @@ from typing import TYPE_CHECKING
 from bsk_torch._deprecated import deprecated_names
 from bsk_torch.act.base import Action, ActionTable, Decision
 from bsk_torch.act.broadcast import Broadcast
+from bsk_torch.act.continuous import ContinuousAction, HybridAction
 from bsk_torch.act.discrete import Charge, Desat, DiscreteFSWAction, Downlink, Drift, NadirPoint, Scan
 from bsk_torch.act.image import Image, image_target
 from bsk_torch.act.masks import allow_only, forbid
+from bsk_torch.act.setpoint import AttitudeSetpoint
 
 __all__ = [
     "Action",
     "ActionTable",
+    "AttitudeSetpoint",
     "Broadcast",
     "Charge",
+    "ContinuousAction",
     "Decision",
     "Desat",
     "DiscreteFSWAction",
     "Downlink",
     "Drift",
+    "HybridAction",
     "Image",
     "NadirPoint",
     "Scan",

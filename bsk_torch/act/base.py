@@ -1,4 +1,4 @@
-"""Base class of actions, and the discrete action space that a satellite's ``action_spec`` forms."""
+"""Base class of discrete actions, and the discrete action space that a satellite's ``action_spec`` forms."""
 
 from __future__ import annotations
 
@@ -14,6 +14,8 @@ from bsk_torch.sim.hooks import check_class, check_tensor, defined_first, overri
 
 if TYPE_CHECKING:
     from bsk_torch.sats.satellite import Satellite
+    from bsk_torch.sim.fsw.models import FSWModel
+    from bsk_torch.sim.state import StateTable
 
 HOOKS = ("n_actions", "n_negative_actions", "link_satellite", "names", "table", "decide", "begin", "end", "mask")
 """Members of :class:`Action` that subclasses may define."""
@@ -23,19 +25,24 @@ MEMORY = (
     "memory.declare(name, initial_value)"
 )
 
-UNUSED = {
-    "set_action": "define decide(index, mask, action, previous), or begin(mask, decision) for what follows the command",
-    "set_action_override": "actions are integers; n_negative_actions reserves the numbers -1, -2, ... for an entry's own use",
-    "space": "the action space is discrete; set n_actions",
-    "action_space": "the action space is discrete; set n_actions",
+BSK_RL = {
     "action_description": "define names()",
-    "builder_type": "every action is discrete",
     "link_simulator": "define link_satellite(satellite), which finds the simulation in satellite.simulator",
     "reset_overwrite_previous": MEMORY,
     "reset_pre_sim_init": MEMORY,
     "reset_during_sim_init": MEMORY,
     "reset_post_sim_init": MEMORY,
     "get_action_mask": "define mask()",
+}
+"""Names of bsk_rl that are hooks of no action here, and what to write instead."""
+
+UNUSED = {
+    "set_action": "define decide(index, mask, action, previous), or begin(mask, decision) for what follows the command",
+    "set_action_override": "actions are integers; n_negative_actions reserves the numbers -1, -2, ... for an entry's own use",
+    "space": "the action space is discrete; set n_actions, or derive from act.ContinuousAction",
+    "action_space": "the action space is discrete; set n_actions, or derive from act.ContinuousAction",
+    **BSK_RL,
+    "builder_type": "act.Action is discrete; real numbers are an act.ContinuousAction",
     "action_mask": "define mask()",
     "explicit": "it is called n_negative_actions",
 }
@@ -57,6 +64,10 @@ def positive_duration(title: str, duration: Any, name: str, default: float) -> f
     return min(number(f"action {name!r}: {title}", duration, 0.0, unit="s", above=True, finite=False, none=True), default)
 
 
+DTYPES = (torch.int64, torch.bool, torch.float64, torch.int64, torch.float64)
+"""Types of the first fields of a :class:`Decision`, which have a number for each row."""
+
+
 class Decision(NamedTuple):
     """Commands that the actions of one step stand for, [N] each.
 
@@ -66,6 +77,8 @@ class Decision(NamedTuple):
         duration: Time after which the action ends, s.
         key: Number that identifies the action; an action with the key of the one before repeats it. int64.
         expected: Probable time until an event ends the action, at most ``duration``, s. It only sorts rows, for speed.
+        command: What ``decide`` of a continuous action hands to its ``begin``, [N, ...]; None for discrete actions, and in
+            ``end``.
     """
 
     mode: Tensor
@@ -73,6 +86,15 @@ class Decision(NamedTuple):
     duration: Tensor
     key: Tensor
     expected: Tensor
+    command: Tensor | None = None
+
+
+def check_decision(title: str, decision: Decision, rows: int) -> None:
+    """Raise TypeError unless every command of a hook's decision is a tensor [rows] of its dtype."""
+    if not isinstance(decision, Decision):
+        raise TypeError(f"{title}.decide(...) returns {decision!r}; it must return an act.Decision")
+    for field, value, dtype in zip(Decision._fields, decision, DTYPES, strict=False):
+        check_tensor(f"{title}.decide(...).{field}", value, (rows,), dtype)
 
 
 class ActionTable(NamedTuple):
@@ -105,10 +127,12 @@ class Action:
         name: Name of the entry in ``action_description``.
         satellite: The satellites, once an environment has been built.
         n_actions: Number of actions.
+        fsw_type: Flight software that the action adds to that of the satellite; None for nothing.
     """
 
     n_actions: int = 1
     satellite: Any
+    fsw_type: type[FSWModel] | None = None
 
     def __init__(self, name: str) -> None:
         """Name the entry; ValueError for a name that is no string."""
@@ -187,14 +211,10 @@ class ActionBuilder:
         """Link every entry to the satellite.
 
         Raises:
-            ValueError: For an empty spec, an entry that is no action, or numbers and names of actions that do not fit together.
+            ValueError: For numbers and names of actions that do not fit together.
             TypeError: For an entry whose ``link_satellite`` does not call that of its base class.
         """
-        if not spec:
-            raise ValueError(f"{type(satellite).__name__}.action_spec is empty; list at least one action, such as act.Charge()")
         for entry in spec:
-            if not isinstance(entry, Action):
-                raise ValueError(f"action_spec holds {entry!r}, which is no action; write act.Charge(), with parentheses")
             _link(entry, satellite)
         self.entries, self.satellite = tuple(spec), satellite
         sizes, negative = [entry.n_actions for entry in spec], [entry.n_negative_actions for entry in spec]
@@ -232,6 +252,30 @@ class ActionBuilder:
     def description(self) -> list[str]:
         """Names of all actions in order."""
         return [name for entry in self.entries for name in entry.names()]
+
+    def title(self, action: Tensor) -> str:
+        """Return what an action, a number without dimensions, is called."""
+        return self.description[int(action)] if action >= 0 else "a target by its index"
+
+    def checked(self, action: Tensor, acts: Tensor) -> Tensor:
+        """Return the actions [N] as int64, 0 where they do not count, in a copy that the user's later changes do not reach.
+
+        Raises:
+            ValueError: For an action out of range where the mask ``acts`` [N] is true.
+        """
+        n, negative = self.n_actions, self.n_negative_actions
+        action = torch.where(acts, action.to(torch.int64), 0)
+        wrong = (action < -negative) | (action >= n)
+        if bool(wrong.any()):
+            row = int(torch.nonzero(wrong)[0])
+            names = ", ".join(f"{k}: {name}" for k, name in enumerate(self.description))
+            more = f", and -1 to {-negative} for a target by its index" if negative else ""
+            raise ValueError(f"action {int(action[row])} of {self.satellite.title(row)} is out of range; legal are {names}{more}")
+        return action
+
+    def declare(self, task: StateTable) -> None:
+        """Declare the actions in progress in the table of tasks."""
+        task.declare("action", 0, low=-self.n_negative_actions, high=self.n_actions - 1)
 
     def entry_of(self, action: int) -> int:
         """Return the number of the entry to which an action belongs."""
@@ -293,7 +337,8 @@ class ActionBuilder:
         decision = self.table().decision(column, key, previous)
         for k in self._deciding:
             part, mask = self._decided(k, acts, action, previous), self._rows_of(k, action)
-            decision = Decision(*(torch.where(mask, new, old) for new, old in zip(part, decision, strict=True)))
+            pairs = zip(part[: len(DTYPES)], decision[: len(DTYPES)], strict=True)
+            decision = Decision(*(torch.where(mask, new, old) for new, old in pairs))
         return decision
 
     def _decided(self, k: int, acts: Tensor, action: Tensor, previous: Tensor) -> Decision:
@@ -301,9 +346,7 @@ class ActionBuilder:
         entry, mask = self.entries[k], self._rows_of(k, action)
         index = (action - self._starts[k]).clamp(0, entry.n_actions - 1)
         decision = entry.decide(index, mask & acts, action, previous)
-        kinds = (torch.int64, torch.bool, torch.float64, torch.int64, torch.float64)
-        for field, value, dtype in zip(Decision._fields, decision, kinds, strict=True):
-            check_tensor(f"{type(entry).__name__}.decide(...).{field}", value, action.shape, dtype)
+        check_decision(type(entry).__name__, decision, len(action))
         return decision
 
     def begin(self, action: Tensor, acts: Tensor, decision: Decision) -> None:
@@ -334,12 +377,17 @@ class ActionBuilder:
         return torch.cat(parts, -1)
 
 
+def link_entry(entry: Any, satellite: Satellite) -> None:
+    """Link an entry of an ``action_spec``; TypeError for one that was not linked."""
+    entry.link_satellite(satellite)
+    if getattr(entry, "satellite", None) is not satellite:
+        raise TypeError(f"{type(entry).__name__}.link_satellite(satellite) must call super().link_satellite(satellite)")
+
+
 def _link(entry: Action, satellite: Satellite) -> None:
     """Link an entry; raise for one that was not linked, or whose numbers and names of actions do not fit together."""
     title = type(entry).__name__
-    entry.link_satellite(satellite)
-    if getattr(entry, "satellite", None) is not satellite:
-        raise TypeError(f"{title}.link_satellite(satellite) must call super().link_satellite(satellite)")
+    link_entry(entry, satellite)
     for name, low in (("n_actions", 1), ("n_negative_actions", 0)):
         number = getattr(entry, name)
         if isinstance(number, bool) or not isinstance(number, int) or number < low:

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from bsk_torch.act.broadcast import Broadcast
+from bsk_torch.act.continuous import ContinuousAction
 from bsk_torch.astro.ephemeris import coverage, coverage_in_words
 from bsk_torch.constants import NANO
 from bsk_torch.data import checked
@@ -151,6 +152,7 @@ class FleetBuilder:
             randomize=self._share_of(columns),
             world_type=self.world_type,
             compat=options.compat,
+            replan=bool(options.replan),
             advised=self.advised,
             controlled=_may_control(satellite),
             followed=followed,
@@ -236,6 +238,8 @@ def _may_control(satellite: Satellite) -> bool:
     """Return whether an action of the satellite may switch attitude control on; those of users' classes may."""
     modes, commands = satellite.fsw_type.all_modes(), satellite.fsw_type.all_commands()
     for entry in satellite.action_spec:
+        if isinstance(entry, ContinuousAction):
+            return True
         if isinstance(entry, Broadcast):
             continue
         command = commands.get(str(getattr(entry, "fsw_action", "")).removeprefix("action_"))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import logging
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
@@ -14,9 +15,9 @@ from torchrl.data import Binary, Categorical, Composite, MultiCategorical, Unbou
 from bsk_torch.comm import CommunicationMethod
 from bsk_torch.data.base import GlobalReward
 from bsk_torch.env import hints
+from bsk_torch.env.action_forms import action_spec, acts, form, mask_size, mask_spec, read
 from bsk_torch.env.agents import AGENTS, Group, agents_of, make_groups
 from bsk_torch.env.base import StepResult, Tasking
-from bsk_torch.env.no_action import NO_ACTION
 from bsk_torch.env.options import ConstellationOptions, parse, takes
 from bsk_torch.formations import Formation
 from bsk_torch.obs.base import ObservationBuilder, Values
@@ -35,7 +36,9 @@ class ConstellationTasking(Tasking):
     ``action_mask``, ``reward`` [N, A, 1], ``mask`` [N, A] (False for removed agents), ``requires_retasking`` and ``duration``
     [N, A, 1]; ``done``, ``terminated``, ``truncated`` and ``duration`` are at the root.
 
-    The last action of a space goes on with the task. ``action_mask`` allows nothing else to the busy and the dead; an action that
+    The last action of a space goes on with the task; for real numbers, which have no ``action_mask``, ``NO_ACTION`` in all of
+    them does. Under ``joint=True`` with satellites of real numbers, ``action`` has an entry for each satellite by its name.
+    ``action_mask`` allows nothing else to the busy and the dead; an action that
     a busy satellite is given all the same becomes its task at once, one that a dead satellite is given is ignored.
 
     A dead satellite gets the penalty and a last observation, and leaves: its tasks end no step any more, ``mask`` is False, its
@@ -90,6 +93,12 @@ class ConstellationTasking(Tasking):
         self.group_map = {group.name: list(group.agents) for group in self.groups}
         for group in self.groups:
             unfit = [sat.name for sat in (self.satellites[t] for t in group.types) if sat.obs_type is dict]
+            real = [sat.name for sat in (self.satellites[t] for t in group.types) if form(sat) is not None]
+            if group.is_meta and real and not self.joint:
+                raise ValueError(
+                    f"agent {group.agents[0]!r} commands several satellites, and the actions of {real[0]} are real numbers; "
+                    "such a satellite must be an agent of its own, or one of all satellites under joint=True"
+                )
             if group.is_meta and unfit:
                 raise ValueError(
                     f"agent {group.agents[0]!r} commands several satellites, so {unfit[0]} needs obs_type=torch.Tensor"
@@ -131,8 +140,8 @@ class ConstellationTasking(Tasking):
         return () if self.joint else (len(group.agents),)
 
     def _sizes(self, group: Group) -> list[int]:
-        """Return the number of actions of each member, including the one that continues the task."""
-        return [self.satellites[t].actions.n_actions + 1 for t in group.types]
+        """Return the number of actions of each member, including the one that continues the task; 0 where there is no choice."""
+        return [mask_size(self.satellites[t], 1) for t in group.types]
 
     def _observed(self, group: Group, trial: list[Values], shape: tuple[int, ...]) -> dict[str, Any]:
         first = group.types[0]
@@ -145,7 +154,7 @@ class ConstellationTasking(Tasking):
         flag = {"dtype": torch.bool}
         parts: dict[str, Any] = {
             "observation": observation,
-            "action_mask": Binary(sizes, shape=(*shape, sizes), **flag),
+            **({"action_mask": mask_spec(sizes, shape)} if sizes else {}),
             "requires_retasking": Categorical(2, shape=(*shape, 1), **flag),
         }
         if group.is_meta or self.joint:
@@ -157,10 +166,23 @@ class ConstellationTasking(Tasking):
         return parts
 
     def _acted(self, group: Group, shape: tuple[int, ...]) -> Any:
-        sizes = self._sizes(group)
-        if group.is_meta or self.joint:
-            return MultiCategorical(sizes, shape=(*shape, len(sizes)), dtype=torch.int64)
-        return Categorical(sizes[0], shape=shape, dtype=torch.int64)
+        members, sizes = [self.satellites[t] for t in group.types], self._sizes(group)
+        if self._by_name(group):
+            parts = {
+                name: action_spec(sat, shape, self.dtype, 1) for name, sat in zip(self._names_of(group), members, strict=True)
+            }
+            return Composite(parts, shape=torch.Size(shape))
+        if not (group.is_meta or self.joint):
+            return action_spec(members[0], shape, self.dtype, 1)
+        return MultiCategorical(sizes, shape=(*shape, len(sizes)), dtype=torch.int64)
+
+    def _by_name(self, group: Group) -> bool:
+        """Whether the action of a joint agent has an entry for each satellite by its name: where some are real numbers."""
+        return self.joint and any(form(self.satellites[t]) is not None for t in group.types)
+
+    def _names_of(self, group: Group) -> list[str]:
+        """Return the names of the satellites of the first agent of a group."""
+        return [self.names[k] for k in group.members[0].tolist()]
 
     @property
     def _action_name(self) -> str:
@@ -177,12 +199,12 @@ class ConstellationTasking(Tasking):
         return self.play(given, moves)
 
     @torch.no_grad()
-    def play(self, given: Sequence[Tensor], moves: Tensor) -> TensorDict:
+    def play(self, given: Sequence[Any], moves: Tensor) -> TensorDict:
         """Carry out the actions of each group where ``moves`` [N] is true; return the entries of ``next``."""
         with self._exclusive:
             self.check_begun("step()")
-            actions, acts = self._decoded(given, moves)
-            result = self._advance(actions, acts, moves)
+            actions, mine = self._decoded(given, moves)
+            result = self._advance(actions, mine, moves)
             return self._proven(self._outputs(result, **self._ends(result)))
 
     def _all_agents_ended(self, ended: Tensor) -> Tensor:
@@ -208,38 +230,50 @@ class ConstellationTasking(Tasking):
         for k, satellites in enumerate(self.fleet.groups):
             satellites.cancel(self.fleet.rows_of(k, left))
 
-    def _decoded(self, given: Sequence[Tensor], moves: Tensor) -> tuple[list[Tensor], list[Tensor]]:
-        """Return the actions [N * count] of each type, and masks of those that take effect."""
-        n = self.fleet.num_envs
-        shapes = ((n, simulator.count) for simulator in self.fleet.simulators)
-        actions = [torch.zeros(shape, dtype=torch.int64, device=self.device) for shape in shapes]
-        acts = [torch.zeros_like(action, dtype=torch.bool) for action in actions]
+    def _decoded(self, given: Sequence[Any], moves: Tensor) -> tuple[list[Tensor], list[Tensor]]:
+        """Return the actions [N * count, ...] of each type, and masks of those that take effect."""
         idle = self.requires_retasking
+        members: list[list[tuple[Tensor, Tensor, Tensor]]] = [[] for _ in self.satellites]
         for group, action in zip(self.groups, given, strict=True):
-            action = self._checked(group, action).view(n, len(group.agents), len(group.types))
-            for m, (t, within, size) in enumerate(zip(group.types, group.within, self._sizes(group), strict=True)):
-                mine = action[..., m]
-                counts = (mine != size - 1) & (mine != NO_ACTION)
+            for m, (t, within, mine) in enumerate(zip(group.types, group.within, self._checked(group, action), strict=True)):
+                counts = acts(mine, self.satellites[t], 1)
                 if self.options.only_retask_idle_meta_agent_members and group.is_meta:
                     counts = counts & idle[:, group.members[:, m]]
-                actions[t][:, within] = torch.where(counts, mine, 0)
-                acts[t][:, within] = counts
+                members[t].append((within, mine, counts))
         present = moves.unsqueeze(-1) & ~self.state.removed
-        rows = [part.flatten() & self.fleet.rows_of(k, present) for k, part in enumerate(acts)]
-        triples = zip(self.fleet.groups, actions, rows, strict=True)
-        checked = [satellites.checked(action.flatten(), mine) for satellites, action, mine in triples]
+        checked, rows = [], []
+        for k, (satellites, parts) in enumerate(zip(self.fleet.groups, members, strict=True)):
+            action, counts = self._of_type(k, parts)
+            rows.append(counts.flatten() & self.fleet.rows_of(k, present))
+            checked.append(satellites.checked(action.flatten(0, 1), rows[-1]))
         self._warn_of_idle(rows, moves)
         return checked, rows
 
-    def _checked(self, group: Group, action: Tensor) -> Tensor:
+    def _of_type(self, k: int, parts: Sequence[tuple[Tensor, Tensor, Tensor]]) -> tuple[Tensor, Tensor]:
+        """Return the actions [N, count, ...] of a type, and where they are new tasks, from those of its satellites."""
+        n, count, first = self.fleet.num_envs, self.fleet.simulators[k].count, parts[0][1]
+        dtype = functools.reduce(torch.promote_types, [mine.dtype for _, mine, _ in parts])
+        action = torch.zeros(n, count, *first.shape[2:], dtype=dtype, device=self.device)
+        counts = torch.zeros(n, count, dtype=torch.bool, device=self.device)
+        for within, mine, new in parts:
+            action[:, within], counts[:, within] = mine.to(dtype), new
+        return action, counts
+
+    def _checked(self, group: Group, action: Any) -> list[Tensor]:
+        """Return the actions [N, A, ...] of each member of the agents of a group; TypeError or ValueError for wrong ones."""
         what = "action" if self.joint else f"({group.name!r}, 'action')"
-        if action.dtype.is_floating_point or action.dtype == torch.bool:
-            raise TypeError(f"{what} has dtype {action.dtype}; it must be an integer tensor, such as torch.int64")
-        members = (len(group.types),) if group.is_meta or self.joint else ()
-        wanted = (*self.batch_size, *self._agents_shape(group), *members)
-        if tuple(action.shape) != wanted:
-            raise ValueError(f"{what} has shape {list(action.shape)}; it must be {list(wanted)}")
-        return action.long()
+        members, shape = [self.satellites[t] for t in group.types], (*self.batch_size, *self._agents_shape(group))
+        if self._by_name(group):
+            names = self._names_of(group)
+            keys = set(action.keys()) if hasattr(action, "keys") else set()
+            if keys != set(names):
+                raise TypeError(f"{what} is {action!r}; it must be a tensordict with an entry for each satellite: {names}")
+            pairs = zip(names, members, strict=True)
+            return [read(f"{what}[{name!r}]", action[name], satellite, shape).unsqueeze(1) for name, satellite in pairs]
+        if group.is_meta or self.joint:
+            action = read(what, action, members[0], (*shape, len(members)))
+            return list(action.view(self.fleet.num_envs, len(group.agents), len(members)).unbind(-1))
+        return [read(what, action, members[0], shape)]
 
     def _warn_of_idle(self, acts: Sequence[Tensor], moves: Tensor) -> None:
         """Log once that satellites without a task were given none, as bsk_rl does; their last mode goes on."""
@@ -290,12 +324,14 @@ class ConstellationTasking(Tasking):
         wanted = wants[:, group.members]
         observation = self._observation(group, seen, self._hidden(group, wanted, removed))
         masks = []
-        for m, (t, within) in enumerate(zip(group.types, group.within, strict=True)):
+        for m, (t, within, size) in enumerate(zip(group.types, group.within, self._sizes(group), strict=True)):
+            if not size:
+                continue
             free = wanted[..., m : m + 1]
             mask = self._members(legal[t], within, group.whole[m])
             may = free if self.options.mask_busy else ~self.state.removed[:, group.members[:, m : m + 1]]
             masks.append(torch.cat([mask & may, ~free], -1))
-        leaves: dict[str, Any] = {"observation": observation, "action_mask": torch.cat(masks, -1)}
+        leaves: dict[str, Any] = {"observation": observation, **({"action_mask": torch.cat(masks, -1)} if masks else {})}
         leaves["requires_retasking"] = wanted.any(-1, keepdim=True)
         if group.is_meta or self.joint:
             leaves["members_require_retasking"] = wanted

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 from tensordict import TensorDictBase
-from torch import Tensor
 
 VIEW = "bsk_torch.wrappers.GymEnv(env), or gymnasium.make('bsk_torch/...'), is Gymnasium's view of one episode"
 
@@ -45,8 +44,8 @@ def check_reset(kind: str, arguments: dict[str, Any]) -> None:
         raise TypeError(f"{kind}.reset({name}=...) is not an argument of TorchRL's reset; {advice}")
 
 
-def given_action(tensordict: TensorDictBase, *key: str) -> Tensor:
-    """Return the entry of a tensordict that is an action; KeyError where it is missing, TypeError where it is no tensor."""
+def given_action(tensordict: TensorDictBase, *key: str) -> Any:
+    """Return the entry of a tensordict that is an action, a tensor or its parts; KeyError where it is missing."""
     action = tensordict.get(key if len(key) > 1 else key[0], None)
     if action is None:
         name = ", ".join(map(repr, key))
@@ -54,8 +53,6 @@ def given_action(tensordict: TensorDictBase, *key: str) -> Tensor:
             f"step got a tensordict without the action td[{name}]; set it: td[{name}] = actions, such as those of "
             f"env.action_spec.rand(); it has {sorted(map(str, tensordict.keys()))}"
         )
-    if not isinstance(action, Tensor):
-        raise TypeError(f"action is {action!r}; it must be an integer tensor, such as torch.int64")
     return action
 
 

@@ -115,17 +115,19 @@ class StepLog:
             self._env(env, "began", "episode %d of seed %d begins", episode, seed, fields={"seed": seed})
 
     def decided(self, acts: Sequence[Tensor]) -> None:
-        """Record decisions that have been entered, where ``acts`` [N * count] of each type: ``action``, ``target``, ``ends``."""
+        """Record decisions that have been entered, where ``acts`` [N * count] of each type: ``action``, ``target``, ``ends``.
+
+        A continuous ``action`` is a list of its values.
+        """
         if not self.shows():
             return
         for k, group in enumerate(self.fleet.groups):
-            names, ticks, h = group.satellite.action_description, group.task.ends, self.fleet.h
+            ticks, h = group.task.ends, self.fleet.h
             for env, name, row in self._rows(k):
                 if not bool(acts[k][row]):
                     continue
-                action, ends = int(group.task.action[row]), int(ticks[row]) * h
-                known = action >= 0
-                title = names[action] if known else "a target by its index"
+                chosen, ends = group.task.action[row], int(ticks[row]) * h
+                title, action = group.actions.title(chosen), chosen.tolist()
                 target = self._target(group.satellite, env, row) if self._images(group.satellite, action) else None
                 fields = {"action": action, "action_name": title, "target": target, "ends": ends}
                 text = "%s, until %.1f s at the latest" if target is None else "%s, until %.1f s at the latest: %s"
@@ -177,7 +179,10 @@ class StepLog:
 
     def _legal(self, satellite: Any, name: str, env: int, row: int) -> None:
         mask = satellite.action_mask()[row].tolist()
-        legal = [action for action, may in zip(satellite.action_description, mask, strict=True) if may]
+        if not mask:
+            return  # real numbers, all of which are legal
+        choices = satellite.action_description[-len(mask) :]
+        legal = [action for action, may in zip(choices, mask, strict=True) if may]
         self._satellite(name, env, "legal", "may %s", ", ".join(legal), fields={"action_mask": mask}, level=logging.DEBUG)
 
     def _outcome(self, env: int, result: Any) -> None:
@@ -212,10 +217,10 @@ class StepLog:
         return [(env, name, env * len(names) + m) for env in self.envs for m, name in enumerate(names)]
 
     @staticmethod
-    def _images(satellite: Any, action: int) -> bool:
+    def _images(satellite: Any, action: Any) -> bool:
         """Return whether an action chooses a target."""
         entry = satellite.actions.entries[satellite.actions.entry_of(action)]
-        return hasattr(satellite, "latest_target") and entry.n_negative_actions > 0
+        return hasattr(satellite, "latest_target") and getattr(entry, "n_negative_actions", 0) > 0
 
     def _target(self, satellite: Any, env: int, row: int) -> str | None:
         """Return the name of the target that a satellite has chosen last."""

@@ -9,7 +9,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from bsk_torch.act.base import ActionBuilder, Decision
+from bsk_torch.act.base import Decision
+from bsk_torch.act.builders import action_builder
 from bsk_torch.obs.base import ObservationBuilder
 from bsk_torch.sats.satellite import Satellite
 from bsk_torch.sats.user_function import UserFunction
@@ -27,7 +28,7 @@ class TaskState(StateTable):
         dead: Which satellites have died.
         requires_retasking: Which have no task left.
         ends: Tick since reset at which the task's time is up.
-        action: Number of the action in progress.
+        action: The action in progress, which the builder of actions declares: its number [N], or its values [N, A].
         task_duration: Its duration, s.
         expected: Tick at which it will probably end.
     """
@@ -47,7 +48,6 @@ class TaskState(StateTable):
         self.declare("dead", False)
         self.declare("requires_retasking", True)
         self.declare("ends", NEVER, low=0, high=NEVER)
-        self.declare("action", 0)
         self.declare("task_duration", 0.0, low=0.0)
         self.declare("expected", NEVER, low=0, high=NEVER)
 
@@ -84,8 +84,8 @@ class SatelliteGroup:
         self.dynamics.satellite = self.fsw.satellite = self.satellite
         self.satellite.on_bind()
         self.satellite.equip()
-        self.actions = ActionBuilder(copy.deepcopy(list(satellite.action_spec)), self.satellite)
-        self.task.bound("action", -self.actions.n_negative_actions, self.actions.n_actions - 1)
+        self.actions = action_builder(copy.deepcopy(list(satellite.action_spec)), self.satellite)
+        self.actions.declare(self.task)
         self.observations = ObservationBuilder(copy.deepcopy(list(satellite.observation_spec)), self.satellite)
         self.simulator.observer.want((*self.observations.observables, *self.dynamics.vitals(), *self.fsw.vitals()))
 
@@ -105,20 +105,8 @@ class SatelliteGroup:
         return self.fleet.rows_of(self.index, self.fleet.state.removed) if self.fleet.size > 1 else None
 
     def checked(self, action: Tensor, acts: Tensor) -> Tensor:
-        """Return the actions [N] as int64, 0 where they do not count, in a copy that the user's later changes do not reach.
-
-        Raises:
-            ValueError: For an action out of range where the mask ``acts`` [N] is true.
-        """
-        n, negative = self.actions.n_actions, self.actions.n_negative_actions
-        action = torch.where(acts, action.to(torch.int64), 0)
-        wrong = (action < -negative) | (action >= n)
-        if bool(wrong.any()):
-            row = int(torch.nonzero(wrong)[0])
-            names = ", ".join(f"{k}: {name}" for k, name in enumerate(self.actions.description))
-            more = f", and -1 to {-negative} for a target by its index" if negative else ""
-            raise ValueError(f"action {int(action[row])} of {self.satellite.title(row)} is out of range; legal are {names}{more}")
-        return action
+        """Return the actions [N, ...] as they are kept, 0 where they do not count; see the builder's method."""
+        return self.actions.checked(action, acts)
 
     def decide(self, action: Tensor, acts: Tensor) -> Decision:
         """Return the commands of ``action`` [N] where ``acts`` [N] is true; nothing changes yet."""
@@ -136,7 +124,8 @@ class SatelliteGroup:
         expected = ends if decision.expected is decision.duration else now + self.whole_ticks(decision.expected)
         new = {"ends": ends, "expected": expected, "action": action, "task_duration": decision.duration}
         for name, value in new.items():
-            setattr(task, name, value if all_act else torch.where(acts, value, task[name]))
+            where = acts if value.ndim == 1 else acts.unsqueeze(-1)
+            setattr(task, name, value if all_act else torch.where(where, value, task[name]))
         if simulator.has_tank:  # who has emptied it is dead from now on, though the action takes its course
             task.dead = task.dead | (acts & ~self.fsw.fuel_remaining())
 

@@ -8,11 +8,12 @@ from typing import Any
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
-from torchrl.data import Binary, Categorical, Composite, Unbounded
+from torchrl.data import Composite, Unbounded
 
 from bsk_torch.comm import CommunicationMethod
 from bsk_torch.data.base import GlobalReward
 from bsk_torch.env import hints
+from bsk_torch.env.action_forms import action_spec, acts, form, mask_size, mask_spec, read
 from bsk_torch.env.base import StepResult, Tasking
 from bsk_torch.env.options import TaskingOptions, parse, takes
 from bsk_torch.formations import Formation
@@ -26,7 +27,7 @@ class SatelliteTasking(Tasking):
     """N independent episodes of one satellite type, as bsk_rl's ``SatelliteTasking`` plays one.
 
     Keys: ``observation``, ``action``, ``action_mask``, ``reward``, ``done``, ``terminated``, ``truncated`` and ``duration``, the
-    seconds that a step took.
+    seconds that a step took. There is no ``action_mask`` where actions are real numbers.
     """
 
     def __init__(
@@ -60,12 +61,12 @@ class SatelliteTasking(Tasking):
 
     def _make_specs(self, trial: list[Values]) -> None:
         b, on, values = self.batch_size, {"device": self.device}, trial[0]
-        n_actions = self.satellite.actions.n_actions
         self.fleet.groups[0].observation_description = ObservationBuilder.describe(values)
         vector = ObservationBuilder.vector(values, self.dtype)
+        size = mask_size(self.satellite)
         self.observation_spec = Composite(
             observation=self._tree(values, b) if self.satellite.obs_type is dict else self._leaf(vector, b),
-            action_mask=Binary(n_actions, shape=(*b, n_actions), dtype=torch.bool, **on),
+            **({"action_mask": mask_spec(size, b).to(self.device)} if size else {}),
             duration=Unbounded((*b, 1), dtype=self.dtype, **on),
             shape=b,
             **on,
@@ -73,7 +74,7 @@ class SatelliteTasking(Tasking):
         counts = {name: Unbounded((*b, 1), dtype=torch.int64, **on) for name in self.counts()}
         if counts:
             self.observation_spec["counts"] = Composite(counts, shape=b, **on)
-        self.action_spec = Categorical(n_actions, shape=b, dtype=torch.int64, **on)
+        self.full_action_spec = Composite({"action": action_spec(self.satellite, b, self.dtype)}, shape=b).to(self.device)
         self.reward_spec = Unbounded((*b, 1), dtype=self.dtype, **on)
         self.full_done_spec = self._ends_spec()
 
@@ -101,17 +102,20 @@ class SatelliteTasking(Tasking):
         return self.play(hints.given_action(tensordict, "action"), None if partial is None else partial.reshape(-1))
 
     @torch.no_grad()
-    def play(self, action: Tensor, moves: Tensor | None = None) -> TensorDict:
-        """Carry out ``action`` [N] where ``moves`` [N] is true, everywhere if None; return the entries of ``next``."""
-        if action.dtype.is_floating_point or action.dtype == torch.bool:
-            raise TypeError(f"action has dtype {action.dtype}; it must be an integer tensor, such as torch.int64")
-        if action.shape != self.batch_size:
-            raise ValueError(f"action has shape {list(action.shape)}; it must be {list(self.batch_size)}, one per environment")
-        all_act, moves = moves is None, torch.ones_like(self.dead) if moves is None else moves
+    def play(self, action: Any, moves: Tensor | None = None) -> TensorDict:
+        """Carry out ``action`` [N] where ``moves`` [N] is true, everywhere if None; return the entries of ``next``.
+
+        Continuous actions are [N, A], hybrid ones a tensordict of their parts or [N, A + 1] with the choice behind; among them
+        ``NO_ACTION`` goes on with the present task.
+        """
+        action = read("action", action, self.satellite, self.batch_size, ", one per environment")
+        moves_all, moves = moves is None, torch.ones_like(self.dead) if moves is None else moves
+        goes_on = form(self.satellite) is not None  # numbers of actions have none that goes on with the task
+        mine = moves & acts(action, self.satellite) if goes_on else moves
         with self._exclusive:
             self.check_begun("step()")
-            action = self.fleet.groups[0].checked(action, moves)
-            result = self._advance([action], [moves], moves, all_act)
+            action = self.fleet.groups[0].checked(action, mine)
+            result = self._advance([action], [mine], moves, moves_all and not goes_on)
             return self._proven(self._outputs(result, reward=result.reward.to(self.dtype), **self._ends(result)))
 
     @torch.no_grad()
@@ -122,7 +126,9 @@ class SatelliteTasking(Tasking):
             self._cast(observations.get_dict(), self.batch_size) if in_parts else observations.get_vector(self.dtype)
         )
         duration = torch.zeros_like(self.fleet.sim_time) if result is None else result.duration
-        parts |= {"observation": observation, "action_mask": self.satellite.action_mask()}
+        parts["observation"] = observation
+        if mask_size(self.satellite):
+            parts["action_mask"] = self.satellite.action_mask()
         parts["duration"] = duration.to(self.dtype).unsqueeze(-1)
         if counts := self.counts():
             parts["counts"] = TensorDict(counts, self.batch_size, device=self.device)

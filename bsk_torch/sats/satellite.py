@@ -63,8 +63,11 @@ class Actions(Protocol):
     def description(self) -> list[str]:
         """Name of every action."""
 
-    def entry_of(self, action: int) -> int:
+    def entry_of(self, action: Any) -> int:
         """Return the number of the entry of ``action_spec`` that an action belongs to."""
+
+    def title(self, action: Tensor) -> str:
+        """Return what an action is called."""
 
     def table(self) -> Any:
         """Return the modes and durations of the actions that have fixed ones."""
@@ -211,9 +214,12 @@ class Satellite:
         return 600.0
 
     def as_given(self) -> Satellite:
-        """Return a copy that later changes of ``sat_args_generator`` do not reach."""
+        """Return a copy that later changes of ``sat_args_generator`` do not reach, with the flight software of its actions."""
         copied = copy.copy(self)
         copied.sat_args_generator = copy.copy(self.sat_args_generator)
+        added = [entry.fsw_type for entry in self.action_spec if getattr(entry, "fsw_type", None) is not None]
+        if added:
+            copied.fsw_type = compose((self.fsw_type, *added), FSWModel)  # type: ignore[misc]
         return copied
 
     def bound_to(self, group: Group) -> Satellite:

@@ -11,9 +11,11 @@ from bsk_torch.sim.fsw.models import (
     SteeringImagerFSWModel,
 )
 from bsk_torch.sim.fsw.modes import Command, Mode
+from bsk_torch.sim.fsw.setpoint import AttitudeSetpointFSWModel
 from bsk_torch.sim.fsw.tasks import Task, action
 
 __all__ = [
+    "AttitudeSetpointFSWModel",
     "BasicFSWModel",
     "Command",
     "ContinuousImagingFSWModel",

@@ -1,0 +1,193 @@
+"""Action spaces that satellites' ``action_spec`` form: of numbered actions, or of one continuous entry."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import torch
+from torch import Tensor
+
+from bsk_torch.act.base import LONGEST, ActionBuilder, ActionTable, Decision, check_decision, link_entry
+from bsk_torch.act.continuous import ContinuousAction, HybridAction, is_continuous
+from bsk_torch.sim.hooks import check_tensor, overrides
+
+if TYPE_CHECKING:
+    from bsk_torch.sats.satellite import Satellite
+    from bsk_torch.sim.state import StateTable
+
+LARGEST = torch.finfo(torch.float64).max
+
+
+def action_builder(spec: Sequence[Any], satellite: Satellite) -> ActionBuilder | ContinuousBuilder:
+    """Return the action space of an ``action_spec``.
+
+    Raises:
+        ValueError: For an empty spec, an entry that is no action, or a continuous entry that is not the only one.
+    """
+    title = f"{type(satellite).__name__}.action_spec"
+    if not spec:
+        raise ValueError(f"{title} is empty; list at least one action, such as act.Charge()")
+    continuous = [entry for entry in spec if is_continuous(entry)]
+    if not continuous:
+        return ActionBuilder(spec, satellite)
+    if len(spec) > 1:
+        names = ", ".join(type(entry).__name__ for entry in spec)
+        raise ValueError(
+            f"{title} = [{names}] has {continuous[0].name!r}, whose actions are real numbers, beside other entries; it must be "
+            "the only one. An act.HybridAction has real numbers and a choice"
+        )
+    return ContinuousBuilder(continuous[0], satellite)
+
+
+class ContinuousBuilder:
+    """The action space of a satellite type whose actions are real numbers.
+
+    Actions inside are [N, A] float64, or [N, A + 1] with the number of the choice behind.
+
+    Attributes:
+        entries: The entry.
+        low: Lowest values, [A] float64.
+        high: Highest values, [A] float64.
+        n_actions: Number K of choices; 0 where there are only real numbers.
+        n_negative_actions: 0.
+    """
+
+    n_negative_actions = 0
+
+    def __init__(self, entry: ContinuousAction, satellite: Satellite) -> None:
+        """Link the entry to the satellite.
+
+        Raises:
+            ValueError: For bounds and names that do not fit together.
+            TypeError: For an entry whose ``link_satellite`` does not call that of its base class.
+        """
+        self.entries, self.entry, self.satellite = (entry,), entry, satellite
+        link_entry(entry, satellite)
+        ticks = satellite.simulator.ticks
+        self.low, self.high = (side.to(ticks.device) for side in _bounds(entry))
+        self.names = _names(entry, "names", len(self.low))
+        self.choices = _names(entry, "choices") if isinstance(entry, HybridAction) else []
+        self.n_actions = len(self.choices)
+        self._all_legal = torch.ones_like(ticks, dtype=torch.bool).unsqueeze(1).expand(-1, self.n_actions)
+        self._masks = isinstance(entry, HybridAction) and overrides(entry, HybridAction, "mask")
+
+    @property
+    def is_hybrid(self) -> bool:
+        """Whether there is a choice beside the real numbers."""
+        return bool(self.choices)
+
+    @property
+    def width(self) -> int:
+        """Numbers of an action, its choice included."""
+        return len(self.low) + self.is_hybrid
+
+    @property
+    def description(self) -> list[str]:
+        """Names of the real numbers, and of the choices behind them."""
+        return [*self.names, *self.choices]
+
+    def title(self, action: Tensor) -> str:
+        """Return what an action [A] or [A + 1] is called: its numbers, and its choice."""
+        pairs = zip(self.names, action.tolist(), strict=False)
+        values = ", ".join(f"{name} {value:.6g}" for name, value in pairs)
+        return f"{self.choices[int(action[-1])]}, {values}" if self.is_hybrid else values
+
+    def entry_of(self, action: Any) -> int:
+        """Return the number of the entry, of which there is one."""
+        return 0
+
+    def table(self) -> ActionTable:
+        """There is none; TypeError."""
+        raise TypeError(f"{self.entry.name!r} has real numbers, of which there is no table")
+
+    def declare(self, task: StateTable) -> None:
+        """Declare the actions in progress in the table of tasks."""
+        task.declare("action", 0.0, self.width, low=-LARGEST, high=LARGEST)
+
+    def checked(self, action: Tensor, acts: Tensor) -> Tensor:
+        """Return actions [N, A] or [N, A + 1] in float64, 0 where they do not count, and note their type for the entry.
+
+        Raises:
+            ValueError: For numbers that are not finite, or no choice, where the mask ``acts`` [N] is true.
+        """
+        self.entry.given_dtype = action.dtype
+        action = torch.where(acts.unsqueeze(-1), action.to(torch.float64), 0.0)
+        wrong = ~torch.isfinite(action)
+        if bool(wrong.any()):
+            row, column = torch.nonzero(wrong)[0].tolist()
+            name = [*self.names, "choice"][column]
+            raise ValueError(
+                f"action of {self.satellite.title(row)} has {name}={float(action[row, column])}; all its numbers must be finite"
+            )
+        if self.is_hybrid:
+            self._check_choice(action[:, -1])
+        return action
+
+    def _check_choice(self, choice: Tensor) -> None:
+        wrong = (choice < 0) | (choice >= self.n_actions) | (choice != choice.floor())
+        if bool(wrong.any()):
+            row = int(torch.nonzero(wrong)[0])
+            names = ", ".join(f"{k}: {name}" for k, name in enumerate(self.choices))
+            raise ValueError(f"choice {float(choice[row]):g} of {self.satellite.title(row)} is out of range; legal are {names}")
+
+    def decide(self, action: Tensor, previous: Tensor, acts: Tensor) -> Decision:
+        """Return the commands of ``action`` [N, A] where ``acts`` [N] bool; those of other rows have no meaning.
+
+        Raises:
+            TypeError: For commands of a subclass that have the wrong shape or dtype.
+            ValueError: For durations that are not positive.
+        """
+        title, decision = type(self.entry).__name__, self.entry.decide(action, acts)
+        check_decision(title, decision, len(action))
+        for name, seconds in (("duration", decision.duration), ("expected", decision.expected)):
+            wrong = acts & ~(seconds > 0.0)
+            if bool(wrong.any()):
+                row = int(torch.nonzero(wrong)[0])
+                raise ValueError(
+                    f"{title}.decide(...).{name} is {float(seconds[row])} s for {self.satellite.title(row)}; it must be positive"
+                )
+        duration, expected = (torch.where(acts, s, LONGEST).clamp(max=LONGEST) for s in (decision.duration, decision.expected))
+        return decision._replace(duration=duration, expected=expected)
+
+    def begin(self, action: Tensor, acts: Tensor, decision: Decision) -> None:
+        """Notify the entry that its actions have been commanded in the rows ``acts`` [N] bool."""
+        self.entry.begin(acts, decision)
+
+    def end(self, action: Tensor, ended: Tensor, decision: Decision, event: Tensor) -> None:
+        """Notify the entry that its actions have ``ended`` [N] bool, by an ``event`` [N] bool or by their duration."""
+        self.entry.end(ended, decision, event)
+
+    def mask(self) -> Tensor:
+        """Return which choices are legal now, [N, K] bool; TypeError for a mask of wrong shape or dtype."""
+        if not self._masks:
+            return self._all_legal
+        mask = self.entry.mask()  # type: ignore[attr-defined]
+        check_tensor(f"{type(self.entry).__name__}.mask()", mask, self._all_legal.shape, torch.bool)
+        return mask
+
+
+def _bounds(entry: ContinuousAction) -> tuple[Tensor, Tensor]:
+    """Return the bounds of an entry, [A] float64 each; ValueError for what are none."""
+    title, given = f"{type(entry).__name__}.bounds()", entry.bounds()
+    if not isinstance(given, tuple | list) or len(given) != 2:
+        raise ValueError(f"{title} returns {given!r}; it must return the lowest and the highest values")
+    try:
+        low, high = (torch.as_tensor(side, dtype=torch.float64).detach().cpu() for side in given)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{title} returns {given!r}; they must be numbers: {error}") from error
+    if low.ndim != 1 or low.shape != high.shape or not len(low):
+        raise ValueError(f"{title} returns bounds of shapes {list(low.shape)} and {list(high.shape)}; both must be [A]")
+    if not bool((low < high).all()):
+        raise ValueError(f"{title} returns {low.tolist()} and {high.tolist()}; each lowest value must be below the highest")
+    return low, high
+
+
+def _names(entry: Any, hook: str, count: int | None = None) -> list[str]:
+    """Return the names that a hook of an entry gives; ValueError unless they are ``count`` strings, one at least."""
+    names = getattr(entry, hook)()
+    wrong = isinstance(names, str) or not all(isinstance(name, str) for name in names) or not names
+    if wrong or count not in (None, len(names)):
+        many = "at least one name" if count is None else f"{count} names, one for each number of bounds()"
+        raise ValueError(f"{type(entry).__name__}.{hook}() returns {names!r}; it must return {many}")
+    return list(names)

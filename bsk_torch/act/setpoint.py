@@ -1,0 +1,51 @@
+"""Action that commands an attitude."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import torch
+from torch import Tensor
+
+from bsk_torch._checks import number
+from bsk_torch._deprecated import deprecated_names
+from bsk_torch.act.base import Decision
+from bsk_torch.act.continuous import ContinuousAction
+from bsk_torch.sim.fsw.setpoint import ATTITUDE_MRP, AttitudeSetpointFSWModel
+
+
+class AttitudeSetpoint(ContinuousAction):
+    """Turn to an attitude, and hold it: the action is sigma_RN, the MRP of the reference R relative to N.
+
+    The reference is at rest and stays until the next action. With reaction wheels the satellite turns the short way round by its
+    control law; components up to one allow MRPs longer than one, which mean the same attitudes. A satellite without actuators has
+    the attitude of the reference after one tick, and shows the MRP as it was given, also where it is longer than one.
+    """
+
+    fsw_type = AttitudeSetpointFSWModel
+
+    def __init__(self, name: str = "attitude_act", control_period: float = 60.0) -> None:
+        """Last ``control_period`` seconds; ValueError unless it is positive and finite."""
+        super().__init__(name)
+        self.control_period = number(f"action {name!r}: control_period", control_period, 0.0, unit="s", above=True)
+
+    def bounds(self) -> tuple[Tensor, Tensor]:
+        """See :meth:`ContinuousAction.bounds`: -1 and 1."""
+        one = torch.ones(3, dtype=torch.float64)
+        return -one, one
+
+    def names(self) -> list[str]:
+        """See :meth:`ContinuousAction.names`."""
+        return ["mrp_1", "mrp_2", "mrp_3"]
+
+    def decide(self, action: Tensor, mask: Tensor) -> Decision:
+        """See :meth:`ContinuousAction.decide`."""
+        return self.enter(ATTITUDE_MRP, torch.full_like(action[:, 0], self.control_period), action)
+
+    def begin(self, mask: Tensor, decision: Decision) -> None:
+        """See :meth:`ContinuousAction.begin`: set the reference."""
+        self.satellite.simulator.write("sigma_RN", mask, decision.command)
+
+
+if not TYPE_CHECKING:
+    __getattr__ = deprecated_names(__name__)

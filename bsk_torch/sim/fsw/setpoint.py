@@ -1,0 +1,46 @@
+"""Attitude set-points: a reference attitude at rest that an action sets."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import torch
+
+from bsk_torch.astro.attitude import mrp_subtract
+from bsk_torch.sim.component import Bus, Component, vec
+from bsk_torch.sim.fsw.guidance import Error
+from bsk_torch.sim.fsw.models import FSWModel
+from bsk_torch.sim.fsw.modes import Mode
+from bsk_torch.vec3 import Vec3
+
+ATTITUDE_MRP = "attitude_mrp"
+"""Command that follows a set-point."""
+
+
+def hold(bus: Bus) -> None:
+    """Write the error relative to the set-point, which is at rest: ``[BR] = [BN] [RN]^T``, ``omega_BR = omega_BN``.
+
+    Every command sets ``sigma_RN`` to zero, so that the reference is N itself unless a set-point follows; guidance laws, which
+    run after this, replace the error. The set-point may have any length: the error is the short way round.
+    """
+    zero = Vec3.zeros_like(bus.sigma_BN.x)
+    bus.error = Error(mrp_subtract(bus.sigma_BN, bus.sigma_RN), bus.omega_BN_B, zero, zero)
+
+
+ATTITUDE_SETPOINT = Component(
+    slot="attitude_setpoint",
+    after="navigation",
+    update=hold,
+    state=(vec("sigma_RN", "-", "set-point, MRP; zero from every command until an action sets it"),),
+    initial=lambda args: {"sigma_RN": torch.zeros(1, 3).double()},
+)
+
+
+class AttitudeSetpointFSWModel(FSWModel):
+    """Adds the command ``attitude_mrp`` to any flight software: control about the set-point in the state ``sigma_RN``.
+
+    :class:`bsk_torch.act.AttitudeSetpoint` brings it along; satellites need not list it.
+    """
+
+    components: ClassVar[tuple[Component, ...]] = (ATTITUDE_SETPOINT,)
+    modes: ClassVar[dict[str, Mode | None]] = {ATTITUDE_MRP: Mode(("control_on",))}
