@@ -87,7 +87,7 @@ def _parts(fleet: Fleet, envs: Tensor, ends: Tensor) -> Iterator[Tensor]:
     ranked = envs[ends[envs].argsort(descending=True, stable=True)]
     while len(ranked):
         size = max(1, MOST_NUMBERS // (max(1, width) * (int(ends[ranked[0]]) + 1)))
-        yield ranked[:size]
+        yield ranked[:size].sort().values  # as the rows of traces are, where a part holds all episodes
         ranked = ranked[size:]
 
 

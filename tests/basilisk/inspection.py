@@ -17,8 +17,8 @@ from bsk_torch.act.base import Decision
 from bsk_torch.sim import dyn, fsw
 from tests.basilisk.replay import RECORDINGS
 
-STEPS = "action rso_action reward inspection fuel duration terminated truncated".split()
-BOUNDARIES = "retask alive agents obs state wheels sun inspected illuminated".split()
+STEPS = ["action", "rso_action", "reward", "inspection", "fuel", "duration", "terminated", "truncated"]
+BOUNDARIES = ["retask", "alive", "agents", "obs", "state", "wheels", "sun", "inspected", "illuminated"]
 
 
 @dataclass
@@ -148,7 +148,7 @@ def padded(recorded: Episodes, key: str, k: int) -> Tensor:
 def replay(env: ConstellationTasking, recorded: Episodes, limit: int | None = None) -> Iterator[Step]:
     """Play the recorded actions, step after step; the satellites thrust before their tasks begin."""
     env.reset()
-    rso, inspectors = env.fleet.simulators
+    inspectors = env.fleet.simulators[1]
     lengths = torch.tensor(recorded.lengths)
     count = inspectors.count
     for k in range(max(recorded.lengths) if limit is None else limit):

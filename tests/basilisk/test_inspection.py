@@ -2,8 +2,105 @@
 
 from __future__ import annotations
 
-import numpy as np
+from typing import NamedTuple
+
 import pytest
 import torch
+from torch import Tensor
 
-from tests.basilisk.inspection import environment, load, padded, replay
+from tests.basilisk.inspection import Episodes, environment, load, padded, replay
+
+R, V = 1e-5, 1.5e-8
+"""Bounds of positions, m, and velocities, m/s: ten times what Basilisk's equations give in NumPy over hours."""
+
+SIGMA, FUEL = 1e-12, 1e-14
+"""Bounds of the RSO's attitude, which follows from its orbit, and of fuel, m/s."""
+
+POINTING = {"fine": 1e-10, "steer": 3e-10}
+"""Bounds of the inspectors' attitudes with ticks of a second; with 5 s, the gains make attitudes chaotic."""
+
+
+class Worst(NamedTuple):
+    """Largest differences over a replay, and numbers of flags that differ."""
+
+    duration: float
+    r: float
+    v: float
+    sigma_rso: float
+    sigma: float
+    fuel: float
+    storage: float
+    inspected: int
+    illuminated: int
+    reward: float
+    terms: float
+
+    @staticmethod
+    def of(parts: list[Worst]) -> Worst:
+        return Worst(*map(max, zip(*parts, strict=True)))
+
+
+def differences(env, recorded: Episodes, step) -> Worst:
+    """Compare the present with the boundary after a step, in the episodes that took it."""
+    k, moves, outputs = step
+    n, (rso, inspectors) = len(recorded), env.fleet.simulators
+    expected = padded(recorded, "state", k + 1)
+
+    def state(name: str) -> Tensor:
+        return torch.cat([simulator.read(name).view(n, -1, 3) for simulator in (rso, inspectors)], 1)
+
+    def largest(found: Tensor, wanted: Tensor) -> float:
+        return float((found - wanted).nan_to_num()[moves].abs().max())
+
+    def unequal(found: Tensor, key: str) -> int:
+        return int((found[:, 1:] != padded(recorded, key, k + 1).bool())[moves].sum())
+
+    inspection = env.rewarder.rewarders[0]
+    reward = torch.cat([outputs[group]["reward"][..., 0] for group in env.group_map], 1)
+    terms = env.rewarder.terms
+    pairs = {"inspection": terms["RSOInspectionReward"], "fuel": terms["ResourceReward"]}
+    return Worst(
+        largest(outputs["duration"][:, 0], padded(recorded, "duration", k)),
+        largest(state("r_BN_N"), expected[..., 1:4]),
+        largest(state("v_BN_N"), expected[..., 4:7]),
+        largest(state("sigma_BN")[:, 0], expected[:, 0, 7:10]),
+        largest(state("sigma_BN")[:, 1:], expected[:, 1:, 7:10]),
+        largest(inspectors.read("dv_available").view(n, -1), expected[:, 1:, 14]),
+        largest(inspectors.read("storage").view(n, -1), expected[:, 1:, 15]),
+        unequal(inspection.known.inspected, "inspected"),
+        unequal(inspection.known.illuminated, "illuminated"),
+        largest(reward, padded(recorded, "reward", k)),
+        max(largest(found, padded(recorded, key, k)) for key, found in pairs.items()),
+    )
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize("case", ["fine", "steer", "one", "fuel", "complete", "dark"])
+def test_an_episode_is_the_recorded_one(case):
+    """Orbits, fuel, points, rewards, lengths of steps and times of completion; attitudes where they are not chaotic."""
+    recorded = load(case)
+    env = environment(recorded)
+    worst = Worst.of([differences(env, recorded, step) for step in replay(env, recorded)])
+    assert (worst.inspected, worst.illuminated) == (0, 0), worst
+    assert worst.duration < 1e-11, worst  # a time minus a time, in Basilisk's seconds
+    assert worst.storage == 0.0, worst
+    assert max(worst.reward, worst.terms) < 1e-14, worst
+    assert worst.r < R, worst
+    assert worst.v < V, worst
+    assert worst.sigma_rso < SIGMA, worst
+    assert worst.fuel < FUEL, worst
+    assert worst.sigma < POINTING.get(case, 2.0), worst
+    bonus = env.rewarder.rewarders[0].bonus_reward_time
+    torch.testing.assert_close(bonus, torch.tensor(recorded.bonus_time), rtol=0, atol=1e-11, equal_nan=True)
+
+
+def test_recordings_show_what_they_are_for():
+    """Points that were inspected, and more of them than lit; completion; the bonus for nothing; deaths by fuel."""
+    seen = {case: padded(load(case), "inspected", 10**6).sum().item() for case in ("fine", "one", "complete")}
+    assert min(seen.values()) >= 3
+    assert seen["one"] > 90
+    assert (load("complete").bonus_time > 0.0).all()
+    dark = load("dark")
+    assert dark.bonus_time.item() == 630.0
+    assert padded(dark, "illuminated", 10**6).sum() == 0
+    assert (load("fuel").death[:, 1] > 0.0).all()
