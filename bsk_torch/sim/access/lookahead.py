@@ -245,10 +245,9 @@ class LookAhead(StateTable):
     def _search_to(self, rows: Tensor, time: Tensor, now: Tensor) -> None:
         """Search windows of ``rows`` [n] up to ``time`` [n] s at least; ``now`` [N] s is the present."""
         access: Any = self.access
-        while len(behind := rows[access.ready[rows] < time]):
-            self._search_further(behind, now)
-            time = time[access.ready[rows] < time] if len(behind) < len(rows) else time
-            rows = behind
+        while bool((behind := access.ready[rows] < time).any()):
+            rows, time = rows[behind], time[behind]
+            self._search_further(rows, now)
 
     def _search_further(self, rows: Tensor, now: Tensor) -> None:
         """Search as many segments more of ``rows`` [n] as are searched at once."""
