@@ -188,6 +188,10 @@ class RSOInspectionReward(GlobalReward):
         """Return what the satellites of type number ``part`` know, [N * count, P]; it is their ``data_store``."""
         return InspectionStore(RSOInspectionData(*(self.fleet.rows_of(part, table) for table in self.known)))
 
+    def store_of_one(self, part: int, row: int) -> InspectionStore:
+        """Return what the satellite of a row [N * count] of type number ``part`` knows, [P] each."""
+        return InspectionStore(RSOInspectionData(*(table[row] for table in self.store_of(part).data)))
+
     def share(self, links: Tensor) -> None:
         """See :meth:`GlobalReward.share`; knowledge spreads along one link in a step."""
         for kind in KINDS:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import itertools
 import json
 from collections.abc import Iterator
@@ -10,10 +11,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import torch
+from bsk_torch.utils.orbital import fibonacci_sphere
 from torch import Tensor
 
 from bsk_torch import ConstellationTasking, act, data, obs, rand, sats, scene
 from bsk_torch.act.base import Decision
+from bsk_torch.obs.relative_observations import rso_imaged_regions
 from bsk_torch.sim import dyn, fsw
 from tests.basilisk.replay import RECORDINGS
 
@@ -72,7 +75,15 @@ class RSO(sats.Satellite):
 
 
 class Inspector(sats.Satellite):
-    observation_spec = (obs.Time(), obs.ResourceRewardWeight())
+    observation_spec = (
+        obs.ResourceRewardWeight(),
+        obs.RelativeProperties(
+            dict(prop="rso_imaged_regions", name="six_hill"),
+            dict(name="six_body", fn=functools.partial(rso_imaged_regions, frame="chief_body")),
+            dict(name="fifteen_hill", fn=functools.partial(rso_imaged_regions, region_centers=fibonacci_sphere(15))),
+            chief_name="RSO",
+        ),
+    )
     action_spec = (Inspect(),)
     dyn_type = dyn.RSOInspectorDynModel
     fsw_type = (fsw.MagicOrbitalManeuverFSWModel, fsw.RSOInspectorFSWModel)

@@ -34,6 +34,7 @@ class Worst(NamedTuple):
     illuminated: int
     reward: float
     terms: float
+    regions: float
 
     @staticmethod
     def of(parts: list[Worst]) -> Worst:
@@ -59,6 +60,9 @@ def differences(env, recorded: Episodes, step) -> Worst:
     reward = torch.cat([outputs[group]["reward"][..., 0] for group in env.group_map], 1)
     terms = env.rewarder.terms
     pairs = {"inspection": terms["RSOInspectionReward"], "fuel": terms["ResourceReward"]}
+    names = ("six_hill", "six_body", "fifteen_hill", "resource_reward_weight")
+    columns = [k for k, name in enumerate(recorded.names) if any(part in name for part in names)]
+    assert len(columns) == 28
     return Worst(
         largest(outputs["duration"][:, 0], padded(recorded, "duration", k)),
         largest(state("r_BN_N"), expected[..., 1:4]),
@@ -71,6 +75,7 @@ def differences(env, recorded: Episodes, step) -> Worst:
         unequal(inspection.known.illuminated, "illuminated"),
         largest(reward, padded(recorded, "reward", k)),
         max(largest(found, padded(recorded, key, k)) for key, found in pairs.items()),
+        largest(outputs[list(env.group_map)[1]]["observation"], padded(recorded, "obs", k + 1)[..., columns]),
     )
 
 
@@ -84,6 +89,7 @@ def test_an_episode_is_the_recorded_one(case):
     assert (worst.inspected, worst.illuminated) == (0, 0), worst
     assert worst.duration < 1e-11, worst  # a time minus a time, in Basilisk's seconds
     assert worst.storage == 0.0, worst
+    assert worst.regions < 1e-15, worst
     assert max(worst.reward, worst.terms) < 1e-14, worst
     assert worst.r < R, worst
     assert worst.v < V, worst
