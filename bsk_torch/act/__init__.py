@@ -13,6 +13,7 @@ from bsk_torch.act.image import Image, image_target
 from bsk_torch.act.masks import allow_only, forbid
 from bsk_torch.act.setpoint import AttitudeSetpoint
 from bsk_torch.act.thrust import ImpulsiveThrust, ImpulsiveThrustHill
+from bsk_torch.act.waypoint import HillWaypoint
 
 __all__ = [
     "Action",
@@ -26,6 +27,7 @@ __all__ = [
     "DiscreteFSWAction",
     "Downlink",
     "Drift",
+    "HillWaypoint",
     "HybridAction",
     "Image",
     "ImpulsiveThrust",

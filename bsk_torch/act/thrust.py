@@ -181,14 +181,18 @@ class ImpulsiveThrustHill(ImpulsiveThrust):
 
     def change_of_velocity(self, dv: Tensor) -> Tensor:
         """See :meth:`ImpulsiveThrust.change_of_velocity`: ``dv_N = [NH] dv_H``."""
+        HN = hill_frame(*(Vec3.of(vector) for vector in self.chief_state()))
+        return (HN.mT @ Vec3.of(dv)).stack()
+
+    def chief_state(self) -> tuple[Tensor, Tensor]:
+        """Return the chief's position, m, and velocity, m/s, in N for each satellite, [N, 3] each."""
         k, member = self._place
         chief = self.satellite.group.fleet.simulators[k].state
         r_CN_N, v_CN_N = (
             self.satellite.simulator.of_env(chief.read(name).view(chief.num_envs, chief.count, 3)[:, member])
             for name in ("r_BN_N", "v_BN_N")
         )
-        HN = hill_frame(Vec3.of(r_CN_N), Vec3.of(v_CN_N))
-        return (HN.mT @ Vec3.of(dv)).stack()
+        return r_CN_N, v_CN_N
 
 
 if not TYPE_CHECKING:

@@ -1,0 +1,162 @@
+"""Transfers to waypoints about another satellite, as discrete actions."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import torch
+from torch import Tensor
+
+from bsk_torch._checks import number
+from bsk_torch.act.base import Action, Decision
+from bsk_torch.act.thrust import ImpulsiveThrustHill, shortened
+from bsk_torch.astro.relative import cd2hill, fibonacci_sphere, rv2omega
+from bsk_torch.astro.transfers import Transfers, transfers
+
+if TYPE_CHECKING:
+    from bsk_torch.sats.satellite import Satellite
+
+SAMPLES = 10
+"""Moments of a transfer at which its distance from the chief is checked."""
+
+
+class HillWaypoint(Action):
+    """Fly to one of several waypoints about a chief in one of several durations, by a single manoeuvre.
+
+    Action ``d * K + k`` is the transfer to waypoint d in duration k. The manoeuvre follows from the Clohessy-Wiltshire equations,
+    which hold near a chief on a nearly circular orbit; nothing is done on arrival, so the satellite passes the waypoint. Transfers
+    that come nearer to the chief than ``keep_out``, go beyond ``keep_in``, come nearer than ``keep_apart`` to any other satellite
+    if that drifts on, or cost more than ``max_dv`` or what is left in the tank, are illegal; where all are, the one that comes
+    closest to being legal is not.
+
+    bsk_rl has no such action: its manoeuvres are :class:`ImpulsiveThrustHill`.
+    """
+
+    def __init__(
+        self,
+        chief_name: str,
+        waypoints: Any = 32,
+        durations: Sequence[float] = (600.0, 1200.0, 2000.0),
+        *,
+        distance: float = 60.0,
+        max_dv: float = math.inf,
+        keep_out: float = 0.0,
+        keep_in: float = math.inf,
+        keep_apart: float = 0.0,
+        fsw_action: str | None = None,
+        name: str = "waypoint",
+    ) -> None:
+        """Define waypoints and durations.
+
+        Args:
+            chief_name: Name of the chief.
+            waypoints: Positions in the chief's Hill frame, [D, 3] m; or a number of them, spread evenly at the ``distance``.
+            durations: Durations of transfers, s.
+            distance: Distance of evenly spread waypoints from the chief, m.
+            max_dv: Largest manoeuvre, m/s.
+            keep_out: Smallest distance from the chief on the way, m.
+            keep_in: Largest distance from the chief on the way, m.
+            keep_apart: Smallest distance from other satellites on the way, m.
+            fsw_action: Command of the flight software for the way.
+            name: Name of the entry.
+
+        Raises:
+            ValueError: For limits, durations or positions that are not positive or finite.
+        """
+        super().__init__(name)
+        title = f"action {self.name!r}: "
+        # carries out the manoeuvres, and checks chief, tank and command
+        self._thrust = ImpulsiveThrustHill(chief_name, self.name, max_dv, math.inf, fsw_action)
+        self.chief_name, self.max_dv = self._thrust.chief_name, self._thrust.max_dv
+        self.distance = number(f"{title}distance", distance, 0.0, unit="m", above=True)
+        self.keep_out = number(f"{title}keep_out", keep_out, 0.0, unit="m")
+        self.keep_in = number(f"{title}keep_in", keep_in, self.keep_out, unit="m", above=True, finite=False)
+        self.keep_apart = number(f"{title}keep_apart", keep_apart, 0.0, unit="m")
+        self.waypoints = self._positions(title, waypoints)
+        given = [number(f"{title}durations", each, 0.0, unit="s", above=True) for each in durations]
+        if not given:
+            raise ValueError(f"{title}durations={list(durations)} must have at least one entry")
+        self.durations = torch.tensor(given, dtype=torch.float64)
+        self.n_actions = len(self.waypoints) * len(self.durations)
+
+    def _positions(self, title: str, waypoints: Any) -> Tensor:
+        if isinstance(waypoints, int) and not isinstance(waypoints, bool):
+            if waypoints < 1:
+                raise ValueError(f"{title}waypoints={waypoints} must be at least 1")
+            return torch.as_tensor(fibonacci_sphere(waypoints)) * self.distance
+        positions = torch.as_tensor(waypoints, dtype=torch.float64)
+        if positions.ndim != 2 or positions.shape[1] != 3 or not len(positions) or not bool(torch.isfinite(positions).all()):
+            shape = list(positions.shape)
+            raise ValueError(f"{title}waypoints must be a number, or finite positions [D, 3]; their shape is {shape}")
+        return positions
+
+    def link_satellite(self, satellite: Satellite) -> None:
+        """See :meth:`Action.link_satellite`; ValueError without a tank, or for an unknown command or chief, or itself as chief."""
+        super().link_satellite(satellite)
+        self._thrust.link_satellite(satellite)
+        group = satellite.group
+        if group.fleet.place_of(self.chief_name)[0] == group.index:
+            raise ValueError(f"action {self.name!r}: chief_name={self.chief_name!r} is of the type that flies about it")
+
+    def names(self) -> list[str]:
+        """See :meth:`Action.names`."""
+        return [f"{self.name}_{d}_{time:g}s" for d in range(len(self.waypoints)) for time in self.durations.tolist()]
+
+    def ahead(self) -> Transfers:
+        """Return all transfers from the present position."""
+        rho, velocity, n = self.relative_state()
+        targets, durations = self.waypoints.to(rho.device), self.durations.to(rho.device)
+        return transfers(rho, velocity, n, targets, durations, SAMPLES)
+
+    def others(self) -> tuple[Tensor, Tensor]:
+        """Return positions [N, O, 3] m and velocities [N, O, 3] m/s of all other satellites in the chief's Hill frame."""
+        fleet, simulator = self.satellite.group.fleet, self.satellite.simulator
+        r, v = (
+            fleet.joined([each.state.read(name) for each in fleet.simulators]).repeat_interleave(simulator.count, 0)
+            for name in ("r_BN_N", "v_BN_N")
+        )
+        own = torch.tensor(simulator.columns, device=r.device).repeat(simulator.num_envs)
+        chief = fleet.names.index(self.chief_name)
+        columns = torch.arange(fleet.size, device=r.device).expand(len(r), -1)
+        here = columns[(columns != own.unsqueeze(1)) & (columns != chief)].view(len(r), -1)
+        r_C, v_C = (vector.unsqueeze(1) for vector in self._thrust.chief_state())
+        r, v = (each.gather(1, here.unsqueeze(-1).expand(-1, -1, 3)) for each in (r, v))
+        return cd2hill(r_C, v_C, r, v)
+
+    def relative_state(self) -> tuple[Tensor, Tensor, Tensor]:
+        """Return position [N, 3] m and velocity [N, 3] m/s in the chief's Hill frame, and the rate of that frame, [N] rad/s."""
+        simulator = self.satellite.simulator
+        chief = self._thrust.chief_state()
+        own = [simulator.read(name) for name in ("r_BN_N", "v_BN_N")]
+        rho, velocity = cd2hill(*chief, *own)
+        return rho, velocity, torch.linalg.vector_norm(rv2omega(*chief), dim=-1)
+
+    def decide(self, index: Tensor, mask: Tensor, action: Tensor, previous: Tensor) -> Decision:
+        """See :meth:`Action.decide`."""
+        every = self.ahead().dv.flatten(1, 2)
+        dv_H = every.gather(1, index.clamp(0, self.n_actions - 1)[:, None, None].expand(-1, 1, 3)).squeeze(1)
+        dv_N = shortened(self._thrust.change_of_velocity(dv_H), self.max_dv)
+        duration = self.durations.to(index.device)[index % len(self.durations)]
+        return self._thrust.enter(self._thrust.fsw_action, duration, dv_N)._replace(key=action)
+
+    def begin(self, mask: Tensor, decision: Decision) -> None:
+        """See :meth:`Action.begin`: thrust."""
+        self._thrust.begin(mask, decision)
+
+    def mask(self) -> Tensor:
+        """See :meth:`Action.mask`."""
+        ahead = self.ahead()
+        (nearest, farthest), cost = ahead.distances(), torch.linalg.vector_norm(ahead.dv, dim=-1)
+        fuel = self.satellite.simulator.read("dv_available")[:, None, None].clamp(max=self.max_dv)
+        # by how much each limit is missed, relative to the limit; legal where none is
+        missed = torch.maximum((self.keep_out - nearest) / max(self.keep_out, 1.0), (cost - fuel) / fuel.clamp(min=1e-9))
+        if math.isfinite(self.keep_in):
+            missed = torch.maximum(missed, farthest / self.keep_in - 1.0)
+        if self.keep_apart > 0.0 and self.satellite.group.fleet.size > 2:
+            apart = ahead.apart(*self.others(), self.relative_state()[2]).amin(1)
+            missed = torch.maximum(missed, (self.keep_apart - apart) / self.keep_apart)
+        missed = missed.nan_to_num(nan=math.inf).flatten(1)
+        least = torch.zeros_like(missed, dtype=torch.bool).scatter(1, missed.argmin(1, keepdim=True), True)
+        return (missed <= 0.0) | least
