@@ -58,6 +58,9 @@ REGIONS = 32
 LOWEST, HIGHEST, EARTH = 500e3, 1100e3, 6371e3
 """Bounds of the altitude, m, above a sphere of this radius."""
 
+DISTANCE_NORM, SPEED_NORM = 500.0, 5.0
+"""Norms of observed relative positions, m, and velocities, m/s."""
+
 ACTIONS = ("thrust", "waypoints")
 
 
@@ -104,8 +107,8 @@ class Inspector(sats.Satellite):
         obs.SatProperties(dict(prop="dv_available", norm=10.0)),
         obs.ResourceRewardWeight(),
         obs.RelativeProperties(
-            dict(prop="r_DC_Hc", norm=500.0),
-            dict(prop="v_DC_Hc", norm=5.0),
+            dict(prop="r_DC_Hc", norm=DISTANCE_NORM),
+            dict(prop="v_DC_Hc", norm=SPEED_NORM),
             dict(prop="imaged_regions", fn=partial(rso_imaged_regions, region_centers=fibonacci_sphere(REGIONS))),
             dict(prop="sun_hat_Hc"),
             chief_name="RSO",

@@ -12,8 +12,9 @@ from tensordict.nn import TensorDictModule, TensorDictModuleBase
 from torch import Tensor
 
 from bsk_torch.env import SatelliteTasking
+from bsk_torch.rl.rules.columns import Columns
 from bsk_torch.rl.rules.imaging import by_closing, by_discounted_priority, by_priority, imaging_rule
-from bsk_torch.sim.params import nearest
+from bsk_torch.rl.rules.inspection import inspection_rule
 
 LOT = "lot"
 """Key of uniform numbers, [N] each, by which evaluation decides what policies do at random, whatever the batch."""
@@ -43,38 +44,6 @@ class RandomPolicy(TensorDictModuleBase):
 def random_policy(env: SatelliteTasking, seed: int) -> RandomPolicy:
     """Legal actions with equal probability."""
     return RandomPolicy(torch.Generator(env.device).manual_seed(seed))
-
-
-class Columns:
-    """Observed numbers by the end of their names."""
-
-    def __init__(self, observation: Tensor | TensorDictBase, description: Sequence[str]) -> None:
-        """Look into ``observation``: a vector [..., F] with the entries ``description``, or a tensordict with these parts."""
-        self.observation, self.description = observation, description
-
-    def all(self, name: str) -> Tensor:
-        """Entries named ``name`` or ``name[k]``, [..., width]; KeyError where there is none."""
-        found = [k for k, entry in enumerate(self.description) if _last(entry) == name]
-        if not found:
-            raise KeyError(f"{name!r} is not observed; {nearest(name, map(_last, self.description))}")
-        seen = self.observation
-        if isinstance(seen, Tensor):
-            return seen[..., found]
-        parts = [seen[path] for path in dict.fromkeys(_path(self.description[k]) for k in found)]
-        return torch.cat([part.unsqueeze(-1) if part.ndim == seen.ndim else part.flatten(seen.ndim) for part in parts], -1)
-
-    def __getitem__(self, name: str) -> Tensor:
-        """The first entry of that name, [...]."""
-        return self.all(name)[..., 0]
-
-
-def _path(entry: str) -> tuple[str, ...]:
-    """Key of the part of a nested observation that an entry of its vector belongs to."""
-    return tuple(entry.split("[")[0].split("."))
-
-
-def _last(entry: str) -> str:
-    return _path(entry)[-1]
 
 
 @dataclass(frozen=True)
@@ -135,5 +104,8 @@ BASELINES: dict[str, Callable[[SatelliteTasking, int], TensorDictModuleBase]] = 
     "greedy": imaging_rule(by_priority),
     "nearest": imaging_rule(by_closing),
     "hasty": imaging_rule(by_discounted_priority),
+    "drift": inspection_rule("drift"),
+    "circumnavigate": inspection_rule("circumnavigate"),
+    "survey": inspection_rule("survey"),
 }
 """Baselines by name: functions of the environment and a seed, which raise KeyError or ValueError where they do not fit."""

@@ -1,0 +1,43 @@
+"""Observed numbers by name."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from tensordict import TensorDictBase
+from torch import Tensor
+
+from bsk_torch.sim.params import nearest
+
+
+class Columns:
+    """Observed numbers by the end of their names."""
+
+    def __init__(self, observation: Tensor | TensorDictBase, description: Sequence[str]) -> None:
+        """Look into ``observation``: a vector [..., F] with the entries ``description``, or a tensordict with these parts."""
+        self.observation, self.description = observation, description
+
+    def all(self, name: str) -> Tensor:
+        """Entries named ``name`` or ``name[k]``, [..., width]; KeyError where there is none."""
+        found = [k for k, entry in enumerate(self.description) if _last(entry) == name]
+        if not found:
+            raise KeyError(f"{name!r} is not observed; {nearest(name, map(_last, self.description))}")
+        seen = self.observation
+        if isinstance(seen, Tensor):
+            return seen[..., found]
+        parts = [seen[path] for path in dict.fromkeys(_path(self.description[k]) for k in found)]
+        return torch.cat([part.unsqueeze(-1) if part.ndim == seen.ndim else part.flatten(seen.ndim) for part in parts], -1)
+
+    def __getitem__(self, name: str) -> Tensor:
+        """The first entry of that name, [...]."""
+        return self.all(name)[..., 0]
+
+
+def _path(entry: str) -> tuple[str, ...]:
+    """Key of the part of a nested observation that an entry of its vector belongs to."""
+    return tuple(entry.split("[")[0].split("."))
+
+
+def _last(entry: str) -> str:
+    return _path(entry)[-1]

@@ -1,0 +1,171 @@
+"""Rules for inspectors that fly about another spacecraft: drift, natural-motion circumnavigation, and fly-around by waypoints.
+
+They decide by what inspectors of :mod:`bsk_torch.presets.inspection` observe, and return changes of velocity and drifts, or the
+transfers of a :class:`bsk_torch.act.HillWaypoint`, whichever the satellites take.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from tensordict.nn import TensorDictModule
+from torch import Tensor
+
+from bsk_torch.act import HillWaypoint, ImpulsiveThrustHill
+from bsk_torch.astro.clohessy_wiltshire import circumnavigation
+from bsk_torch.astro.relative import fibonacci_sphere
+from bsk_torch.astro.transfers import Transfers, transfers
+from bsk_torch.env import SatelliteTasking
+from bsk_torch.presets.inspection import DISTANCE_NORM, SPEED_NORM
+from bsk_torch.rl.rules.columns import Columns
+
+MEAN_MOTION = 1.04e-3
+"""Mean motion, rad/s, of the orbits of the presets, which is not observed; it differs by up to 6 percent from those drawn."""
+
+SAMPLES = 12
+"""Moments of a transfer at which it is evaluated."""
+
+VIEW, LIGHT = math.radians(26.0), math.radians(57.0)
+"""Angles between a region's direction and inspector or Sun within which its points are inspected, most of them."""
+
+SHADOW = math.cos(math.radians(115.0))
+"""Cosine of the angle between zenith and Sun beyond which the RSO is in the Earth's shadow."""
+
+CLOSE, FAR, REACH = 15.0, 900.0, 250.0
+"""Smallest and largest distance on a transfer, and largest from which points are inspected, m."""
+
+POINT, FUEL, TIME = 0.03, 0.1, 2e-5
+"""Worth of a region of three points, of 1 m/s and of 1 s."""
+
+DRIFT = 600.0
+"""Seconds between two decisions of the rules that hardly thrust."""
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What N inspectors observe.
+
+    Attributes:
+        rho: Position in the Hill frame of the RSO, [N, 3] m.
+        velocity: Velocity in that frame, [N, 3] m/s.
+        sun: Direction of the Sun, [N, 3].
+        known: Fraction of inspected points in each region, [N, R].
+        centers: Directions of the regions, [R, 3].
+    """
+
+    rho: Tensor
+    velocity: Tensor
+    sun: Tensor
+    known: Tensor
+    centers: Tensor
+
+    @staticmethod
+    def of(observation: Tensor, description: Sequence[str]) -> Seen:
+        """Read an observation [N, F]; KeyError where something is not observed."""
+        see = Columns(observation.double(), description)
+        known = see.all("imaged_regions")
+        centers = torch.as_tensor(fibonacci_sphere(known.shape[-1])).to(known.device)
+        return Seen(
+            see.all("r_DC_Hc_normd") * DISTANCE_NORM, see.all("v_DC_Hc_normd") * SPEED_NORM, see.all("sun_hat_Hc"), known, centers
+        )
+
+    @property
+    def n(self) -> Tensor:
+        """Mean motion, [N] rad/s."""
+        return torch.full_like(self.rho[:, 0], MEAN_MOTION)
+
+
+def sun_at(sun: Tensor, angle: Tensor) -> Tensor:
+    """Return the direction of the Sun [..., 3] when the Hill frame has turned by ``angle`` [...] rad about the orbit normal."""
+    s, c = torch.sin(angle), torch.cos(angle)
+    x, y, z = sun.unbind(-1)
+    return torch.stack(torch.broadcast_tensors(c * x + s * y, c * y - s * x, z), -1)
+
+
+def new_regions(seen: Seen, ahead: Transfers) -> Tensor:
+    """Return about how many regions transfers would show that are not inspected yet, [N, D, K]."""
+    shown = torch.zeros(*ahead.dv.shape[:3], len(seen.centers), dtype=torch.bool, device=ahead.dv.device)
+    for k in range(ahead.path.shape[3]):  # few, and each a batch: all at once would take that many times the memory
+        position = ahead.path[:, :, :, k]
+        distance = torch.linalg.vector_norm(position, dim=-1, keepdim=True)
+        sun = sun_at(seen.sun[:, None], seen.n[:, None] * ahead.time[:, k])
+        lit = (sun @ seen.centers.mT > math.cos(LIGHT)) & (sun[..., :1] > SHADOW)
+        shown |= (position @ seen.centers.mT > math.cos(VIEW) * distance) & (distance < REACH) & lit[:, None]
+    return (shown * (1.0 - seen.known)[:, None, None]).sum(-1)
+
+
+def survey_worth(seen: Seen, ahead: Transfers, max_dv: float) -> Tensor:
+    """Return the worth of transfers, [N, D, K]: what they show, less fuel and time; those that are not safe come last."""
+    spent = torch.linalg.vector_norm(ahead.dv, dim=-1)
+    nearest, farthest = ahead.distances()
+    worth = POINT * new_regions(seen, ahead) - FUEL * spent - TIME * ahead.time[:, -1]
+    unsafe = (nearest < CLOSE) | (farthest > FAR) | (spent > max_dv)
+    # where none is safe, back from where it is too far
+    return torch.where(unsafe, worth - 1e3 - farthest, worth)
+
+
+@dataclass(frozen=True)
+class InspectionRule:
+    """A rule for the inspectors of an environment.
+
+    Attributes:
+        entry: Their action.
+        description: Names of what they observe.
+    """
+
+    entry: Any
+    description: Sequence[str]
+
+    @classmethod
+    def of(cls, env: SatelliteTasking) -> InspectionRule:
+        """For an environment; ValueError where its satellites do not fly about another one."""
+        entry = env.satellite.action_spec[0]
+        if not isinstance(entry, HillWaypoint | ImpulsiveThrustHill):
+            raise ValueError(f"rules of inspection need a HillWaypoint or ImpulsiveThrustHill; the action is {entry!r}")
+        return cls(entry, env.satellite.observation_description)
+
+    def survey(self, observation: Tensor, action_mask: Tensor | None = None) -> Tensor:
+        """Fly to the waypoint on the way to which the most is inspected, less fuel and time."""
+        seen = Seen.of(observation, self.description)
+        way = self.entry if isinstance(self.entry, HillWaypoint) else WAYPOINTS
+        ahead = transfers(seen.rho, seen.velocity, seen.n, way.waypoints, way.durations, SAMPLES)
+        worth = survey_worth(seen, ahead, self.entry.max_dv).flatten(1)
+        if action_mask is not None:
+            return worth.masked_fill(~action_mask, -torch.inf).argmax(1)
+        best = worth.argmax(1)
+        dv = ahead.dv.flatten(1, 2).gather(1, best[:, None, None].expand(-1, 1, 3)).squeeze(1)
+        return torch.cat([dv, way.durations[best % len(way.durations)].unsqueeze(1)], 1)
+
+    def circumnavigate(self, observation: Tensor) -> Tensor:
+        """Stop the drift along the track, and fly around the RSO without further manoeuvres."""
+        seen = Seen.of(observation, self.description)
+        dv = circumnavigation(seen.rho, seen.n) - seen.velocity
+        dv[:, 2] = 0.0
+        return torch.cat([dv, torch.full_like(dv[:, :1], DRIFT)], 1)
+
+    def drift(self, observation: Tensor) -> Tensor:
+        """Never thrust."""
+        seen = Seen.of(observation, self.description)
+        return torch.cat([torch.zeros_like(seen.rho), torch.full_like(seen.rho[:, :1], DRIFT)], 1)
+
+
+WAYPOINTS = HillWaypoint("RSO")
+"""The transfers among which the survey chooses where satellites take changes of velocity."""
+
+
+def inspection_rule(name: str) -> Callable[[SatelliteTasking, int], TensorDictModule]:
+    """A rule as a function of the environment and a seed; KeyError or ValueError where it does not fit."""
+
+    def make(env: SatelliteTasking, seed: int = 0) -> TensorDictModule:
+        rule = InspectionRule.of(env)
+        waypoints = isinstance(rule.entry, HillWaypoint)
+        if waypoints and name != "survey":
+            raise ValueError(f"the rule {name!r} returns changes of velocity; the actions are waypoints")
+        keys = ["observation", "action_mask"] if waypoints else ["observation"]
+        return TensorDictModule(getattr(rule, name), in_keys=keys, out_keys=["action"])
+
+    return make
