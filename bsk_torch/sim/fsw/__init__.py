@@ -11,7 +11,7 @@ from bsk_torch.sim.fsw.models import (
     SteeringImagerFSWModel,
 )
 from bsk_torch.sim.fsw.modes import Command, Mode
-from bsk_torch.sim.fsw.setpoint import AttitudeSetpointFSWModel
+from bsk_torch.sim.fsw.setpoint import AttitudeSetpointFSWModel, InertialHoldFSWModel
 from bsk_torch.sim.fsw.tasks import Task, action
 
 __all__ = [
@@ -21,6 +21,7 @@ __all__ = [
     "ContinuousImagingFSWModel",
     "FSWModel",
     "ImagingFSWModel",
+    "InertialHoldFSWModel",
     "MagicOrbitalManeuverFSWModel",
     "Mode",
     "RSOInspectorFSWModel",
