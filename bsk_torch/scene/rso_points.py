@@ -139,7 +139,8 @@ class RSOPoints(Scenario):
         counts = sorted({len(points) for points in made} | ({self._count} if self._count else set()))
         if len(counts) > 1:
             raise ValueError(
-                f"{type(self).__name__}.generate_points() returns {counts} points in different episodes; it must return equally many"
+                f"{type(self).__name__}.generate_points() returns {counts} points in different episodes; there must be equally "
+                "many in all"
             )
         self._count = counts[0]
         return {DRAWN: torch.tensor(made, dtype=torch.float64)}

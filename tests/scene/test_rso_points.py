@@ -151,7 +151,7 @@ class Growing(scene.RSOPoints):
         (OtherThings(), TypeError, "must return scene.RSOPoint objects"),
         (NoNormal(), ValueError, r"\[0\].n_B is zero"),
         (FlatPosition(), ValueError, r"r_PB_B=\[1.0, 0.0\] must be three numbers"),
-        (Growing(), ValueError, "equally many"),
+        (Growing(), ValueError, "equally many in all"),
         (scene.RSOPoints(), NotImplementedError, "must implement generate_points"),
     ],
 )
