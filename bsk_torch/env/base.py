@@ -447,12 +447,18 @@ class Tasking(ChangingArguments, EnvBase):
         reward = reward + self.failure_penalty * (dead & moves.unsqueeze(-1))
         if self.fleet.size > 1:
             reward = torch.where(removed, 0.0, reward)
-        terminated = self._all_agents_ended(dead | checked.terminated(self.rewarder))
+        ended = dead if self.agents_stay else dead | checked.terminated(self.rewarder)
+        terminated = self._all_agents_ended(ended)
         truncated = self.truncated_by_time | checked.truncated(self.rewarder).any(1)
         if self.terminate_on_time_limit:
             terminated = terminated | truncated
         self.state.returns = self.state.returns + reward.sum(1)
         return StepResult(duration, reward, terminated, truncated, removed)
+
+    @property
+    def agents_stay(self) -> bool:
+        """Whether agents that the rewarder terminates stay in the episode, which goes on."""
+        return False
 
     def _all_agents_ended(self, ended: Tensor) -> Tensor:
         """Return the episodes that end when the satellites ``ended`` [N, S] have, [N]; where any has, unless overridden."""

@@ -207,6 +207,11 @@ class ConstellationTasking(Tasking):
             result = self._advance(actions, mine, moves)
             return self._proven(self._outputs(result, **self._ends(result)))
 
+    @property
+    def agents_stay(self) -> bool:
+        """Whether agents that the rewarder terminates stay in the episode, which goes on: under ``compat="bsk_rl"``, as there."""
+        return self.options.compat == "bsk_rl" and not self.joint
+
     def _all_agents_ended(self, ended: Tensor) -> Tensor:
         """Return the episodes whose agents have all lost a satellite of ``ended`` [N, S], or the joint agent any, [N]."""
         if self.joint:

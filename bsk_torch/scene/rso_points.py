@@ -92,6 +92,7 @@ class RSOPoints(Scenario):
     inspector_columns: list[int]
     _link_needs_super = True
     _fixed: Tensor | None = None
+    _count: int | None = None
 
     def __init_subclass__(cls, **options: Any) -> None:
         """See :meth:`Scenario.__init_subclass__`; points of a subclass's own differ between episodes unless it says otherwise."""
@@ -135,11 +136,13 @@ class RSOPoints(Scenario):
         note_slow(f"{type(self).__name__}.generate_points()", ADVICE)
         with seeded(key.named("generate_points")) as rows:
             made = [self._numbers() for _ in rows]
-        if len({len(points) for points in made}) > 1:
+        counts = sorted({len(points) for points in made} | ({self._count} if self._count else set()))
+        if len(counts) > 1:
             raise ValueError(
-                f"{type(self).__name__}.generate_points() returns {sorted({len(points) for points in made})} points in different "
-                "episodes; it must return equally many"
+                f"{type(self).__name__}.generate_points() returns {counts} points in different episodes; there must be equally "
+                "many in all"
             )
+        self._count = counts[0]
         return {DRAWN: torch.tensor(made, dtype=torch.float64)}
 
     @property

@@ -60,7 +60,8 @@ class PettingZooEnv(EpisodeView, ParallelEnv[str, Any, Any]):
 
     An agent that is missing in the actions, or whose action is ``None`` or ``NO_ACTION``, continues its task; an agent that
     commands several satellites acts with one such entry for each, or with one for all. The step that terminates or truncates an
-    agent removes it from ``agents``; later actions for it are ignored, with a warning.
+    agent removes it from ``agents``; later actions for it are ignored, with a warning. Under ``compat="bsk_rl"``, agents that the
+    rewarder terminates stay, as there.
 
     The info of an agent has ``requires_retasking``, ``d_ts`` (duration of the step, s), ``action_mask`` (int8, 1 for actions that
     are legal as new tasks) and the counters of its satellite. An agent that commands several satellites has a tuple of masks, and
@@ -182,7 +183,8 @@ class PettingZooEnv(EpisodeView, ParallelEnv[str, Any, Any]):
             return {}, {}, {}, {}, {COMMON: {"d_ts": 0.0}} if self._common else {}
         seen = self._seen = self.core.play(given, torch.ones(1, dtype=torch.bool, device=self.core.device))
         terminated, truncated = self._ends(seen)
-        self.agents = [agent for agent in live if not (terminated[agent] or truncated)]
+        gone = self._by_agent(self.core.dead) if self.core.agents_stay else terminated
+        self.agents = [agent for agent in live if not (gone[agent] or truncated)]
         return (
             {agent: self._observation(seen, agent) for agent in live},
             {agent: float(self._of(seen, agent, "reward")) for agent in live},

@@ -15,7 +15,7 @@ from bsk_torch.utils.orbital import fibonacci_sphere
 from torch import Tensor
 
 from bsk_torch import ConstellationTasking, act, data, obs, rand, sats, scene
-from bsk_torch.act.base import Decision
+from bsk_torch.env.no_action import NO_ACTION
 from bsk_torch.obs.relative_observations import rso_imaged_regions
 from bsk_torch.sim import dyn, fsw
 from tests.basilisk.replay import RECORDINGS
@@ -51,22 +51,6 @@ def load(case: str) -> Episodes:
     return Episodes(json.loads(str(file["ic"])), arrays, file["bonus_time"], file["death"], json.loads(str(file["obs_names"])))
 
 
-class Inspect(act.Action):
-    """Inspect the RSO for as long as the memory ``drift`` says."""
-
-    def __init__(self) -> None:
-        super().__init__("inspect")
-
-    def link_satellite(self, satellite) -> None:
-        super().link_satellite(satellite)
-        satellite.simulator.memory.declare("drift", 60.0)
-
-    def decide(self, index: Tensor, mask: Tensor, action: Tensor, previous: Tensor) -> Decision:
-        simulator = self.satellite.simulator
-        drift = simulator.memory["drift"]
-        return Decision(simulator.mode_index("inspect_rso"), torch.ones_like(mask), drift, action, drift)
-
-
 class RSO(sats.Satellite):
     observation_spec = (obs.Time(),)
     action_spec = (act.NadirPoint(duration=1e9),)
@@ -84,7 +68,9 @@ class Inspector(sats.Satellite):
             chief_name="RSO",
         ),
     )
-    action_spec = (Inspect(),)
+    action_spec = (
+        act.ImpulsiveThrustHill(chief_name="RSO", max_dv=1.0, max_drift_duration=11400.0, fsw_action="action_inspect_rso"),
+    )
     dyn_type = dyn.RSOInspectorDynModel
     fsw_type = (fsw.MagicOrbitalManeuverFSWModel, fsw.RSOInspectorFSWModel)
 
@@ -156,39 +142,12 @@ def padded(recorded: Episodes, key: str, k: int) -> Tensor:
     return torch.tensor(np.array(rows), dtype=torch.float64)
 
 
-def replay(env: ConstellationTasking, recorded: Episodes, limit: int | None = None) -> Iterator[Step]:
-    """Play the recorded actions, step after step; the satellites thrust before their tasks begin."""
+def replay(env: ConstellationTasking, recorded: Episodes) -> Iterator[Step]:
+    """Play the recorded actions, step after step."""
     env.reset()
-    inspectors = env.fleet.simulators[1]
     lengths = torch.tensor(recorded.lengths)
-    count = inspectors.count
-    for k in range(max(recorded.lengths) if limit is None else limit):
+    for k in range(max(recorded.lengths)):
         moves = k < lengths
-        action = padded(recorded, "action", k)  # [E, I, 4]
-        acts = (~action[..., 0].isnan() & moves.unsqueeze(-1)).flatten()
-        HN = env.satellites[0].dynamics.HN.repeat_interleave(count, 0)
-        dv_N = (HN.mT @ action.nan_to_num().flatten(0, 1)[:, :3, None]).squeeze(-1)
-        asked = dv_N.norm(dim=-1, keepdim=True)
-        dv_N = torch.where(asked > 1.0, dv_N / asked, dv_N)  # max_dv
-        drift = action[..., 3].flatten().nan_to_num(1.0).clamp(2.0 * inspectors.h, 11400.0)
-        inspectors.memory["drift"] = torch.where(acts, drift, inspectors.memory["drift"])
-        orders = acts.view(-1, count)
-        # the recorder of bsk_rl gives the reward of fuel for the step that a manoeuvre begins
-        given = [torch.where(padded(recorded, "rso_action", k)[:, None] == 0, 0, 1).long(), torch.where(orders, 0, 1).long()]
-        yield Step(k, moves, thrust_and_play(env, inspectors, acts, dv_N, given, moves))
-
-
-def thrust_and_play(env, inspectors, acts, dv_N, given, moves) -> Any:
-    """Play a step in which manoeuvres are part of the commands, so that the log before it has the fuel before them."""
-    group = env.fleet.groups[1]
-    command = type(group).command
-
-    def with_thrust(*args: Any, **options: Any) -> None:
-        inspectors.thrust(acts, dv_N)
-        command(group, *args, **options)
-
-    group.command = with_thrust
-    try:
-        return env.play(given, moves)
-    finally:
-        del group.command
+        rso = torch.where(padded(recorded, "rso_action", k).unsqueeze(1) == 0, 0, 1).long()
+        inspectors = padded(recorded, "action", k).nan_to_num(NO_ACTION)
+        yield Step(k, moves, env.play([rso, inspectors], moves))

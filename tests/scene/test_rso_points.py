@@ -1,0 +1,202 @@
+"""Points of an RSO: what users write, what they get, and which satellites fit."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from bsk_torch import data, scene
+from bsk_torch.sim import fsw
+from tests.inspecting import RSO, Inspector, act_all, chief_args, inspection, inspector_args
+
+
+class TwoPoints(scene.RSOPoints):
+    """Points with normals of any length, the second at random."""
+
+    def generate_points(self):
+        limits = dict(theta_max=1.0, range_max=0.0, theta_solar_max=-1.0, min_illumination_factor=0.0)
+        where = np.random.uniform(-1.0, 1.0, 3)
+        return [scene.RSOPoint([1.0, 0.0, 0.0], [5.0, 0.0, 0.0], **limits), scene.RSOPoint(where, where, **limits)]
+
+
+class SamePoints(TwoPoints):
+    points_are_fixed = True
+    calls = 0
+
+    def generate_points(self):
+        type(self).calls += 1
+        return super().generate_points()[:1]
+
+
+def build(scenario, satellites=None, **options):
+    return inspection(satellites or pair(inspector=Plain), scenario, rewarder=data.RSOInspectionReward(), **options)
+
+
+def pair(rso=RSO, inspector=Inspector):
+    return [rso("RSO", chief_args()), inspector("A", inspector_args(100.0, 0.0, 0.0))]
+
+
+class Plain(Inspector):
+    observation_spec = RSO.observation_spec
+
+
+class Blind(Plain):
+    fsw_type = fsw.ContinuousImagingFSWModel
+    action_spec = RSO.action_spec
+
+
+def test_a_sphere_has_points_along_a_spiral_with_normals_outwards():
+    scenario = scene.SphericalRSO(n_points=50, radius=2.0, theta_max=0.5, range_max=100.0, theta_solar_max=0.7)
+    points = scenario.rso_points
+    assert len(points) == scenario.n_points == 50
+    for point in points:
+        assert np.linalg.norm(point.r_PB_B) == pytest.approx(2.0)
+        np.testing.assert_allclose(point.n_B, point.r_PB_B / 2.0, atol=1e-15)
+        assert (point.theta_max, point.range_max, point.theta_solar_max) == (0.5, 100.0, 0.7)
+        assert point.min_illumination_factor == 0.1
+    angle = [math.atan2(point.n_B[1], point.n_B[0]) for point in points[20:22]]
+    assert (angle[1] - angle[0]) % (2 * math.pi) == pytest.approx(math.pi * (3.0 - math.sqrt(5.0)))
+    assert [point.n_B[2] for point in points[:2]] == pytest.approx([-0.98, -0.94])
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        (dict(n_points=0), "n_points=0 must be a whole number from 1"),
+        (dict(radius=0.0), "radius=0.0 must be a number in"),
+        (dict(theta_max=45.0), "theta_max=45.0 must be a number in"),
+        (dict(range_max=math.nan), "range_max=nan must be"),
+        (dict(min_illumination_factor=1.5), "min_illumination_factor=1.5 must be"),
+    ],
+)
+def test_wrong_spheres_are_refused(given, message):
+    with pytest.raises(ValueError, match=message):
+        scene.SphericalRSO(**given)
+
+
+def test_points_of_a_users_own_are_made_for_each_episode():
+    """Each environment and episode has its own, whatever the batch; those of one class that says so are made once."""
+    env = build(TwoPoints())
+    env.reset()
+    first = env.scenario.r_PB_B.clone()
+    assert first.shape == (2, 2, 3)
+    assert (first[:, 0] == torch.tensor([1.0, 0.0, 0.0])).all()
+    assert (first[0, 1] != first[1, 1]).all()
+    env.reset()
+    assert (env.scenario.r_PB_B[:, 1] != first[:, 1]).all()
+    alone = build(TwoPoints(), num_envs=1, env_ids=[1])
+    alone.reset()
+    assert torch.equal(alone.scenario.r_PB_B[0], first[1])
+    assert [point.r_PB_B.tolist() for point in alone.scenario.points_of(0)] == first[1].tolist()
+    with pytest.raises(AttributeError, match="points_of"):
+        _ = alone.scenario.rso_points
+
+
+def test_fixed_points_of_a_users_own_are_made_once():
+    SamePoints.calls = 0
+    env = build(SamePoints())
+    td = act_all(env, env.reset())
+    act_all(env, td)
+    env.reset()
+    assert env.scenario.n_points == 1
+    assert SamePoints.calls <= 3  # the scenario's own, and those of the copies of trials
+
+
+def test_own_points_are_inspected_and_saved_with_their_episodes():
+    env = build(TwoPoints())
+    td = env.reset()
+    td = act_all(env, td)
+    saved, known = env.get_state(), env.rewarder.inspected.clone()
+    td = act_all(env, td)
+    after = env.rewarder.inspected.clone()
+    env.restore(saved)
+    assert torch.equal(env.rewarder.inspected, known)
+    act_all(env, env._outputs(None))
+    assert torch.equal(env.rewarder.inspected, after)
+
+
+class NoPoints(scene.RSOPoints):
+    def generate_points(self):
+        return []
+
+
+class OtherThings(scene.RSOPoints):
+    def generate_points(self):
+        return [(0.0, 0.0, 1.0)]
+
+
+class NoNormal(scene.RSOPoints):
+    def generate_points(self):
+        return [scene.RSOPoint([1.0, 0.0, 0.0], [0.0, 0.0, 0.0], 1.0, 1.0, 1.0, 0.0)]
+
+
+class FlatPosition(scene.RSOPoints):
+    def generate_points(self):
+        return [scene.RSOPoint([1.0, 0.0], [0.0, 0.0, 1.0], 1.0, 1.0, 1.0, 0.0)]
+
+
+class Growing(scene.RSOPoints):
+    def generate_points(self):
+        n = int(np.random.randint(1, 30))
+        return [scene.RSOPoint([1.0, 0.0, 0.0], [1.0, 0.0, 0.0], 1.0, 1.0, 1.0, 0.0)] * n
+
+
+@pytest.mark.parametrize(
+    ("scenario", "error", "message"),
+    [
+        (NoPoints(), ValueError, "returns no points"),
+        (OtherThings(), TypeError, "must return scene.RSOPoint objects"),
+        (NoNormal(), ValueError, r"\[0\].n_B is zero"),
+        (FlatPosition(), ValueError, r"r_PB_B=\[1.0, 0.0\] must be three numbers"),
+        (Growing(), ValueError, "equally many in all"),
+        (scene.RSOPoints(), NotImplementedError, "must implement generate_points"),
+    ],
+)
+def test_wrong_points_are_refused_when_the_environment_is_built(scenario, error, message):
+    with pytest.raises(error, match=message):
+        build(scenario)
+
+
+def test_a_subclass_of_the_sphere_with_points_of_its_own_makes_them_anew():
+    class Half(scene.SphericalRSO):
+        def generate_points(self):
+            return [point for point in super().generate_points() if point.n_B[2] > 0.0]
+
+    env = build(Half(n_points=20))
+    env.reset()
+    assert env.scenario.r_PB_B.shape == (2, 10, 3)
+    with pytest.raises(TypeError, match="generate_points"):
+
+        class Wrong(scene.RSOPoints):
+            def generate_points(self, n):
+                return []
+
+
+@pytest.mark.parametrize(
+    ("satellites", "message"),
+    [
+        (
+            [*pair(inspector=Plain), RSO("Second", chief_args())],
+            r"exactly one satellite with dyn.RSODynModel; \['RSO', 'Second'\]",
+        ),
+        ([Plain("A", inspector_args(100.0, 0.0, 0.0))], "exactly one satellite with dyn.RSODynModel; none of"),
+        ([RSO("RSO", chief_args())], "at least one satellite with dyn.RSOInspectorDynModel"),
+        (pair(inspector=Blind), r"\['A'\] have dyn.RSOInspectorDynModel, but not fsw.RSOInspectorFSWModel"),
+    ],
+)
+def test_satellites_that_do_not_fit_are_refused(satellites, message):
+    with pytest.raises(ValueError, match=message):
+        build(scene.SphericalRSO(), satellites)
+
+
+def test_inspectors_need_an_rso_whatever_the_scenario():
+    with pytest.raises(ValueError, match="slot 'rso'; none have it"):
+        inspection([Plain("A", inspector_args(100.0, 0.0, 0.0))], scene.Scenario(), rewarder=None)
+
+
+def test_the_reward_needs_points():
+    with pytest.raises(ValueError, match="RSOInspectionReward needs a scenario with points"):
+        build(scene.Scenario(), pair(inspector=Plain))
