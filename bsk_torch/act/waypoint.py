@@ -11,7 +11,7 @@ from torch import Tensor
 
 from bsk_torch._checks import number
 from bsk_torch.act.base import Action, Decision
-from bsk_torch.act.thrust import ImpulsiveThrustHill, shortened
+from bsk_torch.act.thrust import ImpulsiveThrustHill
 from bsk_torch.astro.relative import cd2hill, fibonacci_sphere, rv2omega
 from bsk_torch.astro.transfers import Transfers, transfers
 
@@ -26,10 +26,11 @@ class HillWaypoint(Action):
     """Fly to one of several waypoints about a chief in one of several durations, by a single manoeuvre.
 
     Action ``d * K + k`` is the transfer to waypoint d in duration k. The manoeuvre follows from the Clohessy-Wiltshire equations,
-    which hold near a chief on a nearly circular orbit; nothing is done on arrival, so the satellite passes the waypoint. Transfers
-    that come nearer to the chief than ``keep_out``, go beyond ``keep_in``, come nearer than ``keep_apart`` to any other satellite
-    if that drifts on, or cost more than ``max_dv`` or what is left in the tank, are illegal; where all are, the one that comes
-    closest to being legal is not.
+    which hold near a chief on a nearly circular orbit; nothing is done on arrival, so the satellite passes the waypoint.
+
+    Transfers that come nearer to the chief than ``keep_out``, go beyond ``keep_in``, come nearer than ``keep_apart`` to any other
+    satellite if that drifts on, or cost more than ``max_dv`` or what is left in the tank, are illegal. Where all are, the one that,
+    with its manoeuvre scaled down to what is allowed, keeps the distances best is not.
 
     bsk_rl has no such action: its manoeuvres are :class:`ImpulsiveThrustHill`.
     """
@@ -93,7 +94,7 @@ class HillWaypoint(Action):
         return positions
 
     def link_satellite(self, satellite: Satellite) -> None:
-        """See :meth:`Action.link_satellite`; ValueError without a tank, or for an unknown command or chief, or itself as chief."""
+        """See :meth:`Action.link_satellite`; ValueError without a tank, for an unknown command or chief, or its own type."""
         super().link_satellite(satellite)
         self._thrust.link_satellite(satellite)
         group = satellite.group
@@ -108,7 +109,12 @@ class HillWaypoint(Action):
         """Return all transfers from the present position."""
         rho, velocity, n = self.relative_state()
         targets, durations = self.waypoints.to(rho.device), self.durations.to(rho.device)
-        return transfers(rho, velocity, n, targets, durations, SAMPLES)
+        return transfers(rho, velocity, n, targets, durations, SAMPLES, self.most_dv)
+
+    @property
+    def most_dv(self) -> Tensor:
+        """Largest manoeuvre at present, [N] m/s."""
+        return self.satellite.simulator.read("dv_available").clamp(max=self.max_dv)
 
     def others(self) -> tuple[Tensor, Tensor]:
         """Return positions [N, O, 3] m and velocities [N, O, 3] m/s of all other satellites in the chief's Hill frame."""
@@ -137,7 +143,7 @@ class HillWaypoint(Action):
         """See :meth:`Action.decide`."""
         every = self.ahead().dv.flatten(1, 2)
         dv_H = every.gather(1, index.clamp(0, self.n_actions - 1)[:, None, None].expand(-1, 1, 3)).squeeze(1)
-        dv_N = shortened(self._thrust.change_of_velocity(dv_H), self.max_dv)
+        dv_N = self._thrust.change_of_velocity(dv_H)
         duration = self.durations.to(index.device)[index % len(self.durations)]
         return self._thrust.enter(self._thrust.fsw_action, duration, dv_N)._replace(key=action)
 
@@ -148,15 +154,14 @@ class HillWaypoint(Action):
     def mask(self) -> Tensor:
         """See :meth:`Action.mask`."""
         ahead = self.ahead()
-        (nearest, farthest), cost = ahead.distances(), torch.linalg.vector_norm(ahead.dv, dim=-1)
-        fuel = self.satellite.simulator.read("dv_available")[:, None, None].clamp(max=self.max_dv)
-        # by how much each limit is missed, relative to the limit; legal where none is
-        missed = torch.maximum((self.keep_out - nearest) / max(self.keep_out, 1.0), (cost - fuel) / fuel.clamp(min=1e-9))
+        nearest, farthest = ahead.distances()
+        missed = (self.keep_out - nearest) / max(self.keep_out, 1.0)
         if math.isfinite(self.keep_in):
             missed = torch.maximum(missed, farthest / self.keep_in - 1.0)
         if self.keep_apart > 0.0 and self.satellite.group.fleet.size > 2:
             apart = ahead.apart(*self.others(), self.relative_state()[2]).amin(1)
             missed = torch.maximum(missed, (self.keep_apart - apart) / self.keep_apart)
         missed = missed.nan_to_num(nan=math.inf).flatten(1)
+        legal = (missed <= 0.0) & (ahead.cost <= self.most_dv[:, None, None]).flatten(1)
         least = torch.zeros_like(missed, dtype=torch.bool).scatter(1, missed.argmin(1, keepdim=True), True)
-        return (missed <= 0.0) | least
+        return legal | (least & ~legal.any(1, keepdim=True))

@@ -15,12 +15,14 @@ class Transfers(NamedTuple):
 
     Attributes:
         dv: Manoeuvres that begin them, [N, D, K, 3] m/s.
+        cost: Manoeuvres that would take them to the target, [N, D, K] m/s; that of ``dv`` where it is not limited.
         path: Positions at S moments, evenly spaced up to the arrival, [N, D, K, S, 3] m.
         time: These moments, [K, S] s after the manoeuvre.
         start: Positions at the manoeuvre, [N, 3] m.
     """
 
     dv: Tensor
+    cost: Tensor
     path: Tensor
     time: Tensor
 
@@ -45,7 +47,9 @@ class Transfers(NamedTuple):
         return closest(whole[:, None] - drift[:, :, None])
 
 
-def transfers(rho: Tensor, velocity: Tensor, n: Tensor, targets: Tensor, durations: Tensor, samples: int) -> Transfers:
+def transfers(
+    rho: Tensor, velocity: Tensor, n: Tensor, targets: Tensor, durations: Tensor, samples: int, most: Tensor | None = None
+) -> Transfers:
     """Return transfers by the Clohessy-Wiltshire equations; see :mod:`bsk_torch.astro.clohessy_wiltshire`.
 
     Args:
@@ -55,15 +59,20 @@ def transfers(rho: Tensor, velocity: Tensor, n: Tensor, targets: Tensor, duratio
         targets: Targets, [D, 3] m.
         durations: Durations, [K] s.
         samples: Number S of moments.
+        most: Largest manoeuvres, [N] m/s; larger ones are scaled down to it, and their paths miss the target.
     """
     start, rate = rho[:, None, None], n[:, None, None]
-    after = transfer(start, targets[:, None], rate, durations)
+    dv = transfer(start, targets[:, None], rate, durations) - velocity[:, None, None]
+    cost = torch.linalg.vector_norm(dv, dim=-1)
+    if most is not None:
+        dv = dv * (most[:, None, None] / cost.clamp(min=1e-30)).clamp(max=1.0).unsqueeze(-1)
+    after = velocity[:, None, None] + dv
     time = durations.unsqueeze(-1) * (torch.arange(1, samples + 1, device=rho.device) / samples)
     step = transition(rate, time)
     drift = (step.rr @ rho[:, None, None, :, None]).squeeze(-1)
     # the transition is that of every target, so its product with all of their velocities is one matrix product
     moved = torch.einsum("nksij,ndkj->ndksi", step.rv, after)
-    return Transfers(after - velocity[:, None, None], drift[:, None] + moved, time, rho)
+    return Transfers(dv, cost, drift[:, None] + moved, time, rho)
 
 
 def closest(path: Tensor) -> Tensor:

@@ -29,8 +29,11 @@ MEAN_MOTION = 1.04e-3
 SAMPLES = 12
 """Moments of a transfer at which it is evaluated."""
 
-VIEW, LIGHT = math.radians(26.0), math.radians(57.0)
-"""Angles between a region's direction and inspector or Sun within which its points are inspected, most of them."""
+VIEW = math.radians(12.0), math.radians(45.0)
+"""Angles between the centre of a region and the inspector up to which all of its points are in view, and from which none is."""
+
+LIGHT = math.radians(42.0), math.radians(78.0)
+"""Angles between the centre of a region and the Sun, likewise."""
 
 SHADOW = math.cos(math.radians(115.0))
 """Cosine of the angle between zenith and Sun beyond which the RSO is in the Earth's shadow."""
@@ -69,9 +72,8 @@ class Seen:
         see = Columns(observation.double(), description)
         known = see.all("imaged_regions")
         centers = torch.as_tensor(fibonacci_sphere(known.shape[-1])).to(known.device)
-        return Seen(
-            see.all("r_DC_Hc_normd") * DISTANCE_NORM, see.all("v_DC_Hc_normd") * SPEED_NORM, see.all("sun_hat_Hc"), known, centers
-        )
+        rho, velocity = see.all("r_DC_Hc_normd") * DISTANCE_NORM, see.all("v_DC_Hc_normd") * SPEED_NORM
+        return Seen(rho, velocity, see.all("sun_hat_Hc"), known, centers)
 
     @property
     def n(self) -> Tensor:
@@ -87,25 +89,35 @@ def sun_at(sun: Tensor, angle: Tensor) -> Tensor:
 
 
 def new_regions(seen: Seen, ahead: Transfers) -> Tensor:
-    """Return about how many regions transfers would show that are not inspected yet, [N, D, K]."""
-    shown = torch.zeros(*ahead.dv.shape[:3], len(seen.centers), dtype=torch.bool, device=ahead.dv.device)
+    """Return about how many regions transfers would show that are not inspected yet, [N, D, K].
+
+    A region counts as far as its points are in view and lit at the best moment of the transfer: wholly up to the first of the
+    angles :data:`VIEW` and :data:`LIGHT` from its centre to the inspector and to the Sun, not at all from the second one on.
+    """
+    best = torch.zeros(*ahead.dv.shape[:3], len(seen.centers), dtype=ahead.dv.dtype, device=ahead.dv.device)
     for k in range(ahead.path.shape[3]):  # few, and each a batch: all at once would take that many times the memory
         position = ahead.path[:, :, :, k]
         distance = torch.linalg.vector_norm(position, dim=-1, keepdim=True)
         sun = sun_at(seen.sun[:, None], seen.n[:, None] * ahead.time[:, k])
-        lit = (sun @ seen.centers.mT > math.cos(LIGHT)) & (sun[..., :1] > SHADOW)
-        shown |= (position @ seen.centers.mT > math.cos(VIEW) * distance) & (distance < REACH) & lit[:, None]
-    return (shown * (1.0 - seen.known)[:, None, None]).sum(-1)
+        lit = part(sun @ seen.centers.mT, LIGHT) * (sun[..., :1] > SHADOW)
+        shown = part(position @ seen.centers.mT / distance, VIEW) * (distance < REACH)
+        best = torch.maximum(best, shown * lit[:, None])
+    return (best * (1.0 - seen.known)[:, None, None]).sum(-1)
+
+
+def part(cosine: Tensor, angles: tuple[float, float]) -> Tensor:
+    """Return 1 for cosines of angles up to the first of two, rad, 0 from the second on, and values between them in between."""
+    high, low = math.cos(angles[0]), math.cos(angles[1])
+    return ((cosine - low) / (high - low)).clamp(0.0, 1.0)
 
 
 def survey_worth(seen: Seen, ahead: Transfers, max_dv: float) -> Tensor:
     """Return the worth of transfers, [N, D, K]: what they show, less fuel and time; those that are not safe come last."""
-    spent = torch.linalg.vector_norm(ahead.dv, dim=-1)
     nearest, farthest = ahead.distances()
-    worth = POINT * new_regions(seen, ahead) - FUEL * spent - TIME * ahead.time[:, -1]
-    unsafe = (nearest < CLOSE) | (farthest > FAR) | (spent > max_dv)
+    worth = POINT * new_regions(seen, ahead) - FUEL * ahead.cost - TIME * ahead.time[:, -1]
+    unsafe = (nearest < CLOSE) | (farthest > FAR) | (ahead.cost > max_dv)
     # where none is safe, back from where it is too far
-    return torch.where(unsafe, worth - 1e3 - farthest, worth)
+    return torch.where(unsafe, -1e3 - farthest, worth)
 
 
 @dataclass(frozen=True)
@@ -132,7 +144,8 @@ class InspectionRule:
         """Fly to the waypoint on the way to which the most is inspected, less fuel and time."""
         seen = Seen.of(observation, self.description)
         way = self.entry if isinstance(self.entry, HillWaypoint) else WAYPOINTS
-        ahead = transfers(seen.rho, seen.velocity, seen.n, way.waypoints, way.durations, SAMPLES)
+        most = torch.full_like(seen.n, self.entry.max_dv)
+        ahead = transfers(seen.rho, seen.velocity, seen.n, way.waypoints, way.durations, SAMPLES, most)
         worth = survey_worth(seen, ahead, self.entry.max_dv).flatten(1)
         if action_mask is not None:
             return worth.masked_fill(~action_mask, -torch.inf).argmax(1)
