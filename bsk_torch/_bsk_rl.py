@@ -155,7 +155,6 @@ MODULES: dict[str, tuple[str, str]] = {
 
 LATER = "is not in bsk_torch yet: "
 RSO = LATER + "inspecting and imaging other satellites"
-THRUST = LATER + "manoeuvres and continuous actions. Discrete actions of one's own are subclasses of act.Action"
 MIXED = LATER + "several scenarios in one environment. Satellites of several types can share one scenario"
 STORES = (
     "is not needed: rewarders keep tensors of all episodes (env.rewarder.imaged, .known, .cum_reward). One's own are subclasses "
@@ -178,11 +177,10 @@ GROUPS: dict[str, str] = {
     "RSOTarget RSOTargetCatalog RSOTargets RSOTargetDynModel SpaceToSpaceImagingDynModel RSODynModel RSOInspectorDynModel "
     "SpaceToSpaceImagingFSWModel RSOInspectorFSWModel CandidateSnapshot target_geometry candidate_snapshot illumination_factor "
     "rso_imaged_regions",
-    THRUST: "AttitudeSetpoint ContinuousAction ContinuousActionBuilder ImpulsiveThrust ImpulsiveThrustHill "
-    "MagicOrbitalManeuverFSWModel",
     MIXED: "MixedData MixedDataStore MixedReward MixedScenario",
     STORES: "LogStateType ComposedData ComposedDataStore ResourceData ResourceDataStore",
-    BUILDERS: "select_action_builder ActionBuilder DiscreteActionBuilder ObservationBuilder nested_obs_to_space",
+    BUILDERS: "select_action_builder ActionBuilder ContinuousActionBuilder DiscreteActionBuilder ObservationBuilder "
+    "nested_obs_to_space",
     TYPES: "SatObs SatAct MultiSatObs MultiSatAct SatArgRandomizer",
     DISCOUNT: "ContinuePreviousAction ContinuePreviousActionAppended MakeAddedStepActionValid CondenseMultiStepActions "
     "compute_value_targets_time_discounted TimeDiscountedGAEPPOLearner TimeDiscountedGAEPPOTorchLearner "
