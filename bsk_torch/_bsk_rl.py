@@ -155,7 +155,6 @@ MODULES: dict[str, tuple[str, str]] = {
 
 LATER = "is not in bsk_torch yet: "
 RSO = LATER + "inspecting and imaging other satellites"
-THRUST = LATER + "manoeuvres and continuous actions. Discrete actions of one's own are subclasses of act.Action"
 RELATIVE = LATER + "the motion of satellites relative to each other. fn= of obs.SatProperties reads any tensor of the satellite"
 MIXED = LATER + "several scenarios in one environment. Satellites of several types can share one scenario"
 STORES = (
@@ -179,12 +178,11 @@ GROUPS: dict[str, str] = {
     "RSOTarget RSOTargetCatalog RSOTargets RSOTargetDynModel SpaceToSpaceImagingDynModel RSODynModel RSOInspectorDynModel "
     "SpaceToSpaceImagingFSWModel RSOInspectorFSWModel CandidateSnapshot target_geometry candidate_snapshot illumination_factor "
     "rso_imaged_regions",
-    THRUST: "AttitudeSetpoint ContinuousAction ContinuousActionBuilder ImpulsiveThrust ImpulsiveThrustHill "
-    "MagicOrbitalManeuverFSWModel",
     RELATIVE: "ConjunctionDynModel MaxRangeDynModel",
     MIXED: "MixedData MixedDataStore MixedReward MixedScenario",
     STORES: "LogStateType ComposedData ComposedDataStore ResourceData ResourceDataStore",
-    BUILDERS: "select_action_builder ActionBuilder DiscreteActionBuilder ObservationBuilder nested_obs_to_space",
+    BUILDERS: "select_action_builder ActionBuilder ContinuousActionBuilder DiscreteActionBuilder ObservationBuilder "
+    "nested_obs_to_space",
     TYPES: "SatObs SatAct MultiSatObs MultiSatAct SatArgRandomizer",
     DISCOUNT: "ContinuePreviousAction ContinuePreviousActionAppended MakeAddedStepActionValid CondenseMultiStepActions "
     "compute_value_targets_time_discounted TimeDiscountedGAEPPOLearner TimeDiscountedGAEPPOTorchLearner "

@@ -12,6 +12,7 @@ from bsk_torch.act.discrete import Charge, Desat, DiscreteFSWAction, Downlink, D
 from bsk_torch.act.image import Image, image_target
 from bsk_torch.act.masks import allow_only, forbid
 from bsk_torch.act.setpoint import AttitudeSetpoint
+from bsk_torch.act.thrust import ImpulsiveThrust, ImpulsiveThrustHill
 
 __all__ = [
     "Action",
@@ -27,6 +28,8 @@ __all__ = [
     "Drift",
     "HybridAction",
     "Image",
+    "ImpulsiveThrust",
+    "ImpulsiveThrustHill",
     "NadirPoint",
     "Scan",
     "allow_only",

@@ -77,8 +77,8 @@ class Decision(NamedTuple):
         duration: Time after which the action ends, s.
         key: Number that identifies the action; an action with the key of the one before repeats it. int64.
         expected: Probable time until an event ends the action, at most ``duration``, s. It only sorts rows, for speed.
-        command: What ``decide`` of a continuous action hands to its ``begin``, [N, ...]; None for discrete actions, and in
-            ``end``.
+        command: What ``decide`` of a continuous action hands to its ``begin``, [N, ...]; in its ``end`` the action that has
+            ended, [N, A]. None for discrete actions.
     """
 
     mode: Tensor

@@ -156,7 +156,7 @@ class ContinuousBuilder:
 
     def end(self, action: Tensor, ended: Tensor, decision: Decision, event: Tensor) -> None:
         """Notify the entry that its actions have ``ended`` [N] bool, by an ``event`` [N] bool or by their duration."""
-        self.entry.end(ended, decision, event)
+        self.entry.end(ended, decision._replace(command=action), event)
 
     def mask(self) -> Tensor:
         """Return which choices are legal now, [N, K] bool; TypeError for a mask of wrong shape or dtype."""

@@ -100,7 +100,10 @@ class ContinuousAction:
         """Called after actions have been commanded, in the rows ``mask`` [N] bool; ``decision.command`` is decide()'s."""
 
     def end(self, mask: Tensor, decision: Decision, event: Tensor) -> None:
-        """Called after actions have ended within an episode; see :meth:`bsk_torch.act.Action.end`."""
+        """Called after actions have ended within an episode; ``decision.command`` is the action, [N, A].
+
+        See :meth:`bsk_torch.act.Action.end`.
+        """
 
     def enter(self, fsw_action: str, duration: Tensor, command: Tensor | None = None) -> Decision:
         """Return the decision to enter a mode of the flight software anew.

@@ -10,7 +10,7 @@ from bsk_torch.sim.fsw.models import (
     SteeringImagerFSWModel,
 )
 from bsk_torch.sim.fsw.modes import Command, Mode
-from bsk_torch.sim.fsw.setpoint import AttitudeSetpointFSWModel
+from bsk_torch.sim.fsw.setpoint import AttitudeSetpointFSWModel, InertialHoldFSWModel
 from bsk_torch.sim.fsw.tasks import Task, action
 
 __all__ = [
@@ -20,6 +20,7 @@ __all__ = [
     "ContinuousImagingFSWModel",
     "FSWModel",
     "ImagingFSWModel",
+    "InertialHoldFSWModel",
     "MagicOrbitalManeuverFSWModel",
     "Mode",
     "SteeringFSWModel",

@@ -44,3 +44,16 @@ class AttitudeSetpointFSWModel(FSWModel):
 
     components: ClassVar[tuple[Component, ...]] = (ATTITUDE_SETPOINT,)
     modes: ClassVar[dict[str, Mode | None]] = {ATTITUDE_MRP: Mode(("control_on",))}
+
+
+HOLD_INERTIAL = "hold_inertial"
+"""Command to turn to the attitude of N."""
+
+
+class InertialHoldFSWModel(FSWModel):
+    """Adds the command ``hold_inertial`` to any flight software: control about N itself, at rest.
+
+    A manoeuvre leaves the spacecraft so, as in Basilisk. Actions of manoeuvres bring it along.
+    """
+
+    modes: ClassVar[dict[str, Mode | None]] = {HOLD_INERTIAL: Mode(("control_on",))}

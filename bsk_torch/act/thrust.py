@@ -1,0 +1,195 @@
+"""Actions that change the velocity of a satellite at once."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import torch
+from torch import Tensor
+
+from bsk_torch._checks import number, text
+from bsk_torch._deprecated import deprecated_names
+from bsk_torch.act.base import Decision
+from bsk_torch.act.continuous import ContinuousAction
+from bsk_torch.astro.orbit import hill_frame
+from bsk_torch.sim.fsw.setpoint import HOLD_INERTIAL, InertialHoldFSWModel
+from bsk_torch.vec3 import Vec3
+
+if TYPE_CHECKING:
+    from bsk_torch.sats.satellite import Satellite
+
+SHORTEST = 2
+"""Ticks that a drift lasts at least."""
+
+
+def length(dv: Tensor) -> Tensor:
+    """Return the lengths [N] of vectors [N, 3]; those of vectors in float32 are rounded once."""
+    return dv.double().square().sum(-1).sqrt().to(dv.dtype)
+
+
+def shortened(dv: Tensor, longest: float | Tensor) -> Tensor:
+    """Return changes of velocity [N, 3] of at most ``longest`` [N]: ``dv <- dv / |dv| longest`` where ``|dv| > longest``."""
+    most = torch.as_tensor(longest, dtype=dv.dtype, device=dv.device)
+    size = length(dv)
+    over = size > most
+    scaled = dv / torch.where(over, size, 1.0).unsqueeze(-1) * most.unsqueeze(-1)
+    return torch.where(over.unsqueeze(-1), scaled, dv)
+
+
+class ImpulsiveThrust(ContinuousAction):
+    """Change the velocity by dv_N, m/s in N, and drift for a time, s: four numbers.
+
+    A longer change than ``max_dv`` is scaled down to it, so the corners of the space are; the tank may allow still less. The
+    drift lasts at least two ticks and at most ``max_drift_duration``. The satellite needs
+    :class:`~bsk_torch.sim.fsw.MagicOrbitalManeuverFSWModel` among its flight software.
+
+    Without ``fsw_action`` the satellite turns to the attitude of N during the drift; without actuators it has it at once.
+
+    Under ``compat="bsk_rl"``, actions that are given in float32 are carried out in float32, as NumPy does: the drift may end a
+    tick late, and what is left in the tank is rounded.
+    """
+
+    fsw_type = InertialHoldFSWModel
+
+    def __init__(
+        self,
+        name: str = "thrust_act",
+        max_dv: float = math.inf,
+        max_drift_duration: float = math.inf,
+        fsw_action: str | None = None,
+    ) -> None:
+        """Thrust, then drift.
+
+        Args:
+            name: Name of the entry.
+            max_dv: Longest change of velocity, m/s.
+            max_drift_duration: Longest drift, s.
+            fsw_action: Command of the flight software for the drift, such as ``"nadir_scan"``, or ``"action_nadir_scan"`` as
+                bsk_rl writes it.
+
+        Raises:
+            ValueError: For a limit that is not positive, or a name that is no string.
+        """
+        super().__init__(name)
+        title = f"action {self.name!r}: "
+        self.max_dv = number(f"{title}max_dv", max_dv, 0.0, unit="m/s", above=True, finite=False)
+        self.max_drift_duration = number(
+            f"{title}max_drift_duration", max_drift_duration, 0.0, unit="s", above=True, finite=False
+        )
+        self.fsw_action = HOLD_INERTIAL if fsw_action is None else text("fsw_action", fsw_action)
+
+    def link_satellite(self, satellite: Satellite) -> None:
+        """See :meth:`ContinuousAction.link_satellite`; ValueError without a tank, or for an unknown command."""
+        super().link_satellite(satellite)
+        simulator = satellite.simulator
+        simulator.check_tank(f"{type(self).__name__} {self.name!r}")
+        if self.fsw_action not in simulator.commands:
+            self.fsw_action = self.fsw_action.removeprefix("action_")
+        simulator.check_command(self.fsw_action)
+        if self.max_drift_duration <= self.min_drift_duration:
+            raise ValueError(
+                f"action {self.name!r}: max_drift_duration={self.max_drift_duration:g} must be more than {SHORTEST} ticks, "
+                f"{self.min_drift_duration:g} s, which a drift lasts at least"
+            )
+
+    @property
+    def min_drift_duration(self) -> float:
+        """Shortest drift, s: two ticks."""
+        return SHORTEST * self.satellite.simulator.h
+
+    def bounds(self) -> tuple[Tensor, Tensor]:
+        """See :meth:`ContinuousAction.bounds`: of each component of dv_N, and of the drift."""
+        high = torch.tensor([self.max_dv] * 3 + [self.max_drift_duration], dtype=torch.float64)
+        low = -high
+        low[3] = self.min_drift_duration
+        return low, high
+
+    def names(self) -> list[str]:
+        """See :meth:`ContinuousAction.names`."""
+        return ["dV_N_x", "dV_N_y", "dV_N_z", "duration"]
+
+    def change_of_velocity(self, dv: Tensor) -> Tensor:
+        """Return the first three numbers of actions as changes of velocity in N, [N, 3] m/s."""
+        return dv
+
+    @property
+    def is_single(self) -> bool:
+        """Whether the actions of the present step are carried out in float32."""
+        return self.given_dtype == torch.float32 and self.satellite.simulator.as_bsk_rl
+
+    def decide(self, action: Tensor, mask: Tensor) -> Decision:
+        """See :meth:`ContinuousAction.decide`."""
+        action = action.float() if self.is_single else action
+        dv_N = shortened(self.change_of_velocity(action[:, :3]), self.max_dv)
+        drift = action[:, 3].clamp(self.min_drift_duration, self.max_drift_duration)
+        duration = self._until_event(drift) if self.is_single else drift
+        return self.enter(self.fsw_action, duration, dv_N)
+
+    def _until_event(self, drift: Tensor) -> Tensor:
+        """Return the seconds [N] to the event of a drift [N] in float32, whose time is a whole number of ns in float32, too."""
+        simulator = self.satellite.simulator
+        now_ns = simulator.state.sim_time_ns
+        end_ns = (simulator.sim_time.float() + drift) * 1e9 + 0.5
+        return ((end_ns.double().floor() - now_ns.double()) * 1e-9).clamp(min=simulator.h)
+
+    def begin(self, mask: Tensor, decision: Decision) -> None:
+        """See :meth:`ContinuousAction.begin`: thrust."""
+        simulator, dv_N = self.satellite.simulator, decision.command
+        assert dv_N is not None
+        if not self.is_single:
+            simulator.thrust(mask, dv_N)
+            return
+        available = simulator.read("dv_available").float()
+        dv_N = shortened(dv_N, available)
+        simulator.thrust(mask, dv_N.double())
+        left = (available - length(dv_N)).clamp(min=0.0)
+        simulator.write("dv_available", mask, left.double())
+
+
+class ImpulsiveThrustHill(ImpulsiveThrust):
+    """As :class:`ImpulsiveThrust`, with the change of velocity in the Hill frame of a chief: radial, along the track, normal.
+
+    The chief is a satellite of the episode, the acting one itself included; its frame is that before any manoeuvre of the same
+    time.
+    """
+
+    def __init__(
+        self,
+        chief_name: str,
+        name: str = "thrust_act",
+        max_dv: float = math.inf,
+        max_drift_duration: float = math.inf,
+        fsw_action: str | None = None,
+    ) -> None:
+        """See :class:`ImpulsiveThrust`; ``chief_name`` is the name of the chief."""
+        super().__init__(name, max_dv, max_drift_duration, fsw_action)
+        self.chief_name = text("chief_name", chief_name)
+
+    def link_satellite(self, satellite: Satellite) -> None:
+        """See :meth:`ImpulsiveThrust.link_satellite`; ValueError for an unknown chief."""
+        super().link_satellite(satellite)
+        try:
+            self._place = satellite.group.fleet.place_of(self.chief_name)
+        except KeyError as error:
+            raise ValueError(f"action {self.name!r}: chief_name={error.args[0]}") from None
+
+    @property
+    def is_single(self) -> bool:
+        """See :attr:`ImpulsiveThrust.is_single`: never, since the frame is in float64."""
+        return False
+
+    def change_of_velocity(self, dv: Tensor) -> Tensor:
+        """See :meth:`ImpulsiveThrust.change_of_velocity`: ``dv_N = [NH] dv_H``."""
+        k, member = self._place
+        chief = self.satellite.group.fleet.simulators[k].state
+        r_CN_N, v_CN_N = (
+            self.satellite.simulator.of_env(chief.read(name).view(chief.num_envs, chief.count, 3)[:, member])
+            for name in ("r_BN_N", "v_BN_N")
+        )
+        HN = hill_frame(Vec3.of(r_CN_N), Vec3.of(v_CN_N))
+        return (HN.mT @ Vec3.of(dv)).stack()
+
+
+if not TYPE_CHECKING:
+    __getattr__ = deprecated_names(__name__)

@@ -1,0 +1,425 @@
+"""Actions of real numbers: their hooks, specs, what is refused, and what NO_ACTION and values outside the bounds mean."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from tensordict import TensorDict
+from torchrl.data import Bounded, Composite, Unbounded
+from torchrl.envs.utils import check_env_specs
+
+from bsk_torch import NO_ACTION, ConstellationTasking, SatelliteTasking, act, data, obs, sats, scene
+from bsk_torch.env.action_forms import OpenBox, box
+from bsk_torch.sim import dyn, fsw
+from tests.act.thrust_image import ThrustImageBox, ThrustImageHybrid
+
+START = dict(oe=None, rN=[6.9e6, 0.0, 0.0], vN=[0.0, 6080.0, 4560.0])
+
+
+class Point(act.ContinuousAction):
+    """Point along the Hill frame for as long as the only number says."""
+
+    def __init__(self, name="point"):
+        super().__init__(name)
+        self.calls = []
+
+    def bounds(self):
+        return [2.0], [50.0]
+
+    def names(self):
+        return ["seconds"]
+
+    def decide(self, action, mask):
+        return self.enter("nadir_point", action[:, 0].clamp(2.0, 50.0), action)
+
+    def begin(self, mask, decision):
+        self.calls.append(("begin", mask.tolist(), decision.command[:, 0].tolist()))
+
+    def end(self, mask, decision, event):
+        self.calls.append(("end", mask.tolist(), decision.command[:, 0].tolist()))
+
+
+class Choose(act.HybridAction):
+    """Drift or point along the Hill frame for some seconds."""
+
+    def bounds(self):
+        return torch.tensor([1.0]), torch.tensor([50.0])
+
+    def names(self):
+        return ["seconds"]
+
+    def choices(self):
+        return ["drift", "point"]
+
+    def mask(self):
+        legal = torch.ones(len(self.satellite.simulator.ticks), 2, dtype=torch.bool)
+        legal[:, 1] = self.satellite.simulator.ticks < 20
+        return legal
+
+    def decide(self, action, mask):
+        drift, point = (self.enter(command, action[:, 0].clamp(1.0, 50.0)) for command in ("drift", "nadir_point"))
+        return drift._replace(mode=torch.where(action[:, 1] > 0, point.mode, drift.mode))
+
+
+def kind(*entries, models=(dyn.DynamicsModel, fsw.FSWModel), name="Real", base=sats.Satellite):
+    spec = (obs.SatProperties(dict(prop="sigma_BN"), dict(prop="r_BN_N")), obs.Time(norm=1.0))
+    attributes = {"action_spec": entries, "observation_spec": spec, "dyn_type": models[0], "fsw_type": models[1]}
+    return type(name, (base,), attributes)
+
+
+def alone(entry, num_envs=2, base=sats.Satellite, models=(dyn.DynamicsModel, fsw.FSWModel), **options):
+    options = dict(time_limit=100.0, seed=1, backend="eager", dtype=torch.float64) | options
+    return SatelliteTasking(kind(entry, base=base, models=models)("A", START), num_envs=num_envs, **options)
+
+
+def step(env, action, mask=None):
+    td = TensorDict({"action": action}, env.batch_size)
+    return env.step(td if mask is None else td.set("_step", mask))["next"]
+
+
+def seconds(env, *numbers, mask=None, dtype=torch.float64):
+    return step(env, torch.tensor(numbers, dtype=dtype).unsqueeze(-1), mask)["duration"].flatten().tolist()
+
+
+class TestHooks:
+    def test_decide_begin_and_end_run_with_the_action(self):
+        env = alone(Point())
+        env.reset()
+        assert seconds(env, 7.0, 60.0) == [7.0, 50.0]
+        assert env.satellite.actions.entries[0].calls == [
+            ("begin", [True, True], [7.0, 60.0]),
+            ("end", [True, True], [7.0, 60.0]),
+        ]
+        assert env.satellite.action_description == ["seconds"]
+
+    @pytest.mark.parametrize(
+        ("members", "words"),
+        [
+            (dict(set_action=lambda self, action: None), "set_action is never used; define decide"),
+            (dict(space=property(lambda self: None)), "space is never used; define bounds"),
+            (dict(action_description=property(lambda self: [])), "define names"),
+            (dict(n_actions=3), "as many numbers as names"),
+            (dict(reset_post_sim_init=lambda self: None), r"memory\.declare"),
+            (dict(bounds=property(lambda self: None)), "bounds is a property; it must be a method"),
+            (dict(decide=lambda self, action: None), r"cannot be called as decide\(action, mask\)"),
+            (dict(decides=lambda self, action, mask: None), "did you mean 'decide'"),
+        ],
+    )
+    @pytest.mark.parametrize("base", [act.ContinuousAction, act.AttitudeSetpoint, act.HybridAction])
+    def test_definitions_that_would_not_be_used(self, base, members, words):
+        with pytest.raises(TypeError, match=words):
+            type("Mine", (base,), members)
+
+    @pytest.mark.parametrize(
+        ("members", "words"),
+        [
+            (dict(bounds=lambda self: ([0.0, 0.0], [1.0])), r"shapes \[2\] and \[1\]"),
+            (dict(bounds=lambda self: ([1.0], [1.0])), "must be below"),
+            (dict(bounds=lambda self: ([float("nan")], [1.0])), "must be below"),
+            (dict(bounds=lambda self: 3.0), "must return the lowest and the highest"),
+            (dict(bounds=lambda self: (["a"], ["b"])), "must be numbers"),
+            (dict(names=lambda self: ["a", "b"]), "1 names, one for each number of bounds"),
+            (dict(names=lambda self: "s"), "1 names"),
+            (dict(link_satellite=lambda self, satellite: None), r"super\(\)\.link_satellite"),
+        ],
+    )
+    def test_wrong_results_are_refused_when_the_environment_is_built(self, members, words):
+        with pytest.raises((TypeError, ValueError), match=words):
+            alone(type("Mine", (Point,), members)())
+
+    @pytest.mark.parametrize(
+        ("change", "words"),
+        [
+            (lambda d: d._replace(duration=d.duration * 0.0), "must be positive"),
+            (lambda d: d._replace(duration=d.duration * float("nan")), "must be positive"),
+            (lambda d: d._replace(duration=d.duration.float()), "duration is a tensor"),
+            (lambda d: None, "must return an act.Decision"),
+        ],
+    )
+    def test_wrong_decisions(self, change, words):
+        wrong = type("Mine", (Point,), dict(decide=lambda self, action, mask: change(Point.decide(self, action, mask))))
+        env = alone(wrong())
+        env.reset()
+        with pytest.raises((TypeError, ValueError), match=words):
+            seconds(env, 3.0, 4.0)
+
+    def test_a_continuous_entry_is_alone(self):
+        for entries in ((Point(), act.Drift()), (act.Drift(), Point()), (Point(), Point("other"))):
+            with pytest.raises(ValueError, match="must be the only one"):
+                SatelliteTasking(kind(*entries)("A"))
+
+    def test_an_action_is_carried_out_anew(self):
+        """An equal action twice resets what its mode resets: there is no rule for repeated actions."""
+        env = alone(act.AttitudeSetpoint(control_period=5.0), models=(dyn.BasicDynamicsModel, fsw.BasicFSWModel))
+        env.reset()
+        same = torch.tensor([[0.1, 0.2, 0.3]] * 2, dtype=torch.float64)
+        step(env, same)
+        decided = env.fleet.groups[0].decide(same, torch.tensor([True, True]))
+        assert decided.retask.all()
+
+
+class TestSpecs:
+    @pytest.mark.parametrize(
+        ("low", "high", "expected"),
+        [
+            ([-1.0, 0.0], [1.0, 2.0], Bounded),
+            ([-torch.inf] * 2, [torch.inf] * 2, Unbounded),
+            ([-torch.inf, 2.0], [torch.inf] * 2, OpenBox),
+        ],
+    )
+    def test_kinds(self, low, high, expected):
+        spec = box(torch.tensor(low), torch.tensor(high), (4,), torch.float32)
+        values = spec.rand((1000,))
+        assert isinstance(spec, expected)
+        assert values.shape == (1000, 4, 2)
+        assert torch.isfinite(values).all()
+        assert spec.is_in(values)
+
+    def test_an_open_box_stays_one(self):
+        low, high = torch.tensor([-torch.inf, 2.0, 0.0, -torch.inf]), torch.tensor([torch.inf, torch.inf, 1.0, 5.0])
+        spec = box(low, high, (4,), torch.float32)
+        others = [
+            spec[0],
+            spec[:2],
+            spec.clone(),
+            spec.expand(3, 4, 4),
+            spec.to(torch.float64),
+            spec.unsqueeze(0),
+            spec.to("cpu"),
+        ]
+        for other in others:
+            assert type(other) is OpenBox
+            assert torch.isfinite(other.rand()).all()
+        assert spec.to(torch.float64).rand().dtype == torch.float64
+        draws = spec.rand((20000,)).reshape(-1, 4)
+        assert draws.mean(0).tolist() == pytest.approx(
+            [0.0, 3.0, 0.5, 4.0], abs=0.02
+        )  # as Gymnasium's Box: mean 1 beyond a bound
+        assert draws.std(0).tolist() == pytest.approx([1.0, 1.0, 12**-0.5, 1.0], abs=0.02)
+
+    def test_environments_of_every_kind(self):
+        mover = dict(models=(dyn.DynamicsModel, fsw.MagicOrbitalManeuverFSWModel), orbit="integrated")
+        for env in (
+            alone(Point()),
+            alone(Choose("choose")),
+            alone(act.AttitudeSetpoint(control_period=5.0)),
+            alone(act.ImpulsiveThrust(), **mover),
+            alone(act.ImpulsiveThrust(max_dv=1.0, max_drift_duration=20.0), dtype=torch.float32, **mover),
+        ):
+            check_env_specs(env, seed=0)
+            td = env.rollout(3)
+            assert ("action_mask" in set(td.keys())) == env.satellite.actions.is_hybrid
+
+    def test_bounds_follow_the_environment(self):
+        env = alone(
+            act.ImpulsiveThrust(max_dv=3.0, max_drift_duration=60.0),
+            sim_rate=0.5,
+            models=(dyn.DynamicsModel, fsw.MagicOrbitalManeuverFSWModel),
+        )
+        assert env.action_spec.low[0].tolist() == [-3.0, -3.0, -3.0, 1.0]  # two ticks
+        assert env.action_spec.high[0].tolist() == [3.0, 3.0, 3.0, 60.0]
+        assert env.satellite.action_description == ["dV_N_x", "dV_N_y", "dV_N_z", "duration"]
+
+
+class TestGivenActions:
+    @pytest.mark.parametrize(
+        ("action", "error", "words"),
+        [
+            (torch.tensor([[1], [2]]), TypeError, "dtype torch.int64; it must be a floating-point tensor"),
+            (torch.tensor([[True], [False]]), TypeError, "dtype torch.bool"),
+            (torch.tensor([1.0, 2.0]), ValueError, r"shape \[2\]; it must be \[2, 1\]: seconds"),
+            (torch.tensor([[1.0, 2.0]] * 2), ValueError, r"shape \[2, 2\]; it must be \[2, 1\]: seconds"),
+            (torch.tensor([[1.0], [torch.nan]]), ValueError, "environment 1 has seconds=nan; all its numbers must be finite"),
+            (torch.tensor([[torch.inf], [1.0]]), ValueError, "environment 0 has seconds=inf"),
+        ],
+    )
+    def test_what_is_refused(self, action, error, words):
+        env = alone(Point())
+        env.reset()
+        before = env.get_state()
+        with pytest.raises(error, match=words):
+            step(env, action)
+        after = env.get_state()
+        assert all(torch.equal(before[key], after[key]) for key in before.keys(True, True))
+
+    def test_numbers_of_rows_that_do_not_step_do_not_matter(self):
+        env = alone(Point())
+        env.reset()
+        assert seconds(env, 3.0, torch.nan, mask=torch.tensor([[True], [False]]))[0] == 3.0
+        assert env.fleet.ticks.tolist() == [3, 0]
+
+    @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+    def test_no_action_goes_on_with_the_task(self, dtype):
+        env = alone(Point(), max_step_duration=4.0)
+        env.reset()
+        assert seconds(env, 10.0, 3.0, dtype=dtype) == [4.0, 3.0]
+        assert seconds(env, NO_ACTION, 5.0, dtype=dtype) == [4.0, 4.0]
+        assert seconds(env, NO_ACTION, NO_ACTION, dtype=dtype) == [2.0, 1.0]
+        assert [call[1] for call in env.satellite.actions.entries[0].calls if call[0] == "begin"] == [
+            [True, True],
+            [False, True],
+            [False, False],
+        ]
+
+    def test_a_hybrid_action_in_its_two_parts_or_side_by_side(self):
+        env = alone(Choose("choose"))
+        assert isinstance(env.full_action_spec["action"], Composite)
+        td = env.reset()
+        assert td["action_mask"].tolist() == [[True, True]] * 2
+        choice = torch.tensor([1, 0])
+        parts = {"values": torch.tensor([[21.0], [3.0]]), "choice": choice}
+        td = step(env, TensorDict(parts, [2]))
+        assert td["duration"].flatten().tolist() == [21.0, 3.0]
+        assert td["action_mask"].tolist() == [[True, False], [True, True]]
+        assert [env.simulator.mode_names[k] for k in env.simulator.mode.tolist()] == ["nadir_point", "drift"]
+        env.play(torch.tensor([[5.0, 0.0], [3.0, 1.0]]))
+        assert [env.simulator.mode_names[k] for k in env.simulator.mode.tolist()] == ["drift", "nadir_point"]
+
+    @pytest.mark.parametrize(
+        ("parts", "error", "words"),
+        [
+            ({"values": torch.ones(2, 1)}, TypeError, "'values' and 'choice'"),
+            ({"values": torch.ones(2, 2), "choice": torch.zeros(2).long()}, ValueError, r"action\['values'\] has shape \[2, 2\]"),
+            ({"values": torch.ones(2, 1), "choice": torch.zeros(2)}, TypeError, r"action\['choice'\] is .* integer"),
+            ({"values": torch.ones(2, 1).long(), "choice": torch.zeros(2).long()}, TypeError, "floating-point"),
+            (
+                {"values": torch.ones(2, 1), "choice": torch.tensor([0, 2])},
+                ValueError,
+                "choice 2 of environment 1 is out of range",
+            ),
+            ({"values": torch.ones(2, 1) * torch.nan, "choice": torch.zeros(2).long()}, ValueError, "seconds=nan"),
+        ],
+    )
+    def test_hybrid_actions_that_are_refused(self, parts, error, words):
+        env = alone(Choose("choose"))
+        env.reset()
+        with pytest.raises(error, match=words):
+            step(env, TensorDict(parts, [2]))
+        with pytest.raises(ValueError, match=r"choice 0\.5"):
+            env.play(torch.tensor([[5.0, 0.5], [3.0, 1.0]]))
+
+    def test_records_name_the_numbers(self, caplog):
+        env = alone(Choose("choose"), log_level="DEBUG", num_envs=1)
+        env.reset()
+        with caplog.at_level("DEBUG", logger="bsk_torch"):
+            env.play(torch.tensor([[5.5, 1.0]]))
+        chosen = next(record for record in caplog.records if record.event == "chose")
+        assert chosen.getMessage() == "point, seconds 5.5, until 6.0 s at the latest"
+        assert chosen.action == [5.5, 1.0]
+        assert next(record for record in caplog.records if record.event == "legal").getMessage() == "may drift, point"
+
+
+class TestState:
+    def test_an_action_in_progress_is_saved_and_restored(self):
+        env = alone(Choose("choose"), max_step_duration=4.0)
+        env.reset()
+        env.play(torch.tensor([[13.0, 1.0], [9.0, 0.0]]))
+        saved = env.get_state()
+        go_on = torch.full((2, 2), float(NO_ACTION), dtype=torch.float64)
+        first = [env.play(go_on)["observation"] for _ in range(3)]
+        other = alone(Choose("choose"), max_step_duration=4.0)
+        other.restore(saved)
+        assert other.fleet.groups[0].task.action.tolist() == [[13.0, 1.0], [9.0, 0.0]]
+        again = [other.play(go_on)["observation"] for _ in range(3)]
+        assert all(torch.equal(a, b) for a, b in zip(first, again, strict=True))
+        saved["satellites_0", "task", "action"][0, 0] = torch.nan
+        with pytest.raises(ValueError, match=r"task\.action"):
+            other.restore(saved)
+
+    def test_episodes_do_not_depend_on_the_batch(self):
+        actions = torch.rand(3, 4, 3, dtype=torch.float64) * 2.0 - 1.0
+        models = dyn.BasicDynamicsModel, fsw.BasicFSWModel
+        many = alone(act.AttitudeSetpoint(control_period=5.0), num_envs=4, models=models)
+        single = alone(act.AttitudeSetpoint(control_period=5.0), num_envs=1, env_ids=[2], models=models)
+        assert torch.equal(many.reset()["observation"][2:3], single.reset()["observation"])
+        for action in actions:
+            assert torch.equal(step(many, action)["observation"][2:3], step(single, action[2:3])["observation"])
+
+    def test_partial_steps_touch_only_their_rows(self):
+        env = alone(Point(), num_envs=3)
+        env.reset()
+        seconds(env, 5.0, 6.0, 7.0)
+        before = env.get_state()
+        seconds(env, 9.0, 9.0, 9.0, mask=torch.tensor([[False], [True], [False]]))
+        after = env.get_state()
+        for key in before.keys(True, True):
+            assert torch.equal(before[key][[0, 2]], after[key][[0, 2]]), key
+
+
+class TestConstellations:
+    def make(self, **options):
+        turner = kind(act.AttitudeSetpoint(control_period=6.0), models=(dyn.BasicDynamicsModel, fsw.BasicFSWModel), name="Turner")
+        discrete = kind(act.Drift(duration=7.0), act.NadirPoint(duration=3.0), name="Discrete")
+        satellites = [turner("T1"), discrete("D1"), kind(Choose("choose"), name="Hybrid")("H1"), turner("T2")]
+        options = dict(num_envs=2, time_limit=60.0, seed=1, backend="eager", dtype=torch.float64) | options
+        return ConstellationTasking(satellites, **options)
+
+    def test_types_side_by_side(self):
+        env = self.make()
+        check_env_specs(env, seed=0)
+        assert env.group_map == {"turner": ["T1", "T2"], "discrete": ["D1"], "hybrid": ["H1"]}
+        td = env.reset()
+        assert "action_mask" not in set(td["turner"].keys())
+        assert td["hybrid", "action_mask"].shape == (2, 1, 3)
+        td["turner", "action"] = torch.full((2, 2, 3), 0.1)
+        td["turner", "action"][0, 1] = NO_ACTION
+        td["discrete", "action"] = torch.tensor([[1], [2]])
+        td["hybrid", "action"] = TensorDict(
+            values=torch.tensor([[[5.0]]] * 2), choice=torch.tensor([[2], [0]]), batch_size=[2, 1]
+        )
+        td = env.step(td)["next"]
+        assert td["duration"].flatten().tolist() == [3.0, 5.0]
+        names = {name: env.fleet.groups[k].task.requires_retasking.tolist() for k, name in enumerate(env.group_map)}
+        assert names == {"turner": [False, True, False, False], "discrete": [True, True], "hybrid": [True, True]}
+        assert td["hybrid", "action_mask"].tolist() == [[[True, True, False]]] * 2
+
+    def test_one_agent_of_all_satellites(self):
+        env = self.make(joint=True)
+        check_env_specs(env, seed=0)
+        td = env.reset()
+        assert set(env.full_action_spec["action"].keys()) == {"T1", "D1", "H1", "T2"}
+        assert td["action_mask"].shape == (2, 6)  # two and three numbers, each with one that goes on
+        with pytest.raises(TypeError, match="entry for each satellite"):
+            env.step(td.set("action", torch.zeros(2, 4).long()))
+
+    def test_meta_agents_are_refused(self):
+        with pytest.raises(ValueError, match="'both' commands several satellites, and the actions of T1 are real numbers"):
+            self.make(meta_agent_groupings={"both": ["T1", "D1"]})
+
+    def test_only_satellites_of_numbers_of_real_actions_under_one_agent(self):
+        point = kind(Point())
+        env = ConstellationTasking(
+            [point("A"), point("B")], joint=True, backend="eager", time_limit=30.0, dtype=torch.float64, seed=1
+        )
+        check_env_specs(env, seed=0)
+        td = env.reset()
+        assert "action_mask" not in set(td.keys())
+        act_ = {"A": torch.tensor([[4.0]]), "B": torch.tensor([[float(NO_ACTION)]])}
+        assert float(env.step(td.set("action", TensorDict(act_, [1])))["next", "duration"]) == 4.0
+
+
+class TestHybridsOfImages:
+    """An own class of five numbers, and one of four numbers and a choice, do the same."""
+
+    def make(self, entry):
+        imager = kind(
+            entry,
+            base=sats.ImagingSatellite,
+            models=((dyn.ImagingDynModel, dyn.GroundStationDynModel), (fsw.MagicOrbitalManeuverFSWModel, fsw.ImagingFSWModel)),
+        )
+        sat_args = START | dict(imageAttErrorRequirement=0.1, imageRateErrorRequirement=0.1, dv_available_init=500.0)
+        options = dict(num_envs=2, seed=1, backend="eager", dtype=torch.float64, orbit="integrated", time_limit=500.0)
+        return SatelliteTasking(imager("A", sat_args), scene.UniformTargets(3000), data.UniqueImageReward(), **options)
+
+    def test_both_forms(self):
+        boxed, hybrid = self.make(ThrustImageBox(max_dv=5.0, max_drift_duration=60.0)), self.make(ThrustImageHybrid(max_dv=5.0))
+        assert boxed.action_spec.high[0].tolist() == [5.0, 5.0, 5.0, 60.0, 3.0]
+        assert hybrid.satellite.actions.choices == ["drift", *(f"action_image_{k}" for k in range(4))]
+        boxed.reset(), hybrid.reset()
+        values = torch.tensor([[1.0, 2.0, 3.0, 40.0], [0.0, 0.0, 0.0, 60.0]], dtype=torch.float64)
+        for choice in (torch.tensor([0, 1]), torch.tensor([2, 0]), torch.tensor([1, 4])):
+            one = step(boxed, torch.cat([values, choice.double().unsqueeze(-1) - 1.0], 1))
+            two = step(hybrid, TensorDict(values=values, choice=choice, batch_size=[2]))
+            for key in ("observation", "reward", "duration"):
+                assert torch.equal(one[key], two[key])
+        assert int(boxed.counts()["imaged"].sum()) > 0
