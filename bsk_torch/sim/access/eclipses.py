@@ -94,8 +94,8 @@ class EclipseTable(StateTable):
 
     def sample_to(self, time: Tensor) -> None:
         """Note that bsk_rl would have propagated its trajectory to ``time`` [N] s, but for orbits that have begun anew."""
-        first = torch.maximum(self.sampled, time)
-        self.sampled = torch.where(self.arcs.begun > 0.0, self.sampled, first) if self.arcs.restarts else first
+        later, begun = torch.maximum(self.sampled, time), self.arcs.begun
+        self.sampled = torch.where(begun > 0.0, self.sampled, later) if isinstance(begun, Tensor) else later
 
     def _next(self, table: Tensor, time: Tensor) -> Tensor:
         """Return the first entry, [N] s, after the sample of the grid at or before ``time`` [N] s."""
@@ -106,6 +106,10 @@ class EclipseTable(StateTable):
     def needs(self, time: Tensor) -> Tensor:
         """Return the time, [N] s, which the arcs must reach for a query at ``time`` [N] s."""
         return torch.maximum(time + SEARCH_STEP * (SEARCHES - 1), self.known) + 2 * PLAN_STEP
+
+    def unknown(self, time: Tensor) -> Tensor:
+        """Return whether the next start or the next end after ``time`` [N] s lies beyond what has been searched, [N]."""
+        return torch.isinf(self._next(self.starts, time)) | torch.isinf(self._next(self.ends, time))
 
     def query(self, time: Tensor) -> tuple[Tensor, Tensor]:
         """Return start and end of the next eclipse after ``time`` [N] s, [N] s each.

@@ -1,5 +1,6 @@
 """Dynamics: the parts of a spacecraft and the models that compose them."""
 
+from bsk_torch.sim.dyn.forces import add_force
 from bsk_torch.sim.dyn.inspection import RSODynModel, RSOInspectorDynModel
 from bsk_torch.sim.dyn.models import (
     AtmosphericDragDynModel,
@@ -33,6 +34,7 @@ __all__ = [
     "Now",
     "RSODynModel",
     "RSOInspectorDynModel",
+    "add_force",
     "aliveness_checker",
     "observable",
     "vital",
