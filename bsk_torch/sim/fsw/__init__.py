@@ -9,6 +9,7 @@ from bsk_torch.sim.fsw.models import (
     SteeringImagerFSWModel,
 )
 from bsk_torch.sim.fsw.modes import Command, Mode
+from bsk_torch.sim.fsw.passive import TumblingFSWModel
 from bsk_torch.sim.fsw.tasks import Task, action
 
 __all__ = [
@@ -21,5 +22,6 @@ __all__ = [
     "SteeringFSWModel",
     "SteeringImagerFSWModel",
     "Task",
+    "TumblingFSWModel",
     "action",
 ]
