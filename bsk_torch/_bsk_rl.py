@@ -156,7 +156,6 @@ MODULES: dict[str, tuple[str, str]] = {
 LATER = "is not in bsk_torch yet: "
 RSO = LATER + "inspecting and imaging other satellites"
 THRUST = LATER + "manoeuvres and continuous actions. Discrete actions of one's own are subclasses of act.Action"
-RELATIVE = LATER + "the motion of satellites relative to each other. fn= of obs.SatProperties reads any tensor of the satellite"
 MIXED = LATER + "several scenarios in one environment. Satellites of several types can share one scenario"
 STORES = (
     "is not needed: rewarders keep tensors of all episodes (env.rewarder.imaged, .known, .cum_reward). One's own are subclasses "
@@ -181,7 +180,6 @@ GROUPS: dict[str, str] = {
     "rso_imaged_regions",
     THRUST: "AttitudeSetpoint ContinuousAction ContinuousActionBuilder ImpulsiveThrust ImpulsiveThrustHill "
     "MagicOrbitalManeuverFSWModel",
-    RELATIVE: "ConjunctionDynModel MaxRangeDynModel",
     MIXED: "MixedData MixedDataStore MixedReward MixedScenario",
     STORES: "LogStateType ComposedData ComposedDataStore ResourceData ResourceDataStore",
     BUILDERS: "select_action_builder ActionBuilder DiscreteActionBuilder ObservationBuilder nested_obs_to_space",

@@ -24,8 +24,9 @@ from bsk_torch.scene.base import Scenario
 from bsk_torch.sim.argument_table import ArgumentTable
 from bsk_torch.sim.component import Arg, Component, Field
 from bsk_torch.sim.composition import compose
+from bsk_torch.sim.encounters import find_pairs
 from bsk_torch.sim.fleet import EpisodeDraw, Fleet, share
-from bsk_torch.sim.given import Answers, expand, is_function
+from bsk_torch.sim.given import Answers, Member, expand, is_function
 from bsk_torch.sim.params import Overrides, convert, drawn_once
 from bsk_torch.sim.simulator import Simulator
 from bsk_torch.sim.state import StateTable
@@ -44,6 +45,7 @@ class FleetBuilder:
         satellites: The user's satellites.
         names: Their names.
         types: Positions of the satellites of each type.
+        pairs: Satellites whose distance from each other ends steps.
         world_type: World model of the options; None where it follows from the satellites.
         scenario: The scenario, a copy of the user's.
         options: Options of the environment.
@@ -62,6 +64,9 @@ class FleetBuilder:
         self.names = check_names(satellites)
         self.satellites = [satellite.as_given() for satellite in satellites]
         self.types = grouped(self.satellites)
+        models = [satellite.dyn_type for satellite in self.satellites]
+        chiefs = [constant(satellite.sat_args_generator.get("chief_name")) for satellite in self.satellites]
+        self.pairs = find_pairs(self.names, models, chiefs, options.compat == "bsk_rl")
         self.scenario, self.options, self.randomizer, self.device = scenario, options, randomizer, device
         self.world_type = None if options.world_type is None else compose(options.world_type, WorldModel)
         self._world_names = [set(world_arguments(self.satellites[columns[0]], self.world_type)) for columns in self.types]
@@ -95,7 +100,8 @@ class FleetBuilder:
         each = [simulators[k] for k in range(len(types))]
         members = {c: (k, 0 if trial else i) for k, columns in enumerate(self.types) for i, c in enumerate(columns)}
         places = {name: members[column] for column, name in enumerate(self.names)}
-        return Fleet(each, [self.names[k] for k in chosen], self.scenario.draw_checked, places)
+        pairs, as_bsk_rl = self.pairs.among(chosen), self.options.compat == "bsk_rl"
+        return Fleet(each, [self.names[k] for k in chosen], self.scenario.draw_checked, places, pairs, as_bsk_rl)
 
     def _leaders_first(self) -> Iterator[tuple[int, dict[str, int]]]:
         """Yield the types of satellites, each behind those that it follows, with the type that it follows by slot.
@@ -156,6 +162,7 @@ class FleetBuilder:
             advised=self.advised,
             controlled=_may_control(satellite),
             followed=followed,
+            recorded=("r_BN_N",) if self.pairs.watched.intersection(self.types[k]) else (),
         )
 
     def _share_of(self, columns: Sequence[int]) -> Callable[[Key], Overrides]:
@@ -246,6 +253,11 @@ def _may_control(satellite: Satellite) -> bool:
         if command is None or any("control_on" in modes[mode].on for mode in command.modes):
             return True
     return False
+
+
+def constant(value: Any) -> Any:
+    """Return the value of an argument that is the same in all episodes, which a function may give together with others."""
+    return value.trial if isinstance(value, Member) else value
 
 
 def check_ephemeris(drawn: EpisodeDraw, limit: Tensor) -> None:

@@ -222,12 +222,18 @@ class ConstellationTasking(Tasking):
         """Return the agents [N, A] that have a member whose flag [N, S] is set."""
         return flags[:, group.members].any(-1)
 
-    def _remove(self) -> None:
-        """Remove the agents that have lost a satellite; their tasks end no step any more."""
+    def _remove(self, duration: Tensor) -> None:
+        """Remove the agents that have lost a satellite; their tasks end no step any more.
+
+        bsk_rl lists its agents once at every time, so those that die in a step of no ``duration`` [N] s stay for another one.
+        """
         dead, removed = self.dead, self.state.removed.clone()
+        if self.options.compat == "bsk_rl":
+            dead = dead & (duration > 0.0).unsqueeze(1)
         for group in self.groups:
             gone = self._by_agent(group, dead).unsqueeze(-1).expand(-1, *group.members.shape)
-            removed[:, group.members.flatten()] = gone.flatten(1)
+            members = group.members.flatten()
+            removed[:, members] = removed[:, members] | gone.flatten(1)
         left = removed & ~self.state.removed
         if not bool(left.any()):  # what has been asked of the satellites at this time stays valid
             return
@@ -306,7 +312,9 @@ class ConstellationTasking(Tasking):
             for satellite in self.satellites
         ]
         if result is not None and not self.joint:
-            self._remove()  # only now: look-ahead is not extended for those that have left, but they have a last observation
+            self._remove(
+                result.duration
+            )  # only now: look-ahead is not extended for those that have left, but they have a last observation
         legal = [satellite.action_mask() for satellite in self.satellites]
         for group in self.groups:
             leaves = self._group_outputs(group, seen, legal, hidden)

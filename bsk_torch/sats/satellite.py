@@ -378,7 +378,8 @@ class Satellite:
 
     def aliveness(self) -> dict[str, Tensor]:
         """Return the result [N] of every aliveness check of dynamics and flight software, by name."""
-        return {**self.dynamics.aliveness(), **self.fsw.aliveness()}
+        others = self.group.fleet.encounters.checks_of_deputies(self.group.index)
+        return {**self.dynamics.aliveness(), **self.fsw.aliveness(), **others}
 
     def is_alive(self) -> Tensor:
         """Return whether every aliveness check holds now, [N]."""

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from bsk_torch._deprecated import deprecated_attributes
 from bsk_torch.rand import Key
+from bsk_torch.sim.encounters import NOBODY, EncounterPairs, Encounters
 from bsk_torch.sim.flight import FlightObserver, Following, StopCondition, fly
 from bsk_torch.sim.given import Answers
 from bsk_torch.sim.names import nearest
@@ -115,6 +116,7 @@ class Fleet:
         following: Which types of satellites follow which.
         stop_conditions: Conditions on several satellites that end a step; they need traces of the satellites.
         flight_observers: Functions that read the traces of what has been run.
+        encounters: Conjunctions and ranges of the satellites.
     """
 
     groups: tuple[Group, ...] = ()
@@ -125,6 +127,8 @@ class Fleet:
         names: Sequence[str],
         draw_scenario: Callable[[Key], dict[str, Tensor]] = lambda key: {},
         places: Mapping[str, tuple[int, int]] | None = None,
+        pairs: EncounterPairs = NOBODY,
+        as_bsk_rl: bool = False,
     ) -> None:
         """Put simulations of the same environments together.
 
@@ -133,6 +137,8 @@ class Fleet:
             names: Name of every satellite.
             draw_scenario: Draws for episodes to come; see :meth:`bsk_torch.scene.base.Scenario.draw`.
             places: See the attribute; those of ``names`` unless given.
+            pairs: Satellites whose distance ends steps, by their numbers among ``names``; their hubs record positions.
+            as_bsk_rl: Whether conjunctions are booked with bsk_rl's errors.
         """
         self.simulators, self.names, self.draw_scenario = tuple(simulators), list(names), draw_scenario
         first = self.simulators[0]
@@ -156,6 +162,7 @@ class Fleet:
         self.state.add("scenario", self.scenario_state)
         for k, simulator in enumerate(self.simulators):
             self.state.add(f"satellites_{k}", simulator.state)
+        self.encounters = Encounters(self, pairs, as_bsk_rl)
 
     @property
     def satellites(self) -> tuple[Any, ...]:

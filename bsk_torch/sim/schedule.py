@@ -69,6 +69,8 @@ SCHEDULE: tuple[Slot, ...] = (
         ("storage", "data in the store", "simpleStorageUnit, partitionedStorageUnit"),
         ("image_event", "event that ends a step with its image", "an event of bsk_rl"),
         ("los_comms", "range of sight between satellites", "spacecraftLocation"),
+        ("conjunction", "distance at which satellites collide", "an event of bsk_rl"),
+        ("max_range", "distance at which a satellite loses its chief", "an event of bsk_rl"),
     ),
     *_group(
         "flight software",

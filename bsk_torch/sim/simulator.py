@@ -163,6 +163,7 @@ class Simulator:
         advised: set[Any] | None = None,
         controlled: bool = True,
         followed: Mapping[str, Sequence[Field]] | None = None,
+        recorded: Sequence[str] = (),
     ) -> None:
         """Build the tick and check the arguments with trial draws; :meth:`reset` fills the state.
 
@@ -189,6 +190,7 @@ class Simulator:
             advised: What has been logged about arguments, so that simulations that share it do not say it again.
             controlled: Whether actions may switch attitude control on, so that its gains matter.
             followed: Fields that the satellites record which components follow, by their slot; see :mod:`bsk_torch.sim.trace`.
+            recorded: Fields of the hub that runs record beside those of components.
 
         Raises:
             TypeError: For models that do not fit together, or a component that reads what none writes.
@@ -205,7 +207,7 @@ class Simulator:
         self.stops, self._randomize = stops, randomize
         self._advised, self._controlled = set() if advised is None else advised, controlled
         self._fits_tick: dict[str, Arguments] = {}
-        self.followed = dict(followed or {})
+        self.followed, self._recorded = dict(followed or {}), tuple(recorded)
         self._make_components(dyn_type, fsw_type, world_type, sat_args, world_args)
         self._make_tick()
         self._make_lookahead(horizon, segment, replan)
@@ -288,10 +290,11 @@ class Simulator:
         parts = tuple(part for part in self.parts if not (on_arc and part.integrated_only))
         return ordered((*parts, ARC_ORBIT)) if on_arc else parts
 
-    @staticmethod
-    def _scheduled(part: Component, on_arc: bool) -> Component:
-        update = hub.rotate if on_arc else hub.translate_and_rotate
-        return dataclasses.replace(part, update=update) if part.slot == "hub" else part
+    def _scheduled(self, part: Component, on_arc: bool) -> Component:
+        if part.slot != "hub":
+            return part
+        update, recorded = hub.rotate if on_arc else hub.translate_and_rotate, (*part.records, *self._recorded)
+        return dataclasses.replace(part, update=update, records=recorded)
 
     def _make_lookahead(self, horizon: float, segment: float, replan: bool) -> None:
         places = place_kinds(self.world_args, self.scenario_state, self.state.arguments)

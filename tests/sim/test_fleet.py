@@ -1,6 +1,7 @@
 """Satellites of several types side by side: where their rows stand, what is drawn for them, how they fly together."""
 
 from types import SimpleNamespace
+from typing import ClassVar
 
 import pytest
 import torch
@@ -18,7 +19,8 @@ N = 3
 def part(*columns: int, n: int = N) -> SimpleNamespace:
     """A stand-in for the simulation of the satellites ``columns``."""
     tables = {"state": StateTable(n, len(columns)), "scenario_state": StateTable(n)}
-    return SimpleNamespace(num_envs=n, count=len(columns), columns=columns, device=torch.device("cpu"), **tables)
+    alone = {"followed": {}, "records": False, "stops": False}
+    return SimpleNamespace(num_envs=n, count=len(columns), columns=columns, device=torch.device("cpu"), **alone, **tables)
 
 
 def fleet_of(*types: tuple[int, ...], n: int = N) -> Fleet:
@@ -173,6 +175,9 @@ class Clock(StateTable):
 
 class Flyer:
     """Counts ticks, up to its event at tick ``event`` [N] if that ``stops`` it; ``flights`` are the ticks of its runs."""
+
+    followed: ClassVar[dict[str, object]] = {}
+    records = False
 
     def __init__(self, column: int, event: list[int] | None = None, stops: bool = True) -> None:
         self.num_envs, self.count, self.columns, self.device = N, 1, (column,), torch.device("cpu")

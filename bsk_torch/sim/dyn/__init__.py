@@ -13,12 +13,14 @@ from bsk_torch.sim.dyn.models import (
     ImagingDynModel,
     LOSCommDynModel,
 )
+from bsk_torch.sim.dyn.relative_motion import ConjunctionDynModel, MaxRangeDynModel
 from bsk_torch.sim.readout.model import aliveness_checker
 from bsk_torch.sim.readout.observables import Now, observable, vital
 
 __all__ = [
     "AtmosphericDragDynModel",
     "BasicDynamicsModel",
+    "ConjunctionDynModel",
     "ContinuousImagingDynModel",
     "DisturbanceTorqueDynModel",
     "DynamicsModel",
@@ -27,6 +29,7 @@ __all__ = [
     "GroundStationDynModel",
     "ImagingDynModel",
     "LOSCommDynModel",
+    "MaxRangeDynModel",
     "Now",
     "RSODynModel",
     "RSOInspectorDynModel",

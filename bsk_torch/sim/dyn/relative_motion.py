@@ -1,0 +1,115 @@
+"""Dynamics models of satellites that must not collide, or must not lose one another; :mod:`bsk_torch.sim.encounters` looks."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, ClassVar
+
+import torch
+from torch import Tensor
+
+from bsk_torch.sim.component import Arg, Component, Values
+from bsk_torch.sim.dyn.models import DynamicsModel
+from bsk_torch.sim.readout.model import aliveness_checker
+
+SHORTEST = 1e-9
+"""Smallest radius, m, and time between two looks, s."""
+
+
+def _check_looks(args: Values) -> None:
+    """Check that nobody asks for looks between ticks and for fewer looks than ticks."""
+    rate, exact = torch.broadcast_tensors(args["conjunction_check_rate"], args["conjunction_exact"])
+    both = (exact > 0.0) & (rate > SHORTEST)
+    if bool(both.any()):
+        raise ValueError(
+            f"conjunction_check_rate={rate[both][0].item():g} s and conjunction_exact=True: between ticks the distance is looked "
+            "at in all of them; leave conjunction_check_rate out"
+        )
+
+
+def _check_chief(args: Mapping[str, Any]) -> None:
+    chief = args["chief_name"]
+    if not (chief is None or isinstance(chief, str)):
+        raise ValueError(f"chief_name={chief!r} must be the name of a satellite, or None")
+
+
+CONJUNCTION = Component(
+    slot="conjunction",
+    args=(
+        Arg("conjunction_radius", 10.0, "m", "radius; satellites collide within the sum of theirs", low=SHORTEST, high=1e9),
+        Arg(
+            "conjunction_check_rate",
+            None,
+            "s",
+            "time between two looks at the distance to earlier satellites; None for every tick",
+            low=SHORTEST,
+            high=1e9,
+            missing=SHORTEST,
+        ),
+        Arg(
+            "conjunction_exact",
+            False,
+            "-",
+            "whether the distance to earlier satellites is looked at between ticks, too",
+            "choice",
+            choices=(False, True),
+        ),
+    ),
+    check=_check_looks,
+)
+
+MAX_RANGE = Component(
+    slot="max_range",
+    args=(
+        Arg("max_range_radius", 5000.0, "m", "distance from the chief at which the satellite is lost", low=SHORTEST, high=1e9),
+        Arg("chief_name", None, "-", "name of the chief; None for no limit", "constant"),
+        Arg("enforce_range_on_chief", False, "-", "whether the chief is lost, too", "choice", choices=(False, True)),
+    ),
+    check=_check_chief,
+)
+
+
+class ConjunctionDynModel(DynamicsModel):
+    """Satellites of this model collide with one another where their distance is at most the sum of their radii.
+
+    Distances are those at the start of a step and after its ticks; with ``conjunction_check_rate`` only after as many ticks as
+    take that time, with ``conjunction_exact`` also between ticks, where the relative motion is taken for uniform. Of two
+    satellites, the later one of the list says how they are looked at. A collision ends the step of all satellites in that tick,
+    and both die. Each pair collides once in an episode.
+
+    An episode that begins in collision has a first step of zero length, which ends with the deaths.
+    """
+
+    components: ClassVar[tuple[Component, ...]] = (CONJUNCTION,)
+
+    @property
+    def conjunctions(self) -> Tensor:
+        """With which satellites of its episode each one has collided, [N, S] bool, in the order of the environment's list."""
+        group = self.satellite.group
+        return group.fleet.encounters.conjunctions(group.index)
+
+    @aliveness_checker
+    def conjunction_valid(self) -> Tensor:
+        """Whether the satellite has not collided, [N]."""
+        return ~self.conjunctions.any(-1)
+
+
+class MaxRangeDynModel(DynamicsModel):
+    """A satellite that is lost where its distance from its chief is ``max_range_radius`` or more.
+
+    Distances are those at the start of a step and after each of its ticks. A satellite that is lost ends the step of all
+    satellites in that tick, and dies, with ``enforce_range_on_chief`` together with the chief. It is lost once in an episode.
+    """
+
+    components: ClassVar[tuple[Component, ...]] = (MAX_RANGE,)
+
+    @property
+    def out_of_ranges(self) -> Tensor:
+        """From which satellite of its episode, its chief, each one was too far away, [N, S] bool."""
+        group = self.satellite.group
+        return group.fleet.encounters.out_of_ranges(group.index)
+
+    @aliveness_checker
+    def range_valid(self) -> Tensor:
+        """Whether the satellite has kept its range, [N]."""
+        return ~self.out_of_ranges.any(-1)
