@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Mapping
 from typing import Any, TypeVar
 
 import gymnasium
@@ -12,8 +12,12 @@ from gymnasium.error import ResetNeeded
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
+from bsk_torch.env import NO_ACTION, SatelliteTasking
+from bsk_torch.env.action_forms import form, read
 from bsk_torch.env.base import ResetNeededError, Tasking
+from bsk_torch.env.no_action import is_no_action
 from bsk_torch.presets import make
+from bsk_torch.sats.satellite import Satellite
 
 Kind = TypeVar("Kind", bound=Tasking)
 
@@ -75,8 +79,43 @@ def begin(core: Tasking, mask: Tensor, seen: TensorDictBase | None = None, state
     return core.reset(call, set_state=state is not None)
 
 
+def read_values(where: str, given: Any, satellite: Satellite, rows: tuple[int, ...] = ()) -> Tensor:
+    """Return actions of real numbers, [*rows, A], or hybrid ones with the choice behind, [*rows, A + 1].
+
+    Args:
+        where: Name of the argument, for messages.
+        given: Array or tensor, whose type is kept; nested sequences of numbers, which are float64; for hybrid actions also a
+            mapping of ``"values"`` and ``"choice"``. None, or ``NO_ACTION`` in all numbers, goes on with the task, without
+            ``rows``.
+        satellite: The satellite.
+        rows: Leading dimensions.
+
+    Raises:
+        TypeError: For another type.
+        ValueError: For another shape.
+    """
+    if not rows and is_no_action(given):
+        builder = form(satellite)
+        return torch.full((0 if builder is None else builder.width,), float(NO_ACTION), dtype=torch.float64)
+    if isinstance(given, Mapping):
+        return read(where, {name: _tensor(where, part) for name, part in given.items()}, satellite, rows)
+    return read(where, _tensor(where, given, torch.float64), satellite, rows)
+
+
+def _tensor(where: str, given: Any, dtype: torch.dtype | None = None) -> Tensor:
+    """Return an array or tensor as a tensor of its type, and numbers in sequences in ``dtype``; TypeError for anything else."""
+    try:
+        if isinstance(given, np.ndarray | np.generic | Tensor):
+            return torch.as_tensor(given)
+        return torch.as_tensor(np.asarray(given, dtype=float if dtype is not None else None))
+    except (TypeError, ValueError) as error:
+        raise TypeError(f"{where} is {given!r}; it must be made of numbers: {error}") from error
+
+
 def read_actions(core: Tasking, action: Any) -> Tensor:
-    """Return actions [N] on the core's device; ValueError for another shape. The core checks their dtype and range."""
+    """Return actions [N, ...] on the core's device; ValueError for another shape. The core checks their dtype and range."""
+    if isinstance(core, SatelliteTasking) and form(core.satellite) is not None:
+        return read_values("action", action, core.satellite, tuple(core.batch_size)).to(core.device)
     tensor = torch.as_tensor(action, device=core.device)
     if tensor.shape != core.batch_size:
         raise ValueError(f"action has shape {list(tensor.shape)}; it must be {list(core.batch_size)}, one per environment")

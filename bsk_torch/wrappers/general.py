@@ -11,13 +11,13 @@ import torch
 from gymnasium import spaces
 from gymnasium.error import ResetNeeded
 from tensordict import TensorDictBase
-from torch import Tensor
 
 from bsk_torch.env import ConstellationTasking
+from bsk_torch.env.action_forms import form
 from bsk_torch.wrappers.core import RENDERING, as_numpy, begin, build, check_options, parse_render_mode, snapshots
 from bsk_torch.wrappers.episode import EpisodeView
-from bsk_torch.wrappers.spaces import unbounded
-from bsk_torch.wrappers.tasks import legal_tasks, read_task, satellite_infos
+from bsk_torch.wrappers.spaces import action_space, unbounded
+from bsk_torch.wrappers.tasks import legal_tasks, read_one, read_task, satellite_infos
 
 Core = ConstellationTasking | str | Callable[..., ConstellationTasking]
 """An environment with ``joint=True``, the name of a preset, or a function that returns an environment."""
@@ -60,7 +60,7 @@ class GymJointEnv(EpisodeView, gymnasium.Env[tuple[Any, ...], Sequence[Any]]):
         self._rows = [(t, int(within)) for t, within in zip(group.types, group.within, strict=True)]
         self._widths = [len(part.observation_description) for part in self._parts]
         self.observation_space = spaces.Tuple([unbounded((width,), self.core.dtype) for width in self._widths])
-        self.action_space = spaces.Tuple([spaces.Discrete(part.actions.n_actions) for part in self._parts])
+        self.action_space = spaces.Tuple([action_space(part) for part in self._parts])
         self._every = torch.ones(1, dtype=torch.bool, device=self.core.device)
         self._running = False
 
@@ -101,19 +101,22 @@ class GymJointEnv(EpisodeView, gymnasium.Env[tuple[Any, ...], Sequence[Any]]):
         pictures = snapshots(self.core, self.render_mode)
         return pictures[0] if pictures else None
 
-    def _decoded(self, action: Sequence[Any]) -> Tensor:
-        """Return the actions [1, S]."""
+    def _decoded(self, action: Sequence[Any]) -> Any:
+        """Return the actions [1, S], or by the names of the satellites where some are real numbers."""
         if len(action) != len(self._parts):
             raise ValueError(f"action has {len(action)} entries; it must have {len(self._parts)}, one per satellite")
-        pairs = zip(self.core.names, action, self._parts, strict=True)
-        values = [read_task(f"action of {name!r}", value, part) for name, value, part in pairs]
-        return torch.tensor([values], dtype=torch.int64, device=self.core.device)
+        triples = list(zip(self.core.names, action, self._parts, strict=True))
+        device = self.core.device
+        if all(form(part) is None for part in self._parts):
+            values = [read_task(f"action of {name!r}", value, part) for name, value, part in triples]
+            return torch.tensor([values], dtype=torch.int64, device=device)
+        return {name: read_one(f"action of {name!r}", value, part).unsqueeze(0).to(device) for name, value, part in triples}
 
     def _observation(self, seen: TensorDictBase) -> tuple[Any, ...]:
         return tuple(as_numpy(part) for part in seen["observation"][0].split(self._widths))
 
     def _info(self, seen: TensorDictBase) -> dict[str, Any]:
         legal, infos = legal_tasks(self.core), satellite_infos(self.core, seen)
-        masks = tuple(legal[t][row].copy() for t, row in self._rows)
+        masks = tuple(None if (mask := legal[t]) is None else mask[row].copy() for t, row in self._rows)
         self.latest_step_duration = float(seen["duration"])
         return dict(zip(self.core.names, infos, strict=True)) | {"d_ts": self.latest_step_duration, "action_mask": masks}

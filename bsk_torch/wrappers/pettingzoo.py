@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import logging
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, ClassVar, NamedTuple
@@ -16,7 +17,9 @@ from torch import Tensor
 
 from bsk_torch.data import checked
 from bsk_torch.env import ConstellationTasking
+from bsk_torch.env.action_forms import form, mask_size
 from bsk_torch.env.agents import Group
+from bsk_torch.env.no_action import is_no_action
 from bsk_torch.sats.satellite import Satellite
 from bsk_torch.sim.params import nearest
 from bsk_torch.wrappers.core import (
@@ -29,8 +32,8 @@ from bsk_torch.wrappers.core import (
     snapshots,
 )
 from bsk_torch.wrappers.episode import EpisodeView
-from bsk_torch.wrappers.spaces import observation_space, unbounded
-from bsk_torch.wrappers.tasks import legal_tasks, read_task, satellite_infos
+from bsk_torch.wrappers.spaces import action_space, observation_space, unbounded
+from bsk_torch.wrappers.tasks import legal_tasks, read_one, read_task, satellite_infos
 
 __all__ = ["PettingZooEnv", "parallel_env"]
 
@@ -59,9 +62,10 @@ class PettingZooEnv(EpisodeView, ParallelEnv[str, Any, Any]):
     """One episode at a time, as ``pettingzoo.ParallelEnv``, with the agents and spaces of bsk_rl's ``ConstellationTasking``.
 
     An agent that is missing in the actions, or whose action is ``None`` or ``NO_ACTION``, continues its task; an agent that
-    commands several satellites acts with one such entry for each, or with one for all. The step that terminates or truncates an
-    agent removes it from ``agents``; later actions for it are ignored, with a warning. Under ``compat="bsk_rl"``, agents that the
-    rewarder terminates stay, as there.
+    commands several satellites acts with one such entry for each, or with one for all. Actions of real numbers are a Box, hybrid
+    ones a Dict of ``values`` and ``choice``; for these, ``NO_ACTION`` in all numbers continues, and a Box has no ``action_mask``.
+    The step that terminates or truncates an agent removes it from ``agents``; later actions for it are ignored, with a warning.
+    Under ``compat="bsk_rl"``, agents that the rewarder terminates stay, as there.
 
     The info of an agent has ``requires_retasking``, ``d_ts`` (duration of the step, s), ``action_mask`` (int8, 1 for actions that
     are legal as new tasks) and the counters of its satellite. An agent that commands several satellites has a tuple of masks, and
@@ -127,8 +131,9 @@ class PettingZooEnv(EpisodeView, ParallelEnv[str, Any, Any]):
         self.state_space = unbounded((width,), self.core.dtype)
 
     def _make_action_space(self, seat: Seat) -> spaces.Space[Any]:
-        sizes = [self._size(part) for part in seat.parts]
-        return spaces.MultiDiscrete(sizes) if seat.group.is_meta else spaces.Discrete(sizes[0])
+        if not seat.group.is_meta:
+            return action_space(seat.parts[0], self._continues)
+        return spaces.MultiDiscrete([self._size(part) for part in seat.parts])
 
     def _size(self, part: Satellite) -> int:
         return part.actions.n_actions + self._continues
@@ -215,7 +220,7 @@ class PettingZooEnv(EpisodeView, ParallelEnv[str, Any, Any]):
     # -- actions ------------------------------------------------------------------------------------------------------
 
     def _decoded(self, actions: Mapping[str, Any]) -> list[Tensor]:
-        """Return the actions of each group, [1, A] or [1, A, M]."""
+        """Return the actions of each group, [1, A] or [1, A, M], or [1, A, width] of real numbers."""
         for agent in actions:
             self._known(agent, "actions: agent")
         live = set(self.agents)
@@ -224,6 +229,12 @@ class PettingZooEnv(EpisodeView, ParallelEnv[str, Any, Any]):
             logger.warning("actions of %s are ignored: they have left the episode", late)
         tables = []
         for group in self.core.groups:
+            part = self.core.satellites[group.types[0]]
+            if form(part) is not None:
+                given = [(agent, actions.get(agent) if agent in live else None) for agent in group.agents]
+                values = [read_one(f"actions[{agent!r}]", action, part, self._continues) for agent, action in given]
+                tables.append(torch.stack(promoted(values)).unsqueeze(0).to(self.core.device))
+                continue
             rows = [self._row(agent, actions.get(agent) if agent in live else None) for agent in group.agents]
             table = torch.tensor([rows], dtype=torch.int64, device=self.core.device)
             tables.append(table if group.is_meta else table.squeeze(-1))
@@ -258,20 +269,23 @@ class PettingZooEnv(EpisodeView, ParallelEnv[str, Any, Any]):
         infos = {agent: self._info(agent, each, self._masks(seen, agent, legal)) | step for agent in agents}
         return infos | ({COMMON: step} if self._common else {})
 
-    def _info(self, agent: str, each: Sequence[dict[str, Any]], masks: tuple[np.ndarray, ...]) -> dict[str, Any]:
+    def _info(self, agent: str, each: Sequence[dict[str, Any]], masks: tuple[np.ndarray | None, ...]) -> dict[str, Any]:
         group, _, members, _ = self._seats[agent]
         if not group.is_meta:
-            return each[members[0]] | {"action_mask": masks[0]}
+            return each[members[0]] | ({} if masks[0] is None else {"action_mask": masks[0]})
         own = {"requires_retasking": any(each[k]["requires_retasking"] for k in members), "action_mask": masks}
         return own | {self.core.names[k]: each[k] for k in members}
 
-    def _masks(self, seen: TensorDictBase, agent: str, legal: Sequence[np.ndarray]) -> tuple[np.ndarray, ...]:
-        """Return the legal actions of each satellite of an agent."""
+    def _masks(self, seen: TensorDictBase, agent: str, legal: Sequence[np.ndarray | None]) -> tuple[np.ndarray | None, ...]:
+        """Return the legal actions of each satellite of an agent; None of real numbers."""
         group, number, _, parts = self._seats[agent]
+        if not mask_size(parts[0]):
+            return (None,)
         if self._continues:
             flags = self._of(seen, agent, "action_mask").split([self._size(part) for part in parts])
             return tuple(as_numpy(flag).astype(np.int8) for flag in flags)
-        return tuple(legal[t][int(within[number])].copy() for t, within in zip(group.types, group.within, strict=True))
+        pairs = zip(group.types, group.within, strict=True)
+        return tuple(None if (mask := legal[t]) is None else mask[int(within[number])].copy() for t, within in pairs)
 
     def state(self) -> np.ndarray:
         """Return the observations of all agents side by side, in the order of ``possible_agents``; zeros for removed agents."""
@@ -279,6 +293,13 @@ class PettingZooEnv(EpisodeView, ParallelEnv[str, Any, Any]):
             raise ResetNeeded("state() needs an episode; call reset() first")
         observed = [(self.observation_spaces[a], self._observation(self._seen, a)) for a in self.possible_agents]
         return np.concatenate([spaces.flatten(space, value) for space, value in observed])
+
+
+def promoted(values: Sequence[Tensor]) -> list[Tensor]:
+    """Return tensors in the narrowest type that holds all of them; ``NO_ACTION`` takes that of the others."""
+    given = [value.dtype for value in values if not is_no_action(value)]
+    dtype = functools.reduce(torch.promote_types, given) if given else torch.float64
+    return [value.to(dtype) for value in values]
 
 
 def parallel_env(core: Core, **options: Any) -> PettingZooEnv:

@@ -8,7 +8,8 @@ import numpy as np
 import torch
 from gymnasium import spaces
 
-from bsk_torch.env import SatelliteTasking
+from bsk_torch.env.action_forms import CHOICE, VALUES, form
+from bsk_torch.sats.satellite import Satellite
 
 
 def observation_space(spec: Any, batch_dims: int = 1) -> spaces.Space[Any]:
@@ -28,6 +29,14 @@ def unbounded(shape: tuple[int, ...], dtype: torch.dtype) -> spaces.Box:
     return spaces.Box(-np.inf, np.inf, shape, torch.empty((), dtype=dtype).numpy().dtype.type)
 
 
-def action_space(core: SatelliteTasking) -> spaces.Discrete:
-    """Return the space of one environment's action."""
-    return spaces.Discrete(core.satellite.actions.n_actions)
+def action_space(satellite: Satellite, extra: int = 0) -> spaces.Space[Any]:
+    """Return the space of a satellite's action, with ``extra`` choices at the end that go on with its task.
+
+    That is Discrete; a Box of float32 where actions are real numbers; or a Dict of the two as ``"values"`` and ``"choice"``.
+    """
+    builder = form(satellite)
+    if builder is None:
+        return spaces.Discrete(satellite.actions.n_actions + extra)
+    low, high = (side.cpu().numpy().astype(np.float32) for side in (builder.low, builder.high))
+    box = spaces.Box(low, high, dtype=np.float32)
+    return spaces.Dict({VALUES: box, CHOICE: spaces.Discrete(builder.n_actions + extra)}) if builder.is_hybrid else box

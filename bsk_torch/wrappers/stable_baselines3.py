@@ -9,6 +9,7 @@ import numpy as np
 from gymnasium import Wrapper, spaces
 from gymnasium.vector import AutoresetMode
 
+from bsk_torch.env.action_forms import form
 from bsk_torch.sim.params import nearest
 from bsk_torch.wrappers.core import check_options
 from bsk_torch.wrappers.gymnasium.single import Core
@@ -91,7 +92,7 @@ class SB3VecEnv(VecEnv):
 
         Raises:
             TypeError: If ``core`` is a constellation, which has several agents.
-            ValueError: For arguments that the environment does not take.
+            ValueError: For arguments that the environment does not take, or hybrid actions.
         """
         fixed: dict[str, Any] = {"autoreset_mode": AutoresetMode.SAME_STEP, "output": "numpy", "render_mode": render_mode}
         fixed["metrics"] = metrics
@@ -99,6 +100,12 @@ class SB3VecEnv(VecEnv):
         self.core = self.vector.core
         self._actions: np.ndarray | None = None
         self._begin_with: dict[str, Any] = {}
+        builder = form(self.core.satellite)
+        if builder is not None and builder.is_hybrid:
+            raise ValueError(
+                f"action {builder.entry.name!r} has real numbers and a choice, and Stable-Baselines3 knows no actions of several "
+                "parts; write an act.ContinuousAction whose last number is the choice"
+            )
         space = flat_space(self.vector.single_observation_space)
         super().__init__(self.vector.num_envs, space, self.vector.single_action_space)
         self.metadata = self.vector.metadata

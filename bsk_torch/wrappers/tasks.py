@@ -5,12 +5,14 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 
 from bsk_torch.env import NO_ACTION, ConstellationTasking
+from bsk_torch.env.action_forms import form, mask_size
 from bsk_torch.sats.satellite import Satellite
-from bsk_torch.wrappers.core import as_numpy, counts
+from bsk_torch.wrappers.core import as_numpy, counts, read_values
 
 
 def read_task(where: str, value: Any, satellite: Satellite, extra: int = 0) -> int:
@@ -41,9 +43,19 @@ def read_task(where: str, value: Any, satellite: Satellite, extra: int = 0) -> i
     return int(value)
 
 
-def legal_tasks(core: ConstellationTasking) -> list[np.ndarray]:
-    """Return which actions are legal as new tasks, [count, n_actions] int8 for each type of satellites."""
-    return [as_numpy(part.action_mask()).astype(np.int8) for part in core.satellites]
+def read_one(where: str, value: Any, satellite: Satellite, extra: int = 0) -> Tensor:
+    """Return a satellite's action: its number, a tensor without dimensions, or its numbers [A] or [A + 1].
+
+    See :func:`read_task` and :func:`~bsk_torch.wrappers.core.read_values`.
+    """
+    if form(satellite) is None:
+        return torch.tensor(read_task(where, value, satellite, extra))
+    return read_values(where, value, satellite)
+
+
+def legal_tasks(core: ConstellationTasking) -> list[np.ndarray | None]:
+    """Return which actions are legal as new tasks, [count, n_actions] int8 for each type of satellites; None of real numbers."""
+    return [as_numpy(part.action_mask()).astype(np.int8) if mask_size(part) else None for part in core.satellites]
 
 
 def satellite_infos(core: ConstellationTasking, seen: TensorDictBase) -> list[dict[str, Any]]:

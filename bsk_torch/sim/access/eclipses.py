@@ -107,6 +107,10 @@ class EclipseTable(StateTable):
         """Return the time, [N] s, which the arcs must reach for a query at ``time`` [N] s."""
         return torch.maximum(time + SEARCH_STEP * (SEARCHES - 1), self.known) + 2 * PLAN_STEP
 
+    def unknown(self, time: Tensor) -> Tensor:
+        """Return whether the next start or the next end after ``time`` [N] s lies beyond what has been searched, [N]."""
+        return torch.isinf(self._next(self.starts, time)) | torch.isinf(self._next(self.ends, time))
+
     def query(self, time: Tensor) -> tuple[Tensor, Tensor]:
         """Return start and end of the next eclipse after ``time`` [N] s, [N] s each.
 

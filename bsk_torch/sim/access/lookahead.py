@@ -139,11 +139,13 @@ class LookAhead(StateTable):
         end, covers = self.arcs.end, "the arcs must reach from before the present to behind it"
         for name, arcs in (("arcs", self.arcs), ("flight", self.flight)):
             self.refuse(f"{path}lookahead.{name}.start", arcs.start, (arcs.start > time) | (arcs.end < time), covers)
-        searched = [("eclipses", name, self.eclipses[name]) for name in ("sampled", "known")]
-        seen = ("ready",) if self.arcs.restarts else ("until", "ready")
-        searched += [("windows", name, self.access[name]) for name in seen] if self.access is not None else []
-        for table, name, value in searched:
-            self.refuse(f"{path}lookahead.{table}.{name}", value, value > end, "it must lie before the end of the arcs")
+        last = torch.maximum(end, time + MARGIN) if self.arcs.restarts else end  # which are not always solved so far
+        searched = [("eclipses", name, self.eclipses[name], last) for name in ("sampled", "known")]
+        if self.access is not None:
+            seen = ("ready",) if self.arcs.restarts else ("until", "ready")
+            searched += [("windows", name, self.access[name], end) for name in seen]
+        for table, name, value, bound in searched:
+            self.refuse(f"{path}lookahead.{table}.{name}", value, value > bound, "it must lie before the end of the arcs")
 
     def over(self, saved: Mapping[str, Any] | TensorDictBase) -> LookAhead:
         """See :meth:`StateTable.over`."""
@@ -245,10 +247,9 @@ class LookAhead(StateTable):
     def _search_to(self, rows: Tensor, time: Tensor, now: Tensor) -> None:
         """Search windows of ``rows`` [n] up to ``time`` [n] s at least; ``now`` [N] s is the present."""
         access: Any = self.access
-        while len(behind := rows[access.ready[rows] < time]):
-            self._search_further(behind, now)
-            time = time[access.ready[rows] < time] if len(behind) < len(rows) else time
-            rows = behind
+        while bool((behind := access.ready[rows] < time).any()):
+            rows, time = rows[behind], time[behind]
+            self._search_further(rows, now)
 
     def _search_further(self, rows: Tensor, now: Tensor) -> None:
         """Search as many segments more of ``rows`` [n] as are searched at once."""
@@ -267,7 +268,13 @@ class LookAhead(StateTable):
 
     def next_eclipse(self, time: Tensor) -> tuple[Tensor, Tensor]:
         """Return the next start and end of an eclipse after ``time`` [N], [N] s since reset; see :meth:`EclipseTable.query`."""
-        self.reach(self.eclipses.needs(time), time)
+        needs = self.eclipses.needs(time)
+        if self.arcs.restarts:  # an hour after the other, until both are found
+            while bool((short := self.eclipses.unknown(time) & (self.arcs.end < needs)).any()):
+                further = torch.minimum(needs, self.arcs.end + ARC_SEGMENT)
+                self.reach(torch.where(short, further, 0.0), time)
+        else:
+            self.reach(needs, time)
         return self.eclipses.query(time)
 
     def next_windows(

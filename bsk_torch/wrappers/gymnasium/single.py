@@ -12,6 +12,7 @@ from gymnasium.error import ResetNeeded
 from tensordict import TensorDictBase
 
 from bsk_torch.env import SatelliteTasking
+from bsk_torch.env.action_forms import form
 from bsk_torch.wrappers.core import (
     RENDERING,
     as_numpy,
@@ -23,6 +24,7 @@ from bsk_torch.wrappers.core import (
     map_leaves,
     parse_render_mode,
     read_actions,
+    read_values,
     snapshots,
 )
 from bsk_torch.wrappers.episode import EpisodeView
@@ -34,6 +36,9 @@ Core = SatelliteTasking | str | Callable[..., SatelliteTasking]
 
 class GymEnv(EpisodeView, gymnasium.Env[Any, Any]):
     """One episode at a time, as ``gymnasium.Env``.
+
+    The action space is Discrete, a Box where actions are real numbers, or for hybrid actions a Dict of both, ``values`` and
+    ``choice``; of real numbers, None or ``NO_ACTION`` in all of them goes on with the task, and there is no ``action_mask``.
 
     ``info`` has ``action_mask`` ([n] int8, 1 for legal actions), ``duration`` (of the step, s; also under bsk_rl's name
     ``d_ts``), ``requires_retasking`` (bool), and the counters of satellite and rewarder, such as ``imaged`` and ``missed`` of
@@ -62,7 +67,7 @@ class GymEnv(EpisodeView, gymnasium.Env[Any, Any]):
         if self.core.batch_size != (1,):
             raise ValueError(f"core has num_envs={self.core.batch_size[0]}; GymEnv needs 1, GymVectorEnv takes more")
         self.observation_space = observation_space(self.core.observation_spec["observation"])
-        self.action_space = action_space(self.core)
+        self.action_space = action_space(self.core.satellite)
         self._running = False
 
     core: SatelliteTasking
@@ -92,12 +97,15 @@ class GymEnv(EpisodeView, gymnasium.Env[Any, Any]):
 
         Raises:
             ResetNeeded: If no episode is running.
-            ValueError: For an action out of range.
-            TypeError: For an action that is no integer.
+            ValueError: For an action out of range, of another shape, or that is not finite.
+            TypeError: For an action of another type than those of the space.
         """
         if not self._running:
             raise ResetNeeded("step() needs a running episode; call reset() first")
-        actions = read_actions(self.core, torch.as_tensor(action).reshape(-1))
+        if form(self.core.satellite) is None:
+            actions = read_actions(self.core, torch.as_tensor(action).reshape(-1))
+        else:
+            actions = read_values("action", action, self.core.satellite).unsqueeze(0).to(self.core.device)
         seen = self.core.play(actions)
         terminated, truncated = bool(seen["terminated"]), bool(seen["truncated"])
         self._running = not (terminated or truncated)
@@ -118,8 +126,9 @@ class GymEnv(EpisodeView, gymnasium.Env[Any, Any]):
 
     def _info(self, seen: TensorDictBase) -> dict[str, Any]:
         duration = self.latest_step_duration = float(seen["duration"])
+        legal = {"action_mask": as_numpy(seen["action_mask"][0]).astype(np.int8)} if "action_mask" in seen.keys() else {}  # noqa: SIM118
         return {
-            "action_mask": as_numpy(seen["action_mask"][0]).astype(np.int8),
+            **legal,
             "duration": duration,
             "d_ts": duration,
             "requires_retasking": bool(self.core.requires_retasking[0]),

@@ -99,7 +99,7 @@ class GymVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
 
     def _make_spaces(self) -> None:
         self.single_observation_space = observation_space(self.core.observation_spec["observation"])
-        self.single_action_space = action_space(self.core)
+        self.single_action_space = action_space(self.core.satellite)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
 
@@ -147,7 +147,7 @@ class GymVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
     # -- step ---------------------------------------------------------------------------------------------------------
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
-        """Carry out ``actions`` [N]; ValueError or TypeError for actions outside the space, before any state changes."""
+        """Carry out ``actions`` [N, ...]; ValueError or TypeError for actions outside the space, before any state changes."""
         self._check_ready()
         same = self.autoreset_mode is AutoresetMode.SAME_STEP
         waiting = self._over
@@ -177,7 +177,7 @@ class GymVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         if not bool(waiting.any()):
             return self.core.step(TensorDict({"action": action}, self.core.batch_size, device=self.core.device))["next"]
         call = self._seen.select(*SEEN, strict=False)  # TorchRL returns these for environments that take no step
-        call["action"], call["_step"] = action.masked_fill(waiting, 0), ~waiting
+        call["action"], call["_step"] = action.masked_fill(waiting.view(-1, *[1] * (action.ndim - 1)), 0), ~waiting
         seen = self.core.step(call)["next"]
         for name in ("reward", "terminated", "truncated"):
             seen[name] = seen[name].masked_fill(waiting.unsqueeze(-1), 0)
@@ -208,8 +208,9 @@ class GymVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         """Return the info of the environments ``rows`` [N] bool, with companions; zero elsewhere."""
         others = ~rows.unsqueeze(-1)
         duration = seen["duration"].masked_fill(others, 0)
+        legal = seen.get("action_mask", None)
         values = {
-            "action_mask": self._export(seen["action_mask"].to(torch.int8).masked_fill(others, 0)),
+            **({} if legal is None else {"action_mask": self._export(legal.to(torch.int8).masked_fill(others, 0))}),
             "duration": self._number(duration),
             "d_ts": self._number(duration),
             "requires_retasking": self._export(self.core.requires_retasking & rows),
