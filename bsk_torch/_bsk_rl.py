@@ -155,6 +155,14 @@ MODULES: dict[str, tuple[str, str]] = {
 
 LATER = "is not in bsk_torch yet: "
 RSO = LATER + "inspecting and imaging other satellites"
+<<<<<<< HEAD
+=======
+<<<<<<< HEAD
+THRUST = LATER + "manoeuvres and continuous actions. Discrete actions of one's own are subclasses of act.Action"
+=======
+RELATIVE = LATER + "the motion of satellites relative to each other. fn= of obs.SatProperties reads any tensor of the satellite"
+>>>>>>> part17-B
+>>>>>>> part17-D
 MIXED = LATER + "several scenarios in one environment. Satellites of several types can share one scenario"
 STORES = (
     "is not needed: rewarders keep tensors of all episodes (env.rewarder.imaged, .known, .cum_reward). One's own are subclasses "
@@ -177,6 +185,15 @@ GROUPS: dict[str, str] = {
     "RSOTarget RSOTargetCatalog RSOTargets RSOTargetDynModel SpaceToSpaceImagingDynModel RSODynModel RSOInspectorDynModel "
     "SpaceToSpaceImagingFSWModel RSOInspectorFSWModel CandidateSnapshot target_geometry candidate_snapshot illumination_factor "
     "rso_imaged_regions",
+<<<<<<< HEAD
+=======
+<<<<<<< HEAD
+    THRUST: "AttitudeSetpoint ContinuousAction ContinuousActionBuilder ImpulsiveThrust ImpulsiveThrustHill "
+    "MagicOrbitalManeuverFSWModel",
+=======
+    RELATIVE: "ConjunctionDynModel MaxRangeDynModel",
+>>>>>>> part17-B
+>>>>>>> part17-D
     MIXED: "MixedData MixedDataStore MixedReward MixedScenario",
     STORES: "LogStateType ComposedData ComposedDataStore ResourceData ResourceDataStore",
     BUILDERS: "select_action_builder ActionBuilder ContinuousActionBuilder DiscreteActionBuilder ObservationBuilder "

@@ -18,6 +18,9 @@ from bsk_torch.astro.transfers import Transfers, transfers
 if TYPE_CHECKING:
     from bsk_torch.sats.satellite import Satellite
 
+RESERVE = 1e-6
+"""What is always left in the tank, m/s."""
+
 SAMPLES = 10
 """Moments of a transfer at which its distance from the chief is checked."""
 
@@ -113,8 +116,8 @@ class HillWaypoint(Action):
 
     @property
     def most_dv(self) -> Tensor:
-        """Largest manoeuvre at present, [N] m/s."""
-        return self.satellite.simulator.read("dv_available").clamp(max=self.max_dv)
+        """Largest manoeuvre at present, [N] m/s; one that takes all that is left would be the satellite's last."""
+        return (self.satellite.simulator.read("dv_available") - RESERVE).clamp(0.0, self.max_dv)
 
     def others(self) -> tuple[Tensor, Tensor]:
         """Return positions [N, O, 3] m and velocities [N, O, 3] m/s of all other satellites in the chief's Hill frame."""

@@ -1,3 +1,4 @@
+<<<<<<< HEAD
 """RSOInspection-v1 and MultiInspection-v1: inspection of another spacecraft by one inspector, or by several.
 
 RSOInspection-v1 is the task ``rso_inspection`` of bsk_rl's benchmark suite: a resident space object (RSO), whose body turns with
@@ -30,28 +31,90 @@ Termination: completion; a collision, within the sum of the radii of 2 m; an ins
 lost, too; an empty tank. Time limit 57 000 s. The tick is 5 s.
 
 Random at reset: orbit of the RSO between 500 and 1100 km, positions of inspectors at 250 to 750 m, velocities up to 1 m/s.
+=======
+"""RSOInspection-v1 and MultiInspection-v1: fly about a spacecraft, by changes of velocity, until its surface has been inspected.
+
+RSOInspection-v1 is the task ``rso_inspection`` of bsk_rl's benchmark suite; MultiInspection-v1, this package's own, is the same for
+three inspectors that must not collide.
+
+A resident space object (RSO), a sphere of 1 m with 100 points, flies with its axes along its Hill frame. Inspectors start 250 to
+750 m away. Each has 10 m/s; each decision changes its velocity and drifts, with the instrument pointed at the RSO. A point is
+inspected where it is in view (within 30 degrees of its normal, and 250 m), and lit (the Sun within 60 degrees of its normal).
+
+Observation of an inspector, 32 numbers:
+
+======================================  ==========================================================================
+``dv_available_normd``                  what the tank is good for, over 10 m/s
+``resource_reward_weight``              price of 1 m/s
+``r_DC_Hc_normd`` (3)                   position relative to the RSO, in its Hill frame, over 500 m
+``v_DC_Hc_normd`` (3)                   velocity as seen in that frame, over 5 m/s
+``rso_imaged_regions`` (6)              inspected points of each of six regions, a fraction of all of it
+``sun_hat_Hc`` (3)                      direction of the Sun in the RSO's Hill frame
+``eccentricity_Hs_normd`` (3),          orbit of the RSO, in the Hill frame of the Earth's motion about the Sun: vector of
+``h_Hs_normd`` (3), ``r_Hs_normd`` (3)  eccentricity over 0.04184, angular momentum over 5e10 m^2/s, position over 7e6 m
+``eclipse`` (2)                         time until the next eclipse begins and ends, over 5700 s
+``time``                                time since reset, over the time limit
+======================================  ==========================================================================
+
+and in MultiInspection-v1, for each of the two other inspectors, 7 more: position (over 500 m) and velocity (over 5 m/s) relative
+to the inspector in the RSO's Hill frame, and whether it is alive.
+
+Action of an inspector: change of velocity in the RSO's Hill frame (radial, along the track, normal), at most 1 m/s together, and
+the time to drift, 10 to 11 400 s. The RSO is an agent with one action, 0: point along the Hill frame; its observation is 1.
+
+Reward of an inspector: inspected points that nobody had inspected before, over 100, less 0.1 for each m/s. When 90 % of the points
+that have been lit are inspected, everybody gets 1, the RSO included; at least 40 points must have been lit before, or an orbit of
+5700 s passed. -1 for who dies.
+
+Termination: the inspection is complete; or all agents have died. Inspectors die 1000 m from the RSO, which then dies, too, with an
+empty tank, and within 4 m of another spacecraft, which dies as well. The time limit of 57 000 s truncates.
+
+Random at reset: orbit of the RSO (500 to 1100 km above a sphere of 6371 km, eccentric), places and velocities (up to 1 m/s) of
+inspectors, epoch, attitudes and wheel speeds of inspectors.
+
+Ticks take 5 s. Gains of the attitude control are stable with them, which those of bsk_rl's benchmark are not; the instrument
+records at any attitude error, in both.
+>>>>>>> part17-D
 """
 
 from __future__ import annotations
 
 import math
+<<<<<<< HEAD
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
+=======
+from collections.abc import Sequence
+from typing import Any, ClassVar
+>>>>>>> part17-D
 
 import torch
 from torch import Tensor
 
+<<<<<<< HEAD
 from bsk_torch import act, comm, data, formations, obs, sats, scene
 from bsk_torch.astro.relative import fibonacci_sphere
 from bsk_torch.env import ConstellationTasking
 from bsk_torch.obs.relative_observations import rso_imaged_regions
 from bsk_torch.rand import Distribution, Key
 from bsk_torch.sim import dyn, fsw
+=======
+from bsk_torch import act, data, formations, obs, rand, sats, scene
+from bsk_torch._checks import whole
+from bsk_torch.astro.orbit import hill_frame, hill_rate
+from bsk_torch.env import ConstellationTasking
+from bsk_torch.sim import dyn, fsw
+from bsk_torch.vec3 import Vec3
+
+CHIEF = "RSO"
+"""Name of the RSO."""
+>>>>>>> part17-D
 
 ORBIT = 5700.0
 """Length of an orbit for norms and time limits, s."""
 
+<<<<<<< HEAD
 REGIONS = 32
 """Regions that are observed, and directions of waypoints."""
 
@@ -96,11 +159,98 @@ class RSO(sats.Satellite):
 
     observation_spec = (obs.Time(),)
     action_spec = (act.NadirPoint(duration=1e9),)
+=======
+FUEL, LONGEST_THRUST = 10.0, 1.0
+"""What a full tank is good for, and the largest change of velocity at once, m/s."""
+
+NEAR, SLOW = 500.0, 5.0
+"""Norms of relative positions, m, and velocities, m/s."""
+
+BODY_RADIUS, LOWEST, HIGHEST = 6371e3, 500e3, 1100e3
+"""Radius of the sphere from which altitudes count, and bounds of the RSO's altitude, m."""
+
+
+def one(satellite: sats.Satellite) -> Tensor:
+    """Return 1 for each satellite, [N]: an observation of nothing."""
+    return torch.ones_like(satellite.simulator.sim_time)
+
+
+class EccentricOrbit(rand.Distribution):
+    """Elements [n, 6] of orbits in random orientation between 500 and 1100 km: uniform semi-major axis, then eccentricity.
+
+    The perigee lies above 500 km and the apogee below 1100 km.
+    """
+
+    def draw(self, key: rand.Key) -> Tensor:
+        """See :meth:`bsk_torch.rand.Distribution.draw`."""
+        oe = rand.random_orbit().draw(key)
+        u = key.named(f"{key.name} shape").uniform(2)
+        a = BODY_RADIUS + LOWEST + (HIGHEST - LOWEST) * u[:, 0]
+        most = torch.minimum(1.0 - (BODY_RADIUS + LOWEST) / a, (BODY_RADIUS + HIGHEST) / a - 1.0)
+        return torch.cat([a.unsqueeze(1), (most * u[:, 1]).unsqueeze(1), oe[:, 2:]], 1)
+
+
+class RelativeState(rand.Distribution):
+    """Position, m, and velocity, m/s, in uniform directions of the RSO's Hill frame, with uniform lengths, [n, 6]."""
+
+    def __init__(self, nearest: float = 250.0, farthest: float = 750.0, fastest: float = 1.0) -> None:
+        """Bounds of the distance, m, and of the speed, m/s."""
+        self.bounds = (nearest, farthest), (0.0, fastest)
+
+    def draw(self, key: rand.Key) -> Tensor:
+        """See :meth:`bsk_torch.rand.Distribution.draw`."""
+        parts = []
+        for what, (low, high) in zip(("position", "velocity"), self.bounds, strict=True):
+            direction = rand.UnitVector().draw(key.named(f"{key.name} {what}"))
+            parts.append(direction * (low + (high - low) * key.named(f"{key.name} {what} length").uniform(1)))
+        return torch.cat(parts, 1)
+
+
+class OtherInspectors(obs.Observation):
+    """Position, velocity and life of the other inspectors, in the order of the list from each one on, [N, (I - 1) * 7].
+
+    Relative to the inspector, in the RSO's Hill frame and as seen there, over 500 m and 5 m/s; 1 for one that lives, else 0.
+    """
+
+    def __init__(self, n_inspectors: int, name: str = "others") -> None:
+        """Observe the others of ``n_inspectors``."""
+        super().__init__(name)
+        self.n_inspectors = n_inspectors
+
+    def get_obs(self) -> Tensor:
+        """See :meth:`bsk_torch.obs.Observation.get_obs`; zeros for inspectors that are not simulated, as in trials."""
+        satellite, count = self.satellite, self.simulator.state.count
+        chief = satellite.others[CHIEF].dynamics
+        r_C, v_C = Vec3.of(chief.r_BN_N), Vec3.of(chief.v_BN_N)
+        HN, rate = hill_frame(r_C, v_C), hill_rate(r_C, v_C)
+        r_N, v_N, dead = satellite.dynamics.r_BN_N, satellite.dynamics.v_BN_N, satellite.group.task.dead
+
+        def behind(table: Tensor, k: int) -> Tensor:
+            """Return the rows of the inspectors k places behind."""
+            return table.view(-1, count, *table.shape[1:]).roll(-k, 1).flatten(0, 1)
+
+        parts = []
+        for k in range(1, count):
+            rho = HN @ Vec3.of(behind(r_N, k) - r_N)
+            turning = Vec3(-rho.y * rate, rho.x * rate, torch.zeros_like(rho.z))
+            velocity = HN @ Vec3.of(behind(v_N, k) - v_N) - turning
+            parts += [rho.stack() / NEAR, velocity.stack() / SLOW, (~behind(dead, k)).double().unsqueeze(1)]
+        missing = r_N.new_zeros(len(r_N), 7 * (self.n_inspectors - count))
+        return torch.cat([*parts, missing], 1)
+
+
+class Chief(sats.Satellite):
+    """The RSO: it points along its Hill frame."""
+
+    observation_spec: ClassVar[Sequence[obs.Observation]] = (obs.SatProperties(dict(prop="one", fn=one)),)
+    action_spec: ClassVar[Sequence[act.Action]] = (act.NadirPoint(duration=1e9),)
+>>>>>>> part17-D
     dyn_type = (dyn.ConjunctionDynModel, dyn.RSODynModel)
     fsw_type = fsw.FSWModel
 
 
 class Inspector(sats.Satellite):
+<<<<<<< HEAD
     """A spacecraft that inspects the RSO; its manoeuvres are those of bsk_rl."""
 
     observation_spec = (
@@ -112,15 +262,40 @@ class Inspector(sats.Satellite):
             dict(prop="imaged_regions", fn=partial(rso_imaged_regions, region_centers=fibonacci_sphere(REGIONS))),
             dict(prop="sun_hat_Hc"),
             chief_name="RSO",
+=======
+    """Flies about the RSO."""
+
+    observation_spec: ClassVar[Sequence[obs.Observation]] = (
+        obs.SatProperties(dict(prop="dv_available", norm=FUEL)),
+        obs.ResourceRewardWeight(),
+        obs.RelativeProperties(
+            dict(prop="r_DC_Hc", norm=NEAR),
+            dict(prop="v_DC_Hc", norm=SLOW),
+            dict(prop="rso_imaged_regions"),
+            dict(prop="sun_hat_Hc"),
+            dict(prop="eccentricity_Hs", norm=0.04184),
+            dict(prop="h_Hs", norm=5e10),
+            dict(prop="r_Hs", norm=7e6),
+            chief_name=CHIEF,
+>>>>>>> part17-D
         ),
         obs.Eclipse(norm=ORBIT),
         obs.Time(),
     )
+<<<<<<< HEAD
     action_spec = (act.ImpulsiveThrustHill("RSO", max_dv=1.0, max_drift_duration=2.0 * ORBIT, fsw_action="action_inspect_rso"),)
+=======
+    action_spec: ClassVar[Sequence[act.ContinuousAction]] = (
+        act.ImpulsiveThrustHill(
+            CHIEF, max_dv=LONGEST_THRUST, max_drift_duration=2 * ORBIT, fsw_action="action_inspect_rso"
+        ),
+    )
+>>>>>>> part17-D
     dyn_type = (dyn.MaxRangeDynModel, dyn.ConjunctionDynModel, dyn.RSOInspectorDynModel)
     fsw_type = (fsw.MagicOrbitalManeuverFSWModel, fsw.RSOInspectorFSWModel)
 
 
+<<<<<<< HEAD
 class WaypointInspector(Inspector):
     """The same, which chooses among transfers."""
 
@@ -136,26 +311,64 @@ def inspector_args() -> dict[str, Any]:
     return dict(
         imageAttErrorRequirement=1.0,
         imageRateErrorRequirement=None,
+=======
+def crew_member(n_inspectors: int) -> type[Inspector]:
+    """Return the class of an inspector that observes the others of ``n_inspectors``."""
+    if n_inspectors == 1:
+        return Inspector
+    spec = (*Inspector.observation_spec, OtherInspectors(n_inspectors))
+    return type("Inspector", (Inspector,), {"observation_spec": spec, "__doc__": Inspector.__doc__})
+
+
+def inspector_args() -> dict[str, Any]:
+    """Return the arguments of inspectors but for their orbits."""
+    return dict(
+        imageAttErrorRequirement=1.0,
+>>>>>>> part17-D
         instrumentBaudRate=1.0,
         dataStorageCapacity=1e6,
         batteryStorageCapacity=1e9,
         storedCharge_Init=1e9,
+<<<<<<< HEAD
         dv_available_init=10.0,
         conjunction_radius=2.0,
         max_range_radius=1000.0,
         chief_name="RSO",
         enforce_range_on_chief=True,
         # the gains of bsk_rl's benchmark, its defaults, are unstable at ticks of 5 s; pointing does not matter in this task
+=======
+        conjunction_radius=2.0,
+        dv_available_init=FUEL,
+        max_range_radius=1000.0,
+        chief_name=CHIEF,
+        enforce_range_on_chief=True,
+>>>>>>> part17-D
         K=0.26,
         P=6.6,
     )
 
 
+<<<<<<< HEAD
 def rso_inspection(*, n_inspectors: int = 1, actions: str = "thrust", **options: Any) -> ConstellationTasking:
+=======
+def names_of(n_inspectors: int) -> list[str]:
+    """Return the names of inspectors."""
+    return [f"Inspector{k}" for k in range(1, n_inspectors + 1)]
+
+
+def rso_inspection(
+    *,
+    n_inspectors: int = 1,
+    fuel_price: Any = 0.1,
+    sat_args: dict[str, Any] | None = None,
+    **options: Any,
+) -> ConstellationTasking:
+>>>>>>> part17-D
     """Return RSOInspection-v1; see the module.
 
     Args:
         n_inspectors: Number of inspectors.
+<<<<<<< HEAD
         actions: ``"thrust"`` or ``"waypoints"``.
         **options: Arguments of the environment to override; ``sat_args`` are merged with the inspectors'.
     """
@@ -185,3 +398,41 @@ def rso_inspection(*, n_inspectors: int = 1, actions: str = "thrust", **options:
 def multi_inspection(*, n_inspectors: int = 3, actions: str = "thrust", **options: Any) -> ConstellationTasking:
     """Return MultiInspection-v1; see the module. Arguments are those of :func:`rso_inspection`."""
     return rso_inspection(n_inspectors=n_inspectors, actions=actions, **options)
+=======
+        fuel_price: Charge for 1 m/s; a number, a distribution from which each episode's is drawn, such as
+            ``rand.Uniform(0.0, 0.5)``, or a function; the observation has it.
+        sat_args: Arguments of the inspectors that replace those of the preset.
+        **options: Arguments of :class:`~bsk_torch.ConstellationTasking` that replace those of the preset.
+    """
+    names = names_of(whole("n_inspectors", n_inspectors, 1))
+    kind = crew_member(n_inspectors)
+    satellites = [
+        Chief(CHIEF, sat_args=dict(conjunction_radius=2.0)),
+        *(kind(name, sat_args=inspector_args() | (sat_args or {})) for name in names),
+    ]
+    defaults: dict[str, Any] = dict(
+        scenario=scene.SphericalRSO(
+            n_points=100, radius=1.0, theta_max=math.radians(30.0), range_max=250.0, theta_solar_max=math.radians(60.0)
+        ),
+        rewarder=(
+            data.RSOInspectionReward(completion_bonus=1.0),
+            data.ResourceReward(reward_weight=fuel_price, resource_fn=lambda satellite: satellite.fsw.dv_available),
+        ),
+        sat_arg_randomizer=formations.relative_to_chief(CHIEF, EccentricOrbit(), {name: RelativeState() for name in names}),
+        sim_rate=5.0,
+        time_limit=10 * ORBIT,
+        failure_penalty=-1.0,
+        orbit="integrated",
+    )
+    return ConstellationTasking(satellites, **(defaults | options))
+
+
+def multi_inspection(*, n_inspectors: int = 3, **options: Any) -> ConstellationTasking:
+    """Return MultiInspection-v1; see the module.
+
+    Args:
+        n_inspectors: Number of inspectors.
+        **options: See :func:`rso_inspection`.
+    """
+    return rso_inspection(n_inspectors=n_inspectors, **options)
+>>>>>>> part17-D

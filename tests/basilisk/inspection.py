@@ -54,7 +54,7 @@ def load(case: str) -> Episodes:
 class RSO(sats.Satellite):
     observation_spec = (obs.Time(),)
     action_spec = (act.NadirPoint(duration=1e9),)
-    dyn_type = dyn.RSODynModel
+    dyn_type = (dyn.ConjunctionDynModel, dyn.RSODynModel)
     fsw_type = fsw.FSWModel
 
 
@@ -71,7 +71,7 @@ class Inspector(sats.Satellite):
     action_spec = (
         act.ImpulsiveThrustHill(chief_name="RSO", max_dv=1.0, max_drift_duration=11400.0, fsw_action="action_inspect_rso"),
     )
-    dyn_type = dyn.RSOInspectorDynModel
+    dyn_type = (dyn.MaxRangeDynModel, dyn.ConjunctionDynModel, dyn.RSOInspectorDynModel)
     fsw_type = (fsw.MagicOrbitalManeuverFSWModel, fsw.RSOInspectorFSWModel)
 
 
@@ -79,18 +79,14 @@ class SteeringInspector(Inspector):
     fsw_type = (fsw.SteeringFSWModel, fsw.MagicOrbitalManeuverFSWModel, fsw.RSOInspectorFSWModel)
 
 
-LATER = ("conjunction_radius", "max_range_radius", "enforce_range_on_chief", "chief_name")
-"""Arguments of conditions that end the step; see :func:`replay`."""
-
-
 def arguments(initial: list[dict[str, Any]], k: int) -> dict[str, Any]:
     """Arguments of satellite k, environment by environment."""
     given = [episode["sats"][k] for episode in initial]
     values: dict[str, Any] = {"oe": None}
-    for name in set(given[0]) - set(LATER):
+    for name in set(given[0]):
         each = [satellite[name] for satellite in given]
-        if all(value is None for value in each):
-            values[name] = None
+        if isinstance(each[0], bool | str | None):
+            values[name] = each[0]
         else:
             values[name] = rand.per_env(torch.tensor(each, dtype=torch.float64))
     return values

@@ -10,14 +10,20 @@ from torch import Tensor
 
 from tests.basilisk.inspection import Episodes, environment, load, padded, replay
 
-R, V = 1e-5, 1.5e-8
-"""Bounds of positions, m, and velocities, m/s: ten times what Basilisk's equations give in NumPy over hours."""
+ORBIT = {"fine": (9e-9, 1.4e-10), "three": (3.6e-5, 3.3e-8), "collide3": (3.6e-5, 3.3e-8)}
+"""Bounds of positions, m, and velocities, m/s, after 1000 s and after 9 h: ten times what the equations give in NumPy."""
 
-SIGMA, FUEL = 1e-12, 1e-14
+HOURS = 1.1e-5, 1.4e-8
+"""The same for one inspector over 6 h."""
+
+SIGMA, FUEL = 6e-13, 1e-14
 """Bounds of the RSO's attitude, which follows from its orbit, and of fuel, m/s."""
 
-POINTING = {"fine": 1e-10, "steer": 3e-10}
+POINTING = {"fine": 8e-11, "steer": 2e-10}
 """Bounds of the inspectors' attitudes with ticks of a second; with 5 s, the gains make attitudes chaotic."""
+
+
+CASES = ["fine", "steer", "one", "fuel", "complete", "dark", "range", "collision", "three", "collide3"]
 
 
 class Worst(NamedTuple):
@@ -35,6 +41,9 @@ class Worst(NamedTuple):
     reward: float
     terms: float
     regions: float
+    agents: int
+    retasking: int
+    terminated: int
 
     @staticmethod
     def of(parts: list[Worst]) -> Worst:
@@ -56,7 +65,11 @@ def differences(env, recorded: Episodes, step) -> Worst:
     def unequal(found: Tensor, key: str) -> int:
         return int((found[:, 1:] != padded(recorded, key, k + 1).bool())[moves].sum())
 
-    inspection = env.rewarder.rewarders[0]
+    def unlike(found: Tensor, key: str, number: int, who: Tensor | bool = True) -> int:
+        wanted = padded(recorded, key, number)
+        return int(((found != (wanted > 0.0)) & (wanted >= 0.0) & who)[moves].sum())
+
+    inspection, staying = env.rewarder.rewarders[0], ~(env.state.removed | outputs["truncated"])
     reward = torch.cat([outputs[group]["reward"][..., 0] for group in env.group_map], 1)
     terms = env.rewarder.terms
     pairs = {"inspection": terms["RSOInspectionReward"], "fuel": terms["ResourceReward"]}
@@ -76,13 +89,16 @@ def differences(env, recorded: Episodes, step) -> Worst:
         largest(reward, padded(recorded, "reward", k)),
         max(largest(found, padded(recorded, key, k)) for key, found in pairs.items()),
         largest(outputs[list(env.group_map)[1]]["observation"], padded(recorded, "obs", k + 1)[..., columns]),
+        unlike(staying, "agents", k + 1),
+        unlike(env.requires_retasking & staying, "retask", k + 1, staying),
+        unlike(env.dead | env.rewarder.is_terminated(), "terminated", k),
     )
 
 
 @pytest.mark.compiled
-@pytest.mark.parametrize("case", ["fine", "steer", "one", "fuel", "complete", "dark"])
+@pytest.mark.parametrize("case", CASES)
 def test_an_episode_is_the_recorded_one(case):
-    """Orbits, fuel, points, rewards, lengths of steps and times of completion; attitudes where they are not chaotic."""
+    """Orbits, fuel, points, rewards, who leaves and when steps end, times of completion; attitudes that are not chaotic."""
     recorded = load(case)
     env = environment(recorded)
     worst = Worst.of([differences(env, recorded, step) for step in replay(env, recorded)])
@@ -91,8 +107,10 @@ def test_an_episode_is_the_recorded_one(case):
     assert worst.storage == 0.0, worst
     assert worst.regions < 1e-15, worst
     assert max(worst.reward, worst.terms) < 1e-14, worst
-    assert worst.r < R, worst
-    assert worst.v < V, worst
+    assert (worst.agents, worst.retasking, worst.terminated) == (0, 0, 0), worst
+    r, v = ORBIT.get(case, HOURS)
+    assert worst.r < r, worst
+    assert worst.v < v, worst
     assert worst.sigma_rso < SIGMA, worst
     assert worst.fuel < FUEL, worst
     assert worst.sigma < POINTING.get(case, 2.0), worst
@@ -101,7 +119,7 @@ def test_an_episode_is_the_recorded_one(case):
 
 
 def test_recordings_show_what_they_are_for():
-    """Points that were inspected, and more of them than lit; completion; the bonus for nothing; deaths by fuel."""
+    """Points that were inspected, completion, the bonus for nothing, deaths by fuel, range and collision."""
     seen = {case: padded(load(case), "inspected", 10**6).sum().item() for case in ("fine", "one", "complete")}
     assert min(seen.values()) >= 3
     assert seen["one"] > 90
@@ -110,3 +128,8 @@ def test_recordings_show_what_they_are_for():
     assert dark.bonus_time.item() == 630.0
     assert padded(dark, "illuminated", 10**6).sum() == 0
     assert (load("fuel").death[:, 1] > 0.0).all()
+    assert all((load(case).death[:, 0] > 0.0).all() for case in ("range", "collision"))
+    crashed = load("collide3")
+    assert (crashed.death[:, 2:] == crashed.death[:, 3:]).all()  # the last inspector, and the one before it
+    assert (crashed.death[:, 0] > crashed.death[:, 3]).all()  # whom the last one has hit goes on
+    assert crashed.bonus_time[1] > crashed.death[1, 0]

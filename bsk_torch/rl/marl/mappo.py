@@ -355,6 +355,10 @@ class MAPPOTraining(Training):
         """See :meth:`Training.rewards`."""
         return torch.stack([batch["next", group, "reward"].sum((-2, -1)) for group in self.learner.groups]).sum(0)
 
+    def survived(self, batch: TensorDictBase) -> Tensor:
+        """See :meth:`Training.survived`: all satellites; a rewarder may end episodes in which none has died."""
+        return torch.stack([batch["next", group, "mask"].all(-1) for group in self.learner.groups]).all(0)
+
     def fill(self, batch: TensorDictBase) -> None:
         """Satellites of a constellation are not followed one by one."""
 

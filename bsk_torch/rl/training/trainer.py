@@ -116,6 +116,10 @@ class Training:
         """The present policy in fresh episodes, the same every time."""
         return evaluate(self.policy, self.judge, seed=self.config.seed + VALIDATION)
 
+    def survived(self, batch: TensorDictBase) -> Tensor:
+        """Return where the satellite is alive at the end of an episode, [N, T]."""
+        return batch["next", "truncated"].squeeze(-1)
+
     def rewards(self, batch: TensorDictBase) -> Tensor:
         """Rewards of a batch, [N, T]."""
         return batch["next", "reward"].squeeze(-1)
@@ -209,8 +213,7 @@ class Training:
     def _learn(self, batch: TensorDictBase) -> dict[str, float]:
         """Learn from a batch [N, T]; a row of the log."""
         begin = time.perf_counter()
-        done, survived = (batch["next", key].squeeze(-1) for key in ("done", "truncated"))
-        self.recent.add(self.rewards(batch), done, survived, self.fill(batch))
+        self.recent.add(self.rewards(batch), batch["next", "done"].squeeze(-1), self.survived(batch), self.fill(batch))
         self.days += float(batch["next", "duration"].double().sum()) / DAY
         self.learner.anneal(self.progress.fraction)
         report = self.learner.learn(batch)
