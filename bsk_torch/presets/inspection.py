@@ -1,37 +1,3 @@
-<<<<<<< HEAD
-"""RSOInspection-v1 and MultiInspection-v1: inspection of another spacecraft by one inspector, or by several.
-
-RSOInspection-v1 is the task ``rso_inspection`` of bsk_rl's benchmark suite: a resident space object (RSO), whose body turns with
-its Hill frame, carries 100 points on a sphere of 1 m. An inspector flies about it by impulsive manoeuvres, and inspects a point
-while it is within 250 m and 30 degrees of the point's normal, and the Sun within 60 degrees of it. MultiInspection-v1 has three
-inspectors, who pay for collisions with each other, too, and share what they have seen.
-
-Observation of an inspector, 46 numbers:
-
-====================================  ============================================================================
-``dv_available_normd``                what is left in the tank, over 10 m/s
-``resource_reward_weight``            reward for 1 m/s that is left
-``r_DC_Hc_normd`` (3)                 position in the Hill frame of the RSO, over 500 m
-``v_DC_Hc_normd`` (3)                 velocity in that frame, over 5 m/s
-``imaged_regions`` (32)               fraction of inspected points in regions about directions that are spread evenly
-``sun_hat_Hc`` (3)                    direction of the Sun in that frame
-``eclipse`` (2)                       time until the next eclipse begins and ends, over 5700 s
-``time``                              time since reset, over the time limit
-====================================  ============================================================================
-
-Actions of an inspector, with ``actions="thrust"`` as in bsk_rl: change of velocity in the Hill frame of the RSO, at most 1 m/s,
-and a drift of at most 11 400 s, four numbers. With ``actions="waypoints"``: one of 96 transfers, to 32 directions at 60 m in 600,
-1200 or 2000 s; see :class:`bsk_torch.act.HillWaypoint`. The RSO has one action, to point along its Hill frame.
-
-Reward: points that are inspected for the first time, over 100; 1 for completing the inspection; -0.1 for each m/s; -1 for who
-dies. The inspection is complete when 90 points in 100 that have been lit are inspected, see
-:class:`bsk_torch.data.RSOInspectionReward`.
-
-Termination: completion; a collision, within the sum of the radii of 2 m; an inspector that is 1000 m away, with which the RSO is
-lost, too; an empty tank. Time limit 57 000 s. The tick is 5 s.
-
-Random at reset: orbit of the RSO between 500 and 1100 km, positions of inspectors at 250 to 750 m, velocities up to 1 m/s.
-=======
 """RSOInspection-v1 and MultiInspection-v1: fly about a spacecraft, by changes of velocity, until its surface has been inspected.
 
 RSOInspection-v1 is the task ``rso_inspection`` of bsk_rl's benchmark suite; MultiInspection-v1, this package's own, is the same for
@@ -41,7 +7,7 @@ A resident space object (RSO), a sphere of 1 m with 100 points, flies with its a
 750 m away. Each has 10 m/s; each decision changes its velocity and drifts, with the instrument pointed at the RSO. A point is
 inspected where it is in view (within 30 degrees of its normal, and 250 m), and lit (the Sun within 60 degrees of its normal).
 
-Observation of an inspector, 32 numbers:
+Observation of an inspector, 64 numbers:
 
 ======================================  ==========================================================================
 ``dv_available_normd``                  what the tank is good for, over 10 m/s
@@ -49,6 +15,7 @@ Observation of an inspector, 32 numbers:
 ``r_DC_Hc_normd`` (3)                   position relative to the RSO, in its Hill frame, over 500 m
 ``v_DC_Hc_normd`` (3)                   velocity as seen in that frame, over 5 m/s
 ``rso_imaged_regions`` (6)              inspected points of each of six regions, a fraction of all of it
+``imaged_regions`` (32)                 the same for 32 regions about directions that are spread evenly, fractions of theirs
 ``sun_hat_Hc`` (3)                      direction of the Sun in the RSO's Hill frame
 ``eccentricity_Hs_normd`` (3),          orbit of the RSO, in the Hill frame of the Earth's motion about the Sun: vector of
 ``h_Hs_normd`` (3), ``r_Hs_normd`` (3)  eccentricity over 0.04184, angular momentum over 5e10 m^2/s, position over 7e6 m
@@ -59,8 +26,9 @@ Observation of an inspector, 32 numbers:
 and in MultiInspection-v1, for each of the two other inspectors, 7 more: position (over 500 m) and velocity (over 5 m/s) relative
 to the inspector in the RSO's Hill frame, and whether it is alive.
 
-Action of an inspector: change of velocity in the RSO's Hill frame (radial, along the track, normal), at most 1 m/s together, and
-the time to drift, 10 to 11 400 s. The RSO is an agent with one action, 0: point along the Hill frame; its observation is 1.
+With ``actions="thrust"``, as in bsk_rl, the action of an inspector is a change of velocity in the RSO's Hill frame (radial, along the track, normal), at most 1 m/s together, and
+the time to drift, 10 to 11 400 s. With ``actions="waypoints"`` it is one of 96 transfers: to the directions of the 32 regions, 60 m
+from the RSO, in 600, 1200 or 2000 s; see :class:`bsk_torch.act.HillWaypoint`. The RSO is an agent with one action, 0: point along the Hill frame; its observation is 1.
 
 Reward of an inspector: inspected points that nobody had inspected before, over 100, less 0.1 for each m/s. When 90 % of the points
 that have been lit are inspected, everybody gets 1, the RSO included; at least 40 points must have been lit before, or an orbit of
@@ -74,94 +42,38 @@ inspectors, epoch, attitudes and wheel speeds of inspectors.
 
 Ticks take 5 s. Gains of the attitude control are stable with them, which those of bsk_rl's benchmark are not; the instrument
 records at any attitude error, in both.
->>>>>>> part17-D
 """
 
 from __future__ import annotations
 
 import math
-<<<<<<< HEAD
-from dataclasses import dataclass
-from functools import partial
-from typing import Any
-=======
 from collections.abc import Sequence
+from functools import partial
 from typing import Any, ClassVar
->>>>>>> part17-D
 
 import torch
 from torch import Tensor
 
-<<<<<<< HEAD
-from bsk_torch import act, comm, data, formations, obs, sats, scene
-from bsk_torch.astro.relative import fibonacci_sphere
-from bsk_torch.env import ConstellationTasking
-from bsk_torch.obs.relative_observations import rso_imaged_regions
-from bsk_torch.rand import Distribution, Key
-from bsk_torch.sim import dyn, fsw
-=======
 from bsk_torch import act, data, formations, obs, rand, sats, scene
 from bsk_torch._checks import whole
 from bsk_torch.astro.orbit import hill_frame, hill_rate
+from bsk_torch.astro.relative import fibonacci_sphere
 from bsk_torch.env import ConstellationTasking
+from bsk_torch.obs.relative_observations import rso_imaged_regions
 from bsk_torch.sim import dyn, fsw
 from bsk_torch.vec3 import Vec3
 
 CHIEF = "RSO"
 """Name of the RSO."""
->>>>>>> part17-D
 
 ORBIT = 5700.0
 """Length of an orbit for norms and time limits, s."""
 
-<<<<<<< HEAD
-REGIONS = 32
-"""Regions that are observed, and directions of waypoints."""
-
-LOWEST, HIGHEST, EARTH = 500e3, 1100e3, 6371e3
-"""Bounds of the altitude, m, above a sphere of this radius."""
-
-DISTANCE_NORM, SPEED_NORM = 500.0, 5.0
-"""Norms of observed relative positions, m, and velocities, m/s."""
-
-ACTIONS = ("thrust", "waypoints")
-
-
-@dataclass(frozen=True)
-class ChiefOrbit(Distribution):
-    """Elements [n, 6] of an orbit whose semi-major axis is uniform, and whose eccentricity keeps it between two altitudes."""
-
-    def draw(self, key: Key) -> Tensor:
-        """See :meth:`Distribution.draw`."""
-        u = key.uniform(6).unbind(-1)
-        a = EARTH + LOWEST + (HIGHEST - LOWEST) * u[0]
-        most = torch.minimum(1.0 - (EARTH + LOWEST) / a, (EARTH + HIGHEST) / a - 1.0)
-        return torch.stack([a, most * u[1], math.pi * (2.0 * u[2] - 1.0), *(2.0 * math.pi * x for x in u[3:])], -1)
-
-
-@dataclass(frozen=True)
-class RelativeState(Distribution):
-    """Relative states [n, 6] of random directions: ``distance`` and ``speed`` are bounds in m and m/s."""
-
-    distance: tuple[float, float]
-    speed: tuple[float, float]
-
-    def draw(self, key: Key) -> Tensor:
-        """See :meth:`Distribution.draw`."""
-        directions, u = key.normal(6).unflatten(-1, (2, 3)), key.named("lengths").uniform(2)
-        bounds = torch.tensor([self.distance, self.speed], dtype=torch.float64)
-        lengths = bounds[:, 0] + (bounds[:, 1] - bounds[:, 0]) * u
-        return (torch.nn.functional.normalize(directions, dim=-1) * lengths.unsqueeze(-1)).flatten(-2)
-
-
-class RSO(sats.Satellite):
-    """The spacecraft that is inspected."""
-
-    observation_spec = (obs.Time(),)
-    action_spec = (act.NadirPoint(duration=1e9),)
-=======
 FUEL, LONGEST_THRUST = 10.0, 1.0
 """What a full tank is good for, and the largest change of velocity at once, m/s."""
+
+REGIONS = 32
+"""Regions that are observed beside the six of bsk_rl, and directions of waypoints."""
 
 NEAR, SLOW = 500.0, 5.0
 """Norms of relative positions, m, and velocities, m/s."""
@@ -244,25 +156,11 @@ class Chief(sats.Satellite):
 
     observation_spec: ClassVar[Sequence[obs.Observation]] = (obs.SatProperties(dict(prop="one", fn=one)),)
     action_spec: ClassVar[Sequence[act.Action]] = (act.NadirPoint(duration=1e9),)
->>>>>>> part17-D
     dyn_type = (dyn.ConjunctionDynModel, dyn.RSODynModel)
     fsw_type = fsw.FSWModel
 
 
 class Inspector(sats.Satellite):
-<<<<<<< HEAD
-    """A spacecraft that inspects the RSO; its manoeuvres are those of bsk_rl."""
-
-    observation_spec = (
-        obs.SatProperties(dict(prop="dv_available", norm=10.0)),
-        obs.ResourceRewardWeight(),
-        obs.RelativeProperties(
-            dict(prop="r_DC_Hc", norm=DISTANCE_NORM),
-            dict(prop="v_DC_Hc", norm=SPEED_NORM),
-            dict(prop="imaged_regions", fn=partial(rso_imaged_regions, region_centers=fibonacci_sphere(REGIONS))),
-            dict(prop="sun_hat_Hc"),
-            chief_name="RSO",
-=======
     """Flies about the RSO."""
 
     observation_spec: ClassVar[Sequence[obs.Observation]] = (
@@ -272,85 +170,72 @@ class Inspector(sats.Satellite):
             dict(prop="r_DC_Hc", norm=NEAR),
             dict(prop="v_DC_Hc", norm=SLOW),
             dict(prop="rso_imaged_regions"),
+            dict(prop="imaged_regions", fn=partial(rso_imaged_regions, region_centers=fibonacci_sphere(REGIONS))),
             dict(prop="sun_hat_Hc"),
             dict(prop="eccentricity_Hs", norm=0.04184),
             dict(prop="h_Hs", norm=5e10),
             dict(prop="r_Hs", norm=7e6),
             chief_name=CHIEF,
->>>>>>> part17-D
         ),
         obs.Eclipse(norm=ORBIT),
         obs.Time(),
     )
-<<<<<<< HEAD
-    action_spec = (act.ImpulsiveThrustHill("RSO", max_dv=1.0, max_drift_duration=2.0 * ORBIT, fsw_action="action_inspect_rso"),)
-=======
     action_spec: ClassVar[Sequence[act.ContinuousAction]] = (
-        act.ImpulsiveThrustHill(
-            CHIEF, max_dv=LONGEST_THRUST, max_drift_duration=2 * ORBIT, fsw_action="action_inspect_rso"
-        ),
+        act.ImpulsiveThrustHill(CHIEF, max_dv=LONGEST_THRUST, max_drift_duration=2 * ORBIT, fsw_action="action_inspect_rso"),
     )
->>>>>>> part17-D
     dyn_type = (dyn.MaxRangeDynModel, dyn.ConjunctionDynModel, dyn.RSOInspectorDynModel)
     fsw_type = (fsw.MagicOrbitalManeuverFSWModel, fsw.RSOInspectorFSWModel)
 
 
-<<<<<<< HEAD
 class WaypointInspector(Inspector):
-    """The same, which chooses among transfers."""
+    """Flies about the RSO from waypoint to waypoint."""
 
-    action_spec = (
+    action_spec: ClassVar[Sequence[Any]] = (
         act.HillWaypoint(
-            "RSO", REGIONS, max_dv=1.0, keep_out=15.0, keep_in=900.0, keep_apart=15.0, fsw_action="action_inspect_rso"
+            CHIEF,
+            REGIONS,
+            max_dv=LONGEST_THRUST,
+            keep_out=15.0,
+            keep_in=900.0,
+            keep_apart=15.0,
+            fsw_action="action_inspect_rso",
         ),
     )
 
 
-def inspector_args() -> dict[str, Any]:
-    """Return the arguments of an inspector."""
-    return dict(
-        imageAttErrorRequirement=1.0,
-        imageRateErrorRequirement=None,
-=======
-def crew_member(n_inspectors: int) -> type[Inspector]:
+ACTIONS: dict[str, type[Inspector]] = {"thrust": Inspector, "waypoints": WaypointInspector}
+"""Inspectors by what their actions are."""
+
+
+def crew_member(n_inspectors: int, actions: str) -> type[Inspector]:
     """Return the class of an inspector that observes the others of ``n_inspectors``."""
+    if actions not in ACTIONS:
+        raise ValueError(f"actions={actions!r} must be one of {list(ACTIONS)}")
+    kind = ACTIONS[actions]
     if n_inspectors == 1:
-        return Inspector
-    spec = (*Inspector.observation_spec, OtherInspectors(n_inspectors))
-    return type("Inspector", (Inspector,), {"observation_spec": spec, "__doc__": Inspector.__doc__})
+        return kind
+    spec = (*kind.observation_spec, OtherInspectors(n_inspectors))
+    return type(kind.__name__, (kind,), {"observation_spec": spec, "__doc__": kind.__doc__})
 
 
 def inspector_args() -> dict[str, Any]:
     """Return the arguments of inspectors but for their orbits."""
     return dict(
         imageAttErrorRequirement=1.0,
->>>>>>> part17-D
         instrumentBaudRate=1.0,
         dataStorageCapacity=1e6,
         batteryStorageCapacity=1e9,
         storedCharge_Init=1e9,
-<<<<<<< HEAD
-        dv_available_init=10.0,
-        conjunction_radius=2.0,
-        max_range_radius=1000.0,
-        chief_name="RSO",
-        enforce_range_on_chief=True,
-        # the gains of bsk_rl's benchmark, its defaults, are unstable at ticks of 5 s; pointing does not matter in this task
-=======
         conjunction_radius=2.0,
         dv_available_init=FUEL,
         max_range_radius=1000.0,
         chief_name=CHIEF,
         enforce_range_on_chief=True,
->>>>>>> part17-D
         K=0.26,
         P=6.6,
     )
 
 
-<<<<<<< HEAD
-def rso_inspection(*, n_inspectors: int = 1, actions: str = "thrust", **options: Any) -> ConstellationTasking:
-=======
 def names_of(n_inspectors: int) -> list[str]:
     """Return the names of inspectors."""
     return [f"Inspector{k}" for k in range(1, n_inspectors + 1)]
@@ -359,53 +244,23 @@ def names_of(n_inspectors: int) -> list[str]:
 def rso_inspection(
     *,
     n_inspectors: int = 1,
+    actions: str = "thrust",
     fuel_price: Any = 0.1,
     sat_args: dict[str, Any] | None = None,
     **options: Any,
 ) -> ConstellationTasking:
->>>>>>> part17-D
     """Return RSOInspection-v1; see the module.
 
     Args:
         n_inspectors: Number of inspectors.
-<<<<<<< HEAD
         actions: ``"thrust"`` or ``"waypoints"``.
-        **options: Arguments of the environment to override; ``sat_args`` are merged with the inspectors'.
-    """
-    if actions not in ACTIONS:
-        raise ValueError(f"actions={actions!r} must be one of {list(ACTIONS)}")
-    kind = Inspector if actions == "thrust" else WaypointInspector
-    arguments = inspector_args() | options.pop("sat_args", {})
-    names = [f"Inspector{k + 1}" for k in range(n_inspectors)]
-    around = RelativeState((250.0, 750.0), (0.0, 1.0))
-    own: dict[str, Any] = dict(
-        scenario=scene.SphericalRSO(100, 1.0, math.radians(30.0), 250.0, math.radians(60.0)),
-        rewarder=(
-            data.RSOInspectionReward(completion_bonus=1.0),
-            data.ResourceReward(reward_weight=0.1, resource_fn=lambda satellite: satellite.fsw.dv_available),
-        ),
-        sat_arg_randomizer=formations.relative_to_chief("RSO", ChiefOrbit(), dict.fromkeys(names, around)),
-        sim_rate=5.0,
-        time_limit=10.0 * ORBIT,
-        orbit="integrated",
-    )
-    if n_inspectors > 1:
-        own["communicator"] = comm.FreeCommunication()
-    satellites = [RSO("RSO", dict(conjunction_radius=2.0)), *(kind(name, arguments) for name in names)]
-    return ConstellationTasking(satellites, **(own | options))
-
-
-def multi_inspection(*, n_inspectors: int = 3, actions: str = "thrust", **options: Any) -> ConstellationTasking:
-    """Return MultiInspection-v1; see the module. Arguments are those of :func:`rso_inspection`."""
-    return rso_inspection(n_inspectors=n_inspectors, actions=actions, **options)
-=======
         fuel_price: Charge for 1 m/s; a number, a distribution from which each episode's is drawn, such as
             ``rand.Uniform(0.0, 0.5)``, or a function; the observation has it.
         sat_args: Arguments of the inspectors that replace those of the preset.
         **options: Arguments of :class:`~bsk_torch.ConstellationTasking` that replace those of the preset.
     """
     names = names_of(whole("n_inspectors", n_inspectors, 1))
-    kind = crew_member(n_inspectors)
+    kind = crew_member(n_inspectors, actions)
     satellites = [
         Chief(CHIEF, sat_args=dict(conjunction_radius=2.0)),
         *(kind(name, sat_args=inspector_args() | (sat_args or {})) for name in names),
@@ -435,4 +290,3 @@ def multi_inspection(*, n_inspectors: int = 3, **options: Any) -> ConstellationT
         **options: See :func:`rso_inspection`.
     """
     return rso_inspection(n_inspectors=n_inspectors, **options)
->>>>>>> part17-D

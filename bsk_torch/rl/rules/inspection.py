@@ -20,7 +20,7 @@ from bsk_torch.astro.clohessy_wiltshire import circumnavigation
 from bsk_torch.astro.relative import fibonacci_sphere
 from bsk_torch.astro.transfers import Transfers, transfers
 from bsk_torch.env import SatelliteTasking
-from bsk_torch.presets.inspection import DISTANCE_NORM, SPEED_NORM
+from bsk_torch.presets.inspection import NEAR, SLOW
 from bsk_torch.rl.rules.columns import Columns
 
 MEAN_MOTION = 1.04e-3
@@ -72,7 +72,7 @@ class Seen:
         see = Columns(observation.double(), description)
         known = see.all("imaged_regions")
         centers = torch.as_tensor(fibonacci_sphere(known.shape[-1])).to(known.device)
-        rho, velocity = see.all("r_DC_Hc_normd") * DISTANCE_NORM, see.all("v_DC_Hc_normd") * SPEED_NORM
+        rho, velocity = see.all("r_DC_Hc_normd") * NEAR, see.all("v_DC_Hc_normd") * SLOW
         return Seen(rho, velocity, see.all("sun_hat_Hc"), known, centers)
 
     @property
