@@ -77,8 +77,8 @@ class Decision(NamedTuple):
         duration: Time after which the action ends, s.
         key: Number that identifies the action; an action with the key of the one before repeats it. int64.
         expected: Probable time until an event ends the action, at most ``duration``, s. It only sorts rows, for speed.
-        command: What ``decide`` of a continuous action hands to its ``begin``, [N, ...]; in its ``end`` the action that has
-            ended, [N, A]. None for discrete actions.
+        command: What ``decide`` of an action hands to its ``begin``, [N, ...], or None; in ``end`` of a continuous action the
+            action that has ended, [N, A].
     """
 
     mode: Tensor
@@ -232,6 +232,7 @@ class ActionBuilder:
         self._longest = torch.tensor(longest, dtype=torch.float64, device=self._all_legal.device)
         self._table, self._table_draws = cast("ActionTable | None", None), -1
         self._keys = self._shared_keys()
+        self._commands: dict[int, Tensor | None] = {}
 
     def _shared_keys(self) -> Tensor | None:
         """Return the key of each action, [n_actions], where several entries give one command; None where keys are numbers.
@@ -337,8 +338,8 @@ class ActionBuilder:
         decision = self.table().decision(column, key, previous)
         for k in self._deciding:
             part, mask = self._decided(k, acts, action, previous), self._rows_of(k, action)
-            pairs = zip(part[: len(DTYPES)], decision[: len(DTYPES)], strict=True)
-            decision = Decision(*(torch.where(mask, new, old) for new, old in pairs))
+            self._commands[k] = part.command
+            decision = Decision(*(torch.where(mask, new, old) for new, old in zip(part[:5], decision[:5], strict=True)))
         return decision
 
     def _decided(self, k: int, acts: Tensor, action: Tensor, previous: Tensor) -> Decision:
@@ -352,7 +353,8 @@ class ActionBuilder:
     def begin(self, action: Tensor, acts: Tensor, decision: Decision) -> None:
         """Notify entries that their actions, of ``action`` [N], have been commanded in the rows ``acts`` [N] bool."""
         for k in self._beginning:
-            self.entries[k].begin(self._rows_of(k, action) & acts, decision)
+            own = decision if decision.command is not None else decision._replace(command=self._commands.get(k))
+            self.entries[k].begin(self._rows_of(k, action) & acts, own)
 
     def end(self, action: Tensor, ended: Tensor, decision: Decision, event: Tensor) -> None:
         """Notify entries that their actions have ``ended`` [N] bool, by an ``event`` [N] bool or by their duration."""

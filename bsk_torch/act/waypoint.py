@@ -32,8 +32,8 @@ class HillWaypoint(Action):
     which hold near a chief on a nearly circular orbit; nothing is done on arrival, so the satellite passes the waypoint.
 
     Transfers that come nearer to the chief than ``keep_out``, go beyond ``keep_in``, come nearer than ``keep_apart`` to any other
-    satellite if that drifts on, or cost more than ``max_dv`` or what is left in the tank, are illegal. Where all are, the one that,
-    with its manoeuvre scaled down to what is allowed, keeps the distances best is not.
+    satellite if that drifts on, or cost more than ``max_dv`` or what is left in the tank, are illegal. Where all are, the one is
+    legal that keeps the distances best with its manoeuvre scaled down to what is allowed.
 
     bsk_rl has no such action: its manoeuvres are :class:`ImpulsiveThrustHill`.
     """

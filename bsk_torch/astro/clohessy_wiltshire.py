@@ -30,7 +30,7 @@ def transition(n: Tensor, time: Tensor) -> Transition:
     n, time = torch.broadcast_tensors(n, time)
     angle = n * time
     s, c = torch.sin(angle), torch.cos(angle)
-    rows = {
+    rows: dict[str, tuple[Tensor | int, ...]] = {
         "rr": (4.0 - 3.0 * c, 0, 0, 6.0 * (s - angle), 1, 0, 0, 0, c),
         "rv": (s / n, 2.0 * (1.0 - c) / n, 0, 2.0 * (c - 1.0) / n, (4.0 * s - 3.0 * angle) / n, 0, 0, 0, s / n),
         "vr": (3.0 * n * s, 0, 0, 6.0 * n * (c - 1.0), 0, 0, 0, 0, -n * s),

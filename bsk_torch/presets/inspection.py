@@ -1,7 +1,7 @@
-"""RSOInspection-v1 and MultiInspection-v1: fly about a spacecraft, by changes of velocity, until its surface has been inspected.
+"""RSOInspection-v1 and MultiInspection-v1: fly about a spacecraft, by changes of velocity, until its surface is inspected.
 
-RSOInspection-v1 is the task ``rso_inspection`` of bsk_rl's benchmark suite; MultiInspection-v1, this package's own, is the same for
-three inspectors that must not collide.
+RSOInspection-v1 is the task ``rso_inspection`` of bsk_rl's benchmark suite; MultiInspection-v1, this package's own, is the same
+for three inspectors that must not collide.
 
 A resident space object (RSO), a sphere of 1 m with 100 points, flies with its axes along its Hill frame. Inspectors start 250 to
 750 m away. Each has 10 m/s; each decision changes its velocity and drifts, with the instrument pointed at the RSO. A point is
@@ -26,16 +26,17 @@ Observation of an inspector, 64 numbers:
 and in MultiInspection-v1, for each of the two other inspectors, 7 more: position (over 500 m) and velocity (over 5 m/s) relative
 to the inspector in the RSO's Hill frame, and whether it is alive.
 
-With ``actions="thrust"``, as in bsk_rl, the action of an inspector is a change of velocity in the RSO's Hill frame (radial, along the track, normal), at most 1 m/s together, and
-the time to drift, 10 to 11 400 s. With ``actions="waypoints"`` it is one of 96 transfers: to the directions of the 32 regions, 60 m
-from the RSO, in 600, 1200 or 2000 s; see :class:`bsk_torch.act.HillWaypoint`. The RSO is an agent with one action, 0: point along the Hill frame; its observation is 1.
+With ``actions="thrust"``, as in bsk_rl, the action of an inspector is a change of velocity in the RSO's Hill frame (radial, along
+the track, normal), at most 1 m/s together, and the time to drift, 10 to 11 400 s. With ``actions="waypoints"`` it is one of 96
+transfers: to the directions of the 32 regions, 60 m from the RSO, in 600, 1200 or 2000 s; see :class:`bsk_torch.act.HillWaypoint`.
+The RSO is an agent with one action, 0: point along the Hill frame; its observation is 1.
 
-Reward of an inspector: inspected points that nobody had inspected before, over 100, less 0.1 for each m/s. When 90 % of the points
-that have been lit are inspected, everybody gets 1, the RSO included; at least 40 points must have been lit before, or an orbit of
-5700 s passed. -1 for who dies.
+Reward of an inspector: inspected points that nobody had inspected before, over 100, less 0.1 for each m/s. When 90 % of the
+points that have been lit are inspected, everybody gets 1, the RSO included; at least 40 points must have been lit before, or an
+orbit of 5700 s passed. -1 for who dies.
 
-Termination: the inspection is complete; or all agents have died. Inspectors die 1000 m from the RSO, which then dies, too, with an
-empty tank, and within 4 m of another spacecraft, which dies as well. The time limit of 57 000 s truncates.
+Termination: the inspection is complete; or all agents have died. Inspectors die 1000 m from the RSO, which then dies, too, with
+an empty tank, and within 4 m of another spacecraft, which dies as well. The time limit of 57 000 s truncates.
 
 Random at reset: orbit of the RSO (500 to 1100 km above a sphere of 6371 km, eccentric), places and velocities (up to 1 m/s) of
 inspectors, epoch, attitudes and wheel speeds of inspectors.

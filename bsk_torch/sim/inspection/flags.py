@@ -206,7 +206,8 @@ def flags_kernel(source: str) -> Kernel:
     at = _Moment.of(builder.records(1, CHIEF_WIDTH), inspector)
     inspected, lit = _look(each, limits, at, change.ne(0.0) & (number >= seen_from), number >= lit_from, inspected, lit)
     tracks = Track("chief", 1.0, CHIEF_FIELDS, count=1), Track("inspector", 1.0, INSPECTOR_FIELDS, count=2)
-    return Kernel("inspection", Loop(builder.program, [*inspected, *lit, change], tracks))
+    outputs: list[Any] = [*inspected, *lit, change]
+    return Kernel("inspection", Loop(builder.program, outputs, tracks))
 
 
 def _run_kernels(columns: Tensor, records: Records) -> tuple[Tensor, Tensor]:
