@@ -28,7 +28,7 @@ to the inspector in the RSO's Hill frame, and whether it is alive.
 
 With ``actions="thrust"``, as in bsk_rl, the action of an inspector is a change of velocity in the RSO's Hill frame (radial, along
 the track, normal), at most 1 m/s together, and the time to drift, 10 to 11 400 s. With ``actions="waypoints"`` it is one of 96
-transfers: to the directions of the 32 regions, 60 m from the RSO, in 600, 1200 or 2000 s; see :class:`bsk_torch.act.HillWaypoint`.
+transfers: to the directions of the 32 regions, 60 m from the RSO, in 600, 1200 or 2000 s (:class:`bsk_torch.act.HillWaypoint`).
 The RSO is an agent with one action, 0: point along the Hill frame; its observation is 1.
 
 Reward of an inspector: inspected points that nobody had inspected before, over 100, less 0.1 for each m/s. When 90 % of the
