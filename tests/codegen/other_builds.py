@@ -1,19 +1,21 @@
 """Plays presets with kernels of another compiler, other vector instructions or sanitizers, beside the eager back end.
 
-Usage: python -m tests.codegen.other_builds PRESET ... [--sanitize]
+Usage: python -m tests.codegen.other_builds PRESET ... [--sanitize] [--eager=FOLDER]
 
 ``CXX`` and ``BSK_TORCH_ISA`` choose compiler and instructions. A line for each preset has the largest differences of observations
-and rewards; the exit status is 1 where they are too large. With ``--sanitize`` kernels check addresses and undefined behaviour,
-which needs the runtime of the sanitizers in ``LD_PRELOAD``; a report ends the process.
+and rewards; the exit status is 1 where they are too large. What the eager back end shows is kept in FOLDER, and read from it by
+later builds. With ``--sanitize`` kernels check addresses and undefined behaviour, which needs the runtime of the sanitizers in
+``LD_PRELOAD``; a report ends the process.
 """
 
 from __future__ import annotations
 
 import sys
+from pathlib import Path
 from typing import Any
 
 import torch
-from tensordict import TensorDictBase
+from tensordict import TensorDict, TensorDictBase
 
 import bsk_torch
 from bsk_torch.codegen import build
@@ -55,10 +57,20 @@ def play(preset: str, backend: str) -> list[TensorDictBase]:
     return seen
 
 
-def differences(preset: str) -> dict[str, float]:
+def played_eagerly(preset: str, folder: Path | None) -> list[TensorDictBase]:
+    """Return what a few steps show in the eager back end, which no build changes; read from ``folder`` if it is there."""
+    if folder is None:
+        return play(preset, "eager")
+    path = folder / f"{preset}.pt"
+    if not path.exists():
+        torch.save([td.exclude("state").to_dict() for td in play(preset, "eager")], path)
+    return [TensorDict(kept) for kept in torch.load(path)]
+
+
+def differences(preset: str, folder: Path | None) -> dict[str, float]:
     """Return the largest difference of each output of the two back ends."""
     worst: dict[str, float] = {}
-    for eager, compiled in zip(play(preset, "eager"), play(preset, "compiled"), strict=True):
+    for eager, compiled in zip(played_eagerly(preset, folder), play(preset, "compiled"), strict=True):
         for key in eager.keys(True, True):
             name = key if isinstance(key, str) else key[-1]
             if name in ("observation", "reward", "duration"):
@@ -66,14 +78,14 @@ def differences(preset: str) -> dict[str, float]:
     return worst
 
 
-def main(presets: list[str], sanitize: bool) -> int:
+def main(presets: list[str], sanitize: bool, folder: Path | None) -> int:
     """Play the presets; return the exit status."""
     torch.set_num_threads(1)
     if sanitize:
         build.FLAGS = (*build.FLAGS, *SANITIZE)
     failed = 0
     for preset in presets:
-        found = differences(preset)
+        found = differences(preset, folder)
         failed |= not found or max(found.values()) > LARGEST
         sys.stdout.write(f"{preset} {found}\n")
         sys.stdout.flush()
@@ -82,4 +94,5 @@ def main(presets: list[str], sanitize: bool) -> int:
 
 if __name__ == "__main__":
     given = sys.argv[1:]
-    sys.exit(main([name for name in given if not name.startswith("--")], "--sanitize" in given))
+    folders = [Path(word.removeprefix("--eager=")) for word in given if word.startswith("--eager=")]
+    sys.exit(main([word for word in given if not word.startswith("--")], "--sanitize" in given, folders[0] if folders else None))

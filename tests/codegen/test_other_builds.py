@@ -9,8 +9,10 @@ import sys
 from pathlib import Path
 
 import pytest
+import torch
 
 from bsk_torch.presets import PRESETS
+from tests.codegen.other_builds import LARGEST, differences
 
 ROOT = Path(__file__).parents[2]
 
@@ -38,29 +40,40 @@ def played(*arguments: str, **environment: str) -> subprocess.CompletedProcess[s
 
 
 @pytest.mark.compiled
-def test_the_driver_compares_what_agents_see():
-    run = played("NadirScan-v1")
+def test_the_driver_compares_what_agents_see(tmp_path):
+    run = played("NadirScan-v1", f"--eager={tmp_path}")
     assert run.returncode == 0, run.stderr
     assert run.stdout.startswith("NadirScan-v1 {")
     assert all(name in run.stdout for name in ("'observation'", "'reward'", "'duration'"))
+    kept = torch.load(tmp_path / "NadirScan-v1.pt")
+    kept[-1]["observation"] += 1e-6
+    torch.save(kept, tmp_path / "NadirScan-v1.pt")
+    assert differences("NadirScan-v1", tmp_path)["observation"] == pytest.approx(1e-6, rel=0.01)
+    assert LARGEST < 1e-6
+
+
+@pytest.fixture(scope="module")
+def eager(tmp_path_factory):
+    """Argument of the driver: the folder with what the eager back end shows, which is played once for all builds."""
+    return f"--eager={tmp_path_factory.mktemp('eager')}"
 
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("build", BUILDS)
-def test_every_build_gives_the_numbers_of_the_eager_back_end(build, tmp_path):
+def test_every_build_gives_the_numbers_of_the_eager_back_end(build, eager, tmp_path):
     compiler, isa = BUILDS[build]
     if shutil.which(compiler) is None:
         pytest.skip(f"{compiler} is not installed")
     if not has(isa):
         pytest.skip(f"this processor has no {isa}")
-    run = played(*PRESETS, CXX=compiler, BSK_TORCH_ISA=isa, BSK_TORCH_CACHE=str(tmp_path))
+    run = played(*PRESETS, eager, CXX=compiler, BSK_TORCH_ISA=isa, BSK_TORCH_CACHE=str(tmp_path))
     assert run.returncode == 0, run.stdout + run.stderr
     assert len(run.stdout.splitlines()) == len(PRESETS)
 
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("isa", ["avx512", "default"])
-def test_sanitizers_find_nothing(isa, tmp_path):
+def test_sanitizers_find_nothing(isa, eager, tmp_path):
     """Kernels of all presets, with checks of addresses and of undefined behaviour."""
     if not has(isa):
         pytest.skip(f"this processor has no {isa}")
@@ -70,6 +83,6 @@ def test_sanitizers_find_nothing(isa, tmp_path):
     )
     options = "detect_leaks=0:halt_on_error=1:abort_on_error=0:exitcode=77"
     environment = dict(CXX="g++", BSK_TORCH_ISA=isa, BSK_TORCH_CACHE=str(tmp_path), LD_PRELOAD=runtime, ASAN_OPTIONS=options)
-    run = played(*PRESETS, "--sanitize", **environment)
+    run = played(*PRESETS, eager, "--sanitize", **environment)
     assert run.returncode == 0, run.stdout + run.stderr
     assert len(run.stdout.splitlines()) == len(PRESETS)

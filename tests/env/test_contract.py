@@ -10,14 +10,27 @@ from tensordict import TensorDict
 from torchrl.envs import ParallelEnv, check_env_specs
 
 import bsk_torch
-from bsk_torch import SatelliteTasking, act
-from bsk_torch.presets.nadir_scan import ScanningSatellite
+from bsk_torch import SatelliteTasking, act, data, scene
+from bsk_torch.presets.nadir_scan import ScanningSatellite, scanning_args
 
-SHORT = dict(time_limit=900.0, backend="eager", seed=3)
+SHORT = dict(time_limit=150.0, backend="eager", seed=3)
 
 
-def make(num_envs=3, **options):
-    return bsk_torch.make("NadirScan-v1", num_envs=num_envs, **(SHORT | options))
+class Scanner(ScanningSatellite):
+    """With actions of a sixth of the preset's lengths: ticks of the eager back end take milliseconds each."""
+
+    action_spec = (act.Scan(duration=30.0), act.Charge(duration=20.0), act.Downlink(duration=10.0), act.Desat(duration=10.0))
+
+
+def make(num_envs=3, sat_args=None, obs_type=torch.Tensor, kind=Scanner, **options):
+    satellite = kind("Scanner1", sat_args=scanning_args() | (sat_args or {}), obs_type=obs_type)
+    task = dict(
+        scenario=scene.UniformNadirScanning(value_per_second=1 / 28500.0),
+        rewarder=data.ScanningTimeReward(),
+        failure_penalty=-1.0,
+        terminate_on_time_limit=True,
+    )
+    return SatelliteTasking(satellite, num_envs=num_envs, **(task | SHORT | options))
 
 
 def actions(steps, n, seed=0):
@@ -46,10 +59,10 @@ def test_specs():
 def test_one_alone_equals_one_of_many_bit_for_bit():
     """A batch of 512 and the same environment alone; resets included."""
     plan = actions(2, 512)
-    many = make(512, time_limit=200.0, dtype=torch.float64)
+    many = make(512, time_limit=34.0, dtype=torch.float64)
     together = play(many, plan)
     for i in (0, 7, 300):
-        alone = make(1, time_limit=200.0, dtype=torch.float64, env_ids=[i])
+        alone = make(1, time_limit=34.0, dtype=torch.float64, env_ids=[i])
         for a, b in zip(play(alone, plan[:, i : i + 1]), together, strict=True):
             assert equal(a, b, slice(i, i + 1))
         assert torch.equal(alone.get_state()["satellites_0", "planes"][0], many.get_state()["satellites_0", "planes"][i])
@@ -108,7 +121,7 @@ def test_partial_step_touches_only_its_rows():
     after = env.get_state()
     for key in before.keys(True, True):
         assert torch.equal(before[key][1:3], after[key][1:3]), key
-    assert after["satellites_0", "ticks"].tolist() == [180, 0, 0, 60]
+    assert after["satellites_0", "ticks"].tolist() == [30, 0, 0, 10]
 
 
 @pytest.mark.parametrize("way", ["set_state", "state_dict", "pickle", "deepcopy"])
@@ -169,13 +182,13 @@ def test_seeds():
 
 
 def test_time_limit_beats_the_action_and_terminates():
-    env = make(2, time_limit=240.5)
+    env = make(2, time_limit=40.5)
     out = play(env, torch.tensor([[0, 1], [2, 1]]))
-    assert out[0]["duration"].flatten().tolist() == [180.0, 120.0]
-    assert out[1]["duration"].flatten().tolist() == [60.0, 120.0]
+    assert out[0]["duration"].flatten().tolist() == [30.0, 20.0]
+    assert out[1]["duration"].flatten().tolist() == [10.0, 20.0]
     assert env.requires_retasking.tolist() == [True, True]
     out = play(env, torch.tensor([[0, 0]]), out[1])[0]
-    assert out["duration"].flatten().tolist() == [1.0, 1.0], "240.5 s is rounded up to 241"
+    assert out["duration"].flatten().tolist() == [1.0, 1.0], "40.5 s is rounded up to 41"
     assert env.requires_retasking.tolist() == [False, False]
     assert out["truncated"].all()
     assert out["terminated"].all()
@@ -205,8 +218,8 @@ def test_a_long_episode_after_short_ones_has_all_its_windows():
 
 
 def test_longest_step_and_fixed_intervals():
-    env = make(2, max_step_duration=50.0)
-    assert play(env, torch.tensor([[0, 2]]))[0]["duration"].flatten().tolist() == [50.0, 50.0]
+    env = make(2, max_step_duration=8.0)
+    assert play(env, torch.tensor([[0, 2]]))[0]["duration"].flatten().tolist() == [8.0, 8.0]
     assert not env.requires_retasking.any()
 
 
@@ -224,7 +237,7 @@ class Drifter(ScanningSatellite):
 
 def test_endless_episodes_extend_their_look_ahead():
     env = SatelliteTasking(
-        Drifter("Drifter1", sat_args=dict(wheelSpeeds=[0.0, 0.0, 0.0])), num_envs=2, sim_rate=20.0, backend="eager", seed=1
+        Drifter("Drifter1", sat_args=dict(wheelSpeeds=[0.0, 0.0, 0.0])), num_envs=2, sim_rate=60.0, backend="eager", seed=1
     )
     out = play(env, torch.zeros(7, 2, dtype=torch.int64))
     assert torch.isfinite(out[-1]["observation"]).all()
@@ -261,9 +274,12 @@ def test_nan_stays_in_its_row_and_is_named():
 
 
 def test_float32_simulation_stays_close():
-    """Rounding of single precision over 900 s; the README's table has the long run."""
-    plan = actions(5, 4)
-    double, single = (play(make(4, sim_dtype=dtype, dtype=torch.float64), plan) for dtype in (torch.float64, torch.float32))
+    """Rounding of single precision in two actions of the preset; the README's table has the long run."""
+    plan = actions(2, 4)
+    double, single = (
+        play(make(4, sim_dtype=dtype, dtype=torch.float64, kind=ScanningSatellite, time_limit=900.0), plan)
+        for dtype in (torch.float64, torch.float32)
+    )
     error = (double[-1]["observation"] - single[-1]["observation"]).abs().max()
     assert error < 2e-3, error
 
