@@ -154,12 +154,7 @@ MODULES: dict[str, tuple[str, str]] = {
 """Modules of bsk_rl below its root (``sim.world`` is a module here too): where their names are here, and which ones there are."""
 
 LATER = "is not in bsk_torch yet: "
-RSO = LATER + "inspecting and imaging other satellites"
-<<<<<<< HEAD
-THRUST = LATER + "manoeuvres and continuous actions. Discrete actions of one's own are subclasses of act.Action"
-=======
-RELATIVE = LATER + "the motion of satellites relative to each other. fn= of obs.SatProperties reads any tensor of the satellite"
->>>>>>> part17-B
+RSO = LATER + "imaging other satellites. Their surfaces can be inspected: scene.SphericalRSO"
 MIXED = LATER + "several scenarios in one environment. Satellites of several types can share one scenario"
 STORES = (
     "is not needed: rewarders keep tensors of all episodes (env.rewarder.imaged, .known, .cum_reward). One's own are subclasses "
@@ -177,19 +172,11 @@ COMPOSE = "is not needed: dyn_type, fsw_type and world_type take tuples, as dyn_
 PLAIN = "is a helper of bsk_rl's inside that has no counterpart: plain Python does the same"
 
 GROUPS: dict[str, str] = {
-    RSO: "ImageRSO RSOImageData RSOImageRecord RSOImageReward RSOImageStore RSOInspectionReward RSOInspectionData "
-    "RSOInspectionDataStore RSO INSPECTOR RSOTargetProperties target_properties RSOPoint RSOPoints SphericalRSO RSOPriorityEvent "
-    "RSOTarget RSOTargetCatalog RSOTargets RSOTargetDynModel SpaceToSpaceImagingDynModel RSODynModel RSOInspectorDynModel "
-    "SpaceToSpaceImagingFSWModel RSOInspectorFSWModel CandidateSnapshot target_geometry candidate_snapshot illumination_factor "
-    "rso_imaged_regions",
-<<<<<<< HEAD
-    THRUST: "AttitudeSetpoint ContinuousAction ContinuousActionBuilder ImpulsiveThrust ImpulsiveThrustHill "
-    "MagicOrbitalManeuverFSWModel",
-=======
-    RELATIVE: "ConjunctionDynModel MaxRangeDynModel",
->>>>>>> part17-B
+    RSO: "ImageRSO RSOImageData RSOImageRecord RSOImageReward RSOImageStore RSOTargetProperties target_properties "
+    "RSOPriorityEvent RSOTarget RSOTargetCatalog RSOTargets RSOTargetDynModel SpaceToSpaceImagingDynModel "
+    "SpaceToSpaceImagingFSWModel CandidateSnapshot target_geometry candidate_snapshot illumination_factor",
     MIXED: "MixedData MixedDataStore MixedReward MixedScenario",
-    STORES: "LogStateType ComposedData ComposedDataStore ResourceData ResourceDataStore",
+    STORES: "LogStateType ComposedData ComposedDataStore ResourceData ResourceDataStore RSOInspectionDataStore",
     BUILDERS: "select_action_builder ActionBuilder ContinuousActionBuilder DiscreteActionBuilder ObservationBuilder "
     "nested_obs_to_space",
     TYPES: "SatObs SatAct MultiSatObs MultiSatAct SatArgRandomizer",
@@ -199,7 +186,7 @@ GROUPS: dict[str, str] = {
     PICTURES: "visualize get_color",
     LOGS: "style_string SimFormatter ContextFilter",
     COMPOSE: "compose_types mock_safe_bases remove_duplicate_bases remove_inherited_bases",
-    PLAIN: "valid_func_name safe_dict_merge vectorize_nested_dict is_property AbstractClassProperty",
+    PLAIN: "valid_func_name safe_dict_merge vectorize_nested_dict is_property AbstractClassProperty RSO INSPECTOR",
 }
 
 ADVICE: dict[str, str] = {name: advice for advice, names in GROUPS.items() for name in names.split()} | {

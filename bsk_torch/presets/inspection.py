@@ -28,12 +28,12 @@ to the inspector in the RSO's Hill frame, and whether it is alive.
 Action of an inspector: change of velocity in the RSO's Hill frame (radial, along the track, normal), at most 1 m/s together, and
 the time to drift, 10 to 11 400 s. The RSO is an agent with one action, 0: point along the Hill frame; its observation is 1.
 
-Reward of an inspector: inspected points that nobody had inspected before, over 100, less 0.1 for each m/s. When 90 % of the points
-that have been lit are inspected, everybody gets 1, the RSO included; at least 40 points must have been lit before, or an orbit of
-5700 s passed. -1 for who dies.
+Reward of an inspector: inspected points that nobody had inspected before, over 100, less 0.1 for each m/s. When 90 % of the
+points that have been lit are inspected, everybody gets 1, the RSO included; at least 40 points must have been lit before, or an
+orbit of 5700 s passed. -1 for who dies.
 
-Termination: the inspection is complete; or all agents have died. Inspectors die 1000 m from the RSO, which then dies, too, with an
-empty tank, and within 4 m of another spacecraft, which dies as well. The time limit of 57 000 s truncates.
+Termination: the inspection is complete; or all agents have died. Inspectors die 1000 m from the RSO, which then dies, too; with
+an empty tank; and within 4 m of another spacecraft, which dies as well. The time limit of 57 000 s truncates.
 
 Random at reset: orbit of the RSO (500 to 1100 km above a sphere of 6371 km, eccentric), places and velocities (up to 1 m/s) of
 inspectors, epoch, attitudes and wheel speeds of inspectors.
@@ -172,9 +172,7 @@ class Inspector(sats.Satellite):
         obs.Time(),
     )
     action_spec: ClassVar[Sequence[act.ContinuousAction]] = (
-        act.ImpulsiveThrustHill(
-            CHIEF, max_dv=LONGEST_THRUST, max_drift_duration=2 * ORBIT, fsw_action="action_inspect_rso"
-        ),
+        act.ImpulsiveThrustHill(CHIEF, max_dv=LONGEST_THRUST, max_drift_duration=2 * ORBIT, fsw_action="action_inspect_rso"),
     )
     dyn_type = (dyn.MaxRangeDynModel, dyn.ConjunctionDynModel, dyn.RSOInspectorDynModel)
     fsw_type = (fsw.MagicOrbitalManeuverFSWModel, fsw.RSOInspectorFSWModel)

@@ -1,10 +1,7 @@
 """Dynamics: the parts of a spacecraft and the models that compose them."""
 
-<<<<<<< HEAD
-from bsk_torch.sim.dyn.inspection import RSODynModel, RSOInspectorDynModel
-=======
 from bsk_torch.sim.dyn.forces import add_force
->>>>>>> part17-B
+from bsk_torch.sim.dyn.inspection import RSODynModel, RSOInspectorDynModel
 from bsk_torch.sim.dyn.models import (
     AtmosphericDragDynModel,
     BasicDynamicsModel,
@@ -35,12 +32,9 @@ __all__ = [
     "LOSCommDynModel",
     "MaxRangeDynModel",
     "Now",
-<<<<<<< HEAD
     "RSODynModel",
     "RSOInspectorDynModel",
-=======
     "add_force",
->>>>>>> part17-B
     "aliveness_checker",
     "observable",
     "vital",
