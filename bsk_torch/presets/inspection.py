@@ -1,13 +1,13 @@
 """RSOInspection-v1 and MultiInspection-v1: fly about a spacecraft, by changes of velocity, until its surface has been inspected.
 
-RSOInspection-v1 is the task ``rso_inspection`` of bsk_rl's benchmark suite; MultiInspection-v1, this package's own, is the same for
-three inspectors that must not collide.
+RSOInspection-v1 is the task ``rso_inspection`` of bsk_rl's benchmark suite; MultiInspection-v1, this package's own, is the same
+for three inspectors that must not collide.
 
 A resident space object (RSO), a sphere of 1 m with 100 points, flies with its axes along its Hill frame. Inspectors start 250 to
 750 m away. Each has 10 m/s; each decision changes its velocity and drifts, with the instrument pointed at the RSO. A point is
 inspected where it is in view (within 30 degrees of its normal, and 250 m), and lit (the Sun within 60 degrees of its normal).
 
-Observation of an inspector, 32 numbers:
+Observation of an inspector, 29 numbers:
 
 ======================================  ==========================================================================
 ``dv_available_normd``                  what the tank is good for, over 10 m/s
