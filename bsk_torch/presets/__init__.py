@@ -11,6 +11,8 @@ name                       module                      task
 ``AEOSConstellation-v1``   ``presets.constellation``   three imagers in one plane that share everything once a minute
 ``Constellation-v1``       ``presets.constellation``   a Walker constellation of imagers that talk in line of sight
 ``RelayConstellation-v1``  ``presets.constellation``   low imagers, and high relays that pass on what was imaged
+``RSOInspection-v1``       ``presets.inspection``      fly about a spacecraft until its surface has been inspected
+``MultiInspection-v1``     ``presets.inspection``      the same for three inspectors that must not collide
 =========================  ==========================  ==================================================================
 """
 
@@ -24,6 +26,7 @@ from typing import Any
 from bsk_torch.presets.aeos import aeos, aeos_city, cloudy_aeos
 from bsk_torch.presets.aeos_power import aeos_power
 from bsk_torch.presets.constellation import aeos_constellation, constellation, relay_constellation
+from bsk_torch.presets.inspection import multi_inspection, rso_inspection
 from bsk_torch.presets.nadir_scan import nadir_scan
 from bsk_torch.sim.params import nearest
 
@@ -38,6 +41,8 @@ PRESETS: dict[str, Callable[..., Any]] = {
     "Constellation-v1": constellation,
     "AEOSConstellation-v1": aeos_constellation,
     "RelayConstellation-v1": relay_constellation,
+    "RSOInspection-v1": rso_inspection,
+    "MultiInspection-v1": multi_inspection,
 }
 """Presets by name: functions of the arguments of the environment to override."""
 
