@@ -99,6 +99,7 @@ def test_rates_are_eulers_solution():
     middle = sorted(moments)[1]
     omega = [0.0 if moment == middle else 0.02 if moment == min(moments) else 0.03 for moment in moments]
     _, found, times = tumble(tuple(omega))
+    assert len(times) == 9
     k = moments.index(middle)
     slope = (moments[(k + 1) % 3] - moments[(k + 2) % 3]) * omega[(k + 1) % 3] * omega[(k + 2) % 3]
     assert len(times) > 10
