@@ -109,6 +109,7 @@ RECORDED = {
     "record_constellation": "basilisk/recordings/constellation_untasked",
     "record_examples": "basilisk/recordings/example_configuration_actions",
     "record_imaging": "basilisk/recordings/imaging_half_second",
+    "record_inspection": "basilisk/recordings/inspection_dark",
     "record_los": "basilisk/recordings/los_two_seconds",
     "record_models": "basilisk/recordings/models_pointing",
     "record_modules": "sim/data/controller",
