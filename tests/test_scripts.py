@@ -44,6 +44,9 @@ STARTS: dict[str, list[Start]] = {
             "basilisk",
         ),
     ],
+    "benchmarks/inspection.py": [
+        Start("--batch 2 --turns 1 --seconds 0.1 --warm-up 1 --only 1 manoeuvres", r"\| manoeuvres \| 2 \| [\d,.]+ \| - \|")
+    ],
     "benchmarks/manoeuvres.py": [
         Start(
             "--batches 2 --targets 20 --rounds 1 --drift 2 --backend eager",
