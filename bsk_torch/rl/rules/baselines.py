@@ -12,8 +12,8 @@ from tensordict.nn import TensorDictModule, TensorDictModuleBase
 from torch import Tensor
 
 from bsk_torch.env import SatelliteTasking
-from bsk_torch.rl.networks.real import Bounds, bounds_of, spread
 from bsk_torch.rl.rules.imaging import by_closing, by_discounted_priority, by_priority, imaging_rule
+from bsk_torch.rl.rules.real import Bounds, bounds_of, spread
 from bsk_torch.sim.params import nearest
 
 LOT = "lot"
@@ -56,8 +56,8 @@ class RandomNumbers(TensorDictModuleBase):
         """Write ``action``, [..., A] float32."""
         lot = tensordict.get(LOT, None)
         if lot is None:
-            on = {"device": self.generator.device, "generator": self.generator}
-            lot = torch.rand(tensordict.batch_size, dtype=torch.float64, **on)
+            shape, device = tensordict.batch_size, self.generator.device
+            lot = torch.rand(shape, dtype=torch.float64, device=device, generator=self.generator)
         return tensordict.set("action", spread(lot, self.bounds).float())
 
 
