@@ -44,6 +44,12 @@ STARTS: dict[str, list[Start]] = {
             "basilisk",
         ),
     ],
+    "benchmarks/manoeuvres.py": [
+        Start(
+            "--batches 2 --targets 20 --rounds 1 --drift 2 --backend eager",
+            r"(?s)\| 2 \| arc \| on \| [\d.]+ \|.*\| 2 \| integrated \| off \| [\d.]+ \|",
+        ),
+    ],
     "benchmarks/memory.py": [Start("--batch 4 --steps 40 --warm-up 1", r"\| scan \| 40 \| [\d,.]+ \|")],
     "benchmarks/reset.py": [
         Start("--batch 4 --rows 1 --rounds 1 --shares 2 --seconds 0.1 --warm-up 1", r"\| scan \| 2 \| [\d.]+% \|"),

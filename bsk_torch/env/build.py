@@ -115,6 +115,7 @@ class FleetBuilder:
             randomize=self._share_of(columns),
             world_type=self.world_type,
             compat=options.compat,
+            replan=bool(options.replan),
             advised=self.advised,
             controlled=_may_control(satellite),
         )

@@ -66,6 +66,8 @@ class TaskingOptions:
         orbit: ``"arc"`` (in advance), ``"integrated"`` (in every tick, with drag), or None for the model's own.
         backend: ``"compiled"``, or ``"eager"`` for debugging.
         compat: ``"bsk_rl"`` repeats bsk_rl's errors, for comparisons; ``docs/migration.md`` lists them. None for what is true.
+        replan: Whether windows and eclipses that lie ahead follow manoeuvres; None for True, or for False with
+            ``compat="bsk_rl"``, whose look-ahead stays on the first orbit of an episode.
         log_level: Level of the package's logger: ``"INFO"`` records what satellites do, see :mod:`bsk_torch.env.log`; None leaves
             it.
         log_dir: Path of a file (as in bsk_rl) that gets the records, too.
@@ -88,6 +90,7 @@ class TaskingOptions:
     orbit: str | None = None
     backend: str = "compiled"
     compat: str | None = None
+    replan: bool | None = None
     log_level: int | str | None = None
     log_dir: str | Path | None = None
     log_envs: Sequence[int] = (0,)
@@ -112,6 +115,11 @@ class TaskingOptions:
             raise ValueError(f"orbit={self.orbit!r} must be one of {list(ORBITS)}, or None for the model's own")
         if self.compat not in COMPATIBLE:
             raise ValueError(f"compat={self.compat!r} must be one of {list(COMPATIBLE)}")
+        if self.replan and self.compat is not None:
+            raise ValueError(
+                f"replan={self.replan!r} with compat={self.compat!r}: look-ahead of bsk_rl follows no manoeuvre; leave one out"
+            )
+        checked["replan"] = self.compat is None if self.replan is None else switch("replan", self.replan)
         for name, value in checked.items():
             object.__setattr__(self, name, value)
 

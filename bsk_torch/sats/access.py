@@ -318,6 +318,7 @@ class AccessSatellite(Satellite):
     def _known(self, type: str, time: Tensor, allowed: Tensor | None, before: Tensor | None = None) -> Windows:
         """Return the windows that have not closed at ``time`` and, if given, that open ``before`` [N] s."""
         access = self.simulator.access
+        self.simulator.lookahead.search_visible(self.simulator.sim_time)
         known = candidates(access.windows[type], time, access.until, allowed)  # type: ignore[union-attr]
         if before is not None:
             known = known._replace(valid=known.valid & (known.windows.open < before.unsqueeze(-1)))

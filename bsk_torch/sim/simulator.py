@@ -16,7 +16,7 @@ from bsk_torch._deprecated import deprecated_attributes
 from bsk_torch.codegen.kernel import Kernel, Samples
 from bsk_torch.constants import NANO
 from bsk_torch.rand import Key, first_key
-from bsk_torch.sim.access.lookahead import LookAhead
+from bsk_torch.sim.access.lookahead import LookAhead, Manoeuvres
 from bsk_torch.sim.access.places import place_kinds
 from bsk_torch.sim.access.visibility.backend import make_visibility
 from bsk_torch.sim.access.windows import AccessWindows
@@ -157,6 +157,7 @@ class Simulator:
         randomize: Callable[[Key], Overrides] = lambda key: {},
         world_type: type[WorldModel] | None = None,
         compat: str | None = None,
+        replan: bool = True,
         advised: set[Any] | None = None,
         controlled: bool = True,
     ) -> None:
@@ -181,6 +182,7 @@ class Simulator:
             randomize: Draws arguments that replace those of some satellites.
             world_type: World model; None for what the dynamics model requires.
             compat: ``"bsk_rl"`` for access windows with bsk_rl's errors.
+            replan: Whether windows and eclipses follow manoeuvres.
             advised: What has been logged about arguments, so that simulations that share it do not say it again.
             controlled: Whether actions may switch attitude control on, so that its gains matter.
 
@@ -201,10 +203,10 @@ class Simulator:
         self._fits_tick: dict[str, Arguments] = {}
         self._make_components(dyn_type, fsw_type, world_type, sat_args, world_args)
         self._make_tick()
-        self._make_lookahead(horizon, segment, self.as_bsk_rl)
-        self.observer = Observer(self.state, self.lookahead.arcs, backend)
+        self._make_lookahead(horizon, segment, replan)
+        self.observer = Observer(self.state, self.lookahead.flight, backend)
         stations = self.world_args.given.get("groundStationsData", ())
-        self.world = self.world_type(self.state, self.lookahead.arcs, stations)
+        self.world = self.world_type(self.state, self.lookahead.flight, stations)
 
     # -- construction -------------------------------------------------------------------------------------------------
 
@@ -285,12 +287,21 @@ class Simulator:
         update = hub.rotate if on_arc else hub.translate_and_rotate
         return dataclasses.replace(part, update=update) if part.slot == "hub" else part
 
-    def _make_lookahead(self, horizon: float, segment: float, as_bsk_rl: bool) -> None:
+    def _make_lookahead(self, horizon: float, segment: float, replan: bool) -> None:
         places = place_kinds(self.world_args, self.scenario_state, self.state.arguments)
         solver = make_solver(self.h_ns * NANO, self.backend, self.device)
         visibility = make_visibility(self.backend, self.device)
+        manoeuvres = Manoeuvres(self.has_tank and (replan or self.orbit == "arc"), self.has_tank and replan)
         self.lookahead = LookAhead(
-            self.num_envs, self.count, solver, visibility, places, horizon=horizon, segment=segment, as_bsk_rl=as_bsk_rl
+            self.num_envs,
+            self.count,
+            solver,
+            visibility,
+            places,
+            horizon=horizon,
+            segment=segment,
+            as_bsk_rl=self.as_bsk_rl,
+            manoeuvres=manoeuvres,
         )
         self.state.add("lookahead", self.lookahead)
 
@@ -462,7 +473,7 @@ class Simulator:
     def _first_tick(self, rows: Tensor) -> None:
         """Run Basilisk's tick at time zero in ``rows`` [n]."""
         state = self.state
-        tracks = [Samples(track.table[rows], track.start[rows]) for track in self.lookahead.arcs.tracks(self.tick.tracks)]
+        tracks = [Samples(track.table[rows], track.start[rows]) for track in self.lookahead.flight.tracks(self.tick.tracks)]
         planes = state.planes[:, rows]
         self.runners.first_tick(
             planes,
@@ -507,7 +518,7 @@ class Simulator:
         """Raise ValueError for satellites that cannot change their velocity; ``title`` says what would."""
         if not self.has_tank:
             raise ValueError(
-                f"{title} changes the velocity of a satellite without a tank; compose its flight software with that of manoeuvres, "
+                f"{title} changes the velocity of a satellite without a tank; compose its flight software with one, "
                 "such as fsw_type = (fsw.MagicOrbitalManeuverFSWModel, fsw.ImagingFSWModel)"
             )
 
@@ -525,14 +536,12 @@ class Simulator:
             ValueError: For satellites without a tank, tensors of other shapes, or changes that are not finite.
         """
         self.check_tank("thrust(rows, dv_N)")
-        if self.orbit == "arc":
-            raise ValueError("thrust(rows, dv_N) needs orbits that are integrated in the tick; pass orbit='integrated'")
         state = self.state
         n = state.rows
         if rows.shape != (n,) or rows.dtype != torch.bool or dv_N.shape != (n, 3):
             raise ValueError(
-                f"thrust(rows, dv_N) got rows of shape {list(rows.shape)} and {rows.dtype}, dv_N of shape {list(dv_N.shape)}; rows "
-                f"must be a mask [{n}] bool, dv_N [{n}, 3] m/s"
+                f"thrust(rows, dv_N) got rows of shape {list(rows.shape)} and {rows.dtype}, dv_N of shape {list(dv_N.shape)}; "
+                f"rows must be a mask [{n}] bool, dv_N [{n}, 3] m/s"
             )
         done = burn(dv_N.double(), state.read("dv_available"))
         infinite, clipped = torch.stack([(rows & ~torch.isfinite(dv_N).all(-1)).any(), (rows & done.clipped).any()]).tolist()
@@ -549,10 +558,28 @@ class Simulator:
                 float(dv_N[row].norm()),
                 float(state.read("dv_available")[row]),
             )
-        pending = torch.zeros_like(done.dv_N) if self.as_bsk_rl else state.read("delta_v_N")
+        before = state.read("delta_v_N")
+        after = torch.where(rows.unsqueeze(-1), done.dv_N + (0.0 if self.as_bsk_rl else before), before)
         state.write("dv_available", rows, done.left)
         state.write("thrust_count", rows, state.read("thrust_count") + 1.0)
-        state.write("delta_v_N", rows, pending + done.dv_N)
+        state.write("delta_v_N", rows, after)
+        if self.lookahead.follows:
+            changed = torch.nonzero((after != before).any(-1)).squeeze(-1)
+            if len(changed):
+                self._begin_orbits(changed, before[changed], after[changed])
+
+    def _begin_orbits(self, rows: Tensor, before: Tensor, after: Tensor) -> None:
+        """Let new orbits of ``rows`` [n] begin now.
+
+        The changes of velocity at this time, [n, 3] m/s, were ``before``, which arcs know already, and are ``after``.
+        """
+        now = self.state.sim_time
+        if self.orbit == "arc":
+            r_N, v_N = self.lookahead.state_at(rows, now)
+            v_N = v_N - before
+        else:
+            r_N, v_N = (self.state.read(name)[rows] for name in ("r_BN_N", "v_BN_N"))
+        self.lookahead.restart(rows, now, r_N, v_N + after)
 
     @functools.cached_property
     def resets(self) -> tuple[Tensor, Tensor, Tensor]:
@@ -600,8 +627,8 @@ class Simulator:
 
     @property
     def arcs(self) -> Arcs:
-        """Arcs of the satellites."""
-        return self.lookahead.arcs
+        """Arcs of the satellites, those that they fly on."""
+        return self.lookahead.flight
 
     @property
     def access(self) -> AccessWindows | None:
@@ -639,13 +666,13 @@ class Simulator:
         state = self.state
         if isinstance(self.runners.run, Kernel) and int(ticks.max()) > (most := ticks_at_once(state.rows)):
             if may_rewind:
-                self.lookahead.reach(state.sim_time + ticks * state.h, state.sim_time)
+                self.lookahead.reach_in_flight(state.sim_time + ticks * state.h, state.sim_time)
             return self._run_in_pieces(ticks, most)
-        self.lookahead.reach(state.sim_time + ticks * state.h, state.sim_time)
+        self.lookahead.reach_in_flight(state.sim_time + ticks * state.h, state.sim_time)
         flown = self.runners.run(
             state.planes,
             ticks,
-            self.lookahead.arcs.tracks(self.tick.tracks),
+            self.lookahead.flight.tracks(self.tick.tracks),
             expected_ticks=expected,
             shared=self.uniform,
             own=state.parameters,

@@ -17,6 +17,7 @@ from bsk_torch.codegen.kernel import Kernel
 from bsk_torch.codegen.trace import Tracer
 from bsk_torch.constants import NANO
 from bsk_torch.sim.component import Bus, Component, Field, Layout, MissingMessageError, Track, neighbours
+from bsk_torch.sim.dyn.forces import check_force
 from bsk_torch.sim.environment.ephemeris import EPHEMERIS_TRACK, put_track
 from bsk_torch.sim.fsw.modes import MODE_FLAGS
 from bsk_torch.sim.orbit.arcs import ARC, follow_arc
@@ -59,6 +60,7 @@ class Tick:
         """Lay out the packs of ``components``, which are in the order of a tick of ``h_ns`` nanoseconds."""
         params = [field for component in components for field in component.params]
         self.components, self.h_ns, self.dtype, self.opaque_field = components, h_ns, dtype, opaque_field
+        self.on_arc = on_arc
         self.stops = stops and any(component.stops for component in components)
         self.state = Layout(field for component in components for field in component.state)
         self.shared = Layout(field for field in params if field.name in shared)
@@ -85,6 +87,7 @@ class Tick:
         bus = self.bus(inputs)
         update = _update_named if named else _update
         update(bus, self.components)
+        check_force(bus, self.on_arc)
         stop = bus.stop if self.stops and bus.has("stop") else None
         if stop is not None and stop.dtype is not torch.bool:
             raise TypeError(f"bus.stop has numbers of type {stop.dtype}; it must be a mask, which a comparison makes")

@@ -17,6 +17,9 @@ from bsk_torch.sim.state import StateTable
 SEARCH_STEP, SEARCHES = 6000.0, 3
 """bsk_rl searches up to 0, 6000 and 12000 s after the query, and ignores what the third search finds."""
 
+ROUNDING = 1e-9
+"""Error of times by rounding, in steps of the grid."""
+
 NOT_FOUND = 1.0
 """Answer to a query whose searches all fail: one second after the epoch, as bsk_rl gives it."""
 
@@ -80,15 +83,33 @@ class EclipseTable(StateTable):
 
         return times(after & ~before), times(before & ~after)
 
-    @staticmethod
-    def _next(table: Tensor, time: Tensor) -> Tensor:
+    def restart(self, rows: Tensor) -> None:
+        """Forget the transitions of ``rows`` [n], whose arcs have just begun anew, and find those in their first hour."""
+        begun = self.arcs.start[rows]
+        self.sampled[rows], self.known[rows] = begun, begun
+        orbits = PlannedOrbits(self.arcs.planned_samples, self.arcs.ephemeris_samples).take(rows)
+        starts, ends = self._transitions(orbits, begun, round(ARC_SEGMENT / PLAN_STEP))
+        self.write_rows("starts", rows, starts)
+        self.write_rows("ends", rows, ends)
+
+    def sample_to(self, time: Tensor) -> None:
+        """Note that bsk_rl would have propagated its trajectory to ``time`` [N] s, but for orbits that have begun anew."""
+        later, begun = torch.maximum(self.sampled, time), self.arcs.begun
+        self.sampled = torch.where(begun > 0.0, self.sampled, later) if isinstance(begun, Tensor) else later
+
+    def _next(self, table: Tensor, time: Tensor) -> Tensor:
         """Return the first entry, [N] s, after the sample of the grid at or before ``time`` [N] s."""
-        soonest = (torch.floor(time * (1.0 / PLAN_STEP)) + 1.0) * PLAN_STEP
+        begun, slack = self.arcs.begun, (ROUNDING if self.arcs.restarts else 0.0)
+        soonest = (torch.floor((time - begun) * (1.0 / PLAN_STEP) + slack) + 1.0 - slack) * PLAN_STEP + begun
         return torch.where(table >= soonest.unsqueeze(-1), table, torch.inf).amin(1)
 
     def needs(self, time: Tensor) -> Tensor:
         """Return the time, [N] s, which the arcs must reach for a query at ``time`` [N] s."""
         return torch.maximum(time + SEARCH_STEP * (SEARCHES - 1), self.known) + 2 * PLAN_STEP
+
+    def unknown(self, time: Tensor) -> Tensor:
+        """Return whether the next start or the next end after ``time`` [N] s lies beyond what has been searched, [N]."""
+        return torch.isinf(self._next(self.starts, time)) | torch.isinf(self._next(self.ends, time))
 
     def query(self, time: Tensor) -> tuple[Tensor, Tensor]:
         """Return start and end of the next eclipse after ``time`` [N] s, [N] s each.
@@ -100,7 +121,8 @@ class EclipseTable(StateTable):
         found = last <= self.known
         # each search propagates the trajectory, in whole steps, and records transitions up to there
         for k in range(SEARCHES):
-            reach = torch.floor((time + k * SEARCH_STEP + PLAN_STEP) / PLAN_STEP + 1e-9) * PLAN_STEP
+            elapsed = time - self.arcs.begun + k * SEARCH_STEP
+            reach = torch.floor((elapsed + PLAN_STEP) / PLAN_STEP + ROUNDING) * PLAN_STEP + self.arcs.begun
             self.sampled = torch.where(found, self.sampled, torch.maximum(self.sampled, reach))
             self.known = torch.where(found, self.known, self.sampled)
             if k < SEARCHES - 1:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, NoReturn
+from typing import Any, NamedTuple, NoReturn
 
 import torch
 from tensordict import TensorDictBase
@@ -19,6 +19,7 @@ from bsk_torch.sim.access.window_table import Windows
 from bsk_torch.sim.access.windows import MAX_SEGMENTS, AccessWindows, PlacesOf
 from bsk_torch.sim.orbit.arcs import PLANNED_SEGMENTS, Arcs, segments_for
 from bsk_torch.sim.orbit.grid import ARC_SEGMENT, PLAN_STEP
+from bsk_torch.sim.orbit.restartable import REACH_AROUND, RestartableArcs
 from bsk_torch.sim.orbit.solution import Solver
 from bsk_torch.sim.state import StateTable
 
@@ -35,16 +36,29 @@ SEARCHED, DEVICE_SEARCHED = 1 << 18, 1 << 24
 """Pairs of satellite and place whose windows are searched at once, likewise."""
 
 
+class Manoeuvres(NamedTuple):
+    """What follows manoeuvres: the arcs that ticks fly on, and look-ahead."""
+
+    flight: bool
+    lookahead: bool
+
+
+NONE = Manoeuvres(False, False)
+"""Nothing: of satellites that do not manoeuvre."""
+
+
 class LookAhead(StateTable):
     """Arcs, eclipses and windows of the satellites of one type.
 
     Attributes:
-        arcs: Where the satellites will be.
+        arcs: Where the satellites will be, or, where look-ahead follows no manoeuvre, would have been without any.
+        flight: Where they will be; the same object unless look-ahead follows no manoeuvre.
         eclipses: When they will be in the umbra.
         access: When places will see them; None without places.
     """
 
     arcs: Arcs
+    flight: Arcs
     eclipses: EclipseTable
     access: AccessWindows | None
 
@@ -59,6 +73,7 @@ class LookAhead(StateTable):
         horizon: float,
         segment: float,
         as_bsk_rl: bool,
+        manoeuvres: Manoeuvres = NONE,
     ) -> None:
         """Make room for ``count`` satellites in each of ``num_envs`` episodes.
 
@@ -71,16 +86,22 @@ class LookAhead(StateTable):
             horizon: Seconds for which windows are generated at reset.
             segment: Seconds by which windows are extended.
             as_bsk_rl: See :class:`~bsk_torch.sim.access.windows.AccessWindows`.
+            manoeuvres: What follows manoeuvres.
         """
         super().__init__(num_envs, count, solver.device)
         kept = max(PLANNED_SEGMENTS, segments_for(segment) + PLANNED_SEGMENTS - 1)
-        self.arcs = Arcs(num_envs, segments_for(horizon + MARGIN), solver, kept, count)
+        size = num_envs, segments_for(horizon + MARGIN), solver, kept, count
+        self.arcs = RestartableArcs(*size) if manoeuvres.lookahead else Arcs(*size)
+        separate = manoeuvres.flight and not manoeuvres.lookahead
+        self.flight = RestartableArcs(*size) if separate else self.arcs
         self.eclipses = EclipseTable(self.arcs, visibility)
         self.access = AccessWindows(self.arcs, visibility, places, segment, as_bsk_rl) if places else None
         self.add("arcs", self.arcs)
         self.add("eclipses", self.eclipses)
         if self.access is not None:
             self.add("windows", self.access)
+        if separate:
+            self.add("flight", self.flight)
         self.live = True
 
     # -- rows ---------------------------------------------------------------------------------------------------------
@@ -99,6 +120,8 @@ class LookAhead(StateTable):
             self.grow()
         for part in torch.split(torch.arange(len(rows), device=self.device), self._rows_at_once(rows)):
             fine = self.arcs.solve(rows[part], et[part], r_N[part], v_N[part])
+            if self.flight is not self.arcs:
+                self.flight.copy_from(self.arcs, rows[part])
             epoch = torch.zeros(len(part), dtype=torch.float64, device=self.device)
             ephemeris = Samples(self.arcs.ephemeris[rows[part]], epoch)
             orbits = PlannedOrbits(Samples(fine[:, ::2].contiguous(), epoch), ephemeris, Samples(fine, epoch))
@@ -113,19 +136,23 @@ class LookAhead(StateTable):
 
     def check_time(self, path: str, time: Tensor) -> None:
         """Raise ValueError unless arcs, which have been searched for eclipses and windows, cover the ``time`` [rows] s."""
-        arcs, end = self.arcs, self.arcs.end
-        covers = "the arcs must reach from before the present to behind it"
-        self.refuse(f"{path}lookahead.arcs.start", arcs.start, (arcs.start > time) | (end < time), covers)
-        searched = [("eclipses", name, self.eclipses[name]) for name in ("sampled", "known")]
-        searched += [("windows", name, self.access[name]) for name in ("until", "ready")] if self.access is not None else []
-        for table, name, value in searched:
-            self.refuse(f"{path}lookahead.{table}.{name}", value, value > end, "it must lie before the end of the arcs")
+        end, covers = self.arcs.end, "the arcs must reach from before the present to behind it"
+        for name, arcs in (("arcs", self.arcs), ("flight", self.flight)):
+            self.refuse(f"{path}lookahead.{name}.start", arcs.start, (arcs.start > time) | (arcs.end < time), covers)
+        last = torch.maximum(end, time + MARGIN) if self.arcs.restarts else end  # which are not always solved so far
+        searched = [("eclipses", name, self.eclipses[name], last) for name in ("sampled", "known")]
+        if self.access is not None:
+            seen = ("ready",) if self.arcs.restarts else ("until", "ready")
+            searched += [("windows", name, self.access[name], end) for name in seen]
+        for table, name, value, bound in searched:
+            self.refuse(f"{path}lookahead.{table}.{name}", value, value > bound, "it must lie before the end of the arcs")
 
     def over(self, saved: Mapping[str, Any] | TensorDictBase) -> LookAhead:
         """See :meth:`StateTable.over`."""
         other = super().over(saved)
         tables: Mapping[str, Any] = other.tables
         other.arcs, other.eclipses, other.access = tables["arcs"], tables["eclipses"], tables.get("windows")
+        other.flight = tables.get("flight", other.arcs)
         other.eclipses.arcs, other.live = other.arcs, False
         if other.access is not None:
             other.access.arcs = other.arcs
@@ -141,20 +168,35 @@ class LookAhead(StateTable):
     # -- time ---------------------------------------------------------------------------------------------------------
 
     def reach(self, time: Tensor, now: Tensor) -> None:
-        """Make every arc cover ``time`` [N] s: move it on, or make all longer where it would lose the past of ``now`` [N]."""
-        missing = torch.ceil((time - self.arcs.end) / ARC_SEGMENT).clamp(min=0)
+        """Make every arc of look-ahead cover ``time`` [N] s; ``now`` [N] s is the present.
+
+        Arcs move on, or all get longer where one would lose the past of the present.
+        """
+        self._reach(self.arcs, time, now)
+
+    def reach_in_flight(self, time: Tensor, now: Tensor) -> None:
+        """Make every arc that ticks fly on cover ``time`` [N] s, and those of look-ahead, too; ``now`` [N] s is the present."""
+        self._reach(self.arcs, time, now)
+        if self.flight is not self.arcs:
+            self._reach(self.flight, time, now)
+
+    def _reach(self, arcs: Arcs, time: Tensor, now: Tensor) -> None:
+        missing = torch.ceil((time - arcs.end) / ARC_SEGMENT).clamp(min=0)
         if not bool(missing.any()):
             return
-        room = torch.floor((now - KEPT_PAST - self.arcs.start) / ARC_SEGMENT).clamp(min=0)
-        longer = int((missing - room).max().clamp(min=0))
+        movable = torch.floor((now - KEPT_PAST - arcs.start) / ARC_SEGMENT).clamp(min=0)
+        longer = int((missing - arcs.room - movable).max().clamp(min=0))
         for _ in range(longer):
             self.grow()
-        missing = (missing - longer).clamp(min=0)
+        missing = torch.ceil((time - arcs.end) / ARC_SEGMENT).clamp(min=0)
         for spans in range(1, int(missing.max()) + 1):
             rows = torch.nonzero(missing >= spans).squeeze(-1)
+            if arcs is not self.arcs:
+                arcs.extend(rows)
+                continue
             if self.access is not None:
                 self.access.catch_up(rows)
-            self.arcs.extend(rows)
+            arcs.extend(rows)
             self.eclipses.lengthen(rows)
 
     def grow_to(self, length: float) -> None:
@@ -163,17 +205,76 @@ class LookAhead(StateTable):
             self.grow()
 
     def grow(self) -> None:
-        """Make every arc an hour longer."""
+        """Make every arc an hour longer; those that may begin anew get room only."""
+        if self.flight is not self.arcs:
+            self.flight.grow()
+        if self.arcs.restarts:
+            self.arcs.grow()
+            return
         if self.access is not None:
             self.access.catch_up(self.all_rows)
         self.arcs.grow()
         self.eclipses.lengthen(self.all_rows)
 
+    # -- manoeuvres ---------------------------------------------------------------------------------------------------
+
+    @property
+    def follows(self) -> bool:
+        """Whether any arcs follow manoeuvres."""
+        return self.flight.restarts
+
+    def state_at(self, rows: Tensor, now: Tensor) -> tuple[Tensor, Tensor]:
+        """Return position, m, and velocity, m/s, in N, [n, 3], of ``rows`` [n] in flight at the present time ``now`` [N] s."""
+        self._reach(self.flight, now + REACH_AROUND, now)
+        flight: Any = self.flight
+        return flight.state_at(rows, now[rows])
+
+    def restart(self, rows: Tensor, now: Tensor, r_N: Tensor, v_N: Tensor) -> None:
+        """Let new orbits of ``rows`` [n] begin at the present time ``now`` [N] s, with r_N, m, and v_N, m/s, [n, 3] in N.
+
+        What lies ahead on the old ones is dropped. Eclipses of the first hour are searched now, windows as queries need them.
+        """
+        if self.arcs.restarts and self.access is not None:
+            self._search_to(rows, now[rows], now)  # which passes are in progress
+            self.access.restart(rows, now[rows])
+        flight: Any = self.flight
+        for part in torch.split(torch.arange(len(rows), device=self.device), self._rows_at_once(rows)):
+            some = rows[part]
+            flight.restart(some, now[some], r_N[part], v_N[part])
+        if self.arcs.restarts:
+            self.eclipses.restart(rows)
+
+    def _search_to(self, rows: Tensor, time: Tensor, now: Tensor) -> None:
+        """Search windows of ``rows`` [n] up to ``time`` [n] s at least; ``now`` [N] s is the present."""
+        access: Any = self.access
+        while bool((behind := access.ready[rows] < time).any()):
+            rows, time = rows[behind], time[behind]
+            self._search_further(rows, now)
+
+    def _search_further(self, rows: Tensor, now: Tensor) -> None:
+        """Search as many segments more of ``rows`` [n] as are searched at once."""
+        access: Any = self.access
+        target = torch.zeros_like(now)
+        target[rows] = access.ready[rows] + max(access.ahead * access.segment, PLAN_STEP * COUNT)
+        self.reach(target, now)
+        access.extend(rows, now)
+
+    def search_visible(self, now: Tensor) -> None:
+        """Search all windows that queries see, after manoeuvres, too; ``now`` [N] s is the present."""
+        if self.arcs.restarts and self.access is not None:
+            self._search_to(self.all_rows, self.access.until, now)
+
     # -- queries ------------------------------------------------------------------------------------------------------
 
     def next_eclipse(self, time: Tensor) -> tuple[Tensor, Tensor]:
         """Return the next start and end of an eclipse after ``time`` [N], [N] s since reset; see :meth:`EclipseTable.query`."""
-        self.reach(self.eclipses.needs(time), time)
+        needs = self.eclipses.needs(time)
+        if self.arcs.restarts:  # an hour after the other, until both are found
+            while bool((short := self.eclipses.unknown(time) & (self.arcs.end < needs)).any()):
+                further = torch.minimum(needs, self.arcs.end + ARC_SEGMENT)
+                self.reach(torch.where(short, further, 0.0), time)
+        else:
+            self.reach(needs, time)
         return self.eclipses.query(time)
 
     def next_windows(
@@ -207,6 +308,8 @@ class LookAhead(StateTable):
         assert self.access is not None
         access = self.access
         wanted = torch.full(time.shape, width, dtype=torch.int64, device=self.device) if count is None else count
+        if self.arcs.restarts:
+            self._search_certain(kind, time, torch.where(wanted > 0, wanted.clamp(min=width), 0), allowed)
         windows, found = access.next(kind, time, width, allowed)
         short = rows = torch.nonzero(found < wanted).squeeze(-1)
         if not len(rows):
@@ -219,17 +322,27 @@ class LookAhead(StateTable):
             rows = access.reveal(kind, rows, time[rows], wanted[rows], limit[rows], some)
             if not len(rows):
                 break
-            target = torch.zeros_like(time)
-            target[rows] = access.ready[rows] + max(access.ahead * access.segment, PLAN_STEP * COUNT)
-            self.reach(target, time)
-            access.extend(rows, time)
-        self.eclipses.sampled = torch.maximum(self.eclipses.sampled, access.until)
+            self._search_further(rows, time)
+        self.eclipses.sample_to(access.until)
         more, number = access.next(kind, time, width, allowed, short)
         windows, found = windows.put(short, more), found.index_copy(0, short, number)
         none = [] if may_see_nothing else torch.nonzero((found == 0) & (wanted > 0)).squeeze(-1).tolist()
         if none:
             self._raise_nothing_in_view(kind, [row // self.count for row in none])
         return windows, found
+
+    def _search_certain(self, kind: str, time: Tensor, wanted: Tensor, allowed: Tensor | None) -> None:
+        """Search on, where a manoeuvre has undone the search, until as many windows as are ``wanted`` [N] are certain.
+
+        Windows that close before the end of the search do so before all that have not been found yet. So queries see the same as
+        if all had been searched anew at the manoeuvre.
+        """
+        access: Any = self.access
+        rows = torch.nonzero(access.ready < access.until).squeeze(-1)
+        while len(rows):
+            rows = access.uncertain(kind, rows, time[rows], wanted[rows], None if allowed is None else allowed[rows])
+            if len(rows):
+                self._search_further(rows, time)
 
     def generate_until(self, until: Tensor, now: Tensor) -> bool:
         """Let queries see all windows that open before ``until`` [N] s: whole segments are added, of all kinds of places.
@@ -238,17 +351,15 @@ class LookAhead(StateTable):
         """
         assert self.access is not None
         access = self.access
+        self.search_visible(now)
         steps = torch.ceil((until - access.until) / access.segment).clamp(min=0.0)
         if not bool((steps > 0.0).any()):
             return False
         end = access.until + steps * access.segment
         while len(behind := torch.nonzero(access.ready < end).squeeze(-1)):
-            target = torch.zeros_like(now)
-            target[behind] = access.ready[behind] + max(access.ahead * access.segment, PLAN_STEP * COUNT)
-            self.reach(target, now)
-            access.extend(behind, now)
+            self._search_further(behind, now)
         access.until = end
-        self.eclipses.sampled = torch.maximum(self.eclipses.sampled, end)
+        self.eclipses.sample_to(end)
         return True
 
     def _raise_nothing_in_view(self, kind: str, envs: list[int]) -> NoReturn:

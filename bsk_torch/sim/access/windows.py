@@ -182,6 +182,35 @@ class AccessWindows(StateTable):
         self.until[rows] = torch.minimum(wanted, until + most * self.segment)
         return rows[~enough & (self.until[rows] < until + most * self.segment)]
 
+    def restart(self, rows: Tensor, time: Tensor) -> None:
+        """Drop the windows of ``rows`` [n] that lie ahead of ``time`` [n] s, a manoeuvre, up to which all has been searched.
+
+        Of windows that are open then the beginning is kept: the search from there on joins it to what follows.
+        """
+        for kind in self.kinds:
+            old = self._windows_of(kind).take(rows)
+            now = time.unsqueeze(-1)
+            row, k = torch.nonzero((old.open < now) & (old.close >= now) & torch.isfinite(old.close), as_tuple=True)
+            self._store_passes(kind, rows, Passes(row, old.place[row, k], old.open[row, k], time[row]))
+        self.ready[rows] = time
+
+    def uncertain(self, kind: str, rows: Tensor, time: Tensor, count: Tensor, allowed: Tensor | None = None) -> Tensor:
+        """Return those of ``rows`` [m] in which fewer than ``count`` [m] of the windows that queries see are certain.
+
+        Certain are windows that close before the end of the search.
+
+        Args:
+            kind: Kind of place.
+            rows: Rows, [m].
+            time: Time of the query, [m] s.
+            count: Number of windows, [m].
+            allowed: Places that count, [m, P]; None for all.
+        """
+        until, ready = self.until[rows], self.ready[rows]
+        windows = self._windows_of(kind).take(rows)
+        certain = candidates(windows, time, until, allowed).valid & (windows.close < ready.unsqueeze(-1))
+        return rows[(certain.sum(1) < count) & (ready < until)]
+
     def extend(self, rows: Tensor, time: Tensor) -> None:
         """Search more segments of ``rows``, as far as their arcs reach; drop windows that closed before ``time`` [N] s."""
         self._search_on(rows, self.ahead, time[rows])

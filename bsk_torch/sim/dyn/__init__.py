@@ -1,5 +1,6 @@
 """Dynamics: the parts of a spacecraft and the models that compose them."""
 
+from bsk_torch.sim.dyn.forces import add_force
 from bsk_torch.sim.dyn.models import (
     AtmosphericDragDynModel,
     BasicDynamicsModel,
@@ -27,6 +28,7 @@ __all__ = [
     "ImagingDynModel",
     "LOSCommDynModel",
     "Now",
+    "add_force",
     "aliveness_checker",
     "observable",
     "vital",

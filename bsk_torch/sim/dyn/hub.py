@@ -186,13 +186,18 @@ def gravity(bus: Bus, r: Vec3, offset: float) -> Vec3:
 def translate_and_rotate(bus: Bus) -> None:
     """Advance orbit, attitude and wheels together by one tick, a Runge-Kutta step, as Basilisk does.
 
-    ``r' = v`` and ``v' = a(r, t) + [BN]^T F / m`` with the drag force F, N in B; the rest as in :func:`rotate`, with the torque
-    of the drag.
+    ``r' = v`` and ``v' = a(r, t) + F_N / m + [BN]^T F_B / m`` with the drag force F_B, N in B, and the message
+    ``external_force_N``, F_N, N in N, that components may have written; it is constant over the tick. The rest as in
+    :func:`rotate`, with the torque of the drag.
     """
+    constant = bus.external_force_N / bus.mass if bus.has("external_force_N") else None
+    bus.force_is_felt = constant is not None
 
     def rates(stage: int, offset: float, y: State) -> State:
         r, v, sigma, omega, *wheels = y
         acceleration, torque = gravity(bus, r, offset), _torque(bus, stage)
+        if constant is not None:
+            acceleration = acceleration + constant
         if bus.has("density"):
             BN = mrp_to_dcm(sigma)
             force, drag_torque = drag(bus, BN @ v)

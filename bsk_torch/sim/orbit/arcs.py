@@ -1,7 +1,8 @@
 """Arcs: positions of satellites, computed ahead of the simulation in batched passes.
 
-Without manoeuvres and above the modelled atmosphere an orbit does not depend on actions, so it is solved in advance, and
-a polynomial through positions a minute apart serves every tick.
+Above the modelled atmosphere an orbit does not depend on actions until the next manoeuvre, so it is solved in advance, and a
+polynomial through positions a minute apart serves every tick. Of satellites that manoeuvre it is solved anew from there on; see
+:mod:`bsk_torch.sim.orbit.restartable`.
 
 Two arcs are kept for each satellite. The *flown* arc is the one that Basilisk integrates at the simulation's rate. The *planned*
 arc is the one that bsk_rl looks ahead on, a Runge-Kutta propagation in steps of 30 s; its truncation error, metres per orbit, is
@@ -60,6 +61,9 @@ class Arcs(StateTable):
     start: Tensor
     et: Tensor
 
+    restarts = False
+    """Whether arcs may begin anew in mid-episode; see :class:`bsk_torch.sim.orbit.restartable.RestartableArcs`."""
+
     def __init__(self, num_envs: int, spans: int, solver: Solver, kept: int = PLANNED_SEGMENTS, count: int = 1) -> None:
         """Make room for ``count`` satellites in each of ``num_envs`` episodes; planned arcs keep their last ``kept`` hours."""
         super().__init__(num_envs, count, solver.device)
@@ -86,7 +90,8 @@ class Arcs(StateTable):
                     f"'{path}{name}' of the saved state has {self[name].shape[1]} columns, where those of 'flown' are "
                     f"{self.flown.shape[1]}; arcs of {spans} hours have {width}"
                 )
-        self.refuse(f"{path}start", self.start, self.start % ARC_SEGMENT != 0.0, f"it must be a multiple of {ARC_SEGMENT:g} s")
+        off = off_the_hour(self.start - self.begun)
+        self.refuse(f"{path}start", self.start, off, f"it must be a multiple of {ARC_SEGMENT:g} s after the orbit began")
 
     @property
     def length(self) -> float:
@@ -97,6 +102,16 @@ class Arcs(StateTable):
     def end(self) -> Tensor:
         """Time of the last node, [N]."""
         return self.start + self.length
+
+    @property
+    def begun(self) -> Tensor | float:
+        """Time at which the present orbit began, [N] s or a number: zero, or that of the last manoeuvre."""
+        return 0.0
+
+    @property
+    def room(self) -> Tensor | float:
+        """Hours that can be solved before an arc has to move on, [N] or a number."""
+        return 0.0
 
     @property
     def planned_samples(self) -> Samples:
@@ -146,14 +161,18 @@ class Arcs(StateTable):
     def _solved(self, rows: Tensor, *known: Tensor) -> Solution:
         """Solve the next hour of ``rows`` [n]; FloatingPointError where positions are not finite."""
         found = self.solver.extend(*known)
-        wrong = ~torch.isfinite(found.planned).flatten(1).all(1) | ~torch.isfinite(found.flown[:, -1]).all(1)
+        self._check_finite(rows, found.planned, found.flown)
+        return found
+
+    def _check_finite(self, rows: Tensor, planned: Tensor, flown: Tensor) -> None:
+        """Raise FloatingPointError where new positions of ``rows`` [n] are not finite."""
+        wrong = ~torch.isfinite(planned).flatten(1).all(1) | ~torch.isfinite(flown[:, -1]).all(1)
         wrong = wrong & (self.et[rows] != 0.0)  # where no episode has begun, there is no orbit yet
         if bool(wrong.any()):
             envs = (rows[wrong] // self.count).unique().tolist()
             raise FloatingPointError(
                 f"the orbits of environments {envs[:5]} ({len(envs)} in all) do not stay finite in the next hour"
             )
-        return found
 
     def grow(self) -> None:
         """Make every arc an hour longer; nothing changes if that fails."""
@@ -162,6 +181,12 @@ class Arcs(StateTable):
         full = self.planned.shape[1] > self.kept * NODES_PER_SEGMENT
         planned = torch.cat([self.planned[:, NODES_PER_SEGMENT if full else 0 :], new[:, 1::2]], 1)
         self.__dict__.update(ephemeris=ephemeris, flown=flown, planned=planned, tail=tail)
+
+
+def off_the_hour(seconds: Tensor) -> Tensor:
+    """Return whether times, s, are no whole hours, but for rounding."""
+    hours = seconds / ARC_SEGMENT
+    return ~((hours - torch.round(hours)).abs() < 1e-9)
 
 
 def segments_for(seconds: float) -> int:

@@ -11,8 +11,9 @@ from torch import Tensor
 from bsk_torch.astro.frames import rotate_z
 from bsk_torch.astro.gravity import field, third_body
 from bsk_torch.astro.multistep import position_weights, velocity_weights
+from bsk_torch.codegen.ir import Loop
 from bsk_torch.codegen.kernel import Kernel
-from bsk_torch.sim.component import Bus
+from bsk_torch.sim.component import Bus, Track, vec
 from bsk_torch.sim.environment.ephemeris import EPHEMERIS_TRACK, fixed
 from bsk_torch.sim.orbit.builder import KernelBuilder
 from bsk_torch.sim.orbit.equations import FULL_FIELD, central_gradient, stretched
@@ -132,6 +133,21 @@ def flown_kernel() -> Kernel:
     r, remembered = r + change * corrector[-1], [*remembered, a + change]
     v = v + weighted(_scaled(velocity_weights(after, 0, 1), MULTISTEP_STEP), remembered)
     return builder.kernel("flown arc", [r, v, *remembered], (EPHEMERIS_TRACK,), [r])
+
+
+NODE = Track("node", NODE_SPACING, (vec("r_BN_N", "m", exact=True),), count=1)
+"""Nodes of an arc, one by one."""
+
+
+@cache
+def acceleration_kernel() -> Kernel:
+    """Return the kernel that writes the acceleration at a node in each tick; its state is the time, shared is the stretch."""
+    builder = KernelBuilder()
+    (time,) = builder.planes("state", 1)
+    (stretch,) = builder.planes("shared", 1)
+    a: Any = acceleration(builder.ephemeris(), Vec3(*builder.records(2, 3)), stretch)
+    tracks = EPHEMERIS_TRACK, NODE
+    return Kernel("accelerations", Loop(builder.program, [time + NODE_SPACING], tracks, list(a), clock=time))
 
 
 def _scaled(weights: list[float], factor: float) -> list[float]:

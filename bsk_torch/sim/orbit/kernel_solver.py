@@ -61,6 +61,15 @@ class KernelSolver:
         self._plan(planned_tail, node * MINUTE_NS // DIFFERENCE_STEP_NS, tracks, planned)
         return Solution(longer, planned, torch.cat([state, planned_tail]).mT)
 
+    def accelerations(self, nodes: Tensor, ephemeris: Samples) -> Tensor:
+        """See :class:`bsk_torch.sim.orbit.solution.Solver`."""
+        n, count, _ = nodes.shape
+        half = torch.full((n,), -0.5 * NODE_SPACING, dtype=torch.float64)  # out of reach of rounding
+        written = torch.empty_like(nodes)
+        state, tracks = torch.zeros(1, n, dtype=torch.float64), (ephemeris, Samples(nodes, half))
+        flown_arc.acceleration_kernel()(state, count, tracks, shared=self.stretches, written=written)
+        return written
+
     def _start(self, r: Tensor, v: Tensor, around: Samples, flown: Tensor) -> Tensor:
         """Fill the first positions; the state with which the flown arc goes on."""
         n, ticks = len(r), len(self.schedule)

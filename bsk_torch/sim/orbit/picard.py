@@ -24,9 +24,12 @@ from torch import Tensor
 
 from bsk_torch.astro.integrate import quadrature
 from bsk_torch.codegen.inductor import just_in_time
+from bsk_torch.codegen.kernel import Samples
 from bsk_torch.constants import MU_EARTH
-from bsk_torch.sim.environment.ephemeris import pole_matrix
+from bsk_torch.sim.component import neighbours
+from bsk_torch.sim.environment.ephemeris import EPHEMERIS_TRACK, ephemeris_at, pole_matrix
 from bsk_torch.sim.orbit.equations import Surroundings, frame_growth, frame_stretch, full_field, surroundings, zonal_field
+from bsk_torch.sim.orbit.flown_arc import acceleration
 from bsk_torch.sim.orbit.grid import ARC_SEGMENT, LEAD_NODES, NODE_SPACING, NODES_PER_SEGMENT, PLAN_STEP
 from bsk_torch.sim.orbit.solution import Solution
 from bsk_torch.sim.orbit.step_error import step_defect
@@ -139,6 +142,15 @@ class PicardSolver:
         """See :class:`bsk_torch.sim.orbit.solution.Solver`."""
         new, planned, tail = self._hour(et + start + (flown.shape[1] - 1 - LEAD_NODES) * NODE_SPACING, tail)
         return Solution(torch.cat([flown, new], 1), planned, tail)
+
+    def accelerations(self, nodes: Tensor, ephemeris: Samples) -> Tensor:
+        """See :class:`bsk_torch.sim.orbit.solution.Solver`."""
+        n, count, _ = nodes.shape
+        rows = torch.arange(n, device=self.device).repeat_interleave(count)
+        time = (NODE_SPACING * torch.arange(count, device=self.device)).repeat(n)
+        records, tau = neighbours(EPHEMERIS_TRACK, ephemeris.table, rows, time - ephemeris.start[rows])
+        sky = ephemeris_at(records.flatten(1).unbind(-1), tau)
+        return acceleration(sky, Vec3.of(nodes.flatten(0, 1)), self.stretch).stack().view(nodes.shape)
 
     def _before(self, et: Tensor, r: Tensor, v: Tensor) -> Tensor:
         """Nodes [n, LEAD_NODES, 3] before the epoch: the orbit with time running backwards."""

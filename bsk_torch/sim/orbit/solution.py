@@ -7,6 +7,8 @@ from typing import NamedTuple, Protocol
 import torch
 from torch import Tensor
 
+from bsk_torch.codegen.kernel import Samples
+
 
 class Solution(NamedTuple):
     """Positions in N, m, and what is needed to go on from the arcs' ends, [n, T].
@@ -51,4 +53,10 @@ class Solver(Protocol):
 
         Returns:
             Flown positions with the next hour, [n, Q + 60, 3], and planned ones of that hour, [n, 120, 3].
+        """
+
+    def accelerations(self, nodes: Tensor, ephemeris: Samples) -> Tensor:
+        """Return the accelerations, [n, K, 3] m/s^2 in N, at nodes of flown arcs, [n, K, 3] m, a minute apart.
+
+        ``ephemeris`` holds the records of Sun and Earth of each arc; its times count from the first of the nodes.
         """
