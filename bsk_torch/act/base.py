@@ -340,7 +340,7 @@ class ActionBuilder:
         for k in self._deciding:
             part, mask = self._decided(k, acts, action, previous), self._rows_of(k, action)
             self._commands[k] = part.command
-            decision = Decision(*(torch.where(mask, new, old) for new, old in zip(part[:5], decision[:5], strict=True)))
+            decision = _merged(mask, part, decision)
         return decision
 
     def _decided(self, k: int, acts: Tensor, action: Tensor, previous: Tensor) -> Decision:
@@ -378,6 +378,12 @@ class ActionBuilder:
                 check_tensor(f"{type(entry).__name__}.mask()", part, wanted.shape, torch.bool)
             parts.append(part)
         return torch.cat(parts, -1)
+
+
+def _merged(mask: Tensor, new: Decision, old: Decision) -> Decision:
+    """Return the commands of one decision where ``mask`` [N] holds, and of another elsewhere."""
+    pairs = ((getattr(new, name), getattr(old, name)) for name in Decision._fields[: len(DTYPES)])
+    return Decision(*(torch.where(mask, mine, other) for mine, other in pairs))
 
 
 def link_entry(entry: Any, satellite: Satellite) -> None:

@@ -12,9 +12,9 @@ from bsk_torch import ConstellationTasking, SatelliteTasking, act, data, obs, pr
 from bsk_torch.rl.evaluation import evaluate
 from bsk_torch.rl.marl import MAPPOConfig, MAPPOTraining
 from bsk_torch.rl.networks.plans import AttentionPlan, GRUPlan, MLPPlan
-from bsk_torch.rl.networks.real import bounds_of, spread
 from bsk_torch.rl.policies.files import check_fits, load_policy, read_card
 from bsk_torch.rl.policies.shared_policy import shared, shared_baselines
+from bsk_torch.rl.rules.real import bounds_of, spread
 from bsk_torch.rl.rules.shield import SafeRule, shield
 from bsk_torch.rl.training.config import PPOConfig
 from bsk_torch.rl.training.trainer import resume, train

@@ -17,7 +17,8 @@ from bsk_torch.env import SatelliteTasking
 from bsk_torch.env.action_forms import form
 from bsk_torch.rl.networks.attention import Encoder, SetActor, SetCritic
 from bsk_torch.rl.networks.normaliser import MASK, OWN, ROWS, ObservationNormaliser, SetNormaliser, VectorNormaliser
-from bsk_torch.rl.networks.real import Bell, Bounds, bounds_of, squashed
+from bsk_torch.rl.networks.real import Bell, squashed
+from bsk_torch.rl.rules.real import Bounds, bounds_of
 from bsk_torch.rl.rules.targets import image_actions
 from bsk_torch.sim.params import nearest
 

@@ -12,10 +12,10 @@ from tensordict.nn import TensorDictModule, TensorDictModuleBase
 from torch import Tensor
 
 from bsk_torch.env import SatelliteTasking
-from bsk_torch.rl.networks.real import Bounds, bounds_of, spread
 from bsk_torch.rl.rules.columns import Columns
 from bsk_torch.rl.rules.imaging import by_closing, by_discounted_priority, by_priority, imaging_rule
 from bsk_torch.rl.rules.inspection import inspection_rule
+from bsk_torch.rl.rules.real import Bounds, bounds_of, spread
 
 LOT = "lot"
 """Key of uniform numbers, [N] each, by which evaluation decides what policies do at random, whatever the batch."""
@@ -57,8 +57,8 @@ class RandomNumbers(TensorDictModuleBase):
         """Write ``action``, [..., A] float32."""
         lot = tensordict.get(LOT, None)
         if lot is None:
-            on = {"device": self.generator.device, "generator": self.generator}
-            lot = torch.rand(tensordict.batch_size, dtype=torch.float64, **on)
+            shape, device = tensordict.batch_size, self.generator.device
+            lot = torch.rand(shape, dtype=torch.float64, device=device, generator=self.generator)
         return tensordict.set("action", spread(lot, self.bounds).float())
 
 
