@@ -114,6 +114,7 @@ RECORDED = {
     "record_imaging": "basilisk/recordings/imaging_half_second",
     "record_inspection": "basilisk/recordings/inspection_dark",
     "record_los": "basilisk/recordings/los_two_seconds",
+    "record_manoeuvres": "basilisk/recordings/manoeuvre_kick",
     "record_models": "basilisk/recordings/models_pointing",
     "record_modules": "sim/data/controller",
 }
