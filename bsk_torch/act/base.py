@@ -277,8 +277,9 @@ class ActionBuilder:
         """Declare the actions in progress in the table of tasks."""
         task.declare("action", 0, low=-self.n_negative_actions, high=self.n_actions - 1)
 
-    def entry_of(self, action: int) -> int:
+    def entry_of(self, action: int | Tensor) -> int:
         """Return the number of the entry to which an action belongs."""
+        action = int(action)
         return self._takes_negative if action < 0 else max(k for k, start in enumerate(self._starts) if start <= action)
 
     def table(self) -> ActionTable:

@@ -12,6 +12,7 @@ from tensordict.nn import TensorDictModule, TensorDictModuleBase
 from torch import Tensor
 
 from bsk_torch.env import SatelliteTasking
+from bsk_torch.rl.networks.real import Bounds, bounds_of, spread
 from bsk_torch.rl.rules.imaging import by_closing, by_discounted_priority, by_priority, imaging_rule
 from bsk_torch.sim.params import nearest
 
@@ -40,9 +41,31 @@ class RandomPolicy(TensorDictModuleBase):
         return tensordict.set("action", chosen.long().argmax(-1))
 
 
-def random_policy(env: SatelliteTasking, seed: int) -> RandomPolicy:
-    """Legal actions with equal probability."""
-    return RandomPolicy(torch.Generator(env.device).manual_seed(seed))
+class RandomNumbers(TensorDictModuleBase):
+    """Real numbers that are uniform within their bounds, by lots as :class:`RandomPolicy` draws them."""
+
+    in_keys: ClassVar[list[str]] = [LOT]
+    out_keys: ClassVar[list[str]] = ["action"]
+
+    def __init__(self, bounds: Bounds, generator: torch.Generator) -> None:
+        """Draw within ``bounds`` from ``generator``."""
+        super().__init__()
+        self.bounds, self.generator = bounds, generator
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Write ``action``, [..., A] float32."""
+        lot = tensordict.get(LOT, None)
+        if lot is None:
+            on = {"device": self.generator.device, "generator": self.generator}
+            lot = torch.rand(tensordict.batch_size, dtype=torch.float64, **on)
+        return tensordict.set("action", spread(lot, self.bounds).float())
+
+
+def random_policy(env: SatelliteTasking, seed: int) -> RandomPolicy | RandomNumbers:
+    """Legal actions with equal probability; ValueError for real numbers without finite bounds."""
+    generator = torch.Generator(env.device).manual_seed(seed)
+    bounds = bounds_of(env)
+    return RandomNumbers(bounds, generator) if bounds else RandomPolicy(generator)
 
 
 class Columns:
