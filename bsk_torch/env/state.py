@@ -43,8 +43,9 @@ def fingerprint(fleet: Fleet) -> Tensor:
         make.update(repr((structure, simulator.state.constants, lookahead.arcs.tail.shape[1])).encode())
         make.update(simulator.uniform.cpu().numpy().tobytes())
         access = None if lookahead.access is None else (lookahead.access.segment, lookahead.access.as_bsk_rl)
-        access = (access, lookahead.follows, lookahead.arcs.restarts) if simulator.has_tank else access
-        use.update(repr((group.actions.description, simulator.dtype, simulator.orbit, tick.stops, access)).encode())
+        used = [group.actions.description, simulator.dtype, simulator.orbit, tick.stops, access]
+        used += [lookahead.follows, lookahead.arcs.restarts] if simulator.has_tank else []
+        use.update(repr(tuple(used)).encode())
     digests = (int.from_bytes(digest.digest(), "big") for digest in (make, use))
     return torch.tensor([FORMAT, fleet.simulators[0].h_ns, *digests])
 

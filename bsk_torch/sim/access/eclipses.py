@@ -94,8 +94,8 @@ class EclipseTable(StateTable):
 
     def sample_to(self, time: Tensor) -> None:
         """Note that bsk_rl would have propagated its trajectory to ``time`` [N] s, but for orbits that have begun anew."""
-        first = torch.maximum(self.sampled, time)
-        self.sampled = torch.where(self.arcs.begun > 0.0, self.sampled, first) if self.arcs.restarts else first
+        later, begun = torch.maximum(self.sampled, time), self.arcs.begun
+        self.sampled = torch.where(begun > 0.0, self.sampled, later) if isinstance(begun, Tensor) else later
 
     def _next(self, table: Tensor, time: Tensor) -> Tensor:
         """Return the first entry, [N] s, after the sample of the grid at or before ``time`` [N] s."""

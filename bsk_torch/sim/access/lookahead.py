@@ -121,7 +121,7 @@ class LookAhead(StateTable):
         for part in torch.split(torch.arange(len(rows), device=self.device), self._rows_at_once(rows)):
             fine = self.arcs.solve(rows[part], et[part], r_N[part], v_N[part])
             if self.flight is not self.arcs:
-                self.flight.copy_from(self.arcs, rows[part])  # type: ignore[attr-defined]
+                self.flight.copy_from(self.arcs, rows[part])
             epoch = torch.zeros(len(part), dtype=torch.float64, device=self.device)
             ephemeris = Samples(self.arcs.ephemeris[rows[part]], epoch)
             orbits = PlannedOrbits(Samples(fine[:, ::2].contiguous(), epoch), ephemeris, Samples(fine, epoch))

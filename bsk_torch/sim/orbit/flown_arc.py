@@ -145,7 +145,7 @@ def acceleration_kernel() -> Kernel:
     builder = KernelBuilder()
     (time,) = builder.planes("state", 1)
     (stretch,) = builder.planes("shared", 1)
-    a = acceleration(builder.ephemeris(), Vec3(*builder.records(2, 3)), stretch)
+    a: Any = acceleration(builder.ephemeris(), Vec3(*builder.records(2, 3)), stretch)
     tracks = EPHEMERIS_TRACK, NODE
     return Kernel("accelerations", Loop(builder.program, [time + NODE_SPACING], tracks, list(a), clock=time))
 
