@@ -11,6 +11,7 @@ from bsk_torch.sim.fsw.models import (
     SteeringImagerFSWModel,
 )
 from bsk_torch.sim.fsw.modes import Command, Mode
+from bsk_torch.sim.fsw.passive import TumblingFSWModel
 from bsk_torch.sim.fsw.setpoint import AttitudeSetpointFSWModel, InertialHoldFSWModel
 from bsk_torch.sim.fsw.tasks import Task, action
 
@@ -28,5 +29,6 @@ __all__ = [
     "SteeringFSWModel",
     "SteeringImagerFSWModel",
     "Task",
+    "TumblingFSWModel",
     "action",
 ]
