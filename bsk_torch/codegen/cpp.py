@@ -31,10 +31,11 @@ PACKS = (
     "double* state, const double* shared, const double* own, const double* flags, int64_t modes",
     "const int64_t* mode, const int64_t* ticks, int64_t nanoseconds, const double* schedule",
 )
+WRITTEN = "double* written, int64_t stride"
 INDEPENDENT = (
     "int64_t blocks, int64_t threads, const int64_t* rows, int64_t* counts, int64_t n",
     *PACKS,
-    "double* written, int64_t stride",
+    WRITTEN,
 )
 LOCKSTEP = (
     "int64_t tiles, int64_t size, int64_t threads, const int64_t* rows, const int64_t* groups, int64_t* ends, int64_t n",
@@ -63,7 +64,7 @@ def signature(loop: LoweredLoop) -> str:
 
 
 def _parameters(loop: LoweredLoop) -> Lines:
-    fixed = INDEPENDENT if loop.carried is None else LOCKSTEP
+    fixed = INDEPENDENT if loop.carried is None else (*LOCKSTEP, *([WRITTEN] if loop.written else []))
     return [*fixed, *(TRACK.format(t=t) for t in range(1, len(loop.records) + 1))]
 
 
@@ -294,7 +295,7 @@ def _independent(loop: LoweredLoop) -> Lines:
         *_clock(loop),
         *_section(_statements(loop.body, loop.schedule)),
         *_section(_stop(loop, "count[l]")),
-        *_section(_write(loop)),
+        *_section(_write(loop, "count[l]")),
         *_block("if (k == next)", _end_rows(loop)),
         *_section(_statements(loop.commit)),
     ]
@@ -326,13 +327,13 @@ def _remember() -> Lines:
     return ["M running;", *_block("const auto remember = [&](int64_t k)", lanes, close="};"), "remember(0);"]
 
 
-def _write(loop: LoweredLoop) -> Lines:
-    """Record values of this tick."""
+def _write(loop: LoweredLoop, end: str) -> Lines:
+    """Record values of this tick in lanes whose ``end`` has not passed."""
     if not loop.written:
         return []
     width = len(loop.written)
     lane = [
-        "if (count[l] < k) continue;",
+        f"if ({end} < k) continue;",
         f"double* to = written + row[l] * stride + (k - 1) * {width};",
         *(f"to[{i}] = out[{i}][l];" for i in range(width)),
     ]
@@ -370,7 +371,10 @@ def _lockstep(loop: LoweredLoop, carried: Carried) -> Lines:
         *_block(
             "for (int64_t k = 1; next != INT64_MAX; ++k)",
             [
-                *_block(blocks, [*_resume(carried), *_tick(loop), *_stop(loop, "ends[group[l]]")]),
+                *_block(
+                    blocks,
+                    [*_resume(carried), *_tick(loop), *_stop(loop, "ends[group[l]]"), *_write(loop, "ends[group[l]]")],
+                ),
                 "if (k != next) continue;",
                 "next = INT64_MAX;",
                 *_block(blocks, [*_resume(carried), *_end_groups(loop)]),

@@ -361,7 +361,7 @@ class LoweredLoop:
     records: tuple[Record, ...]
     body: tuple[Statement, ...]
     stop: Value | None
-    written: tuple[Value, ...]
+    written: tuple[Value | Variable, ...]
     results: tuple[tuple[int, Value | Variable], ...]
     commit: tuple[Statement, ...]
     clock: str | Value

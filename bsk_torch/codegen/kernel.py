@@ -101,7 +101,7 @@ class Kernel:
             ticks: Number of ticks before the first, [n].
             nanoseconds: Length of a tick.
             schedule: Numbers of each tick [K, S].
-            written: What each tick writes [n, L, C''], which changes; its rows may lie apart. Rows in lockstep cannot write.
+            written: What each tick writes [n, L, C''], which changes; its rows may lie apart. None if it writes nothing.
             lockstep: Rows 0 to lockstep - 1 are the first group, and so on: where the kernel has a stop, the rows of a group,
                 whose ``counts`` are equal, all end in the tick in which the first of them stops.
 
@@ -110,12 +110,15 @@ class Kernel:
 
         Raises:
             ValueError: For a tensor that is not contiguous or of another type, a table with too few records, a mode without
-                flags, or groups that do not fit the rows.
+                flags, groups that do not fit the rows, or no room for what the kernel writes.
         """
         alike, stops = isinstance(counts, int), self.loop.stop is not None
         counts = torch.full(state.shape[1:], counts) if isinstance(counts, int) else counts
         _check_tensors((state, counts, shared, own, mode, flags, ticks, schedule, *(part for t in tracks for part in t)))
         self._check_tables(tracks)
+        if (written is None) == bool(self.loop.written):
+            must = "must not" if written is None else "must"
+            raise ValueError(f"the {self.name} writes {len(self.loop.written)} numbers a tick; written {must} be None")
         n, modes = len(counts), 1 if flags is None else flags.shape[1]
         if mode is not None and n:
             low, high = (int(bound) for bound in torch.aminmax(mode))
@@ -125,11 +128,10 @@ class Kernel:
         records = [part for t in tracks for part in (t.table, t.start, t.owner, t.table.shape[1])]
         expected, entry = counts if expected_ticks is None else expected_ticks, self._entry(lockstep)
         if stops and lockstep > 1:
-            if written is not None:
-                raise ValueError(f"written must be None where lockstep={lockstep}: rows that end together write nothing")
             check_groups(counts, lockstep)
             tiles = in_tiles(counts, expected, mode, lockstep, entry.width)
-            entry.run(*tiles.size, _threads(tiles.size[0]), tiles.rows, tiles.groups, tiles.ends, *packs, *records)
+            room = () if written is None else (written, written.stride(0))
+            entry.run(*tiles.size, _threads(tiles.size[0]), tiles.rows, tiles.groups, tiles.ends, *packs, *room, *records)
             return tiles.ends[:-1].repeat_interleave(lockstep)
         rows, ends = in_blocks(counts, None if alike else expected, mode, modes, entry.width)
         blocks = len(rows) // entry.width

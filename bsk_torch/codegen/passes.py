@@ -7,7 +7,6 @@ or, for groups of rows that run in lockstep, in its course (:func:`schedule_stor
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Iterable, Iterator, Sequence
 
 import torch
@@ -41,11 +40,9 @@ def lower(loop: Loop, lockstep: bool = False) -> LoweredLoop:
     """Turn a loop into statements.
 
     Args:
-        loop: A traced tick; the rows of a loop in lockstep need a stop, and write nothing.
+        loop: A traced tick; the rows of a loop in lockstep need a stop, and write rows of the new state only.
         lockstep: Whether groups of rows end together, in the tick in which the first of them stops.
     """
-    if lockstep:
-        loop = dataclasses.replace(loop, written=())
     live = live_values(loop)
     changes = changed(loop.outputs)
     scheduled = [Define(value) for value in live if value.is_input("schedule")]
@@ -53,13 +50,17 @@ def lower(loop: Loop, lockstep: bool = False) -> LoweredLoop:
     records = [_record(t, shape, live) for t, shape in enumerate(loop.tracks, 1)]
     results: list[tuple[int, Value | Variable]] = list(changes)
     carried, commit = None, _commit(live, changes)
+    written: tuple[Value | Variable, ...] = tuple(loop.written)
     if lockstep:
+        _require_new_state(loop)
         outliving = read_elsewhere(live, loop.results)
         records = [_split(record, outliving) for record in records]
         copies, stores, variables = carried_state(live, changes)
         body, commit = schedule_stores([*copies, *body], stores), []
         results = list(zip((k for k, _ in changes), variables, strict=True))
         carried = _carried(live, outliving, records, variables)
+        kept = {value: variable for (_, value), variable in zip(changes, variables, strict=True)}
+        written = tuple(kept.get(value, value) for value in loop.written)
     return LoweredLoop(
         mixed=any(value.dtype == torch.float32 for value in live),
         loads=tuple(value for source in LOADED for value in live if value.is_input(source)),
@@ -67,13 +68,19 @@ def lower(loop: Loop, lockstep: bool = False) -> LoweredLoop:
         records=tuple(records),
         body=tuple(body),
         stop=loop.stop,
-        written=tuple(loop.written),
+        written=written,
         results=tuple(results),
         commit=tuple(commit),
         clock=loop.clock,
         schedule=loop.schedule,
         carried=carried,
     )
+
+
+def _require_new_state(loop: Loop) -> None:
+    """Raise ValueError where a loop writes something else than rows of the new state: other values do not outlast a tick."""
+    if not set(loop.written) <= set(loop.outputs):
+        raise ValueError("a kernel whose rows run in lockstep writes rows of the new state only")
 
 
 # -- dead code ---------------------------------------------------------------------------------------------------------------

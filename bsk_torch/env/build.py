@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 import torch
@@ -21,7 +21,7 @@ from bsk_torch.rand import Distribution, Key, first_key, seeded
 from bsk_torch.sats.satellite import Satellite
 from bsk_torch.scene.base import Scenario
 from bsk_torch.sim.argument_table import ArgumentTable
-from bsk_torch.sim.component import Arg
+from bsk_torch.sim.component import Arg, Component, Field
 from bsk_torch.sim.composition import compose
 from bsk_torch.sim.fleet import EpisodeDraw, Fleet, share
 from bsk_torch.sim.given import Answers, expand, is_function
@@ -86,11 +86,48 @@ class FleetBuilder:
         for name, value in self.scenario.draw_checked(first_key(min(2, n))).items():
             low, high = bounds.get(name, (None, None))
             scenario_state.declare(name, None, *value.shape[1:], dtype=value.dtype, low=low, high=high)
-        simulators = [self._make_simulator(k, columns, n, limit, scenario_state) for k, columns in enumerate(types)]
+        simulators: dict[int, Simulator] = {}
+        for k, followed in self._leaders_first():
+            fields = {slot: simulators[leader].tick.recorded for slot, leader in followed.items()}
+            simulators[k] = self._make_simulator(k, types[k], n, limit, scenario_state, fields)
         chosen = sorted(column for columns in types for column in columns)
-        return Fleet(simulators, [self.names[k] for k in chosen], self.scenario.draw_checked)
+        each = [simulators[k] for k in range(len(types))]
+        return Fleet(each, [self.names[k] for k in chosen], self.scenario.draw_checked)
 
-    def _make_simulator(self, k: int, columns: Sequence[int], n: int, limit: Tensor, scenario_state: StateTable) -> Simulator:
+    def _leaders_first(self) -> Iterator[tuple[int, dict[str, int]]]:
+        """Yield the types of satellites, each behind those that it follows, with the type that it follows by slot.
+
+        Raises:
+            ValueError: Where not exactly one satellite has the slot that a component follows, or types follow each other.
+        """
+        parts = [
+            [*s.dyn_type.all_components(), *s.fsw_type.all_components()] for s in (self.satellites[c[0]] for c in self.types)
+        ]
+        waiting = {k: {p.follows: self._leader(p.follows, parts) for p in own if p.follows} for k, own in enumerate(parts)}
+        while waiting:
+            ready = next((k for k, followed in waiting.items() if not waiting.keys() & set(followed.values())), None)
+            if ready is None:
+                names = [self.names[self.types[k][0]] for k in waiting]
+                raise ValueError(f"satellites {names} follow each other, so none of them can run first")
+            yield ready, waiting.pop(ready)
+
+    def _leader(self, slot: str, parts: Sequence[Sequence[Component]]) -> int:
+        """Return the type of the only satellite whose model has a slot."""
+        having = [k for k, own in enumerate(parts) if any(part.slot == slot for part in own)]
+        names = [self.names[column] for k in having for column in self.types[k]]
+        if len(names) != 1:
+            raise ValueError(f"satellites follow the one whose model has the slot {slot!r}; {names or 'none'} have it, not one")
+        return having[0]
+
+    def _make_simulator(
+        self,
+        k: int,
+        columns: Sequence[int],
+        n: int,
+        limit: Tensor,
+        scenario_state: StateTable,
+        followed: Mapping[str, Sequence[Field]],
+    ) -> Simulator:
         satellite, options = self.satellites[columns[0]], self.options
         given = [self.satellites[column].sat_args_generator for column in columns]
         return Simulator(
@@ -114,6 +151,7 @@ class FleetBuilder:
             compat=options.compat,
             advised=self.advised,
             controlled=_may_control(satellite),
+            followed=followed,
         )
 
     def _share_of(self, columns: Sequence[int]) -> Callable[[Key], Overrides]:

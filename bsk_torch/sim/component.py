@@ -183,6 +183,10 @@ class Component:
     ``integrated_only`` components run only where the orbit is integrated in the tick. ``fit`` makes the component that is used
     from the arguments as users gave them, defaults included, where its structure depends on them: it is called once, when the
     simulation is built.
+
+    ``records`` names fields of the state that are kept at every tick of a run, see :mod:`bsk_torch.sim.trace`. ``follows`` names
+    a slot: the component reads, as ``bus.<slot>[0].<field>``, what the one satellite of the episode whose model has that slot
+    records, at the end of the same tick.
     """
 
     slot: str
@@ -201,6 +205,8 @@ class Component:
     before: str | None = None
     at_start: bool = False
     fit: Callable[[Mapping[str, Any]], Component] | None = None
+    records: tuple[str, ...] = ()
+    follows: str | None = None
 
 
 def collect(classes: Iterable[type], attribute: str = "components") -> tuple[Component, ...]:

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from bsk_torch._deprecated import deprecated_attributes
 from bsk_torch.rand import Key
+from bsk_torch.sim.flight import FlightObserver, Following, StopCondition, fly
 from bsk_torch.sim.given import Answers
 from bsk_torch.sim.params import Overrides
 from bsk_torch.sim.satellite_state import SatelliteState
@@ -108,6 +109,9 @@ class Fleet:
         since: Ticks since reset at the start of the present step, [N].
         env_ids: Index of each episode in draws, [N].
         beginnings: Functions that an environment calls with the episodes [n] that have begun.
+        following: Which types of satellites follow which.
+        stop_conditions: Conditions on several satellites that end a step; they need traces of the satellites.
+        flight_observers: Functions that read the traces of what has been run.
     """
 
     groups: tuple[Group, ...] = ()
@@ -134,6 +138,9 @@ class Fleet:
         order = torch.cat(self.columns)
         self._order = None if torch.equal(order, torch.arange(self.size, device=self.device)) else order.argsort()
         self.beginnings: list[Callable[[Tensor], Any]] = []
+        self.following = Following(self.simulators)
+        self.stop_conditions: list[StopCondition] = []
+        self.flight_observers: list[FlightObserver] = []
         self.since = torch.zeros(self.num_envs, dtype=torch.int64, device=self.device)
         self.all_envs = self.env_ids = torch.arange(self.num_envs, device=self.device)
         self.state = FleetState(self.num_envs, self.size, self.device)
@@ -158,14 +165,14 @@ class Fleet:
     @property
     def ticks(self) -> Tensor:
         """Ticks since reset, [N]."""
-        return self._first_of_each(self.simulators[0].state.ticks, self.simulators[0].count)
+        return self.first_of_each(self.simulators[0].state.ticks, self.simulators[0].count)
 
     @property
     def sim_time(self) -> Tensor:
         """Time since reset, [N] s."""
-        return self._first_of_each(self.simulators[0].state.sim_time, self.simulators[0].count)
+        return self.first_of_each(self.simulators[0].state.sim_time, self.simulators[0].count)
 
-    def _first_of_each(self, rows: Tensor, count: int) -> Tensor:
+    def first_of_each(self, rows: Tensor, count: int) -> Tensor:
         """Return the values of the first satellite of each episode, [N], of rows [N * count]."""
         return rows if count == 1 else rows.view(self.num_envs, -1)[:, 0].contiguous()
 
@@ -274,8 +281,8 @@ class Fleet:
         self.state.time_limit = self.state.time_limit.index_copy(0, envs, time_limit)
         for name, value in drawn.scenario.items():
             self.scenario_state[name][envs] = value.to(self.device)
-        for simulator, values, duration in zip(self.simulators, drawn.values, durations, strict=True):
-            simulator.reset(envs, values, duration)
+        for k in self.following.order:
+            self.simulators[k].reset(envs, drawn.values[k], durations[k], self.following.present(k))
 
     # -- running ------------------------------------------------------------------------------------------------------
 
@@ -292,6 +299,9 @@ class Fleet:
         now = self.ticks
         left = (limit_ticks - now).clamp(min=0)
         ends = torch.minimum(self._first_task_end(now + longest) - now, left).clamp(min=0) * moves
+        if self.traced:
+            self._settle(moves, limit_ticks, fly(self, moves, ends, left)[1])
+            return
         order = sorted(range(len(self.simulators)), key=lambda k: not self.simulators[k].stops)
         before = [simulator.events if simulator.has_events else None for simulator in self.simulators]
         ran, checkpoints = {}, {}
@@ -299,8 +309,8 @@ class Fleet:
             simulator = self.simulators[k]
             if simulator.stops:
                 checkpoints[k] = simulator.checkpoint() if len(order) > 1 else None
-                flown = simulator.run(simulator.state.of_env(ends), self._expected_ticks(k, now, ends), len(order) > 1)
-                ends = ran[k] = self._first_of_each(flown, simulator.count)
+                flown = simulator.run(simulator.state.of_env(ends), self.expected_ticks(k, now, ends), len(order) > 1)
+                ends = ran[k] = self.first_of_each(flown, simulator.count)
         for k, checkpoint in checkpoints.items():
             if checkpoint is not None:
                 self._fly_again(k, checkpoint, ran[k], ends)
@@ -316,6 +326,15 @@ class Fleet:
                 events.append((simulator.events > start) & ~simulator.state.of_env(cut))
             else:
                 events.append(self._events_before_last_tick(simulator, ends, cut) > start)
+        self._settle(moves, limit_ticks, events)
+
+    @property
+    def traced(self) -> bool:
+        """Whether satellites depend on one another within a tick, so that runs leave traces."""
+        return any(simulator.records or simulator.followed for simulator in self.simulators)
+
+    def _settle(self, moves: Tensor, limit_ticks: Tensor, events: Sequence[Tensor | None]) -> None:
+        """Record how the runs of the episodes ``moves`` [N] ended."""
         last = moves & (self.ticks >= limit_ticks)
         for group, event in zip(self.groups, events, strict=True):
             state = group.simulator.state
@@ -328,7 +347,7 @@ class Fleet:
                 ticks = torch.minimum(ticks, self._soonest(group.task.ends, group.simulator.count))
         return ticks
 
-    def _expected_ticks(self, k: int, now: Tensor, ticks: Tensor) -> Tensor:
+    def expected_ticks(self, k: int, now: Tensor, ticks: Tensor) -> Tensor:
         """Return the probable number of ticks of one type, at most ``ticks`` [N], for each row."""
         task, state = self.groups[k].task, self.simulators[k].state
         expected = self._soonest(task.expected, state.count) - now

@@ -55,6 +55,7 @@ class Runner(Protocol):
         ticks: Tensor,
         nanoseconds: int,
         lockstep: int = 1,
+        written: Tensor | None = None,
     ) -> Tensor:
         """Run each row for at most its number of ticks, or until it stops.
 
@@ -70,6 +71,7 @@ class Runner(Protocol):
             ticks: Number of ticks since reset [N].
             nanoseconds: Length of a tick.
             lockstep: Rows of an episode, which end together in the tick in which the first of them stops.
+            written: Room for the fields that each tick records, [N, K, C].
 
         Returns:
             Number of ticks that each row has run, [N].
@@ -99,7 +101,7 @@ def make_runners(tick: Tick, backend: str, device: torch.device, lockstep: int =
     step: Callable[..., Any] = tick.step
     if backend == "compiled":
         step = just_in_time(step, "tick")
-    return Runners(TickLoop(step, tick.stops), FirstTick(tick))
+    return Runners(TickLoop(step, tick.stops, tick.recorded_planes), FirstTick(tick))
 
 
 class FirstTick:
@@ -123,7 +125,7 @@ class FirstTick:
         **_: Any,
     ) -> Tensor:
         """See :class:`Runner`."""
-        tables, starts = [track.table for track in tracks], [track.start for track in tracks]
+        tables, starts = _of_rows([t.table for t in tracks], tracks), _of_rows([t.start for t in tracks], tracks)
         planes = self.tick.wake(self.tick.inputs(state, shared, own, flags[:, mode], tables, starts, ticks.double()))
         state.copy_(torch.stack([plane.expand(len(counts)).double() for plane in planes]))
         return counts
@@ -135,9 +137,12 @@ class TickLoop:
     A :class:`Runner`.
     """
 
-    def __init__(self, step: Callable[..., tuple[Tensor, Tensor]], stops: bool = False) -> None:
-        """Repeat ``step``, see :meth:`bsk_torch.sim.tick.Tick.step`, which may stop rows if it ``stops``."""
-        self.step, self.stops = step, stops
+    def __init__(self, step: Callable[..., tuple[Tensor, Tensor]], stops: bool = False, recorded: Sequence[int] = ()) -> None:
+        """Repeat ``step``, see :meth:`bsk_torch.sim.tick.Tick.step`, which may stop rows if it ``stops``.
+
+        Planes that are ``recorded`` are written in every tick.
+        """
+        self.step, self.stops, self.recorded = step, stops, list(recorded)
 
     def __call__(
         self,
@@ -151,21 +156,29 @@ class TickLoop:
         flags: Tensor,
         ticks: Tensor,
         lockstep: int = 1,
+        written: Tensor | None = None,
         **_: Any,
     ) -> Tensor:
         """See :class:`Runner`."""
         flags, end, now = flags[:, mode], (ticks + counts).double(), ticks.double()
-        samples = *(t.table for t in tracks), *(t.start for t in tracks)
+        samples = *_of_rows([t.table for t in tracks], tracks), *_of_rows([t.start for t in tracks], tracks)
         planes = state
         for k in range(int(counts.max())):
             if self.stops and k and k % CHECK_EVERY == 0 and not bool((now < end).any()):
                 break
             now = now + 1.0
             planes, end = self.step(planes, shared, own, flags, now, end, *samples)
+            if written is not None:
+                written[:, k] = torch.where((now <= end).unsqueeze(1), planes[self.recorded].mT, written[:, k])
             if self.stops and lockstep > 1:
                 end = earliest(end, lockstep)
         state.copy_(planes)
         return end.long() - ticks if self.stops else counts
+
+
+def _of_rows(parts: Sequence[Tensor], tracks: Sequence[Samples]) -> list[Tensor]:
+    """Return parts of tracks, one for each row of a run: those of the rows' owners, where they have any."""
+    return [part if track.owner is None else part[track.owner] for part, track in zip(parts, tracks, strict=True)]
 
 
 def earliest(end: Tensor, lockstep: int) -> Tensor:

@@ -6,6 +6,7 @@ import dataclasses
 import functools
 import logging
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from types import MappingProxyType
 from typing import Any
 
 import torch
@@ -20,7 +21,7 @@ from bsk_torch.sim.access.lookahead import LookAhead
 from bsk_torch.sim.access.places import place_kinds
 from bsk_torch.sim.access.visibility.backend import make_visibility
 from bsk_torch.sim.access.windows import AccessWindows
-from bsk_torch.sim.component import Arg, Component, Layout, MissingMessageError
+from bsk_torch.sim.component import Arg, Component, Field, Layout, MissingMessageError
 from bsk_torch.sim.composition import check_required_dyn, commanded_by, provided_by, world_components, world_of
 from bsk_torch.sim.dyn import hub
 from bsk_torch.sim.dyn.events import notice_image
@@ -39,6 +40,7 @@ from bsk_torch.sim.satellite_state import ArgumentState, SatelliteState
 from bsk_torch.sim.schedule import ordered
 from bsk_torch.sim.state import StateTable
 from bsk_torch.sim.tick import ARC_ORBIT, Tick
+from bsk_torch.sim.trace import Trace
 from bsk_torch.sim.world import WorldModel
 
 logger = logging.getLogger(__name__)
@@ -157,6 +159,7 @@ class Simulator:
         compat: str | None = None,
         advised: set[Any] | None = None,
         controlled: bool = True,
+        followed: Mapping[str, Sequence[Field]] | None = None,
     ) -> None:
         """Build the tick and check the arguments with trial draws; :meth:`reset` fills the state.
 
@@ -181,6 +184,7 @@ class Simulator:
             compat: ``"bsk_rl"`` for access windows with bsk_rl's errors.
             advised: What has been logged about arguments, so that simulations that share it do not say it again.
             controlled: Whether actions may switch attitude control on, so that its gains matter.
+            followed: Fields that the satellites record which components follow, by their slot; see :mod:`bsk_torch.sim.trace`.
 
         Raises:
             TypeError: For models that do not fit together, or a component that reads what none writes.
@@ -195,6 +199,7 @@ class Simulator:
         self.stops, self._randomize = stops, randomize
         self._advised, self._controlled = set() if advised is None else advised, controlled
         self._fits_tick: dict[str, Arguments] = {}
+        self.followed = dict(followed or {})
         self._make_components(dyn_type, fsw_type, world_type, sat_args, world_args)
         self._make_tick()
         self._make_lookahead(horizon, segment, compat == "bsk_rl")
@@ -245,7 +250,7 @@ class Simulator:
         on_arc = self.orbit == "arc"
         parts = tuple(self._scheduled(part, on_arc) for part in self._running(on_arc))
         opaque = self.device.type != "cpu"
-        self.tick = Tick(parts, uniform, self.h_ns, on_arc, self.dtype, opaque, self.stops)
+        self.tick = Tick(parts, uniform, self.h_ns, on_arc, self.dtype, opaque, self.stops, self.followed)
         if opaque and not on_arc:
             prepare(self.device, torch.float64)
         shared, n = self.tick.shared.rows(params, 1), min(2, self.num_envs) * self.count
@@ -330,7 +335,8 @@ class Simulator:
         logger.info("a tick is built in which %s may differ between environments", sorted(names))
         old, shared, parameters = self.tick, self.uniform, self.state.parameters
         left = set(old.shared.fields) - names
-        self.tick = Tick(old.components, left, self.h_ns, self.orbit == "arc", self.dtype, old.opaque_field, self.stops)
+        on_arc = self.orbit == "arc"
+        self.tick = Tick(old.components, left, self.h_ns, on_arc, self.dtype, old.opaque_field, self.stops, self.followed)
         self.runners = make_runners(self.tick, self.backend, self.device, self.count)
         self.uniform = shared[_planes(old.shared, self.tick.shared.fields)].contiguous()
         rows = [
@@ -397,10 +403,13 @@ class Simulator:
         if wrong:
             raise ValueError(f"sat_args: {'; and '.join(wrong)}")
 
-    def reset(self, envs: Tensor, values: dict[str, Any], duration: Tensor) -> None:
+    def reset(
+        self, envs: Tensor, values: dict[str, Any], duration: Tensor, followed: Mapping[str, Samples] = MappingProxyType({})
+    ) -> None:
         """Start the episodes ``envs`` [n] anew from drawn ``values``, with windows for ``duration`` [n] s.
 
-        ``state.reset`` must have been called, and the scenario's draws written to ``scenario_state`` before.
+        ``state.reset`` must have been called, and the scenario's draws written to ``scenario_state`` before. ``followed`` are the
+        traces of the satellites that this one follows, which have been reset.
         """
         state, rows = self.state, self.state.rows_of(envs)
         n = len(rows)
@@ -411,7 +420,7 @@ class Simulator:
         et = values["utc_init"].expand(n).to(self.device)
         r_N, v_N = (x.expand(n, 3).to(self.device) for x in hub.initial_orbit(values))
         self.lookahead.solve(rows, et, r_N, v_N, state.of_env(duration))
-        self._first_tick(rows)
+        self._first_tick(rows, followed)
         state.touch()
 
     def check_saved(self, saved: SatelliteState, path: str) -> None:
@@ -455,10 +464,14 @@ class Simulator:
             bounds[0, place], bounds[1, place] = (0, len(arg.choices) - 1) if arg.kind == "choice" else (arg.low, arg.high)
         return bounds[0], bounds[1]
 
-    def _first_tick(self, rows: Tensor) -> None:
+    def _first_tick(self, rows: Tensor, followed: Mapping[str, Samples]) -> None:
         """Run Basilisk's tick at time zero in ``rows`` [n]."""
         state = self.state
-        tracks = [Samples(track.table[rows], track.start[rows]) for track in self.lookahead.arcs.tracks(self.tick.tracks)]
+        arcs = self.lookahead.arcs.tracks(self.tick.arc_tracks)
+        tracks = [Samples(track.table[rows], track.start[rows]) for track in arcs]
+        for name in self.tick.followed:
+            trace = followed[name]
+            tracks.append(trace._replace(owner=rows if trace.owner is None else trace.owner[rows]))
         planes = state.planes[:, rows]
         self.runners.first_tick(
             planes,
@@ -575,22 +588,43 @@ class Simulator:
 
     # -- running ------------------------------------------------------------------------------------------------------
 
-    def run(self, ticks: Tensor, expected: Tensor | None = None, may_rewind: bool = False) -> Tensor:
+    @property
+    def records(self) -> bool:
+        """Whether runs leave traces."""
+        return bool(self.tick.recorded)
+
+    def trace(self, ticks: int) -> Trace:
+        """Return a trace for a run of at most so many ticks from now on, with its first record."""
+        trace = Trace.room(self.tick.recorded, self.state.ticks, ticks)
+        trace.table[:, 0] = self.state.planes[self.tick.recorded_planes].mT
+        return trace
+
+    def run(
+        self,
+        ticks: Tensor,
+        expected: Tensor | None = None,
+        may_rewind: bool = False,
+        trace: Trace | None = None,
+        followed: Mapping[str, Samples] = MappingProxyType({}),
+    ) -> Tensor:
         """Advance every row by at most ``ticks`` [N], zero leaves it untouched; return the number of ticks done, [N].
 
         An event that ends the run of one satellite ends that of all satellites of its environment, in the same tick. ``expected``
         [N] is the probable number of ticks, if events are expected. Arcs of runs that :meth:`rewind` may undo keep their past.
+        A run writes the fields that components record to its ``trace``, and reads the traces ``followed`` of other satellites.
         """
         state = self.state
+        if self.records and trace is None:
+            trace = self.trace(int(ticks.max()))
         if isinstance(self.runners.run, Kernel) and int(ticks.max()) > (most := ticks_at_once(state.rows)):
             if may_rewind:
                 self.lookahead.reach(state.sim_time + ticks * state.h, state.sim_time)
-            return self._run_in_pieces(ticks, most)
+            return self._run_in_pieces(ticks, most, trace, followed)
         self.lookahead.reach(state.sim_time + ticks * state.h, state.sim_time)
         flown = self.runners.run(
             state.planes,
             ticks,
-            self.lookahead.arcs.tracks(self.tick.tracks),
+            [*self.lookahead.arcs.tracks(self.tick.arc_tracks), *(followed[name] for name in self.tick.followed)],
             expected_ticks=expected,
             shared=self.uniform,
             own=state.parameters,
@@ -599,37 +633,42 @@ class Simulator:
             ticks=state.ticks,
             nanoseconds=self.h_ns,
             lockstep=self.count,
+            written=None if trace is None else trace.table[:, 1:],
         )
         state.ticks = state.ticks + flown
         state.touch()
         return flown
 
-    def _run_in_pieces(self, ticks: Tensor, most: int) -> Tensor:
+    def _run_in_pieces(self, ticks: Tensor, most: int, trace: Trace | None, followed: Mapping[str, Samples]) -> Tensor:
         """Run ``ticks`` [N], at most ``most`` at once: Python handles signals, such as Ctrl-C, between two calls of a kernel."""
-        flown, left = torch.zeros_like(ticks), ticks
+        flown, left, done = torch.zeros_like(ticks), ticks, 0
         while int(left.max()) > 0:
-            ran, stopped = self._run_piece(left.clamp(max=most - 1), left)
+            part = None if trace is None else trace.after(done)
+            ran, stopped = self._run_piece(left.clamp(max=most - 1), left, part, followed)
+            done += most - 1
             flown = flown + ran
             left = torch.where(stopped, 0, left - ran)
         return flown
 
-    def _run_piece(self, piece: Tensor, left: Tensor) -> tuple[Tensor, Tensor]:
+    def _run_piece(
+        self, piece: Tensor, left: Tensor, trace: Trace | None, followed: Mapping[str, Samples]
+    ) -> tuple[Tensor, Tensor]:
         """Run ``piece`` [N] of the ticks that are ``left`` [N]; return the number of ticks done, and whether they were stopped.
 
         The number does not tell whether the last tick of the piece stopped the run. Images are counted; where other components
         stop runs, a tick more is run first, and rows that were not stopped before it are rewound.
         """
         if not self.tick.stops:
-            return self.run(piece), torch.zeros_like(piece, dtype=torch.bool)
+            return self.run(piece, trace=trace, followed=followed), torch.zeros_like(piece, dtype=torch.bool)
         if all(part.update is notice_image for part in self.tick.components if part.stops):
             before = self.events
-            ran = self.run(piece)
+            ran = self.run(piece, trace=trace, followed=followed)
             return ran, self.state.of_env((self.events > before).view(self.num_envs, -1).any(1))
         checkpoint = self.checkpoint()
-        ran = self.run(torch.minimum(piece + 1, left))
+        ran = self.run(torch.minimum(piece + 1, left), trace=trace, followed=followed)
         goes_on = ran > piece
         self.rewind(checkpoint, goes_on)
-        self.run(torch.where(goes_on, piece, 0))
+        self.run(torch.where(goes_on, piece, 0), trace=trace, followed=followed)
         return torch.where(goes_on, piece, ran), ~goes_on
 
     def checkpoint(self) -> tuple[Tensor, Tensor]:

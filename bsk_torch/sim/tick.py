@@ -6,7 +6,9 @@ inductor, and on symbolic planes, which become one loop in C++ (:mod:`bsk_torch.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import functools
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import torch
@@ -20,6 +22,7 @@ from bsk_torch.sim.component import Bus, Component, Field, Layout, MissingMessag
 from bsk_torch.sim.environment.ephemeris import EPHEMERIS_TRACK, put_track
 from bsk_torch.sim.fsw.modes import MODE_FLAGS
 from bsk_torch.sim.orbit.arcs import ARC, follow_arc
+from bsk_torch.sim.trace import recorded, trace_track
 
 _ON_ARC = "the orbit was computed in advance; pass orbit='integrated' to the environment"
 
@@ -55,8 +58,12 @@ class Tick:
         dtype: torch.dtype,
         opaque_field: bool,
         stops: bool = False,
+        followed: Mapping[str, Sequence[Field]] = MappingProxyType({}),
     ) -> None:
-        """Lay out the packs of ``components``, which are in the order of a tick of ``h_ns`` nanoseconds."""
+        """Lay out the packs of ``components``, which are in the order of a tick of ``h_ns`` nanoseconds.
+
+        ``followed`` are the fields that satellites record which components follow; see :mod:`bsk_torch.sim.trace`.
+        """
         params = [field for component in components for field in component.params]
         self.components, self.h_ns, self.dtype, self.opaque_field = components, h_ns, dtype, opaque_field
         self.stops = stops and any(component.stops for component in components)
@@ -64,7 +71,10 @@ class Tick:
         self.shared = Layout(field for field in params if field.name in shared)
         self.own = Layout(field for field in params if field.name not in shared)
         self.flags = Layout(Field(name) for name in MODE_FLAGS)
-        self.tracks: tuple[Track, ...] = (EPHEMERIS_TRACK, ARC) if on_arc else (EPHEMERIS_TRACK,)
+        self.followed, self.recorded = followed, recorded(components)
+        self.arc_tracks: tuple[Track, ...] = (EPHEMERIS_TRACK, ARC) if on_arc else (EPHEMERIS_TRACK,)
+        traces = (trace_track(name, fields, h_ns * NANO) for name, fields in followed.items())
+        self.tracks = (*self.arc_tracks, *traces)
 
     def bus(self, inputs: Inputs, h_ns: int | None = None) -> Bus:
         """Return the bus at the start of a tick."""
@@ -190,7 +200,17 @@ class Tick:
         if wakes:
             return Loop(program, self.wake(inputs), self.tracks, clock="start")
         planes, stop = self.advance(inputs, named=True)
-        return Loop(program, planes, self.tracks, stop=stop)
+        return Loop(program, planes, self.tracks, [planes[k] for k in self.recorded_planes], stop=stop)
+
+    @property
+    def recorded_width(self) -> int:
+        """Number of planes that every tick records."""
+        return len(self.recorded_planes)
+
+    @functools.cached_property
+    def recorded_planes(self) -> list[int]:
+        """Planes of the state that every tick records."""
+        return [k for f in self.recorded for k in range(self.state.slices[f.name].start, self.state.slices[f.name].stop)]
 
     def kernel(self, wakes: bool = False, lockstep: int = 1) -> Kernel:
         """Return the kernel of :meth:`trace`, built for groups of ``lockstep`` rows that end together."""

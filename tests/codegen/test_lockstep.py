@@ -293,5 +293,5 @@ def test_groups_that_do_not_fit_are_refused():
 @pytest.mark.compiled
 def test_groups_do_not_write():
     groups = Groups(4, 6)
-    with pytest.raises(ValueError, match="written must be None where lockstep=6"):
+    with pytest.raises(ValueError, match="writes 0 numbers a tick; written must be None"):
         groups.after(walkers(""), groups.counts, lockstep=6, written=torch.zeros(24, LONGEST, 1, dtype=torch.float64))

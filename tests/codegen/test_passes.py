@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 
+from bsk_torch.codegen import cpp
 from bsk_torch.codegen.ir import Branch, Declare, Define, Loop, Store, UntraceableError, Update, Variable
 from bsk_torch.codegen.passes import (
     changed,
@@ -297,9 +298,13 @@ class TestLockstep:
         assert not any(value.is_input("own") for value in outliving)
         assert not any(value.is_input("tau") for value in outliving)
 
-    def test_nothing_is_written(self, program):
+    def test_rows_of_the_new_state_are_written_from_where_they_are_kept(self, program):
+        x, y = rows(program, 2)
+        loop = Loop(program, [x + 1.0, y], written=[x + 1.0, y], stop=x > 0.0)
+        assert list(lower(loop).written) == list(loop.written)
+        assert [cpp.name(value) for value in lower(loop, lockstep=True).written] == ["state_0", "state_1"]
+
+    def test_nothing_else_is_written(self, program):
         (x,) = rows(program, 1)
-        loop = Loop(program, [x + 1.0], written=[x.sin()], stop=x > 0.0)
-        assert lower(loop).written
-        assert not lower(loop, lockstep=True).written
-        assert "define sin" not in outline(lower(loop, lockstep=True).body)
+        with pytest.raises(ValueError, match="writes rows of the new state only"):
+            lower(Loop(program, [x + 1.0], written=[x.sin()], stop=x > 0.0), lockstep=True)

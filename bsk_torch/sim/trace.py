@@ -1,0 +1,107 @@
+"""Traces: fields of satellites at every tick of a run, for what depends on several satellites at the same time.
+
+Satellites of each type run in a kernel of their own. A component that ``records`` fields leaves a trace of them; one that
+``follows`` another satellite reads that one's trace, tick by tick, so the satellite which is followed runs first. What depends on
+the motion of several satellites, such as the distance between them, is computed from their traces after a run.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from bsk_torch.codegen.kernel import Samples
+from bsk_torch.constants import NANO
+from bsk_torch.sim.component import Component, Field, Layout, Track
+from bsk_torch.sim.names import nearest
+
+
+def recorded(components: Sequence[Component]) -> tuple[Field, ...]:
+    """Return the fields that the components of a model record, in the order in which they are first named.
+
+    Raises:
+        ValueError: For a name that is no field of the state.
+    """
+    known = {field.name: field for component in components for field in component.state}
+    names = dict.fromkeys(name for component in components for name in component.records)
+    for name in names:
+        if name not in known:
+            raise ValueError(f"records={name!r} is no field of the state; {nearest(name, known)}")
+    return tuple(known[name] for name in names)
+
+
+def trace_track(name: str, fields: Sequence[Field], h: float) -> Track:
+    """Return the track by which a tick of ``h`` seconds reads the fields of a satellite that it follows, as ``bus.<name>[0]``."""
+    return Track(name, h, tuple(fields), count=1)
+
+
+class Trace(NamedTuple):
+    """Recorded fields of rows in a run: record k holds them k ticks after its start.
+
+    Attributes:
+        layout: The fields.
+        table: Their values, [N, K + 1, C]; those behind the end of a row have no meaning.
+        start: Ticks since reset at record 0, [N].
+    """
+
+    layout: Layout
+    table: Tensor
+    start: Tensor
+
+    @staticmethod
+    def room(fields: Sequence[Field], start: Tensor, ticks: int) -> Trace:
+        """Return a trace for runs of at most so many ticks, which begin at the ticks ``start`` [N]."""
+        layout = Layout(fields)
+        shape = len(start), ticks + 1, layout.size
+        if start.device.type == "cpu":  # pages that are never touched take no memory
+            return Trace(layout, torch.from_numpy(np.zeros(shape)), start)
+        return Trace(layout, torch.zeros(shape, dtype=torch.float64, device=start.device), start)
+
+    def after(self, ticks: int) -> Trace:
+        """Return the part of the trace from so many ticks on, in the same memory."""
+        return Trace(self.layout, self.table[:, ticks:], self.start + ticks)
+
+    def read(self, name: str, rows: Tensor | None = None) -> Tensor:
+        """Return a field of ``rows`` [n], or of all: [n, K + 1], or [n, K + 1, width]."""
+        where = self.layout.slices[name]
+        table = self.table if rows is None else self.table[rows]
+        return table[..., where.start] if self.layout.fields[name].width == 1 else table[..., where]
+
+    def samples(self, h_ns: int, owner: Tensor) -> Samples:
+        """Return the trace as samples of :func:`trace_track` for rows that follow the rows ``owner`` [n] of the trace."""
+        # records are looked up half a tick after their time, where no rounding of time moves them to a neighbour
+        return Samples(self.table, (self.start.double() - 0.5) * (h_ns * NANO), owner)
+
+
+class Flight(NamedTuple):
+    """A run of some episodes, with the traces of all types of satellites.
+
+    Attributes:
+        envs: The episodes, [n].
+        since: Ticks since reset at its start, [n].
+        ticks: Ticks that it took, [n].
+        left: Ticks to the end of the episode, [n]: there the clock stops before any event is evaluated.
+        traces: Trace of each type of satellites; None for one that records nothing.
+        counts: Number of satellites of each type in an episode.
+    """
+
+    envs: Tensor
+    since: Tensor
+    ticks: Tensor
+    left: Tensor
+    traces: tuple[Trace | None, ...]
+    counts: tuple[int, ...]
+
+    def read(self, k: int, name: str) -> Tensor:
+        """Return a field of the satellites of type k, [n, count, K + 1], or [n, count, K + 1, width]."""
+        trace, count = self.traces[k], self.counts[k]
+        if trace is None or name not in trace.layout.fields:
+            raise ValueError(f"satellites of type {k} do not record {name!r}; list it in records of one of their components")
+        whole = count * len(self.envs) == len(trace.start)
+        rows = None if whole else (self.envs.unsqueeze(1) * count + torch.arange(count, device=self.envs.device)).flatten()
+        found = trace.read(name, rows)
+        return found.view(len(self.envs), count, *found.shape[1:])
