@@ -13,7 +13,7 @@ from tensordict.nn import TensorDictModuleBase, TensorDictSequential
 from torchrl.data import Binary, Composite
 
 from bsk_torch._deprecated import deprecated_names
-from bsk_torch.env import ConstellationTasking, SatelliteTasking, Tasking
+from bsk_torch.env import NO_ACTION, ConstellationTasking, SatelliteTasking, Tasking
 from bsk_torch.env.agents import AGENTS, Group
 from bsk_torch.rl.rules.baselines import BASELINES, random_policy
 from bsk_torch.sats.satellite import Satellite
@@ -45,9 +45,10 @@ def member_views(env: Tasking) -> dict[str, SatelliteTasking]:
 
 def _view(env: ConstellationTasking, group: Group) -> SatelliteTasking:
     seen, satellite = env.observation_spec[group.name][:, 0], env.satellites[group.types[0]]
-    n = satellite.actions.n_actions
-    mask = Binary(n, shape=(*seen.shape, n), dtype=torch.bool, device=env.device)  # without the action that continues
-    spec = Composite({"observation": seen["observation"], "action_mask": mask}, shape=seen.shape, device=env.device)
+    parts = {"observation": seen["observation"]}
+    if n := satellite.actions.n_actions:  # real numbers have no mask; this one is without the action that continues
+        parts["action_mask"] = Binary(n, shape=(*seen.shape, n), dtype=torch.bool, device=env.device)
+    spec = Composite(parts, shape=seen.shape, device=env.device)
     return cast(SatelliteTasking, MemberView(satellite, spec, env.device))
 
 
@@ -69,7 +70,8 @@ class SharedPolicy(TensorDictModuleBase):
     def __init__(self, policy: TensorDictModuleBase, group: str = AGENTS) -> None:
         """Wrap ``policy``, which writes ``action`` into tensordicts [B] with ``observation`` and ``action_mask``.
 
-        The actions of the ``group``, [N, S], and their log-probabilities if the policy returns these, are ``out_keys``.
+        The actions of the ``group``, [N, S], and their log-probabilities if the policy returns these, are ``out_keys``. Actions
+        of A real numbers are [N, S, A]; these have no ``action_mask``.
         """
         super().__init__()
         self.policy, self.group = policy, group
@@ -79,6 +81,8 @@ class SharedPolicy(TensorDictModuleBase):
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write ``out_keys``; the log-probability is 0 for satellites that continue."""
+        if (self.group, "action_mask") not in tensordict.keys(include_nested=True):
+            return self._real_numbers(tensordict)
         seen = tensordict[self.group].select("observation", "action_mask")
         legal = seen["action_mask"]
         decides = ~legal[..., -1]
@@ -93,6 +97,18 @@ class SharedPolicy(TensorDictModuleBase):
                 log_prob[decides] = decided["action_log_prob"]
         tensordict.set((self.group, "action"), action)
         return tensordict if self.log_prob_key is None else tensordict.set(self.log_prob_key, log_prob)
+
+    def _real_numbers(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Write actions of real numbers; all of them are ``NO_ACTION`` for satellites that continue."""
+        seen = tensordict[self.group].select("observation")
+        decides = tensordict[self.group, "requires_retasking"].view(seen.batch_size)
+        every = seen.reshape(-1)  # also those that continue: where nobody decides, it says how many numbers there are
+        decided = self.policy(every).select(*self.policy.out_keys).view(seen.batch_size)
+        action = torch.where(decides.unsqueeze(-1), decided["action"], float(NO_ACTION))
+        tensordict.set((self.group, "action"), action)
+        if self.log_prob_key is None:
+            return tensordict
+        return tensordict.set(self.log_prob_key, torch.where(decides, decided["action_log_prob"], 0.0))
 
 
 class GroupPolicies(TensorDictSequential):

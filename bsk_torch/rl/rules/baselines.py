@@ -42,7 +42,9 @@ class RandomPolicy(TensorDictModuleBase):
 
 
 def random_policy(env: SatelliteTasking, seed: int) -> RandomPolicy:
-    """Legal actions with equal probability."""
+    """Legal actions with equal probability; ValueError for satellites whose actions are real numbers."""
+    if not env.satellite.actions.n_actions:
+        raise ValueError(f"random actions are drawn from a mask; those of {env.satellite.name!r} are real numbers")
     return RandomPolicy(torch.Generator(env.device).manual_seed(seed))
 
 
