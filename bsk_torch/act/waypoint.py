@@ -12,7 +12,7 @@ from torch import Tensor
 from bsk_torch._checks import number
 from bsk_torch.act.base import Action, Decision
 from bsk_torch.act.thrust import ImpulsiveThrustHill
-from bsk_torch.astro.linear_motion import about_orbit
+from bsk_torch.astro.linear_motion import LinearMotion, about_orbit
 from bsk_torch.astro.relative import cd2hill, fibonacci_sphere
 from bsk_torch.astro.transfers import Transfers, transfers
 
@@ -25,6 +25,9 @@ RESERVE = 1e-6
 SPACING = 100.0
 """Longest time between moments at which paths are known, s; between them they count as straight, within 2 m at 1 m/s."""
 
+WEIGHT = 1e4
+"""Metres that count as much as the whole of a distance that is to be kept, where none of the transfers keeps all."""
+
 
 class HillWaypoint(Action):
     """Fly to one of several waypoints about a chief in one of several durations, by a single manoeuvre.
@@ -34,8 +37,10 @@ class HillWaypoint(Action):
     satellite passes the waypoint.
 
     Transfers that come nearer to the chief than ``keep_out``, go beyond ``keep_in``, come nearer than ``keep_apart`` to any other
-    satellite if that drifts on, or cost more than ``max_dv`` or what is left in the tank, are illegal. Where all are, the one is
-    legal that keeps the distances best with its manoeuvre scaled down to what is allowed.
+    satellite if that drifts on, or cost more than ``max_dv`` or what is left in the tank, are illegal. The manoeuvre of one that
+    costs more is scaled down to what is allowed, and lasts for the shortest duration, after which another manoeuvre is possible.
+    Where all are illegal, one is legal nevertheless: that which keeps the distances best for the shortest duration, and the
+    satellite nearest to the chief if it drifts on for as long again.
 
     Satellites of one type and episode that decide at the same time do not know of each other's choice when they read their masks.
     A shield keeps their paths ``keep_apart``, in the order of their numbers: where the chosen one comes nearer than that to the
@@ -91,7 +96,7 @@ class HillWaypoint(Action):
         if not given:
             raise ValueError(f"{title}durations={list(durations)} must have at least one entry")
         self.durations = torch.tensor(given, dtype=torch.float64)
-        self.samples = math.ceil(max(given) / SPACING)
+        self.shortest, self.samples = min(given), math.ceil(max(given) / SPACING)
         self.n_actions = len(self.waypoints) * len(self.durations)
         self._order = self._replacement_order()
 
@@ -120,11 +125,14 @@ class HillWaypoint(Action):
 
     def ahead(self) -> Transfers:
         """Return all transfers from the present position."""
-        simulator = self.satellite.simulator
-        chief = [vector[:: simulator.count] for vector in self._thrust.chief_state()]  # the same for all of an episode
-        durations, targets = self.durations.to(chief[0].device), self.waypoints.to(chief[0].device)
-        motion = about_orbit(*chief, durations, self.samples).repeated(simulator.count)
-        return transfers(motion, *self.relative_state(), targets, self.most_dv)
+        motion = self.motion(self.durations, self.samples)
+        return transfers(motion, *self.relative_state(), self.waypoints.to(motion.time.device), self.most_dv)
+
+    def motion(self, durations: Tensor, samples: int) -> LinearMotion:
+        """Return the motion about the chief to moments of durations, s."""
+        count = self.satellite.simulator.count
+        r_CN_N, v_CN_N = (vector[::count] for vector in self._thrust.chief_state())  # the same for all of an episode
+        return about_orbit(r_CN_N, v_CN_N, durations.to(r_CN_N.device), samples).repeated(count)
 
     @property
     def most_dv(self) -> Tensor:
@@ -157,6 +165,8 @@ class HillWaypoint(Action):
         flown = self.shielded(ahead, index.clamp(0, self.n_actions - 1), mask)
         dv_N = self._thrust.change_of_velocity(ahead.manoeuvre(flown))
         duration = self.durations.to(index.device)[flown % len(self.durations)]
+        reached = ahead.cost.flatten(1).gather(1, flown.unsqueeze(1)).squeeze(1) <= self.most_dv
+        duration = torch.where(reached, duration, self.shortest)
         return self._thrust.enter(self._thrust.fsw_action, duration, dv_N)._replace(key=action)
 
     def begin(self, mask: Tensor, decision: Decision) -> None:
@@ -169,6 +179,12 @@ class HillWaypoint(Action):
 
     def legal(self, ahead: Transfers) -> Tensor:
         """Return which transfers are legal, [N, n_actions]."""
+        legal = ((self.missed(ahead) <= 0.0) & (ahead.cost <= self.most_dv[:, None, None])).flatten(1)
+        least = torch.zeros_like(legal).scatter(1, self.least(ahead), True)
+        return legal | (least & ~legal.any(1, keepdim=True))
+
+    def missed(self, ahead: Transfers) -> Tensor:
+        """Return by what part transfers come too near or go too far, [N, D, K]; not positive for those that do not."""
         nearest, farthest = ahead.distances()
         missed = (self.keep_out - nearest) / max(self.keep_out, 1.0)
         if math.isfinite(self.keep_in):
@@ -176,10 +192,15 @@ class HillWaypoint(Action):
         if self.keep_apart > 0.0 and self.satellite.group.fleet.size > 2:
             apart = ahead.apart(*self.others()).amin(1)
             missed = torch.maximum(missed, (self.keep_apart - apart) / self.keep_apart)
-        missed = missed.flatten(1)
-        legal = (missed <= 0.0) & (ahead.cost <= self.most_dv[:, None, None]).flatten(1)
-        least = torch.zeros_like(missed, dtype=torch.bool).scatter(1, missed.argmin(1, keepdim=True), True)
-        return legal | (least & ~legal.any(1, keepdim=True))
+        return missed
+
+    def least(self, ahead: Transfers) -> Tensor:
+        """Return the transfer, [N, 1], that is legal where none keeps the distances."""
+        soon = math.ceil(self.shortest / SPACING)
+        twice = self.motion(torch.tensor([2.0 * self.shortest], dtype=torch.float64), 2 * soon)
+        later = torch.linalg.vector_norm(ahead.along(twice).position(-1), dim=-1)
+        missed = self.missed(ahead.along(twice.until(soon))).clamp(min=0.0)
+        return (missed * WEIGHT + later).flatten(1).argmin(1, keepdim=True)
 
     def shielded(self, ahead: Transfers, chosen: Tensor, mask: Tensor) -> Tensor:
         """Return the transfers that are flown, [N], where ``chosen`` [N] are decided at the same time in the rows ``mask`` [N].

@@ -43,6 +43,11 @@ class LinearMotion(NamedTuple):
         rr, rv = (Mat3(*(row.map(lambda x: x[moment]) for row in matrix)) for matrix in (self.rr, self.rv))
         return rr @ rho + rv @ velocity
 
+    def until(self, samples: int) -> LinearMotion:
+        """Return the motion up to the last of the first moments."""
+        rr, rv = (Mat3(*(row.map(lambda x: x[:samples]) for row in matrix)) for matrix in (self.rr, self.rv))
+        return LinearMotion(rr, rv, self.time[:samples])
+
     def repeated(self, count: int) -> LinearMotion:
         """Return the motion of ``count`` deputies of each chief, side by side."""
         rr, rv = (Mat3(*(row.map(lambda x: x.repeat_interleave(count, -1)) for row in matrix)) for matrix in (self.rr, self.rv))

@@ -54,6 +54,12 @@ class Transfers(NamedTuple):
         motion = LinearMotion(rr, rv, self.motion.time)
         return Transfers(_rows(self.dv, chosen), self.cost[chosen], motion, *(_rows(x, chosen) for x in self[3:]))
 
+    def along(self, motion: LinearMotion) -> Transfers:
+        """Return the same manoeuvres with paths over another duration, that of a motion with K = 1."""
+        K = len(self.dv.x)
+        rr, rv = (Mat3(*(row.map(lambda x: x.expand(-1, K, -1)) for row in matrix)) for matrix in (motion.rr, motion.rv))
+        return self._replace(motion=LinearMotion(rr, rv, motion.time.expand(-1, K)))
+
     def distances(self) -> tuple[Tensor, Tensor]:
         """Return the smallest and the largest distance from the chief on each path, [N, D, K] m each."""
         before = self.start
