@@ -12,7 +12,8 @@ MODULES = [".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix("
 
 CODE = """
 import importlib, os, sys
-import torchrl.envs, torchrl.objectives, torchrl.collectors  # once for all
+import omegaconf, torchrl.envs, torchrl.objectives, torchrl.collectors, yaml  # once for all
+import bsk_torch  # Python imports it before any of its modules
 for module in sys.argv[1:]:
     child = os.fork()
     if not child:

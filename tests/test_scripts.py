@@ -44,6 +44,9 @@ STARTS: dict[str, list[Start]] = {
             "basilisk",
         ),
     ],
+    "benchmarks/inspection.py": [
+        Start("--batch 2 --turns 1 --seconds 0.1 --warm-up 1 --only 1 manoeuvres", r"\| manoeuvres \| 2 \| [\d,.]+ \| - \|")
+    ],
     "benchmarks/manoeuvres.py": [
         Start(
             "--batches 2 --targets 20 --rounds 1 --drift 2 --backend eager",
@@ -109,7 +112,9 @@ RECORDED = {
     "record_constellation": "basilisk/recordings/constellation_untasked",
     "record_examples": "basilisk/recordings/example_configuration_actions",
     "record_imaging": "basilisk/recordings/imaging_half_second",
+    "record_inspection": "basilisk/recordings/inspection_dark",
     "record_los": "basilisk/recordings/los_two_seconds",
+    "record_manoeuvres": "basilisk/recordings/manoeuvre_kick",
     "record_models": "basilisk/recordings/models_pointing",
     "record_modules": "sim/data/controller",
 }

@@ -13,15 +13,20 @@ if TYPE_CHECKING:
 
 EPISODES = "bsk_torch.viz.episodes"
 
-FILES = {"ConstellationEpisode": "constellation.png", "ImagingEpisode": "ground_track.png", "TrackEpisode": "timeline.png"}
+FILES = {
+    "ConstellationEpisode": "constellation.png",
+    "InspectionEpisode": "inspection.png",
+    "ImagingEpisode": "ground_track.png",
+    "TrackEpisode": "timeline.png",
+}
 """Name of the picture by the kind of the recorded episode."""
 
 
 def record(policy: TensorDictModuleBase, env: Tasking, seed: int) -> Any:
-    """Record the first episode of ``seed`` in row 0 of ``env``: of a constellation, an imager or another satellite."""
+    """Record the first episode of ``seed`` in row 0 of ``env``: of a constellation, an inspection, an imager, ..."""
     return extra(EPISODES).record(policy, env, seed=seed)
 
 
 def draw_episode(episode: Any, folder: Path, title: str) -> Path:
-    """Draw a recorded episode into ``folder``: all satellites on a map, one above its targets, or modes over time."""
+    """Draw a recorded episode into ``folder``: satellites on a map, about an RSO, above targets, or modes over time."""
     return extra(EPISODES).draw(episode, folder / FILES[type(episode).__name__], title)

@@ -8,7 +8,7 @@ an episode.
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 import torch
@@ -108,37 +108,46 @@ def find_pairs(
 
 
 class Limits(NamedTuple):
-    """Conditions on the distance of C pairs in n episodes.
+    """Conditions on the distance of satellites in n episodes.
 
     Attributes:
+        pair: Number of the pair of satellites whose distance each condition is about, C of them.
         distance: Distance of the condition, [n, C] m.
-        beyond: Whether it holds from this distance on, [C]; else up to it.
+        beyond: Whether it holds from this distance on, C of them; else up to it.
         every: Ticks from one look to the next, [n, C].
         between: Whether the smallest distance since the last tick counts, if satellites move uniformly within it, [n, C]. A
             largest distance is always that of a tick.
     """
 
+    pair: tuple[int, ...]
     distance: Tensor
-    beyond: Tensor
+    beyond: tuple[bool, ...]
     every: Tensor
     between: Tensor
 
 
 def reached(before: Vec3, now: Vec3, limits: Limits) -> Tensor:
-    """Return whether conditions hold, [n, C, T], at the ends of ticks with relative positions ``before`` and ``now``, m.
+    """Return whether conditions hold, [n, C, T], at the ends of ticks with relative positions ``before`` and ``now`` [n, P, T] m.
 
     Where the ticks' course counts, the satellites are closest at ``d0 + s (d1 - d0)`` with
     ``s = -d0 . (d1 - d0) / |d1 - d0|^2`` clamped to [0, 1].
     """
-    bound, beyond, between = limits.distance**2, limits.beyond.unsqueeze(-1), limits.between.unsqueeze(-1)
-    bound, square = bound.unsqueeze(-1), now.dot(now)
-    hit = torch.where(beyond, square >= bound, square <= bound)
-    if not bool(limits.between.any()):
-        return hit
-    step = now - before
-    share = torch.clamp(-before.dot(step) / torch.clamp(step.dot(step), min=AT_REST), 0.0, 1.0)
-    closest = before + step * share
-    return hit | (between & ~beyond & (closest.dot(closest) <= bound))
+    square, nearest_square = now.dot(now), None
+    if bool(limits.between.any()):
+        step = now - before
+        share = torch.clamp(-before.dot(step) / torch.clamp(step.dot(step), min=AT_REST), 0.0, 1.0)
+        closest = before + step * share
+        nearest_square = torch.minimum(closest.dot(closest), square)
+    hits = []
+    for c, (pair, beyond) in enumerate(zip(limits.pair, limits.beyond, strict=True)):
+        bound, mine = limits.distance[:, c : c + 1] ** 2, square[:, pair]
+        if beyond:
+            hits.append(mine >= bound)
+            continue
+        if nearest_square is not None:
+            mine = torch.where(limits.between[:, c : c + 1], nearest_square[:, pair], mine)
+        hits.append(mine <= bound)
+    return torch.stack(hits, 1)
 
 
 def looked(ticks: Tensor, limits: Limits) -> Tensor:
@@ -150,15 +159,16 @@ def first_ticks(pieces: Iterator[tuple[Tensor, Vec3, Vec3]], limits: Limits, las
     """Return the first tick at which each condition holds when it is looked at, [n, C]; ``NEVER`` where it does not.
 
     Args:
-        pieces: Ticks [T] of a piece of the run, and the relative positions [n, C, T], m, one tick before each and at it; the tick
+        pieces: Ticks [T] of a piece of the run, and the relative positions [n, P, T], m, one tick before each and at it; the tick
             before the start is the start itself.
         limits: The conditions.
         last: Last tick that is looked at, [n]; negative for none.
     """
     first = torch.full_like(limits.every, NEVER)
     for ticks, before, now in pieces:
-        hit = reached(before, now, limits) & looked(ticks, limits) & (ticks <= last.view(-1, 1, 1))
+        hit = reached(before, now, limits)
         if bool(hit.any()):
+            hit = hit & looked(ticks, limits) & (ticks <= last.view(-1, 1, 1))
             first = torch.minimum(first, torch.where(hit, ticks, NEVER).amin(-1))
     return first
 
@@ -177,10 +187,8 @@ class Encounters:
         """Declare what the episodes remember, and end the steps of the fleet; ``as_bsk_rl`` repeats bsk_rl's bookings."""
         self.fleet, self.pairs = fleet, pairs
         every = (*pairs.conjunctions, *pairs.ranges)
-        self._beyond = torch.tensor([k >= len(pairs.conjunctions) for k in range(len(every))], device=fleet.device)
-        self._watched = sorted(pairs.watched)
-        within = [[self._watched.index(column) for column in pair] for pair in every]
-        self._sides = torch.tensor(within, dtype=torch.int64, device=fleet.device).view(-1, 2).mT
+        self._distances = list(dict.fromkeys(tuple(sorted(pair)) for pair in every))
+        self._pair = tuple(self._distances.index(tuple(sorted(pair))) for pair in every)
         found = sorted((c, k, i) for k, columns in enumerate(fleet.columns) for i, c in enumerate(columns.tolist()))
         self._places, size = [(k, i) for _, k, i in found], fleet.size
         booked = torch.zeros(len(pairs.conjunctions), size, size, dtype=torch.bool)
@@ -217,33 +225,37 @@ class Encounters:
             between.append(torch.zeros_like(radii[-1], dtype=torch.bool))
         nanoseconds = torch.floor(torch.stack(rates, 1)[envs] / NANO + 0.5)
         every = torch.ceil(nanoseconds / self.fleet.simulators[0].h_ns).clamp(min=1.0).long()
-        return Limits(torch.stack(radii, 1)[envs], self._beyond, every, torch.stack(between, 1)[envs])
+        beyond = (*[False] * len(self.pairs.conjunctions), *[True] * len(self.pairs.ranges))
+        return Limits(self._pair, torch.stack(radii, 1)[envs], beyond, every, torch.stack(between, 1)[envs])
 
     def _waiting(self, envs: Tensor) -> Tensor:
         """Return the conditions that have not fired, [n, C]."""
         memory, parts = self.fleet.memory, [name for name in (MET, LEFT) if name in self.fleet.memory]
         return ~torch.cat([memory[name][envs] for name in parts], 1)
 
-    def _relative(self, planes: Sequence[Tensor]) -> Vec3:
-        """Return the relative positions of the pairs, [n, C, T] m, of positions of the watched, [n, W, T] in three planes."""
-        first, second = self._sides
-        return Vec3(*(plane[:, first] - plane[:, second] for plane in planes))
+    def _tracks(self, flight: Flight) -> dict[int, Tensor]:
+        """Return the recorded positions of the watched satellites, [n, K + 1, 3] m each, by their numbers."""
+        places = ((column, *self._places[column]) for column in sorted(self.pairs.watched))
+        return {column: flight.read(k, "r_BN_N")[:, number] for column, k, number in places}
 
-    def _tracks(self, flight: Flight) -> list[Tensor]:
-        """Return the recorded positions of the watched satellites, [n, K + 1, 3] m each."""
-        places = (self._places[column] for column in self._watched)
-        return [flight.read(k, "r_BN_N")[:, number] for k, number in places]
+    def _relative(self, tracks: Mapping[int, Tensor]) -> Vec3:
+        """Return the relative positions of the pairs, [n, P, T] m, of positions [n, T, 3] by satellite."""
+        shape = next(iter(tracks.values())).shape
+        found = torch.empty(shape[0], len(self._distances), *shape[1:], dtype=torch.float64, device=self.fleet.device)
+        for p, (one, other) in enumerate(self._distances):
+            torch.sub(tracks[one], tracks[other], out=found[:, p])
+        return Vec3.of(found)
 
     def _pieces(self, flight: Flight) -> Iterator[tuple[Tensor, Vec3, Vec3]]:
         """Yield the relative positions during a flight piece by piece; see :func:`first_ticks`."""
         tracks, count = self._tracks(flight), 1 + int(flight.ticks.max())
-        length = max(1, AT_ONCE // max(1, len(flight.envs) * self._sides.shape[1]))
+        length = max(1, AT_ONCE // max(1, len(flight.envs) * len(self._distances)))
         for start in range(0, count, length):
             stop, early = min(start + length, count), max(start - 1, 0)
-            planes = [torch.stack([track[:, early:stop, axis] for track in tracks], 1) for axis in range(3)]
-            relative = self._relative(planes)
-            now = relative.map(lambda plane: plane[..., start - early :])  # noqa: B023 - used at once
-            before = relative.map(lambda plane: plane[..., :-1]) if start else relative.map(_held_back)
+            relative = self._relative({column: track[:, early:stop] for column, track in tracks.items()})
+            first = start - early
+            now = Vec3(*(plane[..., first:] for plane in relative))
+            before = Vec3(*(plane[..., :-1] if start else _held_back(plane) for plane in relative))
             yield torch.arange(start, stop, device=self.fleet.device), before, now
 
     def first_tick(self, flight: Flight) -> Tensor:
@@ -254,15 +266,15 @@ class Encounters:
 
     def book(self, flight: Flight) -> None:
         """Remember the conditions that hold at the last tick of a flight; see ``fleet.flight_observers``."""
-        end = flight.ticks.view(-1, 1, 1, 1)
-        tracks = torch.stack(self._tracks(flight), 1)
-        records = torch.cat([(end - 1).clamp(min=0), end], 2).expand(-1, tracks.shape[1], -1, 3)
-        relative = self._relative(tracks.gather(2, records).unbind(-1))
-        before, now = (relative.map(lambda plane: plane[..., k : k + 1]) for k in (0, 1))  # noqa: B023 - used at once
+        end = flight.ticks.view(-1, 1, 1)
+        records = torch.cat([(end - 1).clamp(min=0), end], 1).expand(-1, -1, 3)
+        relative = self._relative({column: track.gather(1, records) for column, track in self._tracks(flight).items()})
+        before, now = (Vec3(*(plane[..., k : k + 1] for plane in relative)) for k in (0, 1))
         limits, fires = self.limits(flight.envs), flight.ticks < flight.left
         hit = (reached(before, now, limits) & looked(flight.ticks.view(-1, 1, 1), limits)).squeeze(-1)
         hit = hit & self._waiting(flight.envs) & fires.unsqueeze(1)
-        for name, mine in ((MET, hit[:, ~self._beyond]), (LEFT, hit[:, self._beyond])):
+        collisions = len(self.pairs.conjunctions)
+        for name, mine in ((MET, hit[:, :collisions]), (LEFT, hit[:, collisions:])):
             if name in self.fleet.memory:
                 known = self.fleet.memory[name]
                 self.fleet.memory[name] = known.index_copy(0, flight.envs, known[flight.envs] | mine)

@@ -24,7 +24,7 @@ def limits(n=N):
     distance = torch.tensor([12.0, 9.0, 15.0, 60.0], dtype=torch.float64) + each
     every = torch.tensor([1, 1, 5, 1]).expand(n, C) + torch.tensor([0, 0, 1, 0]) * (each % 2).long()
     between = torch.tensor([False, True, False, False]).expand(n, C)
-    return Limits(distance, torch.tensor([False, False, False, True]), every, between)
+    return Limits(tuple(range(C)), distance, (False, False, False, True), every, between)
 
 
 def pieces(r, length):
@@ -75,26 +75,30 @@ def test_an_episode_does_not_depend_on_the_others():
         assert torch.equal(first_ticks(pieces(walks(n=n), 10), limits(n), last[:n]), whole[:n])
 
 
+def alike(distances, pairs, beyond, between):
+    """Conditions of one episode that are looked at in every tick."""
+    distance = torch.tensor([distances], dtype=torch.float64)
+    return Limits(pairs, distance, beyond, torch.ones_like(distance).long(), torch.full_like(distance, between) > 0.0)
+
+
 def test_bounds_are_inclusive():
-    given = Limits(
-        torch.tensor([[5.0, 5.0]]).double(), torch.tensor([False, True]), torch.ones(1, 2).long(), torch.zeros(1, 2) > 0
-    )
+    given = alike([5.0, 5.0], (0, 0), (False, True), between=False)
     for distance, expected in ((5.0, [True, True]), (4.999999, [True, False]), (5.000001, [False, True])):
-        now = Vec3.of(torch.tensor([[[[distance, 0.0, 0.0]]] * 2]).double().view(1, 2, 1, 3))
+        now = Vec3.of(torch.tensor([distance, 0.0, 0.0]).double().view(1, 1, 1, 3))
         assert reached(now, now, given).flatten().tolist() == expected
 
 
 def test_a_fast_passage_is_seen_between_ticks_only():
     """15 km/s, five seconds a tick: 75 km between looks, and 3 m at the closest point, which is no tick's."""
-    r = torch.stack([torch.tensor([-40e3 + 75e3 * k, 3.0, 0.0]).double() for k in range(4)]).expand(1, 3, 4, 3)
-    between = torch.tensor([[False, True, True]])
-    given = Limits(torch.tensor([[20.0, 3.0 + 1e-6, 3.0 - 1e-6]]).double(), torch.zeros(3) > 0, torch.ones(1, 3).long(), between)
+    r = torch.stack([torch.tensor([-40e3 + 75e3 * k, 3.0, 0.0]).double() for k in range(4)]).view(1, 1, 4, 3)
+    given = alike([20.0, 3.0 + 1e-6, 3.0 - 1e-6], (0, 0, 0), (False, False, False), between=True)
+    given.between[0, 0] = False
     assert first_ticks(pieces(r, 2), given, torch.tensor([3])).tolist() == [[NEVER, 1, NEVER]]
 
 
 def test_satellites_at_rest_relative_to_each_other_are_looked_at_where_they_are():
-    r = torch.tensor([3.0, 4.0, 0.0]).double().expand(1, 2, 3, 3)
-    given = Limits(torch.tensor([[5.0, 4.9]]).double(), torch.zeros(2) > 0, torch.ones(1, 2).long(), torch.ones(1, 2) > 0)
+    r = torch.tensor([3.0, 4.0, 0.0]).double().expand(1, 1, 3, 3)
+    given = alike([5.0, 4.9], (0, 0), (False, False), between=True)
     assert first_ticks(pieces(r, 2), given, torch.tensor([2])).tolist() == [[0, NEVER]]
 
 

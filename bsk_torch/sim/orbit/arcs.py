@@ -1,7 +1,8 @@
 """Arcs: positions of satellites, computed ahead of the simulation in batched passes.
 
-Without manoeuvres and above the modelled atmosphere an orbit does not depend on actions, so it is solved in advance, and
-a polynomial through positions a minute apart serves every tick.
+Above the modelled atmosphere an orbit does not depend on actions until the next manoeuvre, so it is solved in advance, and a
+polynomial through positions a minute apart serves every tick. Of satellites that manoeuvre it is solved anew from there on; see
+:mod:`bsk_torch.sim.orbit.restartable`.
 
 Two arcs are kept for each satellite. The *flown* arc is the one that Basilisk integrates at the simulation's rate. The *planned*
 arc is the one that bsk_rl looks ahead on, a Runge-Kutta propagation in steps of 30 s; its truncation error, metres per orbit, is

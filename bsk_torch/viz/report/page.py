@@ -16,6 +16,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from bsk_torch.files import write_file
 from bsk_torch.viz.figures.constellation import ConstellationEpisode, constellation_figure
 from bsk_torch.viz.figures.ground_track import ground_track
+from bsk_torch.viz.figures.inspection import InspectionEpisode, inspection_figure
 from bsk_torch.viz.figures.timeline import timeline
 from bsk_torch.viz.figures.track_map import track_map
 from bsk_torch.viz.recorders.imaging import ImagingEpisode
@@ -39,7 +40,7 @@ class Chosen(NamedTuple):
 
     why: str
     number: int
-    episode: TrackEpisode | ConstellationEpisode
+    episode: TrackEpisode | ConstellationEpisode | InspectionEpisode
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -171,6 +172,14 @@ def _pictures(chosen: Chosen) -> list[Shown]:
                 partial(constellation_figure, episode, title="constellation"),
                 "Ground tracks and images of all satellites, contacts at the moment of most contacts, and tasks over time.",
                 f"World map with ground tracks {words}.",
+            )
+        ]
+    if isinstance(episode, InspectionEpisode):
+        return [
+            picture(
+                partial(inspection_figure, episode),
+                "Paths about the RSO with manoeuvres, its points and when they were inspected, and points and fuel over time.",
+                f"Paths about an RSO and a map of its points {words}.",
             )
         ]
     if isinstance(episode, ImagingEpisode):

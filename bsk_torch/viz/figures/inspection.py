@@ -1,0 +1,273 @@
+"""Figure of an episode of an inspection: paths about the RSO, its points, and what was known and spent over time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from math import isfinite
+from pathlib import Path
+from typing import Any
+
+import torch
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Circle, Patch
+from matplotlib.ticker import MultipleLocator
+from torch import Tensor
+
+from bsk_torch.viz.figures.style import FAINT, INK, PALETTE, caption, dot, headline, label, save, tidy
+from bsk_torch.viz.figures.timeline import HOUR, NIGHT, spacing
+
+__all__ = ["InspectionEpisode", "inspection_figure"]
+
+HEIGHTS = (3.5, 3.2)
+"""Heights of the paths, and of what is below them, inches."""
+
+AXES = ("radial", "along the track", "orbit normal")
+"""Axes of the Hill frame."""
+
+VIEWS = ((1, 0, False), (1, 0, True), (1, 2, True))
+"""Abscissa and ordinate of each projection of the paths, and whether it shows what is near the RSO."""
+
+MARGIN = 1.08
+"""Half the width of the projections, over the largest coordinate that they show."""
+
+NEAR = 0.9
+"""Part of the time that inspectors spend within the projections of what is near."""
+
+SMALL, LARGE = 18.0, 90.0
+"""Areas of the marks of the smallest and the largest manoeuvre, square points."""
+
+COLORS = "viridis"
+"""Colours of points by time."""
+
+LIT, BLANK = "#9aa3af", "#ffffff"
+"""Colours of points that were lit but not inspected, and of those that were never lit."""
+
+DARK = 0.5
+"""Visible fraction of the Sun below which the RSO is shown in the dark."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class InspectionEpisode:
+    """One episode of I inspectors and an RSO with P points, as plain tensors on the CPU; times in seconds since the reset.
+
+    Attributes:
+        names: Names of the inspectors.
+        times: Times of the paths' samples, ascending, [K].
+        rho_H: Positions of the inspectors in the RSO's Hill frame then, m [I, K, 3]: radial, along the track, orbit normal.
+        illumination: Fraction of the Sun that the RSO sees then, [K].
+        decisions: Times at which steps began and ended, ascending, [B].
+        fuel: Changes of velocity that the tanks were good for then, before any manoeuvre, m/s [I, B].
+        points: Directions of the points in the RSO's axes, [P, 3].
+        lit_at: End of the step in which each was first lit, infinite for never, [P].
+        inspected_at: End of the step in which each was first inspected, infinite for never, [P].
+        deaths: When each inspector died, infinite for survivors, [I]. Paths are drawn until then.
+        completed: When the inspection was complete, infinite for never.
+        reach: Largest distance, m, from which points are inspected; infinite without a limit.
+    """
+
+    names: Sequence[str]
+    times: Tensor
+    rho_H: Tensor
+    illumination: Tensor
+    decisions: Tensor
+    fuel: Tensor
+    points: Tensor
+    lit_at: Tensor
+    inspected_at: Tensor
+    deaths: Tensor
+    completed: float
+    reach: float
+
+    def __post_init__(self) -> None:
+        """ValueError for tensors whose shapes do not fit each other."""
+        i, k, b, p = len(self.names), len(self.times), len(self.decisions), len(self.points)
+        needed = {"rho_H": (i, k, 3), "illumination": (k,), "fuel": (i, b), "points": (p, 3), "deaths": (i,)}
+        needed |= {"lit_at": (p,), "inspected_at": (p,)}
+        for name, shape in needed.items():
+            value = getattr(self, name)
+            if tuple(value.shape) != shape:
+                raise ValueError(f"{name} has shape {list(value.shape)}; it must be {list(shape)}")
+        for name, length, what in (("times", k, "a path"), ("decisions", b, "an episode")):
+            if length < 2:
+                raise ValueError(f"{name} has {length} entries; {what} needs at least 2")
+
+    @property
+    def colors(self) -> list[str]:
+        """Colour of each inspector."""
+        return [PALETTE[k % len(PALETTE)] for k in range(len(self.names))]
+
+    @property
+    def spent(self) -> Tensor:
+        """Manoeuvre of each inspector at the beginning of each step, m/s [I, B - 1]."""
+        return -self.fuel.diff()
+
+    @property
+    def outcome(self) -> str:
+        """What was inspected, when it was complete, what it took, and who died, in words."""
+        known, lit = (int(torch.isfinite(at).sum()) for at in (self.inspected_at, self.lit_at))
+        done = f"{known} of {lit} lit points inspected"
+        end = f", complete after {self.completed / HOUR:.1f} h" if isfinite(self.completed) else ""
+        dead = int(torch.isfinite(self.deaths).sum())
+        died = "" if not dead else ", died" if len(self.names) == 1 else f", {dead} of {len(self.names)} died"
+        return f"{done}{end}, {float(self.spent.sum()):.2f} m/s{died}"
+
+    def extent(self, near: bool) -> float:
+        """Return the largest coordinate of the paths while inspectors lived, or for :data:`NEAR` of that time."""
+        alive = self.times <= self.deaths.unsqueeze(1)
+        return float(torch.quantile(self.rho_H[alive].abs().amax(1), NEAR if near else 1.0))
+
+
+def inspection_figure(episode: InspectionEpisode, path: Path, title: str = "") -> Path:
+    """Draw an episode to the file ``path``, .png or .svg, with headline ``title`` unless that is empty.
+
+    From above: the paths about the RSO in projections of its Hill frame, as a whole and near it, with manoeuvres; a map of its
+    points, coloured by the time when they were inspected, beside the numbers of lit and inspected points and the fuel over time.
+    """
+    figure = Figure(figsize=(10.0, sum(HEIGHTS) + 1.0), dpi=140, layout="constrained", facecolor="white")
+    above, below = figure.subfigures(2, 1, height_ratios=HEIGHTS)  # type: ignore[misc]
+    for panel, (x, y, near) in zip(above.subplots(1, 3), VIEWS, strict=True):
+        tidy(panel)
+        _paths(panel, episode, x, y, near)
+    left, right = below.subfigures(1, 2)
+    _map(left.add_subplot(projection="mollweide"), episode)
+    counts, fuel = right.subplots(2, 1, sharex=True, height_ratios=(1.5, 1.0))
+    for panel in (counts, fuel):
+        tidy(panel)
+        _night(panel, episode)
+    _counts(counts, episode)
+    _fuel(fuel, episode)
+    if title:
+        headline(figure, f"{title}: {episode.outcome}")
+    figure.legend(handles=_legend(episode), loc="outside lower center", ncols=5, frameon=False, fontsize=9, labelcolor=INK)
+    return save(figure, path)
+
+
+# -- paths -----------------------------------------------------------------------------------------------------------------------
+
+
+def _paths(panel: Axes, episode: InspectionEpisode, x: int, y: int, near: bool) -> None:
+    """Draw the projection with the axes ``x`` and ``y``."""
+    most = MARGIN * max(1e-3, episode.extent(near))
+    panel.set(xlim=(-most, most), ylim=(-most, most), aspect="equal")
+    caption(panel, "near the RSO" if near else "paths about the RSO")
+    panel.grid(axis="both", color=FAINT, linewidth=0.6)
+    panel.set_xlabel(f"{AXES[x]}, m", color=INK, fontsize=9.5)
+    panel.set_ylabel(f"{AXES[y]}, m", color=INK, fontsize=9.5, labelpad=0.0)
+    if isfinite(episode.reach):
+        panel.add_patch(Circle((0.0, 0.0), episode.reach, fill=False, edgecolor=INK, linewidth=0.8, linestyle=(0, (4, 3))))
+    panel.plot(0.0, 0.0, "+", color=INK, markersize=9.0, zorder=6)
+    largest = max(float(episode.spent.max()), 1e-12)
+    for k, color in enumerate(episode.colors):
+        alive = episode.times <= episode.deaths[k]
+        rho = episode.rho_H[k, alive]
+        panel.plot(rho[:, x], rho[:, y], color=color, linewidth=1.1, zorder=3)
+        panel.plot(rho[0, x], rho[0, y], "o", color="white", markeredgecolor=color, markersize=6.0, zorder=5)
+        panel.plot(rho[-1, x], rho[-1, y], color=color, markeredgecolor="white", zorder=6, **_end(episode, k))
+        size, where = _manoeuvres(episode, k)
+        area = SMALL + (LARGE - SMALL) * size / largest
+        panel.scatter(where[:, x], where[:, y], area, marker="^", color=color, edgecolors="white", linewidths=0.6, zorder=4)
+
+
+def _end(episode: InspectionEpisode, k: int) -> dict[str, Any]:
+    """Look of the end of a path."""
+    return dict(marker="X", markersize=9.0) if isfinite(float(episode.deaths[k])) else dict(marker="s", markersize=6.0)
+
+
+def _manoeuvres(episode: InspectionEpisode, k: int) -> tuple[Tensor, Tensor]:
+    """Return changes of velocity [M], m/s, and where they were made, [M, 3]."""
+    there = episode.spent[k] > 0.0
+    sample = torch.searchsorted(episode.times, episode.decisions[:-1][there]).clamp(max=len(episode.times) - 1)
+    return episode.spent[k, there], episode.rho_H[k, sample]
+
+
+# -- points ----------------------------------------------------------------------------------------------------------------------
+
+
+def _map(panel: Axes, episode: InspectionEpisode) -> None:
+    """Draw the surface of the RSO as an equal-area map of directions in its axes."""
+    x, y, z = torch.nn.functional.normalize(episode.points, dim=1).unbind(1)
+    longitude, latitude = torch.atan2(y, x), torch.asin(z.clamp(-1.0, 1.0))
+    inspected = torch.isfinite(episode.inspected_at)
+    lit = torch.isfinite(episode.lit_at) & ~inspected
+    for rows, color in ((~inspected & ~lit, BLANK), (lit, LIT)):
+        panel.scatter(longitude[rows], latitude[rows], 26.0, color=color, edgecolors=LIT, linewidths=0.7, zorder=3)
+    hours = episode.inspected_at[inspected] / HOUR
+    last = float(episode.times[-1]) / HOUR
+    shown = panel.scatter(longitude[inspected], latitude[inspected], 34.0, c=hours, cmap=COLORS, vmin=0.0, vmax=last, zorder=4)
+    panel.set_xticks([])
+    panel.set_yticks([])
+    panel.grid(False)
+    for spine in panel.spines.values():
+        spine.set_color(FAINT)
+    bar = panel.figure.colorbar(shown, ax=panel, orientation="horizontal", shrink=0.7, aspect=30, pad=0.03)
+    bar.outline.set_visible(False)
+    bar.ax.tick_params(colors=INK, labelsize=8.5, length=3)
+    bar.set_label("inspected at, hours since the start", color=INK, fontsize=9)
+    caption(panel, "points of the RSO, in its axes")
+
+
+# -- over time -------------------------------------------------------------------------------------------------------------------
+
+
+def _night(panel: Axes, episode: InspectionEpisode) -> None:
+    """Shade the time in which the RSO is in the dark."""
+    hours = (episode.times / HOUR).tolist()
+    dark = (episode.illumination < DARK).tolist()
+    edges = [0, *(k for k in range(1, len(dark)) if dark[k] != dark[k - 1]), len(dark) - 1]
+    for begin, end in pairwise(edges):
+        if dark[begin] and begin < end:
+            panel.axvspan(hours[begin], hours[end], color=NIGHT, alpha=0.12, linewidth=0)
+
+
+def _counts(panel: Axes, episode: InspectionEpisode) -> None:
+    """Numbers of points that have been lit, and inspected."""
+    hours, last = (episode.decisions / HOUR).tolist(), len(episode.points)
+    for at, color, width in ((episode.lit_at, LIT, 1.5), (episode.inspected_at, INK, 1.8)):
+        known = (at <= episode.decisions.unsqueeze(1)).sum(1).tolist()
+        panel.step(hours, known, where="post", color=color, linewidth=width)
+    if isfinite(episode.completed):
+        panel.axvline(episode.completed / HOUR, color=PALETTE[2], linewidth=1.2, linestyle=(0, (2, 2)))
+    panel.set_ylim(0.0, 1.05 * last)
+    label(panel, "points")
+
+
+def _fuel(panel: Axes, episode: InspectionEpisode) -> None:
+    """What the tanks are good for."""
+    hours = (episode.decisions / HOUR).tolist()
+    for k, color in enumerate(episode.colors):
+        # manoeuvres are made at the beginning of a step
+        panel.step(hours, episode.fuel[k].tolist(), where="pre", color=color, linewidth=1.6)
+        if isfinite(death := float(episode.deaths[k])):
+            where = int(torch.searchsorted(episode.decisions, episode.deaths[k]).clamp(max=len(hours) - 1))
+            panel.plot(death / HOUR, float(episode.fuel[k, where]), "X", color=color, markeredgecolor="white", markersize=9.0)
+    panel.set_ylim(0.0, 1.08 * max(float(episode.fuel.max()), 1e-9))
+    panel.set_xlim(0.0, 1.01 * hours[-1])
+    panel.xaxis.set_major_locator(MultipleLocator(spacing(hours[-1])))
+    panel.set_xlabel("hours since the start", color=INK, fontsize=9.5)
+    label(panel, "fuel, m/s")
+
+
+def _legend(episode: InspectionEpisode) -> list[Artist]:
+    names = [Line2D([], [], color=c, linewidth=2.0, label=name) for c, name in zip(episode.colors, episode.names, strict=True)]
+    first = episode.colors[0] if len(names) == 1 else INK
+    dead = torch.isfinite(episode.deaths)
+    there: list[tuple[bool, Artist]] = [
+        (True, dot("o", "white", first, "start")),
+        (not bool(dead.all()), dot("s", first, "white", "end")),
+        (bool(dead.any()), dot("X", first, "white", "died")),
+        (bool((episode.spent > 0.0).any()), dot("^", first, "white", "manoeuvre")),
+        (
+            isfinite(episode.reach),
+            Line2D([], [], color=INK, linewidth=0.8, linestyle=(0, (4, 3)), label="reach of the instrument"),
+        ),
+        (True, Line2D([], [], color=INK, linewidth=1.8, label="points inspected")),
+        (True, Line2D([], [], color=LIT, linewidth=1.5, marker="o", markersize=5.0, label="points lit")),
+        (isfinite(episode.completed), Line2D([], [], color=PALETTE[2], linewidth=1.2, linestyle=(0, (2, 2)), label="complete")),
+        (bool((episode.illumination < DARK).any()), Patch(color=NIGHT, alpha=0.12, label="eclipse")),
+    ]
+    return [*names, *(handle for shown, handle in there if shown)]
