@@ -51,6 +51,8 @@ class HillWaypoint(Action):
     bsk_rl has no such action: its manoeuvres are :class:`ImpulsiveThrustHill`.
     """
 
+    fsw_type = ImpulsiveThrustHill.fsw_type
+
     def __init__(
         self,
         chief_name: str,
