@@ -9,6 +9,8 @@ from torch import Tensor
 
 from bsk_torch.astro.clohessy_wiltshire import propagate, transfer, transition
 
+__all__ = ["Transfers", "closest", "transfers"]
+
 
 class Transfers(NamedTuple):
     """Transfers of N deputies to D targets in K durations, in the chief's Hill frame.
