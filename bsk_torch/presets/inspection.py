@@ -7,7 +7,7 @@ A resident space object (RSO), a sphere of 1 m with 100 points, flies with its a
 750 m away. Each has 10 m/s; each decision changes its velocity and drifts, with the instrument pointed at the RSO. A point is
 inspected where it is in view (within 30 degrees of its normal, and 250 m), and lit (the Sun within 60 degrees of its normal).
 
-Observation of an inspector, 64 numbers:
+Observation of an inspector, 61 numbers:
 
 ======================================  ==========================================================================
 ``dv_available_normd``                  what the tank is good for, over 10 m/s
