@@ -15,6 +15,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+__all__ = ["Transition", "circumnavigation", "propagate", "transfer", "transition"]
+
 
 class Transition(NamedTuple):
     """State transition over a time: ``rho(t) = rr rho + rv rho'`` and ``rho'(t) = vr rho + vv rho'``, [..., 3, 3] each."""

@@ -13,6 +13,8 @@ from bsk_torch.vec3 import Mat3, Vec3
 SMALLEST = 1e-30
 """Least divisor: squares of distances, m^2, or of speeds, below which there is no direction."""
 
+__all__ = ["Transfers", "closest", "transfers"]
+
 
 class Transfers(NamedTuple):
     """Transfers of N deputies to D targets in K durations, in the chief's Hill frame.

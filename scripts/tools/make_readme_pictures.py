@@ -23,6 +23,7 @@ from typing import Any
 import matplotlib.pyplot as plt
 import torch
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from PIL import Image
 
 from bsk_torch import make
@@ -31,6 +32,9 @@ from bsk_torch.env.rollout import play_episodes
 from bsk_torch.presets import PRESETS
 from bsk_torch.rl.policies import makings, pretrained, pretrained_file, read_card
 from bsk_torch.rl.policies.shared_policy import shared, shared_baseline
+from bsk_torch.viz.figures.inspection import draw_paths
+from bsk_torch.viz.figures.style import save
+from bsk_torch.viz.recorders.inspection import record_inspection
 
 ROOT = Path(__file__).parents[2]
 FOLDER = ROOT / "docs" / "_static" / "readme"
@@ -54,6 +58,9 @@ FILM_SEED, THUMBNAIL_SEED = 3, 59
 
 RULE = "hasty"
 """The rule that acts where there is no pretrained policy."""
+
+INSPECTIONS, INSPECTION, INSPECTION_SEED = ("RSOInspection-v1", "MultiInspection-v1"), "survey", 4
+"""Presets whose thumbnail is made of paths about an RSO, and the rule and the seed of the episode that it shows."""
 
 GUIDES = ("own_rewarder", "own_satellite")
 """Pages of docs/how_to whose blocks draw ``<page>.png``."""
@@ -93,7 +100,7 @@ def film(folder: Path) -> Path:
 
 
 def thumbnails(folder: Path) -> list[Path]:
-    """Write ``<preset>.png`` for every preset: the globe, without the panel beside it."""
+    """Write ``<preset>.png`` for every preset: the globe, without the panel beside it, or the paths of an inspection."""
     return [thumbnail(preset, folder / f"{preset}.png") for preset in PRESETS]
 
 
@@ -107,12 +114,29 @@ def frame(folder: Path) -> Path:
 
 def thumbnail(preset: str, path: Path) -> Path:
     """Write a thumbnail of a preset."""
+    if preset in INSPECTIONS:
+        return paths_thumbnail(preset, path)
     env = next(filter(is_bright, played(preset, THUMBNAIL_SEED)))
     frame = Image.fromarray(env.render(0, 4 * THUMBNAIL).numpy())
     middle, half = frame.height / 2, frame.height / (2 * ZOOM if env.fleet.size == 1 else 2)
     box = (middle - half, middle - half, middle + half, middle + half)
     globe = frame.resize((THUMBNAIL, THUMBNAIL), Image.Resampling.LANCZOS, box)
     globe.quantize(256, dither=Image.Dither.NONE).save(path, optimize=True)
+    return path
+
+
+def paths_thumbnail(preset: str, path: Path) -> Path:
+    """Write a thumbnail of an inspection: the paths near the RSO."""
+    env = make(preset, num_envs=1, actions="waypoints")
+    episode = record_inspection(shared_baseline(INSPECTION, env), env, seed=INSPECTION_SEED)
+    figure = Figure(figsize=(2.0, 2.0), dpi=2 * THUMBNAIL, facecolor="white")
+    panel = figure.add_axes((0.0, 0.0, 1.0, 1.0))
+    draw_paths(panel, episode, 1, 0, near=True)
+    panel.set_axis_off()
+    with tempfile.TemporaryDirectory() as folder:
+        large = Image.open(save(figure, Path(folder) / path.name)).convert("RGB")
+    small = large.resize((THUMBNAIL, THUMBNAIL), Image.Resampling.LANCZOS)
+    small.quantize(COLORS, dither=Image.Dither.NONE).save(path, optimize=True)
     return path
 
 

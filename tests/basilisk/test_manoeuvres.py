@@ -79,8 +79,16 @@ BOUNDS = {"integrated": INTEGRATED, "arc": INTEGRATED | {"r": 1e-3, "v": 1e-6}}
 """On arcs 1.0e-4 m and 1.0e-7 m/s were measured, after three hours and many manoeuvres."""
 
 
-def environment(name: str, **options: Any) -> tuple[SatelliteTasking, Any, list[int]]:
-    """The environment of a recording, with an episode for each that was recorded, the file, and the numbers of steps."""
+def single(kind: type[sats.Satellite], args: dict[str, Any], **options: Any) -> SatelliteTasking:
+    """An environment of one satellite."""
+    return SatelliteTasking(kind("sat", args), **options)
+
+
+def environment(name: str, make: Any = single, **options: Any) -> tuple[SatelliteTasking, Any, list[int]]:
+    """The environment of a recording, with an episode for each that was recorded, the file, and the numbers of steps.
+
+    ``make`` gets class and arguments of the satellite.
+    """
     file = np.load(RECORDINGS / f"{name}.npz")
     starts = json.loads(str(file["ic"]))
     given = [start["sats"][0]["args"] for start in starts]
@@ -90,8 +98,9 @@ def environment(name: str, **options: Any) -> tuple[SatelliteTasking, Any, list[
         played = scene.Targets(rand.per_env(targets[..., :3]), rand.per_env(targets[..., 3])), data.UniqueImageReward()
     else:
         played = scene.UniformNadirScanning(), data.ScanningTimeReward()
-    env = SatelliteTasking(
-        SATELLITE[name]("sat", {**args, "oe": None}),
+    env = make(
+        SATELLITE[name],
+        {**args, "oe": None},
         scenario=played[0],
         rewarder=played[1],
         num_envs=len(starts),

@@ -35,6 +35,7 @@ SIZES: dict[str, dict[str, str]] = {
         "LIMIT": '["--time-limit", "300"]',
     },
     "09_watch_an_episode.py": {"FRAMES": "3", "MEMBERS": "3"},
+    "10_inspection.py": {"EPISODES": "2", "SECONDS": "1200.0", "FRAMES, NUM_ENVS": "64, 4"},
 }
 """Values of constants, by tutorial and by what stands left of the equals sign."""
 

@@ -9,6 +9,9 @@ import sys
 import pytest
 import torch
 
+from bsk_torch import data, scene
+from tests.basilisk import inspection as inspections
+from tests.basilisk import test_manoeuvres as manoeuvres
 from tests.examples.recorded import BY_NAME, FOLDER, Replay, example, load, start
 from tests.examples.scenarios import areas, beliefs, clouds, find_after
 
@@ -131,6 +134,53 @@ def test_training_with_shield():
     assert not all(narrow)
 
 
+def test_rso_inspection():
+    """Points, rewards and observations of an inspector with the steering law, with the page's actions of real numbers."""
+    recorded, module = inspections.load("steer"), example("rso_inspection")
+    first = recorded.initial[0]
+    env = module.make(
+        len(recorded),
+        sat_args=[inspections.arguments(recorded.initial, k) for k in range(2)],
+        scenario=scene.SphericalRSO(**first["scenario"]),
+        rewarder=(
+            data.RSOInspectionReward(**first["reward"]),
+            data.ResourceReward(reward_weight=first["fuel_weight"], resource_fn=module.fuel),
+        ),
+        world_args=dict(utc_init=first["utc_init"]),
+        time_limit=first["time_limit"],
+        sim_rate=first["sim_rate"],
+        dtype=torch.float64,
+        compat="bsk_rl",
+        seed=0,
+    )
+    renamed = {"rso_imaged_regions": "fifteen_hill", "reward_weight": "reward_weight[0]"}
+    names = " ".join(env.satellites[1].observation_description)
+    for mine, theirs in renamed.items():
+        names = names.replace(mine, theirs)
+    columns = [recorded.names.index(name) for name in names.split()]
+    for k, moves, outputs in inspections.replay(env, recorded):
+        assert moves.all()
+        rso, inspector = (outputs[group.name] for group in env.groups)
+        reward = torch.cat([rso["reward"], inspector["reward"]], 1).squeeze(-1)
+        torch.testing.assert_close(reward, inspections.padded(recorded, "reward", k), rtol=0, atol=1e-12)
+        wanted = inspections.padded(recorded, "obs", k + 1)[..., columns]
+        torch.testing.assert_close(inspector["observation"], wanted, rtol=0, atol=1e-6)
+        for what in ("inspected", "illuminated"):
+            assert torch.equal(getattr(env.rewarder, what), inspections.padded(recorded, what, k + 1)[:, 0] > 0.5)
+    assert env.rewarder.inspected.sum() >= 3
+
+
+def test_continuous_orbit_maneuvers():
+    """Orbits after manoeuvres of single precision; passes and eclipses are those of the first orbit, as in bsk_rl."""
+    module = example("continuous_orbit_maneuvers")
+
+    def make(kind, args, **options):
+        return module.make(sat_args=args, **options)
+
+    found = manoeuvres.replay("manoeuvre_scan", make=make, orbit="integrated", compat="bsk_rl")
+    assert all(difference <= manoeuvres.INTEGRATED[quantity] for quantity, difference in found.items()), found
+
+
 SMALL = "--num-envs 2 --time-limit 300"
 TRAINING = f"{SMALL} --iterations 2 --rollout 4"
 
@@ -147,6 +197,8 @@ STARTS = {
     "async_multiagent_training": (TRAINING, "decisions"),
     "target_location_uncertainty": (f"{SMALL} --n-targets 300", "found_again"),
     "curriculum_learning": (TRAINING, "torque"),
+    "rso_inspection": (SMALL, "of lit"),
+    "continuous_orbit_maneuvers": (SMALL, "semi-major axis"),
     "training_with_shield": (f"{TRAINING} --n-targets 300 --shield replacement", "replaced actions"),
 }
 """Arguments of the smallest run of each file, and what it prints."""

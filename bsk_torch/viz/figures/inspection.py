@@ -21,7 +21,7 @@ from torch import Tensor
 from bsk_torch.viz.figures.style import FAINT, INK, PALETTE, caption, dot, headline, label, save, tidy
 from bsk_torch.viz.figures.timeline import HOUR, NIGHT, spacing
 
-__all__ = ["InspectionEpisode", "inspection_figure"]
+__all__ = ["InspectionEpisode", "draw_paths", "inspection_figure"]
 
 HEIGHTS = (3.5, 3.2)
 """Heights of the paths, and of what is below them, inches."""
@@ -132,7 +132,10 @@ def inspection_figure(episode: InspectionEpisode, path: Path, title: str = "") -
     above, below = figure.subfigures(2, 1, height_ratios=HEIGHTS)  # type: ignore[misc]
     for panel, (x, y, near) in zip(above.subplots(1, 3), VIEWS, strict=True):
         tidy(panel)
-        _paths(panel, episode, x, y, near)
+        draw_paths(panel, episode, x, y, near)
+        caption(panel, "near the RSO" if near else "paths about the RSO")
+        panel.set_xlabel(f"{AXES[x]}, m", color=INK, fontsize=9.5)
+        panel.set_ylabel(f"{AXES[y]}, m", color=INK, fontsize=9.5, labelpad=0.0)
     left, right = below.subfigures(1, 2)
     _map(left.add_subplot(projection="mollweide"), episode)
     counts, fuel = right.subplots(2, 1, sharex=True, height_ratios=(1.5, 1.0))
@@ -150,14 +153,19 @@ def inspection_figure(episode: InspectionEpisode, path: Path, title: str = "") -
 # -- paths -----------------------------------------------------------------------------------------------------------------------
 
 
-def _paths(panel: Axes, episode: InspectionEpisode, x: int, y: int, near: bool) -> None:
-    """Draw the projection with the axes ``x`` and ``y``."""
+def draw_paths(panel: Axes, episode: InspectionEpisode, x: int, y: int, near: bool) -> None:
+    """Draw the paths about the RSO, with manoeuvres, into a panel.
+
+    Args:
+        panel: The panel.
+        episode: The episode.
+        x: Axis of the Hill frame to the right: 0 radial, 1 along the track, 2 orbit normal.
+        y: Axis upwards.
+        near: Whether only what is near the RSO is shown.
+    """
     most = MARGIN * max(1e-3, episode.extent(near))
     panel.set(xlim=(-most, most), ylim=(-most, most), aspect="equal")
-    caption(panel, "near the RSO" if near else "paths about the RSO")
     panel.grid(axis="both", color=FAINT, linewidth=0.6)
-    panel.set_xlabel(f"{AXES[x]}, m", color=INK, fontsize=9.5)
-    panel.set_ylabel(f"{AXES[y]}, m", color=INK, fontsize=9.5, labelpad=0.0)
     if isfinite(episode.reach):
         panel.add_patch(Circle((0.0, 0.0), episode.reach, fill=False, edgecolor=INK, linewidth=0.8, linestyle=(0, (4, 3))))
     panel.plot(0.0, 0.0, "+", color=INK, markersize=9.0, zorder=6)
