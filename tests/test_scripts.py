@@ -110,6 +110,7 @@ RECORDED = {
     "record_examples": "basilisk/recordings/example_configuration_actions",
     "record_imaging": "basilisk/recordings/imaging_half_second",
     "record_los": "basilisk/recordings/los_two_seconds",
+    "record_manoeuvres": "basilisk/recordings/manoeuvre_kick",
     "record_models": "basilisk/recordings/models_pointing",
     "record_modules": "sim/data/controller",
 }
