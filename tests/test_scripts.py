@@ -44,6 +44,12 @@ STARTS: dict[str, list[Start]] = {
             "basilisk",
         ),
     ],
+    "benchmarks/inspection.py": [
+        Start(
+            "--episodes 2 --time-limit 700 --backend eager",
+            r"\| RSOInspection-v1 \| survey \| waypoints \| 0.0% \| nan \|",
+        ),
+    ],
     "benchmarks/manoeuvres.py": [
         Start(
             "--batches 2 --targets 20 --rounds 1 --drift 2 --backend eager",
