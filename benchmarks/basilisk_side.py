@@ -28,7 +28,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "basilisk" / "recor
 
 from bsk_rl import ConstellationTasking, act, comm, data, obs, sats, scene
 from bsk_rl.sim import dyn, fsw
-from bsk_rl.utils.orbital import random_orbit, walker_delta_args
+from bsk_rl.utils.orbital import random_orbit, random_unit_vector, relative_to_chief, walker_delta_args
 from record_basilisk import BATTERY, EPISODE, FIXED, PAPER_MODES, STORAGE, paper_observations, scanner_class
 
 Step = tuple[float, bool]
@@ -170,9 +170,165 @@ def constellation_episodes(env: Any) -> Iterator[Step]:
         yield seconds, True
 
 
+# -- inspection --------------------------------------------------------------------------------------------------------
+
+POINTS: dict[str, Any] = dict(
+    n_points=100, radius=1.0, theta_max=math.radians(30), range_max=250.0, theta_solar_max=math.radians(60)
+)
+INSPECTOR: dict[str, Any] = dict(
+    imageAttErrorRequirement=1.0,
+    imageRateErrorRequirement=None,
+    instrumentBaudRate=1,
+    dataStorageCapacity=1e6,
+    batteryStorageCapacity=1e9,
+    storedCharge_Init=1e9,
+    conjunction_radius=2.0,
+    dv_available_init=10.0,
+    max_range_radius=1000,
+    chief_name="RSO",
+    enforce_range_on_chief=True,
+)
+KICK, DRIFT = 0.01, (100.0, 2000.0)
+"""Standard deviation of each component of a random manoeuvre, m/s, and bounds of the drift after it, s."""
+
+
+class Inspector(sats.Satellite):
+    """Flies about another spacecraft by impulsive manoeuvres, and inspects it."""
+
+    observation_spec = (
+        obs.SatProperties(dict(prop="dv_available", norm=10)),
+        obs.ResourceRewardWeight(),
+        obs.RelativeProperties(
+            dict(prop="r_DC_Hc", norm=500),
+            dict(prop="v_DC_Hc", norm=5),
+            dict(prop="rso_imaged_regions"),
+            chief_name="RSO",
+        ),
+        obs.Eclipse(norm=5700.0),
+        obs.Time(),
+    )
+    action_spec = (
+        act.ImpulsiveThrustHill(chief_name="RSO", max_dv=1.0, max_drift_duration=11400.0, fsw_action="action_inspect_rso"),
+    )
+    dyn_type = (dyn.MaxRangeDynModel, dyn.ConjunctionDynModel, dyn.RSOInspectorDynModel)
+    fsw_type = (fsw.MagicOrbitalManeuverFSWModel, fsw.RSOInspectorFSWModel)
+
+
+class Inspected(sats.Satellite):
+    """Points along its orbit's frame."""
+
+    observation_spec = (obs.SatProperties(dict(prop="one", fn=lambda _: 1.0)),)
+    action_spec = (act.NadirPoint(duration=1e9),)
+    dyn_type = (dyn.ConjunctionDynModel, dyn.RSODynModel)
+    fsw_type = fsw.FSWModel
+
+
+def around(satellites: list[sats.Satellite]) -> dict[Any, Any]:
+    """Orbits of the inspected spacecraft, and of inspectors 250 to 750 m from it."""
+
+    def orbit() -> Any:
+        a = 6371.0 + np.random.uniform(500, 1100)
+        return random_orbit(a=a, e=np.random.uniform(0.0, min(1 - 6871.0 / a, 7471.0 / a - 1)))
+
+    def relative() -> Any:
+        directions = [random_unit_vector() for _ in range(2)]
+        return np.r_[directions[0] * np.random.uniform(250, 750), directions[1] * np.random.uniform(0, 0.5)]
+
+    names = [satellite.name for satellite in satellites if satellite.name != "RSO"]
+    return relative_to_chief("RSO", orbit, dict.fromkeys(names, relative))(satellites)
+
+
+def rso_inspection(n_inspectors: int) -> Any:
+    """bsk_rl's inspection of another spacecraft, by one or several."""
+    return ConstellationTasking(
+        satellites=[
+            Inspected("RSO", dict(conjunction_radius=2.0)),
+            *(Inspector(f"Inspector{k}", INSPECTOR) for k in range(1, n_inspectors + 1)),
+        ],
+        scenario=scene.SphericalRSO(**POINTS),
+        rewarder=(
+            data.RSOInspectionReward(completion_bonus=1.0),
+            data.ResourceReward(reward_weight=0.1, resource_fn=lambda sat: getattr(sat.fsw, "dv_available", 0.0)),
+        ),
+        sat_arg_randomizer=around,
+        sim_rate=5.0,
+        time_limit=57000.0,
+        failure_penalty=-1.0,
+        log_level="ERROR",
+    )
+
+
+def inspection_episodes(env: Any) -> Iterator[Step]:
+    """Play on for ever; a step's simulated seconds are those of an episode, and every step may end a turn."""
+    rng = np.random.default_rng(0)
+    infos, acted = env.reset(seed=0)[1], False
+    while True:
+        idle = [agent for agent in env.agents if infos[agent]["requires_retasking"] and agent != "RSO"]
+        actions: dict[str, Any] = {agent: np.r_[rng.normal(0.0, KICK, 3), rng.uniform(*DRIFT)] for agent in idle}
+        _, _, terminated, truncated, infos = env.step(actions if acted else {"RSO": 0, **actions})
+        seconds, acted = float(infos["__common__"]["d_ts"]), True
+        if any(terminated.values()) or any(truncated.values()):
+            infos, acted = env.reset()[1], False
+        yield seconds, True
+
+
+class Manoeuvring(sats.ImagingSatellite):
+    """Changes its orbit in every step, and looks at the next targets."""
+
+    observation_spec = (
+        obs.SatProperties(dict(prop="dv_available", norm=1e4), dict(prop="r_BN_P", norm=EARTH_RADIUS)),
+        obs.OpportunityProperties(
+            dict(prop="priority"),
+            dict(prop="opportunity_open", norm=SOON),
+            dict(prop="opportunity_close", norm=SOON),
+            n_ahead_observe=4,
+        ),
+        obs.Eclipse(norm=5700.0),
+        obs.Time(),
+    )
+    action_spec = (act.ImpulsiveThrust(max_dv=60.0, max_drift_duration=600.0),)
+    dyn_type = dyn.ImagingDynModel
+    fsw_type = (fsw.MagicOrbitalManeuverFSWModel, fsw.ImagingFSWModel)
+
+
+def manoeuvres(n_targets: int) -> gym.Env:
+    """Manoeuvres by a satellite that looks at targets."""
+    arguments = dict(
+        oe=lambda: random_orbit(a=7000.0, i=45.0),
+        dv_available_init=1e4,
+        batteryStorageCapacity=1e9,
+        storedCharge_Init=1e9,
+        imageTargetMinimumElevation=math.radians(50.0),
+    )
+    return gym.make(
+        "SatelliteTasking-v1",
+        satellite=Manoeuvring("EO1", sat_args=arguments),
+        scenario=scene.UniformTargets(n_targets),
+        rewarder=data.UniqueImageReward(),
+        **SHARED,
+    )
+
+
+def manoeuvring_episodes(env: gym.Env) -> Iterator[Step]:
+    """Play on for ever, with random manoeuvres."""
+    rng = np.random.default_rng(0)
+    env.reset(seed=0)
+    while True:
+        _, _, terminated, truncated, info = env.step(np.r_[rng.normal(0.0, 1.0, 3), rng.uniform(60.0, 300.0)])
+        if terminated or truncated:
+            env.reset()
+        yield float(info["d_ts"]), terminated or truncated
+
+
 # -- playing ----------------------------------------------------------------------------------------------------------
 
-PRESETS: dict[str, Callable[..., Any]] = {"NadirScan-v1": nadir_scan, "AEOS-v1": aeos, "Constellation-v1": constellation}
+PRESETS: dict[str, Callable[..., Any]] = {
+    "NadirScan-v1": nadir_scan,
+    "AEOS-v1": aeos,
+    "Constellation-v1": constellation,
+    "RSOInspection-v1": rso_inspection,
+    "manoeuvres": manoeuvres,
+}
 
 
 def episodes(env: gym.Env) -> Iterator[Step]:
@@ -184,6 +340,14 @@ def episodes(env: gym.Env) -> Iterator[Step]:
         if terminated or truncated:
             env.reset()
         yield float(info["d_ts"]), terminated or truncated
+
+
+PLAYERS = {
+    "Constellation-v1": constellation_episodes,
+    "RSOInspection-v1": inspection_episodes,
+    "manoeuvres": manoeuvring_episodes,
+}
+"""Players of environments with several agents, or with actions of real numbers."""
 
 
 def play(player: Iterator[Step], seconds: float) -> dict[str, float]:
@@ -202,7 +366,7 @@ def main() -> None:
     answers = os.fdopen(os.dup(1), "w")
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # Basilisk talks
     env = PRESETS[sys.argv[1]](**json.loads(sys.argv[2]))
-    player = constellation_episodes(env) if sys.argv[1] == "Constellation-v1" else episodes(env)
+    player = PLAYERS.get(sys.argv[1], episodes)(env)
     next(player)
     for line in sys.stdin:
         print(json.dumps(play(player, float(line))), file=answers, flush=True)

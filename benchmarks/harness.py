@@ -299,7 +299,12 @@ def other_process(command: list[str], **environment: str) -> Iterator[Side]:
 def basilisk(python: str, task: str) -> AbstractContextManager[Side]:
     """Play turns of so many seconds of ``task`` in the interpreter ``python``, with bsk_rl on Basilisk."""
     preset, _, options = TASKS[task]
-    return other_process([python, str(BASILISK_SIDE), preset, json.dumps(options)])
+    return other_side(python, preset, options)
+
+
+def other_side(python: str, environment: str, options: Mapping[str, Any]) -> AbstractContextManager[Side]:
+    """Play turns of so many seconds of an ``environment`` of basilisk_side.py in the interpreter ``python``."""
+    return other_process([python, str(BASILISK_SIDE), environment, json.dumps(options)])
 
 
 def resident() -> int:

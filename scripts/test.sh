@@ -69,11 +69,12 @@ if [ "${1:-}" = --nightly ]; then
     exec .venv/bin/python -m pytest -m nightly "${@:2}"
 fi
 if [ "${1:-}" = --all ]; then
-    .venv/bin/python -m pytest -n 2 --dist loadgroup -m "not nightly and not browser"
+    .venv/bin/python -m pytest -n 2 --dist loadgroup --no-loadscope-reorder -m "not nightly and not browser"
     test_browser
     test_basilisk
     test_rllib
     exit
 fi
 if [ $# -gt 0 ]; then exec .venv/bin/python -m pytest "$@"; fi
-exec .venv/bin/python -m pytest -n 2 --dist loadgroup
+# files in their order, each by one worker (tests/conftest.py): by number of tests, the longest would come last
+exec .venv/bin/python -m pytest -n 2 --dist loadgroup --no-loadscope-reorder

@@ -15,7 +15,8 @@ from bsk_torch.presets.constellation import CHOICES
 pytestmark = pytest.mark.compiled
 
 CONSTELLATIONS = ["AEOSConstellation-v1", "Constellation-v1", "RelayConstellation-v1"]
-IMAGING = sorted(set(PRESETS) - {"NadirScan-v1", *CONSTELLATIONS})
+INSPECTIONS = {"RSOInspection-v1": 1, "MultiInspection-v1": 3}
+IMAGING = sorted(set(PRESETS) - {"NadirScan-v1", *CONSTELLATIONS, *INSPECTIONS})
 ACTIONS = {"AEOSPower-v1": 3 + AHEAD}
 
 
@@ -60,6 +61,42 @@ def test_constellations_play(name, options, groups):
         leaves = seen.values(True, True) if options.get("as_set") else [seen]
         assert all(torch.isfinite(leaf).all() for leaf in leaves)
         assert all(leaf.shape[:3] == (*played.batch_size, agents) for leaf in leaves)
+
+
+@pytest.mark.parametrize("name", INSPECTIONS)
+def test_inspections_play(name):
+    """Orbits, places and fuel are those of bsk_rl's benchmark; points, rewards and ends come from flying about."""
+    env, inspectors = bsk_torch.make(name, num_envs=64, seed=4), INSPECTIONS[name]
+    assert {group: len(agents) for group, agents in env.group_map.items()} == {"chief": 1, "inspector": inspectors}
+    td = env.reset()
+    assert td["inspector", "observation"].shape == (64, inspectors, 29 + 7 * (inspectors - 1))
+    elements = env.satellites[0].dynamics.elements
+    low, high = ((elements.a * (1.0 + sign * elements.e) - 6371e3) / 1e3 for sign in (-1.0, 1.0))
+    assert 499.9 < low.min() < high.max() < 1100.1
+    distance = td["inspector", "observation"][..., 2:5].norm(dim=-1) * 500.0
+    assert 250.0 <= distance.min() < 350.0
+    assert 650.0 < distance.max() <= 750.0
+    others = td["inspector", "observation"][..., 29:].unflatten(-1, (-1, 7)) if inspectors > 1 else None
+    if others is not None:
+        position = td["inspector", "observation"][..., 2:5]
+        for k in range(inspectors):
+            for m in range(1, inspectors):
+                expected = position[:, (k + m) % inspectors] - position[:, k]
+                torch.testing.assert_close(others[:, k, m - 1, :3], expected, rtol=0, atol=1e-5)
+        assert (others[..., 6] == 1.0).all()
+    played = env.rollout(4, auto_reset=False, tensordict=td, break_when_any_done=False, policy=drift)
+    assert torch.isfinite(played["inspector", "observation"]).all()
+    assert (played["next", "duration"] <= 700.0).all()
+    assert ((env.fleet.simulators[1].read("dv_available") < 10.0) | env.dead[:, 1:].flatten()).any()
+
+
+def drift(td):
+    """Thrust a little, and drift for ten minutes or so."""
+    td["chief", "action"] = torch.zeros(td.shape[0], 1, dtype=torch.int64)
+    n = td["inspector", "observation"].shape[1]
+    change = torch.rand(td.shape[0], n, 3) - 0.5
+    td["inspector", "action"] = torch.cat([0.2 * change, torch.full((td.shape[0], n, 1), 700.0)], -1)
+    return td
 
 
 def test_the_benchmark_of_bsk_rl():

@@ -45,6 +45,9 @@ STARTS: dict[str, list[Start]] = {
         ),
     ],
     "benchmarks/inspection.py": [
+        Start("--batch 2 --turns 1 --seconds 0.1 --warm-up 1 --only 1 manoeuvres", r"\| manoeuvres \| 2 \| [\d,.]+ \| - \|")
+    ],
+    "benchmarks/inspection_rules.py": [
         Start(
             "--episodes 2 --time-limit 700 --backend eager",
             r"\| RSOInspection-v1 \| survey \| waypoints \| 0.0% \| nan \|",
@@ -115,7 +118,9 @@ RECORDED = {
     "record_constellation": "basilisk/recordings/constellation_untasked",
     "record_examples": "basilisk/recordings/example_configuration_actions",
     "record_imaging": "basilisk/recordings/imaging_half_second",
+    "record_inspection": "basilisk/recordings/inspection_dark",
     "record_los": "basilisk/recordings/los_two_seconds",
+    "record_manoeuvres": "basilisk/recordings/manoeuvre_kick",
     "record_models": "basilisk/recordings/models_pointing",
     "record_modules": "sim/data/controller",
 }

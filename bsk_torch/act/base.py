@@ -278,8 +278,9 @@ class ActionBuilder:
         """Declare the actions in progress in the table of tasks."""
         task.declare("action", 0, low=-self.n_negative_actions, high=self.n_actions - 1)
 
-    def entry_of(self, action: int) -> int:
+    def entry_of(self, action: int | Tensor) -> int:
         """Return the number of the entry to which an action belongs."""
+        action = int(action)
         return self._takes_negative if action < 0 else max(k for k, start in enumerate(self._starts) if start <= action)
 
     def table(self) -> ActionTable:
@@ -339,7 +340,7 @@ class ActionBuilder:
         for k in self._deciding:
             part, mask = self._decided(k, acts, action, previous), self._rows_of(k, action)
             self._commands[k] = part.command
-            decision = Decision(*(torch.where(mask, new, old) for new, old in zip(part[:5], decision[:5], strict=True)))
+            decision = _merged(mask, part, decision)
         return decision
 
     def _decided(self, k: int, acts: Tensor, action: Tensor, previous: Tensor) -> Decision:
@@ -377,6 +378,12 @@ class ActionBuilder:
                 check_tensor(f"{type(entry).__name__}.mask()", part, wanted.shape, torch.bool)
             parts.append(part)
         return torch.cat(parts, -1)
+
+
+def _merged(mask: Tensor, new: Decision, old: Decision) -> Decision:
+    """Return the commands of one decision where ``mask`` [N] holds, and of another elsewhere."""
+    pairs = ((getattr(new, name), getattr(old, name)) for name in Decision._fields[: len(DTYPES)])
+    return Decision(*(torch.where(mask, mine, other) for mine, other in pairs))
 
 
 def link_entry(entry: Any, satellite: Satellite) -> None:

@@ -12,7 +12,8 @@ from torch import Tensor
 from bsk_torch._checks import number
 from bsk_torch.act.base import Action, Decision
 from bsk_torch.act.thrust import ImpulsiveThrustHill
-from bsk_torch.astro.relative import cd2hill, fibonacci_sphere, rv2omega
+from bsk_torch.astro.linear_motion import LinearMotion, about_orbit
+from bsk_torch.astro.relative import cd2hill, fibonacci_sphere
 from bsk_torch.astro.transfers import Transfers, transfers
 
 if TYPE_CHECKING:
@@ -21,22 +22,36 @@ if TYPE_CHECKING:
 RESERVE = 1e-6
 """What is always left in the tank, m/s."""
 
-SAMPLES = 10
-"""Moments of a transfer at which its distance from the chief is checked."""
+SPACING = 100.0
+"""Longest time between moments at which paths are known, s; between them they count as straight, within 2 m at 1 m/s."""
+
+WEIGHT = 1e4
+"""Metres that count as much as the whole of a distance that is to be kept, where none of the transfers keeps all."""
 
 
 class HillWaypoint(Action):
     """Fly to one of several waypoints about a chief in one of several durations, by a single manoeuvre.
 
-    Action ``d * K + k`` is the transfer to waypoint d in duration k. The manoeuvre follows from the Clohessy-Wiltshire equations,
-    which hold near a chief on a nearly circular orbit; nothing is done on arrival, so the satellite passes the waypoint.
+    Action ``d * K + k`` is the transfer to waypoint d in duration k. The manoeuvre follows from the linear relative motion about
+    a chief on an orbit of two bodies (:func:`bsk_torch.astro.linear_motion.about_orbit`); nothing is done on arrival, so the
+    satellite passes the waypoint.
 
     Transfers that come nearer to the chief than ``keep_out``, go beyond ``keep_in``, come nearer than ``keep_apart`` to any other
-    satellite if that drifts on, or cost more than ``max_dv`` or what is left in the tank, are illegal. Where all are, the one is
-    legal that keeps the distances best with its manoeuvre scaled down to what is allowed.
+    satellite if that drifts on, or cost more than ``max_dv`` or what is left in the tank, are illegal. The manoeuvre of one that
+    costs more is scaled down to what is allowed, and lasts for the shortest duration, after which another manoeuvre is possible.
+    Where all are illegal, one is legal nevertheless: that which keeps the distances best for the shortest duration, and the
+    satellite nearest to the chief if it drifts on for as long again.
+
+    Satellites of one type and episode that decide at the same time do not know of each other's choice when they read their masks.
+    A shield keeps their paths ``keep_apart``, in the order of their numbers: where the chosen one comes nearer than that to the
+    path of an earlier satellite, the satellite flies the transfer to the waypoint closest to the chosen one, then that of the
+    nearest duration, among those which its mask allows and which are clear of the earlier ones; if there is none, the legal one
+    that stays the farthest apart. The action that is recorded stays the chosen one.
 
     bsk_rl has no such action: its manoeuvres are :class:`ImpulsiveThrustHill`.
     """
+
+    fsw_type = ImpulsiveThrustHill.fsw_type
 
     def __init__(
         self,
@@ -83,7 +98,9 @@ class HillWaypoint(Action):
         if not given:
             raise ValueError(f"{title}durations={list(durations)} must have at least one entry")
         self.durations = torch.tensor(given, dtype=torch.float64)
+        self.shortest, self.samples = min(given), math.ceil(max(given) / SPACING)
         self.n_actions = len(self.waypoints) * len(self.durations)
+        self._order = self._replacement_order()
 
     def _positions(self, title: str, waypoints: Any) -> Tensor:
         if isinstance(waypoints, int) and not isinstance(waypoints, bool):
@@ -110,9 +127,14 @@ class HillWaypoint(Action):
 
     def ahead(self) -> Transfers:
         """Return all transfers from the present position."""
-        rho, velocity, n = self.relative_state()
-        targets, durations = self.waypoints.to(rho.device), self.durations.to(rho.device)
-        return transfers(rho, velocity, n, targets, durations, SAMPLES, self.most_dv)
+        motion = self.motion(self.durations, self.samples)
+        return transfers(motion, *self.relative_state(), self.waypoints.to(motion.time.device), self.most_dv)
+
+    def motion(self, durations: Tensor, samples: int) -> LinearMotion:
+        """Return the motion about the chief to moments of durations, s."""
+        count = self.satellite.simulator.count
+        r_CN_N, v_CN_N = (vector[::count] for vector in self._thrust.chief_state())  # the same for all of an episode
+        return about_orbit(r_CN_N, v_CN_N, durations.to(r_CN_N.device), samples).repeated(count)
 
     @property
     def most_dv(self) -> Tensor:
@@ -134,20 +156,19 @@ class HillWaypoint(Action):
         r, v = (each.gather(1, here.unsqueeze(-1).expand(-1, -1, 3)) for each in (r, v))
         return cd2hill(r_C, v_C, r, v)
 
-    def relative_state(self) -> tuple[Tensor, Tensor, Tensor]:
-        """Return position [N, 3] m and velocity [N, 3] m/s in the chief's Hill frame, and the rate of that frame, [N] rad/s."""
-        simulator = self.satellite.simulator
-        chief = self._thrust.chief_state()
-        own = [simulator.read(name) for name in ("r_BN_N", "v_BN_N")]
-        rho, velocity = cd2hill(*chief, *own)
-        return rho, velocity, torch.linalg.vector_norm(rv2omega(*chief), dim=-1)
+    def relative_state(self) -> tuple[Tensor, Tensor]:
+        """Return position [N, 3] m and velocity [N, 3] m/s in the chief's Hill frame."""
+        own = [self.satellite.simulator.read(name) for name in ("r_BN_N", "v_BN_N")]
+        return cd2hill(*self._thrust.chief_state(), *own)
 
     def decide(self, index: Tensor, mask: Tensor, action: Tensor, previous: Tensor) -> Decision:
         """See :meth:`Action.decide`."""
-        every = self.ahead().dv.flatten(1, 2)
-        dv_H = every.gather(1, index.clamp(0, self.n_actions - 1)[:, None, None].expand(-1, 1, 3)).squeeze(1)
-        dv_N = self._thrust.change_of_velocity(dv_H)
-        duration = self.durations.to(index.device)[index % len(self.durations)]
+        ahead = self.ahead()
+        flown = self.shielded(ahead, index.clamp(0, self.n_actions - 1), mask)
+        dv_N = self._thrust.change_of_velocity(ahead.manoeuvre(flown))
+        duration = self.durations.to(index.device)[flown % len(self.durations)]
+        reached = ahead.cost.flatten(1).gather(1, flown.unsqueeze(1)).squeeze(1) <= self.most_dv
+        duration = torch.where(reached, duration, self.shortest)
         return self._thrust.enter(self._thrust.fsw_action, duration, dv_N)._replace(key=action)
 
     def begin(self, mask: Tensor, decision: Decision) -> None:
@@ -156,15 +177,64 @@ class HillWaypoint(Action):
 
     def mask(self) -> Tensor:
         """See :meth:`Action.mask`."""
-        ahead = self.ahead()
+        return self.legal(self.ahead())
+
+    def legal(self, ahead: Transfers) -> Tensor:
+        """Return which transfers are legal, [N, n_actions]."""
+        legal = ((self.missed(ahead) <= 0.0) & (ahead.cost <= self.most_dv[:, None, None])).flatten(1)
+        least = torch.zeros_like(legal).scatter(1, self.least(ahead), True)
+        return legal | (least & ~legal.any(1, keepdim=True))
+
+    def missed(self, ahead: Transfers) -> Tensor:
+        """Return by what part transfers come too near or go too far, [N, D, K]; not positive for those that do not."""
         nearest, farthest = ahead.distances()
         missed = (self.keep_out - nearest) / max(self.keep_out, 1.0)
         if math.isfinite(self.keep_in):
             missed = torch.maximum(missed, farthest / self.keep_in - 1.0)
         if self.keep_apart > 0.0 and self.satellite.group.fleet.size > 2:
-            apart = ahead.apart(*self.others(), self.relative_state()[2]).amin(1)
+            apart = ahead.apart(*self.others()).amin(1)
             missed = torch.maximum(missed, (self.keep_apart - apart) / self.keep_apart)
-        missed = missed.nan_to_num(nan=math.inf).flatten(1)
-        legal = (missed <= 0.0) & (ahead.cost <= self.most_dv[:, None, None]).flatten(1)
-        least = torch.zeros_like(missed, dtype=torch.bool).scatter(1, missed.argmin(1, keepdim=True), True)
-        return legal | (least & ~legal.any(1, keepdim=True))
+        return missed
+
+    def least(self, ahead: Transfers) -> Tensor:
+        """Return the transfer, [N, 1], that is legal where none keeps the distances."""
+        soon = math.ceil(self.shortest / SPACING)
+        twice = self.motion(torch.tensor([2.0 * self.shortest], dtype=torch.float64), 2 * soon)
+        later = torch.linalg.vector_norm(ahead.along(twice).position(-1), dim=-1)
+        missed = self.missed(ahead.along(twice.until(soon))).clamp(min=0.0)
+        return (missed * WEIGHT + later).flatten(1).argmin(1, keepdim=True)
+
+    def shielded(self, ahead: Transfers, chosen: Tensor, mask: Tensor) -> Tensor:
+        """Return the transfers that are flown, [N], where ``chosen`` [N] are decided at the same time in the rows ``mask`` [N].
+
+        The first satellite of an episode flies what it has chosen. Each following one does so, too, unless that comes nearer than
+        ``keep_apart`` to the path of one before; see the class for what it flies then. A path goes on after its arrival.
+        """
+        count = self.satellite.simulator.count
+        if count == 1 or self.keep_apart == 0.0:
+            return chosen
+        legal, order = self.legal(ahead).view(-1, count, self.n_actions), self._order.to(chosen.device)
+        rho, before = (each.view(-1, count, 3) for each in self.relative_state())
+        chosen, decides = chosen.view(-1, count), mask.view(-1, count)
+        flown, after = [chosen[:, 0]], [before[:, 0] + ahead.rows(0, count).manoeuvre(chosen[:, 0])]
+        for k in range(1, count):  # one after the other, since each choice depends on those before
+            own, wanted = ahead.rows(k, count), chosen[:, k]
+            apart = own.apart(rho[:, :k], torch.stack(after, 1)).flatten(2)
+            apart = torch.where(decides[:, :k, None], apart, torch.inf).amin(1)
+            clear = legal[:, k] & (apart >= self.keep_apart)
+            nearest = torch.where(clear, order[wanted], self.n_actions).argmin(1)
+            widest = torch.where(legal[:, k], apart, -1.0).argmax(1)
+            instead = torch.where(clear.any(1), nearest, widest)
+            stays = apart.gather(1, wanted.unsqueeze(1)).squeeze(1) >= self.keep_apart
+            flown.append(torch.where(stays, wanted, instead))
+            after.append(before[:, k] + own.manoeuvre(flown[-1]))
+        return torch.stack(flown, 1).flatten()
+
+    def _replacement_order(self) -> Tensor:
+        """Return the places [A, A] of transfers by how near they come to each: by the waypoint, and for one by the duration."""
+        apart = torch.cdist(self.waypoints, self.waypoints, compute_mode="donot_use_mm_for_euclid_dist")
+        longer = (self.durations - self.durations.unsqueeze(1)).abs()
+        apart = (apart.repeat_interleave(len(longer), 0)).repeat_interleave(len(longer), 1)
+        by_duration = longer.repeat(len(self.waypoints), len(self.waypoints)).argsort(dim=1, stable=True)
+        by_both = by_duration.gather(1, apart.gather(1, by_duration).argsort(dim=1, stable=True))
+        return by_both.argsort(1)

@@ -40,6 +40,19 @@ def rk4_step(rates: Callable[[int, Any, State], State], y: State, h: float | Ten
     return _advance(y, tuple(a * (1 / 6) + b * (1 / 3) + c * (1 / 3) + d * (1 / 6) for a, b, c, d in slopes), h)
 
 
+def nystroem_step(acceleration: Callable[[Tensor], Tensor], y: Tensor, rate: Tensor, h: float | Tensor) -> tuple[Tensor, Tensor]:
+    """Return y and y' after one step of length h of ``y'' = f(y)`` by Nystroem's method of fourth order, three evaluations of f.
+
+    ``y(t + h) = y + h y' + h^2 (k1 + 2 k2) / 6`` and ``y'(t + h) = y' + h (k1 + 4 k2 + k3) / 6`` with ``k1 = f(y)``,
+    ``k2 = f(y + h y' / 2 + h^2 k1 / 8)`` and ``k3 = f(y + h y' + h^2 k2 / 2)`` (Hairer, Norsett and Wanner, "Solving Ordinary
+    Differential Equations I", section II.14).
+    """
+    k1 = acceleration(y)
+    k2 = acceleration(y + (rate + k1 * (0.25 * h)) * (0.5 * h))
+    k3 = acceleration(y + (rate + k2 * (0.5 * h)) * h)
+    return y + (rate + (k1 + 2.0 * k2) * (h / 6.0)) * h, rate + (k1 + 4.0 * k2 + k3) * (h / 6.0)
+
+
 class Quadrature(NamedTuple):
     """Matrices of a Picard step on Chebyshev nodes, for an interval of length one.
 

@@ -7,7 +7,11 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from bsk_torch.astro.clohessy_wiltshire import propagate, transfer, transition
+from bsk_torch.astro.linear_motion import LinearMotion
+from bsk_torch.vec3 import Mat3, Vec3
+
+SMALLEST = 1e-30
+"""Least divisor: squares of distances, m^2, or of speeds, below which there is no direction."""
 
 __all__ = ["Transfers", "closest", "transfers"]
 
@@ -16,69 +20,129 @@ class Transfers(NamedTuple):
     """Transfers of N deputies to D targets in K durations, in the chief's Hill frame.
 
     Attributes:
-        dv: Manoeuvres that begin them, [N, D, K, 3] m/s.
-        cost: Manoeuvres that would take them to the target, [N, D, K] m/s; that of ``dv`` where it is not limited.
-        path: Positions at S moments, evenly spaced up to the arrival, [N, D, K, S, 3] m.
-        time: These moments, [K, S] s after the manoeuvre.
-        start: Positions at the manoeuvre, [N, 3] m.
+        dv: Manoeuvres that begin them, components [K, D, N] m/s; rows stand last, so that operations run along them.
+        cost: Manoeuvres that would take them to the target, [N, D, K] m/s: the lengths of ``dv`` where that is not limited;
+            infinite where none does.
+        motion: Motion of deputies up to the arrival.
+        start: Positions at the manoeuvre, components [N] m.
+        velocity: Velocities before it, components [N] m/s.
     """
 
-    dv: Tensor
+    dv: Vec3
     cost: Tensor
-    path: Tensor
-    time: Tensor
+    motion: LinearMotion
+    start: Vec3
+    velocity: Vec3
 
-    start: Tensor
+    @property
+    def samples(self) -> int:
+        """Number S of the moments, evenly spaced up to the arrival, at which paths are known."""
+        return len(self.motion.time)
+
+    def position(self, moment: int) -> Tensor:
+        """Return positions at a moment, [N, D, K, 3] m."""
+        return self._at(moment).stack().permute(2, 1, 0, 3)
+
+    def manoeuvre(self, chosen: Tensor) -> Tensor:
+        """Return the manoeuvres [N, 3] m/s of transfers ``d * K + k``, [N]."""
+        durations, targets = self.dv.x.shape[:2]
+        place = (chosen % durations * targets + torch.div(chosen, durations, rounding_mode="floor")).unsqueeze(0)
+        return self.dv.map(lambda x: x.flatten(0, 1).gather(0, place).squeeze(0)).stack()
+
+    def rows(self, first: int, every: int) -> Transfers:
+        """Return the transfers of every so many-th deputy from the first one on."""
+        chosen = slice(first, None, every)
+        rr, rv = (Mat3(*(_rows(row, chosen) for row in matrix)) for matrix in (self.motion.rr, self.motion.rv))
+        motion = LinearMotion(rr, rv, self.motion.time)
+        return Transfers(_rows(self.dv, chosen), self.cost[chosen], motion, *(_rows(x, chosen) for x in self[3:]))
+
+    def along(self, motion: LinearMotion) -> Transfers:
+        """Return the same manoeuvres with paths over another duration, that of a motion with K = 1."""
+        K = len(self.dv.x)
+        rr, rv = (Mat3(*(row.map(lambda x: x.expand(-1, K, -1)) for row in matrix)) for matrix in (motion.rr, motion.rv))
+        return self._replace(motion=LinearMotion(rr, rv, motion.time.expand(-1, K)))
 
     def distances(self) -> tuple[Tensor, Tensor]:
         """Return the smallest and the largest distance from the chief on each path, [N, D, K] m each."""
-        whole = torch.cat([self.start[:, None, None, None].expand_as(self.path[..., :1, :]), self.path], -2)
-        return closest(whole), torch.linalg.vector_norm(whole, dim=-1).amax(-1)
+        before = self.start
+        nearest = torch.full_like(self.dv.x, torch.inf)
+        farthest = before.dot(before).expand_as(nearest)
+        for moment in range(self.samples):  # few, and each a batch: all at once would take that many times the memory
+            now = self._at(moment)
+            nearest = torch.minimum(nearest, closest(before, now))
+            farthest = torch.maximum(farthest, now.dot(now))
+            before = now
+        return _rows_first(torch.sqrt(nearest)), _rows_first(torch.sqrt(farthest))
 
-    def apart(self, rho: Tensor, velocity: Tensor, n: Tensor) -> Tensor:
+    def apart(self, rho: Tensor, velocity: Tensor) -> Tensor:
         """Return the smallest distance on each path from deputies that drift on, [N, O, D, K] m.
 
         Args:
             rho: Their positions, [N, O, 3] m.
-            velocity: Their velocities in the Hill frame, [N, O, 3] m/s.
-            n: Mean motion of the chiefs, [N] rad/s.
+            velocity: Their velocities as seen in the Hill frame, [N, O, 3] m/s.
         """
-        time = torch.cat([torch.zeros_like(self.time[:, :1]), self.time], 1)
-        drift, _ = propagate(rho[:, :, None, None], velocity[:, :, None, None], n[:, None, None, None], time)
-        whole = torch.cat([self.start[:, None, None, None].expand_as(self.path[..., :1, :]), self.path], -2)
-        return closest(whole[:, None] - drift[:, :, None])
+        others = [Vec3.of(each.transpose(0, 1).unsqueeze(1)) for each in (rho, velocity)]
+        before = self.start - others[0].map(lambda x: x.unsqueeze(2))
+        nearest = torch.full((rho.shape[1], *self.dv.x.shape), torch.inf, dtype=rho.dtype, device=rho.device)
+        for moment in range(self.samples):  # as above
+            now = self._at(moment) - self.motion.at(moment, *others).map(lambda x: x.unsqueeze(2))
+            nearest = torch.minimum(nearest, closest(before, now))
+            before = now
+        return torch.sqrt(nearest).permute(3, 0, 2, 1)
+
+    def _at(self, moment: int) -> Vec3:
+        """Return positions at a moment, components [K, D, N] m."""
+        motion = self.motion
+        drift = motion.at(moment, self.start, self.velocity)
+        rv = Mat3(*(row.map(lambda x: x[moment].unsqueeze(1)) for row in motion.rv))
+        return drift.map(lambda x: x.unsqueeze(1)) + rv @ self.dv
 
 
-def transfers(
-    rho: Tensor, velocity: Tensor, n: Tensor, targets: Tensor, durations: Tensor, samples: int, most: Tensor | None = None
-) -> Transfers:
-    """Return transfers by the Clohessy-Wiltshire equations; see :mod:`bsk_torch.astro.clohessy_wiltshire`.
+def transfers(motion: LinearMotion, rho: Tensor, velocity: Tensor, targets: Tensor, most: Tensor | None = None) -> Transfers:
+    """Return transfers by the linear relative motion: ``rho' = rv^-1 (target - rr rho)``.
+
+    No velocity leads to a target where ``rv`` is singular, on circular orbits after multiples of half a period: such transfers
+    cost an infinity, and have no manoeuvre.
 
     Args:
+        motion: Motion of deputies, for N chiefs and K durations.
         rho: Positions of deputies, [N, 3] m.
         velocity: Their velocities in the Hill frame, [N, 3] m/s.
-        n: Mean motion of the chiefs, [N] rad/s.
-        targets: Targets, [D, 3] m.
-        durations: Durations, [K] s.
-        samples: Number S of moments.
+        targets: Targets in the Hill frame of the arrival, [D, 3] m.
         most: Largest manoeuvres, [N] m/s; larger ones are scaled down to it, and their paths miss the target.
     """
-    start, rate = rho[:, None, None], n[:, None, None]
-    dv = transfer(start, targets[:, None], rate, durations) - velocity[:, None, None]
-    cost = torch.linalg.vector_norm(dv, dim=-1)
+    start, before = Vec3.of(rho), Vec3.of(velocity)
+    missed = Vec3.of(targets.unsqueeze(1)) - motion.at(-1, start, before).map(lambda x: x.unsqueeze(1))
+    rv = Mat3(*(row.map(lambda x: x[-1].unsqueeze(1)) for row in motion.rv))
+    dv = solve(rv, missed)
+    cost = dv.norm()
+    exists = torch.isfinite(cost)
+    cost = torch.where(exists, cost, torch.inf)
+    dv = dv.map(lambda x: torch.where(exists, x, 0.0))
     if most is not None:
-        dv = dv * (most[:, None, None] / cost.clamp(min=1e-30)).clamp(max=1.0).unsqueeze(-1)
-    after = velocity[:, None, None] + dv
-    time = durations.unsqueeze(-1) * (torch.arange(1, samples + 1, device=rho.device) / samples)
-    step = transition(rate, time)
-    drift = (step.rr @ rho[:, None, None, :, None]).squeeze(-1)
-    # the transition is that of every target, so its product with all of their velocities is one matrix product
-    moved = torch.einsum("nksij,ndkj->ndksi", step.rv, after)
-    return Transfers(dv, cost, drift[:, None] + moved, time, rho)
+        dv = dv * (most / cost.clamp(min=SMALLEST)).clamp(max=1.0)
+    return Transfers(dv, _rows_first(cost), motion, start, before)
 
 
-def closest(path: Tensor) -> Tensor:
-    """Return the smallest distance from the origin, [...], of straight lines from point to point of a path [..., S, 3]."""
-    a, way = path[..., :-1, :], path.diff(dim=-2)
-    part = (-(a * way).sum(-1) / way.square().sum(-1).clamp(min=1e-30)).clamp(0.0, 1.0)
-    return torch.linalg.vector_norm(a + way * part.unsqueeze(-1), dim=-1).amin(-1)
+def solve(matrix: Mat3, vector: Vec3) -> Vec3:
+    """Return x of ``matrix @ x = vector`` by Cramer's rule; not finite where the matrix is singular."""
+    a, b, c = matrix
+    bc, ca, ab = b.cross(c), c.cross(a), a.cross(b)
+    return (bc * vector.x + ca * vector.y + ab * vector.z) / a.dot(bc)
+
+
+def closest(a: Vec3, b: Vec3) -> Tensor:
+    """Return the square of the smallest distance of straight lines from a to b from the origin."""
+    way = b - a
+    part = (-a.dot(way) / way.dot(way).clamp(min=SMALLEST)).clamp(0.0, 1.0)
+    point = a + way * part
+    return point.dot(point)
+
+
+def _rows(vector: Vec3, rows: slice) -> Vec3:
+    return vector.map(lambda x: x[..., rows])
+
+
+def _rows_first(values: Tensor) -> Tensor:
+    """Return values [K, D, N] as [N, D, K]."""
+    return values.permute(2, 1, 0)

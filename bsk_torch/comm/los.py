@@ -106,6 +106,6 @@ def _check_covered(fleet: Fleet, asked: Tensor) -> None:
     for simulator in fleet.simulators:
         arcs = simulator.arcs
         # one tick before a manoeuvre the new orbit's continuation backwards is off by the change of velocity times a tick
-        earlier = (arcs.start == arcs.begun) * simulator.h if arcs.restarts else 0.0
+        earlier = (arcs.start == arcs.begun) * (1.5 * simulator.h) if arcs.restarts else 0.0
         if bool((simulator.of_env(begin) < arcs.start - earlier).any()):
             raise RuntimeError("arcs have moved on and hold the step's start no more: ask before anything looks ahead of its end")

@@ -11,7 +11,7 @@ from bsk_torch._checks import number, switch
 from bsk_torch.constants import NANO
 from bsk_torch.data.base import GlobalReward, Log
 from bsk_torch.scene.rso_points import RSOPoints
-from bsk_torch.sim.inspection.flags import CHIEF_FIELDS, INSPECTOR_FIELDS, Records, find_flags
+from bsk_torch.sim.inspection.flags import Records, find_flags
 from bsk_torch.sim.state import FINITE
 from bsk_torch.sim.trace import Flight
 
@@ -132,19 +132,23 @@ class RSOInspectionReward(GlobalReward):
         found.moved[flight.envs] = True
         if not len(flight.envs) or not int(flight.ticks.max()):
             return
-        columns = scenario.columns if scenario.points_are_fixed else scenario.columns[:, flight.envs]
-        compiled = fleet.simulators[0].backend == "compiled"
-        where = torch.tensor(scenario.inspector_columns, device=fleet.device)
-        flags = find_flags(columns, self._records(flight), compiled)
-        for table, new in zip((found.inspected, found.illuminated), flags, strict=True):
-            table[flight.envs.unsqueeze(-1), where] = new.view(len(flight.envs), len(where), -1)
+        n, points = len(flight.envs), scenario.columns
+        for k in scenario.inspector_types:
+            columns = points if points.ndim == 2 else points[:, flight.envs.repeat_interleave(flight.counts[k])]
+            flags = find_flags(columns, self._records(flight, k), fleet.simulators[k].backend == "compiled")
+            for table, new in zip((found.inspected, found.illuminated), flags, strict=True):
+                table[flight.envs.unsqueeze(-1), fleet.columns[k]] = new.view(n, flight.counts[k], -1)
 
-    def _records(self, flight: Flight) -> Records:
-        """Return the records of a flight that flags are found from."""
-        scenario = self._points
-        chief = _side_by_side([flight.read(scenario.rso_type, field.name) for field in CHIEF_FIELDS])
-        each = [_side_by_side([flight.read(k, field.name) for field in INSPECTOR_FIELDS]) for k in scenario.inspector_types]
-        return Records(chief.flatten(0, 1), torch.cat(each, 1).flatten(0, 1), flight.ticks, *self._first_records(flight))
+    def _records(self, flight: Flight, k: int) -> Records:
+        """Return the records of the inspectors of type k in a flight."""
+        chief, inspectors = flight.traces[self._points.rso_type], flight.traces[k]
+        assert chief is not None
+        assert inspectors is not None
+        count = flight.counts[k]
+        each = torch.arange(count, device=flight.envs.device).repeat(len(flight.envs))
+        of_pairs = (part.repeat_interleave(count) for part in (flight.ticks, *self._first_records(flight)))
+        envs = flight.envs.repeat_interleave(count)
+        return Records(chief, envs, inspectors, envs * count + each, *of_pairs)
 
     def _first_records(self, flight: Flight) -> tuple[Tensor, Tensor]:
         """Return the first record in which points may be inspected, and lit, [n] each."""
@@ -232,8 +236,3 @@ class RSOInspectionReward(GlobalReward):
         """See :meth:`GlobalReward.is_terminated`; all satellites of completed episodes."""
         ended = self.bonus_reward_yielded & self.terminate_on_completion
         return ended.unsqueeze(1).expand(-1, self.fleet.size)
-
-
-def _side_by_side(parts: list[Tensor]) -> Tensor:
-    """Return fields [n, count, K + 1] or [n, count, K + 1, width] as one table [n, count, K + 1, C]."""
-    return torch.cat([part.unsqueeze(-1) if part.ndim == 3 else part for part in parts], -1)

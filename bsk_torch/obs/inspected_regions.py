@@ -65,7 +65,9 @@ def known_regions(inspected: Tensor, r_PB_B: Tensor, centers: Tensor) -> Tensor:
         r_PB_B: Positions of the points, [P, 3] or [..., P, 3] m.
         centers: Centres of the regions in the same axes, [R, 3] or [..., R, 3].
     """
-    distance2 = (r_PB_B.unsqueeze(-2) - centers.unsqueeze(-3)).square().sum(-1)
-    member = torch.nn.functional.one_hot(distance2.argmin(-1), centers.shape[-2]).double()
-    member = member.expand(*inspected.shape, -1)
-    return (member * inspected.unsqueeze(-1)).sum(-2) / member.sum(-2).clamp(min=1.0)
+    # the nearest centre c of p has the smallest |c|^2 - 2 p . c
+    along = r_PB_B @ centers.mT
+    region = (centers.square().sum(-1).unsqueeze(-2) - 2.0 * along).argmin(-1).expand(inspected.shape)
+    none = inspected.new_zeros(*inspected.shape[:-1], centers.shape[-2])
+    count = none.scatter_add(-1, region, torch.ones_like(inspected))
+    return none.scatter_add(-1, region, inspected) / count.clamp(min=1.0)

@@ -11,8 +11,8 @@ name                       module                      task
 ``AEOSConstellation-v1``   ``presets.constellation``   three imagers in one plane that share everything once a minute
 ``Constellation-v1``       ``presets.constellation``   a Walker constellation of imagers that talk in line of sight
 ``RelayConstellation-v1``  ``presets.constellation``   low imagers, and high relays that pass on what was imaged
-``RSOInspection-v1``       ``presets.inspection``      fly about another spacecraft, and inspect it
-``MultiInspection-v1``     ``presets.inspection``      the same with three inspectors
+``RSOInspection-v1``       ``presets.inspection``      fly about a spacecraft until its surface has been inspected
+``MultiInspection-v1``     ``presets.inspection``      the same for three inspectors that must not collide
 =========================  ==========================  ==================================================================
 """
 

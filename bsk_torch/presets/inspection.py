@@ -41,8 +41,10 @@ an empty tank, and within 4 m of another spacecraft, which dies as well. The tim
 Random at reset: orbit of the RSO (500 to 1100 km above a sphere of 6371 km, eccentric), places and velocities (up to 1 m/s) of
 inspectors, epoch, attitudes and wheel speeds of inspectors.
 
-Ticks take 5 s. Gains of the attitude control are stable with them, which those of bsk_rl's benchmark are not; the instrument
-records at any attitude error, in both.
+Ticks take 5 s. Orbits are solved ahead, ``orbit="arc"``: nearly twice as fast as ``"integrated"``, which is what the models do by
+themselves. After 24 000 s, positions relative to the RSO differ by half a millimetre, and the same points are inspected. Gains of
+the attitude control are stable with these ticks, which those of bsk_rl's benchmark are not; the instrument records at any
+attitude error, in both.
 """
 
 from __future__ import annotations
@@ -278,7 +280,7 @@ def rso_inspection(
         sim_rate=5.0,
         time_limit=10 * ORBIT,
         failure_penalty=-1.0,
-        orbit="integrated",
+        orbit="arc",
     )
     return ConstellationTasking(satellites, **(defaults | options))
 

@@ -43,14 +43,6 @@ def step(env, *rows, dtype=torch.float64):
 
 
 class TestClamps:
-    def test_the_norm_is_clamped_and_not_the_components(self):
-        env = make(act.ImpulsiveThrust(max_dv=3.0), num_envs=4)
-        env.reset()
-        dv_N, _ = thrust(env, [2.0, 2.0, 2.0, 9.0], [2.0, 1.0, 2.0, 9.0], [-30.0, 0.0, 40.0, 9.0], [0.0, 0.0, 0.0, 9.0])
-        expected = [[3**0.5] * 3, [2.0, 1.0, 2.0], [-1.8, 0.0, 2.4], [0.0] * 3]
-        torch.testing.assert_close(dv_N, torch.tensor(expected, dtype=torch.float64), rtol=1e-15, atol=0.0)
-        assert env.satellite.fsw.thrust_count.tolist() == [1.0] * 4
-
     @pytest.mark.parametrize(
         ("asked", "sim_rate", "lasts"),
         [
@@ -82,12 +74,6 @@ class TestClamps:
         dv_N, _ = thrust(env, [0.0, 60.0, 0.0, 5.0])
         assert dv_N.tolist() == [[0.0, 40.0, 0.0]]
 
-    def test_nan_is_refused(self):
-        env = make(act.ImpulsiveThrust())
-        env.reset()
-        with pytest.raises(ValueError, match="dV_N_y=nan"):
-            step(env, [0.0, torch.nan, 0.0, 5.0])
-
 
 class TestAttitude:
     @pytest.mark.parametrize(
@@ -116,15 +102,6 @@ class TestSinglePrecision:
         env.reset()
         assert [float(step(env, [0.0, 0.0, 0.1, t], dtype=torch.float32)["duration"]) for t in (20.0, 7.0)] == [20.0, 7.0]
         assert float(env.satellite.fsw.dv_available) == pytest.approx(100.0 - 2 * float(torch.tensor(0.1)), abs=1e-13)
-
-    def test_under_compat_the_event_and_the_tank_are_rounded(self):
-        """At 20 s a drift of 7 s in float32 ends at 27.000000512 s, so it takes 8 ticks."""
-        env = make(act.ImpulsiveThrust(), compat="bsk_rl")
-        env.reset()
-        assert [float(step(env, [0.0, 0.0, 0.1, t], dtype=torch.float32)["duration"]) for t in (20.0, 7.0)] == [20.0, 8.0]
-        left = torch.tensor(100.0) - torch.tensor(0.1) - torch.tensor(0.1)
-        assert float(env.satellite.fsw.dv_available) == float(left)
-        assert float(step(env, [0.0, 0.0, 0.0, 7.0])["duration"]) == 7.0  # float64 has none of this
 
     def test_the_hill_variant_is_in_double_precision(self):
         env = make(act.ImpulsiveThrustHill("A"), compat="bsk_rl")
@@ -204,3 +181,36 @@ def test_emptying_the_tank_kills_once_and_the_drift_is_flown(caplog):
     assert float(td["duration"]) == 25.0
     assert float(td["reward"]) == -3.0
     assert bool(td["terminated"])
+
+
+def test_the_norm_is_clamped_and_not_the_components():
+    env = make(act.ImpulsiveThrust(max_dv=3.0), num_envs=4)
+    env.reset()
+    dv_N, _ = thrust(env, [2.0, 2.0, 2.0, 9.0], [2.0, 1.0, 2.0, 9.0], [-30.0, 0.0, 40.0, 9.0], [0.0, 0.0, 0.0, 9.0])
+    expected = [[3**0.5] * 3, [2.0, 1.0, 2.0], [-1.8, 0.0, 2.4], [0.0] * 3]
+    torch.testing.assert_close(dv_N, torch.tensor(expected, dtype=torch.float64), rtol=1e-15, atol=0.0)
+    assert env.satellite.fsw.thrust_count.tolist() == [1.0] * 4
+
+
+def test_nan_is_refused():
+    env = make(act.ImpulsiveThrust())
+    env.reset()
+    with pytest.raises(ValueError, match="dV_N_y=nan"):
+        step(env, [0.0, torch.nan, 0.0, 5.0])
+
+
+def test_under_compat_the_event_and_the_tank_are_rounded():
+    """At 20 s a drift of 7 s in float32 ends at 27.000000512 s, so it takes 8 ticks."""
+    env = make(act.ImpulsiveThrust(), compat="bsk_rl")
+    env.reset()
+    assert [float(step(env, [0.0, 0.0, 0.1, t], dtype=torch.float32)["duration"]) for t in (20.0, 7.0)] == [20.0, 8.0]
+    left = torch.tensor(100.0) - torch.tensor(0.1) - torch.tensor(0.1)
+    assert float(env.satellite.fsw.dv_available) == float(left)
+    assert float(step(env, [0.0, 0.0, 0.0, 7.0])["duration"]) == 7.0  # float64 has none of this
+
+
+def test_bounds_follow_the_environment():
+    env = make(act.ImpulsiveThrust(max_dv=3.0, max_drift_duration=60.0), sim_rate=0.5)
+    assert env.action_spec.low[0].tolist() == [-3.0, -3.0, -3.0, 1.0]  # two ticks
+    assert env.action_spec.high[0].tolist() == [3.0, 3.0, 3.0, 60.0]
+    assert env.satellite.action_description == ["dV_N_x", "dV_N_y", "dV_N_z", "duration"]

@@ -29,6 +29,7 @@ def draw(*shape):
 def test_transitions_are_exponentials_of_the_equations_of_motion():
     times = torch.tensor([0.0, 1.0, 300.0, 2000.0, 9000.0], dtype=torch.float64)
     step = transition(torch.tensor(N, dtype=torch.float64), times)
+    assert len(times) == len(step.rr)
     for k, time in enumerate(times.tolist()):
         exact = torch.linalg.matrix_exp(generator() * time)
         found = torch.cat([torch.cat([step.rr[k], step.rv[k]], 1), torch.cat([step.vr[k], step.vv[k]], 1)])

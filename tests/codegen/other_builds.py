@@ -1,11 +1,12 @@
 """Plays presets with kernels of another compiler, other vector instructions or sanitizers, beside the eager back end.
 
-Usage: python -m tests.codegen.other_builds PRESET ... [--sanitize] [--eager=FOLDER]
+Usage: python -m tests.codegen.other_builds PRESET ... [--sanitize] [--aarch64] [--eager=FOLDER]
 
 ``CXX`` and ``BSK_TORCH_ISA`` choose compiler and instructions. A line for each preset has the largest differences of observations
 and rewards; the exit status is 1 where they are too large. What the eager back end shows is kept in FOLDER, and read from it by
 later builds. With ``--sanitize`` kernels check addresses and undefined behaviour, which needs the runtime of the sanitizers in
-``LD_PRELOAD``; a report ends the process.
+``LD_PRELOAD``; a report ends the process. With ``--aarch64`` kernels are built for that processor and run in an
+emulator, whatever the variables are.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from tensordict import TensorDict, TensorDictBase
 
 import bsk_torch
 from bsk_torch.codegen import build
+from tests.codegen import emulated
 
 STEPS, ENVS = 6, 5
 
@@ -78,11 +80,13 @@ def differences(preset: str, folder: Path | None) -> dict[str, float]:
     return worst
 
 
-def main(presets: list[str], sanitize: bool, folder: Path | None) -> int:
+def main(presets: list[str], options: list[str], folder: Path | None) -> int:
     """Play the presets; return the exit status."""
     torch.set_num_threads(1)
-    if sanitize:
+    if "--sanitize" in options:
         build.FLAGS = (*build.FLAGS, *SANITIZE)
+    if "--aarch64" in options:
+        emulated.install()
     failed = 0
     for preset in presets:
         found = differences(preset, folder)
@@ -94,5 +98,6 @@ def main(presets: list[str], sanitize: bool, folder: Path | None) -> int:
 
 if __name__ == "__main__":
     given = sys.argv[1:]
-    folders = [Path(word.removeprefix("--eager=")) for word in given if word.startswith("--eager=")]
-    sys.exit(main([word for word in given if not word.startswith("--")], "--sanitize" in given, folders[0] if folders else None))
+    options = [word for word in given if word.startswith("--")]
+    folders = [Path(word.removeprefix("--eager=")) for word in options if word.startswith("--eager=")]
+    sys.exit(main([word for word in given if word not in options], options, folders[0] if folders else None))

@@ -12,6 +12,7 @@ import pytest
 import torch
 
 from bsk_torch.presets import PRESETS
+from tests.codegen.emulated import EMULATOR, TRIPLE
 from tests.codegen.other_builds import LARGEST, differences
 
 ROOT = Path(__file__).parents[2]
@@ -86,3 +87,15 @@ def test_sanitizers_find_nothing(isa, eager, tmp_path):
     run = played(*PRESETS, eager, "--sanitize", **environment)
     assert run.returncode == 0, run.stdout + run.stderr
     assert len(run.stdout.splitlines()) == len(PRESETS)
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("preset", ["NadirScan-v1", "AEOSPower-v1", "RelayConstellation-v1"])
+def test_kernels_for_aarch64_give_the_numbers_of_the_eager_back_end(preset, eager, tmp_path):
+    """In an emulator; these presets together have all components."""
+    for program in (f"{TRIPLE}-g++", EMULATOR):
+        if shutil.which(program) is None:
+            pytest.skip(f"needs {program}: apt-get install g++-aarch64-linux-gnu qemu-user")
+    run = played(preset, eager, "--aarch64", BSK_TORCH_CACHE=str(tmp_path))
+    assert run.returncode == 0, run.stdout + run.stderr
+    assert run.stdout.startswith(preset)

@@ -161,6 +161,15 @@ def test_orbits_integrated_in_the_tick_end_at_the_same_ticks(collided):
     assert dead(flown) == {"A", "RSO"}
 
 
+@pytest.mark.compiled
+def test_kernels_end_steps_at_the_same_ticks(collided):
+    env, td = collided
+    compiled = make({"A": APPROACH, "B": WAITS}, backend="compiled")
+    after = step(compiled, compiled.reset())
+    assert torch.equal(after["duration"], td["duration"])
+    assert torch.equal(compiled.dead, env.dead)
+
+
 @pytest.mark.parametrize(("rate", "every"), [(7.0, 7), (0.3, 1), (1.5, 2)])
 def test_a_check_rate_delays_the_end_to_the_next_look(collided, rate, every):
     """The later satellite of a pair says how often it is looked at; the chief's rate would not matter."""

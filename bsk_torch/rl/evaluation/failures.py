@@ -11,6 +11,7 @@ from torch import Tensor
 
 from bsk_torch.constants import RPM
 from bsk_torch.env import SatelliteTasking
+from bsk_torch.env.action_forms import form
 from bsk_torch.rl.evaluation.replay import OVER, Flown, fly
 from bsk_torch.rl.evaluation.rescue import CALMEST, LOST, OPEN, SAVED, Rescue, exhaust, last_chance, rescue_plans, try_plans
 
@@ -64,7 +65,12 @@ def explain(policy: TensorDictModuleBase, env: SatelliteTasking, seeds: Tensor) 
 
     Returns:
         What was flown, and the failures in the order of the seeds.
+
+    Raises:
+        ValueError: For satellites whose actions are real numbers.
     """
+    if form(env.satellite) is not None:
+        raise ValueError(f"failures are explained by other numbered actions; those of {env.satellite.name} are real numbers")
     flown = fly(env, seeds, policy)
     failed = torch.nonzero(~flown.survived).squeeze(-1)
     logger.info("died in %d of %d episodes; looking for the last decisions that could be survived", len(failed), len(seeds))

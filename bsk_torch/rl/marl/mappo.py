@@ -30,13 +30,14 @@ from bsk_torch.env import ConstellationTasking, SatelliteTasking
 from bsk_torch.env.agents import AGENTS
 from bsk_torch.rl.evaluation.evaluate import Evaluation, evaluate
 from bsk_torch.rl.marl.networks import ConstellationCritic, DecidingOnly
-from bsk_torch.rl.networks.plans import AttentionPlan, MLPPlan, Plan
+from bsk_torch.rl.networks.plans import AttentionPlan, MLPPlan, Plan, real_actor
 from bsk_torch.rl.policies.files import save_policy
 from bsk_torch.rl.policies.shared_policy import member_views, of_groups, shared
+from bsk_torch.rl.rules.real import Bounds
 from bsk_torch.rl.rules.targets import image_actions
 from bsk_torch.rl.training.advantages import estimate_advantages
 from bsk_torch.rl.training.config import PPOConfig
-from bsk_torch.rl.training.ppo import REPORTED, Learner
+from bsk_torch.rl.training.ppo import REPORTED, Learner, there
 from bsk_torch.rl.training.trainer import VALIDATION, Training
 from bsk_torch.sim.params import nearest
 
@@ -86,23 +87,38 @@ class MAPPOConfig(PPOConfig):
             raise ValueError(f"network={self.network!r}: constellations learn with 'attention'")
 
 
-def team_batch(batch: TensorDictBase, group: str = AGENTS, others: Sequence[str] = ()) -> TensorDict:
+def deciding(agents: TensorDictBase) -> Tensor:
+    """Return which agents of a group have to decide, [..., S]."""
+    if "action_mask" in agents.keys():  # noqa: SIM118  - a tensordict
+        return ~agents["action_mask"][..., -1]
+    return agents["requires_retasking"].squeeze(-1)
+
+
+def _acted(agents: TensorDictBase, decides: Tensor, bounds: Bounds) -> dict[str, Tensor]:
+    """Return the actions of agents, and the mask of numbered ones; those that do not decide get one that they could take."""
+    if bounds:
+        middle = torch.tensor(bounds, dtype=agents["action"].dtype, device=decides.device).mean(-1)
+        return {"action": torch.where(decides.unsqueeze(-1), agents["action"], middle)}
+    legal = agents["action_mask"]
+    first = torch.arange(legal.shape[-1] - 1, device=legal.device) == 0
+    mask = torch.where(decides.unsqueeze(-1), legal[..., :-1], first)
+    return {"action_mask": mask, "action": torch.where(decides, agents["action"], 0)}
+
+
+def team_batch(batch: TensorDictBase, group: str = AGENTS, others: Sequence[str] = (), bounds: Bounds = ()) -> TensorDict:
     """Return observations, actions and rewards [N, T, S, ...] of a group in a batch [N, T] without the level of the group.
 
     ``decides`` [N, T, S] marks satellites that had to decide; the others could only take the first action, and did. Under
     ``next``, ``done`` [N, T, 1] is the end of the episode, ``removed`` [N, T, S, 1] that of a satellite, by death or with the
     episode, and ``satellite_terminated`` [N, T, S, 1] an end after which nothing is expected. What the ``others``, further
-    groups, see is at ``("seen", "others", name)``.
+    groups, see is at ``("seen", "others", name)``. Real numbers as actions have ``bounds``, and no mask.
     """
     agents, following = batch[group], batch["next", group]
-    legal = agents["action_mask"]
-    decides = ~legal[..., -1]
-    first = torch.arange(legal.shape[-1] - 1, device=legal.device) == 0
+    decides = deciding(agents)
     parts = {
         "seen": _seen(batch, group, others),
         DECIDES: decides,
-        "action_mask": torch.where(decides.unsqueeze(-1), legal[..., :-1], first),
-        "action": torch.where(decides, agents["action"], 0),
+        **_acted(agents, decides, bounds),
         "action_log_prob": agents["action_log_prob"],
         "next": {
             "seen": _seen(batch["next"], group, others),
@@ -178,13 +194,17 @@ class GroupLearner(Learner):
         keys = list(self.networks.normaliser.out_keys)
         parts = [("seen", "others", name, part) for name, plan in plans.items() for part in observed_parts(plan)]
         self.critic = ValueOperator(judge, in_keys=[*keys, ALIVE, *parts]).to(env.device)
-        logits = DecidingOnly(self.networks.actor[0].module)
-        actor = ProbabilisticActor(
-            TensorDictModule(logits, in_keys=[*keys, DECIDES], out_keys=["logits"]),
-            in_keys={"logits": "logits", "mask": "action_mask"},
-            distribution_class=MaskedCategorical,
-            return_log_prob=True,
-        )
+        self.bounds: Bounds = getattr(self.plan, "bounds", ())
+        acting = DecidingOnly(self.networks.actor[0].module)
+        if self.bounds:
+            actor = real_actor(TensorDictModule(acting, in_keys=[*keys, DECIDES], out_keys=["loc", "scale"]), self.bounds)
+        else:
+            actor = ProbabilisticActor(
+                TensorDictModule(acting, in_keys=[*keys, DECIDES], out_keys=["logits"]),
+                in_keys={"logits": "logits", "mask": "action_mask"},
+                distribution_class=MaskedCategorical,
+                return_log_prob=True,
+            )
         self.loss = LOSSES[config.algorithm](
             actor,
             self.critic,
@@ -208,7 +228,7 @@ class GroupLearner(Learner):
     def update_normaliser(self, batch: TensorDictBase) -> None:
         """Take the situations of a batch [N, T] in which a satellite decided into account."""
         agents = batch[self.group]
-        self.networks.normaliser.update(agents.select("observation")[~agents["action_mask"][..., -1]])
+        self.networks.normaliser.update(agents.select("observation")[deciding(agents)])
 
     def learn(self, batch: TensorDictBase) -> dict[str, float]:
         """Several passes over a batch [N, T] of normalised situations; means of what the loss reports.
@@ -216,13 +236,13 @@ class GroupLearner(Learner):
         ``decisions`` is the number of decisions that were learned from: 0, and nothing else is reported, where the satellites of
         the group were busy but for one decision at most, which has no standardised advantage.
         """
-        team = team_batch(batch, self.group, self.others)
+        team = team_batch(batch, self.group, self.others, self.bounds)
         decisions = int(team[DECIDES].sum())
         if decisions < 2:
             return {"decisions": 0}
         team_advantages(team, self.critic, self.config.gamma, self.lmbda, self.config.reward_time)
         self.buffer.empty()
-        self.buffer.extend(team.select(*LEARNED_FROM).reshape(-1))
+        self.buffer.extend(team.select(*there(LEARNED_FROM, team)).reshape(-1))
         steps = self.config.epochs * (self.config.batch // self._minibatch)
         samples = (self.buffer.sample() for _ in range(steps))
         reports = [self._descend(sample) for sample in samples if bool(sample[DECIDES].any())]

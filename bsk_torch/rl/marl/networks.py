@@ -11,17 +11,24 @@ from torch.nn.functional import relu
 
 
 class DecidingOnly(nn.Module):
-    """A network that is evaluated for satellites that decide only; zeros for the others."""
+    """A network that is evaluated for satellites that decide only.
+
+    The others get zeros, and deviations of one where the network gives means and deviations.
+    """
 
     def __init__(self, network: nn.Module) -> None:
-        """``network`` gives [B, A] for what is seen, [B, ...] each."""
+        """``network`` gives [B, A], or two of them, for what is seen, [B, ...] each."""
         super().__init__()
         self.network = network
 
-    def forward(self, *seen: Tensor) -> Tensor:
+    def forward(self, *seen: Tensor) -> Tensor | tuple[Tensor, Tensor]:
         """Outputs [..., S, A] for what satellites see, [..., S, ...] each, of which the last, ``decides`` [..., S], decide."""
         *parts, decides = seen
         some = self.network(*(part[decides] for part in parts))
+        if isinstance(some, tuple):
+            loc, scale = some
+            shape = *decides.shape, loc.shape[-1]
+            return loc.new_zeros(shape).index_put((decides,), loc), loc.new_ones(shape).index_put((decides,), scale)
         return some.new_zeros(*decides.shape, some.shape[-1]).index_put((decides,), some)
 
 

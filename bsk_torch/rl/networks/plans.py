@@ -1,4 +1,4 @@
-"""Masked categorical actors and critics, built from the sizes of observations and actions."""
+"""Actors and critics, built from the sizes of observations and actions: masked categorical, or normal within bounds."""
 
 from __future__ import annotations
 
@@ -11,11 +11,14 @@ from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModule, TensorDictModuleBase, TensorDictSequential
 from torch import nn
 from torchrl.data import Composite
-from torchrl.modules import MLP, GRUModule, MaskedCategorical, ProbabilisticActor, ValueOperator
+from torchrl.modules import MLP, GRUModule, MaskedCategorical, ProbabilisticActor, TanhNormal, ValueOperator
 
 from bsk_torch.env import SatelliteTasking
+from bsk_torch.env.action_forms import form
 from bsk_torch.rl.networks.attention import Encoder, SetActor, SetCritic
 from bsk_torch.rl.networks.normaliser import MASK, OWN, ROWS, ObservationNormaliser, SetNormaliser, VectorNormaliser
+from bsk_torch.rl.networks.real import Bell, squashed
+from bsk_torch.rl.rules.real import Bounds, bounds_of
 from bsk_torch.rl.rules.targets import image_actions
 from bsk_torch.sim.params import nearest
 
@@ -71,28 +74,44 @@ class Networks:
 
 @dataclass(frozen=True)
 class MLPPlan:
-    """Sizes of plain networks for observation vectors."""
+    """Sizes of plain networks for observation vectors.
+
+    Where actions are real numbers, these have ``bounds``, and ``n_actions`` is 0.
+    """
 
     n_observed: int
     n_actions: int
     hidden: tuple[int, ...]
+    bounds: Bounds = ()
 
     @classmethod
     def of(cls, env: SatelliteTasking, hidden: Sequence[int]) -> MLPPlan:
-        """For an environment; ValueError unless it observes one vector."""
+        """For an environment; ValueError unless it observes one vector, and for real actions without finite bounds."""
         spec = env.observation_spec["observation"]
         if isinstance(spec, Composite):
             raise ValueError(
                 "networks 'mlp' and 'gru' need the observation as one vector; build the satellite with obs_type=torch.Tensor"
             )
-        return cls(spec.shape[-1], env.satellite.actions.n_actions, tuple(hidden))
+        return cls(spec.shape[-1], env.satellite.actions.n_actions, tuple(hidden), bounds_of(env))
+
+    @property
+    def n_outputs(self) -> int:
+        """Outputs of the actor's network: a logit of each action, or a mean of each real number."""
+        return len(self.bounds) or self.n_actions
 
     def build(self) -> Networks:
         """Fresh networks."""
-        actor, critic = (self._layers(n) for n in (self.n_actions, 1))
+        actor, critic = (self._layers(n) for n in (self.n_outputs, 1))
+        self._calm(cast(nn.Linear, actor[-1]))
+        acting = _actor(actor, [OWN], self.bounds)
+        return Networks(VectorNormaliser(self.n_observed), acting, ValueOperator(critic, in_keys=[OWN]))
+
+    def _calm(self, last: nn.Linear) -> None:
+        """Let an actor begin nearly uniform, or with real numbers near the middle of their bounds."""
         with torch.no_grad():
-            cast(nn.Linear, actor[-1]).weight.mul_(INITIAL_LOGITS)
-        return Networks(VectorNormaliser(self.n_observed), _actor(actor, [OWN]), ValueOperator(critic, in_keys=[OWN]))
+            last.weight.mul_(INITIAL_LOGITS)
+            if self.bounds:
+                last.bias.zero_()
 
     def _layers(self, n_out: int) -> MLP:
         return MLP(in_features=self.n_observed, out_features=n_out, num_cells=list(self.hidden), activation_class=nn.Tanh)
@@ -115,11 +134,10 @@ class GRUPlan(MLPPlan):
         *before, last = self.hidden
         layers = MLP(self.n_observed, before[-1], num_cells=before[:-1], activation_class=nn.Tanh, activate_last_layer=True)
         unit = GRUModule(before[-1], last, in_keys=["embedded", MEMORY, INIT], out_keys=["remembered", ("next", MEMORY)])
-        head = nn.Linear(last, self.n_actions)
-        with torch.no_grad():
-            head.weight.mul_(INITIAL_LOGITS)
-        parts = [TensorDictModule(layers, [OWN], ["embedded"]), unit, TensorDictModule(head, ["remembered"], ["logits"])]
-        actor = _distributed(TensorDictSequential(*parts))
+        head = nn.Linear(last, self.n_outputs)
+        self._calm(head)
+        parts = [TensorDictModule(layers, [OWN], ["embedded"]), unit, _parameters(head, ["remembered"], self.bounds)]
+        actor = _distributed(TensorDictSequential(*parts), self.bounds)
         return Networks(VectorNormaliser(self.n_observed), actor, ValueOperator(self._layers(1), in_keys=[OWN]))
 
 
@@ -161,6 +179,10 @@ class AttentionPlan:
     @classmethod
     def of(cls, env: SatelliteTasking, hidden: Sequence[int]) -> AttentionPlan:
         """For an environment; ValueError unless it observes one set, of at least as many targets as can be chosen."""
+        if form(env.satellite) is not None:
+            raise ValueError(
+                f"network='attention' chooses targets; the actions of {env.satellite.name} are real numbers: use 'mlp'"
+            )
         leaves = _leaves(env)
         sets = [key[:-1] for key in leaves if key[-1] == "rows" and (*key[:-1], "mask") in leaves]
         if len(sets) != 1:
@@ -218,17 +240,38 @@ def _leaves(env: SatelliteTasking) -> dict[tuple[str, ...], torch.Size]:
     return {("observation", *key): spec[key].shape for key in keys}
 
 
-def _actor(network: nn.Module, in_keys: list[Any]) -> ProbabilisticActor:
-    """Categorical distribution over the legal actions, by a network that gives logits [..., A]."""
-    return _distributed(TensorDictModule(network, in_keys=in_keys, out_keys=["logits"]))
+def _actor(network: nn.Module, in_keys: list[Any], bounds: Bounds = ()) -> ProbabilisticActor:
+    """Distribution of actions, by a network that gives logits [..., A] or means [..., A]."""
+    return _distributed(_parameters(network, in_keys, bounds), bounds)
 
 
-def _distributed(module: TensorDictModuleBase) -> ProbabilisticActor:
-    """Categorical distribution over the legal actions, by a module that writes ``logits``."""
+def _parameters(network: nn.Module, in_keys: list[Any], bounds: Bounds) -> TensorDictModule:
+    """Return a module that writes the parameters of a distribution."""
+    if not bounds:
+        return TensorDictModule(network, in_keys=in_keys, out_keys=["logits"])
+    return TensorDictModule(Bell(network, len(bounds)), in_keys=in_keys, out_keys=["loc", "scale"])
+
+
+def _distributed(module: TensorDictModuleBase, bounds: Bounds = ()) -> ProbabilisticActor:
+    """Categorical distribution over the legal actions, or a normal one that is squashed into bounds, by what a module writes."""
+    if bounds:
+        return real_actor(module, bounds)
     return ProbabilisticActor(
         module,
         in_keys={"logits": "logits", "mask": "action_mask"},
         out_keys=["action"],
         distribution_class=MaskedCategorical,
+        return_log_prob=True,
+    )
+
+
+def real_actor(module: TensorDictModuleBase, bounds: Bounds) -> ProbabilisticActor:
+    """Distribution of real numbers within bounds, by a module that writes ``loc`` and ``scale``, [..., A] each."""
+    return ProbabilisticActor(
+        module,
+        in_keys=["loc", "scale"],
+        out_keys=["action"],
+        distribution_class=TanhNormal,
+        distribution_kwargs=squashed(bounds),
         return_log_prob=True,
     )

@@ -65,7 +65,10 @@ def save_policy(
 def _described(plan: Plan, networks: Networks) -> dict[str, Any]:
     """Return the entries :data:`NETWORK`."""
     kind = next(name for name, known in PLANS.items() if type(plan) is known)
-    return {"network": kind, "plan": dataclasses.asdict(plan)} | networks.policy_state()
+    described = dataclasses.asdict(plan)
+    if not described.get("bounds", True):
+        del described["bounds"]  # as files have been, where actions are numbers of actions
+    return {"network": kind, "plan": described} | networks.policy_state()
 
 
 def networks_of(card: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
@@ -144,9 +147,10 @@ def check_fits(card: Mapping[str, Any], env: Tasking, preset: str | None = None)
     for group, part in parts.items():
         kind, plan = PLANS[part["network"]], part["plan"]
         here = dataclasses.asdict(kind.of(views[group], plan["hidden"]))
-        differing = [name for name in here if _listed(here[name]) != _listed(plan[name])]
+        theirs_ = {name: plan.get(name, ()) for name in here}
+        differing = [name for name in here if _listed(here[name]) != _listed(theirs_[name])]
         if differing:
-            theirs, ours = (", ".join(f"{name}={values[name]}" for name in differing) for values in (plan, here))
+            theirs, ours = (", ".join(f"{name}={values[name]}" for name in differing) for values in (theirs_, here))
             of_group = f" in group {group}" if len(parts) > 1 else ""
             raise ValueError(f"the policy was trained for {trained} with {theirs}{of_group}; {where} has {ours}")
     if card["bsk_torch"] != __version__:

@@ -45,9 +45,10 @@ def member_views(env: Tasking) -> dict[str, SatelliteTasking]:
 
 def _view(env: ConstellationTasking, group: Group) -> SatelliteTasking:
     seen, satellite = env.observation_spec[group.name][:, 0], env.satellites[group.types[0]]
+    n = satellite.actions.n_actions
     parts = {"observation": seen["observation"]}
-    if n := satellite.actions.n_actions:  # real numbers have no mask; this one is without the action that continues
-        parts["action_mask"] = Binary(n, shape=(*seen.shape, n), dtype=torch.bool, device=env.device)
+    if n:
+        parts["action_mask"] = Binary(n, shape=(*seen.shape, n), dtype=torch.bool, device=env.device)  # without that to continue
     spec = Composite(parts, shape=seen.shape, device=env.device)
     return cast(SatelliteTasking, MemberView(satellite, spec, env.device))
 
@@ -70,19 +71,21 @@ class SharedPolicy(TensorDictModuleBase):
     def __init__(self, policy: TensorDictModuleBase, group: str = AGENTS) -> None:
         """Wrap ``policy``, which writes ``action`` into tensordicts [B] with ``observation`` and ``action_mask``.
 
-        The actions of the ``group``, [N, S], and their log-probabilities if the policy returns these, are ``out_keys``. Actions
-        of A real numbers are [N, S, A]; these have no ``action_mask``.
+        Policies whose actions are real numbers, [B, A], find no mask; satellites that need no task get ``NO_ACTION``.
+
+        The actions of the ``group``, [N, S], and their log-probabilities if the policy returns these, are ``out_keys``.
         """
         super().__init__()
         self.policy, self.group = policy, group
-        self.in_keys = [(group, "observation"), (group, "action_mask")]
+        decides = "action_mask" if "action_mask" in policy.in_keys else "requires_retasking"
+        self.in_keys = [(group, "observation"), (group, decides)]
         self.log_prob_key = (group, "action_log_prob") if "action_log_prob" in policy.out_keys else None
         self.out_keys = [(group, "action"), *([] if self.log_prob_key is None else [self.log_prob_key])]
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write ``out_keys``; the log-probability is 0 for satellites that continue."""
         if (self.group, "action_mask") not in tensordict.keys(include_nested=True):
-            return self._real_numbers(tensordict)
+            return self._write_real(tensordict)
         seen = tensordict[self.group].select("observation", "action_mask")
         legal = seen["action_mask"]
         decides = ~legal[..., -1]
@@ -98,17 +101,17 @@ class SharedPolicy(TensorDictModuleBase):
         tensordict.set((self.group, "action"), action)
         return tensordict if self.log_prob_key is None else tensordict.set(self.log_prob_key, log_prob)
 
-    def _real_numbers(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Write actions of real numbers; all of them are ``NO_ACTION`` for satellites that continue."""
-        seen = tensordict[self.group].select("observation")
-        decides = tensordict[self.group, "requires_retasking"].view(seen.batch_size)
-        every = seen.reshape(-1)  # also those that continue: where nobody decides, it says how many numbers there are
-        decided = self.policy(every).select(*self.policy.out_keys).view(seen.batch_size)
-        action = torch.where(decides.unsqueeze(-1), decided["action"], float(NO_ACTION))
-        tensordict.set((self.group, "action"), action)
+    def _write_real(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Write actions of real numbers, [N, S, A]; all satellites are asked, for those that decide."""
+        agents = tensordict[self.group]
+        decides = agents["requires_retasking"].squeeze(-1)
+        decided = self.policy(agents.select("observation").flatten())
+        action = decided["action"].unflatten(0, decides.shape)
+        tensordict.set((self.group, "action"), torch.where(decides.unsqueeze(-1), action, float(NO_ACTION)))
         if self.log_prob_key is None:
             return tensordict
-        return tensordict.set(self.log_prob_key, torch.where(decides, decided["action_log_prob"], 0.0))
+        log_prob = decided["action_log_prob"].unflatten(0, decides.shape)
+        return tensordict.set(self.log_prob_key, torch.where(decides, log_prob, 0.0))
 
 
 class GroupPolicies(TensorDictSequential):

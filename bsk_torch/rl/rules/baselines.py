@@ -15,6 +15,7 @@ from bsk_torch.env import SatelliteTasking
 from bsk_torch.rl.rules.columns import Columns
 from bsk_torch.rl.rules.imaging import by_closing, by_discounted_priority, by_priority, imaging_rule
 from bsk_torch.rl.rules.inspection import inspection_rule
+from bsk_torch.rl.rules.real import Bounds, bounds_of, spread
 
 LOT = "lot"
 """Key of uniform numbers, [N] each, by which evaluation decides what policies do at random, whatever the batch."""
@@ -41,11 +42,31 @@ class RandomPolicy(TensorDictModuleBase):
         return tensordict.set("action", chosen.long().argmax(-1))
 
 
-def random_policy(env: SatelliteTasking, seed: int) -> RandomPolicy:
-    """Legal actions with equal probability; ValueError for satellites whose actions are real numbers."""
-    if not env.satellite.actions.n_actions:
-        raise ValueError(f"random actions are drawn from a mask; those of {env.satellite.name!r} are real numbers")
-    return RandomPolicy(torch.Generator(env.device).manual_seed(seed))
+class RandomNumbers(TensorDictModuleBase):
+    """Real numbers that are uniform within their bounds, by lots as :class:`RandomPolicy` draws them."""
+
+    in_keys: ClassVar[list[str]] = [LOT]
+    out_keys: ClassVar[list[str]] = ["action"]
+
+    def __init__(self, bounds: Bounds, generator: torch.Generator) -> None:
+        """Draw within ``bounds`` from ``generator``."""
+        super().__init__()
+        self.bounds, self.generator = bounds, generator
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Write ``action``, [..., A] float32."""
+        lot = tensordict.get(LOT, None)
+        if lot is None:
+            shape, device = tensordict.batch_size, self.generator.device
+            lot = torch.rand(shape, dtype=torch.float64, device=device, generator=self.generator)
+        return tensordict.set("action", spread(lot, self.bounds).float())
+
+
+def random_policy(env: SatelliteTasking, seed: int) -> RandomPolicy | RandomNumbers:
+    """Legal actions with equal probability; ValueError for real numbers without finite bounds."""
+    generator = torch.Generator(env.device).manual_seed(seed)
+    bounds = bounds_of(env)
+    return RandomNumbers(bounds, generator) if bounds else RandomPolicy(generator)
 
 
 @dataclass(frozen=True)

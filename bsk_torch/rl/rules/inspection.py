@@ -17,6 +17,7 @@ from torch import Tensor
 
 from bsk_torch.act import HillWaypoint, ImpulsiveThrustHill
 from bsk_torch.astro.clohessy_wiltshire import circumnavigation
+from bsk_torch.astro.linear_motion import about_circle
 from bsk_torch.astro.relative import fibonacci_sphere
 from bsk_torch.astro.transfers import Transfers, transfers
 from bsk_torch.env import SatelliteTasking
@@ -94,11 +95,11 @@ def new_regions(seen: Seen, ahead: Transfers) -> Tensor:
     A region counts as far as its points are in view and lit at the best moment of the transfer: wholly up to the first of the
     angles :data:`VIEW` and :data:`LIGHT` from its centre to the inspector and to the Sun, not at all from the second one on.
     """
-    best = torch.zeros(*ahead.dv.shape[:3], len(seen.centers), dtype=ahead.dv.dtype, device=ahead.dv.device)
-    for k in range(ahead.path.shape[3]):  # few, and each a batch: all at once would take that many times the memory
-        position = ahead.path[:, :, :, k]
+    best = torch.zeros(*ahead.cost.shape, len(seen.centers), dtype=ahead.cost.dtype, device=ahead.cost.device)
+    for k in range(ahead.samples):  # few, and each a batch: all at once would take that many times the memory
+        position = ahead.position(k)
         distance = torch.linalg.vector_norm(position, dim=-1, keepdim=True)
-        sun = sun_at(seen.sun[:, None], seen.n[:, None] * ahead.time[:, k])
+        sun = sun_at(seen.sun[:, None], seen.n[:, None] * ahead.motion.time[k])
         lit = part(sun @ seen.centers.mT, LIGHT) * (sun[..., :1] > SHADOW)
         shown = part(position @ seen.centers.mT / distance, VIEW) * (distance < REACH)
         best = torch.maximum(best, shown * lit[:, None])
@@ -114,7 +115,7 @@ def part(cosine: Tensor, angles: tuple[float, float]) -> Tensor:
 def survey_worth(seen: Seen, ahead: Transfers, max_dv: float) -> Tensor:
     """Return the worth of transfers, [N, D, K]: what they show, less fuel and time; those that are not safe come last."""
     nearest, farthest = ahead.distances()
-    worth = POINT * new_regions(seen, ahead) - FUEL * ahead.cost - TIME * ahead.time[:, -1]
+    worth = POINT * new_regions(seen, ahead) - FUEL * ahead.cost - TIME * ahead.motion.time[-1]
     unsafe = (nearest < CLOSE) | (farthest > FAR) | (ahead.cost > max_dv)
     # where none is safe, back from where it is too far
     return torch.where(unsafe, -1e3 - farthest, worth)
@@ -145,13 +146,15 @@ class InspectionRule:
         seen = Seen.of(observation, self.description)
         way = self.entry if isinstance(self.entry, HillWaypoint) else WAYPOINTS
         most = torch.full_like(seen.n, self.entry.max_dv)
-        ahead = transfers(seen.rho, seen.velocity, seen.n, way.waypoints, way.durations, SAMPLES, most)
+        device = seen.n.device
+        motion = about_circle(seen.n, way.durations.to(device), SAMPLES)
+        ahead = transfers(motion, seen.rho, seen.velocity, way.waypoints.to(device), most)
         worth = survey_worth(seen, ahead, self.entry.max_dv).flatten(1)
         if action_mask is not None:
             return worth.masked_fill(~action_mask, -torch.inf).argmax(1)
         best = worth.argmax(1)
-        dv = ahead.dv.flatten(1, 2).gather(1, best[:, None, None].expand(-1, 1, 3)).squeeze(1)
-        return torch.cat([dv, way.durations[best % len(way.durations)].unsqueeze(1)], 1)
+        duration = way.durations.to(device)[best % len(way.durations)]
+        return torch.cat([ahead.manoeuvre(best), duration.unsqueeze(1)], 1)
 
     def circumnavigate(self, observation: Tensor) -> Tensor:
         """Stop the drift along the track, and fly around the RSO without further manoeuvres."""

@@ -66,6 +66,8 @@ def shield(rule: Rule, env: SatelliteTasking) -> TensorDictModule:
         return torch.where(left.any(-1, keepdim=True), left, action_mask)
 
     zero = env.observation_spec.zero()
+    if "action_mask" not in zero.keys():  # noqa: SIM118  - a tensordict
+        raise ValueError(f"a shield masks numbered actions; those of {env.satellite.name} are real numbers")
     allowed = rule(Columns(zero["observation"], description), actions)
     if not isinstance(allowed, Tensor) or (allowed.dtype, allowed.shape) != (torch.bool, zero["action_mask"].shape):
         given = f"{allowed.dtype} {list(allowed.shape)}" if isinstance(allowed, Tensor) else repr(allowed)

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from bsk_torch.act import Image
 from bsk_torch.env import SatelliteTasking
+from bsk_torch.env.action_forms import form
 from bsk_torch.obs import OpportunityProperties
 from bsk_torch.sim.params import nearest
 
@@ -23,7 +24,7 @@ Observation = Any
 def image_actions(env: SatelliteTasking) -> range:
     """Numbers of the actions that image the next targets; ValueError where there are none."""
     first = 0
-    for entry in env.satellite.actions.entries:
+    for entry in env.satellite.actions.entries if form(env.satellite) is None else ():
         if isinstance(entry, Image):
             return range(first, first + entry.n_actions)
         first += entry.n_actions

@@ -5,7 +5,7 @@ See :mod:`~bsk_torch.rl.training.advantages` for the returns of decisions that l
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -28,7 +28,13 @@ REPORTED = ("entropy", "kl_approx", "clip_fraction", "explained_variance", "loss
 """Entries of the loss that are logged."""
 
 LEARNED_FROM = ("seen", "action_mask", "action", "action_log_prob", "advantage", "value_target")
-"""Keys of a batch that gradient steps need."""
+"""Keys of a batch that gradient steps need; real numbers as actions have no mask."""
+
+
+def there(keys: Iterable[str], batch: TensorDictBase) -> list[str]:
+    """Return the keys without ``"action_mask"`` where a batch has none."""
+    masked = "action_mask" in batch.keys()  # noqa: SIM118  - a tensordict
+    return [key for key in keys if masked or key != "action_mask"]
 
 
 class Learner:
@@ -124,7 +130,7 @@ class Learner:
             self.networks.normaliser(situations)
         estimate_advantages(batch, self.networks.critic, config.gamma, config.lmbda, config.reward_time)
         self.buffer.empty()
-        learned = batch.select(*LEARNED_FROM, *((MEMORY, INIT) if self.recurrent else ()))
+        learned = batch.select(*there(LEARNED_FROM, batch), *((MEMORY, INIT) if self.recurrent else ()))
         self.buffer.extend(learned if self.recurrent else learned.reshape(-1))
         steps = config.epochs * (config.batch // self._minibatch)
         with set_recurrent_mode(self.recurrent):

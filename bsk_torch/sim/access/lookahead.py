@@ -139,11 +139,15 @@ class LookAhead(StateTable):
         end, covers = self.arcs.end, "the arcs must reach from before the present to behind it"
         for name, arcs in (("arcs", self.arcs), ("flight", self.flight)):
             self.refuse(f"{path}lookahead.{name}.start", arcs.start, (arcs.start > time) | (arcs.end < time), covers)
+        if self.flight.length != self.arcs.length:
+            raise ValueError(
+                f"'{path}lookahead.flight' of the saved state lasts {self.flight.length:g} s, 'arcs' {self.arcs.length:g} s"
+            )
         last = torch.maximum(end, time + MARGIN) if self.arcs.restarts else end  # which are not always solved so far
         searched = [("eclipses", name, self.eclipses[name], last) for name in ("sampled", "known")]
         if self.access is not None:
-            seen = ("ready",) if self.arcs.restarts else ("until", "ready")
-            searched += [("windows", name, self.access[name], end) for name in seen]
+            searched += [("windows", "ready", self.access.ready, end)]
+            searched += [("windows", "until", self.access.until, self.arcs.start + self.arcs.length)]
         for table, name, value, bound in searched:
             self.refuse(f"{path}lookahead.{table}.{name}", value, value > bound, "it must lie before the end of the arcs")
 

@@ -69,9 +69,11 @@ class RSODynModel(EclipseDynModel):
     """
 
     components: ClassVar[tuple[Component, ...]] = (RSO, PAST_REFERENCE)
+    orbit: ClassVar[str] = "integrated"  # as Basilisk does, whose ticks of 5 s are millimetres an hour off the true orbit
 
 
 class RSOInspectorDynModel(ContinuousImagingDynModel):
     """A satellite that inspects an RSO: its instrument records as long as it points there, and data accumulate in its store."""
 
     components: ClassVar[tuple[Component, ...]] = (INSPECTOR,)
+    orbit: ClassVar[str] = "integrated"

@@ -22,59 +22,56 @@ from bsk_torch.codegen.ir import Loop
 from bsk_torch.codegen.kernel import Kernel, Samples
 from bsk_torch.constants import R_EARTH
 from bsk_torch.sim.access.line_of_sight import stretch
-from bsk_torch.sim.component import Field, Track, vec
+from bsk_torch.sim.component import Field, Layout, Track
 from bsk_torch.sim.inspection.points import COLUMNS, Point, faces, in_view, sunlit
 from bsk_torch.sim.orbit.builder import KernelBuilder
+from bsk_torch.sim.trace import Trace
 from bsk_torch.vec3 import Vec3, only
 
 GROUP = 25
 """Points in a kernel; more run in further calls. Compilers take longer than in proportion to the length of a function: 100 points
 at once take 30 s to build instead of 6, and run no faster."""
 
-CHIEF_FIELDS = (
-    vec("r_BN_N", "m", "position", exact=True),
-    vec("sigma_BN", "-", "attitude"),
-    Field("illumination", 1, "-", "visible fraction of the Sun"),
-    vec("sun_N", "m", "Sun relative to the Earth", exact=True),
-    vec("pole_N", "-", "unit vector along the Earth's axis", exact=True),
-)
-"""What a record of the inspected spacecraft holds."""
+CHIEF_FIELDS = ("r_BN_N", "sigma_BN", "illumination", "sun_N", "pole_N")
+"""Recorded fields of the inspected spacecraft that flags follow from: its position in N, m, its attitude, the visible fraction of
+the Sun, the Sun's position in N, m, and the direction of the Earth's axis in N."""
 
-INSPECTOR_FIELDS = (vec("r_BN_N", "m", "position", exact=True), Field("storage", 1, "bit", "level of the store", exact=True))
-"""What a record of an inspector holds."""
-
-CHIEF_WIDTH, INSPECTOR_WIDTH = (sum(field.width for field in fields) for fields in (CHIEF_FIELDS, INSPECTOR_FIELDS))
+INSPECTOR_FIELDS = ("r_BN_N", "storage")
+"""Recorded fields of an inspector that flags follow from: its position in N, m, and the level of its store, bit."""
 
 
 class Records(NamedTuple):
-    """Records of a run, one a tick, of N episodes with I inspectors each.
+    """Records of a run by R pairs of an inspector and the spacecraft that it inspects.
 
     Attributes:
-        chief: The inspected spacecraft, [N, K, 13]: position in N (m), attitude sigma_BN, illumination, position of the Sun in N
-            (m), direction of the Earth's axis in N.
-        inspectors: Inspectors, [N * I, K, 4]: position in N (m), level of the store (bit); a record more than there are ticks.
-        ticks: Number of ticks of each episode, [N].
-        seen_from: First record in which points may be inspected, [N].
-        lit_from: First record in which points may be lit, [N].
+        chief: Trace of inspected spacecraft, with :data:`CHIEF_FIELDS` among its fields.
+        chief_rows: Row of the trace of each pair, [R].
+        inspectors: Trace of inspectors, with :data:`INSPECTOR_FIELDS` among its fields; a record more than there are ticks.
+        inspector_rows: Row of the trace of each pair, [R].
+        ticks: Number of ticks of each pair, [R].
+        seen_from: First record in which points may be inspected, [R].
+        lit_from: First record in which points may be lit, [R].
     """
 
-    chief: Tensor
-    inspectors: Tensor
+    chief: Trace
+    chief_rows: Tensor
+    inspectors: Trace
+    inspector_rows: Tensor
     ticks: Tensor
     seen_from: Tensor
     lit_from: Tensor
 
 
 def find_flags(columns: Tensor, records: Records, compiled: bool) -> tuple[Tensor, Tensor]:
-    """Return the points that inspectors have inspected in a run, and those that were lit, [N * I, P] bool each.
+    """Return the points that inspectors have inspected in a run, and those that were lit, [R, P] bool each.
 
     Args:
-        columns: Numbers of the points, [10, P], or [10, N, P] where they differ between episodes; see
+        columns: Numbers of the points, [10, P], or [10, R, P] where they differ between pairs; see
             :func:`bsk_torch.sim.inspection.points.point_columns`.
         records: Records of the run.
         compiled: Whether to use kernels, on the CPU.
     """
-    run = _run_kernels if compiled and records.chief.device.type == "cpu" else _run_tensors
+    run = _run_kernels if compiled and columns.device.type == "cpu" else _run_tensors
     inspected, lit = run(columns, records)
     return inspected > 0.5, lit > 0.5
 
@@ -93,9 +90,15 @@ class _Moment(NamedTuple):
     inspector_N: Vec3
 
     @staticmethod
-    def of(chief: Sequence[Any], inspector: Sequence[Any]) -> _Moment:
-        r, sigma, sun, pole = (Vec3(*chief[k : k + 3]) for k in (0, 3, 7, 10))
-        return _Moment(r, sigma, chief[6], sun, pole, Vec3(*inspector[:3]))
+    def of(chief: dict[str, Any], inspector: dict[str, Any]) -> _Moment:
+        r_BN_N, sigma_BN, illumination, sun_N, pole_N = (chief[name] for name in CHIEF_FIELDS)
+        return _Moment(r_BN_N, sigma_BN, illumination, sun_N, pole_N, inspector["r_BN_N"])
+
+
+def _fields(layout: Layout, names: Sequence[str], planes: Sequence[Any], first: int = 0) -> dict[str, Any]:
+    """Return fields by name, from the planes of a record that begins with plane ``first``."""
+    parts = {name: planes[first + layout.slices[name].start : first + layout.slices[name].stop] for name in names}
+    return {name: part[0] if len(part) == 1 else Vec3(*part) for name, part in parts.items()}
 
 
 class _Limits(NamedTuple):
@@ -186,11 +189,12 @@ TICK_NS = 1_000_000_000
 
 
 @cache
-def flags_kernel(source: str) -> Kernel:
+def flags_kernel(source: str, chief_fields: tuple[Field, ...], inspector_fields: tuple[Field, ...]) -> Kernel:
     """Return the kernel of :data:`GROUP` points, whose numbers come from ``source``, ``"shared"`` or ``"own"``.
 
     The state is the flags of inspected, then of lit points, and the last change of the store; ``own`` begins with the number of
-    the last record and those of the first ones in which points may be inspected, and lit. A tick is a record.
+    the last record and those of the first ones in which points may be inspected, and lit. A tick is a record, of the given
+    fields of the inspected spacecraft, and of the inspector.
     """
     builder = KernelBuilder()
     last, seen_from, lit_from = builder.planes("own", 3)
@@ -199,34 +203,35 @@ def flags_kernel(source: str) -> Kernel:
     numbers = builder.planes(source, COLUMNS * GROUP, first + 3)
     each = [Point.of(numbers[k::GROUP]) for k in range(GROUP)]
     inspected, lit = (tuple(builder.planes("state", GROUP, k * GROUP)) for k in range(2))
-    (change,) = builder.planes("state", 1, 2 * GROUP)
-    inspector = builder.records(2, 2 * INSPECTOR_WIDTH)
+    change: Any = builder.planes("state", 1, 2 * GROUP)[0]
+    chief, inspector = Layout(chief_fields), Layout(inspector_fields)
+    records = builder.records(2, 2 * inspector.size)
+    now, after = (_fields(inspector, INSPECTOR_FIELDS, records, k * inspector.size) for k in range(2))
     number: Any = builder.program.input("ticks_now")
-    change = torch.where(number >= last, change, inspector[2 * INSPECTOR_WIDTH - 1] - inspector[INSPECTOR_WIDTH - 1])
-    at = _Moment.of(builder.records(1, CHIEF_WIDTH), inspector)
+    change = torch.where(number >= last, change, after["storage"] - now["storage"])
+    at = _Moment.of(_fields(chief, CHIEF_FIELDS, builder.records(1, chief.size)), now)
     inspected, lit = _look(each, limits, at, change.ne(0.0) & (number >= seen_from), number >= lit_from, inspected, lit)
-    tracks = Track("chief", 1.0, CHIEF_FIELDS, count=1), Track("inspector", 1.0, INSPECTOR_FIELDS, count=2)
+    tracks = Track("chief", 1.0, chief_fields, count=1), Track("inspector", 1.0, inspector_fields, count=2)
     outputs: list[Any] = [*inspected, *lit, change]
     return Kernel("inspection", Loop(builder.program, outputs, tracks))
 
 
 def _run_kernels(columns: Tensor, records: Records) -> tuple[Tensor, Tensor]:
     """See :func:`find_flags`; flags as numbers."""
-    rows, episodes = len(records.inspectors), len(records.chief)
-    owner = torch.arange(episodes).repeat_interleave(rows // episodes)
-    ticks = records.ticks[owner]
-    limits = torch.stack([ticks - 1, records.seen_from[owner], records.lit_from[owner]]).double()
-    half = torch.full((max(rows, episodes),), -0.5)  # records are looked up half way between two
-    tracks = Samples(records.chief, half[:episodes].double(), owner), Samples(records.inspectors, half[:rows].double())
-    source = "shared" if columns.ndim == 2 else "own"
+    ticks, source = records.ticks, "shared" if columns.ndim == 2 else "own"
+    limits = torch.stack([ticks - 1, records.seen_from, records.lit_from]).double()
+    pairs = (records.chief, records.chief_rows), (records.inspectors, records.inspector_rows)
+    # records are looked up half way between two
+    tracks = [Samples(trace.table, torch.full((len(trace.table),), -0.5, dtype=torch.float64), rows) for trace, rows in pairs]
+    kernel = flags_kernel(source, *(tuple(trace.layout.fields.values()) for trace, _ in pairs))
     found = []
     for group in _filled(columns).split(GROUP, -1):
         packs = torch.cat([_bounds(group), group.movedim(-1, 1).flatten(0, 1)])
-        given: dict[str, Any] = (
-            {"shared": packs, "own": limits} if source == "shared" else {"own": torch.cat([limits, packs[:, owner]])}
-        )
-        state = torch.zeros(2 * GROUP + 1, rows, dtype=torch.float64)
-        flags_kernel(source)(state, ticks, tracks, ticks=torch.full_like(ticks, -1), nanoseconds=TICK_NS, **given)
+        given: dict[str, Any] = {"shared": packs, "own": limits}
+        if source == "own":
+            given = {"own": torch.cat([limits, packs])}
+        state = torch.zeros(2 * GROUP + 1, len(ticks), dtype=torch.float64)
+        kernel(state, ticks, tracks, ticks=torch.full_like(ticks, -1), nanoseconds=TICK_NS, **given)
         found.append(state[:-1].unflatten(0, (2, GROUP)))
     inspected, lit = torch.cat(found, 1)[:, : columns.shape[-1]].mT.contiguous()
     return inspected, lit
@@ -243,19 +248,23 @@ def _filled(columns: Tensor) -> Tensor:
 
 def _run_tensors(columns: Tensor, records: Records) -> tuple[Tensor, Tensor]:
     """See :func:`find_flags`; flags as numbers."""
-    rows, episodes = len(records.inspectors), len(records.chief)
-    owner = torch.arange(episodes, device=columns.device).repeat_interleave(rows // episodes)
-    ticks, seen_from, lit_from = (x[owner].unsqueeze(-1) for x in (records.ticks, records.seen_from, records.lit_from))
-    bounds = _bounds(columns)
-    each, limits = (columns, bounds.unsqueeze(-1)) if columns.ndim == 2 else (columns[:, owner], bounds[:, owner].unsqueeze(-1))
-    points = Point.of(each)
-    inspected = torch.zeros(rows, columns.shape[-1], dtype=torch.float64, device=columns.device)
+    ticks, seen_from, lit_from = (part.unsqueeze(-1) for part in records[4:])
+    points, limits = Point.of(columns), _Limits(*_bounds(columns).unsqueeze(-1))
+    inspected = torch.zeros(len(ticks), columns.shape[-1], dtype=torch.float64, device=columns.device)
     lit, change = inspected, inspected[:, :1]
-    chief, inspectors = records.chief[owner].unsqueeze(-1).unbind(1), records.inspectors.unsqueeze(-1).unbind(1)
-    for j in range(int(records.ticks.max())):
-        growth = inspectors[j + 1][:, INSPECTOR_WIDTH - 1] - inspectors[j][:, INSPECTOR_WIDTH - 1]
-        change = torch.where(j >= ticks - 1, change, growth)
-        at, runs = _Moment.of(chief[j].unbind(1), inspectors[j].unbind(1)), j < ticks
+
+    def record(trace: Trace, rows: Tensor, names: Sequence[str], j: int) -> dict[str, Any]:
+        return _fields(trace.layout, names, trace.table[rows, j].unsqueeze(-1).unbind(1))
+
+    def inspector(j: int) -> dict[str, Any]:
+        return record(records.inspectors, records.inspector_rows, INSPECTOR_FIELDS, j)
+
+    now = inspector(0)
+    for j in range(int(ticks.max())):
+        after, chief = inspector(j + 1), record(records.chief, records.chief_rows, CHIEF_FIELDS, j)
+        change = torch.where(j >= ticks - 1, change, after["storage"] - now["storage"])
+        runs = j < ticks
         counts, lights = runs & change.ne(0.0) & (j >= seen_from), runs & (j >= lit_from)
-        (inspected,), (lit,) = _look([points], _Limits(*limits), at, counts, lights, (inspected,), (lit,))
+        (inspected,), (lit,) = _look([points], limits, _Moment.of(chief, now), counts, lights, (inspected,), (lit,))
+        now = after
     return inspected, lit

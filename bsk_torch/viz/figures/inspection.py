@@ -129,7 +129,7 @@ def inspection_figure(episode: InspectionEpisode, path: Path, title: str = "") -
     points, coloured by the time when they were inspected, beside the numbers of lit and inspected points and the fuel over time.
     """
     figure = Figure(figsize=(10.0, sum(HEIGHTS) + 1.0), dpi=140, layout="constrained", facecolor="white")
-    above, below = figure.subfigures(2, 1, height_ratios=HEIGHTS)
+    above, below = figure.subfigures(2, 1, height_ratios=HEIGHTS)  # type: ignore[misc]
     for panel, (x, y, near) in zip(above.subplots(1, 3), VIEWS, strict=True):
         tidy(panel)
         draw_paths(panel, episode, x, y, near)
@@ -213,7 +213,7 @@ def _map(panel: Axes, episode: InspectionEpisode) -> None:
     for spine in panel.spines.values():
         spine.set_color(FAINT)
     bar = panel.figure.colorbar(shown, ax=panel, orientation="horizontal", shrink=0.7, aspect=30, pad=0.03)
-    bar.outline.set_visible(False)  # type: ignore[operator]
+    bar.outline.set_visible(False)
     bar.ax.tick_params(colors=INK, labelsize=8.5, length=3)
     bar.set_label("inspected at, hours since the start", color=INK, fontsize=9)
     caption(panel, "points of the RSO, in its axes")

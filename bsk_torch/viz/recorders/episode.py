@@ -96,7 +96,7 @@ class Recorder:
         start = self.env.reset()
         self.note()
         for _, step in play_episodes(self.env, policy, start, first_row(self.env)):
-            self.actions.append(self.satellite.actions.entry_of(int(step["action"][0])))
+            self.actions.append(self.satellite.actions.entry_of(step["action"][0]))
             self.rewards.append(float(step["next", "reward"][0]))
             self.note()
 

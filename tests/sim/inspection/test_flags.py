@@ -9,9 +9,14 @@ import torch
 
 from bsk_torch.astro.ephemeris import earth_orientation, parse_utc, sun_position
 from bsk_torch.constants import R_EARTH
+from bsk_torch.sim.component import Field, vec
 from bsk_torch.sim.inspection.flags import GROUP, Records, find_flags
 from bsk_torch.sim.inspection.points import Point, faces, point_columns
+from bsk_torch.sim.trace import Trace
 from bsk_torch.vec3 import Vec3
+
+CHIEF = vec("sun_N"), vec("r_BN_N"), Field("other"), vec("sigma_BN"), Field("illumination"), vec("pole_N")
+INSPECTOR = Field("storage"), vec("r_BN_N")
 
 SUN = torch.tensor([0.0, 0.0, 1.5e11], dtype=torch.float64)
 POLE = torch.tensor([0.0, 1.0, 0.0], dtype=torch.float64)
@@ -26,8 +31,18 @@ def sphere(n: int, theta_max=0.5, range_max=250.0, theta_solar_max=1.0, least=0.
     return point_columns(radius * normal, normal, *limits)
 
 
-def chief_records(r, sigma, light, sun, pole) -> torch.Tensor:
-    return torch.cat([r, sigma, light, sun, pole], -1)
+def chief_trace(r, sigma, light, sun, pole) -> Trace:
+    """A trace of [N, K, 3] or [N, K, 1] each; the order of its fields does not matter."""
+    trace = Trace.room(CHIEF, torch.zeros(len(r), dtype=torch.int64), r.shape[1])
+    trace.table[:, :-1] = torch.cat([sun, r, light, sigma, light, pole], -1)
+    return trace
+
+
+def inspector_trace(r, level) -> Trace:
+    """A trace of [N, K, 3] and [N, K]."""
+    trace = Trace.room(INSPECTOR, torch.zeros(len(r), dtype=torch.int64), r.shape[1] - 1)
+    trace.table[:] = torch.cat([level.unsqueeze(-1), r], -1)
+    return trace
 
 
 def drawn(n: int, ticks: int, low: bool = False) -> Records:
@@ -37,12 +52,12 @@ def drawn(n: int, ticks: int, low: bool = False) -> Records:
         n, ticks, 3, dtype=torch.float64
     )
     sigma, light = torch.randn(n, ticks, 3, dtype=torch.float64), torch.rand(n, ticks, 1, dtype=torch.float64)
-    chief = chief_records(r, sigma, light, SUN.expand_as(r), POLE.expand_as(r))
+    chief = chief_trace(r, sigma, light, SUN.expand_as(r), POLE.expand_as(r))
     way = torch.randn(n, 2, ticks + 1, 3, dtype=torch.float64) * (2e5 if low else 100.0)
-    inspectors = torch.cat([r, r[:, -1:]], 1).unsqueeze(1) + way
-    level = torch.randint(0, 2, (n, 2, ticks + 1, 1)).double().cumsum(2)
-    records = torch.cat([inspectors, level], -1).flatten(0, 1).contiguous()
-    return Records(chief.contiguous(), records, torch.arange(n) % (ticks + 1), torch.arange(n) % 2, torch.arange(n) % 3)
+    inspectors = (torch.cat([r, r[:, -1:]], 1).unsqueeze(1) + way).flatten(0, 1)
+    level = torch.randint(0, 2, (2 * n, ticks + 1)).double().cumsum(1)
+    row = torch.arange(2 * n)
+    return Records(chief, row // 2, inspector_trace(inspectors, level), row, row // 2 % (ticks + 1), row // 2 % 2, row // 2 % 3)
 
 
 def test_every_flag_of_a_recording(recording, backend):
@@ -50,8 +65,8 @@ def test_every_flag_of_a_recording(recording, backend):
     file = recording("inspection_fine")
     given, chief, inspector = file["ic"][0], torch.tensor(file["tick_rso"]), torch.tensor(file["tick_sat"])
     et = parse_utc(given["utc_init"]) + torch.tensor(file["tick_time"])
-    at = chief_records(chief[:, :3], chief[:, 6:9], chief[:, 12:], sun_position(et), earth_orientation(et)[:, 2])
-    n, points = len(at), given["scenario"]
+    parts = chief[:, :3], chief[:, 6:9], chief[:, 12:], sun_position(et), earth_orientation(et)[:, 2]
+    n, points = len(et), given["scenario"]
     columns = sphere(
         points["n_points"],
         points["theta_max"],
@@ -61,13 +76,15 @@ def test_every_flag_of_a_recording(recording, backend):
         points["radius"],
     )
     # each tick is a run of two equal records in which the store grows
-    level = torch.tensor([0.0, 1.0, 2.0], dtype=torch.float64).view(1, 3, 1).expand(n, -1, -1)
+    level, zero, row = torch.tensor([0.0, 1.0, 2.0], dtype=torch.float64), torch.zeros(n, dtype=torch.int64), torch.arange(n)
     records = Records(
-        at.unsqueeze(1).repeat(1, 2, 1),
-        torch.cat([inspector[:, None, :3].expand(-1, 3, -1), level], -1).contiguous(),
-        torch.full((n,), 2),
-        torch.zeros(n, dtype=torch.int64),
-        torch.zeros(n, dtype=torch.int64),
+        chief_trace(*(part.unsqueeze(1).expand(-1, 2, -1) for part in parts)),
+        row,
+        inspector_trace(inspector[:, None, :3].expand(-1, 3, -1), level.expand(n, -1)),
+        row,
+        zero + 2,
+        zero,
+        zero,
     )
     inspected, lit = find_flags(columns, records, backend == "compiled")
     assert torch.equal(inspected, torch.tensor(file["tick_access"]))
@@ -83,7 +100,7 @@ def test_kernels_and_tensors_agree(points, low):
     """Runs of any length, several inspectors, points that differ between episodes; low orbits need the test of the Earth."""
     records = drawn(13, 6, low)
     columns = sphere(points, theta_max=1.2, range_max=-1.0, theta_solar_max=2.0)
-    own = torch.stack([columns.roll(k, -1) for k in range(13)], 1)
+    own = torch.stack([columns.roll(k // 2, -1) for k in range(26)], 1)
     for given in (columns, own):
         plain, compiled = (find_flags(given, records, kernels) for kernels in (False, True))
         assert torch.equal(plain[0], compiled[0])
@@ -97,7 +114,8 @@ def test_runs_do_not_depend_on_each_other(backend):
     records, columns = drawn(7, 5), sphere(9, theta_max=1.5, range_max=0.0)
     inspected, lit = find_flags(columns, records, backend == "compiled")
     assert not inspected[:2].any()
-    alone = Records(records.chief[3:4], records.inspectors[6:8], *(part[3:4] for part in records[2:]))
+    chief, chief_rows, inspectors, inspector_rows, *starts = records
+    alone = Records(chief, chief_rows[6:8], inspectors, inspector_rows[6:8], *(part[6:8] for part in starts))
     found = find_flags(columns, alone, backend == "compiled")
     assert torch.equal(found[0], inspected[6:8])
     assert torch.equal(found[1], lit[6:8])
@@ -108,12 +126,10 @@ def still(levels: list[float], seen_from: int = 0, lit_from: int = 0) -> Records
     n = len(levels) - 1
     r = torch.tensor([7e6, 0.0, 0.0], dtype=torch.float64).expand(1, n, 3)
     one = torch.ones(1, n, 1, dtype=torch.float64)
-    chief = chief_records(r, torch.zeros_like(r), one, SUN.expand_as(r), POLE.expand_as(r))
-    inspector = torch.tensor([7e6, 0.0, 100.0], dtype=torch.float64).expand(n + 1, 3)
-    levels = torch.tensor(levels, dtype=torch.float64).unsqueeze(-1)
-    records = torch.cat([inspector, levels], -1).unsqueeze(0)
-    starts = torch.tensor([n]), torch.tensor([seen_from]), torch.tensor([lit_from])
-    return Records(chief.contiguous(), records.contiguous(), *starts)
+    chief = chief_trace(r, torch.zeros_like(r), one, SUN.expand_as(r), POLE.expand_as(r))
+    inspector = torch.tensor([7e6, 0.0, 100.0], dtype=torch.float64).expand(1, n + 1, 3)
+    inspectors, row = inspector_trace(inspector, torch.tensor([levels], dtype=torch.float64)), torch.zeros(1, dtype=torch.int64)
+    return Records(chief, row, inspectors, row, row + n, row + seen_from, row + lit_from)
 
 
 def facing(*, theta_max=0.1) -> torch.Tensor:
@@ -175,10 +191,10 @@ def test_the_earth_is_an_ellipsoid(height, visible, backend):
     z = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
     one = torch.ones(1, n, 1, dtype=torch.float64)
     r_N = chief.expand(1, n, 3)
-    records = chief_records(r_N, torch.zeros_like(r_N), one, SUN.expand_as(r_N), z.expand_as(r_N))
+    there = chief_trace(r_N, torch.zeros_like(r_N), one, SUN.expand_as(r_N), z.expand_as(r_N))
     inspector = torch.tensor([-half, 0.0, r], dtype=torch.float64).expand(1, n + 1, 3)
-    level = torch.arange(3.0, dtype=torch.float64).view(1, 3, 1)
-    run = Records(records.contiguous(), torch.cat([inspector, level], -1), torch.tensor([n]), *torch.zeros(2, 1).long())
+    row = torch.zeros(1, dtype=torch.int64)
+    run = Records(there, row, inspector_trace(inspector, torch.arange(3.0).double().unsqueeze(0)), row, row + n, row, row)
     zero, off = torch.zeros(1, 3, dtype=torch.float64), torch.full((1,), -1.0, dtype=torch.float64)
     inspected, _ = find_flags(point_columns(zero, zero + z, off, off, off, off), run, backend == "compiled")
     assert inspected.item() is visible

@@ -1,0 +1,39 @@
+"""Networks of policies whose actions are real numbers."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from bsk_torch.rl.rules.real import Bounds
+
+INITIAL_SCALE = 0.5
+"""Deviation of actions at the start, before they are squashed into their bounds."""
+
+SCALES = (0.01, 2.0)
+"""Least and largest deviation."""
+
+
+class Bell(nn.Module):
+    """Means and deviations of normal distributions by a network; the deviations do not depend on the situation."""
+
+    def __init__(self, network: nn.Module, width: int) -> None:
+        """``network`` gives the ``width`` means."""
+        super().__init__()
+        self.network = network
+        self.log_scale = nn.Parameter(torch.full((width,), math.log(INITIAL_SCALE)))
+
+    def forward(self, *seen: Tensor) -> tuple[Tensor, Tensor]:
+        """Means and deviations, [..., A] each."""
+        loc = self.network(*seen)
+        low, high = map(math.log, SCALES)
+        return loc, self.log_scale.clamp(low, high).exp().expand_as(loc)
+
+
+def squashed(bounds: Bounds) -> dict[str, Any]:
+    """Return the arguments of TorchRL's ``TanhNormal`` beside mean and deviation."""
+    low, high = torch.tensor(bounds, dtype=torch.float32).unbind(-1)
+    return {"low": low, "high": high}

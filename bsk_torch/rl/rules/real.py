@@ -1,0 +1,55 @@
+"""Actions of real numbers: their bounds, and random ones."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor
+
+from bsk_torch.env import SatelliteTasking
+from bsk_torch.env.action_forms import form
+
+Bounds = tuple[tuple[float, float], ...]
+"""Lowest and highest value of each number of an action; empty where actions are chosen by their numbers."""
+
+
+def bounds_of(env: SatelliteTasking) -> Bounds:
+    """Return the bounds of the actions of an environment.
+
+    Raises:
+        ValueError: For bounds that are infinite, between which nothing can be drawn, and for hybrid actions.
+    """
+    builder = form(env.satellite)
+    if builder is None:
+        return ()
+    title = f"action {builder.entry.name!r} of {env.satellite.name}"
+    if builder.is_hybrid:
+        raise ValueError(
+            f"{title} has real numbers and a choice, which networks here do not learn; write an act.ContinuousAction whose last "
+            "number is the choice"
+        )
+    pairs = tuple(zip(builder.low.tolist(), builder.high.tolist(), strict=True))
+    endless = [
+        f"{name} in {list(pair)}" for name, pair in zip(builder.names, pairs, strict=True) if not all(map(math.isfinite, pair))
+    ]
+    if endless:
+        raise ValueError(
+            f"{title} has infinite bounds ({', '.join(endless)}); give it finite ones, such as "
+            "act.ImpulsiveThrust(max_dv=1.0, max_drift_duration=600.0), to learn or to draw actions"
+        )
+    return pairs
+
+
+def spread(lot: Tensor, bounds: Bounds) -> Tensor:
+    """Return actions [..., A] that are uniform within their bounds, by uniform numbers [...] of float64, one for each action.
+
+    Each number of an action takes its own binary digits of the lot.
+    """
+    values, digits = [], 2.0 ** (48 // len(bounds))
+    for low, high in bounds:
+        lot = lot * digits
+        whole = lot.floor()
+        lot = lot - whole
+        values.append(low + (whole + 0.5) / digits * (high - low))
+    return torch.stack(values, -1)
