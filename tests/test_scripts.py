@@ -47,6 +47,12 @@ STARTS: dict[str, list[Start]] = {
     "benchmarks/inspection.py": [
         Start("--batch 2 --turns 1 --seconds 0.1 --warm-up 1 --only 1 manoeuvres", r"\| manoeuvres \| 2 \| [\d,.]+ \| - \|")
     ],
+    "benchmarks/inspection_rules.py": [
+        Start(
+            "--episodes 2 --time-limit 700 --backend eager",
+            r"\| RSOInspection-v1 \| survey \| waypoints \| 0.0% \| nan \|",
+        ),
+    ],
     "benchmarks/manoeuvres.py": [
         Start(
             "--batches 2 --targets 20 --rounds 1 --drift 2 --backend eager",
