@@ -69,14 +69,14 @@ def test_inspections_play(name):
     env, inspectors = bsk_torch.make(name, num_envs=64, seed=4), INSPECTIONS[name]
     assert {group: len(agents) for group, agents in env.group_map.items()} == {"chief": 1, "inspector": inspectors}
     td = env.reset()
-    assert td["inspector", "observation"].shape == (64, inspectors, 29 + 7 * (inspectors - 1))
+    assert td["inspector", "observation"].shape == (64, inspectors, 61 + 7 * (inspectors - 1))
     elements = env.satellites[0].dynamics.elements
     low, high = ((elements.a * (1.0 + sign * elements.e) - 6371e3) / 1e3 for sign in (-1.0, 1.0))
     assert 499.9 < low.min() < high.max() < 1100.1
     distance = td["inspector", "observation"][..., 2:5].norm(dim=-1) * 500.0
     assert 250.0 <= distance.min() < 350.0
     assert 650.0 < distance.max() <= 750.0
-    others = td["inspector", "observation"][..., 29:].unflatten(-1, (-1, 7)) if inspectors > 1 else None
+    others = td["inspector", "observation"][..., 61:].unflatten(-1, (-1, 7)) if inspectors > 1 else None
     if others is not None:
         position = td["inspector", "observation"][..., 2:5]
         for k in range(inspectors):
