@@ -56,7 +56,7 @@ class ContinuousAction:
     """
 
     satellite: Any
-    given_dtype: torch.dtype = torch.float64
+    given_dtype: Any = torch.float64
     fsw_type: type[FSWModel] | None = None
 
     def __init__(self, name: str) -> None:

@@ -12,6 +12,7 @@ from bsk_torch import NO_ACTION, ConstellationTasking, SatelliteTasking, act, da
 from bsk_torch.env.action_forms import OpenBox, box
 from bsk_torch.sim import dyn, fsw
 from tests.act.thrust_image import ThrustImageBox, ThrustImageHybrid
+from tests.env.test_state import N, strays
 
 START = dict(oe=None, rN=[6.9e6, 0.0, 0.0], vN=[0.0, 6080.0, 4560.0])
 
@@ -316,6 +317,13 @@ class TestState:
         saved["satellites_0", "task", "action"][0, 0] = torch.nan
         with pytest.raises(ValueError, match=r"task\.action"):
             other.restore(saved)
+
+    @pytest.mark.parametrize("entry", [Choose("choose"), act.ImpulsiveThrust(max_dv=1.0)], ids=["hybrid", "thrust"])
+    def test_tensors_of_the_batch_are_declared_or_derived(self, entry):
+        models = (dyn.DynamicsModel, fsw.MagicOrbitalManeuverFSWModel)
+        env = alone(entry, num_envs=N, models=models, time_limit=30.0, max_step_duration=5.0)
+        env.rollout(8)
+        assert not strays(env)
 
     def test_episodes_do_not_depend_on_the_batch(self):
         actions = torch.rand(3, 4, 3, dtype=torch.float64) * 2.0 - 1.0

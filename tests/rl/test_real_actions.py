@@ -19,6 +19,7 @@ from bsk_torch.rl.rules.shield import SafeRule, shield
 from bsk_torch.rl.training.config import PPOConfig
 from bsk_torch.rl.training.trainer import resume, train
 from bsk_torch.sim import dyn, fsw
+from bsk_torch.viz.episodes import draw, record
 from tests.act.test_continuous import START, Choose, kind
 
 TARGET = torch.tensor([0.3, -0.2, 0.1], dtype=torch.float64)
@@ -139,6 +140,14 @@ class TestPPO:
         after = resume(tmp_path / "run")
         states = [list(policy.parameters()) for policy in (before, after)]
         assert any(not torch.equal(a, b) for a, b in zip(*states, strict=True))
+
+
+def test_episodes_are_drawn(tmp_path):
+    env = turner()
+    draw(record(shared_baselines(env)["random"], env, seed=0), tmp_path / "one.png", "one")
+    team = crew()
+    draw(record(shared_baselines(team)["random"], team, seed=0), tmp_path / "crew.png", "crew")
+    assert all((tmp_path / name).stat().st_size > 10_000 for name in ("one.png", "crew.png"))
 
 
 class TestMAPPO:

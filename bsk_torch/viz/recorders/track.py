@@ -63,8 +63,8 @@ class TrackRecorder(Recorder):
         )
 
     def _stations(self) -> Tensor:
-        kinds = self.simulator.access.kinds  # type: ignore[union-attr]
-        station = kinds.get("ground_station")
+        access = self.simulator.access
+        station = None if access is None else access.kinds.get("ground_station")
         return (
             torch.empty(0, 3, dtype=torch.float64) if station is None else station(self.simulator.state.all_rows).r_LP_P[0].cpu()
         )
