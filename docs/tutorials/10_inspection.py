@@ -63,8 +63,8 @@ print("fuel, m/s", env.satellites[1].fsw.dv_available.tolist())
 # -----------
 #
 # *Drift* never thrusts: a small difference of the orbits' periods carries the inspector away, and it dies 1000 m from the RSO.
-# *Circumnavigate* cancels that difference, and flies around the RSO without further manoeuvres, but at the distance at which it
-# started. *Survey* comes near, and looks for points that are missing.
+# *Circumnavigate* cancels that difference every ten minutes, and flies around the RSO, but at the distance at which it started.
+# *Survey* comes near, and looks for points that are missing.
 from bsk_torch.rl.evaluation import evaluate
 
 env = bsk_torch.make("RSOInspection-v1", num_envs=EPISODES, time_limit=SECONDS)
@@ -75,11 +75,12 @@ for rule in ("drift", "circumnavigate", "survey"):
     print(f"{rule:15} return {result.mean_return}, {points:3.0f} points, {complete:4.0%} complete, {spent:.1f} m/s")
 
 # %%
-# Around the RSO without fuel
-# ~~~~~~~~~~~~~~~~~~~~~~~~~~~
+# Around the RSO with little fuel
+# ~~~~~~~~~~~~~~~~~~~~~~~~~~~~~~~
 #
 # Near a circular orbit, relative motion follows the equations of Clohessy and Wiltshire. An orbit of the same period is, seen
-# from the RSO, an ellipse that is twice as long as it is high:
+# from the RSO, an ellipse that is twice as long as it is high. Since the RSO's orbit is not quite circular, small corrections
+# are needed:
 env = bsk_torch.make("RSOInspection-v1", num_envs=1, time_limit=min(SECONDS, 17_100.0))
 episode = record(shared_baseline("circumnavigate", env), env, seed=6)
 path = draw(episode, "circumnavigation.png", "natural motion")
