@@ -122,6 +122,7 @@ RECORDED = {
     "record_los": "basilisk/recordings/los_two_seconds",
     "record_manoeuvres": "basilisk/recordings/manoeuvre_kick",
     "record_models": "basilisk/recordings/models_pointing",
+    "record_setpoints": "basilisk/recordings/setpoint_imposed",
     "record_modules": "sim/data/controller",
 }
 """A short recording of each recorder."""
