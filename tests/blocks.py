@@ -23,6 +23,8 @@ SHORT = {
     "list": "",
     "schedule": "",
     "explain": "--seeds 0:1",
+    "bench": "--episodes 2",
+    "benchmarks/inspection_rules.py": "--episodes 2 --time-limit 600",
     "args": "",
     "examples/curriculum.py": "--num-envs 2 --steps 2",
     "examples/share_intent.py": "--minutes 0.02 --episodes 2 --time-limit 300",

@@ -9,6 +9,7 @@ from typing import Any
 import typer
 from typer.core import TyperGroup
 
+from bsk_torch.cli.bench import bench
 from bsk_torch.cli.evaluate import evaluate_policy
 from bsk_torch.cli.explain import explain_failures
 from bsk_torch.cli.kernels import build_kernels
@@ -70,6 +71,7 @@ def show_arguments(preset: Preset) -> None:
     typer.echo(f"sat_args\n{env.default_sat_args()!r}\n\nworld_args\n{env.default_world_args()!r}")
 
 
+app.command("bench")(bench)
 app.command("build-kernels")(build_kernels)
 app.command("eval")(evaluate_policy)
 app.command("explain")(explain_failures)

@@ -22,6 +22,9 @@ from bsk_torch.rl.rules.baselines import LOT
 FRESH = 1_000_003
 """Added to the seed of training to get the seed of evaluation, whose episodes are new to the policy."""
 
+SUITE_SEEDS = range(2**60, 2**60 + 2**20)
+"""Seeds of the episodes of suites (:mod:`bsk_torch.rl.evaluation.suite`), which trainings refuse."""
+
 
 @dataclass(frozen=True)
 class Evaluation:

@@ -17,6 +17,7 @@ from omegaconf.errors import OmegaConfBaseException
 from bsk_torch.env import SatelliteTasking
 from bsk_torch.files import write_file
 from bsk_torch.presets import make
+from bsk_torch.rl.evaluation.evaluate import FRESH, SUITE_SEEDS
 from bsk_torch.rl.networks.plans import check_network
 from bsk_torch.rl.policies.files import LOGS
 from bsk_torch.sim.params import nearest
@@ -164,6 +165,9 @@ class PPOConfig:
             _check_whole("hidden", width, 1, WIDEST)
         if not isinstance(self.stagger, bool):
             raise ValueError(f"stagger={self.stagger!r} must be True or False")
+        for seed in (self.seed, self.seed + FRESH):
+            if seed in SUITE_SEEDS:
+                raise ValueError(f"seed={self.seed}: episodes of seed {seed} belong to suites, in which policies are compared")
         self._check_options()
         self._check_names()
         if self.collector != "single" and self.num_envs % self.workers:

@@ -21,7 +21,7 @@ from torch import Tensor
 from bsk_torch.viz.figures.style import FAINT, INK, PALETTE, caption, dot, headline, label, save, tidy
 from bsk_torch.viz.figures.timeline import HOUR, NIGHT, spacing
 
-__all__ = ["InspectionEpisode", "draw_paths", "inspection_figure"]
+__all__ = ["InspectionEpisode", "inspection_figure"]
 
 HEIGHTS = (3.5, 3.2)
 """Heights of the paths, and of what is below them, inches."""
@@ -132,7 +132,7 @@ def inspection_figure(episode: InspectionEpisode, path: Path, title: str = "") -
     above, below = figure.subfigures(2, 1, height_ratios=HEIGHTS)  # type: ignore[misc]
     for panel, (x, y, near) in zip(above.subplots(1, 3), VIEWS, strict=True):
         tidy(panel)
-        draw_paths(panel, episode, x, y, near)
+        _draw_paths(panel, episode, x, y, near)
         caption(panel, "near the RSO" if near else "paths about the RSO")
         panel.set_xlabel(f"{AXES[x]}, m", color=INK, fontsize=9.5)
         panel.set_ylabel(f"{AXES[y]}, m", color=INK, fontsize=9.5, labelpad=0.0)
@@ -153,7 +153,7 @@ def inspection_figure(episode: InspectionEpisode, path: Path, title: str = "") -
 # -- paths -----------------------------------------------------------------------------------------------------------------------
 
 
-def draw_paths(panel: Axes, episode: InspectionEpisode, x: int, y: int, near: bool) -> None:
+def _draw_paths(panel: Axes, episode: InspectionEpisode, x: int, y: int, near: bool) -> None:
     """Draw the paths about the RSO, with manoeuvres, into a panel.
 
     Args:

@@ -1,0 +1,206 @@
+"""``bsk-torch bench``: policies of any library in the frozen episodes of a suite."""
+
+from __future__ import annotations
+
+import json
+import platform
+import sys
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import asdict
+from datetime import UTC, datetime
+from importlib import import_module
+from importlib.metadata import version
+from pathlib import Path
+from typing import Annotated, Any
+
+import torch
+import typer
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.table import Table
+
+from bsk_torch.cli.policies import PRETRAINED, NamedPolicy, named_policy
+from bsk_torch.cli.results import WIDE
+from bsk_torch.cli.shared import Backend, Device, Threads, check_writable, console, fail
+from bsk_torch.env import Tasking
+from bsk_torch.env.rollout import Policy
+from bsk_torch.files import write_file
+from bsk_torch.rl.evaluation.statistics import confidence
+from bsk_torch.rl.evaluation.suite import EPISODES, VIEWS, Entrant, Score, normalised, play, references, tasks_of
+from bsk_torch.rl.policies.pretrained import makings
+from bsk_torch.rl.policies.shared_policy import baseline, shared
+from bsk_torch.rl.rules.baselines import BASELINES
+from bsk_torch.sim.params import nearest
+
+FORMAT = 1
+"""Version of the layout of the JSON file."""
+
+
+def bench(
+    policies: Annotated[
+        list[str],
+        typer.Argument(
+            help=f"'pretrained', a baseline ({', '.join(BASELINES)}), also with a view of the presets such as "
+            "survey,actions=waypoints, the folder or file of a policy, or a function of your own as package.module:function."
+        ),
+    ],
+    suite: Annotated[str, typer.Option(help="Name of the suite.")] = "v1",
+    presets: Annotated[str | None, typer.Option(help="Some of its presets only, separated by commas.")] = None,
+    episodes: Annotated[int, typer.Option(min=1, max=EPISODES, help="The first so many episodes of each task only.")] = EPISODES,
+    beside: Annotated[list[Path] | None, typer.Option(help="JSON file of an earlier run, whose policies are shown, too.")] = None,
+    out: Annotated[Path | None, typer.Option(help="JSON file for results and returns of all episodes.")] = None,
+    threads: Threads = 1,
+    backend: Backend = "compiled",
+    device: Device = "cpu",
+) -> None:
+    """Play the frozen episodes of a suite, the same for every policy, and compare.
+
+    Scores are returns, 0 for random actions and 1 for the best that is known for the task. A policy that does not fit a preset
+    has no score there.
+    """
+    torch.set_num_threads(threads)
+    check_writable(out)
+    try:
+        tasks = tasks_of(suite, presets)
+    except ValueError as error:
+        fail(str(error))
+    entrants = {name: entrant_of(name) for name in policies}
+    results = earlier(beside or [], suite, episodes)
+    for name in entrants:
+        if name in results:
+            fail(f"{name!r} is also among the results of --beside; the suite has one row for each policy")
+    known = references(suite)
+    for name, entrant in entrants.items():
+        results[name] = {}
+        for task in tasks:
+            with console.status(f"{name}: {task.preset}"):
+                try:
+                    score = play(task, entrant, episodes, backend=backend, device=device)
+                except (TypeError, ValueError) as error:
+                    fail(f"{name}: {error}")
+            if score is not None:
+                results[name][task.preset] = told(score, known.get(task.preset))
+    print_suite(results, [task.preset for task in tasks], f"suite {suite}, {episodes} of {EPISODES} episodes of each task")
+    if out is not None:
+        write_file(out, json.dumps(document(suite, episodes, results), indent=1) + "\n")
+    idle = [name for name in entrants if not results[name]]
+    if idle:
+        fail(f"no preset among {', '.join(task.preset for task in tasks)} fits {', '.join(idle)}")
+
+
+def entrant_of(name: str) -> Entrant:
+    """Return what enters the policy that the command line names; ends the program if there is none."""
+    if name == PRETRAINED:
+        return lambda preset, make: entered(named_policy(name, preset), make) if preset in makings() else None
+    plain, *views = name.split(",")
+    if plain in BASELINES:
+        chosen = dict(view_of(view) for view in views)
+        return lambda preset, make: rule(plain, chosen, make)
+    module, colon, function = name.partition(":")
+    if colon and not Path(name).exists():
+        return imported(module, function)
+    policy = named_policy(name, None)
+    return lambda preset, make: entered(policy, make) if preset == policy.preset else None
+
+
+def entered(policy: NamedPolicy, make: Callable[..., Tasking]) -> tuple[Tasking, Policy]:
+    """Enter a policy of a file, in an environment with the views that it was trained with."""
+    task_options = ("time_limit",)  # lengths of the training's episodes
+    env = make(**{name: value for name, value in policy.card.get("options", {}).items() if name not in task_options})
+    return env, shared(policy.build(env, str(env.device)), env)
+
+
+def rule(name: str, views: Mapping[str, Any], make: Callable[..., Tasking]) -> tuple[Tasking, Policy] | None:
+    """Enter a baseline; None where the preset has no such view, or the baseline is for other observations or actions."""
+    try:
+        env = make(**views)
+        return env, shared(baseline(name, env), env)
+    except (KeyError, TypeError, ValueError):
+        return None
+
+
+def view_of(text: str) -> tuple[str, Any]:
+    """Return name and value of ``NAME=VALUE``; ends the program for other texts and names."""
+    name, sign, value = text.partition("=")
+    if not sign or name not in VIEWS:
+        fail(f"{text!r} must be NAME=VALUE with a NAME among {', '.join(VIEWS)}; {nearest(name, VIEWS)}")
+    return name, {"True": True, "False": False}.get(value, value)
+
+
+def imported(module: str, function: str) -> Entrant:
+    """Return a function of the user's; ends the program if it cannot be imported."""
+    if str(Path.cwd()) not in sys.path:
+        sys.path.insert(0, str(Path.cwd()))  # where a user's module is, as python -m would find it
+    try:
+        found = getattr(import_module(module), function)
+    except (ImportError, AttributeError) as error:
+        fail(f"{module}:{function} cannot be imported: {error}")
+    if not callable(found):
+        fail(f"{module}:{function} is no function of a preset's name and make")
+    return found
+
+
+def told(score: Score, reference: Mapping[str, Any] | None) -> dict[str, Any]:
+    """Return what a file says about a score; the score proper where the suite has a reference for the task."""
+    evaluation = score.evaluation
+    rated = {} if reference is None else {"score": asdict(normalised(evaluation, reference))}
+    summary = {name: value for name, value in evaluation.summary().items() if name != "gain"}
+    return rated | summary | {"seconds_per_decision": score.seconds, "returns": evaluation.returns.tolist()}
+
+
+def earlier(files: Iterable[Path], suite: str, episodes: int) -> dict[str, dict[str, Any]]:
+    """Return the results of earlier runs, by policy; ends the program for those of another suite or number of episodes."""
+    results: dict[str, dict[str, Any]] = {}
+    for path in files:
+        try:
+            kept = json.loads(path.read_text())
+            made = (kept["format"], kept["suite"], kept["episodes"])
+            policies = kept["policies"]
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            fail(f"{str(path)!r} is no result of bsk-torch bench: {type(error).__name__}: {error}")
+        if made != (FORMAT, suite, episodes):
+            fail(f"{str(path)!r} has format, suite and episodes {made}; this run has {(FORMAT, suite, episodes)}")
+        results |= policies
+    return results
+
+
+def document(suite: str, episodes: int, results: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the content of the JSON file."""
+    return {
+        "format": FORMAT,
+        "suite": suite,
+        "episodes": episodes,
+        "bsk_torch": version("bsk_torch"),
+        "torch": str(torch.__version__),
+        "machine": platform.processor() or platform.machine(),
+        "date": datetime.now(UTC).date().isoformat(),
+        "policies": results,
+    }
+
+
+def print_suite(results: Mapping[str, Mapping[str, Any]], presets: list[str], title: str) -> None:
+    """Print a table for each task: policies by return, the paired gain of the best over each, survival and computation."""
+    for preset in presets:
+        rows = {name: result[preset] for name, result in results.items() if preset in result}
+        if not rows:
+            continue
+        order = sorted(rows, key=lambda name: -rows[name]["return"]["mean"])
+        table = Table(title=f"{preset}, {title}", title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
+        for column in ("policy", "score", "return", f"gain of {order[0]}", "survival", "ms per decision"):
+            table.add_column(column, justify="left" if column == "policy" else "right")
+        for name in order:
+            table.add_row(name, *cells(rows[name], rows[order[0]]))
+        Console(width=WIDE).print(table)
+
+
+def cells(row: Mapping[str, Any], best: Mapping[str, Any]) -> list[str]:
+    """Return the cells of a policy after its name."""
+    score = "" if "score" not in row else "{mean:.3f} ± {half_width:.3f}".format(**row["score"])
+    gain = confidence(torch.tensor(best["returns"], dtype=torch.float64) - torch.tensor(row["returns"], dtype=torch.float64))
+    return [
+        score,
+        "{mean:.3f} ± {half_width:.3f}".format(**row["return"]),
+        "" if row is best else f"{gain.mean:+.3f} ± {gain.half_width:.3f}",
+        f"{row['survival']:.1%}",
+        f"{1e3 * row['seconds_per_decision']:.3f}",
+    ]

@@ -1,0 +1,196 @@
+"""Suites of tasks with frozen episodes, in which policies of any library are compared.
+
+A task of a suite is a preset with its options and the seeds of its episodes. They never change: a suite that needs another task,
+or a preset whose decision process changes, gets a new name.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import torch
+from tensordict import TensorDictBase
+from tensordict.nn import TensorDictModuleBase
+
+from bsk_torch.env import Tasking
+from bsk_torch.env.rollout import Policy
+from bsk_torch.presets import PRESETS, make
+from bsk_torch.rl.evaluation.evaluate import SUITE_SEEDS, Evaluation, evaluate
+from bsk_torch.rl.evaluation.statistics import Estimate, confidence
+from bsk_torch.sim.params import nearest
+
+__all__ = ["EPISODES", "SUITES", "VIEWS", "Entrant", "Score", "Task", "normalised", "play", "references", "tasks_of"]
+
+EPISODES = 1024
+"""Episodes of each task."""
+
+VIEWS = ("as_set", "shielded", "actions")
+"""Options of presets that say how a policy observes and acts, and leave the task as it is; each policy may choose them."""
+
+
+@dataclass(frozen=True)
+class Task:
+    """A preset and its frozen episodes.
+
+    Attributes:
+        preset: Name of the environment.
+        first_seed: Seed of the first episode; the others follow.
+        at_once: Episodes that are played side by side, so that they fit into memory. Results do not depend on it.
+        options: Arguments of the environment that differ from the preset's.
+    """
+
+    preset: str
+    first_seed: int
+    at_once: int
+    options: Mapping[str, Any] = field(default_factory=dict)
+
+    def seeds(self, episodes: int = EPISODES) -> range:
+        """Seeds of the first ``episodes``; ValueError for none, or more than there are."""
+        if not 1 <= episodes <= EPISODES:
+            raise ValueError(f"episodes={episodes} must lie in [1, {EPISODES}]")
+        return range(self.first_seed, self.first_seed + episodes)
+
+    def environment(self, episodes: int = EPISODES, **views: Any) -> Tasking:
+        """Return environments for the episodes; ``views`` are those options in :data:`VIEWS` that differ from the preset's.
+
+        Raises:
+            ValueError: For options that would make another task, and values that the preset refuses.
+        """
+        for name in views:
+            if name not in (*VIEWS, "backend", "device"):
+                raise ValueError(f"{name}={views[name]!r} would change the task {self.preset}; policies choose among {VIEWS}")
+        size = min(len(self.seeds(episodes)), self.at_once)
+        return make(self.preset, num_envs=size, env_ids=[0] * size, **self.options, **views)
+
+
+SINGLE, TEAM = 512, 128
+"""Episodes side by side of one satellite, and of many."""
+
+SUITES: dict[str, tuple[Task, ...]] = {
+    "v1": tuple(
+        Task(preset, SUITE_SEEDS[EPISODES * k], TEAM if "Constellation" in preset or "Inspection" in preset else SINGLE)
+        for k, preset in enumerate(
+            (
+                "NadirScan-v1",
+                "AEOS-v1",
+                "AEOSPower-v1",
+                "AEOSCity-v1",
+                "CloudyAEOS-v1",
+                "Constellation-v1",
+                "AEOSConstellation-v1",
+                "RelayConstellation-v1",
+                "RSOInspection-v1",
+                "MultiInspection-v1",
+            )
+        )
+    ),
+}
+"""Tasks by the name of the suite."""
+
+
+def tasks_of(suite: str, presets: str | None = None) -> tuple[Task, ...]:
+    """Tasks of a suite, or those of some ``presets``, separated by commas.
+
+    Raises:
+        ValueError: For an unknown suite or preset; the message names the nearest.
+    """
+    if suite not in SUITES:
+        raise ValueError(f"suite={suite!r} is not a suite; {nearest(suite, SUITES)}")
+    tasks = {task.preset: task for task in SUITES[suite]}
+    if presets is None:
+        return tuple(tasks.values())
+    wanted = presets.split(",")
+    for name in wanted:
+        if name not in tasks:
+            raise ValueError(f"preset {name!r} is not in the suite {suite}; {nearest(name, PRESETS)}")
+    return tuple(tasks[name] for name in dict.fromkeys(wanted))
+
+
+Entrant = Callable[[str, Callable[..., Tasking]], tuple[Tasking, Policy] | None]
+"""Enters a policy: function of a preset's name and of what makes its environment, ``make(**views)``, to that environment and a
+policy for it, which writes the actions into what the environment returns; None for presets that it has no policy for."""
+
+
+@dataclass(frozen=True)
+class Score:
+    """What a policy reached in a task.
+
+    Attributes:
+        evaluation: Results of the episodes.
+        seconds: Computation of the policy for one decision of one satellite, s, in batches of the task's size.
+    """
+
+    evaluation: Evaluation
+    seconds: float
+
+
+class Timed(TensorDictModuleBase):
+    """A policy, and the time that it takes."""
+
+    def __init__(self, policy: Policy) -> None:
+        """Time ``policy``, which need not be a module of tensordict."""
+        super().__init__()
+        self.policy, self.seconds = policy, 0.0
+        self.in_keys = list(getattr(policy, "in_keys", []))
+        self.out_keys = list(getattr(policy, "out_keys", []))
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Write what the policy writes."""
+        start = time.perf_counter()
+        tensordict = self.policy(tensordict)
+        self.seconds += time.perf_counter() - start
+        return tensordict
+
+
+def play(task: Task, entrant: Entrant, episodes: int = EPISODES, **options: Any) -> Score | None:
+    """Play the first ``episodes`` of a task with the policy that ``entrant`` enters; None where it has none.
+
+    Args:
+        task: The task.
+        entrant: See :data:`Entrant`.
+        episodes: Number of episodes.
+        **options: ``backend`` and ``device`` of the environment.
+
+    Raises:
+        TypeError, ValueError: If the entrant returns something else, or an environment of another task.
+    """
+    made: list[Tasking] = []
+
+    def environment(**views: Any) -> Tasking:
+        made.append(task.environment(episodes, **(options | views)))
+        return made[-1]
+
+    entered = entrant(task.preset, environment)
+    if entered is None:
+        return None
+    if not isinstance(entered, tuple) or len(entered) != 2 or not callable(entered[1]):
+        raise TypeError(f"for {task.preset}, the entrant returned {entered!r}; it must return (env, policy), or None")
+    env, policy = entered
+    if not any(env is one for one in made):
+        raise ValueError(f"for {task.preset}, the entrant returned an environment that make() has not returned to it")
+    timed = Timed(policy)
+    with torch.no_grad():
+        evaluation = evaluate(timed, env, seeds=task.seeds(episodes))
+    return Score(evaluation, timed.seconds / max(int(evaluation.decisions.sum()), 1))
+
+
+@cache
+def references(suite: str) -> dict[str, dict[str, Any]]:
+    """Returns between which those of a suite are normalised, by preset: ``low`` and ``high``, each with its mean and its source.
+
+    ``low`` is the policy that acts at random; ``high`` the best that is known for the task, a bound, a planner or a policy.
+    They are means over all frozen episodes, and belong to the suite as its episodes do.
+    """
+    return json.loads((Path(__file__).parent / "suites" / f"{suite}.json").read_text())
+
+
+def normalised(evaluation: Evaluation, reference: Mapping[str, Any]) -> Estimate:
+    """Return, 0 for random actions and 1 for the reference, with its 95 % confidence interval, in which the two are fixed."""
+    low, high = reference["low"]["return"], reference["high"]["return"]
+    return confidence((evaluation.returns - low) / (high - low))

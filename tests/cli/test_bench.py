@@ -1,0 +1,71 @@
+"""``bsk-torch bench``."""
+
+import json
+
+import pytest
+
+pytestmark = pytest.mark.compiled
+
+TWO = ["--presets", "NadirScan-v1", "--episodes", "2"]
+
+
+def test_policies_are_compared_in_the_same_episodes(run, tmp_path):
+    out = tmp_path / "bench.json"
+    result = run("bench", "random", "rule", "pretrained", *TWO, "--out", out)
+    assert result.exit_code == 0, result.output
+    kept = json.loads(out.read_text())
+    assert (kept["suite"], kept["episodes"], list(kept["policies"])) == ("v1", 2, ["random", "rule", "pretrained"])
+    for row in kept["policies"].values():
+        told = row["NadirScan-v1"]
+        assert sum(told["returns"]) / 2 == pytest.approx(told["return"]["mean"], abs=1e-12)
+        assert 0.0 < told["seconds_per_decision"] < 1.0
+    assert all(name in result.output for name in ("NadirScan-v1, suite v1, 2 of 1024", *kept["policies"]))
+
+
+def test_results_of_earlier_runs_stand_beside(run, tmp_path):
+    out = tmp_path / "random.json"
+    assert run("bench", "random", *TWO, "--out", out).exit_code == 0
+    result = run("bench", "rule", *TWO, "--beside", out, "--out", tmp_path / "both.json")
+    assert result.exit_code == 0, result.output
+    assert list(json.loads((tmp_path / "both.json").read_text())["policies"]) == ["random", "rule"]
+    again = run("bench", "random", *TWO, "--beside", out)
+    assert again.exit_code == 1
+    assert "'random' is also among the results of --beside" in again.output
+    other = run("bench", "rule", "--presets", "NadirScan-v1", "--episodes", "3", "--beside", out)
+    assert other.exit_code == 1
+    assert "(1, 'v1', 2); this run has (1, 'v1', 3)" in other.output
+
+
+def test_a_function_may_enter_a_policy(run, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend("")
+    (tmp_path / "lazy_entrant.py").write_text(
+        "import torch\n"
+        "from tensordict.nn import TensorDictModule\n"
+        "def enter(preset, make):\n"
+        "    charge = lambda x: torch.ones(x.shape[0], dtype=torch.int64)\n"
+        "    return make(), TensorDictModule(charge, in_keys=['observation'], out_keys=['action'])\n"
+    )
+    result = run("bench", "lazy_entrant:enter", *TWO)
+    assert result.exit_code == 0, result.output
+    assert "lazy_entrant:enter" in result.output
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["random", "--suite", "v0"], "suite='v0' is not a suite; did you mean 'v1'"),
+        (["random", "--presets", "NadirScan"], "preset 'NadirScan' is not in the suite v1; did you mean 'NadirScan-v1'"),
+        (["randon"], "'randon' is neither a run with a policy.pt, nor such a file, nor a baseline"),
+        (["survey,action=waypoints"], "NAME=VALUE with a NAME among as_set, shielded, actions; did you mean 'actions'"),
+        (["nobody:enter"], "nobody:enter cannot be imported"),
+        (["json:nothing"], "json:nothing cannot be imported"),
+        (["json:__doc__"], "json:__doc__ is no function"),
+        (["random", "--beside", "pyproject.toml"], "'pyproject.toml' is no result of bsk-torch bench"),
+        (["hasty", *TWO], "no preset among NadirScan-v1 fits hasty"),
+    ],
+)
+def test_errors_before_anything_runs(run, arguments, message):
+    result = run("bench", *arguments)
+    assert result.exit_code == 1
+    assert message in result.output

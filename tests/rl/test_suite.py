@@ -1,0 +1,125 @@
+"""Suites: frozen episodes, the same for every policy, and scores."""
+
+import pytest
+import torch
+from tensordict.nn import TensorDictModule
+
+from bsk_torch.presets import PRESETS
+from bsk_torch.rl.evaluation.evaluate import SUITE_SEEDS, evaluate
+from bsk_torch.rl.evaluation.suite import EPISODES, SUITES, Timed, normalised, play, references, tasks_of
+from bsk_torch.rl.rules.baselines import random_policy
+from bsk_torch.rl.training.config import PPOConfig
+
+NADIR = tasks_of("v1", "NadirScan-v1")[0]
+
+
+def idle(preset, make):
+    """Enters a policy that always scans."""
+    env = make()
+    return env, TensorDictModule(lambda x: torch.zeros(x.shape[0], dtype=torch.int64), ["observation"], ["action"])
+
+
+def test_every_preset_is_in_the_suite_once_with_episodes_of_its_own():
+    tasks = SUITES["v1"]
+    assert sorted(task.preset for task in tasks) == sorted(PRESETS)
+    seeds = [seed for task in tasks for seed in task.seeds()]
+    assert len(set(seeds)) == len(seeds) == EPISODES * len(tasks)
+    assert all(seed in SUITE_SEEDS for seed in seeds)
+
+
+def test_frozen_seeds_stay():
+    # a suite is its seeds: published scores are of these
+    assert {task.preset: task.first_seed - 2**60 for task in SUITES["v1"]} == {
+        "NadirScan-v1": 0,
+        "AEOS-v1": 1024,
+        "AEOSPower-v1": 2048,
+        "AEOSCity-v1": 3072,
+        "CloudyAEOS-v1": 4096,
+        "Constellation-v1": 5120,
+        "AEOSConstellation-v1": 6144,
+        "RelayConstellation-v1": 7168,
+        "RSOInspection-v1": 8192,
+        "MultiInspection-v1": 9216,
+    }
+
+
+@pytest.mark.parametrize("seed", [2**60, 2**60 + 2**20 - 1, 2**60 - 1_000_003])
+def test_trainings_refuse_seeds_of_suites(seed):
+    with pytest.raises(ValueError, match="belong to suites"):
+        PPOConfig(seed=seed)
+    assert PPOConfig(seed=2**59).seed == 2**59
+
+
+@pytest.mark.compiled
+def test_a_score_is_that_of_the_frozen_episodes():
+    score = play(NADIR, idle, 3)
+    env = NADIR.environment(3)
+    again = evaluate(idle("", lambda: env)[1], env, seeds=range(2**60, 2**60 + 3))
+    assert score.evaluation.returns.tolist() == again.returns.tolist()
+    assert 0.0 < score.seconds < 1.0
+
+
+@pytest.mark.compiled
+def test_random_policies_are_timed_and_keep_their_lots():
+    def chance(preset, make):
+        env = make()
+        return env, random_policy(env, 0)
+
+    returns = [play(NADIR, chance, n).evaluation.returns[:2].tolist() for n in (2, 3)]
+    assert returns[0] == returns[1]
+
+
+def test_functions_may_be_policies():
+    timed = Timed(lambda tensordict: tensordict)
+    assert timed({}) == {}
+    assert timed.seconds > 0.0
+
+
+def test_entrants_that_have_no_policy_get_no_score():
+    assert play(NADIR, lambda preset, make: None, 2) is None
+
+
+@pytest.mark.parametrize(
+    ("entrant", "error", "message"),
+    [
+        (lambda preset, make: 3, TypeError, r"returned 3; it must return \(env, policy\), or None"),
+        (lambda preset, make: (make(backend="eager"),), TypeError, "must return"),
+        (lambda preset, make: (NADIR.environment(1, backend="eager"), len), ValueError, "an environment that make"),
+        (lambda preset, make: make(time_limit=60.0), ValueError, "time_limit=60.0 would change the task NadirScan-v1"),
+        (lambda preset, make: make(as_set=True), TypeError, "as_set"),
+    ],
+)
+def test_wrong_entrants_are_refused(entrant, error, message):
+    with pytest.raises(error, match=message):
+        play(NADIR, entrant, 1)
+
+
+@pytest.mark.parametrize("episodes", [0, EPISODES + 1])
+def test_numbers_of_episodes(episodes):
+    with pytest.raises(ValueError, match=rf"episodes={episodes} must lie in \[1, 1024\]"):
+        play(NADIR, idle, episodes)
+
+
+def test_unknown_suites_and_presets_name_the_nearest():
+    with pytest.raises(ValueError, match="suite='v2' is not a suite; did you mean 'v1'"):
+        tasks_of("v2")
+    with pytest.raises(ValueError, match="preset 'AEOS-v2' is not in the suite v1; did you mean 'AEOS-v1'"):
+        tasks_of("v1", "NadirScan-v1,AEOS-v2")
+    assert [task.preset for task in tasks_of("v1", "AEOS-v1,NadirScan-v1,AEOS-v1")] == ["AEOS-v1", "NadirScan-v1"]
+
+
+@pytest.mark.compiled
+def test_scores_are_linear_in_returns():
+    evaluation = play(NADIR, idle, 3).evaluation
+    low, high = 0.25, 2.25
+    score = normalised(evaluation, {"low": {"return": low}, "high": {"return": high}})
+    assert score.mean == pytest.approx((evaluation.mean_return.mean - low) / 2.0, abs=1e-12)
+    assert score.half_width == pytest.approx(evaluation.mean_return.half_width / 2.0, rel=1e-9)
+
+
+def test_references_are_sound():
+    for preset, reference in references("v1").items():
+        assert preset in PRESETS
+        assert reference["high"]["return"] > reference["low"]["return"]
+        assert reference["high"]["source"]
+        assert reference["low"]["source"]
