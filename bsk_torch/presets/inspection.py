@@ -51,7 +51,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from functools import partial
+from functools import cache, partial
 from typing import Any, ClassVar
 
 import torch
@@ -210,15 +210,31 @@ ACTIONS: dict[str, type[Inspector]] = {"thrust": Inspector, "waypoints": Waypoin
 """Inspectors by what their actions are."""
 
 
+@cache
 def crew_member(n_inspectors: int, actions: str) -> type[Inspector]:
-    """Return the class of an inspector that observes the others of ``n_inspectors``."""
+    """Return the class of an inspector that observes the others of ``n_inspectors``; ValueError for unknown ``actions``."""
     if actions not in ACTIONS:
         raise ValueError(f"actions={actions!r} must be one of {list(ACTIONS)}")
     kind = ACTIONS[actions]
     if n_inspectors == 1:
         return kind
     spec = (*kind.observation_spec, OtherInspectors(n_inspectors))
-    return type(kind.__name__, (kind,), {"observation_spec": spec, "__doc__": kind.__doc__})
+    members = {"observation_spec": spec, "__doc__": kind.__doc__, "__module__": __name__}
+    return type(f"{kind.__name__}Of{n_inspectors}", (kind,), members)
+
+
+def __getattr__(name: str) -> type[Inspector]:
+    """Return a class of :func:`crew_member` by its name, as saved environments refer to it."""
+    for actions, kind in ACTIONS.items():
+        number = name.removeprefix(f"{kind.__name__}Of")
+        if number != name and number.isdecimal() and int(number) > 1:
+            return crew_member(int(number), actions)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def fuel(satellite: Any) -> Tensor:
+    """Return what the tanks are good for, m/s, [N]."""
+    return satellite.fsw.dv_available
 
 
 def inspector_args() -> dict[str, Any]:
@@ -274,7 +290,7 @@ def rso_inspection(
         ),
         rewarder=(
             data.RSOInspectionReward(completion_bonus=1.0),
-            data.ResourceReward(reward_weight=fuel_price, resource_fn=lambda satellite: satellite.fsw.dv_available),
+            data.ResourceReward(reward_weight=fuel_price, resource_fn=fuel),
         ),
         sat_arg_randomizer=formations.relative_to_chief(CHIEF, EccentricOrbit(), {name: RelativeState() for name in names}),
         sim_rate=5.0,

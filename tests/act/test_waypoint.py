@@ -64,6 +64,7 @@ class TestFlight:
     def test_legal_transfers_arrive(self, duration, choices):
         """What is not predicted, the Earth's flattening first, moves them by up to a part in a hundred of the way."""
         env, entry, td = make(HillWaypoint("C", SIX, [duration]))
+        assert len(choices) > 0
         for choice in choices:
             assert bool(td["deputy", "action_mask"][..., :6].all())
             td = fly(env, td, torch.tensor(choice).unsqueeze(1))

@@ -19,6 +19,7 @@ def some(n=6, most=None, samples=20):
 def test_transfers_arrive_in_two_body_motion():
     """All of 8 targets in 3 durations from 6 places; the second order leaves centimetres."""
     chief, rho, velocity, ahead = some()
+    assert len(DURATIONS) == 3
     for d in range(8):
         for k, time in enumerate(DURATIONS.tolist()):
             dv = ahead.manoeuvre(torch.full((6,), 3 * d + k))
