@@ -61,6 +61,19 @@ def groups(env: Any) -> list[tuple[str, ...]]:
     return [(name,) for name in getattr(env, "group_map", {})] or [()]
 
 
+def real(td: TensorDictBase, where: tuple[str, ...]) -> bool:
+    """Whether actions of a group are real numbers."""
+    return ((*where, "action_mask") if where else "action_mask") not in td.keys(True)
+
+
+def numbers(spec: Any, ids: Tensor, number: int) -> Tensor:
+    """Actions [N, ..., A] within the bounds of a specification, which depend on episode, place and a number only."""
+    low, high = spec.space.low, spec.space.high
+    place = torch.arange(low[0].numel()).view(low.shape[1:])
+    share = (0.37 * (ids.view(-1, *[1] * place.ndim) * 7 + place * 3 + number)) % 1.0
+    return (low + share * (high - low)).to(spec.dtype)
+
+
 def leaves(td: TensorDictBase) -> dict[Any, Tensor]:
     """Tensors by key, those of saved states left out."""
     return {key: value for key, value in td.items(True, True) if "state" not in (key if isinstance(key, tuple) else (key,))}
@@ -117,6 +130,10 @@ class Sequence(RuleBasedStateMachine):
         """Legal actions that depend on episode, agent and a number only."""
         td = td.clone()
         for where in groups(env):
+            key = (*where, "action") if where else "action"
+            if real(td, where):
+                td[key] = numbers(env.full_action_spec[key], ids, number)
+                continue
             mask = td[(*where, "action_mask")] if where else td["action_mask"]
             size = mask.shape[-1]
             agents = torch.arange(mask[0].numel() // size).view(mask.shape[1:-1])
@@ -126,7 +143,7 @@ class Sequence(RuleBasedStateMachine):
                 if size % 5
                 else (torch.arange(size) + start.unsqueeze(-1)) % size
             )
-            td[(*where, "action") if where else "action"] = torch.where(mask, order, -1).argmax(-1)
+            td[key] = torch.where(mask, order, -1).argmax(-1)
         return td
 
     def step(self, number: int, moves: Tensor | None) -> None:
@@ -148,6 +165,10 @@ class Sequence(RuleBasedStateMachine):
         self.td = self.whole.reset(self.td.set("_reset", rows.unsqueeze(-1)))
         if bool(rows[PART].any()):
             self.other = self.part.reset(self.other.set("_reset", rows[PART].unsqueeze(-1)))
+        # TorchRL leaves rewards of the last step where all rows begin anew, and zeros where some do
+        self.td, self.other = (
+            td.exclude(*(key for key in td.keys(True, True) if "reward" in key)) for td in (self.td, self.other)
+        )
         self.check()
 
     @rule(number=st.integers(0, 30))
@@ -193,18 +214,19 @@ class Sequence(RuleBasedStateMachine):
 
     @rule(row=st.integers(0, NUM_ENVS - 1), value=st.sampled_from([10**6, -(10**6), 2**62, -(2**63)]))
     def act_out_of_range(self, row: int, value: int) -> None:
-        where = groups(self.whole)[0]
-        td, key = self.actions(self.td, self.whole, torch.arange(NUM_ENVS), 0), (*where, "action") if where else "action"
-        td[key][row] = value
-        self.refused(lambda: self.whole.step(td))
+        for where in groups(self.whole):
+            td, key = self.actions(self.td, self.whole, torch.arange(NUM_ENVS), 0), (*where, "action") if where else "action"
+            td[key][row] = torch.nan if real(td, where) else value  # real numbers are clamped
+            self.refused(functools.partial(self.whole.step, td))
 
     @rule(change=st.sampled_from(["float", "shape", "missing", "bool"]))
     def act_in_a_wrong_form(self, change: str) -> None:
         where = groups(self.whole)[0]
         td, key = self.actions(self.td, self.whole, torch.arange(NUM_ENVS), 0), (*where, "action") if where else "action"
+        numbered = real(td, where)
         action = td.pop(key) if isinstance(key, str) else td[where].pop("action")
         wrong = {
-            "float": action.double(),
+            "float": action.to(torch.complex64) if numbered else action.double(),
             "bool": action > 0,
             "shape": action.unsqueeze(-1).expand(*action.shape, 2),
             "missing": None,
