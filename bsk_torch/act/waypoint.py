@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -27,6 +27,20 @@ SPACING = 100.0
 
 WEIGHT = 1e4
 """Metres that count as much as the whole of a distance that is to be kept, where none of the transfers keeps all."""
+
+
+class Options(NamedTuple):
+    """What N satellites can do at present.
+
+    Attributes:
+        versions: Versions of the states that this follows from.
+        ahead: All transfers.
+        legal: Which of them are legal, [N, n_actions].
+    """
+
+    versions: list[int]
+    ahead: Transfers
+    legal: Tensor
 
 
 class HillWaypoint(Action):
@@ -101,6 +115,7 @@ class HillWaypoint(Action):
         self.shortest, self.samples = min(given), math.ceil(max(given) / SPACING)
         self.n_actions = len(self.waypoints) * len(self.durations)
         self._order = self._replacement_order()
+        self._options: Options | None = None
 
     def _positions(self, title: str, waypoints: Any) -> Tensor:
         if isinstance(waypoints, int) and not isinstance(waypoints, bool):
@@ -124,6 +139,15 @@ class HillWaypoint(Action):
     def names(self) -> list[str]:
         """See :meth:`Action.names`."""
         return [f"{self.name}_{d}_{time:g}s" for d in range(len(self.waypoints)) for time in self.durations.tolist()]
+
+    @property
+    def options(self) -> Options:
+        """Transfers and which are legal, computed once between two changes of the state."""
+        versions = [simulator.state.version for simulator in self.satellite.group.fleet.simulators]
+        if self._options is None or self._options.versions != versions:
+            ahead = self.ahead()
+            self._options = Options(versions, ahead, self.legal(ahead))
+        return self._options
 
     def ahead(self) -> Transfers:
         """Return all transfers from the present position."""
@@ -163,8 +187,8 @@ class HillWaypoint(Action):
 
     def decide(self, index: Tensor, mask: Tensor, action: Tensor, previous: Tensor) -> Decision:
         """See :meth:`Action.decide`."""
-        ahead = self.ahead()
-        flown = self.shielded(ahead, index.clamp(0, self.n_actions - 1), mask)
+        ahead = self.options.ahead
+        flown = self.shielded(index.clamp(0, self.n_actions - 1), mask)
         dv_N = self._thrust.change_of_velocity(ahead.manoeuvre(flown))
         duration = self.durations.to(index.device)[flown % len(self.durations)]
         reached = ahead.cost.flatten(1).gather(1, flown.unsqueeze(1)).squeeze(1) <= self.most_dv
@@ -177,34 +201,43 @@ class HillWaypoint(Action):
 
     def mask(self) -> Tensor:
         """See :meth:`Action.mask`."""
-        return self.legal(self.ahead())
+        return self.options.legal
 
     def legal(self, ahead: Transfers) -> Tensor:
         """Return which transfers are legal, [N, n_actions]."""
-        legal = ((self.missed(ahead) <= 0.0) & (ahead.cost <= self.most_dv[:, None, None])).flatten(1)
-        least = torch.zeros_like(legal).scatter(1, self.least(ahead), True)
-        return legal | (least & ~legal.any(1, keepdim=True))
+        others = self.others() if self.keep_apart > 0.0 and self.satellite.group.fleet.size > 2 else None
+        legal = ((self.missed(ahead, others) <= 0.0) & (ahead.cost <= self.most_dv[:, None, None])).flatten(1)
+        stuck = torch.nonzero(~legal.any(1)).squeeze(1)
+        if len(stuck):  # few, and often none: what is legal there takes as long to find as the rest
+            legal[stuck] = torch.zeros_like(legal[stuck]).scatter(1, self.least(ahead, others, stuck), True)
+        return legal
 
-    def missed(self, ahead: Transfers) -> Tensor:
-        """Return by what part transfers come too near or go too far, [N, D, K]; not positive for those that do not."""
-        nearest, farthest = ahead.distances()
-        missed = (self.keep_out - nearest) / max(self.keep_out, 1.0)
-        if math.isfinite(self.keep_in):
-            missed = torch.maximum(missed, farthest / self.keep_in - 1.0)
-        if self.keep_apart > 0.0 and self.satellite.group.fleet.size > 2:
-            apart = ahead.apart(*self.others()).amin(1)
-            missed = torch.maximum(missed, (self.keep_apart - apart) / self.keep_apart)
-        return missed
+    def missed(self, ahead: Transfers, others: tuple[Tensor, Tensor] | None) -> Tensor:
+        """Return by what part transfers come too near or go too far, [N, D, K]; not positive for those that do not.
 
-    def least(self, ahead: Transfers) -> Tensor:
-        """Return the transfer, [N, 1], that is legal where none keeps the distances."""
+        ``others`` are the satellites that are to be kept apart, None for none; see :meth:`others`.
+        """
+        if others is None:
+            nearest, farthest = ahead.distances()
+            missed = (self.keep_out - nearest) / max(self.keep_out, 1.0)
+        else:
+            near, farthest = ahead.extremes(*others)
+            missed = torch.maximum(
+                (self.keep_out - near[:, 0]) / max(self.keep_out, 1.0),
+                (self.keep_apart - near[:, 1:].amin(1)) / self.keep_apart,
+            )
+        return torch.maximum(missed, farthest / self.keep_in - 1.0) if math.isfinite(self.keep_in) else missed
+
+    def least(self, ahead: Transfers, others: tuple[Tensor, Tensor] | None, rows: Tensor) -> Tensor:
+        """Return the transfers, [R, 1], that are legal in R rows where none keeps the distances."""
         soon = math.ceil(self.shortest / SPACING)
-        twice = self.motion(torch.tensor([2.0 * self.shortest], dtype=torch.float64), 2 * soon)
+        twice = self.motion(torch.tensor([2.0 * self.shortest], dtype=torch.float64), 2 * soon).some(rows)
+        ahead, others = ahead.some(rows), None if others is None else (others[0][rows], others[1][rows])
         later = torch.linalg.vector_norm(ahead.along(twice).position(-1), dim=-1)
-        missed = self.missed(ahead.along(twice.until(soon))).clamp(min=0.0)
+        missed = self.missed(ahead.along(twice.until(soon)), others).clamp(min=0.0)
         return (missed * WEIGHT + later).flatten(1).argmin(1, keepdim=True)
 
-    def shielded(self, ahead: Transfers, chosen: Tensor, mask: Tensor) -> Tensor:
+    def shielded(self, chosen: Tensor, mask: Tensor) -> Tensor:
         """Return the transfers that are flown, [N], where ``chosen`` [N] are decided at the same time in the rows ``mask`` [N].
 
         The first satellite of an episode flies what it has chosen. Each following one does so, too, unless that comes nearer than
@@ -213,7 +246,8 @@ class HillWaypoint(Action):
         count = self.satellite.simulator.count
         if count == 1 or self.keep_apart == 0.0:
             return chosen
-        legal, order = self.legal(ahead).view(-1, count, self.n_actions), self._order.to(chosen.device)
+        ahead = self.options.ahead
+        legal, order = self.options.legal.view(-1, count, self.n_actions), self._order.to(chosen.device)
         rho, before = (each.view(-1, count, 3) for each in self.relative_state())
         chosen, decides = chosen.view(-1, count), mask.view(-1, count)
         flown, after = [chosen[:, 0]], [before[:, 0] + ahead.rows(0, count).manoeuvre(chosen[:, 0])]
