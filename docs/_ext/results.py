@@ -171,7 +171,7 @@ def flights(*names: str) -> str:
         here, there, count = summary["bsk_torch"], summary["basilisk"], len(episodes["seed"])
         rows.append(
             [
-                {"NadirScan-v1.pt": "pretrained"}.get(flight["policy"], flight["policy"]),
+                flown(flight),
                 f"{episodes['seed'][0]} to {episodes['seed'][-1]}",
                 f"{summary['same_actions']} of {count}",
                 whole(sum(episodes["decisions"])),
@@ -192,9 +192,13 @@ def flight_command(name: str) -> str:
     """Return the command that writes a flight."""
     flight = load(name)
     seeds = flight["episodes"]["seed"]
-    policy = {"NadirScan-v1.pt": "pretrained"}.get(flight["policy"], flight["policy"])
-    out = f"--out benchmarks/results/{name}.json"
-    return f"python scripts/validation/fly_on_basilisk.py {policy} --seeds {seeds[0]}:{seeds[-1] + 1} {out}"
+    out, script = f"--out benchmarks/results/{name}.json", flight.get("script", "fly_on_basilisk.py")
+    return f"python scripts/validation/{script} {flown(flight)} --seeds {seeds[0]}:{seeds[-1] + 1} {out}"
+
+
+def flown(flight: Mapping[str, Any]) -> str:
+    """Return the name of a policy that has flown."""
+    return "pretrained" if flight["policy"] == f"{flight['preset']}.pt" else flight["policy"]
 
 
 def failures() -> str:
