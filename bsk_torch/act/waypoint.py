@@ -34,11 +34,13 @@ class Options(NamedTuple):
 
     Attributes:
         versions: Versions of the states that this follows from.
+        known: Numbers of each row that it follows from, [N, F].
         ahead: All transfers.
         legal: Which of them are legal, [N, n_actions].
     """
 
     versions: list[int]
+    known: Tensor
     ahead: Transfers
     legal: Tensor
 
@@ -142,12 +144,30 @@ class HillWaypoint(Action):
 
     @property
     def options(self) -> Options:
-        """Transfers and which are legal, computed once between two changes of the state."""
+        """Transfers and which are legal; which ones are is found anew only for rows of episodes that have changed."""
         versions = [simulator.state.version for simulator in self.satellite.group.fleet.simulators]
-        if self._options is None or self._options.versions != versions:
-            ahead = self.ahead()
-            self._options = Options(versions, ahead, self.legal(ahead))
+        last = self._options
+        if last is not None and last.versions == versions:
+            return last
+        ahead, known = self.ahead(), self.known()
+        if last is None:
+            legal = self.legal(ahead, torch.arange(len(known), device=known.device))
+        else:
+            rows = torch.nonzero((known != last.known).any(1)).squeeze(1)
+            legal = last.legal.index_copy(0, rows, self.legal(ahead.some(rows), rows))
+        self._options = Options(versions, known, ahead, legal)
         return self._options
+
+    def known(self) -> Tensor:
+        """Return the numbers from which transfers and their legality follow, [N, F]: equal ones have equal results."""
+        places = [place.flatten(1) for place in self.places()]
+        return torch.cat([*places, self.most_dv.unsqueeze(1)], 1)
+
+    def places(self) -> tuple[Tensor, Tensor]:
+        """Return positions, m, and velocities, m/s, of all S satellites of the episode of each row, [N, S, 3] each in N."""
+        fleet, simulator = self.satellite.group.fleet, self.satellite.simulator
+        r, v = (fleet.joined([each.state.read(name) for each in fleet.simulators]) for name in ("r_BN_N", "v_BN_N"))
+        return r.repeat_interleave(simulator.count, 0), v.repeat_interleave(simulator.count, 0)
 
     def ahead(self) -> Transfers:
         """Return all transfers from the present position."""
@@ -168,10 +188,7 @@ class HillWaypoint(Action):
     def others(self) -> tuple[Tensor, Tensor]:
         """Return positions [N, O, 3] m and velocities [N, O, 3] m/s of all other satellites in the chief's Hill frame."""
         fleet, simulator = self.satellite.group.fleet, self.satellite.simulator
-        r, v = (
-            fleet.joined([each.state.read(name) for each in fleet.simulators]).repeat_interleave(simulator.count, 0)
-            for name in ("r_BN_N", "v_BN_N")
-        )
+        r, v = self.places()
         own = torch.tensor(simulator.columns, device=r.device).repeat(simulator.num_envs)
         chief = fleet.names.index(self.chief_name)
         columns = torch.arange(fleet.size, device=r.device).expand(len(r), -1)
@@ -203,19 +220,27 @@ class HillWaypoint(Action):
         """See :meth:`Action.mask`."""
         return self.options.legal
 
-    def legal(self, ahead: Transfers) -> Tensor:
-        """Return which transfers are legal, [N, n_actions]."""
-        others = self.others() if self.keep_apart > 0.0 and self.satellite.group.fleet.size > 2 else None
-        legal = ((self.missed(ahead, others) <= 0.0) & (ahead.cost <= self.most_dv[:, None, None])).flatten(1)
+    def legal(self, ahead: Transfers, rows: Tensor) -> Tensor:
+        """Return which transfers ``ahead`` of the R rows are legal, [R, n_actions]."""
+        others = self.others_of(rows)
+        legal = ((self.missed(ahead, others) <= 0.0) & (ahead.cost <= self.most_dv[rows, None, None])).flatten(1)
         stuck = torch.nonzero(~legal.any(1)).squeeze(1)
         if len(stuck):  # few, and often none: what is legal there takes as long to find as the rest
-            legal[stuck] = torch.zeros_like(legal[stuck]).scatter(1, self.least(ahead, others, stuck), True)
+            least = self.least(ahead.some(stuck), rows[stuck])
+            legal[stuck] = torch.zeros_like(legal[stuck]).scatter(1, least, True)
         return legal
+
+    def others_of(self, rows: Tensor) -> tuple[Tensor, Tensor] | None:
+        """Return positions and velocities of the satellites that are to be kept apart from the rows; None for none."""
+        if self.keep_apart == 0.0 or self.satellite.group.fleet.size == 2:
+            return None
+        rho, velocity = self.others()
+        return rho[rows], velocity[rows]
 
     def missed(self, ahead: Transfers, others: tuple[Tensor, Tensor] | None) -> Tensor:
         """Return by what part transfers come too near or go too far, [N, D, K]; not positive for those that do not.
 
-        ``others`` are the satellites that are to be kept apart, None for none; see :meth:`others`.
+        ``others`` are the satellites that are to be kept apart; see :meth:`others_of`.
         """
         if others is None:
             nearest, farthest = ahead.distances()
@@ -228,13 +253,12 @@ class HillWaypoint(Action):
             )
         return torch.maximum(missed, farthest / self.keep_in - 1.0) if math.isfinite(self.keep_in) else missed
 
-    def least(self, ahead: Transfers, others: tuple[Tensor, Tensor] | None, rows: Tensor) -> Tensor:
-        """Return the transfers, [R, 1], that are legal in R rows where none keeps the distances."""
+    def least(self, ahead: Transfers, rows: Tensor) -> Tensor:
+        """Return the transfers, [R, 1], of those ``ahead`` of R rows, that are legal where none keeps the distances."""
         soon = math.ceil(self.shortest / SPACING)
         twice = self.motion(torch.tensor([2.0 * self.shortest], dtype=torch.float64), 2 * soon).some(rows)
-        ahead, others = ahead.some(rows), None if others is None else (others[0][rows], others[1][rows])
         later = torch.linalg.vector_norm(ahead.along(twice).position(-1), dim=-1)
-        missed = self.missed(ahead.along(twice.until(soon)), others).clamp(min=0.0)
+        missed = self.missed(ahead.along(twice.until(soon)), self.others_of(rows)).clamp(min=0.0)
         return (missed * WEIGHT + later).flatten(1).argmin(1, keepdim=True)
 
     def shielded(self, chosen: Tensor, mask: Tensor) -> Tensor:

@@ -4,6 +4,7 @@ import math
 
 import pytest
 import torch
+from tensordict import TensorDict
 
 from bsk_torch import ConstellationTasking, act, formations, obs, rand, sats
 from bsk_torch.act.waypoint import HillWaypoint
@@ -214,7 +215,7 @@ class TestShield:
     def test_where_none_is_clear_the_widest_is_flown(self):
         _, entry, _ = self.make(20.0, ("D1", "D2"))
         entry.keep_apart = 1e4
-        entry.satellite.simulator.state.touch()  # what is legal was found for the other distance
+        entry._options = None  # what is legal was found for the other distance
         legal = entry.mask().view(2, 2, 12)
         assert legal.sum(-1).tolist() == [[1, 1], [1, 1]]
         flown = entry.shielded(torch.zeros(4, dtype=torch.int64), torch.ones(4, dtype=torch.bool)).view(2, 2)
@@ -224,15 +225,20 @@ class TestShield:
 def test_transfers_are_found_once_for_a_decision(monkeypatch):
     """And anew after every change of the state."""
     env, entry, td = make(HillWaypoint("C", SIX, [600.0], keep_apart=20.0), ("D1", "D2"))
-    calls, ahead = [], HillWaypoint.ahead
-    monkeypatch.setattr(HillWaypoint, "ahead", lambda entry: calls.append(1) or ahead(entry))
+    calls, legal = [], HillWaypoint.legal
+    monkeypatch.setattr(HillWaypoint, "legal", lambda entry, ahead, rows: calls.append(rows) or legal(entry, ahead, rows))
     for k in range(3):
         td = fly(env, td, td["deputy", "action_mask"][..., :6].long().argmax(-1))
-        assert len(calls) == k + 1
+        assert [len(rows) for rows in calls] == [8] * (k + 1)
     rows = torch.tensor([True] + [False] * 7)
     entry.satellite.simulator.write("dv_available", rows, torch.zeros(8, dtype=torch.float64))
     assert entry.mask().sum(1).tolist()[0] == 1
-    assert len(calls) == 4
+    assert calls[3].tolist() == [0]
+    env.reset(TensorDict({"_reset": torch.tensor([[False], [True], [False], [False]])}, [4]))
+    assert calls[4].tolist() == [2, 3]
+    anew = entry.mask()
+    entry._options = None
+    assert torch.equal(anew, entry.mask())
 
 
 def test_results_do_not_depend_on_other_episodes():
