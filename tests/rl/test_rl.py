@@ -135,7 +135,7 @@ def test_recipes_can_be_changed():
 
 def test_recipes_of_constellations_have_options_of_the_environment():
     config = configure_run("MultiInspection-v1", frames=10, options={"n_inspectors": 2})
-    assert (config.num_envs, config.gamma, config.frames) == (256, 0.99999, 10)
+    assert (config.num_envs, config.gamma, config.frames) == (128, 0.99999, 10)
     assert config.options == {"actions": "waypoints", "n_inspectors": 2}
     assert configure_run("RSOInspection-v1", options={"actions": "thrust"}).options == {"actions": "thrust"}
     assert configure_run("RSOInspection-v1").options == {"actions": "waypoints"}  # the recipe itself stays as it is

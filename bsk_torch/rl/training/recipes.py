@@ -38,6 +38,9 @@ INSPECTION: dict[str, dict[str, Any]] = {
 }
 """For flying about a spacecraft from waypoint to waypoint. An inspection takes hours, and its end counts most."""
 
+CREW: dict[str, dict[str, Any]] = {"attention": INSPECTION["attention"] | dict(num_envs=128, minibatch=512)}
+"""For several inspectors, each step of whom takes longer: smaller batches, so that there are as many updates."""
+
 RECIPES: dict[str, dict[str, dict[str, Any]]] = {
     "NadirScan-v1": SCANNING,
     "AEOS-v1": IMAGING,
@@ -45,7 +48,7 @@ RECIPES: dict[str, dict[str, dict[str, Any]]] = {
     "AEOSCity-v1": IMAGING,
     "CloudyAEOS-v1": IMAGING,
     "RSOInspection-v1": INSPECTION,
-    "MultiInspection-v1": INSPECTION,
+    "MultiInspection-v1": CREW,
 }
 """Settings that differ from the defaults of :class:`PPOConfig` or :class:`MAPPOConfig`, by environment and network."""
 
