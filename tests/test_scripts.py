@@ -103,6 +103,13 @@ STARTS: dict[str, list[Start]] = {
     "scripts/validation/truth.py": [
         Start("--only spinning --out truth.json", r"spinning \(models\): .* equal: True; beyond their bounds: \[\]"),
     ],
+    "scripts/validation/inspect_on_basilisk.py": [
+        Start(
+            "survey --seeds 1:2 --time-limit 1300 --backend eager --out out.json",
+            r"(?s)the same 1 episodes in bsk_torch and in Basilisk.*episodes with the same actions: 1 of 1",
+            "basilisk",
+        ),
+    ],
     "scripts/validation/fly_on_basilisk.py": [
         Start(
             "rule --seeds 1:2 --workers 1 --time-limit 400 --out out.json",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -27,6 +27,22 @@ SPACING = 100.0
 
 WEIGHT = 1e4
 """Metres that count as much as the whole of a distance that is to be kept, where none of the transfers keeps all."""
+
+
+class Options(NamedTuple):
+    """What N satellites can do at present.
+
+    Attributes:
+        versions: Versions of the states that this follows from.
+        known: Numbers of each row that it follows from, [N, F].
+        ahead: All transfers.
+        legal: Which of them are legal, [N, n_actions].
+    """
+
+    versions: list[int]
+    known: Tensor
+    ahead: Transfers
+    legal: Tensor
 
 
 class HillWaypoint(Action):
@@ -101,6 +117,7 @@ class HillWaypoint(Action):
         self.shortest, self.samples = min(given), math.ceil(max(given) / SPACING)
         self.n_actions = len(self.waypoints) * len(self.durations)
         self._order = self._replacement_order()
+        self._options: Options | None = None
 
     def _positions(self, title: str, waypoints: Any) -> Tensor:
         if isinstance(waypoints, int) and not isinstance(waypoints, bool):
@@ -125,6 +142,33 @@ class HillWaypoint(Action):
         """See :meth:`Action.names`."""
         return [f"{self.name}_{d}_{time:g}s" for d in range(len(self.waypoints)) for time in self.durations.tolist()]
 
+    @property
+    def options(self) -> Options:
+        """Transfers and which are legal; which ones are is found anew only for rows of episodes that have changed."""
+        versions = [simulator.state.version for simulator in self.satellite.group.fleet.simulators]
+        last = self._options
+        if last is not None and last.versions == versions:
+            return last
+        ahead, known = self.ahead(), self.known()
+        if last is None:
+            legal = self.legal(ahead, torch.arange(len(known), device=known.device))
+        else:
+            rows = torch.nonzero((known != last.known).any(1)).squeeze(1)
+            legal = last.legal.index_copy(0, rows, self.legal(ahead.some(rows), rows))
+        self._options = Options(versions, known, ahead, legal)
+        return self._options
+
+    def known(self) -> Tensor:
+        """Return the numbers from which transfers and their legality follow, [N, F]: equal ones have equal results."""
+        places = [place.flatten(1) for place in self.places()]
+        return torch.cat([*places, self.most_dv.unsqueeze(1)], 1)
+
+    def places(self) -> tuple[Tensor, Tensor]:
+        """Return positions, m, and velocities, m/s, of all S satellites of the episode of each row, [N, S, 3] each in N."""
+        fleet, simulator = self.satellite.group.fleet, self.satellite.simulator
+        r, v = (fleet.joined([each.state.read(name) for each in fleet.simulators]) for name in ("r_BN_N", "v_BN_N"))
+        return r.repeat_interleave(simulator.count, 0), v.repeat_interleave(simulator.count, 0)
+
     def ahead(self) -> Transfers:
         """Return all transfers from the present position."""
         motion = self.motion(self.durations, self.samples)
@@ -144,10 +188,7 @@ class HillWaypoint(Action):
     def others(self) -> tuple[Tensor, Tensor]:
         """Return positions [N, O, 3] m and velocities [N, O, 3] m/s of all other satellites in the chief's Hill frame."""
         fleet, simulator = self.satellite.group.fleet, self.satellite.simulator
-        r, v = (
-            fleet.joined([each.state.read(name) for each in fleet.simulators]).repeat_interleave(simulator.count, 0)
-            for name in ("r_BN_N", "v_BN_N")
-        )
+        r, v = self.places()
         own = torch.tensor(simulator.columns, device=r.device).repeat(simulator.num_envs)
         chief = fleet.names.index(self.chief_name)
         columns = torch.arange(fleet.size, device=r.device).expand(len(r), -1)
@@ -163,8 +204,8 @@ class HillWaypoint(Action):
 
     def decide(self, index: Tensor, mask: Tensor, action: Tensor, previous: Tensor) -> Decision:
         """See :meth:`Action.decide`."""
-        ahead = self.ahead()
-        flown = self.shielded(ahead, index.clamp(0, self.n_actions - 1), mask)
+        ahead = self.options.ahead
+        flown = self.shielded(index.clamp(0, self.n_actions - 1), mask)
         dv_N = self._thrust.change_of_velocity(ahead.manoeuvre(flown))
         duration = self.durations.to(index.device)[flown % len(self.durations)]
         reached = ahead.cost.flatten(1).gather(1, flown.unsqueeze(1)).squeeze(1) <= self.most_dv
@@ -177,34 +218,50 @@ class HillWaypoint(Action):
 
     def mask(self) -> Tensor:
         """See :meth:`Action.mask`."""
-        return self.legal(self.ahead())
+        return self.options.legal
 
-    def legal(self, ahead: Transfers) -> Tensor:
-        """Return which transfers are legal, [N, n_actions]."""
-        legal = ((self.missed(ahead) <= 0.0) & (ahead.cost <= self.most_dv[:, None, None])).flatten(1)
-        least = torch.zeros_like(legal).scatter(1, self.least(ahead), True)
-        return legal | (least & ~legal.any(1, keepdim=True))
+    def legal(self, ahead: Transfers, rows: Tensor) -> Tensor:
+        """Return which transfers ``ahead`` of the R rows are legal, [R, n_actions]."""
+        others = self.others_of(rows)
+        legal = ((self.missed(ahead, others) <= 0.0) & (ahead.cost <= self.most_dv[rows, None, None])).flatten(1)
+        stuck = torch.nonzero(~legal.any(1)).squeeze(1)
+        if len(stuck):  # few, and often none: what is legal there takes as long to find as the rest
+            least = self.least(ahead.some(stuck), rows[stuck])
+            legal[stuck] = torch.zeros_like(legal[stuck]).scatter(1, least, True)
+        return legal
 
-    def missed(self, ahead: Transfers) -> Tensor:
-        """Return by what part transfers come too near or go too far, [N, D, K]; not positive for those that do not."""
-        nearest, farthest = ahead.distances()
-        missed = (self.keep_out - nearest) / max(self.keep_out, 1.0)
-        if math.isfinite(self.keep_in):
-            missed = torch.maximum(missed, farthest / self.keep_in - 1.0)
-        if self.keep_apart > 0.0 and self.satellite.group.fleet.size > 2:
-            apart = ahead.apart(*self.others()).amin(1)
-            missed = torch.maximum(missed, (self.keep_apart - apart) / self.keep_apart)
-        return missed
+    def others_of(self, rows: Tensor) -> tuple[Tensor, Tensor] | None:
+        """Return positions and velocities of the satellites that are to be kept apart from the rows; None for none."""
+        if self.keep_apart == 0.0 or self.satellite.group.fleet.size == 2:
+            return None
+        rho, velocity = self.others()
+        return rho[rows], velocity[rows]
 
-    def least(self, ahead: Transfers) -> Tensor:
-        """Return the transfer, [N, 1], that is legal where none keeps the distances."""
+    def missed(self, ahead: Transfers, others: tuple[Tensor, Tensor] | None) -> Tensor:
+        """Return by what part transfers come too near or go too far, [N, D, K]; not positive for those that do not.
+
+        ``others`` are the satellites that are to be kept apart; see :meth:`others_of`.
+        """
+        if others is None:
+            nearest, farthest = ahead.distances()
+            missed = (self.keep_out - nearest) / max(self.keep_out, 1.0)
+        else:
+            near, farthest = ahead.extremes(*others)
+            missed = torch.maximum(
+                (self.keep_out - near[:, 0]) / max(self.keep_out, 1.0),
+                (self.keep_apart - near[:, 1:].amin(1)) / self.keep_apart,
+            )
+        return torch.maximum(missed, farthest / self.keep_in - 1.0) if math.isfinite(self.keep_in) else missed
+
+    def least(self, ahead: Transfers, rows: Tensor) -> Tensor:
+        """Return the transfers, [R, 1], of those ``ahead`` of R rows, that are legal where none keeps the distances."""
         soon = math.ceil(self.shortest / SPACING)
-        twice = self.motion(torch.tensor([2.0 * self.shortest], dtype=torch.float64), 2 * soon)
+        twice = self.motion(torch.tensor([2.0 * self.shortest], dtype=torch.float64), 2 * soon).some(rows)
         later = torch.linalg.vector_norm(ahead.along(twice).position(-1), dim=-1)
-        missed = self.missed(ahead.along(twice.until(soon))).clamp(min=0.0)
+        missed = self.missed(ahead.along(twice.until(soon)), self.others_of(rows)).clamp(min=0.0)
         return (missed * WEIGHT + later).flatten(1).argmin(1, keepdim=True)
 
-    def shielded(self, ahead: Transfers, chosen: Tensor, mask: Tensor) -> Tensor:
+    def shielded(self, chosen: Tensor, mask: Tensor) -> Tensor:
         """Return the transfers that are flown, [N], where ``chosen`` [N] are decided at the same time in the rows ``mask`` [N].
 
         The first satellite of an episode flies what it has chosen. Each following one does so, too, unless that comes nearer than
@@ -213,7 +270,8 @@ class HillWaypoint(Action):
         count = self.satellite.simulator.count
         if count == 1 or self.keep_apart == 0.0:
             return chosen
-        legal, order = self.legal(ahead).view(-1, count, self.n_actions), self._order.to(chosen.device)
+        ahead = self.options.ahead
+        legal, order = self.options.legal.view(-1, count, self.n_actions), self._order.to(chosen.device)
         rho, before = (each.view(-1, count, 3) for each in self.relative_state())
         chosen, decides = chosen.view(-1, count), mask.view(-1, count)
         flown, after = [chosen[:, 0]], [before[:, 0] + ahead.rows(0, count).manoeuvre(chosen[:, 0])]

@@ -48,6 +48,11 @@ class LinearMotion(NamedTuple):
         rr, rv = (Mat3(*(row.map(lambda x: x[:samples]) for row in matrix)) for matrix in (self.rr, self.rv))
         return LinearMotion(rr, rv, self.time[:samples])
 
+    def some(self, rows: Tensor | slice) -> LinearMotion:
+        """Return the motion of some rows, by their numbers."""
+        rr, rv = (Mat3(*(row.map(lambda x: x[..., rows]) for row in matrix)) for matrix in (self.rr, self.rv))
+        return LinearMotion(rr, rv, self.time)
+
     def repeated(self, count: int) -> LinearMotion:
         """Return the motion of ``count`` deputies of each chief, side by side."""
         rr, rv = (Mat3(*(row.map(lambda x: x.repeat_interleave(count, -1)) for row in matrix)) for matrix in (self.rr, self.rv))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import torch
@@ -51,10 +52,12 @@ class Transfers(NamedTuple):
 
     def rows(self, first: int, every: int) -> Transfers:
         """Return the transfers of every so many-th deputy from the first one on."""
-        chosen = slice(first, None, every)
-        rr, rv = (Mat3(*(_rows(row, chosen) for row in matrix)) for matrix in (self.motion.rr, self.motion.rv))
-        motion = LinearMotion(rr, rv, self.motion.time)
-        return Transfers(_rows(self.dv, chosen), self.cost[chosen], motion, *(_rows(x, chosen) for x in self[3:]))
+        return self.some(slice(first, None, every))
+
+    def some(self, rows: Tensor | slice) -> Transfers:
+        """Return the transfers of some deputies, by their numbers."""
+        dv, start, velocity = (_rows(x, rows) for x in (self.dv, self.start, self.velocity))
+        return Transfers(dv, self.cost[rows], self.motion.some(rows), start, velocity)
 
     def along(self, motion: LinearMotion) -> Transfers:
         """Return the same manoeuvres with paths over another duration, that of a motion with K = 1."""
@@ -64,15 +67,9 @@ class Transfers(NamedTuple):
 
     def distances(self) -> tuple[Tensor, Tensor]:
         """Return the smallest and the largest distance from the chief on each path, [N, D, K] m each."""
-        before = self.start
-        nearest = torch.full_like(self.dv.x, torch.inf)
-        farthest = before.dot(before).expand_as(nearest)
-        for moment in range(self.samples):  # few, and each a batch: all at once would take that many times the memory
-            now = self._at(moment)
-            nearest = torch.minimum(nearest, closest(before, now))
-            farthest = torch.maximum(farthest, now.dot(now))
-            before = now
-        return _rows_first(torch.sqrt(nearest)), _rows_first(torch.sqrt(farthest))
+        none = self.start.stack().new_empty(len(self.start.x), 0, 3)
+        nearest, farthest = self.extremes(none, none)
+        return nearest[:, 0], farthest
 
     def apart(self, rho: Tensor, velocity: Tensor) -> Tensor:
         """Return the smallest distance on each path from deputies that drift on, [N, O, D, K] m.
@@ -81,21 +78,44 @@ class Transfers(NamedTuple):
             rho: Their positions, [N, O, 3] m.
             velocity: Their velocities as seen in the Hill frame, [N, O, 3] m/s.
         """
-        others = [Vec3.of(each.transpose(0, 1).unsqueeze(1)) for each in (rho, velocity)]
-        before = self.start - others[0].map(lambda x: x.unsqueeze(2))
-        nearest = torch.full((rho.shape[1], *self.dv.x.shape), torch.inf, dtype=rho.dtype, device=rho.device)
-        for moment in range(self.samples):  # as above
-            now = self._at(moment) - self.motion.at(moment, *others).map(lambda x: x.unsqueeze(2))
-            nearest = torch.minimum(nearest, closest(before, now))
-            before = now
-        return torch.sqrt(nearest).permute(3, 0, 2, 1)
+        return self._passed(rho, velocity)[0]
 
-    def _at(self, moment: int) -> Vec3:
-        """Return positions at a moment, components [K, D, N] m."""
+    def extremes(self, rho: Tensor, velocity: Tensor) -> tuple[Tensor, Tensor]:
+        """Return the smallest distances from the chief, then from deputies that drift on, and the largest from the chief.
+
+        Args:
+            rho: Positions of the O deputies, [N, O, 3] m.
+            velocity: Their velocities as seen in the Hill frame, [N, O, 3] m/s.
+
+        Returns:
+            Smallest distances, [N, 1 + O, D, K] m, and largest ones, [N, D, K] m.
+        """
+        chief = torch.zeros_like(self.start.stack()).unsqueeze(1)
+        return self._passed(torch.cat([chief, rho], 1), torch.cat([chief, velocity], 1))
+
+    def _passed(self, rho: Tensor, velocity: Tensor) -> tuple[Tensor, Tensor]:
+        """Return the smallest distances from deputies, [N, O, D, K] m, and the largest from the first one, [N, D, K] m."""
+        others = [Vec3.of(each.transpose(0, 1).unsqueeze(1)) for each in (rho, velocity)]
+        before = (self.start - others[0]).map(lambda x: x.unsqueeze(2))
+        square = before.dot(before)
+        nearest = torch.full((rho.shape[1], *self.dv.x.shape), torch.inf, dtype=rho.dtype, device=rho.device)
+        farthest = square[0].expand_as(self.dv.x)
+        for moment in range(self.samples):  # few, and each a batch: all at once would take that many times the memory
+            now = self._at(moment, others)
+            square, last = _dot(now, now), square
+            nearest = torch.minimum(nearest, _closest(before, now, last))
+            farthest = torch.maximum(farthest, square[0])
+            before = now
+        return torch.sqrt(nearest).permute(3, 0, 2, 1), _rows_first(torch.sqrt(farthest))
+
+    def _at(self, moment: int, others: Sequence[Vec3] = ()) -> Vec3:
+        """Return positions at a moment, components [K, D, N] m; [O, K, D, N] relative to others, [O, 1, N], that drift on."""
         motion = self.motion
         drift = motion.at(moment, self.start, self.velocity)
+        if others:
+            drift = drift - motion.at(moment, *others)
         rv = Mat3(*(row.map(lambda x: x[moment].unsqueeze(1)) for row in motion.rv))
-        return drift.map(lambda x: x.unsqueeze(1)) + rv @ self.dv
+        return Vec3(*(_plus_dot(start.unsqueeze(-2), row, self.dv) for start, row in zip(drift, rv, strict=True)))
 
 
 def transfers(motion: LinearMotion, rho: Tensor, velocity: Tensor, targets: Tensor, most: Tensor | None = None) -> Transfers:
@@ -133,13 +153,29 @@ def solve(matrix: Mat3, vector: Vec3) -> Vec3:
 
 def closest(a: Vec3, b: Vec3) -> Tensor:
     """Return the square of the smallest distance of straight lines from a to b from the origin."""
+    return _closest(a, b, _dot(a, a))
+
+
+def _closest(a: Vec3, b: Vec3, square: Tensor) -> Tensor:
+    """See :func:`closest`, for a known ``square`` of the distance of a."""
     way = b - a
-    part = (-a.dot(way) / way.dot(way).clamp(min=SMALLEST)).clamp(0.0, 1.0)
-    point = a + way * part
-    return point.dot(point)
+    along, length = _dot(a, way), _dot(way, way)
+    part = (along / length.clamp(min=SMALLEST)).neg_().clamp_(0.0, 1.0)
+    # |a + part way|^2, which rounding must not make negative
+    return torch.addcmul(square, part, torch.addcmul(along + along, part, length)).clamp_(min=0.0)
 
 
-def _rows(vector: Vec3, rows: slice) -> Vec3:
+def _dot(a: Vec3, b: Vec3) -> Tensor:
+    """Return the scalar product with fewer passes over the memory than that of :class:`Vec3`."""
+    return torch.addcmul(torch.addcmul(a.x * b.x, a.y, b.y), a.z, b.z)
+
+
+def _plus_dot(start: Tensor, a: Vec3, b: Vec3) -> Tensor:
+    """Return a number plus a scalar product, likewise."""
+    return torch.addcmul(torch.addcmul(torch.addcmul(start, a.x, b.x), a.y, b.y), a.z, b.z)
+
+
+def _rows(vector: Vec3, rows: Tensor | slice) -> Vec3:
     return vector.map(lambda x: x[..., rows])
 
 

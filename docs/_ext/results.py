@@ -17,6 +17,8 @@ SCRIPTS = {
     "vs_basilisk_imaging": "vs_basilisk",
     "constellation_intervals": "constellation",
     "constellation_tasks": "constellation",
+    "inspection_rso": "inspection_rules",
+    "inspection_crew": "inspection_rules",
 }
 """Scripts by result, where the names differ."""
 
@@ -169,7 +171,7 @@ def flights(*names: str) -> str:
         here, there, count = summary["bsk_torch"], summary["basilisk"], len(episodes["seed"])
         rows.append(
             [
-                {"NadirScan-v1.pt": "pretrained"}.get(flight["policy"], flight["policy"]),
+                flown(flight),
                 f"{episodes['seed'][0]} to {episodes['seed'][-1]}",
                 f"{summary['same_actions']} of {count}",
                 whole(sum(episodes["decisions"])),
@@ -190,9 +192,13 @@ def flight_command(name: str) -> str:
     """Return the command that writes a flight."""
     flight = load(name)
     seeds = flight["episodes"]["seed"]
-    policy = {"NadirScan-v1.pt": "pretrained"}.get(flight["policy"], flight["policy"])
-    out = f"--out benchmarks/results/{name}.json"
-    return f"python scripts/validation/fly_on_basilisk.py {policy} --seeds {seeds[0]}:{seeds[-1] + 1} {out}"
+    out, script = f"--out benchmarks/results/{name}.json", flight.get("script", "fly_on_basilisk.py")
+    return f"python scripts/validation/{script} {flown(flight)} --seeds {seeds[0]}:{seeds[-1] + 1} {out}"
+
+
+def flown(flight: Mapping[str, Any]) -> str:
+    """Return the name of a policy that has flown."""
+    return "pretrained" if flight["policy"] == f"{flight['preset']}.pt" else flight["policy"]
 
 
 def failures() -> str:
@@ -234,6 +240,40 @@ def pretrained() -> str:
     return f"{table(['preset', 'command', 'decisions', 'wall time', 'return', 'survival'], rows)}\n\n{note}\n"
 
 
+def inspections(*names: str) -> str:
+    """Return what rules and trained policies reach in the presets of inspection."""
+    rows, commands = [], []
+    for name in names:
+        for row in load(name)["rows"]:
+            share, low, high = (100.0 * value for value in (row["complete"], *row["complete_interval"]))
+            rows.append(
+                [
+                    code(row["preset"]),
+                    f"{player(row)}, {row['actions']}",
+                    f"{share:.1f} % ({low:.1f} to {high:.1f})",
+                    f"{row['hours']:.2f}" if share else "-",
+                    f"{row['fuel']:.2f}",
+                    f"{row['inspected']:.1f}",
+                    f"{row['lit']:.1f}",
+                    f"{100.0 * row['died']:.1f} %",
+                    str(row["collisions"]),
+                    f"{row['value']:.3f} +- {row['half']:.3f}",
+                    f"{row['gain']:+.3f} +- {row['gain_half']:.3f}" if "gain" in row else "-",
+                ]
+            )
+        commands.append(made(name))
+    head = ["preset", "policy, actions", "complete", "hours", "fuel, m/s", "inspected", "lit", "inspectors died", "collisions"]
+    return f"{table([*head, 'return', 'gain over survey'], rows)}\n\n{chr(10).join(commands)}"
+
+
+def player(row: Mapping[str, Any]) -> str:
+    """Return the name of a rule, or that of a training with its length."""
+    if "frames" not in row:
+        return Path(row["policy"]).name
+    minutes, seconds = divmod(round(row["seconds"]), 60)
+    return f"trained ({Path(row['policy']).name}, {whole(row['frames'])} steps, {minutes} min {seconds} s)"
+
+
 TABLES = {
     "vs_basilisk": vs_basilisk,
     "constellations": constellations,
@@ -245,4 +285,5 @@ TABLES = {
     "flights": flights,
     "failures": failures,
     "pretrained": pretrained,
+    "inspections": inspections,
 }

@@ -4,6 +4,7 @@ import math
 
 import pytest
 import torch
+from tensordict import TensorDict
 
 from bsk_torch import ConstellationTasking, act, formations, obs, rand, sats
 from bsk_torch.act.waypoint import HillWaypoint
@@ -166,7 +167,7 @@ class TestShield:
         env, entry, td = self.make(20.0)
         assert bool(td["deputy", "action_mask"][..., 0].all())
         same = torch.zeros(2, 3, dtype=torch.int64)
-        flown = entry.shielded(entry.ahead(), same.flatten(), torch.ones(6, dtype=torch.bool)).view(2, 3)
+        flown = entry.shielded(same.flatten(), torch.ones(6, dtype=torch.bool)).view(2, 3)
         assert flown[:, 0].tolist() == [0, 0]
         assert torch.equal(flown[0], flown[1])
         assert len(set(flown[0].tolist())) == 3
@@ -182,12 +183,12 @@ class TestShield:
     def test_without_a_distance_all_fly_what_they_chose(self):
         _, entry, _ = self.make(0.0)
         same = torch.zeros(6, dtype=torch.int64)
-        assert torch.equal(entry.shielded(entry.ahead(), same, torch.ones(6, dtype=torch.bool)), same)
+        assert torch.equal(entry.shielded(same, torch.ones(6, dtype=torch.bool)), same)
 
     def test_those_that_do_not_decide_are_no_hindrance(self):
         _, entry, _ = self.make(20.0)
         same, decides = torch.zeros(6, dtype=torch.int64), torch.tensor([False, True, False, True, False, False])
-        assert torch.equal(entry.shielded(entry.ahead(), same, decides)[[1, 3]], same[[1, 3]])
+        assert torch.equal(entry.shielded(same, decides)[[1, 3]], same[[1, 3]])
 
     def test_it_is_the_nearest_clear_one(self):
         """By brute force over all paths."""
@@ -199,7 +200,7 @@ class TestShield:
             clear = ahead.rows(1, 2).apart(rho[:, :1], after.unsqueeze(1)).flatten(1)[0] >= 30.0
             for wanted in range(12):
                 chosen = torch.tensor([first, wanted] * 2)
-                found = int(entry.shielded(ahead, chosen, torch.ones(4, dtype=torch.bool))[1])
+                found = int(entry.shielded(chosen, torch.ones(4, dtype=torch.bool))[1])
                 if clear[wanted]:
                     assert found == wanted
                     continue
@@ -215,10 +216,30 @@ class TestShield:
     def test_where_none_is_clear_the_widest_is_flown(self):
         _, entry, _ = self.make(20.0, ("D1", "D2"))
         entry.keep_apart = 1e4
-        ahead, legal = entry.ahead(), entry.mask().view(2, 2, 12)
+        entry._options = None  # what is legal was found for the other distance
+        legal = entry.mask().view(2, 2, 12)
         assert legal.sum(-1).tolist() == [[1, 1], [1, 1]]
-        flown = entry.shielded(ahead, torch.zeros(4, dtype=torch.int64), torch.ones(4, dtype=torch.bool)).view(2, 2)
+        flown = entry.shielded(torch.zeros(4, dtype=torch.int64), torch.ones(4, dtype=torch.bool)).view(2, 2)
         assert torch.equal(flown[:, 1], legal[:, 1].long().argmax(1))
+
+
+def test_transfers_are_found_once_for_a_decision(monkeypatch):
+    """And anew after every change of the state."""
+    env, entry, td = make(HillWaypoint("C", SIX, [600.0], keep_apart=20.0), ("D1", "D2"))
+    calls, legal = [], HillWaypoint.legal
+    monkeypatch.setattr(HillWaypoint, "legal", lambda entry, ahead, rows: calls.append(rows) or legal(entry, ahead, rows))
+    for k in range(3):
+        td = fly(env, td, td["deputy", "action_mask"][..., :6].long().argmax(-1))
+        assert [len(rows) for rows in calls] == [8] * (k + 1)
+    rows = torch.tensor([True] + [False] * 7)
+    entry.satellite.simulator.write("dv_available", rows, torch.zeros(8, dtype=torch.float64))
+    assert entry.mask().sum(1).tolist()[0] == 1
+    assert calls[3].tolist() == [0]
+    env.reset(TensorDict({"_reset": torch.tensor([[False], [True], [False], [False]])}, [4]))
+    assert calls[4].tolist() == [2, 3]
+    anew = entry.mask()
+    entry._options = None
+    assert torch.equal(anew, entry.mask())
 
 
 def test_results_do_not_depend_on_other_episodes():

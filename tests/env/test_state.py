@@ -46,6 +46,7 @@ DERIVED = {
     "_values": "observables read since the last change",
     "_now": "the present on tensors",
     "_cache": "opportunities of the present decision",
+    "_options": "transfers to waypoints from the present position",
     "_aims": "geometry of the present decision",
     "_clock": "seconds of the ticks",
     "_argument_planes": "arguments as kernels read them",

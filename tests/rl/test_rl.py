@@ -7,6 +7,7 @@ from torchrl.modules import ValueOperator
 
 import bsk_torch
 from bsk_torch.rl.evaluation.evaluate import evaluate
+from bsk_torch.rl.marl.runs import configure_run
 from bsk_torch.rl.networks.normaliser import OWN
 from bsk_torch.rl.policies.files import load_policy
 from bsk_torch.rl.rules.baselines import Columns, ScanRule, random_policy
@@ -130,6 +131,15 @@ def test_recipes_can_be_changed():
     assert (config.num_envs, config.seconds, config.gamma) == (7, 5.0, 0.997)
     assert config.options == {"as_set": True, "n_targets": 10}
     assert configure("NadirScan-v1").hidden == PPOConfig().hidden
+
+
+def test_recipes_of_constellations_have_options_of_the_environment():
+    config = configure_run("MultiInspection-v1", frames=10, options={"n_inspectors": 2})
+    assert (config.num_envs, config.gamma, config.frames) == (128, 0.99999, 10)
+    assert config.options == {"actions": "waypoints", "n_inspectors": 2}
+    assert configure_run("RSOInspection-v1", options={"actions": "thrust"}).options == {"actions": "thrust"}
+    assert configure_run("RSOInspection-v1").options == {"actions": "waypoints"}  # the recipe itself stays as it is
+    assert configure_run("Constellation-v1").options == {"as_set": True}
 
 
 def test_unknown_networks_are_answered_with_the_nearest():

@@ -10,7 +10,7 @@ from bsk_torch.env import ConstellationTasking
 from bsk_torch.presets import PRESETS
 from bsk_torch.rl.marl.mappo import LOSSES, MAPPOConfig, MAPPOTraining
 from bsk_torch.rl.training.config import CONFIG, PPOConfig, load_config, read_settings
-from bsk_torch.rl.training.recipes import configure
+from bsk_torch.rl.training.recipes import configure, recipe_of
 from bsk_torch.rl.training.trainer import Training
 from bsk_torch.sim.params import nearest
 
@@ -47,9 +47,11 @@ def configure_run(preset: str, algorithm: str | None = None, network: str | None
         raise ValueError(f"algorithm={algorithm!r} does not train {preset}, which has {has}; use {fitting}")
     if not many:
         return configure(preset, network or "mlp", **changes)
-    options = {"as_set": True} if "as_set" in inspect.signature(PRESETS[preset]).parameters else {}
-    options |= changes.pop("options", {})
-    return MAPPOConfig(preset, network=network or "attention", algorithm=algorithm, options=options, **changes)
+    network = network or "attention"
+    recipe, options = recipe_of(preset, network, changes.pop("options", {}))
+    if "as_set" in inspect.signature(PRESETS[preset]).parameters:
+        options = {"as_set": True} | options
+    return MAPPOConfig(preset, network=network, algorithm=algorithm, options=options, **(recipe | changes))
 
 
 def algorithm_of(config: PPOConfig) -> str:

@@ -23,14 +23,34 @@ SCANNING: dict[str, dict[str, Any]] = {
 }
 """For the paper's satellite: how well it does goes up and down, so the best policy is looked for often."""
 
+INSPECTION: dict[str, dict[str, Any]] = {
+    "attention": dict(
+        num_envs=256,
+        rollout=16,
+        hidden=(256, 256),
+        gamma=0.99999,
+        epochs=4,
+        minibatch=1024,
+        entropy=0.01,
+        evaluate_every=100_000,
+        options=dict(actions="waypoints"),
+    ),
+}
+"""For flying about a spacecraft from waypoint to waypoint. An inspection takes hours, and its end counts most."""
+
+CREW: dict[str, dict[str, Any]] = {"attention": INSPECTION["attention"] | dict(num_envs=128, minibatch=512)}
+"""For several inspectors, each step of whom takes longer: smaller batches, so that there are as many updates."""
+
 RECIPES: dict[str, dict[str, dict[str, Any]]] = {
     "NadirScan-v1": SCANNING,
     "AEOS-v1": IMAGING,
     "AEOSPower-v1": IMAGING,
     "AEOSCity-v1": IMAGING,
     "CloudyAEOS-v1": IMAGING,
+    "RSOInspection-v1": INSPECTION,
+    "MultiInspection-v1": CREW,
 }
-"""Settings that differ from the defaults of :class:`PPOConfig`, by environment and network."""
+"""Settings that differ from the defaults of :class:`PPOConfig` or :class:`MAPPOConfig`, by environment and network."""
 
 
 def configure(preset: str, network: str = "mlp", **changes: Any) -> PPOConfig:
@@ -45,9 +65,15 @@ def configure(preset: str, network: str = "mlp", **changes: Any) -> PPOConfig:
         ValueError: For an unknown network, or one that does not fit the environment.
     """
     check_network(network)
-    options = changes.pop("options", {})
+    recipe, options = recipe_of(preset, network, changes.pop("options", {}))
     if network == "attention":
         if preset in PRESETS and "as_set" not in signature(PRESETS[preset]).parameters:
             raise ValueError(f"network='attention' does not fit {preset}, which observes no set of targets; use network='mlp'")
         options = {"as_set": True} | options
-    return PPOConfig(preset, network=network, options=options, **(RECIPES.get(preset, {}).get(network, {}) | changes))
+    return PPOConfig(preset, network=network, options=options, **(recipe | changes))
+
+
+def recipe_of(preset: str, network: str, options: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Return the settings of a recipe, none where there is none, and its options of the environment with changed ``options``."""
+    recipe = dict(RECIPES.get(preset, {}).get(network, {}))
+    return recipe, recipe.pop("options", {}) | options
