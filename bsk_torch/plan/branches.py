@@ -22,6 +22,10 @@ Value = Callable[[TensorDictBase], TensorDictBase]
 """Writes ``state_value`` [n, 1] into tensordicts [n] with observations: the discounted return that is to come."""
 
 
+Watch = Callable[[TensorDictBase], TensorDictBase]
+"""Looks at observations [M], and returns what is to be known of them, [M]."""
+
+
 @dataclass(frozen=True)
 class Discounting:
     """Returns of semi-Markov decision processes; see :mod:`bsk_torch.rl.training.advantages`.
@@ -55,6 +59,9 @@ class Jobs(NamedTuple):
         first: Actions of all agents in the first step, [J]; those of the base policy if None.
         limit: Ticks since reset at which branches are cut off, [J]; None for the ends of episodes.
         carried: What the base policy remembers, [J]; None for nothing.
+        judged: Seconds after which the value network judges, 0 for the end of the first step, [J]; None for the jobs' limits, up
+            to which all rewards count.
+        decided: Branches that take the actions ``first``, [J]; all unless given.
     """
 
     rows: Tensor
@@ -64,6 +71,8 @@ class Jobs(NamedTuple):
     first: TensorDictBase | None = None
     limit: Tensor | None = None
     carried: TensorDictBase | None = None
+    judged: Tensor | None = None
+    decided: Tensor | None = None
 
 
 class Flown(NamedTuple):
@@ -108,22 +117,19 @@ class Branches:
         self,
         source: Tasking,
         jobs: Jobs,
-        seconds: float | None = None,
         keep: tuple[Tasking, Tensor] | None = None,
-        watch: Callable[[TensorDictBase, Tensor], TensorDictBase] | None = None,
+        watch: Watch | None = None,
     ) -> Flown:
         """Fly branches, M at a time; no result depends on others.
 
         Args:
             source: Environment that holds their states.
             jobs: The branches.
-            seconds: Time after which the value network judges; 0 for the end of the first step. None for the jobs' limits, up to
-                which all rewards count.
             keep: Environment, and rows [J] of it, that get the states after the first step.
-            watch: Looks at the observations [M] after the first step, of which the rows of the indices [m] of jobs count.
+            watch: Looks at the observations after the first step, [M].
         """
         parts = [
-            self._fly(source, jobs, index, seconds, keep, watch)
+            self._fly(source, jobs, index, keep, watch)
             for index in torch.arange(len(jobs.rows), device=self.every.device).split(len(self.every))
         ]
         columns = list(zip(*parts, strict=True))
@@ -132,7 +138,7 @@ class Branches:
         acted = None if columns[6][0] is None else tuple(torch.cat(column) for column in zip(*columns[6], strict=True))
         return Flown(*tensors, seen, acted)
 
-    def _fly(self, source: Tasking, jobs: Jobs, index: Tensor, seconds: float | None, keep: Any, watch: Any) -> Flown:
+    def _fly(self, source: Tasking, jobs: Jobs, index: Tensor, keep: Any, watch: Any) -> Flown:
         model, slots, m = self.model, self.slots, len(index)
         job = torch.nn.functional.pad(index, (0, len(self.every) - m), value=int(index[0]))  # spare rows repeat a job, unflown
         flying = self.every < m
@@ -152,7 +158,7 @@ class Branches:
         while True:
             now = self._decided(now, env_ids)
             if not edge and jobs.first is not None:
-                now.update(jobs.first[job])
+                self._take(now, jobs.first[job], None if jobs.decided is None else jobs.decided[job])
             theirs = (taken < length) & (flying if not edge else flying & self._decides(now, slot))
             at = taken.clamp(max=length - 1)
             slots.put(now, slot, plan[self.every, at], theirs & ~torch.isnan(plan[self.every, at]).any(1) if real else theirs)
@@ -172,10 +178,11 @@ class Branches:
                 if keep is not None:
                     keep[0].restore(model, keep[1][index], self.every[:m])
                 if watch is not None:
-                    seen = watch(now, index)[:m]
+                    self._draw_lots(now, env_ids)
+                    seen = watch(now)[:m]
             flying = flying & ~done
-            if seconds is not None:
-                late = flying & (edge[1] + elapsed >= seconds)
+            if jobs.judged is not None:
+                late = flying & (edge[1] + elapsed >= jobs.judged[job])
                 if bool(late.any()):
                     worth = self._judge(now).to(total.dtype)
                     total = torch.where(late, total + self.discounting.after(elapsed) * worth, total)
@@ -188,11 +195,24 @@ class Branches:
         )
 
     def _decided(self, now: TensorDictBase, env_ids: Tensor) -> TensorDictBase:
-        """Let the base policy decide; what it does at random follows from the episode and the time."""
+        """Let the base policy decide."""
+        self._draw_lots(now, env_ids)
+        return decide(self.base, now)
+
+    def _draw_lots(self, now: TensorDictBase, env_ids: Tensor) -> None:
+        """Draw what the base policy does at random: it follows from the episode and the time."""
         if LOT in self.base.in_keys:
             key = present_key(self.model, self.every, env_ids, "lot of a branch")
             now[LOT] = key.uniform(1).squeeze(1).to(self.model.device)
-        return decide(self.base, now)
+
+    @staticmethod
+    def _take(now: TensorDictBase, first: TensorDictBase, where: Tensor | None) -> None:
+        """Write the actions ``first`` [M] into the rows ``where`` [M]."""
+        for key in first.keys(True, True):
+            given = first[key]
+            if where is not None:
+                given = torch.where(where.view(-1, *[1] * (given.ndim - 1)), given, now[key])
+            now.set(key, given)
 
     def _decides(self, now: TensorDictBase, slot: Tensor) -> Tensor:
         """Return whether the agent ``slot`` [M] needs a task."""
@@ -205,7 +225,7 @@ class Branches:
         following = self.slots.play(model, now, flying)
         if "next" in now.keys():  # noqa: SIM118  - a tensordict; what the policy remembers
             following.update(now["next"])
-        return following, model.returns - returns, (model.fleet.ticks - ticks) * model.fleet.h
+        return following, model.returns - returns, (model.fleet.ticks - ticks).double() * model.fleet.h
 
     def _judge(self, now: TensorDictBase) -> Tensor:
         assert self.value is not None

@@ -49,8 +49,8 @@ def _compare(found: list[TensorDictBase], words: str) -> None:
             name = key if isinstance(key, str) else ".".join(key)
             raise ValueError(
                 f"the environment cannot be copied: {words} {name!r}. Planning needs functions that give the same for the same "
-                "episode: let those that draw at random use a key of bsk_torch.rand, or, at reset, the global generators of NumPy "
-                "or Python, which are seeded; and declare values that an episode must remember (fleet.memory.declare)"
+                "episode: let those that draw at random use a key of bsk_torch.rand, or, at reset, the global generators of "
+                "NumPy or Python, which are seeded; and declare values that an episode must remember (fleet.memory.declare)"
             )
 
 

@@ -14,7 +14,7 @@ from bsk_torch.scene import CloudyTargets
 from bsk_torch.scene.draws import draw_numbers
 
 Redraw = Callable[[Tasking, Tensor, Key], None]
-"""Draws what the planner cannot know anew: ``redraw(env, envs, key)`` writes into the rows ``envs`` [n] of the state of ``env``."""
+"""Draws anew what the planner cannot know: ``redraw(env, envs, key)`` writes into rows ``envs`` [n] of the state of ``env``."""
 
 
 def present_key(env: Tasking, rows: Tensor, env_ids: Tensor, name: str) -> Key:

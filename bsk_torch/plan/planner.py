@@ -63,7 +63,7 @@ class Planner(TensorDictModuleBase):
         base: Base = None,
         *,
         horizon: float,
-        gamma: float = 1.0,
+        gamma: float = 0.997,
         reward_time: str = "end",
         value: Value | None = None,
         futures: int | None = None,
@@ -78,7 +78,7 @@ class Planner(TensorDictModuleBase):
             base: The base policy; see :func:`bsk_torch.plan.base_of`.
             horizon: Seconds from the decision on that branches last; infinity for the rest of the episode. They end there,
                 also in the middle of a task, so all branches are compared over the same time.
-            gamma: Discount per second.
+            gamma: Discount per second; 1 for sums of rewards.
             reward_time: When the reward of a step counts: at its ``"end"`` or its ``"start"``.
             value: A module that writes ``state_value`` [n, 1] for observations [n], in place of what lies beyond; branches then
                 end with the first step that reaches the horizon.
@@ -120,6 +120,8 @@ class Planner(TensorDictModuleBase):
         self.base, self._value = policy, value
         self._discounting = Discounting(gamma, reward_time == "end")
         self._made: dict[str, Any] = {}
+        kinds = zip(slots.real, slots.n_actions, strict=True)
+        self._plannable = slots.of([real if self.real else n > 1 for real, n in kinds], env.device)
         self.in_keys = list(policy.in_keys)
         self.out_keys = [*policy.out_keys, SIMULATED]
 
@@ -228,10 +230,9 @@ class Planner(TensorDictModuleBase):
             return torch.full_like(rows, ENDLESS)
         return self.env.fleet.ticks[rows] + max(1, round(self.horizon / self.env.fleet.h))
 
-    @property
-    def _seconds(self) -> float | None:
-        """Seconds after which the value network judges; None without one."""
-        return None if self._value is None else self.horizon
+    def _judged(self, elapsed: Tensor) -> Tensor | None:
+        """Return seconds after which the value network judges branches that begin after ``elapsed`` [J]; None without one."""
+        return None if self._value is None else (self.horizon - elapsed).clamp(min=0.0)
 
     def _plant(self, store: Tasking, places: Tensor, rows: Tensor) -> None:
         """Copy episodes ``rows`` [n] into the rows ``places`` [n * futures] of another environment, each in every future."""
@@ -255,4 +256,18 @@ class Planner(TensorDictModuleBase):
             rows: Rows of the copies from which the branches begin, [J].
         """
         kept = memory[real] if len(memory.keys()) else None
-        return Jobs(rows, self.env.env_ids[real], slot, plan, self.slots.actions(td)[real], self._limit(real), kept)
+        judged = self._judged(torch.zeros_like(real, dtype=torch.float64))
+        return Jobs(rows, self.env.env_ids[real], slot, plan, self.slots.actions(td)[real], self._limit(real), kept, judged)
+
+    # -- decisions ----------------------------------------------------------------------------------------------------
+
+    def _preferred(self, q: Tensor, mine: Tensor) -> Tensor:
+        """Return the best action, [n]: that of the base policy, ``mine`` [n], unless another one is better.
+
+        Args:
+            q: Returns [n * futures, A]; minus infinity for actions that have not been tried.
+            mine: Actions of the base policy.
+        """
+        mean = q.view(len(mine), self._copies, -1).mean(1)
+        best, action = mean.max(1)
+        return torch.where(best > mean.gather(1, mine.unsqueeze(1)).squeeze(1), action, mine)

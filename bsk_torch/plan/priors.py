@@ -21,8 +21,8 @@ class Prior:
     """Probabilities of the legal actions of one agent in each row, by a policy.
 
     Those of a network are its own. A rule, or any other policy that respects masks, is asked again and again, each time without
-    the actions that it has named: its k-th choice gets a probability in proportion to :data:`DECAY` to the power k. Of rules that
-    do not look at the mask, the first choice is the only one that counts.
+    the actions that it has named: its k-th choice gets a probability in proportion to :data:`DECAY` to the power k, and
+    those that it has not named get that of the next one. Of rules that do not look at the mask, only the first choice counts.
     """
 
     def __init__(self, policy: TensorDictModuleBase, slots: Slots, ranked: int = RANKED) -> None:
@@ -40,13 +40,13 @@ class Prior:
 
     def _by_rank(self, td: TensorDictBase, decided: TensorDictBase, slot: Tensor, legal: Tensor) -> Tensor:
         numbers = torch.arange(legal.shape[1], device=legal.device)
-        weight = torch.full(legal.shape, DECAY**self.ranked, dtype=torch.float64, device=legal.device)
+        weight = torch.ones(legal.shape, dtype=torch.float64, device=legal.device)
         left = legal.clone()
-        for rank in range(min(self.ranked, legal.shape[1])):
+        for _ in range(min(self.ranked, legal.shape[1])):
             choice = self.slots.at(self.slots.chosen(decided), slot)
             named = (numbers == choice.unsqueeze(1)) & left
-            weight = torch.where(named, DECAY**rank, weight)
             left = left & ~named
+            weight = torch.where(left & named.any(1, keepdim=True), DECAY * weight, weight)
             if not bool(left.any()):
                 break
             asked = td.clone()

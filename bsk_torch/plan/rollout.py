@@ -56,9 +56,8 @@ class Rollout(Planner):
             return mine, torch.zeros(len(rows), dtype=torch.float64, device=td.device)
         total, simulated = self._flown(td, memory, rows, slot, several)
         q[several[:, 0], several[:, 1]] = total
-        best, action = q.max(1)
-        action = torch.where(best > self._of(q, mine), action, mine)
-        return action, torch.zeros_like(best).index_add(0, several[:, 0], simulated)
+        action = self._preferred(q.repeat_interleave(self._copies, 0), mine)
+        return action, torch.zeros_like(q[:, 0]).index_add(0, several[:, 0], simulated)
 
     def _tried(self, td: TensorDictBase, rows: Tensor, slot: Tensor, mine: Tensor) -> Tensor:
         """Return the actions that are tried, [n, A]: that of the base policy among them."""
@@ -83,12 +82,7 @@ class Rollout(Planner):
             places = (which.unsqueeze(1) * self.futures + torch.arange(self.futures, device=rows.device)).flatten()
             each, action = which.repeat_interleave(self.futures), action.repeat_interleave(self.futures)
         jobs = self._jobs(td, memory, rows[each], slot[each], action.unsqueeze(1), places)
-        flown = self.branches.fly(source, jobs, self._seconds)
+        flown = self.branches.fly(source, jobs)
         total = self._discounting.before(flown.reward, flown.seconds, flown.rest)
         shape = (len(which), self._copies)
         return total.view(shape).mean(1), flown.simulated.view(shape).sum(1)
-
-    @staticmethod
-    def _of(table: Tensor, column: Tensor) -> Tensor:
-        """Return one entry of each row of a table [n, A], by its column [n]."""
-        return table.gather(1, column.unsqueeze(1)).squeeze(1)

@@ -134,7 +134,7 @@ class Slots:
 
     def neutral(self, td: TensorDictBase) -> None:
         """Write the first legal action of everybody, or the real numbers nearest to zero."""
-        for group, n, bounds in zip(self.groups, self.n_actions, self.bounds, strict=True):
+        for group, bounds in zip(self.groups, self.bounds, strict=True):
             at = td if group is None else td[group]
             if bounds:
                 low, high = torch.tensor(bounds, device=td.device).unbind(1)
