@@ -81,7 +81,9 @@ class BeamSearch(Planner):
         node = self._lookout.of_agent(now, slot.repeat_interleave(self._copies)).unsqueeze(1).expand(len(real), w).clone()
         mine = self.slots.at(self.slots.chosen(td)[rows], slot)
         zeros = torch.zeros(len(roots), w, dtype=torch.float64, **on)
-        gained, elapsed, first = zeros, zeros, torch.zeros_like(zeros, dtype=torch.int64)
+        gained, elapsed = zeros, zeros
+        path = torch.full((len(roots), w, self.depth), -1, **on)
+        best_path, best_worth = path[:, 0], torch.full_like(zeros[:, 0], -torch.inf)
         valid = torch.zeros_like(zeros, dtype=torch.bool)
         valid[:, 0] = True
         q = torch.full((len(roots), self.slots.most_actions), -torch.inf, dtype=torch.float64, **on)
@@ -104,24 +106,36 @@ class BeamSearch(Planner):
             simulated = simulated.index_add(0, r, flown.simulated)
             weight = self._discounting.after(elapsed[r, b])
             total = gained[r, b] + weight * self._discounting.before(flown.reward, flown.seconds, flown.rest)
-            beginning = action if level == 0 else first[r, b]
-            q = q.view(-1).scatter_reduce(0, r * q.shape[1] + beginning, total, "amax").view_as(q)
+            steps = path[r, b]
+            steps[:, level] = action
+            q = q.view(-1).scatter_reduce(0, r * q.shape[1] + steps[:, 0], total, "amax").view_as(q)
+            table = torch.full((len(roots), share), -torch.inf, dtype=torch.float64, **on)
+            job = torch.zeros(len(roots), share, dtype=torch.int64, **on)
+            table[r, number], job[r, number] = total, torch.arange(len(r), **on)
+            top, which = table.max(1)
+            better = top > best_worth
+            best_path = torch.where(better.unsqueeze(1), steps[job.gather(1, which.unsqueeze(1)).squeeze(1)], best_path)
+            best_worth = torch.maximum(top, best_worth)
             if level + 1 == self.depth:
                 break
             none = torch.zeros_like(total)
             gain = gained[r, b] + weight * self._discounting.before(flown.reward, flown.seconds, none)
-            table = torch.full((len(roots), share), -torch.inf, dtype=torch.float64, **on)
             table[r, number] = total.masked_fill(flown.done, -torch.inf)
-            job = torch.zeros(len(roots), share, dtype=torch.int64, **on)
-            job[r, number] = torch.arange(len(r), **on)
             best, which = torch.nn.functional.pad(table, (0, max(0, w - share)), value=-torch.inf).topk(w, 1)
             valid = best > -torch.inf
             chosen = job.gather(1, which.clamp(max=share - 1))
-            gained, elapsed, first = gain[chosen], (elapsed[r, b] + flown.seconds)[chosen], beginning[chosen]
+            gained, elapsed, path = gain[chosen], (elapsed[r, b] + flown.seconds)[chosen], steps[chosen]
             assert flown.seen is not None
             node = flown.seen[chosen]
             store.restore(store, place[valid], child[chosen][valid])
-        return self._preferred(q, mine), simulated.view(len(rows), -1).sum(1)
+        action, seconds = self._preferred(q, mine), simulated.view(len(rows), -1).sum(1)
+        if not self._keeps_promises:
+            return action, seconds
+        worth = q.gather(1, action.unsqueeze(1)).squeeze(1)
+        plan = torch.where((best_path[:, 0] == action).unsqueeze(1), best_path, -1)
+        plan[:, 0] = action
+        action, more = self._promised(td, memory, rows, slot, action, worth, plan)
+        return action, seconds + more
 
     def _tried(self, node: TensorDictBase, valid: Tensor, share: int) -> Tensor:
         """Return the extensions that are tried, [R, W, A]: at most ``share`` of each root; those of the base policy first."""

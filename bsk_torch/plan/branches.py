@@ -55,7 +55,8 @@ class Jobs(NamedTuple):
         rows: Rows of the environment that holds the states from which they begin, [J].
         env_ids: Indices of the episodes in draws, [J].
         slot: Agent whose actions are given, [J]; see :data:`bsk_torch.plan.slots.NOBODY`.
-        plan: Its first D actions: numbers of actions [J, D], or real numbers [J, D, W]; the base policy decides after them.
+        plan: Its first D actions: numbers of actions [J, D], or real numbers [J, D, W]. The base policy decides after them, and
+            in place of those that are illegal when their time comes, negative, or NaN.
         first: Actions of all agents in the first step, [J]; those of the base policy if None.
         limit: Ticks since reset at which branches are cut off, [J]; None for the ends of episodes.
         carried: What the base policy remembers, [J]; None for nothing.
@@ -161,7 +162,8 @@ class Branches:
                 self._take(now, jobs.first[job], None if jobs.decided is None else jobs.decided[job])
             theirs = (taken < length) & (flying if not edge else flying & self._decides(now, slot))
             at = taken.clamp(max=length - 1)
-            slots.put(now, slot, plan[self.every, at], theirs & ~torch.isnan(plan[self.every, at]).any(1) if real else theirs)
+            given = plan[self.every, at]
+            slots.put(now, slot, given, theirs & (~torch.isnan(given).any(1) if real else self._allowed(now, slot, given)))
             if real:
                 mine = slots.at(slots.numbers(now), slot)
                 here = (at.unsqueeze(1) == torch.arange(length, device=at.device)) & theirs.unsqueeze(1)
@@ -217,6 +219,11 @@ class Branches:
     def _decides(self, now: TensorDictBase, slot: Tensor) -> Tensor:
         """Return whether the agent ``slot`` [M] needs a task."""
         return self.slots.at(self.slots.deciding(now), slot) & (slot >= 0)
+
+    def _allowed(self, now: TensorDictBase, slot: Tensor, action: Tensor) -> Tensor:
+        """Return whether ``action`` [M] is legal for the agent ``slot`` [M]."""
+        legal = self.slots.at(self.slots.legal(now), slot)
+        return legal.gather(1, action.clamp(min=0).unsqueeze(1)).squeeze(1) & (action >= 0)
 
     def _step(self, now: TensorDictBase, flying: Tensor) -> tuple[TensorDictBase, Tensor, Tensor]:
         """Step the rows ``flying`` [M]; return what follows, their rewards, of all satellites together, and seconds."""

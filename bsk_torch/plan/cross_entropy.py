@@ -17,6 +17,7 @@ from bsk_torch.env import Tasking
 from bsk_torch.plan.bases import Base
 from bsk_torch.plan.draws import present_key
 from bsk_torch.plan.planner import Planner
+from bsk_torch.plan.promises import Promises
 
 
 class CrossEntropy(Planner):
@@ -42,6 +43,7 @@ class CrossEntropy(Planner):
         elites: float = 0.125,
         spread: float = 0.3,
         smoothing: float = 0.2,
+        gamma: float = 1.0,
         **options: Any,
     ) -> None:
         """See :class:`~bsk_torch.plan.planner.Planner` for the other arguments, and for errors.
@@ -56,17 +58,19 @@ class CrossEntropy(Planner):
             elites: Fraction of the samples from which the next distribution follows.
             spread: Standard deviation of the first distribution, over half the width of the bounds.
             smoothing: Weight of the last distribution in the next one.
+            gamma: Discount per second.
             **options: Further arguments of :class:`~bsk_torch.plan.planner.Planner`.
         """
         self.iterations, self.depth = whole("iterations", iterations, 1), whole("depth", depth, 1)
         self.budget = whole("budget", budget, 1)
         self.samples = self.budget // self.iterations
         if self.samples < 2:
-            raise ValueError(f"budget={budget} must be at least {2 * self.iterations}: two samples for each of iterations={iterations}")
+            least = 2 * self.iterations
+            raise ValueError(f"budget={budget} must be at least {least}: two samples for each of iterations={iterations}")
         self.elites = max(1, round(self.samples * number("elites", elites, 0.0, 1.0, above=True)))
         self.spread = number("spread", spread, 0.0, 10.0, above=True)
         self.smoothing = number("smoothing", smoothing, 0.0, 1.0)
-        super().__init__(env, base, horizon=horizon, **options)
+        super().__init__(env, base, horizon=horizon, gamma=gamma, **options)
         width = self.slots.most_numbers
         sides = [torch.tensor(bounds, dtype=torch.float64).view(-1, 2) for bounds in self.slots.bounds]
         padded = torch.stack([torch.nn.functional.pad(side, (0, 0, 0, width - len(side))) for side in sides])
@@ -85,9 +89,17 @@ class CrossEntropy(Planner):
         unsaid = torch.full((n, 1, self.depth, low.shape[-1]), torch.nan, dtype=taken.dtype, device=rows.device)
         best_return, simulated, acted = self._flown(td, memory, rows, slot, unsaid)
         best_return, plan = best_return.squeeze(1), acted[:, 0].double()
-        best = plan
+        best, own = plan, torch.ones_like(best_return, dtype=torch.bool)
+        promises = self._promises(plan)
+        kept, there = promises.due(env, rows, slot)
+        if bool(there.any()):
+            total, seconds, acted = self._flown(td, memory, rows, slot, kept.unsqueeze(1).to(taken.dtype))
+            simulated = simulated + seconds
+            better = there & (total.squeeze(1) > best_return)
+            best_return = torch.where(better, total.squeeze(1), best_return)
+            plan = best = torch.where(better.view(-1, 1, 1), acted[:, 0].double(), plan)
+            own = ~better
         deviation = self.spread * half.expand_as(plan)
-        own = torch.ones_like(best_return, dtype=torch.bool)
         key = present_key(env, rows, env.env_ids[rows], "")
         for iteration in range(self.iterations):
             drawn = key.named(f"samples {self.seed} {iteration}").normal(p * plan[0].numel()).to(rows.device)
@@ -107,7 +119,15 @@ class CrossEntropy(Planner):
             plan = mix * plan + (1.0 - mix) * elite.mean(1)
             deviation = mix * deviation + (1.0 - mix) * elite.std(1, correction=0)
         action = torch.where(own.unsqueeze(1), taken, best[:, 0].to(taken.dtype))
+        promises.make(env, rows, slot, torch.where(own.view(-1, 1, 1), torch.nan, best))
         return action, simulated
+
+    def _promises(self, plan: Tensor) -> Promises:
+        """Return what decisions have promised; ``plan`` [n, D, W] shows the shape."""
+        found = self._made.get("promises")
+        if found is None:
+            self._made["promises"] = found = Promises(self.env.num_envs, torch.full_like(plan[0], torch.nan))
+        return found
 
     def _flown(
         self, td: TensorDictBase, memory: TensorDictBase, rows: Tensor, slot: Tensor, plans: Tensor

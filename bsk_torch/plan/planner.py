@@ -17,6 +17,7 @@ from bsk_torch.plan.bases import Base, base_of
 from bsk_torch.plan.branches import Branches, Discounting, Jobs, Value, carried
 from bsk_torch.plan.copies import check_copyable
 from bsk_torch.plan.draws import Redraw, present_key, reseed_copies
+from bsk_torch.plan.promises import Promises
 from bsk_torch.plan.slots import Slots
 from bsk_torch.rl.evaluation.evaluate import SIMULATED
 from bsk_torch.sim.params import nearest
@@ -258,6 +259,41 @@ class Planner(TensorDictModuleBase):
         kept = memory[real] if len(memory.keys()) else None
         judged = self._judged(torch.zeros_like(real, dtype=torch.float64))
         return Jobs(rows, self.env.env_ids[real], slot, plan, self.slots.actions(td)[real], self._limit(real), kept, judged)
+
+    def _promised(
+        self, td: TensorDictBase, memory: TensorDictBase, rows: Tensor, slot: Tensor, action: Tensor, worth: Tensor, plan: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """Return actions that are no worse than what the last decision has promised, [n], and simulated seconds [n].
+
+        Args:
+            td: See :meth:`_improved`.
+            memory: Likewise.
+            rows: Likewise.
+            slot: Likewise.
+            action: The best actions that have been found, [n].
+            worth: Their returns, [n].
+            plan: Sequences that have these returns, [n, D]; -1 where the base policy decides.
+        """
+        found = self._made.get("promises")
+        if found is None:
+            blank = torch.full_like(plan[0], -1)
+            self._made["promises"] = found = Promises(self.env.num_envs, blank)
+        kept, there = found.due(self.env, rows, slot)
+        index = torch.nonzero(there).squeeze(1)
+        simulated = torch.zeros_like(worth)
+        if len(index):
+            flown = self.branches.fly(self.env, self._jobs(td, memory, rows[index], slot[index], kept[index], rows[index]))
+            total = self._discounting.before(flown.reward, flown.seconds, flown.rest)
+            simulated[index] = flown.simulated
+            better = torch.zeros_like(there).index_copy(0, index, total > worth[index])
+            action, plan = torch.where(better, kept[:, 0], action), torch.where(better.unsqueeze(1), kept, plan)
+        found.make(self.env, rows, slot, plan)
+        return action, simulated
+
+    @property
+    def _keeps_promises(self) -> bool:
+        """Whether returns are exact, and all actions of a sequence those of one agent."""
+        return self._value is None and self.futures is None and self.slots.size == 1
 
     # -- decisions ----------------------------------------------------------------------------------------------------
 

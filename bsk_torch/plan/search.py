@@ -18,6 +18,9 @@ from bsk_torch.plan.planner import Planner
 from bsk_torch.plan.priors import Prior
 from bsk_torch.plan.tree import Leaves, Trees
 
+LONGEST = 64
+"""Actions of a sequence that are remembered until the next decision."""
+
 
 class TreeSearch(Planner):
     """Monte-Carlo tree search: see :mod:`bsk_torch.plan.tree`.
@@ -93,7 +96,12 @@ class TreeSearch(Planner):
         q = trees.returns()
         if not exact:
             q = self._by_visits(trees, q)
-        return self._preferred(q, mine), simulated.view(len(rows), -1).sum(1)
+        chosen, seconds = self._preferred(q, mine), simulated.view(len(rows), -1).sum(1)
+        if not self._keeps_promises:
+            return chosen, seconds
+        worth = q.gather(1, chosen.unsqueeze(1)).squeeze(1)
+        chosen, more = self._promised(td, memory, rows, slot, chosen, worth, trees.plan(chosen, min(self.budget, LONGEST)))
+        return chosen, seconds + more
 
     def _own(self, trees: Trees, mine: Tensor) -> Leaves:
         """Return the edges of the base policy's actions, [R], at the roots."""
@@ -135,7 +143,9 @@ class TreeSearch(Planner):
         self, trees: Trees, td: TensorDictBase, memory: TensorDictBase, real: Tensor, root: Tensor, node: Tensor, action: Tensor
     ) -> Jobs:
         """Return the flights of actions [J] at nodes [J] of trees [J]; other agents act as decided at roots, else by the base."""
-        jobs = self._jobs(td, memory, real[root], trees.known["slot"][root, node], action.unsqueeze(1), root * (self.budget + 1) + node)
+        jobs = self._jobs(
+            td, memory, real[root], trees.known["slot"][root, node], action.unsqueeze(1), root * (self.budget + 1) + node
+        )
         kept = trees.known["memory"][root, node]
         return jobs._replace(carried=kept if len(kept.keys()) else None, decided=node == 0)
 

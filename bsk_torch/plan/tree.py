@@ -154,6 +154,18 @@ class Trees:
         mean = self.total[:, 0] / self.visits[:, 0].clamp(min=1)
         return self.best[:, 0] if self.exact else torch.where(torch.isfinite(self.best[:, 0]), mean, -torch.inf)
 
+    def plan(self, action: Tensor, depth: int) -> Tensor:
+        """Return the sequences behind actions [R] at the roots that have their largest returns, [R, depth]; -1 behind the last."""
+        node, steps = self.child[self.every, 0, action], [action]
+        for _ in range(depth - 1):
+            there = node != NONE
+            at = node.clamp(min=0)
+            best, following = self._at(self.best, at).max(1)
+            there = there & (best >= self.leaf.gather(1, at.unsqueeze(1)).squeeze(1))  # else the base policy does better
+            steps.append(torch.where(there, following, -1))
+            node = torch.where(there, self.child[self.every, at, following], NONE)
+        return torch.stack(steps, 1)
+
     # -- tables -------------------------------------------------------------------------------------------------------
 
     def _at(self, table: Tensor, node: Tensor) -> Tensor:
