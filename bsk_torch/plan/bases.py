@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from contextlib import suppress
 from pathlib import Path
+from typing import TypeAlias
 
 from tensordict.nn import TensorDictModuleBase
 
@@ -13,7 +14,7 @@ from bsk_torch.rl.policies.shared_policy import shared, shared_baseline
 from bsk_torch.rl.rules.baselines import BASELINES
 from bsk_torch.sim.params import nearest
 
-Base = TensorDictModuleBase | str | Path | None
+Base: TypeAlias = "TensorDictModuleBase | str | Path | None"
 """A policy of all agents, its name, or its file; None for the first of :data:`USUAL` that fits."""
 
 USUAL = ("hasty", "rule", "survey", "drift", "random")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -97,6 +97,22 @@ class Flown(NamedTuple):
     seen: TensorDictBase | None
     acted: tuple[Tensor, Tensor] | None
 
+    @classmethod
+    def joined(cls, parts: Sequence[Flown]) -> Flown:
+        """Return the branches of all parts, in order."""
+        reward, seconds, done, rest, simulated = (torch.cat([part[k] for part in parts]) for k in range(5))
+        seen = None if parts[0].seen is None else torch.cat([part.seen for part in parts])
+        acted = [part.acted for part in parts if part.acted is not None]
+        both = (torch.cat([a for a, _ in acted]), torch.cat([n for _, n in acted])) if acted else None
+        return cls(reward, seconds, done, rest, simulated, seen, both)
+
+    def take(self, first: int, end: int) -> Flown:
+        """Return the branches from ``first`` on, before ``end``."""
+        reward, seconds, done, rest, simulated = (self[k][first:end] for k in range(5))
+        seen = None if self.seen is None else self.seen[first:end]
+        acted = None if self.acted is None else (self.acted[0][first:end], self.acted[1][first:end])
+        return Flown(reward, seconds, done, rest, simulated, seen, acted)
+
 
 class Branches:
     """Rows in which copies of episodes are flown: a given action or a few, then the base policy to the end of the look-ahead.
@@ -133,11 +149,7 @@ class Branches:
             self._fly(source, jobs, index, keep, watch)
             for index in torch.arange(len(jobs.rows), device=self.every.device).split(len(self.every))
         ]
-        columns = list(zip(*parts, strict=True))
-        tensors = [torch.cat(column) for column in columns[:5]]
-        seen = None if watch is None else torch.cat(columns[5])
-        acted = None if columns[6][0] is None else tuple(torch.cat(column) for column in zip(*columns[6], strict=True))
-        return Flown(*tensors, seen, acted)
+        return Flown.joined(parts)
 
     def _fly(self, source: Tasking, jobs: Jobs, index: Tensor, keep: Any, watch: Any) -> Flown:
         model, slots, m = self.model, self.slots, len(index)

@@ -26,7 +26,7 @@ def find_planner(name: str) -> type[Planner]:
 
 def options_of(name: str) -> list[str]:
     """Return the arguments of a planner, without the environment; ValueError for an unknown planner."""
-    found = {}
+    found: dict[str, inspect.Parameter] = {}
     for kind in reversed([kind for kind in find_planner(name).__mro__ if issubclass(kind, Planner)]):
         found |= inspect.signature(vars(kind)["__init__"]).parameters
     return [

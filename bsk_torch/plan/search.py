@@ -129,8 +129,7 @@ class TreeSearch(Planner):
         flown = self.branches.fly(store, jobs, (store, root * most + new), self._lookout)
         first = 0
         for leaves, rows in zip(wave, each, strict=True):
-            part = slice(first, first + len(rows))
-            mine = type(flown)(*(None if column is None else column[part] for column in flown))
+            mine = flown.take(first, first + len(rows))
             if self._value is not None:  # too far ahead to be extended
                 late = trees.elapsed[rows, leaves.node[rows]] + mine.seconds >= self.horizon
                 mine = mine._replace(done=mine.done | late)

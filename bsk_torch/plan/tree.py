@@ -1,14 +1,14 @@
 """Monte-Carlo tree search over copies of episodes, with the bias of a policy; trees of a batch are tensors [R, nodes, A].
 
-Sources: C. D. Rosin, "Multi-armed bandits with episode context", Annals of Mathematics and AI 61, 2011 (the rule of selection); D.
-Silver et al., "Mastering the game of Go without human knowledge", Nature 550, 2017; returns of a node lie between the least and
-the largest that its actions have had, as in J. Schrittwieser et al., "Mastering Atari, Go, chess and shogi by planning with a
-learned model", Nature 588, 2020.
+Sources: C. D. Rosin, "Multi-armed bandits with episode context", Annals of Mathematics and AI 61, 2011 (the rule of selection);
+D. Silver et al., "Mastering the game of Go without human knowledge", Nature 550, 2017. Returns of a node lie between the least
+and the largest that its actions have had, as in J. Schrittwieser et al., "Mastering Atari, Go, chess and shogi by planning with
+a learned model", Nature 588, 2020.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from tensordict import TensorDict, TensorDictBase
@@ -56,7 +56,7 @@ class Trees:
         self.discounting, self.exact, self.exploration = discounting, exact, exploration
         legal = root["legal"]
         r, a = legal.shape
-        on = {"device": legal.device}
+        on: dict[str, Any] = {"device": legal.device}
         self.every = torch.arange(r, **on)
         edges, nodes = (r, most, a), (r, most)
         self.known: TensorDict = root.unsqueeze(1).expand(r, most).clone()
@@ -155,7 +155,7 @@ class Trees:
         return self.best[:, 0] if self.exact else torch.where(torch.isfinite(self.best[:, 0]), mean, -torch.inf)
 
     def plan(self, action: Tensor, depth: int) -> Tensor:
-        """Return the sequences behind actions [R] at the roots that have their largest returns, [R, depth]; -1 behind the last."""
+        """Return the sequences that have the largest returns of actions [R] at the roots, [R, depth]; -1 behind the last."""
         node, steps = self.child[self.every, 0, action], [action]
         for _ in range(depth - 1):
             there = node != NONE
