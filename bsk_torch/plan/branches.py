@@ -100,18 +100,18 @@ class Flown(NamedTuple):
     @classmethod
     def joined(cls, parts: Sequence[Flown]) -> Flown:
         """Return the branches of all parts, in order."""
-        reward, seconds, done, rest, simulated = (torch.cat([part[k] for part in parts]) for k in range(5))
-        seen = None if parts[0].seen is None else torch.cat([part.seen for part in parts])
+        columns = {name: torch.cat([getattr(part, name) for part in parts]) for name in cls._fields[:5]}
+        seen: Any = None if parts[0].seen is None else torch.cat([part.seen for part in parts])  # type: ignore[misc]
         acted = [part.acted for part in parts if part.acted is not None]
         both = (torch.cat([a for a, _ in acted]), torch.cat([n for _, n in acted])) if acted else None
-        return cls(reward, seconds, done, rest, simulated, seen, both)
+        return cls(**columns, seen=seen, acted=both)
 
     def take(self, first: int, end: int) -> Flown:
         """Return the branches from ``first`` on, before ``end``."""
-        reward, seconds, done, rest, simulated = (self[k][first:end] for k in range(5))
+        columns = {name: getattr(self, name)[first:end] for name in self._fields[:5]}
         seen = None if self.seen is None else self.seen[first:end]
         acted = None if self.acted is None else (self.acted[0][first:end], self.acted[1][first:end])
-        return Flown(reward, seconds, done, rest, simulated, seen, acted)
+        return Flown(**columns, seen=seen, acted=acted)
 
 
 class Branches:
