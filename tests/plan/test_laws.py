@@ -1,4 +1,4 @@
-"""What every planner keeps to: the environment is not touched, rows do not matter, and decisions are not worse than the base's."""
+"""What every planner keeps to: the environment is not touched, rows do not matter, and decisions are no worse than the base's."""
 
 import numpy as np
 import pytest
@@ -34,7 +34,7 @@ def test_planning_leaves_the_environment_and_all_generators_alone(name, env):
 
 @pytest.mark.parametrize("name", SMALL)
 def test_decisions_do_not_depend_on_other_rows(name, env):
-    seeds = [5, 1, 8]
+    seeds = [5, 1]
     alone = scanning(1)
     few, many = (
         evaluate(planner(name, e, base="rule", horizon=500.0, rows=rows, **SMALL[name]), e, seeds=seeds)
@@ -66,9 +66,9 @@ def test_a_base_that_draws_lots_has_the_same_ones_in_every_batch(env):
 
 
 def test_the_eager_back_end_decides_alike():
-    for e in (scanning(2, 500.0), scanning(2, 500.0, backend="eager")):
+    for e in (scanning(2, 300.0), scanning(2, 300.0, backend="eager")):
         e.set_seed(0)
-        actions = Rollout(e, "rule", horizon=240.0)(e.reset())["action"]
+        actions = Rollout(e, "rule", horizon=70.0)(e.reset())["action"]
         if e.options.backend == "compiled":
             compiled = actions
     assert torch.equal(actions, compiled)
@@ -102,11 +102,11 @@ def test_budgets_bound_what_is_simulated(env):
 
 def test_changed_arguments_are_those_of_the_branches():
     env = scanning(1, 400.0, backend="eager")
-    planned = Rollout(env, "rule", horizon=100.0)
+    planned = Rollout(env, "rule", horizon=20.0)
     planned(env.reset())
     env.set_sat_args({"panelArea": 0.3})  # one constant of the tick so far: the make of the environment changes
     env.reset()
-    assert planned(env.observe())[SIMULATED].tolist() == [400.0]
+    assert planned(env.observe())[SIMULATED].tolist() == [80.0]
     assert torch.equal(planned.branches.model.fingerprint, env.fingerprint)
 
 

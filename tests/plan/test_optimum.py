@@ -116,16 +116,13 @@ def test_a_value_network_stands_for_what_lies_beyond():
 
 
 def test_a_value_network_leads_the_search():
-    """Only charging has a future: all visits but those of the prior go there."""
     env = scanning(2, 1500.0)
     env.set_seed(0)
-    env.reset()
-    charge = env.satellite.dynamics
-
-    def judge(seen):
-        return (seen[:, 4:5] * 0.0) + 100.0 * seen[:, 1:2]  # the charge of the battery
-
-    value = TensorDictModule(judge, in_keys=["observation"], out_keys=["state_value"])
-    tree = TreeSearch(env, "rule", horizon=1000.0, budget=24, gamma=1.0, value=value, exploration=0.5)
-    assert charge is not None
-    assert tree(env.observe())["action"].tolist() == [1, 1]
+    now = env.reset()
+    facing = env.satellite.observation_description.index("sat_props.solar_pointing_error_normd")
+    value = TensorDictModule(
+        lambda seen: -100.0 * seen[:, facing : facing + 1], in_keys=["observation"], out_keys=["state_value"]
+    )
+    made = TreeSearch(env, "rule", horizon=1000.0, budget=24, gamma=1.0, value=value, exploration=0.5)
+    assert made.base(now.clone())["action"].tolist() == [0, 0]
+    assert made(now)["action"].tolist() == [1, 1]  # charging alone turns the panel to the Sun
