@@ -421,7 +421,7 @@ class Tasking(ChangingArguments, EnvBase):
         if self._unproven:
             self.check_finite()
             for key, leaf in outputs.items(True, True):
-                rows = torch.nonzero(torch.isnan(leaf).flatten(1).any(1)).squeeze(-1).tolist()
+                rows = torch.nonzero(torch.isnan(leaf).reshape(self.num_envs, -1).any(1)).squeeze(-1).tolist()
                 if rows:
                     raise FloatingPointError(
                         f"{key!r} of environments {rows[:SHOWN]} is NaN after the step from a restored state"

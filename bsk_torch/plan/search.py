@@ -90,6 +90,7 @@ class TreeSearch(Planner):
         while wave:
             for leaves, seconds in self._grown(trees, wave, store, td, memory, real):
                 simulated = simulated.index_add(0, leaves, seconds)
+            trees.guess_roots()
             left = self.budget - int(trees.count.min()) + 1
             wave = [self._selected(trees) for _ in range(min(self.leaves, left))]
             wave = [leaves for leaves in wave if bool(leaves.found.any())]

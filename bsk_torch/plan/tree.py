@@ -149,6 +149,12 @@ class Trees:
             up = before != 0
             rows, node, value = rows[up], before[up], value[up]
 
+    def guess_roots(self) -> None:
+        """Take the return of the base policy's action, the first one to be tried, for that of the roots."""
+        own = self.child[:, 0] == 1
+        first = self.total[:, 0].masked_fill(~own, 0.0).sum(1) / self.visits[:, 0].masked_fill(~own, 0).sum(1).clamp(min=1)
+        self.leaf[:, 0] = self.best[:, 0].masked_fill(~own, -torch.inf).amax(1) if self.exact else first
+
     def returns(self) -> Tensor:
         """Return those of the actions of the roots, [R, A]; minus infinity for actions that have not been tried."""
         mean = self.total[:, 0] / self.visits[:, 0].clamp(min=1)

@@ -57,7 +57,7 @@ def test_types(env):
 
 
 def test_names(env):
-    with pytest.raises(ValueError, match="planner='rolout' must be one of .* did you mean 'rollout'"):
+    with pytest.raises(ValueError, match=r"planner='rolout' must be one of .* did you mean 'rollout'"):
         planner("rolout", env)
     with pytest.raises(TypeError, match="planner 'rollout' has no such option; did you mean 'horizon'"):
         planner("rollout", env, horizn=3.0)
@@ -134,7 +134,7 @@ def satellite(rewarder=None, **arguments):
 
 @pytest.mark.parametrize("kind", [Noisy, SameForAll, Counting])
 def test_functions_that_draw_without_a_seed(kind):
-    with pytest.raises(ValueError, match="the environment cannot be copied: .* different 'reward'.*key of bsk_torch.rand"):
+    with pytest.raises(ValueError, match=r"the environment cannot be copied: .* different 'reward'.*key of bsk_torch.rand"):
         Rollout(satellite(kind()), "random", horizon=100.0)
 
 

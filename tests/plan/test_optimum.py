@@ -123,6 +123,6 @@ def test_a_value_network_leads_the_search():
     value = TensorDictModule(
         lambda seen: -100.0 * seen[:, facing : facing + 1], in_keys=["observation"], out_keys=["state_value"]
     )
-    made = TreeSearch(env, "rule", horizon=1000.0, budget=24, gamma=1.0, value=value, exploration=0.5)
+    made = TreeSearch(env, "rule", horizon=1.0, budget=8, gamma=1.0, value=value)
     assert made.base(now.clone())["action"].tolist() == [0, 0]
-    assert made(now)["action"].tolist() == [1, 1]  # charging alone turns the panel to the Sun
+    assert made(now)["action"].tolist() == [1, 1]  # each action once; charging turns the panel to the Sun
