@@ -101,9 +101,9 @@ def main() -> None:
             found = evaluate(policy, env, seeds=range(options.first, options.first + n))
             rule = found if rule is None else rule
             rows.append(row(preset, name, found, rule, time.perf_counter() - clock))
-            print(harness.table(COLUMNS, rows[-1:]).splitlines()[-1], flush=True)
+            print(harness.cell("{preset}, {policy}: {value:.3f}", rows[-1]), flush=True)
+            harness.write(options, described, cases={name: case._asdict() for name, case in CASES.items()}, rows=rows)
     print(harness.table(COLUMNS, rows))
-    harness.write(options, described, cases={name: case._asdict() for name, case in CASES.items()}, rows=rows)
 
 
 if __name__ == "__main__":

@@ -67,5 +67,5 @@ def redraw_clouds(env: Tasking, envs: Tensor, key: Key, candidates: int = 64) ->
         lot = key.named(f"redrawn lot {k}").uniform(forecast.shape[1]).to(forecast.device)
         weight = weight - torch.log(-torch.log(lot.clamp(1e-300, 1.0 - 1e-16)))  # Gumbel: the largest one is a draw by weights
         chosen, best = torch.where(weight > best, cover, chosen), torch.maximum(weight, best)
-    env.state.scenario["cloud_cover"][envs] = chosen
+    env.fleet.scenario_state["cloud_cover"][envs] = chosen
     scenario.begin_episodes(envs)

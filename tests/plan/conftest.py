@@ -27,15 +27,13 @@ def always(action):
 
 
 def same(one, other):
-    """Whether two states are equal, bit for bit."""
-    found, wanted = (dict(part.items(True, True)) for part in (one, other))
-    return found.keys() == wanted.keys() and all(
-        torch.equal(
-            value.view(torch.int64) if value.dtype == torch.float64 else value,
-            wanted[key].view(torch.int64) if value.dtype == torch.float64 else wanted[key],
-        )
-        for key, value in found.items()
-    )
+    """Whether two states are equal, bit for bit, but for how far orbits have been solved ahead."""
+    found, wanted = ({key: value for key, value in part.items(True, True) if "lookahead" not in key} for part in (one, other))
+    return found.keys() == wanted.keys() and all(torch.equal(_bits(value), _bits(wanted[key])) for key, value in found.items())
+
+
+def _bits(value):
+    return value.view(torch.int64) if value.dtype == torch.float64 else value
 
 
 @pytest.fixture(scope="module")
