@@ -2,9 +2,9 @@
 
 Usage:
     python benchmarks/planners.py [--presets AEOS-v1 AEOSPower-v1 NadirScan-v1] [--episodes 16] [--first 2000000]
-        [--time-limit 2850] [--budget 24] [--out FILE.json]
+        [--time-limit 0] [--budget 24] [--out FILE.json]
 
-The episodes of the presets are shorter than theirs, see ``CASES``, unless ``--time-limit`` is given. Wall time is that of the
+The episodes of the presets are shorter than theirs, see ``CASES``, unless ``--time-limit`` is not 0. Wall time is that of the
 whole batch over its episodes, of one thread.
 """
 

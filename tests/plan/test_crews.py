@@ -22,7 +22,7 @@ pytestmark = pytest.mark.compiled
 @pytest.fixture(scope="module")
 def crew():
     """Two episodes of three imagers with few targets."""
-    return bsk_torch.make("AEOSConstellation-v1", num_envs=2, env_ids=[0, 0], time_limit=400.0, n_targets=(300, 301))
+    return bsk_torch.make("AEOSConstellation-v1", num_envs=2, env_ids=[0, 0], time_limit=500.0, n_targets=(5000, 5001))
 
 
 def test_agents_are_improved_one_after_the_other(crew):
@@ -47,7 +47,7 @@ def test_flights_after_planning_are_those_without_it(crew):
         now = crew.reset()
         for _ in range(3):
             if plans:
-                Rollout(crew, "greedy", horizon=4000.0, budget=2)(now.clone())
+                Rollout(crew, "greedy", horizon=400.0, budget=2)(now.clone())
             now = crew.step(base(now))["next"]
         seen.append((now.clone(), crew.get_state()))
     assert same(seen[0][1], seen[1][1])

@@ -29,7 +29,7 @@ def planted(env, rows, **options):
 
 def test_futures_have_seeds_of_their_own_and_share_the_present():
     env = scanning(3)
-    env.set_seed(0)
+    env.reseed([0, 1, 2])
     env.reset()
     store = planted(env, [0, 2], scan=True)
     seeds = store.state.seed
@@ -41,7 +41,7 @@ def test_futures_have_seeds_of_their_own_and_share_the_present():
 
 def test_futures_do_not_depend_on_other_rows_but_on_the_planner():
     env = scanning(3)
-    env.set_seed(0)
+    env.reseed([0, 1, 2])
     env.reset()
     both, one = planted(env, [0, 2], scan=True), planted(env, [2], scan=True)
     assert both.state.seed[2:].tolist() == one.state.seed.tolist()

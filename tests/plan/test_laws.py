@@ -17,7 +17,7 @@ SMALL = {"rollout": {}, "beam": {"budget": 12, "width": 2}, "mcts": {"budget": 1
 
 @pytest.mark.parametrize("name", SMALL)
 def test_planning_leaves_the_environment_and_all_generators_alone(name, env):
-    env.set_seed(3)
+    env.reseed([3, 4, 5])
     now = env.reset()
     env.play(torch.tensor([0, 1, 2]))
     now = env.observe()
