@@ -60,6 +60,12 @@ STARTS: dict[str, list[Start]] = {
         ),
     ],
     "benchmarks/memory.py": [Start("--batch 4 --steps 40 --warm-up 1", r"\| scan \| 40 \| [\d,.]+ \|")],
+    "benchmarks/planners.py": [
+        Start(
+            "--presets NadirScan-v1 --episodes 2 --time-limit 300 --budget 3",
+            r"\| NadirScan-v1 \| mcts over rule \| [\d.]+ \+- [\d.]+ \|.*\| [\d,]+ \| [\d.]+ \|",
+        ),
+    ],
     "benchmarks/reset.py": [
         Start("--batch 4 --rows 1 --rounds 1 --shares 2 --seconds 0.1 --warm-up 1", r"\| scan \| 2 \| [\d.]+% \|"),
     ],

@@ -10,7 +10,8 @@ import torch
 import typer
 from tensordict.nn import TensorDictModuleBase
 
-from bsk_torch.cli.policies import named_policy
+from bsk_torch.cli.planned import PREFIX, NamedPlanner, named_planner
+from bsk_torch.cli.policies import NamedPolicy, named_policy
 from bsk_torch.cli.results import print_results, save_episodes, save_results
 from bsk_torch.cli.shared import (
     Backend,
@@ -24,6 +25,7 @@ from bsk_torch.cli.shared import (
     seed_range,
 )
 from bsk_torch.env import Tasking
+from bsk_torch.plan.names import PLANNERS
 from bsk_torch.rl.evaluation.evaluate import Evaluation, evaluate
 from bsk_torch.rl.marl.runs import is_constellation
 from bsk_torch.rl.policies.shared_policy import for_each_group, shared, shared_baselines
@@ -36,14 +38,25 @@ MOST = 4096
 MOST_TEAMS = 256
 """Episodes of constellations at once."""
 
+MOST_PLANNED = 64
+"""Episodes of planners at once: each of them has copies."""
+
 
 def evaluate_policy(
     policy: Annotated[
-        str, typer.Argument(help=f"Folder of a training run, its policy.pt, 'pretrained', or a baseline: {', '.join(BASELINES)}.")
+        str,
+        typer.Argument(
+            help=f"Folder of a training run, its policy.pt, 'pretrained', a baseline: {', '.join(BASELINES)}; or a planner: "
+            f"{', '.join(PREFIX + name for name in PLANNERS)}."
+        ),
     ],
     preset: Annotated[str | None, typer.Option(help="Environment; that of the run unless given.")] = None,
     seeds: Annotated[str, typer.Option(help="'A:B' for the episodes of seeds A to B - 1, or a single seed.")] = "0:1000",
     shield: Annotated[str | None, typer.Option(help="'safe', or a rule of your own as package.module:function.")] = None,
+    plan: Annotated[
+        list[str] | None,
+        typer.Option(help="Option of a planner, NAME=VALUE, such as base=hasty, horizon=240, budget=64; may be repeated."),
+    ] = None,
     baselines: Annotated[bool, typer.Option(help="Whether to compare with the baselines that fit.")] = True,
     out: Annotated[Path | None, typer.Option(help="JSON file for what the table says.")] = None,
     episodes_out: Annotated[Path | None, typer.Option(help="CSV file with a line for every episode.")] = None,
@@ -62,12 +75,22 @@ def evaluate_policy(
         check_writable(path)
     if out is not None and episodes_out is not None and out.absolute() == episodes_out.absolute():
         fail(f"--out and --episodes-out are the same file, {str(out)!r}")
-    named = named_policy(policy, preset)
-    size = min(len(episodes), MOST_TEAMS if is_constellation(named.preset) else MOST)
+    named: NamedPolicy | NamedPlanner
+    if policy.startswith(PREFIX):
+        if shield is not None:
+            fail(f"--shield cannot stand before {policy!r}: the branches would not know of it")
+        named, most = named_planner(policy, preset, plan or ()), MOST_PLANNED
+    else:
+        if plan:
+            fail(f"--plan {plan[0]!r} is for planners, such as plan:rollout; the policy is {policy!r}")
+        named = named_policy(policy, preset)
+        most = MOST_TEAMS if is_constellation(named.preset) else MOST
+    size = min(len(episodes), most)
     env = named.environment(size, environment_options(backend, device, time_limit))
     label, actor = named.label, named.build(env, device)
     guarded = {} if shield is None else {f"{label} + {shield}": _guarded(actor, shield, env)}
-    actors = {name: shared(one, env) for name, one in (guarded | {label: actor}).items()}
+    planned = isinstance(named, NamedPlanner)
+    actors = {name: one if planned else shared(one, env) for name, one in (guarded | {label: actor}).items()}
     chosen = next(iter(actors))
     actors |= {name: rule for name, rule in shared_baselines(env).items() if baselines and name != policy}
     results = {other: _evaluated(other, actor, env, episodes) for other, actor in actors.items()}

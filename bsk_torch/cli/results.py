@@ -8,6 +8,7 @@ import json
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
+import torch
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
@@ -23,11 +24,15 @@ WIDE = 240
 def print_results(results: Mapping[str, Evaluation], title: str, chosen: str | None = None) -> None:
     """Print a table of all results: the paired gain of the ``chosen`` policy over the others, and causes of death, if any."""
     mortal = any(result.causes for result in results.values())
+    plans = any(result.simulated is not None for result in results.values())
     rows = {name: {"return": str(result.mean_return)} for name, result in results.items()}
     for name, row in rows.items():
         if chosen is not None:
             row[f"gain of {chosen}"] = "" if name == chosen else _signed(results[chosen].gain_over(results[name]))
         row |= _row(results[name], mortal)
+        if plans:
+            simulated = results[name].simulated_per_decision
+            row["simulated s / decision"] = "" if simulated is None else f"{simulated:,.0f}"
     columns = next(iter(rows.values()))
     table = Table(title=title, title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
     for column in ("policy", *columns):
@@ -61,7 +66,8 @@ def save_results(results: Mapping[str, Evaluation], path: Path, chosen: str) -> 
 
 def save_episodes(results: Mapping[str, Evaluation], seeds: Sequence[int], path: Path) -> None:
     """Write a line of CSV for every episode of every policy."""
-    lines = [{"policy": name} | line for name, result in results.items() for line in _episodes(result, seeds)]
+    plans = any(result.simulated is not None for result in results.values())
+    lines = [{"policy": name} | line for name, result in results.items() for line in _episodes(result, seeds, plans)]
     text = io.StringIO(newline="")
     writer = csv.DictWriter(text, list(lines[0]))
     writer.writeheader()
@@ -69,11 +75,13 @@ def save_episodes(results: Mapping[str, Evaluation], seeds: Sequence[int], path:
     write_file(path, text.getvalue())
 
 
-def _episodes(result: Evaluation, seeds: Sequence[int]) -> Iterator[dict[str, object]]:
-    """Yield the results of each episode, by name."""
+def _episodes(result: Evaluation, seeds: Sequence[int], plans: bool) -> Iterator[dict[str, object]]:
+    """Yield the results of each episode, by name; with what planners have simulated, s, if any of the policies ``plans``."""
     columns = {"return": result.returns, "collected": result.collected, "survived": result.survived.int()}
     columns |= {"decisions": result.decisions, "seconds": result.seconds}
     columns |= {} if result.fill is None else {"fill": result.fill}
+    if plans:
+        columns["simulated"] = torch.zeros_like(result.returns) if result.simulated is None else result.simulated
     lists = {name: column.tolist() for name, column in (columns | result.counts).items()}
     failed = {name: column.tolist() for name, column in result.deaths.items()}
     for k, seed in enumerate(seeds):

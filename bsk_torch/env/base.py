@@ -421,7 +421,7 @@ class Tasking(ChangingArguments, EnvBase):
         if self._unproven:
             self.check_finite()
             for key, leaf in outputs.items(True, True):
-                rows = torch.nonzero(torch.isnan(leaf).flatten(1).any(1)).squeeze(-1).tolist()
+                rows = torch.nonzero(torch.isnan(leaf).reshape(self.num_envs, -1).any(1)).squeeze(-1).tolist()
                 if rows:
                     raise FloatingPointError(
                         f"{key!r} of environments {rows[:SHOWN]} is NaN after the step from a restored state"
@@ -447,13 +447,16 @@ class Tasking(ChangingArguments, EnvBase):
         reward = reward + self.failure_penalty * (dead & moves.unsqueeze(-1))
         if self.fleet.size > 1:
             reward = torch.where(removed, 0.0, reward)
+        terminated, truncated = self._over(dead)
+        self.state.returns = self.state.returns + reward.sum(1)
+        return StepResult(duration, reward, terminated, truncated, removed)
+
+    def _over(self, dead: Tensor) -> tuple[Tensor, Tensor]:
+        """Return which episodes have ended, and which were cut, [N] each, by who has died, [N, S]."""
         ended = dead if self.agents_stay else dead | checked.terminated(self.rewarder)
         terminated = self._all_agents_ended(ended)
         truncated = self.truncated_by_time | checked.truncated(self.rewarder).any(1)
-        if self.terminate_on_time_limit:
-            terminated = terminated | truncated
-        self.state.returns = self.state.returns + reward.sum(1)
-        return StepResult(duration, reward, terminated, truncated, removed)
+        return terminated | truncated if self.terminate_on_time_limit else terminated, truncated
 
     @property
     def agents_stay(self) -> bool:
@@ -566,6 +569,37 @@ class Tasking(ChangingArguments, EnvBase):
         """Whether arcs of a saved state must grow, which writes into its tensors."""
         lengths = ((s.lookahead.arcs.length, lookahead_of(other, k).arcs.length) for k, s in enumerate(self.fleet.simulators))
         return any(mine > theirs for mine, theirs in lengths)
+
+    def like(self, num_envs: int, env_ids: Sequence[int] | Tensor | None = None) -> Tasking:
+        """Return another environment of the same make, with other episodes, under seed 0 and without logs.
+
+        Episodes can be copied from one to the other by :meth:`restore`. Nothing is compiled anew.
+
+        Args:
+            num_envs: Number of its episodes.
+            env_ids: Their indices in draws; 0 to ``num_envs`` - 1 unless given.
+
+        Raises:
+            ValueError: For a wrong argument, and where arguments of :func:`bsk_torch.rand.per_env` have too few rows.
+            MemoryError: If so many do not fit into memory.
+        """
+        kept = {name: value for name, value in self._arguments.items() if name not in ("log_level", "log_dir", "log_envs")}
+        other = type(self)(**{**kept, "num_envs": num_envs, "env_ids": env_ids, "seed": 0})
+        if self._changes:
+            other._change(self._changes)
+        return other
+
+    def observe(self) -> TensorDict:
+        """Return what the present episodes show, as ``reset`` does; rewards and durations of a step are not repeated.
+
+        Raises:
+            ResetNeededError: For an episode that has not begun.
+        """
+        with self._exclusive:
+            self.check_begun("observe()")
+            dead = self.fleet.joined([group.task.dead for group in self.fleet.groups])
+            terminated, truncated = (ended.unsqueeze(-1) for ended in self._over(dead))
+            return self._outputs(None, done=terminated | truncated, terminated=terminated, truncated=truncated)
 
     def get_extra_state(self) -> TensorDict | None:
         """Part of ``state_dict``: see :meth:`get_state`; None before the first reset."""

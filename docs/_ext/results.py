@@ -274,6 +274,18 @@ def player(row: Mapping[str, Any]) -> str:
     return f"trained ({Path(row['policy']).name}, {whole(row['frames'])} steps, {minutes} min {seconds} s)"
 
 
+def planners(name: str) -> str:
+    """Return what planners gain and cost."""
+    head = ["preset", "policy", "return", "gain over the rule", "decisions", "simulated s per decision", "wall s per episode"]
+    rows = []
+    for row in load(name)["rows"]:
+        gain = f"{row['gain']:+.3f} ± {row['gain_half']:.3f} ({row['relative']:+.1%})" if "gain" in row else ""
+        simulated = whole(row["simulated"]) if "simulated" in row else ""
+        value = f"{row['value']:.3f} ± {row['half']:.3f}"
+        rows.append([code(row["preset"]), row["policy"], value, gain, whole(row["decisions"]), simulated, digits(row["wall"])])
+    return with_command(name, head, rows)
+
+
 TABLES = {
     "vs_basilisk": vs_basilisk,
     "constellations": constellations,
@@ -286,4 +298,5 @@ TABLES = {
     "failures": failures,
     "pretrained": pretrained,
     "inspections": inspections,
+    "planners": planners,
 }

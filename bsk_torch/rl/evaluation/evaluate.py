@@ -25,6 +25,9 @@ FRESH = 1_000_003
 SUITE_SEEDS = range(2**60, 2**60 + 2**20)
 """Seeds of the episodes of suites (:mod:`bsk_torch.rl.evaluation.suite`), which trainings refuse."""
 
+SIMULATED = "simulated_seconds"
+"""Key under which planners write what they have simulated for a decision, [N] s."""
+
 
 @dataclass(frozen=True)
 class Evaluation:
@@ -32,7 +35,8 @@ class Evaluation:
 
     ``returns`` are sums of rewards (float64), ``collected`` the same without the penalty for dying, ``decisions`` and ``seconds``
     the lengths, ``deaths`` says for every aliveness check whether it failed at the end, ``counts`` is what the environment has
-    counted, such as ``imaged``, and ``fill`` the level of the store at the end, a fraction; None without a store.
+    counted, such as ``imaged``, and ``fill`` the level of the store at the end, a fraction; None without a store. ``simulated``
+    are seconds that a planner has simulated for all decisions of the episode; None for policies that do not plan.
     """
 
     returns: Tensor
@@ -43,6 +47,7 @@ class Evaluation:
     deaths: dict[str, Tensor]
     counts: dict[str, Tensor] = field(default_factory=dict)
     fill: Tensor | None = None
+    simulated: Tensor | None = None
 
     @classmethod
     def joined(cls, parts: Sequence[Evaluation]) -> Evaluation:
@@ -69,6 +74,11 @@ class Evaluation:
         return wilson(int(self.survived.sum()), len(self.survived))
 
     @property
+    def simulated_per_decision(self) -> float | None:
+        """Mean of the seconds that a planner has simulated for a decision; None for policies that do not plan."""
+        return None if self.simulated is None else float(self.simulated.sum() / self.decisions.sum())
+
+    @property
     def causes(self) -> dict[str, int]:
         """Number of deaths by the aliveness check that failed, without those that never failed."""
         counts = {name: int(failed.sum()) for name, failed in self.deaths.items()}
@@ -84,6 +94,7 @@ class Evaluation:
             "collected": mean(self.collected),
             "fill": None if self.fill is None else mean(self.fill),
             "decisions": mean(self.decisions),
+            **({} if self.simulated is None else {"simulated_per_decision": self.simulated_per_decision}),
             "deaths": self.causes,
             "counts": {name: mean(count) for name, count in self.counts.items()},
             "gain": {name: asdict(self.gain_over(other)) for name, other in (others or {}).items()},
@@ -138,8 +149,11 @@ def _evaluated(policy: TensorDictModuleBase, env: Tasking, start: TensorDictBase
     player = with_lots(policy, env) if LOT in policy.in_keys else policy
     rows = torch.arange(env.batch_size[0], device=env.device) < n
     decisions = torch.zeros_like(rows, dtype=torch.int64)
+    simulated = torch.zeros_like(env.returns)
     for playing, step in play_episodes(env, player, start, rows):
         decisions += torch.where(playing, _asked(env, step), 0)
+        if SIMULATED in policy.out_keys:
+            simulated += torch.where(playing, step[SIMULATED], 0.0)
     returns, dead = env.returns[:n].clone(), env.dead[:n].view(n, -1)
     level = getattr(env.satellite.dynamics, "storage_level_fraction", None) if isinstance(env, SatelliteTasking) else None
     return Evaluation(
@@ -151,6 +165,7 @@ def _evaluated(policy: TensorDictModuleBase, env: Tasking, start: TensorDictBase
         deaths={name: _of_team(failed)[:n] for name, failed in _failed_checks(env).items()},
         counts={name: _of_team(count)[:n].clone() for name, count in env.counts().items()},
         fill=None if level is None else level[:n].clone(),
+        simulated=simulated[:n] if SIMULATED in policy.out_keys else None,
     )
 
 

@@ -1,0 +1,57 @@
+"""Base policies of planners, by name or as modules."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from pathlib import Path
+from typing import TypeAlias
+
+from tensordict.nn import TensorDictModuleBase
+
+from bsk_torch.env import Tasking
+from bsk_torch.rl.policies.files import build_policy, check_fits, read_card
+from bsk_torch.rl.policies.shared_policy import shared, shared_baseline
+from bsk_torch.rl.rules.baselines import BASELINES
+from bsk_torch.sim.params import nearest
+
+Base: TypeAlias = "TensorDictModuleBase | str | Path | None"
+"""A policy of all agents, its name, or its file; None for the first of :data:`USUAL` that fits."""
+
+USUAL = ("hasty", "rule", "survey", "drift", "random")
+"""Rules, the best first."""
+
+
+def base_of(base: Base, env: Tasking) -> TensorDictModuleBase:
+    """Return the base policy of a planner, as it acts in ``env``.
+
+    Args:
+        base: One of the ``BASELINES``, such as ``"hasty"``; the folder of a run, or a policy's file, that fits the environment;
+            a module that writes the actions of all agents; or None for the first rule of :data:`USUAL` that fits.
+        env: The environment.
+
+    Raises:
+        TypeError: For something else.
+        ValueError: For a name that is unknown, or a policy that does not fit.
+    """
+    if isinstance(base, TensorDictModuleBase):
+        return base
+    if base is None:
+        for name in USUAL:
+            with suppress(KeyError, ValueError):
+                return shared_baseline(name, env)
+        raise ValueError("base=None: none of the rules fits the environment; give a policy")
+    if not isinstance(base, str | Path):
+        raise TypeError(f"base={base!r} must be a policy, the name of a rule, or the file of a policy")
+    if base in BASELINES:
+        try:
+            return shared_baseline(str(base), env)
+        except (KeyError, ValueError) as error:
+            raise ValueError(f"base={base!r} does not fit the environment: {error.args[0]}") from error
+    try:
+        card = read_card(base)
+    except FileNotFoundError as error:
+        raise ValueError(
+            f"base={str(base)!r} is neither a rule nor a run with a policy.pt nor such a file; {nearest(str(base), BASELINES)}"
+        ) from error
+    check_fits(card, env)
+    return shared(build_policy(card, env.device), env)

@@ -1,0 +1,203 @@
+"""Beam search: the best few sequences of actions, each judged by the base policy that flies on after it.
+
+Source: the beam search of scheduling with the pilot method as its judge: S. Voss, A. Fink, C. Duin, "Looking ahead with the pilot
+method", Annals of Operations Research 136, 2005. As all sequences are judged over the same time, those whose actions take longer
+are comparable with others.
+"""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+import torch
+from tensordict import TensorDictBase
+from tensordict.nn import TensorDictModuleBase
+from torch import Tensor
+
+from bsk_torch._checks import whole
+from bsk_torch.env import Tasking
+from bsk_torch.plan.bases import Base
+from bsk_torch.plan.branches import Discounting, Flown, Jobs
+from bsk_torch.plan.nodes import Lookout
+from bsk_torch.plan.planner import Planner
+from bsk_torch.plan.priors import Prior
+
+
+class Beam:
+    """The sequences of R roots, at most W of each.
+
+    Attributes:
+        node: What :class:`~bsk_torch.plan.nodes.Lookout` has noted of their ends, [R, W].
+        place: Rows of the store in which their states are, [R, W]; those of extensions lie behind them.
+        valid: Which sequences there are, [R, W].
+        gained: Return of their steps, [R, W].
+        elapsed: Seconds that these took, [R, W].
+        path: Actions, [R, W, depth]; -1 behind the last one.
+        q: Best return of sequences that begin with an action, that of the base policy after them included, [R, A].
+        best_path: Actions of the best sequence, [R, depth].
+        best_worth: Its return, [R].
+        simulated: Simulated seconds, [R].
+    """
+
+    def __init__(self, root: TensorDictBase, width: int, share: int, depth: int, n_actions: int) -> None:
+        """Begin with ``root`` [R]; room for ``share`` extensions of each."""
+        roots, device = len(root), root.device
+        every = torch.arange(roots, device=device)
+        self.share = share
+        self.node: Any = root.unsqueeze(1).expand(roots, width).clone()
+        self.place = every.unsqueeze(1) * (width + share) + torch.arange(width, device=device)
+        self.valid = torch.arange(width, device=device).expand(roots, -1) == 0
+        self.gained, self.elapsed = (torch.zeros(roots, width, dtype=torch.float64, device=device) for _ in range(2))
+        self.path = torch.full((roots, width, depth), -1, device=device)
+        self.q = torch.full((roots, n_actions), -torch.inf, dtype=torch.float64, device=device)
+        self.best_path, self.best_worth = self.path[:, 0], torch.full_like(self.gained[:, 0], -torch.inf)
+        self.simulated = torch.zeros_like(self.best_worth)
+
+    def number(self, r: Tensor) -> Tensor:
+        """Return the number of each extension [J] among those of its root ``r`` [J], which is in ascending order."""
+        first = torch.searchsorted(r, r)
+        return torch.arange(len(r), device=r.device) - first
+
+    def extend(
+        self, level: int, edge: tuple[Tensor, Tensor, Tensor], number: Tensor, flown: Flown, discounting: Discounting
+    ) -> tuple[Tensor, Tensor]:
+        """Go on with the best extensions; return the rows of the store in which they are to be, [k], and where they are, [k].
+
+        Args:
+            level: Actions of the sequences before.
+            edge: Root, sequence and action of each extension, [J].
+            number: See :meth:`number`.
+            flown: Their flights, [J].
+            discounting: How rewards are added up.
+        """
+        r, b, action = edge
+        weight, none = discounting.after(self.elapsed[r, b]), torch.zeros_like(flown.rest)
+        total = self.gained[r, b] + weight * discounting.before(flown.reward, flown.seconds, flown.rest)
+        gain = self.gained[r, b] + weight * discounting.before(flown.reward, flown.seconds, none)
+        path = self.path[r, b]
+        path[:, level] = action
+        self.simulated = self.simulated.index_add(0, r, flown.simulated)
+        self.q = self.q.view(-1).scatter_reduce(0, r * self.q.shape[1] + path[:, 0], total, "amax").view_as(self.q)
+        job = torch.zeros(len(self.q), self.share, dtype=torch.int64, device=r.device)
+        job[r, number] = torch.arange(len(r), device=r.device)
+        top, which = self._table(r, number, total).max(1)
+        best = path[job.gather(1, which.unsqueeze(1)).squeeze(1)]
+        self.best_path = torch.where((top > self.best_worth).unsqueeze(1), best, self.best_path)
+        self.best_worth = torch.maximum(top, self.best_worth)
+        width = self.valid.shape[1]
+        table = self._table(r, number, total.masked_fill(flown.done, -torch.inf))
+        best, which = torch.nn.functional.pad(table, (0, max(0, width - self.share)), value=-torch.inf).topk(width, 1)
+        self.valid = best > -torch.inf
+        chosen = job.gather(1, which.clamp(max=self.share - 1))
+        self.elapsed = (self.elapsed[r, b] + flown.seconds)[chosen]
+        self.gained, self.path = gain[chosen], path[chosen]
+        assert flown.seen is not None
+        self.node = flown.seen[chosen]
+        child = (self.place[r, 0] + width + number)[chosen]
+        return self.place[self.valid], child[self.valid]
+
+    def _table(self, r: Tensor, number: Tensor, value: Tensor) -> Tensor:
+        """Return values [J] of extensions as a table [R, share]; minus infinity where there is none."""
+        table = torch.full((len(self.q), self.share), -torch.inf, dtype=torch.float64, device=r.device)
+        table[r, number] = value
+        return table
+
+
+class BeamSearch(Planner):
+    """Extends the best ``width`` sequences of actions by one action after the other, and takes the first action of the best.
+
+    A sequence is worth what it earns and what the base policy earns after it, up to the horizon. With ``depth=1`` this is
+    :class:`~bsk_torch.plan.Rollout`. The base policy's own action is kept unless another one is better.
+    """
+
+    name: ClassVar[str] = "beam"
+
+    def __init__(
+        self,
+        env: Tasking,
+        base: Base = None,
+        *,
+        horizon: float = 240.0,
+        budget: int = 96,
+        width: int = 4,
+        depth: int = 3,
+        prior: TensorDictModuleBase | None = None,
+        **options: Any,
+    ) -> None:
+        """See :class:`~bsk_torch.plan.planner.Planner` for the other arguments, and for errors.
+
+        Args:
+            env: The environment in which the planner acts.
+            base: The base policy.
+            horizon: Seconds that branches last.
+            budget: Branches that are flown for a decision of one agent, an equal share of them in each depth, at least ``depth``:
+                the extensions that the prior prefers.
+            width: Sequences that are extended.
+            depth: Length of the longest sequences, actions.
+            prior: Policy of all agents that says which actions are tried; the base policy unless given.
+            **options: Further arguments of :class:`~bsk_torch.plan.planner.Planner`.
+        """
+        self.width, self.depth = whole("width", width, 1), whole("depth", depth, 1)
+        self.budget = whole("budget", budget, 1)
+        if self.budget < self.depth:
+            raise ValueError(f"budget={budget} must be at least depth={depth}: a branch for each action of a sequence")
+        super().__init__(env, base, horizon=horizon, **options)
+        chosen = Prior(self.base if prior is None else prior, self.slots)
+        self._lookout = Lookout(env, self.slots, self.base, self._plannable, chosen, None)
+
+    def _branching(self) -> int:
+        return self.budget // self.depth
+
+    def _improved(self, td: TensorDictBase, memory: TensorDictBase, rows: Tensor, slot: Tensor) -> tuple[Tensor, Tensor]:
+        """See :meth:`Planner._improved`."""
+        share, w, real = self._branching(), self.width, rows.repeat_interleave(self._copies)
+        store = self._store(len(real) * (w + share))
+        now = td[real].clone()
+        now.update(memory[real])
+        node = self._lookout.of_agent(now, slot.repeat_interleave(self._copies))
+        beam = Beam(node, w, share, self.depth, self.slots.most_actions)
+        self._plant(store, beam.place[:, 0], rows)
+        for level in range(self.depth):
+            r, b, action = torch.nonzero(self._tried(beam, share)).unbind(1)
+            if not len(r):
+                break
+            jobs = self._extensions(beam, level, td, memory, real[r], (r, b, action))
+            number = beam.number(r)
+            flown = self.branches.fly(store, jobs, (store, beam.place[r, 0] + w + number), self._lookout)
+            kept, child = beam.extend(level, (r, b, action), number, flown, self._discounting)
+            store.restore(store, kept, child)
+        mine = self.slots.at(self.slots.chosen(td)[rows], slot)
+        action, seconds = self._preferred(beam.q, mine), beam.simulated.view(len(rows), -1).sum(1)
+        if not self._keeps_promises:
+            return action, seconds
+        worth = beam.q.gather(1, action.unsqueeze(1)).squeeze(1)
+        plan = torch.where((beam.best_path[:, 0] == action).unsqueeze(1), beam.best_path, -1)
+        plan[:, 0] = action
+        action, more = self._promised(td, memory, rows, slot, action, worth, plan)
+        return action, seconds + more
+
+    def _extensions(
+        self,
+        beam: Beam,
+        level: int,
+        td: TensorDictBase,
+        memory: TensorDictBase,
+        real: Tensor,
+        edge: tuple[Tensor, Tensor, Tensor],
+    ) -> Jobs:
+        """Return the flights of extensions [J]: root, sequence and action of each; ``real`` [J] are their episodes."""
+        r, b, action = edge
+        jobs = self._jobs(td, memory, real, beam.node["slot"][r, b], action.unsqueeze(1), beam.place[r, b])
+        if level == 0:
+            return jobs
+        kept = beam.node["memory"][r, b]
+        kept = kept if len(kept.keys()) else None
+        return jobs._replace(first=None, limit=None, carried=kept, judged=self._judged(beam.elapsed[r, b]))
+
+    def _tried(self, beam: Beam, share: int) -> Tensor:
+        """Return the extensions that are tried, [R, W, A]: at most ``share`` of each root; those of the base policy first."""
+        legal, prior = beam.node["legal"] & beam.valid.unsqueeze(-1), beam.node["prior"]
+        own = torch.nn.functional.one_hot(beam.node["mine"], legal.shape[-1]).bool()
+        weight = torch.where(own, 1.0 + prior, prior).masked_fill(~legal, -1.0).flatten(1)
+        best = weight.topk(min(share, weight.shape[1]), 1).indices
+        return legal & torch.zeros_like(legal.flatten(1)).scatter(1, best, True).view_as(legal)

@@ -1,0 +1,58 @@
+"""Whether the episodes of an environment can be copied: whether equal states have equal futures."""
+
+from __future__ import annotations
+
+import torch
+from tensordict import TensorDictBase
+from torch import Tensor
+
+from bsk_torch.env import Tasking
+from bsk_torch.plan.slots import Slots
+
+STEPS = 2
+"""Decisions that are compared."""
+
+
+def check_copyable(env: Tasking, slots: Slots) -> None:
+    """Check that equal seeds begin equal episodes, and that equal states have equal futures.
+
+    Two rows begin the same episode twice, and take the same decisions twice, in an environment of their own.
+
+    Raises:
+        TypeError: For something that is no environment of this package.
+        ValueError: Where anything differs; the message names it. Then a function of the user draws at random without a seed, or
+            keeps values that are no part of the state.
+    """
+    twins = env.like(2, env_ids=[0, 0])
+    begun = []
+    for _ in range(2):
+        twins.set_seed(0)
+        twins.reset()
+        begun.append(twins.get_state())
+    _compare(begun, "two episodes of the same seed begin with different")
+    seen = []
+    for _ in range(2):
+        twins.restore(begun[0])
+        now: TensorDictBase = twins.observe()
+        for _ in range(STEPS):
+            slots.neutral(now)
+            now = slots.play(twins, now, ~now["done"].squeeze(-1))
+        seen.append(now)
+    _compare(seen, "copies of one state are followed by different")
+
+
+def _compare(found: list[TensorDictBase], words: str) -> None:
+    """ValueError unless both tensordicts [2] are equal, and their rows, too."""
+    first, second = (dict(part.items(True, True)) for part in found)
+    for key, value in first.items():
+        if not (_same(value[0], value[1]) and _same(value, second[key])):
+            name = key if isinstance(key, str) else ".".join(key)
+            raise ValueError(
+                f"the environment cannot be copied: {words} {name!r}. Planning needs functions that give the same for the same "
+                "episode: let those that draw at random use a key of bsk_torch.rand, or, at reset, the global generators of "
+                "NumPy or Python, which are seeded; and declare values that an episode must remember (fleet.memory.declare)"
+            )
+
+
+def _same(one: Tensor, other: Tensor) -> bool:
+    return torch.equal(torch.nan_to_num(one), torch.nan_to_num(other)) if one.is_floating_point() else torch.equal(one, other)

@@ -1,0 +1,52 @@
+"""What planners that search a tree note of a state: who decides, which actions are legal, and what a policy would do."""
+
+from __future__ import annotations
+
+import torch
+from tensordict import TensorDict, TensorDictBase
+from tensordict.nn import TensorDictModuleBase
+from torch import Tensor
+
+from bsk_torch.env import Tasking
+from bsk_torch.env.rollout import decide
+from bsk_torch.plan.branches import carried
+from bsk_torch.plan.priors import Prior
+from bsk_torch.plan.slots import NOBODY, Slots
+
+
+class Lookout:
+    """Looks at states in which one agent is to choose; the others act by the base policy.
+
+    Where several agents decide, the first one chooses. Where none does, as after the longest step, the only action is 0, of
+    NOBODY: everybody goes on.
+    """
+
+    def __init__(
+        self, env: Tasking, slots: Slots, base: TensorDictModuleBase, plannable: Tensor, prior: Prior, most: int | None
+    ) -> None:
+        """Allow the ``most`` probable actions, or all that are legal; agents that are ``plannable`` [S] choose."""
+        self.env, self.slots, self.base, self.plannable, self.prior, self.most = env, slots, base, plannable, prior, most
+
+    def __call__(self, td: TensorDictBase) -> TensorDict:
+        """Return ``slot`` [n], ``legal`` [n, A], ``prior`` [n, A], ``mine`` [n] (the base policy's) and ``memory`` [n]."""
+        deciding = self.slots.deciding(td) & self.plannable
+        return self.of_agent(td, torch.where(deciding.any(1), deciding.long().argmax(1), NOBODY))
+
+    def of_agent(self, td: TensorDictBase, slot: Tensor) -> TensorDict:
+        """Return the same for the agents ``slot`` [n]."""
+        asked = td.clone(recurse=False)
+        memory = carried(asked, self.base, self.env)
+        mine = self.slots.at(self.slots.chosen(decide(self.base, asked)), slot)
+        nobody = (slot == NOBODY).unsqueeze(1)
+        mine = torch.where(nobody.squeeze(1), 0, mine)
+        own = torch.nn.functional.one_hot(mine, self.slots.most_actions).bool()
+        legal = self.slots.at(self.slots.legal(td), slot)
+        legal = torch.where(nobody, own, legal | own)
+        prior = self.prior(td, slot, legal)
+        if self.most is not None and self.most < legal.shape[1]:
+            best = prior.masked_fill(own, torch.inf).topk(self.most, 1).indices
+            legal = legal & torch.zeros_like(legal).scatter(1, best, True)
+            prior = prior * legal
+            prior = prior / prior.sum(1, keepdim=True).clamp(min=1e-300)
+        found = {"slot": slot, "legal": legal, "prior": prior, "mine": mine, "memory": memory}
+        return TensorDict(found, td.batch_size, device=td.device)

@@ -1,0 +1,309 @@
+"""What all planners have in common: they are policies, and improve the decisions of a base policy, agent by agent."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, ClassVar
+
+import torch
+from tensordict import TensorDictBase
+from tensordict.nn import TensorDictModuleBase
+from torch import Tensor
+
+from bsk_torch._checks import number, whole
+from bsk_torch.env import Tasking
+from bsk_torch.env.rollout import decide
+from bsk_torch.plan.bases import Base, base_of
+from bsk_torch.plan.branches import Branches, Discounting, Jobs, Value, carried
+from bsk_torch.plan.copies import check_copyable
+from bsk_torch.plan.draws import Redraw, present_key, reseed_copies
+from bsk_torch.plan.promises import Promises
+from bsk_torch.plan.slots import Slots
+from bsk_torch.rl.evaluation.evaluate import SIMULATED
+from bsk_torch.sim.params import nearest
+
+ROWS = 512
+"""Copies that are flown at once, unless an argument says otherwise."""
+
+REWARD_TIMES = ("end", "start")
+"""When the reward of a step comes, in returns."""
+
+ENDLESS = 2**62
+"""Tick at which no branch is cut off."""
+
+
+class Planner(TensorDictModuleBase):
+    """Improves the decisions of a base policy by flying copies of the present episodes. Subclasses say which.
+
+    A planner belongs to one environment, whose present episodes it copies; it writes the actions of all agents into what
+    ``reset`` or ``step`` of that environment has returned, and ``simulated_seconds`` [N] beside them: what it has simulated for
+    the decision, in seconds of flight. The environment itself is not touched, and no decision depends on other rows.
+
+    In a constellation agents that decide at the same time are improved one after the other, in the order of the groups: in the
+    branches of an agent those before it act as has been decided, and all others by the base policy (one agent at a time:
+    Bertsekas, "Multiagent rollout algorithms and reinforcement learning", 2019). Rewards are those of all satellites together.
+
+    By default copies have the draws of the true episode, those that lie ahead included: a planner that is as good as a prophet
+    where observations are noisy or something is hidden, such as clouds. Where all is known, as in most presets, that makes no
+    difference. With ``futures`` each decision is planned in so many futures that are drawn anew, and means decide: copies get
+    seeds of their own, from which noise follows, and ``redraw`` draws hidden parts of the state.
+    """
+
+    name: ClassVar[str]
+    """Name on the command line, behind ``plan:``."""
+
+    real: ClassVar[bool] = False
+    """Whether it plans real numbers, not numbers of actions."""
+
+    in_keys: list[Any]
+    out_keys: list[Any]
+
+    def __init__(
+        self,
+        env: Tasking,
+        base: Base = None,
+        *,
+        horizon: float,
+        gamma: float = 0.997,
+        reward_time: str = "end",
+        value: Value | None = None,
+        futures: int | None = None,
+        redraw: Redraw | None = None,
+        seed: int = 0,
+        rows: int = ROWS,
+    ) -> None:
+        """Check arguments, and that the environment can be copied; nothing is planned yet.
+
+        Args:
+            env: The environment in which the planner acts.
+            base: The base policy; see :func:`bsk_torch.plan.base_of`.
+            horizon: Seconds from the decision on that branches last; infinity for the rest of the episode. They end there,
+                also in the middle of a task, so all branches are compared over the same time.
+            gamma: Discount per second; 1 for sums of rewards.
+            reward_time: When the reward of a step counts: at its ``"end"`` or its ``"start"``.
+            value: A module that writes ``state_value`` [n, 1] for observations [n], in place of what lies beyond; branches then
+                end with the first step that reaches the horizon.
+            futures: Number of futures that are drawn for each decision; None for the true one.
+            redraw: Draws hidden parts of the state anew, such as :func:`bsk_torch.plan.redraw_clouds`.
+            seed: Seed of the futures and of samples.
+            rows: Copies that are flown at once: memory and speed depend on it, results do not.
+
+        Raises:
+            TypeError: For something that is no environment, or a base that is no policy.
+            ValueError: For another wrong argument, an environment that cannot be copied, and actions that the planner cannot
+                choose among.
+        """
+        super().__init__()
+        self.horizon = number("horizon", horizon, 0.0, unit="s", above=True, finite=False)
+        gamma = number("gamma", gamma, 0.0, 1.0, above=True)
+        if reward_time not in REWARD_TIMES:
+            raise ValueError(
+                f"reward_time={reward_time!r} must be one of {list(REWARD_TIMES)}; {nearest(str(reward_time), REWARD_TIMES)}"
+            )
+        if value is not None and not callable(value):
+            raise ValueError(f"value={value!r} must be a module that writes 'state_value', or None")
+        self.futures = None if futures is None else whole("futures", futures, 1)
+        if redraw is not None and not callable(redraw):
+            raise ValueError(f"redraw={redraw!r} must be a function of an environment, rows and a key, such as redraw_clouds")
+        if redraw is not None and futures is None:
+            raise ValueError("redraw= draws futures, and there are none: give futures=1 or more")
+        self.seed, self._redraw = whole("seed", seed, 0), redraw
+        self._most_rows = whole("rows", rows, 1)
+        if not isinstance(env, Tasking):
+            raise TypeError(f"env={env!r} must be an environment of bsk_torch; of a transformed one give base_env")
+        slots = Slots(env)
+        self._check_actions(env, slots)
+        if value is not None and slots.size > 1:
+            raise ValueError(f"value= judges observations of one satellite; the environment has {slots.size}")
+        policy = base_of(base, env)
+        check_copyable(env, slots)
+        self._outside = (env, slots)  # no submodules: an environment is not a part of its policy
+        self.base, self._value = policy, value
+        self._discounting = Discounting(gamma, reward_time == "end")
+        self._made: dict[str, Any] = {}
+        kinds = zip(slots.real, slots.n_actions, strict=True)
+        self._plannable = slots.of([real if self.real else n > 1 for real, n in kinds], env.device)
+        self.in_keys = list(policy.in_keys)
+        self.out_keys = [*policy.out_keys, SIMULATED]
+
+    def _check_actions(self, env: Tasking, slots: Slots) -> None:
+        """ValueError unless some agent has a choice of the planner's kind."""
+        titles = ", ".join(dict.fromkeys(slots.titles))
+        if any(real and n for real, n in zip(slots.real, slots.n_actions, strict=True)):
+            raise ValueError(
+                f"planner {self.name!r}: the actions of {titles} have real numbers and a choice, which is not planned"
+            )
+        if self.real and not any(slots.real):
+            raise ValueError(f"planner {self.name!r} plans real numbers; {titles} chooses numbered actions: use 'rollout'")
+        if not self.real and not any(n > 1 for n in slots.n_actions):
+            raise ValueError(f"planner {self.name!r} tries numbered actions; those of {titles} are real numbers: use 'cem'")
+
+    # -- deciding -----------------------------------------------------------------------------------------------------
+
+    @property
+    def env(self) -> Tasking:
+        """The environment in which the planner acts."""
+        return self._outside[0]
+
+    @property
+    def slots(self) -> Slots:
+        """The agents of the environment."""
+        return self._outside[1]
+
+    @property
+    def branches(self) -> Branches:
+        """Copies of episodes; made at the first decision, and again where arguments of the environment have changed."""
+        found = self._made.get("branches")
+        if found is None or not torch.equal(found.model.fingerprint, self.env.fingerprint):
+            found = Branches(self.env, self.slots, self.base, self._rows(), self._discounting, self._value)
+            self._made["branches"] = found
+        return found
+
+    def _store(self, least: int) -> Tasking:
+        """Return an environment that keeps states, in at least so many rows."""
+        store = self._made.get("store")
+        if store is None or store.num_envs < least or not torch.equal(store.fingerprint, self.env.fingerprint):
+            self._made["store"] = store = self.env.like(least)
+        return store
+
+    def _rows(self) -> int:
+        """Number of copies that are flown at once."""
+        return min(self._most_rows, self.env.num_envs * (self.futures or 1) * self._branching())
+
+    def _branching(self) -> int:
+        """Return the largest number of branches of one episode that are flown together."""
+        raise NotImplementedError(f"{type(self).__name__} must implement _branching()")
+
+    @torch.no_grad()
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Write the actions, and ``simulated_seconds``.
+
+        Raises:
+            ValueError: For a tensordict that is not of the planner's environment: one of another batch size.
+        """
+        env, slots = self.env, self.slots
+        if tensordict.batch_size != env.batch_size:
+            given = list(tensordict.batch_size)
+            raise ValueError(f"the planner acts in an environment of {env.num_envs} episodes; the tensordict has {given}")
+        memory = carried(tensordict, self.base, env)
+        decide(self.base, tensordict)
+        memory = memory if len(memory.keys()) else carried(tensordict, self.base, env)
+        plannable = slots.of(
+            [real if self.real else n > 1 for real, n in zip(slots.real, slots.n_actions, strict=True)], env.device
+        )
+        deciding = slots.deciding(tensordict) & plannable
+        simulated = torch.zeros(env.num_envs, dtype=torch.float64, device=env.device)
+        order = deciding.cumsum(1)
+        for turn in range(int(deciding.sum(1).max())):
+            mine = deciding & (order == turn + 1)
+            rows = torch.nonzero(mine.any(1)).squeeze(1)
+            slot = mine[rows].long().argmax(1)
+            action, seconds = self._improved(tensordict, memory, rows, slot)
+            simulated = simulated.index_add(0, rows, seconds)
+            whole_batch = torch.zeros(env.num_envs, *action.shape[1:], dtype=action.dtype, device=env.device)
+            everybody = torch.zeros_like(simulated, dtype=torch.int64).index_copy(0, rows, slot)
+            slots.put(tensordict, everybody, whole_batch.index_copy(0, rows, action), mine.any(1))
+        return tensordict.set(SIMULATED, simulated)
+
+    def _improved(self, td: TensorDictBase, memory: TensorDictBase, rows: Tensor, slot: Tensor) -> tuple[Tensor, Tensor]:
+        """Return actions of the agents ``slot`` [n] in ``rows`` [n] of the environment, [n] or [n, W], and simulated seconds [n].
+
+        Args:
+            td: What the agents observe, with the actions that have been decided so far, [N].
+            memory: What the base policy remembers, [N].
+            rows: Episodes.
+            slot: Agents.
+        """
+        raise NotImplementedError(f"{type(self).__name__} must implement _improved(td, memory, rows, slot)")
+
+    # -- roots --------------------------------------------------------------------------------------------------------
+
+    @property
+    def _copies(self) -> int:
+        """Number of futures."""
+        return self.futures or 1
+
+    def _limit(self, rows: Tensor) -> Tensor | None:
+        """Return the ticks at which branches of episodes ``rows`` [n] are cut off; None where a value network judges the rest."""
+        if self._value is not None:
+            return None
+        if math.isinf(self.horizon):
+            return torch.full_like(rows, ENDLESS)
+        return self.env.fleet.ticks[rows] + max(1, round(self.horizon / self.env.fleet.h))
+
+    def _judged(self, elapsed: Tensor) -> Tensor | None:
+        """Return seconds after which the value network judges branches that begin after ``elapsed`` [J]; None without one."""
+        return None if self._value is None else (self.horizon - elapsed).clamp(min=0.0)
+
+    def _plant(self, store: Tasking, places: Tensor, rows: Tensor) -> None:
+        """Copy episodes ``rows`` [n] into the rows ``places`` [n * futures] of another environment, each in every future."""
+        each = rows.repeat_interleave(self._copies)
+        store.restore(self.env, places, each)
+        if self.futures is not None:
+            number = torch.arange(self._copies, device=rows.device).repeat(len(rows))
+            key = present_key(self.env, each, self.env.env_ids[each], f"future {self.seed}")
+            lots = key.uniform(self._copies).gather(1, number.cpu().unsqueeze(1)).squeeze(1)
+            reseed_copies(store, places, lots, key, self._redraw)
+
+    def _jobs(self, td: TensorDictBase, memory: TensorDictBase, real: Tensor, slot: Tensor, plan: Tensor, rows: Tensor) -> Jobs:
+        """Return branches from the present of episodes.
+
+        Args:
+            td: See :meth:`_improved`.
+            memory: Likewise.
+            real: Episodes of the environment, [J].
+            slot: Agents, [J].
+            plan: Their actions, [J, D] or [J, D, W].
+            rows: Rows of the copies from which the branches begin, [J].
+        """
+        kept = memory[real] if len(memory.keys()) else None
+        judged = self._judged(torch.zeros_like(real, dtype=torch.float64))
+        return Jobs(rows, self.env.env_ids[real], slot, plan, self.slots.actions(td)[real], self._limit(real), kept, judged)
+
+    def _promised(
+        self, td: TensorDictBase, memory: TensorDictBase, rows: Tensor, slot: Tensor, action: Tensor, worth: Tensor, plan: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """Return actions that are no worse than what the last decision has promised, [n], and simulated seconds [n].
+
+        Args:
+            td: See :meth:`_improved`.
+            memory: Likewise.
+            rows: Likewise.
+            slot: Likewise.
+            action: The best actions that have been found, [n].
+            worth: Their returns, [n].
+            plan: Sequences that have these returns, [n, D]; -1 where the base policy decides.
+        """
+        found = self._made.get("promises")
+        if found is None:
+            blank = torch.full_like(plan[0], -1)
+            self._made["promises"] = found = Promises(self.env.num_envs, blank)
+        kept, there = found.due(self.env, rows, slot)
+        index = torch.nonzero(there).squeeze(1)
+        simulated = torch.zeros_like(worth)
+        if len(index):
+            flown = self.branches.fly(self.env, self._jobs(td, memory, rows[index], slot[index], kept[index], rows[index]))
+            total = self._discounting.before(flown.reward, flown.seconds, flown.rest)
+            simulated[index] = flown.simulated
+            better = torch.zeros_like(there).index_copy(0, index, total > worth[index])
+            action, plan = torch.where(better, kept[:, 0], action), torch.where(better.unsqueeze(1), kept, plan)
+        found.make(self.env, rows, slot, plan)
+        return action, simulated
+
+    @property
+    def _keeps_promises(self) -> bool:
+        """Whether returns are exact, and all actions of a sequence those of one agent."""
+        return self._value is None and self.futures is None and self.slots.size == 1
+
+    # -- decisions ----------------------------------------------------------------------------------------------------
+
+    def _preferred(self, q: Tensor, mine: Tensor) -> Tensor:
+        """Return the best action, [n]: that of the base policy, ``mine`` [n], unless another one is better.
+
+        Args:
+            q: Returns [n * futures, A]; minus infinity for actions that have not been tried.
+            mine: Actions of the base policy.
+        """
+        mean = q.view(len(mine), self._copies, -1).mean(1)
+        best, action = mean.max(1)
+        return torch.where(best > mean.gather(1, mine.unsqueeze(1)).squeeze(1), action, mine)

@@ -1,0 +1,88 @@
+"""Rollout: try every action, let the base policy fly on, and take the best.
+
+Source: D. P. Bertsekas, J. N. Tsitsiklis, C. Wu, "Rollout algorithms for combinatorial optimization", J. Heuristics 3, 1997. With
+a model that is exact, and a horizon to the end of the episode, the improved policy is never worse than its base.
+"""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+import torch
+from tensordict import TensorDictBase
+from torch import Tensor
+
+from bsk_torch._checks import whole
+from bsk_torch.env import Tasking
+from bsk_torch.plan.bases import Base
+from bsk_torch.plan.planner import Planner
+from bsk_torch.plan.priors import Prior
+
+
+class Rollout(Planner):
+    """Flies each action in a copy, the base policy after it, and takes the action with the best return.
+
+    The base policy's own action is kept unless another one is better.
+    """
+
+    name: ClassVar[str] = "rollout"
+
+    def __init__(
+        self, env: Tasking, base: Base = None, *, horizon: float = 240.0, budget: int | None = None, **options: Any
+    ) -> None:
+        """See :class:`~bsk_torch.plan.planner.Planner` for the other arguments, and for errors.
+
+        Args:
+            env: The environment in which the planner acts.
+            base: The base policy.
+            horizon: Seconds that branches last.
+            budget: Actions that are tried for a decision, those that the base policy prefers; None for all that are legal.
+            **options: Further arguments of :class:`~bsk_torch.plan.planner.Planner`.
+        """
+        self.budget = None if budget is None else whole("budget", budget, 1)
+        super().__init__(env, base, horizon=horizon, **options)
+        self._prior = Prior(self.base, self.slots, self.budget or 1)
+
+    def _branching(self) -> int:
+        return min(self.budget or self.slots.most_actions, self.slots.most_actions)
+
+    def _improved(self, td: TensorDictBase, memory: TensorDictBase, rows: Tensor, slot: Tensor) -> tuple[Tensor, Tensor]:
+        """See :meth:`Planner._improved`."""
+        mine = self.slots.at(self.slots.chosen(td)[rows], slot)
+        tried = self._tried(td, rows, slot, mine)
+        q = torch.full(tried.shape, -torch.inf, dtype=torch.float64, device=td.device)
+        several = torch.nonzero(tried & (tried.sum(1, keepdim=True) > 1))
+        if not len(several):
+            return mine, torch.zeros(len(rows), dtype=torch.float64, device=td.device)
+        total, simulated = self._flown(td, memory, rows, slot, several)
+        q[several[:, 0], several[:, 1]] = total
+        action = self._preferred(q.repeat_interleave(self._copies, 0), mine)
+        return action, torch.zeros_like(q[:, 0]).index_add(0, several[:, 0], simulated)
+
+    def _tried(self, td: TensorDictBase, rows: Tensor, slot: Tensor, mine: Tensor) -> Tensor:
+        """Return the actions that are tried, [n, A]: that of the base policy among them."""
+        legal = self.slots.at(self.slots.legal(td)[rows], slot)
+        own = torch.nn.functional.one_hot(mine, legal.shape[1]).bool()
+        if self.budget is None or self.budget >= legal.shape[1]:
+            return legal | own
+        weight = self._prior(td[rows], slot, legal).masked_fill(own, torch.inf)
+        best = torch.zeros_like(legal).scatter(1, weight.topk(self.budget, 1).indices, True)
+        return (legal & best) | own
+
+    def _flown(
+        self, td: TensorDictBase, memory: TensorDictBase, rows: Tensor, slot: Tensor, tried: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """Return returns and simulated seconds of branches [J]: ``tried`` [J, 2] has numbers among ``rows`` and actions."""
+        which, action = tried.unbind(1)
+        if self.futures is None:
+            source, places, each = self.env, rows[which], which
+        else:
+            source = self._store(len(rows) * self.futures)
+            self._plant(source, torch.arange(len(rows) * self.futures, device=rows.device), rows)
+            places = (which.unsqueeze(1) * self.futures + torch.arange(self.futures, device=rows.device)).flatten()
+            each, action = which.repeat_interleave(self.futures), action.repeat_interleave(self.futures)
+        jobs = self._jobs(td, memory, rows[each], slot[each], action.unsqueeze(1), places)
+        flown = self.branches.fly(source, jobs)
+        total = self._discounting.before(flown.reward, flown.seconds, flown.rest)
+        shape = (len(which), self._copies)
+        return total.view(shape).mean(1), flown.simulated.view(shape).sum(1)
