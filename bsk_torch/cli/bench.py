@@ -19,6 +19,7 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
+from bsk_torch.cli.planned import PREFIX, named_planner
 from bsk_torch.cli.policies import PRETRAINED, NamedPolicy, named_policy
 from bsk_torch.cli.results import WIDE
 from bsk_torch.cli.shared import Backend, Device, Threads, check_writable, console, fail
@@ -41,7 +42,8 @@ def bench(
         list[str],
         typer.Argument(
             help=f"'pretrained', a baseline ({', '.join(BASELINES)}), also with a view of the presets such as "
-            "survey,actions=waypoints, the folder or file of a policy, or a function of your own as package.module:function."
+            "survey,actions=waypoints, the folder or file of a policy, a planner with its options such as "
+            "plan:rollout,base=hasty,horizon=240, or a function of your own as package.module:function."
         ),
     ],
     suite: Annotated[str, typer.Option(help="Name of the suite.")] = "v1",
@@ -93,6 +95,9 @@ def entrant_of(name: str) -> Entrant:
     if name == PRETRAINED:
         return lambda preset, make: entered(named_policy(name, preset), make) if preset in makings() else None
     plain, *views = name.split(",")
+    if plain.startswith(PREFIX):
+        named_planner(plain, None, views)  # unknown names and options end the program before anything runs
+        return lambda preset, make: planned(plain, views, preset, make)
     if plain in BASELINES:
         chosen = dict(view_of(view) for view in views)
         return lambda preset, make: rule(plain, chosen, make)
@@ -105,9 +110,13 @@ def entrant_of(name: str) -> Entrant:
 
 def entered(policy: NamedPolicy, make: Callable[..., Tasking]) -> tuple[Tasking, Policy]:
     """Enter a policy of a file, in an environment with the views that it was trained with."""
-    task_options = ("time_limit",)  # lengths of the training's episodes
-    env = make(**{name: value for name, value in policy.card.get("options", {}).items() if name not in task_options})
+    env = make(**views_of(policy))
     return env, shared(policy.build(env, str(env.device)), env)
+
+
+def views_of(policy: NamedPolicy) -> dict[str, Any]:
+    """Return the options of a policy's training, without the length of its episodes."""
+    return {name: value for name, value in policy.card.get("options", {}).items() if name != "time_limit"}
 
 
 def rule(name: str, views: Mapping[str, Any], make: Callable[..., Tasking]) -> tuple[Tasking, Policy] | None:
@@ -117,6 +126,13 @@ def rule(name: str, views: Mapping[str, Any], make: Callable[..., Tasking]) -> t
         return env, shared(baseline(name, env), env)
     except (KeyError, TypeError, ValueError):
         return None
+
+
+def planned(name: str, options: list[str], preset: str, make: Callable[..., Tasking]) -> tuple[Tasking, Policy]:
+    """Enter a planner, in an environment with the views of its base policy; ends the program where it does not fit."""
+    chosen = named_planner(name, preset, options)
+    env = make(**({} if chosen.base is None else views_of(chosen.base)))
+    return env, chosen.build(env, str(env.device))
 
 
 def view_of(text: str) -> tuple[str, Any]:
@@ -145,6 +161,7 @@ def told(score: Score, reference: Mapping[str, Any] | None) -> dict[str, Any]:
     evaluation = score.evaluation
     rated = {} if reference is None else {"score": asdict(normalised(evaluation, reference))}
     summary = {name: value for name, value in evaluation.summary().items() if name != "gain"}
+    summary["simulated_per_decision"] = evaluation.simulated_per_decision
     return rated | summary | {"seconds_per_decision": score.seconds, "returns": evaluation.returns.tolist()}
 
 
@@ -186,7 +203,15 @@ def print_suite(results: Mapping[str, Mapping[str, Any]], presets: list[str], ti
             continue
         order = sorted(rows, key=lambda name: -rows[name]["return"]["mean"])
         table = Table(title=f"{preset}, {title}", title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
-        for column in ("policy", "score", "return", f"gain of {order[0]}", "survival", "ms per decision"):
+        for column in (
+            "policy",
+            "score",
+            "return",
+            f"gain of {order[0]}",
+            "survival",
+            "ms per decision",
+            "simulated s per decision",
+        ):
             table.add_column(column, justify="left" if column == "policy" else "right")
         for name in order:
             table.add_row(name, *cells(rows[name], rows[order[0]]))
@@ -197,10 +222,12 @@ def cells(row: Mapping[str, Any], best: Mapping[str, Any]) -> list[str]:
     """Return the cells of a policy after its name."""
     score = "" if "score" not in row else "{mean:.3f} ± {half_width:.3f}".format(**row["score"])
     gain = confidence(torch.tensor(best["returns"], dtype=torch.float64) - torch.tensor(row["returns"], dtype=torch.float64))
+    simulated = row["simulated_per_decision"]
     return [
         score,
         "{mean:.3f} ± {half_width:.3f}".format(**row["return"]),
         "" if row is best else f"{gain.mean:+.3f} ± {gain.half_width:.3f}",
         f"{row['survival']:.1%}",
         f"{1e3 * row['seconds_per_decision']:.3f}",
+        "" if simulated is None else f"{simulated:,.0f}",
     ]

@@ -69,3 +69,15 @@ def test_errors_before_anything_runs(run, arguments, message):
     result = run("bench", *arguments)
     assert result.exit_code == 1
     assert message in result.output
+
+
+def test_planners_say_what_they_simulate(run, tmp_path):
+    out = tmp_path / "bench.json"
+    result = run("bench", "plan:rollout,base=rule,horizon=120", "rule", *TWO[:3], "1", "--out", out)
+    assert result.exit_code == 0, result.output
+    kept = json.loads(out.read_text())["policies"]
+    assert kept["plan:rollout,base=rule,horizon=120"]["NadirScan-v1"]["simulated_per_decision"] > 120.0
+    assert kept["rule"]["NadirScan-v1"]["simulated_per_decision"] is None
+    wrong = run("bench", "plan:rollout,horizn=120", *TWO)
+    assert wrong.exit_code == 1
+    assert "did you mean 'horizon'" in wrong.output
