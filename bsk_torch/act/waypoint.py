@@ -37,12 +37,14 @@ class Options(NamedTuple):
         known: Numbers of each row that it follows from, [N, F].
         ahead: All transfers.
         legal: Which of them are legal, [N, n_actions].
+        stuck: Where none of them keeps the distances, [N].
     """
 
     versions: list[int]
     known: Tensor
     ahead: Transfers
     legal: Tensor
+    stuck: Tensor
 
 
 class HillWaypoint(Action):
@@ -56,13 +58,13 @@ class HillWaypoint(Action):
     satellite if that drifts on, or cost more than ``max_dv`` or what is left in the tank, are illegal. The manoeuvre of one that
     costs more is scaled down to what is allowed, and lasts for the shortest duration, after which another manoeuvre is possible.
     Where all are illegal, one is legal nevertheless: that which keeps the distances best for the shortest duration, and the
-    satellite nearest to the chief if it drifts on for as long again.
+    satellite nearest to the chief if it drifts on for as long again. It lasts for the shortest duration, too.
 
     Satellites of one type and episode that decide at the same time do not know of each other's choice when they read their masks.
     A shield keeps their paths ``keep_apart``, in the order of their numbers: where the chosen one comes nearer than that to the
     path of an earlier satellite, the satellite flies the transfer to the waypoint closest to the chosen one, then that of the
     nearest duration, among those which its mask allows and which are clear of the earlier ones; if there is none, the legal one
-    that stays the farthest apart. The action that is recorded stays the chosen one.
+    that stays the farthest apart, for the shortest duration. The action that is recorded stays the chosen one.
 
     bsk_rl has no such action: its manoeuvres are :class:`ImpulsiveThrustHill`.
     """
@@ -151,11 +153,12 @@ class HillWaypoint(Action):
             return last
         ahead, known = self.ahead(), self.known()
         if last is None:
-            legal = self.legal(ahead, torch.arange(len(known), device=known.device))
+            legal, stuck = self.legal(ahead, torch.arange(len(known), device=known.device))
         else:
             rows = torch.nonzero((known != last.known).any(1)).squeeze(1)
-            legal = last.legal.index_copy(0, rows, self.legal(ahead.some(rows), rows))
-        self._options = Options(versions, known, ahead, legal)
+            parts = self.legal(ahead.some(rows), rows)
+            legal, stuck = (old.index_copy(0, rows, new) for old, new in zip((last.legal, last.stuck), parts, strict=True))
+        self._options = Options(versions, known, ahead, legal, stuck)
         return self._options
 
     def known(self) -> Tensor:
@@ -205,11 +208,11 @@ class HillWaypoint(Action):
     def decide(self, index: Tensor, mask: Tensor, action: Tensor, previous: Tensor) -> Decision:
         """See :meth:`Action.decide`."""
         ahead = self.options.ahead
-        flown = self.shielded(index.clamp(0, self.n_actions - 1), mask)
+        flown, apart = self.shielded(index.clamp(0, self.n_actions - 1), mask)
         dv_N = self._thrust.change_of_velocity(ahead.manoeuvre(flown))
         duration = self.durations.to(index.device)[flown % len(self.durations)]
         reached = ahead.cost.flatten(1).gather(1, flown.unsqueeze(1)).squeeze(1) <= self.most_dv
-        duration = torch.where(reached, duration, self.shortest)
+        duration = torch.where(reached & apart & ~self.options.stuck, duration, self.shortest)
         return self._thrust.enter(self._thrust.fsw_action, duration, dv_N)._replace(key=action)
 
     def begin(self, mask: Tensor, decision: Decision) -> None:
@@ -220,15 +223,16 @@ class HillWaypoint(Action):
         """See :meth:`Action.mask`."""
         return self.options.legal
 
-    def legal(self, ahead: Transfers, rows: Tensor) -> Tensor:
-        """Return which transfers ``ahead`` of the R rows are legal, [R, n_actions]."""
+    def legal(self, ahead: Transfers, rows: Tensor) -> tuple[Tensor, Tensor]:
+        """Return which transfers ``ahead`` of the R rows are legal, [R, n_actions], and where none keeps the distances, [R]."""
         others = self.others_of(rows)
         legal = ((self.missed(ahead, others) <= 0.0) & (ahead.cost <= self.most_dv[rows, None, None])).flatten(1)
-        stuck = torch.nonzero(~legal.any(1)).squeeze(1)
+        none = ~legal.any(1)
+        stuck = torch.nonzero(none).squeeze(1)
         if len(stuck):  # few, and often none: what is legal there takes as long to find as the rest
             least = self.least(ahead.some(stuck), rows[stuck])
             legal[stuck] = torch.zeros_like(legal[stuck]).scatter(1, least, True)
-        return legal
+        return legal, none
 
     def others_of(self, rows: Tensor) -> tuple[Tensor, Tensor] | None:
         """Return positions and velocities of the satellites that are to be kept apart from the rows; None for none."""
@@ -261,20 +265,23 @@ class HillWaypoint(Action):
         missed = self.missed(ahead.along(twice.until(soon)), self.others_of(rows)).clamp(min=0.0)
         return (missed * WEIGHT + later).flatten(1).argmin(1, keepdim=True)
 
-    def shielded(self, chosen: Tensor, mask: Tensor) -> Tensor:
+    def shielded(self, chosen: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
         """Return the transfers that are flown, [N], where ``chosen`` [N] are decided at the same time in the rows ``mask`` [N].
+
+        The second tensor, [N], says which of them stay ``keep_apart`` from those of the satellites before.
 
         The first satellite of an episode flies what it has chosen. Each following one does so, too, unless that comes nearer than
         ``keep_apart`` to the path of one before; see the class for what it flies then. A path goes on after its arrival.
         """
         count = self.satellite.simulator.count
         if count == 1 or self.keep_apart == 0.0:
-            return chosen
+            return chosen, torch.ones_like(mask)
         ahead = self.options.ahead
         legal, order = self.options.legal.view(-1, count, self.n_actions), self._order.to(chosen.device)
         rho, before = (each.view(-1, count, 3) for each in self.relative_state())
         chosen, decides = chosen.view(-1, count), mask.view(-1, count)
-        flown, after = [chosen[:, 0]], [before[:, 0] + ahead.rows(0, count).manoeuvre(chosen[:, 0])]
+        flown, kept = [chosen[:, 0]], [torch.ones_like(decides[:, 0])]
+        after = [before[:, 0] + ahead.rows(0, count).manoeuvre(chosen[:, 0])]
         for k in range(1, count):  # one after the other, since each choice depends on those before
             own, wanted = ahead.rows(k, count), chosen[:, k]
             apart = own.apart(rho[:, :k], torch.stack(after, 1)).flatten(2)
@@ -285,8 +292,9 @@ class HillWaypoint(Action):
             instead = torch.where(clear.any(1), nearest, widest)
             stays = apart.gather(1, wanted.unsqueeze(1)).squeeze(1) >= self.keep_apart
             flown.append(torch.where(stays, wanted, instead))
+            kept.append(stays | clear.any(1))
             after.append(before[:, k] + own.manoeuvre(flown[-1]))
-        return torch.stack(flown, 1).flatten()
+        return torch.stack(flown, 1).flatten(), torch.stack(kept, 1).flatten()
 
     def _replacement_order(self) -> Tensor:
         """Return the places [A, A] of transfers by how near they come to each: by the waypoint, and for one by the duration."""

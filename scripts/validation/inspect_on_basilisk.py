@@ -165,7 +165,8 @@ class Navigator:
         ahead, entry = self.entry.options.ahead, self.entry
         dv = ahead.manoeuvre(torch.tensor([action]))[0].numpy()
         reached = bool(ahead.cost.flatten(1)[0, action] <= entry.most_dv[0])
-        drift = float(entry.durations[action % len(entry.durations)]) if reached else entry.shortest
+        whole = reached and not bool(entry.options.stuck[0])
+        drift = float(entry.durations[action % len(entry.durations)]) if whole else entry.shortest
         return np.array([*dv, drift])
 
 

@@ -47,6 +47,11 @@ def entry_of(env):
     return next(g for g in env.fleet.groups if "D1" in g.names).actions.entries[-1]
 
 
+def shielded(entry, chosen, decides):
+    """The transfers that are flown."""
+    return entry.shielded(chosen, decides)[0]
+
+
 def fly(env, td, action):
     """Take the actions [N, count] of deputies; the outputs of the step."""
     td["chief", "action"] = torch.zeros(env.num_envs, 1, dtype=torch.int64)
@@ -167,7 +172,7 @@ class TestShield:
         env, entry, td = self.make(20.0)
         assert bool(td["deputy", "action_mask"][..., 0].all())
         same = torch.zeros(2, 3, dtype=torch.int64)
-        flown = entry.shielded(same.flatten(), torch.ones(6, dtype=torch.bool)).view(2, 3)
+        flown = shielded(entry, same.flatten(), torch.ones(6, dtype=torch.bool)).view(2, 3)
         assert flown[:, 0].tolist() == [0, 0]
         assert torch.equal(flown[0], flown[1])
         assert len(set(flown[0].tolist())) == 3
@@ -183,12 +188,12 @@ class TestShield:
     def test_without_a_distance_all_fly_what_they_chose(self):
         _, entry, _ = self.make(0.0)
         same = torch.zeros(6, dtype=torch.int64)
-        assert torch.equal(entry.shielded(same, torch.ones(6, dtype=torch.bool)), same)
+        assert torch.equal(shielded(entry, same, torch.ones(6, dtype=torch.bool)), same)
 
     def test_those_that_do_not_decide_are_no_hindrance(self):
         _, entry, _ = self.make(20.0)
         same, decides = torch.zeros(6, dtype=torch.int64), torch.tensor([False, True, False, True, False, False])
-        assert torch.equal(entry.shielded(same, decides)[[1, 3]], same[[1, 3]])
+        assert torch.equal(shielded(entry, same, decides)[[1, 3]], same[[1, 3]])
 
     def test_it_is_the_nearest_clear_one(self):
         """By brute force over all paths."""
@@ -200,7 +205,7 @@ class TestShield:
             clear = ahead.rows(1, 2).apart(rho[:, :1], after.unsqueeze(1)).flatten(1)[0] >= 30.0
             for wanted in range(12):
                 chosen = torch.tensor([first, wanted] * 2)
-                found = int(entry.shielded(chosen, torch.ones(4, dtype=torch.bool))[1])
+                found = int(shielded(entry, chosen, torch.ones(4, dtype=torch.bool))[1])
                 if clear[wanted]:
                     assert found == wanted
                     continue
@@ -219,8 +224,17 @@ class TestShield:
         entry._options = None  # what is legal was found for the other distance
         legal = entry.mask().view(2, 2, 12)
         assert legal.sum(-1).tolist() == [[1, 1], [1, 1]]
-        flown = entry.shielded(torch.zeros(4, dtype=torch.int64), torch.ones(4, dtype=torch.bool)).view(2, 2)
+        flown = shielded(entry, torch.zeros(4, dtype=torch.int64), torch.ones(4, dtype=torch.bool)).view(2, 2)
         assert torch.equal(flown[:, 1], legal[:, 1].long().argmax(1))
+
+    def test_one_that_does_not_keep_the_distances_lasts_for_the_shortest_duration(self):
+        """It was chosen for that time; later on it may come as near as it likes."""
+        env, entry, _ = self.make(20.0, ("D1", "D2"))
+        longest = torch.full((2, 2), 1)
+        assert decided(env, longest).duration.tolist()[::2] == [900.0, 900.0]
+        entry.keep_apart, entry._options = 1e4, None
+        assert bool(entry.options.stuck.all())
+        assert decided(env, longest).duration.tolist() == [600.0] * 4
 
 
 def test_transfers_are_found_once_for_a_decision(monkeypatch):
