@@ -279,8 +279,8 @@ def planners(name: str) -> str:
     head = ["preset", "policy", "return", "gain over the rule", "decisions", "simulated s per decision", "wall s per episode"]
     rows = []
     for row in load(name)["rows"]:
-        gain = f"{row['gain']:+.3f} ± {row['gain_half']:.3f} ({row['relative']:+.1%})" if "gain" in row else ""
-        simulated = whole(row["simulated"]) if "simulated" in row else ""
+        gain = f"{row['gain']:+.3f} ± {row['gain_half']:.3f} ({row['relative']:+.1%})" if "gain" in row else "-"
+        simulated = whole(row["simulated"]) if "simulated" in row else "-"
         value = f"{row['value']:.3f} ± {row['half']:.3f}"
         rows.append([code(row["preset"]), row["policy"], value, gain, whole(row["decisions"]), simulated, digits(row["wall"])])
     return with_command(name, head, rows)

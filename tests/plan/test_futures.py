@@ -59,7 +59,13 @@ def test_noise_follows_from_the_future():
         )
 
     env = bsk_torch.SatelliteTasking(
-        Blurred("S", scanning_args()), scene.UniformNadirScanning(), num_envs=1, time_limit=400.0, backend="eager", seed=0
+        Blurred("S", scanning_args()),
+        scene.UniformNadirScanning(),
+        num_envs=1,
+        time_limit=400.0,
+        sim_rate=2.0,
+        backend="eager",
+        seed=0,
     )
     env.reset()
     true, drawn = env.like(1), env.like(2)
