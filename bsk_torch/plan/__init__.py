@@ -1,0 +1,1 @@
+"""Planners and bounds on what they can reach."""
