@@ -1,8 +1,8 @@
 """Least times between images: records transitions in flight, fits an envelope below them, and checks it.
 
 Usage:
-    python benchmarks/envelope.py [--transitions 1000000] [--scale 1.0] [--seed 11] [--time-limit 17100] [--envelope FILE.json]
-        [--out FILE.json]
+    python benchmarks/envelope.py [--transitions 1000000] [--scale 1.0] [--seed 11] [--time-limit 17100] [--enough 2000]
+        [--envelope FILE.json] [--out FILE.json]
 
 Several policies fly AEOS-v1, AEOSCity-v1 and AEOSPower-v1, among them some that fail often: a step that ends without an image
 leaves the satellite on its way. Rounds of fresh episodes follow one another until there are enough transitions. The envelope is
@@ -96,7 +96,7 @@ def rows_of(found: Transitions, envelope: Envelope) -> list[dict[str, float]]:
 def main() -> None:
     """Record, fit, check, and print a table."""
     arguments = harness.parser(
-        __doc__, transitions=1_000_000, scale=1.0, seed=11, time_limit=17_100.0, backend="compiled", envelope=""
+        __doc__, transitions=1_000_000, scale=1.0, seed=11, time_limit=17_100.0, enough=2000, backend="compiled", envelope=""
     )
     options, described = harness.begin(arguments)
     rounds: list[Transitions] = []
@@ -105,11 +105,11 @@ def main() -> None:
         part, args = fly(options, options.seed + len(rounds))
         rounds.append(part)
     found, h = Transitions.joined(rounds), float(args["sim_rate"])
-    envelope = Envelope.below(*found[:3], step=h, arguments=args)
+    envelope = Envelope.below(*found[:3], step=h, arguments=args, enough=options.enough)
     check = dict(transitions=len(found.ticks), carried_over=found.carried, smallest_margin=envelope.smallest_margin(*found[:3]))
     if len(rounds) > 1:
         first, later = rounds[0], Transitions.joined(rounds[1:])
-        fitted = Envelope.below(*first[:3], step=h, arguments=args)
+        fitted = Envelope.below(*first[:3], step=h, arguments=args, enough=options.enough)
         below = torch.where(later.one_step, fitted.least(later.angle, direct=True), fitted.least(later.angle, direct=False))
         check |= dict(fitted_on=len(first.ticks), checked_on=len(later.ticks), below=int((later.ticks < below).sum()))
     rows = rows_of(found, envelope)

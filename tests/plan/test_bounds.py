@@ -1,4 +1,4 @@
-"""Bounds: never below what any policy reaches, around the optimum where that can be counted out, refused where they do not hold."""
+"""Bounds: never below what policies reach, around the optimum where that can be counted out, refused where they do not hold."""
 
 from __future__ import annotations
 
@@ -12,7 +12,17 @@ from torch import Tensor
 
 from bsk_torch import data, presets, rand
 from bsk_torch.env.rollout import play_episodes
-from bsk_torch.plan.bounds import Envelope, carried_over, imaging_bound, record_transitions, scanning_bound
+from bsk_torch.plan.bounds import (
+    Envelope,
+    Schedule,
+    ScheduledPolicy,
+    carried_over,
+    imaging_bound,
+    milp_schedule,
+    record_transitions,
+    relaxed_schedule,
+    scanning_bound,
+)
 from bsk_torch.plan.bounds.graph import image_graph
 from bsk_torch.plan.bounds.paths import best_paths, neighbours
 from bsk_torch.plan.bounds.windows import Openings, angle_between, openings, satellite_positions
@@ -38,7 +48,7 @@ def test_an_envelope_lies_below_all_transitions_and_is_the_highest_that_ascends(
     angle = torch.rand(5000, generator=generator, dtype=torch.float64) * 1.5
     ticks = (20 + 60 * angle + 30 * torch.rand(5000, generator=generator, dtype=torch.float64)).long()
     one_step = torch.rand(5000, generator=generator) < 0.7
-    made = Envelope.below(angle, ticks, one_step, step=0.5, arguments={}, width=0.1, bins=12, margin=1)
+    made = Envelope.below(angle, ticks, one_step, step=0.5, arguments={}, width=0.1, bins=12, margin=1, enough=1)
     assert made.smallest_margin(angle, ticks, one_step) == 1  # and some transition is as near as that
     assert list(made.direct) == sorted(made.direct)
     assert list(made.any) == sorted(made.any)
@@ -58,7 +68,7 @@ def test_an_envelope_is_saved_and_read(tmp_path):
 
 def test_an_envelope_needs_transitions():
     none = torch.zeros(0)
-    with pytest.raises(ValueError, match="0 transitions, none in one step"):
+    with pytest.raises(ValueError, match="0 transitions, 0 in one step: no bin"):
         Envelope.below(none, none.long(), none.bool(), step=0.5, arguments={})
 
 
@@ -268,6 +278,36 @@ def test_no_policy_scans_more_than_the_bound():
     assert bool((bound.recorded + bound.downlinked <= 60.0 + 1e-6).all())
     capacity = env.satellite.sat_args["dataStorageCapacity"].unsqueeze(-1)
     assert bool(((bound.level >= -1.0) & (bound.level <= capacity + 1.0)).all())
+
+
+def test_schedules_are_flown_and_pay_what_they_can():
+    pytest.importorskip("scipy")
+    env = presets.aeos(num_envs=4, time_limit=HALF_ORBIT, n_targets=1000)
+    env.set_seed(SEED)
+    env.reset()
+    upper, rule = imaging_bound(env, iterations=5).upper, BASELINES["nearest"](env, 0)
+    for schedule in (relaxed_schedule(env, iterations=20), milp_schedule(env, seconds=5.0)):
+        assert schedule.target.shape == schedule.tick.shape
+        for row in schedule.target.tolist():
+            kept = [target for target in row if target >= 0]
+            assert len(kept) == len(set(kept))
+        returns = evaluate(ScheduledPolicy(env, schedule, rule), env, seed=SEED).returns
+        planned = (env.scenario.priority.double().gather(1, schedule.target.clamp(min=0)) * (schedule.target >= 0)).sum(1)
+        assert float((upper - returns).min()) >= 0.0
+        assert float(returns.sum()) > 0.7 * float(planned.sum())  # slews take longer than is typical now and then
+        env.set_seed(SEED)
+        env.reset()
+
+
+def test_schedules_are_refused_where_they_do_not_fit():
+    env = begun(n_targets=100)
+    with pytest.raises(ValueError, match="seconds=0"):
+        milp_schedule(env, seconds=0.0)
+    none = torch.full((2, 1), -1)
+    with pytest.raises(ValueError, match="the schedule has 2 episodes, the environment 1"):
+        ScheduledPolicy(env, Schedule(none, none), None)
+    with pytest.raises(ValueError, match="no typical times"):
+        relaxed_schedule(env, envelope=replace(Envelope.load(), typical=()))
 
 
 def scanning(**args: Any) -> Tensor:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -44,6 +44,16 @@ def lowest(angle: Tensor, ticks: Tensor, width: float, bins: int) -> Tensor:
     return torch.where(known, monotone, monotone[known].max() if bool(known.any()) else 1)
 
 
+def median(angle: Tensor, ticks: Tensor, width: float, bins: int) -> Tensor:
+    """Return the median time of each bin, not descending, [bins] ticks; bins without transitions repeat the one before."""
+    index = (angle / width).long().clamp(0, bins - 1)
+    by = torch.argsort(ticks, stable=True)
+    by = by[torch.argsort(index[by], stable=True)]
+    edge = torch.searchsorted(index[by], torch.arange(bins + 1))
+    middle = ticks[by][((edge[:-1] + edge[1:]) // 2).clamp(max=len(ticks) - 1)]
+    return torch.where(edge[1:] > edge[:-1], middle, 0).cummax(0).values
+
+
 @dataclass(frozen=True)
 class Envelope:
     """Least ticks between two images, by the angle between the targets; see the module.
@@ -55,6 +65,7 @@ class Envelope:
         step: Length of a tick, s.
         arguments: Arguments of the satellite that it was fitted on, as text by name.
         transitions: Number of transitions that it was fitted on.
+        typical: Median time of each bin in one step, ticks; what schedules count with.
     """
 
     width: float
@@ -63,6 +74,7 @@ class Envelope:
     step: float
     arguments: Mapping[str, str]
     transitions: int
+    typical: tuple[int, ...] = ()
 
     def least(self, angle: Tensor, *, direct: bool) -> Tensor:
         """Return the least ticks, for angles of any shape, rad."""
@@ -86,6 +98,7 @@ class Envelope:
         width: float = 0.02,
         bins: int = 70,
         margin: int = 1,
+        enough: int = 2000,
     ) -> Envelope:
         """Return the highest envelope ``margin`` ticks below all transitions.
 
@@ -98,16 +111,33 @@ class Envelope:
             width: Width of the bins, rad.
             bins: Number of bins.
             margin: Ticks.
+            enough: Number of transitions of a bin in one step without which its least time is not trusted: bins behind the last
+                that has so many repeat that one.
 
         Raises:
-            ValueError: Without transitions.
+            ValueError: Where no bin has enough transitions.
         """
-        if not bool(one_step.any()):
-            raise ValueError(f"{len(angle)} transitions, none in one step: no envelope can be fitted; fly more episodes")
+        index = (angle[one_step] / width).long().clamp(0, bins - 1)
+        trusted = torch.nonzero(torch.bincount(index, minlength=bins) >= max(1, enough)).flatten()
+        if not len(trusted):
+            raise ValueError(
+                f"{len(angle)} transitions, {len(index)} in one step: no bin of the angle has {enough} of them, so no envelope can be "
+                "fitted; fly more episodes"
+            )
         every = lowest(angle, ticks, width, bins)
         direct = lowest(angle[one_step], ticks[one_step], width, bins)
         every, direct = ((table - margin).clamp(min=SOONEST) for table in (torch.minimum(every, direct), direct))
-        return cls(width, tuple(direct.tolist()), tuple(every.tolist()), step, dict(arguments), len(angle))
+        usual = median(angle[one_step], ticks[one_step], width, bins)
+        last = torch.arange(bins).clamp(max=int(trusted[-1]))
+        every, direct, usual = every[last], direct[last], torch.maximum(usual, direct)[last]
+        return cls(width, *(tuple(t.tolist()) for t in (direct, every)), step, dict(arguments), len(angle), tuple(usual.tolist()))
+
+    @property
+    def expected(self) -> Envelope:
+        """The same with typical times in place of the least ones: no bound, but what a schedule counts with."""
+        if not self.typical:
+            raise ValueError("the envelope has no typical times; fit one with Envelope.below")
+        return replace(self, direct=self.typical, any=self.typical)
 
     def smallest_margin(self, angle: Tensor, ticks: Tensor, one_step: Tensor) -> int:
         """Return how many ticks the nearest transition lies above the envelope; negative if one lies below."""
@@ -122,4 +152,4 @@ class Envelope:
     def load(cls, path: Path = FILE) -> Envelope:
         """Read the envelope of a file, that of the agile satellites of the presets unless given."""
         saved: dict[str, Any] = json.loads(path.read_text())
-        return cls(**saved | {name: tuple(saved[name]) for name in ("direct", "any")})
+        return cls(**saved | {name: tuple(saved.get(name, ())) for name in ("direct", "any", "typical")})

@@ -24,8 +24,10 @@ from bsk_torch.sim.orbit.grid import LEAD_NODES, NODE_SPACING
 from bsk_torch.vec3 import Vec3
 
 WHEELS = 3
+"""Number of wheels, each of which draws its base power."""
 
 STATIONS = "ground_station"
+"""Kind of opportunity in which data can be sent."""
 
 
 @dataclass(frozen=True)
@@ -147,7 +149,8 @@ def _row_bound(env: SatelliteTasking, row: Tensor, width: int) -> tuple[float, T
     loss = torch.nn.functional.pad(gain * (cosine - 1.0), (0, pad), value=-torch.inf).view(intervals, width).amax(1)
     length = torch.full((intervals,), width * h, dtype=torch.float64)
     length[-1] -= pad * h
-    return _solve(args, collected, loss, length, _in_view(env, row, intervals, width * h), float(env.scenario.value_per_second))
+    scenario: Any = env.scenario
+    return _solve(args, collected, loss, length, _in_view(env, row, intervals, width * h), float(scenario.value_per_second))
 
 
 def _scalars(env: SatelliteTasking) -> dict[str, Tensor]:
@@ -162,9 +165,10 @@ def _scalars(env: SatelliteTasking) -> dict[str, Tensor]:
 def _in_view(env: SatelliteTasking, row: Tensor, intervals: int, length: float) -> Tensor:
     """Seconds of each interval in which a station is in view, no more than sums over stations; a tick more for each pass."""
     begin = torch.arange(intervals, dtype=torch.float64) * length
-    if STATIONS not in env.satellite.opportunity_types:
+    satellite: Any = env.satellite
+    if STATIONS not in satellite.opportunity_types:
         return torch.zeros(intervals, dtype=torch.float64)
-    windows = env.satellite.find_windows(env.state.limit_ticks.double() * env.simulator.h, STATIONS)
+    windows = satellite.find_windows(env.state.limit_ticks.double() * env.simulator.h, STATIONS)
     opens, close = (table[row].flatten() for table in windows[:2])
     there, h = torch.isfinite(close), env.simulator.h
     opens, close = opens[there] - h, close[there] + h

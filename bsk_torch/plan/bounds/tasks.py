@@ -112,7 +112,8 @@ def shortest_pause(env: Tasking, satellite: ImagingSatellite) -> int | None:
 
 def payment(env: Tasking) -> Tensor:
     """Return what the first image of each target pays, [N, T]; targets that do not exist pay nothing."""
-    rewarder, scenario = env.rewarder, env.scenario
+    rewarder: Any = env.rewarder
+    scenario: Any = env.scenario
     paid = rewarder.reward_fn(scenario.priority)
     if isinstance(rewarder, CloudFreeImageReward):
         paid = torch.where(scenario.cloud_cover > rewarder.threshold, 0.0, paid)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -30,8 +30,8 @@ class Transitions(NamedTuple):
     @classmethod
     def joined(cls, parts: list[Transitions]) -> Transitions:
         """The transitions of all ``parts``."""
-        columns = zip(*(part[:3] for part in parts), strict=True)
-        return cls(*(torch.cat(column) for column in columns), sum(part.carried for part in parts))
+        angle, ticks, one_step = (torch.cat(column) for column in zip(*(part[:3] for part in parts), strict=True))
+        return cls(angle, ticks, one_step, sum(part.carried for part in parts))
 
 
 def carried_over(imaged: Tensor, ticks: Tensor) -> Tensor:
@@ -53,7 +53,7 @@ def record_transitions(env: SatelliteTasking, policy: Policy, seed: int) -> Tran
 
     ValueError for a satellite that takes no images.
     """
-    satellite = env.satellite
+    satellite: Any = env.satellite
     if not hasattr(satellite, "latest_target"):
         raise ValueError(f"{satellite.name} is a {type(satellite).__name__}; transitions need a sats.ImagingSatellite")
     env.set_seed(seed)
@@ -74,4 +74,5 @@ def record_transitions(env: SatelliteTasking, policy: Policy, seed: int) -> Tran
         found.append((angle, now[row] - since[row], before[row] == since[row]))
         since, from_target = torch.where(own, now, since), torch.where(own, target, from_target)
         before, images = now.clone(), satellite.imaged.clone()
-    return Transitions(*(torch.cat(column) for column in zip(*found, strict=True)), carried)
+    angles, ticks, one_step = (torch.cat(column) for column in zip(*found, strict=True))
+    return Transitions(angles, ticks, one_step, carried)
