@@ -11,6 +11,7 @@ planning, and of all decisions in flight, the simulation left out.
 
 from __future__ import annotations
 
+import itertools
 import time
 from pathlib import Path
 from typing import Any
@@ -64,7 +65,7 @@ def rows_of(options: Any, targets: int) -> list[dict[str, Any]]:
     clock.append(time.process_time())
     programs = milp_schedule(env, seconds=options.seconds)
     clock.append(time.process_time())
-    seconds = [later - sooner for sooner, later in zip(clock[:-1], clock[1:], strict=True)]
+    seconds = [later - sooner for sooner, later in itertools.pairwise(clock)]
     hasty: Any = BASELINES["hasty"](env, 0)
     players: list[tuple[str, Any, Any, float]] = [
         ("nearest", env, BASELINES["nearest"](env, 0), 0.0),

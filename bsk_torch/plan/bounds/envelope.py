@@ -121,8 +121,8 @@ class Envelope:
         trusted = torch.nonzero(torch.bincount(index, minlength=bins) >= max(1, enough)).flatten()
         if not len(trusted):
             raise ValueError(
-                f"{len(angle)} transitions, {len(index)} in one step: no bin of the angle has {enough} of them, so no envelope can be "
-                "fitted; fly more episodes"
+                f"{len(angle)} transitions, {len(index)} in one step: no bin of the angle has {enough} of them, so no envelope "
+                "can be fitted; fly more episodes"
             )
         every = lowest(angle, ticks, width, bins)
         direct = lowest(angle[one_step], ticks[one_step], width, bins)
@@ -130,7 +130,9 @@ class Envelope:
         usual = median(angle[one_step], ticks[one_step], width, bins)
         last = torch.arange(bins).clamp(max=int(trusted[-1]))
         every, direct, usual = every[last], direct[last], torch.maximum(usual, direct)[last]
-        return cls(width, *(tuple(t.tolist()) for t in (direct, every)), step, dict(arguments), len(angle), tuple(usual.tolist()))
+        tables = (tuple(table.tolist()) for table in (direct, every, usual))
+        one, several, typical = tables
+        return cls(width, one, several, step, dict(arguments), len(angle), typical)
 
     @property
     def expected(self) -> Envelope:

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from bsk_torch.astro.interpolate import positions
 from bsk_torch.sats.access import AccessSatellite
+from bsk_torch.sim.access.places import TARGET_KIND
 from bsk_torch.sim.component import neighbours
 from bsk_torch.sim.environment.ephemeris import EPHEMERIS_TRACK, ephemeris_at, fixed
 from bsk_torch.sim.orbit.builder import ARC
@@ -67,7 +68,7 @@ def openings(satellite: AccessSatellite, limit_ticks: Tensor) -> Openings:
     metres away.
     """
     h = satellite.simulator.h
-    opens, close, place = satellite.find_windows(limit_ticks.double() * h, satellite.target_types)
+    opens, close, place = satellite.find_windows(limit_ticks.double() * h, TARGET_KIND)
     row, k = torch.nonzero(torch.isfinite(close), as_tuple=True)
     first = (torch.floor(opens[row, k] / h).long() - 1).clamp(min=1)
     last = torch.minimum(torch.ceil(close[row, k] / h).long() + 1, limit_ticks[row])
