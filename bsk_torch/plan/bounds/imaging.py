@@ -57,6 +57,9 @@ def imaging_bound(
       policies collect beside such images lies below the bound in any case;
     * power, storage and the first slew cost nothing; dying pays nothing.
 
+    With the envelope of the package and full episodes of AEOS-v1 it is no lower than ``in_view``, whatever the number of targets
+    that was tried (``docs/studies/bounds.md``).
+
     Targets pay once by multipliers (:mod:`bsk_torch.plan.bounds.paths`); time is in cells of some ticks, rounded in favour of
     the satellite. In a constellation all satellites share the targets: the sum of their paths under the same multipliers.
 
