@@ -53,7 +53,7 @@ case "${1:-}" in
     --rllib) test_rllib; exit ;;
 esac
 make_venv .venv
-.venv/bin/python -m pip install -q -c constraints.txt -e ".[train,tensorboard,viz,video,sb3,cities,ray,docs,dev]"
+.venv/bin/python -m pip install -q -c constraints.txt -e ".[train,tensorboard,viz,video,sb3,cities,plan,ray,docs,dev]"
 # a client that no one here wrote; pip would take an older TorchRL with it
 .venv/bin/python -m pip install -q --no-deps benchmarl==1.5.2
 if [ "${1:-}" = --browser ]; then

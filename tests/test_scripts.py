@@ -32,6 +32,12 @@ class Start(NamedTuple):
 
 
 STARTS: dict[str, list[Start]] = {
+    "benchmarks/bounds.py": [
+        Start(
+            "--only AEOS-v1/1000 NadirScan-v1 --episodes 1 --iterations 2 --time-limit 900",
+            r"(?s)\| AEOS-v1/1000 \| trained \| .*\| NadirScan-v1 \| rule \| ",
+        ),
+    ],
     "benchmarks/breakdown.py": [Start("--batches 2 --seconds 0.1 --warm-up 1", r"\| scan \| 2 \| all \| [\d,.]+ \| 100.0 \|")],
     "benchmarks/compare.py": [
         Start("--base {root} --only 1 --turns 1 --processes 1 --seconds 0.1 --warm-up 1", r"\| 1 \| \d+ \| .* \| True \|"),
@@ -43,6 +49,9 @@ STARTS: dict[str, list[Start]] = {
             r"\| intervals \| 1 \| 1 \| [\d,]+ \|.*\| [\d,]+ \| [\d,]+ \|",
             "basilisk",
         ),
+    ],
+    "benchmarks/envelope.py": [
+        Start("--transitions 1 --scale 0.03 --time-limit 1900 --enough 1", r"(?s)\| 0.20 to 0.30 \| .*\"smallest_margin\": \d"),
     ],
     "benchmarks/inspection.py": [
         Start("--batch 2 --turns 1 --seconds 0.1 --warm-up 1 --only 1 manoeuvres", r"\| manoeuvres \| 2 \| [\d,.]+ \| - \|")
@@ -64,6 +73,12 @@ STARTS: dict[str, list[Start]] = {
         Start(
             "--presets NadirScan-v1 --episodes 2 --time-limit 300 --budget 3",
             r"\| NadirScan-v1 \| mcts over rule \| [\d.]+ \+- [\d.]+ \|.*\| [\d,]+ \| [\d.]+ \|",
+        ),
+    ],
+    "benchmarks/milp.py": [
+        Start(
+            "--targets 300 --episodes 2 --seconds 2 --iterations 3 --time-limit 1900 --figure milp.png",
+            r"\| 300 \| MILP, flown \| [\d.]+ \+- [\d.]+ \| [\d.]+% \|",
         ),
     ],
     "benchmarks/reset.py": [

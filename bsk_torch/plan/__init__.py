@@ -1,4 +1,4 @@
-"""Planners: policies that fly copies of the present episodes before they decide."""
+"""Planners, policies that fly copies of the present episodes before they decide, and bounds on what they can reach."""
 
 from bsk_torch.plan.bases import base_of
 from bsk_torch.plan.beam import BeamSearch

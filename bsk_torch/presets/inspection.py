@@ -220,7 +220,8 @@ def crew_member(n_inspectors: int, actions: str) -> type[Inspector]:
         return kind
     spec = (*kind.observation_spec, OtherInspectors(n_inspectors))
     members = {"observation_spec": spec, "__doc__": kind.__doc__, "__module__": __name__}
-    return type(f"{kind.__name__}Of{n_inspectors}", (kind,), members)
+    # the group of agents is named after the class; pickles find it by its qualified name, in __getattr__
+    return type(kind.__name__, (kind,), members | {"__qualname__": f"{kind.__name__}Of{n_inspectors}"})
 
 
 def __getattr__(name: str) -> type[Inspector]:

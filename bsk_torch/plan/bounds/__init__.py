@@ -1,0 +1,22 @@
+"""Upper bounds on what any policy can reach, each with its assumptions."""
+
+from bsk_torch.plan.bounds.envelope import Envelope
+from bsk_torch.plan.bounds.imaging import ImagingBound, imaging_bound
+from bsk_torch.plan.bounds.scanning import ScanningBound, scanning_bound
+from bsk_torch.plan.bounds.schedule import Schedule, ScheduledPolicy, milp_schedule, relaxed_schedule
+from bsk_torch.plan.bounds.transitions import Transitions, carried_over, record_transitions
+
+__all__ = [
+    "Envelope",
+    "ImagingBound",
+    "ScanningBound",
+    "Schedule",
+    "ScheduledPolicy",
+    "Transitions",
+    "carried_over",
+    "imaging_bound",
+    "milp_schedule",
+    "record_transitions",
+    "relaxed_schedule",
+    "scanning_bound",
+]

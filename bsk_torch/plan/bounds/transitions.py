@@ -1,0 +1,78 @@
+"""Transitions between images, recorded in flight."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor
+
+from bsk_torch.env import SatelliteTasking
+from bsk_torch.env.rollout import Policy, play_episodes
+from bsk_torch.plan.bounds.windows import angle_between, satellite_positions
+
+
+class Transitions(NamedTuple):
+    """Pairs of successive images of a satellite.
+
+    Attributes:
+        angle: Angle between the directions of both targets from the satellite at the first image, [n] rad.
+        ticks: Time from image to image, [n] int64 ticks.
+        one_step: Whether the second image was taken in the step after the first, [n].
+        carried: Number of images that were carried over, which are left out; see :func:`carried_over`.
+    """
+
+    angle: Tensor
+    ticks: Tensor
+    one_step: Tensor
+    carried: int
+
+    @classmethod
+    def joined(cls, parts: list[Transitions]) -> Transitions:
+        """The transitions of all ``parts``."""
+        angle, ticks, one_step = (torch.cat(column) for column in zip(*(part[:3] for part in parts), strict=True))
+        return cls(angle, ticks, one_step, sum(part.carried for part in parts))
+
+
+def carried_over(imaged: Tensor, ticks: Tensor) -> Tensor:
+    """Return which steps were credited with the image of the step before, as masks of any shape.
+
+    A step that ends, because its window closes, in the very tick in which the instrument is told to record leaves the data to the
+    next step: bsk_rl and this package credit the image to the next action's target. Such a step lasts a single tick, and no step
+    can take an image of its own in less than two.
+
+    Args:
+        imaged: Whether the step ended with an image.
+        ticks: Its length, ticks.
+    """
+    return imaged & (ticks <= 1)
+
+
+def record_transitions(env: SatelliteTasking, policy: Policy, seed: int) -> Transitions:
+    """Play one episode in each row to its end and return the transitions between images that were not carried over.
+
+    ValueError for a satellite that takes no images.
+    """
+    satellite: Any = env.satellite
+    if not hasattr(satellite, "latest_target"):
+        raise ValueError(f"{satellite.name} is a {type(satellite).__name__}; transitions need a sats.ImagingSatellite")
+    env.set_seed(seed)
+    start, state = env.reset(), env.simulator.state
+    places = env.simulator.scenario_state["target_r_LP_P"]
+    rows, found, carried = torch.arange(len(places)), [], 0
+    since, from_target = torch.full_like(state.ticks, -1), torch.zeros_like(state.ticks)
+    before, images = state.ticks.clone(), satellite.imaged.clone()
+    for playing, _ in play_episodes(env, policy, start):
+        now, target = state.ticks, satellite.latest_target
+        imaged = (satellite.imaged > images) & playing
+        over = carried_over(imaged, now - before)
+        own = imaged & ~over
+        carried += int(over.sum())
+        row = rows[own & (since >= 0)]
+        here = satellite_positions(satellite, row, since[row] * env.simulator.h)
+        angle = angle_between(places[row, from_target[row]] - here, places[row, target[row]] - here)
+        found.append((angle, now[row] - since[row], before[row] == since[row]))
+        since, from_target = torch.where(own, now, since), torch.where(own, target, from_target)
+        before, images = now.clone(), satellite.imaged.clone()
+    angles, ticks, one_step = (torch.cat(column) for column in zip(*found, strict=True))
+    return Transitions(angles, ticks, one_step, carried)

@@ -1,0 +1,78 @@
+"""Where satellites and targets are during an episode, and when images are possible: what bounds and schedules read."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from bsk_torch.astro.interpolate import positions
+from bsk_torch.sats.access import AccessSatellite
+from bsk_torch.sim.access.places import TARGET_KIND
+from bsk_torch.sim.component import neighbours
+from bsk_torch.sim.environment.ephemeris import EPHEMERIS_TRACK, ephemeris_at, fixed
+from bsk_torch.sim.orbit.builder import ARC
+from bsk_torch.sim.orbit.grid import LEAD_NODES, NODE_SPACING
+from bsk_torch.vec3 import Vec3
+
+CHUNK = 1 << 18
+"""Positions that are interpolated at once."""
+
+
+def satellite_positions(satellite: AccessSatellite, rows: Tensor, time: Tensor) -> Tensor:
+    """Return Earth-fixed positions of ``rows`` [m] at ``time`` [m] s since reset, [m, 3] m, on the orbits that ticks fly.
+
+    The orbits must be solved that far.
+    """
+    parts = [_positions(satellite, *part) for part in zip(rows.split(CHUNK), time.split(CHUNK), strict=True)]
+    return torch.cat(parts) if parts else time.new_zeros(0, 3)
+
+
+def _positions(satellite: AccessSatellite, rows: Tensor, time: Tensor) -> Tensor:
+    arcs = satellite.simulator.lookahead.flight
+    elapsed = time - arcs.start[rows]
+    nodes, tau = neighbours(ARC, arcs.flown, rows, elapsed + LEAD_NODES * NODE_SPACING)
+    records, since = neighbours(EPHEMERIS_TRACK, arcs.ephemeris, rows, elapsed)
+    ephemeris = ephemeris_at(records.flatten(1).unbind(-1), since)
+    return torch.stack(list(fixed(ephemeris, Vec3.of(positions(nodes, tau / NODE_SPACING)))), -1)
+
+
+def angle_between(u: Tensor, v: Tensor) -> Tensor:
+    """Return the angle between vectors [..., 3] of any length, rad: ``2 atan2(|u' - v'|, |u' + v'|)`` of their directions."""
+    a, b = u / u.norm(dim=-1, keepdim=True), v / v.norm(dim=-1, keepdim=True)
+    return 2.0 * torch.atan2((a - b).norm(dim=-1), (a + b).norm(dim=-1))
+
+
+class Openings(NamedTuple):
+    """When images may be completed, one entry for each window of each satellite, in the order of opening.
+
+    Attributes:
+        row: Satellite, [w].
+        target: Index of the target, [w].
+        first: First tick since reset at which a step may end with the image, [w].
+        last: Last such tick, [w].
+    """
+
+    row: Tensor
+    target: Tensor
+    first: Tensor
+    last: Tensor
+
+
+def openings(satellite: AccessSatellite, limit_ticks: Tensor) -> Openings:
+    """Return when images may be completed up to the tick ``limit_ticks`` [N] of each satellite.
+
+    An image is seen in the tick after the one in which the instrument may take it, and a window's end is seen at the first tick
+    at or after it. One tick more is allowed on both sides: windows are those of the planned orbit, ticks fly another one that is
+    metres away.
+    """
+    h = satellite.simulator.h
+    opens, close, place = satellite.find_windows(limit_ticks.double() * h, TARGET_KIND)
+    row, k = torch.nonzero(torch.isfinite(close), as_tuple=True)
+    first = (torch.floor(opens[row, k] / h).long() - 1).clamp(min=1)
+    last = torch.minimum(torch.ceil(close[row, k] / h).long() + 1, limit_ticks[row])
+    kept = first <= last
+    row, first, last, target = row[kept], first[kept], last[kept], place[row, k][kept]
+    order = torch.argsort(row * (int(limit_ticks.max()) + 1) + first, stable=True)
+    return Openings(row[order], target[order], first[order], last[order])
