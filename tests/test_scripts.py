@@ -97,6 +97,12 @@ STARTS: dict[str, list[Start]] = {
         Start("--batches 1 --dtypes float64 --warm 0 --backend eager", r"\| scan \| 1 \| float64 \| nothing \| [\d.]+ \|"),
     ],
     "benchmarks/state.py": [Start("--tasks scan --rows 3 --rounds 1 --steps 2", r"\| scan \| 3 \| [\d.]+ \|")],
+    "benchmarks/suite.py": [
+        Start(  # the file: bsk-torch bench random rule --episodes 2 --presets NadirScan-v1
+            "{root}/tests/cli/bench_two_episodes.json --out suite.json",
+            r"\| NadirScan-v1 \| rule \| 1.000 \+- [\d.]+ \|.*\n\| NadirScan-v1 \| random \| 0.000 \+-",
+        ),
+    ],
     "benchmarks/vs_basilisk.py": [
         Start(
             "--only 1 gymnasium 64-collector --turns 1 --seconds 0.1 --warm-up 1",
