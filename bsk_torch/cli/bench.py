@@ -57,8 +57,8 @@ def bench(
 ) -> None:
     """Play the frozen episodes of a suite, the same for every policy, and compare.
 
-    Scores are returns, 0 for random actions and 1 for the best that is known for the task. A policy that does not fit a preset
-    has no score there.
+    Scores are returns, 0 for random actions and 1 for the best rule or policy of the package when the suite was made. A policy
+    that does not fit a preset has no score there.
     """
     torch.set_num_threads(threads)
     check_writable(out)

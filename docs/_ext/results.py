@@ -286,6 +286,21 @@ def planners(name: str) -> str:
     return with_command(name, head, rows)
 
 
+def suites(name: str) -> str:
+    """Return what policies reach in a suite, by preset."""
+    content = load(name)
+    rows = []
+    for row in content["rows"]:
+        behind = f"{row['behind']:.3f} ± {row['behind_half']:.3f}" if row["behind"] else "-"
+        score, value = (f"{row[key]:.3f} ± {row[half]:.3f}" for key, half in (("score", "score_half"), ("value", "half")))
+        cells = [score, value, behind, f"{row['survival']:.1%}", f"{row['milliseconds']:.3f}"]
+        rows.append([code(row["preset"]), row["policy"], *cells])
+    head = ["preset", "policy", "score", "return", "behind the best", "survival", "ms / decision"]
+    versions = f"bsk_torch {content['bsk_torch']}, torch {content['torch']}"
+    made_by = f"{versions}, {content['episodes']} episodes of each task, one thread."
+    return f"{table(head, rows)}\n\n{made_by}\n"
+
+
 TABLES = {
     "vs_basilisk": vs_basilisk,
     "constellations": constellations,
@@ -299,4 +314,5 @@ TABLES = {
     "pretrained": pretrained,
     "inspections": inspections,
     "planners": planners,
+    "suites": suites,
 }

@@ -184,8 +184,8 @@ def play(task: Task, entrant: Entrant, episodes: int = EPISODES, **options: Any)
 def references(suite: str) -> dict[str, dict[str, Any]]:
     """Returns between which those of a suite are normalised, by preset: ``low`` and ``high``, each with its mean and its source.
 
-    ``low`` is the policy that acts at random; ``high`` the best that is known for the task, a bound, a planner or a policy.
-    They are means over all frozen episodes, and belong to the suite as its episodes do.
+    ``low`` is the policy that acts at random; ``high`` the best of the package's rules and policies when the suite was made. They
+    are means over all frozen episodes, and belong to the suite as its episodes do.
     """
     return json.loads((Path(__file__).parent / "suites" / f"{suite}.json").read_text())
 
