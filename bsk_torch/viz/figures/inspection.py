@@ -132,7 +132,7 @@ def inspection_figure(episode: InspectionEpisode, path: Path, title: str = "") -
     above, below = figure.subfigures(2, 1, height_ratios=HEIGHTS)  # type: ignore[misc]
     for panel, (x, y, near) in zip(above.subplots(1, 3), VIEWS, strict=True):
         tidy(panel)
-        _draw_paths(panel, episode, x, y, near)
+        draw_paths(panel, episode, x, y, near)
         caption(panel, "near the RSO" if near else "paths about the RSO")
         panel.set_xlabel(f"{AXES[x]}, m", color=INK, fontsize=9.5)
         panel.set_ylabel(f"{AXES[y]}, m", color=INK, fontsize=9.5, labelpad=0.0)
@@ -153,7 +153,7 @@ def inspection_figure(episode: InspectionEpisode, path: Path, title: str = "") -
 # -- paths -----------------------------------------------------------------------------------------------------------------------
 
 
-def _draw_paths(panel: Axes, episode: InspectionEpisode, x: int, y: int, near: bool) -> None:
+def draw_paths(panel: Axes, episode: InspectionEpisode, x: int, y: int, near: bool) -> None:
     """Draw the paths about the RSO, with manoeuvres, into a panel.
 
     Args:
