@@ -71,11 +71,20 @@ def with_command(name: str, head: Sequence[str], rows: Iterable[Sequence[str]]) 
 # -- speed ---------------------------------------------------------------------------------------------------------------------
 
 
+INSPECTIONS = {
+    "1": "1,024 inspections, one inspector",
+    "1-integrated": "the same, orbits integrated in every tick",
+    "3": "1,024 inspections, three inspectors",
+    "manoeuvres": "1,024 satellites that change their orbit in every step, and see the windows of the new one",
+    "manoeuvres-as-bsk_rl": "the same, windows of the first orbit, as in bsk_rl",
+}
+
+
 def vs_basilisk(name: str) -> str:
     """Return rates here and on Basilisk."""
-    rows = []
+    rows, cases = [], INSPECTIONS if name == "inspection" else CASES
     for row in load(name)["rows"]:
-        words = CASES.get(row["case"], f"{row['case']} satellites")
+        words = cases.get(row["case"], f"{row['case']} satellites")
         decisions = [whole(row["decision_rate"])] if "decision_rate" in row else []
         low, high = digits(row["ratio_low"]), digits(row["ratio_high"])
         rows.append(
