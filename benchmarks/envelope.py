@@ -74,7 +74,7 @@ def fly(options: Any, seed: int) -> tuple[Transitions, dict[str, str]]:
         env: Any = bsk_torch.make(preset, **world, **task)
         policy = Soonest(player, seed) if isinstance(player, int) else BASELINES[player](env, seed)
         parts.append(record_transitions(env, policy, seed))
-        args = agility(env, env.satellite)
+        args = agility(env.satellite)
         print(preset, task, player, len(parts[-1].ticks), flush=True)
     return Transitions.joined(parts), args
 

@@ -133,8 +133,16 @@ def table(columns: Mapping[str, str], rows: Sequence[Mapping[str, Any]]) -> str:
 def write(options: argparse.Namespace, described: dict[str, Any], **results: Any) -> None:
     """Write ``results``, the machine and the options into the file that the user named, if any."""
     if options.out:
-        content = {"machine": described, "options": vars(options), **results}
+        given = {name: _portable(name, value) for name, value in vars(options).items()}
+        content = {"machine": described, "options": given, **results}
         options.out.write_text(json.dumps(content, indent=1, default=str) + "\n")
+
+
+def _portable(name: str, value: Any) -> Any:
+    """Return an option without the folders of this machine."""
+    if name == "basilisk" and value:
+        return "PYTHON"
+    return Path(value).name if isinstance(value, str | Path) and Path(value).is_absolute() else value
 
 
 def spread(name: str, values: Sequence[float]) -> dict[str, float]:

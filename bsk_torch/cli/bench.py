@@ -123,8 +123,11 @@ def rule(name: str, views: Mapping[str, Any], make: Callable[..., Tasking]) -> t
     """Enter a baseline; None where the preset has no such view, or the baseline is for other observations or actions."""
     try:
         env = make(**views)
+    except TypeError:  # no such option
+        return None
+    try:
         return env, shared(baseline(name, env), env)
-    except (KeyError, TypeError, ValueError):
+    except (KeyError, ValueError):
         return None
 
 
@@ -161,7 +164,6 @@ def told(score: Score, reference: Mapping[str, Any] | None) -> dict[str, Any]:
     evaluation = score.evaluation
     rated = {} if reference is None else {"score": asdict(normalised(evaluation, reference))}
     summary = {name: value for name, value in evaluation.summary().items() if name != "gain"}
-    summary["simulated_per_decision"] = evaluation.simulated_per_decision
     return rated | summary | {"seconds_per_decision": score.seconds, "returns": evaluation.returns.tolist()}
 
 
@@ -222,7 +224,7 @@ def cells(row: Mapping[str, Any], best: Mapping[str, Any]) -> list[str]:
     """Return the cells of a policy after its name."""
     score = "" if "score" not in row else "{mean:.3f} ± {half_width:.3f}".format(**row["score"])
     gain = confidence(torch.tensor(best["returns"], dtype=torch.float64) - torch.tensor(row["returns"], dtype=torch.float64))
-    simulated = row["simulated_per_decision"]
+    simulated = row.get("simulated_per_decision")
     return [
         score,
         "{mean:.3f} ± {half_width:.3f}".format(**row["return"]),

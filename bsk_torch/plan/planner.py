@@ -188,10 +188,7 @@ class Planner(TensorDictModuleBase):
         memory = carried(tensordict, self.base, env)
         decide(self.base, tensordict)
         memory = memory if len(memory.keys()) else carried(tensordict, self.base, env)
-        plannable = slots.of(
-            [real if self.real else n > 1 for real, n in zip(slots.real, slots.n_actions, strict=True)], env.device
-        )
-        deciding = slots.deciding(tensordict) & plannable
+        deciding = slots.deciding(tensordict) & self._plannable
         simulated = torch.zeros(env.num_envs, dtype=torch.float64, device=env.device)
         order = deciding.cumsum(1)
         for turn in range(int(deciding.sum(1).max())):

@@ -11,6 +11,8 @@ import torch
 from torch import Tensor
 
 from bsk_torch import data, presets, rand
+from bsk_torch.astro.frames import angle_between
+from bsk_torch.env.base import ResetNeededError
 from bsk_torch.env.rollout import play_episodes
 from bsk_torch.plan.bounds import (
     Envelope,
@@ -25,7 +27,7 @@ from bsk_torch.plan.bounds import (
 )
 from bsk_torch.plan.bounds.graph import image_graph
 from bsk_torch.plan.bounds.paths import best_paths, neighbours
-from bsk_torch.plan.bounds.windows import Openings, angle_between, openings, satellite_positions
+from bsk_torch.plan.bounds.windows import Openings, openings, satellite_positions
 from bsk_torch.rl.evaluation import evaluate
 from bsk_torch.rl.policies import pretrained
 from bsk_torch.rl.policies.shared_policy import shared_baseline
@@ -353,6 +355,17 @@ def test_tasks_that_are_not_covered_are_refused():
         imaging_bound(begun(failure_penalty=1.0))
     with pytest.raises(ValueError, match="needs ScanningTimeReward without reward_fn"):
         scanning_bound(begun("nadir_scan", rewarder=data.ScanningTimeReward(lambda seconds: seconds**2)))
+
+
+def test_bounds_need_episodes_that_have_begun():
+    for bound, preset in ((imaging_bound, presets.aeos), (scanning_bound, presets.nadir_scan)):
+        with pytest.raises(ResetNeededError, match=r"call reset\(\) first"):
+            bound(preset(num_envs=1, backend="eager", time_limit=300.0))
+
+
+def test_orbits_must_be_given_as_elements():
+    with pytest.raises(ValueError, match="needs orbits that are given as elements"):
+        imaging_bound(begun(n_targets=100, sat_args={"oe": None, "rN": [7e6, 0.0, 0.0], "vN": [0.0, 7.5e3, 0.0]}))
 
 
 def test_bounds_are_those_of_whole_episodes():

@@ -20,7 +20,7 @@ from torch import Tensor
 from bsk_torch.files import write_file
 
 FILE = Path(__file__).with_name("agile.json")
-"""Envelope of the agile satellite of AEOS-v1, which ``benchmarks/bounds.py`` fits and checks."""
+"""Envelope of the agile satellite of AEOS-v1, which ``benchmarks/envelope.py`` fits and checks."""
 
 SOONEST = 2
 """Least number of ticks of a step that ends with an image: one until the instrument may record, one until data have come."""

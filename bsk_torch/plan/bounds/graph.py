@@ -13,8 +13,9 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from bsk_torch.astro.frames import angle_between
 from bsk_torch.plan.bounds.envelope import SOONEST, Envelope
-from bsk_torch.plan.bounds.windows import Openings, angle_between
+from bsk_torch.plan.bounds.windows import Openings
 
 LINE_OF_SIGHT_RATE = 0.01
 """Bound of the rate, rad/s, at which angles between targets change; 7.5 km/s at 750 km."""

@@ -60,6 +60,7 @@ def check_scanning(env: SatelliteTasking) -> None:
         raise ValueError("the bound of scanning needs ScanningTimeReward without reward_fn: it pays seconds in proportion")
     if not issubclass(type(env.satellite).fsw_type, ContinuousImagingFSWModel):
         raise ValueError(f"{type(env.satellite).fsw_type.__name__} does not scan; the bound needs ContinuousImagingFSWModel")
+    env.check_begun("scanning_bound(env)")
     args, simulator = env.satellite.sat_args, env.simulator
     if bool((args["rwMechToElecEfficiency"] > 0.0).any()):
         raise ValueError("rwMechToElecEfficiency is above 0: braking wheels give power back, which the bound does not count")
@@ -103,7 +104,8 @@ def scanning_bound(env: SatelliteTasking, *, interval: float = 60.0) -> Scanning
     h = env.simulator.h
     ticks = int(number("interval", interval, h, unit="s") / h)
     rows = torch.arange(len(env.env_ids))
-    parts = [_row_bound(env, row, ticks) for row in rows.split(1)]
+    passes = _passes(env)
+    parts = [_row_bound(env, row, ticks, passes) for row in rows.split(1)]
     return ScanningBound(torch.tensor([part[0] for part in parts]), *(torch.stack(c) for c in list(zip(*parts, strict=True))[1:]))
 
 
@@ -133,7 +135,9 @@ def sunlight(env: SatelliteTasking, row: Tensor, ticks: Tensor) -> tuple[Tensor,
     return lit * flux, angle_between(sun - here, -here)
 
 
-def _row_bound(env: SatelliteTasking, row: Tensor, width: int) -> tuple[float, Tensor, Tensor, Tensor, Tensor]:
+def _row_bound(
+    env: SatelliteTasking, row: Tensor, width: int, passes: tuple[Tensor, Tensor]
+) -> tuple[float, Tensor, Tensor, Tensor, Tensor]:
     """Solve the program of one episode: its value, and recording, downlink, charge and level of each interval."""
     h, limit = env.simulator.h, int(env.state.limit_ticks[row])
     args = {name: float(value[row]) for name, value in _scalars(env).items()}
@@ -150,7 +154,14 @@ def _row_bound(env: SatelliteTasking, row: Tensor, width: int) -> tuple[float, T
     length = torch.full((intervals,), width * h, dtype=torch.float64)
     length[-1] -= pad * h
     scenario: Any = env.scenario
-    return _solve(args, collected, loss, length, _in_view(env, row, intervals, width * h), float(scenario.value_per_second))
+    return _solve(
+        args,
+        collected,
+        loss,
+        length,
+        _in_view([table[row].flatten() for table in passes], intervals, width * h, h),
+        float(scenario.value_per_second),
+    )
 
 
 def _scalars(env: SatelliteTasking) -> dict[str, Tensor]:
@@ -162,15 +173,21 @@ def _scalars(env: SatelliteTasking) -> dict[str, Tensor]:
     return {name: env.satellite.sat_args[name].expand(len(env.env_ids)) for name in names}
 
 
-def _in_view(env: SatelliteTasking, row: Tensor, intervals: int, length: float) -> Tensor:
-    """Seconds of each interval in which a station is in view, no more than sums over stations; a tick more for each pass."""
-    begin = torch.arange(intervals, dtype=torch.float64) * length
+def _passes(env: SatelliteTasking) -> tuple[Tensor, Tensor]:
+    """Return when passes over stations open and close, [N, K] s each; infinite where there is none."""
     satellite: Any = env.satellite
     if STATIONS not in satellite.opportunity_types:
-        return torch.zeros(intervals, dtype=torch.float64)
-    windows = satellite.find_windows(env.state.limit_ticks.double() * env.simulator.h, STATIONS)
-    opens, close = (table[row].flatten() for table in windows[:2])
-    there, h = torch.isfinite(close), env.simulator.h
+        none = torch.zeros(len(env.env_ids), 0, dtype=torch.float64)
+        return none, none
+    opens, close = satellite.find_windows(env.state.limit_ticks.double() * env.simulator.h, STATIONS)[:2]
+    return opens, close
+
+
+def _in_view(passes: list[Tensor], intervals: int, length: float, h: float) -> Tensor:
+    """Seconds of each interval in which a station is in view, no more than sums over stations; a tick more for each pass."""
+    begin = torch.arange(intervals, dtype=torch.float64) * length
+    opens, close = passes
+    there = torch.isfinite(close)
     opens, close = opens[there] - h, close[there] + h
     overlap = torch.minimum(close, begin.unsqueeze(1) + length) - torch.maximum(opens, begin.unsqueeze(1))
     return overlap.clamp(min=0.0).sum(1).clamp(max=length)

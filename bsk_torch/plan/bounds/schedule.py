@@ -15,11 +15,12 @@ from torch import Tensor
 
 from bsk_torch._checks import number
 from bsk_torch.act import image_target
+from bsk_torch.astro.frames import angle_between
 from bsk_torch.env import SatelliteTasking
 from bsk_torch.plan.bounds.envelope import Envelope
 from bsk_torch.plan.bounds.imaging import imaging_bound
 from bsk_torch.plan.bounds.tasks import check_task, payment
-from bsk_torch.plan.bounds.windows import Openings, angle_between, openings, satellite_positions
+from bsk_torch.plan.bounds.windows import Openings, openings, satellite_positions
 
 GRACE = 120.0
 """Seconds after its time in the schedule until which the window of an image may open."""

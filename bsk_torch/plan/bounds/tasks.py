@@ -28,7 +28,7 @@ DISTURBANCE = 0.01
 """Largest disturbance torque, as a fraction of the wheels' torque; beside it the satellite is as agile as without."""
 
 
-def agility(env: Tasking, satellite: ImagingSatellite) -> dict[str, str]:
+def agility(satellite: ImagingSatellite) -> dict[str, str]:
     """Return the arguments that decide how fast a satellite is, as text by name: numbers to nine digits.
 
     ValueError where they differ between episodes, or where the flight software has none of them.
@@ -51,20 +51,20 @@ def agility(env: Tasking, satellite: ImagingSatellite) -> dict[str, str]:
     return found
 
 
-def check_satellite(env: Tasking, satellite: Any, envelope: Envelope) -> None:
+def check_satellite(satellite: Any, envelope: Envelope) -> None:
     """ValueError unless the ``envelope`` holds for a satellite."""
     if not isinstance(satellite, ImagingSatellite):
         raise ValueError(f"{satellite.name} is a {type(satellite).__name__}; the bound needs satellites that image targets")
-    mine, known = agility(env, satellite), envelope.arguments
+    if satellite.sat_args.get("oe") is None:
+        raise ValueError("the bound needs orbits that are given as elements, oe=...")
+    mine, known = agility(satellite), envelope.arguments
     other = [name for name in mine if name != "a" and mine[name] != known.get(name)]
     if other:
         name = other[0]
         raise ValueError(
             f"{name}={mine[name]}: the envelope of least times between images was fitted with {name}={known.get(name)}; fit one "
-            "for this satellite with benchmarks/bounds.py, or with Envelope.below and record_transitions"
+            "for this satellite with benchmarks/envelope.py, or with Envelope.below and record_transitions"
         )
-    if "oe" not in satellite.sat_args or satellite.sat_args["oe"] is None:
-        raise ValueError("the bound needs orbits that are given as elements, oe=...")
     axis, base = satellite.sat_args["oe"][..., 0], float(known["a"])
     if bool(((axis - base).abs() > ORBIT * base).any()) or bool((satellite.sat_args["oe"][..., 1] > ORBIT).any()):
         raise ValueError(
@@ -83,14 +83,15 @@ def check_task(env: Tasking, envelope: Envelope) -> None:
         )
     if env.failure_penalty > 0.0:
         raise ValueError(f"failure_penalty={env.failure_penalty:g} pays for dying, which the bound does not count")
+    env.check_begun("imaging_bound(env)")
     imagers = [part for part in env.fleet.satellites if isinstance(part, ImagingSatellite)]
     for part in imagers:
-        check_satellite(env, part, envelope)
+        check_satellite(part, envelope)
         if part.simulator.orbit != "arc" or part.simulator.has_tank:
             raise ValueError(f"{part.name}: the bound needs orbits that no action changes, solved in advance")
     if len(imagers) != 1:
         raise ValueError(f"{len(imagers)} types of imaging satellites; the bound covers one")
-    if bool(env.state.begun.logical_not().any()) or bool((imagers[0].simulator.state.ticks != 0).any()):
+    if bool((imagers[0].simulator.state.ticks != 0).any()):
         raise ValueError("the bound is that of whole episodes: call it after env.reset(), before the first step")
 
 

@@ -7,9 +7,10 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
+from bsk_torch.astro.frames import angle_between
 from bsk_torch.env import SatelliteTasking
 from bsk_torch.env.rollout import Policy, play_episodes
-from bsk_torch.plan.bounds.windows import angle_between, satellite_positions
+from bsk_torch.plan.bounds.windows import satellite_positions
 
 
 class Transitions(NamedTuple):

@@ -38,12 +38,6 @@ def _positions(satellite: AccessSatellite, rows: Tensor, time: Tensor) -> Tensor
     return torch.stack(list(fixed(ephemeris, Vec3.of(positions(nodes, tau / NODE_SPACING)))), -1)
 
 
-def angle_between(u: Tensor, v: Tensor) -> Tensor:
-    """Return the angle between vectors [..., 3] of any length, rad: ``2 atan2(|u' - v'|, |u' + v'|)`` of their directions."""
-    a, b = u / u.norm(dim=-1, keepdim=True), v / v.norm(dim=-1, keepdim=True)
-    return 2.0 * torch.atan2((a - b).norm(dim=-1), (a + b).norm(dim=-1))
-
-
 class Openings(NamedTuple):
     """When images may be completed, one entry for each window of each satellite, in the order of opening.
 

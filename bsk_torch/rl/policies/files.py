@@ -147,10 +147,10 @@ def check_fits(card: Mapping[str, Any], env: Tasking, preset: str | None = None)
     for group, part in parts.items():
         kind, plan = PLANS[part["network"]], part["plan"]
         here = dataclasses.asdict(kind.of(views[group], plan["hidden"]))
-        theirs_ = {name: plan.get(name, ()) for name in here}
-        differing = [name for name in here if _listed(here[name]) != _listed(theirs_[name])]
+        known = {name: plan.get(name, ()) for name in here}
+        differing = [name for name in here if _listed(here[name]) != _listed(known[name])]
         if differing:
-            theirs, ours = (", ".join(f"{name}={values[name]}" for name in differing) for values in (theirs_, here))
+            theirs, ours = (", ".join(f"{name}={values[name]}" for name in differing) for values in (known, here))
             of_group = f" in group {group}" if len(parts) > 1 else ""
             raise ValueError(f"the policy was trained for {trained} with {theirs}{of_group}; {where} has {ours}")
     if card["bsk_torch"] != __version__:
