@@ -22,6 +22,7 @@ from torch import Tensor
 
 from bsk_torch._checks import number, whole
 from bsk_torch.astro.elements import ClassicElements
+from bsk_torch.astro.ephemeris import et_of_dates
 
 __all__ = [
     "Choice",
@@ -490,12 +491,17 @@ class RandomEpoch(Distribution):
 
     def at(self, u: Tensor | np.ndarray[Any, Any]) -> list[str]:
         """Return the epochs for uniform numbers in [0, 1), [n, 7]."""
+        rows = self._dates(u).tolist()
+        return [f"{y} {MONTHS[mo - 1]} {d:02d} {h:02d}:{mi:02d}:{s:02d}.{ms:03d} (UTC)" for y, mo, d, h, mi, s, ms in rows]
+
+    def draw_et(self, key: Key) -> Tensor:
+        """Return the same epochs as :meth:`draw` as ET, [n] s past J2000, without a word in between."""
+        return et_of_dates(self._dates(key.uniform(7)))
+
+    def _dates(self, u: Tensor | np.ndarray[Any, Any]) -> Tensor:
+        """Return year, month, day, hour, minute, second and millisecond for uniform numbers in [0, 1), [n, 7]."""
         spans = torch.tensor([self.end - self.start, 12, 27, 23, 59, 59, 999])
-        rows = (torch.as_tensor(u).cpu() * spans).long().tolist()
-        return [
-            f"{self.start + y} {MONTHS[mo]} {1 + d:02d} {h:02d}:{mi:02d}:{s:02d}.{ms:03d} (UTC)"
-            for y, mo, d, h, mi, s, ms in rows
-        ]
+        return (torch.as_tensor(u).cpu() * spans).long() + torch.tensor([self.start, 1, 1, 0, 0, 0, 0])
 
 
 def random_epoch(start: int = 2000, end: int = 2022) -> Any:

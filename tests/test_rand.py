@@ -229,6 +229,15 @@ def test_random_epoch_parses():
     assert max(map(parse_utc, epochs)) < parse_utc("2003-01-01T00:00:00")
 
 
+@pytest.mark.parametrize("years", [(1990, 2060), (2016, 2018), (2000, 2001)])
+def test_random_epochs_are_those_that_their_words_say(years):
+    epochs = rand.random_epoch(*years)
+    words, et = epochs.draw(key(3000)), epochs.draw_et(key(3000))
+    # two ways to the same sine; ET has steps of 1e-7 s
+    assert torch.allclose(et, torch.tensor(list(map(parse_utc, words)), dtype=torch.float64), rtol=0.0, atol=1.2e-7)
+    assert torch.equal(et[:7], epochs.draw_et(key(7)))
+
+
 def test_random_epoch_does_not_follow_the_language_of_the_machine(monkeypatch):
     monkeypatch.setattr("calendar.month_abbr", ["", *("\u00e9" * 3 for _ in range(12))])
     for text in rand.random_epoch().draw(key(20)):

@@ -20,7 +20,7 @@ from bisect import bisect_right
 from datetime import datetime, timedelta
 from functools import cache
 from importlib.resources import files
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -125,6 +125,23 @@ def parse_utc(text: str | datetime) -> float:
     et = _et(date, second, scale)
     _check_coverage(et, text)
     return et
+
+
+def et_of_dates(dates: Tensor) -> Tensor:
+    """Return the ET of dates in UTC, [n] s past J2000, as :func:`parse_utc` does one by one.
+
+    Args:
+        dates: Year, month, day, hour, minute, second (0 to 59) and millisecond of dates that exist, [n, 7] int64, on the CPU.
+    """
+    year, month, day, hour, minute, second, millisecond = dates.numpy().T
+    months = (year - 1970) * 12 + month - 1
+    days = months.astype("datetime64[M]").astype("datetime64[D]") - np.datetime64("2000-01-01") + (day - 1)
+    seconds = (days.astype(np.int64) * 1440 + (hour - 12) * 60 + minute) * 60.0 + (second * 1000 + millisecond) / 1000.0
+    first = np.array([(since[0] - 1970) * 12 + since[1] - 1 for since, _ in LEAP_SECONDS])
+    steps = np.array([offset for _, offset in LEAP_SECONDS])
+    tai_minus_utc = steps[np.maximum(np.searchsorted(first, months, side="right") - 1, 0)]
+    tt = seconds + tai_minus_utc + TT_MINUS_TAI
+    return torch.from_numpy(tt + _tdb_minus_tt(tt))
 
 
 def coverage() -> tuple[float, float]:
@@ -258,16 +275,16 @@ def _et(date: datetime, second: float, scale: str) -> float:
     if scale == "TDB":
         return seconds
     tt = seconds if scale == "TT" else seconds + _tai_minus_utc(date) + TT_MINUS_TAI
-    return tt + _tdb_minus_tt(tt)
+    return tt + float(_tdb_minus_tt(tt))
 
 
-def _tdb_minus_tt(tt: float) -> float:
+def _tdb_minus_tt(tt: Any) -> Any:
     """TDB - TT in s: one term in the Earth's eccentric anomaly (naif0012, DELTET/K, EB and M).
 
     ``K sin E`` with ``E = M + e sin M``, ``M = M0 + M1 tt``, ``K = 1.657e-3 s`` and ``e = 1.671e-2``.
     """
     mean_anomaly = 6.239996 + 1.99096871e-7 * tt
-    return 1.657e-3 * math.sin(mean_anomaly + 1.671e-2 * math.sin(mean_anomaly))
+    return 1.657e-3 * np.sin(mean_anomaly + 1.671e-2 * np.sin(mean_anomaly))
 
 
 def _check_coverage(et: float, text: str | datetime) -> None:

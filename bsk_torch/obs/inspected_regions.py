@@ -17,6 +17,9 @@ AXES = ((1.0, 0.0, 0.0), (-1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, -1.0, 0.0), (0
 
 FRAMES = ("chief_hill", "chief_body")
 
+_PACK = 2.0**20
+"""More than there are points."""
+
 
 def rso_imaged_regions(servicer: Any, chief: Any, region_centers: Any = AXES, frame: str = "chief_hill") -> Any:
     """Return the fraction of the points of each region of the chief that the servicer knows to be inspected, [N, R].
@@ -65,9 +68,27 @@ def known_regions(inspected: Tensor, r_PB_B: Tensor, centers: Tensor) -> Tensor:
         r_PB_B: Positions of the points, [P, 3] or [..., P, 3] m.
         centers: Centres of the regions in the same axes, [R, 3] or [..., R, 3].
     """
-    # the nearest centre c of p has the smallest |c|^2 - 2 p . c
-    along = r_PB_B @ centers.mT
-    region = (centers.square().sum(-1).unsqueeze(-2) - 2.0 * along).argmin(-1).expand(inspected.shape)
-    none = inspected.new_zeros(*inspected.shape[:-1], centers.shape[-2])
-    count = none.scatter_add(-1, region, torch.ones_like(inspected))
-    return none.scatter_add(-1, region, inspected) / count.clamp(min=1.0)
+    region = _nearest(r_PB_B, centers).expand(inspected.shape)
+    # one sum for both numbers: inspected points count 2^20 and 1, others 1
+    packed = inspected.new_zeros(*inspected.shape[:-1], centers.shape[-2]).scatter_add(-1, region, inspected * _PACK + 1.0)
+    known = torch.floor(packed / _PACK)
+    return known / (packed - known * _PACK).clamp(min=1.0)
+
+
+def _nearest(r_PB_B: Tensor, centers: Tensor) -> Tensor:
+    """Return the index of the centre that is nearest to each point, the first of several, [..., P].
+
+    The nearest centre c of p has the smallest ``|c|^2 - 2 p . c``. Centre by centre: all distances at once, [..., P, R], and
+    their ``argmin`` take three times as long.
+    """
+    x, y, z = r_PB_B.unbind(-1)
+    doubled, squares = (-2.0 * centers).unsqueeze(-1).unbind(-3), centers.square().sum(-1).unsqueeze(-1).unbind(-2)
+    least, index = None, torch.zeros((), dtype=torch.long, device=centers.device)
+    for k, ((a, b, c), square) in enumerate(zip((each.unbind(-2) for each in doubled), squares, strict=True)):
+        distance = (x * a).add_(y * b).add_(z * c).add_(square)
+        if least is None:
+            least = distance
+        else:
+            index = torch.where(distance < least, k, index)
+            least = torch.minimum(least, distance)
+    return index

@@ -20,8 +20,8 @@ import torch
 from torch import Tensor
 
 from bsk_torch._checks import number
-from bsk_torch.astro.ephemeris import parse_utc
-from bsk_torch.rand import Distribution, Key, seeded
+from bsk_torch.astro.ephemeris import coverage, parse_utc
+from bsk_torch.rand import Distribution, Key, RandomEpoch, seeded
 from bsk_torch.sim.component import Arg, Component, Values
 from bsk_torch.sim.given import Answers, Member, in_order, is_function, unknown
 from bsk_torch.sim.names import nearest
@@ -56,6 +56,13 @@ def _epoch(arg: Arg, value: Any) -> float:
         return parse_utc(value if isinstance(value, datetime) else str(value))
     except ValueError as error:
         raise ValueError(f"{arg.name}: {error}") from error
+
+
+def _random_epochs(arg: Arg, epochs: RandomEpoch, key: Key) -> Tensor:
+    """Return drawn epochs, [n] s of ET; words, which take longer to read than most simulators to reset, only for the error."""
+    et, (first, last) = epochs.draw_et(key), coverage()
+    inside = bool(((first <= et) & (et <= last)).all())
+    return et if inside else convert(arg, epochs.draw(key), len(key))
 
 
 def _shaped(arg: Arg, values: Tensor, rows: int) -> Tensor:
@@ -368,6 +375,8 @@ class Arguments:
                 self._check_shared(arg, value)
             if arg.kind in ("constant", "stations"):
                 return value
+            if isinstance(value, RandomEpoch) and arg.kind == "utc":
+                return _random_epochs(arg, value, key.named(arg.name))
             if isinstance(value, Distribution):
                 return convert(arg, value.draw(key.named(arg.name)), len(key))
             if callable(value):

@@ -261,7 +261,8 @@ class LookAhead(StateTable):
         target = torch.zeros_like(now)
         target[rows] = access.ready[rows] + max(access.ahead * access.segment, PLAN_STEP * COUNT)
         self.reach(target, now)
-        access.extend(rows, now)
+        for part in torch.split(rows, self._rows_at_once(rows)):
+            access.extend(part, now)
 
     def search_visible(self, now: Tensor) -> None:
         """Search all windows that queries see, after manoeuvres, too; ``now`` [N] s is the present."""

@@ -110,7 +110,7 @@ def coarse_screen(track: GroundTrack, places: Places) -> tuple[Tensor, Tensor, T
     theta_max = max_central_angle(ratio, places.sin_min_elevation.amin(-1, keepdim=True))
     reach = torch.acos(cos_psi.clamp(max=1.0)) + theta_max + SCREEN_SLACK
     cos_reach = torch.cos(reach.clamp(max=torch.pi)).float()
-    unit_places = (places.r_LP_P / radius.unsqueeze(-1)).float()
+    unit_places = places.r_LP_P.float() / radius.float().unsqueeze(-1)
     return _products_above(unit_middle.float(), unit_places, cos_reach)
 
 

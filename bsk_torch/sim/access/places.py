@@ -43,9 +43,9 @@ def place_kinds(world_args: Arguments, scenario: StateTable, arguments: StateTab
 
         def targets(rows: Tensor) -> Places:
             envs = rows // arguments.count
-            r_LP_P, exists = scenario[TARGETS][envs], scenario["target_exists"][envs] > 0.5
+            r_LP_P, exists = scenario[TARGETS][envs], scenario["target_exists"][envs] > 0.5  # copies
             sin_min_elevation = torch.sin(arguments["imageTargetMinimumElevation"][rows]).unsqueeze(-1)
-            return Places(torch.where(exists.unsqueeze(-1), r_LP_P, torch.nan), sin_min_elevation.expand_as(exists))
+            return Places(r_LP_P.masked_fill_(~exists.unsqueeze(-1), torch.nan), sin_min_elevation.expand_as(exists))
 
         kinds[TARGET_KIND] = targets
     return kinds
