@@ -87,7 +87,7 @@ def test_every_setting_is_checked(name):
     for value in (float("nan"), -1, "wide", (0.5,), object()):
         with pytest.raises(ValueError, match=name):
             PPOConfig(**{name: value})
-    if name not in ("seconds", "frames", "patience"):
+    if name not in ("seconds", "frames", "patience", "imitate"):
         with pytest.raises(ValueError, match=name):
             PPOConfig(**{name: None})
 

@@ -12,6 +12,7 @@ observe the satellites of all groups.
 from __future__ import annotations
 
 import dataclasses
+import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -37,9 +38,12 @@ from bsk_torch.rl.rules.real import Bounds
 from bsk_torch.rl.rules.targets import image_actions
 from bsk_torch.rl.training.advantages import estimate_advantages
 from bsk_torch.rl.training.config import PPOConfig
+from bsk_torch.rl.training.imitation import TAUGHT, imitation_loss, taught_actions
 from bsk_torch.rl.training.ppo import REPORTED, Learner, there
 from bsk_torch.rl.training.trainer import VALIDATION, Training
 from bsk_torch.sim.params import nearest
+
+logger = logging.getLogger(__name__)
 
 ALIVE, DECIDES = ("seen", "alive"), "decides"
 """Keys of masks [..., S] of satellites that are alive, and of those that decided."""
@@ -214,11 +218,24 @@ class GroupLearner(Learner):
             loss_critic_type="l2",
         )
         self.loss.loss_mask_key = DECIDES
+        self.acting = actor
         self.optimiser = torch.optim.Adam(self.loss.parameters(), config.learning_rate, eps=1e-5)
 
     def make_plan(self, env: SatelliteTasking) -> Plan:
         """See :meth:`Learner.make_plan`."""
         return group_plan(self.config, env)
+
+    def make_teacher(self, env: SatelliteTasking) -> TensorDictModuleBase | None:
+        """See :meth:`Learner.make_teacher`; also None, with a warning, for a group that the rule does not fit."""
+        try:
+            return super().make_teacher(env)
+        except ValueError as error:
+            logger.warning("%s; these satellites learn by themselves", error)
+            return None
+
+    def imitation_loss(self, sample: TensorDictBase) -> Tensor:
+        """See :meth:`Learner.imitation_loss`."""
+        return imitation_loss(self.acting, sample, sample[DECIDES])
 
     def normalise(self, batch: TensorDictBase) -> None:
         """Write what is ``seen`` into the situations of a batch [N, T]."""
@@ -241,8 +258,12 @@ class GroupLearner(Learner):
         if decisions < 2:
             return {"decisions": 0}
         team_advantages(team, self.critic, self.config.gamma, self.lmbda, self.config.reward_time)
+        keys = there(LEARNED_FROM, team)
+        if self.imitates:
+            team[TAUGHT] = taught_actions(self.teacher, _asked(batch[self.group], team))
+            keys = [*keys, TAUGHT]
         self.buffer.empty()
-        self.buffer.extend(team.select(*there(LEARNED_FROM, team)).reshape(-1))
+        self.buffer.extend(team.select(*keys).reshape(-1))
         steps = self.config.epochs * (self.config.batch // self._minibatch)
         samples = (self.buffer.sample() for _ in range(steps))
         reports = [self._descend(sample) for sample in samples if bool(sample[DECIDES].any())]
@@ -253,6 +274,12 @@ class GroupLearner(Learner):
         return (
             report | {name: report[name] / share for name in ("entropy", "kl_approx", "clip_fraction")} | {"decisions": decisions}
         )
+
+
+def _asked(agents: TensorDictBase, team: TensorDictBase) -> TensorDict:
+    """Return what a rule decides by, of each satellite: its observation, and its legal actions but for the one of busy ones."""
+    decides = team[DECIDES]
+    return TensorDict({"observation": agents["observation"], "action_mask": team["action_mask"]}, decides.shape)
 
 
 def observed_parts(plan: Plan) -> list[str]:
@@ -272,6 +299,8 @@ class MAPPOLearner:
         """Fresh networks for an environment; ValueError if it does not fit them."""
         self.config = config
         self.groups = {group: GroupLearner(config, env, group) for group in member_views(env)}
+        if config.imitate and all(group.teacher is None for group in self.groups.values()):
+            raise ValueError(f"imitate={config.imitate!r} fits no satellite of {config.preset}")
 
     @property
     def learning_rate(self) -> float:

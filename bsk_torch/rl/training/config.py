@@ -20,6 +20,7 @@ from bsk_torch.presets import make
 from bsk_torch.rl.evaluation.evaluate import FRESH, SUITE_SEEDS
 from bsk_torch.rl.networks.plans import check_network
 from bsk_torch.rl.policies.files import LOGS
+from bsk_torch.rl.training.imitation import check_teacher
 from bsk_torch.sim.params import nearest
 
 logger = logging.getLogger(__name__)
@@ -67,6 +68,7 @@ INTERVALS = {
     "clip": "(0, 1)",
     "entropy": "[0, inf)",
     "gradient_norm": "(0, inf)",
+    "imitation": "(0, 1]",
 }
 """Settings that are real numbers, and the interval in which each must lie."""
 
@@ -106,6 +108,8 @@ class PPOConfig:
         epochs: Passes over a batch.
         minibatch: Decisions in a gradient step.
         gradient_norm: Gradients are scaled down to this norm.
+        imitate: Rule that the policy learns to imitate first, such as ``"hasty"``; None for none.
+        imitation: Part of the budget in which it does.
         stagger: Whether the first episodes are cut at random, so that batches mix early and late decisions from the start.
         evaluate_every: Decisions between two evaluations on fresh episodes; 0 for none before the end.
         evaluate_episodes: Episodes of each.
@@ -137,6 +141,8 @@ class PPOConfig:
     epochs: int = 8
     minibatch: int = 2048
     gradient_norm: float = 0.5
+    imitate: str | None = None
+    imitation: float = 0.25
     stagger: bool = True
     evaluate_every: int = 0
     evaluate_episodes: int = 256
@@ -155,6 +161,8 @@ class PPOConfig:
                 raise ValueError(f"{name}={given!r} must be a list")
             object.__setattr__(self, name, tuple(given))
         check_network(str(self.network))
+        if self.imitate is not None:
+            check_teacher(self.imitate)
         if self.seconds is None and self.frames is None:
             raise ValueError("seconds=None and frames=None: training needs a limit")
         for name, least in LEAST_NUMBERS.items():

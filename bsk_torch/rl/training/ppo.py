@@ -23,6 +23,7 @@ from bsk_torch.rl.networks.plans import INIT, MEMORY, NORMALISER, PLANS, Network
 from bsk_torch.rl.policies.files import save_policy
 from bsk_torch.rl.training.advantages import estimate_advantages
 from bsk_torch.rl.training.config import SCHEDULES, PPOConfig
+from bsk_torch.rl.training.imitation import TAUGHT, find_teacher, imitation_loss, taught_actions
 
 REPORTED = ("entropy", "kl_approx", "clip_fraction", "explained_variance", "loss_critic")
 """Entries of the loss that are logged."""
@@ -53,6 +54,8 @@ class Learner:
             normalize_advantage=True,
             loss_critic_type="l2",
         )
+        self.teacher = self.make_teacher(env)
+        self.imitates = False
         self.optimiser = torch.optim.Adam(self.loss.parameters(), config.learning_rate, eps=1e-5)
         self.recurrent = self.networks.unit is not None
         self.buffer = ReplayBuffer(
@@ -64,6 +67,10 @@ class Learner:
     def make_plan(self, env: SatelliteTasking) -> Plan:
         """Return how the networks for an environment are built; ValueError if it does not fit them."""
         return PLANS[self.config.network].of(env, self.config.hidden)
+
+    def make_teacher(self, env: SatelliteTasking) -> TensorDictModuleBase | None:
+        """Return the rule to imitate first; None for none. ValueError if it does not fit an environment."""
+        return find_teacher(self.config.imitate, env) if self.config.imitate else None
 
     @property
     def _length(self) -> int:
@@ -102,8 +109,9 @@ class Learner:
         save_policy(path, self.plan, self.networks, self.config.preset, self.config.options)
 
     def anneal(self, fraction: float) -> None:
-        """Set learning rate and weight of the entropy for a used ``fraction`` of the budget."""
+        """Set learning rate, weight of the entropy and what is learned for a used ``fraction`` of the budget."""
         config = self.config
+        self.imitates = self.teacher is not None and fraction < config.imitation
         self.optimiser.param_groups[0]["lr"] = config.learning_rate * SCHEDULES[config.learning_rate_schedule](fraction)
         self.loss.entropy_coeff.fill_(config.entropy * SCHEDULES[config.entropy_schedule](fraction))
 
@@ -130,7 +138,11 @@ class Learner:
             self.networks.normaliser(situations)
         estimate_advantages(batch, self.networks.critic, config.gamma, config.lmbda, config.reward_time)
         self.buffer.empty()
-        learned = batch.select(*there(LEARNED_FROM, batch), *((MEMORY, INIT) if self.recurrent else ()))
+        keys = [*there(LEARNED_FROM, batch), *((MEMORY, INIT) if self.recurrent else ())]
+        if self.imitates:
+            batch[TAUGHT] = taught_actions(self.teacher, batch)
+            keys.append(TAUGHT)
+        learned = batch.select(*keys)
         self.buffer.extend(learned if self.recurrent else learned.reshape(-1))
         steps = config.epochs * (config.batch // self._minibatch)
         with set_recurrent_mode(self.recurrent):
@@ -142,11 +154,16 @@ class Learner:
     def _descend(self, sample: TensorDictBase) -> Tensor:
         """Take a gradient step; return the reported entries of the loss, [R]."""
         losses = self.loss(sample)
+        acting = self.imitation_loss(sample) if self.imitates else losses["loss_objective"] + losses["loss_entropy"]
         self.optimiser.zero_grad()
-        (losses["loss_objective"] + losses["loss_critic"] + losses["loss_entropy"]).backward()
+        (acting + losses["loss_critic"]).backward()
         nn.utils.clip_grad_norm_(self.loss.parameters(), self.config.gradient_norm)
         self.optimiser.step()
         return torch.stack([losses[name].detach().mean().float() for name in REPORTED])
+
+    def imitation_loss(self, sample: TensorDictBase) -> Tensor:
+        """See :func:`~bsk_torch.rl.training.imitation.imitation_loss`."""
+        return imitation_loss(self.networks.actor, sample)
 
 
 if not TYPE_CHECKING:

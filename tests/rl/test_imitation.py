@@ -1,0 +1,151 @@
+"""Imitation of a rule before reinforcement learning."""
+
+import pytest
+import torch
+from tensordict import TensorDict
+
+import bsk_torch
+from bsk_torch.rl.marl import MAPPOConfig
+from bsk_torch.rl.marl.mappo import DECIDES, MAPPOLearner
+from bsk_torch.rl.policies.shared_policy import member_views, shared
+from bsk_torch.rl.rules.baselines import BASELINES
+from bsk_torch.rl.training.config import PPOConfig
+from bsk_torch.rl.training.imitation import TAUGHT, find_teacher, imitation_loss, taught_actions
+from bsk_torch.rl.training.ppo import Learner
+
+SHORT = {"as_set": True, "n_targets": 200, "time_limit": 1200.0, "backend": "eager"}
+
+
+def config(**changes):
+    sizes = dict(num_envs=4, rollout=6, minibatch=24, epochs=8, hidden=(32,), seconds=None, frames=24)
+    return PPOConfig(
+        "AEOSPower-v1", network="attention", options=SHORT, **(sizes | dict(imitate="hasty", imitation=0.5) | changes)
+    )
+
+
+@pytest.fixture(scope="module")
+def played():
+    """An environment, and a batch of what random actions do there."""
+    env = config().make_env()
+    torch.manual_seed(0)
+    return env, env.rollout(6, auto_reset=True, break_when_any_done=False)
+
+
+@torch.no_grad()
+def batch_of(played, learner):
+    batch = learner.policy.select_out_keys("action", "action_log_prob")(played[1].clone())
+    assert batch["action_log_prob"].isfinite().all()
+    return batch
+
+
+@torch.no_grad()
+def chosen(learner, batch):
+    learner.networks.normaliser(batch)
+    return learner.networks.actor.get_dist(batch).probs
+
+
+def test_the_rule_is_asked_in_each_situation(played):
+    env, batch = played
+    teacher = find_teacher("hasty", env)
+    taught = taught_actions(teacher, batch)
+    alone = BASELINES["hasty"](env, 0)(batch[:, 3])["action"]
+    assert taught.shape == batch.shape
+    assert torch.equal(taught[:, 3], alone)
+    assert len(taught.unique()) > 2
+
+
+def test_the_policy_learns_what_the_rule_does_and_then_what_pays(played):
+    torch.manual_seed(1)
+    learner = Learner(config(learning_rate=3e-3, learning_rate_schedule="constant"), played[0])
+    learner.anneal(0.0)
+    batch = batch_of(played, learner)
+    taught = taught_actions(learner.teacher, batch)
+    before = chosen(learner, batch).gather(-1, taught.unsqueeze(-1)).mean()
+    for _ in range(12):
+        learner.learn(batch_of(played, learner))
+    after = chosen(learner, batch).gather(-1, taught.unsqueeze(-1)).mean()
+    assert learner.imitates
+    assert before < 0.3
+    assert after > 0.8
+    learner.anneal(0.5)
+    assert not learner.imitates
+    learner.learn(batch_of(played, learner))
+
+
+def test_illegal_actions_stay_illegal(played):
+    learner = Learner(config(), played[0])
+    learner.anneal(0.0)
+    batch = batch_of(played, learner)
+    learner.learn(batch)
+    assert (chosen(learner, batch)[~batch["action_mask"]] == 0.0).all()
+
+
+def test_only_decisions_that_count_are_learned_from():
+    class Actor:
+        def get_dist(self, sample):
+            return torch.distributions.Categorical(logits=sample["logits"])
+
+    logits = torch.tensor([[2.0, 0.0], [0.0, 0.0], [0.0, 1.0]])
+    sample = TensorDict({"logits": logits, TAUGHT: torch.tensor([0, 1, 0])}, (3,))
+    surprise = -logits.log_softmax(-1)[torch.arange(3), sample[TAUGHT]]
+    assert torch.allclose(imitation_loss(Actor(), sample), surprise.mean())
+    counts = torch.tensor([True, False, True])
+    assert torch.allclose(imitation_loss(Actor(), sample, counts), (surprise[0] + surprise[2]) / 2)
+
+
+def test_satellites_of_a_constellation_imitate_what_the_rule_fits(caplog):
+    crew = {"n_imagers": 2, "n_relays": 1, "n_targets": 200, "time_limit": 600.0, "backend": "eager", "as_set": True}
+    sizes = dict(num_envs=2, rollout=8, minibatch=8, seconds=None, frames=16, imitation=1.0)
+    options = MAPPOConfig("RelayConstellation-v1", options=crew, imitate="hasty", **sizes)
+    env = options.make_env()
+    learner = MAPPOLearner(options, env)
+    imager, relay = learner.groups.values()
+    assert imager.teacher is not None
+    assert relay.teacher is None
+    assert "these satellites learn by themselves" in caplog.text
+    learner.anneal(0.0)
+    assert imager.imitates
+    assert not relay.imitates
+    actor = shared(learner.policy, env)
+    with torch.no_grad():
+        batch = env.rollout(8, actor, auto_reset=True, break_when_any_done=False)
+    seen = {}
+    original = imager.imitation_loss
+
+    def watched(sample):
+        seen["decides"], seen["taught"], seen["mask"] = sample[DECIDES], sample[TAUGHT], sample["action_mask"]
+        return original(sample)
+
+    imager.imitation_loss = watched
+    learner.learn(batch)
+    legal = seen["mask"].gather(-1, seen["taught"].unsqueeze(-1)).squeeze(-1)
+    assert seen["decides"].any()
+    assert legal[seen["decides"]].all()
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        (dict(imitate="hasy"), r"imitate='hasy' must be one of .*did you mean 'hasty'"),
+        (dict(imitate="random"), r"imitate='random' must be one of"),
+        (dict(imitation=0.0), r"imitation=0.0 must lie in \(0, 1\]"),
+        (dict(imitation=float("nan")), r"imitation=nan must lie in"),
+    ],
+)
+def test_settings_that_do_not_work(changes, message):
+    with pytest.raises(ValueError, match=message):
+        config(**changes)
+
+
+def test_rules_that_do_not_fit():
+    env = bsk_torch.make("NadirScan-v1", num_envs=1, backend="eager")
+    with pytest.raises(ValueError, match=r"imitate='hasty' does not fit"):
+        find_teacher("hasty", env)
+    flying = bsk_torch.make("RSOInspection-v1", num_envs=1, backend="eager")
+    views = member_views(flying)
+    view = next(view for name, view in views.items() if "inspector" in name)
+    with pytest.raises(ValueError, match=r"rules are imitated in choices only"):
+        find_teacher("survey", view)
+    options = MAPPOConfig("RSOInspection-v1", imitate="hasty", options={"backend": "eager"}, num_envs=1, frames=8)
+    with pytest.raises(ValueError, match=r"imitate='hasty' fits no satellite of RSOInspection-v1"):
+        MAPPOLearner(options, options.make_env())
