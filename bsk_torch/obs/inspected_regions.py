@@ -11,14 +11,12 @@ from torch import Tensor
 from bsk_torch.astro.attitude import mrp_to_dcm
 from bsk_torch.astro.orbit import hill_frame
 from bsk_torch.astro.relative import float64, like, vectors
+from bsk_torch.sim.inspection.regions import known_regions
 
 AXES = ((1.0, 0.0, 0.0), (-1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, 1.0), (0.0, 0.0, -1.0))
 """Both directions of each axis."""
 
 FRAMES = ("chief_hill", "chief_body")
-
-_PACK = 2.0**20
-"""More than there are points."""
 
 
 def rso_imaged_regions(servicer: Any, chief: Any, region_centers: Any = AXES, frame: str = "chief_hill") -> Any:
@@ -51,44 +49,10 @@ def rso_imaged_regions(servicer: Any, chief: Any, region_centers: Any = AXES, fr
         BN = torch.stack([row.stack() for row in mrp_to_dcm(attitude)], -2)
         HN = torch.stack([row.stack() for row in hill_frame(position, velocity)], -2)
         centers = centers @ HN @ BN.mT  # rows are c_B = [BN] [HN]^T c_H
-    return like(known_regions(inspected, _points(servicer), centers), r)
+    return like(known_regions(inspected, _points(servicer), centers, servicer.simulator.backend == "compiled"), r)
 
 
 def _points(servicer: Any) -> Tensor:
     """Return the positions of the points, [P, 3] m, or [N, P, 3] where they differ between episodes."""
     (r_PB_B,) = float64(servicer.scenario.r_PB_B)
     return servicer.simulator.of_env(r_PB_B) if r_PB_B.ndim == 3 else r_PB_B
-
-
-def known_regions(inspected: Tensor, r_PB_B: Tensor, centers: Tensor) -> Tensor:
-    """Return the fraction of inspected points in each region, [..., R].
-
-    Args:
-        inspected: 1 for inspected points, else 0, [..., P].
-        r_PB_B: Positions of the points, [P, 3] or [..., P, 3] m.
-        centers: Centres of the regions in the same axes, [R, 3] or [..., R, 3].
-    """
-    region = _nearest(r_PB_B, centers).expand(inspected.shape)
-    # one sum for both numbers: inspected points count 2^20 and 1, others 1
-    packed = inspected.new_zeros(*inspected.shape[:-1], centers.shape[-2]).scatter_add(-1, region, inspected * _PACK + 1.0)
-    known = torch.floor(packed / _PACK)
-    return known / (packed - known * _PACK).clamp(min=1.0)
-
-
-def _nearest(r_PB_B: Tensor, centers: Tensor) -> Tensor:
-    """Return the index of the centre that is nearest to each point, the first of several, [..., P].
-
-    The nearest centre c of p has the smallest ``|c|^2 - 2 p . c``. Centre by centre: all distances at once, [..., P, R], and
-    their ``argmin`` take three times as long.
-    """
-    x, y, z = r_PB_B.unbind(-1)
-    doubled, squares = (-2.0 * centers).unsqueeze(-1).unbind(-3), centers.square().sum(-1).unsqueeze(-1).unbind(-2)
-    least, index = None, torch.zeros((), dtype=torch.long, device=centers.device)
-    for k, ((a, b, c), square) in enumerate(zip((each.unbind(-2) for each in doubled), squares, strict=True)):
-        distance = (x * a).add_(y * b).add_(z * c).add_(square)
-        if least is None:
-            least = distance
-        else:
-            index = torch.where(distance < least, k, index)
-            least = torch.minimum(least, distance)
-    return index

@@ -32,9 +32,17 @@ SANITIZE = ("-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-fno-o
 
 
 def legal_actions(td: TensorDictBase, groups: list[str], step: int) -> TensorDictBase:
-    """Set the action of each agent to a legal one that depends on its number and the step only."""
+    """Set the action of each agent to a legal one that depends on its number and the step only.
+
+    Real numbers are a manoeuvre of some centimetres per second, and a drift of some minutes.
+    """
     for group in groups or [""]:
-        mask = td.get((group, "action_mask") if group else "action_mask")
+        mask = td.get((group, "action_mask") if group else "action_mask", None)
+        if mask is None:
+            agents = td[group].batch_size
+            number = torch.arange(agents.numel()).unsqueeze(1) * 7 + step * 3 + torch.arange(4)
+            td[group, "action"] = torch.where(torch.arange(4) < 3, 0.05 * number.sin(), 100.0 + number).view(*agents, 4)
+            continue
         flat = mask.reshape(-1, mask.shape[-1])
         order = (torch.arange(flat.shape[1]) * 7 + step * 3 + torch.arange(len(flat)).unsqueeze(1)) % flat.shape[1]
         chosen = torch.where(flat, order, -1).argmax(1).view(mask.shape[:-1])

@@ -113,9 +113,11 @@ class AccessWindows(StateTable):
         """Announce queries for ``count`` windows over ``places`` places, which sets how far ahead is searched.
 
         One and a half times the mean time in which so many passes occur, and at least three segments, is searched at once:
-        farther than most queries need, but not much farther.
+        farther than most queries need, but not much farther. One segment is enough for orbits that manoeuvres may change, after
+        which all is searched anew.
         """
-        self._expected = max(self._expected, 3.0 * self.segment, 1.5 * count / (PASSES_PER_SECOND * places))
+        least = self.segment if self.arcs.restarts else 3.0 * self.segment
+        self._expected = max(self._expected, least, 1.5 * count / (PASSES_PER_SECOND * places))
         self.ahead = max(1, round(min(SEARCH_AHEAD, self._expected) / self.segment))
 
     def generate(self, rows: Tensor, orbits: PlannedOrbits, duration: Tensor) -> None:
@@ -201,13 +203,15 @@ class AccessWindows(StateTable):
 
         Args:
             kind: Kind of place.
-            rows: Rows, [m].
+            rows: Different rows in ascending order, [m].
             time: Time of the query, [m] s.
             count: Number of windows, [m].
             allowed: Places that count, [m, P]; None for all.
         """
         until, ready = self.until[rows], self.ready[rows]
-        windows = self._windows_of(kind).take(rows)
+        windows = self._windows_of(kind)
+        if len(rows) < len(windows.close):  # rows ascend
+            windows = windows.take(rows)
         certain = candidates(windows, time, until, allowed).valid & (windows.close < ready.unsqueeze(-1))
         return rows[(certain.sum(1) < count) & (ready < until)]
 

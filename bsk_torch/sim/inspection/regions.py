@@ -1,0 +1,104 @@
+"""Which points of a spacecraft belong to which region of it, and how many of those are inspected.
+
+A point belongs to the region whose centre is the nearest, the first of several. The same function of a point is a tick of a
+kernel, and runs on tensors under the eager back end.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cache
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from bsk_torch.codegen.ir import Loop
+from bsk_torch.codegen.kernel import Kernel, Samples
+from bsk_torch.sim.component import Field, Track, vec
+from bsk_torch.sim.orbit.builder import KernelBuilder
+from bsk_torch.vec3 import Vec3
+
+POINTS = Track("points", 1.0, (vec("r_PB_B", "m"),), count=1)
+FLAGS = Track("flags", 1.0, (Field("inspected"),), count=1)
+"""What a tick of the kernel reads of a point."""
+
+TICK_NS = 1_000_000_000
+"""Length of a tick of the kernel, which counts points in seconds."""
+
+PACK = 2.0**20
+"""More than there are points."""
+
+
+def known_regions(inspected: Tensor, r_PB_B: Tensor, centers: Tensor, compiled: bool) -> Tensor:
+    """Return the fraction of inspected points in each region, [N, R]; 0 for regions without points.
+
+    Args:
+        inspected: 1 for inspected points, else 0, [N, P] float64.
+        r_PB_B: Positions of the points, [P, 3] or [N, P, 3] m.
+        centers: Centres of the regions in the same axes, [R, 3] or [N, R, 3] m.
+        compiled: Whether to use a kernel, on the CPU.
+    """
+    run = _run_kernel if compiled and inspected.device.type == "cpu" else _run_tensors
+    known, count = run(inspected, r_PB_B, centers.expand(len(inspected), *centers.shape[-2:]))
+    return known / count.clamp(min=1.0)
+
+
+def nearest(point: Vec3, centers: Sequence[Vec3], squares: Sequence[Any]) -> Any:
+    """Return the index of the centre that is nearest to a point, as a number: that of the smallest ``|c|^2 - 2 p . c``."""
+    least = squares[0] - 2.0 * point.dot(centers[0])
+    index = torch.zeros_like(least)
+    for k, (center, square) in enumerate(zip(centers[1:], squares[1:], strict=True), 1):
+        distance = square - 2.0 * point.dot(center)
+        index = torch.where(distance < least, float(k), index)
+        least = torch.minimum(distance, least)
+    return index
+
+
+def _run_tensors(inspected: Tensor, r_PB_B: Tensor, centers: Tensor) -> tuple[Tensor, Tensor]:
+    """Return how many points of each region are inspected, and how many there are, [N, R] each.
+
+    Centre by centre: all distances at once, [N, P, R], and their ``argmin`` take longer.
+    """
+    each = [Vec3(*center.unsqueeze(-1).unbind(1)) for center in centers.unbind(1)]
+    region = nearest(Vec3(*r_PB_B.unbind(-1)), each, [center.dot(center) for center in each]).long()
+    # one sum for both numbers: an inspected point counts 2^20 and 1, another 1
+    packed = torch.zeros_like(centers[..., 0]).scatter_add(-1, region.expand(inspected.shape), inspected * PACK + 1.0)
+    known = torch.floor(packed / PACK)
+    return known, packed - known * PACK
+
+
+@cache
+def regions_kernel(regions: int) -> Kernel:
+    """Return the kernel that counts points of so many regions, a point in each tick.
+
+    The state is the number of inspected points of each region, then that of all of its points.
+    """
+    builder = KernelBuilder()
+    known, count = (builder.planes("state", regions, k * regions) for k in range(2))
+    centers = builder.vectors("own", regions)
+    squares = builder.planes("own", regions, 3 * regions)
+    (inspected,) = builder.records(2, 1)
+    index = nearest(Vec3(*builder.records(1, 3)), centers, squares)
+    here = [index.eq(float(k)) for k in range(regions)]
+    known = [torch.where(now, before + inspected, before) for now, before in zip(here, known, strict=True)]
+    count = [torch.where(now, before + 1.0, before) for now, before in zip(here, count, strict=True)]
+    return Kernel("regions of points", Loop(builder.program, [*known, *count], (POINTS, FLAGS)))
+
+
+def _run_kernel(inspected: Tensor, r_PB_B: Tensor, centers: Tensor) -> tuple[Tensor, Tensor]:
+    """See :func:`_run_tensors`."""
+    (n, points), regions = inspected.shape, centers.shape[1]
+    points_of = r_PB_B.unsqueeze(0) if r_PB_B.ndim == 2 else r_PB_B
+    owner = torch.zeros(n, dtype=torch.int64) if r_PB_B.ndim == 2 else None
+    # records are looked up half way between two
+    tracks = [
+        Samples(table.contiguous(), torch.full((len(table),), -0.5, dtype=torch.float64), rows)
+        for table, rows in ((points_of, owner), (inspected.unsqueeze(-1), None))
+    ]
+    own = torch.cat([centers.permute(1, 2, 0).flatten(0, 1), centers.square().sum(-1).mT])
+    state = torch.zeros(2 * regions, n, dtype=torch.float64)
+    before = torch.full((n,), -1, dtype=torch.int64)
+    regions_kernel(regions)(state, points, tracks, own=own.contiguous(), ticks=before, nanoseconds=TICK_NS)
+    known, count = state.view(2, regions, n).mT
+    return known, count
