@@ -50,6 +50,12 @@ STARTS: dict[str, list[Start]] = {
             "basilisk",
         ),
     ],
+    "benchmarks/difficulty.py": [
+        Start(
+            "--seeds 1 --episodes 2 --num-envs 2 --frames 32 --time-limit 300 --trainings hard curriculum",
+            r"(?s)\| curriculum \| 100.0% \|.*\| a rule \| 0.0\d\d \|",
+        ),
+    ],
     "benchmarks/envelope.py": [
         Start("--transitions 1 --scale 0.03 --time-limit 1900 --enough 1", r"(?s)\| 0.20 to 0.30 \| .*\"smallest_margin\": \d"),
     ],

@@ -38,7 +38,7 @@ def find_teacher(name: str, env: SatelliteTasking) -> TensorDictModuleBase:
     try:
         return BASELINES[name](env, 0)
     except (KeyError, ValueError) as error:
-        raise ValueError(f"imitate={name!r} does not fit {env.satellite.name}: {error.args[0]}") from error
+        raise ValueError(f"imitate={name!r} does not fit {env.satellite.name}: {error.args[0]}; imitate=null trains without") from error
 
 
 @torch.no_grad()

@@ -13,9 +13,13 @@ COMMON: dict[str, Any] = dict(num_envs=256, rollout=32, minibatch=1024, gamma=0.
 
 IMAGING: dict[str, dict[str, Any]] = {
     "mlp": COMMON | dict(hidden=(512, 256), learning_rate=7e-4, epochs=4),
-    "attention": COMMON | dict(hidden=(64,), learning_rate=1e-3, epochs=2),
+    "attention": COMMON | dict(hidden=(64,), learning_rate=1e-3, epochs=2, evaluate_every=100_000, imitate="hasty", imitation=0.2),
 }
-"""For choosing targets: what counts is decided within minutes, so the future is discounted accordingly."""
+"""For choosing targets: what counts is decided within minutes, so the future is discounted accordingly. What the rule ``hasty``
+does is learned in a minute, and a good start."""
+
+CREW_OF_IMAGERS: dict[str, dict[str, Any]] = {"attention": dict(imitate="hasty", imitation=0.2)}
+"""The same for several satellites."""
 
 SCANNING: dict[str, dict[str, Any]] = {
     "mlp": dict(evaluate_every=250_000),
@@ -47,6 +51,9 @@ RECIPES: dict[str, dict[str, dict[str, Any]]] = {
     "AEOSPower-v1": IMAGING,
     "AEOSCity-v1": IMAGING,
     "CloudyAEOS-v1": IMAGING,
+    "Constellation-v1": CREW_OF_IMAGERS,
+    "AEOSConstellation-v1": CREW_OF_IMAGERS,
+    "RelayConstellation-v1": CREW_OF_IMAGERS,
     "RSOInspection-v1": INSPECTION,
     "MultiInspection-v1": CREW,
 }
