@@ -20,6 +20,7 @@ from tensordict import TensorDict, TensorDictBase
 
 import bsk_torch
 from bsk_torch.codegen import build
+from tests.choices import legal_actions
 from tests.codegen import emulated
 
 STEPS, ENVS = 6, 5
@@ -31,33 +32,13 @@ times of windows, over 5,700 s in an observation, by less than a millisecond."""
 SANITIZE = ("-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-fno-omit-frame-pointer", "-O1")
 
 
-def legal_actions(td: TensorDictBase, groups: list[str], step: int) -> TensorDictBase:
-    """Set the action of each agent to a legal one that depends on its number and the step only.
-
-    Real numbers are a manoeuvre of some centimetres per second, and a drift of some minutes.
-    """
-    for group in groups or [""]:
-        mask = td.get((group, "action_mask") if group else "action_mask", None)
-        if mask is None:
-            agents = td[group].batch_size
-            number = torch.arange(agents.numel()).unsqueeze(1) * 7 + step * 3 + torch.arange(4)
-            td[group, "action"] = torch.where(torch.arange(4) < 3, 0.05 * number.sin(), 100.0 + number).view(*agents, 4)
-            continue
-        flat = mask.reshape(-1, mask.shape[-1])
-        order = (torch.arange(flat.shape[1]) * 7 + step * 3 + torch.arange(len(flat)).unsqueeze(1)) % flat.shape[1]
-        chosen = torch.where(flat, order, -1).argmax(1).view(mask.shape[:-1])
-        td.set((group, "action") if group else "action", chosen)
-    return td
-
-
 def play(preset: str, backend: str) -> list[TensorDictBase]:
     """Return what a few steps of a preset show; in the middle, two episodes begin anew and two stand still."""
     options: dict[str, Any] = dict(num_envs=ENVS, seed=3, dtype=torch.float64, backend=backend, time_limit=3000.0)
     env = bsk_torch.make(preset, **options)
-    groups = [name for name in getattr(env, "group_map", {}) if name]
     td, seen = env.reset(), []
     for step in range(STEPS):
-        td = legal_actions(td, groups, step)
+        td = legal_actions(td, env.action_keys, step)
         if step == STEPS // 2:
             td["_step"] = torch.arange(ENVS).unsqueeze(1) >= 2 if env.batch_size == (ENVS, 1) else torch.arange(ENVS) >= 2
         td = env.step(td)["next"]

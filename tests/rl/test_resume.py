@@ -12,6 +12,7 @@ from tensordict import TensorDict
 import bsk_torch
 from bsk_torch.presets import PRESETS
 from bsk_torch.rl.marl.runs import configure_run, training_of
+from tests.choices import legal_actions
 
 pytestmark = pytest.mark.compiled
 
@@ -39,19 +40,10 @@ def make(name: str, **options):
     return bsk_torch.make(name, num_envs=2, time_limit=2400.0, **(OPTIONS.get(name, {}) | options))
 
 
-def act(env, td, step):
-    """Legal actions that depend on the step only."""
-    for key in env.action_keys:
-        mask = td[(*key[:-1], "action_mask")] if isinstance(key, tuple) else td["action_mask"]
-        draw = torch.rand(mask.shape, generator=torch.Generator().manual_seed(step))
-        td = td.set(key, torch.where(mask, draw, -1.0).argmax(-1))
-    return env.step(td)["next"]
-
-
 def play(env, td, steps):
     found = []
     for step in steps:
-        td = act(env, td, step)
+        td = env.step(legal_actions(td, env.action_keys, step))["next"]
         found.append(td)
         td = td.exclude("reward")
     return found
