@@ -96,6 +96,9 @@ STARTS: dict[str, list[Start]] = {
             r"(?s)\| scan \| 1 \| [\d,]+ \|.*\| scan \| processes \| 2 \| [\d,]+ \|",
         ),
     ],
+    "benchmarks/side_by_side.py": [
+        Start("--targets 300 --time-limit 300 --seconds 2 --budget 2", r"\| MILP, flown \| \d+ \| [\d.]+ \| [\d.]+% \|"),
+    ],
     "benchmarks/soak.py": [
         Start("--cases NadirScan-v1 --scale 0.0004", r"\| NadirScan-v1 \| 4,096 \| [\d,]+ \| \d+ \| [\d,.]+ \| [\d.]+ \| 0 \|"),
     ],
