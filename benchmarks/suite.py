@@ -6,7 +6,8 @@ Usage:
     python benchmarks/suite.py scan.json aeos.json [--out FILE.json] [--references FILE.json]
 
 The references are made once for a suite, from all of its episodes: 0 is what random actions return, 1 the best mean of all
-policies in the files. They belong to the suite as its episodes do, and are not made anew for better policies.
+policies in the files. They belong to the suite as its episodes do, and are not made anew for better policies: presets that have
+references keep them.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ import torch
 
 from bsk_torch.rl.evaluation.statistics import confidence
 from bsk_torch.rl.evaluation.suite import EPISODES
+from bsk_torch.rl.evaluation.suite import references as frozen
 
 
 def merged(files: Sequence[Path]) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
@@ -83,7 +85,7 @@ def main() -> None:
     parser.add_argument("--references", type=Path, help="JSON file for the references of the suite")
     given = parser.parse_args()
     head, results = merged(given.files)
-    known = references(head, results)
+    known = references(head, results) | {name: kept for name, kept in frozen(head["suite"]).items() if name in results}
     rows = list(summaries(results, known))
     for row in rows:
         print(

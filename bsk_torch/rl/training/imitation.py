@@ -38,7 +38,8 @@ def find_teacher(name: str, env: SatelliteTasking) -> TensorDictModuleBase:
     try:
         return BASELINES[name](env, 0)
     except (KeyError, ValueError) as error:
-        raise ValueError(f"imitate={name!r} does not fit {env.satellite.name}: {error.args[0]}; imitate=null trains without") from error
+        reason = f"{error.args[0]}; imitate=null trains without"
+        raise ValueError(f"imitate={name!r} does not fit {env.satellite.name}: {reason}") from error
 
 
 @torch.no_grad()

@@ -9,17 +9,19 @@ from bsk_torch.presets import PRESETS
 from bsk_torch.rl.networks.plans import check_network
 from bsk_torch.rl.training.config import PPOConfig
 
+TAUGHT: dict[str, Any] = dict(imitate="hasty", imitation=0.2)
+"""What the rule ``hasty`` does is learned in a minute, and a good start."""
+
 COMMON: dict[str, Any] = dict(num_envs=256, rollout=32, minibatch=1024, gamma=0.997, evaluate_every=200_000)
 
 IMAGING: dict[str, dict[str, Any]] = {
     "mlp": COMMON | dict(hidden=(512, 256), learning_rate=7e-4, epochs=4),
-    "attention": COMMON | dict(hidden=(64,), learning_rate=1e-3, epochs=2, evaluate_every=100_000, imitate="hasty", imitation=0.2),
+    "attention": COMMON | TAUGHT | dict(hidden=(64,), learning_rate=1e-3, epochs=2, evaluate_every=100_000),
 }
-"""For choosing targets: what counts is decided within minutes, so the future is discounted accordingly. What the rule ``hasty``
-does is learned in a minute, and a good start."""
+"""For choosing targets: what counts is decided within minutes, so the future is discounted accordingly."""
 
-CREW_OF_IMAGERS: dict[str, dict[str, Any]] = {"attention": dict(imitate="hasty", imitation=0.2)}
-"""The same for several satellites."""
+CREW_OF_IMAGERS: dict[str, dict[str, Any]] = {"attention": TAUGHT}
+"""For several satellites that choose targets."""
 
 SCANNING: dict[str, dict[str, Any]] = {
     "mlp": dict(evaluate_every=250_000),
