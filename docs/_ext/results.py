@@ -197,12 +197,17 @@ def flights(*names: str) -> str:
     return f"{filled}\n\n{block(chr(10).join(commands))}\n\nVersions: {used}.\n"
 
 
+PAPERS = "NadirScan-v1"
+"""Preset that is flown unless another one is named."""
+
+
 def flight_command(name: str) -> str:
     """Return the command that writes a flight."""
     flight = load(name)
     seeds = flight["episodes"]["seed"]
     out, script = f"--out benchmarks/results/{name}.json", flight.get("script", "fly_on_basilisk.py")
-    return f"python scripts/validation/{script} {flown(flight)} --seeds {seeds[0]}:{seeds[-1] + 1} {out}"
+    preset = "" if "script" in flight or flight["preset"] == PAPERS else f" --preset {flight['preset']}"
+    return f"python scripts/validation/{script} {flown(flight)}{preset} --seeds {seeds[0]}:{seeds[-1] + 1} {out}"
 
 
 def flown(flight: Mapping[str, Any]) -> str:
