@@ -314,6 +314,8 @@ class Tasking(ChangingArguments, EnvBase):
                 self.check_begun("reset() of some environments", torch.ones_like(self.state.begun).index_fill(0, envs, False))
             if set_state and tensordict is not None and "state" in tensordict:
                 self.restore(tensordict["state"], envs)
+                # TorchRL keeps the entry and writes into it at partial resets, which must not reach what the caller has saved
+                tensordict["state"] = tensordict["state"].clone()
             elif len(envs):
                 self._begin(envs)
             false = torch.zeros(*self.batch_size, 1, dtype=torch.bool, device=self.device)

@@ -235,6 +235,18 @@ def test_restored_episodes_go_on_bit_for_bit(setup, form, tmp_path):
     assert torch.equal(mine["returns"][source], theirs["returns"][envs])
 
 
+def test_a_saved_state_stays_as_it_is_whatever_becomes_of_the_episodes():
+    """TorchRL's partial resets write zeros into all that the tensordict of a restored state holds."""
+    env = bsk_torch.make("NadirScan-v1", num_envs=2, time_limit=600.0, backend="eager")
+    env.reset()
+    saved = env.get_state()
+    kept = saved.clone()
+    td = env.reset(TensorDict({"state": saved}, env.batch_size), set_state=True)
+    env.reset(td.set("_reset", torch.tensor([[True], [False]])))
+    assert same(saved, kept)
+    env.restore(saved)
+
+
 @pytest.mark.compiled
 def test_longer_arcs_are_met():
     """The shorter arcs of two environments are extended, and nothing of a saved state is written into."""
