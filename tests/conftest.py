@@ -106,9 +106,7 @@ def solve_arcs() -> Callable[..., tuple[Arcs, PlannedOrbits]]:
         r, v = (torch.tensor([initial[name] for initial in initials], dtype=torch.float64) for name in ("rN", "vN"))
         arcs = Arcs(len(initials), spans, make_solver(step, backend, torch.device("cpu")))
         fine, epoch = arcs.solve(torch.arange(len(initials)), et, r, v), torch.zeros_like(et)
-        return arcs, PlannedOrbits(
-            *(Samples(table, epoch) for table in (fine[:, ::2].contiguous(), arcs.ephemeris.clone(), fine))
-        )
+        return arcs, PlannedOrbits(*(Samples(table, epoch) for table in (fine, arcs.ephemeris.clone())))
 
     return solve
 

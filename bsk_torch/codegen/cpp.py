@@ -44,9 +44,9 @@ LOCKSTEP = (
 TRACK = "const double* table_{t}, const double* starts_{t}, const int64_t* owner_{t}, int64_t records_{t}"
 """Parameters of both kernels, and those for each track."""
 
-CLOCKS = {
-    "ticks": "ticks_now * D(double(nanoseconds)) * D(1e-9)",
-    "start": "ticks_start * D(double(nanoseconds)) * D(1e-9)",
+CLOCKS = {  # divided: a product could be fused with the subtraction of where a table starts, whose rounding depends on that
+    "ticks": "ticks_now * D(double(nanoseconds)) / D(1e9)",
+    "start": "ticks_start * D(double(nanoseconds)) / D(1e9)",
     "schedule": "D(schedule[(k - 1) * {width}])",
 }
 

@@ -10,7 +10,7 @@ from tensordict.nn import TensorDictModule
 import bsk_torch
 from bsk_torch.astro.frames import lla_to_fixed, sin_elevation
 from bsk_torch.constants import R_EARTH
-from bsk_torch.sim.access.visibility.planned import PlannedOrbits, planned_position, take_rows
+from bsk_torch.sim.access.visibility.planned import position_between, take_rows
 from bsk_torch.sim.environment.ephemeris import EPHEMERIS_TRACK, fixed
 from bsk_torch.sim.orbit.arcs import ARC
 from bsk_torch.vec3 import Vec3
@@ -86,7 +86,7 @@ def test_the_track_is_the_arc_that_was_flown(env, episode):
     flown, ephemeris = (
         take_rows(samples, torch.zeros(len(time), dtype=torch.int64)) for samples in simulator.arcs.tracks((ARC, EPHEMERIS_TRACK))
     )
-    r_N, around = planned_position(PlannedOrbits(flown, ephemeris), time)
+    r_N, around = position_between(flown, ephemeris, time)
     assert angle(episode.track, fixed(around, r_N).stack()) < DEGREES
 
 

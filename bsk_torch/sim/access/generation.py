@@ -69,14 +69,23 @@ def close_from_start(search: PassSearch, row: Tensor, place: Tensor, start: Tens
     return (close | ~before_rise).all(-1)
 
 
-def true_windows(passes: Passes, intervals: GenerationIntervals) -> Passes:
-    """Return the passes that begin before the last interval ends, cut there, without the short ones."""
+def within(passes: Passes, intervals: GenerationIntervals) -> Passes:
+    """Return what lies of passes between the begin of the first interval and the end of the last."""
     row, place, opens, closes = passes
-    end = intervals.end[row]
-    closes = torch.minimum(closes, end)
-    at_an_end = (opens <= intervals.begin[row]) | (closes >= end)
-    kept = (opens < end) & (at_an_end | (closes - opens > SHORTEST_PASS))
-    return Passes(row[kept], place[kept], opens[kept], closes[kept])
+    begin, end = intervals.begin[row], intervals.end[row]
+    # one that rises or sets just there, to the last bit, lies on the far side
+    kept = (opens < end) & (closes > begin)
+    opens, closes = torch.maximum(opens, begin), torch.minimum(closes, end)
+    return Passes(*(part[kept] for part in (row, place, opens, closes)))
+
+
+def true_windows(search: PassSearch, passes: Passes, intervals: GenerationIntervals) -> Passes:
+    """Return the passes between the ends of the intervals, cut there, without the short ones."""
+    track, row = search.track, passes.row
+    # how long those last that are in progress at an end of the ground track is not known
+    in_progress = (passes.open <= track.start[row]) | (passes.close >= track.end[row])
+    long = in_progress | (passes.close - passes.open > SHORTEST_PASS)
+    return within(Passes(*(part[long] for part in passes)), intervals)
 
 
 def windows_of_bsk_rl(search: PassSearch, passes: Passes, intervals: GenerationIntervals) -> Passes:
@@ -87,9 +96,7 @@ def windows_of_bsk_rl(search: PassSearch, passes: Passes, intervals: GenerationI
     follows at once; but where the close samples begin with the interval, the rise is taken for a set, and the head reaches from
     the start of the interval to the rise.
     """
-    passes = Passes(*(part[passes.open < intervals.end[passes.row]] for part in passes))
-    row, place, opens, closes = passes
-    closes = torch.minimum(closes, intervals.end[row])
+    row, place, opens, closes = within(passes, intervals)
     first = intervals.number(row, opens)
     last = intervals.number(row, closes)
     begin, boundary = intervals.start(row, first), intervals.start(row, first + 1.0)

@@ -9,17 +9,16 @@ import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 
-from bsk_torch.astro.interpolate import COUNT
 from bsk_torch.codegen.kernel import Samples
 from bsk_torch.sim.access.eclipses import SEARCH_STEP, SEARCHES, EclipseTable
 from bsk_torch.sim.access.places import ADVICE
 from bsk_torch.sim.access.visibility.backend import Visibility
 from bsk_torch.sim.access.visibility.planned import PlannedOrbits
 from bsk_torch.sim.access.window_table import Windows
-from bsk_torch.sim.access.windows import MAX_SEGMENTS, AccessWindows, PlacesOf
-from bsk_torch.sim.orbit.arcs import PLANNED_SEGMENTS, Arcs, segments_for
+from bsk_torch.sim.access.windows import BEFORE_SEARCH, BEHIND_SEARCH, MAX_SEGMENTS, AccessWindows, PlacesOf
+from bsk_torch.sim.orbit.arcs import PLANNED_SEGMENTS, REACH_AROUND, Arcs, segments_for
 from bsk_torch.sim.orbit.grid import ARC_SEGMENT, PLAN_STEP
-from bsk_torch.sim.orbit.restartable import REACH_AROUND, RestartableArcs
+from bsk_torch.sim.orbit.restartable import RestartableArcs
 from bsk_torch.sim.orbit.solution import Solver
 from bsk_torch.sim.state import StateTable
 
@@ -90,7 +89,8 @@ class LookAhead(StateTable):
         """
         super().__init__(num_envs, count, solver.device)
         kept = max(PLANNED_SEGMENTS, segments_for(segment) + PLANNED_SEGMENTS - 1)
-        size = num_envs, segments_for(horizon + MARGIN), solver, kept, count
+        spans = max(segments_for(horizon + MARGIN), segments_for(segment + BEFORE_SEARCH + BEHIND_SEARCH) + 1)
+        size = num_envs, spans, solver, kept, count
         self.arcs = RestartableArcs(*size) if manoeuvres.lookahead else Arcs(*size)
         separate = manoeuvres.flight and not manoeuvres.lookahead
         self.flight = RestartableArcs(*size) if separate else self.arcs
@@ -116,7 +116,7 @@ class LookAhead(StateTable):
             v_N: Velocity at time zero, [n, 3] m/s.
             duration: Seconds for which windows are generated, [n].
         """
-        while self.arcs.length < float(duration.max()):
+        while self.arcs.length < float(duration.max()) + BEHIND_SEARCH:
             self.grow()
         for part in torch.split(torch.arange(len(rows), device=self.device), self._rows_at_once(rows)):
             fine = self.arcs.solve(rows[part], et[part], r_N[part], v_N[part])
@@ -124,7 +124,7 @@ class LookAhead(StateTable):
                 self.flight.copy_from(self.arcs, rows[part])
             epoch = torch.zeros(len(part), dtype=torch.float64, device=self.device)
             ephemeris = Samples(self.arcs.ephemeris[rows[part]], epoch)
-            orbits = PlannedOrbits(Samples(fine[:, ::2].contiguous(), epoch), ephemeris, Samples(fine, epoch))
+            orbits = PlannedOrbits(Samples(fine, epoch), ephemeris)
             self.eclipses.search(rows[part], orbits, duration[part])
             if self.access is not None:
                 self.access.generate(rows[part], orbits, duration[part])
@@ -179,7 +179,11 @@ class LookAhead(StateTable):
         self._reach(self.arcs, time, now)
 
     def reach_in_flight(self, time: Tensor, now: Tensor) -> None:
-        """Make every arc that ticks fly on cover ``time`` [N] s, and those of look-ahead, too; ``now`` [N] s is the present."""
+        """Make every arc that ticks fly on, and those of look-ahead, cover flights up to ``time`` [N] s.
+
+        Ticks interpolate between nodes on both sides of the time, so arcs reach further. ``now`` [N] s is the present.
+        """
+        time = torch.where(time > now, time + REACH_AROUND, time)
         self._reach(self.arcs, time, now)
         if self.flight is not self.arcs:
             self._reach(self.flight, time, now)
@@ -259,7 +263,7 @@ class LookAhead(StateTable):
         """Search as many segments more of ``rows`` [n] as are searched at once."""
         access: Any = self.access
         target = torch.zeros_like(now)
-        target[rows] = access.ready[rows] + max(access.ahead * access.segment, PLAN_STEP * COUNT)
+        target[rows] = access.ready[rows] + access.ahead * access.segment + BEFORE_SEARCH + BEHIND_SEARCH
         self.reach(target, now)
         for part in torch.split(rows, self._rows_at_once(rows)):
             access.extend(part, now)

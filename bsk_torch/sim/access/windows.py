@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping
 import torch
 from torch import Tensor
 
-from bsk_torch.astro.interpolate import COUNT
+from bsk_torch.astro.interpolate import BEFORE, COUNT
 from bsk_torch.sim.access.generation import GenerationIntervals, true_windows, windows_of_bsk_rl
 from bsk_torch.sim.access.padded import tabulate
 from bsk_torch.sim.access.passes import GroundTrack, Passes, PassSearch, Places
@@ -28,6 +28,13 @@ MAX_SEGMENTS = 100
 
 SEARCH_AHEAD = 10800.0
 """Longest time, s, that is searched at once beyond the end of what queries see; see :meth:`AccessWindows.expect`."""
+
+BEFORE_SEARCH, BEHIND_SEARCH = (BEFORE + 2) * PLAN_STEP, (COUNT - BEFORE) * PLAN_STEP
+"""Seconds of the ground track around an interval of the search: with them, what is found in it does not depend on its ends.
+
+A crossing is interpolated between :data:`~bsk_torch.astro.interpolate.COUNT` samples, and a short pass is searched for between a
+sample's two neighbours.
+"""
 
 PASSES_PER_SECOND = 1.2e-5
 """Typical rate of passes of a low orbit over one place, 1/s."""
@@ -129,11 +136,12 @@ class AccessWindows(StateTable):
             duration: Seconds for which windows are generated, [n], whole segments; 0 for none. Segments beyond are searched as
                 far as the arcs reach: queries will ask for them.
         """
-        longest = min(self.arcs.length, max(float(duration.max()) + self.ahead * self.segment, PLAN_STEP * COUNT))
-        longest = max(longest, float(self.arcs.planned_from[rows].max()) + self.segment)
+        longest = min(self.arcs.length - BEHIND_SEARCH, float(duration.max()) + self.ahead * self.segment)
+        longest = max(longest, float(self.arcs.planned_from[rows].max()) + self.segment + BEFORE_SEARCH)
         start = torch.zeros_like(duration)
-        track = GroundTrack(self.visibility.ground_track(orbits, start, round(longest / PLAN_STEP) + 1), start)
-        end = duration + torch.floor((longest - duration) / self.segment) * self.segment
+        samples = math.ceil((longest + BEHIND_SEARCH) / PLAN_STEP) + 1
+        track = GroundTrack(self.visibility.ground_track(orbits, start, samples), start)
+        end = duration + torch.floor((longest - duration) / self.segment).clamp(min=0.0) * self.segment
         intervals = GenerationIntervals(start, torch.where(duration > 0.0, duration, self.segment), end, self.segment)
         for kind in self.kinds:
             self._store_passes(kind, rows, self._generate(kind, rows, track, intervals))
@@ -220,21 +228,23 @@ class AccessWindows(StateTable):
         self._search_on(rows, self.ahead, time[rows])
 
     def catch_up(self, rows: Tensor) -> None:
-        """Search all that the planned arcs of ``rows`` hold, before their first hour is dropped."""
+        """Search all that the planned arcs of ``rows`` hold, before their first hour is dropped; forget what closed before."""
         started = self.arcs.et[rows] != 0.0
-        behind = rows[started & (self.ready[rows] < self.arcs.planned_from[rows] + ARC_SEGMENT)]
+        behind = rows[started & (self.ready[rows] - BEFORE_SEARCH < self.arcs.planned_from[rows] + ARC_SEGMENT)]
         if len(behind):
-            self._search_on(behind, 10**9, torch.zeros_like(self.ready[behind]))
+            self._search_on(behind, 10**9, self.arcs.start[behind])
 
     def _search_on(self, rows: Tensor, segments: int, time: Tensor) -> None:
         """Search at most so many segments of ``rows`` [n]; drop windows that closed before ``time`` [n] s."""
-        room = int(float((self.arcs.end[rows] - self.ready[rows]).min()) / self.segment)
+        begin, begun = self.ready[rows], self.arcs.begun
+        room = int((float((self.arcs.end[rows] - begin).min()) - BEFORE_SEARCH - BEHIND_SEARCH) / self.segment)
         segments = min(segments, room)
         if segments <= 0:
             return
         orbits = PlannedOrbits(self.arcs.planned_samples, self.arcs.ephemeris_samples).take(rows)
-        begin, samples = self.ready[rows], max(round(segments * self.segment / PLAN_STEP) + 1, COUNT)
-        track = GroundTrack(self.visibility.ground_track(orbits, begin, samples), begin)
+        start = torch.maximum(begin - BEFORE_SEARCH, begun[rows] if isinstance(begun, Tensor) else torch.zeros_like(begin))
+        samples = round((segments * self.segment + BEFORE_SEARCH + BEHIND_SEARCH) / PLAN_STEP) + 1
+        track = GroundTrack(self.visibility.ground_track(orbits, start, samples), start)
         end = begin + segments * self.segment
         intervals = GenerationIntervals(begin, begin + self.segment, end, self.segment)
         for kind in self.kinds:
@@ -249,8 +259,8 @@ class AccessWindows(StateTable):
     def _generate(self, kind: str, rows: Tensor, track: GroundTrack, intervals: GenerationIntervals) -> Passes:
         """Return the windows of ``rows`` [n] over one kind of places."""
         search = PassSearch(self.visibility, track, self.kinds[kind](rows))
-        passes = search.passes()
-        return windows_of_bsk_rl(search, passes, intervals) if self.as_bsk_rl else true_windows(passes, intervals)
+        windows = windows_of_bsk_rl if self.as_bsk_rl else true_windows
+        return windows(search, search.passes(), intervals)
 
     def _store_passes(self, kind: str, rows: Tensor, found: Passes) -> None:
         close, opens, place = tabulate(found.row, found.close, len(rows), found.open, found.place)

@@ -59,12 +59,14 @@ def pole_rate(pole: Mat3) -> Vec3:
     return Vec3(torch.full_like(pole.z.z, -POLE_DECLINATION_RATE), pole.y.z * ascension, pole.z.z * ascension)
 
 
-def ephemeris_records(et: Tensor, hours: int) -> Tensor:
-    """Return records [n, hours, 16] of :data:`EPHEMERIS_TRACK`, one an hour from ET [n], s, on.
+def ephemeris_records(et: Tensor, hours: int, start: Tensor | float = 0.0) -> Tensor:
+    """Return records [n, hours, 16] of :data:`EPHEMERIS_TRACK`, one an hour from ``start``, [n] s after ET [n], s, on.
 
     No episode reaches the end of the Sun's table, but look-ahead may: there the Sun stays where it is at the end.
     """
-    times = et.unsqueeze(-1) + EPHEMERIS_TRACK.spacing * torch.arange(hours, device=et.device)
+    elapsed = EPHEMERIS_TRACK.spacing * torch.arange(hours, device=et.device)
+    elapsed = elapsed + (start.unsqueeze(-1) if isinstance(start, Tensor) else start)
+    times = et.unsqueeze(-1) + elapsed  # rounded once: a record does not depend on where its table starts
     parts = [
         *sun_state(times.clamp(max=coverage()[1])),
         earth_angles(times)[2].unsqueeze(-1),

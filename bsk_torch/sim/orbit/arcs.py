@@ -19,12 +19,12 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from bsk_torch.astro.interpolate import coefficients, position, velocity
+from bsk_torch.astro.interpolate import BEFORE, COUNT, coefficients, position, velocity
 from bsk_torch.codegen.kernel import Samples
 from bsk_torch.sim.component import Bus, Track
 from bsk_torch.sim.environment.ephemeris import EPHEMERIS_TRACK, ephemeris_records
 from bsk_torch.sim.orbit.builder import ARC
-from bsk_torch.sim.orbit.grid import ARC_SEGMENT, LEAD_NODES, NODE_SPACING, NODES_PER_SEGMENT
+from bsk_torch.sim.orbit.grid import ARC_SEGMENT, LEAD_NODES, NODE_SPACING, NODES_PER_SEGMENT, PLAN_STEP, SAMPLES_PER_SEGMENT
 from bsk_torch.sim.orbit.solution import Solution, Solver
 from bsk_torch.sim.state import StateTable
 
@@ -42,6 +42,9 @@ def follow_arc(bus: Bus) -> None:
     bus.r_BN_N, bus.v_BN_N = position(path, s), velocity(path, s, NODE_SPACING)
 
 
+REACH_AROUND = (COUNT - BEFORE) * NODE_SPACING
+"""Seconds behind a time that arcs must cover so that the interpolation at that time is not one-sided."""
+
 FARTHEST = 1e13
 """Largest number, in m, m/s or s, that arcs may hold; the Sun is 1.5e11 m away."""
 
@@ -50,8 +53,8 @@ class Arcs(StateTable):
     """Flown and planned arcs of satellites: ``spans`` hours of nodes for each, starting at its own time.
 
     ``flown`` [N, Q, 3] are positions in N, m, and ``ephemeris`` [N, H, 16] the records of Sun and Earth, from ``start`` [N] s on,
-    positions from :data:`LEAD_NODES` nodes before; ``planned`` [N, P, 3] are the last planned positions, ``tail`` [N, T] is the
-    state of the solver at the end of the arcs, and ``et`` [N] is ET at time zero, s.
+    positions from :data:`LEAD_NODES` nodes before; ``planned`` [N, P, 3] are the last planned ones, every 30 s;
+    ``tail`` [N, T] is the state of the solver at the end of the arcs, and ``et`` [N] is ET at time zero, s.
     """
 
     flown: Tensor
@@ -70,7 +73,7 @@ class Arcs(StateTable):
         self.solver, self.kept = solver, kept
         far: dict[str, Any] = {"low": -FARTHEST, "high": FARTHEST}
         self.declare("flown", None, LEAD_NODES + spans * NODES_PER_SEGMENT + 1, 3, grows=True, **far)
-        self.declare("planned", None, min(spans, kept) * NODES_PER_SEGMENT + 1, 3, grows=True, **far)
+        self.declare("planned", None, min(spans, kept) * SAMPLES_PER_SEGMENT + 1, 3, grows=True, **far)
         self.declare("ephemeris", None, spans + 2, EPHEMERIS_TRACK.width, grows=True, **far)
         self.declare("tail", None, solver.tail, **far)
         self.declare("start", low=0.0, high=FARTHEST)
@@ -81,7 +84,7 @@ class Arcs(StateTable):
         spans = (self.flown.shape[1] - LEAD_NODES - 1) // NODES_PER_SEGMENT
         widths = {
             "flown": LEAD_NODES + spans * NODES_PER_SEGMENT + 1,
-            "planned": min(spans, self.kept) * NODES_PER_SEGMENT + 1,
+            "planned": min(spans, self.kept) * SAMPLES_PER_SEGMENT + 1,
             "ephemeris": spans + 2,
         }
         for name, width in widths.items():
@@ -115,13 +118,13 @@ class Arcs(StateTable):
 
     @property
     def planned_samples(self) -> Samples:
-        """The planned arc as a track."""
-        return Samples(self.planned, self.planned_from)
+        """The planned arc as a track of samples, half a step early, so that rounded times of samples find these."""
+        return Samples(self.planned, self.planned_from - 0.5 * PLAN_STEP)
 
     @property
     def planned_from(self) -> Tensor:
-        """Time of the first planned node that is kept, [N]."""
-        return self.end - (self.planned.shape[1] - 1) * NODE_SPACING
+        """Time of the first planned sample that is kept, [N]."""
+        return self.end - (self.planned.shape[1] - 1) * PLAN_STEP
 
     @property
     def ephemeris_samples(self) -> Samples:
@@ -140,23 +143,23 @@ class Arcs(StateTable):
         """Solve the arcs of ``rows`` [n] anew from ET [n] and position and velocity [n, 3] at time zero.
 
         Returns:
-            Samples [n, 2 Q - 1, 3] of the whole planned arcs, every 30 s from time zero on.
+            Samples [n, 2 Q - 1, 3] of the whole planned arcs, every 30 s from time zero on, of which ``planned`` keeps the last.
         """
         self.start[rows], self.et[rows] = 0.0, et
         ephemeris = ephemeris_records(et, self.ephemeris.shape[1])
         flown, planned, tail = self.solver.begin(et, r, v, ephemeris, self.flown.shape[1] - LEAD_NODES)
         self.ephemeris[rows], self.flown[rows], self.tail[rows] = ephemeris, flown, tail
-        self.planned[rows] = planned[:, ::2][:, -self.planned.shape[1] :]
+        self.planned[rows] = planned[:, -self.planned.shape[1] :]
         return planned
 
     def extend(self, rows: Tensor) -> None:
         """Move the arcs of ``rows`` on by an hour, dropping one at their beginning."""
         start = self.start[rows] + ARC_SEGMENT
-        ephemeris = ephemeris_records(self.et[rows] + start, self.ephemeris.shape[1])
-        kept, planned = self.flown[rows, NODES_PER_SEGMENT:], self.planned[rows, NODES_PER_SEGMENT:]
+        ephemeris = ephemeris_records(self.et[rows], self.ephemeris.shape[1], start)
+        kept, planned = self.flown[rows, NODES_PER_SEGMENT:], self.planned[rows, SAMPLES_PER_SEGMENT:]
         flown, new, tail = self._solved(rows, self.et[rows], self.tail[rows], start, ephemeris, kept)
         self.start[rows], self.ephemeris[rows], self.tail[rows] = start, ephemeris, tail
-        self.flown[rows], self.planned[rows] = flown, torch.cat([planned, new[:, 1::2]], 1)
+        self.flown[rows], self.planned[rows] = flown, torch.cat([planned, new], 1)
 
     def _solved(self, rows: Tensor, *known: Tensor) -> Solution:
         """Solve the next hour of ``rows`` [n]; FloatingPointError where positions are not finite."""
@@ -176,10 +179,10 @@ class Arcs(StateTable):
 
     def grow(self) -> None:
         """Make every arc an hour longer; nothing changes if that fails."""
-        ephemeris = ephemeris_records(self.et + self.start, self.ephemeris.shape[1] + 1)
+        ephemeris = ephemeris_records(self.et, self.ephemeris.shape[1] + 1, self.start)
         flown, new, tail = self._solved(self.all_rows, self.et, self.tail, self.start, ephemeris, self.flown)
-        full = self.planned.shape[1] > self.kept * NODES_PER_SEGMENT
-        planned = torch.cat([self.planned[:, NODES_PER_SEGMENT if full else 0 :], new[:, 1::2]], 1)
+        full = self.planned.shape[1] > self.kept * SAMPLES_PER_SEGMENT
+        planned = torch.cat([self.planned[:, SAMPLES_PER_SEGMENT if full else 0 :], new], 1)
         self.__dict__.update(ephemeris=ephemeris, flown=flown, planned=planned, tail=tail)
 
 

@@ -17,3 +17,8 @@ LEAD_NODES = 4
 
 PLAN_STEP = 30.0
 """Step, s, of bsk_rl's look-ahead propagation, whose samples are those of the planned arc."""
+
+RECORDS = 3
+"""Records of the ephemeris in which a segment lies, with one more behind it."""
+
+SAMPLES_PER_SEGMENT = round(ARC_SEGMENT / PLAN_STEP)

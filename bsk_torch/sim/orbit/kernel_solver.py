@@ -8,7 +8,7 @@ from torch import Tensor
 from bsk_torch.codegen.kernel import Samples
 from bsk_torch.sim.orbit import flown_arc, planned_arc
 from bsk_torch.sim.orbit.equations import frame_stretch
-from bsk_torch.sim.orbit.grid import LEAD_NODES, NODE_SPACING, NODES_PER_SEGMENT, PLAN_STEP
+from bsk_torch.sim.orbit.grid import ARC_SEGMENT, LEAD_NODES, NODE_SPACING, NODES_PER_SEGMENT, PLAN_STEP, RECORDS
 from bsk_torch.sim.orbit.solution import Solution
 
 MINUTE_NS, DIFFERENCE_STEP_NS = round(NODE_SPACING * 1e9), round(planned_arc.DIFFERENCE_STEP * 1e9)
@@ -33,8 +33,22 @@ class KernelSolver:
         self.schedule = flown_arc.start_schedule()
 
     def begin(self, et: Tensor, r: Tensor, v: Tensor, ephemeris: Tensor, nodes: int) -> Solution:
-        """See :class:`bsk_torch.sim.orbit.solution.Solver`."""
-        n, around, lead = len(et), Samples(ephemeris, torch.zeros_like(et)), 2 * LEAD_NODES
+        """See :class:`bsk_torch.sim.orbit.solution.Solver`.
+
+        Hours are solved one by one, as :meth:`extend` does, so that arcs do not depend on how far they are solved at once.
+        """
+        first = self._first_hour(et, r, v, ephemeris[:, :RECORDS].contiguous())
+        flown, planned, tail = [first.flown], [first.planned], first.tail
+        for hour in range(1, (nodes - 1) // NODES_PER_SEGMENT):
+            start, around = torch.full_like(et, hour * ARC_SEGMENT), ephemeris[:, hour : hour + RECORDS].contiguous()
+            new = self.extend(et, tail, start, around, flown[-1][:, -1 - LEAD_NODES :])
+            flown.append(new.flown[:, 1 + LEAD_NODES :])
+            planned.append(new.planned)
+            tail = new.tail
+        return Solution(torch.cat(flown, 1), torch.cat(planned, 1), tail)
+
+    def _first_hour(self, et: Tensor, r: Tensor, v: Tensor, ephemeris: Tensor) -> Solution:
+        n, around, lead, nodes = len(et), Samples(ephemeris, torch.zeros_like(et)), 2 * LEAD_NODES, NODES_PER_SEGMENT + 1
         fine = torch.empty(n, lead + 2 * nodes - 1, 3, dtype=torch.float64)
         state = self._start(r, v, around, fine)
         self._fly(state, torch.full((n,), flown_arc.START_STEPS[-1]), around, fine[:, 1 + flown_arc.MULTISTEP_ORDER :])

@@ -140,7 +140,7 @@ class PicardSolver:
 
     def extend(self, et: Tensor, tail: Tensor, start: Tensor, ephemeris: Tensor, flown: Tensor) -> Solution:
         """See :class:`bsk_torch.sim.orbit.solution.Solver`."""
-        new, planned, tail = self._hour(et + start + (flown.shape[1] - 1 - LEAD_NODES) * NODE_SPACING, tail)
+        new, planned, tail = self._hour(et + (start + (flown.shape[1] - 1 - LEAD_NODES) * NODE_SPACING), tail)
         return Solution(torch.cat([flown, new], 1), planned, tail)
 
     def accelerations(self, nodes: Tensor, ephemeris: Samples) -> Tensor:

@@ -13,15 +13,9 @@ from bsk_torch.astro.interpolate import BEFORE, COUNT, coefficients
 from bsk_torch.codegen.kernel import Samples
 from bsk_torch.sim.environment.ephemeris import ephemeris_records
 from bsk_torch.sim.orbit.arcs import FARTHEST, PLANNED_SEGMENTS, Arcs, off_the_hour
-from bsk_torch.sim.orbit.grid import ARC_SEGMENT, LEAD_NODES, NODE_SPACING, NODES_PER_SEGMENT
+from bsk_torch.sim.orbit.grid import ARC_SEGMENT, LEAD_NODES, NODE_SPACING, NODES_PER_SEGMENT, RECORDS, SAMPLES_PER_SEGMENT
 from bsk_torch.sim.orbit.solution import Solver
 from bsk_torch.vec3 import Vec3
-
-REACH_AROUND = (COUNT - BEFORE) * NODE_SPACING
-"""Seconds behind a time that arcs must cover so that the interpolation at that time is not one-sided."""
-
-RECORDS = 3
-"""Records of the ephemeris in which an hour lies, with one more behind it."""
 
 
 class RestartableArcs(Arcs):
@@ -82,14 +76,13 @@ class RestartableArcs(Arcs):
         The first hour is solved. A backward continuation of the new orbit stands before its beginning.
         """
         et = self.et[rows] + time
-        ephemeris = ephemeris_records(et, self.ephemeris.shape[1])
+        ephemeris = ephemeris_records(self.et[rows], self.ephemeris.shape[1], time)
         flown, planned, tail = self.solver.begin(et, r, v, ephemeris[:, :RECORDS].contiguous(), NODES_PER_SEGMENT + 1)
         self._check_finite(rows, planned, flown)
         self.epoch[rows], self.start[rows], self.solved[rows] = time, time, time + ARC_SEGMENT
         self.ephemeris[rows], self.tail[rows] = ephemeris, tail
         self.flown[rows, : flown.shape[1]] = flown
-        nodes = torch.cat([flown[:, :LEAD_NODES], planned[:, ::2]], 1)[:, -self.planned.shape[1] :]
-        self.planned[rows, self.planned.shape[1] - nodes.shape[1] :] = nodes
+        self.planned[rows, self.planned.shape[1] - planned.shape[1] :] = planned
 
     def extend(self, rows: Tensor) -> None:
         """Solve the next hour of ``rows``; those whose tables are full drop an hour at their beginning."""
@@ -97,7 +90,7 @@ class RestartableArcs(Arcs):
         if len(full):
             self.flown[full, :-NODES_PER_SEGMENT] = self.flown[full, NODES_PER_SEGMENT:]
             self.start[full] += ARC_SEGMENT
-            self.ephemeris[full] = ephemeris_records(self.et[full] + self.start[full], self.ephemeris.shape[1])
+            self.ephemeris[full] = ephemeris_records(self.et[full], self.ephemeris.shape[1], self.start[full])
         hours = torch.round((self.solved[rows] - self.start[rows]) / ARC_SEGMENT).long().unsqueeze(-1)
         count = torch.arange(LEAD_NODES + 1 + NODES_PER_SEGMENT, device=self.device)
         column = hours * NODES_PER_SEGMENT + count
@@ -112,17 +105,17 @@ class RestartableArcs(Arcs):
             self.flown[row, column[:, : LEAD_NODES + 1]],
         )
         self.flown[row, column[:, LEAD_NODES + 1 :]] = flown[:, LEAD_NODES + 1 :]
-        self.planned[rows] = torch.cat([self.planned[rows, NODES_PER_SEGMENT:], planned[:, 1::2]], 1)
+        self.planned[rows] = torch.cat([self.planned[rows, SAMPLES_PER_SEGMENT:], planned], 1)
         self.tail[rows] = tail
         self.solved[rows] += ARC_SEGMENT
 
     def grow(self) -> None:
         """Make room for an hour more in every arc; nothing is solved."""
-        ephemeris = ephemeris_records(self.et + self.start, self.ephemeris.shape[1] + 1)
+        ephemeris = ephemeris_records(self.et, self.ephemeris.shape[1] + 1, self.start)
         flown = torch.cat([self.flown, self.flown[:, -1:].expand(-1, NODES_PER_SEGMENT, -1)], 1)
         planned = self.planned
-        if planned.shape[1] <= self.kept * NODES_PER_SEGMENT:  # the last node is that of the end
-            planned = torch.cat([planned[:, :1].expand(-1, NODES_PER_SEGMENT, -1), planned], 1)
+        if planned.shape[1] <= self.kept * SAMPLES_PER_SEGMENT:  # the last sample is that of the end
+            planned = torch.cat([planned[:, :1].expand(-1, SAMPLES_PER_SEGMENT, -1), planned], 1)
         self.__dict__.update(ephemeris=ephemeris, flown=flown, planned=planned)
 
     def state_at(self, rows: Tensor, time: Tensor) -> tuple[Tensor, Tensor]:

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from bsk_torch.astro.frames import fixed_to_lla
 from bsk_torch.env import SatelliteTasking
-from bsk_torch.sim.access.visibility.planned import PlannedOrbits, planned_position, take_rows
+from bsk_torch.sim.access.visibility.planned import position_between, take_rows
 from bsk_torch.sim.environment.ephemeris import EPHEMERIS_TRACK, fixed
 from bsk_torch.sim.orbit.arcs import ARC, Arcs, segments_for
 from bsk_torch.sim.simulator import Simulator
@@ -97,7 +97,7 @@ def between(simulator: Simulator, times: Tensor, r_N: Tensor, v_N: Tensor, row: 
     arcs = Arcs(len(times), segments_for(float(elapsed.max()) + SAMPLE), simulator.arcs.solver)
     arcs.solve(torch.arange(len(times), device=times.device), simulator.arcs.et[0] + times, r_N, v_N)
     flown, sky = (take_rows(samples, row) for samples in arcs.tracks((ARC, EPHEMERIS_TRACK)))
-    r, around = planned_position(PlannedOrbits(flown, sky), elapsed)
+    r, around = position_between(flown, sky, elapsed)
     return fixed(around, r).stack()
 
 

@@ -859,7 +859,7 @@ extern "C" void run(int64_t blocks, int64_t threads, const int64_t* rows, int64_
     remember(0);
     for (int64_t k = 1; k <= last; ++k) {
       const D ticks_now = ticks_start + D(double(k));
-      const D time_now = ticks_now * D(double(nanoseconds)) * D(1e-9);
+      const D time_now = ticks_now * D(double(nanoseconds)) / D(1e9);
       const D elapsed_1 = time_now - start_1;
       if (k == 1 || any(either(lt(elapsed_1, from_1), ge(elapsed_1, until_1)))) {
         const D none(0), most(double(records_1 - 2)), spacing(3600.0), before(0.0);

@@ -15,7 +15,7 @@ from bsk_torch.sim.access.visibility.backend import make_visibility
 from bsk_torch.sim.access.visibility.planned import PlannedOrbits
 from bsk_torch.sim.environment.ephemeris import ephemeris_records
 from bsk_torch.sim.orbit.arcs import Arcs, segments_for
-from bsk_torch.sim.orbit.grid import ARC_SEGMENT, NODE_SPACING, PLAN_STEP
+from bsk_torch.sim.orbit.grid import ARC_SEGMENT, PLAN_STEP
 from bsk_torch.sim.orbit.solvers import make_solver
 from bsk_torch.vec3 import Vec3
 from tests.sim.orbit.arcs import Solved, planned
@@ -183,7 +183,7 @@ def circular(spans: int, backend: str) -> Solved:
     """A planned arc that is a circle in the equator's plane instead of a solution."""
     arcs = Arcs(1, spans, make_solver(1.0, backend, CPU))
     arcs.et[:] = parse_utc("2020-03-01T00:00:00")
-    angle = math.sqrt(MU_EARTH / 6871e3**3) * NODE_SPACING * torch.arange(arcs.flown.shape[1], dtype=torch.float64)
+    angle = math.sqrt(MU_EARTH / 6871e3**3) * PLAN_STEP * torch.arange(2 * arcs.flown.shape[1], dtype=torch.float64)
     zero = torch.zeros_like(angle)
     r, _ = elements_to_rv(Elements(zero + 6871e3, zero, zero + 0.9, zero, zero, angle))
     ephemeris = ephemeris_records(arcs.et, spans + 1)

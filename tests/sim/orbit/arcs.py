@@ -13,7 +13,7 @@ from bsk_torch.astro.interpolate import coefficients, position, velocity
 from bsk_torch.astro.orbit import Elements, elements_to_rv
 from bsk_torch.constants import R_EARTH
 from bsk_torch.sim.access.passes import GroundTrack, Places
-from bsk_torch.sim.access.visibility.planned import PlannedOrbits, planned_position
+from bsk_torch.sim.access.visibility.planned import PlannedOrbits, position_between
 from bsk_torch.sim.component import neighbours
 from bsk_torch.sim.orbit.arcs import ARC, Arcs
 from bsk_torch.sim.orbit.grid import LEAD_NODES, NODE_SPACING, PLAN_STEP
@@ -59,7 +59,8 @@ def flown(arcs: Arcs, row: int, time: torch.Tensor) -> tuple[torch.Tensor, torch
 
 def planned(view: PlannedOrbits, row: int, time: torch.Tensor) -> Vec3:
     """Planned position of one row at times [m]."""
-    return planned_position(view.take(torch.full(time.shape, row)), time)[0]
+    samples, ephemeris = view.take(torch.full(time.shape, row))
+    return position_between(samples._replace(table=samples.table[:, ::2]), ephemeris, time)[0]
 
 
 # -- brute force ---------------------------------------------------------------------------------------------------------------

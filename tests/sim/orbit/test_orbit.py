@@ -18,7 +18,7 @@ from bsk_torch.constants import MU_EARTH
 from bsk_torch.sim.environment.ephemeris import EPHEMERIS_TRACK, ephemeris_records, pole_matrix
 from bsk_torch.sim.orbit.arcs import ARC, PLANNED_SEGMENTS, Arcs, follow_arc, segments_for
 from bsk_torch.sim.orbit.equations import frame_stretch
-from bsk_torch.sim.orbit.grid import ARC_SEGMENT, LEAD_NODES, NODE_SPACING, NODES_PER_SEGMENT, PLAN_STEP
+from bsk_torch.sim.orbit.grid import ARC_SEGMENT, LEAD_NODES, NODE_SPACING, PLAN_STEP, SAMPLES_PER_SEGMENT
 from bsk_torch.vec3 import Mat3, Vec3
 from tests.astro.test_gravity import disturbing_potential
 from tests.sim.orbit.arcs import above, flown, orbits, planned
@@ -142,19 +142,12 @@ def test_jacobi_integral_and_momentum_of_a_long_flight(make_arcs, backend):
 # -- tables -----------------------------------------------------------------------------------------------------------------
 
 
-SEAM = {"eager": (0.0, 0.0), "compiled": (1e-6, 1e-5)}
-"""How far flown and planned arcs may move, m, when they are solved in parts; measured 5e-7 and 2e-6 over five parts.
-
-Kernels see the Sun's last record, and the planned arc the last flown nodes, from one side only where the tables end.
-"""
-
-
-def assert_same_arcs(arcs: Arcs, row: int, long: Arcs, whole: torch.Tensor, tolerance: tuple[float, float]) -> None:
-    """One row against a longer solve from time zero, whose whole plan is given."""
+def assert_same_arcs(arcs: Arcs, row: int, long: Arcs, whole: torch.Tensor) -> None:
+    """One row against a longer solve from time zero, whose whole plan is given: the same bit for bit."""
     begin, end = round(arcs.start[row].item() / NODE_SPACING), round(arcs.end[row].item() / NODE_SPACING) + 1
-    torch.testing.assert_close(arcs.flown[row], long.flown[row, begin : LEAD_NODES + end], rtol=0, atol=tolerance[0])
-    kept = whole[row, end - arcs.planned.shape[1] : end]
-    torch.testing.assert_close(arcs.planned[row], kept, rtol=0, atol=tolerance[1])
+    assert torch.equal(arcs.flown[row], long.flown[row, begin : LEAD_NODES + end])
+    last = round(arcs.end[row].item() / PLAN_STEP) + 1
+    assert torch.equal(arcs.planned[row], whole[row, last - arcs.planned.shape[1] : last])
 
 
 def test_extend_and_grow_give_the_nodes_of_a_longer_solve(recording, solve_arcs, make_arcs, backend):
@@ -168,8 +161,8 @@ def test_extend_and_grow_give_the_nodes_of_a_longer_solve(recording, solve_arcs,
     assert moved.start.tolist() == [2 * ARC_SEGMENT, 0.0, 0.0, 2 * ARC_SEGMENT, 0.0]
     assert grown.length == 5 * ARC_SEGMENT
     for row in range(5):
-        assert_same_arcs(moved, row, long, view.nodes.table, SEAM[backend])
-        assert_same_arcs(grown, row, long, view.nodes.table, SEAM[backend])
+        assert_same_arcs(moved, row, long, view.samples.table)
+        assert_same_arcs(grown, row, long, view.samples.table)
 
 
 def test_arcs_that_start_at_different_times_grow_together(recording, solve_arcs, make_arcs, backend):
@@ -181,7 +174,7 @@ def test_arcs_that_start_at_different_times_grow_together(recording, solve_arcs,
     arcs.grow()
     assert arcs.end.tolist() == [hours * ARC_SEGMENT for hours in (3, 4, 3, 3, 5)]
     for row in range(5):
-        assert_same_arcs(arcs, row, long, view.nodes.table, SEAM[backend])
+        assert_same_arcs(arcs, row, long, view.samples.table)
 
 
 @pytest.mark.parametrize("part", [[0], [4, 2], [0, 1, 2]], ids=str)
@@ -199,22 +192,22 @@ def test_rows_are_extended_as_if_alone(part, recording, make_arcs, backend):
 def test_only_the_last_hours_of_the_plan_are_kept(recording, solve_arcs, backend):
     initials = recording("windows")["ic"]
     arcs, view = solve_arcs(initials, PLANNED_SEGMENTS + 2, backend=backend)
-    assert view.nodes.table.shape[1] == arcs.flown.shape[1] - LEAD_NODES
-    kept = arcs.planned_samples
-    assert kept.table.shape[1] == PLANNED_SEGMENTS * NODES_PER_SEGMENT + 1
-    assert kept.start.tolist() == [2 * ARC_SEGMENT] * 5
-    assert torch.equal(kept.table, view.nodes.table[:, 2 * NODES_PER_SEGMENT :])
+    assert view.samples.table.shape[1] == 2 * (arcs.flown.shape[1] - LEAD_NODES) - 1
+    kept = arcs.planned
+    assert kept.shape[1] == PLANNED_SEGMENTS * SAMPLES_PER_SEGMENT + 1
+    assert arcs.planned_from.tolist() == [2 * ARC_SEGMENT] * 5
+    assert torch.equal(kept, view.samples.table[:, 2 * SAMPLES_PER_SEGMENT :])
     arcs.grow()
-    assert arcs.planned_samples.start.tolist() == [3 * ARC_SEGMENT] * 5
-    assert torch.equal(arcs.planned[:, :-NODES_PER_SEGMENT], view.nodes.table[:, 3 * NODES_PER_SEGMENT :])
+    assert arcs.planned_from.tolist() == [3 * ARC_SEGMENT] * 5
+    assert torch.equal(arcs.planned[:, :-SAMPLES_PER_SEGMENT], view.samples.table[:, 3 * SAMPLES_PER_SEGMENT :])
 
 
 def test_a_growing_plan_is_kept_up_to_its_length(recording, make_arcs, backend):
     arcs = make_arcs(recording("windows")["ic"][:1], PLANNED_SEGMENTS - 1, backend=backend)
-    assert arcs.planned.shape[1] == (PLANNED_SEGMENTS - 1) * NODES_PER_SEGMENT + 1
+    assert arcs.planned.shape[1] == (PLANNED_SEGMENTS - 1) * SAMPLES_PER_SEGMENT + 1
     for _ in range(2):
         arcs.grow()
-        assert arcs.planned.shape[1] == PLANNED_SEGMENTS * NODES_PER_SEGMENT + 1
+        assert arcs.planned.shape[1] == PLANNED_SEGMENTS * SAMPLES_PER_SEGMENT + 1
 
 
 def test_both_arcs_start_where_the_satellite_is(recording, solve_arcs, backend):
@@ -222,7 +215,7 @@ def test_both_arcs_start_where_the_satellite_is(recording, solve_arcs, backend):
     arcs, view = solve_arcs(initials, 1, backend=backend)
     r = torch.tensor([initial["rN"] for initial in initials], dtype=torch.float64)
     assert torch.equal(arcs.flown[:, LEAD_NODES], r)
-    assert torch.equal(view.nodes.table[:, 0], r)
+    assert torch.equal(view.samples.table[:, 0], r)
 
 
 def test_the_sky_covers_the_arcs(recording, make_arcs):

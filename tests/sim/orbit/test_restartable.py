@@ -3,9 +3,9 @@
 import pytest
 import torch
 
-from bsk_torch.sim.orbit.arcs import Arcs
+from bsk_torch.sim.orbit.arcs import REACH_AROUND, Arcs
 from bsk_torch.sim.orbit.grid import ARC_SEGMENT, LEAD_NODES, NODE_SPACING
-from bsk_torch.sim.orbit.restartable import REACH_AROUND, RestartableArcs
+from bsk_torch.sim.orbit.restartable import RestartableArcs
 from bsk_torch.sim.orbit.solvers import make_solver
 from tests.sim.orbit.arcs import flown, orbits
 

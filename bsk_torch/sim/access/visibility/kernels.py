@@ -26,7 +26,7 @@ from bsk_torch.sim.access.visibility.pairs import (
 from bsk_torch.sim.access.visibility.planned import PlannedOrbits
 from bsk_torch.sim.component import Bus, Track
 from bsk_torch.sim.environment.ephemeris import EPHEMERIS_TRACK, fixed
-from bsk_torch.sim.orbit.builder import ARC, FINE, KernelBuilder
+from bsk_torch.sim.orbit.builder import FINE, KernelBuilder
 from bsk_torch.sim.orbit.grid import PLAN_STEP
 from bsk_torch.vec3 import Vec3
 
@@ -36,11 +36,11 @@ class KernelVisibility:
 
     def umbra(self, orbits: PlannedOrbits, start: Tensor, count: int) -> Tensor:
         """See :meth:`Visibility.umbra`."""
-        return _run_samples(umbra_kernel(orbits.samples is not None), orbits, start, count, 1).squeeze(-1) > 0.5
+        return _run_samples(umbra_kernel(), orbits, start, count, 1).squeeze(-1) > 0.5
 
     def ground_track(self, orbits: PlannedOrbits, start: Tensor, count: int) -> Tensor:
         """See :meth:`Visibility.ground_track`."""
-        return _run_samples(ground_track_kernel(orbits.samples is not None), orbits, start, count, 3)
+        return _run_samples(ground_track_kernel(), orbits, start, count, 3)
 
     def events(self, pairs: PlacePairs, cells: SearchCells) -> Tensor:
         """See :meth:`Visibility.events`."""
@@ -89,39 +89,31 @@ def _run_pairs(
 
 def _run_samples(kernel: Kernel, orbits: PlannedOrbits, start: Tensor, count: int, width: int) -> Tensor:
     written = torch.empty(len(start), count, width, dtype=torch.float64)
-    kernel(start.unsqueeze(0).clone(), count, (orbits.ephemeris, orbits.samples or orbits.nodes), written=written)
+    kernel(start.unsqueeze(0).clone(), count, (orbits.ephemeris, orbits.samples), written=written)
     return written
 
 
 # -- kernels of one satellite: one tick for each sample --------------------------------------------------------------------------
 
 
-def _sample_kernel(name: str, sampled: bool, function: Callable[[Any, Bus], list[Any]]) -> Kernel:
-    """Return a kernel that writes a function of planned position and ephemeris at each sample; its state is the time.
-
-    ``sampled`` says whether positions are read from samples every 30 s instead of interpolated between nodes.
-    """
+def _sample_kernel(name: str, function: Callable[[Any, Bus], list[Any]]) -> Kernel:
+    """Return a kernel that writes a function of planned position and ephemeris at each sample; its state is the time."""
     builder = KernelBuilder()
     (time,) = builder.planes("state", 1)
-    if sampled:
-        r_BN_N = Vec3(*builder.records(2, 3))
-    else:
-        path, s = builder.path(2)
-        r_BN_N = position(path, s)
-    tracks = EPHEMERIS_TRACK, FINE if sampled else ARC
-    return Kernel(name, Loop(builder.program, [time + PLAN_STEP], tracks, function(r_BN_N, builder.ephemeris()), clock=time))
+    written = function(Vec3(*builder.records(2, 3)), builder.ephemeris())
+    return Kernel(name, Loop(builder.program, [time + PLAN_STEP], (EPHEMERIS_TRACK, FINE), written, clock=time))
 
 
 @cache
-def umbra_kernel(sampled: bool) -> Kernel:
+def umbra_kernel() -> Kernel:
     """Return the kernel that writes whether a satellite is in the umbra."""
-    return _sample_kernel("eclipse search", sampled, lambda r_BN_N, ephemeris: [in_umbra(r_BN_N, ephemeris.r_SN_N)])
+    return _sample_kernel("eclipse search", lambda r_BN_N, ephemeris: [in_umbra(r_BN_N, ephemeris.r_SN_N)])
 
 
 @cache
-def ground_track_kernel(sampled: bool) -> Kernel:
+def ground_track_kernel() -> Kernel:
     """Return the kernel that writes the Earth-fixed position."""
-    return _sample_kernel("ground track", sampled, lambda r_BN_N, ephemeris: list(fixed(ephemeris, r_BN_N)))
+    return _sample_kernel("ground track", lambda r_BN_N, ephemeris: list(fixed(ephemeris, r_BN_N)))
 
 
 # -- kernels of pairs: one tick for each sample or iteration ---------------------------------------------------------------------

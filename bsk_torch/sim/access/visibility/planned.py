@@ -1,4 +1,4 @@
-"""Planned orbits: their nodes, samples and ephemeris, and positions at arbitrary times."""
+"""Planned orbits: their samples and ephemeris, and positions between the nodes of an arc."""
 
 from __future__ import annotations
 
@@ -20,18 +20,16 @@ class PlannedOrbits(NamedTuple):
     """Planned orbits of n satellites as tables; see :class:`bsk_torch.sim.orbit.arcs.Arcs`.
 
     Attributes:
-        nodes: Positions in N, m, at the nodes of the interpolation.
+        samples: Positions in N, m, every 30 s.
         ephemeris: Records of the Sun and of the Earth's orientation.
-        samples: Positions in N, m, every 30 s; None if they are to be interpolated between the nodes.
     """
 
-    nodes: Samples
+    samples: Samples
     ephemeris: Samples
-    samples: Samples | None = None
 
     def take(self, rows: Tensor) -> PlannedOrbits:
         """Return the orbits of ``rows`` [m], which may repeat."""
-        return PlannedOrbits(*(part and take_rows(part, rows) for part in self))  # type: ignore[arg-type]
+        return PlannedOrbits(*(take_rows(part, rows) for part in self))
 
 
 def take_rows(samples: Samples, rows: Tensor) -> Samples:
@@ -45,18 +43,16 @@ def records_around(track: Track, samples: Samples, time: Tensor) -> tuple[Tensor
     return neighbours(track, samples.table, rows, time - samples.start[rows])
 
 
-def planned_position(orbits: PlannedOrbits, time: Tensor) -> tuple[Vec3, Bus]:
-    """Return the planned positions in N, m, at ``time`` [n] s since reset, and Sun and Earth at these times."""
-    nodes, tau = records_around(ARC, orbits.nodes, time)
-    records, ephemeris_tau = records_around(EPHEMERIS_TRACK, orbits.ephemeris, time)
-    return Vec3.of(positions(nodes, tau * (1.0 / NODE_SPACING))), ephemeris_at(records.flatten(1).unbind(-1), ephemeris_tau)
+def position_between(nodes: Samples, ephemeris: Samples, time: Tensor) -> tuple[Vec3, Bus]:
+    """Return positions in N, m, at ``time`` [n] s since reset, from nodes a minute apart, and Sun and Earth at these times."""
+    around, tau = records_around(ARC, nodes, time)
+    records, ephemeris_tau = records_around(EPHEMERIS_TRACK, ephemeris, time)
+    return Vec3.of(positions(around, tau * (1.0 / NODE_SPACING))), ephemeris_at(records.flatten(1).unbind(-1), ephemeris_tau)
 
 
 def sample_planned(orbits: PlannedOrbits, start: Tensor, count: int) -> tuple[Vec3, Bus]:
     """Return planned positions, Sun and Earth at ``count`` times 30 s apart from ``start`` [n] s on, flattened to [n * count]."""
     time = (start.unsqueeze(-1) + PLAN_STEP * torch.arange(count, device=start.device)).flatten()
     orbits = orbits.take(torch.arange(len(start), device=start.device).repeat_interleave(count))
-    if orbits.samples is None:
-        return planned_position(orbits, time)
     records, tau = records_around(EPHEMERIS_TRACK, orbits.ephemeris, time)
     return Vec3.of(records_around(FINE, orbits.samples, time)[0].squeeze(1)), ephemeris_at(records.flatten(1).unbind(-1), tau)
