@@ -39,6 +39,12 @@ STARTS: dict[str, list[Start]] = {
         ),
     ],
     "benchmarks/breakdown.py": [Start("--batches 2 --seconds 0.1 --warm-up 1", r"\| scan \| 2 \| all \| [\d,.]+ \| 100.0 \|")],
+    "benchmarks/clouds.py": [
+        Start(
+            "--frames 32 --num-envs 2 --episodes 2 --seeds 1 --time-limit 300 --worlds poor --views mean",
+            r"(?s)\| poor \| hasty by chance \| [\d.]+ \| .*\| poor \| mean \| [\d.]+ \| ",
+        ),
+    ],
     "benchmarks/compare.py": [
         Start("--base {root} --only 1 --turns 1 --processes 1 --seconds 0.1 --warm-up 1", r"\| 1 \| \d+ \| .* \| True \|"),
     ],
