@@ -300,6 +300,36 @@ def planners(name: str) -> str:
     return with_command(name, head, rows)
 
 
+def spread(values: Sequence[float], form: str) -> str:
+    """Return a mean, with the least and the largest of several values."""
+    mean, low, high = (form.format(x) for x in (sum(values) / len(values), min(values), max(values)))
+    return mean if len(values) == 1 else f"{mean} ({low} to {high})"
+
+
+def difficulties(name: str, what: str) -> str:
+    """Return survival or return (``what``) of trainings by condition."""
+    found = load(name)["found"]
+    form = "{:.1%}" if what == "survival" else "{:.3f}"
+    conditions = list(next(iter(found.values()))[0])
+    rows = [
+        [training, *(spread([result[condition][what] for result in results], form) for condition in conditions)]
+        for training, results in found.items()
+    ]
+    return f"{table(['training', *conditions], rows)}\n"
+
+
+def clouds(name: str) -> str:
+    """Return what policies reach under clouds, by what they see of them."""
+    rows = []
+    for world, policies in load(name)["found"].items():
+        for policy, results in policies.items():
+            gains = ", ".join(f"{row['gain']:+.2f} ± {row['gain_half']:.2f}" for row in results)
+            decisions = whole(results[0]["frames"]) if results[0]["frames"] else "-"
+            rows.append([world, policy, decisions, spread([row["return"] for row in results], "{:.2f}"), gains])
+    head = ["forecasts", "policy", "decisions in training", "return", "gain over hasty, each seed"]
+    return with_command(name, head, rows)
+
+
 def suites(name: str) -> str:
     """Return what policies reach in a suite, by preset."""
     content = load(name)
@@ -316,6 +346,9 @@ def suites(name: str) -> str:
 
 
 TABLES = {
+    "difficulties": difficulties,
+    "clouds": clouds,
+    "made": made,
     "vs_basilisk": vs_basilisk,
     "constellations": constellations,
     "breakdown": breakdown,
