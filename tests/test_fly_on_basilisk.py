@@ -18,7 +18,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "scripts" / "validation"))
 import fly_on_basilisk
 from flight import Flight, fly_here, problem_of
 from flight_comparison import Pair, findings, kept, rarest, table
-from flight_policy import FLOWN, Flyer, as_sets, random_action, recruit
+from flight_policy import FLOWN, Flyer, as_sets, planner_pilot, random_action, recruit, replay_pilot
 from fly_on_basilisk import absent_data, arguments
 from rich.console import Console
 
@@ -215,6 +215,22 @@ def test_what_is_kept_can_be_read_back_and_is_what_is_shown():
 
 
 # -- errors -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.compiled
+def test_a_planner_decides_here_and_its_actions_are_flown_there():
+    """By copies of the state, which Basilisk does not give."""
+    flyer = recruit("plan:rollout", "NadirScan-v1", ("base=rule", "horizon=300", "budget=2"))
+    flyer.check()
+    env = flyer.environment(2, time_limit=900.0)
+    starts, here = fly_here(env, planner_pilot(flyer, env), range(3, 5))
+    assert [start.seed for start in starts] == [3, 4]
+    pilot = replay_pilot({flight.seed: flight.actions for flight in here})
+    for flight in here:
+        flown = [int(pilot(TensorDict({}, [1]), [flight.seed], step)[0]) for step in range(flight.decisions + 2)]
+        assert flown == [*flight.actions.tolist(), *[flight.actions[-1]] * 2]
+    with pytest.raises(ValueError, match="--plan horizon=3 is an option of a planner"):
+        recruit("rule", None, ["horizon=3"])
 
 
 @pytest.mark.parametrize("seeds", ["5", "5:5", "7:3", "a:b", "-1:3", ":4"])

@@ -212,7 +212,9 @@ def flight_command(name: str) -> str:
 
 def flown(flight: Mapping[str, Any]) -> str:
     """Return the name of a policy that has flown."""
-    return "pretrained" if flight["policy"] == f"{flight['preset']}.pt" else flight["policy"]
+    if flight["policy"] == f"{flight['preset']}.pt":
+        return "pretrained"
+    return " ".join([flight["policy"], *(f"--plan {option}" for option in flight.get("plan", []))])
 
 
 def failures() -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,6 +14,7 @@ from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
+from bsk_torch.cli.planned import PREFIX, named_planner
 from bsk_torch.env import SatelliteTasking
 from bsk_torch.presets import make
 from bsk_torch.rl.policies.files import check_fits, load_policy, read_card
@@ -35,12 +36,19 @@ class Flyer:
     """A policy and the environment that it flies in: what a run has kept, or a baseline in a preset.
 
     ``options`` are arguments of the preset. Where they ask for targets ``as_set``, both sides observe a vector like bsk_rl, and
-    :func:`as_sets` makes of it what the policy is used to.
+    :func:`as_sets` makes of it what the policy is used to. ``plan`` are options NAME=VALUE of a planner, ``plan:NAME``: it
+    decides here, by copies of the state, and Basilisk flies the actions.
     """
 
     policy: str
     preset: str
     options: dict[str, Any]
+    plan: tuple[str, ...] = ()
+
+    @property
+    def plans(self) -> bool:
+        """Whether the policy is a planner."""
+        return self.policy.startswith(PREFIX)
 
     def environment(self, num_envs: int, **options: Any) -> SatelliteTasking:
         """The environment with bsk_rl's windows and float64 outputs: rewards are summed, and observations compared, unrounded."""
@@ -52,6 +60,9 @@ class Flyer:
         """ValueError or KeyError where the policy does not fit its environment."""
         if self.preset not in FLOWN:
             raise ValueError(f"preset {self.preset!r} cannot be flown on Basilisk; {', '.join(FLOWN)} can")
+        if self.plans:
+            named_planner(self.policy, self.preset, self.plan).build(self.environment(1, backend="eager"))
+            return
         if self.policy in BASELINES:
             self.pilot(())
             return
@@ -72,14 +83,16 @@ class Flyer:
         return policy_pilot(load_policy(self.policy), observed if self.options.get("as_set") else ())
 
 
-def recruit(policy: str, preset: str | None) -> Flyer:
-    """Return the policy that a command line names.
+def recruit(policy: str, preset: str | None, plan: Sequence[str] = ()) -> Flyer:
+    """Return the policy that a command line names, with options of a planner.
 
     Raises:
         ValueError: Where nothing is called so, or a file does not say what this version has to know.
     """
-    if policy in BASELINES:
-        return Flyer(policy, preset or FLOWN[0], {})
+    if plan and not policy.startswith(PREFIX):
+        raise ValueError(f"--plan {plan[0]} is an option of a planner, such as {PREFIX}rollout; POLICY={policy!r} is none")
+    if policy in BASELINES or policy.startswith(PREFIX):
+        return Flyer(policy, preset or FLOWN[0], {}, tuple(plan))
     try:
         card = read_card(policy)
     except FileNotFoundError as error:
@@ -93,6 +106,27 @@ def random_action(seen: TensorDict, seeds: Sequence[int], step: int) -> tuple[Te
     draws = [np.random.default_rng((seed, step)).random() for seed in seeds]
     chosen = torch.tensor(draws, dtype=torch.float64) * legal[:, -1]
     return (legal <= chosen.unsqueeze(-1)).sum(-1), seen["action_mask"].new_zeros(len(seeds), 0, dtype=torch.float64)
+
+
+def planner_pilot(flyer: Flyer, env: SatelliteTasking) -> Pilot:
+    """The decisions of a planner in the present state of ``env``, whose episodes it copies."""
+    planner = named_planner(flyer.policy, flyer.preset, flyer.plan).build(env)
+
+    def decide(seen: TensorDict, seeds: Sequence[int], step: int) -> tuple[Tensor, Tensor]:
+        with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
+            return planner(env.observe())["action"], torch.zeros(len(seeds), 0, dtype=torch.float64)
+
+    return decide
+
+
+def replay_pilot(actions: Mapping[int, np.ndarray]) -> Pilot:
+    """The actions of known flights, by seed; the last one again where an episode has more decisions."""
+
+    def decide(seen: TensorDict, seeds: Sequence[int], step: int) -> tuple[Tensor, Tensor]:
+        known = [int(actions[seed][min(step, len(actions[seed]) - 1)]) for seed in seeds]
+        return torch.tensor(known), torch.zeros(len(seeds), 0, dtype=torch.float64)
+
+    return decide
 
 
 def policy_pilot(policy: TensorDictModuleBase, observed: Sequence[str] = ()) -> Pilot:

@@ -5,8 +5,9 @@
 
 The episode of seed s is that of ``GymEnv.reset(seed=s)``: whatever it draws - orbit, epoch, attitude, rates, wheels, battery,
 store, disturbance, targets - is handed to bsk_rl as fixed arguments, and the policy then decides by what bsk_rl observes. The
-policy ``random`` draws its actions from the seed. The extra ``basilisk`` is needed, and Basilisk's support data; see
-``recording.py`` for these.
+policy ``random`` draws its actions from the seed. A planner, ``plan:NAME`` with options ``--plan NAME=VALUE``, decides in
+bsk_torch, whose episodes it can copy, and Basilisk flies its actions. The extra ``basilisk`` is needed, and Basilisk's support
+data; see ``recording.py`` for these.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ import json
 import multiprocessing
 import os
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from importlib.metadata import version
@@ -29,7 +30,7 @@ import numpy as np
 import torch
 from flight import Flight, Problem, Start, fly_here, problem_of
 from flight_comparison import Pair, findings, kept, table
-from flight_policy import Flyer, recruit
+from flight_policy import Flyer, planner_pilot, recruit, replay_pilot
 from rich.console import Console
 from rich.progress import track
 
@@ -54,6 +55,7 @@ def arguments(given: list[str] | None = None) -> argparse.Namespace:
     parser.add_argument(
         "policy", metavar="POLICY", help="folder of a training, its policy.pt, or a baseline such as 'rule' or 'random'"
     )
+    parser.add_argument("--plan", action="append", default=[], metavar="NAME=VALUE", help="option of a planner, plan:NAME")
     parser.add_argument("--preset", help="environment; that of the training unless given")
     parser.add_argument("--seeds", type=seeds_of, default=range(100), metavar="A:B", help="episodes A to B - 1 (default: 0:100)")
     parser.add_argument(
@@ -111,14 +113,14 @@ _fly: Callable[[Start], Flight]
 """Flies an episode in this process of the pool."""
 
 
-def prepare(flyer: Flyer, problem: Problem) -> None:
-    """Make ready a process of the pool."""
+def prepare(flyer: Flyer, problem: Problem, known: Mapping[int, np.ndarray]) -> None:
+    """Make ready a process of the pool; ``known`` are the actions of a planner, by seed."""
     global _fly
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # Basilisk talks
     torch.set_num_threads(1)
     from flight_basilisk import fly_there
 
-    _fly = functools.partial(fly_there, problem, pilot=flyer.pilot(problem.observed))
+    _fly = functools.partial(fly_there, problem, pilot=replay_pilot(known) if flyer.plans else flyer.pilot(problem.observed))
 
 
 def fly(start: Start) -> Flight:
@@ -134,10 +136,11 @@ def compare(flyer: Flyer, seeds: range, workers: int, console: Console, **option
         some = seeds[first : first + BATCH]
         env = flyer.environment(len(some), **options)
         problem = problem_of(env, flyer.preset)
-        begun, flown = fly_here(env, flyer.pilot(problem.observed), some)
+        begun, flown = fly_here(env, planner_pilot(flyer, env) if flyer.plans else flyer.pilot(problem.observed), some)
         starts, here = starts + begun, here + flown
+    known = {flight.seed: flight.actions for flight in here} if flyer.plans else {}
     processes = min(workers, len(starts)), multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(*processes, initializer=prepare, initargs=(flyer, problem)) as pool:
+    with ProcessPoolExecutor(*processes, initializer=prepare, initargs=(flyer, problem, known)) as pool:
         there = track(pool.map(fly, starts), "flying on Basilisk", total=len(starts), console=console, transient=True)
         pairs = [Pair(*pair) for pair in zip(here, there, strict=True)]
         doubtful = [k for k, pair in enumerate(pairs) if pair.doubtful]
@@ -169,7 +172,7 @@ def main(given: list[str] | None = None) -> None:
     console = Console(soft_wrap=True, highlight=False)
     more = {"backend": options.backend} | ({} if options.time_limit is None else {"time_limit": options.time_limit})
     try:
-        flyer = recruit(options.policy, options.preset)
+        flyer = recruit(options.policy, options.preset, options.plan)
         flyer.check()
     except (ValueError, KeyError) as error:
         sys.exit(str(error.args[0]))
@@ -187,6 +190,7 @@ def main(given: list[str] | None = None) -> None:
         console.print(line)
     if options.out is not None:
         about = {"policy": Path(options.policy).name, "preset": flyer.preset, "options": flyer.options, "versions": versions()}
+        about |= {"plan": flyer.plan} if flyer.plans else {}
         options.out.write_text(json.dumps(about | kept(pairs)) + "\n")
     if options.record is not None:
         record(pairs, options.record)
