@@ -138,7 +138,7 @@ class Tick:
         ticks: Tensor,
     ) -> Inputs:
         """Return the inputs of tick ``ticks`` [n] from packs [C, n], tables [n, R, C] of the tracks and their starts [n], s."""
-        time, rows = ticks * self.h_ns * NANO, torch.arange(state.shape[1], device=state.device)
+        time, rows = ticks * self.h_ns / 1e9, torch.arange(state.shape[1], device=state.device)  # divided, as in kernels
         records, taus = [], []
         for track, table, begin in zip(self.tracks, tables, starts, strict=True):
             found, tau = neighbours(track, table, rows, time - begin)
