@@ -17,8 +17,8 @@ from bsk_torch.sim.fleet import Fleet
 from bsk_torch.sim.satellite_state import SatelliteState
 from bsk_torch.sim.state import StateTable
 
-FORMAT = 3
-"""Format of saved states: 3 knows which episodes have begun; 2 was that of the first development versions of release 0.2."""
+FORMAT = 4
+"""Format of saved states: 4 has planned positions every 30 s; 2 and 3 were those of development versions of release 0.2."""
 
 MADE_BY = "made_by"
 """Key of a saved state under which :func:`fingerprint` stands, for each episode."""
