@@ -148,23 +148,20 @@ def shown(rows: list[dict[str, Any]]) -> dict[str, str]:
 
 
 def draw(found: Mapping[str, Mapping[str, list[dict[str, Any]]]], path: Path) -> None:
-    """Draw the return of each training by what it sees, a panel for each world."""
+    """Draw the gain over the rule that sees no clouds, of each seed by what it sees, a panel for each world."""
     from bsk_torch.viz.figures import style
 
-    figure, panels = style.panels([1.8] * len(found))
+    figure, panels = style.panels([2.2] * len(found))
     for panel, (world, rows) in zip(panels, found.items(), strict=True):
-        for k, results in enumerate(rows.values()):
-            panel.errorbar(
-                [k] * len(results),
-                [row["return"] for row in results],
-                [row["half"] for row in results],
-                fmt="o",
-                markersize=4,
-                color=style.PALETTE[k % len(style.PALETTE)],
-            )
-        panel.set_xticks(range(len(rows)), rows)
-        low, high = WORLDS[world]
-        style.label(panel, f"return, {world} forecasts (sigma {low:g} to {high:g})")
+        names = [name for name in rows if name != RULE]
+        for k, name in enumerate(names):
+            places = [k + 0.08 * (n - 0.5 * (len(rows[name]) - 1)) for n in range(len(rows[name]))]
+            gains, halves = ([row[key] for row in rows[name]] for key in ("gain", "gain_half"))
+            panel.errorbar(places, gains, halves, fmt="o", markersize=4, color=style.PALETTE[k % len(style.PALETTE)])
+        panel.axhline(0.0, color="0.5", linewidth=0.8)
+        panel.set_xticks(range(len(names)), names)
+        panel.set_xlim(-0.5, len(names) - 0.5)
+        style.label(panel, f"gain, {world} forecasts")
     style.save(figure, path)
 
 
