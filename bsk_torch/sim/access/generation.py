@@ -73,7 +73,7 @@ def within(passes: Passes, intervals: GenerationIntervals) -> Passes:
     """Return what lies of passes between the begin of the first interval and the end of the last."""
     row, place, opens, closes = passes
     begin, end = intervals.begin[row], intervals.end[row]
-    # one that rises or sets just there, to the last bit, lies on the far side
+    # a pass that rises at the end belongs to the next search, one that sets at the begin to the last one
     kept = (opens < end) & (closes > begin)
     opens, closes = torch.maximum(opens, begin), torch.minimum(closes, end)
     return Passes(*(part[kept] for part in (row, place, opens, closes)))

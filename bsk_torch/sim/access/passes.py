@@ -144,14 +144,14 @@ class PassSearch:
         begin, end = track.start[row], track.end[row]
         first = begin + PLAN_STEP * SAMPLES_PER_CELL * cell
         cells = SearchCells(first, torch.minimum(first + PLAN_STEP * SAMPLES_PER_CELL, end), begin, end)
-        # samples half a step early, so that rounded times of samples find these
+        # half a step early, so that rounding of a sample's time does not lead to the sample before
         codes = visibility.events(self.pairs(row, place, 0.5 * PLAN_STEP), cells).to(torch.uint8)
         pair, sample = torch.nonzero(codes, as_tuple=True)
         self._events = row[pair], place[pair], cell[pair] * SAMPLES_PER_CELL + sample
         self._codes = codes[pair, sample]
 
     def pairs(self, row: Tensor, place: Tensor, early: float = 0.0) -> PlacePairs:
-        """Return the pairs of satellites ``row`` [m] and places ``place`` [m], with ground tracks ``early`` s too early."""
+        """Return the pairs of satellites ``row`` [m] and places ``place`` [m]; samples are looked up ``early`` s before their time."""
         owner = row if len(self.places.r_LP_P) > 1 else torch.zeros_like(row)
         samples = Samples(self.track.r_BP_P, self.track.start - early, row)
         return PlacePairs(samples, self.places.r_LP_P[owner, place], self.places.sin_min_elevation[owner, place])

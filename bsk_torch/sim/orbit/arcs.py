@@ -118,7 +118,7 @@ class Arcs(StateTable):
 
     @property
     def planned_samples(self) -> Samples:
-        """The planned arc as a track of samples, half a step early, so that rounded times of samples find these."""
+        """The planned arc as a track, half a step early: rounding of a sample's time does not lead to the sample before."""
         return Samples(self.planned, self.planned_from - 0.5 * PLAN_STEP)
 
     @property
