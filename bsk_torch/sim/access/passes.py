@@ -151,7 +151,7 @@ class PassSearch:
         self._codes = codes[pair, sample]
 
     def pairs(self, row: Tensor, place: Tensor, early: float = 0.0) -> PlacePairs:
-        """Return the pairs of satellites ``row`` [m] and places ``place`` [m]; samples are looked up ``early`` s before their time."""
+        """Return the pairs of satellites ``row`` [m] and places ``place`` [m]; ground tracks begin ``early`` s sooner."""
         owner = row if len(self.places.r_LP_P) > 1 else torch.zeros_like(row)
         samples = Samples(self.track.r_BP_P, self.track.start - early, row)
         return PlacePairs(samples, self.places.r_LP_P[owner, place], self.places.sin_min_elevation[owner, place])
