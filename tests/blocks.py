@@ -5,14 +5,13 @@ from __future__ import annotations
 import re
 import shlex
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 from typing import NamedTuple
 
 from typer.testing import CliRunner
 
 from bsk_torch.cli import app
+from tests.programs import run_script
 
 ROOT = Path(__file__).parents[1]
 
@@ -72,8 +71,9 @@ def _run(program: str, *arguments: str) -> None:
     if program == "python" and arguments[0] in ELSEWHERE:
         assert Path(arguments[0]).name in (ROOT / "tests" / ELSEWHERE[arguments[0]]).read_text()
     elif program == "python":
-        command = [sys.executable, str(ROOT / arguments[0]), *arguments[1:], *SHORT[arguments[0]].split()]
-        subprocess.run(command, check=True, capture_output=True, text=True)
+        options = [*arguments[1:], *SHORT[arguments[0]].split()]
+        done = run_script(ROOT / arguments[0], *options, folder=Path.cwd(), environment={})
+        assert done.returncode == 0, done.stderr
     elif program == "bsk-torch":
         result = CliRunner().invoke(app, [*arguments, *SHORT[arguments[0]].split()])
         assert result.exit_code == 0, result.output

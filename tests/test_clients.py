@@ -1,12 +1,12 @@
 """The examples run from end to end at their smallest size; what they learn in a moment is not tested."""
 
 import json
-import subprocess
-import sys
 from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
+
+from tests.programs import run_script
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 
@@ -23,10 +23,10 @@ def needs(module, extra):
 
 
 def run(name, tmp_path, *arguments):
-    command = [sys.executable, str(EXAMPLES / name), *map(str, arguments)]
+    command = [*map(str, arguments)]
     if find_spec("matplotlib") is not None:  # the environment of RLlib has no extra viz
         command += ["--figure", "picture.png"]
-    result = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    result = run_script(EXAMPLES / name, *command, folder=tmp_path, environment={})
     assert result.returncode == 0, result.stderr
     assert "--figure" not in command or (tmp_path / "picture.png").is_file()
     return result.stdout

@@ -15,6 +15,8 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
+from tests.programs import run_script
+
 ROOT = Path(__file__).parents[1]
 
 FOLDERS = ("benchmarks", "examples", "scripts", "tests/basilisk/recorders")
@@ -204,14 +206,12 @@ RUNS = [
 
 def run(folder: Path, path: str, *arguments: str) -> str:
     """What a script prints; its errors are shown where it fails."""
-    command = [sys.executable] if path.endswith(".py") else ["bash"]
-    environment = os.environ | {
-        "OMP_NUM_THREADS": "1",
-        "PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")]),
-    }
-    result = subprocess.run(
-        [*command, str(ROOT / path), *arguments], cwd=folder, env=environment, capture_output=True, text=True, check=False
-    )
+    environment = {"OMP_NUM_THREADS": "1", "PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])}
+    if path.endswith(".py"):
+        result = run_script(ROOT / path, *arguments, folder=folder, environment=environment)
+    else:
+        command, surroundings = ["bash", str(ROOT / path), *arguments], os.environ | environment
+        result = subprocess.run(command, cwd=folder, env=surroundings, capture_output=True, text=True, check=False)
     assert result.returncode == 0, result.stdout + result.stderr
     return result.stdout
 
