@@ -69,7 +69,7 @@ if [ "${1:-}" = --nightly ]; then
     exec .venv/bin/python -m pytest -m nightly "${@:2}"
 fi
 if [ "${1:-}" = --all ]; then
-    .venv/bin/python -m pytest -n 2 --dist loadgroup --no-loadscope-reorder -m "not nightly and not browser"
+    .venv/bin/python -m pytest -n 2 --dist loadgroup --no-loadscope-reorder
     test_browser
     test_basilisk
     test_rllib

@@ -36,7 +36,7 @@ def test_second_episode(name):
     check(replay(recording, env), POSITION["arc"], CONSTELLATION)
 
 
-@pytest.mark.parametrize("name", ["types", "scan"])
+@pytest.mark.parametrize("name", [pytest.param("types", marks=pytest.mark.nightly), "scan"])
 def test_eager_first_steps(name):
     """The debugger's back end."""
     recording = load(name)

@@ -30,7 +30,7 @@ def assert_ended_well(result: dict) -> None:
     assert result["ends"]["played"] > 10  # numbers that are possible
 
 
-@pytest.mark.parametrize("name", ["NadirScan-v1", "Constellation-v1"])
+@pytest.mark.parametrize("name", ["NadirScan-v1", pytest.param("Constellation-v1", marks=pytest.mark.nightly)])
 def test_spoilt_states(name):
     assert_ended_well(attack(1, name)[name])
 

@@ -57,7 +57,7 @@ def test_a_reset_begins_with_a_full_tank_on_the_first_orbit(orbit):
     assert env.satellite.fsw.thrust_count.tolist() == [0.0, 2.0]
 
 
-@pytest.mark.parametrize("options", [{}, {"replan": False}, {"orbit": "integrated"}])
+@pytest.mark.parametrize("options", [{}, {"replan": False}, pytest.param({"orbit": "integrated"}, marks=pytest.mark.nightly)])
 def test_copies_and_pickles_go_on_alike(options):
     env = make(2, **options)
     td = step(env, env.reset(), 1)

@@ -174,6 +174,7 @@ def test_a_read_only_folder_stops_a_training_that_can_be_resumed(whole, tmp_path
 # -- a compiler that disappears ---------------------------------------------------------------------------------------
 
 
+@pytest.mark.nightly
 def test_a_compiler_that_disappears_stops_a_training_that_can_be_resumed(whole, tmp_path, monkeypatch):
     out = tmp_path / "run"
     train(dataclasses.replace(SMALL, frames=24), out)

@@ -13,7 +13,9 @@ from bsk_torch.rl.training.config import PPOConfig
 from bsk_torch.rl.training.imitation import TAUGHT, find_teacher, imitation_loss, taught_actions
 from bsk_torch.rl.training.ppo import Learner
 
-SHORT = {"as_set": True, "n_targets": 200, "time_limit": 1200.0, "backend": "eager"}
+SHORT = {"as_set": True, "n_targets": 200, "time_limit": 1200.0}
+
+pytestmark = pytest.mark.compiled
 
 
 def config(**changes):

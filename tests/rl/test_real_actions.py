@@ -156,7 +156,7 @@ class TestMAPPO:
         extra = dict(learning_rate=1e-2, checkpoint_every=0, epochs=4, options={}, seed=1)
         return MAPPOConfig("Crew-v0", **(common | extra | changes))
 
-    @pytest.mark.parametrize("algorithm", ["mappo", "ippo"])
+    @pytest.mark.parametrize("algorithm", ["mappo", pytest.param("ippo", marks=pytest.mark.nightly)])
     def test_types_of_real_and_numbered_actions_learn_side_by_side(self, algorithm, tmp_path):
         training = MAPPOTraining(self.settings(algorithm=algorithm), tmp_path / "run")
         policy = training.run()

@@ -161,7 +161,7 @@ def test_training_needs_a_limit(limits, words):
 
 
 @pytest.mark.compiled
-@pytest.mark.parametrize("network", ["mlp", "attention"])
+@pytest.mark.parametrize("network", ["mlp", pytest.param("attention", marks=pytest.mark.nightly)])
 def test_a_short_training_beats_random_choice_of_targets(tmp_path, network):
     world = {"n_targets": 3000, "time_limit": 1500.0}
     config = configure(

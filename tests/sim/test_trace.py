@@ -67,8 +67,15 @@ def flown(env):
     return flights
 
 
-@pytest.mark.parametrize("backend", ["eager", pytest.param("compiled", marks=pytest.mark.compiled)])
-@pytest.mark.parametrize("orbit", ["arc", "integrated"])
+@pytest.mark.parametrize(
+    ("orbit", "backend"),
+    [
+        ("arc", "eager"),
+        ("integrated", "eager"),
+        pytest.param("arc", "compiled", marks=pytest.mark.compiled),
+        pytest.param("integrated", "compiled", marks=[pytest.mark.compiled, pytest.mark.nightly]),
+    ],
+)
 def test_a_component_reads_what_its_leader_records_in_the_same_tick(backend, orbit):
     env = build(backend, orbit=orbit)
     followers, leaders = env.fleet.simulators
@@ -115,7 +122,7 @@ def test_traces_in_parts_are_those_of_the_whole(monkeypatch):
 
 
 @pytest.mark.compiled
-@pytest.mark.parametrize("lockstep", [1, 2])
+@pytest.mark.parametrize("lockstep", [1, pytest.param(2, marks=pytest.mark.nightly)])
 def test_kernels_of_rows_that_stop_write_the_same_traces_as_the_eager_back_end(lockstep):
     traces = []
     event = dataclasses.replace(IMAGE_EVENT, records=("Omega_WB_B",))

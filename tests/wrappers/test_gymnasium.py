@@ -160,7 +160,9 @@ def test_wrong_arguments_are_named():
 # -- many episodes ----------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("mode", "obs_type"), [(NEXT, torch.Tensor), (SAME, torch.Tensor), (SAME, dict)])
+@pytest.mark.parametrize(
+    ("mode", "obs_type"), [(NEXT, torch.Tensor), pytest.param(SAME, torch.Tensor, marks=pytest.mark.nightly), (SAME, dict)]
+)
 def test_a_batch_plays_what_single_environments_play(mode, obs_type):
     count, seed = 3, 1
     batch = GymVectorEnv(quick, count, autoreset_mode=mode, obs_type=obs_type)
