@@ -56,6 +56,9 @@ SPECS = {
 """Lists that come with the subclass: of fixed commands only, and with one that decides in every step."""
 
 
+pytestmark = pytest.mark.compiled
+
+
 def make(entry, kind, num_envs=2):
     rest = SPECS[kind] if kind == "fixed" else (act.NadirPoint(duration=50.0), SPECS[kind][1])
     attributes = {"action_spec": (entry, *rest), "observation_spec": (obs.Time(norm=1.0),)}
@@ -63,7 +66,7 @@ def make(entry, kind, num_envs=2):
         satellite, scenario = type("Scanner", (ScanningSatellite,), attributes)("A"), scene.Scenario()
     else:
         satellite, scenario = type("Imager", (sats.ImagingSatellite,), attributes)("A"), scene.UniformTargets(400)
-    return SatelliteTasking(satellite, scenario, data.NoReward(), num_envs=num_envs, time_limit=600.0, seed=1, backend="eager")
+    return SatelliteTasking(satellite, scenario, data.NoReward(), num_envs=num_envs, time_limit=600.0, seed=1)
 
 
 def step(env, *action):

@@ -12,6 +12,8 @@ import bsk_torch
 from bsk_torch import ConstellationTasking, comm, data, rand, scene
 from bsk_torch.presets.nadir_scan import ScanningSatellite, scanning_args
 
+pytestmark = pytest.mark.compiled
+
 N, S = 3, 2
 
 
@@ -59,7 +61,7 @@ HOOKS = {"link", "read_log", "calculate_reward", "share", "counts", "is_terminat
 def make(rewarder, **options):
     satellites = [ScanningSatellite(f"Scanner{k}", scanning_args() | dict(oe=rand.random_orbit())) for k in range(S)]
     nadir = scene.UniformNadirScanning()
-    fixed = dict(num_envs=N, time_limit=600.0, seed=1, backend="eager", dtype=torch.float64)
+    fixed = dict(num_envs=N, time_limit=600.0, seed=1, dtype=torch.float64)
     return ConstellationTasking(satellites, nadir, rewarder, comm.FreeCommunication(), **(fixed | options))
 
 

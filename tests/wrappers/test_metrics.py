@@ -15,7 +15,9 @@ from bsk_torch.wrappers.pettingzoo import PettingZooEnv
 
 from .constellations import EMPTY, FULL, trio
 
-SMALL = dict(backend="eager", time_limit=360.0)
+SMALL = dict(time_limit=360.0)
+
+pytestmark = pytest.mark.compiled
 
 
 def total(env):
@@ -36,7 +38,7 @@ class Log:
 
 def test_rewards_are_summed_for_each_satellite_and_part_without_penalties():
     parts = data.ComposedReward(data.ScanningTimeReward(), data.ResourceReward(lambda sat: sat.dynamics.battery_charge_fraction))
-    env = trio(charges=(FULL, EMPTY, FULL), rewarder=parts, backend="eager", seed=0)
+    env = trio(charges=(FULL, EMPTY, FULL), rewarder=parts, seed=0)
     now, paid = env.reset(), torch.zeros(1, 3, dtype=torch.float64)
     for _ in range(3):
         now["agents", "action"] = torch.zeros(1, 3, dtype=torch.int64)
@@ -77,7 +79,7 @@ def test_the_last_info_of_an_episode_has_metrics():
 
 @pytest.mark.parametrize("joint", [True, False])
 def test_constellations_have_metrics_of_satellites_and_their_means(joint):
-    core = trio(joint=joint, backend="eager", seed=0)
+    core = trio(joint=joint, seed=0)
     env = (EpisodeDataWrapper if joint else EpisodeDataParallelWrapper)(
         (GymJointEnv if joint else PettingZooEnv)(core), None, charge
     )
@@ -112,7 +114,7 @@ def test_a_vector_has_metrics_of_the_episodes_that_end(mode):
 
 
 def test_metrics_of_a_wrong_shape_are_refused():
-    envs = GymVectorEnv("NadirScan-v1", 2, metrics=lambda env: {"one": 1.0}, backend="eager", time_limit=60.0)
+    envs = GymVectorEnv("NadirScan-v1", 2, metrics=lambda env: {"one": 1.0}, time_limit=60.0)
     envs.reset(seed=0)
     with pytest.raises(TypeError, match=r"metrics\(env\)\['one'\] has shape \[\]; it must be \[2\]"):
         envs.step(np.zeros(2, int))
@@ -122,7 +124,7 @@ def test_stable_baselines3_gets_and_logs_them():
     pytest.importorskip("stable_baselines3")
     from bsk_torch.wrappers.stable_baselines3 import MetricsCallback, SB3VecEnv
 
-    env = SB3VecEnv("NadirScan-v1", 2, metrics=total, backend="eager", time_limit=180.0)
+    env = SB3VecEnv("NadirScan-v1", 2, metrics=total, time_limit=180.0)
     env.reset()
     _, rewards, dones, infos = env.step(np.array([0, 0]))
     assert dones.all()
