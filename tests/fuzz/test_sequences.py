@@ -61,6 +61,11 @@ def groups(env: Any) -> list[tuple[str, ...]]:
     return [(name,) for name in getattr(env, "group_map", {})] or [()]
 
 
+def alive(env: Any, where: tuple[str, ...], row: int) -> bool:
+    """Whether any satellite of a group is alive in an episode: actions of dead ones are ignored, whatever they are."""
+    return not where or not bool(env.dead[row, [env.names.index(name) for name in env.group_map[where[0]]]].all())
+
+
 def real(td: TensorDictBase, where: tuple[str, ...]) -> bool:
     """Whether actions of a group are real numbers."""
     return ((*where, "action_mask") if where else "action_mask") not in td.keys(True)
@@ -215,6 +220,8 @@ class Sequence(RuleBasedStateMachine):
     @rule(row=st.integers(0, NUM_ENVS - 1), value=st.sampled_from([10**6, -(10**6), 2**62, -(2**63)]))
     def act_out_of_range(self, row: int, value: int) -> None:
         for where in groups(self.whole):
+            if not alive(self.whole, where, row):
+                continue
             td, key = self.actions(self.td, self.whole, torch.arange(NUM_ENVS), 0), (*where, "action") if where else "action"
             td[key][row] = torch.nan if real(td, where) else value  # real numbers are clamped
             self.refused(functools.partial(self.whole.step, td))
