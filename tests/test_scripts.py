@@ -41,8 +41,8 @@ STARTS: dict[str, list[Start]] = {
     "benchmarks/breakdown.py": [Start("--batches 2 --seconds 0.1 --warm-up 1", r"\| scan \| 2 \| all \| [\d,.]+ \| 100.0 \|")],
     "benchmarks/clouds.py": [
         Start(
-            "--frames 32 --num-envs 2 --episodes 2 --seeds 1 --time-limit 300 --worlds poor --views mean",
-            r"(?s)\| poor \| hasty by chance \| [\d.]+ \| .*\| poor \| mean \| [\d.]+ \| ",
+            "--frames 32 --num-envs 2 --episodes 2 --seeds 1 --time-limit 300 --worlds poor moving --views mean repeats",
+            r"(?s)\| poor \| hasty by chance \| [\d.]+ \| .*\| poor \| mean \| [\d.]+ \| .*\| moving \| repeats \| [\d.]+ \| ",
         ),
     ],
     "benchmarks/compare.py": [
