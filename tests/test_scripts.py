@@ -93,6 +93,15 @@ STARTS: dict[str, list[Start]] = {
             r"\| 300 \| MILP, flown \| [\d.]+ \+- [\d.]+ \| [\d.]+% \|",
         ),
     ],
+    "benchmarks/relaxation.py": [
+        Start(
+            "--targets 300 --episodes 1 --time-limit 900 --iterations 3",
+            r"(?s)\| 300 \| least \| [\d.]+ \| [\d.]+ \| .*\| 300 \| typical \| [\d.]+ \| ",
+        ),
+    ],
+    "benchmarks/resources.py": [
+        Start("--episodes 2 --time-limit 900", r"(?s)\| targets in view \| .*\| images that the store holds \| 100 \|"),
+    ],
     "benchmarks/reset.py": [
         Start("--batch 4 --rows 1 --rounds 1 --shares 2 --seconds 0.1 --warm-up 1", r"\| scan \| 2 \| [\d.]+% \|"),
     ],
