@@ -51,8 +51,8 @@ def made(name: str) -> str:
         if option in ("out", "basilisk"):
             value = {"out": f"benchmarks/results/{name}.json", "basilisk": "PYTHON"}[option]
         if value is not None:
-            values = [str(v) for v in value] if isinstance(value, list) else [str(value)]
-            words += [f"--{option.replace('_', '-')} {' '.join(quoted(text) for text in values)}"]
+            first, *more = [quoted(str(v)) for v in value] if isinstance(value, list) else [quoted(str(value))]
+            words += [f"--{option.replace('_', '-')} {first}", *more]
     where = result["machine"]
     place = f"One thread on a virtual machine with {where['cores']} cores ({where['processor']}, {where['capability']})"
     versions = f"torch {where['torch']}, TorchRL {where['torchrl']}, Python {where['python']}"
@@ -345,11 +345,11 @@ def envelope() -> str:
     return with_command("envelope", head, rows)
 
 
-def bounds(*beginnings: str) -> str:
-    """Return how near policies come to their bounds, of tasks whose names begin with one of ``beginnings`` if there are any."""
+def bounds(*tasks: str) -> str:
+    """Return how near policies come to their bounds in some tasks."""
     rows = []
     for row in load("bounds")["rows"]:
-        if row["policy"] == "random" or (beginnings and not row["task"].startswith(beginnings)):
+        if row["policy"] == "random" or row["task"] not in tasks:
             continue
         values = [f"{row['value']:.2f} ± {row['half']:.2f}", f"{row['bound']:.2f}", f"{row['share']:.1%}", short(row["smallest"])]
         rows.append([code(row["task"]), row["policy"], *values, f"{row['seconds']:.2f}", code(row["commit"])])
