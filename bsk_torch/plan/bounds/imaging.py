@@ -57,8 +57,9 @@ def imaging_bound(
       policies collect beside such images lies below the bound in any case;
     * power, storage and the first slew cost nothing; dying pays nothing.
 
-    With the envelope of the package and full episodes of AEOS-v1 it is no lower than ``in_view``, whatever the number of targets
-    that was tried (``docs/studies/bounds.md``).
+    With the envelope of the package and full episodes of AEOS-v1 it is hardly lower than ``in_view``, whatever the number of
+    targets that was tried: least times know the angle alone, and are short. Energy and storage of AEOSPower-v1 would suffice for
+    images of all targets in view, so that constraints on them would not lower it (``docs/studies/bounds.md`` has the figures).
 
     Targets pay once by multipliers (:mod:`bsk_torch.plan.bounds.paths`); time is in cells of some ticks, rounded in favour of
     the satellite. In a constellation all satellites share the targets: the sum of their paths under the same multipliers.
