@@ -5,10 +5,13 @@ Usage:
         [--iterations 30] [--time-limit 0] [--out FILE.json]
 
 No policy may lie above the bound: ``smallest`` is the least difference of any episode, and the script fails where it is negative.
+Rows of other tasks that FILE.json has stay in it, each with the commit that it was measured at. In ``AEOSPower-v1/battery`` and
+others a resource is plenty: what policies gain there is what that resource costs them.
 """
 
 from __future__ import annotations
 
+import json
 import time
 from typing import Any
 
@@ -22,6 +25,17 @@ from bsk_torch.rl.policies import makings, pretrained
 from bsk_torch.rl.policies.shared_policy import shared, shared_baseline
 from bsk_torch.rl.rules.baselines import BASELINES
 
+BATTERY, STORE, SPEED = 100 * 160.0 * 3600.0, 100 * 100 * 8e6, 10 * 1500.0
+"""A hundred times the battery, W s, and the store, bit, of AEOSPower-v1, and ten times its largest wheel speed, rpm."""
+
+PLENTY: dict[str, dict[str, Any]] = {
+    "battery": dict(batteryStorageCapacity=BATTERY, storedCharge_Init=BATTERY),
+    "wheels": dict(maxWheelSpeed=SPEED),
+    "store": dict(dataStorageCapacity=STORE),
+}
+PLENTY["all"] = {name: value for args in PLENTY.values() for name, value in args.items()}
+"""Arguments of AEOSPower-v1's satellite with plenty of a resource."""
+
 CASES: dict[str, tuple[str, dict[str, Any], tuple[str, ...]]] = {
     "AEOS-v1/100": ("AEOS-v1", {"n_targets": 100}, ("random", "nearest", "hasty")),
     "AEOS-v1/1000": ("AEOS-v1", {"n_targets": 1000}, ("random", "nearest", "hasty")),
@@ -30,6 +44,7 @@ CASES: dict[str, tuple[str, dict[str, Any], tuple[str, ...]]] = {
     "AEOSCity-v1": ("AEOSCity-v1", {}, ("random", "nearest", "hasty")),
     "CloudyAEOS-v1": ("CloudyAEOS-v1", {}, ("random", "nearest", "hasty")),
     "AEOSPower-v1": ("AEOSPower-v1", {}, ("random", "nearest", "hasty")),
+    **{f"AEOSPower-v1/{name}": ("AEOSPower-v1", {"sat_args": args}, ("hasty",)) for name, args in PLENTY.items()},
     "NadirScan-v1": ("NadirScan-v1", {}, ("random", "rule")),
     "AEOSConstellation-v1/1000": ("AEOSConstellation-v1", {"n_targets": 1000}, ("random", "hasty")),
 }
@@ -57,6 +72,15 @@ def players(env: Any, sets: Any, preset: str, rules: tuple[str, ...]) -> list[tu
     return found
 
 
+def with_others(options: Any, rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return the rows, behind those of other tasks that the user's file has; the tasks of all become those of ``options``."""
+    before = json.loads(options.out.read_text())["rows"] if options.out and options.out.exists() else []
+    every = [row for row in before if row["task"] not in options.only] + rows
+    every.sort(key=lambda row: list(CASES).index(row["task"]))
+    options.only = list(dict.fromkeys(row["task"] for row in every))
+    return every
+
+
 def main() -> None:
     """Compute bounds, fly, and print a table."""
     arguments = harness.parser(
@@ -66,7 +90,8 @@ def main() -> None:
     rows: list[dict[str, Any]] = []
     for task in options.only:
         preset, choices, rules = CASES[task]
-        uppers, returns, seconds = [], {}, 0.0
+        uppers, seconds = [], 0.0
+        returns: dict[str, list[Any]] = {}
         for k in range(0, options.episodes, options.batch):
             world: dict[str, Any] = dict(num_envs=min(options.batch, options.episodes - k), backend=options.backend, **choices)
             world |= {"time_limit": options.time_limit} if options.time_limit else {}
@@ -88,10 +113,10 @@ def main() -> None:
             row |= dict(
                 share=float(value.sum() / upper.sum()), smallest=float((upper - value).min()), seconds=seconds / len(upper)
             )
-            rows.append(row | {"episodes": len(value)})
+            rows.append(row | {"episodes": len(value), "commit": described["commit"]})
             print(harness.cell("{task} {policy}: {value:.2f} of {bound:.2f}, smallest {smallest:.3g}", rows[-1]), flush=True)
     print(harness.table(COLUMNS, rows))
-    harness.write(options, described, rows=rows)
+    harness.write(options, described, rows=with_others(options, rows))
     above = [row for row in rows if row["smallest"] < 0.0]
     if above:
         raise SystemExit(f"{len(above)} policies lie above the bound: {above}")

@@ -1,18 +1,20 @@
-"""What are forecasts of clouds worth: policies of CloudyAEOS-v1 that see none, their mean, and their mean and spread.
+"""What are forecasts of clouds worth: policies of CloudyAEOS-v1 that see none, the mean, mean and spread, or may repeat images.
 
 Usage:
     python benchmarks/clouds.py [--seconds 150] [--seeds 3] [--episodes 512] [--worlds NAME ...] [--views NAME ...]
         [--out FILE.json] [--figure FILE.png]
 
-Only images without clouds pay. Clouds differ by how far forecasts are off, see :data:`WORLDS`; policies by what they see of them,
-see :data:`VIEWS`, all trained with the preset's recipe and for the same time. A rule of the package flies beside each: ``hasty``,
-which sees no clouds, and the same with the chance of a clear image as a part of each target's worth.
+Only images without clouds pay. Clouds differ by how far forecasts are off and by whether they move, see :data:`WORLDS`; policies
+by what they see of them, see :data:`VIEWS`, all trained with the preset's recipe and for the same time. A rule of the package
+flies beside each: ``hasty``, which sees no clouds, and the same with the chance of a clear image as a part of targets' worth.
+
+Where clouds move, images may be repeated, see :class:`BeliefReward`. Policies with the view ``repeats`` observe the belief that a
+target has been seen without clouds; nobody is told what an image shows.
 """
 
 from __future__ import annotations
 
 import math
-import statistics
 import tempfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -24,9 +26,10 @@ from torch import Tensor
 
 import bsk_torch
 from bsk_torch import obs, rand, scene
+from bsk_torch.data import CloudFreeImageReward, ImageReward
 from bsk_torch.env import SatelliteTasking
 from bsk_torch.presets import PRESETS
-from bsk_torch.presets.aeos import CLOUDS, SATELLITE, AgileSatellite, agile_args, agile_environment, targets_ahead
+from bsk_torch.presets.aeos import CLOUDS, ORBIT, SATELLITE, AgileSatellite, agile_args, agile_environment, targets_ahead
 from bsk_torch.rl.evaluation.evaluate import Evaluation, evaluate
 from bsk_torch.rl.rules.baselines import BASELINES, imaging_rule
 from bsk_torch.rl.rules.imaging import by_discounted_priority
@@ -36,8 +39,11 @@ from bsk_torch.rl.training.trainer import Training
 
 PRESET = "CloudyAEOS-v1"
 
-WORLDS = {"good": (0.01, 0.05), "poor": (0.0, 0.6)}
-"""Bounds of the standard deviation of forecasts, drawn for each target: bsk_rl's, and one in which many mean little."""
+WORLDS = {"good": (0.01, 0.05), "poor": (0.0, 0.6), "moving": (0.0, 0.6)}
+"""Bounds of the standard deviation of forecasts, drawn for each target: bsk_rl's, and one in which many mean little. Clouds stay
+in these; in ``moving`` they are those of :class:`MovingClouds`."""
+
+MOVING = "moving"
 
 JUDGED = 2_700_003
 """Seed of the episodes in which policies are compared."""
@@ -46,58 +52,195 @@ THRESHOLD = 0.7
 """Largest cloud cover of an image that pays."""
 
 
+STAY = 1800.0
+"""Seconds for which clouds stay what they are in the world in which they move."""
+
+ENOUGH = 0.95
+"""Belief from which on a target needs no image any more."""
+
+
+# -- clouds that move, and images that are repeated ----------------------------------------------------------------------------
+
+
+def chance_of_clear(forecast: Tensor, sigma: Tensor) -> Tensor:
+    """Return about how probable a clear image is: ``P(forecast + sigma n <= threshold)`` with n standard normal."""
+    z = (THRESHOLD - forecast) / sigma.clamp(min=1e-3)
+    return 0.5 * (1.0 + torch.erf(z / math.sqrt(2.0)))
+
+
+class MovingClouds(scene.CloudyTargets):
+    """Targets whose cloud cover, and its forecast, are others every half hour; when they change differs between targets.
+
+    Covers and errors are drawn as those of :class:`bsk_torch.scene.CloudyTargets`, whose own are not used; a target keeps its
+    standard deviation. The forecasts of all half hours are known from the beginning.
+    """
+
+    def __init__(self, targets: scene.UniformTargets, bounds: tuple[float, float], time_limit: float) -> None:
+        """``bounds`` are those of the forecasts' standard deviation; episodes last at most ``time_limit`` s."""
+        super().__init__(targets, forecast_sigma=rand.Uniform(*bounds))
+        self.changes = math.ceil(time_limit / STAY) + 1
+
+    def draw(self, key: rand.Key) -> dict[str, Tensor]:
+        """Draw ``covers`` and ``forecasts``, [n, T, changes], and ``since_change``, [n, T] s at reset, too."""
+        drawn, t = super().draw(key), self.most_targets
+        covers = (1.348 * key.named("covers").uniform(t * self.changes).view(len(key), t, -1)).clamp(max=1.0)
+        errors = key.named("forecasts").normal(t * self.changes).view(len(key), t, -1)
+        forecasts = (covers + drawn["cloud_forecast_sigma"].unsqueeze(2) * errors).clamp(0.0, 1.0)
+        since_change = STAY * key.named("since_change").uniform(t)
+        return drawn | {"covers": covers, "forecasts": forecasts, "since_change": since_change}
+
+    def _bounds(self) -> dict[str, tuple[float, float]]:
+        """See :meth:`Scenario._bounds`."""
+        return super()._bounds() | {"covers": (0.0, 1.0), "forecasts": (0.0, 1.0), "since_change": (0.0, STAY)}
+
+    def at(self, table: Tensor, since_change: Tensor, time: Tensor) -> Tensor:
+        """Return the entries of a table [..., changes] at ``time`` [...] s since reset, [...]."""
+        number = ((time + since_change) / STAY).long().clamp(max=self.changes - 1)
+        return table.gather(-1, number.unsqueeze(-1)).squeeze(-1)
+
+    def now(self, name: str) -> Tensor:
+        """Return the drawn values of a name, ``covers`` or ``forecasts``, at present, [N, T]."""
+        since_change = self.drawn("since_change")
+        return self.at(self.drawn(name), since_change, self.fleet.sim_time.unsqueeze(1).expand_as(since_change))
+
+    @property
+    def cloud_cover(self) -> Tensor:
+        """Present true cover, [N, T]."""
+        return self.now("covers")
+
+    @property
+    def cloud_forecast(self) -> Tensor:
+        """Forecast for the present, [N, T]."""
+        return self.now("forecasts")
+
+
+class BeliefReward(ImageReward):
+    """Pays for the first image of every target without clouds; images may be repeated, and what they show is not told.
+
+    With the chance c_k of a clear image by the forecast at the time of image k, the belief that some image is clear is
+    ``1 - prod_k (1 - c_k)``. Targets are hidden from :data:`ENOUGH` on, and after an image while their clouds stay. The counter
+    ``repeated`` [N, 1] is the number of images of targets that had one.
+    """
+
+    def link(self, scenario: Any, fleet: Any) -> None:
+        """Declare beliefs, times of the last images, and which targets have been seen without clouds."""
+        super().link(scenario, fleet)
+        for name, initial in (("belief", 0.0), ("imaged_at", -math.inf)):
+            self.memory.declare(name, initial, scenario.most_targets)
+        self.memory.declare("seen", 0, scenario.most_targets, dtype=torch.bool)
+        self.memory.declare("repeated", 0, fleet.size)
+
+    def counts(self) -> dict[str, Tensor]:
+        """See the class."""
+        return {"repeated": self.memory["repeated"]}
+
+    def selectable(self) -> Tensor:
+        """Targets that have probably not been seen, and whose clouds have changed since the last image, [N, 1, T]."""
+        stays = self.fleet.sim_time.unsqueeze(1) - self.memory["imaged_at"] < STAY
+        return (self.scenario.available & (self.memory["belief"] < ENOUGH) & ~stays).unsqueeze(1)
+
+    def value(self, target: Tensor, taken: Tensor) -> Tensor:
+        """Return the reward [N, 1] and update the beliefs."""
+        scenario, memory = self.scenario, self.memory
+        known = scenario.priority, scenario.cloud_cover, scenario.cloud_forecast, scenario.cloud_forecast_sigma
+        priority, cover, forecast, sigma = (table.gather(1, target) for table in known)
+        belief, imaged_at, seen = (memory[name].gather(1, target) for name in ("belief", "imaged_at", "seen"))
+        clear = taken & (cover <= THRESHOLD)
+        after = 1.0 - (1.0 - belief) * (1.0 - chance_of_clear(forecast, sigma))
+        now = self.fleet.sim_time.unsqueeze(1)
+        memory["repeated"] = memory["repeated"] + (taken & (imaged_at >= 0.0))
+        memory["belief"] = memory["belief"].scatter(1, target, torch.where(taken, after, belief))
+        memory["imaged_at"] = memory["imaged_at"].scatter(1, target, torch.where(taken, now, imaged_at))
+        memory["seen"] = memory["seen"].scatter(1, target, seen | clear)
+        return torch.where(clear & ~seen, priority, 0.0)
+
+
+# -- what policies see ---------------------------------------------------------------------------------------------------------
+
+
 def cloud_sigma(satellite: Any, targets: Any) -> Tensor:
     """Return the standard deviation of the forecast over each target, [N, n]."""
     return satellite.simulator.look_up(satellite.scenario.cloud_forecast_sigma, targets.place)
 
 
+def coming_forecast(satellite: Any, targets: Any) -> Tensor:
+    """Return the forecast of moving clouds over each target for the opening of its window, or for now if it is open, [N, n]."""
+    clouds, simulator = satellite.scenario, satellite.simulator
+    forecasts, since_change = (simulator.look_up(clouds.drawn(name), targets.place) for name in ("forecasts", "since_change"))
+    return clouds.at(forecasts, since_change, torch.maximum(targets.open, simulator.sim_time.unsqueeze(1)))
+
+
+def belief(satellite: Any, targets: Any) -> Tensor:
+    """Return the belief that each target has been seen without clouds, [N, n]."""
+    return satellite.simulator.look_up(satellite.rewarder.memory["belief"], targets.place)
+
+
 SPREAD = dict(fn=cloud_sigma, name="cloud_sigma")
 
-VIEWS: dict[str, tuple[dict[str, Any], ...]] = {"nothing": (), "mean": (CLOUDS,), "mean and spread": (CLOUDS, SPREAD)}
-"""What is observed of the clouds over each target."""
+COMING = dict(prop="cloud_forecast", fn=coming_forecast)
 
-RULE, CHANCE = "hasty", "hasty by chance"
-"""The rule ``hasty``, which sees no clouds, and with the chance of a clear image in the worth of targets."""
+BELIEF = dict(fn=belief, name="belief")
+
+REPEATS = "repeats"
+
+VIEWS: dict[str, tuple[dict[str, Any], ...]] = {
+    "nothing": (),
+    "mean": (CLOUDS,),
+    "mean and spread": (CLOUDS, SPREAD),
+    REPEATS: (CLOUDS, SPREAD, BELIEF),
+}
+"""What is observed of the clouds over each target. :data:`REPEATS` is for clouds that move: others show the same again."""
+
+RULE, CHANCE, REPEATING = "hasty", "hasty by chance", "hasty by chance, repeats"
+"""The rule ``hasty``, which sees no clouds; with the chance of a clear image in the worth of targets; and of the first such."""
 
 
-def satellite_seeing(view: str, as_set: bool) -> type[AgileSatellite]:
+def satellite_seeing(world: str, view: str, as_set: bool) -> type[AgileSatellite]:
     """Return the class of a satellite with a view of the clouds."""
-    parts: list[obs.Observation] = [obs.SatProperties(*SATELLITE), targets_ahead(*VIEWS[view], as_set=as_set), obs.Time()]
+    seen = [COMING if world == MOVING and part is CLOUDS else part for part in VIEWS[view]]
+    parts: list[obs.Observation] = [obs.SatProperties(*SATELLITE), targets_ahead(*seen, as_set=as_set), obs.Time()]
     return type("CloudWatcher", (AgileSatellite,), {"observation_spec": parts})
 
 
 def preset_of(world: str, view: str) -> Callable[..., SatelliteTasking]:
-    """Return a function like a preset, of CloudyAEOS-v1 with other forecasts and another view."""
+    """Return a function like a preset, of CloudyAEOS-v1 with other clouds and another view."""
 
     def make(*, as_set: bool = False, **options: Any) -> SatelliteTasking:
-        targets = scene.UniformTargets(options.pop("n_targets", 1000))
-        clouds = dict(
-            scenario=scene.CloudyTargets(targets, forecast_sigma=rand.Uniform(*WORLDS[world])),
-            rewarder=bsk_torch.data.CloudFreeImageReward(THRESHOLD),
-        )
-        kinds = satellite_seeing(view, False), satellite_seeing(view, True)
-        return agile_environment(kinds, agile_args(), as_set, clouds | options)
+        targets, bounds = scene.UniformTargets(options.pop("n_targets", 1000)), WORLDS[world]
+        clouds = scene.CloudyTargets(targets, forecast_sigma=rand.Uniform(*bounds))
+        if world == MOVING:
+            clouds = MovingClouds(targets, bounds, options.get("time_limit", 3 * ORBIT))
+        rewarder = BeliefReward() if view == REPEATS else CloudFreeImageReward(THRESHOLD)
+        kinds = satellite_seeing(world, view, False), satellite_seeing(world, view, True)
+        return agile_environment(kinds, agile_args(), as_set, dict(scenario=clouds, rewarder=rewarder) | options)
 
     return make
 
 
-def chance_of_clear(see: Any, observation: Any) -> Tensor:
-    """Return about how probable a clear image is, [N, n]: ``P(forecast + sigma n <= threshold)`` with n standard normal."""
-    forecast, sigma = (see.read(observation, name) for name in ("cloud_forecast", "cloud_sigma"))
-    z = (THRESHOLD - forecast) / sigma.clamp(min=1e-3)
-    return 0.5 * (1.0 + torch.erf(z / math.sqrt(2.0)))
+def views_of(world: str, views: list[str]) -> list[str]:
+    """Return the views that make sense in a world."""
+    return [view for view in views if view != REPEATS or world == MOVING]
+
+
+# -- rules, trainings and comparisons ------------------------------------------------------------------------------------------
 
 
 def by_chance(see: Any, observation: Any) -> Tensor:
     """Return the worth of targets, [N, n]: that of the rule ``hasty`` times the chance of a clear image."""
     worth = by_discounted_priority(see, observation)
-    return torch.where(worth > 0.0, worth * chance_of_clear(see, observation), worth)  # targets that will be gone stay last
+    chance = chance_of_clear(*(see.read(observation, name) for name in ("cloud_forecast", "cloud_sigma")))
+    return torch.where(worth > 0.0, worth * chance, worth)  # targets that will be gone stay last
+
+
+def by_first_chance(see: Any, observation: Any) -> Tensor:
+    """Return the worth of targets, [N, n]: that of :func:`by_chance` times the belief that no image has been clear."""
+    worth = by_chance(see, observation)
+    return torch.where(worth > 0.0, worth * (1.0 - see.read(observation, "belief")), worth)
 
 
 def train(name: str, seed: int, options: Any, folder: Path) -> tuple[Any, int]:
     """Return a policy, and the number of decisions that it has learned from."""
-    limits = dict(seconds=None, frames=options.frames) if options.frames else dict(seconds=options.seconds)
-    recipe = RECIPES[PRESET]["attention"] | dict(num_envs=options.num_envs, evaluate_every=0) | limits
+    recipe = RECIPES[PRESET]["attention"] | dict(num_envs=options.num_envs, evaluate_every=0) | harness.budget(options)
     world = dict(as_set=True, time_limit=options.time_limit, backend=options.backend)
     training = Training(PPOConfig(name, network="attention", seed=seed, options=world, **recipe), folder)
     policy = training.run()
@@ -124,13 +267,16 @@ def summary(found: Evaluation, beside: Evaluation, frames: int) -> dict[str, Any
 
 def study(world: str, options: Any, folder: Path) -> dict[str, list[dict[str, Any]]]:
     """Return the results in one world by policy: one for each seed of a training, one for each rule."""
-    for view in VIEWS:
+    for view in views_of(world, list(VIEWS)):
         PRESETS[f"Clouds-{world}-{view}"] = preset_of(world, view)
     widest = f"Clouds-{world}-mean and spread"
     hasty = judge(lambda env: BASELINES[RULE](env, 0), widest, options)
     chance = judge(lambda env: imaging_rule(by_chance)(env, 0), widest, options)
     found = {RULE: [summary(hasty, hasty, 0)], CHANCE: [summary(chance, hasty, 0)]}
-    for view in options.views:
+    if world == MOVING:
+        again = judge(lambda env: imaging_rule(by_first_chance)(env, 0), f"Clouds-{world}-{REPEATS}", options)
+        found[REPEATING] = [summary(again, hasty, 0)]
+    for view in views_of(world, options.views):
         name, rows = f"Clouds-{world}-{view}", []
         for seed in range(options.seeds):
             policy, frames = train(name, seed, options, folder / f"{world}-{view}-{seed}")
@@ -141,10 +287,8 @@ def study(world: str, options: Any, folder: Path) -> dict[str, list[dict[str, An
 
 def shown(rows: list[dict[str, Any]]) -> dict[str, str]:
     """Return the entries of a row of the table."""
-    returns = [row["return"] for row in rows]
-    mean = f"{statistics.fmean(returns):.2f}"
     gains = ", ".join(f"{row['gain']:+.2f} ± {row['gain_half']:.2f}" for row in rows)
-    return {"mean": mean if len(rows) == 1 else f"{mean} ({min(returns):.2f} to {max(returns):.2f})", "gains": gains}
+    return {"mean": harness.of_seeds([row["return"] for row in rows], "{:.2f}"), "gains": gains}
 
 
 def draw(found: Mapping[str, Mapping[str, list[dict[str, Any]]]], path: Path) -> None:

@@ -151,8 +151,7 @@ class Rising(Training):
 def train(name: str, seed: int, options: Any, folder: Path) -> tuple[Any, int]:
     """Return a policy, and the number of decisions that it has learned from."""
     difficulty = Difficulty(*TRAININGS[name])
-    limits = dict(seconds=None, frames=options.frames) if options.frames else dict(seconds=options.seconds)
-    sizes = dict(num_envs=options.num_envs, evaluate_every=0) | limits
+    sizes = dict(num_envs=options.num_envs, evaluate_every=0) | harness.budget(options)
     world = dict(sat_args=arguments(difficulty), time_limit=options.time_limit, backend=options.backend)
     config = configure(PRESET, seed=seed, **sizes, options=world)  # type: ignore[arg-type]
     training = Rising(config, folder, difficulty) if name == CURRICULUM else Training(config, folder)
@@ -172,18 +171,9 @@ def judge(make_policy: Callable[[Any], Any], options: Any) -> dict[str, dict[str
     return found
 
 
-def spread_of(rows: list[dict[str, dict[str, float]]], condition: str, what: str) -> tuple[float, float, float]:
-    """Return mean, least and largest value of several trainings under a condition."""
-    values = [row[condition][what] for row in rows]
-    return statistics.fmean(values), min(values), max(values)
-
-
 def shown(rows: list[dict[str, dict[str, float]]], condition: str, what: str) -> str:
-    """Return the entry of a table."""
-    mean, low, high = spread_of(rows, condition, what)
-    form = "{:.1%}" if what == "survival" else "{:.3f}"
-    parts = [form.format(value) for value in (mean, low, high)]
-    return parts[0] if len(rows) == 1 else f"{parts[0]} ({parts[1]} to {parts[2]})"
+    """Return the entry of a table: mean, least and largest value of several trainings under a condition."""
+    return harness.of_seeds([row[condition][what] for row in rows], "{:.1%}" if what == "survival" else "{:.3f}")
 
 
 def draw(found: dict[str, list[dict[str, dict[str, float]]]], path: Path) -> None:
@@ -194,12 +184,11 @@ def draw(found: dict[str, list[dict[str, dict[str, float]]]], path: Path) -> Non
     names = list(conditions())
     for panel, what, title in zip(panels, ("survival", "return"), ("fraction of episodes survived", "return"), strict=True):
         for k, (name, rows) in enumerate(found.items()):
-            values = [spread_of(rows, condition, what) for condition in names]
+            values = [[row[condition][what] for row in rows] for condition in names]
             places = [x + 0.12 * (k - len(found) / 2) for x in range(len(names))]
-            mean, low, high = zip(*values, strict=True)
             color = style.PALETTE[k % len(style.PALETTE)]
-            panel.vlines(places, low, high, color=color, linewidth=1.5)
-            panel.plot(places, mean, "o", color=color, markersize=4, label=name)
+            panel.vlines(places, [min(each) for each in values], [max(each) for each in values], color=color, linewidth=1.5)
+            panel.plot(places, [statistics.fmean(each) for each in values], "o", color=color, markersize=4, label=name)
         panel.axvline(len(LEVELS) - 0.5, color="0.7", linewidth=0.8)
         panel.set_xticks(range(len(names)), names)
         style.label(panel, title)

@@ -130,6 +130,17 @@ def table(columns: Mapping[str, str], rows: Sequence[Mapping[str, Any]]) -> str:
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 
+def of_seeds(values: Sequence[float], form: str) -> str:
+    """Return the mean of several trainings in the format ``form``, with the least and the largest of them."""
+    mean, low, high = (form.format(value) for value in (statistics.fmean(values), min(values), max(values)))
+    return mean if len(values) == 1 else f"{mean} ({low} to {high})"
+
+
+def budget(options: argparse.Namespace) -> dict[str, Any]:
+    """Return the length of a training as fields of its configuration: ``frames`` if there are any, else ``seconds``."""
+    return dict(seconds=None, frames=options.frames) if options.frames else dict(seconds=options.seconds)
+
+
 def write(options: argparse.Namespace, described: dict[str, Any], **results: Any) -> None:
     """Write ``results``, the machine and the options into the file that the user named, if any."""
     if options.out:

@@ -43,8 +43,8 @@ STARTS: dict[str, list[Start]] = {
     "benchmarks/breakdown.py": [Start("--batches 2 --seconds 0.1 --warm-up 1", r"\| scan \| 2 \| all \| [\d,.]+ \| 100.0 \|")],
     "benchmarks/clouds.py": [
         Start(
-            "--frames 32 --num-envs 2 --episodes 2 --seeds 1 --time-limit 300 --worlds poor --views mean",
-            r"(?s)\| poor \| hasty by chance \| [\d.]+ \| .*\| poor \| mean \| [\d.]+ \| ",
+            "--frames 32 --num-envs 2 --episodes 2 --seeds 1 --time-limit 300 --worlds poor moving --views mean repeats",
+            r"(?s)\| poor \| hasty by chance \| [\d.]+ \| .*\| poor \| mean \| [\d.]+ \| .*\| moving \| repeats \| [\d.]+ \| ",
         ),
     ],
     "benchmarks/compare.py": [
@@ -94,6 +94,15 @@ STARTS: dict[str, list[Start]] = {
             "--targets 300 --episodes 2 --seconds 2 --iterations 3 --time-limit 1900 --figure milp.png",
             r"\| 300 \| MILP, flown \| [\d.]+ \+- [\d.]+ \| [\d.]+% \|",
         ),
+    ],
+    "benchmarks/relaxation.py": [
+        Start(
+            "--targets 300 --episodes 1 --time-limit 900 --iterations 3",
+            r"(?s)\| 300 \| least \| [\d.]+ \| [\d.]+ \| .*\| 300 \| typical \| [\d.]+ \| ",
+        ),
+    ],
+    "benchmarks/resources.py": [
+        Start("--episodes 2 --time-limit 900", r"(?s)\| targets in view \| .*\| images that the store holds \| 100 \|"),
     ],
     "benchmarks/reset.py": [
         Start("--batch 4 --rows 1 --rounds 1 --shares 2 --seconds 0.1 --warm-up 1", r"\| scan \| 2 \| [\d.]+% \|"),

@@ -19,6 +19,7 @@ SCRIPTS = {
     "constellation_tasks": "constellation",
     "inspection_rso": "inspection_rules",
     "inspection_crew": "inspection_rules",
+    "clouds_moving": "clouds",
 }
 """Scripts by result, where the names differ."""
 
@@ -50,8 +51,8 @@ def made(name: str) -> str:
         if option in ("out", "basilisk"):
             value = {"out": f"benchmarks/results/{name}.json", "basilisk": "PYTHON"}[option]
         if value is not None:
-            values = [str(v) for v in value] if isinstance(value, list) else [str(value)]
-            words += [f"--{option.replace('_', '-')} {' '.join(quoted(text) for text in values)}"]
+            first, *more = [quoted(str(v)) for v in value] if isinstance(value, list) else [quoted(str(value))]
+            words += [f"--{option.replace('_', '-')} {first}", *more]
     where = result["machine"]
     place = f"One thread on a virtual machine with {where['cores']} cores ({where['processor']}, {where['capability']})"
     versions = f"torch {where['torch']}, TorchRL {where['torchrl']}, Python {where['python']}"
@@ -332,6 +333,67 @@ def clouds(name: str) -> str:
     return with_command(name, head, rows)
 
 
+def envelope() -> str:
+    """Return least times between images, with the transitions that they were fitted to."""
+    fitted = json.loads((ROOT / "bsk_torch" / "plan" / "bounds" / "agile.json").read_text())
+    rows = []
+    for row in load("envelope")["rows"]:
+        k = round(row["low"] / fitted["width"])
+        times = [fitted["direct"][k] * fitted["step"], fitted["any"][k] * fitted["step"], row["median"]]
+        rows.append([f"{row['low']:.1f} to {row['high']:.1f}", whole(row["count"]), *(f"{seconds:.1f}" for seconds in times)])
+    head = ["angle, rad", "transitions", "least in one step, s", "least, s", "median in one step, s"]
+    return with_command("envelope", head, rows)
+
+
+def bounds(*tasks: str) -> str:
+    """Return how near policies come to their bounds in some tasks."""
+    rows = []
+    for row in load("bounds")["rows"]:
+        if row["policy"] == "random" or row["task"] not in tasks:
+            continue
+        values = [f"{row['value']:.2f} ± {row['half']:.2f}", f"{row['bound']:.2f}", f"{row['share']:.1%}", short(row["smallest"])]
+        rows.append([code(row["task"]), row["policy"], *values, f"{row['seconds']:.2f}", code(row["commit"])])
+    head = ["task", "policy", "return", "bound", "share", "smallest difference", "s for each bound", "commit"]
+    return table(head, rows) + "\n"
+
+
+def bounds_made() -> str:
+    """Return the command that writes the bounds, and what all of its flights show together."""
+    rows = load("bounds")["rows"]
+    flights, least = sum(row["episodes"] for row in rows), min(row["smallest"] for row in rows)
+    return f"{made('bounds')}\n{whole(flights)} flights, random actions included; the smallest difference is {short(least)}.\n"
+
+
+def schedules() -> str:
+    """Return what schedules reach beside other policies and the bound."""
+    rows = []
+    for row in load("milp")["rows"]:
+        value = f"{row['value']:.1f}" if row["policy"] == "bound" else f"{row['value']:.1f} ± {row['half']:.1f}"
+        rows.append([whole(row["targets"]), row["policy"], value, f"{row['share']:.1%}", short(row["seconds"])])
+    return with_command("milp", ["targets", "policy", "return", "share of the bound", "s for each episode"], rows)
+
+
+def relaxations() -> str:
+    """Return what the relaxation allows with several times between images."""
+    rows = []
+    for row in load("relaxation")["rows"]:
+        values = [f"{row[name]:.2f}" for name in ("in_view", "bound", "schedule")]
+        rows.append([whole(row["targets"]), row["times"], *values, whole(row["knapsack"]), short(row["seconds"])])
+    head = ["targets", "times between images", "in view", "bound", "schedule", "quickest transitions, s", "s for each bound"]
+    return with_command("relaxation", head, rows)
+
+
+def resources() -> str:
+    """Return how much energy and storage there is for images."""
+    rows = [[row["name"], *(quantity(row[name]) for name in ("least", "mean", "largest"))] for row in load("resources")["rows"]]
+    return with_command("resources", ["quantity of an episode", "least", "mean", "largest"], rows)
+
+
+def quantity(value: float) -> str:
+    """Return a number in the digits that its size asks for."""
+    return short(value) if value < 1.0 else whole(value) if value >= 100.0 else f"{value:.1f}"
+
+
 def suites(name: str) -> str:
     """Return what policies reach in a suite, by preset."""
     content = load(name)
@@ -350,6 +412,12 @@ def suites(name: str) -> str:
 TABLES = {
     "difficulties": difficulties,
     "clouds": clouds,
+    "envelope": envelope,
+    "bounds": bounds,
+    "bounds_made": bounds_made,
+    "schedules": schedules,
+    "relaxations": relaxations,
+    "resources": resources,
     "made": made,
     "vs_basilisk": vs_basilisk,
     "constellations": constellations,

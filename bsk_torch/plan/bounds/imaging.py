@@ -57,8 +57,9 @@ def imaging_bound(
       policies collect beside such images lies below the bound in any case;
     * power, storage and the first slew cost nothing; dying pays nothing.
 
-    With the envelope of the package and full episodes of AEOS-v1 it is no lower than ``in_view``, whatever the number of targets
-    that was tried (``docs/studies/bounds.md``).
+    With the envelope of the package and full episodes of AEOS-v1 it is hardly lower than ``in_view``, whatever the number of
+    targets that was tried: least times know the angle alone, and are short. Energy and storage of AEOSPower-v1 would suffice for
+    images of all targets in view, so that constraints on them would not lower it (``docs/studies/bounds.md`` has the figures).
 
     Targets pay once by multipliers (:mod:`bsk_torch.plan.bounds.paths`); time is in cells of some ticks, rounded in favour of
     the satellite. In a constellation all satellites share the targets: the sum of their paths under the same multipliers.
@@ -87,7 +88,7 @@ def imaging_bound(
     every = openings(satellite, limit)
     pause, parts = shortest_pause(env, satellite), []
     for envs in _batches(every, len(paid), count):
-        graph = _graph(satellite, every, envs, count, envelope, cell, int(limit.max()), pause)
+        graph = graph_of(satellite, every, envs, count, envelope, cell, int(limit.max()), pause)
         paths = best_paths(graph, paid[envs], satellites=count, iterations=iterations, bits=bits, gap=gap)
         parts.append((paths, _schedule(graph, paths.nodes, count)))
     shown = max(part[1][0].shape[1] for part in parts)
@@ -113,7 +114,7 @@ def _batches(every: Openings, envs: int, count: int) -> list[Tensor]:
     return [torch.tensor(batch) for batch in batches]
 
 
-def _graph(
+def graph_of(
     satellite: ImagingSatellite,
     every: Openings,
     envs: Tensor,
@@ -123,6 +124,18 @@ def _graph(
     limit: int,
     pause: int | None,
 ) -> ImageGraph:
+    """Return the graph of some episodes.
+
+    Args:
+        satellite: Satellites of the environment, ``count`` in each episode.
+        every: When images of all episodes may be completed.
+        envs: Consecutive episodes, [n].
+        count: Satellites of an episode.
+        envelope: Least times between images.
+        cell: Ticks in a cell.
+        limit: Largest number of ticks of an episode.
+        pause: Ticks after which other actions than images may end; None if there are none.
+    """
     rows = (envs.unsqueeze(1) * count + torch.arange(count)).flatten()
     mine = (every.row >= rows[0]) & (every.row <= rows[-1])
     some = Openings(*(column[mine] for column in every))._replace(row=every.row[mine] - rows[0])

@@ -1,0 +1,75 @@
+"""Worlds and rewards that studies of the benchmarks define beside those of the package."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+
+from bsk_torch.env.rollout import play_episodes
+
+SEED = 4_000_011
+
+
+@pytest.fixture
+def clouds(monkeypatch):
+    monkeypatch.syspath_prepend(str(Path(__file__).parents[1] / "benchmarks"))
+    import clouds
+
+    yield clouds
+    for name in ("clouds", "harness"):
+        sys.modules.pop(name, None)
+
+
+def test_clouds_change_every_half_hour_and_forecasts_are_about_right(clouds):
+    env = clouds.preset_of("moving", "repeats")(num_envs=2, backend="eager", time_limit=3600.0)
+    env.set_seed(SEED)
+    env.reset()
+    scenario: Any = env.scenario
+    since, covers = scenario.drawn("since_change"), scenario.drawn("covers")
+    assert covers.shape[-1] == 3
+    for time, change in ((0.0, 0), (clouds.STAY, 1)):
+        for shift in (0.0, 0.999):  # right after a change and right before the next one
+            now = time - since + shift * clouds.STAY
+            assert torch.equal(scenario.at(covers, since, now.clamp(min=0.0))[now >= 0.0], covers[..., change][now >= 0.0])
+    assert torch.equal(scenario.cloud_cover, covers[..., 0])
+    errors = (scenario.drawn("forecasts") - covers)[(covers < 0.7) & (covers > 0.3)]
+    assert 0.1 < float(errors.std()) < 0.3  # standard deviations are uniform up to 0.6, cut at 0 and 1
+
+
+@pytest.mark.compiled
+def test_repeated_images_pay_once_and_raise_the_belief(clouds):
+    env = clouds.preset_of("moving", "repeats")(num_envs=6)
+    rule = clouds.imaging_rule(clouds.by_first_chance)(env, 0)
+    env.set_seed(SEED)
+    start = env.reset()
+    scenario: Any = env.scenario
+    satellite: Any = env.satellite
+    tables = [scenario.drawn(name) for name in ("covers", "forecasts", "since_change", "cloud_forecast_sigma")]
+    covers, forecasts, since, sigma = (table.clone() for table in tables)
+    priority = scenario.priority.clone()
+    level, images = satellite.dynamics.partition_levels[:, 0].clone(), {}
+    paid, belief = torch.zeros(6, dtype=torch.float64), torch.zeros_like(priority, dtype=torch.float64)
+    for playing, _ in play_episodes(env, rule, start):
+        taken = (satellite.dynamics.partition_levels[:, 0] > level) & playing
+        level = satellite.dynamics.partition_levels[:, 0].clone()
+        for row in torch.nonzero(taken).flatten().tolist():
+            target, time = int(satellite.latest_target[row]), float(env.simulator.sim_time[row])
+            k = int((time + float(since[row, target])) // clouds.STAY)
+            before = images.setdefault((row, target), [])
+            assert not before or time - before[-1][0] >= clouds.STAY
+            assert float(belief[row, target]) < clouds.ENOUGH
+            clear = float(covers[row, target, k]) <= clouds.THRESHOLD
+            if clear and not any(seen for _, seen in before):
+                paid[row] += float(priority[row, target])
+            before.append((time, clear))
+            chance = clouds.chance_of_clear(forecasts[row, target, k], sigma[row, target])
+            belief[row, target] = 1.0 - (1.0 - belief[row, target]) * (1.0 - chance)
+    assert torch.allclose(env.returns.flatten().double(), paid, atol=1e-5)
+    assert torch.allclose(scenario.fleet.memory["belief"], belief, atol=1e-12)
+    repeated = sum(len(times) - 1 for times in images.values())
+    assert repeated == int(env.counts()["repeated"].sum())
+    assert repeated > 10
