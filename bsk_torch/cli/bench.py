@@ -29,8 +29,8 @@ from bsk_torch.cli.shared import Backend, Device, Threads, check_writable, conso
 from bsk_torch.env import Tasking
 from bsk_torch.env.rollout import Policy
 from bsk_torch.files import write_file
-from bsk_torch.rl.evaluation.statistics import confidence
-from bsk_torch.rl.evaluation.suite import EPISODES, VIEWS, Entrant, Score, Task, normalised, play, references, tasks_of
+from bsk_torch.rl.evaluation.statistics import Estimate
+from bsk_torch.rl.evaluation.suite import EPISODES, VIEWS, Entrant, Score, Task, normalised, play, ranking, references, tasks_of
 from bsk_torch.rl.policies.pretrained import makings
 from bsk_torch.rl.policies.shared_policy import baseline, shared
 from bsk_torch.rl.rules.baselines import BASELINES
@@ -46,7 +46,8 @@ def bench(
         typer.Argument(
             help=f"'pretrained', a baseline ({', '.join(BASELINES)}), also with a view of the presets such as "
             "survey,actions=waypoints, the folder or file of a policy, a planner with its options such as "
-            "plan:rollout,base=hasty,horizon=240, or a function of your own as package.module:function."
+            "plan:rollout,base=hasty,horizon=240, or a function of your own as package.module:function, "
+            "with strings for it after commas."
         ),
     ],
     suite: Annotated[str, typer.Option(help="Name of the suite.")] = "v1",
@@ -75,7 +76,7 @@ def bench(
         fail(str(error))
     check_certifiable(tasks, certify, episodes)
     entrants = {name: entrant_of(name) for name in policies}
-    results = earlier(beside or [], suite, episodes)
+    results = earlier(beside or [], suite)
     for name in entrants:
         if name in results:
             fail(f"{name!r} is also among the results of --beside; the suite has one row for each policy")
@@ -131,9 +132,10 @@ def entrant_of(name: str) -> Entrant:
     if plain in BASELINES:
         chosen = dict(view_of(view) for view in views)
         return lambda preset, make: rule(plain, chosen, make)
-    module, colon, function = name.partition(":")
+    module, colon, function = plain.partition(":")
     if colon and not Path(name).exists():
-        return imported(module, function)
+        found = imported(module, function)
+        return lambda preset, make: found(preset, make, *views)
     policy = named_policy(name, None)
     return lambda preset, make: entered(policy, make) if preset == policy.preset else None
 
@@ -176,7 +178,7 @@ def view_of(text: str) -> tuple[str, Any]:
     return name, {"True": True, "False": False}.get(value, value)
 
 
-def imported(module: str, function: str) -> Entrant:
+def imported(module: str, function: str) -> Callable[..., tuple[Tasking, Policy] | None]:
     """Return a function of the user's; ends the program if it cannot be imported."""
     if str(Path.cwd()) not in sys.path:
         sys.path.insert(0, str(Path.cwd()))  # where a user's module is, as python -m would find it
@@ -197,18 +199,18 @@ def told(score: Score, reference: Mapping[str, Any] | None) -> dict[str, Any]:
     return rated | summary | {"seconds_per_decision": score.seconds, "returns": evaluation.returns.tolist()}
 
 
-def earlier(files: Iterable[Path], suite: str, episodes: int) -> dict[str, dict[str, Any]]:
-    """Return the results of earlier runs, by policy; ends the program for those of another suite or number of episodes."""
+def earlier(files: Iterable[Path], suite: str) -> dict[str, dict[str, Any]]:
+    """Return the results of earlier runs, by policy; ends the program for those of another suite."""
     results: dict[str, dict[str, Any]] = {}
     for path in files:
         try:
             kept = json.loads(path.read_text())
-            made = (kept["format"], kept["suite"], kept["episodes"])
+            made = (kept["format"], kept["suite"])
             policies = kept["policies"]
         except (OSError, ValueError, KeyError, TypeError) as error:
             fail(f"{str(path)!r} is no result of bsk-torch bench: {type(error).__name__}: {error}")
-        if made != (FORMAT, suite, episodes):
-            fail(f"{str(path)!r} has format, suite and episodes {made}; this run has {(FORMAT, suite, episodes)}")
+        if made != (FORMAT, suite):
+            fail(f"{str(path)!r} has format and suite {made}; this run has {(FORMAT, suite)}")
         results |= policies
     return results
 
@@ -228,31 +230,33 @@ def document(suite: str, episodes: int, results: Mapping[str, Any]) -> dict[str,
 
 
 def print_suite(results: Mapping[str, Mapping[str, Any]], presets: list[str], title: str) -> None:
-    """Print a table for each task: policies by return, the paired gain of the best over each, survival and computation."""
+    """Print a table for each task: policies, the paired gain of the best over each, survival and computation."""
     for preset in presets:
         rows = {name: result[preset] for name, result in results.items() if preset in result}
         if not rows:
             continue
-        order = sorted(rows, key=lambda name: -rows[name]["return"]["mean"])
+        best, gains = ranking({name: row["returns"] for name, row in rows.items()})
         table = Table(title=f"{preset}, {title}", title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
-        columns = ["policy", "score", "return", f"gain of {order[0]}", "survival", "ms per decision", "simulated s per decision"]
+        columns = ["policy", "score", "return", f"gain of {best}", "survival", "ms per decision", "simulated s per decision"]
         flown = any("basilisk" in row for row in rows.values())
         for column in [*columns, "same on Basilisk"] if flown else columns:
             table.add_column(column, justify="left" if column == "policy" else "right")
-        for name in order:
-            table.add_row(name, *cells(rows[name], rows[order[0]]), *([on_basilisk(rows[name])] if flown else []))
+        most = len(rows[best]["returns"])
+        for name, gain in gains.items():
+            row, n = rows[name], len(rows[name]["returns"])
+            more = [on_basilisk(row)] if flown else []
+            table.add_row(name if n == most else f"{name} ({n} episodes)", *cells(row, None if name == best else gain), *more)
         Console(width=WIDE).print(table)
 
 
-def cells(row: Mapping[str, Any], best: Mapping[str, Any]) -> list[str]:
-    """Return the cells of a policy after its name."""
+def cells(row: Mapping[str, Any], gain: Estimate | None) -> list[str]:
+    """Return the cells of a policy after its name; ``gain`` is that of the best over it."""
     score = "" if "score" not in row else "{mean:.3f} ± {half_width:.3f}".format(**row["score"])
-    gain = confidence(torch.tensor(best["returns"], dtype=torch.float64) - torch.tensor(row["returns"], dtype=torch.float64))
     simulated = row.get("simulated_per_decision")
     return [
         score,
         "{mean:.3f} ± {half_width:.3f}".format(**row["return"]),
-        "" if row is best else f"{gain.mean:+.3f} ± {gain.half_width:.3f}",
+        "" if gain is None else f"{gain.mean:+.3f} ± {gain.half_width:.3f}",
         f"{row['survival']:.1%}",
         f"{1e3 * row['seconds_per_decision']:.3f}",
         "" if simulated is None else f"{simulated:,.0f}",

@@ -31,9 +31,14 @@ def test_results_of_earlier_runs_stand_beside(run, tmp_path):
     again = run("bench", "random", *TWO, "--beside", out)
     assert again.exit_code == 1
     assert "'random' is also among the results of --beside" in again.output
-    other = run("bench", "rule", "--presets", "NadirScan-v1", "--episodes", "3", "--beside", out)
+    longer = run("bench", "rule", "--presets", "NadirScan-v1", "--episodes", "3", "--beside", out)
+    assert longer.exit_code == 0, longer.output
+    assert "random (2 episodes)" in longer.output
+    content = json.loads(out.read_text()) | {"suite": "v0"}
+    out.write_text(json.dumps(content))
+    other = run("bench", "rule", *TWO, "--beside", out)
     assert other.exit_code == 1
-    assert "(1, 'v1', 2); this run has (1, 'v1', 3)" in other.output
+    assert "(1, 'v0'); this run has (1, 'v1')" in other.output
 
 
 def test_a_function_may_enter_a_policy(run, tmp_path, monkeypatch):
@@ -42,13 +47,16 @@ def test_a_function_may_enter_a_policy(run, tmp_path, monkeypatch):
     (tmp_path / "lazy_entrant.py").write_text(
         "import torch\n"
         "from tensordict.nn import TensorDictModule\n"
-        "def enter(preset, make):\n"
-        "    charge = lambda x: torch.ones(x.shape[0], dtype=torch.int64)\n"
+        "def enter(preset, make, action='1'):\n"
+        "    charge = lambda x: torch.full(x.shape[:1], int(action))\n"
         "    return make(), TensorDictModule(charge, in_keys=['observation'], out_keys=['action'])\n"
     )
-    result = run("bench", "lazy_entrant:enter", *TWO)
+    result = run("bench", "lazy_entrant:enter", "lazy_entrant:enter,0", *TWO, "--out", tmp_path / "bench.json")
     assert result.exit_code == 0, result.output
-    assert "lazy_entrant:enter" in result.output
+    assert "lazy_entrant:enter,0" in result.output
+    charging, scanning = json.loads((tmp_path / "bench.json").read_text())["policies"].values()
+    assert charging["NadirScan-v1"]["returns"] == [0.0, 0.0]
+    assert scanning["NadirScan-v1"]["returns"] != [0.0, 0.0]
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
@@ -25,7 +25,20 @@ from bsk_torch.rl.evaluation.evaluate import SUITE_SEEDS, Evaluation, evaluate
 from bsk_torch.rl.evaluation.statistics import Estimate, confidence
 from bsk_torch.sim.params import nearest
 
-__all__ = ["EPISODES", "SUITES", "VIEWS", "Entrant", "Score", "Task", "enter", "normalised", "play", "references", "tasks_of"]
+__all__ = [
+    "EPISODES",
+    "SUITES",
+    "VIEWS",
+    "Entrant",
+    "Score",
+    "Task",
+    "enter",
+    "normalised",
+    "play",
+    "ranking",
+    "references",
+    "tasks_of",
+]
 
 EPISODES = 1024
 """Episodes of each task."""
@@ -203,3 +216,19 @@ def normalised(evaluation: Evaluation, reference: Mapping[str, Any]) -> Estimate
     """Return, 0 for random actions and 1 for the reference, with its 95 % confidence interval, in which the two are fixed."""
     low, high = reference["low"]["return"], reference["high"]["return"]
     return confidence((evaluation.returns - low) / (high - low))
+
+
+def ranking(returns: Mapping[str, Sequence[float]]) -> tuple[str, dict[str, Estimate]]:
+    """Return the best policy, and its mean paired gain over each with the 95 % confidence interval, in ascending order.
+
+    *Best* is the highest mean among the policies that played the most episodes of a task. One that played fewer, the first of
+    them, is compared in these, and may stand before the best.
+
+    Args:
+        returns: Returns of the first episodes of a task by policy, in the order of their seeds.
+    """
+    played = {name: torch.as_tensor(values, dtype=torch.float64) for name, values in returns.items()}
+    most = max(len(values) for values in played.values())
+    best = max((name for name in played if len(played[name]) == most), key=lambda name: float(played[name].mean()))
+    gains = {name: confidence(played[best][: len(values)] - values) for name, values in played.items()}
+    return best, dict(sorted(gains.items(), key=lambda item: item[1].mean))
