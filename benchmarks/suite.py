@@ -125,7 +125,7 @@ def main() -> None:
             parser.error(
                 f"references need all {EPISODES} episodes of random actions and of another policy in {', '.join(missing)}"
             )
-        given.references.write_text(json.dumps(known, indent=1) + "\n")
+        given.references.write_text(json.dumps(dict(sorted(known.items())), indent=1) + "\n")
     if given.out is not None:
         given.out.write_text(json.dumps(head | {"rows": rows}, indent=1) + "\n")
 
