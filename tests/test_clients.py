@@ -70,6 +70,15 @@ def test_rllib(tmp_path):
     output = run("ppo_rllib.py", tmp_path, *ONE, "--preset", "AEOSPower-v1", "--out", "checkpoint")
     assert first_column(output) == ["RLlib PPO", *RULES]
     assert (tmp_path / "checkpoint" / "rllib_checkpoint.json").is_file()
+    from examples.ppo_rllib import entrant  # here, where its packages are installed
+
+    env, policy = entrant(
+        "AEOSPower-v1", partial(make, "AEOSPower-v1", num_envs=2, backend="eager"), str(tmp_path / "checkpoint")
+    )
+    assert policy(env.reset())["action"].shape == (2,)
+    assert (
+        entrant("NadirScan-v1", partial(make, "NadirScan-v1", num_envs=2, backend="eager"), str(tmp_path / "checkpoint")) is None
+    )
 
 
 @needs("benchmarl", "--no-deps benchmarl==1.5.2")
