@@ -337,13 +337,15 @@ def suites(name: str) -> str:
     content = load(name)
     rows, most = [], max(row["episodes"] for row in content["rows"])
     for row in content["rows"]:
-        marked = row["policy"] if row["episodes"] == most else f"{row['policy']} ({row['episodes']} episodes)"
+        marked = code(row["policy"]) + ("" if row["episodes"] == most else f" ({row['episodes']} episodes)")
         behind = f"{row['behind']:.3f} ± {row['behind_half']:.3f}" if row["behind"] else "-"
         pairs = ("score", "score_half"), ("value", "half")
         score, value = ("-" if row[key] is None else f"{row[key]:.3f} ± {row[half]:.3f}" for key, half in pairs)
-        cells = [score, value, behind, f"{row['survival']:.1%}", f"{row['milliseconds']:.3f}", certificate(row["basilisk"])]
+        spent = f"{row['milliseconds']:.3f}", "-" if row["simulated"] is None else whole(row["simulated"])
+        cells = [score, value, behind, f"{row['survival']:.1%}", *spent, certificate(row["basilisk"])]
         rows.append([code(row["preset"]), marked, *cells])
-    head = ["preset", "policy", "score", "return", "behind the best", "survival", "ms / decision", "same on Basilisk"]
+    head = ["preset", "policy", "score", "return", "behind the best", "survival", "ms / decision", "simulated s / decision"]
+    head.append("same on Basilisk")
     versions = f"bsk_torch {content['bsk_torch']}, torch {content['torch']}"
     made_by = f"{versions}, {most:,} episodes of each task unless said otherwise, one thread."
     return f"{table(head, rows)}\n\n{made_by}\n"
