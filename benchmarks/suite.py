@@ -3,11 +3,12 @@
 Usage:
     bsk-torch bench random rule pretrained --presets NadirScan-v1 --out scan.json
     bsk-torch bench random hasty pretrained --presets AEOS-v1 --out aeos.json
-    python benchmarks/suite.py scan.json aeos.json [--out FILE.json] [--references FILE.json]
+    bsk-torch bench plan:rollout,base=rule --presets NadirScan-v1 --episodes 32 --out planned.json
+    python benchmarks/suite.py scan.json aeos.json planned.json [--out FILE.json] [--references FILE.json]
 
 The references are made once for a suite, from all of its episodes: 0 is what random actions return, 1 the best mean of all
 policies in the files. They belong to the suite as its episodes do, and are not made anew for better policies: presets that have
-references keep them.
+references keep them. Policies that played fewer episodes, such as planners, are compared in these.
 """
 
 from __future__ import annotations
@@ -18,63 +19,93 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import torch
-
-from bsk_torch.rl.evaluation.statistics import confidence
-from bsk_torch.rl.evaluation.suite import EPISODES
+from bsk_torch.rl.evaluation.suite import EPISODES, ranking
 from bsk_torch.rl.evaluation.suite import references as frozen
 
 
 def merged(files: Sequence[Path]) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
-    """What all files say of themselves, and the results by preset and policy; ValueError for files of unlike runs."""
+    """What all files say of themselves, and the results by preset and policy; ValueError for files of unlike runs.
+
+    Of the same policy, the results of the most episodes count, and then those of the last file; a certificate is kept.
+    """
     head: dict[str, Any] = {}
     results: dict[str, dict[str, Any]] = {}
     for path in files:
         content = json.loads(path.read_text())
         policies = content.pop("policies")
-        made = {name: content[name] for name in ("format", "suite", "episodes", "bsk_torch", "torch", "machine")}
+        made = {name: content[name] for name in ("format", "suite", "bsk_torch", "torch", "machine")}
         if head and made != head:
             raise ValueError(f"{path} was made by {made}, the others by {head}")
         head = made
         for policy, presets in policies.items():
             for preset, row in presets.items():
-                results.setdefault(preset, {})[policy] = row
+                rows = results.setdefault(preset, {})
+                known = rows.get(policy, row)
+                shorter, longer = sorted((known, row), key=lambda one: len(one["returns"]))
+                flights = [one["basilisk"] for one in (longer, shorter) if "basilisk" in one]
+                rows[policy] = longer | ({"basilisk": flights[0]} if flights else {})
     return head, results
 
 
 def references(head: Mapping[str, Any], results: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
-    """Lowest and highest returns by preset, each with the policy."""
+    """Lowest and highest returns by preset, each with the policy, of presets in which random actions played all episodes."""
     found = {}
     for preset, rows in results.items():
-        best = max(rows, key=lambda name: rows[name]["return"]["mean"])
-        source = f"bsk_torch {head['bsk_torch']}"
-        found[preset] = {
-            "low": {"return": rows["random"]["return"]["mean"], "source": f"random actions, {source}"},
-            "high": {"return": rows[best]["return"]["mean"], "source": f"{best}, {source}"},
-        }
+        played = {name: row["return"]["mean"] for name, row in rows.items() if len(row["returns"]) == EPISODES}
+        if "random" in played and len(played) > 1:
+            best, source = max(played, key=lambda name: played[name]), f"bsk_torch {head['bsk_torch']}"
+            found[preset] = {
+                "low": {"return": played["random"], "source": f"random actions, {source}"},
+                "high": {"return": played[best], "source": f"{best}, {source}"},
+            }
     return found
 
 
 def summaries(results: Mapping[str, Mapping[str, Any]], known: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
-    """A row for each preset and policy, the best first: score, return, paired gain of the best, survival and computation."""
+    """A row for each preset and policy, the best first: score, return, paired gain of the best, survival and computation.
+
+    See :func:`~bsk_torch.rl.evaluation.suite.ranking`. Policies that played fewer than all episodes have no score.
+    """
     for preset, rows in results.items():
-        order = sorted(rows, key=lambda name: -rows[name]["return"]["mean"])
-        best = torch.tensor(rows[order[0]]["returns"], dtype=torch.float64)
-        for name in order:
-            row, returns = rows[name], torch.tensor(rows[name]["returns"], dtype=torch.float64)
-            gain, low, high = confidence(best - returns), *(known[preset][end]["return"] for end in ("low", "high"))
-            yield {
+        _, gains = ranking({name: row["returns"] for name, row in rows.items()})
+        for name, gain in gains.items():
+            row = rows[name]
+            summary = {
                 "preset": preset,
                 "policy": name,
-                "score": (row["return"]["mean"] - low) / (high - low),
-                "score_half": row["return"]["half_width"] / (high - low),
+                "episodes": len(row["returns"]),
+                "score": None,
+                "score_half": None,
                 "value": row["return"]["mean"],
                 "half": row["return"]["half_width"],
                 "behind": gain.mean,
                 "behind_half": gain.half_width,
                 "survival": row["survival"],
                 "milliseconds": 1e3 * row["seconds_per_decision"],
+                "simulated": row.get("simulated_per_decision"),
+                "basilisk": certificate(row),
             }
+            if preset in known and len(row["returns"]) == EPISODES:
+                low, high = (known[preset][end]["return"] for end in ("low", "high"))
+                summary["score"] = (row["return"]["mean"] - low) / (high - low)
+                summary["score_half"] = row["return"]["half_width"] / (high - low)
+            yield summary
+
+
+def certificate(row: Mapping[str, Any]) -> dict[str, Any] | None:
+    """What a row says of its flights on Basilisk: their number, how many are the same, and the largest difference of a return."""
+    flown = row.get("basilisk")
+    if flown is None:
+        return None
+    return {"episodes": len(flown["returns"])} | {name: flown[name] for name in ("same", "largest_difference", "decided")}
+
+
+def line(row: Mapping[str, Any]) -> str:
+    """A row as it is printed."""
+    score = "-" if row["score"] is None else "{score:.3f} +- {score_half:.3f}".format(**row)
+    return "| {preset} | {policy} | {episodes} | {score} | {value:.3f} +- {half:.3f} | {survival:.1%} |".format(
+        **{**row, "score": score}
+    )
 
 
 def main() -> None:
@@ -85,16 +116,16 @@ def main() -> None:
     parser.add_argument("--references", type=Path, help="JSON file for the references of the suite")
     given = parser.parse_args()
     head, results = merged(given.files)
-    known = references(head, results) | {name: kept for name, kept in frozen(head["suite"]).items() if name in results}
+    known = references(head, results) | frozen(head["suite"])
     rows = list(summaries(results, known))
     for row in rows:
-        print(
-            "| {preset} | {policy} | {score:.3f} +- {score_half:.3f} | {value:.3f} +- {half:.3f} | {survival:.1%} |".format(**row)
-        )
+        print(line(row))
     if given.references is not None:
-        if head["episodes"] != EPISODES:
-            parser.error(f"references need all {EPISODES} episodes of each task; the files have {head['episodes']}")
-        given.references.write_text(json.dumps(known, indent=1) + "\n")
+        if missing := [preset for preset in results if preset not in known]:
+            parser.error(
+                f"references need all {EPISODES} episodes of random actions and of another policy in {', '.join(missing)}"
+            )
+        given.references.write_text(json.dumps(dict(sorted(known.items())), indent=1) + "\n")
     if given.out is not None:
         given.out.write_text(json.dumps(head | {"rows": rows}, indent=1) + "\n")
 

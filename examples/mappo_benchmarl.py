@@ -8,11 +8,17 @@ It needs BenchMARL without the older TorchRL that it asks for::
 
     pip install --no-deps benchmarl==1.5.2
     python examples/mappo_benchmarl.py --iterations 60
+
+What was trained in a whole preset takes part in the suite of frozen episodes::
+
+    python examples/mappo_benchmarl.py --preset RelayConstellation-v1 --iterations 60 --policy runs/relay_mappo.pt
+    bsk-torch bench examples.mappo_benchmarl:entrant,runs/relay_mappo.pt hasty --presets RelayConstellation-v1
 """
 
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +27,7 @@ import torch
 from bsk_torch.rl.evaluation import FRESH, compare, comparison_table, evaluate
 
 # first, since it lets BenchMARL import newer versions of TorchRL
-from bsk_torch.rl.marl.benchmarl import ConstellationTask
+from bsk_torch.rl.marl.benchmarl import PRESET, ConstellationTask
 
 # isort: split
 from benchmarl.algorithms import IppoConfig, MappoConfig
@@ -29,6 +35,12 @@ from benchmarl.experiment import Experiment, ExperimentConfig
 from benchmarl.models.mlp import MlpConfig
 
 ALGORITHMS = {"mappo": MappoConfig, "ippo": IppoConfig}
+
+TASKS = {preset: name for name, preset in PRESET.items()}
+"""Names of BenchMARL's tasks by preset."""
+
+SMALL = {"Constellation-v1": {"n_satellites": 4, "n_planes": 2, "n_targets": 1000, "time_limit": 2850.0}}
+"""Arguments of presets that are made smaller unless other ones are given."""
 
 
 def experiment_config(options: argparse.Namespace) -> ExperimentConfig:
@@ -56,16 +68,23 @@ def experiment_config(options: argparse.Namespace) -> ExperimentConfig:
 
 def make_experiment(options: argparse.Namespace) -> Experiment:
     """The training, ready to run."""
-    world = {name: getattr(options, name) for name in ("n_satellites", "n_planes", "n_targets", "time_limit")}
+    given = {name: getattr(options, name) for name in ("n_satellites", "n_planes", "n_targets", "time_limit")}
+    world = SMALL.get(options.preset, {}) | {name: value for name, value in given.items() if value is not None}
     algorithm, model = ALGORITHMS[options.algorithm].get_from_yaml(), MlpConfig.get_from_yaml()
     algorithm.entropy_coef, model.num_cells = 0.01, [256, 256]
     return Experiment(
-        task=ConstellationTask.CONSTELLATION.get_task({"options": world}),
+        task=ConstellationTask[TASKS[options.preset]].get_task({"options": world}),
         algorithm_config=algorithm,
         model_config=model,
         seed=options.seed,
         config=experiment_config(options),
     )
+
+
+def entrant(preset: str, make: Callable[..., Any], file: str) -> tuple[Any, Any] | None:
+    """Enter the policy of a file in ``bsk-torch bench``; None for other presets than that of its training."""
+    kept = torch.load(file, weights_only=False)  # modules: load your own files only
+    return (make(), kept["policy"]) if kept["preset"] == preset else None
 
 
 def arguments() -> argparse.Namespace:
@@ -76,13 +95,15 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--num-envs", type=int, default=128, help="episodes at once")
     parser.add_argument("--rollout", type=int, default=32, help="steps of each between two updates")
     parser.add_argument("--gamma", type=float, default=0.99, help="discount per step")
-    parser.add_argument("--n-satellites", type=int, default=4)
-    parser.add_argument("--n-planes", type=int, default=2)
-    parser.add_argument("--n-targets", type=int, default=1000)
-    parser.add_argument("--time-limit", type=float, default=2850.0, help="length of an episode, s")
+    parser.add_argument("--preset", default="Constellation-v1", choices=sorted(TASKS), help="made smaller by the next options")
+    parser.add_argument("--n-satellites", type=int, help="4 in Constellation-v1")
+    parser.add_argument("--n-planes", type=int, help="2 in Constellation-v1")
+    parser.add_argument("--n-targets", type=int, help="1,000 in Constellation-v1")
+    parser.add_argument("--time-limit", type=float, help="length of an episode, s; 2,850 in Constellation-v1")
     parser.add_argument("--episodes", type=int, default=256, help="fresh episodes for every evaluation")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--out", type=Path, default=Path("runs"), help="folder for BenchMARL's logs")
+    parser.add_argument("--policy", type=Path, help="file for the policy, which entrant() plays")
     parser.add_argument("--figure", type=Path, help="file for a picture of an episode; needs the extra viz")
     return parser.parse_args()
 
@@ -96,6 +117,8 @@ def main() -> None:
     env = experiment.task.get_env_fun(options.episodes, False, options.seed, "cpu")()
     untrained = evaluate(experiment.policy, env, seed=options.seed + FRESH)
     experiment.run()
+    if options.policy is not None:
+        torch.save({"preset": options.preset, "policy": experiment.policy}, options.policy)
     results = compare({options.algorithm: experiment.policy}, env, options.seed)
     print(comparison_table(results | {"untrained": untrained}))
     if options.figure is not None:

@@ -9,6 +9,11 @@ It needs RLlib, which asks for an older Gymnasium than the newest, so better in 
     pip install 'ray[rllib]==2.60.0'
     python examples/ppo_rllib.py
 
+The module takes part in the suite of frozen episodes::
+
+    python examples/ppo_rllib.py --out runs/rllib
+    bsk-torch bench examples.ppo_rllib:entrant,runs/rllib rule --presets NadirScan-v1
+
 RLlib handles episodes as Python objects, one decision after the other, and discounts per decision: a step of a minute counts as
 much as one of three.
 
@@ -26,7 +31,7 @@ from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -39,6 +44,7 @@ from gymnasium.vector.utils import batch_space
 from gymnasium.wrappers.vector import NormalizeObservation
 from ray.rllib.algorithms.algorithm import Algorithm
 from ray.rllib.algorithms.ppo import PPOConfig
+from ray.rllib.core import DEFAULT_MODULE_ID
 from ray.rllib.core.columns import Columns
 from ray.rllib.core.rl_module.default_model_config import DefaultModelConfig
 from ray.rllib.core.rl_module.rl_module import RLModule, RLModuleSpec
@@ -47,6 +53,7 @@ from ray.tune import register_env
 from tensordict.nn import TensorDictModule
 from torch import Tensor
 
+from bsk_torch import SatelliteTasking
 from bsk_torch.presets import make
 from bsk_torch.rl.evaluation import FRESH, compare, comparison_table
 
@@ -134,6 +141,19 @@ def as_policy(module: RLModule, mean: np.ndarray, variance: np.ndarray) -> Tenso
         return module.forward_inference(batch)[Columns.ACTION_DIST_INPUTS].argmax(-1)
 
     return TensorDictModule(choose, in_keys=["observation", "action_mask"], out_keys=["action"])
+
+
+def entrant(preset: str, make: Callable[..., Any], folder: str) -> tuple[Any, TensorDictModule] | None:
+    """Enter the module of a checkpoint in ``bsk-torch bench``; None for presets that observe or act otherwise."""
+    path = Path(folder).absolute()
+    module = RLModule.from_checkpoint(path / "learner_group" / "learner" / "rl_module" / DEFAULT_MODULE_ID)
+    env, kept = make(), np.load(path / "normalize.npz")
+    if not isinstance(env, SatelliteTasking):
+        return None
+    seen, actions = env.observation_spec["observation"], env.satellite.action_description
+    if tuple(seen.shape[1:]) != kept["mean"].shape or len(actions) != module.action_space.n:
+        return None
+    return env, as_policy(module, kept["mean"], kept["variance"])
 
 
 def train(algorithm: Algorithm, steps: int) -> None:

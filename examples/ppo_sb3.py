@@ -11,6 +11,11 @@ On the command line::
     python examples/ppo_sb3.py
     python examples/ppo_sb3.py --preset AEOSPower-v1 --gamma 0.95 --rollout 32 --num-envs 256
 
+The model takes part in the suite of frozen episodes::
+
+    python examples/ppo_sb3.py --out runs/sb3
+    bsk-torch bench examples.ppo_sb3:entrant,runs/sb3 rule --presets NadirScan-v1
+
 Stable-Baselines3 discounts per decision: a step of a minute counts as much as one of three. The trainings of bsk_torch.rl and of
 examples/ppo_cleanrl.py discount per second.
 """
@@ -19,6 +24,7 @@ from __future__ import annotations
 
 import argparse
 import time
+from collections.abc import Callable
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -30,6 +36,7 @@ from stable_baselines3.common.vec_env import VecMonitor, VecNormalize
 from tensordict.nn import TensorDictModule
 from torch import Tensor
 
+from bsk_torch import SatelliteTasking
 from bsk_torch.presets import make
 from bsk_torch.rl.evaluation import FRESH, compare, comparison_table
 from bsk_torch.wrappers.stable_baselines3 import MetricsCallback, SB3VecEnv
@@ -76,6 +83,17 @@ def as_policy(model: MaskablePPO, env: VecNormalize) -> TensorDictModule:
         return torch.as_tensor(actions)
 
     return TensorDictModule(choose, in_keys=["observation", "action_mask"], out_keys=["action"])
+
+
+def entrant(preset: str, make: Callable[..., Any], folder: str) -> tuple[Any, TensorDictModule] | None:
+    """Enter the model of a folder in ``bsk-torch bench``; None for presets with other spaces than it was trained in."""
+    model, env = MaskablePPO.load(Path(folder) / "model.zip", device="cpu"), make()
+    if not isinstance(env, SatelliteTasking):
+        return None
+    seen = SB3VecEnv(env)
+    if (seen.observation_space, seen.action_space) != (model.observation_space, model.action_space):
+        return None
+    return env, as_policy(model, VecNormalize.load(str(Path(folder) / "normalize.pkl"), seen))
 
 
 def arguments() -> argparse.Namespace:

@@ -1,11 +1,13 @@
 """The examples run from end to end at their smallest size; what they learn in a moment is not tested."""
 
 import json
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
 
+from bsk_torch import make
 from tests.programs import run_script
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
@@ -44,6 +46,15 @@ def test_stable_baselines3(tmp_path):
     output = run("ppo_sb3.py", tmp_path, *ONE, "--preset", "AEOSPower-v1", "--out", "model")
     assert first_column(output) == ["MaskablePPO", *RULES]
     assert {path.name for path in (tmp_path / "model").iterdir()} == {"model.zip", "normalize.pkl"}
+    from examples.ppo_sb3 import entrant  # here, where its packages are installed
+
+    env, policy = entrant("AEOSPower-v1", partial(make, "AEOSPower-v1", num_envs=2, backend="eager"), str(tmp_path / "model"))
+    assert policy(env.reset())["action"].shape == (2,)
+    assert entrant("NadirScan-v1", partial(make, "NadirScan-v1", num_envs=2, backend="eager"), str(tmp_path / "model")) is None
+    assert (
+        entrant("MultiInspection-v1", partial(make, "MultiInspection-v1", num_envs=2, backend="eager"), str(tmp_path / "model"))
+        is None
+    )
 
 
 def test_cleanrl(tmp_path):
@@ -58,14 +69,29 @@ def test_rllib(tmp_path):
     output = run("ppo_rllib.py", tmp_path, *ONE, "--preset", "AEOSPower-v1", "--out", "checkpoint")
     assert first_column(output) == ["RLlib PPO", *RULES]
     assert (tmp_path / "checkpoint" / "rllib_checkpoint.json").is_file()
+    from examples.ppo_rllib import entrant  # here, where its packages are installed
+
+    env, policy = entrant(
+        "AEOSPower-v1", partial(make, "AEOSPower-v1", num_envs=2, backend="eager"), str(tmp_path / "checkpoint")
+    )
+    assert policy(env.reset())["action"].shape == (2,)
+    assert (
+        entrant("NadirScan-v1", partial(make, "NadirScan-v1", num_envs=2, backend="eager"), str(tmp_path / "checkpoint")) is None
+    )
 
 
 @needs("benchmarl", "--no-deps benchmarl==1.5.2")
 def test_benchmarl(tmp_path):
     sizes = ("--iterations=1", "--num-envs=4", "--rollout=8", "--n-targets=200", "--time-limit=600", "--episodes=2")
-    output = run("mappo_benchmarl.py", tmp_path, *sizes, "--algorithm", "ippo", "--out", "logs")
+    output = run("mappo_benchmarl.py", tmp_path, *sizes, "--algorithm", "ippo", "--out", "logs", "--policy", "policy.pt")
     assert first_column(output) == ["ippo", *RULES, "untrained"]
     assert any((tmp_path / "logs").iterdir())
+    from examples.mappo_benchmarl import entrant  # here, where its packages are installed
+
+    small = partial(make, "Constellation-v1", num_envs=2, n_satellites=4, n_planes=2, n_targets=200, backend="eager")
+    env, policy = entrant("Constellation-v1", small, str(tmp_path / "policy.pt"))
+    assert policy(env.reset())["agents", "action"].shape == (2, 4)
+    assert entrant("AEOSConstellation-v1", small, str(tmp_path / "policy.pt")) is None
 
 
 def test_sharing(tmp_path):

@@ -16,13 +16,15 @@ from tensordict import TensorDict
 sys.path.insert(0, str(Path(__file__).parents[1] / "scripts" / "validation"))
 
 import fly_on_basilisk
-from flight import Flight, fly_here, problem_of
 from flight_comparison import Pair, findings, kept, rarest, table
-from flight_policy import FLOWN, Flyer, as_sets, planner_pilot, random_action, recruit, replay_pilot
-from fly_on_basilisk import absent_data, arguments
+from flight_policy import Flyer, planner_pilot, random_action, recruit
+from fly_on_basilisk import arguments
 from rich.console import Console
 
 from bsk_torch import make, rand
+from bsk_torch.basilisk.flight import FLOWN, Flight, fly_here, problem_of, replay_pilot
+from bsk_torch.basilisk.needs import absent_data
+from bsk_torch.basilisk.observed import as_sets
 from bsk_torch.rl.evaluation.statistics import confidence
 from bsk_torch.wrappers.gymnasium import GymEnv
 
@@ -294,7 +296,7 @@ def test_the_rule_flies_as_it_has_flown_on_basilisk():
     [("NadirScan-v1", "rule", {}), ("AEOSPower-v1", "nearest", {"n_targets": 300, "time_limit": 200.0})],
 )
 def test_a_policy_flies_on_basilisk_as_in_bsk_torch(preset, policy, options):
-    from flight_basilisk import BUILDERS, fly_there
+    from bsk_torch.basilisk.there import BUILDERS, fly_there
 
     assert tuple(BUILDERS) == FLOWN
     flyer = Flyer(policy, preset, EAGER | options)

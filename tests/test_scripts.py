@@ -126,7 +126,7 @@ STARTS: dict[str, list[Start]] = {
     "benchmarks/suite.py": [
         Start(  # the file: bsk-torch bench random rule --episodes 2 --presets NadirScan-v1
             "{root}/tests/cli/bench_two_episodes.json --out suite.json",
-            r"\| NadirScan-v1 \| rule \| 0.863 \+- [\d.]+ \|.*\n\| NadirScan-v1 \| random \| -0.222 \+-",
+            r"\| NadirScan-v1 \| rule \| 2 \| - \| [\d.]+ \+- .*\n\| NadirScan-v1 \| random \| 2 \| - \| -[\d.]+ \+-",
         ),
     ],
     "benchmarks/vs_basilisk.py": [

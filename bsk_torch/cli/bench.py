@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
 import platform
 import sys
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict
 from datetime import UTC, datetime
 from importlib import import_module
@@ -19,6 +20,8 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
+from bsk_torch.basilisk import FLOWN, absent_data, lacking
+from bsk_torch.basilisk import certify as certified
 from bsk_torch.cli.planned import PREFIX, named_planner
 from bsk_torch.cli.policies import PRETRAINED, NamedPolicy, named_policy
 from bsk_torch.cli.results import WIDE
@@ -26,8 +29,8 @@ from bsk_torch.cli.shared import Backend, Device, Threads, check_writable, conso
 from bsk_torch.env import Tasking
 from bsk_torch.env.rollout import Policy
 from bsk_torch.files import write_file
-from bsk_torch.rl.evaluation.statistics import confidence
-from bsk_torch.rl.evaluation.suite import EPISODES, VIEWS, Entrant, Score, normalised, play, references, tasks_of
+from bsk_torch.rl.evaluation.statistics import Estimate
+from bsk_torch.rl.evaluation.suite import EPISODES, VIEWS, Entrant, Score, Task, normalised, play, ranking, references, tasks_of
 from bsk_torch.rl.policies.pretrained import makings
 from bsk_torch.rl.policies.shared_policy import baseline, shared
 from bsk_torch.rl.rules.baselines import BASELINES
@@ -43,7 +46,8 @@ def bench(
         typer.Argument(
             help=f"'pretrained', a baseline ({', '.join(BASELINES)}), also with a view of the presets such as "
             "survey,actions=waypoints, the folder or file of a policy, a planner with its options such as "
-            "plan:rollout,base=hasty,horizon=240, or a function of your own as package.module:function."
+            "plan:rollout,base=hasty,horizon=240, or a function of your own as package.module:function, "
+            "with strings for it after commas."
         ),
     ],
     suite: Annotated[str, typer.Option(help="Name of the suite.")] = "v1",
@@ -54,11 +58,15 @@ def bench(
     threads: Threads = 1,
     backend: Backend = "compiled",
     device: Device = "cpu",
+    certify: Annotated[
+        int, typer.Option(min=0, help="Fly so many first episodes of each task again on Basilisk, where it is installed.")
+    ] = 0,
 ) -> None:
     """Play the frozen episodes of a suite, the same for every policy, and compare.
 
     Scores are returns, 0 for random actions and 1 for the best rule or policy of the package when the suite was made. A policy
-    that does not fit a preset has no score there.
+    that does not fit a preset has no score there. With --certify, the last column says how many of the episodes flown again on
+    Basilisk have the same decisions and fate there, and how far returns are apart at most.
     """
     torch.set_num_threads(threads)
     check_writable(out)
@@ -66,8 +74,9 @@ def bench(
         tasks = tasks_of(suite, presets)
     except ValueError as error:
         fail(str(error))
+    check_certifiable(tasks, certify, episodes)
     entrants = {name: entrant_of(name) for name in policies}
-    results = earlier(beside or [], suite, episodes)
+    results = earlier(beside or [], suite)
     for name in entrants:
         if name in results:
             fail(f"{name!r} is also among the results of --beside; the suite has one row for each policy")
@@ -78,16 +87,38 @@ def bench(
             with console.status(f"{name}: {task.preset}"):
                 try:
                     score = play(task, entrant, episodes, backend=backend, device=device)
+                    again = certify if score is not None and task.preset in FLOWN else 0
+                    flown = certified(task, entrant, again, backend=backend, device=device) if again else None
                 except (TypeError, ValueError) as error:
                     fail(f"{name}: {error}")
             if score is not None:
-                results[name][task.preset] = told(score, known.get(task.preset))
+                flights = {} if flown is None else {"basilisk": flown.summary()}
+                results[name][task.preset] = told(score, known.get(task.preset)) | flights
     print_suite(results, [task.preset for task in tasks], f"suite {suite}, {episodes} of {EPISODES} episodes of each task")
     if out is not None:
         write_file(out, json.dumps(document(suite, episodes, results), indent=1) + "\n")
     idle = [name for name in entrants if not results[name]]
     if idle:
         fail(f"no preset among {', '.join(task.preset for task in tasks)} fits {', '.join(idle)}")
+
+
+def check_certifiable(tasks: Sequence[Task], certify: int, episodes: int) -> None:
+    """End the program if episodes cannot be flown on Basilisk; name the presets that will not be."""
+    if not certify:
+        return
+    flown = [task for task in tasks if task.preset in FLOWN]
+    names = ", ".join(FLOWN)
+    if not flown:
+        fail(f"--certify {certify}: none of {', '.join(task.preset for task in tasks)} can be flown on Basilisk; {names} can")
+    most = min(episodes, *(task.at_once for task in flown))
+    if certify > most:
+        fail(f"--certify {certify} must be at most {most}, the number of episodes that are played side by side")
+    if missing := lacking():
+        fail(f"--certify {certify}: {missing}")
+    if warning := absent_data(os.environ.get("BSK_SUPPORT_DATA_CACHE")):
+        console.print(warning)
+    if left := [task.preset for task in tasks if task not in flown]:
+        console.print(f"not flown on Basilisk, as only {names} can be: {', '.join(left)}")
 
 
 def entrant_of(name: str) -> Entrant:
@@ -101,9 +132,10 @@ def entrant_of(name: str) -> Entrant:
     if plain in BASELINES:
         chosen = dict(view_of(view) for view in views)
         return lambda preset, make: rule(plain, chosen, make)
-    module, colon, function = name.partition(":")
+    module, colon, function = plain.partition(":")
     if colon and not Path(name).exists():
-        return imported(module, function)
+        found = imported(module, function)
+        return lambda preset, make: found(preset, make, *views)
     policy = named_policy(name, None)
     return lambda preset, make: entered(policy, make) if preset == policy.preset else None
 
@@ -146,7 +178,7 @@ def view_of(text: str) -> tuple[str, Any]:
     return name, {"True": True, "False": False}.get(value, value)
 
 
-def imported(module: str, function: str) -> Entrant:
+def imported(module: str, function: str) -> Callable[..., tuple[Tasking, Policy] | None]:
     """Return a function of the user's; ends the program if it cannot be imported."""
     if str(Path.cwd()) not in sys.path:
         sys.path.insert(0, str(Path.cwd()))  # where a user's module is, as python -m would find it
@@ -167,18 +199,18 @@ def told(score: Score, reference: Mapping[str, Any] | None) -> dict[str, Any]:
     return rated | summary | {"seconds_per_decision": score.seconds, "returns": evaluation.returns.tolist()}
 
 
-def earlier(files: Iterable[Path], suite: str, episodes: int) -> dict[str, dict[str, Any]]:
-    """Return the results of earlier runs, by policy; ends the program for those of another suite or number of episodes."""
+def earlier(files: Iterable[Path], suite: str) -> dict[str, dict[str, Any]]:
+    """Return the results of earlier runs, by policy; ends the program for those of another suite."""
     results: dict[str, dict[str, Any]] = {}
     for path in files:
         try:
             kept = json.loads(path.read_text())
-            made = (kept["format"], kept["suite"], kept["episodes"])
+            made = (kept["format"], kept["suite"])
             policies = kept["policies"]
         except (OSError, ValueError, KeyError, TypeError) as error:
             fail(f"{str(path)!r} is no result of bsk-torch bench: {type(error).__name__}: {error}")
-        if made != (FORMAT, suite, episodes):
-            fail(f"{str(path)!r} has format, suite and episodes {made}; this run has {(FORMAT, suite, episodes)}")
+        if made != (FORMAT, suite):
+            fail(f"{str(path)!r} has format and suite {made}; this run has {(FORMAT, suite)}")
         results |= policies
     return results
 
@@ -198,38 +230,43 @@ def document(suite: str, episodes: int, results: Mapping[str, Any]) -> dict[str,
 
 
 def print_suite(results: Mapping[str, Mapping[str, Any]], presets: list[str], title: str) -> None:
-    """Print a table for each task: policies by return, the paired gain of the best over each, survival and computation."""
+    """Print a table for each task: policies, the paired gain of the best over each, survival and computation."""
     for preset in presets:
         rows = {name: result[preset] for name, result in results.items() if preset in result}
         if not rows:
             continue
-        order = sorted(rows, key=lambda name: -rows[name]["return"]["mean"])
+        best, gains = ranking({name: row["returns"] for name, row in rows.items()})
         table = Table(title=f"{preset}, {title}", title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
-        for column in (
-            "policy",
-            "score",
-            "return",
-            f"gain of {order[0]}",
-            "survival",
-            "ms per decision",
-            "simulated s per decision",
-        ):
+        columns = ["policy", "score", "return", f"gain of {best}", "survival", "ms per decision", "simulated s per decision"]
+        flown = any("basilisk" in row for row in rows.values())
+        for column in [*columns, "same on Basilisk"] if flown else columns:
             table.add_column(column, justify="left" if column == "policy" else "right")
-        for name in order:
-            table.add_row(name, *cells(rows[name], rows[order[0]]))
+        most = len(rows[best]["returns"])
+        for name, gain in gains.items():
+            row, n = rows[name], len(rows[name]["returns"])
+            more = [on_basilisk(row)] if flown else []
+            table.add_row(name if n == most else f"{name} ({n} episodes)", *cells(row, None if name == best else gain), *more)
         Console(width=WIDE).print(table)
 
 
-def cells(row: Mapping[str, Any], best: Mapping[str, Any]) -> list[str]:
-    """Return the cells of a policy after its name."""
+def cells(row: Mapping[str, Any], gain: Estimate | None) -> list[str]:
+    """Return the cells of a policy after its name; ``gain`` is that of the best over it."""
     score = "" if "score" not in row else "{mean:.3f} ± {half_width:.3f}".format(**row["score"])
-    gain = confidence(torch.tensor(best["returns"], dtype=torch.float64) - torch.tensor(row["returns"], dtype=torch.float64))
     simulated = row.get("simulated_per_decision")
     return [
         score,
         "{mean:.3f} ± {half_width:.3f}".format(**row["return"]),
-        "" if row is best else f"{gain.mean:+.3f} ± {gain.half_width:.3f}",
+        "" if gain is None else f"{gain.mean:+.3f} ± {gain.half_width:.3f}",
         f"{row['survival']:.1%}",
         f"{1e3 * row['seconds_per_decision']:.3f}",
         "" if simulated is None else f"{simulated:,.0f}",
     ]
+
+
+def on_basilisk(row: Mapping[str, Any]) -> str:
+    """Return how many episodes are the same on Basilisk, and the largest difference of their returns."""
+    if "basilisk" not in row:
+        return ""
+    flown = row["basilisk"]
+    how = ", replayed" if flown["decided"] == "in bsk_torch" else ""
+    return f"{flown['same']} of {len(flown['returns'])}{how}, {flown['largest_difference']:.1g}"

@@ -397,16 +397,28 @@ def quantity(value: float) -> str:
 def suites(name: str) -> str:
     """Return what policies reach in a suite, by preset."""
     content = load(name)
-    rows = []
+    rows, most = [], max(row["episodes"] for row in content["rows"])
     for row in content["rows"]:
+        marked = code(row["policy"]) + ("" if row["episodes"] == most else f" ({row['episodes']} episodes)")
         behind = f"{row['behind']:.3f} ± {row['behind_half']:.3f}" if row["behind"] else "-"
-        score, value = (f"{row[key]:.3f} ± {row[half]:.3f}" for key, half in (("score", "score_half"), ("value", "half")))
-        cells = [score, value, behind, f"{row['survival']:.1%}", f"{row['milliseconds']:.3f}"]
-        rows.append([code(row["preset"]), row["policy"], *cells])
-    head = ["preset", "policy", "score", "return", "behind the best", "survival", "ms / decision"]
+        pairs = ("score", "score_half"), ("value", "half")
+        score, value = ("-" if row[key] is None else f"{row[key]:.3f} ± {row[half]:.3f}" for key, half in pairs)
+        spent = f"{row['milliseconds']:.3f}", "-" if row["simulated"] is None else whole(row["simulated"])
+        cells = [score, value, behind, f"{row['survival']:.1%}", *spent, certificate(row["basilisk"])]
+        rows.append([code(row["preset"]), marked, *cells])
+    head = ["preset", "policy", "score", "return", "behind the best", "survival", "ms / decision", "simulated s / decision"]
+    head.append("same on Basilisk")
     versions = f"bsk_torch {content['bsk_torch']}, torch {content['torch']}"
-    made_by = f"{versions}, {content['episodes']} episodes of each task, one thread."
+    made_by = f"{versions}, {most:,} episodes of each task unless said otherwise, one thread."
     return f"{table(head, rows)}\n\n{made_by}\n"
+
+
+def certificate(flown: Mapping[str, Any] | None) -> str:
+    """Return how many episodes are the same on Basilisk, and the largest difference of a return."""
+    if flown is None:
+        return "-"
+    how = ", replayed" if flown["decided"] == "in bsk_torch" else ""
+    return f"{flown['same']} of {flown['episodes']}{how}; {flown['largest_difference']:.0e}"
 
 
 TABLES = {

@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 import torch
-from flight import NUDGE, Array, Flight
 from rich.table import Table
 
+from bsk_torch.basilisk.flight import NUDGE, Array, Flight
 from bsk_torch.rl.evaluation.statistics import Estimate, confidence
 
 TOLERANCE = 1e-6
@@ -44,8 +44,8 @@ class Divergence:
 class Pair:
     """One episode, flown in bsk_torch and in Basilisk.
 
-    ``nudged`` is Basilisk once more, from an attitude that is :data:`~flight.NUDGE` away, where the two differ: what it makes of
-    that is no difference between the simulators.
+    ``nudged`` is Basilisk once more, from an attitude that is :data:`~bsk_torch.basilisk.flight.NUDGE` away, where the two
+    differ: what it makes of that is no difference between the simulators.
     """
 
     here: Flight

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import torch
-from flight import Pilot
 from tensordict import TensorDict
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
+from bsk_torch.basilisk.flight import FLOWN, Pilot
+from bsk_torch.basilisk.observed import as_sets
 from bsk_torch.cli.planned import PREFIX, named_planner
 from bsk_torch.env import SatelliteTasking
 from bsk_torch.presets import make
@@ -21,14 +22,8 @@ from bsk_torch.rl.policies.files import check_fits, load_policy, read_card
 from bsk_torch.rl.rules.baselines import BASELINES
 from bsk_torch.sim.params import nearest
 
-FLOWN = "NadirScan-v1", "AEOS-v1", "AEOSPower-v1"
-"""Presets that ``flight_basilisk.py`` can build; the first one unless asked otherwise."""
-
 RANDOM = "random"
 """Name of the policy whose actions depend on the episode's seed and the number of the decision only."""
-
-TARGET = "target"
-"""Name of the observation of targets."""
 
 
 @dataclass(frozen=True)
@@ -119,16 +114,6 @@ def planner_pilot(flyer: Flyer, env: SatelliteTasking) -> Pilot:
     return decide
 
 
-def replay_pilot(actions: Mapping[int, np.ndarray]) -> Pilot:
-    """The actions of known flights, by seed; the last one again where an episode has more decisions."""
-
-    def decide(seen: TensorDict, seeds: Sequence[int], step: int) -> tuple[Tensor, Tensor]:
-        known = [int(actions[seed][min(step, len(actions[seed]) - 1)]) for seed in seeds]
-        return torch.tensor(known), torch.zeros(len(seeds), 0, dtype=torch.float64)
-
-    return decide
-
-
 def policy_pilot(policy: TensorDictModuleBase, observed: Sequence[str] = ()) -> Pilot:
     """The most probable action of a policy, which sees observations in float32 as in training, ``as_sets`` if they are named."""
 
@@ -140,23 +125,3 @@ def policy_pilot(policy: TensorDictModuleBase, observed: Sequence[str] = ()) -> 
         return done["action"], done.get("logits", torch.zeros(len(seeds), 0)).double()
 
     return decide
-
-
-def as_sets(vector: Tensor, observed: Sequence[str]) -> TensorDict:
-    """Return the observations of presets with ``as_set=True`` from the vector [n, F] of those without, whose entries are named.
-
-    Targets become ``rows`` [n, T, features] with a ``mask`` [n, T], which is 0 for repetitions of the last target.
-    """
-    columns: dict[tuple[str, ...], list[int]] = {}
-    for k, name in enumerate(observed):
-        path = tuple(name.partition("[")[0].split("."))
-        columns.setdefault((TARGET, "rows") if path[0] == TARGET else path, []).append(k)
-    parts = TensorDict({}, vector.shape[:1])
-    for path, where in columns.items():
-        parts[path] = vector[:, where] if "[" in observed[where[0]] else vector[:, where[0]]
-    if (TARGET, "rows") in columns:
-        count = len({name.split(".")[1] for name in observed if name.startswith(f"{TARGET}.")})
-        rows = vector[:, columns[TARGET, "rows"]].unflatten(1, (count, -1))
-        new = (rows[:, 1:] != rows[:, :-1]).any(-1)
-        parts[TARGET, "rows"], parts[TARGET, "mask"] = rows, torch.cat([new[:, :1] | True, new], 1).to(vector.dtype)
-    return parts

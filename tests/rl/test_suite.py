@@ -6,7 +6,7 @@ from tensordict.nn import TensorDictModule
 
 from bsk_torch.presets import PRESETS
 from bsk_torch.rl.evaluation.evaluate import SUITE_SEEDS, evaluate
-from bsk_torch.rl.evaluation.suite import EPISODES, SUITES, Timed, normalised, play, references, tasks_of
+from bsk_torch.rl.evaluation.suite import EPISODES, SUITES, Timed, normalised, play, ranking, references, tasks_of
 from bsk_torch.rl.rules.baselines import random_policy
 from bsk_torch.rl.training.config import PPOConfig
 
@@ -41,6 +41,13 @@ def test_frozen_seeds_stay():
         "RSOInspection-v1": 8192,
         "MultiInspection-v1": 9216,
     }
+
+
+def test_policies_are_ranked_by_what_they_gain_in_the_same_episodes():
+    best, gains = ranking({"low": [1.0, 1.0, 4.0], "high": [2.0, 1.0, 5.0], "lucky": [3.0], "short": [1.5, 1.0]})
+    assert best == "high"
+    assert list(gains) == ["lucky", "high", "short", "low"]
+    assert [gain.mean for gain in gains.values()] == pytest.approx([-1.0, 0.0, 0.25, 2 / 3])
 
 
 @pytest.mark.parametrize("seed", [2**60, 2**60 + 2**20 - 1, 2**60 - 1_000_003])

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
@@ -25,7 +25,20 @@ from bsk_torch.rl.evaluation.evaluate import SUITE_SEEDS, Evaluation, evaluate
 from bsk_torch.rl.evaluation.statistics import Estimate, confidence
 from bsk_torch.sim.params import nearest
 
-__all__ = ["EPISODES", "SUITES", "VIEWS", "Entrant", "Score", "Task", "normalised", "play", "references", "tasks_of"]
+__all__ = [
+    "EPISODES",
+    "SUITES",
+    "VIEWS",
+    "Entrant",
+    "Score",
+    "Task",
+    "enter",
+    "normalised",
+    "play",
+    "ranking",
+    "references",
+    "tasks_of",
+]
 
 EPISODES = 1024
 """Episodes of each task."""
@@ -66,15 +79,15 @@ class Task:
             if name not in (*VIEWS, "backend", "device"):
                 raise ValueError(f"{name}={views[name]!r} would change the task {self.preset}; policies choose among {VIEWS}")
         size = min(len(self.seeds(episodes)), self.at_once)
-        return make(self.preset, num_envs=size, env_ids=[0] * size, **self.options, **views)
+        return make(self.preset, num_envs=size, env_ids=[0] * size, **(dict(self.options) | views))
 
 
-SINGLE, TEAM = 512, 128
-"""Episodes side by side of one satellite, and of many."""
+MANY, CLOSE = 512, 128
+"""Episodes side by side, and of spacecraft that inspect one another, which need more memory."""
 
 SUITES: dict[str, tuple[Task, ...]] = {
     "v1": tuple(
-        Task(preset, SUITE_SEEDS[EPISODES * k], TEAM if "Constellation" in preset or "Inspection" in preset else SINGLE)
+        Task(preset, SUITE_SEEDS[EPISODES * k], CLOSE if "Inspection" in preset else MANY)
         for k, preset in enumerate(
             (
                 "NadirScan-v1",
@@ -148,8 +161,8 @@ class Timed(TensorDictModuleBase):
         return tensordict
 
 
-def play(task: Task, entrant: Entrant, episodes: int = EPISODES, **options: Any) -> Score | None:
-    """Play the first ``episodes`` of a task with the policy that ``entrant`` enters; None where it has none.
+def enter(task: Task, entrant: Entrant, episodes: int = EPISODES, **options: Any) -> tuple[Tasking, Policy] | None:
+    """Return the environment for the first ``episodes`` of a task and the policy that ``entrant`` enters; None where it has none.
 
     Args:
         task: The task.
@@ -174,6 +187,15 @@ def play(task: Task, entrant: Entrant, episodes: int = EPISODES, **options: Any)
     env, policy = entered
     if not any(env is one for one in made):
         raise ValueError(f"for {task.preset}, the entrant returned an environment that make() has not returned to it")
+    return env, policy
+
+
+def play(task: Task, entrant: Entrant, episodes: int = EPISODES, **options: Any) -> Score | None:
+    """Play the first ``episodes`` of a task with the policy that ``entrant`` enters; see :func:`enter`, also for errors."""
+    entered = enter(task, entrant, episodes, **options)
+    if entered is None:
+        return None
+    env, policy = entered
     timed = Timed(policy)
     with torch.no_grad():
         evaluation = evaluate(timed, env, seeds=task.seeds(episodes))
@@ -194,3 +216,19 @@ def normalised(evaluation: Evaluation, reference: Mapping[str, Any]) -> Estimate
     """Return, 0 for random actions and 1 for the reference, with its 95 % confidence interval, in which the two are fixed."""
     low, high = reference["low"]["return"], reference["high"]["return"]
     return confidence((evaluation.returns - low) / (high - low))
+
+
+def ranking(returns: Mapping[str, Sequence[float]]) -> tuple[str, dict[str, Estimate]]:
+    """Return the best policy, and its mean paired gain over each with the 95 % confidence interval, in ascending order.
+
+    *Best* is the highest mean among the policies that played the most episodes of a task. One that played fewer, the first of
+    them, is compared in these, and may stand before the best.
+
+    Args:
+        returns: Returns of the first episodes of a task by policy, in the order of their seeds.
+    """
+    played = {name: torch.as_tensor(values, dtype=torch.float64) for name, values in returns.items()}
+    most = max(len(values) for values in played.values())
+    best = max((name for name in played if len(played[name]) == most), key=lambda name: float(played[name].mean()))
+    gains = {name: confidence(played[best][: len(values)] - values) for name, values in played.items()}
+    return best, dict(sorted(gains.items(), key=lambda item: item[1].mean))

@@ -1,35 +1,73 @@
-"""Presets of bsk_torch as environments of bsk_rl, and flights of episodes there. Needs the extra ``basilisk``."""
+"""Presets of bsk_torch as environments of bsk_rl, and flights of episodes there. The only module that needs Basilisk."""
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
-import gymnasium as gym
 import numpy as np
 import torch
-
-sys.path.insert(0, str(Path(__file__).parents[2] / "tests" / "basilisk" / "recorders"))
-
-from bsk_rl import act, data, obs, sats, scene
+from bsk_rl import SatelliteTasking, act, data, obs, sats, scene
 from bsk_rl.scene.targets import Target
 from bsk_rl.sim import dyn, fsw
-from flight import LONGEST, Array, Flight, Pilot, Problem, Start
 from numpy.typing import NDArray
-from record_basilisk import PAPER_MODES, paper_observations, scanner_class
 from tensordict import TensorDict
 
+from bsk_torch.basilisk.flight import LONGEST, Array, Flight, Pilot, Problem, Start
 from bsk_torch.presets.aeos import AHEAD, ORBIT, SATELLITE, TARGET
 from bsk_torch.presets.aeos_power import BIN, BINS, CHARGE, CROWD, DESAT, FAST, RESERVE, RESOURCES
 
 # -- presets ----------------------------------------------------------------------------------------------------------
 
 
-def nadir_scan(problem: Problem, start: Start) -> gym.Env:
+class ScannerDyn(dyn.ContinuousImagingDynModel, dyn.GroundStationDynModel):
+    """Dynamics of a satellite that scans and downlinks, with the two pointing errors that NadirScan-v1 observes."""
+
+    @property
+    def instrument_pointing_error(self) -> float:
+        """Angle between instrument axis and nadir direction, rad."""
+        return angle(-np.array(self.r_BN_P), self.satellite.fsw.c_hat_P)
+
+    @property
+    def solar_pointing_error(self) -> float:
+        """Angle between panel normal and Sun direction, rad."""
+        sun = self.world.gravFactory.spiceObject.planetStateOutMsgs[self.world.sun_index].read()
+        return angle(np.array(sun.PositionVector), self.BN.T @ self.satellite.sat_args["nHat_B"])
+
+
+def angle(a: Array, b: Array) -> float:
+    """Angle between two vectors, rad; the second one of length 1."""
+    return float(np.arccos(np.clip(a / np.linalg.norm(a) @ b, -1.0, 1.0)))
+
+
+def next_station() -> obs.OpportunityProperties:
+    """The observation of the next pass over a ground station."""
+    times = [dict(prop=name, norm=ORBIT) for name in ("opportunity_open", "opportunity_close")]
+    return obs.OpportunityProperties(*times, type="ground_station", n_ahead_observe=1)
+
+
+def nadir_scan(problem: Problem, start: Start) -> SatelliteTasking:
     """NadirScan-v1."""
-    satellite = scanner_class(PAPER_MODES, paper_observations())("Scanner1", sat_args=bits(start.sat_args))
+    properties = (
+        dict(prop="storage_level_fraction"),
+        dict(prop="battery_charge_fraction"),
+        dict(prop="wheel_speeds_fraction"),
+        dict(prop="instrument_pointing_error", norm=np.pi),
+        dict(prop="solar_pointing_error", norm=np.pi),
+    )
+    attributes = {
+        "observation_spec": [obs.SatProperties(*properties), next_station(), obs.Eclipse(norm=ORBIT), obs.Time()],
+        "action_spec": [
+            act.Scan(duration=180.0),
+            act.Charge(duration=120.0),
+            act.Downlink(duration=60.0),
+            act.Desat(duration=60.0),
+        ],
+        "dyn_type": ScannerDyn,
+        "fsw_type": fsw.ContinuousImagingFSWModel,
+    }
+    # a new class for each episode, because bsk_rl keeps on the class what it composes
+    satellite = type("Scanner", (sats.AccessSatellite,), attributes)("Scanner1", sat_args=bits(start.sat_args))
     return environment(problem, start, satellite, scene.UniformNadirScanning(**problem.scenario), data.ScanningTimeReward())
 
 
@@ -38,20 +76,18 @@ def bits(arguments: dict[str, Any]) -> dict[str, Any]:
     return arguments | ({"storageInit": int(arguments["storageInit"])} if "storageInit" in arguments else {})
 
 
-def environment(problem: Problem, start: Start, satellite: Any, scenario: Any, rewarder: Any) -> gym.Env:
+def environment(problem: Problem, start: Start, satellite: Any, scenario: Any, rewarder: Any) -> SatelliteTasking:
     """The environment with every initial condition pinned; ValueError where bsk_rl would still draw one."""
-    env = gym.make(
-        "SatelliteTasking-v1",
+    env = SatelliteTasking(
         satellite=satellite,
         scenario=scenario,
         rewarder=rewarder,
         time_limit=start.time_limit,
         world_args=start.world_args,
         log_level="ERROR",
-        disable_env_checker=True,
         **problem.settings,
     )
-    given = env.unwrapped.satellite.sat_args_generator | env.unwrapped.world_args_generator
+    given = env.satellite.sat_args_generator | env.world_args_generator
     if drawn := sorted(name for name, value in given.items() if callable(value) and name != "utc_init"):
         raise ValueError(f"bsk_rl would draw {drawn}, which bsk_torch has not")
     return env
@@ -86,19 +122,17 @@ def entries(properties: tuple[dict[str, Any], ...]) -> list[dict[str, Any]]:
     return [dict(entry) for entry in properties]
 
 
-def imaging(problem: Problem, start: Start) -> gym.Env:
-    """AEOS-v1, or AEOSPower-v1 where the satellite may do more than image."""
+def imaging(problem: Problem, start: Start) -> SatelliteTasking:
+    """AEOS-v1 and AEOSCity-v1, or AEOSPower-v1 where the satellite may do more than image."""
     powered = len(problem.actions) > AHEAD
     properties = entries(SATELLITE + (RESOURCES if powered else ()))
     targets = obs.OpportunityProperties(*entries(TARGET), type="target", n_ahead_observe=AHEAD)
-    station = [dict(prop=name, norm=ORBIT) for name in ("opportunity_open", "opportunity_close")]
-    seen = [TargetDensity("density"), obs.OpportunityProperties(*station, type="ground_station", n_ahead_observe=1)]
     modes = [act.Charge(duration=60.0), act.Downlink(duration=60.0), act.Desat(duration=60.0)]
     attributes = {
         "observation_spec": [
             obs.SatProperties(*properties),
             targets,
-            *((*seen, obs.Eclipse(norm=ORBIT)) if powered else ()),
+            *((TargetDensity("density"), next_station(), obs.Eclipse(norm=ORBIT)) if powered else ()),
             obs.Time(),
         ],
         "action_spec": [*(modes if powered else ()), act.Image(n_ahead_image=AHEAD)],
@@ -106,13 +140,16 @@ def imaging(problem: Problem, start: Start) -> gym.Env:
         "fsw_type": fsw.SteeringImagerFSWModel,
     }
     satellite = type("Agile", (sats.ImagingSatellite,), attributes)("EO1", sat_args=bits(start.sat_args))
+    if start.targets is None:
+        raise ValueError(f"{problem.preset} needs targets; the episode of seed {start.seed} has none")
     return environment(problem, start, satellite, GivenTargets(*start.targets), data.UniqueImageReward())
 
 
-BUILDERS: dict[str, Callable[[Problem, Start], gym.Env]] = {
+BUILDERS: dict[str, Callable[[Problem, Start], SatelliteTasking]] = {
     "NadirScan-v1": nadir_scan,
     "AEOS-v1": imaging,
     "AEOSPower-v1": imaging,
+    "AEOSCity-v1": imaging,
 }
 """Presets that can be flown, by name."""
 
@@ -135,17 +172,18 @@ def shield(satellite: Any, n_actions: int) -> NDArray[np.bool_]:
 
 def fly_there(problem: Problem, start: Start, pilot: Pilot) -> Flight:
     """The episode in bsk_rl; ValueError where it observes, or may do, something else than bsk_torch."""
-    env: Any = BUILDERS[problem.preset](problem, start).unwrapped
+    env = BUILDERS[problem.preset](problem, start)
     observation, _ = env.reset(seed=0)
     satellite = env.satellite
     check_names("observations", problem.observed, satellite.observation_description)
     check_names("actions", problem.actions, satellite.action_description)
-    observations, steps, begin, ended = [observation], [], env.simulator.sim_time, False
+    steps: list[tuple[int, Array, float]] = []
+    observations, begin, ended = [observation], env.simulator.sim_time, False
     while not ended and len(steps) < LONGEST:
-        action, logits = pilot(seen_by(problem, satellite, observation), [start.seed], len(steps))
+        action, said = pilot(seen_by(problem, satellite, observation), [start.seed], len(steps))
         observation, reward, terminated, truncated, _ = env.step(int(action[0]))
         observations.append(observation)
-        steps.append((int(action[0]), logits[0].numpy(), float(reward)))
+        steps.append((int(action[0]), said[0].numpy(), float(reward)))
         ended = terminated or truncated
     actions, logits, rewards = (np.array(part) for part in zip(*steps, strict=True))
     dynamics, deaths = satellite.dynamics, causes(problem, satellite)

@@ -1,14 +1,14 @@
 """A flown episode, its initial conditions, and its flight in bsk_torch.
 
-Policies are in ``flight_policy.py``, the same episode on Basilisk in ``flight_basilisk.py``; nothing here needs Basilisk.
+The same episode on Basilisk is in :mod:`bsk_torch.basilisk.there`; nothing here needs Basilisk.
 """
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import torch
@@ -24,6 +24,9 @@ from bsk_torch.rl.evaluation.evaluate import start_episodes
 from bsk_torch.sim.dyn.hub import initial_orbit
 
 Array = NDArray[np.float64]
+
+FLOWN = "NadirScan-v1", "AEOS-v1", "AEOSPower-v1", "AEOSCity-v1"
+"""Presets that :mod:`bsk_torch.basilisk.there` can build."""
 
 TABLES = "target_r_LP_P", "target_priority", "target_exists"
 """Tables of scenarios with targets: positions m, Earth-fixed, priorities, and whether a row is a target."""
@@ -148,7 +151,8 @@ def starts_of(env: SatelliteTasking, seeds: Sequence[int]) -> list[Start]:
         name: plain(simulator.state.arguments[name]) for name in satellite.table if satellite.is_random(name) and name != "oe"
     }
     r, v = (plain(x.expand(n, 3)) for x in initial_orbit(simulator.state.all_arguments))
-    fixed_world = {name: value for name, value in (env.options.world_args or {}).items() if not world.is_random(name)}
+    given_world = cast(Mapping[str, Any], env.options.world_args or {})
+    fixed_world = {name: value for name, value in given_world.items() if not world.is_random(name)}
     drawn_world = {
         name: plain(simulator.state.arguments[name]) for name in world.table if world.is_random(name) and name != "utc_init"
     }
@@ -178,9 +182,10 @@ def epochs_of(env: SatelliteTasking, seeds: Sequence[int]) -> list[str]:
             "utc_init is a function, whose answers cannot be repeated; give a string or a distribution of bsk_torch.rand"
         )
     key = Key(torch.tensor(seeds), env.env_ids.cpu(), env.episode.cpu())
-    epochs = given.draw(key.named("utc_init")) if isinstance(given, Distribution) else [given] * n
+    epochs = cast(list[str], given.draw(key.named("utc_init"))) if isinstance(given, Distribution) else [given] * n
     known = env.simulator.state.arguments["utc_init"].expand(n).tolist()
-    assert [parse_utc(epoch) for epoch in epochs] == known, "the epochs are not those of the episodes"
+    if [parse_utc(epoch) for epoch in epochs] != known:
+        raise RuntimeError(f"the epochs drawn again, {epochs}, are not those of the episodes")
     return epochs
 
 
@@ -189,7 +194,7 @@ def targets_of(env: SatelliteTasking, row: int) -> tuple[Array, Array] | None:
     tables = env.simulator.scenario_state
     if TABLES[0] not in tables:
         return None
-    position, priority, exists = (tables[name][row].double().numpy() for name in TABLES)
+    position, priority, exists = (tables[name][row].double().cpu().numpy() for name in TABLES)
     return position[exists > 0.5], priority[exists > 0.5]
 
 
@@ -226,3 +231,13 @@ def flight_of(env: SatelliteTasking, log: list[tuple[Any, ...]], row: int, k: in
     return Flight(
         seed, actions, observations, logits, rewards, round(seconds, 9), penalty, (deaths or ("unknown",)) if dead else (), fill
     )
+
+
+def replay_pilot(actions: Mapping[int, NDArray[np.int64]]) -> Pilot:
+    """The actions of known flights, by seed; the last one again where an episode has more decisions."""
+
+    def decide(seen: TensorDict, seeds: Sequence[int], step: int) -> tuple[Tensor, Tensor]:
+        known = [int(actions[seed][min(step, len(actions[seed]) - 1)]) for seed in seeds]
+        return torch.tensor(known), torch.zeros(len(seeds), 0, dtype=torch.float64)
+
+    return decide
