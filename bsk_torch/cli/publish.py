@@ -20,6 +20,7 @@ from bsk_torch.rl.policies.pretrained import FOLDER, INDEX
 from bsk_torch.rl.policies.sealed import save_sealed
 from bsk_torch.rl.policies.shared_policy import shared
 from bsk_torch.rl.training.log import LOG, read_log
+from bsk_torch.sim.names import nearest
 
 FIRST = 4
 """Episodes whose returns are noted one by one, to be tested."""
@@ -28,6 +29,13 @@ FIRST = 4
 def publish(
     run: Annotated[Path, typer.Argument(help="Folder of a training run.")],
     command: Annotated[str | None, typer.Option(help="Command that trained it, if it was not that of its settings.")] = None,
+    drop: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Option of the environment that holds for the training only, such as n_satellites for a policy that was trained "
+            "alone and is for all; for each one."
+        ),
+    ] = None,
     episodes: Annotated[int, typer.Option(min=FIRST, help="Fresh episodes of the evaluation.")] = 256,
     folder: Annotated[Path, typer.Option(help="Where the policies lie.")] = FOLDER,
     threads: Threads = 1,
@@ -35,10 +43,16 @@ def publish(
 ) -> None:
     """Evaluate a policy, copy it to the pretrained ones, and note command, time and score.
 
-    The evaluation plays the fresh episodes of seed 1,000,003 + the seed of training.
+    The evaluation plays the fresh episodes of seed 1,000,003 + the seed of training, in the environment for which the policy is
+    published: that of the training, but for the options that are dropped.
     """
     torch.set_num_threads(threads)
-    config, card = run_config(run), run_card(run, device)
+    config, card, kept = run_config(run), run_card(run, device), read_card(run)
+    for name in drop or ():
+        if name not in card["options"]:
+            fail(f"--drop {name}: {str(run)!r} was not trained with that option; {nearest(name, list(card['options']))}")
+    for described in (card, kept):
+        described["options"] = {name: value for name, value in described["options"].items() if name not in (drop or ())}
     if not (run / LOG).is_file():
         fail(f"{str(run)!r} has no {LOG}, which says how long the training took")
     log, listed = _log(run / LOG), _listed(folder)
@@ -53,7 +67,7 @@ def publish(
     with console.status(f"playing {episodes} fresh episodes"):
         result = evaluate(policy, env, seed=seed)
     folder.mkdir(parents=True, exist_ok=True)
-    save_sealed(folder / f"{preset}.pt", read_card(run))
+    save_sealed(folder / f"{preset}.pt", kept)
     notes = {
         "command": command or command_of(config),
         "bsk_torch": __version__,

@@ -4,8 +4,11 @@ import json
 
 import pytest
 
+import bsk_torch
+from bsk_torch.rl.evaluation.evaluate import evaluate
 from bsk_torch.rl.marl import MAPPOConfig, read_config
 from bsk_torch.rl.policies import load_policy, read_card
+from bsk_torch.rl.policies.shared_policy import shared
 from bsk_torch.rl.training.log import read_log
 
 pytestmark = pytest.mark.compiled
@@ -76,6 +79,26 @@ def test_a_policy_is_published(run, trained, tmp_path):
     assert (noted["score"]["episodes"], noted["score"]["seed"], len(noted["first"])) == (4, 1_000_003, 4)
     assert sum(noted["first"]) / 4 == pytest.approx(noted["score"]["return"])
     assert (tmp_path / "Constellation-v1.pt").read_bytes() == (trained / "policy.pt").read_bytes()
+
+
+def test_what_was_learned_by_few_is_published_for_all(run, trained, tmp_path):
+    kept = read_card(trained)
+    assert kept["options"]["n_satellites"] == 3
+    result = run("publish", trained, "--episodes", 4, "--folder", tmp_path, "--drop", "n_satellites", "--drop", "n_planes")
+    assert result.exit_code == 0, result.output
+    published = read_card(tmp_path / "Constellation-v1.pt")
+    dropped = {"n_satellites": 3, "n_planes": 1}
+    assert published["options"] | dropped == kept["options"]
+    assert not published["options"].keys() & dropped.keys()
+    env = bsk_torch.make("Constellation-v1", num_envs=4, **published["options"])
+    assert env.fleet.size == 12
+    noted = json.loads((tmp_path / "policies.json").read_text())["Constellation-v1"]
+    assert "options.n_satellites=3" in noted["command"]
+    result = evaluate(shared(load_policy(tmp_path / "Constellation-v1.pt"), env), env, seed=1_000_003)
+    assert result.returns.tolist() == pytest.approx(noted["first"])
+    result = run("publish", trained, "--folder", tmp_path, "--drop", "n_satelites")
+    assert result.exit_code == 1
+    assert "did you mean 'n_satellites'" in " ".join(result.output.split())
 
 
 def test_what_is_no_run_is_not_published(run, tmp_path):

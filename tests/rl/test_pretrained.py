@@ -4,6 +4,7 @@ import pytest
 import torch
 
 import bsk_torch
+from bsk_torch.presets import PRESETS
 from bsk_torch.rl.evaluation.evaluate import evaluate
 from bsk_torch.rl.policies.files import read_card
 from bsk_torch.rl.policies.pretrained import FOLDER, makings, pretrained, pretrained_file
@@ -23,6 +24,10 @@ def test_a_pretrained_policy_has_its_score(preset):
     policy, seed = pretrained(preset), noted["score"]["seed"]
     result = evaluate(shared(policy, env), env, seed=seed)
     torch.testing.assert_close(result.returns.mean(), expected.mean(), rtol=SAME, atol=0.0)
+
+
+def test_every_preset_has_one():
+    assert set(makings()) == set(PRESETS)
 
 
 def test_what_made_them_is_noted():

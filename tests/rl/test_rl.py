@@ -140,6 +140,8 @@ def test_recipes_of_constellations_have_options_of_the_environment():
     assert configure_run("RSOInspection-v1", options={"actions": "thrust"}).options == {"actions": "thrust"}
     assert configure_run("RSOInspection-v1").options == {"actions": "waypoints"}  # the recipe itself stays as it is
     assert configure_run("Constellation-v1").options == {"as_set": True}
+    relayed = configure_run("RelayConstellation-v1")
+    assert (relayed.imitate, relayed.gamma, relayed.options) == ("nearest", 0.999, {"as_set": True})
 
 
 def test_unknown_networks_are_answered_with_the_nearest():
