@@ -47,18 +47,17 @@ def publish(
     published: that of the training, but for the options that are dropped.
     """
     torch.set_num_threads(threads)
-    config, card, kept = run_config(run), run_card(run, device), read_card(run)
+    config, card = run_config(run), run_card(run, device)
     for name in drop or ():
         if name not in card["options"]:
             fail(f"--drop {name}: {str(run)!r} was not trained with that option; {nearest(name, list(card['options']))}")
-    for described in (card, kept):
-        described["options"] = {name: value for name, value in described["options"].items() if name not in (drop or ())}
+    options = {name: value for name, value in card["options"].items() if name not in (drop or ())}
     if not (run / LOG).is_file():
         fail(f"{str(run)!r} has no {LOG}, which says how long the training took")
     log, listed = _log(run / LOG), _listed(folder)
     seed, preset = config.seed + FRESH, card["preset"]
     check_writable(folder / f"{preset}.pt" if folder.exists() else None)
-    env = environment(preset, episodes, card["options"] | environment_options("compiled", device, None))
+    env = environment(preset, episodes, options | environment_options("compiled", device, None))
     try:
         check_fits(card, env, preset)
         policy = shared(build_policy(card, device), env)
@@ -67,7 +66,7 @@ def publish(
     with console.status(f"playing {episodes} fresh episodes"):
         result = evaluate(policy, env, seed=seed)
     folder.mkdir(parents=True, exist_ok=True)
-    save_sealed(folder / f"{preset}.pt", kept)
+    save_sealed(folder / f"{preset}.pt", read_card(run) | {"options": options})
     notes = {
         "command": command or command_of(config),
         "bsk_torch": __version__,
