@@ -50,6 +50,9 @@ STARTS: dict[str, list[Start]] = {
     "benchmarks/compare.py": [
         Start("--base {root} --only 1 --turns 1 --processes 1 --seconds 0.1 --warm-up 1", r"\| 1 \| \d+ \| .* \| True \|"),
     ],
+    "benchmarks/communication.py": [
+        Start("--episodes 2 --time-limit 900", r"(?s)\| none \| [\d.]+ .*\| with all \| [\d.]+ \+- [\d.]+ \| [+-][\d.]+ "),
+    ],
     "benchmarks/constellation.py": [
         Start("--satellites 1 2 --rows 2 --turns 1 --modes tasks", r"\| tasks \| 2 \| 1 \| [\d,]+ \|"),
         Start(

@@ -383,6 +383,17 @@ def relaxations() -> str:
     return with_command("relaxation", head, rows)
 
 
+def communications() -> str:
+    """Return what communication is worth to rules."""
+    rows = []
+    for row in load("communication")["rows"]:
+        gain = "" if row["communication"] == "none" else f"{row['gain']:+.2f} ± {row['gain_half']:.2f}"
+        names = code(row["preset"]), row["rule"], row["communication"]
+        rows.append([*names, f"{row['value']:.2f} ± {row['half']:.2f}", gain, f"{row['in_view']:.2f}"])
+    head = ["preset", "rule", "communication after every step", "return", "gain over none", "all targets in view"]
+    return with_command("communication", head, rows)
+
+
 def resources() -> str:
     """Return how much energy and storage there is for images."""
     rows = [[row["name"], *(quantity(row[name]) for name in ("least", "mean", "largest"))] for row in load("resources")["rows"]]
@@ -430,6 +441,7 @@ TABLES = {
     "schedules": schedules,
     "relaxations": relaxations,
     "resources": resources,
+    "communications": communications,
     "made": made,
     "vs_basilisk": vs_basilisk,
     "constellations": constellations,

@@ -3,9 +3,9 @@
     python scripts/tools/make_readme_pictures.py [film] [thumbnails] [frame] [speed] [guides]
 
 They are written to docs/_static/readme, those of guides to docs/_static/how_to; all of them unless some are named. The film and
-the thumbnails show the pretrained policies, or a rule where there is none; the plot shows ``benchmarks/results/vs_basilisk.json``
-and ``vs_basilisk_imaging.json``; the pictures of guides are those that the blocks of code of these pages draw.
-Needs the extras ``viz`` and ``cities``.
+the thumbnails show the pretrained policies; the plot shows ``benchmarks/results/vs_basilisk.json`` and
+``vs_basilisk_imaging.json``; the pictures of guides are those that the blocks of code of these pages draw. Needs the
+extras ``viz`` and ``cities``.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from bsk_torch import make
 from bsk_torch.env import Tasking
 from bsk_torch.env.rollout import play_episodes
 from bsk_torch.presets import PRESETS
-from bsk_torch.rl.policies import makings, pretrained, pretrained_file, read_card
+from bsk_torch.rl.policies import pretrained, pretrained_file, read_card
 from bsk_torch.rl.policies.shared_policy import shared, shared_baseline
 from bsk_torch.viz.figures.inspection import draw_paths
 from bsk_torch.viz.figures.style import save
@@ -56,9 +56,6 @@ ZOOM = 1.3
 FILM_SEED, THUMBNAIL_SEED = 3, 59
 """Seeds of the episodes that are shown; the second one flies over Europe and Asia in daylight."""
 
-RULE = "hasty"
-"""The rule that acts where there is no pretrained policy."""
-
 INSPECTIONS, INSPECTION, INSPECTION_SEED = ("RSOInspection-v1", "MultiInspection-v1"), "survey", 4
 """Presets whose thumbnail is made of paths about an RSO, and the rule and the seed of the episode that it shows."""
 
@@ -70,16 +67,14 @@ INK, OURS, THEIRS = "#14171c", "#2a6ebb", "#98a2b3"
 
 def options_of(preset: str) -> dict[str, Any]:
     """Return the options of the environment that the pretrained policy was trained in, without those of its training."""
-    if preset not in makings():
-        return {}
     options = read_card(pretrained_file(preset))["options"]
     return {name: value for name, value in options.items() if name != "time_limit"}
 
 
 def played(preset: str, seed: int, **options: Any) -> Iterator[Tasking]:
-    """Yield the environment of one episode at the reset and after each decision of the pretrained policy, or of the rule."""
+    """Yield the environment of one episode at the reset and after each decision of the pretrained policy."""
     env = make(preset, num_envs=1, seed=seed, **(options_of(preset) | options))
-    policy = shared(pretrained(preset), env) if preset in makings() else shared_baseline(RULE, env)
+    policy = shared(pretrained(preset), env)
     start = env.reset()
     yield env
     for _ in play_episodes(env, policy, start):
