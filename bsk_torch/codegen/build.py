@@ -5,7 +5,7 @@ may belong. Its name is a hash of its source, of torch's version, of the compile
 of these builds another library. The file ends with a hash of the library, so that a truncated file is built again instead of
 loaded.
 
-The vector instructions are those that torch's inductor chooses for this machine. ``BSK_TORCH_ISA`` names others: ``avx512``,
+The vector instructions are those that torch uses on this machine. ``BSK_TORCH_ISA`` names others: ``avx512``,
 ``avx2``, or ``default``, which means plain C++. It is meant for tests; the machine must have the named instructions.
 Kernels that were built for other machines, :mod:`bsk_torch.codegen.shipped`, are looked for before the cache.
 """
@@ -37,18 +37,23 @@ if TYPE_CHECKING:
 
 logger = logging.getLogger(__name__)
 
-HEADER = Path(__file__).with_name("simd.h")
+HEADERS = tuple(Path(__file__).with_name(name) for name in ("simd.h", "x86.h"))
+"""The header that kernels include, and the one that it includes."""
 
-INCLUDE = f'#include "{HEADER.name}"'
+INCLUDE = f'#include "{HEADERS[0].name}"'
 
-FLAGS = ("-ffp-contract=fast", "-fno-math-errno", "-fno-trapping-math", "-g0", "-w")
-"""Options of the compiler beside inductor's; contraction fuses a product and a sum into one rounding."""
+FLAGS = ("-O2", "-ffp-contract=fast", "-fno-math-errno", "-fno-trapping-math", "-g0", "-w")
+"""Options of the compiler behind inductor's, whose -O3 takes twice the time and makes no faster ticks; contraction fuses a
+product and a sum into one rounding."""
 
 SCHEDULING = ("-fschedule-insns", "-fsched-pressure")
 """Options of GCC only: scheduling with regard to register pressure makes ticks 10 % faster."""
 
 ISAS = ("avx512", "avx2", "default")
 """Values of ``BSK_TORCH_ISA``."""
+
+IN_USE = {"AVX512": "avx512", "AVX2": "avx2"}
+"""Instructions by what torch calls its own; on other processors torch's inductor chooses."""
 
 LOADED: dict[str, ctypes.CDLL] = {}
 """Libraries that this process has loaded, by the names of their files."""
@@ -101,7 +106,8 @@ def load(source: str, name: str) -> ctypes.CDLL:
         PermissionError: If others own the cache folder, or one of shipped kernels, or may write to it.
         RuntimeError: Without a compiler, or a cache folder that can be written to.
     """
-    parts, target = [source, HEADER.read_text(), *FLAGS, *SCHEDULING, torch.__version__], shipped.BUILDING.get()
+    headers, target = (header.read_text() for header in HEADERS), shipped.BUILDING.get()
+    parts = [source, *headers, *FLAGS, *SCHEDULING, torch.__version__]
     if target is not None:
         path = target.folder / shipped.library_name(parts, target.isa)
     else:
@@ -149,7 +155,7 @@ def _seal(code: bytes) -> bytes:
 @cache
 def _announce(folder: Path) -> None:
     """Warn once that compilation takes time: a warning reaches users who have not configured logging, too."""
-    logger.warning("compiling for this machine, once: a satellite type takes about 40 s; kernels are kept in %s", folder)
+    logger.warning("compiling for this machine, once: a satellite type takes about 15 s; kernels are kept in %s", folder)
 
 
 def _built(source: str, path: Path, name: str) -> ctypes.CDLL:
@@ -208,7 +214,7 @@ def _command(name: str) -> list[str]:
             f"the {name} needs a C++ compiler, but {wanted} does not run here; install it or let CXX name another one"
             f"{_not_shipped()}. {WITHOUT}"
         ) from error
-    flags = [*FLAGS, *(SCHEDULING if cpp_builder.is_gcc() else ()), f"-I{shlex.quote(str(HEADER.parent))}"]
+    flags = [*FLAGS, *(SCHEDULING if cpp_builder.is_gcc() else ()), f"-I{shlex.quote(str(HEADERS[0].parent))}"]
     options = cpp_builder.CppTorchOptions(vec_isa=_vector_isa(), extra_flags=flags, compiler=compiler)
     command = shlex.split(cpp_builder.CppBuilder("kernel", ["kernel.cpp"], options).get_command_line())
     target = shipped.BUILDING.get()
@@ -233,9 +239,12 @@ def _chosen_isa() -> str:
 
 
 def _vector_isa() -> VecISA:
-    """Return inductor's description of the vector instructions."""
+    """Return inductor's description of the vector instructions.
+
+    Inductor's own choice compiles and loads ten libraries first, which takes as long as all kernels of a satellite.
+    """
     from torch._inductor import cpu_vec_isa
 
     known = {"avx512": cpu_vec_isa.VecAVX512(), "avx2": cpu_vec_isa.VecAVX2(), "default": cpu_vec_isa.invalid_vec_isa}
-    chosen = _chosen_isa()
+    chosen = _chosen_isa() or IN_USE.get(torch.backends.cpu.get_cpu_capability(), "")
     return known[chosen] if chosen else cpu_vec_isa.pick_vec_isa()

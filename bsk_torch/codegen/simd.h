@@ -1,18 +1,24 @@
 // Lanes: W environments side by side in vector registers.
 //
-// D holds W doubles, F (kernels that define LANES_MIXED) as many floats, M a truth value for each. What at::vec offers for both is
-// used as it is; here stands what kernels need besides. Minimum and maximum keep a NaN of their first argument.
+// D holds W doubles, F (kernels that define LANES_MIXED) as many floats, M a truth value for each. Registers are those of x86.h,
+// or at::vec's on other processors; here stands what kernels need besides. Minimum and maximum keep a NaN of their first argument.
 #pragma once
-#include <ATen/cpu/vec/vec.h>
-#include <algorithm>
 #include <cmath>
 #include <cstdint>
 #include <limits>
 
+#if defined(CPU_CAPABILITY_AVX512) || defined(CPU_CAPABILITY_AVX2)
+#include "x86.h"
+#else
+#include <ATen/cpu/vec/vec.h>
 namespace lanes {
 using namespace at::vec;
 using V = Vectorized<double>;
 using F = Vectorized<float>;
+}  // namespace lanes
+#endif
+
+namespace lanes {
 #ifdef LANES_MIXED
 constexpr int W = F::size();
 
@@ -102,6 +108,53 @@ static inline M differ(M a, M b) { return a ^ b; }
 static inline M opposite(M a) { return M(~a); }
 static inline bool any(M m) { return m != 0; }
 static inline M constant(bool b) { return b ? M(~M(0)) : M(0); }
+#elif defined(CPU_CAPABILITY_AVX2)
+#ifdef LANES_MIXED
+struct M {
+  __m256 bits{};
+};
+// the mask of two registers of doubles, whose lanes are twice as wide
+static inline M narrowed(__m256d low, __m256d high) {
+  const __m256i even = _mm256_setr_epi32(0, 2, 4, 6, 0, 2, 4, 6);
+  const __m256 a = _mm256_permutevar8x32_ps(_mm256_castpd_ps(low), even);
+  const __m256 b = _mm256_permutevar8x32_ps(_mm256_castpd_ps(high), even);
+  return {_mm256_blend_ps(a, b, 0xF0)};
+}
+static inline __m256d widened(__m128 half) { return _mm256_castsi256_pd(_mm256_cvtepi32_epi64(_mm_castps_si128(half))); }
+#define LANES_COMPARE(name, code)                                                                       \
+  static inline M name(const F& a, const F& b) { return {_mm256_cmp_ps(a, b, code)}; }                  \
+  static inline M name(const D& a, const D& b) {                                                        \
+    return narrowed(_mm256_cmp_pd(a[0], b[0], code), _mm256_cmp_pd(a[1], b[1], code));                  \
+  }
+static inline F where(const M& m, const F& a, const F& b) { return _mm256_blendv_ps(b, a, m.bits); }
+static inline D where(const M& m, const D& a, const D& b) {
+  const __m256d low = widened(_mm256_castps256_ps128(m.bits)), high = widened(_mm256_extractf128_ps(m.bits, 1));
+  return D(V(_mm256_blendv_pd(b[0], a[0], low)), V(_mm256_blendv_pd(b[1], a[1], high)));
+}
+#define LANES_BITS(name) _mm256_##name##_ps
+#define LANES_AS_BITS _mm256_castsi256_ps
+#else
+struct M {
+  __m256d bits{};
+};
+#define LANES_COMPARE(name, code) \
+  static inline M name(const D& a, const D& b) { return {_mm256_cmp_pd(a, b, code)}; }
+static inline D where(const M& m, const D& a, const D& b) { return _mm256_blendv_pd(b, a, m.bits); }
+#define LANES_BITS(name) _mm256_##name##_pd
+#define LANES_AS_BITS _mm256_castsi256_pd
+#endif
+LANES_COMPARE(gt, _CMP_GT_OQ)
+LANES_COMPARE(lt, _CMP_LT_OQ)
+LANES_COMPARE(ge, _CMP_GE_OQ)
+LANES_COMPARE(le, _CMP_LE_OQ)
+LANES_COMPARE(eq, _CMP_EQ_OQ)
+LANES_COMPARE(ne, _CMP_NEQ_UQ)
+static inline M constant(bool b) { return {LANES_AS_BITS(_mm256_set1_epi32(b ? -1 : 0))}; }
+static inline M both(const M& a, const M& b) { return {LANES_BITS(and)(a.bits, b.bits)}; }
+static inline M either(const M& a, const M& b) { return {LANES_BITS(or)(a.bits, b.bits)}; }
+static inline M differ(const M& a, const M& b) { return {LANES_BITS(xor)(a.bits, b.bits)}; }
+static inline M opposite(const M& a) { return differ(a, constant(true)); }
+static inline bool any(const M& m) { return LANES_BITS(movemask)(m.bits) != 0; }
 #else
 #ifdef LANES_MIXED
 using M = VecMask<float, 1>;

@@ -9,7 +9,7 @@ STAGES = (
     ("updates of\nthe components", "Python"),
     ("graph of values", "trace.py, ir.py\nfold.py"),
     ("statements of\na loop", "passes.py"),
-    ("C++", "cpp.py, simd.h"),
+    ("C++", "cpp.py, simd.h, x86.h"),
     ("shared library\nin the cache", "build.py"),
 )
 for k, (text, by) in enumerate(STAGES):

@@ -83,12 +83,12 @@ def load(source: str, name: str) -> Emulated:
     from torch.utils.cpp_extension import include_paths
 
     whole = source + MAIN
-    program = build.cache_folder() / hashlib.sha256((whole + build.HEADER.read_text()).encode()).hexdigest()[:32]
+    program = build.cache_folder() / hashlib.sha256((whole + build.HEADERS[0].read_text()).encode()).hexdigest()[:32]
     if not program.exists():
         program.parent.mkdir(parents=True, exist_ok=True)
         code = program.with_suffix(".cpp")
         code.write_text(whole)
-        includes = [f"-I{folder}" for folder in (build.HEADER.parent, *include_paths())]
+        includes = [f"-I{folder}" for folder in (build.HEADERS[0].parent, *include_paths())]
         command = [f"{TRIPLE}-g++", "-std=c++20", "-O2", "-fopenmp", "-static", *build.FLAGS, *includes, str(code)]
         done = subprocess.run([*command, "-o", str(program)], capture_output=True, text=True)
         assert done.returncode == 0, f"{name}: {done.stderr[-4000:]}"
