@@ -8,7 +8,8 @@ Usage:
 
 The references are made once for a suite, from all of its episodes: 0 is what random actions return, 1 the best mean of all
 policies in the files. They belong to the suite as its episodes do, and are not made anew for better policies: presets that have
-references keep them. Policies that played fewer episodes, such as planners, are compared in these.
+references keep them. Policies that played fewer episodes, such as planners, are compared in these. Rows of presets that no file
+has stay in FILE.json.
 """
 
 from __future__ import annotations
@@ -92,6 +93,20 @@ def summaries(results: Mapping[str, Mapping[str, Any]], known: Mapping[str, Any]
             yield summary
 
 
+def with_others(path: Path, head: Mapping[str, Any], rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """The rows of a file, of which those of the presets of ``rows`` are replaced in their place; ValueError for unlike runs."""
+    if not path.exists():
+        return rows
+    before = json.loads(path.read_text())
+    if unlike := [name for name in ("format", "suite") if before[name] != head[name]]:
+        raise ValueError(f"{path} has rows of another {unlike[0]}: {before[unlike[0]]!r}, not {head[unlike[0]]!r}")
+    mine: dict[str, list[dict[str, Any]]] = {row["preset"]: [] for row in (*before["rows"], *rows)}
+    new = {row["preset"] for row in rows}
+    for row in (*(row for row in before["rows"] if row["preset"] not in new), *rows):
+        mine[row["preset"]].append(row)
+    return [row for group in mine.values() for row in group]
+
+
 def certificate(row: Mapping[str, Any]) -> dict[str, Any] | None:
     """What a row says of its flights on Basilisk: their number, how many are the same, and the largest difference of a return."""
     flown = row.get("basilisk")
@@ -127,7 +142,7 @@ def main() -> None:
             )
         given.references.write_text(json.dumps(dict(sorted(known.items())), indent=1) + "\n")
     if given.out is not None:
-        given.out.write_text(json.dumps(head | {"rows": rows}, indent=1) + "\n")
+        given.out.write_text(json.dumps(head | {"rows": with_others(given.out, head, rows)}, indent=1) + "\n")
 
 
 if __name__ == "__main__":

@@ -1,7 +1,8 @@
-"""Worlds and rewards that studies of the benchmarks define beside those of the package."""
+"""What studies of the benchmarks define beside the package: worlds, rewards, and how files of results grow."""
 
 from __future__ import annotations
 
+import json
 import sys
 from pathlib import Path
 from typing import Any
@@ -22,6 +23,15 @@ def clouds(monkeypatch):
     yield clouds
     for name in ("clouds", "harness"):
         sys.modules.pop(name, None)
+
+
+@pytest.fixture
+def suite(monkeypatch):
+    monkeypatch.syspath_prepend(str(Path(__file__).parents[1] / "benchmarks"))
+    import suite
+
+    yield suite
+    sys.modules.pop("suite", None)
 
 
 def test_clouds_change_every_half_hour_and_forecasts_are_about_right(clouds):
@@ -73,3 +83,15 @@ def test_repeated_images_pay_once_and_raise_the_belief(clouds):
     repeated = sum(len(times) - 1 for times in images.values())
     assert repeated == int(env.counts()["repeated"].sum())
     assert repeated > 10
+
+
+def test_rows_of_other_presets_stay_in_the_suites_file(tmp_path, suite):
+    file = tmp_path / "suite.json"
+    head = {"format": 1, "suite": "v1"}
+    mine = [{"preset": "b", "policy": "new"}]
+    assert suite.with_others(file, head, mine) == mine
+    old = [{"preset": name, "policy": policy} for name, policy in (("a", "x"), ("b", "x"), ("b", "y"), ("c", "x"))]
+    file.write_text(json.dumps(head | {"rows": old}))
+    assert suite.with_others(file, head, mine) == [old[0], mine[0], old[3]]
+    with pytest.raises(ValueError, match="rows of another suite: 'v1', not 'v2'"):
+        suite.with_others(file, head | {"suite": "v2"}, mine)

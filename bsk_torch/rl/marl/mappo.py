@@ -300,7 +300,9 @@ class MAPPOLearner:
         self.config = config
         self.groups = {group: GroupLearner(config, env, group) for group in member_views(env)}
         if config.imitate and all(group.teacher is None for group in self.groups.values()):
-            raise ValueError(f"imitate={config.imitate!r} fits no satellite of {config.preset}")
+            raise ValueError(
+                f"imitate={config.imitate!r} fits no satellite of {config.preset} with these options; imitate=null trains without"
+            )
 
     @property
     def learning_rate(self) -> float:

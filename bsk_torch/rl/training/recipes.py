@@ -49,8 +49,11 @@ INSPECTION: dict[str, dict[str, Any]] = {
 }
 """For flying about a spacecraft from waypoint to waypoint. An inspection takes hours, and its end counts most."""
 
-CREW: dict[str, dict[str, Any]] = {"attention": INSPECTION["attention"] | dict(num_envs=128, minibatch=512)}
-"""For several inspectors, each step of whom takes longer: smaller batches, so that there are as many updates."""
+CREW: dict[str, dict[str, Any]] = {
+    "attention": INSPECTION["attention"] | dict(num_envs=128, minibatch=512, imitate="survey", imitation=0.3)
+}
+"""For several inspectors, each step of whom takes longer: smaller batches, so that there are as many updates, and a rule to
+begin with."""
 
 RECIPES: dict[str, dict[str, dict[str, Any]]] = {
     "NadirScan-v1": SCANNING,
