@@ -1,7 +1,8 @@
 // Lanes: W environments side by side in vector registers.
 //
 // D holds W doubles, F (kernels that define LANES_MIXED) as many floats, M a truth value for each. Registers are those of x86.h,
-// or at::vec's on other processors; here stands what kernels need besides. Minimum and maximum keep a NaN of their first argument.
+// or at::vec's on other processors; here stands what kernels need besides. Minimum and maximum keep a NaN of their first
+// argument.
 #pragma once
 #include <cmath>
 #include <cstdint>
