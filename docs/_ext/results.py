@@ -387,7 +387,7 @@ def communications() -> str:
     """Return what communication is worth to rules."""
     rows = []
     for row in load("communication")["rows"]:
-        gain = "" if row["communication"] == "none" else f"{row['gain']:+.2f} ± {row['gain_half']:.2f}"
+        gain = "-" if row["communication"] == "none" else f"{row['gain']:+.2f} ± {row['gain_half']:.2f}"
         names = code(row["preset"]), row["rule"], row["communication"]
         rows.append([*names, f"{row['value']:.2f} ± {row['half']:.2f}", gain, f"{row['in_view']:.2f}"])
     head = ["preset", "rule", "communication after every step", "return", "gain over none", "all targets in view"]
