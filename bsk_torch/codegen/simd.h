@@ -79,6 +79,11 @@ static inline D maximum(const D& a, const D& b) { return D(maximum(a[0], b[0]), 
 
 // -- masks ---------------------------------------------------------------------------------------------------------------
 
+// by instructions that take the comparison as a number, which AVX-512 and AVX2 share
+#define LANES_COMPARISONS                                                                       \
+  LANES_COMPARE(gt, _CMP_GT_OQ) LANES_COMPARE(lt, _CMP_LT_OQ) LANES_COMPARE(ge, _CMP_GE_OQ)     \
+  LANES_COMPARE(le, _CMP_LE_OQ) LANES_COMPARE(eq, _CMP_EQ_OQ) LANES_COMPARE(ne, _CMP_NEQ_UQ)
+
 #if defined(CPU_CAPABILITY_AVX512)
 #ifdef LANES_MIXED
 using M = __mmask16;
@@ -97,12 +102,7 @@ using M = __mmask8;
   static inline M name(const D& a, const D& b) { return _mm512_cmp_pd_mask(a, b, code); }
 static inline D where(M m, const D& a, const D& b) { return _mm512_mask_blend_pd(m, b, a); }
 #endif
-LANES_COMPARE(gt, _CMP_GT_OQ)
-LANES_COMPARE(lt, _CMP_LT_OQ)
-LANES_COMPARE(ge, _CMP_GE_OQ)
-LANES_COMPARE(le, _CMP_LE_OQ)
-LANES_COMPARE(eq, _CMP_EQ_OQ)
-LANES_COMPARE(ne, _CMP_NEQ_UQ)
+LANES_COMPARISONS
 static inline M both(M a, M b) { return a & b; }
 static inline M either(M a, M b) { return a | b; }
 static inline M differ(M a, M b) { return a ^ b; }
@@ -144,12 +144,7 @@ static inline D where(const M& m, const D& a, const D& b) { return _mm256_blendv
 #define LANES_BITS(name) _mm256_##name##_pd
 #define LANES_AS_BITS _mm256_castsi256_pd
 #endif
-LANES_COMPARE(gt, _CMP_GT_OQ)
-LANES_COMPARE(lt, _CMP_LT_OQ)
-LANES_COMPARE(ge, _CMP_GE_OQ)
-LANES_COMPARE(le, _CMP_LE_OQ)
-LANES_COMPARE(eq, _CMP_EQ_OQ)
-LANES_COMPARE(ne, _CMP_NEQ_UQ)
+LANES_COMPARISONS
 static inline M constant(bool b) { return {LANES_AS_BITS(_mm256_set1_epi32(b ? -1 : 0))}; }
 static inline M both(const M& a, const M& b) { return {LANES_BITS(and)(a.bits, b.bits)}; }
 static inline M either(const M& a, const M& b) { return {LANES_BITS(or)(a.bits, b.bits)}; }
