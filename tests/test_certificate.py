@@ -67,7 +67,7 @@ def test_other_presets_and_numbers_are_refused():
     ],
 )
 def test_policies_that_read_only_what_is_observed_decide_on_basilisk(preset, name, by_sight):
-    _, policy = enter(short(preset, backend="eager"), entrant_of(name), 1)
+    _, policy = enter(short(preset), entrant_of(name), 1)
     assert decides_by_sight(policy) is by_sight
 
 
@@ -78,10 +78,11 @@ def test_functions_and_memories_do_not_decide_on_basilisk():
     assert not decides_by_sight(TensorDictModule(lambda x, m: x, ["observation", "memory"], ["action"]))
 
 
+@pytest.mark.compiled
 @pytest.mark.parametrize(("preset", "limit"), [("NadirScan-v1", 900.0), ("AEOS-v1", 200.0), ("AEOSPower-v1", 200.0)])
 def test_a_policy_decides_alike_in_its_environment_and_by_a_vector_in_double_precision(preset, limit):
     """As Basilisk shows it: targets of sets follow from the vector."""
-    task = short(preset, backend="eager", time_limit=limit)
+    task = short(preset, time_limit=limit)
     env, policy = enter(task, entrant_of("pretrained"), 2)
     result, starts, actions = flown_here(env, policy, task.seeds(2))
     problem, form = problem_and_form(task, env)
