@@ -13,7 +13,9 @@ import bsk_torch
 from bsk_torch import SatelliteTasking, act, data, scene
 from bsk_torch.presets.nadir_scan import ScanningSatellite, scanning_args
 
-SHORT = dict(time_limit=150.0, backend="eager", seed=3)
+pytestmark = pytest.mark.compiled
+
+SHORT = dict(time_limit=150.0, seed=3)
 
 
 class Scanner(ScanningSatellite):
@@ -56,13 +58,14 @@ def test_specs():
     check_env_specs(make(2, obs_type=dict))
 
 
-def test_one_alone_equals_one_of_many_bit_for_bit():
+@pytest.mark.parametrize("backend", ["eager", "compiled"])
+def test_one_alone_equals_one_of_many_bit_for_bit(backend):
     """A batch of 512 and the same environment alone; resets included."""
-    plan = actions(2, 512)
-    many = make(512, time_limit=34.0, dtype=torch.float64)
+    plan, options = actions(2, 512), dict(time_limit=34.0, dtype=torch.float64, backend=backend)
+    many = make(512, **options)
     together = play(many, plan)
     for i in (0, 7, 300):
-        alone = make(1, time_limit=34.0, dtype=torch.float64, env_ids=[i])
+        alone = make(1, **options, env_ids=[i])
         for a, b in zip(play(alone, plan[:, i : i + 1]), together, strict=True):
             assert equal(a, b, slice(i, i + 1))
         assert torch.equal(alone.get_state()["satellites_0", "planes"][0], many.get_state()["satellites_0", "planes"][i])

@@ -14,8 +14,12 @@ SAME = 0.02
 """Relative: where two actions are equally good to rounding, another processor may take the other one."""
 
 
+LONG = ("Constellation-v1", "AEOSConstellation-v1")
+"""Presets of so many satellites that four episodes take half a minute."""
+
+
 @pytest.mark.compiled
-@pytest.mark.parametrize("preset", makings())
+@pytest.mark.parametrize("preset", [pytest.param(name, marks=pytest.mark.nightly if name in LONG else ()) for name in makings()])
 def test_a_pretrained_policy_has_its_score(preset):
     noted, card = makings()[preset], read_card(pretrained_file(preset))
     assert card["preset"] == preset

@@ -21,7 +21,9 @@ from bsk_torch.wrappers import GymEnv, GymVectorEnv
 from bsk_torch.wrappers.registration import register
 
 NEXT, SAME, DISABLED = AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP, AutoresetMode.DISABLED
-NADIR = {"id": "bsk_torch/NadirScan-v1", "backend": "eager", "time_limit": 600.0}
+pytestmark = pytest.mark.compiled
+
+NADIR = {"id": "bsk_torch/NadirScan-v1", "time_limit": 600.0}
 
 
 class Quick(sats.Satellite):
@@ -38,7 +40,7 @@ SHORT_LIVED = rand.Uniform(100.0, 1500.0)
 
 def quick(*, obs_type=torch.Tensor, charge=SHORT_LIVED, **options):
     satellite = Quick("Quick", scanning_args() | {"storedCharge_Init": charge}, obs_type=obs_type)
-    defaults = dict(time_limit=15.0, dtype=torch.float64, backend="eager")
+    defaults = dict(time_limit=15.0, dtype=torch.float64)
     nadir = scene.UniformNadirScanning(value_per_second=0.1)
     return SatelliteTasking(satellite, nadir, data.ScanningTimeReward(), **(defaults | options))
 
@@ -331,7 +333,6 @@ def test_the_core_stays_usable():
     assert float(step["next", "duration"]) == 3.0
 
 
-@pytest.mark.compiled
 def test_images_are_counted_in_infos():
     """Of one episode and of a batch, kept over the resets of others and shown for the last time in ``final_info``."""
     options = dict(n_targets=2000, time_limit=600.0)
