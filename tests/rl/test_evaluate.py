@@ -8,6 +8,8 @@ from tensordict.nn import TensorDictModule, TensorDictModuleBase
 
 import bsk_torch
 from bsk_torch.rl.evaluation.evaluate import Evaluation, evaluate
+from bsk_torch.rl.policies import pretrained
+from bsk_torch.rl.policies.shared_policy import shared
 from bsk_torch.rl.rules.baselines import BASELINES, LOT, random_policy
 
 pytestmark = pytest.mark.compiled
@@ -168,3 +170,19 @@ def test_policies_see_nothing_else_that_is_old(env):
     evaluate(policy, env, seeds=[0])
     assert len(seen) > 1
     assert all("action" not in keys for keys in seen)
+
+
+@pytest.mark.parametrize(
+    ("preset", "wrap", "advice"),
+    [
+        ("AEOS-v1", lambda policy, env: policy, r"read_card\(file\)\['options'\]"),
+        ("AEOS-v1", shared, r"read_card\(file\)\['options'\]"),
+        ("Constellation-v1", shared, r"read_card\(file\)\['options'\]"),
+        ("Constellation-v1", lambda policy, env: policy, r"shared\(policy, env\)"),
+    ],
+)
+def test_policies_that_read_what_there_is_not_are_answered_with_what_to_do(preset, wrap, advice):
+    """Those of the package read sets, which these environments do not show."""
+    env = bsk_torch.make(preset, num_envs=1, backend="eager", time_limit=20.0)
+    with pytest.raises(ValueError, match=rf"the policy reads observation\.sat_props\..*does not have; .*{advice}"):
+        evaluate(wrap(pretrained(preset), env), env, seed=1)

@@ -17,6 +17,7 @@ from bsk_torch.env import ConstellationTasking, SatelliteTasking, Tasking
 from bsk_torch.env.rollout import Policy, play_episodes
 from bsk_torch.rand import Key
 from bsk_torch.rl.evaluation.statistics import Estimate, confidence, mean, wilson
+from bsk_torch.rl.policies.shared_policy import TRAINED_WITH, check_reads
 from bsk_torch.rl.rules.baselines import LOT
 
 FRESH = 1_000_003
@@ -24,6 +25,9 @@ FRESH = 1_000_003
 
 SUITE_SEEDS = range(2**60, 2**60 + 2**20)
 """Seeds of the episodes of suites (:mod:`bsk_torch.rl.evaluation.suite`), which trainings refuse."""
+
+SHARE = "shared(policy, env) lets a policy of one satellite decide for those of a constellation"
+"""What to do about such a policy."""
 
 SIMULATED = "simulated_seconds"
 """Key under which planners write what they have simulated for a decision, [N] s."""
@@ -120,8 +124,11 @@ def evaluate(
         Results of the episodes. Those of a constellation are sums over its satellites; ``survived`` says whether all survived.
 
     Raises:
-        ValueError: Without seeds, with both kinds of them, or with ``seeds`` where the environment has other ``env_ids``.
+        ValueError: Without seeds, with both kinds of them, with ``seeds`` where the environment has other ``env_ids``, or for a
+            policy that reads observations which the environment does not have.
     """
+    alone = isinstance(env, SatelliteTasking)
+    check_reads(policy, env.observation_spec, TRAINED_WITH if alone else SHARE)
     if (seed is None) == (seeds is None) or (seeds is not None and len(seeds) == 0):
         raise ValueError(f"seed={seed} and seeds={seeds}: evaluation needs one of them, and an episode at least")
     if seeds is None:

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import torch
-from tensordict import TensorDictBase
+from tensordict import NestedKey, TensorDictBase
 from tensordict.nn import TensorDictModuleBase, TensorDictSequential
 from torchrl.data import Binary, Composite
 
@@ -17,6 +17,9 @@ from bsk_torch.env import NO_ACTION, ConstellationTasking, SatelliteTasking, Tas
 from bsk_torch.env.agents import AGENTS, Group
 from bsk_torch.rl.rules.baselines import BASELINES, random_policy
 from bsk_torch.sats.satellite import Satellite
+
+TRAINED_WITH = "make it with the options that the policy was trained with, which read_card(file)['options'] lists"
+"""What to do about a policy that reads what an environment does not have."""
 
 
 @dataclass(frozen=True)
@@ -63,6 +66,18 @@ def member_view(env: Tasking) -> SatelliteTasking:
     if len(views) > 1:
         raise ValueError(f"satellites must be alike; the groups are {', '.join(views)}")
     return next(iter(views.values()))
+
+
+def check_reads(policy: Any, spec: Composite, hint: str = TRAINED_WITH) -> None:
+    """ValueError, which ends with ``hint``, for observations that a policy reads by their names and ``spec`` does not have."""
+    known = {_path(key) for key in spec.keys(include_nested=True)}
+    for path in (_path(key) for key in getattr(policy, "in_keys", ())):
+        if "observation" in path and path not in known:
+            raise ValueError(f"the policy reads {'.'.join(path)}, which this environment does not have; {hint}")
+
+
+def _path(key: NestedKey) -> tuple[str, ...]:
+    return key if isinstance(key, tuple) else (key,)
 
 
 class SharedPolicy(TensorDictModuleBase):
@@ -136,14 +151,17 @@ def shared(policy: TensorDictModuleBase, env: Tasking) -> TensorDictModuleBase:
     """Return a policy as it acts in ``env``.
 
     That is itself for one satellite, :class:`SharedPolicy` in a constellation of satellites that are alike, and itself where it
-    is a :class:`GroupPolicies`. ValueError for policies of other groups, or of one satellite in a constellation of unlike ones.
+    is a :class:`GroupPolicies`. ValueError for policies of other groups, of one satellite in a constellation of unlike ones, or
+    that read observations which the environment does not have.
     """
     views = member_views(env)
     if isinstance(policy, GroupPolicies):
         if policy.policies.keys() != views.keys():
             raise ValueError(f"the policies are for groups {', '.join(policy.policies)}; the environment has {', '.join(views)}")
+        for group, part in policy.policies.items():
+            check_reads(part, views[group].observation_spec)
         return policy
-    member_view(env)
+    check_reads(policy, member_view(env).observation_spec)
     return policy if isinstance(env, SatelliteTasking) else SharedPolicy(policy, next(iter(views)))
 
 
