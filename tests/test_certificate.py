@@ -56,6 +56,7 @@ def test_other_presets_and_numbers_are_refused():
 # -- who decides -------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.compiled
 @pytest.mark.parametrize(
     ("preset", "name", "by_sight"),
     [

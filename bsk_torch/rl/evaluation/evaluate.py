@@ -27,7 +27,7 @@ SUITE_SEEDS = range(2**60, 2**60 + 2**20)
 """Seeds of the episodes of suites (:mod:`bsk_torch.rl.evaluation.suite`), which trainings refuse."""
 
 SHARE = "shared(policy, env) lets a policy of one satellite decide for those of a constellation"
-"""What to do about such a policy."""
+"""What to do about a policy that reads what a constellation shows for its groups only."""
 
 SIMULATED = "simulated_seconds"
 """Key under which planners write what they have simulated for a decision, [N] s."""
@@ -127,8 +127,7 @@ def evaluate(
         ValueError: Without seeds, with both kinds of them, with ``seeds`` where the environment has other ``env_ids``, or for a
             policy that reads observations which the environment does not have.
     """
-    alone = isinstance(env, SatelliteTasking)
-    check_reads(policy, env.observation_spec, TRAINED_WITH if alone else SHARE)
+    check_reads(policy, env.observation_spec, TRAINED_WITH if isinstance(env, SatelliteTasking) else SHARE)
     if (seed is None) == (seeds is None) or (seeds is not None and len(seeds) == 0):
         raise ValueError(f"seed={seed} and seeds={seeds}: evaluation needs one of them, and an episode at least")
     if seeds is None:
