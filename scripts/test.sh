@@ -1,9 +1,10 @@
 #!/usr/bin/env bash
 # Makes .venv, installs bsk_torch with what the tests need, and runs linters, type checker and tests.
 #   scripts/test.sh [pytest arguments]
-#   scripts/test.sh --all    then also the tests that need Basilisk or RLlib, which pin other packages: in .venv-basilisk and
-#                            .venv-rllib. Basilisk downloads its support data unless BSK_SUPPORT_DATA_CACHE names a folder with
-#                            them (see tests/basilisk/recorders/recording.py). No test is skipped for a missing package.
+#   scripts/test.sh --all    then also the tests that need Ray, and those that need Basilisk or RLlib, which pin other packages: in
+#                            .venv-basilisk and .venv-rllib. Basilisk downloads its support data unless BSK_SUPPORT_DATA_CACHE
+#                            names a folder with them (see tests/basilisk/recorders/recording.py). No test is skipped for a
+#                            missing package.
 #   scripts/test.sh --basilisk, --rllib    only one of these two
 #   scripts/test.sh --browser [pytest arguments]    only the tests of pages and reports in Chromium, which is installed with
 #                            apt-get where it is missing; part of --all
@@ -53,7 +54,9 @@ case "${1:-}" in
     --rllib) test_rllib; exit ;;
 esac
 make_venv .venv
-.venv/bin/python -m pip install -q -c constraints.txt -e ".[train,tensorboard,viz,video,sb3,cities,plan,ray,docs,dev]"
+extras=train,tensorboard,viz,video,sb3,cities,plan,docs,dev
+case "${1:-}" in --all | --nightly) extras=$extras,ray ;; esac
+.venv/bin/python -m pip install -q -c constraints.txt -e ".[$extras]"
 # a client that no one here wrote; pip would take an older TorchRL with it
 .venv/bin/python -m pip install -q --no-deps benchmarl==1.5.2
 if [ "${1:-}" = --browser ]; then

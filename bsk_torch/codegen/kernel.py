@@ -52,6 +52,10 @@ class Kernel:
         ``name`` is used in messages.
         """
         self.name, self.loop = name, loop
+        self.build(lockstep)
+
+    def build(self, lockstep: int) -> None:
+        """Build the library for groups of ``lockstep`` rows, or load it, so that no call has to wait for it."""
         self._entry(lockstep)
 
     @cached_property

@@ -28,7 +28,7 @@ from bsk_torch.sim.encounters import find_pairs
 from bsk_torch.sim.fleet import EpisodeDraw, Fleet, share
 from bsk_torch.sim.given import Answers, Member, expand, is_function
 from bsk_torch.sim.params import Overrides, convert, drawn_once
-from bsk_torch.sim.simulator import Simulator
+from bsk_torch.sim.simulator import Simulator, TicksMade
 from bsk_torch.sim.state import StateTable
 from bsk_torch.sim.world import WorldModel
 
@@ -72,6 +72,7 @@ class FleetBuilder:
         self._world_names = [set(world_arguments(self.satellites[columns[0]], self.world_type)) for columns in self.types]
         self.world_args = expand(options.world_args, "world_args")
         self.advised: set[Any] = set()
+        self._ticks: TicksMade = {}
         check_world(self.world_args, [*self._world_names, self.default_world_args()])
 
     def default_world_args(self) -> ArgumentTable:
@@ -163,6 +164,8 @@ class FleetBuilder:
             controlled=_may_control(satellite),
             followed=followed,
             recorded=("r_BN_N",) if self.pairs.watched.intersection(self.types[k]) else (),
+            together=len(self.types[k]),
+            ticks=self._ticks,
         )
 
     def _share_of(self, columns: Sequence[int]) -> Callable[[Key], Overrides]:

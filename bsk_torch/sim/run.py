@@ -17,7 +17,7 @@ from torch import Tensor
 
 from bsk_torch.codegen.inductor import BACKENDS, just_in_time
 from bsk_torch.codegen.ir import UntraceableError
-from bsk_torch.codegen.kernel import Samples
+from bsk_torch.codegen.kernel import Kernel, Samples
 from bsk_torch.sim.tick import Tick
 
 logger = logging.getLogger(__name__)
@@ -83,6 +83,12 @@ class Runners(NamedTuple):
 
     run: Runner
     first_tick: Runner
+
+    def build(self, lockstep: int) -> None:
+        """Build kernels for groups of ``lockstep`` rows that end together, where they are not there yet."""
+        for runner in self:
+            if isinstance(runner, Kernel):
+                runner.build(lockstep)
 
 
 def make_runners(tick: Tick, backend: str, device: torch.device, lockstep: int = 1) -> Runners:

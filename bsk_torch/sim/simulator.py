@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import logging
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Hashable, Iterable, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any
 
@@ -48,6 +48,9 @@ logger = logging.getLogger(__name__)
 
 ArgumentChange = tuple[int, str, Any, Sequence[int] | None]
 """See :meth:`bsk_torch.sim.params.Arguments.changed`."""
+
+TicksMade = dict[Hashable, tuple[Tick, Runners]]
+"""Ticks by their identity, with what runs them."""
 
 ORBITS = ("arc", "integrated")
 
@@ -111,7 +114,7 @@ def check_resets(modes: Mapping[str, Mode], known: Collection[str]) -> None:
                 raise ValueError(f"mode {title!r} resets {name!r}, which is no field of the state; {nearest(name, known)}")
 
 
-def checked_runners(tick: Tick, start: tuple[Tensor, Tensor, Tensor], backend: str, device: torch.device, count: int) -> Runners:
+def checked_runners(start: tuple[Tensor, Tensor, Tensor], tick: Tick, backend: str, device: torch.device, count: int) -> Runners:
     """Return the runners of a tick; TypeError for a component that reads what none writes, with the models that provide it.
 
     ``start`` holds a state [C, n] and parameters [C, 1] and [C, n] on which a tick can run.
@@ -164,6 +167,8 @@ class Simulator:
         controlled: bool = True,
         followed: Mapping[str, Sequence[Field]] | None = None,
         recorded: Sequence[str] = (),
+        together: int | None = None,
+        ticks: TicksMade | None = None,
     ) -> None:
         """Build the tick and check the arguments with trial draws; :meth:`reset` fills the state.
 
@@ -191,6 +196,9 @@ class Simulator:
             controlled: Whether actions may switch attitude control on, so that its gains matter.
             followed: Fields that the satellites record which components follow, by their slot; see :mod:`bsk_torch.sim.trace`.
             recorded: Fields of the hub that runs record beside those of components.
+            together: Satellites of an episode that kernels are built for; as many as there are, unless given.
+            ticks: Ticks that simulations of the same satellites have made, and their kernels, which are used again; new ones are
+                added.
 
         Raises:
             TypeError: For models that do not fit together, or a component that reads what none writes.
@@ -208,6 +216,7 @@ class Simulator:
         self._advised, self._controlled = set() if advised is None else advised, controlled
         self._fits_tick: dict[str, Arguments] = {}
         self.followed, self._recorded = dict(followed or {}), tuple(recorded)
+        self._together, self._ticks = self.count if together is None else together, {} if ticks is None else ticks
         self._make_components(dyn_type, fsw_type, world_type, sat_args, world_args)
         self._make_tick()
         self._make_lookahead(horizon, segment, replan)
@@ -265,7 +274,7 @@ class Simulator:
         shared, n = self.tick.shared.rows(params, 1), min(2, self.num_envs) * self.count
         initial = self.tick.state.rows(merge(trial, self.parts, "initial"), n)
         start = initial, shared, self.tick.own.rows(params, n)
-        self.runners = checked_runners(self.tick, start, self.backend, self.device, self.count)
+        self.runners = self._runners(start)
         self.uniform = shared.to(self.device).contiguous()
         on = [[float(flag in self.modes[name].on) for name in self.mode_names] for flag in MODE_FLAGS]
         self.flag_table = torch.tensor(on, device=self.device, dtype=torch.float64)
@@ -280,6 +289,17 @@ class Simulator:
             modes=len(self.mode_names),
             overwritten=dict(pair for part in parts for pair in part.overwrites),
         )
+
+    def _runners(self, start: tuple[Tensor, Tensor, Tensor] | None = None) -> Runners:
+        """Return what runs the tick; a new one is checked, with ``start``, as :func:`checked_runners` does."""
+        if self.tick.identity in self._ticks:
+            _, runners = self._ticks[self.tick.identity]
+            runners.build(self._together)
+            return runners
+        made = self.tick, self.backend, self.device, self._together
+        runners = make_runners(*made) if start is None else checked_runners(start, *made)
+        self._ticks[self.tick.identity] = self.tick, runners
+        return runners
 
     def _independent_of(self, random: set[str], uniform: set[str], trial: dict[str, Any]) -> set[str]:
         """Return the uniform parameters that follow from no random argument, which a batch of one cannot show otherwise."""
@@ -356,7 +376,7 @@ class Simulator:
         left = set(old.shared.fields) - names
         on_arc = self.orbit == "arc"
         self.tick = Tick(old.components, left, self.h_ns, on_arc, self.dtype, old.opaque_field, self.stops, self.followed)
-        self.runners = make_runners(self.tick, self.backend, self.device, self.count)
+        self.runners = self._runners()
         self.uniform = shared[_planes(old.shared, self.tick.shared.fields)].contiguous()
         rows = [
             shared[old.shared.slices[name]].expand(-1, self.state.rows) if name in names else parameters[old.own.slices[name]]

@@ -7,7 +7,7 @@ inductor, and on symbolic planes, which become one loop in C++ (:mod:`bsk_torch.
 from __future__ import annotations
 
 import functools
-from collections.abc import Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
@@ -77,6 +77,15 @@ class Tick:
         self.arc_tracks: tuple[Track, ...] = (EPHEMERIS_TRACK, ARC) if on_arc else (EPHEMERIS_TRACK,)
         traces = (trace_track(name, fields, h_ns * NANO) for name, fields in followed.items())
         self.tracks = (*self.arc_tracks, *traces)
+
+    @property
+    def identity(self) -> Hashable:
+        """Equal for ticks that compute the same; it holds for as long as one of them exists, which keeps its functions."""
+        parts = tuple(
+            (p.slot, id(p.update), p.state, p.params, p.overwrites, p.stops, p.at_start, p.records) for p in self.components
+        )
+        options = self.h_ns, self.on_arc, self.dtype, self.opaque_field, self.stops
+        return parts, options, frozenset(self.shared.fields), self.tracks
 
     def bus(self, inputs: Inputs, h_ns: int | None = None) -> Bus:
         """Return the bus at the start of a tick."""

@@ -88,6 +88,7 @@ def test_damaged_libraries_are_not_used(folder, monkeypatch, caplog, request):
     path = ship(folder)
     content = bytearray(path.read_bytes())
     content[100] ^= 1
+    path.unlink()  # not in place: this process has loaded the library, and runs its finaliser when it exits
     path.write_bytes(content)
     monkeypatch.setenv("BSK_TORCH_KERNELS", str(folder))
     request.getfixturevalue("without_compiler")

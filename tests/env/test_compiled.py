@@ -13,11 +13,13 @@ import bsk_torch
 from bsk_torch.codegen import build, cpp
 from bsk_torch.codegen.build import INCLUDE
 from bsk_torch.codegen.ir import Branch, Define
+from bsk_torch.codegen.kernel import Entry
 from bsk_torch.codegen.passes import lower
 from bsk_torch.rand import first_key
 from bsk_torch.sim import dyn, fsw
 from bsk_torch.sim.component import Component, Field
 from bsk_torch.sim.simulator import Simulator
+from bsk_torch.sim.tick import Tick
 
 pytestmark = pytest.mark.compiled
 
@@ -182,3 +184,25 @@ def test_what_has_no_kernel_is_compiled_by_inductor(caplog):
     rates = fast.read("omega_BN_B")
     assert torch.equal(fast.read("middle")[[0, 2]], rates.sort(-1).values[[0, 2], 1])
     assert fast.read("middle")[1] == 0.0
+
+
+@pytest.mark.parametrize(("preset", "libraries"), [("NadirScan-v1", [False]), ("RelayConstellation-v1", [False, True])])
+def test_trials_batches_and_prepared_episodes_share_their_ticks(preset, libraries, monkeypatch):
+    """A tick is traced once for a type of satellites, and compiled once: in lockstep for imagers, whose images end steps."""
+    ticks, built, trace, of = [], [], Tick.trace, Entry.of
+
+    def traced(tick, wakes=False):
+        ticks.append(wakes)
+        return trace(tick, wakes)
+
+    def entry(loop, lockstep, name):
+        if name.startswith("tick"):
+            built.append(lockstep)
+        return of(loop, lockstep, name)
+
+    monkeypatch.setattr(Tick, "trace", traced)
+    monkeypatch.setattr(Entry, "of", staticmethod(entry))
+    env = bsk_torch.make(preset, num_envs=64)
+    assert env.pool is not None
+    assert Counter(ticks) == {False: len(libraries), True: len(libraries)}
+    assert sorted(built) == libraries

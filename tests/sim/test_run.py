@@ -64,6 +64,22 @@ def toy_tick(dtype: torch.dtype = torch.float64, toys: tuple[Component, ...] = T
     return Tick(toys, {"shared_gain"}, H_NS, on_arc=False, dtype=dtype, opaque_field=False, stops=stops)
 
 
+def test_ticks_are_equal_where_they_compute_the_same():
+    alike, one = toy_tick(), toy_tick()
+    assert one.identity == alike.identity
+    world, toy = TOYS
+    others = [
+        toy_tick(torch.float32),
+        toy_tick(toys=(world,)),
+        toy_tick(toys=(world, dataclasses.replace(toy, update=lambda bus: play(bus)))),
+        toy_tick(toys=(dataclasses.replace(world, at_start=False), toy)),
+        toy_tick(toys=(world, dataclasses.replace(toy, state=(*toy.state, Field("more"))))),
+        Tick(TOYS, {"own_rate"}, H_NS, on_arc=False, dtype=torch.float64, opaque_field=False),
+        Tick(TOYS, {"shared_gain"}, 2 * H_NS, on_arc=False, dtype=torch.float64, opaque_field=False),
+    ]
+    assert one.identity not in [other.identity for other in others]
+
+
 @pytest.fixture(scope="module")
 def runners(backend) -> Runners:
     return make_runners(toy_tick(), backend, CPU)
