@@ -95,7 +95,7 @@ STARTS: dict[str, list[Start]] = {
     "benchmarks/milp.py": [
         Start(
             "--targets 300 --episodes 2 --seconds 2 --iterations 3 --time-limit 1900 --figure milp.png",
-            r"\| 300 \| MILP, flown \| [\d.]+ \+- [\d.]+ \| [\d.]+% \|",
+            r"\| 300 \| MILP, flown \| [\d.]+ \+- [\d.]+ \| [-+\d.]+ \+- [\d.]+ \| [\d.]+% \|",
         ),
     ],
     "benchmarks/relaxation.py": [
