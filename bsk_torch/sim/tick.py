@@ -81,9 +81,8 @@ class Tick:
     @property
     def identity(self) -> Hashable:
         """Equal for ticks that compute the same; it holds for as long as one of them exists, which keeps its functions."""
-        parts = tuple(
-            (p.slot, id(p.update), p.state, p.params, p.overwrites, p.stops, p.at_start, p.records) for p in self.components
-        )
+        fields = [(tuple(p.state), tuple(p.params), tuple(p.records)) for p in self.components]
+        parts = tuple((p.slot, id(p.update), p.stops, p.at_start, *f) for p, f in zip(self.components, fields, strict=True))
         options = self.h_ns, self.on_arc, self.dtype, self.opaque_field, self.stops
         return parts, options, frozenset(self.shared.fields), self.tracks
 

@@ -68,6 +68,7 @@ def test_ticks_are_equal_where_they_compute_the_same():
     alike, one = toy_tick(), toy_tick()
     assert one.identity == alike.identity
     world, toy = TOYS
+    assert one.identity == toy_tick(toys=(world, dataclasses.replace(toy, state=list(toy.state)))).identity
     others = [
         toy_tick(torch.float32),
         toy_tick(toys=(world,)),
