@@ -154,7 +154,7 @@ STARTS: dict[str, list[Start]] = {
     "scripts/tools/make_coastlines.py": [Start("{countries} --out land.geojson", "2 pieces of land", "coastlines")],
     "scripts/tools/make_tables.py": [Start("--samples --out .", "largest position error 0.49", "basilisk")],
     "scripts/tools/update_golden.py": [
-        Start("--folder golden", "files in golden; written or changed: NadirScan-v1.cpp, AEOS-v1.cpp")
+        Start("--folder golden", "5 files in golden; written or changed: NadirScan-v1.cpp, AEOSPower-v1.cpp")
     ],
     "scripts/validation/truth.py": [
         Start("--only spinning --out truth.json", r"spinning \(models\): .* equal: True; beyond their bounds: \[\]"),

@@ -1,8 +1,9 @@
-"""The C++ of every preset's ticks is the one that was last reviewed."""
+"""The C++ of every preset's ticks is the one that was last reviewed, by its lines or by its hash."""
 
 from __future__ import annotations
 
 import difflib
+import json
 import sys
 from pathlib import Path
 
@@ -11,15 +12,15 @@ import pytest
 ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT / "scripts" / "tools"))
 
-from update_golden import FOLDER, TABLE, golden_files  # noqa: E402
+from update_golden import FOLDER, TABLE, WHOLE, all_sources, golden_files  # noqa: E402
 
 SHOWN = 60
 """Lines of a difference that a failure shows."""
 
 
 @pytest.fixture(scope="module")
-def files() -> dict[str, str]:
-    return golden_files()
+def sources() -> tuple[dict[str, str], dict[str, list[str]]]:
+    return all_sources()
 
 
 def difference(name: str, expected: str, found: str) -> str:
@@ -28,14 +29,27 @@ def difference(name: str, expected: str, found: str) -> str:
     return "\n".join([*lines[:SHOWN], *([f"... and {len(lines) - SHOWN} more lines"] if len(lines) > SHOWN else [])])
 
 
-def test_sources_are_the_golden_ones(files):
+def test_sources_are_the_golden_ones(sources):
+    files = golden_files(*sources)
     assert {path.name for path in FOLDER.iterdir()} == set(files), "run python scripts/tools/update_golden.py"
-    for name, found in files.items():
+    for name, found in sorted(files.items(), key=lambda item: item[0] == TABLE):  # a source first, which says more than its hash
         expected = (FOLDER / name).read_text()
         assert found == expected, (
             f"the generated code has changed:\n{difference(name, expected, found)}\n"
-            "If that is intended, run python scripts/tools/update_golden.py and commit the new files with the change."
+            "If that is intended, run python scripts/tools/update_golden.py and commit the new files with the change. "
+            "Where only a hash differs, update_golden.py --folder folder --whole writes the source; run it on both commits to compare."
         )
+
+
+def test_every_source_is_golden_in_full_or_by_its_hash(sources):
+    texts, names = sources
+    files = golden_files(texts, names)
+    hashes = json.loads(files[TABLE])["sha256"]
+    assert {name for preset in WHOLE for name in names[preset]} == set(files) - {TABLE}
+    assert set(hashes) == set(texts) - set(files)
+    name = next(iter(hashes))
+    changed = golden_files(texts | {name: texts[name] + " "}, names)
+    assert {key for key in files if files[key] != changed[key]} == {TABLE}
 
 
 def test_differences_are_shown():
@@ -45,8 +59,8 @@ def test_differences_are_shown():
     assert long.splitlines()[-1] == "... and 43 more lines"
 
 
-def test_sources_hold_nothing_of_the_machine(files):
+def test_sources_hold_nothing_of_the_machine(sources):
     """Vectors are as wide as the header says; the header decides by macros of the compiler."""
-    assert len(files) > 1
-    for name in files.keys() - {TABLE}:
-        assert not any(word in files[name].lower() for word in ("avx", "_mm", "__m512", "neon", "double[8]", str(ROOT)))
+    assert len(sources[0]) > 1
+    for source in sources[0].values():
+        assert not any(word in source.lower() for word in ("avx", "_mm", "__m512", "neon", "double[8]", str(ROOT)))
