@@ -1,7 +1,7 @@
 """Write the golden sources: the C++ of the tick of each preset's satellite types, which a test compares with the present one.
 
     python scripts/tools/update_golden.py                           update tests/codegen/golden
-    python scripts/tools/update_golden.py --folder folder --whole   write the sources of all presets somewhere else, to compare them
+    python scripts/tools/update_golden.py --folder folder --whole   write all sources somewhere else, to compare them
 
 Read the difference before it is committed. The sources of the presets ``WHOLE`` are written in full; of the others, which mostly
 repeat them, presets.json has the hashes. It also lists the sources of each preset. Equal sources count once, under the name of

@@ -37,7 +37,7 @@ def test_sources_are_the_golden_ones(sources):
         assert found == expected, (
             f"the generated code has changed:\n{difference(name, expected, found)}\n"
             "If that is intended, run python scripts/tools/update_golden.py and commit the new files with the change. "
-            "Where only a hash differs, update_golden.py --folder folder --whole writes the source; run it on both commits to compare."
+            "Where only a hash differs, compare what update_golden.py --folder folder --whole writes on both commits."
         )
 
 
