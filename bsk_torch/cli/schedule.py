@@ -9,7 +9,7 @@ import typer
 
 from bsk_torch.cli.shared import made
 from bsk_torch.sim.component import Component
-from bsk_torch.sim.schedule import INDEX, SCHEDULE, Slot, place
+from bsk_torch.sim.schedule import SCHEDULE, Schedule, Slot
 from bsk_torch.sim.tick import Tick
 
 
@@ -23,17 +23,17 @@ def show_schedule(
     env = made(preset, 1, {"backend": "eager"})
     for simulator in env.fleet.simulators:
         names = ", ".join(env.fleet.names[k] for k in simulator.columns)
-        typer.echo("\n".join([f"{names}:", *(f"  {line}" for line in tick_lines(simulator.tick))]))
+        typer.echo("\n".join([f"{names}:", *(f"  {line}" for line in tick_lines(simulator.tick, simulator.schedule))]))
 
 
-def described(component: Component) -> Slot:
-    """Return the slot of a component; for one of the user's own the first line of its update's docstring describes it."""
-    number, side = place(component)
-    if component.slot in INDEX:
-        return SCHEDULE[INDEX[component.slot]]
+def described(component: Component, schedule: Schedule = SCHEDULE) -> Slot:
+    """Return the slot of a component; the first line of its update's docstring describes one that is not in the schedule."""
+    number, side = schedule.place(component)
+    if component.slot in schedule.index:
+        return schedule[schedule.index[component.slot]]
     doc = (getattr(component.update, "__doc__", None) or "").strip().partition("\n")[0]
-    relation = f"{'after' if side > 0 else 'before'} {SCHEDULE[number].name}"
-    return Slot(component.slot, doc or relation, f"none, runs {relation}", SCHEDULE[number].group)
+    relation = f"{'after' if side > 0 else 'before'} {schedule[number].name}"
+    return Slot(component.slot, doc or relation, f"none, runs {relation}", schedule[number].group)
 
 
 def slot_lines(slots: Sequence[Slot]) -> list[str]:
@@ -48,6 +48,6 @@ def slot_lines(slots: Sequence[Slot]) -> list[str]:
     return found
 
 
-def tick_lines(tick: Tick) -> list[str]:
+def tick_lines(tick: Tick, schedule: Schedule) -> list[str]:
     """Return one line for each component that runs in a tick."""
-    return slot_lines([described(component) for component in tick.components if component.update is not None])
+    return slot_lines([described(component, schedule) for component in tick.components if component.update is not None])

@@ -3,23 +3,25 @@
 A component is a table entry, not an object with state: it names the arguments that a user may set, the state that it carries
 from tick to tick, how both are filled at reset, and one update. During a tick all components share a :class:`Bus`, on which
 state, parameters and the messages of this tick are attributes; a component reads what earlier ones wrote, so the order of
-components, which :mod:`bsk_torch.sim.schedule` lists, is Basilisk's order of modules, and a message of the previous tick is
+components, see :mod:`bsk_torch.sim.schedule`, is Basilisk's order of modules, and a message of the previous tick is
 simply one that has not been rewritten yet.
 """
 
 from __future__ import annotations
 
+import dataclasses
+import functools
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 import torch
 from torch import Tensor
 
 from bsk_torch.constants import NANO
 from bsk_torch.sim.names import RENAMED, current_name
-from bsk_torch.sim.schedule import ordered
+from bsk_torch.sim.schedule import SCHEDULE, Schedule
 from bsk_torch.vec3 import Vec3
 
 __all__ = ["Arg", "Bus", "Component", "Field", "MissingMessageError", "Track", "vec"]
@@ -59,12 +61,18 @@ class Bus:
         return hasattr(self, name)
 
 
+KIND_SHAPES: dict[str, tuple[int, ...]] = {"vector": (3,), "matrix": (9,), "orbit": (6,)}
+"""Shapes of the values of arguments, by kind; of all others one number."""
+
+
 @dataclass(frozen=True)
 class Arg:
     """An argument that users set by name in ``sat_args`` or ``world_args``.
 
     ``kind`` is the form of its values: ``scalar``, ``vector`` (three numbers), ``matrix`` (nine numbers), ``choice``
-    (one of ``choices``, kept as its index), ``utc``, ``orbit``, ``stations`` or ``constant`` (kept as it is). ``low`` and
+    (one of ``choices``, kept as its index), ``utc``, ``orbit``, ``stations`` or ``constant`` (kept as it is). ``shape`` is the
+    shape of other values that are numbers, such as ``(4, 3)``; None in it stands for any size, such as ``(None, 3)``: the same
+    for all satellites of a type, and fixed when the environment is built. ``low`` and
     ``high`` bound every number (inclusive). Numbers must be finite unless infinity means something, such as no limit: where an
     argument is ``endless``, or infinite by default. ``whole`` ones have no fraction. ``missing`` stands for None. A ``shared``
     one is the same for all environments.
@@ -82,6 +90,24 @@ class Arg:
     shared: bool = False
     endless: bool = False
     whole: bool = False
+    shape: tuple[int | None, ...] | None = None
+
+    def __post_init__(self) -> None:
+        """Check the shape; ValueError for one that is no tuple of sizes, or that belongs to another kind."""
+        if self.shape is None:
+            return
+        sizes = self.shape if isinstance(self.shape, tuple) else (0,)
+        if not all(size is None or (isinstance(size, int) and size > 0) for size in sizes):
+            raise ValueError(f"argument {self.name!r} has shape={self.shape!r}; it must be a tuple of sizes, such as (4, 3)")
+        if self.kind != "scalar":
+            raise ValueError(f"argument {self.name!r} has kind={self.kind!r} and shape={self.shape!r}; give one of them")
+        if self.missing is not None and None in sizes:
+            raise ValueError(f"argument {self.name!r} has missing={self.missing!r}, whose size shape={self.shape!r} leaves open")
+
+    @property
+    def dims(self) -> tuple[int | None, ...]:
+        """Shape of a value: () for one number; None where any size is allowed."""
+        return KIND_SHAPES.get(self.kind, ()) if self.shape is None else self.shape
 
     @property
     def may_be_infinite(self) -> bool:
@@ -102,6 +128,7 @@ class Arg:
 class Field:
     """A named quantity of ``width`` numbers: 1 is a plane, 3 is a :class:`Vec3`; others, and ``many``, are tuples of planes.
 
+    ``vectors`` are tuples of :class:`Vec3`, one for every three of the numbers: the axes of four wheels have ``width=12``.
     ``exact`` ones are float64 even where attitude and flight software run in float32: orbit, time and accumulators. ``limit`` is
     the largest magnitude that a state which is restored may have.
     """
@@ -113,6 +140,7 @@ class Field:
     many: bool = False
     exact: bool = False
     limit: float = 1e15
+    vectors: bool = False
 
     def __post_init__(self) -> None:
         """Refuse a name that means another field for as long as names of earlier releases work."""
@@ -172,8 +200,8 @@ def _fits(_: Values, h: float) -> None:
 class Component:
     """One part of a model; see the module docstring.
 
-    ``slot`` is the name under which a subclass replaces it, and its place in the tick: a slot of
-    :data:`bsk_torch.sim.schedule.SCHEDULE`, unless ``after`` or ``before`` names the one next to which it runs. With
+    ``slot`` is the name under which a subclass replaces it, and its place in the tick: a slot of the dynamics model's
+    ``schedule``, unless ``after`` or ``before`` names the one next to which it runs. With
     ``at_start`` it takes part in the tick at time zero, whose length is zero; components of the world always do.
 
     ``initial`` and ``prepare`` compute, from the arguments of the rows being reset, the state and the tick parameters as float64
@@ -187,6 +215,9 @@ class Component:
     ``records`` names fields of the state that are kept at every tick of a run, see :mod:`bsk_torch.sim.trace`. ``follows`` names
     a slot: the component reads, as ``bus.<slot>[0].<field>``, what the one satellite of the episode whose model has that slot
     records, at the end of the same tick.
+
+    ``flags`` are what flight modes may switch on: ``bus.<flag>`` is 1 in the modes that list it, else 0. Those of ``idle_flags``
+    are 1 before the first command, too. ``resets`` lists fields of the state with the values to which every command sets them.
     """
 
     slot: str
@@ -208,20 +239,104 @@ class Component:
     mends: bool = False
     records: tuple[str, ...] = ()
     follows: str | None = None
+    flags: tuple[str, ...] = ()
+    idle_flags: tuple[str, ...] = ()
+    resets: tuple[tuple[str, float], ...] = ()
+
+    def extended(
+        self,
+        *,
+        update: Callable[[Bus], None] | None = None,
+        args: tuple[Arg, ...] = (),
+        state: tuple[Field, ...] = (),
+        params: tuple[Field, ...] = (),
+        initial: Callable[[Values], dict[str, Tensor]] | None = None,
+        prepare: Callable[[Values], dict[str, Tensor]] | None = None,
+        check: Callable[[Values], None] | None = None,
+        flags: tuple[str, ...] = (),
+        resets: tuple[tuple[str, float], ...] = (),
+    ) -> Component:
+        """Return the component with additions, in the same slot: a model that lists it has it in place of this one.
+
+        Args:
+            update: Runs after the component's update, in the same tick.
+            args: Further arguments; one with the name of an argument of the component replaces it.
+            state: Further fields of the state, likewise.
+            params: Further parameters, likewise.
+            initial: Values of the further fields at reset; those with the name of a field of the component replace its values.
+            prepare: Values of the further parameters, likewise.
+            check: Runs after the component's check.
+            flags: Further flags.
+            resets: Further resets.
+        """
+        own_fit = self.fit
+        changes: dict[str, Any] = {
+            "update": _one_after_the_other(self.update, update),
+            "args": _merged(self.args, args),
+            "state": _merged(self.state, state),
+            "params": _merged(self.params, params),
+            "initial": _united(self.initial, initial),
+            "prepare": _united(self.prepare, prepare),
+            "check": _one_after_the_other(self.check, check),
+            "flags": tuple(dict.fromkeys((*self.flags, *flags))),
+            "resets": (*self.resets, *resets),
+        }
+        if own_fit is not None:  # the structure that the given arguments need gets the same additions
+            additions = {"update": update, "args": args, "state": state, "params": params, "initial": initial}
+            additions |= {"prepare": prepare, "check": check, "flags": flags, "resets": resets}
+            changes["fit"] = lambda given: own_fit(given).extended(**additions)
+        return dataclasses.replace(self, **changes)
 
 
-def collect(classes: Iterable[type], attribute: str = "components") -> tuple[Component, ...]:
-    """Return the components of ``classes`` in the order of a tick; a later class replaces the slots of an earlier one.
+Call = TypeVar("Call", bound=Callable[[Any], None])
 
-    Raises:
-        ValueError: For a component without a place in the tick.
+
+def _one_after_the_other(first: Call | None, second: Call | None) -> Call | None:
+    """Return a function that calls both; its docstring, which `bsk-torch schedule` shows, is that of the first."""
+    if first is None or second is None:
+        return first if second is None else second
+
+    @functools.wraps(first)
+    def both(argument: Any) -> None:
+        first(argument)
+        second(argument)
+
+    return both  # type: ignore[return-value]
+
+
+def _united(first: Callable[[Values], dict[str, Tensor]], second: Callable[[Values], dict[str, Tensor]] | None) -> Any:
+    """Return a function with the values of both by name, those of the second where both have one."""
+    return first if second is None else lambda args: {**first(args), **second(args)}
+
+
+Named = TypeVar("Named", Arg, Field)
+
+
+def _merged(first: tuple[Named, ...], second: tuple[Named, ...]) -> tuple[Named, ...]:
+    """Return the entries of both by name, those of the second where both have one."""
+    return tuple({entry.name: entry for entry in (*first, *second)}.values())
+
+
+def collect(classes: Iterable[type], attribute: str = "components", schedule: Schedule = SCHEDULE) -> tuple[Component, ...]:
+    """Return the components of ``classes``, of which a later one replaces the slots of an earlier one, as ``schedule`` lists them.
+
+    Those with a place in the schedule of another dynamics model alone come last.
     """
-    return replaced(component for cls in classes for component in vars(cls).get(attribute, ()))
+    listed = (component for cls in classes for component in vars(cls).get(attribute, ()))
+    return schedule.listed(replaced(listed))
 
 
 def replaced(components: Iterable[Component]) -> tuple[Component, ...]:
-    """Return components in the order of a tick, the last of each slot."""
-    return ordered({component.slot: component for component in components}.values())
+    """Return the last component of each slot."""
+    return tuple({component.slot: component for component in components}.values())
+
+
+def declared(*models: type) -> Iterator[Component]:
+    """Yield all components that models and their bases list, base classes first, those that a subclass replaces too."""
+    for model in models:
+        for cls in reversed(model.__mro__):
+            for attribute in ("components", "world_components"):
+                yield from vars(cls).get(attribute, ())
 
 
 class Layout:
@@ -241,7 +356,10 @@ class Layout:
         """Write every field to the bus from the planes of a pack."""
         for name, f in self.fields.items():
             part = tuple(planes[self.slices[name]])
-            setattr(bus, name, part if f.many else part[0] if f.width == 1 else Vec3(*part) if f.width == 3 else part)
+            if f.vectors:
+                part = tuple(Vec3(*part[k : k + 3]) for k in range(0, f.width, 3))
+            single = not (f.many or f.vectors)
+            setattr(bus, name, part[0] if single and f.width == 1 else Vec3(*part) if single and f.width == 3 else part)
 
     @property
     def exact(self) -> list[bool]:
@@ -258,6 +376,8 @@ class Layout:
         planes: list[Tensor] = []
         for name, f in self.fields.items():
             value = getattr(bus, name)
+            if f.vectors:
+                value = [component for vector in value for component in vector]
             planes.extend((value,) if f.width == 1 and not f.many else value)
         return planes
 

@@ -29,7 +29,6 @@ from bsk_torch.sim.names import nearest
 Overrides = Mapping[str, tuple[Tensor, Tensor]]
 """Arguments that replace those of some satellites, by name: indices of the satellites [c], and their values [n, c, ...]."""
 
-SHAPES = {"scalar": (), "vector": (3,), "matrix": (9,), "orbit": (6,)}
 ELEMENT_NAMES = ("a", "e", "i", "Omega", "omega", "f")
 
 
@@ -65,15 +64,21 @@ def _random_epochs(arg: Arg, epochs: RandomEpoch, key: Key) -> Tensor:
     return et if inside else convert(arg, epochs.draw(key), len(key))
 
 
+def has_shape(shape: Sequence[int], dims: Sequence[int | None]) -> bool:
+    """Return whether values of a shape are allowed where ``dims`` are; None there is any size."""
+    return len(shape) == len(dims) and all(size in (None, given) for given, size in zip(shape, dims, strict=True))
+
+
 def _shaped(arg: Arg, values: Tensor, rows: int) -> Tensor:
-    size = SHAPES[arg.kind]
     values = values.detach().cpu()
     if arg.kind == "matrix" and values.shape[1:] == (3, 3):
         values = values.flatten(1)
     if arg.kind == "vector" and values.shape == (rows, 3, 1):
         values = values.squeeze(-1)
-    if values.shape != (rows, *size):
-        what = {0: "one number"}.get(len(size), f"{(*size, 1)[0]} numbers")
+    if len(values) != rows or not has_shape(values.shape[1:], arg.dims):
+        sizes = ["any" if size is None else str(size) for size in arg.dims]
+        what = f"numbers of shape [{', '.join(sizes)}]" if len(sizes) > 1 or "any" in sizes else f"{(*sizes, 1)[0]} numbers"
+        what = what if sizes else "one number"
         raise ValueError(f"{arg.name} needs {what} for each environment ({arg.unit}); got shape {list(values.shape[1:])}")
     bad = torch.isnan(values) | (values < arg.low) | (values > arg.high)
     if not arg.may_be_infinite:
@@ -306,7 +311,7 @@ class Arguments:
         if name not in self.table:
             raise KeyError(f"sat_arg_randomizer sets {name!r}, which is unknown; {nearest(name, self.table)}")
         arg, (n, c), s = self.table[name], given.shape[:2], len(self.columns)
-        new = convert(arg, given.flatten(0, 1), n * c).view(n, c, *SHAPES[arg.kind])
+        new = convert(arg, given.flatten(0, 1), n * c).unflatten(0, (n, c))
         if c < s and values is None:
             raise ValueError(f"sat_arg_randomizer sets {name} of some satellites of a type; the others need one in sat_args")
         whole = new.new_empty(n, s, *new.shape[2:]) if values is None else values.expand(n * s, *new.shape[2:])
@@ -345,6 +350,9 @@ class Arguments:
             return None
         if any(missing):
             raise ValueError(f"{self.title}: {arg.name} must be given for all satellites of a type, or for none")
+        shapes = [list(part.shape[1:]) for part in parts]
+        if any(shape != shapes[0] for shape in shapes):
+            raise ValueError(f"{self.title}: {arg.name} has values of shapes {shapes}; all satellites of a type need the same")
         n = max(len(part) for part in parts)
         return torch.stack([part.expand(n, *part.shape[1:]) for part in parts], 1)
 
@@ -361,11 +369,19 @@ class Arguments:
         for row, env in enumerate(key.env_id.tolist()):
             mine = of_envs.get(env, value)
             groups.setdefault(id(mine), (mine, []))[1].append(row)
-        whole = torch.empty(len(key), *SHAPES.get(arg.kind, ()), dtype=torch.float64)
+        parts: list[tuple[Tensor, list[int]]] = []
         for mine, rows in groups.values():
             part = self._draw(arg, mine, own.take(rows), [asked[row] for row in rows] if asked else asked)
             if part is None:
                 raise ValueError(f"{self.title}: {arg.name} must be given for all environments, or for none")
+            parts.append((part, rows))
+        whole = torch.empty(len(key), *parts[0][0].shape[1:], dtype=torch.float64)
+        for part, rows in parts:
+            if part.shape[1:] != whole.shape[1:]:
+                raise ValueError(
+                    f"{self.title}: {arg.name} has values of shapes {[list(p.shape[1:]) for p, _ in parts]} in different "
+                    "environments; all of a type must have the same"
+                )
             whole[rows] = part.expand(len(rows), *part.shape[1:])
         return whole
 
@@ -402,7 +418,7 @@ class Arguments:
             if arg.default is not None and arg.name != "oe":
                 raise ValueError(f"{arg.name}=None is not allowed; give {arg.doc} in {arg.unit}")
             return None
-        return torch.full((1, *SHAPES[arg.kind]), arg.missing, dtype=torch.float64)
+        return torch.full((1, *(size or 1 for size in arg.dims)), arg.missing, dtype=torch.float64)
 
 
 def drawn_once(arg: Arg, answer: Any, key: Key, row: int) -> Any:

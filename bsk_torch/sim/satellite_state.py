@@ -33,18 +33,24 @@ class ArgumentState(StateTable):
         """Make room for arguments like those of a ``trial`` draw, [n or 1] or [n or 1, width] each."""
         super().__init__(num_envs, count, device)
         self.places: dict[str, slice | int] = {}
+        self.shapes: dict[str, tuple[int, ...]] = {}
         first = 0
         for name, value in trial.items():
             width = value[0].numel()
             self.places[name] = first if value.ndim == 1 else slice(first, first + width)
+            self.shapes[name] = tuple(value.shape[1:])
             first += width
         self.declare("values", None, first, planes=True, low=-math.inf)
 
     def __getitem__(self, name: str) -> Tensor:
-        """Return the argument ``name``, a view [rows] or [rows, width]; KeyError for an unknown name."""
+        """Return the argument ``name``, a view [rows, ...]; KeyError for an unknown name."""
         if name not in self.places:
             raise KeyError(f"no argument is called {name!r}; {nearest(name, self.places)}")
-        return self.values[self.places[name]].mT if isinstance(self.places[name], slice) else self.values[self.places[name]]
+        place, shape = self.places[name], self.shapes[name]
+        if not isinstance(place, slice):
+            return self.values[place]
+        numbers = self.values[place].mT
+        return numbers if len(shape) == 1 else numbers.unflatten(-1, shape)
 
     def __contains__(self, name: object) -> bool:
         """Whether an argument of that name is drawn."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import logging
-from collections.abc import Callable, Collection, Hashable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any
 
@@ -21,7 +21,7 @@ from bsk_torch.sim.access.lookahead import LookAhead, Manoeuvres
 from bsk_torch.sim.access.places import place_kinds
 from bsk_torch.sim.access.visibility.backend import make_visibility
 from bsk_torch.sim.access.windows import AccessWindows
-from bsk_torch.sim.component import Arg, Component, Field, Layout, MissingMessageError
+from bsk_torch.sim.component import Arg, Component, Field, Layout, MissingMessageError, declared
 from bsk_torch.sim.composition import check_required_dyn, commanded_by, provided_by, world_components, world_of
 from bsk_torch.sim.dyn import hub
 from bsk_torch.sim.dyn.events import notice_image
@@ -29,7 +29,7 @@ from bsk_torch.sim.dyn.field import prepare
 from bsk_torch.sim.dyn.models import DynamicsModel
 from bsk_torch.sim.fsw.manoeuvre import burn
 from bsk_torch.sim.fsw.models import IDLE, FSWModel, MagicOrbitalManeuverFSWModel
-from bsk_torch.sim.fsw.modes import ALWAYS_RESET, MODE_FLAGS, Mode
+from bsk_torch.sim.fsw.modes import mode_table
 from bsk_torch.sim.given import Answers
 from bsk_torch.sim.initial_orbits import check_orbits
 from bsk_torch.sim.orbit.arcs import Arcs
@@ -38,7 +38,6 @@ from bsk_torch.sim.params import Arguments, Overrides, merge, nearest
 from bsk_torch.sim.readout.observables import Observer
 from bsk_torch.sim.run import Runners, TickLoop, make_runners, ticks_at_once
 from bsk_torch.sim.satellite_state import ArgumentState, SatelliteState
-from bsk_torch.sim.schedule import ordered
 from bsk_torch.sim.state import StateTable
 from bsk_torch.sim.tick import ARC_ORBIT, Tick
 from bsk_torch.sim.trace import Trace
@@ -92,26 +91,6 @@ def _planes(layout: Layout, names: Iterable[str]) -> list[int]:
 def whole_nanoseconds(seconds: float) -> int:
     """Return seconds on Basilisk's clock."""
     return int(seconds * 1e9 + 0.5)
-
-
-def declared_fields(*models: type) -> set[str]:
-    """Return the names of the state fields of models and their bases, with those of components that a subclass replaces."""
-    parts = (
-        part
-        for model in models
-        for cls in model.__mro__
-        for attribute in ("components", "world_components")
-        for part in vars(cls).get(attribute, ())
-    )
-    return {field.name for part in parts for field in part.state}
-
-
-def check_resets(modes: Mapping[str, Mode], known: Collection[str]) -> None:
-    """Raise ValueError for a mode that resets a field which no component declares."""
-    for title, mode in modes.items():
-        for name in mode.resets:
-            if name not in known and name not in ALWAYS_RESET:
-                raise ValueError(f"mode {title!r} resets {name!r}, which is no field of the state; {nearest(name, known)}")
 
 
 def checked_runners(start: tuple[Tensor, Tensor, Tensor], tick: Tick, backend: str, device: torch.device, count: int) -> Runners:
@@ -239,11 +218,12 @@ class Simulator:
         own = tuple(part for part in own if not (part.mends and self.as_bsk_rl))
         looked = (self.world_args, around.seen), (self.sat_args, given.seen)
         self._structural = {name for args, names in looked for name in names if not args.is_random(name)}
-        self.parts = ordered((*(dataclasses.replace(part, at_start=True) for part in world_parts), *own))
-        self.modes, self.commands = fsw_type.all_modes(), fsw_type.all_commands()
+        self.schedule = dyn_type.schedule
+        self.parts = self.schedule.ordered((*(dataclasses.replace(part, at_start=True) for part in world_parts), *own))
+        # a component of the user's own in the slot of another may leave the flags and resets to that one
+        self._declared = (*declared(self.world_type, dyn_type, fsw_type), *self.parts)
+        self.modes, self.commands = mode_table(fsw_type.all_modes(), self._declared), fsw_type.all_commands()
         self.mode_names = tuple(self.modes)
-        declared = declared_fields(dyn_type, fsw_type, self.world_type)
-        check_resets(self.modes, {*declared, *(f.name for part in self.parts for f in part.state)})
 
     def _trial(self, envs: Sequence[int] = ()) -> tuple[dict[str, Any], dict[str, Tensor], set[str]]:
         """Return the arguments and parameters of a trial draw, and the names of the parameters that are uniform.
@@ -268,7 +248,8 @@ class Simulator:
         on_arc = self.orbit == "arc"
         parts = tuple(self._scheduled(part, on_arc) for part in self._running(on_arc))
         opaque = self.device.type != "cpu"
-        self.tick = Tick(parts, uniform, self.h_ns, on_arc, self.dtype, opaque, self.stops, self.followed)
+        flags = dict.fromkeys(flag for part in self._declared for flag in part.flags)
+        self.tick = Tick(parts, uniform, self.h_ns, on_arc, self.dtype, opaque, self.stops, self.followed, flags)
         if opaque and not on_arc:
             prepare(self.device, torch.float64)
         shared, n = self.tick.shared.rows(params, 1), min(2, self.num_envs) * self.count
@@ -276,7 +257,7 @@ class Simulator:
         start = initial, shared, self.tick.own.rows(params, n)
         self.runners = self._runners(start)
         self.uniform = shared.to(self.device).contiguous()
-        on = [[float(flag in self.modes[name].on) for name in self.mode_names] for flag in MODE_FLAGS]
+        on = [[float(flag in (self.modes[name].on or ())) for name in self.mode_names] for flag in flags]
         self.flag_table = torch.tensor(on, device=self.device, dtype=torch.float64)
         self.state = SatelliteState(
             self.tick.state,
@@ -308,7 +289,7 @@ class Simulator:
 
     def _running(self, on_arc: bool) -> tuple[Component, ...]:
         parts = tuple(part for part in self.parts if not (on_arc and part.integrated_only))
-        return ordered((*parts, ARC_ORBIT)) if on_arc else parts
+        return self.schedule.ordered((*parts, ARC_ORBIT)) if on_arc else parts
 
     def _scheduled(self, part: Component, on_arc: bool) -> Component:
         if part.slot != "hub":
@@ -375,7 +356,8 @@ class Simulator:
         old, shared, parameters = self.tick, self.uniform, self.state.parameters
         left = set(old.shared.fields) - names
         on_arc = self.orbit == "arc"
-        self.tick = Tick(old.components, left, self.h_ns, on_arc, self.dtype, old.opaque_field, self.stops, self.followed)
+        options = self.h_ns, on_arc, self.dtype, old.opaque_field, self.stops, self.followed, old.flags.fields
+        self.tick = Tick(old.components, left, *options)
         self.runners = self._runners()
         self.uniform = shared[_planes(old.shared, self.tick.shared.fields)].contiguous()
         rows = [
@@ -622,10 +604,11 @@ class Simulator:
     def resets(self) -> tuple[Tensor, Tensor, Tensor]:
         """Planes [P] of the state that some mode resets, masks of the modes that do, and the values, [P, M] each."""
         layout, modes = self.tick.state, list(self.modes.values())
+        always = dict(reset for part in self._declared for reset in part.resets)
         rows = []
-        for name in sorted({name for mode in modes for name in mode.resets} | set(ALWAYS_RESET)):
+        for name in sorted({name for mode in modes for name in mode.resets} | set(always)):
             if name in layout.fields:
-                given = [mode.resets.get(name, ALWAYS_RESET.get(name)) for mode in modes]
+                given = [mode.resets.get(name, always.get(name)) for mode in modes]
                 where = layout.slices[name]
                 rows += [(plane, given) for plane in range(where.start, where.stop)]
         options: dict[str, Any] = {"device": self.device}

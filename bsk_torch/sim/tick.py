@@ -7,7 +7,7 @@ inductor, and on symbolic planes, which become one loop in C++ (:mod:`bsk_torch.
 from __future__ import annotations
 
 import functools
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Hashable, Iterable, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
@@ -21,7 +21,6 @@ from bsk_torch.constants import NANO
 from bsk_torch.sim.component import Bus, Component, Field, Layout, MissingMessageError, Track, neighbours
 from bsk_torch.sim.dyn.forces import check_force
 from bsk_torch.sim.environment.ephemeris import EPHEMERIS_TRACK, put_track
-from bsk_torch.sim.fsw.modes import MODE_FLAGS
 from bsk_torch.sim.orbit.arcs import ARC, follow_arc
 from bsk_torch.sim.trace import recorded, trace_track
 
@@ -60,10 +59,12 @@ class Tick:
         opaque_field: bool,
         stops: bool = False,
         followed: Mapping[str, Sequence[Field]] = MappingProxyType({}),
+        flags: Iterable[str] = (),
     ) -> None:
         """Lay out the packs of ``components``, which are in the order of a tick of ``h_ns`` nanoseconds.
 
-        ``followed`` are the fields that satellites record which components follow; see :mod:`bsk_torch.sim.trace`.
+        ``followed`` are the fields that satellites record which components follow; see :mod:`bsk_torch.sim.trace`. ``flags`` are
+        what modes may switch on, those that the components declare aside.
         """
         params = [field for component in components for field in component.params]
         self.components, self.h_ns, self.dtype, self.opaque_field = components, h_ns, dtype, opaque_field
@@ -72,7 +73,8 @@ class Tick:
         self.state = Layout(field for component in components for field in component.state)
         self.shared = Layout(field for field in params if field.name in shared)
         self.own = Layout(field for field in params if field.name not in shared)
-        self.flags = Layout(Field(name) for name in MODE_FLAGS)
+        declared = (flag for component in components for flag in component.flags)
+        self.flags = Layout(Field(name) for name in dict.fromkeys((*flags, *declared)))
         self.followed, self.recorded = followed, recorded(components)
         self.arc_tracks: tuple[Track, ...] = (EPHEMERIS_TRACK, ARC) if on_arc else (EPHEMERIS_TRACK,)
         traces = (trace_track(name, fields, h_ns * NANO) for name, fields in followed.items())
@@ -83,7 +85,7 @@ class Tick:
         """Equal for ticks that compute the same; it holds for as long as one of them exists, which keeps its functions."""
         fields = [(tuple(p.state), tuple(p.params), tuple(p.records)) for p in self.components]
         parts = tuple((p.slot, id(p.update), p.stops, p.at_start, *f) for p, f in zip(self.components, fields, strict=True))
-        options = self.h_ns, self.on_arc, self.dtype, self.opaque_field, self.stops
+        options = self.h_ns, self.on_arc, self.dtype, self.opaque_field, self.stops, tuple(self.flags.fields)
         return parts, options, frozenset(self.shared.fields), self.tracks
 
     def bus(self, inputs: Inputs, h_ns: int | None = None) -> Bus:

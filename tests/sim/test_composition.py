@@ -13,7 +13,7 @@ from bsk_torch.env.types import same_type, world_components
 from bsk_torch.sim import dyn, fsw, world
 from bsk_torch.sim.component import Arg, Component, Field
 from bsk_torch.sim.composition import compose, providers, world_of
-from bsk_torch.sim.schedule import place
+from bsk_torch.sim.schedule import SCHEDULE
 
 
 def heat(bus) -> None:
@@ -77,7 +77,7 @@ def test_modes_resolve_by_the_same_order_and_components_run_in_that_of_the_sched
     modes = Composed.fsw_type.all_modes()
     assert modes["drift"].on == ("nadir_on",)
     assert {"safe", "charge"} <= modes.keys()
-    places = [place(component) for component in Composed.dyn_type.all_components()]
+    places = [SCHEDULE.place(component) for component in Composed.dyn_type.all_components()]
     assert places == sorted(places)
     assert "heater" in slots(Composed.dyn_type)
 

@@ -12,7 +12,6 @@ import bsk_torch
 from bsk_torch.codegen.kernel import Samples
 from bsk_torch.sim.component import Component, Field, vec
 from bsk_torch.sim.environment.ephemeris import ephemeris_records
-from bsk_torch.sim.fsw.modes import MODE_FLAGS
 from bsk_torch.sim.orbit.grid import ARC_SEGMENT
 from bsk_torch.sim.run import Runners, TickLoop, make_runners
 from bsk_torch.sim.tick import Tick
@@ -60,8 +59,11 @@ TOYS = (
 )
 
 
+FLAGS = ("control_on", "sun_on")
+
+
 def toy_tick(dtype: torch.dtype = torch.float64, toys: tuple[Component, ...] = TOYS, stops: bool = False) -> Tick:
-    return Tick(toys, {"shared_gain"}, H_NS, on_arc=False, dtype=dtype, opaque_field=False, stops=stops)
+    return Tick(toys, {"shared_gain"}, H_NS, on_arc=False, dtype=dtype, opaque_field=False, stops=stops, flags=FLAGS)
 
 
 def test_ticks_are_equal_where_they_compute_the_same():
@@ -91,8 +93,8 @@ def flight(n: int) -> Start:
     state = torch.randn(7, n, dtype=torch.float64)
     state[1] = 0.0
     shared, own = torch.full((1, 1), 0.999, dtype=torch.float64), torch.rand(1, n, dtype=torch.float64)
-    flags = torch.zeros(len(MODE_FLAGS), 3, dtype=torch.float64)
-    flags[MODE_FLAGS.index("control_on"), 1:], flags[MODE_FLAGS.index("sun_on"), 2] = 1.0, 1.0
+    flags = torch.zeros(len(FLAGS), 3, dtype=torch.float64)
+    flags[FLAGS.index("control_on"), 1:], flags[FLAGS.index("sun_on"), 2] = 1.0, 1.0
     ticks = torch.randint(0, round((HOURS - 1) * ARC_SEGMENT * 1e9 / H_NS) - 500, (n,))
     sky = Samples(ephemeris_records(1e8 * torch.rand(n, dtype=torch.float64), HOURS), torch.zeros(n, dtype=torch.float64))
     return Start(state, shared, own, torch.randint(0, 3, (n,)), flags, ticks, (sky,), H_NS)

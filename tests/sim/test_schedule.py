@@ -6,13 +6,15 @@ import pytest
 import torch
 from typer.testing import CliRunner
 
+from bsk_torch import SatelliteTasking
 from bsk_torch.cli import app
-from bsk_torch.cli.schedule import described
+from bsk_torch.cli.schedule import described, tick_lines
 from bsk_torch.presets import make
+from bsk_torch.presets.nadir_scan import ScanningSatellite
 from bsk_torch.rand import first_key
 from bsk_torch.sim import dyn, fsw
 from bsk_torch.sim.component import Component, Field, collect
-from bsk_torch.sim.schedule import SCHEDULE, ordered, place
+from bsk_torch.sim.schedule import SCHEDULE, Slot
 from bsk_torch.sim.simulator import Simulator
 
 NADIR_SCAN = (
@@ -28,6 +30,9 @@ AEOS = (
     *("instrument", "battery", "transmitter", "storage", "image_event"),
     *("navigation", "sun_pointing", "nadir_pointing", "desaturation", "location_pointing", "instrument_controller", "control"),
 )
+
+
+BASES, FSW = (ScanningSatellite.get_dyn_type(),), ScanningSatellite.get_fsw_type()
 
 
 def component(slot: str, **options: str) -> Component:
@@ -62,7 +67,7 @@ def test_own_components_run_after_and_before_slots():
     }.items()]  # fmt: skip
     moved = component("eclipse", after="control")
     scheduled = [component(name) for name in ("transmitter", "battery", "instrument")]
-    names = [c.slot for c in ordered([moved, *mine, *scheduled])]
+    names = [c.slot for c in SCHEDULE.ordered([moved, *mine, *scheduled])]
     assert names == ["instrument", "b", "a", "battery", "c", "d", "transmitter", "eclipse"]
 
 
@@ -81,7 +86,7 @@ def test_a_component_without_a_place_is_refused_where_the_model_is_written(optio
     with pytest.raises(ValueError, match=message):
         type("WrongDynModel", (dyn.DynamicsModel,), {attribute: (wrong,)})
     with pytest.raises(ValueError, match=message):
-        place(wrong)
+        SCHEDULE.place(wrong)
 
 
 def test_replacing_a_slot_keeps_its_place():
@@ -91,6 +96,57 @@ def test_replacing_a_slot_keeps_its_place():
     before, after = (collect(reversed(cls.__mro__)) for cls in (dyn.BasicDynamicsModel, Replaced))
     assert [c.slot for c in before] == [c.slot for c in after]
     assert next(c for c in after if c.slot == "battery") is Replaced.components[0]
+
+
+# -- schedules of models --------------------------------------------------------------------------------------------------------
+
+
+def test_slots_are_moved_and_added():
+    names = [slot.name for slot in SCHEDULE.moved("battery", before="panel")]
+    assert sorted(names) == sorted(slot.name for slot in SCHEDULE)
+    assert names.index("battery") == names.index("panel") - 1
+    radiator = Slot("radiator", "heat", "none", "dynamics")
+    after = SCHEDULE.with_slot(radiator, after="battery")
+    assert after[after.index["battery"] + 1] is radiator
+    with pytest.raises(ValueError, match=r"before='panle' is no slot of the schedule; did you mean 'panel'"):
+        SCHEDULE.moved("battery", before="panle")
+    with pytest.raises(ValueError, match=r"'battery' has after=None and before=None; give one"):
+        SCHEDULE.moved("battery")
+    with pytest.raises(ValueError, match=r"slot 'battery' is in the schedule already"):
+        SCHEDULE.with_slot(SCHEDULE[SCHEDULE.index["battery"]], after="panel")
+
+
+class Radiating(dyn.BasicDynamicsModel):
+    """Charges the battery before the sinks draw from it, and has a slot of its own."""
+
+    schedule = SCHEDULE.moved("battery", before="wheel_power").with_slot(
+        Slot("radiator", "heat that leaves the spacecraft", "none", "dynamics"), after="battery"
+    )
+    components = (component("radiator"), component("probe", before="radiator"))
+
+
+class RadiatorFSWModel(fsw.BasicFSWModel):
+    """Flight software that knows the slot of the dynamics model."""
+
+    components = (component("watch", after="radiator"),)
+
+
+def test_a_dynamics_model_has_another_order():
+    satellite = type("Mine", (ScanningSatellite,), {"dyn_type": (Radiating, *BASES), "fsw_type": (RadiatorFSWModel, FSW)})
+    env = SatelliteTasking(satellite("A"), backend="eager", time_limit=300.0)
+    order = env.simulator.tick.schedule
+    first = order.index("battery")
+    assert order[first : first + 5] == ("battery", "probe", "radiator", "watch", "wheel_power")
+    printed = tick_lines(env.simulator.tick, env.simulator.schedule)
+    assert [line.split()[0] for line in printed if "heat that leaves the spacecraft (none)" in line] == ["radiator"]
+    other = type("Other", (ScanningSatellite,), {"fsw_type": (RadiatorFSWModel, FSW)})
+    with pytest.raises(ValueError, match="slot='watch' has after='radiator', which is no slot of a tick"):
+        SatelliteTasking(other("A"), backend="eager", time_limit=300.0)
+
+
+def test_a_schedule_of_names_is_refused():
+    with pytest.raises(TypeError, match=r"Wrong.schedule=\('hub',\) is no Schedule, from bsk_torch.sim.schedule"):
+        type("Wrong", (dyn.DynamicsModel,), {"schedule": ("hub",)})
 
 
 # -- the tick at time zero -----------------------------------------------------------------------------------------------------

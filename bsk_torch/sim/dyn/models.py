@@ -11,10 +11,11 @@ from torch import Tensor
 from bsk_torch.astro.orbit import Elements
 from bsk_torch.constants import RPM
 from bsk_torch.sim import world
-from bsk_torch.sim.component import Arg, Component
+from bsk_torch.sim.component import Arg, Component, collect
 from bsk_torch.sim.dyn import drag, events, hub, partitions, power, storage, thrusters, wheels
 from bsk_torch.sim.readout.model import Model, Simulation
 from bsk_torch.sim.readout.observables import Now, observable, vital
+from bsk_torch.sim.schedule import SCHEDULE, Schedule
 from bsk_torch.vec3 import Vec3
 
 
@@ -23,7 +24,8 @@ class DynamicsModel(Model):
 
     ``requires_world`` are the world models that it needs, with those of the base classes; ``world_components`` are further parts
     of the world, which replace those of world models in the same slots. ``orbit`` is the default way to compute its orbit:
-    ``"arc"`` in advance, or ``"integrated"`` in every tick.
+    ``"arc"`` in advance, or ``"integrated"`` in every tick. ``schedule`` is the order of a tick, that of bsk_rl by default; see
+    :mod:`bsk_torch.sim.schedule`.
 
     Frames: N is inertial (J2000 equator), B the body, P fixed to the Earth, H the Hill frame. Vectors ``r``, ``v`` and ``h`` in
     the formulas are ``r_BN_N``, ``v_BN_N`` and their cross product. Equations of two-body motion and of attitude are those of
@@ -34,6 +36,12 @@ class DynamicsModel(Model):
     world_components: ClassVar[tuple[Component, ...]] = ()
     requires_world: ClassVar[tuple[type[world.WorldModel], ...]] = (world.WorldModel,)
     orbit: ClassVar[str] = "arc"
+    schedule: ClassVar[Schedule] = SCHEDULE
+
+    @classmethod
+    def all_components(cls) -> tuple[Component, ...]:
+        """Return the components of the class and its bases in the order of its schedule."""
+        return collect(reversed(cls.__mro__), schedule=cls.schedule)
 
     @classmethod
     def all_required_worlds(cls) -> tuple[type[world.WorldModel], ...]:

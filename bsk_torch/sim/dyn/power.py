@@ -92,7 +92,9 @@ def sink(slot: str, arg: Arg, flag: str | None) -> Component:
         power = getattr(bus, slot)
         bus.power = bus.power + (power * getattr(bus, flag) if flag else power)
 
-    return Component(slot, draw, (arg,), params=(Field(slot, 1, "W"),), prepare=lambda args: {slot: args[arg.name]})
+    flags = (flag,) if flag else ()
+    prepare = lambda args: {slot: args[arg.name]}  # noqa: E731
+    return Component(slot, draw, (arg,), params=(Field(slot, 1, "W"),), prepare=prepare, flags=flags, idle_flags=flags)
 
 
 BASE_POWER = sink("base_power", power_arg("basePowerDraw", 0.0, "power always drawn, negative"), None)

@@ -104,6 +104,7 @@ INSTRUMENT = Component(
     args=(Arg("instrumentBaudRate", 8e6, "bit/s", "data rate while imaging", low=0.0, high=MOST_BITS),),
     params=(Field("instrument_baud", 1, "bit/s", exact=True),),
     prepare=lambda args: {"instrument_baud": args["instrumentBaudRate"]},
+    flags=("instrument_linked",),
 )
 
 TRANSMITTER = Component(
@@ -120,6 +121,8 @@ TRANSMITTER = Component(
     params=(Field("transmitter_baud", 1, "bit/s", exact=True), Field("packet_size", 1, "bit", exact=True)),
     initial=lambda args: {name: torch.zeros(1, dtype=torch.float64) for name in ("packet", "idle")},
     prepare=_packet_size,
+    flags=("transmitter_on",),
+    idle_flags=("transmitter_on",),
 )
 
 STORAGE = Component(

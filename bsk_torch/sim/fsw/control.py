@@ -95,4 +95,5 @@ MRP_FEEDBACK = Component(
     prepare=lambda args: {name: args[name] for name in ("K", "Ki", "P")},
     check=check_control_axes,
     check_tick=check_feedback,
+    flags=("control_on",),
 )

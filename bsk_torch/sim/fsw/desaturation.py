@@ -88,6 +88,10 @@ def _check(args: Values) -> None:
         raise ValueError(f"thrForceSign={args['thrForceSign'].tolist()}: only +1 (thrusters that push) is supported")
 
 
+DUMP_RESET = {"dump_calls": 0.0, "dump_counter": 0.0, "dump_remaining": 0.0}
+"""What a mode resets in which desaturation begins."""
+
+
 def _initial(args: Values) -> dict[str, Tensor]:
     widths = {"dump_momentum_B": 3, "dump_remaining": 4, "dump_counter": 1, "dump_calls": 1}
     return {name: torch.zeros(1, width).double() for name, width in widths.items()}
@@ -117,4 +121,5 @@ DESATURATION = Component(
         "shortest_pulse": args["thrMinFireTime"],
     },
     check=_check,
+    flags=("desat_on",),
 )

@@ -129,11 +129,18 @@ def _forget(task: str) -> dict[str, Tensor]:
     return {f"{task}_sigma_BR": torch.zeros(1, 3).double(), f"{task}_fresh": torch.ones(1).double()}
 
 
-NAVIGATION = Component(slot="navigation", update=navigate)
+# modes that can be added to any flight software, such as hold_inertial, ask for attitude control, where there is a law and where
+# there is none
+NAVIGATION = Component(slot="navigation", update=navigate, flags=("control_on",))
 
-SUN_POINTING = Component(slot="sun_pointing", update=point_at_sun, state=_memory("sun"), initial=lambda args: _forget("sun"))
+SUN_RESET = {"sun_fresh": 1.0, "sun_sigma_BR": 0.0}
+"""What a mode resets in which pointing at the Sun begins."""
 
-NADIR_POINTING = Component(slot="nadir_pointing", update=point_along_hill)
+SUN_POINTING = Component(
+    slot="sun_pointing", update=point_at_sun, state=_memory("sun"), initial=lambda args: _forget("sun"), flags=("sun_on",)
+)
+
+NADIR_POINTING = Component(slot="nadir_pointing", update=point_along_hill, flags=("nadir_on",))
 
 LOCATION_POINTING = Component(
     slot="location_pointing",
@@ -144,4 +151,6 @@ LOCATION_POINTING = Component(
     initial=lambda args: _forget("location"),
     prepare=lambda args: {"instrument_axis_B": unit_rows(args["inst_pHat_B"])},
     check=check_axis("inst_pHat_B"),
+    flags=("location_on",),
+    resets=(("location_fresh", 1.0), ("location_sigma_BR", 0.0)),
 )

@@ -32,7 +32,7 @@ def refer_to_hill(bus: Bus) -> None:
     bus.sigma_RN, bus.omega_RN_N = only(bus.nadir_on > 0.0, reference, (bus.sigma_RN, bus.omega_RN_N))
 
 
-HILL_REFERENCE = Component(slot="nadir_pointing", update=refer_to_hill)
+HILL_REFERENCE = Component(slot="nadir_pointing", update=refer_to_hill, flags=("nadir_on",))
 
 _ADVICE = "the attitude is that of the reference; write sigma_RN and omega_RN_N"
 
@@ -46,6 +46,7 @@ IMPOSED_ATTITUDE = Component(
     # the last two replace what the hub starts with: without a reference Basilisk imposes zero from the beginning
     initial=lambda args: {name: torch.zeros(1, 3).double() for name in ("sigma_RN", "omega_RN_N", "sigma_BN", "omega_BN_B")},
     overwrites=(("sigma_BN", _ADVICE), ("omega_BN_B", _ADVICE)),
+    resets=(("sigma_RN", 0.0), ("omega_RN_N", 0.0)),
 )
 
 ACTUATORS = Component(slot="imposed_attitude")

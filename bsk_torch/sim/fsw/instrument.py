@@ -52,7 +52,11 @@ SCANNING_CONTROLLER = Component(
         "attitude_tolerance": args["imageAttErrorRequirement"],
         "rate_tolerance": args["imageRateErrorRequirement"],
     },
+    flags=("controller_on",),
 )
+
+IMAGE_RESET = {"image_taken": 0.0}
+"""What a mode resets in which an image is to be taken."""
 
 IMAGE_CONTROLLER = dataclasses.replace(
     SCANNING_CONTROLLER,

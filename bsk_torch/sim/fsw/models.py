@@ -9,13 +9,16 @@ from torch import Tensor
 from bsk_torch.sim.component import Component
 from bsk_torch.sim.dyn.models import BasicDynamicsModel, DynamicsModel, ImagingDynModel
 from bsk_torch.sim.fsw import control, desaturation, guidance, imposed, instrument, manoeuvre, steering, target
-from bsk_torch.sim.fsw.modes import DUMP_RESET, IMAGE_RESET, SUN_RESET, Command, Mode
+from bsk_torch.sim.fsw.desaturation import DUMP_RESET
+from bsk_torch.sim.fsw.guidance import SUN_RESET
+from bsk_torch.sim.fsw.instrument import IMAGE_RESET
+from bsk_torch.sim.fsw.modes import Command, Mode
 from bsk_torch.sim.readout.model import Model
 from bsk_torch.sim.readout.observables import Now, observable, vital
 from bsk_torch.vec3 import Vec3
 
 IDLE = "idle"
-"""The mode before the first command: no task runs, but the devices are on, and the transmitter sends."""
+"""The mode before the first command: no task runs; on are the ``idle_flags`` of all components, those of devices."""
 
 
 class FSWModel(Model):
@@ -31,7 +34,7 @@ class FSWModel(Model):
 
     components: ClassVar[tuple[Component, ...]] = (guidance.NAVIGATION, imposed.HILL_REFERENCE, imposed.IMPOSED_ATTITUDE)
     modes: ClassVar[dict[str, Mode | None]] = {
-        IDLE: Mode(on=("instrument_power", "transmitter_on", "thruster_power")),
+        IDLE: Mode(on=None),
         "drift": Mode(on=()),
         "nadir_point": Mode(("nadir_on",)),
     }

@@ -1,48 +1,35 @@
 """Flight modes as a table: what each one switches on, and what entering it resets.
 
-Every command first switches all tasks and devices off and resets location pointing and the reference that is imposed; the rest
-persists, as in Basilisk: torque, thruster and instrument commands, the transmitter's packet, the integral of the control law.
+What can be switched on are the ``flags`` that the components of a satellite's models declare. Every command first switches all of
+them off and sets the fields that components list in ``resets``: those of location pointing, and of the reference that is imposed.
+The rest persists, as in Basilisk: torque, thruster and instrument commands, the transmitter's packet, the integral of the control
+law.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
 
-from bsk_torch.sim.names import current_name
-
-MODE_FLAGS = (
-    "sun_on",
-    "nadir_on",
-    "location_on",
-    "desat_on",
-    "control_on",
-    "controller_on",
-    "instrument_linked",
-    "instrument_power",
-    "transmitter_on",
-    "thruster_power",
-)
-"""Tasks, controllers and devices that a mode may switch on; each is 1 or 0 on the bus."""
-
-ALWAYS_RESET = {"location_fresh": 1.0, "location_sigma_BR": 0.0, "sigma_RN": 0.0, "omega_RN_N": 0.0}
-SUN_RESET = {"sun_fresh": 1.0, "sun_sigma_BR": 0.0}
-IMAGE_RESET = {"image_taken": 0.0}
-DUMP_RESET = {"dump_calls": 0.0, "dump_counter": 0.0, "dump_remaining": 0.0}
+from bsk_torch.sim.component import Component
+from bsk_torch.sim.names import current_name, nearest
 
 
 @dataclass(frozen=True)
 class Mode:
-    """A row of the mode table: ``on`` lists flags, ``resets`` gives state fields and the value they get on entry."""
+    """A row of the mode table: ``on`` lists flags, ``resets`` gives state fields and the values they get on entry.
 
-    on: tuple[str, ...] = ("control_on",)
+    None in place of flags stands for the ``idle_flags`` of all components. A flag that no component of the satellite declares is
+    a ValueError when an environment is built.
+    """
+
+    on: tuple[str, ...] | None = ("control_on",)
     resets: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Refuse flags that do not exist, and take old names of fields for the present ones."""
-        unknown = set(self.on) - set(MODE_FLAGS)
-        if unknown:
-            raise ValueError(f"on={self.on!r}: {sorted(unknown)} are no flags; known are {list(MODE_FLAGS)}")
+        """Take old names of fields for the present ones; ValueError for a string in place of a tuple of flags."""
+        if isinstance(self.on, str):
+            raise ValueError(f"on={self.on!r} must be a tuple of flags: write on=({self.on!r},)")
         object.__setattr__(self, "resets", {current_name(name): value for name, value in self.resets.items()})
 
 
@@ -52,3 +39,30 @@ class Command:
 
     modes: tuple[str, ...]
     choice: str | None = None
+
+
+def mode_table(modes: Mapping[str, Mode], components: Iterable[Component]) -> dict[str, Mode]:
+    """Return the modes of satellites with all flags named.
+
+    Args:
+        modes: Rows of the mode table.
+        components: The components that the models of the satellites declare.
+
+    Raises:
+        ValueError: For a mode that switches on a flag, or resets a field, that no component declares.
+    """
+    declared = list(components)
+    flags = dict.fromkeys(flag for part in declared for flag in part.flags)
+    fields = dict.fromkeys(field.name for part in declared for field in part.state)
+    idle = tuple(dict.fromkeys(flag for part in declared for flag in part.idle_flags))
+    for title, mode in modes.items():
+        for flag in mode.on or ():
+            if flag not in flags:
+                raise ValueError(
+                    f"mode {title!r} switches on {flag!r}, which no component of the satellite declares; list it in flags= of the "
+                    f"component that reads bus.{flag}; {nearest(flag, flags)}"
+                )
+        for name in mode.resets:
+            if name not in fields:
+                raise ValueError(f"mode {title!r} resets {name!r}, which is no field of the state; {nearest(name, fields)}")
+    return {title: replace(mode, on=idle) if mode.on is None else mode for title, mode in modes.items()}

@@ -33,6 +33,7 @@ ATTITUDE_SETPOINT = Component(
     update=hold,
     state=(vec("sigma_RN", "-", "set-point, MRP; zero from every command until an action sets it"),),
     initial=lambda args: {"sigma_RN": torch.zeros(1, 3).double()},
+    resets=(("sigma_RN", 0.0),),
 )
 
 

@@ -111,4 +111,5 @@ MRP_STEERING = Component(
     prepare=lambda args: {name: args[name] for name in GAINS},
     check=check_control_axes,
     check_tick=check_steering,
+    flags=("control_on",),
 )

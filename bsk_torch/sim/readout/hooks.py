@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 from bsk_torch.sim.component import Component
 from bsk_torch.sim.hooks import check_class
-from bsk_torch.sim.schedule import place
+from bsk_torch.sim.schedule import SCHEDULE, Schedule, anchored
 
 
 class Table(NamedTuple):
@@ -24,6 +24,7 @@ TABLES: dict[str, Table] = {
     "world_components": Table("dynamics models", "world_components = (MOON,)"),
     "requires_world": Table("dynamics models", "requires_world = (world.EclipseWorldModel,)"),
     "orbit": Table("dynamics models", "orbit = 'arc'"),
+    "schedule": Table("dynamics models", "schedule = SCHEDULE.moved('wheels', before='hub')"),
     "modes": Table("flight-software models", "modes = {'safe': fsw.Mode(('control_on', 'sun_on'))}"),
     "commands": Table("flight-software models", "commands = {'desat': fsw.Command(('desat_sun',))}"),
     "requires_dyn": Table("flight-software models", "requires_dyn = (dyn.BasicDynamicsModel,)"),
@@ -76,8 +77,17 @@ def check_model(cls: type, base: type) -> None:
             continue  # checked when it was defined
         for name, value in vars(owner).items():
             _check_member(cls, owner, base, name, value)
+    known = {slot.name for model in (base, *_subclasses(base)) for slot in vars(model).get("schedule", ())}
     for component in _listed(cls):
-        place(component)
+        if anchored(component)[0] not in known:  # of another dynamics model: the environment that has both looks again
+            vars(cls).get("schedule", SCHEDULE).place(component)
+
+
+def _subclasses(base: type) -> Iterator[type]:
+    children: list[type] = type.__subclasses__(base)
+    for child in children:
+        yield child
+        yield from _subclasses(child)
 
 
 def _check_member(cls: type, owner: type, base: type, name: str, value: Any) -> None:
@@ -117,6 +127,8 @@ def _check_table(title: str, name: str, value: Any) -> None:
     elif name in ("requires_world", "requires_dyn"):
         if not isinstance(value, tuple | list) or not all(inspect.isclass(entry) for entry in value):
             raise TypeError(f"{title}={value!r} is no tuple of models; {example}")
+    elif name == "schedule" and not isinstance(value, Schedule):
+        raise TypeError(f"{title}={value!r} is no Schedule, from bsk_torch.sim.schedule; {example}")
     elif name in ("modes", "commands") and not isinstance(value, Mapping):
         raise TypeError(f"{title}={value!r} is no dictionary; {example}")
 

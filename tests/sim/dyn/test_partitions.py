@@ -13,7 +13,6 @@ from bsk_torch.sim.component import Bus, Component, Field
 from bsk_torch.sim.dyn import events, partitions, storage
 from bsk_torch.sim.environment import world
 from bsk_torch.sim.environment.ephemeris import EPHEMERIS_TRACK
-from bsk_torch.sim.fsw.modes import MODE_FLAGS
 from bsk_torch.sim.run import Runners, make_runners
 from bsk_torch.sim.tick import Tick
 from tests.sim.buses import plane, write
@@ -73,8 +72,8 @@ class Store:
         n, start = len(table.parameters), {name: torch.zeros(1) for name in ("instrument_command", "station_access")}
         self.state = self.tick.state.rows(start | self.merged("initial"), n).double().contiguous()
         self.own = self.tick.own.rows(self.merged("prepare"), n).contiguous()
-        self.flags = torch.zeros(len(MODE_FLAGS), 2, dtype=torch.float64)
-        self.flags[MODE_FLAGS.index("transmitter_on"), 1] = 1.0
+        self.flags = torch.zeros(self.tick.flags.size, 2, dtype=torch.float64)
+        self.flags[list(self.tick.flags.fields).index("transmitter_on"), 1] = 1.0
         self.ephemeris = Samples(
             torch.zeros(n, 2, EPHEMERIS_TRACK.width, dtype=torch.float64), torch.zeros(n, dtype=torch.float64)
         )

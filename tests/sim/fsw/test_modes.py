@@ -1,24 +1,61 @@
-"""Fields that modes reset: those of no component are refused, those of a component that a subclass replaces are ignored."""
+"""What modes switch on and reset: flags and fields of no component are errors, fields of a replaced one are ignored."""
 
 from __future__ import annotations
 
 import pytest
+import torch
 
 from bsk_torch import SatelliteTasking, fsw
 from bsk_torch.presets.nadir_scan import ScanningSatellite
+from bsk_torch.sim.component import Component
 from bsk_torch.sim.fsw import guidance
 
 
-def environment(modes, components=()):
+def environment(modes, components=(), backend="eager"):
     """An environment whose flight software has other ``modes`` and ``components``."""
     model = type("Model", (fsw.ContinuousImagingFSWModel,), {"modes": modes, "components": components})
     satellite = type("Mine", (ScanningSatellite,), {"fsw_type": model})
-    return SatelliteTasking(satellite("A"), backend="eager", time_limit=300.0)
+    return SatelliteTasking(satellite("A"), backend=backend, time_limit=300.0)
 
 
 def test_a_field_of_no_component_is_refused():
     with pytest.raises(ValueError, match=r"mode 'charge' resets 'sun_frash', which is no field of the state; .*'sun_fresh'"):
         environment({"charge": fsw.Mode(("control_on", "sun_on"), {"sun_frash": 1.0})})
+
+
+def heat(bus) -> None:
+    bus.power = bus.power - 20.0 * bus.heater_on
+
+
+HEATER = Component("heater", heat, after="transmitter_draw", flags=("heater_on",), idle_flags=("heater_on",))
+
+
+def test_a_flag_of_no_component_is_refused():
+    message = r"mode 'warm' switches on 'heater_on', which no component .* list it in flags= of the component that reads bus.heat"
+    with pytest.raises(ValueError, match=message):
+        environment({"warm": fsw.Mode(("control_on", "heater_on"))})
+    with pytest.raises(ValueError, match=r"mode 'charge' switches on 'sun_onn', .* did you mean 'sun_on'"):
+        environment({"charge": fsw.Mode(("control_on", "sun_onn"))})
+
+
+@pytest.mark.parametrize("backend", ["eager", pytest.param("compiled", marks=pytest.mark.compiled)])
+def test_a_component_brings_a_flag(backend):
+    """It is 1 in the modes that list it and, as an idle flag, before the first command."""
+    modes = {"warm": fsw.Mode(("control_on", "sun_on", "heater_on")), "cold": fsw.Mode(("control_on", "sun_on"))}
+    powers = {}
+    for components in ((), (HEATER,)):
+        env = environment({} if not components else modes, components, backend)
+        for mode in ("idle", "charge", *(modes if components else ())):
+            env.set_seed(3)
+            env.reset()
+            simulator, rows = env.simulator, torch.ones(1, dtype=torch.bool)
+            if mode != "idle":
+                simulator.command(rows, simulator.mode_index(mode))
+            charge = simulator.state.read("charge")
+            simulator.run(torch.tensor([1]))
+            powers[mode, bool(components)] = float(simulator.state.read("charge") - charge)
+    for mode, without, draws in (("idle", "idle", 20.0), ("warm", "charge", 20.0), ("cold", "charge", 0.0)):
+        assert powers[without, False] - powers[mode, True] == pytest.approx(draws, abs=1e-9)
 
 
 def test_fields_of_components_are_reset():
