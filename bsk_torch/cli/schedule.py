@@ -29,8 +29,8 @@ def show_schedule(
 def described(component: Component, schedule: Schedule = SCHEDULE) -> Slot:
     """Return the slot of a component; the first line of its update's docstring describes one that is not in the schedule."""
     number, side = schedule.place(component)
-    if component.slot in schedule.index:
-        return schedule[schedule.index[component.slot]]
+    if component.slot in schedule.numbers:
+        return schedule[schedule.numbers[component.slot]]
     doc = (getattr(component.update, "__doc__", None) or "").strip().partition("\n")[0]
     relation = f"{'after' if side > 0 else 'before'} {schedule[number].name}"
     return Slot(component.slot, doc or relation, f"none, runs {relation}", schedule[number].group)

@@ -282,7 +282,7 @@ class Component:
             "resets": (*self.resets, *resets),
         }
         if own_fit is not None:  # the structure that the given arguments need gets the same additions
-            additions = {"update": update, "args": args, "state": state, "params": params, "initial": initial}
+            additions: dict[str, Any] = {"update": update, "args": args, "state": state, "params": params, "initial": initial}
             additions |= {"prepare": prepare, "check": check, "flags": flags, "resets": resets}
             changes["fit"] = lambda given: own_fit(given).extended(**additions)
         return dataclasses.replace(self, **changes)
@@ -314,13 +314,14 @@ Named = TypeVar("Named", Arg, Field)
 
 def _merged(first: tuple[Named, ...], second: tuple[Named, ...]) -> tuple[Named, ...]:
     """Return the entries of both by name, those of the second where both have one."""
-    return tuple({entry.name: entry for entry in (*first, *second)}.values())
+    replaced_by = {entry.name for entry in second}
+    return (*(entry for entry in first if entry.name not in replaced_by), *second)
 
 
 def collect(classes: Iterable[type], attribute: str = "components", schedule: Schedule = SCHEDULE) -> tuple[Component, ...]:
-    """Return the components of ``classes``, of which a later one replaces the slots of an earlier one, as ``schedule`` lists them.
+    """Return the components of ``classes`` in the order of a schedule; a later class replaces the slots of an earlier one.
 
-    Those with a place in the schedule of another dynamics model alone come last.
+    Components with a place in the schedule of another dynamics model only come last.
     """
     listed = (component for cls in classes for component in vars(cls).get(attribute, ()))
     return schedule.listed(replaced(listed))

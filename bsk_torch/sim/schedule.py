@@ -1,10 +1,10 @@
 """The order of a tick: a list of slots, in which components run one after another. It belongs to the dynamics model.
 
-The order of :data:`SCHEDULE`, the default of all dynamics models, is that of Basilisk's processes, tasks and modules under bsk_rl,
-and results depend on it: a component reads the messages that earlier ones wrote in this tick, and those of the tick before of all
-others. So the world, which runs first, sees the spacecraft where it was one tick ago, and what the flight software, which runs
-last, commands at t is latched by wheels and thrusters at t + h and acts from there on. Within the environment, ``location_target``
-and ``ground_stations`` precede ``ephemeris``, since they use the orientation of the Earth of the tick before.
+The order of :data:`SCHEDULE`, the default of all dynamics models, is that of Basilisk's processes, tasks and modules under
+bsk_rl, and results depend on it: a component reads the messages that earlier ones wrote in this tick, and those of the tick
+before of all others. So the world, which runs first, sees the spacecraft where it was one tick ago, and what the flight software,
+which runs last, commands at t is latched by wheels and thrusters at t + h and acts from there on. Within the environment,
+``location_target`` and ``ground_stations`` precede ``ephemeris``, since they use the orientation of the Earth of the tick before.
 
 A component runs at the place of its slot. A user's component either takes a slot of the schedule, and so replaces what a base
 class has there, or says ``after`` or ``before`` which of these slots it runs. Several after (before) the same slot run in the
@@ -59,7 +59,7 @@ class Schedule(tuple[Slot, ...]):
     """Slots in the order of a tick."""
 
     @cached_property
-    def index(self) -> dict[str, int]:
+    def numbers(self) -> dict[str, int]:
         """Number of each slot by its name."""
         return {slot.name: k for k, slot in enumerate(self)}
 
@@ -70,16 +70,16 @@ class Schedule(tuple[Slot, ...]):
             ValueError: For a component that has neither a slot of the schedule nor one to run after or before.
         """
         anchor, side = anchored(component)
-        if anchor in self.index:
-            return self.index[anchor], side
+        if anchor in self.numbers:
+            return self.numbers[anchor], side
         if side:
             word = "after" if side > 0 else "before"
             raise ValueError(
-                f"slot={component.slot!r} has {word}={anchor!r}, which is no slot of a tick; {nearest(anchor, self.index)}"
+                f"slot={component.slot!r} has {word}={anchor!r}, which is no slot of a tick; {nearest(anchor, self.numbers)}"
             )
         raise ValueError(
             f"slot={anchor!r} is not in the schedule of a tick: give after= or before= one of its slots, such as "
-            f"after='battery', or replace one of them; {nearest(anchor, self.index)} See python -m bsk_torch schedule"
+            f"after='battery', or replace one of them; {nearest(anchor, self.numbers)} See python -m bsk_torch schedule"
         )
 
     def ordered(self, components: Iterable[P]) -> tuple[P, ...]:
@@ -94,7 +94,7 @@ class Schedule(tuple[Slot, ...]):
         """Return components in the order of the schedule, with those that have no place in it at the end."""
 
         def rank(component: Placed) -> tuple[int, int]:
-            return self.place(component) if anchored(component)[0] in self.index else (len(self), 0)
+            return self.place(component) if anchored(component)[0] in self.numbers else (len(self), 0)
 
         return tuple(sorted(components, key=rank))
 
@@ -114,7 +114,7 @@ class Schedule(tuple[Slot, ...]):
             ValueError: For a slot that is there already, a neighbor that is not, or unless one of ``after`` and ``before`` is
                 given.
         """
-        if slot.name in self.index:
+        if slot.name in self.numbers:
             raise ValueError(f"slot {slot.name!r} is in the schedule already; Schedule.moved() changes its place")
         if (after is None) == (before is None):
             raise ValueError(f"slot {slot.name!r} has after={after!r} and before={before!r}; give one of them")
@@ -122,9 +122,9 @@ class Schedule(tuple[Slot, ...]):
         return Schedule((*self[:k], slot, *self[k:]))
 
     def _number(self, title: str, name: str | None) -> int:
-        if name not in self.index:
-            raise ValueError(f"{title}={name!r} is no slot of the schedule; {nearest(str(name), self.index)}")
-        return self.index[name]
+        if name not in self.numbers:
+            raise ValueError(f"{title}={name!r} is no slot of the schedule; {nearest(str(name), self.numbers)}")
+        return self.numbers[name]
 
 
 def anchored(component: Placed) -> tuple[str, int]:

@@ -107,13 +107,13 @@ def test_slots_are_moved_and_added():
     assert names.index("battery") == names.index("panel") - 1
     radiator = Slot("radiator", "heat", "none", "dynamics")
     after = SCHEDULE.with_slot(radiator, after="battery")
-    assert after[after.index["battery"] + 1] is radiator
+    assert after[after.numbers["battery"] + 1] is radiator
     with pytest.raises(ValueError, match=r"before='panle' is no slot of the schedule; did you mean 'panel'"):
         SCHEDULE.moved("battery", before="panle")
     with pytest.raises(ValueError, match=r"'battery' has after=None and before=None; give one"):
         SCHEDULE.moved("battery")
     with pytest.raises(ValueError, match=r"slot 'battery' is in the schedule already"):
-        SCHEDULE.with_slot(SCHEDULE[SCHEDULE.index["battery"]], after="panel")
+        SCHEDULE.with_slot(SCHEDULE[SCHEDULE.numbers["battery"]], after="panel")
 
 
 class Radiating(dyn.BasicDynamicsModel):

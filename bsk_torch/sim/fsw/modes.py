@@ -59,8 +59,8 @@ def mode_table(modes: Mapping[str, Mode], components: Iterable[Component]) -> di
         for flag in mode.on or ():
             if flag not in flags:
                 raise ValueError(
-                    f"mode {title!r} switches on {flag!r}, which no component of the satellite declares; list it in flags= of the "
-                    f"component that reads bus.{flag}; {nearest(flag, flags)}"
+                    f"mode {title!r} switches on {flag!r}, which no component of the satellite declares; list it in flags= of "
+                    f"the component that reads bus.{flag}; {nearest(flag, flags)}"
                 )
         for name in mode.resets:
             if name not in fields:

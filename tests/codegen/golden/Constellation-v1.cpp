@@ -119,7 +119,7 @@ struct Block {
   D state_60;
   D state_61;
   D state_62;
-  D flag_5;
+  D flag_9;
   M v281;
   D v1884;
   D v1886;
@@ -309,11 +309,11 @@ extern "C" void run(int64_t tiles, int64_t size, int64_t threads, const int64_t*
         D state_61; load(state_61, [&](int l) { return state[61 * n + row[l]]; });
         D state_62; load(state_62, [&](int l) { return state[62 * n + row[l]]; });
         D flag_0; load(flag_0, [&](int l) { return flags[0 * modes + mode[row[l]]]; });
-        D flag_1; load(flag_1, [&](int l) { return flags[1 * modes + mode[row[l]]]; });
         D flag_2; load(flag_2, [&](int l) { return flags[2 * modes + mode[row[l]]]; });
         D flag_3; load(flag_3, [&](int l) { return flags[3 * modes + mode[row[l]]]; });
         D flag_4; load(flag_4, [&](int l) { return flags[4 * modes + mode[row[l]]]; });
         D flag_5; load(flag_5, [&](int l) { return flags[5 * modes + mode[row[l]]]; });
+        D flag_6; load(flag_6, [&](int l) { return flags[6 * modes + mode[row[l]]]; });
         D flag_7; load(flag_7, [&](int l) { return flags[7 * modes + mode[row[l]]]; });
         D flag_8; load(flag_8, [&](int l) { return flags[8 * modes + mode[row[l]]]; });
         D flag_9; load(flag_9, [&](int l) { return flags[9 * modes + mode[row[l]]]; });
@@ -355,7 +355,7 @@ extern "C" void run(int64_t tiles, int64_t size, int64_t threads, const int64_t*
         const D shared_36 = D(double(shared[36]));
         const D shared_37 = D(double(shared[37]));
         const D shared_38 = D(double(shared[38]));
-        const M v281 = gt(flag_2, D(0.0));
+        const M v281 = gt(flag_8, D(0.0));
         const D v328 = shared_0 * shared_0;
         const M v330 = lt(shared_0, D(0.0));
         const D v1311 = shared_5 - D(0.07957747154594767);
@@ -369,14 +369,14 @@ extern "C" void run(int64_t tiles, int64_t size, int64_t threads, const int64_t*
         const M v1857 = lt(shared_15, D(0.0));
         const D v1860 = D(1.0) / shared_16;
         const D v1881 = D(3.0) * shared_14;
-        const D v1884 = shared_18 * flag_9;
-        const D v1886 = shared_19 * flag_7;
-        const D v1888 = shared_20 * flag_8;
-        const M v1894 = gt(flag_8, D(0.0));
+        const D v1884 = shared_18 * flag_0;
+        const D v1886 = shared_19 * flag_2;
+        const D v1888 = shared_20 * flag_3;
+        const M v1894 = gt(flag_3, D(0.0));
         const D v1915 = shared_24.neg();
-        const M v1970 = gt(flag_0, D(0.0));
-        const M v2080 = gt(flag_1, D(0.0));
-        const M v2349 = gt(flag_3, D(0.0));
+        const M v1970 = gt(flag_6, D(0.0));
+        const M v2080 = gt(flag_5, D(0.0));
+        const M v2349 = gt(flag_7, D(0.0));
         const M v2626 = gt(flag_4, D(0.0));
         const D v2636 = D(1.5707963267948966) / shared_36;
         const D v2654 = shared_36 * D(-0.6366197723675814);
@@ -390,7 +390,7 @@ extern "C" void run(int64_t tiles, int64_t size, int64_t threads, const int64_t*
         D start_2(0), base_2(0), from_2(0), until_2(0);
         if (starts_2) load(start_2, [&](int l) { return starts_2[owner_2 ? owner_2[row[l]] : row[l]]; });
         common = Common{shared_1, shared_2, shared_3, shared_4, shared_5, shared_6, shared_7, shared_9, shared_10, shared_11, shared_12, shared_13, shared_15, shared_17, shared_21, shared_22, shared_23, shared_24, shared_25, shared_26, shared_27, shared_28, shared_29, shared_30, shared_31, shared_32, shared_33, shared_34, shared_35, shared_37, shared_38, v328, v330, v1312, v1315, v1318, v1737, v1738, v1857, v1860, v1881, v1915, v2636, v2654, v2658, v2727, v2730, v2737};
-        blocks[b] = Block{gt(left, D(0)), ticks_start, state_0, state_1, state_2, state_4, state_5, state_6, state_10, state_11, state_12, state_13, state_14, state_15, state_16, state_17, state_18, state_19, state_20, state_21, state_22, state_23, state_24, state_25, state_26, state_27, state_28, state_29, state_30, state_31, state_32, state_33, state_34, state_35, state_36, state_37, state_38, state_39, state_40, state_41, state_42, state_43, state_44, state_45, state_46, state_47, state_48, state_49, state_50, state_51, state_52, state_53, state_54, state_55, state_56, state_57, state_58, state_59, state_60, state_61, state_62, flag_5, v281, v1884, v1886, v1888, v1894, v1970, v2080, v2349, v2626, start_1, base_1, from_1, until_1, start_2, base_2, from_2, until_2};
+        blocks[b] = Block{gt(left, D(0)), ticks_start, state_0, state_1, state_2, state_4, state_5, state_6, state_10, state_11, state_12, state_13, state_14, state_15, state_16, state_17, state_18, state_19, state_20, state_21, state_22, state_23, state_24, state_25, state_26, state_27, state_28, state_29, state_30, state_31, state_32, state_33, state_34, state_35, state_36, state_37, state_38, state_39, state_40, state_41, state_42, state_43, state_44, state_45, state_46, state_47, state_48, state_49, state_50, state_51, state_52, state_53, state_54, state_55, state_56, state_57, state_58, state_59, state_60, state_61, state_62, flag_9, v281, v1884, v1886, v1888, v1894, v1970, v2080, v2349, v2626, start_1, base_1, from_1, until_1, start_2, base_2, from_2, until_2};
       }
       for (int64_t k = 1; next != INT64_MAX; ++k) {
         for (int64_t b = 0; b < size; ++b) {
@@ -398,7 +398,7 @@ extern "C" void run(int64_t tiles, int64_t size, int64_t threads, const int64_t*
           const int64_t* row = rows + (tile * size + b) * W;
           const int64_t* group = groups + (tile * size + b) * W;
           const auto& [shared_1, shared_2, shared_3, shared_4, shared_5, shared_6, shared_7, shared_9, shared_10, shared_11, shared_12, shared_13, shared_15, shared_17, shared_21, shared_22, shared_23, shared_24, shared_25, shared_26, shared_27, shared_28, shared_29, shared_30, shared_31, shared_32, shared_33, shared_34, shared_35, shared_37, shared_38, v328, v330, v1312, v1315, v1318, v1737, v1738, v1857, v1860, v1881, v1915, v2636, v2654, v2658, v2727, v2730, v2737] = common;
-          auto& [running, ticks_start, state_0, state_1, state_2, state_4, state_5, state_6, state_10, state_11, state_12, state_13, state_14, state_15, state_16, state_17, state_18, state_19, state_20, state_21, state_22, state_23, state_24, state_25, state_26, state_27, state_28, state_29, state_30, state_31, state_32, state_33, state_34, state_35, state_36, state_37, state_38, state_39, state_40, state_41, state_42, state_43, state_44, state_45, state_46, state_47, state_48, state_49, state_50, state_51, state_52, state_53, state_54, state_55, state_56, state_57, state_58, state_59, state_60, state_61, state_62, flag_5, v281, v1884, v1886, v1888, v1894, v1970, v2080, v2349, v2626, start_1, base_1, from_1, until_1, start_2, base_2, from_2, until_2, track_1_0, track_1_1, track_1_2, track_1_7, track_1_8, track_1_9, track_1_10, track_1_11, track_1_12, track_1_13, track_1_14, track_1_15, v179, v180, v272, v273, v344, v345, v346, v360, v361, v362, v367, v368, v369, track_2_12, track_2_13, track_2_14, v663, v664, v665, v718, v719, v720, v778, v779, v780, v830, v831, v832, v890, v891, v892, v942, v943, v944, v1001, v1002, v1003, v1053, v1054, v1055, v1112, v1113, v1114, v1172, v1173, v1174, v1176, v1177, v1178, v1186, v1187, v1188, v1196, v1197, v1198, v1206, v1207, v1208, v1216, v1217, v1218, v1225, v1226, v1227, v1234, v1235, v1236, out_3, out_7, out_8, out_9] = blocks[b];
+          auto& [running, ticks_start, state_0, state_1, state_2, state_4, state_5, state_6, state_10, state_11, state_12, state_13, state_14, state_15, state_16, state_17, state_18, state_19, state_20, state_21, state_22, state_23, state_24, state_25, state_26, state_27, state_28, state_29, state_30, state_31, state_32, state_33, state_34, state_35, state_36, state_37, state_38, state_39, state_40, state_41, state_42, state_43, state_44, state_45, state_46, state_47, state_48, state_49, state_50, state_51, state_52, state_53, state_54, state_55, state_56, state_57, state_58, state_59, state_60, state_61, state_62, flag_9, v281, v1884, v1886, v1888, v1894, v1970, v2080, v2349, v2626, start_1, base_1, from_1, until_1, start_2, base_2, from_2, until_2, track_1_0, track_1_1, track_1_2, track_1_7, track_1_8, track_1_9, track_1_10, track_1_11, track_1_12, track_1_13, track_1_14, track_1_15, v179, v180, v272, v273, v344, v345, v346, v360, v361, v362, v367, v368, v369, track_2_12, track_2_13, track_2_14, v663, v664, v665, v718, v719, v720, v778, v779, v780, v830, v831, v832, v890, v891, v892, v942, v943, v944, v1001, v1002, v1003, v1053, v1054, v1055, v1112, v1113, v1114, v1172, v1173, v1174, v1176, v1177, v1178, v1186, v1187, v1188, v1196, v1197, v1198, v1206, v1207, v1208, v1216, v1217, v1218, v1225, v1226, v1227, v1234, v1235, v1236, out_3, out_7, out_8, out_9] = blocks[b];
           const D ticks_now = ticks_start + D(double(k));
           const D time_now = ticks_now * D(double(nanoseconds)) / D(1e9);
           const D elapsed_1 = time_now - start_1;
@@ -3342,7 +3342,7 @@ extern "C" void run(int64_t tiles, int64_t size, int64_t threads, const int64_t*
           const D v2615 = v2614.sqrt();
           const M v2616 = le(v2615, shared_33);
           const M v2617 = both(v2609, v2616);
-          const D v2618 = flag_5 * v337;
+          const D v2618 = flag_9 * v337;
           const D v2619 = where(v2617, v2618, D(0.0));
           const D v2620 = D(1.0) - state_58;
           const D v2621 = v2619 * v2620;
@@ -3555,7 +3555,7 @@ extern "C" void run(int64_t tiles, int64_t size, int64_t threads, const int64_t*
           const int64_t* row = rows + (tile * size + b) * W;
           const int64_t* group = groups + (tile * size + b) * W;
           const auto& [shared_1, shared_2, shared_3, shared_4, shared_5, shared_6, shared_7, shared_9, shared_10, shared_11, shared_12, shared_13, shared_15, shared_17, shared_21, shared_22, shared_23, shared_24, shared_25, shared_26, shared_27, shared_28, shared_29, shared_30, shared_31, shared_32, shared_33, shared_34, shared_35, shared_37, shared_38, v328, v330, v1312, v1315, v1318, v1737, v1738, v1857, v1860, v1881, v1915, v2636, v2654, v2658, v2727, v2730, v2737] = common;
-          auto& [running, ticks_start, state_0, state_1, state_2, state_4, state_5, state_6, state_10, state_11, state_12, state_13, state_14, state_15, state_16, state_17, state_18, state_19, state_20, state_21, state_22, state_23, state_24, state_25, state_26, state_27, state_28, state_29, state_30, state_31, state_32, state_33, state_34, state_35, state_36, state_37, state_38, state_39, state_40, state_41, state_42, state_43, state_44, state_45, state_46, state_47, state_48, state_49, state_50, state_51, state_52, state_53, state_54, state_55, state_56, state_57, state_58, state_59, state_60, state_61, state_62, flag_5, v281, v1884, v1886, v1888, v1894, v1970, v2080, v2349, v2626, start_1, base_1, from_1, until_1, start_2, base_2, from_2, until_2, track_1_0, track_1_1, track_1_2, track_1_7, track_1_8, track_1_9, track_1_10, track_1_11, track_1_12, track_1_13, track_1_14, track_1_15, v179, v180, v272, v273, v344, v345, v346, v360, v361, v362, v367, v368, v369, track_2_12, track_2_13, track_2_14, v663, v664, v665, v718, v719, v720, v778, v779, v780, v830, v831, v832, v890, v891, v892, v942, v943, v944, v1001, v1002, v1003, v1053, v1054, v1055, v1112, v1113, v1114, v1172, v1173, v1174, v1176, v1177, v1178, v1186, v1187, v1188, v1196, v1197, v1198, v1206, v1207, v1208, v1216, v1217, v1218, v1225, v1226, v1227, v1234, v1235, v1236, out_3, out_7, out_8, out_9] = blocks[b];
+          auto& [running, ticks_start, state_0, state_1, state_2, state_4, state_5, state_6, state_10, state_11, state_12, state_13, state_14, state_15, state_16, state_17, state_18, state_19, state_20, state_21, state_22, state_23, state_24, state_25, state_26, state_27, state_28, state_29, state_30, state_31, state_32, state_33, state_34, state_35, state_36, state_37, state_38, state_39, state_40, state_41, state_42, state_43, state_44, state_45, state_46, state_47, state_48, state_49, state_50, state_51, state_52, state_53, state_54, state_55, state_56, state_57, state_58, state_59, state_60, state_61, state_62, flag_9, v281, v1884, v1886, v1888, v1894, v1970, v2080, v2349, v2626, start_1, base_1, from_1, until_1, start_2, base_2, from_2, until_2, track_1_0, track_1_1, track_1_2, track_1_7, track_1_8, track_1_9, track_1_10, track_1_11, track_1_12, track_1_13, track_1_14, track_1_15, v179, v180, v272, v273, v344, v345, v346, v360, v361, v362, v367, v368, v369, track_2_12, track_2_13, track_2_14, v663, v664, v665, v718, v719, v720, v778, v779, v780, v830, v831, v832, v890, v891, v892, v942, v943, v944, v1001, v1002, v1003, v1053, v1054, v1055, v1112, v1113, v1114, v1172, v1173, v1174, v1176, v1177, v1178, v1186, v1187, v1188, v1196, v1197, v1198, v1206, v1207, v1208, v1216, v1217, v1218, v1225, v1226, v1227, v1234, v1235, v1236, out_3, out_7, out_8, out_9] = blocks[b];
           alignas(64) double out[60][W];
           out_3.store(out[0]);
           state_4.store(out[1]);
