@@ -309,7 +309,7 @@ def _united(first: Callable[[Values], dict[str, Tensor]], second: Callable[[Valu
     return first if second is None else lambda args: {**first(args), **second(args)}
 
 
-Named = TypeVar("Named", Arg, Field)
+Named = TypeVar("Named", bound=Arg | Field)
 
 
 def _merged(first: tuple[Named, ...], second: tuple[Named, ...]) -> tuple[Named, ...]:

@@ -77,7 +77,8 @@ def check_model(cls: type, base: type) -> None:
             continue  # checked when it was defined
         for name, value in vars(owner).items():
             _check_member(cls, owner, base, name, value)
-    known = {slot.name for model in (base, *_subclasses(base)) for slot in vars(model).get("schedule", ())}
+    schedules = (vars(model).get("schedule") for model in (base, *_subclasses(base)))
+    known = {slot.name for schedule in schedules if isinstance(schedule, Schedule) for slot in schedule}
     for component in _listed(cls):
         if anchored(component)[0] not in known:  # of another dynamics model: the environment that has both looks again
             vars(cls).get("schedule", SCHEDULE).place(component)
