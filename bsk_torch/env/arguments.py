@@ -4,28 +4,26 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Self
 
+from tensordict import TensorDict
 from torch import Tensor
 
 from bsk_torch.env.changes import Change, LiveArguments, apply, episodes, of_satellites, of_world, remembered
-from bsk_torch.env.pool import EpisodePool
-from bsk_torch.env.state import fingerprint
+from bsk_torch.env.snapshots import Snapshots, fingerprint
 from bsk_torch.env.types import check_world
-from bsk_torch.sim.fleet import Fleet
 from bsk_torch.sim.params import Arguments
 from bsk_torch.sim.simulator import Simulator
 
 
-class ChangingArguments:
-    """Part of an environment: what sets its arguments."""
+class MadeOfArguments(Snapshots):
+    """Part of an environment: the arguments that it is made of, how they change, and how others are made of them."""
 
-    env_ids: Tensor
-    names: list[str]
-    fleet: Fleet
-    pool: EpisodePool | None
-    fingerprint: Any
+    _arguments: dict[str, Any]
+    """Arguments of the constructor by name."""
+
     _changes: list[Change]
+    """Changes of arguments since then."""
 
     def set_sat_args(self, args: Any, envs: Any = None) -> None:
         """Change arguments of satellites; episodes that begin after this call have the new ones, present ones keep theirs.
@@ -97,6 +95,48 @@ class ChangingArguments:
             lambda: [simulator.world_args for simulator in self.fleet.simulators], self.set_world_args, "world_args_generator"
         )
 
+    # -- environments of the same make --------------------------------------------------------------------------------
+
+    def like(self, num_envs: int, env_ids: Sequence[int] | Tensor | None = None) -> Self:
+        """Return another environment of the same make, with other episodes, under seed 0 and without logs.
+
+        Episodes can be copied from one to the other by :meth:`restore`. Nothing is compiled anew.
+
+        Args:
+            num_envs: Number of its episodes.
+            env_ids: Their indices in draws; 0 to ``num_envs`` - 1 unless given.
+
+        Raises:
+            ValueError: For a wrong argument, and where arguments of :func:`bsk_torch.rand.per_env` have too few rows.
+            MemoryError: If so many do not fit into memory.
+        """
+        kept = {name: value for name, value in self._arguments.items() if name not in ("log_level", "log_dir", "log_envs")}
+        other = type(self)(**{**kept, "num_envs": num_envs, "env_ids": env_ids, "seed": 0})
+        if self._changes:
+            other._change(self._changes)
+        return other
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle the arguments and the state, not the compiled tick."""
+        state = self.state.seed, self.episode, self.get_extra_state()
+        return _rebuild, (type(self), self._arguments, *state, self._changes)
+
 
 def _sat_args_of(simulator: Simulator) -> list[Arguments]:
     return [simulator.sat_args]
+
+
+def _rebuild(
+    kind: type[MadeOfArguments],
+    arguments: dict[str, Any],
+    seeds: Tensor,
+    episode: Tensor,
+    state: TensorDict | None,
+    changes: Sequence[Change] = (),
+) -> MadeOfArguments:
+    env = kind(**arguments)
+    if changes:
+        env._change(changes)
+    env.state.seed, env.state.episode = seeds, episode
+    env.set_extra_state(state)
+    return env

@@ -15,7 +15,6 @@ from bsk_torch.constants import NANO
 from bsk_torch.data import checked
 from bsk_torch.data.base import GlobalReward
 from bsk_torch.env.options import TaskingOptions
-from bsk_torch.env.pool import SMALLEST
 from bsk_torch.env.randomizer import Randomizer
 from bsk_torch.env.types import check_names, check_world, grouped, world_arguments, world_components
 from bsk_torch.rand import Distribution, Key, first_key, seeded
@@ -33,6 +32,9 @@ from bsk_torch.sim.state import StateTable
 from bsk_torch.sim.world import WorldModel
 
 LIMIT = Arg("time_limit", float("inf"), "s", "time after which an episode is truncated", low=NANO)
+
+SMALLEST_POOL = 32
+"""Number of satellites in a batch from which preparing episodes in bulk pays."""
 
 SAMPLE = 1024
 """Random time limits that are drawn to estimate the length of arcs before a batch is built."""
@@ -190,7 +192,7 @@ class FleetBuilder:
     @property
     def pool_pays(self) -> bool:
         """Whether the batch is so large that the next episodes are prepared in bulk."""
-        return self.options.num_envs * len(self.names) >= SMALLEST and not self.calls_user
+        return self.options.num_envs * len(self.names) >= SMALLEST_POOL and not self.calls_user
 
     # -- episodes -----------------------------------------------------------------------------------------------------
 
@@ -242,6 +244,10 @@ class FleetBuilder:
         """Start the episodes ``envs`` [n] of a fleet."""
         durations = [self.satellites[s.columns[0]].generation(limit) for s in fleet.simulators]
         fleet.reset(envs, drawn, durations, limit)
+
+    def draw_and_start(self, fleet: Fleet, envs: Tensor, key: Key) -> None:
+        """Start the key's episodes in ``envs`` [n] of a fleet; everything is drawn and checked before anything changes."""
+        self.start(fleet, envs, *self.draw(fleet, key))
 
 
 def _may_control(satellite: Satellite) -> bool:

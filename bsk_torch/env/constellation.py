@@ -201,8 +201,8 @@ class ConstellationTasking(Tasking):
     @torch.no_grad()
     def play(self, given: Sequence[Any], moves: Tensor) -> TensorDict:
         """Carry out the actions of each group where ``moves`` [N] is true; return the entries of ``next``."""
-        with self._exclusive:
-            self.check_begun("step()")
+        with self.guard:
+            self.guard.check_begun("step()")
             actions, mine = self._decoded(given, moves)
             result = self._advance(actions, mine, moves)
             return self._proven(self._outputs(result, **self._ends(result)))

@@ -112,8 +112,8 @@ class SatelliteTasking(Tasking):
         moves_all, moves = moves is None, torch.ones_like(self.dead) if moves is None else moves
         goes_on = form(self.satellite) is not None  # numbers of actions have none that goes on with the task
         mine = moves & acts(action, self.satellite) if goes_on else moves
-        with self._exclusive:
-            self.check_begun("step()")
+        with self.guard:
+            self.guard.check_begun("step()")
             action = self.fleet.groups[0].checked(action, mine)
             result = self._advance([action], [mine], moves, moves_all and not goes_on)
             return self._proven(self._outputs(result, reward=result.reward.to(self.dtype), **self._ends(result)))

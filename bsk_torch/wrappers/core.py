@@ -149,7 +149,7 @@ def parse_render_mode(mode: str | None) -> str | None:
 def check_begun(core: Tasking, call: str) -> None:
     """Raise ResetNeeded unless the episodes of an environment have begun; ``call`` is what the user called."""
     try:
-        core.check_begun(call)
+        core.guard.check_begun(call)
     except ResetNeededError as error:
         raise ResetNeeded(str(error)) from error
 

@@ -60,7 +60,7 @@ def check_scanning(env: SatelliteTasking) -> None:
         raise ValueError("the bound of scanning needs ScanningTimeReward without reward_fn: it pays seconds in proportion")
     if not issubclass(type(env.satellite).fsw_type, ContinuousImagingFSWModel):
         raise ValueError(f"{type(env.satellite).fsw_type.__name__} does not scan; the bound needs ContinuousImagingFSWModel")
-    env.check_begun("scanning_bound(env)")
+    env.guard.check_begun("scanning_bound(env)")
     args, simulator = env.satellite.sat_args, env.simulator
     if bool((args["rwMechToElecEfficiency"] > 0.0).any()):
         raise ValueError("rwMechToElecEfficiency is above 0: braking wheels give power back, which the bound does not count")

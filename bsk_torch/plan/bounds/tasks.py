@@ -83,7 +83,7 @@ def check_task(env: Tasking, envelope: Envelope) -> None:
         )
     if env.failure_penalty > 0.0:
         raise ValueError(f"failure_penalty={env.failure_penalty:g} pays for dying, which the bound does not count")
-    env.check_begun("imaging_bound(env)")
+    env.guard.check_begun("imaging_bound(env)")
     imagers = [part for part in env.fleet.satellites if isinstance(part, ImagingSatellite)]
     for part in imagers:
         check_satellite(part, envelope)

@@ -47,7 +47,9 @@ def chosen(env: Tasking, rows: int | Sequence[int] | None) -> list[int]:
     wanted = list(range(n)) if rows is None else [rows] if isinstance(rows, int) else list(rows)
     if not wanted or any(not 0 <= row < n for row in wanted):
         raise ValueError(f"rows={rows!r} must be an environment from 0 to {n - 1}, or a list of such")
-    env.check_begun("render()", torch.zeros_like(env.state.begun).index_fill(0, torch.tensor(wanted, device=env.device), True))
+    env.guard.check_begun(
+        "render()", torch.zeros_like(env.state.begun).index_fill(0, torch.tensor(wanted, device=env.device), True)
+    )
     return wanted
 
 

@@ -1,0 +1,226 @@
+"""Episodes of an environment: their seeds, their beginnings, and the next ones, which large batches prepare in bulk."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+from torchrl.envs import EnvBase
+
+from bsk_torch._checks import whole
+from bsk_torch.astro.ephemeris import coverage
+from bsk_torch.constants import NANO
+from bsk_torch.data.base import GlobalReward
+from bsk_torch.env.build import FleetBuilder
+from bsk_torch.env.guard import EpisodeGuard
+from bsk_torch.env.log import StepLog
+from bsk_torch.rand import Key
+from bsk_torch.scene.base import Scenario
+from bsk_torch.sim.fleet import Fleet, FleetState
+from bsk_torch.sim.simulator import Simulator
+from bsk_torch.sim.state import FINITE
+
+SEED_LIMIT = 2**63
+"""Seeds are below it."""
+
+ENDLESS = 2**31
+"""Seconds after which Basilisk's clock stops an episode without limit; the end of the Sun's ephemeris does so before."""
+
+
+class EpisodeState(FleetState):
+    """State of N episodes in an environment.
+
+    Attributes:
+        episode: Number of the episode, -1 before the first, [N].
+        seed: Seed of its draws, [N].
+        limit_ticks: Tick at which it is truncated, [N].
+        returns: Sum of the rewards of all satellites so far, [N].
+        begun: Episodes that can be stepped: not before the first reset, nor after a call that did not come to its end, [N].
+    """
+
+    episode: Tensor
+    seed: Tensor
+    limit_ticks: Tensor
+    returns: Tensor
+    begun: Tensor
+
+
+class EpisodePool:
+    """The next episode of every environment, in a second fleet.
+
+    Solving orbits and windows for a few rows costs as much as for dozens, and in a large batch a few rows end at every step. So
+    when a prepared episode is missing, all that have been used are refilled at once. Draws do not depend on when they are made:
+    an episode is the same, bit for bit, with and without a pool.
+    """
+
+    def __init__(self, unset: Tensor, make: Callable[[], Fleet], start: Callable[[Fleet, Tensor, Key], None]) -> None:
+        """Keep episodes in a fleet that ``make`` returns; ``start(fleet, envs, key)`` begins those of a key in it.
+
+        ``unset`` [N] stands for the seeds and numbers of episodes before the first are prepared.
+        """
+        self._make, self.start = make, start
+        self.seed, self.episode, self.filled = unset, unset.clone(), torch.zeros_like(unset, dtype=torch.bool)
+
+    @functools.cached_property
+    def fleet(self) -> Fleet:
+        """Fleet of the prepared episodes, which is made when it is needed first."""
+        return self._make()
+
+    def forget(self, envs: Tensor | None) -> None:
+        """Drop the episodes prepared for ``envs`` [n], or all of them: their arguments have changed."""
+        self.filled[slice(None) if envs is None else envs.to(self.filled.device)] = False
+
+    def fill(self, envs: Tensor, seeds: Tensor, env_ids: Tensor, episodes: Tensor) -> None:
+        """Let ``envs`` [n] hold their ``episodes`` [N] of ``seeds`` [N]; if any lacks it, all stale rows are refilled."""
+        stale = ~self.filled | (self.seed != seeds) | (self.episode != episodes)
+        if not bool(stale[envs].any()):
+            return
+        used = torch.nonzero(stale).squeeze(-1)
+        self.filled[used] = False  # until all is done
+        self.start(self.fleet, used, Key(seeds[used].cpu(), env_ids[used].cpu(), episodes[used].cpu()))
+        self.filled[used] = True
+        self.seed, self.episode = torch.where(stale, seeds, self.seed), torch.where(stale, episodes, self.episode)
+
+
+class Episodes(EnvBase):
+    """Part of an environment: N episodes, their seeds, and how they begin.
+
+    Attributes:
+        builder: Makes fleets and draws episodes.
+        fleet: The satellites of the present episodes.
+        pool: The next episodes, where preparing them in bulk pays.
+        names: Name of every satellite.
+        env_ids: Index of each episode in the draws, [N].
+        scenario: Task of the satellites.
+        rewarder: Value of their data.
+        guard: Says which episodes can be stepped.
+        log: Records of what satellites do, if any.
+    """
+
+    builder: FleetBuilder
+    fleet: Fleet
+    pool: EpisodePool | None
+    names: list[str]
+    env_ids: Tensor
+    scenario: Scenario
+    rewarder: GlobalReward
+    guard: EpisodeGuard
+    log: StepLog | None
+
+    def _declare_state(self, env_ids: Sequence[int] | Tensor | None) -> None:
+        self.env_ids = self.fleet.env_ids = read_env_ids(env_ids, self.num_envs).to(self.device)
+        for name, low in (("episode", -1), ("seed", None), ("limit_ticks", 0)):
+            self.state.declare(name, None, dtype=torch.int64, low=low)
+        self.state.episode = self.state.episode - 1
+        self.state.declare("returns", 0.0, low=-FINITE, high=FINITE)
+        self.state.declare("begun", False)
+        self.guard = EpisodeGuard(self.state)
+
+    @property
+    def num_envs(self) -> int:
+        """Number of episodes N."""
+        return int(self.batch_size[0])
+
+    @property
+    def state(self) -> EpisodeState:
+        """Everything that belongs to the present episodes, as live tables; :meth:`get_state` returns a copy."""
+        return self.fleet.state  # type: ignore[return-value]
+
+    @property
+    def simulator(self) -> Simulator:
+        """Simulation of the first type of satellites."""
+        return self.fleet.simulators[0]
+
+    @property
+    def episode(self) -> Tensor:
+        """Number of the present episode, -1 before the first, [N]."""
+        return self.state.episode
+
+    @property
+    def time_limit(self) -> Tensor:
+        """Time limits of the present episodes, whole ticks, [N] s."""
+        return self.state.time_limit
+
+    @property
+    def returns(self) -> Tensor:
+        """Sum of the rewards of each episode so far, of all satellites, [N] float64."""
+        return self.state.returns
+
+    def _set_seed(self, seed: int | None) -> None:
+        value = int(torch.empty((), dtype=torch.int64).random_()) if seed is None else whole("seed", seed, 0, SEED_LIMIT - 1)
+        self.state.seed = torch.full_like(self.state.seed, value)
+        self.state.episode = torch.full_like(self.episode, -1)
+
+    def reseed(self, seeds: int | Sequence[int | None], mask: Tensor | None = None) -> None:
+        """Let episodes begin with the first ones of other seeds at their next reset; the present ones are left alone.
+
+        Args:
+            seeds: Seed of all environments, or one for each of the N, where None keeps the present seed.
+            mask: Environments to seed, [N] bool; all unless given.
+
+        Raises:
+            ValueError: For a seed that is no integer from 0 to 2**63 - 1, or a wrong number of them.
+        """
+        count = self.num_envs
+        several = isinstance(seeds, Sequence | Tensor | np.ndarray) and not isinstance(seeds, str)
+        given: list[Any] = list(seeds) if several else [seeds] * count  # type: ignore[arg-type]
+        if len(given) != count:
+            raise ValueError(f"seed has {len(given)} entries; it must be an integer or have {count}, one per environment")
+        given = [seed.item() if isinstance(seed, Tensor) and seed.ndim == 0 else seed for seed in given]
+        given = [None if seed is None else whole("seed", seed, 0, SEED_LIMIT - 1) for seed in given]
+        rows = torch.tensor([seed is not None for seed in given], device=self.device)
+        rows = rows if mask is None else rows & mask
+        values = torch.tensor([seed or 0 for seed in given], dtype=torch.int64, device=self.device)
+        self.state.seed = torch.where(rows, values, self.state.seed)
+        self.state.episode = self.episode.masked_fill(rows, -1)
+
+    @torch.no_grad()
+    def _begin(self, envs: Tensor) -> None:
+        """Start new episodes in ``envs`` [n]."""
+        state = self.state
+        seeds, episodes, begun = state.seed, state.episode + 1, self.guard.replace()
+        if self.pool is not None and not self.fleet.calls_user:
+            self.pool.fill(envs, seeds, self.env_ids, episodes)
+            state.copy_rows(envs, self.pool.fleet.state, envs)
+        else:
+            key = Key(seeds[envs].cpu(), self.env_ids[envs].cpu(), episodes[envs].cpu())
+            self.builder.draw_and_start(self.fleet, envs, key)
+        state.seed, state.episode = seeds, state.episode.index_copy(0, envs, episodes[envs])
+        et = self.simulator.lookahead.flight.et.view(self.num_envs, -1)[envs, 0]
+        ticks, limit = whole_limit(state.time_limit[envs], et, self.simulator.h_ns)
+        state.limit_ticks = state.limit_ticks.index_copy(0, envs, ticks)
+        state.time_limit = state.time_limit.index_copy(0, envs, limit)
+        self.scenario.begin_episodes(envs)
+        for begin in self.fleet.beginnings:
+            begin(envs)
+        for group in self.fleet.groups:
+            rows = group.task.rows_of(envs)
+            group.task.dead = group.task.dead.index_copy(0, rows, ~group.satellite.is_alive()[rows])
+        if self.log is not None and self.log.shows():
+            self.log.began(envs, state.seed, state.episode)
+        self.guard.begin(envs, begun)
+
+
+def whole_limit(limit: Tensor, et: Tensor, h_ns: int) -> tuple[Tensor, Tensor]:
+    """Return time limits [n] s as numbers of ticks of ``h_ns`` nanoseconds, and as the seconds that these take.
+
+    Episodes without limit, which begin at ET ``et`` [n] s, end with the ephemeris.
+    """
+    seconds = torch.where(torch.isfinite(limit), limit, torch.clamp(coverage()[1] - et, max=ENDLESS))
+    ticks = torch.ceil(torch.floor(seconds * 1e9 + 0.5) / h_ns)
+    return ticks.long(), torch.where(torch.isfinite(limit), ticks * (h_ns * NANO), limit)
+
+
+def read_env_ids(given: Any, n: int) -> Tensor:
+    """Return the index of each episode in draws, [n] int64, 0 to n - 1 unless given; ValueError for what are no such indices."""
+    if given is None:
+        return torch.arange(n)
+    table = given if isinstance(given, Tensor) else np.asarray(given) if isinstance(given, np.ndarray | Sequence) else None
+    if table is None or isinstance(given, str) or tuple(table.shape) != (n,):
+        shape = "" if table is None else f" has shape {list(table.shape)};"
+        raise ValueError(f"env_ids={given!r}:{shape} it needs {n} whole numbers, one for each environment")
+    return torch.tensor([whole("env_ids", number, 0, SEED_LIMIT - 1) for number in table.tolist()])

@@ -1,0 +1,121 @@
+"""Consistency of the episodes of an environment: one thread at a time, and none goes on that a call left half changed."""
+
+from __future__ import annotations
+
+import enum
+import threading
+from types import TracebackType
+
+import torch
+from tensordict import TensorDictBase
+from torch import Tensor
+
+from bsk_torch.sim.state import SHOWN, StateTable
+
+
+class ResetNeededError(RuntimeError):
+    """A call needs running episodes, and there are none."""
+
+
+class Origin(enum.Enum):
+    """Where the numbers of the present episodes come from.
+
+    Each number of a saved state can be right by itself, and no satellite fly with all of them: the first step tells.
+    """
+
+    DRAWN = enum.auto()
+    RESTORED = enum.auto()
+    RESTORED_AND_STEPPED = enum.auto()
+
+
+class EpisodeGuard:
+    """A context that one thread may enter, also several times; RuntimeError for a second thread meanwhile, which does not wait.
+
+    A step changes hundreds of tensors one after the other, so calls of two threads at once would mix two episodes' numbers, and a
+    call that an error ends leaves the episodes that it was changing without a meaning: they must be reset.
+
+    Attributes:
+        state: Table with the field ``begun``: episodes that can be stepped, [N].
+        all_begun: Whether all of them can.
+        interrupted: Whether some cannot because a call on them was interrupted.
+        origin: Where the numbers of the episodes come from.
+    """
+
+    def __init__(self, state: StateTable) -> None:
+        """Guard the episodes of ``state``."""
+        self.state, self.all_begun, self.interrupted, self.origin = state, False, False, Origin.DRAWN
+        self._changing: Tensor | None = None
+        self._lock, self._inside = threading.RLock(), ""
+
+    # -- calls --------------------------------------------------------------------------------------------------------
+
+    def __enter__(self) -> None:
+        """Enter; RuntimeError while another thread is inside."""
+        if not self._lock.acquire(blocking=False):
+            raise RuntimeError(
+                f"the environment is in use by thread {self._inside!r}, and {threading.current_thread().name!r} called it at the "
+                "same time: give each thread an environment of its own, or let one wait for the other with a threading.Lock"
+            )
+        self._inside = threading.current_thread().name
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        """Leave; after an ``error``, episodes that were being changed have not begun."""
+        try:
+            changing, self._changing = self._changing, None
+            if error is not None and changing is not None:
+                self._interrupt(changing, error)
+        finally:
+            self._lock.release()
+
+    def change(self, envs: Tensor) -> None:
+        """Note that the present call changes the episodes of the mask ``envs`` [N] from now on."""
+        self._changing = envs
+
+    def replace(self) -> Tensor:
+        """Note that the present call replaces episodes, as :meth:`begin` will say; return the mask of those that have begun."""
+        begun = self.state["begun"]
+        self._changing, self.all_begun = torch.zeros_like(begun), False
+        return begun
+
+    def begin(self, envs: Tensor, others: Tensor) -> None:
+        """Note that the episodes ``envs`` [n] can be stepped, in addition to the mask of ``others`` [N]."""
+        self.state["begun"] = others.index_fill(0, envs, True)
+        self.all_begun = bool(self.state["begun"].all())
+        self.interrupted = self.interrupted and not self.all_begun
+
+    def _interrupt(self, changing: Tensor, error: BaseException) -> None:
+        # an error concerns the episodes of the call; Ctrl-C may come while tables of all episodes are rearranged
+        half = changing if isinstance(error, Exception) else torch.ones_like(changing)
+        self.state["begun"] = self.state["begun"] & ~half
+        self.all_begun, self.interrupted = False, self.interrupted or bool(half.any())
+        if isinstance(error, IndexError) and self.origin is not Origin.DRAWN:
+            raise FloatingPointError(f"no satellite can fly with the numbers of a state that was restored: {error}") from error
+
+    # -- checks -------------------------------------------------------------------------------------------------------
+
+    def check_begun(self, call: str, envs: Tensor | None = None) -> None:
+        """Check that episodes have begun; ``call`` is what the user called, for the message.
+
+        Args:
+            call: Name of the method.
+            envs: Mask [N] of the episodes that it is about; all unless given.
+
+        Raises:
+            ResetNeededError: For episodes that have not begun, or whose last step was interrupted.
+        """
+        if self.all_begun:
+            return
+        begun = self.state["begun"]
+        rows = torch.nonzero(~begun if envs is None else envs & ~begun).squeeze(-1).tolist()
+        if rows:
+            which = "" if len(rows) == len(begun) else f" of environments {rows[:SHOWN]} ({len(rows)} in all)"
+            why = "a step was broken off, which leaves its episodes half done" if self.interrupted else "these have not begun"
+            raise ResetNeededError(f"{call} needs running episodes{which}, and {why}; call reset() first")
+
+
+def check_numbers(outputs: TensorDictBase) -> None:
+    """Check the outputs [N, ...] of the first step from a restored state; FloatingPointError for NaN in them."""
+    for key, leaf in outputs.items(True, True):
+        rows = torch.nonzero(torch.isnan(leaf).reshape(len(outputs), -1).any(1)).squeeze(-1).tolist()
+        if rows:
+            raise FloatingPointError(f"{key!r} of environments {rows[:SHOWN]} is NaN after the step from a restored state")

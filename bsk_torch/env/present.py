@@ -1,0 +1,116 @@
+"""What an environment tells about its satellites and its present episodes: numbers, pictures, help."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Sequence
+from importlib import import_module
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from bsk_torch.data import checked
+from bsk_torch.env import hints
+from bsk_torch.env.episodes import Episodes
+from bsk_torch.sats.satellite import Satellite
+from bsk_torch.sim.argument_table import ArgumentTable
+
+
+class Present(Episodes):
+    """Part of an environment: what it tells about its satellites and its present episodes."""
+
+    def __getattr__(self, name: str) -> Any:
+        """Look up what a module of torch registers; AttributeError with advice for names of Gymnasium's environments."""
+        if name in hints.ATTRIBUTES:
+            raise hints.no_attribute(type(self).__name__, name)
+        return super().__getattr__(name)
+
+    @property
+    def satellites(self) -> tuple[Satellite, ...]:
+        """The satellite of each type that is bound to the environment."""
+        return tuple(group.satellite for group in self.fleet.groups)
+
+    @property
+    def dead(self) -> Tensor:
+        """Satellites that have died, [N, S] bool."""
+        return self.fleet.joined([group.task.dead for group in self.fleet.groups])
+
+    @property
+    def requires_retasking(self) -> Tensor:
+        """Satellites that have no task left, [N, S] bool."""
+        return self.fleet.joined([group.task.requires_retasking for group in self.fleet.groups])
+
+    @property
+    def truncated_by_time(self) -> Tensor:
+        """Episodes whose time is up, [N]."""
+        return self.fleet.ticks >= self.state.limit_ticks
+
+    def counts(self) -> dict[str, Tensor]:
+        """Return the counters of satellites and rewarder, [N, S] each, by name."""
+        names = dict.fromkeys(name for group in self.fleet.groups for name in group.satellite.counts())
+        counted = {name: self.fleet.each(functools.partial(_counted, name)) for name in names}
+        return counted | checked.counts(self.rewarder, counted)
+
+    def render(self, rows: int | Sequence[int] | None = None, height: int = 480) -> Tensor:
+        """Draw the present: the Earth, the satellites and their tasks; the future of the episodes is not changed.
+
+        TorchRL's ``PixelRenderTransform`` calls it, with ``rows=0`` for a video of one environment of many. It resets the
+        environment to learn the shape of pictures: read ``env.observation_spec`` before a rollout.
+
+        Args:
+            rows: Environment to draw, or several; None for all, if they are 16 at most.
+            height: Pixels from top to bottom, an even number from 120 on; there are 4/3 as many from left to right.
+
+        Returns:
+            Pixels [len(rows), height, width, 3], or [height, width, 3] of a single environment; uint8.
+
+        Raises:
+            ModuleNotFoundError: Without the extra ``viz``.
+            ResetNeededError: For episodes that have not begun.
+            ValueError: For a wrong argument.
+        """
+        with self.guard:
+            return pictures().frames(self, rows, height)
+
+    def default_sat_args(self) -> ArgumentTable:
+        """Return every argument that ``sat_args`` accepts, with default, unit and meaning; print it to read it."""
+        return self.builder.satellites[0].default_sat_args()
+
+    def default_world_args(self) -> ArgumentTable:
+        """Return every argument that ``world_args`` accepts, with default, unit and meaning; print it to read it."""
+        return self.builder.default_world_args()
+
+    @property
+    def bytes_per_env(self) -> int:
+        """Bytes of one environment's state, its prepared next episode included; the windows found add a little."""
+        return (self.state.nbytes + (self.pool.fleet.state.nbytes if self.pool else 0)) // self.num_envs
+
+    def check_finite(self) -> None:
+        """Check the fields of all satellites; FloatingPointError that names environment, field and tick."""
+        for group in self.fleet.groups:
+            state = group.simulator.state
+            for name in state.layout.fields:
+                value = state.read(name).reshape(state.rows, -1)
+                bad = torch.nonzero(~torch.isfinite(value).all(-1)).squeeze(-1).tolist()
+                if bad:
+                    row = bad[0]
+                    raise FloatingPointError(
+                        f"{name!r} of {group.satellite.title(row)} is {value[row].tolist()} at tick {int(state.ticks[row])} "
+                        f"({len(bad)} of them in all)"
+                    )
+
+
+def pictures() -> Any:
+    """Return the module that draws; ModuleNotFoundError without the extra ``viz``."""
+    try:
+        return import_module("bsk_torch.viz.render.frames")
+    except ModuleNotFoundError as error:
+        raise ModuleNotFoundError(f"render() needs {error.name}: pip install 'bsk_torch[viz]'", name=error.name) from error
+
+
+def _counted(name: str, satellite: Satellite) -> Tensor:
+    counts = satellite.counts()
+    if name not in counts:
+        raise AttributeError(f"{satellite.name} does not count {name!r}")
+    return counts[name]

@@ -1,0 +1,221 @@
+"""States of environments: saving, restoring, and whether a saved one, or that of another environment, fits."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torch import Tensor
+
+from bsk_torch.env.episodes import Episodes, whole_limit
+from bsk_torch.env.guard import Origin
+from bsk_torch.sim.access.lookahead import LookAhead
+from bsk_torch.sim.fleet import Fleet, FleetState
+from bsk_torch.sim.satellite_state import SatelliteState
+from bsk_torch.sim.state import StateTable
+
+FORMAT = 4
+"""Format of saved states: 4 has planned positions every 30 s; 2 and 3 were those of development versions of release 0.2."""
+
+MADE_BY = "made_by"
+"""Key of a saved state under which :func:`fingerprint` stands, for each episode."""
+
+MEANING = (
+    "format of the state",
+    "length of a tick, ns",
+    "satellites, world or back end",
+    "actions, windows, or the type of numbers",
+)
+
+
+class Snapshots(Episodes):
+    """Part of an environment: what saves its present episodes and puts others into their place.
+
+    Attributes:
+        fingerprint: Numbers that must agree where states are exchanged; see :func:`fingerprint`.
+    """
+
+    fingerprint: Tensor
+
+    def get_state(self) -> TensorDict:
+        """Return a copy of everything that the future depends on, [N, ...]; see :meth:`restore`.
+
+        Raises:
+            ResetNeededError: For an episode that has not begun.
+        """
+        with self.guard:
+            self.guard.check_begun("get_state()")
+            return self._saved()
+
+    def _saved(self) -> TensorDict:
+        state = self.state.to_tensordict()
+        state[MADE_BY] = self.fingerprint.to(self.device).expand(self.num_envs, -1).clone()
+        return state
+
+    @torch.no_grad()
+    def restore(
+        self,
+        state: TensorDictBase | Mapping[str, Any] | Snapshots,
+        envs: Tensor | Sequence[int] | None = None,
+        source: Tensor | Sequence[int] | None = None,
+    ) -> None:
+        """Put the episodes ``source`` of a state into the episodes ``envs``; nothing changes if the state does not fit.
+
+        Args:
+            state: A state of :meth:`get_state`, also as nested dictionaries (``state.to_dict()``), or an environment of the same
+                make, whose present episodes are copied directly. Batch sizes may differ. Of a state, which may come from a file
+                that somebody else has written, every number that is used is checked.
+            envs: Episodes of this environment to be replaced, [n] indices; all unless given.
+            source: Episodes of the state, [n] indices, which may repeat; the same as ``envs`` unless given.
+
+        Raises:
+            KeyError, TypeError, ValueError: For something that is no state, that another make of environment has saved, or with
+                values that no environment has.
+            IndexError: For indices out of range, or of different numbers.
+            ResetNeededError: For episodes of another environment that have not begun.
+        """
+        with self.guard, state.guard if isinstance(state, Snapshots) else contextlib.nullcontext():
+            other, envs, source = self._fitting(state, envs, source)
+            begun = self.guard.replace()
+            for k, simulator in enumerate(self.fleet.simulators):
+                mine, theirs = simulator.lookahead, lookahead_of(other, k)
+                mine.grow_to(theirs.arcs.length)
+                try:
+                    theirs.grow_to(mine.arcs.length)
+                except (FloatingPointError, IndexError) as error:
+                    raise ValueError(
+                        f"'satellites_{k}.lookahead.arcs' of the saved state cannot be continued: {error}"
+                    ) from error
+            self.state.begun = begun.index_fill(0, envs, False)
+            self.state.copy_rows(envs, other, source)
+            self.scenario.begin_episodes(envs)
+            self.guard.begin(envs, begun)
+            if not isinstance(state, Snapshots):
+                self.guard.origin = Origin.RESTORED
+
+    def _fitting(self, state: Any, envs: Any, source: Any) -> tuple[FleetState, Tensor, Tensor]:
+        """Return the checked tables of a state, and the indices [n] of episodes to be replaced and of those that replace them."""
+        other: Any
+        if isinstance(state, Snapshots):
+            check_fingerprint(self.fingerprint, state.fingerprint.unsqueeze(0))
+            other = state.state
+        else:
+            other = over_saved(self.fleet, self.fingerprint, state)
+        envs = rows_of("envs", self.fleet.all_envs if envs is None else envs, self.num_envs, self.device)
+        source = rows_of("source", envs if source is None else source, other.num_envs, self.device)
+        if len(envs) != len(source):
+            raise IndexError(f"envs has {len(envs)} indices, source has {len(source)}; they must have equally many")
+        if len(envs.unique()) < len(envs):
+            raise IndexError(f"envs has indices {envs.tolist()!s:.60}; each may be there once only")
+        if isinstance(state, Snapshots):
+            state.guard.check_begun("restore(state)", torch.zeros_like(state.state.begun).index_fill(0, source, True))
+            return other, envs, source
+        rows = torch.arange(len(source), device=self.device)
+        used = other if torch.equal(source, other.all_rows) and not self._longer_than(other) else other.taken(source)
+        check_values(self.fleet, used)
+        return used, envs, rows
+
+    def _longer_than(self, other: StateTable) -> bool:
+        """Whether arcs of a saved state must grow, which writes into its tensors."""
+        lengths = ((s.lookahead.arcs.length, lookahead_of(other, k).arcs.length) for k, s in enumerate(self.fleet.simulators))
+        return any(mine > theirs for mine, theirs in lengths)
+
+    def get_extra_state(self) -> TensorDict | None:
+        """Part of ``state_dict``: see :meth:`get_state`; None before the first reset."""
+        return self._saved() if bool(self.state.begun.any()) else None
+
+    def set_extra_state(self, state: TensorDict | None) -> None:
+        """Part of ``load_state_dict``: restores the episodes that had begun."""
+        if state is not None:
+            begun = state.get("begun", None)
+            self.restore(state, None if begun is None else torch.nonzero(begun.reshape(-1)).squeeze(-1))
+
+
+def fingerprint(fleet: Fleet) -> Tensor:
+    """Return the numbers that must agree where states are exchanged: see :data:`MEANING`, [4] int64."""
+    make, use = hashlib.blake2b(digest_size=7), hashlib.blake2b(digest_size=7)
+    for simulator, group in zip(fleet.simulators, fleet.groups, strict=True):
+        tick, lookahead = simulator.tick, simulator.lookahead
+        structure = [list(layout.fields) for layout in (tick.state, tick.shared, tick.own)], simulator.mode_names, simulator.count
+        make.update(repr((structure, simulator.state.constants, lookahead.arcs.tail.shape[1])).encode())
+        make.update(simulator.uniform.cpu().numpy().tobytes())
+        access = None if lookahead.access is None else (lookahead.access.segment, lookahead.access.as_bsk_rl)
+        used = [group.actions.description, simulator.dtype, simulator.orbit, tick.stops, access]
+        used += [lookahead.follows, lookahead.arcs.restarts] if simulator.has_tank else []
+        use.update(repr(tuple(used)).encode())
+    digests = (int.from_bytes(digest.digest(), "big") for digest in (make, use))
+    return torch.tensor([FORMAT, fleet.simulators[0].h_ns, *digests])
+
+
+def over_saved(fleet: Fleet, mine: Tensor, state: Mapping[str, Any] | TensorDictBase) -> StateTable:
+    """Return the tables of a saved state for a fleet whose fingerprint is ``mine``; :func:`check_values` checks their rows.
+
+    Raises:
+        KeyError, TypeError, ValueError: For something that is no state, or that of another make of environment.
+    """
+    if not isinstance(state, Mapping | TensorDictBase):
+        raise TypeError(
+            f"state={state!r} must be a state of get_state(), as a TensorDict or nested dictionaries, or an environment"
+        )
+    names = set(state.keys())
+    if MADE_BY not in names:
+        raise ValueError(
+            "state was not saved by this release: it lacks the fingerprint of its environment. States of release 0.1 cannot be "
+            "restored; begin the episodes anew"
+        )
+    theirs = state[MADE_BY]
+    if not isinstance(theirs, Tensor) or theirs.dtype != torch.int64 or theirs.ndim != 2 or theirs.shape[1] < 1:
+        raise TypeError(f"{MADE_BY!r} of the saved state is {theirs!r}; it must be an int64 tensor with a row for each episode")
+    check_fingerprint(mine, theirs.cpu().unique(dim=0))
+    return fleet.state.over({name: state[name] for name in names - {MADE_BY}})
+
+
+def check_values(fleet: Fleet, saved: StateTable) -> None:
+    """Check all rows of saved tables.
+
+    Raises:
+        ValueError: For a value that no environment of this make has, or an episode that has not begun.
+    """
+    saved.refuse("begun", saved["begun"], ~saved["begun"], "such episodes have nothing to go on with")
+    saved.check()
+    et = lookahead_of(saved, 0).arcs.et.view(saved.num_envs, -1)[:, 0]
+    ticks, limit = whole_limit(saved["time_limit"], et, fleet.simulators[0].h_ns)
+    wrong = (ticks != saved["limit_ticks"]) | (limit != saved["time_limit"])
+    saved.refuse("limit_ticks", saved["limit_ticks"], wrong, "it must be that of 'time_limit', a whole number of ticks")
+    for k, simulator in enumerate(fleet.simulators):
+        table = saved.tables[f"satellites_{k}"]
+        assert isinstance(table, SatelliteState)
+        simulator.check_saved(table, f"satellites_{k}.")
+
+
+def lookahead_of(state: StateTable, part: int) -> LookAhead:
+    """Return the arcs and windows of type number ``part`` in the state of an environment."""
+    found = state.tables[f"satellites_{part}"].tables["lookahead"]
+    assert isinstance(found, LookAhead)
+    return found
+
+
+def check_fingerprint(mine: Tensor, theirs: Tensor) -> None:
+    """Raise ValueError that names the difference of two environments; ``theirs`` is [n, 4], or narrower in old formats."""
+    for part, meaning in enumerate(MEANING):
+        other = [int(value) for value in theirs[:, part] if value != mine[part]]
+        if other:
+            how = f": {other[0]}, not {int(mine[part])}" if part < 2 else ""
+            raise ValueError(f"state was saved by another make of environment; they differ in the {meaning}{how}")
+
+
+def rows_of(name: str, rows: Any, count: int, device: torch.device) -> Tensor:
+    """Return the indices of episodes that a caller gives as ``name``, [n] int64.
+
+    Raises:
+        IndexError: For anything but a list of indices from 0 to ``count`` - 1.
+    """
+    index = torch.as_tensor(rows, device=device)
+    listed = index.ndim == 1 and (not index.numel() or not (index.dtype == torch.bool or index.is_floating_point()))
+    if not listed or (len(index) and (int(index.min()) < 0 or int(index.max()) >= count)):
+        raise IndexError(f"{name} has indices {index.tolist()!s:.60}; they must be a list of numbers from 0 to {count - 1}")
+    return index.long()
