@@ -2,7 +2,6 @@
 
 from bsk_torch import act, comm, data, formations, obs, rand, sats, scene
 from bsk_torch._bsk_rl import install as _install_bsk_rl
-from bsk_torch._deprecated import install as _install_deprecated
 from bsk_torch.env import NO_ACTION, ConstellationTasking, GeneralSatelliteTasking, SatelliteTasking
 from bsk_torch.presets import make
 from bsk_torch.sim import dyn, fsw
@@ -10,7 +9,6 @@ from bsk_torch.wrappers.registration import register as _register
 
 __version__ = "0.1.0"
 
-_install_deprecated()
 _install_bsk_rl()
 _register()
 

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
-from bsk_torch._deprecated import deprecated_names
 from bsk_torch.act.base import Action, ActionTable, Decision
 from bsk_torch.act.broadcast import Broadcast
 from bsk_torch.act.continuous import ContinuousAction, HybridAction
@@ -38,6 +35,3 @@ __all__ = [
     "forbid",
     "image_target",
 ]
-
-if not TYPE_CHECKING:
-    __getattr__ = deprecated_names(__name__)

@@ -9,7 +9,6 @@ import torch
 from torch import Tensor
 
 from bsk_torch._checks import number, text
-from bsk_torch._deprecated import deprecated_names
 from bsk_torch.sim.hooks import check_class, check_tensor, defined_first, overrides
 
 if TYPE_CHECKING:
@@ -404,7 +403,3 @@ def _link(entry: Action, satellite: Satellite) -> None:
     names = entry.names()
     if len(names) != entry.n_actions or isinstance(names, str):
         raise ValueError(f"{title}.names() returns {names!r}; it must return n_actions={entry.n_actions} names")
-
-
-if not TYPE_CHECKING:
-    __getattr__ = deprecated_names(__name__)

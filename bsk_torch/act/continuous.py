@@ -9,7 +9,6 @@ import torch
 from torch import Tensor
 
 from bsk_torch._checks import text
-from bsk_torch._deprecated import deprecated_names
 from bsk_torch.act.base import BSK_RL, Action, Decision
 from bsk_torch.sim.hooks import check_class
 
@@ -148,7 +147,3 @@ def is_continuous(entry: Any) -> bool:
     if not isinstance(entry, Action | ContinuousAction):
         raise ValueError(f"action_spec holds {entry!r}, which is no action; write act.Charge(), with parentheses")
     return isinstance(entry, ContinuousAction)
-
-
-if not TYPE_CHECKING:
-    __getattr__ = deprecated_names(__name__)

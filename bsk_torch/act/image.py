@@ -8,7 +8,6 @@ import torch
 from torch import Tensor
 
 from bsk_torch._checks import switch, whole
-from bsk_torch._deprecated import deprecated_names
 from bsk_torch.act.base import Action, Decision, positive_duration
 from bsk_torch.sim.access.places import place_positions
 
@@ -135,7 +134,3 @@ class Image(Action):
         memory = self.satellite.simulator.memory
         closed = mask & ~event & (decision.duration < self.max_duration) & (decision.key != NO_TARGET)
         memory["missed"] = memory["missed"] + closed
-
-
-if not TYPE_CHECKING:
-    __getattr__ = deprecated_names(__name__)

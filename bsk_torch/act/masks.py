@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import lru_cache
-from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
 
-from bsk_torch._deprecated import deprecated_names
 from bsk_torch.sim.params import nearest
 
 
@@ -42,7 +40,3 @@ def _is_named(actions: tuple[str, ...], names: tuple[str, ...], device: torch.de
         if name not in actions:
             raise ValueError(f"{name!r} is not one of the actions; {nearest(name, actions)}")
     return torch.tensor([action in names for action in actions], device=device)
-
-
-if not TYPE_CHECKING:
-    __getattr__ = deprecated_names(__name__)

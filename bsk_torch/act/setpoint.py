@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import torch
 from torch import Tensor
 
 from bsk_torch._checks import number
-from bsk_torch._deprecated import deprecated_names
 from bsk_torch.act.base import Decision
 from bsk_torch.act.continuous import ContinuousAction
 from bsk_torch.sim.fsw.setpoint import ATTITUDE_MRP, AttitudeSetpointFSWModel
@@ -45,7 +42,3 @@ class AttitudeSetpoint(ContinuousAction):
     def begin(self, mask: Tensor, decision: Decision) -> None:
         """See :meth:`ContinuousAction.begin`: set the reference."""
         self.satellite.simulator.write("sigma_RN", mask, decision.command)
-
-
-if not TYPE_CHECKING:
-    __getattr__ = deprecated_names(__name__)

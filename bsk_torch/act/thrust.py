@@ -9,7 +9,6 @@ import torch
 from torch import Tensor
 
 from bsk_torch._checks import number, text
-from bsk_torch._deprecated import deprecated_names
 from bsk_torch.act.base import Decision
 from bsk_torch.act.continuous import ContinuousAction
 from bsk_torch.astro.orbit import hill_frame
@@ -193,7 +192,3 @@ class ImpulsiveThrustHill(ImpulsiveThrust):
             for name in ("r_BN_N", "v_BN_N")
         )
         return r_CN_N, v_CN_N
-
-
-if not TYPE_CHECKING:
-    __getattr__ = deprecated_names(__name__)

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 import torch
 from torch import Tensor
 
-from bsk_torch._deprecated import warn_deprecated
 from bsk_torch.data.base import GlobalReward, Log
 from bsk_torch.data.unique_images import Known, UniqueImageData, UniqueImages
 from bsk_torch.sim.hooks import check_class, check_tensor
@@ -79,11 +78,6 @@ class ImageReward(GlobalReward):
         target = self.fleet.each(lambda satellite: satellite.latest_target, missing=-1)
         taken = (after["partition"] > before["partition"]) & (target >= 0)
         return self.value(target.clamp(min=0), taken)
-
-    def of(self, table: Tensor, target: Tensor) -> Tensor:
-        """Return ``table.gather(1, target)``; deprecated."""
-        warn_deprecated("ImageReward.of(table, target)", "table.gather(1, target)")
-        return table.gather(1, target)
 
     def taken_by_any(self, target: Tensor, taken: Tensor, targets: int) -> Tensor:
         """Return the targets that at least one satellite has imaged in the step, [N, T] bool with T = ``targets``."""

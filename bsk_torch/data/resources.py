@@ -9,7 +9,6 @@ import torch
 from torch import Tensor
 
 from bsk_torch._checks import number
-from bsk_torch._deprecated import warn_deprecated
 from bsk_torch.data.base import GlobalReward, Log
 from bsk_torch.rand import Distribution, Key, seeded
 from bsk_torch.sats.user_function import UserFunction
@@ -48,9 +47,6 @@ class ResourceReward(GlobalReward):
             TypeError: For a ``resource_fn`` that is no function.
             ValueError: For a weight that is neither a finite number, a distribution nor a function.
         """
-        if callable(reward_weight) and not isinstance(reward_weight, Distribution) and not callable(resource_fn):
-            warn_deprecated("ResourceReward(resource_fn, reward_weight)", "ResourceReward(reward_weight, resource_fn)")
-            reward_weight, resource_fn = 1.0 if resource_fn is None else resource_fn, reward_weight
         if not callable(resource_fn):
             raise TypeError(f"resource_fn={resource_fn!r} must be a function of the satellite")
         if not callable(reward_weight) and not isinstance(reward_weight, Distribution):

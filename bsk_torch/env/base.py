@@ -14,7 +14,6 @@ from torch import Tensor
 from torchrl.data import Categorical, Composite, Unbounded
 from torchrl.envs import EnvBase
 
-from bsk_torch._deprecated import deprecated_attributes
 from bsk_torch.comm import CommunicationMethod, NoCommunication
 from bsk_torch.data import checked, totals
 from bsk_torch.data.base import GlobalReward, NoReward
@@ -63,7 +62,6 @@ class StepResult(NamedTuple):
     removed: Tensor
 
 
-@deprecated_attributes
 class Tasking(Present, MadeOfArguments):
     """N independent episodes with S satellites each. Subclasses define agents: their actions, observations and rewards."""
 

@@ -83,7 +83,6 @@ class SatelliteGroup:
         self.dynamics, self.fsw = satellite.dyn_type(self.simulator), satellite.fsw_type(self.simulator)
         self.dynamics.satellite = self.fsw.satellite = self.satellite
         self.satellite.on_bind()
-        self.satellite.equip()
         self.actions = action_builder(copy.deepcopy(list(satellite.action_spec)), self.satellite)
         self.actions.declare(self.task)
         self.observations = ObservationBuilder(copy.deepcopy(list(satellite.observation_spec)), self.satellite)

@@ -12,7 +12,6 @@ import torch
 from torch import Tensor
 
 from bsk_torch._checks import switch, text
-from bsk_torch._deprecated import deprecated_attributes, warn_deprecated
 from bsk_torch.sats.dtypes import as_dtype
 from bsk_torch.sats.hooks import check_satellite
 from bsk_torch.sats.one import OneSatellite
@@ -118,7 +117,6 @@ class Group(Protocol):
         """Satellites that have left their episodes, [N]."""
 
 
-@deprecated_attributes
 class Satellite:
     """An agent. Subclasses set ``observation_spec``, ``action_spec``, ``dyn_type`` and ``fsw_type``.
 
@@ -138,8 +136,6 @@ class Satellite:
         super().__init_subclass__(**options)
         check_satellite(cls, Satellite)
         cls._compose_models()
-        if cls.equip is not Satellite.equip:
-            warn_deprecated(f"{cls.__name__}.equip", f"{cls.__name__}.on_bind")
 
     def __init__(
         self,
@@ -230,9 +226,6 @@ class Satellite:
 
     def on_bind(self) -> None:
         """Declare memory and the like; called once on the copy in an environment, before actions and observations are linked."""
-
-    def equip(self) -> None:
-        """Old name of :meth:`on_bind`, after which an environment calls it; deprecated."""
 
     def note_events(self, event: Tensor) -> None:
         """Record the events of a run: ``event`` [N] is true where one ended the actions that wait for it."""

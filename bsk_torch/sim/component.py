@@ -14,13 +14,12 @@ import functools
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import torch
 from torch import Tensor
 
 from bsk_torch.constants import NANO
-from bsk_torch.sim.names import RENAMED, current_name
 from bsk_torch.sim.schedule import SCHEDULE, Schedule
 from bsk_torch.vec3 import Vec3
 
@@ -47,14 +46,13 @@ class Bus:
         self.h_ns, self.h, self.dtype, self.opaque_field = h_ns, h_ns * NANO, dtype, opaque_field
 
     def __getattr__(self, name: str) -> Any:
-        """Read an old name; MissingMessageError for a name that no component has written."""
-        if name in RENAMED:
-            return getattr(self, current_name(name))
+        """Raise a MissingMessageError: no component has written ``name``."""
         raise MissingMessageError(f"no component has written {name!r} to the bus before it is read", name=name, obj=self)
 
-    def __setattr__(self, name: str, value: Any) -> None:
-        """Write a message; one with an old name goes where the present one does."""
-        object.__setattr__(self, current_name(name), value)
+    if TYPE_CHECKING:  # components write messages as attributes
+
+        def __setattr__(self, name: str, value: Any) -> None:
+            """Write a message."""
 
     def has(self, name: str) -> bool:
         """Return whether some component has written ``name``."""
@@ -141,11 +139,6 @@ class Field:
     exact: bool = False
     limit: float = 1e15
     vectors: bool = False
-
-    def __post_init__(self) -> None:
-        """Refuse a name that means another field for as long as names of earlier releases work."""
-        if self.name in RENAMED:
-            raise ValueError(f"a field cannot be called {self.name!r}, the old name of {RENAMED[self.name]!r}; use another name")
 
 
 def vec(name: str, unit: str = "", doc: str = "", exact: bool = False) -> Field:

@@ -8,7 +8,6 @@ from typing import Any, NamedTuple, Protocol
 import torch
 from torch import Tensor
 
-from bsk_torch._deprecated import deprecated_attributes
 from bsk_torch.rand import Key
 from bsk_torch.sim.encounters import NOBODY, EncounterPairs, Encounters
 from bsk_torch.sim.flight import FlightObserver, Following, StopCondition, fly
@@ -94,7 +93,6 @@ class Group(Protocol):
         """Cancel the tasks of ``rows`` [N], a mask."""
 
 
-@deprecated_attributes
 class Fleet:
     """The satellites of ``num_envs`` episodes, S in each, simulated type by type.
 

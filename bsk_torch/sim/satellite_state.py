@@ -12,7 +12,6 @@ from torch import Tensor
 from bsk_torch.constants import NANO
 from bsk_torch.sim.access.lookahead import LookAhead
 from bsk_torch.sim.component import Layout
-from bsk_torch.sim.names import current_name
 from bsk_torch.sim.params import nearest
 from bsk_torch.sim.state import StateTable, look_up
 
@@ -146,7 +145,7 @@ class SatelliteState(StateTable):
 
     def read(self, name: str) -> Tensor:
         """Return a field of the components, [rows] or [rows, width]; KeyError for a name that none declares."""
-        view = self.layout.view(self.planes, self._known(current_name(name)))
+        view = self.layout.view(self.planes, self._known(name))
         return view.mT.clone() if view.ndim == 2 else view.clone()
 
     def write(self, name: str, rows: Tensor, value: Tensor) -> None:
@@ -156,7 +155,6 @@ class SatelliteState(StateTable):
             KeyError: For a name that no component declares.
             ValueError: For a field that every tick computes anew, so that what is written is lost.
         """
-        name = current_name(name)
         if name in self.overwritten:
             raise ValueError(f"write({name!r}) would be lost in the next tick: {self.overwritten[name]}")
         where = self.layout.slices[self._known(name)]

@@ -13,7 +13,6 @@ import torch
 from torch import Tensor
 
 from bsk_torch._checks import number
-from bsk_torch._deprecated import deprecated_attributes
 from bsk_torch.codegen.kernel import Kernel, Samples
 from bsk_torch.constants import NANO
 from bsk_torch.rand import Key, first_key
@@ -107,7 +106,6 @@ def checked_runners(start: tuple[Tensor, Tensor, Tensor], tick: Tick, backend: s
     return runners
 
 
-@deprecated_attributes
 class Simulator:
     """The simulation of the satellites of one type in ``num_envs`` environments, ``count`` of them in each.
 

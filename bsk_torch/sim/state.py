@@ -11,14 +11,11 @@ from __future__ import annotations
 import copy
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from numbers import Real
-from typing import Any, TypeVar, cast
+from typing import Any, TypeVar
 
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
-
-from bsk_torch._deprecated import warn_deprecated
 
 Table = TypeVar("Table", bound="StateTable")
 
@@ -114,23 +111,17 @@ class StateTable:
         """Set the smallest and the largest value that a state which is restored may hold in a declared field."""
         self.fields[name] = replace(self.fields[name], low=low, high=high)
 
-    def add(self, name: str, table: StateTable | float, *shape: int, dtype: torch.dtype = torch.int64) -> None:
+    def add(self, name: str, table: StateTable) -> None:
         """Add a table of the same episodes.
 
         Args:
             name: Name of the table.
-            table: The table. A number is deprecated: it is the initial value of a tensor, which :meth:`declare` adds.
-            *shape: Dimensions of that tensor behind the rows.
-            dtype: Type of that tensor.
+            table: The table.
 
         Raises:
-            TypeError: For something that is neither a table nor a number.
+            TypeError: For something that is no table.
             ValueError: For a name that is taken, or a table of other episodes.
         """
-        if isinstance(table, Real):
-            warn_deprecated("memory.add(name, initial)", "memory.declare(name, initial)")
-            self.declare(name, cast(float, table), *shape, dtype=dtype)
-            return
         if not isinstance(table, StateTable):
             raise TypeError(f"table={table!r} must be a StateTable; declare(name, initial) adds a tensor")
         if name in self.fields or name in self.tables:

@@ -7,9 +7,8 @@ to it.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
-from bsk_torch._deprecated import deprecated_names
 from bsk_torch.sim.argument_table import ArgumentTable
 from bsk_torch.sim.component import Component, collect
 from bsk_torch.sim.environment import world as environment
@@ -77,7 +76,3 @@ class GroundStationWorldModel(WorldModel):
 
     components: ClassVar[tuple[Component, ...]] = (environment.GROUND_STATIONS,)
     only_where_required: ClassVar[bool] = True
-
-
-if not TYPE_CHECKING:
-    __getattr__ = deprecated_names(__name__)

@@ -87,15 +87,10 @@ def test_a_fixed_weight_is_observed_too():
     assert torch.allclose(step(env)["reward"], torch.full((2, 1), 180.0, dtype=torch.float64))
 
 
-def test_the_order_of_earlier_releases_is_deprecated():
-    with pytest.warns(DeprecationWarning, match=r"ResourceReward\(reward_weight, resource_fn\)"):
-        old = data.ResourceReward(elapsed, -1.0)
-    assert (old.resource_fn, old.weight) == (elapsed, -1.0)
-
-
 @pytest.mark.parametrize(
     ("call", "error", "words"),
     [
+        (lambda: data.ResourceReward(elapsed, -1.0), TypeError, "resource_fn=-1.0 must be a function of the satellite"),
         (lambda: data.ResourceReward(2.0), TypeError, "resource_fn=None must be a function of the satellite"),
         (lambda: make(2, data.NoReward()), ValueError, "'resource_reward_weight' observes weights .* a NoReward, does not have"),
         (lambda: make(2, data.ResourceReward(2.0, elapsed)), ValueError, "'half' has 2 norms for 1 weights"),

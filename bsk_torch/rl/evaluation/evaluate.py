@@ -5,14 +5,13 @@ from __future__ import annotations
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
-from bsk_torch._deprecated import deprecated_names
 from bsk_torch.env import ConstellationTasking, SatelliteTasking, Tasking
 from bsk_torch.env.rollout import Policy, play_episodes
 from bsk_torch.rand import Key
@@ -215,7 +214,3 @@ def _joined(values: list[Any]) -> Any:
     if isinstance(values[0], dict):
         return {name: _joined([value[name] for value in values]) for name in values[0]}
     return None if values[0] is None else torch.cat(values)
-
-
-if not TYPE_CHECKING:
-    __getattr__ = deprecated_names(__name__)

@@ -1,8 +1,5 @@
 """Training of constellations: MAPPO and IPPO, and policies that satellites share."""
 
-from typing import TYPE_CHECKING
-
-from bsk_torch._deprecated import deprecated_names
 from bsk_torch.rl.marl.mappo import MAPPOConfig, MAPPOTraining
 from bsk_torch.rl.marl.runs import ALGORITHMS, configure_run, read_config, training_of
 from bsk_torch.rl.policies.shared_policy import SharedPolicy, member_view, shared, shared_baseline, shared_baselines
@@ -20,6 +17,3 @@ __all__ = [
     "shared_baselines",
     "training_of",
 ]
-
-if not TYPE_CHECKING:
-    __getattr__ = deprecated_names(__name__)

@@ -16,7 +16,7 @@ import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import torch
 from tensordict import TensorDict, TensorDictBase
@@ -26,7 +26,6 @@ from torchrl.modules import MaskedCategorical, ProbabilisticActor, ValueOperator
 from torchrl.objectives import IPPOLoss, MAPPOLoss
 from torchrl.objectives.value import MultiAgentGAE
 
-from bsk_torch._deprecated import deprecated_names
 from bsk_torch.env import ConstellationTasking, SatelliteTasking
 from bsk_torch.env.agents import AGENTS
 from bsk_torch.rl.evaluation.evaluate import Evaluation, evaluate
@@ -412,7 +411,3 @@ class MAPPOTraining(Training):
 
     def fill(self, batch: TensorDictBase) -> None:
         """Satellites of a constellation are not followed one by one."""
-
-
-if not TYPE_CHECKING:
-    __getattr__ = deprecated_names(__name__)

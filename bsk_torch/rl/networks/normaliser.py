@@ -4,14 +4,11 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import torch
 from tensordict import NestedKey, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor, nn
-
-from bsk_torch._deprecated import deprecated_names
 
 OWN, ROWS, MASK = ("seen", "own"), ("seen", "rows"), ("seen", "mask")
 """Keys of normalised observations: the satellite's own [..., D], rows of targets [..., K, F], and a mask of rows [..., K]."""
@@ -117,7 +114,3 @@ class SetNormaliser(ObservationNormaliser):
         tensordict.set(OWN, self.own(self._join(tensordict)))
         tensordict.set(ROWS, self.rows(tensordict[self.rows_key]))
         return tensordict.set(MASK, tensordict[self.mask_key].bool())
-
-
-if not TYPE_CHECKING:
-    __getattr__ = deprecated_names(__name__)

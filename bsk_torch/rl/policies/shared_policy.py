@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any, cast
 
 import torch
 from tensordict import NestedKey, TensorDictBase
 from tensordict.nn import TensorDictModuleBase, TensorDictSequential
 from torchrl.data import Binary, Composite
 
-from bsk_torch._deprecated import deprecated_names
 from bsk_torch.env import NO_ACTION, ConstellationTasking, SatelliteTasking, Tasking
 from bsk_torch.env.agents import AGENTS, Group
 from bsk_torch.rl.rules.baselines import BASELINES, random_policy
@@ -209,7 +208,3 @@ def shared_baselines(env: Tasking, seed: int = 0) -> dict[str, TensorDictModuleB
         with suppress(KeyError, ValueError):  # a rule for other observations or actions
             fitting[name] = shared_baseline(name, env, seed)
     return fitting
-
-
-if not TYPE_CHECKING:
-    __getattr__ = deprecated_names(__name__)

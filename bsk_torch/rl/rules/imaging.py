@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import torch
 from tensordict.nn import TensorDictModule
 from torch import Tensor
 
-from bsk_torch._deprecated import deprecated_names
 from bsk_torch.env import SatelliteTasking
 from bsk_torch.rl.rules.targets import Observation, TargetReader, image_actions, read
 
@@ -94,7 +92,3 @@ def imaging_rule(worth: Worth) -> Callable[[SatelliteTasking, int], TensorDictMo
         return TensorDictModule(rule.decide, in_keys=["observation", "action_mask"], out_keys=["action"])
 
     return make
-
-
-if not TYPE_CHECKING:
-    __getattr__ = deprecated_names(__name__)

@@ -10,9 +10,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from importlib.util import find_spec
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any, cast
 
-from bsk_torch._deprecated import deprecated_names
 from bsk_torch.files import write_file
 
 logger = logging.getLogger(__name__)
@@ -197,7 +196,3 @@ def read_log(path: Path) -> dict[str, list[float]]:
     if header and not {"frames", "seconds"} <= set(header):
         raise ValueError(f"{str(path)!r} is no log of a training: it has no columns 'frames' and 'seconds'")
     return {name: [float(row[k]) for row in rows] for k, name in enumerate(header)} if rows else {}
-
-
-if not TYPE_CHECKING:
-    __getattr__ = deprecated_names(__name__)

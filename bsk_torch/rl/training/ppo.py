@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import torch
 from tensordict import TensorDictBase
@@ -17,7 +17,6 @@ from torchrl.data import LazyTensorStorage, ReplayBuffer, SamplerWithoutReplacem
 from torchrl.modules import set_recurrent_mode
 from torchrl.objectives import ClipPPOLoss
 
-from bsk_torch._deprecated import deprecated_names
 from bsk_torch.env import SatelliteTasking
 from bsk_torch.rl.networks.plans import INIT, MEMORY, NORMALISER, PLANS, Networks, Plan
 from bsk_torch.rl.policies.files import save_policy
@@ -164,7 +163,3 @@ class Learner:
     def imitation_loss(self, sample: TensorDictBase) -> Tensor:
         """See :func:`~bsk_torch.rl.training.imitation.imitation_loss`."""
         return imitation_loss(self.networks.actor, sample)
-
-
-if not TYPE_CHECKING:
-    __getattr__ = deprecated_names(__name__)

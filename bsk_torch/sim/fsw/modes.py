@@ -12,7 +12,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 
 from bsk_torch.sim.component import Component
-from bsk_torch.sim.names import current_name, nearest
+from bsk_torch.sim.names import nearest
 
 
 @dataclass(frozen=True)
@@ -27,10 +27,9 @@ class Mode:
     resets: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Take old names of fields for the present ones; ValueError for a string in place of a tuple of flags."""
+        """Raise a ValueError for a string in place of a tuple of flags."""
         if isinstance(self.on, str):
             raise ValueError(f"on={self.on!r} must be a tuple of flags: write on=({self.on!r},)")
-        object.__setattr__(self, "resets", {current_name(name): value for name, value in self.resets.items()})
 
 
 @dataclass(frozen=True)

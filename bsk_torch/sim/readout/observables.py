@@ -22,7 +22,6 @@ from bsk_torch.codegen.kernel import Kernel
 from bsk_torch.codegen.trace import Tracer
 from bsk_torch.sim.component import Bus, MissingMessageError, neighbours
 from bsk_torch.sim.environment.ephemeris import EPHEMERIS_TRACK, ephemeris_at
-from bsk_torch.sim.names import RENAMED, current_name
 from bsk_torch.sim.orbit.arcs import Arcs
 from bsk_torch.sim.satellite_state import SatelliteState
 from bsk_torch.vec3 import Mat3, Vec3
@@ -63,9 +62,7 @@ class Now:
         return self._ephemeris()
 
     def __getattr__(self, name: str) -> Any:
-        """Read an old name; MissingMessageError for a name that the state lacks."""
-        if name in RENAMED:
-            return getattr(self, current_name(name))
+        """Raise a MissingMessageError: the state has no field ``name``."""
         raise MissingMessageError(f"the satellite has no state {name!r}", name=name)
 
     @functools.cached_property

@@ -7,14 +7,12 @@ from typing import Any
 
 from torch import Tensor
 
-from bsk_torch._deprecated import deprecated_attributes
 from bsk_torch.astro.ephemeris import EARTH_ROTATION_RATE, earth_orientation, sun_position, sun_state
 from bsk_torch.sim.environment.ephemeris import pole_matrix
 from bsk_torch.sim.orbit.arcs import Arcs
 from bsk_torch.sim.satellite_state import SatelliteState
 
 
-@deprecated_attributes
 class World:
     """Sun, Earth and ground stations at the present time of each environment."""
 
