@@ -7,7 +7,7 @@ from bsk_torch.presets import make
 from bsk_torch.sim import dyn, fsw
 from bsk_torch.wrappers.registration import register as _register
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 _install_bsk_rl()
 _register()

@@ -196,11 +196,6 @@ class Arguments:
         return self._given[0]
 
     @property
-    def all_given(self) -> list[Any]:
-        """Values of all arguments of all satellites."""
-        return [value for k, values in enumerate(self._given) for name in values for value in self._values_of(k, name)]
-
-    @property
     def calls_user(self) -> bool:
         """Whether a function of the user is called for each episode."""
         return any(self._asked)

@@ -6,7 +6,7 @@ import torch
 import bsk_torch
 from bsk_torch.presets import PRESETS
 from bsk_torch.rl.evaluation.evaluate import evaluate
-from bsk_torch.rl.policies.files import read_card
+from bsk_torch.rl.policies.files import SAME_EPISODES, read_card
 from bsk_torch.rl.policies.pretrained import FOLDER, makings, pretrained, pretrained_file
 from bsk_torch.rl.policies.shared_policy import shared
 
@@ -32,6 +32,10 @@ def test_a_pretrained_policy_has_its_score(preset):
 
 def test_every_preset_has_one():
     assert set(makings()) == set(PRESETS)
+
+
+def test_all_are_of_releases_with_the_same_episodes():
+    assert {read_card(file)["bsk_torch"] for file in FOLDER.glob("*.pt")} | {bsk_torch.__version__} <= set(SAME_EPISODES)
 
 
 def test_what_made_them_is_noted():

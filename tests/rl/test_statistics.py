@@ -22,11 +22,6 @@ def test_one_sample_has_no_finite_interval():
     assert confidence(torch.ones(1)).half_width == float("inf")
 
 
-def test_intervals_overlap_when_they_touch():
-    assert Estimate(1.0, 0.25).overlaps(Estimate(1.5, 0.25))
-    assert not Estimate(1.0, 0.25).overlaps(Estimate(1.75, 0.25))
-
-
 @pytest.mark.parametrize(("successes", "trials", "bounds"), [(81, 263, (0.2553, 0.3662)), (0, 20, (0.0, 0.1611))])
 def test_wilson_interval_of_worked_examples(successes, trials, bounds):
     # R. G. Newcombe, Statistics in Medicine 17 (1998), table I: to four digits

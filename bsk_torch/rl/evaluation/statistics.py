@@ -19,10 +19,6 @@ class Estimate:
         """Mean and half width, to three decimals."""
         return f"{self.mean:.3f} ± {self.half_width:.3f}"
 
-    def overlaps(self, other: Estimate) -> bool:
-        """Whether the two intervals have a point in common."""
-        return abs(self.mean - other.mean) <= self.half_width + other.half_width
-
 
 def mean(samples: Tensor) -> float:
     """Mean of numbers or booleans, in float64."""

@@ -29,6 +29,9 @@ CARD = {"bsk_torch", "preset", "options"}
 NETWORK = {"network", "plan", NORMALISER, ACTOR}
 """Entries that describe the networks of one group."""
 
+SAME_EPISODES = ("0.1.0", "0.2.0")
+"""Releases whose presets give the same actions the same results: a policy trained with one is as good with the others."""
+
 LOGS = ("log_level", "log_dir", "log_envs")
 """Options that are neither kept in files nor taken from them: whoever makes a file must not choose where others write."""
 
@@ -153,7 +156,7 @@ def check_fits(card: Mapping[str, Any], env: Tasking, preset: str | None = None)
             theirs, ours = (", ".join(f"{name}={values[name]}" for name in differing) for values in (known, here))
             of_group = f" in group {group}" if len(parts) > 1 else ""
             raise ValueError(f"the policy was trained for {trained} with {theirs}{of_group}; {where} has {ours}")
-    if card["bsk_torch"] != __version__:
+    if card["bsk_torch"] not in SAME_EPISODES:
         logger.warning("the policy is of bsk_torch %s; this is %s", card["bsk_torch"], __version__)
 
 
