@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from bsk_torch.rl.evaluation.statistics import Estimate, confidence, mean, student_quantile, wilson
+from bsk_torch.rl.evaluation.statistics import confidence, mean, student_quantile, wilson
 
 
 @pytest.mark.parametrize(("freedom", "expected"), [(9, 2.26216), (20, 2.08596), (255, 1.96931)])
