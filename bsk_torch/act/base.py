@@ -12,7 +12,7 @@ from bsk_torch._checks import number, text
 from bsk_torch.sim.hooks import check_class, check_tensor, defined_first, overrides
 
 if TYPE_CHECKING:
-    from bsk_torch.sats.satellite import Satellite
+    from bsk_torch.sats.bound import BoundSatellite
     from bsk_torch.sim.fsw.models import FSWModel
     from bsk_torch.sim.state import StateTable
 
@@ -130,7 +130,7 @@ class Action:
     """
 
     n_actions: int = 1
-    satellite: Any
+    satellite: BoundSatellite
     fsw_type: type[FSWModel] | None = None
 
     def __init__(self, name: str) -> None:
@@ -144,7 +144,7 @@ class Action:
             raise TypeError(f"{cls.__name__} defines both table() and decide(), of which one would never be called; define one")
         check_class(cls, Action, HOOKS, UNUSED)
 
-    def link_satellite(self, satellite: Satellite) -> None:
+    def link_satellite(self, satellite: BoundSatellite) -> None:
         """Prepare for a satellite; called once when an environment is built.
 
         Overriding methods call ``super().link_satellite(satellite)`` first, and raise ValueError for a satellite that lacks
@@ -206,7 +206,7 @@ class ActionBuilder:
         n_negative_actions: Number of negative actions that are legal beside the action space.
     """
 
-    def __init__(self, spec: Sequence[Action], satellite: Satellite) -> None:
+    def __init__(self, spec: Sequence[Action], satellite: BoundSatellite) -> None:
         """Link every entry to the satellite.
 
         Raises:
@@ -385,14 +385,14 @@ def _merged(mask: Tensor, new: Decision, old: Decision) -> Decision:
     return Decision(*(torch.where(mask, mine, other) for mine, other in pairs))
 
 
-def link_entry(entry: Any, satellite: Satellite) -> None:
+def link_entry(entry: Any, satellite: BoundSatellite) -> None:
     """Link an entry of an ``action_spec``; TypeError for one that was not linked."""
     entry.link_satellite(satellite)
     if getattr(entry, "satellite", None) is not satellite:
         raise TypeError(f"{type(entry).__name__}.link_satellite(satellite) must call super().link_satellite(satellite)")
 
 
-def _link(entry: Action, satellite: Satellite) -> None:
+def _link(entry: Action, satellite: BoundSatellite) -> None:
     """Link an entry; raise for one that was not linked, or whose numbers and names of actions do not fit together."""
     title = type(entry).__name__
     link_entry(entry, satellite)

@@ -10,7 +10,7 @@ from torch import Tensor
 from bsk_torch.act.base import LONGEST, Action, Decision, positive_duration
 
 if TYPE_CHECKING:
-    from bsk_torch.sats.satellite import Satellite
+    from bsk_torch.sats.bound import BoundSatellite
 
 PENDING = "broadcast_pending"
 """Name of the value in ``simulator.memory`` that marks satellites with an unsent message, [N] bool."""
@@ -29,7 +29,7 @@ class Broadcast(Action):
         super().__init__(name)
         self.duration = positive_duration("duration", duration, name, LONGEST)
 
-    def link_satellite(self, satellite: Satellite) -> None:
+    def link_satellite(self, satellite: BoundSatellite) -> None:
         """See :meth:`Action.link_satellite`."""
         super().link_satellite(satellite)
         if PENDING not in satellite.simulator.memory:

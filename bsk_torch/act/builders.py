@@ -13,13 +13,13 @@ from bsk_torch.act.continuous import ContinuousAction, HybridAction, is_continuo
 from bsk_torch.sim.hooks import check_tensor, overrides
 
 if TYPE_CHECKING:
-    from bsk_torch.sats.satellite import Satellite
+    from bsk_torch.sats.bound import BoundSatellite
     from bsk_torch.sim.state import StateTable
 
 LARGEST = torch.finfo(torch.float64).max
 
 
-def action_builder(spec: Sequence[Any], satellite: Satellite) -> ActionBuilder | ContinuousBuilder:
+def action_builder(spec: Sequence[Any], satellite: BoundSatellite) -> ActionBuilder | ContinuousBuilder:
     """Return the action space of an ``action_spec``.
 
     Raises:
@@ -55,7 +55,7 @@ class ContinuousBuilder:
 
     n_negative_actions = 0
 
-    def __init__(self, entry: ContinuousAction, satellite: Satellite) -> None:
+    def __init__(self, entry: ContinuousAction, satellite: BoundSatellite) -> None:
         """Link the entry to the satellite.
 
         Raises:

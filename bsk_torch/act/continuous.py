@@ -13,7 +13,7 @@ from bsk_torch.act.base import BSK_RL, Action, Decision
 from bsk_torch.sim.hooks import check_class
 
 if TYPE_CHECKING:
-    from bsk_torch.sats.satellite import Satellite
+    from bsk_torch.sats.bound import BoundSatellite
     from bsk_torch.sim.fsw.models import FSWModel
 
 HOOKS = ("link_satellite", "bounds", "names", "decide", "begin", "end", "choices", "mask")
@@ -54,7 +54,7 @@ class ContinuousAction:
         fsw_type: Flight software that the action adds to that of the satellite; None for nothing.
     """
 
-    satellite: Any
+    satellite: BoundSatellite
     given_dtype: Any = torch.float64
     fsw_type: type[FSWModel] | None = None
 
@@ -67,7 +67,7 @@ class ContinuousAction:
         super().__init_subclass__(**options)
         check_class(cls, ContinuousAction, [hook for hook in HOOKS if hook in vars(ContinuousAction)], UNUSED)
 
-    def link_satellite(self, satellite: Satellite) -> None:
+    def link_satellite(self, satellite: BoundSatellite) -> None:
         """Prepare for a satellite; called once when an environment is built.
 
         Overriding methods call ``super().link_satellite(satellite)`` first, and raise ValueError for a satellite that lacks

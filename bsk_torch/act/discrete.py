@@ -10,7 +10,7 @@ from bsk_torch._checks import switch, text
 from bsk_torch.act.base import LONGEST, Action, ActionTable, positive_duration
 
 if TYPE_CHECKING:
-    from bsk_torch.sats.satellite import Satellite
+    from bsk_torch.sats.bound import BoundSatellite
 
 
 class DiscreteFSWAction(Action):
@@ -35,7 +35,7 @@ class DiscreteFSWAction(Action):
         self.fsw_action, self.reset_task = text("fsw_action", fsw_action), switch("reset_task", reset_task)
         self.duration = positive_duration("duration", duration, self.name, LONGEST)
 
-    def link_satellite(self, satellite: Satellite) -> None:
+    def link_satellite(self, satellite: BoundSatellite) -> None:
         """See :meth:`Action.link_satellite`; ValueError if the flight software has no such command."""
         super().link_satellite(satellite)
         if self.fsw_action not in satellite.simulator.commands:

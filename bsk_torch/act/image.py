@@ -9,10 +9,10 @@ from torch import Tensor
 
 from bsk_torch._checks import switch, whole
 from bsk_torch.act.base import Action, Decision, positive_duration
-from bsk_torch.sim.access.places import place_positions
 
 if TYPE_CHECKING:
-    from bsk_torch.sats.satellite import Satellite
+    from bsk_torch.sats.bound import BoundSatellite
+    from bsk_torch.sats.imaging import BoundImagingSatellite
 
 SLEW = 40.0
 """Typical duration of a slew to a target, s; used only for the expected durations by which rows are sorted."""
@@ -34,6 +34,8 @@ class Image(Action):
     ... by their index in the scenario; see :func:`image_target`.
     """
 
+    satellite: BoundImagingSatellite
+
     def __init__(
         self, n_ahead_image: int, max_duration: float | None = None, name: str = "action_image", mask_repeated: bool = False
     ) -> None:
@@ -53,7 +55,7 @@ class Image(Action):
         self.n_actions, self.mask_repeated = whole("n_ahead_image", n_ahead_image, 1), switch("mask_repeated", mask_repeated)
         self.max_duration = positive_duration("max_duration", max_duration, name, float("inf"))
 
-    def link_satellite(self, satellite: Satellite) -> None:
+    def link_satellite(self, satellite: BoundSatellite) -> None:
         """See :meth:`Action.link_satellite`; ValueError for a satellite that cannot image or has no targets."""
         super().link_satellite(satellite)
         satellite.simulator.check_command("image")
@@ -123,7 +125,7 @@ class Image(Action):
         simulator, target = self.satellite.simulator, self.keys(decision.key)  # keys() is its own inverse
         mask = mask & (decision.key != NO_TARGET)
         place = torch.where(mask, target, 0).unsqueeze(-1)
-        r_LP_P = place_positions(simulator.access, simulator.scenario_state, self.kind, place).squeeze(1)
+        r_LP_P = self.satellite.positions(self.kind, place).squeeze(1)
         simulator.write("r_LP_P", mask & decision.retask, r_LP_P)
         simulator.write("image_level", mask, self.satellite.dynamics.partition_levels[:, 0])
         memory = simulator.memory

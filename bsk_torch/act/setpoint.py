@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import cast
+
 import torch
 from torch import Tensor
 
@@ -41,4 +43,4 @@ class AttitudeSetpoint(ContinuousAction):
 
     def begin(self, mask: Tensor, decision: Decision) -> None:
         """See :meth:`ContinuousAction.begin`: set the reference."""
-        self.satellite.simulator.write("sigma_RN", mask, decision.command)
+        self.satellite.simulator.write("sigma_RN", mask, cast(Tensor, decision.command))

@@ -16,7 +16,7 @@ from bsk_torch.sim.fsw.setpoint import HOLD_INERTIAL, InertialHoldFSWModel
 from bsk_torch.vec3 import Vec3
 
 if TYPE_CHECKING:
-    from bsk_torch.sats.satellite import Satellite
+    from bsk_torch.sats.bound import BoundSatellite
 
 SHORTEST = 2
 """Ticks that a drift lasts at least."""
@@ -78,7 +78,7 @@ class ImpulsiveThrust(ContinuousAction):
         )
         self.fsw_action = HOLD_INERTIAL if fsw_action is None else text("fsw_action", fsw_action)
 
-    def link_satellite(self, satellite: Satellite) -> None:
+    def link_satellite(self, satellite: BoundSatellite) -> None:
         """See :meth:`ContinuousAction.link_satellite`; ValueError without a tank, or for an unknown command."""
         super().link_satellite(satellite)
         simulator = satellite.simulator
@@ -165,11 +165,11 @@ class ImpulsiveThrustHill(ImpulsiveThrust):
         super().__init__(name, max_dv, max_drift_duration, fsw_action)
         self.chief_name = text("chief_name", chief_name)
 
-    def link_satellite(self, satellite: Satellite) -> None:
+    def link_satellite(self, satellite: BoundSatellite) -> None:
         """See :meth:`ImpulsiveThrust.link_satellite`; ValueError for an unknown chief."""
         super().link_satellite(satellite)
         try:
-            self._place = satellite.group.fleet.place_of(self.chief_name)
+            self._place = satellite.fleet.place_of(self.chief_name)
         except KeyError as error:
             raise ValueError(f"action {self.name!r}: chief_name={error.args[0]}") from None
 
@@ -186,7 +186,7 @@ class ImpulsiveThrustHill(ImpulsiveThrust):
     def chief_state(self) -> tuple[Tensor, Tensor]:
         """Return the chief's position, m, and velocity, m/s, in N for each satellite, [N, 3] each."""
         k, member = self._place
-        chief = self.satellite.group.fleet.simulators[k].state
+        chief = self.satellite.fleet.simulators[k].state
         r_CN_N, v_CN_N = (
             self.satellite.simulator.of_env(chief.read(name).view(chief.num_envs, chief.count, 3)[:, member])
             for name in ("r_BN_N", "v_BN_N")

@@ -17,7 +17,7 @@ from bsk_torch.astro.relative import cd2hill, fibonacci_sphere
 from bsk_torch.astro.transfers import Transfers, transfers
 
 if TYPE_CHECKING:
-    from bsk_torch.sats.satellite import Satellite
+    from bsk_torch.sats.bound import BoundSatellite
 
 RESERVE = 1e-6
 """What is always left in the tank, m/s."""
@@ -132,12 +132,11 @@ class HillWaypoint(Action):
             raise ValueError(f"{title}waypoints must be a number, or finite positions [D, 3]; their shape is {shape}")
         return positions
 
-    def link_satellite(self, satellite: Satellite) -> None:
+    def link_satellite(self, satellite: BoundSatellite) -> None:
         """See :meth:`Action.link_satellite`; ValueError without a tank, for an unknown command or chief, or its own type."""
         super().link_satellite(satellite)
         self._thrust.link_satellite(satellite)
-        group = satellite.group
-        if group.fleet.place_of(self.chief_name)[0] == group.index:
+        if satellite.fleet.place_of(self.chief_name)[0] == satellite.type_index:
             raise ValueError(f"action {self.name!r}: chief_name={self.chief_name!r} is of the type that flies about it")
 
     def names(self) -> list[str]:
@@ -147,7 +146,7 @@ class HillWaypoint(Action):
     @property
     def options(self) -> Options:
         """Transfers and which are legal; which ones are is found anew only for rows of episodes that have changed."""
-        versions = [simulator.state.version for simulator in self.satellite.group.fleet.simulators]
+        versions = [simulator.state.version for simulator in self.satellite.fleet.simulators]
         last = self._options
         if last is not None and last.versions == versions:
             return last
@@ -168,7 +167,7 @@ class HillWaypoint(Action):
 
     def places(self) -> tuple[Tensor, Tensor]:
         """Return positions, m, and velocities, m/s, of all S satellites of the episode of each row, [N, S, 3] each in N."""
-        fleet, simulator = self.satellite.group.fleet, self.satellite.simulator
+        fleet, simulator = self.satellite.fleet, self.satellite.simulator
         r, v = (fleet.joined([each.state.read(name) for each in fleet.simulators]) for name in ("r_BN_N", "v_BN_N"))
         return r.repeat_interleave(simulator.count, 0), v.repeat_interleave(simulator.count, 0)
 
@@ -190,7 +189,7 @@ class HillWaypoint(Action):
 
     def others(self) -> tuple[Tensor, Tensor]:
         """Return positions [N, O, 3] m and velocities [N, O, 3] m/s of all other satellites in the chief's Hill frame."""
-        fleet, simulator = self.satellite.group.fleet, self.satellite.simulator
+        fleet, simulator = self.satellite.fleet, self.satellite.simulator
         r, v = self.places()
         own = torch.tensor(simulator.columns, device=r.device).repeat(simulator.num_envs)
         chief = fleet.names.index(self.chief_name)
@@ -236,7 +235,7 @@ class HillWaypoint(Action):
 
     def others_of(self, rows: Tensor) -> tuple[Tensor, Tensor] | None:
         """Return positions and velocities of the satellites that are to be kept apart from the rows; None for none."""
-        if self.keep_apart == 0.0 or self.satellite.group.fleet.size == 2:
+        if self.keep_apart == 0.0 or self.satellite.fleet.size == 2:
             return None
         rho, velocity = self.others()
         return rho[rows], velocity[rows]

@@ -13,7 +13,7 @@ from bsk_torch.sim.hooks import FLEET_MEMORY, ChangeGuard, check_class, check_li
 from bsk_torch.sim.state import FINITE
 
 if TYPE_CHECKING:
-    from bsk_torch.sim.fleet import Fleet
+    from bsk_torch.sats.fleet import SatelliteFleet
 
 LAST = "last_communication"
 """Name under which an episode remembers the time of its last communication, s since reset."""
@@ -54,7 +54,7 @@ class CommunicationMethod:
     refines: ClassVar[bool] = False
     """Whether the class only changes the pairs of another one, which must follow it among the base classes."""
 
-    fleet: Fleet
+    fleet: SatelliteFleet
     due: Tensor
     one_environment: list[Any] | None = None
     """Satellites of the environment for which pairs are listed."""
@@ -70,7 +70,7 @@ class CommunicationMethod:
 
     # -- hooks --------------------------------------------------------------------------------------------------------
 
-    def link(self, fleet: Fleet) -> None:
+    def link(self, fleet: SatelliteFleet) -> None:
         """Prepare for the satellites of an environment; called once when it is built.
 
         Overriding methods call ``super().link(fleet)`` first.
@@ -137,7 +137,7 @@ class CommunicationMethod:
 
     # -- calls by the environment -------------------------------------------------------------------------------------
 
-    def attach(self, fleet: Fleet) -> None:
+    def attach(self, fleet: SatelliteFleet) -> None:
         """Call :meth:`link`; not to be overridden.
 
         Raises:

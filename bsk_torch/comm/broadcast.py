@@ -11,7 +11,7 @@ from bsk_torch.act.broadcast import PENDING
 from bsk_torch.comm.base import CommunicationMethod
 
 if TYPE_CHECKING:
-    from bsk_torch.sim.fleet import Fleet
+    from bsk_torch.sats.fleet import SatelliteFleet
 
 
 class BroadcastCommunication(CommunicationMethod):
@@ -23,7 +23,7 @@ class BroadcastCommunication(CommunicationMethod):
 
     refines: ClassVar[bool] = True
 
-    def link(self, fleet: Fleet) -> None:
+    def link(self, fleet: SatelliteFleet) -> None:
         """See :meth:`CommunicationMethod.link`; ValueError if no satellite can broadcast."""
         super().link(fleet)
         if not any(PENDING in simulator.memory for simulator in fleet.simulators):

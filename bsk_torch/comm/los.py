@@ -16,7 +16,7 @@ from bsk_torch.sim.dyn import LOSCommDynModel
 from bsk_torch.vec3 import Vec3
 
 if TYPE_CHECKING:
-    from bsk_torch.sim.fleet import Fleet
+    from bsk_torch.sats.fleet import SatelliteFleet
     from bsk_torch.sim.simulator import Simulator
 
 MAX_RANGE = "losMaximumRange"
@@ -35,7 +35,7 @@ class LOSCommunication(CommunicationMethod):
     communicate.
     """
 
-    def link(self, fleet: Fleet) -> None:
+    def link(self, fleet: SatelliteFleet) -> None:
         """See :meth:`CommunicationMethod.link`.
 
         Raises:
@@ -65,7 +65,7 @@ class LOSMultiCommunication(MultiDegreeCommunication, LOSCommunication):
     """Satellites communicate if a chain of lines of sight connects them."""
 
 
-def visible_pairs(fleet: Fleet, asked: Tensor) -> Tensor:
+def visible_pairs(fleet: SatelliteFleet, asked: Tensor) -> Tensor:
     """Return the pairs that had a line of sight, in either direction, since the present step began, [N, S, S] booleans.
 
     As in bsk_rl, ticks count from that at which the step began to the last but one: Basilisk's recorders run before the modules.
@@ -88,7 +88,7 @@ def visible_pairs(fleet: Fleet, asked: Tensor) -> Tensor:
     return found
 
 
-def make_search(fleet: Fleet, first: Tensor, last: Tensor) -> LineOfSightSearch:
+def make_search(fleet: SatelliteFleet, first: Tensor, last: Tensor) -> LineOfSightSearch:
     """Return the search among the satellites of a fleet during ticks ``first`` to ``last`` [N]."""
     types = [flown_orbits(simulator, columns) for simulator, columns in zip(fleet.simulators, fleet.columns, strict=True)]
     return LineOfSightSearch(types, first, last, fleet.simulators[0].h_ns)
@@ -101,7 +101,7 @@ def flown_orbits(simulator: Simulator, columns: Tensor) -> FlownOrbits:
     return FlownOrbits(simulator.arcs, columns, simulator.state.arguments[MAX_RANGE], speed, use_kernels)
 
 
-def _check_covered(fleet: Fleet, asked: Tensor) -> None:
+def _check_covered(fleet: SatelliteFleet, asked: Tensor) -> None:
     begin = torch.where(asked, (fleet.since - 1).clamp(min=0) * fleet.h, torch.inf)
     for simulator in fleet.simulators:
         arcs = simulator.arcs

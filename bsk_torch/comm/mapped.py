@@ -12,7 +12,7 @@ from bsk_torch.sim.hooks import note_slow
 
 if TYPE_CHECKING:
     from bsk_torch.comm.base import CommunicationMethod
-    from bsk_torch.sim.fleet import Fleet
+    from bsk_torch.sats.fleet import SatelliteFleet
 
 ADVICE = "return torch.bool [N, S, S] by episode, sender and receiver, from what fleet.each(function) reads of all satellites"
 
@@ -21,7 +21,7 @@ class OneEnvironmentNeededError(Exception):
     """Raised when a method asks for the satellites of one environment."""
 
 
-def satellites_of(fleet: Fleet, env: int) -> list[Any]:
+def satellites_of(fleet: SatelliteFleet, env: int) -> list[Any]:
     """Return the satellites of an environment, by their number."""
     found: list[Any] = [None] * fleet.size
     for part, columns in zip(fleet.satellites, fleet.columns, strict=True):

@@ -14,8 +14,8 @@ from bsk_torch.data.store import Data, DataStore  # noqa: F401  bsk_rl has them 
 from bsk_torch.sim.hooks import check_class
 
 if TYPE_CHECKING:
+    from bsk_torch.sats.fleet import SatelliteFleet
     from bsk_torch.scene.base import Scenario
-    from bsk_torch.sim.fleet import Fleet
     from bsk_torch.sim.state import StateTable
 
 Log = dict[str, Tensor]
@@ -111,7 +111,7 @@ class GlobalReward(metaclass=RewarderType):
 
     single: ClassVar[type | None] = None
     scenario: Any
-    fleet: Fleet
+    fleet: SatelliteFleet
 
     total_name: str
     """Field of the state with :attr:`cum_reward`; see :mod:`bsk_torch.data.totals`."""
@@ -121,7 +121,7 @@ class GlobalReward(metaclass=RewarderType):
         super().__init_subclass__(**options)
         check_class(cls, GlobalReward, HOOKS, UNUSED)
 
-    def link(self, scenario: Scenario, fleet: Fleet) -> None:
+    def link(self, scenario: Scenario, fleet: SatelliteFleet) -> None:
         """Prepare for a scenario and its satellites; called once when an environment is built.
 
         Overriding methods call ``super().link(scenario, fleet)`` first, and raise ValueError for a scenario or satellites that do

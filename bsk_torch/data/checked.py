@@ -16,11 +16,11 @@ from bsk_torch.data.base import GlobalReward, Log
 from bsk_torch.sim.hooks import check_linked, check_tensor
 
 if TYPE_CHECKING:
+    from bsk_torch.sats.fleet import SatelliteFleet
     from bsk_torch.scene.base import Scenario
-    from bsk_torch.sim.fleet import Fleet
 
 
-def link(rewarder: GlobalReward, scenario: Scenario, fleet: Fleet) -> None:
+def link(rewarder: GlobalReward, scenario: Scenario, fleet: SatelliteFleet) -> None:
     """Link a rewarder; TypeError if a subclass does not pass the call on to its base class."""
     rewarder.link(scenario, fleet)
     check_linked(rewarder, "link(scenario, fleet)", fleet)

@@ -12,8 +12,8 @@ from bsk_torch._checks import number
 from bsk_torch.data.images import UniqueImageReward, identity
 
 if TYPE_CHECKING:
+    from bsk_torch.sats.fleet import SatelliteFleet
     from bsk_torch.scene.base import Scenario
-    from bsk_torch.sim.fleet import Fleet
 
 
 class CloudFreeImageReward(UniqueImageReward):
@@ -36,7 +36,7 @@ class CloudFreeImageReward(UniqueImageReward):
         super().__init__(reward_fn)
         self.threshold = number("threshold", threshold, 0.0, 1.0, unit="of the sky")
 
-    def link(self, scenario: Scenario, fleet: Fleet) -> None:
+    def link(self, scenario: Scenario, fleet: SatelliteFleet) -> None:
         """See :meth:`UniqueImageReward.link`; ValueError without clouds."""
         if not hasattr(scenario, "cloud_cover"):
             raise ValueError(f"CloudFreeImageReward needs scene.CloudyTargets; the scenario is {type(scenario).__name__}")

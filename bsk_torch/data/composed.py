@@ -15,8 +15,8 @@ from bsk_torch.data.mapped import for_batch
 from bsk_torch.data.single import SingleReward
 
 if TYPE_CHECKING:
+    from bsk_torch.sats.fleet import SatelliteFleet
     from bsk_torch.scene.base import Scenario
-    from bsk_torch.sim.fleet import Fleet
 
 
 class ComposedReward(GlobalReward):
@@ -69,7 +69,7 @@ class ComposedReward(GlobalReward):
         """Name of each term: its class, numbered if there are several."""
         return _numbered(type(rewarder).__name__ for rewarder in self.rewarders)
 
-    def link(self, scenario: Scenario, fleet: Fleet) -> None:
+    def link(self, scenario: Scenario, fleet: SatelliteFleet) -> None:
         """See :meth:`GlobalReward.link`."""
         super().link(scenario, fleet)
         for rewarder in self.rewarders:

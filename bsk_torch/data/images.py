@@ -14,8 +14,8 @@ from bsk_torch.data.unique_images import Known, UniqueImageData, UniqueImages
 from bsk_torch.sim.hooks import check_class, check_tensor
 
 if TYPE_CHECKING:
+    from bsk_torch.sats.fleet import SatelliteFleet
     from bsk_torch.scene.base import Scenario
-    from bsk_torch.sim.fleet import Fleet
 
 
 class ImageReward(GlobalReward):
@@ -30,7 +30,7 @@ class ImageReward(GlobalReward):
         super().__init_subclass__(**options)
         check_class(cls, ImageReward, ("selectable", "value"), {})
 
-    def link(self, scenario: Scenario, fleet: Fleet) -> None:
+    def link(self, scenario: Scenario, fleet: SatelliteFleet) -> None:
         """See :meth:`GlobalReward.link`; ValueError without targets, or without a satellite that images them."""
         super().link(scenario, fleet)
         if not hasattr(scenario, "most_targets"):
@@ -38,14 +38,14 @@ class ImageReward(GlobalReward):
                 f"{type(self).__name__} needs a scenario with targets, such as scene.UniformTargets; the scenario is "
                 f"{type(scenario).__name__}"
             )
-        imagers = {k: part for k, part in enumerate(fleet.satellites) if hasattr(part, "latest_target")}
+        imagers: list[Any] = [part for part in fleet.satellites if hasattr(part, "latest_target")]  # of users' classes, too
         if not imagers:
             are = ", ".join(f"{part.name} is a {type(part).__name__}" for part in fleet.satellites)
             raise ValueError(
                 f"{type(self).__name__} needs a satellite that images targets, such as a sats.ImagingSatellite; {are}"
             )
-        for k, part in imagers.items():
-            part.add_access_filter(functools.partial(self._selectable_by, k), part.target_types)
+        for part in imagers:
+            part.add_access_filter(functools.partial(self._selectable_by, part.type_index), part.target_types)
 
     def _selectable_by(self, part: int) -> Tensor:
         """Return the targets that the satellites of one type may still choose, [N * count, T] bool."""
@@ -105,7 +105,7 @@ class UniqueImageReward(ImageReward):
             raise TypeError(f"reward_fn={reward_fn!r} must be a function of priorities")
         self.reward_fn = reward_fn
 
-    def link(self, scenario: Scenario, fleet: Fleet) -> None:
+    def link(self, scenario: Scenario, fleet: SatelliteFleet) -> None:
         """See :meth:`ImageReward.link`."""
         super().link(scenario, fleet)
         self.memory.declare("imaged_targets", 0, self.scenario.most_targets, dtype=torch.bool)

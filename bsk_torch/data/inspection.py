@@ -16,8 +16,8 @@ from bsk_torch.sim.state import FINITE
 from bsk_torch.sim.trace import Flight
 
 if TYPE_CHECKING:
+    from bsk_torch.sats.fleet import SatelliteFleet
     from bsk_torch.scene.base import Scenario
-    from bsk_torch.sim.fleet import Fleet
 
 KINDS = ("inspected", "illuminated")
 """What is known of a point."""
@@ -102,7 +102,7 @@ class RSOInspectionReward(GlobalReward):
         self.min_time_for_completion = number("min_time_for_completion", min_time_for_completion, unit="s", finite=False)
         self.terminate_on_completion = switch("terminate_on_completion", terminate_on_completion)
 
-    def link(self, scenario: Scenario, fleet: Fleet) -> None:
+    def link(self, scenario: Scenario, fleet: SatelliteFleet) -> None:
         """See :meth:`GlobalReward.link`; ValueError for a scenario without points."""
         super().link(scenario, fleet)
         if not isinstance(scenario, RSOPoints):

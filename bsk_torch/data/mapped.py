@@ -12,12 +12,13 @@ from torch import Tensor
 from bsk_torch.data.base import GlobalReward, Log
 from bsk_torch.data.record import Record, SingleScenario, StoringSatellite
 from bsk_torch.data.single import SingleReward
+from bsk_torch.sats.bound_access import BoundAccessSatellite
 from bsk_torch.sim.hooks import note_slow
 from bsk_torch.sim.object_table import ObjectTable
 
 if TYPE_CHECKING:
+    from bsk_torch.sats.fleet import SatelliteFleet
     from bsk_torch.scene.base import Scenario
-    from bsk_torch.sim.fleet import Fleet
 
 ADVICE = (
     "keep tensors of all environments in rewarder.memory, and define read_log() and calculate_reward(before, after), or derive "
@@ -47,16 +48,17 @@ class MappedReward(GlobalReward):
         self.given = given
         note_slow(f"rewarder {type(given).__name__}", ADVICE)
 
-    def link(self, scenario: Scenario, fleet: Fleet) -> None:
+    def link(self, scenario: Scenario, fleet: SatelliteFleet) -> None:
         """See :meth:`GlobalReward.link`."""
         super().link(scenario, fleet)
         dump = functools.partial(Record.dump, given=self.given)
         self.records = ObjectTable(fleet.num_envs, fleet.device, self._begin, dump, self._load)
         number = sum(name.startswith("records_") for name in self.memory.tables)
         self.memory.add(f"records_{number}", self.records)
-        for k, part in enumerate(fleet.satellites):
-            for kind in part.opportunity_types:
-                part.add_access_filter(functools.partial(self._allowed, k, kind), kind)
+        for part in fleet.satellites:
+            if isinstance(part, BoundAccessSatellite):
+                for kind in part.opportunity_types:
+                    part.add_access_filter(functools.partial(self._allowed, part, kind), kind)
 
     # -- records ------------------------------------------------------------------------------------------------------
 
@@ -81,9 +83,9 @@ class MappedReward(GlobalReward):
     def _all(self) -> list[Record]:
         return [self.records.of(env) for env in range(self.fleet.num_envs)]
 
-    def _allowed(self, part: int, kind: str) -> Tensor:
+    def _allowed(self, satellite: BoundAccessSatellite, kind: str) -> Tensor:
         """Return the places of a type that the filters of each satellite leave, [N * count, P] bool."""
-        satellite, columns = self.fleet.satellites[part], self.fleet.columns[part].tolist()
+        columns = self.fleet.columns[satellite.type_index].tolist()
         rows = [record.satellites[column] for record in self._all() for column in columns]
         allowed = torch.ones(len(rows), satellite.places(kind), dtype=torch.bool)
         for mine, one in zip(allowed, rows, strict=True):

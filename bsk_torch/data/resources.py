@@ -15,8 +15,8 @@ from bsk_torch.sats.user_function import UserFunction
 from bsk_torch.sim.state import FINITE
 
 if TYPE_CHECKING:
+    from bsk_torch.sats.fleet import SatelliteFleet
     from bsk_torch.scene.base import Scenario
-    from bsk_torch.sim.fleet import Fleet
 
 ADVICE = (
     "let it return [N] for all satellites: properties such as satellite.dynamics.battery_charge_fraction are tensors [N], and "
@@ -53,7 +53,7 @@ class ResourceReward(GlobalReward):
             reward_weight = number("reward_weight", reward_weight)
         self.resource_fn, self.weight = resource_fn, reward_weight
 
-    def link(self, scenario: Scenario, fleet: Fleet) -> None:
+    def link(self, scenario: Scenario, fleet: SatelliteFleet) -> None:
         """See :meth:`GlobalReward.link`."""
         super().link(scenario, fleet)
         self._functions: dict[int, UserFunction] = {}

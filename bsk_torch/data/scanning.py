@@ -13,8 +13,8 @@ from bsk_torch.data.base import GlobalReward, Log
 from bsk_torch.sim.readout.observables import observable
 
 if TYPE_CHECKING:
+    from bsk_torch.sats.fleet import SatelliteFleet
     from bsk_torch.scene.base import Scenario
-    from bsk_torch.sim.fleet import Fleet
 
 
 class ScanningTimeReward(GlobalReward):
@@ -31,7 +31,7 @@ class ScanningTimeReward(GlobalReward):
         """
         self.reward_fn = None if reward_fn is None else function("reward_fn", reward_fn, "seconds")
 
-    def link(self, scenario: Scenario, fleet: Fleet) -> None:
+    def link(self, scenario: Scenario, fleet: SatelliteFleet) -> None:
         """See :meth:`GlobalReward.link`; ValueError without a value per second, or without a store."""
         super().link(scenario, fleet)
         if self.reward_fn is None and not hasattr(scenario, "value_per_second"):

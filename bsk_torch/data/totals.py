@@ -8,14 +8,14 @@ from torch import Tensor
 
 from bsk_torch.data.base import GlobalReward
 from bsk_torch.data.composed import ComposedReward
-from bsk_torch.sim.fleet import Fleet
+from bsk_torch.sats.fleet import SatelliteFleet
 from bsk_torch.sim.state import FINITE
 
 NAME = "cum_reward"
 """Field of the state with the sums of the whole, [N, S]; those of parts are numbered."""
 
 
-def declare(rewarder: GlobalReward, fleet: Fleet) -> None:
+def declare(rewarder: GlobalReward, fleet: SatelliteFleet) -> None:
     """Declare the sums of a rewarder and of its parts in the state of a fleet."""
     for k, part in enumerate(_parts(rewarder)):
         name = f"{NAME}_{k}" if k else NAME

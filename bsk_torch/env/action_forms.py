@@ -15,7 +15,7 @@ from torchrl.data.tensor_specs import BoundedContinuous
 
 from bsk_torch.act.builders import ContinuousBuilder
 from bsk_torch.env.no_action import CLOSE, NO_ACTION
-from bsk_torch.sats.satellite import Satellite
+from bsk_torch.env.satellite_group import SatelliteGroup
 
 VALUES, CHOICE = "values", "choice"
 """Parts of a hybrid action."""
@@ -68,13 +68,13 @@ def box(low: Tensor, high: Tensor, shape: Sequence[int], dtype: torch.dtype) -> 
     return OpenBox(low, high, size, dtype=dtype)
 
 
-def form(satellite: Satellite) -> ContinuousBuilder | None:
+def form(satellite: SatelliteGroup) -> ContinuousBuilder | None:
     """Return the builder of a satellite's actions where they have real numbers; None where they are numbers of actions."""
     actions = satellite.actions
     return actions if isinstance(actions, ContinuousBuilder) else None
 
 
-def action_spec(satellite: Satellite, shape: Sequence[int], dtype: torch.dtype, extra: int = 0) -> TensorSpec:
+def action_spec(satellite: SatelliteGroup, shape: Sequence[int], dtype: torch.dtype, extra: int = 0) -> TensorSpec:
     """Return the spec of a satellite's action; ``extra`` choices at the end go on with the present task."""
     builder = form(satellite)
     if builder is None:
@@ -86,7 +86,7 @@ def action_spec(satellite: Satellite, shape: Sequence[int], dtype: torch.dtype, 
     return Composite({VALUES: values, CHOICE: choice}, shape=torch.Size(shape))
 
 
-def mask_size(satellite: Satellite, extra: int = 0) -> int:
+def mask_size(satellite: SatelliteGroup, extra: int = 0) -> int:
     """Return the length of a satellite's ``action_mask``, 0 where there is nothing to choose."""
     n = satellite.actions.n_actions
     return n + extra if n else 0
@@ -97,7 +97,7 @@ def mask_spec(size: int, shape: Sequence[int]) -> Binary:
     return Binary(size, shape=torch.Size([*shape, size]), dtype=torch.bool)
 
 
-def read(title: str, given: Any, satellite: Satellite, shape: Sequence[int], each: str = "") -> Tensor:
+def read(title: str, given: Any, satellite: SatelliteGroup, shape: Sequence[int], each: str = "") -> Tensor:
     """Return the actions of satellites of one type, [*shape] int64, or [*shape, A] or [*shape, A + 1] of a floating type.
 
     Args:
@@ -159,7 +159,7 @@ def _joined(title: str, given: Any, builder: ContinuousBuilder, shape: tuple[int
     return torch.cat([values, choice.to(values.dtype).unsqueeze(-1)], -1)
 
 
-def acts(action: Tensor, satellite: Satellite, extra: int = 0) -> Tensor:
+def acts(action: Tensor, satellite: SatelliteGroup, extra: int = 0) -> Tensor:
     """Return where actions [...], [..., A] or [..., A + 1] are new tasks, and do not go on with the present one.
 
     ``NO_ACTION`` goes on, in all numbers of a continuous action (within 1 of it, for single precision has none that is equal) or

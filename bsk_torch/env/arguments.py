@@ -74,8 +74,8 @@ class MadeOfArguments(Snapshots):
 
     def _show_arguments(self) -> None:
         """Let users read and set arguments in the dictionaries that bsk_rl has."""
-        for simulator, group in zip(self.fleet.simulators, self.fleet.groups, strict=True):
-            group.satellite.sat_args_generator = LiveArguments(
+        for simulator, satellite in zip(self.fleet.simulators, self.satellites, strict=True):
+            satellite.sat_args_generator = LiveArguments(  # type: ignore[assignment]  # of the description: Given
                 functools.partial(_sat_args_of, simulator),
                 functools.partial(self._set_type, [self.names[column] for column in simulator.columns]),
                 "sat_args_generator",

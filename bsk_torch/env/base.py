@@ -29,7 +29,7 @@ from bsk_torch.env.machine import existing_device
 from bsk_torch.env.options import TaskingOptions, TimeLimit
 from bsk_torch.env.present import Present
 from bsk_torch.env.randomizer import make_randomizer
-from bsk_torch.env.satellite_group import groups_of
+from bsk_torch.env.satellite_group import command, decide, groups_of
 from bsk_torch.env.snapshots import fingerprint
 from bsk_torch.env.trial import try_out
 from bsk_torch.obs.base import Values
@@ -103,13 +103,13 @@ class Tasking(Present, MadeOfArguments):
         unset, start = torch.full_like(self.fleet.all_envs, -1), self.builder.draw_and_start
         self.pool = EpisodePool(unset, self._next_fleet, start) if self.builder.pool_pays else None
         self._declare_state(options.env_ids)
-        groups_of(self.builder.satellites, self.fleet)
+        self.satellites = groups_of(self.builder.satellites, self.fleet)
         link(self.fleet, self.scenario, self.rewarder)
         totals.declare(self.rewarder, self.fleet)
         self.communicator.attach(self.fleet)
         recorded = options.log_level is not None or options.log_dir is not None
-        self.log = StepLog(self.fleet, self.scenario, options.log_envs) if recorded else None
-        trial.decide(self.fleet.groups)  # type: ignore[arg-type]
+        self.log = StepLog(self.fleet, self.satellites, self.scenario, options.log_envs) if recorded else None
+        trial.decide(self.satellites)
         self._make_specs(trial.values)
         self.longest_ticks = math.ceil(whole_nanoseconds(min(self.max_step_duration, ENDLESS)) / self.simulator.h_ns)
         self.fingerprint = fingerprint(self.fleet)
@@ -187,10 +187,11 @@ class Tasking(Present, MadeOfArguments):
         fleet, removed = self.fleet, self.state.removed
         start = fleet.since = fleet.ticks
         before = checked.log(self.rewarder)
-        decisions = [group.decide(action, mine) for group, action, mine in zip(fleet.groups, actions, acts, strict=True)]
+        commanded = list(zip(self.satellites, actions, acts, strict=True))
+        decisions = [decide(satellite, action, mine) for satellite, action, mine in commanded]
         self.guard.change(moves)
-        for group, action, mine, decision in zip(fleet.groups, actions, acts, decisions, strict=True):
-            group.command(action, mine, decision, all_act)
+        for (satellite, action, mine), decision in zip(commanded, decisions, strict=True):
+            command(satellite, action, mine, decision, all_act)
         log = self.log if self.log is not None and self.log.shows(logging.WARNING) else None
         if log is not None:
             log.decided(acts)
@@ -202,9 +203,9 @@ class Tasking(Present, MadeOfArguments):
         if not self.communicator.is_silent:
             self.links = self.communicator.exchange(moves)
             checked.share(self.rewarder, self.links)
-        for group in fleet.groups:
-            group.simulator.state.memory.touch()
-            group.task.dead = group.task.dead | ~group.satellite.is_alive()
+        for satellite in self.satellites:
+            satellite.memory.touch()
+            satellite.task.dead = satellite.task.dead | ~satellite.is_alive()
         result = self._judge((fleet.ticks - start) * fleet.h, reward, moves, removed)
         if log is not None:
             log.after(known, result, moves)
@@ -220,7 +221,7 @@ class Tasking(Present, MadeOfArguments):
 
     def _judge(self, duration: Tensor, reward: Tensor, moves: Tensor, removed: Tensor) -> StepResult:
         """Return the outcome of a step: adds failure penalties [N, S], and says which episodes have ended."""
-        dead = self.fleet.joined([group.task.dead for group in self.fleet.groups])
+        dead = self.fleet.joined([satellite.task.dead for satellite in self.satellites])
         reward = reward + self.failure_penalty * (dead & moves.unsqueeze(-1))
         if self.fleet.size > 1:
             reward = torch.where(removed, 0.0, reward)
@@ -269,7 +270,7 @@ class Tasking(Present, MadeOfArguments):
         """
         with self.guard:
             self.guard.check_begun("observe()")
-            dead = self.fleet.joined([group.task.dead for group in self.fleet.groups])
+            dead = self.fleet.joined([satellite.task.dead for satellite in self.satellites])
             terminated, truncated = (ended.unsqueeze(-1) for ended in self._over(dead))
             return self._outputs(None, done=terminated | truncated, terminated=terminated, truncated=truncated)
 

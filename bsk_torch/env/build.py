@@ -18,6 +18,7 @@ from bsk_torch.env.options import TaskingOptions
 from bsk_torch.env.randomizer import Randomizer
 from bsk_torch.env.types import check_names, check_world, grouped, world_arguments, world_components
 from bsk_torch.rand import Distribution, Key, first_key, seeded
+from bsk_torch.sats.fleet import SatelliteFleet
 from bsk_torch.sats.satellite import Satellite
 from bsk_torch.scene.base import Scenario
 from bsk_torch.sim.argument_table import ArgumentTable
@@ -85,7 +86,7 @@ class FleetBuilder:
 
     # -- fleets -------------------------------------------------------------------------------------------------------
 
-    def make_fleet(self, n: int, trial: bool = False) -> Fleet:
+    def make_fleet(self, n: int, trial: bool = False) -> SatelliteFleet:
         """Return simulations of ``n`` episodes; of one satellite of each type only, if on ``trial``."""
         # the trial's arcs shall be as long as those of the batch: see check_memory
         sample = isinstance(self.options.time_limit, Distribution) and n < self.options.num_envs
@@ -104,7 +105,7 @@ class FleetBuilder:
         members = {c: (k, 0 if trial else i) for k, columns in enumerate(self.types) for i, c in enumerate(columns)}
         places = {name: members[column] for column, name in enumerate(self.names)}
         pairs, as_bsk_rl = self.pairs.among(chosen), self.options.compat == "bsk_rl"
-        return Fleet(each, [self.names[k] for k in chosen], self.scenario.draw_checked, places, pairs, as_bsk_rl)
+        return SatelliteFleet(each, [self.names[k] for k in chosen], self.scenario.draw_checked, places, pairs, as_bsk_rl)
 
     def _leaders_first(self) -> Iterator[tuple[int, dict[str, int]]]:
         """Yield the types of satellites, each behind those that it follows, with the type that it follows by slot.
@@ -283,9 +284,9 @@ def check_ephemeris(drawn: EpisodeDraw, limit: Tensor) -> None:
             )
 
 
-def link(fleet: Fleet, scenario: Scenario, rewarder: GlobalReward) -> None:
+def link(fleet: SatelliteFleet, scenario: Scenario, rewarder: GlobalReward) -> None:
     """Link satellites, scenario and rewarder."""
     scenario.attach(fleet)
-    for group in fleet.groups:
-        group.scenario, group.rewarder = scenario, rewarder
+    for satellite in fleet.satellites:
+        satellite.scenario, satellite.rewarder = scenario, rewarder
     checked.link(rewarder, scenario, fleet)

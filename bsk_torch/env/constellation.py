@@ -19,6 +19,7 @@ from bsk_torch.env.action_forms import action_spec, acts, form, mask_size, mask_
 from bsk_torch.env.agents import AGENTS, Group, agents_of, make_groups
 from bsk_torch.env.base import StepResult, Tasking
 from bsk_torch.env.options import ConstellationOptions, parse, takes
+from bsk_torch.env.satellite_group import cancel
 from bsk_torch.formations import Formation
 from bsk_torch.obs.base import ObservationBuilder, Values
 from bsk_torch.sats.satellite import Satellite
@@ -108,7 +109,7 @@ class ConstellationTasking(Tasking):
 
     def _make_specs(self, trial: list[Values]) -> None:
         self._make_agents()
-        for satellites, values in zip(self.fleet.groups, trial, strict=True):
+        for satellites, values in zip(self.satellites, trial, strict=True):
             satellites.observation_description = ObservationBuilder.describe(values)
         observed, acted, paid = (
             Composite(shape=self.batch_size),
@@ -238,8 +239,8 @@ class ConstellationTasking(Tasking):
         if not bool(left.any()):  # what has been asked of the satellites at this time stays valid
             return
         self.state.removed = removed
-        for k, satellites in enumerate(self.fleet.groups):
-            satellites.cancel(self.fleet.rows_of(k, left))
+        for k, satellite in enumerate(self.satellites):
+            cancel(satellite, self.fleet.rows_of(k, left))
 
     def _decoded(self, given: Sequence[Any], moves: Tensor) -> tuple[list[Tensor], list[Tensor]]:
         """Return the actions [N * count, ...] of each type, and masks of those that take effect."""
@@ -253,10 +254,10 @@ class ConstellationTasking(Tasking):
                 members[t].append((within, mine, counts))
         present = moves.unsqueeze(-1) & ~self.state.removed
         checked, rows = [], []
-        for k, (satellites, parts) in enumerate(zip(self.fleet.groups, members, strict=True)):
+        for k, (satellites, parts) in enumerate(zip(self.satellites, members, strict=True)):
             action, counts = self._of_type(k, parts)
             rows.append(counts.flatten() & self.fleet.rows_of(k, present))
-            checked.append(satellites.checked(action.flatten(0, 1), rows[-1]))
+            checked.append(satellites.actions.checked(action.flatten(0, 1), rows[-1]))
         self._warn_of_idle(rows, moves)
         return checked, rows
 
@@ -290,12 +291,12 @@ class ConstellationTasking(Tasking):
         """Log once that satellites without a task were given none, as bsk_rl does; their last mode goes on."""
         if self._warned:
             return
-        for satellites, mine in zip(self.fleet.groups, acts, strict=True):
+        for satellites, mine in zip(self.satellites, acts, strict=True):
             task, state = satellites.task, satellites.simulator.state
             idle = task.requires_retasking & ~mine & ~task.dead & state.of_env(moves)
             if bool(idle.any()):
                 row = int(torch.nonzero(idle)[0])
-                logger.warning("%s requires retasking but received no task; its mode goes on", satellites.satellite.title(row))
+                logger.warning("%s requires retasking but received no task; its mode goes on", satellites.title(row))
                 self._warned = True
                 return
 

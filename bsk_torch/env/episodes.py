@@ -18,7 +18,9 @@ from bsk_torch.data.base import GlobalReward
 from bsk_torch.env.build import FleetBuilder
 from bsk_torch.env.guard import EpisodeGuard
 from bsk_torch.env.log import StepLog
+from bsk_torch.env.satellite_group import SatelliteGroup
 from bsk_torch.rand import Key
+from bsk_torch.sats.fleet import SatelliteFleet
 from bsk_torch.scene.base import Scenario
 from bsk_torch.sim.fleet import Fleet, FleetState
 from bsk_torch.sim.simulator import Simulator
@@ -92,6 +94,7 @@ class Episodes(EnvBase):
     Attributes:
         builder: Makes fleets and draws episodes.
         fleet: The satellites of the present episodes.
+        satellites: The satellites of each type.
         pool: The next episodes, where preparing them in bulk pays.
         names: Name of every satellite.
         env_ids: Index of each episode in the draws, [N].
@@ -102,7 +105,8 @@ class Episodes(EnvBase):
     """
 
     builder: FleetBuilder
-    fleet: Fleet
+    fleet: SatelliteFleet
+    satellites: tuple[SatelliteGroup, ...]
     pool: EpisodePool | None
     names: list[str]
     env_ids: Tensor
@@ -197,9 +201,9 @@ class Episodes(EnvBase):
         self.scenario.begin_episodes(envs)
         for begin in self.fleet.beginnings:
             begin(envs)
-        for group in self.fleet.groups:
-            rows = group.task.rows_of(envs)
-            group.task.dead = group.task.dead.index_copy(0, rows, ~group.satellite.is_alive()[rows])
+        for satellite in self.satellites:
+            task, rows = satellite.task, satellite.task.rows_of(envs)
+            task.dead = task.dead.index_copy(0, rows, ~satellite.is_alive()[rows])
         if self.log is not None and self.log.shows():
             self.log.began(envs, state.seed, state.episode)
         self.guard.begin(envs, begun)

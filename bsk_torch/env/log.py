@@ -12,11 +12,15 @@ import os
 from collections.abc import Mapping, Sequence
 from numbers import Integral
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from torch import Tensor
 
-from bsk_torch.sim.fleet import Fleet
+from bsk_torch.env.satellite_group import SatelliteGroup
+from bsk_torch.sats.fleet import SatelliteFleet
+from bsk_torch.sats.imaging import BoundImagingSatellite
+from bsk_torch.scene.base import Scenario
+from bsk_torch.scene.targets import TargetScenario
 
 ROOT = "bsk_torch"
 
@@ -90,14 +94,16 @@ def _add(logger: logging.Logger, handler: logging.Handler) -> None:
 class StepLog:
     """Records of the environments ``envs`` of a fleet. Call :meth:`decided`, :meth:`before` and :meth:`after` in every step."""
 
-    def __init__(self, fleet: Fleet, scenario: Any, envs: Sequence[int]) -> None:
+    def __init__(
+        self, fleet: SatelliteFleet, satellites: Sequence[SatelliteGroup], scenario: Scenario, envs: Sequence[int]
+    ) -> None:
         """Check the rows; ValueError for one that does not exist."""
         if isinstance(envs, str) or not isinstance(envs, Sequence):
             raise ValueError(f"log_envs={envs!r} must be a list of environments, such as [0]")
         for env in envs:
             if not isinstance(env, Integral) or isinstance(env, bool) or not 0 <= env < fleet.num_envs:
                 raise ValueError(f"log_envs has {env!r}; it must hold rows from 0 to {fleet.num_envs - 1}")
-        self.fleet, self.scenario, self.envs = fleet, scenario, list(envs)
+        self.fleet, self.satellites, self.scenario, self.envs = fleet, satellites, scenario, list(envs)
         self.logger = logging.getLogger(f"{ROOT}.env")
         self.loggers = {name: logging.getLogger(f"{ROOT}.sats.{name}") for name in fleet.names}
 
@@ -121,21 +127,21 @@ class StepLog:
         """
         if not self.shows():
             return
-        for k, group in enumerate(self.fleet.groups):
-            ticks, h = group.task.ends, self.fleet.h
+        for k, satellite in enumerate(self.satellites):
+            ticks, h = satellite.task.ends, self.fleet.h
             for env, name, row in self._rows(k):
                 if not bool(acts[k][row]):
                     continue
-                chosen, ends = group.task.action[row], int(ticks[row]) * h
-                title, action = group.actions.title(chosen), chosen.tolist()
-                target = self._target(group.satellite, env, row) if self._images(group.satellite, action) else None
+                chosen, ends = satellite.task.action[row], int(ticks[row]) * h
+                title, action = satellite.actions.title(chosen), chosen.tolist()
+                target = self._target(satellite, env, row) if self._images(satellite, action) else None
                 fields = {"action": action, "action_name": title, "target": target, "ends": ends}
                 text = "%s, until %.1f s at the latest" if target is None else "%s, until %.1f s at the latest: %s"
                 self._satellite(name, env, "chose", text, title, ends, *([target] if target else []), fields=fields)
 
     def before(self) -> list[dict[str, Tensor]]:
         """Return the counters and deaths of each type before a run, for :meth:`after`."""
-        return [{**group.satellite.counts(), "dead": group.task.dead} for group in self.fleet.groups]
+        return [{**satellite.counts(), "dead": satellite.task.dead} for satellite in self.satellites]
 
     def after(self, old: Sequence[Mapping[str, Tensor]], result: Any, moves: Tensor) -> None:
         """Record what has happened in a step of the episodes ``moves`` [N].
@@ -144,30 +150,30 @@ class StepLog:
         ``duration`` and ``reward``, of all satellites; ``ended`` ``terminated`` and ``truncated``.
         """
         flown = [env for env in self.envs if bool(moves[env])]
-        for k, group in enumerate(self.fleet.groups):
-            counts, checks = group.satellite.counts(), None
+        for k, satellite in enumerate(self.satellites):
+            counts, checks = satellite.counts(), None
             for env, name, row in self._rows(k):
                 if env not in flown:
                     continue
                 for counter, count in counts.items():
                     grown = int(count[row]) - int(old[k][counter][row])
                     if grown > 0:
-                        self._counted(group.satellite, name, env, row, counter, grown)
-                if bool(group.task.dead[row]) and not bool(old[k]["dead"][row]):
-                    checks = group.satellite.aliveness() if checks is None else checks
+                        self._counted(satellite, name, env, row, counter, grown)
+                if bool(satellite.task.dead[row]) and not bool(old[k]["dead"][row]):
+                    checks = satellite.aliveness() if checks is None else checks
                     failed = [check for check, alive in checks.items() if not bool(alive[row])]
                     text, fields = "died: %s failed", {"checks": failed}
                     self._satellite(name, env, "died", text, ", ".join(failed), fields=fields, level=logging.WARNING)
-                elif bool(group.task.requires_retasking[row]):
+                elif bool(satellite.task.requires_retasking[row]):
                     self._satellite(name, env, "idle", "needs a task", fields={})
                 if self.shows(logging.DEBUG):
-                    self._legal(group.satellite, name, env, row)
+                    self._legal(satellite, name, env, row)
         for env in flown if self.shows() else ():
             self._outcome(env, result)
 
     # -- records ------------------------------------------------------------------------------------------------------
 
-    def _counted(self, satellite: Any, name: str, env: int, row: int, counter: str, grown: int) -> None:
+    def _counted(self, satellite: SatelliteGroup, name: str, env: int, row: int, counter: str, grown: int) -> None:
         if counter in ("imaged", "missed"):
             target = self._target(satellite, env, row)
             event = "took" if counter == "imaged" else "counted"
@@ -177,7 +183,7 @@ class StepLog:
         else:
             self._satellite(name, env, "counted", "%s + %d", counter, grown, fields={"counter": counter, "count": grown})
 
-    def _legal(self, satellite: Any, name: str, env: int, row: int) -> None:
+    def _legal(self, satellite: SatelliteGroup, name: str, env: int, row: int) -> None:
         mask = satellite.action_mask()[row].tolist()
         if not mask:
             return  # real numbers, all of which are legal
@@ -213,16 +219,16 @@ class StepLog:
 
     def _rows(self, k: int) -> list[tuple[int, str, int]]:
         """Return environment, name and row of each satellite of type ``k`` in the environments that are recorded."""
-        names = self.fleet.groups[k].satellite.names
+        names = self.satellites[k].names
         return [(env, name, env * len(names) + m) for env in self.envs for m, name in enumerate(names)]
 
     @staticmethod
-    def _images(satellite: Any, action: Any) -> bool:
+    def _images(satellite: SatelliteGroup, action: Any) -> bool:
         """Return whether an action chooses a target."""
         entry = satellite.actions.entries[satellite.actions.entry_of(action)]
         return hasattr(satellite, "latest_target") and getattr(entry, "n_negative_actions", 0) > 0
 
-    def _target(self, satellite: Any, env: int, row: int) -> str | None:
+    def _target(self, satellite: SatelliteGroup, env: int, row: int) -> str | None:
         """Return the name of the target that a satellite has chosen last."""
-        target = int(satellite.latest_target[row])
-        return None if target < 0 else self.scenario.names(env)[target]
+        target = int(cast(BoundImagingSatellite, satellite).latest_target[row])
+        return None if target < 0 else cast(TargetScenario, self.scenario).names(env)[target]

@@ -13,7 +13,7 @@ from torch import Tensor
 from bsk_torch.data import checked
 from bsk_torch.env import hints
 from bsk_torch.env.episodes import Episodes
-from bsk_torch.sats.satellite import Satellite
+from bsk_torch.env.satellite_group import SatelliteGroup
 from bsk_torch.sim.argument_table import ArgumentTable
 
 
@@ -27,19 +27,14 @@ class Present(Episodes):
         return super().__getattr__(name)
 
     @property
-    def satellites(self) -> tuple[Satellite, ...]:
-        """The satellite of each type that is bound to the environment."""
-        return tuple(group.satellite for group in self.fleet.groups)
-
-    @property
     def dead(self) -> Tensor:
         """Satellites that have died, [N, S] bool."""
-        return self.fleet.joined([group.task.dead for group in self.fleet.groups])
+        return self.fleet.joined([satellite.task.dead for satellite in self.satellites])
 
     @property
     def requires_retasking(self) -> Tensor:
         """Satellites that have no task left, [N, S] bool."""
-        return self.fleet.joined([group.task.requires_retasking for group in self.fleet.groups])
+        return self.fleet.joined([satellite.task.requires_retasking for satellite in self.satellites])
 
     @property
     def truncated_by_time(self) -> Tensor:
@@ -48,7 +43,7 @@ class Present(Episodes):
 
     def counts(self) -> dict[str, Tensor]:
         """Return the counters of satellites and rewarder, [N, S] each, by name."""
-        names = dict.fromkeys(name for group in self.fleet.groups for name in group.satellite.counts())
+        names = dict.fromkeys(name for satellite in self.satellites for name in satellite.counts())
         counted = {name: self.fleet.each(functools.partial(_counted, name)) for name in names}
         return counted | checked.counts(self.rewarder, counted)
 
@@ -88,15 +83,15 @@ class Present(Episodes):
 
     def check_finite(self) -> None:
         """Check the fields of all satellites; FloatingPointError that names environment, field and tick."""
-        for group in self.fleet.groups:
-            state = group.simulator.state
+        for satellite in self.satellites:
+            state = satellite.simulator.state
             for name in state.layout.fields:
                 value = state.read(name).reshape(state.rows, -1)
                 bad = torch.nonzero(~torch.isfinite(value).all(-1)).squeeze(-1).tolist()
                 if bad:
                     row = bad[0]
                     raise FloatingPointError(
-                        f"{name!r} of {group.satellite.title(row)} is {value[row].tolist()} at tick {int(state.ticks[row])} "
+                        f"{name!r} of {satellite.title(row)} is {value[row].tolist()} at tick {int(state.ticks[row])} "
                         f"({len(bad)} of them in all)"
                     )
 
@@ -109,7 +104,7 @@ def pictures() -> Any:
         raise ModuleNotFoundError(f"render() needs {error.name}: pip install 'bsk_torch[viz]'", name=error.name) from error
 
 
-def _counted(name: str, satellite: Satellite) -> Tensor:
+def _counted(name: str, satellite: SatelliteGroup) -> Tensor:
     counts = satellite.counts()
     if name not in counts:
         raise AttributeError(f"{satellite.name} does not count {name!r}")

@@ -13,6 +13,7 @@ from torch import Tensor
 
 from bsk_torch.env.episodes import Episodes, whole_limit
 from bsk_torch.env.guard import Origin
+from bsk_torch.sats.fleet import SatelliteFleet
 from bsk_torch.sim.access.lookahead import LookAhead
 from bsk_torch.sim.fleet import Fleet, FleetState
 from bsk_torch.sim.satellite_state import SatelliteState
@@ -135,16 +136,16 @@ class Snapshots(Episodes):
             self.restore(state, None if begun is None else torch.nonzero(begun.reshape(-1)).squeeze(-1))
 
 
-def fingerprint(fleet: Fleet) -> Tensor:
+def fingerprint(fleet: SatelliteFleet) -> Tensor:
     """Return the numbers that must agree where states are exchanged: see :data:`MEANING`, [4] int64."""
     make, use = hashlib.blake2b(digest_size=7), hashlib.blake2b(digest_size=7)
-    for simulator, group in zip(fleet.simulators, fleet.groups, strict=True):
+    for simulator, satellite in zip(fleet.simulators, fleet.satellites, strict=True):
         tick, lookahead = simulator.tick, simulator.lookahead
         structure = [list(layout.fields) for layout in (tick.state, tick.shared, tick.own)], simulator.mode_names, simulator.count
         make.update(repr((structure, simulator.state.constants, lookahead.arcs.tail.shape[1])).encode())
         make.update(simulator.uniform.cpu().numpy().tobytes())
         access = None if lookahead.access is None else (lookahead.access.segment, lookahead.access.as_bsk_rl)
-        used = [group.actions.description, simulator.dtype, simulator.orbit, tick.stops, access]
+        used = [satellite.action_description, simulator.dtype, simulator.orbit, tick.stops, access]
         used += [lookahead.follows, lookahead.arcs.restarts] if simulator.has_tank else []
         use.update(repr(tuple(used)).encode())
     digests = (int.from_bytes(digest.digest(), "big") for digest in (make, use))

@@ -16,6 +16,7 @@ from bsk_torch.env import hints
 from bsk_torch.env.action_forms import action_spec, acts, form, mask_size, mask_spec, read
 from bsk_torch.env.base import StepResult, Tasking
 from bsk_torch.env.options import TaskingOptions, parse, takes
+from bsk_torch.env.satellite_group import SatelliteGroup
 from bsk_torch.formations import Formation
 from bsk_torch.obs.base import ObservationBuilder, Values
 from bsk_torch.sats.satellite import Satellite
@@ -61,7 +62,7 @@ class SatelliteTasking(Tasking):
 
     def _make_specs(self, trial: list[Values]) -> None:
         b, on, values = self.batch_size, {"device": self.device}, trial[0]
-        self.fleet.groups[0].observation_description = ObservationBuilder.describe(values)
+        self.satellite.observation_description = ObservationBuilder.describe(values)
         vector = ObservationBuilder.vector(values, self.dtype)
         size = mask_size(self.satellite)
         self.observation_spec = Composite(
@@ -81,19 +82,19 @@ class SatelliteTasking(Tasking):
     # -- the first and only group of satellites -----------------------------------------------------------------------
 
     @property
-    def satellite(self) -> Satellite:
-        """The satellite that is bound to the environment."""
-        return self.fleet.groups[0].satellite
+    def satellite(self) -> SatelliteGroup:
+        """The satellites of all environments."""
+        return self.satellites[0]
 
     @property
     def dead(self) -> Tensor:
         """Whether the satellite has died, [N]."""
-        return self.fleet.groups[0].task.dead
+        return self.satellite.task.dead
 
     @property
     def requires_retasking(self) -> Tensor:
         """Whether the satellite has no task left, [N]."""
-        return self.fleet.groups[0].task.requires_retasking
+        return self.satellite.task.requires_retasking
 
     # -- step ---------------------------------------------------------------------------------------------------------
 
@@ -114,7 +115,7 @@ class SatelliteTasking(Tasking):
         mine = moves & acts(action, self.satellite) if goes_on else moves
         with self.guard:
             self.guard.check_begun("step()")
-            action = self.fleet.groups[0].checked(action, mine)
+            action = self.satellite.actions.checked(action, mine)
             result = self._advance([action], [mine], moves, moves_all and not goes_on)
             return self._proven(self._outputs(result, reward=result.reward.to(self.dtype), **self._ends(result)))
 

@@ -14,11 +14,11 @@ from bsk_torch.env.machine import check_memory
 from bsk_torch.env.satellite_group import SatelliteGroup, groups_of
 from bsk_torch.obs.base import Values
 from bsk_torch.rand import first_key
+from bsk_torch.sats.fleet import SatelliteFleet
 from bsk_torch.sats.user_function import UserFunction
 from bsk_torch.scene.base import Scenario
 from bsk_torch.sim.component import MissingMessageError
 from bsk_torch.sim.composition import provided_by
-from bsk_torch.sim.fleet import Fleet
 
 BATCHES = (5, 7, 11, 13, 17, 19)
 """Environments of the second trial: the first number that is no other dimension of what is observed."""
@@ -37,15 +37,15 @@ class Trial(NamedTuple):
     functions: list[list[UserFunction]]
     batched: list[list[UserFunction]]
 
-    def decide(self, groups: Sequence[SatelliteGroup]) -> None:
+    def decide(self, satellites: Sequence[SatelliteGroup]) -> None:
         """Let the functions of an environment's satellites be called as the trials show.
 
         Raises:
             TypeError: For a function whose result for one environment depends on others.
         """
-        for group, alone, together in zip(groups, self.functions, self.batched or self.functions, strict=True):
-            for function, one, several in zip(group.functions, alone, together, strict=True):
-                function.adopt(one, several, group.simulator.state.rows)
+        for satellite, alone, together in zip(satellites, self.functions, self.batched or self.functions, strict=True):
+            for function, one, several in zip(satellite.user_functions(), alone, together, strict=True):
+                function.adopt(one, several, satellite.simulator.state.rows)
 
 
 class TrialFleet:
@@ -56,14 +56,14 @@ class TrialFleet:
         self.builder, self.fleet = builder, builder.make_fleet(n, trial=True)
         first = first_key(n)
         self.drawn = builder.draw(self.fleet, replace(first, env_id=first.env_id % builder.options.num_envs))
-        self.groups = groups_of(builder.satellites, self.fleet)
+        self.satellites = groups_of(builder.satellites, self.fleet)
         self.scenario: Scenario = copy.copy(builder.scenario)
 
     def start(self, rewarder: GlobalReward) -> list[list[UserFunction]]:
         """Start the episodes; return the functions of users of each type, which keep their results from now on."""
         self.rewarder = copy.copy(rewarder)
         link(self.fleet, self.scenario, self.rewarder)
-        functions = [group.functions for group in self.groups]
+        functions = [satellite.user_functions() for satellite in self.satellites]
         for function in (each for some in functions for each in some):
             function.begin_trial()
         self.builder.start(self.fleet, self.fleet.all_envs, *self.drawn)
@@ -72,7 +72,7 @@ class TrialFleet:
 
     def observe(self) -> list[Values]:
         """Return the observations of each type; TypeError for one that reads a field which the satellite's models lack."""
-        return [_observed(group) for group in self.groups]
+        return [_observed(satellite) for satellite in self.satellites]
 
     def spread(self) -> None:
         """Let every environment have a time of its own, some seconds after the start, so that mixed up ones show."""
@@ -89,22 +89,22 @@ class TrialFleet:
         checked.terminated(rewarder)
         checked.truncated(rewarder)
         checked.counts(rewarder)
-        for group in self.groups:
-            group.satellite.action_mask()
+        for satellite in self.satellites:
+            satellite.action_mask()
 
-    def become(self, other: Fleet) -> None:
+    def become(self, other: SatelliteFleet) -> None:
         """Put the first environment of another fleet into the place of the first."""
         first = self.fleet.all_envs[:1]
         self.fleet.state.copy_rows(first, other.state, first)
         self.scenario.begin_episodes(first)
 
 
-def _observed(group: SatelliteGroup) -> Values:
+def _observed(satellite: SatelliteGroup) -> Values:
     try:
-        group.satellite.is_alive()
-        return group.observations.get_dict()
+        satellite.is_alive()
+        return satellite.observations.get_dict()
     except MissingMessageError as error:
-        raise TypeError(f"{group.satellite.name}: {error}; {provided_by(str(error.name))}") from error
+        raise TypeError(f"{satellite.name}: {error}; {provided_by(str(error.name))}") from error
 
 
 def try_out(builder: FleetBuilder, rewarder: GlobalReward) -> Trial:

@@ -15,7 +15,7 @@ from bsk_torch.sats.user_function import UserFunction
 from bsk_torch.sim.hooks import check_class, check_tensor, defined_first
 
 if TYPE_CHECKING:
-    from bsk_torch.sats.satellite import Satellite
+    from bsk_torch.sats.bound import BoundSatellite
 
 HOOKS = ("link_satellite", "observables", "get_obs", "get_vector")
 """Members of :class:`Observation` that subclasses may define."""
@@ -59,7 +59,7 @@ class Observation:
         satellite: The satellites, once an environment has been built.
     """
 
-    satellite: Any
+    satellite: BoundSatellite
     unique_name: str
 
     def __init__(self, name: str) -> None:
@@ -76,7 +76,7 @@ class Observation:
                 "get_obs(), from which vectors are made, too"
             )
 
-    def link_satellite(self, satellite: Satellite) -> None:
+    def link_satellite(self, satellite: BoundSatellite) -> None:
         """Prepare for a satellite; called once when an environment is built.
 
         Overriding methods call ``super().link_satellite(satellite)`` first, and raise ValueError for a satellite that cannot be
@@ -136,7 +136,7 @@ def flatten(values: Values, count: int | None = None, prefix: str = "") -> Itera
             )
 
 
-def link(entry: Any, satellite: Satellite) -> None:
+def link(entry: Any, satellite: BoundSatellite) -> None:
     """Link an observation to a satellite.
 
     Raises:
@@ -182,7 +182,7 @@ class Reader:
 
         def one(row: int) -> Any:
             view = copy.copy(entry)
-            view.satellite = satellite.one(row)
+            view.satellite = satellite.one(row)  # type: ignore[assignment]  # answers as one satellite
             return view.get_obs()
 
         return self._function((len(satellite.simulator.ticks),), satellite.simulator.device, entry.get_obs, one)
@@ -212,7 +212,7 @@ class ObservationBuilder:
         entries: The entries.
     """
 
-    def __init__(self, spec: Sequence[Observation], satellite: Satellite) -> None:
+    def __init__(self, spec: Sequence[Observation], satellite: BoundSatellite) -> None:
         """Link every entry to the satellite.
 
         Raises:

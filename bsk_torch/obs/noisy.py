@@ -17,7 +17,7 @@ from bsk_torch.sats.user_function import UserFunction
 from bsk_torch.sim.names import nearest
 
 if TYPE_CHECKING:
-    from bsk_torch.sats.satellite import Satellite
+    from bsk_torch.sats.bound import BoundSatellite
 
 Noise = float | Distribution | Mapping[str, float | Distribution]
 """Standard deviation of normal noise, or a distribution, of all numbers that are observed or by name."""
@@ -74,14 +74,14 @@ class Noisy(Observation):
         made.observation = copy.deepcopy(self.observation, memo)
         return made
 
-    def link_satellite(self, satellite: Satellite) -> None:
+    def link_satellite(self, satellite: BoundSatellite) -> None:
         """See :meth:`Observation.link_satellite`."""
         super().link_satellite(satellite)
         link(self.observation, satellite)
         self._reader = Reader(self.observation)
         if OWNER not in satellite.simulator.memory:
             satellite.simulator.memory.declare(OWNER, -1, low=-1)
-            satellite.group.fleet.beginnings.append(self._own)
+            satellite.fleet.beginnings.append(self._own)
 
     @property
     def functions(self) -> list[UserFunction]:
@@ -134,12 +134,12 @@ class Noisy(Observation):
         """Keep the index of the environments ``envs`` [n], whose episodes have begun."""
         state, memory = self.simulator.state, self.simulator.memory
         rows = state.rows_of(envs)
-        memory[OWNER] = memory[OWNER].index_copy(0, rows, state.of_env(self.satellite.group.fleet.env_ids)[rows])
+        memory[OWNER] = memory[OWNER].index_copy(0, rows, state.of_env(self.satellite.fleet.env_ids)[rows])
 
     def _key(self) -> Key:
         """Return the key of the satellites' episodes, [N]."""
-        group = self.satellite.group
-        key = group.fleet.key().of_satellites(group.fleet.columns[group.index].cpu())
+        fleet, k = self.satellite.fleet, self.satellite.type_index
+        key = fleet.key().of_satellites(fleet.columns[k].cpu())
         return replace(key, env_id=self.simulator.memory[OWNER].cpu())
 
     def _now(self, key: Key) -> Key:

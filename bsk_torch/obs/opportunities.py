@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import torch
 from torch import Tensor
@@ -17,28 +17,28 @@ from bsk_torch.sim.params import nearest
 from bsk_torch.sim.readout.observables import observable
 
 if TYPE_CHECKING:
-    from bsk_torch.sats.access import AccessSatellite
+    from bsk_torch.sats.bound import BoundSatellite
+    from bsk_torch.sats.bound_access import BoundAccessSatellite
     from bsk_torch.sats.opportunities import Opportunities
-    from bsk_torch.sats.satellite import Satellite
 
 Preset = Callable[[Any, Any], Tensor]
 """A function of the satellite and its next opportunities that returns [N, n] or [N, n, width]."""
 
 
 def _relative(name: str) -> Preset:
-    def seconds(satellite: Satellite, opportunities: Opportunities) -> Tensor:
+    def seconds(satellite: BoundSatellite, opportunities: Opportunities) -> Tensor:
         return getattr(opportunities, name) - satellite.simulator.sim_time.unsqueeze(-1)
 
     return seconds
 
 
-def priority(satellite: Satellite, targets: Opportunities) -> Tensor:
+def priority(satellite: BoundSatellite, targets: Opportunities) -> Tensor:
     """Return the present priority of each target, [N, n]."""
     return satellite.simulator.look_up(satellite.scenario.priority, targets.place)
 
 
 def _relative_geometry(part: slice | int) -> Preset:
-    def geometry(satellite: Satellite, opportunities: Opportunities) -> Tensor:
+    def geometry(satellite: BoundSatellite, opportunities: Opportunities) -> Tensor:
         return satellite.aims(opportunities)[..., part]  # type: ignore[attr-defined]
 
     return geometry
@@ -84,6 +84,8 @@ class OpportunityProperties(Observation):
     Where one cannot be called for all opportunities at once, it is called for each, which is slow; the log says so.
     """
 
+    satellite: BoundAccessSatellite
+
     def __init__(
         self,
         *entries: dict[str, Any],
@@ -128,7 +130,7 @@ class OpportunityProperties(Observation):
         """See :attr:`Observation.functions`."""
         return [function for function in self._functions if function is not None]
 
-    def link_satellite(self, satellite: Satellite) -> None:
+    def link_satellite(self, satellite: BoundSatellite) -> None:
         """See :meth:`Observation.link_satellite`; ValueError for a satellite without such opportunities."""
         super().link_satellite(satellite)
         kinds = getattr(satellite, "opportunity_types", ())
@@ -158,7 +160,7 @@ class OpportunityProperties(Observation):
 
     def _columns(self) -> tuple[dict[str, Tensor], Tensor]:
         """Return properties by name, [N, n] or [N, n, width], and which opportunities do not repeat the last one, [N, n] bool."""
-        opportunities = cast("AccessSatellite", self.satellite).find_next_opportunities(self.n_ahead_observe, self.type)
+        opportunities = self.satellite.find_next_opportunities(self.n_ahead_observe, self.type)
         columns = {}
         for entry, function in zip(self.entries, self._functions, strict=True):
             if function is None:

@@ -29,7 +29,7 @@ from bsk_torch.sim.names import nearest
 from bsk_torch.vec3 import Mat3, Vec3
 
 if TYPE_CHECKING:
-    from bsk_torch.sats.satellite import Satellite
+    from bsk_torch.sats.bound import BoundSatellite
 
 __all__ = [
     "FUNCTIONS",
@@ -264,10 +264,10 @@ class RelativeProperties(Observation):
                 raise ValueError(f"prop={entry['prop']!r} is no relative property; {nearest(str(entry['prop']), FUNCTIONS)}")
         self._calls = [entry["fn"] if "fn" in entry else FUNCTIONS[entry["prop"]] for entry in self.entries]
 
-    def link_satellite(self, satellite: Satellite) -> None:
+    def link_satellite(self, satellite: BoundSatellite) -> None:
         """See :meth:`Observation.link_satellite`; ValueError for an unknown chief."""
         super().link_satellite(satellite)
-        places = satellite.group.fleet.places
+        places = satellite.fleet.places
         if self.chief_name not in places:
             raise ValueError(
                 f"obs.RelativeProperties: chief_name={self.chief_name!r} is no satellite of the environment; "
@@ -288,8 +288,7 @@ class RelativeProperties(Observation):
         None if the chief is of the deputy's type: trials simulate one satellite of each type, which would be its own chief, and
         say nothing about functions of two. Those are tried at the first reset.
         """
-        group = self.satellite.group
-        if group.fleet.place_of(self.chief_name)[0] == group.index:
+        if self.satellite.fleet.place_of(self.chief_name)[0] == self.satellite.type_index:
             return []
         return [function for function in self._functions if function is not None]
 

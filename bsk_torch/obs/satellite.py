@@ -18,7 +18,7 @@ from bsk_torch.sim.params import nearest
 from bsk_torch.sim.readout.observables import observable
 
 if TYPE_CHECKING:
-    from bsk_torch.sats.satellite import Satellite
+    from bsk_torch.sats.bound import BoundSatellite
 
 
 class SatProperties(Observation):
@@ -38,7 +38,7 @@ class SatProperties(Observation):
         super().__init__(name)
         self.entries = parse_entries(entries, {"prop", "fn", "module", "norm", "name"}, "obs.SatProperties")
 
-    def link_satellite(self, satellite: Satellite) -> None:
+    def link_satellite(self, satellite: BoundSatellite) -> None:
         """See :meth:`Observation.link_satellite`; ValueError for a property that does not exist."""
         super().link_satellite(satellite)
         self.modules = [None if "fn" in entry else self._module(entry) for entry in self.entries]

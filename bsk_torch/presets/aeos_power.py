@@ -35,6 +35,7 @@ from bsk_torch import act, obs, rand, scene
 from bsk_torch.env import SatelliteTasking
 from bsk_torch.presets.aeos import AHEAD, ORBIT, SATELLITE, AgileSatellite, agile_args, agile_environment, targets_ahead
 from bsk_torch.presets.nadir_scan import next_station
+from bsk_torch.sats import BoundAccessSatellite
 from bsk_torch.sim import dyn
 
 BINS = 20
@@ -65,6 +66,8 @@ CHARGE, DOWNLINK, DESAT = 0, 1, 2
 
 class TargetDensity(obs.Observation):
     """Sums of the priorities of the targets whose next window closes in each of the next intervals, [N, 20]."""
+
+    satellite: BoundAccessSatellite
 
     def __init__(self, name: str = "density") -> None:
         """Name of the observation."""

@@ -85,7 +85,7 @@ BODY_RADIUS, LOWEST, HIGHEST = 6371e3, 500e3, 1100e3
 """Radius of the sphere from which altitudes count, and bounds of the RSO's altitude, m."""
 
 
-def one(satellite: sats.Satellite) -> Tensor:
+def one(satellite: sats.BoundSatellite) -> Tensor:
     """Return 1 for each satellite, [N]: an observation of nothing."""
     return torch.ones_like(satellite.simulator.sim_time)
 
@@ -138,7 +138,7 @@ class OtherInspectors(obs.Observation):
         chief = satellite.others[CHIEF].dynamics
         r_C, v_C = Vec3.of(chief.r_BN_N), Vec3.of(chief.v_BN_N)
         HN, rate = hill_frame(r_C, v_C), hill_rate(r_C, v_C)
-        r_N, v_N, dead = satellite.dynamics.r_BN_N, satellite.dynamics.v_BN_N, satellite.group.task.dead
+        r_N, v_N, dead = satellite.dynamics.r_BN_N, satellite.dynamics.v_BN_N, satellite.task.dead
 
         def behind(table: Tensor, k: int) -> Tensor:
             """Return the rows of the inspectors k places behind."""

@@ -15,7 +15,7 @@ from bsk_torch.sim.access.places import TARGET_KIND
 from bsk_torch.sim.names import nearest
 
 if TYPE_CHECKING:
-    from bsk_torch.sats.access import AccessSatellite
+    from bsk_torch.sats.bound_access import BoundAccessSatellite
 
 Filter = Callable[[], Tensor] | Callable[[Any], Any]
 """Function that returns the places that remain, [N, P] booleans; or bsk_rl's function of an opportunity."""
@@ -34,7 +34,7 @@ WINDOWS = (
 class AllPlaces:
     """All places of a type as an opportunity of a filter: ``["object"]``, ``["type"]`` and ``["r_LP_P"]`` [N, P, 3] m."""
 
-    def __init__(self, satellite: AccessSatellite, kind: str) -> None:
+    def __init__(self, satellite: BoundAccessSatellite, kind: str) -> None:
         """Describe all places of type ``kind``."""
         rows = len(satellite.simulator.ticks)
         self._satellite, self._kind = satellite, kind
@@ -104,7 +104,7 @@ class AccessFilter:
         """Return whether opportunities of a type are filtered."""
         return self.types is None or kind in self.types
 
-    def __call__(self, satellite: AccessSatellite, kind: str) -> Tensor:
+    def __call__(self, satellite: BoundAccessSatellite, kind: str) -> Tensor:
         """Return the places of a type that remain, [N, P] booleans."""
         if not self.takes_opportunity:
             return self.function()
@@ -123,7 +123,7 @@ class AccessFilter:
             raise TypeError(f"{self.functions[kind].title} gives shape {list(found.shape)}; it must be [{rows}, {places}]")
         return found.bool()
 
-    def _one(self, satellite: AccessSatellite, kind: str, row: int) -> list[bool]:
+    def _one(self, satellite: BoundAccessSatellite, kind: str, row: int) -> list[bool]:
         one = satellite.one(row)
         assert isinstance(one, OneAccessSatellite)
         return [bool(self.function(OnePlace(opportunity))) for opportunity in one.all_places(kind)]

@@ -9,6 +9,8 @@ import torch
 from torch import Tensor
 
 from bsk_torch.sats.access import AccessSatellite
+from bsk_torch.sats.bound_access import BoundAccessSatellite
+from bsk_torch.sats.fleet import SatelliteFleet
 from bsk_torch.sats.one import OneSatellite
 from bsk_torch.sats.one_access import OneImagingSatellite
 from bsk_torch.sim.access.places import TARGETS
@@ -25,7 +27,7 @@ NONE = -1
 class ImagingSatellite(AccessSatellite):
     """Chooses targets and images them; steps end when the image has been taken or its window closes.
 
-    Counters of the present episodes: ``imaged``, ``missed`` (windows that closed without the image), [N] each.
+    In an environment it is a :class:`BoundImagingSatellite`.
     """
 
     dyn_type: ClassVar[type[DynamicsModel]] = ImagingDynModel
@@ -41,18 +43,24 @@ class ImagingSatellite(AccessSatellite):
         self.sat_args_generator["bufferNames"] = [BUFFER]
         self.sat_args_generator["transmitterNumBuffers"] = 1
 
-    def on_bind(self) -> None:
-        """See :meth:`Satellite.on_bind`."""
-        super().on_bind()
+
+class BoundImagingSatellite(BoundAccessSatellite, ImagingSatellite):
+    """The imaging satellites of one type in an environment.
+
+    Counters of the present episodes: ``imaged``, ``missed`` (windows that closed without the image), [N] each.
+    """
+
+    def _join(self, fleet: SatelliteFleet, type_index: int) -> None:
+        super()._join(fleet, type_index)
         scenario = self.simulator.scenario_state
         targets = scenario[TARGETS].shape[1] if TARGETS in scenario else 0
         for name, initial, high in (("latest_target", NONE, targets - 1), ("imaged", 0, None), ("missed", 0, None)):
-            self.simulator.state.memory.declare(name, initial, low=initial, high=high)
+            self.memory.declare(name, initial, low=initial, high=high)
 
     @property
     def latest_target(self) -> Tensor:
         """Target that was chosen last, [N]; -1 before the first."""
-        return self.simulator.state.memory["latest_target"]
+        return self.memory["latest_target"]
 
     @property
     def known_images(self) -> Tensor:
@@ -60,21 +68,21 @@ class ImagingSatellite(AccessSatellite):
 
         AttributeError for a rewarder that does not keep them, as :class:`bsk_torch.data.UniqueImageReward` does.
         """
-        return self.group.fleet.rows_of(self.group.index, self.rewarder.known)
+        return self.fleet.rows_of(self.type_index, self.rewarder.known)
 
     @property
     def imaged(self) -> Tensor:
         """Number of images taken, [N]."""
-        return self.simulator.state.memory["imaged"]
+        return self.memory["imaged"]
 
     @property
     def missed(self) -> Tensor:
         """Number of chosen targets whose windows closed without an image, [N]."""
-        return self.simulator.state.memory["missed"]
+        return self.memory["missed"]
 
     def note_events(self, event: Tensor) -> None:
         """See :meth:`Satellite.note_events`."""
-        self.simulator.state.memory["imaged"] = self.imaged + event
+        self.memory["imaged"] = self.imaged + event
 
     def counts(self) -> dict[str, Tensor]:
         """See :meth:`Satellite.counts`."""
@@ -85,3 +93,6 @@ class ImagingSatellite(AccessSatellite):
         windows = self.upcoming_opportunities(self.target_types)
         mine = (windows.place == target.unsqueeze(-1)) & torch.isfinite(windows.close)
         return tuple(torch.where(mine, time, torch.inf).amin(1) for time in (windows.open, windows.close))  # type: ignore[return-value]
+
+
+ImagingSatellite.bound_type = BoundImagingSatellite

@@ -16,10 +16,10 @@ from torch import Tensor
 from bsk_torch.sats.one import of_row
 
 if TYPE_CHECKING:
-    from bsk_torch.sats.access import AccessSatellite
+    from bsk_torch.sats.bound_access import BoundAccessSatellite
 
 
-def target_names(satellite: AccessSatellite, env: int) -> Sequence[str]:
+def target_names(satellite: BoundAccessSatellite, env: int) -> Sequence[str]:
     """Return the name of every target of an environment."""
     return satellite.scenario.names(env)
 
@@ -27,7 +27,7 @@ def target_names(satellite: AccessSatellite, env: int) -> Sequence[str]:
 class TargetObjects:
     """Targets of opportunities [N, n]. Attributes are tensors [N, n] or [N, n, ...]; see the module."""
 
-    def __init__(self, satellite: AccessSatellite, place: Tensor) -> None:
+    def __init__(self, satellite: BoundAccessSatellite, place: Tensor) -> None:
         """Describe the targets ``place`` [N, n] of the satellites of a type."""
         self._satellite, self.id = satellite, place
 
@@ -66,7 +66,7 @@ class OneTarget:
         id: Index among the targets of the environment; ``act.image_target(id)`` is the action that images it.
     """
 
-    def __init__(self, satellite: AccessSatellite, env: int, index: int) -> None:
+    def __init__(self, satellite: BoundAccessSatellite, env: int, index: int) -> None:
         """Describe target number ``index`` of an environment."""
         self._satellite, self._env, self.id = satellite, env, index
 

@@ -18,7 +18,7 @@ from bsk_torch.sim.names import nearest
 from bsk_torch.sim.readout.observables import observable
 
 if TYPE_CHECKING:
-    from bsk_torch.sats.satellite import Satellite
+    from bsk_torch.sats.bound import BoundSatellite
 
 OWN_PACKAGE = __name__.partition(".")[0] + "."
 
@@ -141,12 +141,12 @@ class OneArguments(Mapping[str, Any]):
 class OneSimulator(OneView):
     """The simulation at one row: time, world, and declared memory."""
 
-    def __init__(self, satellite: Satellite, row: int, rows: int) -> None:
+    def __init__(self, satellite: BoundSatellite, row: int, rows: int) -> None:
         """View the simulation of a satellite."""
         super().__init__(satellite.simulator, row, rows)
         self.__dict__["_satellite"] = satellite
 
-    _satellite: Satellite
+    _satellite: BoundSatellite
 
     @property
     def time_limit(self) -> float:
@@ -257,13 +257,13 @@ class OneScenario(OneView):
 
 
 class OneSatellite(OneView):
-    """One satellite of one environment; :meth:`bsk_torch.sats.Satellite.one` makes it.
+    """One satellite of one environment; :meth:`bsk_torch.sats.BoundSatellite.one` makes it.
 
     As in bsk_rl, ``satellite.dynamics.r_BN_N`` is an array [3], ``satellite.simulator.sim_time`` a number of seconds and
     ``satellite.sat_args[name]`` the drawn argument.
     """
 
-    def __init__(self, satellite: Satellite, row: int) -> None:
+    def __init__(self, satellite: BoundSatellite, row: int) -> None:
         """View the satellite of row ``row`` of all N of its type: number ``row % count`` of environment ``row // count``."""
         state = satellite.simulator.state
         if not 0 <= row < state.rows:
@@ -318,7 +318,7 @@ class OneSatellite(OneView):
     def data_store(self) -> Any:
         """Store of the satellite in the rewarder: ``data_store.data``; AttributeError for rewarders without stores."""
         whole = self._whole
-        return whole.rewarder.store_of_one(whole.group.index, self._row) if whole.data_store is not None else None
+        return whole.rewarder.store_of_one(whole.type_index, self._row) if whole.data_store is not None else None
 
     @property
     def scenario(self) -> OneScenario:

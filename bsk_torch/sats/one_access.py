@@ -149,7 +149,7 @@ class OneAccessSatellite(OneSatellite):
         return found + [found[-1]] * (n - len(found))
 
     def calculate_additional_windows(self, duration: float) -> None:
-        """Extend look-ahead of this satellite; see :meth:`bsk_torch.sats.AccessSatellite.calculate_additional_windows`."""
+        """Extend look-ahead of this satellite; see :meth:`bsk_torch.sats.BoundAccessSatellite.calculate_additional_windows`."""
         seconds = torch.zeros_like(self._whole.simulator.sim_time)
         seconds[self._row] = duration
         self._whole.calculate_additional_windows(seconds)

@@ -10,7 +10,7 @@ from torch import Tensor
 from bsk_torch.sim.names import nearest
 
 if TYPE_CHECKING:
-    from bsk_torch.sats.access import AccessSatellite
+    from bsk_torch.sats.bound_access import BoundAccessSatellite
 
 
 class _Opportunities(NamedTuple):
@@ -39,10 +39,10 @@ class Opportunities(_Opportunities):
         type: Type of the opportunities.
     """
 
-    satellite: AccessSatellite
+    satellite: BoundAccessSatellite
     type: str
 
-    def of(self, satellite: AccessSatellite, type: str) -> Opportunities:
+    def of(self, satellite: BoundAccessSatellite, type: str) -> Opportunities:
         """Say whose opportunities of which type these are."""
         self.satellite, self.type = satellite, type
         return self

@@ -14,8 +14,8 @@ import torch
 from torch import Tensor
 
 if TYPE_CHECKING:
+    from bsk_torch.sats.bound import BoundSatellite
     from bsk_torch.sats.one import OneSatellite
-    from bsk_torch.sats.satellite import Satellite
 
 PLAIN = (int, float, str, bytes, type(None), type, np.ndarray, np.generic, torch.dtype, torch.device)
 """Values that are the same for all rows."""
@@ -74,13 +74,13 @@ class Aligned:
 
 
 class OtherSatellite(Aligned):
-    """A satellite of the same episodes: ``dynamics``, ``fsw``, ``sat_args`` and the rest, as of a :class:`Satellite`.
+    """A satellite of the same episodes: ``dynamics``, ``fsw``, ``sat_args`` and the rest, as of a :class:`BoundSatellite`.
 
     Tensors have the rows of the satellite that asks: ``satellite.others["RSO"].dynamics.r_BN_N`` is [N, 3], beside
     ``satellite.dynamics.r_BN_N``.
     """
 
-    def __init__(self, whole: Satellite, number: int, times: int) -> None:
+    def __init__(self, whole: BoundSatellite, number: int, times: int) -> None:
         """View satellite ``number`` of those of the type ``whole``, for ``times`` rows of each episode."""
         state = whole.simulator.state
         count = state.count
@@ -96,9 +96,9 @@ class OtherSatellite(Aligned):
 class Others(Mapping[str, OtherSatellite]):
     """The satellites of an episode by name, as one of its types sees them, itself included."""
 
-    def __init__(self, satellite: Satellite) -> None:
+    def __init__(self, satellite: BoundSatellite) -> None:
         """Show the satellites of the fleet to a ``satellite``."""
-        self._satellite, self._fleet = satellite, satellite.group.fleet
+        self._satellite, self._fleet = satellite, satellite.fleet
 
     def __getitem__(self, name: str) -> OtherSatellite:
         """Return a satellite; KeyError for an unknown name, with the nearest one."""
@@ -117,9 +117,9 @@ class Others(Mapping[str, OtherSatellite]):
 class OneOthers(Mapping[str, Any]):
     """The satellites of one episode by name, each as a view of one row."""
 
-    def __init__(self, satellite: Satellite, env: int) -> None:
+    def __init__(self, satellite: BoundSatellite, env: int) -> None:
         """Show the satellites of environment number ``env``."""
-        self._fleet, self._env = satellite.group.fleet, env
+        self._fleet, self._env = satellite.fleet, env
 
     def __getitem__(self, name: str) -> OneSatellite:
         """Return a satellite; KeyError for an unknown name, with the nearest one."""

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import copy
 import keyword
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import Any, ClassVar, Protocol
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 import torch
@@ -15,110 +15,25 @@ from bsk_torch._checks import switch, text
 from bsk_torch.sats.dtypes import as_dtype
 from bsk_torch.sats.hooks import check_satellite
 from bsk_torch.sats.one import OneSatellite
-from bsk_torch.sats.others import Others, OtherSatellite
-from bsk_torch.sats.user_function import UserFunction
 from bsk_torch.sim.argument_table import ArgumentTable
 from bsk_torch.sim.composition import compose
 from bsk_torch.sim.dyn.models import BasicDynamicsModel, DynamicsModel
 from bsk_torch.sim.fsw.models import BasicFSWModel, FSWModel
 from bsk_torch.sim.given import Given, expand
-from bsk_torch.sim.hooks import check_tensor
-from bsk_torch.sim.params import nearest
-from bsk_torch.sim.satellite_state import SatelliteState
-from bsk_torch.sim.simulator import Simulator
-from bsk_torch.sim.state import StateTable
+
+if TYPE_CHECKING:
+    from bsk_torch.sats.bound import BoundSatellite
 
 VECTOR_TYPES = (torch.Tensor, np.ndarray, list)
 """Values of ``obs_type`` that mean one vector; the latter two are bsk_rl's."""
 
 
-class _Arguments(Mapping[str, Any]):
-    """Arguments of the present episodes by name, looked up when read; a wrong name is answered with the nearest right one."""
-
-    def __init__(self, state: SatelliteState) -> None:
-        self._state = state
-
-    def __getitem__(self, name: str) -> Any:
-        try:
-            return self._state.argument(name)
-        except KeyError:
-            raise KeyError(f"sat_args has no {name!r}; {nearest(name, self)}") from None
-
-    def __iter__(self) -> Iterator[str]:
-        return iter((*self._state.arguments, *self._state.constants))
-
-    def __len__(self) -> int:
-        return len(self._state.arguments.places) + len(self._state.constants)
-
-
-class Actions(Protocol):
-    """Actions of the satellites of one type; see :class:`bsk_torch.act.base.ActionBuilder`."""
-
-    entries: tuple[Any, ...]
-    n_actions: int
-    n_negative_actions: int
-
-    @property
-    def description(self) -> list[str]:
-        """Name of every action."""
-
-    def entry_of(self, action: Any) -> int:
-        """Return the number of the entry of ``action_spec`` that an action belongs to."""
-
-    def title(self, action: Tensor) -> str:
-        """Return what an action is called."""
-
-    def table(self) -> Any:
-        """Return the modes and durations of the actions that have fixed ones."""
-
-    def mask(self) -> Tensor:
-        """Return a mask of the legal actions, [N, n_actions]."""
-
-
-class Observations(Protocol):
-    """Observations of the satellites of one type; see :class:`bsk_torch.obs.base.ObservationBuilder`."""
-
-    entries: tuple[Any, ...]
-
-    def get_dict(self) -> dict[str, Any]:
-        """Return the observations by name, [N, ...] each."""
-
-    def get_vector(self, dtype: torch.dtype) -> Tensor:
-        """Return the observations as one vector, [N, O]."""
-
-
-class Group(Protocol):
-    """Satellites of one type in an environment; see :class:`bsk_torch.env.satellite_group.SatelliteGroup`."""
-
-    simulator: Simulator
-    dynamics: Any
-    fsw: Any
-    names: tuple[str, ...]
-    scenario: Any
-    rewarder: Any
-    fleet: Any
-    index: int
-    observation_description: list[str]
-
-    @property
-    def actions(self) -> Actions:
-        """Actions of the satellites."""
-
-    @property
-    def observations(self) -> Observations:
-        """Observations of the satellites."""
-
-    @property
-    def time_limit(self) -> Tensor:
-        """Time limits of the episodes, [N] s."""
-
-    @property
-    def removed(self) -> Tensor | None:
-        """Satellites that have left their episodes, [N]."""
-
-
 class Satellite:
-    """An agent. Subclasses set ``observation_spec``, ``action_spec``, ``dyn_type`` and ``fsw_type``.
+    """Description of an agent. Subclasses set ``observation_spec``, ``action_spec``, ``dyn_type`` and ``fsw_type``.
+
+    An environment makes a :class:`bsk_torch.sats.bound.BoundSatellite` of the same class from it, for all satellites of the type.
+    That is what the hooks of subclasses have as ``self``, and what actions, observations and functions of users get: it has
+    ``simulator``, ``dynamics``, ``fsw``, ``memory``, ``sat_args`` and so on.
 
     ``dyn_type`` and ``fsw_type`` are written as a class of :mod:`bsk_torch.sim.dyn` or :mod:`bsk_torch.sim.fsw`, or as a tuple of
     classes, of which the first wins; they are read as the one class that these stand for.
@@ -128,8 +43,8 @@ class Satellite:
     action_spec: ClassVar[Sequence[Any]] = ()
     dyn_type: ClassVar[Any] = BasicDynamicsModel
     fsw_type: ClassVar[Any] = BasicFSWModel
-    opportunity_types: tuple[str, ...] = ()
     view_type: ClassVar[type[OneSatellite]] = OneSatellite
+    bound_type: ClassVar[type[BoundSatellite]]
 
     def __init_subclass__(cls, **options: Any) -> None:
         """Refuse definitions that no environment would use, by a TypeError with advice."""
@@ -198,8 +113,6 @@ class Satellite:
             owner = next(other for other in cls.__mro__ if name in vars(other))
             setattr(owner, name, compose(getattr(owner, name), base, owner.__name__))
 
-    # -- in an environment --------------------------------------------------------------------------------------------
-
     def generation(self, limit: Tensor) -> Tensor:
         """Return the seconds for which access windows are generated at reset, given time limits [n]; zero here."""
         return torch.zeros_like(limit)
@@ -218,14 +131,10 @@ class Satellite:
             copied.fsw_type = compose((self.fsw_type, *added), FSWModel)  # type: ignore[misc]
         return copied
 
-    def bound_to(self, group: Group) -> Satellite:
-        """Return a copy that represents all satellites of a group in an environment."""
-        copied = copy.copy(self)
-        copied.group = group
-        return copied
+    # -- hooks, which run on the satellites in an environment -----------------------------------------------------------
 
     def on_bind(self) -> None:
-        """Declare memory and the like; called once on the copy in an environment, before actions and observations are linked."""
+        """Declare memory and the like; called once in an environment, before actions and observations are linked."""
 
     def note_events(self, event: Tensor) -> None:
         """Record the events of a run: ``event`` [N] is true where one ended the actions that wait for it."""
@@ -235,148 +144,12 @@ class Satellite:
         return None
 
     def action_mask(self) -> Tensor:
-        """Return which actions are legal now, [N, n_actions]; all of them where none would be."""
-        mask, legal = self.actions.mask(), self.legal_actions()
-        if legal is not None:
-            check_tensor(f"{type(self).__name__}.legal_actions()", legal, mask.shape, torch.bool)
-        mask = mask if legal is None else mask & legal
-        return mask | ~mask.any(1, keepdim=True)
+        """Return which actions are legal now, [N, n_actions] bool.
+
+        Unless overridden, those that :meth:`legal_actions` and the masks of the actions allow; all of them where none would be.
+        """
+        raise RuntimeError(f"{self.name!r} is in no environment; env.satellite.action_mask() is that of the present episodes")
 
     def counts(self) -> dict[str, Tensor]:
         """Return the counters of the present episodes, [N] each, by name."""
         return {}
-
-    def one(self, row: int) -> OneSatellite:
-        """Return a read-only view of the satellite of one row [N], which answers as a satellite of bsk_rl does.
-
-        Its properties are NumPy arrays and Python numbers; see :mod:`bsk_torch.sats.one`. With one satellite of the type in each
-        environment, ``row`` is the number of the environment.
-        """
-        return self.view_type(self, row)
-
-    def member(self, number: int, times: int = 1) -> OtherSatellite:
-        """Return a read-only view of one satellite of each environment, whose tensors are [num_envs * times, ...].
-
-        Args:
-            number: Its number among those of the type.
-            times: How often each row is repeated.
-        """
-        return OtherSatellite(self, number, times)
-
-    @property
-    def others(self) -> Others:
-        """The satellites of the episodes by name: ``satellite.others["RSO"].dynamics.r_BN_N`` is [N, 3], beside one's own rows.
-
-        KeyError for an unknown name, with the nearest one. They are there when observations are made, not when they are linked.
-        """
-        return Others(self)
-
-    @property
-    def functions(self) -> list[UserFunction]:
-        """Functions of users that the satellite calls; an environment tries them when it is built."""
-        return []
-
-    def title(self, row: int) -> str:
-        """Return the name of the satellite of a row [N] in errors."""
-        env, k = divmod(row, len(self.names))
-        return f"environment {env}" if len(self.names) == 1 else f"satellite {self.names[k]} of environment {env}"
-
-    group: Group
-    """Group of the satellite in its environment; set in environments only."""
-
-    @property
-    def simulator(self) -> Simulator:
-        """Simulation of the satellites."""
-        return self.group.simulator
-
-    @property
-    def dynamics(self) -> Any:
-        """Dynamics model."""
-        return self.group.dynamics
-
-    @property
-    def fsw(self) -> Any:
-        """Flight-software model."""
-        return self.group.fsw
-
-    @property
-    def actions(self) -> Actions:
-        """Actions, see :class:`bsk_torch.act.base.ActionBuilder`."""
-        return self.group.actions
-
-    @property
-    def observations(self) -> Observations:
-        """Observations, see :class:`bsk_torch.obs.base.ObservationBuilder`."""
-        return self.group.observations
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Name of each satellite of an episode that is of this type."""
-        return self.group.names
-
-    @property
-    def scenario(self) -> Any:
-        """Scenario of the environment."""
-        return self.group.scenario
-
-    @property
-    def rewarder(self) -> Any:
-        """Rewarder of the environment; None where there is none, as in a fleet of its own."""
-        return self.group.rewarder
-
-    @property
-    def data_store(self) -> Any:
-        """What the satellites know, as the rewarder keeps it, in ``data_store.data``; AttributeError for rewarders without it."""
-        store_of = getattr(self.rewarder, "store_of", None)
-        if store_of is None:
-            raise AttributeError(
-                f"{type(self.rewarder).__name__} keeps no data of satellites; data.UniqueImageReward does, and rewarders in "
-                "bsk_rl's form with a data_store_type"
-            )
-        return store_of(self.group.index)
-
-    @property
-    def memory(self) -> StateTable:
-        """Tensors [N, ...] that start anew with every episode; ``memory.declare(name, initial, *shape)`` adds one."""
-        return self.simulator.memory
-
-    @property
-    def time_limit(self) -> Tensor:
-        """Time limits of the episodes, [N] s."""
-        return self.group.time_limit
-
-    @property
-    def removed(self) -> Tensor | None:
-        """Satellites that have left their episodes, [N], for which queries return nothing; None where none can leave."""
-        return self.group.removed
-
-    @property
-    def observation_description(self) -> list[str]:
-        """Name of every entry of the observation vector."""
-        return self.group.observation_description
-
-    @property
-    def sat_args(self) -> Mapping[str, Any]:
-        """Arguments of the present episodes, [N, ...] each, float64."""
-        return _Arguments(self.simulator.state)
-
-    @property
-    def action_description(self) -> list[str]:
-        """Name of every action."""
-        return self.actions.description
-
-    def next_eclipse(self) -> tuple[Tensor, Tensor]:
-        """Return the next start and the next end of an eclipse, [N] s since reset."""
-        return self.simulator.lookahead.next_eclipse(self.simulator.state.sim_time)
-
-    def aliveness(self) -> dict[str, Tensor]:
-        """Return the result [N] of every aliveness check of dynamics and flight software, by name."""
-        others = self.group.fleet.encounters.checks_of_deputies(self.group.index)
-        return {**self.dynamics.aliveness(), **self.fsw.aliveness(), **others}
-
-    def is_alive(self) -> Tensor:
-        """Return whether every aliveness check holds now, [N]."""
-        alive = torch.ones_like(self.simulator.state.ticks, dtype=torch.bool)
-        for check in self.aliveness().values():
-            alive = alive & check
-        return alive

@@ -13,7 +13,7 @@ from bsk_torch.sim.hooks import FLEET_MEMORY, ChangeGuard, check_class, check_li
 
 if TYPE_CHECKING:
     from bsk_torch.rand import Key
-    from bsk_torch.sim.fleet import Fleet
+    from bsk_torch.sats.fleet import SatelliteFleet
     from bsk_torch.sim.state import StateTable
 
 HOOKS = ("validate_satellite_names", "calls_user", "draw", "link", "reset", "after_step")
@@ -54,7 +54,7 @@ class Scenario:
         fleet: The satellites, once an environment has been built.
     """
 
-    fleet: Fleet
+    fleet: SatelliteFleet
     _link_needs_super: ClassVar[bool] = False
     _old_hooks: ClassVar[Sequence[str]] = ()
     _form: Mapping[str, torch.Size] | None = None
@@ -92,7 +92,7 @@ class Scenario:
     def validate_satellite_names(self, satellites: Sequence[Any]) -> None:
         """Raise ValueError for satellites whose names do not fit; called first when an environment is built, as in bsk_rl."""
 
-    def link(self, fleet: Fleet) -> None:
+    def link(self, fleet: SatelliteFleet) -> None:
         """Prepare for the satellites of an environment; called once when it is built.
 
         Overriding methods call ``super().link(fleet)`` first, and raise ValueError for satellites that do not fit.
@@ -127,7 +127,7 @@ class Scenario:
 
     # -- calls by the environment -------------------------------------------------------------------------------------
 
-    def attach(self, fleet: Fleet) -> None:
+    def attach(self, fleet: SatelliteFleet) -> None:
         """Call :meth:`link`; not to be overridden.
 
         Raises:

@@ -14,7 +14,7 @@ from bsk_torch.scene.targets import TargetScenario
 from bsk_torch.sim.state import FINITE
 
 if TYPE_CHECKING:
-    from bsk_torch.sim.fleet import Fleet
+    from bsk_torch.sats.fleet import SatelliteFleet
 
 
 class CloudyTargets(TargetScenario):
@@ -82,7 +82,7 @@ class CloudyTargets(TargetScenario):
 
     # -- in an environment --------------------------------------------------------------------------------------------
 
-    def link(self, fleet: Fleet) -> None:
+    def link(self, fleet: SatelliteFleet) -> None:
         """See :meth:`TargetScenario.link`."""
         self.targets = copy.copy(self.targets)  # environments that share this scenario each link their own
         self.targets.link(fleet)

@@ -14,9 +14,9 @@ from torch import Tensor
 from bsk_torch._checks import number, whole
 from bsk_torch.astro.relative import fibonacci_sphere
 from bsk_torch.rand import Key, seeded
+from bsk_torch.sats.fleet import SatelliteFleet
 from bsk_torch.scene.base import Scenario
 from bsk_torch.sim.dyn.inspection import RSODynModel, RSOInspectorDynModel
-from bsk_torch.sim.fleet import Fleet
 from bsk_torch.sim.fsw.inspection import RSOInspectorFSWModel
 from bsk_torch.sim.hooks import check_class, note_slow
 from bsk_torch.sim.inspection.points import point_columns
@@ -211,7 +211,7 @@ class RSOPoints(Scenario):
         if both := sorted(set(rsos) & set(inspectors)):
             raise ValueError(f"{title}: {both} would inspect itself; give the RSO and its inspectors models of their own")
 
-    def link(self, fleet: Fleet) -> None:
+    def link(self, fleet: SatelliteFleet) -> None:
         """See :meth:`Scenario.link`."""
         super().link(fleet)
         kinds = [part.dyn_type for part in fleet.satellites]

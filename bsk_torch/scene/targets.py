@@ -18,7 +18,7 @@ from bsk_torch.sim.orbit.arcs import FARTHEST
 from bsk_torch.sim.state import FINITE, look_up
 
 if TYPE_CHECKING:
-    from bsk_torch.sim.fleet import Fleet
+    from bsk_torch.sats.fleet import SatelliteFleet
 
 TARGET_HOOKS = ("target_names", "names", "r_LP_P", "priority", "available")
 """Members of :class:`TargetScenario` that subclasses may define beside the hooks of :class:`Scenario`."""
@@ -54,7 +54,7 @@ class TargetScenario(Scenario):
         """Return the name of every column in the present episode of environment ``row``."""
         return self.target_names
 
-    def link(self, fleet: Fleet) -> None:
+    def link(self, fleet: SatelliteFleet) -> None:
         """See :meth:`Scenario.link`.
 
         Raises:

@@ -66,7 +66,7 @@ class Task(Protocol):
 class Group(Protocol):
     """Satellites of one type in an environment; see :class:`bsk_torch.env.satellite_group.SatelliteGroup`."""
 
-    satellite: Any
+    variable_interval: bool
     simulator: Simulator
     scenario: Any
     rewarder: Any
@@ -162,36 +162,11 @@ class Fleet:
             self.state.add(f"satellites_{k}", simulator.state)
         self.encounters = Encounters(self, pairs, as_bsk_rl)
 
-    @property
-    def satellites(self) -> tuple[Any, ...]:
-        """The satellite of each type that is bound to the environment."""
-        return tuple(group.satellite for group in self.groups)
-
     def place_of(self, name: str) -> tuple[int, int]:
         """Return the type of a satellite and its number within the type; KeyError for an unknown name, with the nearest one."""
         if name not in self.places:
             raise KeyError(f"{name!r} is no satellite of the environment; {nearest(str(name), self.places)}")
         return self.places[name]
-
-    def found(self, name: str) -> tuple[Any, int]:
-        """Return the satellite that stands for the type of a named one, and the number of that one within the type.
-
-        Raises:
-            KeyError: For an unknown name.
-            RuntimeError: While the satellites are being made.
-        """
-        k, number = self.place_of(name)
-        if not self.groups:
-            raise RuntimeError(f"satellite {name!r} is not there yet: others are seen in get_obs(), not in link_satellite()")
-        return self.groups[k].satellite, number
-
-    def satellite(self, name: str) -> Any:
-        """Return a satellite of every episode by its name: its tensors are [N, ...], a row for each episode.
-
-        See :class:`bsk_torch.sats.others.OtherSatellite`; KeyError for an unknown name, with the nearest one.
-        """
-        whole, number = self.found(name)
-        return whole.member(number)
 
     # -- reading ------------------------------------------------------------------------------------------------------
 
@@ -226,33 +201,6 @@ class Fleet:
         """Return the rows [N * count, ...] of one type from a table [N, S, ...]."""
         mine = table if len(self.simulators) == 1 and self._order is None else table[:, self.columns[part]]
         return mine.flatten(0, 1)
-
-    def each(self, read: Callable[[Any], Tensor], missing: float = 0.0) -> Tensor:
-        """Return the value of ``read`` for every satellite, [N, S, ...]; ``missing`` for types without such an attribute.
-
-        Raises:
-            AttributeError: Where no type has it.
-        """
-        if len(self.groups) == 1:
-            return self.joined([read(self.groups[0].satellite)])
-        found: list[Tensor | None] = []
-        lacking: AttributeError | None = None
-        for group in self.groups:
-            try:
-                found.append(read(group.satellite))
-            except AttributeError as error:
-                found.append(None)
-                lacking = error
-        there = [value for value in found if value is not None]
-        if not there:
-            raise lacking or AttributeError("there are no satellites")
-        blank = there[0].new_full((1, *there[0].shape[1:]), missing)
-        return self.joined(
-            [
-                blank.expand(simulator.state.rows, *blank.shape[1:]) if value is None else value
-                for value, simulator in zip(found, self.simulators, strict=True)
-            ]
-        )
 
     def key(self) -> Key:
         """Return the key of random numbers of the present episodes; that of first episodes under seed 0 on a trial."""
@@ -381,7 +329,7 @@ class Fleet:
     def _first_task_end(self, ticks: Tensor) -> Tensor:
         """Return the first tick at which a task that ends steps is over, at most ``ticks`` [N], [N]."""
         for group in self.groups:
-            if group.satellite.variable_interval:
+            if group.variable_interval:
                 ticks = torch.minimum(ticks, self._soonest(group.task.ends, group.simulator.count))
         return ticks
 

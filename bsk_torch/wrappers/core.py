@@ -16,8 +16,8 @@ from bsk_torch.env import NO_ACTION, SatelliteTasking
 from bsk_torch.env.action_forms import form, read
 from bsk_torch.env.base import ResetNeededError, Tasking
 from bsk_torch.env.no_action import is_no_action
+from bsk_torch.env.satellite_group import SatelliteGroup
 from bsk_torch.presets import make
-from bsk_torch.sats.satellite import Satellite
 
 Kind = TypeVar("Kind", bound=Tasking)
 
@@ -79,7 +79,7 @@ def begin(core: Tasking, mask: Tensor, seen: TensorDictBase | None = None, state
     return core.reset(call, set_state=state is not None)
 
 
-def read_values(where: str, given: Any, satellite: Satellite, rows: tuple[int, ...] = ()) -> Tensor:
+def read_values(where: str, given: Any, satellite: SatelliteGroup, rows: tuple[int, ...] = ()) -> Tensor:
     """Return actions of real numbers, [*rows, A], or hybrid ones with the choice behind, [*rows, A + 1].
 
     Args:

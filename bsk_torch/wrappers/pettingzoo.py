@@ -20,7 +20,7 @@ from bsk_torch.env import ConstellationTasking
 from bsk_torch.env.action_forms import form, mask_size
 from bsk_torch.env.agents import Group
 from bsk_torch.env.no_action import is_no_action
-from bsk_torch.sats.satellite import Satellite
+from bsk_torch.env.satellite_group import SatelliteGroup
 from bsk_torch.sim.params import nearest
 from bsk_torch.wrappers.core import (
     RENDERING,
@@ -55,7 +55,7 @@ class Seat(NamedTuple):
     group: Group
     number: int
     members: list[int]
-    parts: tuple[Satellite, ...]
+    parts: tuple[SatelliteGroup, ...]
 
 
 class PettingZooEnv(EpisodeView, ParallelEnv[str, Any, Any]):
@@ -135,7 +135,7 @@ class PettingZooEnv(EpisodeView, ParallelEnv[str, Any, Any]):
             return action_space(seat.parts[0], self._continues)
         return spaces.MultiDiscrete([self._size(part) for part in seat.parts])
 
-    def _size(self, part: Satellite) -> int:
+    def _size(self, part: SatelliteGroup) -> int:
         return part.actions.n_actions + self._continues
 
     def observation_space(self, agent: str) -> spaces.Space[Any]:

@@ -9,7 +9,7 @@ import torch
 from gymnasium import spaces
 
 from bsk_torch.env.action_forms import CHOICE, VALUES, form
-from bsk_torch.sats.satellite import Satellite
+from bsk_torch.env.satellite_group import SatelliteGroup
 
 
 def observation_space(spec: Any, batch_dims: int = 1) -> spaces.Space[Any]:
@@ -29,7 +29,7 @@ def unbounded(shape: tuple[int, ...], dtype: torch.dtype) -> spaces.Box:
     return spaces.Box(-np.inf, np.inf, shape, torch.empty((), dtype=dtype).numpy().dtype.type)
 
 
-def action_space(satellite: Satellite, extra: int = 0) -> spaces.Space[Any]:
+def action_space(satellite: SatelliteGroup, extra: int = 0) -> spaces.Space[Any]:
     """Return the space of a satellite's action, with ``extra`` choices at the end that go on with its task.
 
     That is Discrete; a Box of float32 where actions are real numbers; or a Dict of the two as ``"values"`` and ``"choice"``.

@@ -81,7 +81,7 @@ def starts_of(env: ConstellationTasking, seeds: Sequence[int]) -> list[dict[str,
     key = Key(torch.tensor(seeds), env.env_ids.cpu(), env.episode.cpu())
     epochs = env.simulator.world_args.given["utc_init"].draw(key.named("utc_init"))
     satellites = []
-    for group, described in zip(env.fleet.groups, env.builder.satellites, strict=True):
+    for group, described in zip(env.satellites, env.builder.satellites, strict=True):
         state, given = group.simulator.state, group.simulator.sat_args
         names = [name for name in given.table if name not in ("oe", "rN", "vN", "mu")]
         drawn = {name: plain(state.arguments[name]) for name in names if given.is_random(name) and name in state.arguments}
@@ -147,7 +147,7 @@ class Navigator:
         """Build the environment; it never flies."""
         self.env = environment(1, "eager")
         self.env.reset()
-        groups = self.env.fleet.groups
+        groups = self.env.satellites
         self.simulators = [group.simulator for group in groups]
         self.entry = groups[-1].actions.entries[0]
 

@@ -10,6 +10,7 @@ from torchrl.envs.utils import check_env_specs
 
 from bsk_torch import NO_ACTION, ConstellationTasking, SatelliteTasking, act, data, obs, sats, scene
 from bsk_torch.env.action_forms import OpenBox, box
+from bsk_torch.env.satellite_group import decide
 from bsk_torch.sim import dyn, fsw
 from tests.act.thrust_image import ThrustImageBox, ThrustImageHybrid
 from tests.env.test_state import N, strays
@@ -137,7 +138,7 @@ class TestHooks:
         env.reset()
         same = torch.tensor([[0.1, 0.2, 0.3]] * 2, dtype=torch.float64)
         step(env, same)
-        decided = env.fleet.groups[0].decide(same, torch.tensor([True, True]))
+        decided = decide(env.satellite, same, torch.tensor([True, True]))
         assert decided.retask.all()
 
 
@@ -311,7 +312,7 @@ class TestState:
         first = [env.play(go_on)["observation"] for _ in range(3)]
         other = alone(Choose("choose"), max_step_duration=4.0)
         other.restore(saved)
-        assert other.fleet.groups[0].task.action.tolist() == [[13.0, 1.0], [9.0, 0.0]]
+        assert other.satellites[0].task.action.tolist() == [[13.0, 1.0], [9.0, 0.0]]
         again = [other.play(go_on)["observation"] for _ in range(3)]
         assert all(torch.equal(a, b) for a, b in zip(first, again, strict=True))
         saved["satellites_0", "task", "action"][0, 0] = torch.nan
@@ -368,7 +369,7 @@ class TestConstellations:
         )
         td = env.step(td)["next"]
         assert td["duration"].flatten().tolist() == [3.0, 5.0]
-        names = {name: env.fleet.groups[k].task.requires_retasking.tolist() for k, name in enumerate(env.group_map)}
+        names = {name: env.satellites[k].task.requires_retasking.tolist() for k, name in enumerate(env.group_map)}
         assert names == {"turner": [False, True, False, False], "discrete": [True, True], "hybrid": [True, True]}
         assert td["hybrid", "action_mask"].tolist() == [[[True, True, False]]] * 2
 

@@ -10,6 +10,7 @@ from tensordict import TensorDict
 
 from bsk_torch import ConstellationTasking, SatelliteTasking, act, obs, sats
 from bsk_torch.astro.relative import rv2HN
+from bsk_torch.env.satellite_group import command, decide
 from bsk_torch.sim import dyn, fsw
 
 MU, RADIUS = 3.986004415e14, 6.9e6
@@ -31,10 +32,10 @@ def make(entry, num_envs=1, models=MODELS, **options):
 def thrust(env, *rows, dtype=torch.float64):
     """Velocity changes that wait for the next tick, [N, 3], and durations, after actions without running them."""
     action = torch.tensor(rows, dtype=dtype)
-    group, every = env.fleet.groups[0], torch.ones(len(rows), dtype=torch.bool)
-    action = group.checked(action, every)
-    decision = group.decide(action, every)
-    group.command(action, every, decision)
+    satellites, every = env.satellite, torch.ones(len(rows), dtype=torch.bool)
+    action = satellites.actions.checked(action, every)
+    decision = decide(satellites, action, every)
+    command(satellites, action, every, decision)
     return env.simulator.read("delta_v_N"), decision.duration
 
 
@@ -123,7 +124,7 @@ class TestHillFrame:
     def test_the_frame_is_that_before_any_thrust(self, order):
         env = self.make(order)
         td = env.reset()
-        deputies = next(group for group in env.fleet.groups if "D1" in group.names)
+        deputies = next(group for group in env.satellites if "D1" in group.names)
         for seconds in (30.0, 11.0):
             chief = env.fleet.satellite("Chief").dynamics
             HN = rv2HN(chief.r_BN_N, chief.v_BN_N)

@@ -44,7 +44,7 @@ def make(entry, names=("D1",), starts=STARTS, num_envs=4, beside=(), chief="C", 
 
 
 def entry_of(env):
-    return next(g for g in env.fleet.groups if "D1" in g.names).actions.entries[-1]
+    return next(g for g in env.satellites if "D1" in g.names).actions.entries[-1]
 
 
 def shielded(entry, chosen, decides):
@@ -273,11 +273,11 @@ def test_results_do_not_depend_on_other_episodes():
 
 def test_beside_other_actions():
     env, _, td = make(HillWaypoint("C", SIX, [600.0]), beside=(act.Drift(duration=40.0),), num_envs=2)
-    assert env.fleet.groups[1].satellite.action_description == ["action_drift", *(f"waypoint_{d}_600s" for d in range(6))]
-    before = env.fleet.groups[1].simulator.read("dv_available").tolist()
+    assert env.satellites[1].action_description == ["action_drift", *(f"waypoint_{d}_600s" for d in range(6))]
+    before = env.satellites[1].simulator.read("dv_available").tolist()
     td = fly(env, td, torch.tensor([[0], [3]]))
     assert td["chief", "duration"].flatten().tolist() == [40.0, 600.0]
-    left = env.fleet.groups[1].simulator.read("dv_available").tolist()
+    left = env.satellites[1].simulator.read("dv_available").tolist()
     assert left[0] == before[0]
     assert left[1] < before[1]
 

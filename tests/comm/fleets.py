@@ -11,8 +11,8 @@ import torch
 from bsk_torch.astro.orbit import Elements, elements_to_rv
 from bsk_torch.comm.los import MAX_RANGE
 from bsk_torch.rand import first_key
+from bsk_torch.sats.fleet import SatelliteFleet
 from bsk_torch.sim import dyn, fsw
-from bsk_torch.sim.fleet import Fleet
 from bsk_torch.sim.simulator import Simulator
 
 UTC = "2021 MAR 05 07:12:33.250 (UTC)"
@@ -47,7 +47,7 @@ def make_fleet(
     backend: str = "eager",
     types: Sequence[Sequence[int]] | None = None,
     orbit: str = "arc",
-) -> Fleet:
+) -> SatelliteFleet:
     """A fleet at the beginning of its episodes; ``types`` are the numbers of the satellites of each type."""
     types = types or [range(len(satellites))]
     models = Seeing, AlsoSeeing
@@ -57,15 +57,14 @@ def make_fleet(
         options = {"num_envs": num_envs, "device": torch.device("cpu"), "dtype": torch.float64, "horizon": 0.0}
         more = {"sim_rate": sim_rate, "orbit": orbit, "backend": backend, "columns": list(columns)}
         simulators.append(Simulator(models[k], fsw.BasicFSWModel, fixed, {"utc_init": UTC}, **options, **more))
-    fleet = Fleet(simulators, [f"Sat{k}" for k in range(len(satellites))])
-    satellites = (SimpleNamespace(dyn_type=models[k], simulator=part) for k, part in enumerate(fleet.simulators))
-    fleet.groups = tuple(SimpleNamespace(satellite=satellite) for satellite in satellites)
+    fleet = SatelliteFleet(simulators, [f"Sat{k}" for k in range(len(satellites))])
+    fleet.satellites = tuple(SimpleNamespace(dyn_type=models[k], simulator=part) for k, part in enumerate(fleet.simulators))
     key, none = first_key(num_envs), torch.zeros(num_envs, dtype=torch.float64)
     fleet.reset(fleet.all_envs, fleet.draw(key), [none] * len(types), none)
     return fleet
 
 
-def step(fleet: Fleet, ticks: int | Sequence[int] | torch.Tensor) -> None:
+def step(fleet: SatelliteFleet, ticks: int | Sequence[int] | torch.Tensor) -> None:
     """A step of ``ticks`` (one number, or [N]) in which satellites only follow their arcs, which is all that they see."""
     fleet.since = fleet.ticks.clone()
     ticks = torch.as_tensor(ticks).expand(fleet.num_envs)
@@ -79,7 +78,7 @@ def with_ranges(satellites: Sequence[dict[str, Any]], reach: Sequence[float]) ->
     return [{**satellite, MAX_RANGE: float(x)} for satellite, x in zip(satellites, reach, strict=True)]
 
 
-def recorded(file: dict[str, Any], backend: str = "eager") -> Fleet:
+def recorded(file: dict[str, Any], backend: str = "eager") -> SatelliteFleet:
     """The fleet of a recording."""
     satellites = [{name: value for name, value in initial.items() if name != "utc_init"} for initial in file["ic"]]
     return make_fleet(with_ranges(satellites, file["ranges"]), sim_rate=file["env"]["sim_rate"], backend=backend)

@@ -166,7 +166,7 @@ def test_functions_for_one_and_for_all_give_the_same_and_arguments_can_be_filled
         assert torch.allclose(seen["prop_2"].norm(dim=-1), seen["all"], rtol=1e-12)
         assert seen["names"].shape == (3, 2, 2)
         td = env.rand_step(td)["next"]
-    mapped = {function.title.split("'")[1]: function.mapped for function in env.fleet.groups[0].functions}
+    mapped = {function.title.split("'")[1]: function.mapped for function in env.satellites[0].user_functions()}
     assert mapped == {"one": True, "all": False, "names": False}
 
 

@@ -8,6 +8,7 @@ import torch
 
 from bsk_torch import rand
 from bsk_torch.rand import first_key
+from bsk_torch.sats.fleet import SatelliteFleet
 from bsk_torch.sim import dyn, fsw
 from bsk_torch.sim.fleet import Fleet, share
 from bsk_torch.sim.simulator import Simulator
@@ -23,10 +24,9 @@ def part(*columns: int, n: int = N) -> SimpleNamespace:
     return SimpleNamespace(num_envs=n, count=len(columns), columns=columns, device=torch.device("cpu"), **alone, **tables)
 
 
-def fleet_of(*types: tuple[int, ...], n: int = N) -> Fleet:
-    fleet = Fleet([part(*columns, n=n) for columns in types], [f"S{k}" for columns in types for k in columns])
-    satellites = (SimpleNamespace(**{f"own_{k}": rows_of(columns)}) for k, columns in enumerate(types))
-    fleet.groups = tuple(SimpleNamespace(satellite=satellite) for satellite in satellites)
+def fleet_of(*types: tuple[int, ...], n: int = N) -> SatelliteFleet:
+    fleet = SatelliteFleet([part(*columns, n=n) for columns in types], [f"S{k}" for columns in types for k in columns])
+    fleet.satellites = tuple(SimpleNamespace(**{f"own_{k}": rows_of(columns)}) for k, columns in enumerate(types))
     return fleet
 
 
@@ -211,7 +211,7 @@ class Group:
     """The satellites of a flyer, whose tasks end at tick ``ends`` [N]; keeps the events that it is settled with."""
 
     def __init__(self, flyer: Flyer, ends: torch.Tensor) -> None:
-        self.simulator, self.satellite = flyer, SimpleNamespace(variable_interval=True)
+        self.simulator, self.variable_interval = flyer, True
         self.task = SimpleNamespace(ends=ends, expected=ends)
 
     def settle(self, event, moves, last):

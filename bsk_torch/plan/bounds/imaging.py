@@ -14,7 +14,7 @@ from bsk_torch.plan.bounds.graph import ImageGraph, image_graph
 from bsk_torch.plan.bounds.paths import best_paths
 from bsk_torch.plan.bounds.tasks import check_task, payment, shortest_pause
 from bsk_torch.plan.bounds.windows import Openings, openings, satellite_positions
-from bsk_torch.sats import ImagingSatellite
+from bsk_torch.sats import BoundImagingSatellite
 
 WINDOWS = 20_000
 """Windows whose graph is kept in memory at once, about a gigabyte where targets are dense."""
@@ -82,7 +82,7 @@ def imaging_bound(
         raise ValueError(
             f"cell={cell}, bits={bits}: cells have 1 or 2 ticks, the least time between images; paths remember up to 8"
         )
-    satellite = next(part for part in env.fleet.satellites if isinstance(part, ImagingSatellite))
+    satellite = next(part for part in env.fleet.satellites if isinstance(part, BoundImagingSatellite))
     paid, count = payment(env), satellite.simulator.state.count
     limit = satellite.simulator.state.of_env(env.state.limit_ticks)
     every = openings(satellite, limit)
@@ -115,7 +115,7 @@ def _batches(every: Openings, envs: int, count: int) -> list[Tensor]:
 
 
 def graph_of(
-    satellite: ImagingSatellite,
+    satellite: BoundImagingSatellite,
     every: Openings,
     envs: Tensor,
     count: int,

@@ -6,7 +6,7 @@ was learned from flights; the schedule is made once, before the episode, and the
 
 from __future__ import annotations
 
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple, cast
 
 import torch
 from tensordict import TensorDictBase
@@ -21,6 +21,7 @@ from bsk_torch.plan.bounds.envelope import Envelope
 from bsk_torch.plan.bounds.imaging import imaging_bound
 from bsk_torch.plan.bounds.tasks import check_task, payment
 from bsk_torch.plan.bounds.windows import Openings, openings, satellite_positions
+from bsk_torch.sats import BoundAccessSatellite
 
 GRACE = 120.0
 """Seconds after its time in the schedule until which the window of an image may open."""
@@ -79,7 +80,7 @@ def milp_schedule(env: SatelliteTasking, *, envelope: Envelope | None = None, se
     if not isinstance(env, SatelliteTasking):
         raise ValueError("schedules by mixed-integer programs are those of one satellite; the environment has several")
     number("seconds", seconds, 0.0, unit="s", above=True)
-    every, paid = openings(env.satellite, env.state.limit_ticks), payment(env)  # type: ignore[arg-type]
+    every, paid = openings(cast(BoundAccessSatellite, env.satellite), env.state.limit_ticks), payment(env)
     parts = [_program(env, every, paid[row], row, envelope, seconds) for row in range(len(paid))]
     width = max(1, *(len(part[0]) for part in parts))
     padded = [[torch.nn.functional.pad(x, (0, width - len(x)), value=-1) for x in part] for part in parts]

@@ -12,7 +12,7 @@ from bsk_torch.data import CloudFreeImageReward, UniqueImageReward
 from bsk_torch.env import SatelliteTasking
 from bsk_torch.env.base import Tasking
 from bsk_torch.plan.bounds.envelope import SOONEST, Envelope
-from bsk_torch.sats import ImagingSatellite
+from bsk_torch.sats import BoundImagingSatellite
 from bsk_torch.sim.fsw import SteeringImagerFSWModel
 
 AGILITY = (
@@ -28,7 +28,7 @@ DISTURBANCE = 0.01
 """Largest disturbance torque, as a fraction of the wheels' torque; beside it the satellite is as agile as without."""
 
 
-def agility(satellite: ImagingSatellite) -> dict[str, str]:
+def agility(satellite: BoundImagingSatellite) -> dict[str, str]:
     """Return the arguments that decide how fast a satellite is, as text by name: numbers to nine digits.
 
     ValueError where they differ between episodes, or where the flight software has none of them.
@@ -53,7 +53,7 @@ def agility(satellite: ImagingSatellite) -> dict[str, str]:
 
 def check_satellite(satellite: Any, envelope: Envelope) -> None:
     """ValueError unless the ``envelope`` holds for a satellite."""
-    if not isinstance(satellite, ImagingSatellite):
+    if not isinstance(satellite, BoundImagingSatellite):
         raise ValueError(f"{satellite.name} is a {type(satellite).__name__}; the bound needs satellites that image targets")
     if satellite.sat_args.get("oe") is None:
         raise ValueError("the bound needs orbits that are given as elements, oe=...")
@@ -84,7 +84,7 @@ def check_task(env: Tasking, envelope: Envelope) -> None:
     if env.failure_penalty > 0.0:
         raise ValueError(f"failure_penalty={env.failure_penalty:g} pays for dying, which the bound does not count")
     env.guard.check_begun("imaging_bound(env)")
-    imagers = [part for part in env.fleet.satellites if isinstance(part, ImagingSatellite)]
+    imagers = [part for part in env.fleet.satellites if isinstance(part, BoundImagingSatellite)]
     for part in imagers:
         check_satellite(part, envelope)
         if part.simulator.orbit != "arc" or part.simulator.has_tank:
@@ -95,7 +95,7 @@ def check_task(env: Tasking, envelope: Envelope) -> None:
         raise ValueError("the bound is that of whole episodes: call it after env.reset(), before the first step")
 
 
-def shortest_pause(env: Tasking, satellite: ImagingSatellite) -> int | None:
+def shortest_pause(env: Tasking, satellite: BoundImagingSatellite) -> int | None:
     """Return the least ticks after which a step may end other than by an image or a window's end; None if no step can.
 
     In a constellation any satellite may be given a new action whenever another one's ends.
@@ -103,7 +103,7 @@ def shortest_pause(env: Tasking, satellite: ImagingSatellite) -> int | None:
     if not isinstance(env, SatelliteTasking):
         return SOONEST
     least = [env.max_step_duration]
-    for action in satellite.actions.entries:
+    for action in env.satellite.actions.entries:
         if isinstance(action, Image):
             least.append(action.max_duration)
         else:

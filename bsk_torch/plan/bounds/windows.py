@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from bsk_torch.astro.interpolate import positions
-from bsk_torch.sats.access import AccessSatellite
+from bsk_torch.sats.bound_access import BoundAccessSatellite
 from bsk_torch.sim.access.places import TARGET_KIND
 from bsk_torch.sim.component import neighbours
 from bsk_torch.sim.environment.ephemeris import EPHEMERIS_TRACK, ephemeris_at, fixed
@@ -20,7 +20,7 @@ CHUNK = 1 << 18
 """Positions that are interpolated at once."""
 
 
-def satellite_positions(satellite: AccessSatellite, rows: Tensor, time: Tensor) -> Tensor:
+def satellite_positions(satellite: BoundAccessSatellite, rows: Tensor, time: Tensor) -> Tensor:
     """Return Earth-fixed positions of ``rows`` [m] at ``time`` [m] s since reset, [m, 3] m, on the orbits that ticks fly.
 
     The orbits must be solved that far.
@@ -29,7 +29,7 @@ def satellite_positions(satellite: AccessSatellite, rows: Tensor, time: Tensor) 
     return torch.cat(parts) if parts else time.new_zeros(0, 3)
 
 
-def _positions(satellite: AccessSatellite, rows: Tensor, time: Tensor) -> Tensor:
+def _positions(satellite: BoundAccessSatellite, rows: Tensor, time: Tensor) -> Tensor:
     arcs = satellite.simulator.lookahead.flight
     elapsed = time - arcs.start[rows]
     nodes, tau = neighbours(ARC, arcs.flown, rows, elapsed + LEAD_NODES * NODE_SPACING)
@@ -54,7 +54,7 @@ class Openings(NamedTuple):
     last: Tensor
 
 
-def openings(satellite: AccessSatellite, limit_ticks: Tensor) -> Openings:
+def openings(satellite: BoundAccessSatellite, limit_ticks: Tensor) -> Openings:
     """Return when images may be completed up to the tick ``limit_ticks`` [N] of each satellite.
 
     An image is seen in the tick after the one in which the instrument may take it, and a window's end is seen at the first tick

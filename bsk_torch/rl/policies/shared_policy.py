@@ -14,8 +14,8 @@ from torchrl.data import Binary, Composite
 
 from bsk_torch.env import NO_ACTION, ConstellationTasking, SatelliteTasking, Tasking
 from bsk_torch.env.agents import AGENTS, Group
+from bsk_torch.env.satellite_group import SatelliteGroup
 from bsk_torch.rl.rules.baselines import BASELINES, random_policy
-from bsk_torch.sats.satellite import Satellite
 
 TRAINED_WITH = "make it with the options that the policy was trained with, which read_card(file)['options'] lists"
 """What to do about a policy that reads what an environment does not have."""
@@ -25,7 +25,7 @@ TRAINED_WITH = "make it with the options that the policy was trained with, which
 class MemberView:
     """The attributes of an environment of one satellite, for one satellite of a constellation."""
 
-    satellite: Satellite
+    satellite: SatelliteGroup
     observation_spec: Composite
     device: torch.device
 

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, cast
 
 import torch
 from torch import Tensor
 
-from bsk_torch.act import Image
+from bsk_torch.act import Action, Image
 from bsk_torch.env import SatelliteTasking
 from bsk_torch.env.action_forms import form
 from bsk_torch.obs import OpportunityProperties
@@ -27,7 +27,7 @@ def image_actions(env: SatelliteTasking) -> range:
     for entry in env.satellite.actions.entries if form(env.satellite) is None else ():
         if isinstance(entry, Image):
             return range(first, first + entry.n_actions)
-        first += entry.n_actions
+        first += cast(Action, entry).n_actions
     raise ValueError(f"{env.satellite.name} images no targets; its actions are {env.satellite.action_description}")
 
 

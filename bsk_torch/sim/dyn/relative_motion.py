@@ -85,8 +85,7 @@ class ConjunctionDynModel(DynamicsModel):
     @property
     def conjunctions(self) -> Tensor:
         """With which satellites of its episode each one has collided, [N, S] bool, in the order of the environment's list."""
-        group = self.satellite.group
-        return group.fleet.encounters.conjunctions(group.index)
+        return self.satellite.fleet.encounters.conjunctions(self.satellite.type_index)
 
     @aliveness_checker
     def conjunction_valid(self) -> Tensor:
@@ -106,8 +105,7 @@ class MaxRangeDynModel(DynamicsModel):
     @property
     def out_of_ranges(self) -> Tensor:
         """From which satellite of its episode, its chief, each one was too far away, [N, S] bool."""
-        group = self.satellite.group
-        return group.fleet.encounters.out_of_ranges(group.index)
+        return self.satellite.fleet.encounters.out_of_ranges(self.satellite.type_index)
 
     @aliveness_checker
     def range_valid(self) -> Tensor:

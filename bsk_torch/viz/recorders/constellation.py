@@ -13,6 +13,7 @@ from bsk_torch.astro.frames import fixed_to_lla
 from bsk_torch.env import NO_ACTION, ConstellationTasking
 from bsk_torch.env.action_forms import acts, form, read
 from bsk_torch.env.rollout import play_episodes
+from bsk_torch.env.satellite_group import SatelliteGroup
 from bsk_torch.viz.figures.constellation import ConstellationEpisode
 from bsk_torch.viz.recorders.episode import first_row
 
@@ -91,18 +92,18 @@ class ConstellationRecorder:
     def _note_tasks(self, step: TensorDictBase) -> None:
         """Note the tasks that began with a step."""
         for group in self.env.groups:
-            first = self.fleet.satellites[group.types[0]]
+            first = self.env.satellites[group.types[0]]
             if form(first) is not None:
                 self._note_real(group, first, step[group.name, "action"][0])
                 continue
             action = step[group.name, "action"][0].view(len(group.agents), -1)
             for row, members in zip(action.tolist(), group.members.tolist(), strict=True):
                 for number, satellite, kind in zip(row, members, group.types, strict=True):
-                    actions = self.fleet.satellites[kind].actions
+                    actions = self.env.satellites[kind].actions
                     if number not in (actions.n_actions, NO_ACTION) and not bool(self.removed[satellite]):
                         self.tasks.append(Task(satellite, self.times[-1], actions.entries[actions.entry_of(number)].name))
 
-    def _note_real(self, group: Any, satellite: Any, action: Any) -> None:
+    def _note_real(self, group: Any, satellite: SatelliteGroup, action: Tensor) -> None:
         """Note the tasks of agents whose actions are real numbers."""
         given = read("action", action, satellite, (len(group.agents),))
         for number, new in zip(group.members[:, 0].tolist(), acts(given, satellite, 1).tolist(), strict=True):

@@ -17,7 +17,7 @@ from bsk_torch.viz.recorders.track import TrackEpisode, TrackRecorder
 __all__ = ["ImagingEpisode", "record_imaging_episode"]
 
 if TYPE_CHECKING:
-    from bsk_torch.sats import ImagingSatellite
+    from bsk_torch.sats import BoundImagingSatellite
     from bsk_torch.scene.targets import TargetScenario
 
 NONE = -1
@@ -91,7 +91,7 @@ class ImagingRecorder(TrackRecorder):
 
     def look(self) -> dict[str, Tensor]:
         """See :meth:`Recorder.look`."""
-        satellite = cast("ImagingSatellite", self.satellite)
+        satellite = cast("BoundImagingSatellite", self.satellite)
         seen = {name: getattr(satellite, name)[0] for name in ("latest_target", "imaged", "missed")}
         return super().look() | seen | {"priority": satellite.scenario.priority[0]}
 

@@ -17,7 +17,7 @@ from bsk_torch.viz.recorders.episode import QUANTITIES
 
 if TYPE_CHECKING:
     from bsk_torch.env.base import Tasking
-    from bsk_torch.sats.satellite import Satellite
+    from bsk_torch.env.satellite_group import SatelliteGroup
     from bsk_torch.sim.simulator import Simulator
 
 DEAD = "dead"
@@ -128,12 +128,12 @@ def revolution(r_N: Tensor, v_N: Tensor) -> Tensor:
 
 def _modes(env: Tasking, row: int) -> list[str]:
     modes = {}
-    for group in env.fleet.groups:
-        simulator, first = group.simulator, row * group.simulator.count
+    for satellite in env.satellites:
+        simulator, first = satellite.simulator, row * satellite.simulator.count
         named = [command_of(simulator, name) for name in simulator.mode_names]
         mine = slice(first, first + simulator.count)
         for column, mode, dead in zip(
-            simulator.columns, simulator.mode[mine].tolist(), group.task.dead[mine].tolist(), strict=True
+            simulator.columns, simulator.mode[mine].tolist(), satellite.task.dead[mine].tolist(), strict=True
         ):
             modes[column] = DEAD if dead else named[mode]
     return [modes[column] for column in range(env.fleet.size)]
@@ -168,7 +168,7 @@ def _targets(env: Tasking, row: int, modes: list[str]) -> tuple[Tensor, Tensor, 
     return r_LP_P[shown], imaged[shown], aims
 
 
-def none(part: Satellite) -> Tensor:
+def none(part: SatelliteGroup) -> Tensor:
     """Targets [N] of satellites that choose none."""
     return torch.full_like(part.simulator.ticks, NONE)
 

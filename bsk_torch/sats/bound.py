@@ -1,0 +1,201 @@
+"""The satellites of one type in an environment: what hooks and functions of users read."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Iterator, Mapping
+from functools import cache
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import torch
+from torch import Tensor
+
+from bsk_torch.sats.one import OneSatellite
+from bsk_torch.sats.others import Others, OtherSatellite
+from bsk_torch.sats.satellite import Satellite
+from bsk_torch.sats.task_state import TaskState
+from bsk_torch.sats.user_function import UserFunction
+from bsk_torch.sim.names import nearest
+from bsk_torch.sim.satellite_state import SatelliteState
+from bsk_torch.sim.simulator import Simulator
+from bsk_torch.sim.state import StateTable
+
+if TYPE_CHECKING:
+    from bsk_torch.sats.fleet import SatelliteFleet
+
+Bound = TypeVar("Bound", bound="BoundSatellite")
+
+
+class BoundSatellite(Satellite):
+    """The N satellites of one type in an environment; rows as in their simulator.
+
+    The class of an instance is composed of the user's class and of this one, so that methods of the user's class run on it.
+
+    Attributes:
+        fleet: All satellites of the environment.
+        type_index: Number of the type in the fleet.
+        simulator: Simulation of the satellites.
+        task: Their tasks in progress, which are part of the state.
+        names: Name of each satellite of an episode that is of this type.
+        dynamics, fsw: Their models, of the user's classes.
+        memory: Tensors [N, ...] that start with every episode; ``memory.declare(name, initial, *shape)`` adds one.
+        sat_args: Arguments of the present episodes by name, [N, ...] each, float64.
+        others: The satellites of the episodes by name: ``satellite.others["RSO"].dynamics.r_BN_N`` is [N, 3], with the rows of
+            this type. KeyError for an unknown name, with the nearest one. They are there when observations are made, not yet
+            when they are linked.
+        scenario: Scenario of the environment; None until it has been linked.
+        rewarder: Rewarder of the environment, likewise.
+        action_description: Name of every action.
+        observation_description: Name of every entry of the observation vector.
+    """
+
+    fleet: SatelliteFleet
+    type_index: int
+    simulator: Simulator
+    task: TaskState
+    names: tuple[str, ...]
+    dynamics: Any
+    fsw: Any
+    memory: StateTable
+    sat_args: Mapping[str, Any]
+    others: Others
+    scenario: Any
+    rewarder: Any
+    action_description: list[str]
+    observation_description: list[str]
+
+    @classmethod
+    def of(cls: type[Bound], satellite: Satellite, fleet: SatelliteFleet, type_index: int) -> Bound:
+        """Return the satellites of type number ``type_index`` of a fleet, as a description of the user says."""
+        made: Any = copy.copy(satellite)
+        made.__class__ = composed(type(satellite), cls)  # type: ignore[arg-type]  # mypy: a class is not Hashable
+        made._join(fleet, type_index)
+        return made
+
+    def _join(self, fleet: SatelliteFleet, type_index: int) -> None:
+        """Set the attributes of a copy of the user's description."""
+        self.fleet, self.type_index, self.simulator = fleet, type_index, fleet.simulators[type_index]
+        self.names = tuple(fleet.names[column] for column in fleet.columns[type_index].tolist())
+        self.dynamics, self.fsw = self.dyn_type(self.simulator), self.fsw_type(self.simulator)
+        self.dynamics.satellite = self.fsw.satellite = self
+        state = self.simulator.state
+        self.task = TaskState(state.num_envs, state.count, state.device)
+        state.add("task", self.task)
+        self.memory, self.sat_args = state.memory, Arguments(state)
+        self.others = Others(self)
+        self.scenario = self.rewarder = None
+        self.observation_description = []
+
+    @property
+    def data_store(self) -> Any:
+        """What the satellites know, as the rewarder keeps it, in ``data_store.data``; AttributeError for rewarders without it."""
+        store_of = getattr(self.rewarder, "store_of", None)
+        if store_of is None:
+            raise AttributeError(
+                f"{type(self.rewarder).__name__} keeps no data of satellites; data.UniqueImageReward does, and rewarders in "
+                "bsk_rl's form with a data_store_type"
+            )
+        return store_of(self.type_index)
+
+    @property
+    def time_limit(self) -> Tensor:
+        """Time limits of the episodes, [N] s."""
+        return self.simulator.state.of_env(self.fleet.state.time_limit)
+
+    @property
+    def removed(self) -> Tensor | None:
+        """Satellites that have left their episodes, [N], for which queries return nothing; None where none can leave."""
+        return self.fleet.rows_of(self.type_index, self.fleet.state.removed) if self.fleet.size > 1 else None
+
+    @property
+    def opportunity_types(self) -> tuple[str, ...]:
+        """Kinds of opportunities that the satellites have; none."""
+        return ()
+
+    @property
+    def functions(self) -> list[UserFunction]:
+        """Functions of users that the satellites call; an environment tries them when it is built."""
+        return []
+
+    # -- views --------------------------------------------------------------------------------------------------------
+
+    def one(self, row: int) -> OneSatellite:
+        """Return a read-only view of the satellite of one row [N], which answers as a satellite of bsk_rl does.
+
+        Its properties are NumPy arrays and Python numbers; see :mod:`bsk_torch.sats.one`. With one satellite of the type in each
+        environment, ``row`` is the number of the environment.
+        """
+        return self.view_type(self, row)
+
+    def member(self, number: int, times: int = 1) -> OtherSatellite:
+        """Return a read-only view of one satellite of each environment, whose tensors are [num_envs * times, ...].
+
+        Args:
+            number: Its number among those of the type.
+            times: How often each row is repeated.
+        """
+        return OtherSatellite(self, number, times)
+
+    def title(self, row: int) -> str:
+        """Return the name of the satellite of a row [N] in errors."""
+        env, k = divmod(row, len(self.names))
+        return f"environment {env}" if len(self.names) == 1 else f"satellite {self.names[k]} of environment {env}"
+
+    # -- reading ------------------------------------------------------------------------------------------------------
+
+    def next_eclipse(self) -> tuple[Tensor, Tensor]:
+        """Return the next start and the next end of an eclipse, [N] s since reset."""
+        return self.simulator.lookahead.next_eclipse(self.simulator.state.sim_time)
+
+    def aliveness(self) -> dict[str, Tensor]:
+        """Return the result [N] of every aliveness check of dynamics and flight software, by name."""
+        others = self.fleet.encounters.checks_of_deputies(self.type_index)
+        return {**self.dynamics.aliveness(), **self.fsw.aliveness(), **others}
+
+    def is_alive(self) -> Tensor:
+        """Return whether every aliveness check holds now, [N]."""
+        alive = torch.ones_like(self.simulator.state.ticks, dtype=torch.bool)
+        for check in self.aliveness().values():
+            alive = alive & check
+        return alive
+
+
+Satellite.bound_type = BoundSatellite
+
+
+@cache
+def composed(described: type[Satellite], bound: type[BoundSatellite]) -> type[BoundSatellite]:
+    """Return the class of bound satellites whose description is of the class ``described``.
+
+    Methods are looked up in the user's classes first, then in ``bound``, in what the package adds to satellites of that kind
+    (``bound_type``), and in the package's descriptions.
+    """
+    bases = (bound, described.bound_type)
+    if not issubclass(described.bound_type, described):  # else it is the package's own, which comes last
+        bases = (described, *bases)  # type: ignore[assignment]
+    unique = tuple(base for base in bases if not any(other is not base and issubclass(other, base) for other in bases))
+    names = {"__module__": described.__module__, "__qualname__": described.__qualname__, "__doc__": described.__doc__}
+    return type(described.__name__, unique, names)
+
+
+class Arguments(Mapping[str, Any]):
+    """Arguments of the present episodes by name, looked up when read; a wrong name is answered with the nearest right one."""
+
+    def __init__(self, state: SatelliteState) -> None:
+        """Read the arguments of a ``state``."""
+        self._state = state
+
+    def __getitem__(self, name: str) -> Any:
+        """Return an argument, [N, ...]; KeyError for an unknown name."""
+        try:
+            return self._state.argument(name)
+        except KeyError:
+            raise KeyError(f"sat_args has no {name!r}; {nearest(name, self)}") from None
+
+    def __iter__(self) -> Iterator[str]:
+        """Iterate over the names."""
+        return iter((*self._state.arguments, *self._state.constants))
+
+    def __len__(self) -> int:
+        """Number of arguments."""
+        return len(self._state.arguments.places) + len(self._state.constants)

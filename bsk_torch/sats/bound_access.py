@@ -1,0 +1,359 @@
+"""Queries for the access windows of satellites in an environment."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from typing import Any, NoReturn
+
+import torch
+from torch import Tensor
+
+from bsk_torch.sats.access import AccessSatellite
+from bsk_torch.sats.access_filter import Filter, make_filter
+from bsk_torch.sats.bound import BoundSatellite
+from bsk_torch.sats.fleet import SatelliteFleet
+from bsk_torch.sats.objects import TargetObjects, station_names
+from bsk_torch.sats.opportunities import Opportunities
+from bsk_torch.sats.user_function import UserFunction
+from bsk_torch.sim.access.places import TARGET_KIND, place_positions
+from bsk_torch.sim.access.relative_geometry import SATELLITE_PROPERTIES, relative_geometries
+from bsk_torch.sim.access.window_table import Windows, candidates
+from bsk_torch.sim.access.windows import MAX_SEGMENTS
+from bsk_torch.sim.params import nearest
+
+
+class BoundAccessSatellite(BoundSatellite, AccessSatellite):
+    """The access satellites of one type in an environment: their windows now and in future."""
+
+    def _join(self, fleet: SatelliteFleet, type_index: int) -> None:
+        super()._join(fleet, type_index)
+        self.access_filters = [given.bound(self.opportunity_types) for given in self.access_filters]
+        self._cache: dict[tuple[str, int], tuple[tuple[int, int], Opportunities]] = {}
+        self._lists: dict[tuple[str, bool], tuple[tuple[int, int], Windows]] = {}
+        self._aims: tuple[Opportunities, int, Tensor] | None = None
+
+    @property
+    def opportunity_types(self) -> tuple[str, ...]:
+        """Kinds of opportunities that the satellites have."""
+        return tuple(self.simulator.access.kinds) if self.simulator.access is not None else ()
+
+    # -- filters ------------------------------------------------------------------------------------------------------
+
+    def add_access_filter(
+        self, access_filter_fn: Filter, types: str | Collection[str] | None = None, prepend: bool = False, type: str | None = None
+    ) -> None:
+        """See :meth:`AccessSatellite.add_access_filter`; queries of the present time are asked again."""
+        super().add_access_filter(access_filter_fn, types, prepend, type)
+        self.memory.touch()
+
+    def allowed(self, type: str) -> Tensor | None:
+        """Return a mask of the places of a type that pass all filters, [N, P]; None for all."""
+        parts = [given(self, type) for given in self.access_filters if given.concerns(type)]
+        for part in parts[1:]:
+            parts[0] = parts[0] & part
+        return parts[0] if parts else None
+
+    def default_access_filter(self, opportunity: Opportunities) -> Tensor:
+        """Return which opportunities [N, n] pass all filters."""
+        allowed = self.allowed(opportunity.type)
+        return torch.ones_like(opportunity.place, dtype=torch.bool) if allowed is None else allowed.gather(1, opportunity.place)
+
+    @property
+    def functions(self) -> list[UserFunction]:
+        """See :attr:`BoundSatellite.functions`; those of filters."""
+        return [*super().functions, *(function for given in self.access_filters for function in given.functions.values())]
+
+    # -- queries ------------------------------------------------------------------------------------------------------
+
+    def find_next_opportunities(
+        self,
+        n: int,
+        type: str | None = None,
+        count: Tensor | None = None,
+        *,
+        pad: bool = True,
+        max_lookahead: int = MAX_SEGMENTS,
+        types: str | Collection[str] | None = None,
+        filter: Filter | Collection[int] | None = None,
+    ) -> Opportunities:
+        """Return the ``n`` opportunities that close next, including those in progress; the last repeated if fewer.
+
+        Look-ahead is extended where fewer than ``count`` [N] (n unless given) are known. Where none is found within a
+        hundred segments, place 0 opens and closes now with ``may_see_nothing``.
+
+        Args:
+            n: Number of opportunities.
+            type: Type of the opportunities, ``"target"`` unless given.
+            count: Number that each row needs, [N].
+            pad: Whether the last one is repeated where there are fewer.
+            max_lookahead: Number of segments by which look-ahead is extended at most, up to 100.
+            types: The same as ``type``; one type at a time.
+            filter: As for :meth:`add_access_filter`, in place of the filters of the satellite; or indices of places that do not
+                count.
+
+        Raises:
+            RuntimeError: If none is found within a hundred segments, without ``may_see_nothing``; if fewer than ``n`` are,
+                without ``pad``.
+            ValueError: For an unknown type or several, a number of opportunities below 1, or a ``max_lookahead`` above 100.
+        """
+        kind = self._kind(type, types)
+        if n < 1:
+            raise ValueError(f"n={n} opportunities: there must be at least 1")
+        plain = filter is None and max_lookahead == MAX_SEGMENTS
+        now = self.simulator.state.version, self.simulator.memory.version
+        known = self._cache.get((kind, n)) if plain else None
+        if known is not None and known[0] == now and (count is None or bool((known[1].found >= count).all())):
+            return self._complete(known[1], pad)
+        wanted = count
+        if self.removed is not None:
+            wanted = torch.where(self.removed, 0, n if count is None else count)
+        simulator = self.simulator
+        windows, found = simulator.lookahead.next_windows(
+            kind,
+            simulator.sim_time,
+            n,
+            self.allowed(kind) if filter is None else self._accepted(filter, kind),
+            wanted,
+            self._last_generation(max_lookahead),
+            self.may_see_nothing,
+        )
+        if self.may_see_nothing:
+            windows = self._or_nothing(windows, found)
+        opportunities = Opportunities(*windows, self.positions(kind, windows.place), found).of(self, kind)
+        if count is None and plain:
+            self._cache[(kind, n)] = now, opportunities
+        return self._complete(opportunities, pad)
+
+    def _accepted(self, filter: Any, kind: str) -> Tensor:
+        """Return the places [N, P] that pass a filter of a query, or are not among the indices that it excludes."""
+        if callable(filter):
+            return make_filter(filter, kind)(self, kind)
+        if not isinstance(filter, Collection) or not all(isinstance(place, int) for place in filter):
+            raise TypeError(f"filter={filter!r} must be a function, or indices of places such as opportunity['object'].id")
+        accepted = torch.ones(len(self.simulator.ticks), self.places(kind), dtype=torch.bool, device=self.simulator.device)
+        accepted[:, list(filter)] = False
+        return accepted
+
+    def _complete(self, opportunities: Opportunities, pad: bool) -> Opportunities:
+        """Return the opportunities; RuntimeError if there are too few without ``pad``."""
+        n = opportunities.place.shape[1]
+        if not pad and bool((opportunities.found < n).any()):
+            row = int((opportunities.found < n).nonzero()[0])
+            raise RuntimeError(f"{int(opportunities.found[row])} of {n} opportunities found for {self.title(row)}, and pad=False")
+        return opportunities
+
+    def positions(self, type: str, place: Tensor) -> Tensor:
+        """Return the Earth-fixed positions, [N, n, 3] m, of places [N, n] of a type."""
+        return place_positions(self.simulator.access, self.simulator.scenario_state, type, place)  # type: ignore[arg-type]
+
+    def objects(self, type: str, place: Tensor) -> Any:
+        """Return the objects of places [N, n]: :class:`~bsk_torch.sats.objects.TargetObjects`, or names of stations [N, n]."""
+        return TargetObjects(self, place) if type == TARGET_KIND else station_names(self.simulator.world.stations, place)
+
+    def _or_nothing(self, windows: Windows, found: Tensor) -> Windows:
+        """Return the windows [N, n], those of place 0 that open and close now where none was ``found`` [N]."""
+        there, now = (found > 0).unsqueeze(-1), self.simulator.sim_time.unsqueeze(-1)
+        opens, close = (torch.where(there, time, now) for time in windows[:2])
+        return Windows(opens, close, torch.where(there, windows.place, 0))
+
+    def _last_generation(self, max_lookahead: int) -> Tensor | None:
+        """Return the time, [N] s, from which on queries generate no more windows."""
+        if not 0 < max_lookahead <= MAX_SEGMENTS:
+            raise ValueError(f"max_lookahead={max_lookahead} must be from 1 to {MAX_SEGMENTS}")
+        last = None
+        if self.max_generation_duration_beyond_initial != float("inf"):
+            limit, given = self.time_limit, self.initial_generation_duration
+            initial = torch.where(torch.isfinite(limit), limit, 0.0) if given is None else torch.full_like(limit, given)
+            last = initial + self.max_generation_duration_beyond_initial
+        if max_lookahead == MAX_SEGMENTS:
+            return last
+        seen: Tensor = self.simulator.access.until + max_lookahead * self.segment  # type: ignore[union-attr]
+        return seen if last is None else torch.minimum(seen, last)
+
+    def look_further(self, row: int) -> bool:
+        """Extend the look-ahead of one row by a segment; return whether there was any left."""
+        access, lookahead = self.simulator.access, self.simulator.lookahead
+        last = self._last_generation(MAX_SEGMENTS)
+        if access is None or (last is not None and bool(access.until[row] >= last[row])):
+            return False
+        only = torch.zeros_like(self.simulator.ticks)
+        only[row] = torch.iinfo(torch.int32).max  # more than there can be
+        end = access.until + self.segment
+        lookahead.next_windows(self.opportunity_types[0], self.simulator.sim_time, 1, None, only, end, True)
+        self._lists = {}
+        return bool(access.until[row] >= end[row])
+
+    def _kind(self, type: str | None, types: str | Collection[str] | None = None) -> str:
+        """Return the type that ``type``, or ``types`` as in bsk_rl, means; ValueError for none, several, or an unknown one."""
+        if type is not None and not isinstance(type, str):
+            raise ValueError(f"type={type!r} must be one type of opportunity; write pad= and the like with their names")
+        given = [type or TARGET_KIND] if types is None else [types] if isinstance(types, str) else list(types)
+        if type is not None and given != [type]:
+            raise ValueError(f"type={type!r} and types={types!r} contradict each other")
+        if len(given) != 1:
+            raise ValueError(
+                f"types={types!r}: tensors hold one type of opportunities; satellite.one(row).find_next_opportunities() lists "
+                "several together"
+            )
+        if given[0] not in self.opportunity_types:
+            raise ValueError(f"type={given[0]!r} is not a type of opportunity; {nearest(given[0], self.opportunity_types)}")
+        return given[0]
+
+    def aims(self, opportunities: Opportunities) -> Tensor:
+        """Return the geometry of places relative to the satellite now, [N, n, 5].
+
+        See :mod:`bsk_torch.sim.access.relative_geometry` for the five numbers and their units.
+        """
+        observer = self.simulator.observer
+        if self._aims is None or self._aims[0] is not opportunities or self._aims[1] != self.simulator.state.version:
+            models, zero = (self.dynamics, self.fsw), torch.zeros_like(self.dynamics.r_BN_P)
+            found = (
+                [getattr(model, name) for model in models if hasattr(model.__class__, name)] for name in SATELLITE_PROPERTIES
+            )
+            satellite = tuple(values[0] if values else zero for values in found)
+            found_now = relative_geometries(satellite, opportunities.r_LP_P, observer.kernels)
+            self._aims = opportunities, self.simulator.state.version, found_now
+        return self._aims[2]
+
+    def opportunities(self, type: str | None = None, *, types: str | Collection[str] | None = None) -> Windows:
+        """Return all windows of a type that have been computed, sorted by closing time, [N, W]; missing ones close at infinity.
+
+        Those of past intervals are dropped as look-ahead goes on. ``types`` is the same as ``type``.
+        """
+        return self._known(self._kind(type, types), torch.full_like(self.simulator.sim_time, -1.0), None)
+
+    def upcoming_opportunities(self, type: str | None = None, *, types: str | Collection[str] | None = None) -> Windows:
+        """Return the windows as :meth:`opportunities` does, of those that have not closed and that pass the filters."""
+        kind = self._kind(type, types)
+        return self._known(kind, self.simulator.sim_time, self.allowed(kind))
+
+    def listed(self, type: str, upcoming: bool) -> Windows:
+        """Return the windows as :meth:`opportunities` does, or those that have not closed, without filters; views read them."""
+        now = self.simulator.state.version, self.simulator.memory.version
+        known = self._lists.get((type, upcoming))
+        if known is None or known[0] != now:
+            time = self.simulator.sim_time
+            known = now, self._known(type, time if upcoming else torch.full_like(time, -1.0), None)
+            self._lists[(type, upcoming)] = known
+        return known[1]
+
+    def _known(self, type: str, time: Tensor, allowed: Tensor | None, before: Tensor | None = None) -> Windows:
+        """Return the windows that have not closed at ``time`` and, if given, that open ``before`` [N] s."""
+        access = self.simulator.access
+        self.simulator.lookahead.search_visible(self.simulator.sim_time)
+        known = candidates(access.windows[type], time, access.until, allowed)  # type: ignore[union-attr]
+        if before is not None:
+            known = known._replace(valid=known.valid & (known.windows.open < before.unsqueeze(-1)))
+        key, order = torch.sort(known.sort_key, dim=1, stable=True)
+        there = torch.isfinite(key)
+        opens, close, place = (table.gather(1, order) for table in known.windows)
+        opens, close = (torch.where(there, table, torch.inf) for table in (opens, close))
+        return Windows(opens, close, torch.where(there, place, 0))
+
+    def find_windows(self, until: float | Tensor, type: str = "target") -> Windows:
+        """Return all windows of ``type`` that have not closed, that open before ``until`` and that pass the filters.
+
+        Look-ahead is extended to ``until`` first, by whole segments as bsk_rl's ``calculate_additional_windows`` does, also
+        beyond the time limit. Later queries see as far.
+
+        Args:
+            until: Time, s since reset: one for all, or [N].
+            type: Type of opportunity.
+
+        Returns:
+            Windows sorted by closing time, [N, W]; missing ones open and close at infinity. Windows in progress at the end of
+            look-ahead close there.
+
+        Raises:
+            ValueError: For an unknown type, or an ``until`` of another shape or that is not finite.
+        """
+        kind, now = self._kind(type), self.simulator.sim_time
+        times = torch.as_tensor(until, dtype=torch.float64, device=now.device)
+        if times.shape not in ((), now.shape) or not bool(torch.isfinite(times).all()):
+            raise ValueError(
+                f"until={until!r} must be finite seconds since reset: one number, or a tensor of shape {list(now.shape)}"
+            )
+        if self.simulator.lookahead.generate_until(times.expand_as(now), now):
+            self._cache.clear()
+            self._lists.clear()
+        return self._known(kind, now, self.allowed(kind), times.expand_as(now))
+
+    @property
+    def window_calculation_time(self) -> Tensor:
+        """End of look-ahead, [N] s since reset."""
+        return self.simulator.access.until  # type: ignore[union-attr]
+
+    def calculate_additional_windows(self, duration: float | Tensor) -> None:
+        """Extend look-ahead by ``duration`` s, one for all or [N], to whole segments and at least one, as in bsk_rl.
+
+        Where it is not positive, nothing changes. :meth:`find_windows` extends to a time instead.
+        """
+        seconds = torch.as_tensor(duration, dtype=torch.float64, device=self.simulator.device)
+        more = torch.where(seconds > 0.0, seconds.clamp(min=self.segment), 0.0)
+        self.find_windows(self.window_calculation_time + more, self.opportunity_types[0])
+
+    def look_up(self, table: Tensor, place: Tensor) -> Tensor:
+        """Return the entries [N, n, ...] of a table [num_envs, P, ...], such as ``scenario.priority``, for places [N, n]."""
+        return self.simulator.look_up(table, place)
+
+    def next_opportunities(
+        self, type: str | None = None, until: float | Tensor | None = None, *, types: str | Collection[str] | None = None
+    ) -> tuple[Tensor, Tensor]:
+        """Return opening and closing time of the next window of every place of a type, [N, P] s each; infinity where none.
+
+        Look-ahead is extended to ``until`` (s since reset, one for all or [N]) first; see :meth:`find_windows`.
+        """
+        kind = self._kind(type, types)
+        windows = self.upcoming_opportunities(kind) if until is None else self.find_windows(until, kind)
+        none = torch.full((len(windows.place), self.places(kind)), torch.inf, dtype=torch.float64, device=windows.open.device)
+        # windows of a place do not overlap, so the first to close is the first to open
+        return none.scatter_reduce(1, windows.place, windows.open, "amin"), none.scatter_reduce(
+            1, windows.place, windows.close, "amin"
+        )
+
+    def places(self, type: str) -> int:
+        """Return the number of places of a type, P."""
+        simulator = self.simulator
+        return simulator.access.kinds[type](simulator.state.all_rows[:1]).r_LP_P.shape[1]  # type: ignore[union-attr]
+
+    def opportunities_dict(
+        self,
+        env: int | None = None,
+        type: str | None = None,
+        upcoming: bool = False,
+        *,
+        types: str | Collection[str] | None = None,
+        filter: Any = None,
+    ) -> dict[int, list[tuple[float, float]]]:
+        """Return the windows (opening and closing time, s) of environment ``env`` by place, for people to read.
+
+        Raises:
+            TypeError: For bsk_rl's dictionaries by object, which belong to one environment.
+        """
+        if env is None or filter is not None:
+            raise TypeError(_dictionaries("opportunities_dict"))
+        kind = self._kind(type, types)
+        windows = self.upcoming_opportunities(kind) if upcoming else self.opportunities(kind)
+        found: dict[int, list[tuple[float, float]]] = {}
+        for place, opens, closes in zip(*(table[env].tolist() for table in (windows.place, *windows[:2])), strict=True):
+            if closes < float("inf"):
+                found.setdefault(place, []).append((opens, closes))
+        return found
+
+    def upcoming_opportunities_dict(self, *_: Any, **__: Any) -> NoReturn:
+        """Raise TypeError that says what to write for bsk_rl's dictionary."""
+        raise TypeError(_dictionaries("upcoming_opportunities_dict"))
+
+    def next_opportunities_dict(self, *_: Any, **__: Any) -> NoReturn:
+        """Raise TypeError that says what to write for bsk_rl's dictionary."""
+        raise TypeError(_dictionaries("next_opportunities_dict"))
+
+
+AccessSatellite.bound_type = BoundAccessSatellite
+
+
+def _dictionaries(name: str) -> str:
+    return (
+        f"{name}() is a dictionary of one environment: write satellite.one(env).{name}(types=..., filter=...); the tensors of "
+        "all environments are opportunities(type), upcoming_opportunities(type) and next_opportunities(type)"
+    )
