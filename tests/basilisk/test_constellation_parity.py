@@ -11,6 +11,7 @@ import pytest
 
 from tests.basilisk.constellation import BUFFER, environment, load, replay
 from tests.basilisk.test_parity import BOUNDS, POSITION, check
+from tests.support.nightly import by_night
 
 CONSTELLATION = {**BOUNDS, "paid": 1e-9, "duration": 1e-9}
 NAMES = (
@@ -20,7 +21,7 @@ STORAGE = 17
 
 
 @pytest.mark.compiled
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", by_night(NAMES, ["meta_idle"]))
 def test_constellation(name):
     recording = load(name)
     check(replay(recording, environment(recording)), POSITION["arc"], CONSTELLATION)
@@ -36,7 +37,8 @@ def test_second_episode(name):
     check(replay(recording, env), POSITION["arc"], CONSTELLATION)
 
 
-@pytest.mark.parametrize("name", [pytest.param("types", marks=pytest.mark.nightly), "scan"])
+@pytest.mark.nightly
+@pytest.mark.parametrize("name", ["types", "scan"])
 def test_eager_first_steps(name):
     """The debugger's back end."""
     recording = load(name)

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from tests.basilisk.replay import RECORDINGS, Difference, environment, load, replay
+from tests.support.nightly import by_night
 
 BOUNDS = {
     "sigma": 1e-7,
@@ -76,21 +77,22 @@ def test_other_ticks(name):
 
 
 @pytest.mark.compiled
-@pytest.mark.parametrize("name", ["low", "nominal"])
+@pytest.mark.parametrize("name", by_night(["low", "nominal"], ["nominal"]))
 def test_integrated(name):
     """The orbit integrated in every tick: with drag, and for five orbits."""
     recording = load(name)
     check(replay(recording, environment(recording, orbit="integrated")), POSITION["integrated"])
 
 
-def test_eager_first_steps():
-    """The debugger's back end on the first steps of two recordings."""
-    for name, steps in (("nominal", 1), ("all_modes", 4)):
-        recording = load(name)
-        check(replay(recording, environment(recording, backend="eager"), longest=steps), POSITION["arc"])
+@pytest.mark.nightly
+@pytest.mark.parametrize(("name", "steps"), [("nominal", 1), ("all_modes", 4)])
+def test_eager_first_steps(name, steps):
+    """The debugger's back end on the first steps of two recordings; :func:`test_ticks` has single ticks of it."""
+    recording = load(name)
+    check(replay(recording, environment(recording, backend="eager"), longest=steps), POSITION["arc"])
 
 
-@pytest.mark.parametrize("orbit", ["arc", "integrated"])
+@pytest.mark.parametrize("orbit", by_night(["arc", "integrated"], ["integrated"]))
 def test_ticks(orbit):
     """Tick by tick: 200 ticks with station passes, desaturation and a change of mode."""
     from tests.basilisk.ticks import compare_ticks

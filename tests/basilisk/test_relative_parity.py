@@ -16,6 +16,7 @@ from bsk_torch.obs.relative_observations import FUNCTIONS
 from bsk_torch.sim.encounters import first_ticks
 from bsk_torch.sim.trace import Flight
 from tests.conftest import RECORDINGS
+from tests.support.nightly import by_night
 
 CASES = sorted(path.stem for path in RECORDINGS.glob("inspection_*.npz"))
 
@@ -127,11 +128,11 @@ def flown_steps(initial, r, v, begin, ticks):
 ENCOUNTERS = ("inspection_collide3", "inspection_collision", "inspection_range", "inspection_three")
 """Recordings that hold some."""
 
-SHORT = ("inspection_collide3", "inspection_fuel", "inspection_range")
-"""Recordings with few steps, or short ones: collisions, lost deputies, and empty tanks."""
+SHORT = ("inspection_collide3", "inspection_range")
+"""Recordings with few steps, or short ones: collisions and lost deputies."""
 
 
-@pytest.mark.parametrize("case", [c if c in SHORT else pytest.param(c, marks=pytest.mark.nightly) for c in CASES])
+@pytest.mark.parametrize("case", by_night(CASES, [case for case in CASES if case not in SHORT]))
 def test_recorded_steps_end_with_the_first_encounter_and_bookings_are_bsk_rls(case):
     """No condition that waits holds before the end of a recorded step; if one holds at its end, its victims die with it."""
     initial, episode, r, v, begin, duration, before, after, death = recorded_steps(case)

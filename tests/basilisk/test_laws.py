@@ -1,0 +1,83 @@
+"""Every law that recordings of Basilisk check is replayed in CI at least once; the other recordings are replayed at night."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.basilisk import test_constellation_parity as constellations
+from tests.basilisk import test_imaging_parity as images
+from tests.basilisk import test_inspection as inspection
+from tests.basilisk import test_manoeuvres as manoeuvres
+from tests.basilisk import test_models_parity as models
+from tests.basilisk import test_parity as scanning
+from tests.basilisk import test_relative_parity as relative
+from tests.basilisk import test_setpoint_parity as setpoints
+from tests.examples import test_bsk_rl as examples
+from tests.support.nightly import by_night, runs_in_ci
+
+LAWS = {
+    "orbits on arcs": [(scanning.test_arc, "nominal")],
+    "orbits integrated with drag": [(scanning.test_integrated, "low")],
+    "eccentric orbits, eclipses and passes": [(scanning.test_eccentric,)],
+    "feedback of attitude, with its integral and the limit of it": [
+        (scanning.test_other_laws, "integral"),
+        (scanning.test_other_laws, "integral_clip"),
+    ],
+    "all modes of scanning": [(scanning.test_other_laws, "all_modes")],
+    "saturated wheels and desaturation": [(scanning.test_arc, name) for name in ("saturation", "desat_sun", "desat_none")],
+    "a full store": [(scanning.test_arc, "full"), (images.test_feedback, "full")],
+    "other ticks": [(scanning.test_other_ticks, "half_second"), (scanning.test_other_ticks, "two_seconds")],
+    "ticks of the eager back end": [(scanning.test_ticks, "arc"), (images.test_eager_first_steps,)],
+    "the steering law": [(images.test_steering,)],
+    "images, windows and passes of targets": [(images.test_feedback, "feedback"), (images.test_look_ahead_of_days,)],
+    "lines of sight and ranges of radio": [(constellations.test_constellation, name) for name in ("los", "range", "multi")],
+    "communication at the end of steps, free and broadcast": [
+        (constellations.test_constellation, name) for name in ("free", "broadcast")
+    ],
+    "types of satellites in one episode, deaths": [(constellations.test_constellation, name) for name in ("types", "death")],
+    "meta-agents and joint agents": [(constellations.test_constellation, name) for name in ("meta", "joint")],
+    "satellites without tasks, shared images": [(constellations.test_constellation, name) for name in ("untasked", "shared")],
+    "manoeuvres on arcs": [(manoeuvres.test_manoeuvres_against_basilisk, "manoeuvre_kick", "arc")],
+    "manoeuvres of integrated orbits": [(examples.test_continuous_orbit_maneuvers,)],
+    "inspection, by points, light and completion": [
+        (inspection.test_an_episode_is_the_recorded_one, case) for case in ("complete", "dark")
+    ],
+    "inspection, ended by fuel, range and collision": [
+        (inspection.test_an_episode_is_the_recorded_one, case) for case in ("fuel", "range", "collision", "collide3")
+    ],
+    "inspection with the steering law": [(examples.test_rso_inspection,)],
+    "three inspectors": [(inspection.test_an_episode_is_the_recorded_one, "three")],
+    "encounters that end steps": [
+        (relative.test_recorded_steps_end_with_the_first_encounter_and_bookings_are_bsk_rls, f"inspection_{case}")
+        for case in ("collide3", "range")
+    ],
+    "attitudes by set-points": [(setpoints.test_set_points, "compiled", name) for name in setpoints.BOUNDS],
+    "imposed attitudes, passive satellites": [
+        (models.test_an_attitude_without_actuators_is_that_of_the_last_reference,),
+        (models.test_an_imposed_attitude_is_the_same_in_kernels,),
+        (models.test_wheels_of_a_spacecraft_whose_attitude_is_imposed_turn_with_it,),
+        (models.test_passive_satellites_fly_beside_one_with_wheels,),
+    ],
+}
+"""Replays of each law: a test, and the values of its parameters."""
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_every_law_is_replayed_in_ci(law):
+    assert LAWS[law]
+    for test, *case in LAWS[law]:
+        assert runs_in_ci(test, *case), f"{test.__name__}{case} does not run in CI"
+
+
+def test_cases_of_the_night_are_told_apart():
+    @pytest.mark.parametrize("a", by_night(["x", "y"], ["y"]))
+    @pytest.mark.parametrize(("b", "c"), by_night([(1, 2), (3, 4)], [(3, 4)]))
+    def some(a, b, c):
+        pass
+
+    assert runs_in_ci(some, 1, 2, "x")
+    assert not any(runs_in_ci(some, *case) for case in [(1, 2, "y"), (3, 4, "x"), (1, 2), ()])
+    assert not runs_in_ci(scanning.test_eager_first_steps, "nominal", 1)
+    assert not runs_in_ci(images.test_integrated)
+    with pytest.raises(AssertionError, match="not all cases"):
+        by_night(["x"], ["z"])
