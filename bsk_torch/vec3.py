@@ -13,7 +13,7 @@ from typing import Any, NamedTuple, TypeVar
 import torch
 from torch import Tensor
 
-__all__ = ["Mat3", "Vec3", "only", "select"]
+__all__ = ["Mat3", "Vec3", "only", "select", "times"]
 
 T = TypeVar("T")
 
@@ -107,6 +107,31 @@ class Mat3(NamedTuple):
         """Matrix times vector."""
         return Vec3(self.x.dot(v), self.y.dot(v), self.z.dot(v))
 
+    def __add__(self, other: Mat3) -> Mat3:  # type: ignore[override]
+        """Sum of two matrices."""
+        return Mat3(*(a + b for a, b in zip(self, other, strict=True)))
+
+    def __sub__(self, other: Mat3) -> Mat3:
+        """Difference of two matrices."""
+        return Mat3(*(a - b for a, b in zip(self, other, strict=True)))
+
+    def solve(self, v: Vec3) -> Vec3:
+        """Return x with ``M x = v`` by Cramer's rule: ``M^-1 = [y x z, z x x, x x y] / (x . (y x z))`` of the rows x, y and z."""
+        columns = self.y.cross(self.z), self.z.cross(self.x), self.x.cross(self.y)
+        inverse = 1.0 / self.x.dot(columns[0])
+        return (columns[0] * v.x + columns[1] * v.y + columns[2] * v.z) * inverse
+
+    @staticmethod
+    def diagonal(v: Vec3) -> Mat3:
+        """Return the matrix with the components of ``v`` on its diagonal, zeros elsewhere."""
+        zero = torch.zeros_like(v.x)
+        return Mat3(Vec3(v.x, zero, zero), Vec3(zero, v.y, zero), Vec3(zero, zero, v.z))
+
+    @staticmethod
+    def outer(a: Vec3, b: Vec3) -> Mat3:
+        """Return the outer product ``a b^T``."""
+        return Mat3(b * a.x, b * a.y, b * a.z)
+
     @property
     def mT(self) -> Mat3:
         """Transposed matrix."""
@@ -129,6 +154,11 @@ class Mat3(NamedTuple):
 def select(condition: Tensor, yes: Vec3, no: Vec3) -> Vec3:
     """``yes`` where ``condition`` holds, else ``no``."""
     return Vec3(*(torch.where(condition, a, b) for a, b in zip(yes, no, strict=True)))
+
+
+def times(matrix: Vec3 | Mat3, v: Vec3) -> Vec3:
+    """Return the product of a matrix with a vector; a diagonal matrix may be given as the vector of its diagonal."""
+    return matrix.scale(v) if isinstance(matrix, Vec3) else matrix @ v
 
 
 def only(mask: Any, compute: Callable[[], T], otherwise: T) -> T:

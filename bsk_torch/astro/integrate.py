@@ -11,9 +11,8 @@ import torch
 from numpy.polynomial import chebyshev
 from torch import Tensor
 
-from bsk_torch.vec3 import Vec3
-
-State = tuple[Vec3, ...]
+State = tuple[Any, ...]
+"""Vectors, or single quantities."""
 
 
 def _advance(y: State, rate: State, step: float | Tensor) -> State:

@@ -55,6 +55,8 @@ def fold(program: Program[Any], op: str, args: tuple[Value, ...], dtype: torch.d
         return args[1] if numbers[0] is True or args[1] is args[2] else args[2] if numbers[0] is False else None
     if op == "cast":
         return _fold_cast(program, args[0], dtype)
+    if op == "neg" and args[0].op == "neg":
+        return args[0].args[0]
     if op in NEUTRAL and numbers[1] == NEUTRAL[op]:
         return args[0]
     if op in ("add", "mul") and numbers[0] == NEUTRAL[op]:

@@ -21,7 +21,7 @@ from torch import Tensor
 
 from bsk_torch.constants import NANO
 from bsk_torch.sim.schedule import SCHEDULE, Schedule
-from bsk_torch.vec3 import Vec3
+from bsk_torch.vec3 import Mat3, Vec3
 
 __all__ = ["Arg", "Bus", "Component", "Field", "MissingMessageError", "Track", "vec"]
 
@@ -38,8 +38,10 @@ class Bus:
 
     ``h_ns`` and ``h`` are the length of the tick in nanoseconds and seconds, ``ticks`` is the number of this tick since reset,
     ``dtype`` the type of attitude and flight software, and ``opaque_field`` is True where the Earth's field is called as one
-    operator.
+    operator. ``effectors`` are those of the components that run.
     """
+
+    effectors: tuple[Effector, ...] = ()
 
     def __init__(self, h_ns: int, dtype: torch.dtype = torch.float64, opaque_field: bool = False) -> None:
         """Start a tick of ``h_ns`` nanoseconds."""
@@ -190,6 +192,51 @@ def _fits(_: Values, h: float) -> None:
 
 
 @dataclass(frozen=True)
+class Effector:
+    """What the hub integrates together with itself over a tick, such as reaction wheels, or what exerts a force or torque on it.
+
+    With the inertia I of the whole spacecraft, the body rate omega and the external torque L, the hub solves::
+
+        (I - sum_i J_i) omega' = L - omega x (I omega) - sum_i loads_i,    y_i' = rates_i
+
+    All members are optional; vectors are in B, and quantities that do not depend on the stage are read from the bus.
+
+    Attributes:
+        state: Fields of the state that are integrated with the hub, as they stand on the bus: y.
+        loads: ``loads(bus, omega_BN_B, y)`` yields torques, N m, that the hub exerts on the effector. They are subtracted one
+            after another.
+        inertia: ``inertia(bus)`` returns J, kg m^2, the part of I that does not turn with the hub about its own axes, a matrix or
+            its diagonal.
+        rates: ``rates(bus, omega_BN_B, omega_BN_B', y)`` returns y'.
+        momentum: ``momentum(bus, omega_BN_B)`` returns the angular momentum about its own axes, N m s: relative to N, or to the
+            hub where the rate is None.
+        torque: ``torque(bus, stage)`` returns an external torque, N m, in stage 0 to 3 of the Runge-Kutta step; None for none.
+        force: ``force(bus, v_BN_B)`` returns an external force, N, and its torque, N m, where the orbit is integrated.
+    """
+
+    state: tuple[str, ...] = ()
+    loads: Callable[[Bus, Vec3, tuple[Any, ...]], Iterable[Vec3]] | None = None
+    inertia: Callable[[Bus], Vec3 | Mat3] | None = None
+    rates: Callable[[Bus, Vec3, Vec3, tuple[Any, ...]], tuple[Any, ...]] | None = None
+    momentum: Callable[[Bus, Vec3 | None], Vec3] | None = None
+    torque: Callable[[Bus, int], Vec3 | None] | None = None
+    force: Callable[[Bus, Vec3], tuple[Vec3, Vec3]] | None = None
+
+
+@dataclass(frozen=True)
+class Allocation:
+    """How the torque on the body that a control law asks for is distributed among actuators.
+
+    Attributes:
+        commands: Fields of the state that hold the commands to the actuators.
+        distribute: ``distribute(bus, torque_B)`` returns their values for a torque on the body, N m in B.
+    """
+
+    commands: tuple[str, ...]
+    distribute: Callable[[Bus, Vec3], tuple[Any, ...]]
+
+
+@dataclass(frozen=True)
 class Component:
     """One part of a model; see the module docstring.
 
@@ -211,6 +258,9 @@ class Component:
 
     ``flags`` are what flight modes may switch on: ``bus.<flag>`` is 1 in the modes that list it, else 0. Those of ``idle_flags``
     are 1 before the first command, too. ``resets`` lists fields of the state with the values to which every command sets them.
+
+    The hub integrates the ``effector`` of a component together with itself. Control laws ask the ``allocation`` of a component to
+    distribute torques among actuators; see :mod:`bsk_torch.sim.fsw.allocation`.
     """
 
     slot: str
@@ -235,6 +285,8 @@ class Component:
     flags: tuple[str, ...] = ()
     idle_flags: tuple[str, ...] = ()
     resets: tuple[tuple[str, float], ...] = ()
+    effector: Effector | None = None
+    allocation: Allocation | None = None
 
     def extended(
         self,

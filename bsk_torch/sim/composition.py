@@ -165,4 +165,5 @@ def written(component: Component) -> set[str]:
     names = {field.name for field in (*component.state, *component.params)}
     code = getattr(component.update, "__code__", None)
     stores = () if code is None else dis.get_instructions(code)
+    names |= {"allocation"} if component.allocation else set()
     return names | {step.argval for step in stores if step.opname == "STORE_ATTR"}

@@ -84,7 +84,10 @@ class Tick:
     def identity(self) -> Hashable:
         """Equal for ticks that compute the same; it holds for as long as one of them exists, which keeps its functions."""
         fields = [(tuple(p.state), tuple(p.params), tuple(p.records)) for p in self.components]
-        parts = tuple((p.slot, id(p.update), p.stops, p.at_start, *f) for p, f in zip(self.components, fields, strict=True))
+        parts = tuple(
+            (p.slot, id(p.update), p.effector, p.allocation, p.stops, p.at_start, *f)
+            for p, f in zip(self.components, fields, strict=True)
+        )
         options = self.h_ns, self.on_arc, self.dtype, self.opaque_field, self.stops, tuple(self.flags.fields)
         return parts, options, frozenset(self.shared.fields), self.tracks
 
@@ -97,6 +100,10 @@ class Tick:
         for track, planes, tau in zip(self.tracks, inputs.records, inputs.tau, strict=True):
             put_track(bus, track, planes, tau)
         bus.ticks = inputs.ticks
+        bus.effectors = tuple(part.effector for part in self.components if part.effector)
+        for part in self.components:
+            if part.allocation:
+                bus.allocation = part.allocation
         return bus
 
     def advance(self, inputs: Inputs, named: bool = False) -> tuple[list[Any], Any]:

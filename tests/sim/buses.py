@@ -7,6 +7,8 @@ from typing import Any
 import torch
 
 from bsk_torch.sim.component import Bus
+from bsk_torch.sim.dyn.wheels import WHEELS
+from bsk_torch.sim.fsw.allocation import BODY_AXIS_WHEELS
 from bsk_torch.vec3 import Vec3
 
 N = 40
@@ -27,3 +29,8 @@ def write(bus: Bus, **values: Any) -> Bus:
     for name, value in values.items():
         setattr(bus, name, value)
     return bus
+
+
+def with_wheels(bus: Bus) -> Bus:
+    """The bus of a spacecraft with three wheels on its axes."""
+    return write(bus, effectors=(WHEELS.effector,), allocation=BODY_AXIS_WHEELS.allocation)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from bsk_torch.sim.component import Arg, Bus, Component, Field, Values, vec
+from bsk_torch.sim.component import Arg, Bus, Component, Effector, Field, Values, vec
 from bsk_torch.vec3 import Vec3
 
 
@@ -61,6 +61,7 @@ DRAG = Component(
     prepare=_facet_areas,
     integrated_only=True,
     at_start=True,
+    effector=Effector(force=drag),
 )
 
 DISTURBANCE = Component(

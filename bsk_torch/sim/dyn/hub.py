@@ -1,8 +1,16 @@
-"""The rigid hub with its wheels: initial state, equations of motion, and the Runge-Kutta step over one tick."""
+"""The rigid hub: initial state, equations of motion, and the Runge-Kutta step over one tick.
+
+What moves relative to the hub, or exerts forces and torques on it, are effectors of other components, such as reaction wheels
+and thrusters: the hub sums them, and integrates their state together with its attitude; see
+:class:`bsk_torch.sim.component.Effector`.
+"""
 
 from __future__ import annotations
 
+import functools
 import math
+import operator
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -13,14 +21,11 @@ from bsk_torch.astro.frames import rotate_z
 from bsk_torch.astro.gravity import third_body
 from bsk_torch.astro.integrate import State, rk4_step
 from bsk_torch.astro.orbit import Elements, elements_to_rv
-from bsk_torch.constants import MU_EARTH, RPM
+from bsk_torch.constants import MU_EARTH
 from bsk_torch.rand import Uniform, random_orbit
 from bsk_torch.sim.component import Arg, Bus, Component, Field, Values, vec
-from bsk_torch.sim.dyn.drag import drag
 from bsk_torch.sim.dyn.field import called_field, full_field
-from bsk_torch.sim.dyn.thrusters import pulse_torque
-from bsk_torch.sim.dyn.wheels import SPIN_INERTIA
-from bsk_torch.vec3 import Vec3
+from bsk_torch.vec3 import Mat3, Vec3, times
 
 BODY = ("mass", "width", "depth", "height")
 """Arguments that the inertia follows from."""
@@ -47,8 +52,6 @@ def initial_orbit(args: Values) -> tuple[Tensor, Tensor]:
 
 
 def _check(args: Values) -> None:
-    if "wheelSpeeds" in args:
-        _check_inertia(args)
     given = [name for name in ("oe", "rN", "vN") if args[name] is not None]
     if given not in (["oe"], ["rN", "vN"]):
         raise KeyError(f"give the orbit as 'oe', or as both 'rN' and 'vN' with oe=None; given are {given or 'none'}")
@@ -56,45 +59,47 @@ def _check(args: Values) -> None:
         _check_elements(args["oe"])
 
 
-def _inertia(args: Values) -> Tensor:
+def body_inertia(args: Values) -> Tensor:
+    """Return the principal inertia [n or 1, 3], kg m^2, of the whole spacecraft: see :func:`box_inertia`."""
     return box_inertia(*(args[name] for name in BODY))
 
 
-def _in_words(args: Values, row: int) -> str:
+def described_body(args: Values, row: int) -> str:
+    """Return the arguments of the body of a row, for messages."""
     return ", ".join(f"{name}={args[name][min(row, len(args[name]) - 1)].item():g}" for name in BODY)
 
 
-def _check_inertia(args: Values) -> None:
-    """Check that the body is heavier than its wheels: the inertia of the box is that of hub and wheels together."""
-    smallest = _inertia(args).min(-1).values
-    if bool((smallest <= SPIN_INERTIA).any()):
-        row = int(smallest.argmin())
-        raise ValueError(
-            f"{_in_words(args, row)}: a body whose smallest moment of inertia is {smallest[row].item():.3g} kg m^2 cannot hold "
-            f"reaction wheels of {SPIN_INERTIA:.3g} kg m^2 each (Honeywell HR16, as in Basilisk): no gains K and P are stable. "
-            "Give a larger body, or models without wheels, dyn.DynamicsModel and fsw.FSWModel"
-        )
+def check_turn(args: Values, H: Tensor, J: Tensor, h: float, cause: str) -> None:
+    """Check that ticks of h s resolve the rates to which a momentum can bring the body.
 
+    A body turns about its momentum H, N m s, at up to ``|H| / J``. The Runge-Kutta method of order four is stable up to
+    ``2 sqrt(2)`` rad in a step (Hairer and Wanner, "Solving ordinary differential equations II", section IV.2), and numbers
+    overflow beyond.
 
-def _check_spin(args: Values, h: float) -> None:
-    """Check that ticks of h s resolve the initial rates of body and wheels.
+    Args:
+        args: Drawn arguments.
+        H: Initial momentum, [n or 1, 3].
+        J: Moments of inertia that turn with the body, [n or 1, 3] kg m^2.
+        h: Length of a tick, s.
+        cause: The arguments that turn the body, and the verb, for the message.
 
-    The body turns about its momentum H at up to ``|H| / J``. The Runge-Kutta method of order four is stable up to ``2 sqrt(2)``
-    rad in a step (Hairer and Wanner, "Solving ordinary differential equations II", section IV.2), and numbers overflow beyond.
+    Raises:
+        ValueError: Where ticks are too long.
     """
-    inertia = _inertia(args)
-    H, J, names = inertia * args["omega_init"], inertia, "omega_init turns"
-    if "wheelSpeeds" in args:
-        H = H + args["wheelSpeeds"] * (RPM * SPIN_INERTIA)
-        J, names = J - SPIN_INERTIA, "wheelSpeeds and omega_init turn"
     turn = h * H.norm(dim=-1) / J.min(-1).values
     row = int(turn.argmax())
     if bool(turn[row] > STABLE_TURN):
         raise ValueError(
-            f"{names} a body with {_in_words(args, row)} by {turn[row].item():.3g} rad in a tick of sim_rate={h:g} s; ticks "
+            f"{cause} a body with {described_body(args, row)} by {turn[row].item():.3g} rad in a tick of sim_rate={h:g} s; ticks "
             f"resolve {STABLE_TURN:.3g} rad. Give smaller initial rates, a larger body, or a sim_rate of at most "
             f"{h * STABLE_TURN / turn[row].item():.2g} s"
         )
+
+
+def _check_spin(args: Values, h: float) -> None:
+    """Check that ticks of h s resolve the initial rate of the body; components with momentum check theirs."""
+    inertia = body_inertia(args)
+    check_turn(args, inertia * args["omega_init"], inertia, h, "omega_init turns")
 
 
 def _check_elements(oe: Tensor) -> None:
@@ -111,59 +116,101 @@ def _initial(args: Values) -> dict[str, Tensor]:
 
 
 def _prepare(args: Values) -> dict[str, Tensor]:
-    return {"inertia_B": box_inertia(args["mass"], args["width"], args["depth"], args["height"]), "mass": args["mass"]}
+    return {"inertia_B": body_inertia(args), "mass": args["mass"]}
 
 
-def _attitude_rates(bus: Bus, L_B: Vec3, sigma_BN: Vec3, omega_BN_B: Vec3, wheels: tuple[Vec3, ...]) -> State:
-    """Return the rates of the MRP sigma_BN, 1/s, the body rate omega_BN, rad/s^2 in B, and, with wheels, their speeds, rad/s^2.
+EffectorStates = list[tuple[Any, ...]]
+"""State of each effector: a tuple of its fields, as they stand on the bus."""
 
-    For three balanced wheels on the body axes, with the inertia Js about their own::
+
+def _leaves(states: EffectorStates) -> State:
+    """Return the vectors and planes of the states of effectors, one after another."""
+    return tuple(leaf for state in states for field in state for leaf in (field if _has_parts(field) else (field,)))
+
+
+def _has_parts(field: Any) -> bool:
+    return isinstance(field, tuple) and not isinstance(field, Vec3)
+
+
+def _regrouped(states: EffectorStates, leaves: State) -> EffectorStates:
+    """Return vectors and planes in the form of the states of effectors."""
+    left = list(leaves)
+
+    def taken(field: Any) -> Any:
+        return tuple(left.pop(0) for _ in field) if _has_parts(field) else left.pop(0)
+
+    return [tuple(taken(field) for field in state) for state in states]
+
+
+def _effector_states(bus: Bus) -> EffectorStates:
+    return [tuple(getattr(bus, name) for name in effector.state) for effector in bus.effectors]
+
+
+def _attitude_rates(bus: Bus, L_B: Vec3, sigma_BN: Vec3, omega_BN_B: Vec3, states: EffectorStates) -> State:
+    """Return the rates of the MRP sigma_BN, 1/s, of the body rate omega_BN, rad/s^2 in B, and of the states of effectors.
+
+    With the inertia I of the whole spacecraft, kg m^2, the external torque L, N m, and for each effector the inertia J that does
+    not turn with the hub, and the torques l, N m, that the hub exerts on it (Schaub and Junkins, section 4.5)::
 
         sigma' = 1/4 B(sigma) omega
-        (I - Js) omega' = L - omega x (I omega) - u - Js omega x Omega
-        Omega' = u / Js - omega'
-
-    where L is the external torque, N m, u the motor torque on the wheels, N m, and Omega their speed relative to the hub (Schaub
-    and Junkins, section 4.5). Without wheels ``I omega' = L - omega x (I omega)``.
+        (I - sum J) omega' = L - omega x (I omega) - sum l
     """
-    total = L_B - omega_BN_B.cross(bus.inertia_B.scale(omega_BN_B))
-    if not wheels:
-        return mrp_rate(sigma_BN, omega_BN_B), total.map(torch.div, bus.inertia_B)
-    total = total - bus.motor_torque_B - omega_BN_B.cross(wheels[0]) * SPIN_INERTIA
-    omega_dot = total.map(lambda x, i: x * (1.0 / (i - SPIN_INERTIA)), bus.inertia_B)
-    return mrp_rate(sigma_BN, omega_BN_B), omega_dot, bus.motor_torque_B * (1.0 / SPIN_INERTIA) - omega_dot
+    total = L_B - omega_BN_B.cross(times(bus.inertia_B, omega_BN_B))
+    for effector, y in zip(bus.effectors, states, strict=True):
+        for load in effector.loads(bus, omega_BN_B, y) if effector.loads else ():
+            total = total - load
+    omega_dot = _accelerated(bus.inertia_B, [e.inertia(bus) for e in bus.effectors if e.inertia], total)
+    rates = [mrp_rate(sigma_BN, omega_BN_B), omega_dot]
+    own = [e.rates(bus, omega_BN_B, omega_dot, y) if e.rates else () for e, y in zip(bus.effectors, states, strict=True)]
+    return (*rates, *_leaves(own))
+
+
+def _accelerated(inertia: Vec3 | Mat3, free: list[Vec3 | Mat3], torque: Vec3) -> Vec3:
+    """Return the acceleration, rad/s^2, by a torque, N m, of a body without the inertia that is ``free`` to turn by itself."""
+    if not free:
+        return torque.map(torch.div, inertia) if isinstance(inertia, Vec3) else inertia.solve(torque)
+    diagonals = [part for part in (inertia, *free) if isinstance(part, Vec3)]
+    if len(diagonals) == 1 + len(free):  # 1 / J is the same in all stages
+        return torque.map(lambda x, *parts: x * (1.0 / functools.reduce(operator.sub, parts)), *diagonals)
+    matrices = [_matrix(part, torque.x) for part in (inertia, *free)]
+    return functools.reduce(operator.sub, matrices).solve(torque)
+
+
+def _matrix(inertia: Vec3 | Mat3, like: Tensor) -> Mat3:
+    if isinstance(inertia, Mat3):
+        return inertia
+    zero = torch.zeros_like(like)
+    return Mat3.diagonal(inertia.map(lambda x: zero + x))
 
 
 def _torque(bus: Bus, stage: int) -> Vec3:
-    """Return the external torque, N m in B, that does not depend on the orbit: the constant disturbance and the thrusters.
-
-    Thrusters act in the first stage only, as Basilisk's do; see :mod:`bsk_torch.sim.dyn.thrusters`.
-    """
+    """Return the external torque, N m in B, that does not depend on the orbit: the disturbance, and that of effectors."""
     torque = bus.disturbance_torque_B if bus.has("disturbance_torque_B") else Vec3.zeros_like(bus.sigma_BN.x)
-    return torque + pulse_torque(bus.pulse) if stage == 0 and bus.has("pulse") else torque
+    for effector in bus.effectors:
+        own = effector.torque(bus, stage) if effector.torque else None
+        torque = torque if own is None else torque + own
+    return torque
 
 
-def _wheel_speeds(bus: Bus) -> tuple[Vec3, ...]:
-    return (bus.Omega_WB_B,) if bus.has("Omega_WB_B") else ()
-
-
-def _finish(bus: Bus, sigma: Vec3, omega: Vec3, wheels: tuple[Vec3, ...]) -> None:
+def _finish(bus: Bus, sigma: Vec3, omega: Vec3, states: EffectorStates) -> None:
     bus.sigma_BN, bus.omega_BN_B = mrp_switch(sigma), omega
-    if wheels:
-        (bus.Omega_WB_B,) = wheels
+    for effector, values in zip(bus.effectors, states, strict=True):
+        for name, value in zip(effector.state, values, strict=True):
+            setattr(bus, name, value)
 
 
 def rotate(bus: Bus) -> None:
-    """Advance attitude and wheels by one tick, a Runge-Kutta step; the orbit is solved in advance.
+    """Advance attitude and effectors by one tick, a Runge-Kutta step; the orbit is solved in advance.
 
     The MRP is switched to its shadow set after the whole step only, never between its stages, as in Basilisk.
     """
+    states = _effector_states(bus)
 
     def rates(stage: int, offset: float, y: State) -> State:
-        return _attitude_rates(bus, _torque(bus, stage), y[0], y[1], y[2:])
+        return _attitude_rates(bus, _torque(bus, stage), y[0], y[1], _regrouped(states, y[2:]))
 
-    sigma, omega, *wheels = rk4_step(rates, (bus.sigma_BN, bus.omega_BN_B, *_wheel_speeds(bus)), bus.h)
-    _finish(bus, sigma, omega, tuple(wheels))
+    sigma, omega, *after = rk4_step(rates, (bus.sigma_BN, bus.omega_BN_B, *_leaves(states)), bus.h)
+    _finish(bus, sigma, omega, _regrouped(states, tuple(after)))
 
 
 def gravity(bus: Bus, r: Vec3, offset: float) -> Vec3:
@@ -184,29 +231,30 @@ def gravity(bus: Bus, r: Vec3, offset: float) -> Vec3:
 
 
 def translate_and_rotate(bus: Bus) -> None:
-    """Advance orbit, attitude and wheels together by one tick, a Runge-Kutta step, as Basilisk does.
+    """Advance orbit, attitude and effectors together by one tick, a Runge-Kutta step, as Basilisk does.
 
-    ``r' = v`` and ``v' = a(r, t) + F_N / m + [BN]^T F_B / m`` with the drag force F_B, N in B, and the message
-    ``external_force_N``, F_N, N in N, that components may have written; it is constant over the tick. The rest as in
-    :func:`rotate`, with the torque of the drag.
+    ``r' = v`` and ``v' = a(r, t) + F_N / m + [BN]^T F_B / m`` with the forces F_B, N in B, of effectors, such as drag, and the
+    message ``external_force_N``, F_N, N in N, that components may have written; it is constant over the tick. The rest as in
+    :func:`rotate`, with the torques of these effectors.
     """
     constant = bus.external_force_N / bus.mass if bus.has("external_force_N") else None
     bus.force_is_felt = constant is not None
+    states, pushing = _effector_states(bus), [effector.force for effector in bus.effectors if effector.force]
 
     def rates(stage: int, offset: float, y: State) -> State:
-        r, v, sigma, omega, *wheels = y
+        r, v, sigma, omega, *rest = y
         acceleration, torque = gravity(bus, r, offset), _torque(bus, stage)
         if constant is not None:
             acceleration = acceleration + constant
-        if bus.has("density"):
+        for push in pushing:
             BN = mrp_to_dcm(sigma)
-            force, drag_torque = drag(bus, BN @ v)
-            acceleration, torque = acceleration + BN.mT @ force / bus.mass, torque + drag_torque.to(bus.dtype)
-        return (v, acceleration, *_attitude_rates(bus, torque, sigma, omega, tuple(wheels)))
+            force, own = push(bus, BN @ v)
+            acceleration, torque = acceleration + BN.mT @ force / bus.mass, torque + own.to(bus.dtype)
+        return (v, acceleration, *_attitude_rates(bus, torque, sigma, omega, _regrouped(states, tuple(rest))))
 
-    start = (bus.r_BN_N, bus.v_BN_N, bus.sigma_BN, bus.omega_BN_B, *_wheel_speeds(bus))
-    bus.r_BN_N, bus.v_BN_N, sigma, omega, *wheels = rk4_step(rates, start, bus.h)
-    _finish(bus, sigma, omega, tuple(wheels))
+    start = (bus.r_BN_N, bus.v_BN_N, bus.sigma_BN, bus.omega_BN_B, *_leaves(states))
+    bus.r_BN_N, bus.v_BN_N, sigma, omega, *after = rk4_step(rates, start, bus.h)
+    _finish(bus, sigma, omega, _regrouped(states, tuple(after)))
 
 
 HUB = Component(
@@ -230,7 +278,7 @@ HUB = Component(
         vec("sigma_BN", "-", "attitude, MRP"),
         vec("omega_BN_B", "rad/s", "body rate"),
     ),
-    params=(vec("inertia_B", "kg m^2", "principal inertia of hub and wheels, about the body axes"), Field("mass", 1, "kg")),
+    params=(vec("inertia_B", "kg m^2", "principal inertia of the spacecraft, about the body axes"), Field("mass", 1, "kg")),
     initial=_initial,
     prepare=_prepare,
     check=_check,

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+import operator
 import warnings
 from typing import ClassVar
 
@@ -228,8 +230,7 @@ class BasicDynamicsModel(EclipseDynModel, DisturbanceTorqueDynModel, Atmospheric
     def rw_speeds_valid(now: Now) -> Tensor:
         """Whether ``|Omega_k| < Omega_max`` for each wheel, [N], with ``Omega_max`` from ``maxWheelSpeed`` (rpm)."""
         limit = now.args.maxWheelSpeed * RPM
-        x, y, z = (torch.abs(speed) < limit for speed in now.Omega_WB_B)
-        return x & y & z
+        return functools.reduce(operator.and_, [torch.abs(speed) < limit for speed in now.Omega_WB_B])
 
     @vital
     def battery_valid(now: Now) -> Tensor:

@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 
 from bsk_torch.constants import NANO
-from bsk_torch.sim.component import Bus, Component, Field
+from bsk_torch.sim.component import Bus, Component, Effector, Field
 from bsk_torch.vec3 import Vec3
 
 THRUST = 0.9
@@ -73,4 +73,5 @@ THRUSTERS = Component(
         Field("pulse_command", 4, "-", "full pulses commanded by the flight software in this tick"),
     ),
     initial=lambda args: {name: torch.zeros(1, 4, dtype=torch.float64) for name in ("pulse", "pulse_command")},
+    effector=Effector(torque=lambda bus, stage: pulse_torque(bus.pulse) if stage == 0 else None),
 )

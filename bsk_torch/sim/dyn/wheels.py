@@ -1,17 +1,24 @@
 """Three reaction wheels on the body axes, and the power that they draw.
 
 Basilisk's reactionWheelStateEffector and ReactionWheelPower. As the wheels' axes are those of B, three speeds, or torques, are
-the components of a vector in B.
+the components of a vector in B. With the inertia Js of a wheel about its axis, kg m^2, its speed Omega relative to the hub,
+rad/s, and the motor torque u, N m (Schaub and Junkins, section 4.5), the wheels load the hub with ``u + Js omega x Omega``, and
+``Omega' = u / Js - omega'``.
 """
 
 from __future__ import annotations
+
+import functools
+import operator
+from collections.abc import Iterator
 
 import torch
 from torch import Tensor
 
 from bsk_torch.constants import RPM
 from bsk_torch.rand import Uniform
-from bsk_torch.sim.component import Arg, Bus, Component, Field, Values, vec
+from bsk_torch.sim.component import Arg, Bus, Component, Effector, Field, Values, vec
+from bsk_torch.sim.dyn.hub import body_inertia, check_turn, described_body
 from bsk_torch.sim.dyn.power import power_arg
 from bsk_torch.vec3 import Vec3
 
@@ -43,6 +50,23 @@ def latch_motor_torque(bus: Bus) -> None:
     bus.motor_torque_B = bus.motor_torque_command_B.map(limited, bus.Omega_WB_B)
 
 
+def wheel_loads(bus: Bus, omega_BN_B: Vec3, y: tuple[Vec3]) -> Iterator[Vec3]:
+    """Yield the torques, N m in B, that the hub exerts on the wheels: of the motors, and ``Js omega x Omega``."""
+    yield bus.motor_torque_B
+    yield omega_BN_B.cross(y[0]) * SPIN_INERTIA
+
+
+def wheel_rates(bus: Bus, omega_BN_B: Vec3, omega_dot_B: Vec3, y: tuple[Vec3]) -> tuple[Vec3]:
+    """Return the accelerations of the wheels, ``Omega' = u / Js - omega'``, rad/s^2."""
+    return (bus.motor_torque_B * (1.0 / SPIN_INERTIA) - omega_dot_B,)
+
+
+def wheel_momentum(bus: Bus, omega_BN_B: Vec3 | None) -> Vec3:
+    """Return the wheels' momentum about their axes, ``Js (omega + Omega)``, or ``Js Omega`` relative to the hub, N m s in B."""
+    rate = bus.Omega_WB_B if omega_BN_B is None else omega_BN_B + bus.Omega_WB_B
+    return rate * SPIN_INERTIA
+
+
 def draw_wheel_power(bus: Bus) -> None:
     """Add the electrical power of the wheels, W, to the balance: ``P = -sum_i (P_base + need_i)``.
 
@@ -56,7 +80,30 @@ def draw_wheel_power(bus: Bus) -> None:
         return torch.where(costs, torch.abs(mechanical) * (1.0 / bus.battery_to_wheel), bus.wheel_to_battery * mechanical)
 
     needs: Vec3 = bus.Omega_WB_B.map(need, bus.motor_torque_B)
-    bus.power = bus.power - (needs.x + needs.y + needs.z) - 3.0 * bus.wheel_base_power
+    bus.power = bus.power - functools.reduce(operator.add, needs) - float(len(needs)) * bus.wheel_base_power
+
+
+AXIAL_INERTIA = Vec3(SPIN_INERTIA, SPIN_INERTIA, SPIN_INERTIA)  # type: ignore[arg-type]  # numbers, which all rows share
+"""Diagonal of the inertia of the three wheels about their axes, kg m^2."""
+
+
+def _check_inertia(args: Values) -> None:
+    """Check that the body is heavier than its wheels: the inertia of the box is that of hub and wheels together."""
+    smallest = body_inertia(args).min(-1).values
+    if bool((smallest <= SPIN_INERTIA).any()):
+        row = int(smallest.argmin())
+        raise ValueError(
+            f"{described_body(args, row)}: a body whose smallest moment of inertia is {smallest[row].item():.3g} kg m^2 cannot "
+            f"hold reaction wheels of {SPIN_INERTIA:.3g} kg m^2 each (Honeywell HR16, as in Basilisk): no gains K and P are "
+            "stable. Give a larger body, or models without wheels, dyn.DynamicsModel and fsw.FSWModel"
+        )
+
+
+def _check_spin(args: Values, h: float) -> None:
+    """Check that ticks of h s resolve the initial rates of body and wheels; see :func:`bsk_torch.sim.dyn.hub.check_turn`."""
+    inertia = body_inertia(args)
+    H = inertia * args["omega_init"] + args["wheelSpeeds"] * (RPM * SPIN_INERTIA)
+    check_turn(args, H, inertia - SPIN_INERTIA, h, "wheelSpeeds and omega_init turn")
 
 
 WHEELS = Component(
@@ -71,6 +118,15 @@ WHEELS = Component(
     params=(Field("max_motor_torque", 1, "N m"),),
     initial=_initial,
     prepare=lambda args: {"max_motor_torque": args["u_max"]},
+    check=_check_inertia,
+    check_tick=_check_spin,
+    effector=Effector(
+        state=("Omega_WB_B",),
+        loads=wheel_loads,
+        inertia=lambda bus: AXIAL_INERTIA,
+        rates=wheel_rates,
+        momentum=wheel_momentum,
+    ),
 )
 
 WHEEL_POWER = Component(

@@ -1,4 +1,4 @@
-"""Attitude control: MRP feedback through three reaction wheels on the body axes."""
+"""Attitude control by MRP feedback: the torque on the body, which an allocation distributes among actuators."""
 
 from __future__ import annotations
 
@@ -6,22 +6,22 @@ import torch
 from torch import Tensor
 
 from bsk_torch.sim.component import Arg, Bus, Component, Field, Values, vec
-from bsk_torch.sim.dyn.hub import BODY, box_inertia
+from bsk_torch.sim.dyn.hub import body_inertia
+from bsk_torch.sim.fsw.allocation import commands_for, write_commands
 from bsk_torch.sim.fsw.stability import Law, check_gains, has_wheels, in_words
-from bsk_torch.vec3 import Vec3, select
+from bsk_torch.vec3 import Vec3, select, times
 
 
 def feed_back(bus: Bus) -> None:
-    """Write the motor torque command, N m, of MRP feedback.
+    """Command the torque L on the body, N m, of MRP feedback.
 
     The law is::
 
-        u = K sigma_BR + P omega_BR + P Ki z - (omega_RN + Ki z) x (I omega_BN) + I (omega_BN x omega_RN - omega_RN')
+        -L = K sigma_BR + P omega_BR + P Ki z - (omega_RN + Ki z) x (I omega_BN) + I (omega_BN x omega_RN - omega_RN')
         z = K int(sigma_BR dt) + I omega_BR   where Ki > 0, else 0
 
     All vectors are in B; I is the inertia, kg m^2, K, N m, and P, N m s, are gains, omega_RN' is the reference's acceleration.
-    Source: Schaub and Junkins, section 8.4, as in Basilisk's mrpFeedback without wheel momentum and rwMotorTorque: with three
-    wheels on the axes of B the wheel torque is the opposite of the body torque.
+    Source: Schaub and Junkins, section 8.4, as in Basilisk's mrpFeedback without wheel momentum.
 
     The integral is kept within +-0.2 / Ki for each component; its first call has dt = 0, and drifting lets the clock run. Where
     control is off the command holds.
@@ -34,12 +34,12 @@ def feed_back(bus: Bus) -> None:
     dt = torch.where(never, torch.zeros_like(bus.control_idle), bus.control_idle + bus.h)
     integral = (bus.control_integral_B + sigma_BR * (bus.K * dt)).map(lambda x: torch.minimum(torch.maximum(x, -limit), limit))
     zero = Vec3.zeros_like(sigma_BR.x)
-    Ki_z = select(integrates, (integral + bus.inertia_B.scale(omega_BR_B)) * Ki, zero)
+    Ki_z = select(integrates, (integral + times(bus.inertia_B, omega_BR_B)) * Ki, zero)
     omega_BN_B = omega_BR_B + omega_RN_B
-    gyroscopic = (omega_RN_B + Ki_z).cross(bus.inertia_B.scale(omega_BN_B))
-    command = sigma_BR * bus.K + omega_BR_B * bus.P + Ki_z * bus.P - gyroscopic
-    command = command + bus.inertia_B.scale(omega_BN_B.cross(omega_RN_B) - domega_RN_B)
-    bus.motor_torque_command_B = select(on, command, bus.motor_torque_command_B)
+    gyroscopic = (omega_RN_B + Ki_z).cross(times(bus.inertia_B, omega_BN_B))
+    opposite = sigma_BR * bus.K + omega_BR_B * bus.P + Ki_z * bus.P - gyroscopic
+    opposite = opposite + times(bus.inertia_B, omega_BN_B.cross(omega_RN_B) - domega_RN_B)
+    write_commands(bus, commands_for(bus, -opposite), on)
     bus.control_integral_B = select(on & integrates, integral, bus.control_integral_B)
     bus.control_idle = torch.where(on, torch.zeros_like(dt), torch.where(never, bus.control_idle, bus.control_idle + bus.h))
 
@@ -63,7 +63,7 @@ def feedback_law(args: Values, h: float) -> Law:
     """Return :func:`feed_back` near its reference, in ticks of h s."""
     K, P, Ki = (args[name].unsqueeze(-1) for name in ("K", "P", "Ki"))
     integral, none = torch.clamp(Ki, min=0.0), torch.zeros_like(K + P + Ki)
-    inertia = box_inertia(*(args[name] for name in BODY))
+    inertia = body_inertia(args)
     return Law(K + none, P * integral * K * h, P * (1.0 + integral * inertia), none)
 
 

@@ -6,12 +6,14 @@ Basilisk's chain thrMomentumManagement, thrForceMapping, thrMomentumDumping, on 
 
 from __future__ import annotations
 
+import functools
+import operator
+
 import torch
 from torch import Tensor
 
 from bsk_torch.sim.component import Arg, Bus, Component, Field, Values, vec
 from bsk_torch.sim.dyn.thrusters import ARMS, THRUST
-from bsk_torch.sim.dyn.wheels import SPIN_INERTIA
 from bsk_torch.vec3 import Vec3, only, select
 
 Pairs = tuple[Tensor, ...]
@@ -24,12 +26,17 @@ D [3, 8] has the torque per newton, m, of each thruster; those of a pair are equ
 """
 
 
-def momentum_to_dump(Omega: Vec3, keep: Tensor) -> Vec3:
-    """Return the change of momentum, N m s in B, that leaves the wheels with ``keep``, N m s: Basilisk's thrMomentumManagement.
+def stored_momentum(bus: Bus) -> Vec3:
+    """Return the sum of the effectors' momenta relative to the hub, such as ``Js Omega`` of wheels, N m s in B."""
+    momenta = [effector.momentum(bus, None) for effector in bus.effectors if effector.momentum]
+    return functools.reduce(operator.add, momenta) if momenta else Vec3.zeros_like(bus.sigma_BN.x)
 
-    ``dH = -(|h| - keep) h / |h|`` with the momentum ``h = Js Omega`` of the wheels, and 0 where ``|h| < keep``.
+
+def momentum_to_dump(h: Vec3, keep: Tensor) -> Vec3:
+    """Return the change of momentum, N m s in B, that leaves ``keep``, N m s, of h: Basilisk's thrMomentumManagement.
+
+    ``dH = -(|h| - keep) h / |h|``, and 0 where ``|h| < keep``.
     """
-    h = Omega * SPIN_INERTIA
     size = h.norm()
     excess = torch.where(size < keep, torch.zeros_like(size), size - keep)
     return h * (-excess / torch.where(size > 0.0, size, torch.ones_like(size)))
@@ -73,7 +80,7 @@ def dump_momentum(bus: Bus) -> None:
 def _dump(bus: Bus) -> tuple[Pairs, Vec3, Pairs, Tensor, Tensor]:
     """Return commands, momentum to dump, on-times left, ticks to wait and number of calls after a call."""
     h, first, second = bus.h, bus.dump_calls == 0.0, bus.dump_calls == 1.0
-    dH = select(first, momentum_to_dump(bus.Omega_WB_B, bus.momentum_to_keep), bus.dump_momentum_B)
+    dH = select(first, momentum_to_dump(stored_momentum(bus), bus.momentum_to_keep), bus.dump_momentum_B)
     waiting = bus.dump_counter > 0.0
     fires = ~first & (second | ~waiting)
     remaining = tuple(torch.where(second, f / THRUST, left) for f, left in zip(impulses(dH), bus.dump_remaining, strict=True))

@@ -8,7 +8,7 @@ from torch import Tensor
 
 from bsk_torch.sim.component import Component
 from bsk_torch.sim.dyn.models import BasicDynamicsModel, DynamicsModel, ImagingDynModel
-from bsk_torch.sim.fsw import control, desaturation, guidance, imposed, instrument, manoeuvre, steering, target
+from bsk_torch.sim.fsw import allocation, control, desaturation, guidance, imposed, instrument, manoeuvre, steering, target
 from bsk_torch.sim.fsw.desaturation import DUMP_RESET
 from bsk_torch.sim.fsw.guidance import SUN_RESET
 from bsk_torch.sim.fsw.instrument import IMAGE_RESET
@@ -68,6 +68,7 @@ class BasicFSWModel(FSWModel):
         guidance.NADIR_POINTING,
         desaturation.DESATURATION,
         control.MRP_FEEDBACK,
+        allocation.BODY_AXIS_WHEELS,
     )
     requires_dyn: ClassVar[tuple[type[DynamicsModel], ...]] = (BasicDynamicsModel,)
     modes: ClassVar[dict[str, Mode | None]] = {

@@ -21,7 +21,7 @@ import torch
 from torch import Tensor
 
 from bsk_torch.sim.component import Values
-from bsk_torch.sim.dyn.hub import BODY, box_inertia
+from bsk_torch.sim.dyn.hub import BODY, body_inertia
 from bsk_torch.sim.dyn.wheels import MAX_SPEED, SPIN_INERTIA
 
 SUGGESTED = {"P": (0.4, 1), "K": (0.08, 2), "Ki": (0.05, 2)}
@@ -121,7 +121,7 @@ def check_gains(args: Values, h: float, law: Law, gains: str, suggested: str) ->
     Raises:
         ValueError: Where nothing keeps the growing rates bounded, so that numbers overflow.
     """
-    J = box_inertia(*(args[name] for name in BODY)) - SPIN_INERTIA
+    J = body_inertia(args) - SPIN_INERTIA
     unstable = ~is_stable(law, J, h).all(-1)
     if not bool(unstable.any()):
         return None

@@ -13,11 +13,11 @@ from torch import Tensor
 
 from bsk_torch.astro.attitude import mrp_rate
 from bsk_torch.sim.component import Arg, Bus, Component, Field, Values
-from bsk_torch.sim.dyn.hub import BODY, box_inertia
-from bsk_torch.sim.dyn.wheels import SPIN_INERTIA
+from bsk_torch.sim.dyn.hub import body_inertia
+from bsk_torch.sim.fsw.allocation import Commands, commands_for, held_commands, write_commands
 from bsk_torch.sim.fsw.control import CONTROL_AXES, CONTROL_STATE, check_control_axes, initial_control
 from bsk_torch.sim.fsw.stability import Law, check_gains, has_wheels, in_words
-from bsk_torch.vec3 import Vec3, only, select
+from bsk_torch.vec3 import Vec3, only, select, times
 
 
 def steering_rate(sigma: Vec3, K1: Tensor, K3: Tensor, omega_max: Tensor) -> tuple[Vec3, Vec3]:
@@ -37,15 +37,16 @@ def steering_rate(sigma: Vec3, K1: Tensor, K3: Tensor, omega_max: Tensor) -> tup
 
 
 def steer(bus: Bus) -> None:
-    """Write the motor torque command, N m in B, opposite to the torque on the body (Basilisk's rateServoFullNonlinear).
+    """Command the torque L on the body, N m in B (Basilisk's rateServoFullNonlinear).
 
     The law is::
 
-        u = P e + Ki z - w* x H - I (w_R' + w_s' - w x w_R)
-        w* = w_s + w_R,  e = w - w*,  z = int(e dt),  H = I w + Js (w + Omega)
+        -L = P e + Ki z - w* x H - I (w_R' + w_s' - w x w_R)
+        w* = w_s + w_R,  e = w - w*,  z = int(e dt),  H = I w + sum h
 
     with the body rate w = omega_BN, the reference's rate w_R = omega_RN and the steering rate w_s of :func:`steering_rate`, rad/s
-    in B; I is the inertia of hub and wheels, Js that of a wheel about its axis, kg m^2, and Omega the wheels' speed.
+    in B; I is the inertia of the spacecraft, kg m^2, and h the momentum of each effector about its own axes, such as
+    ``Js (w + Omega)`` of wheels.
 
     The integral is kept within +-0.2 / servo_Ki for each component; it acts where ``servo_Ki`` is positive, and its first call
     has dt = 0. Where control is off the command holds, and the clock of the integral runs.
@@ -53,17 +54,21 @@ def steer(bus: Bus) -> None:
     on, never = bus.control_on > 0.0, bus.control_idle < 0.0
     waited = torch.where(never, bus.control_idle, bus.control_idle + bus.h)
 
-    def law() -> tuple[Vec3, Vec3]:
+    def law() -> tuple[Commands, Vec3]:
         sigma_BR, omega_BR_B, w_R, dw_R = bus.error
         w_s, dw_s = steering_rate(sigma_BR, bus.K1, bus.K3, bus.omega_max)
         w, w_star = omega_BR_B + w_R, w_s + w_R
         e = w - w_star
         z = _integral(bus, e, torch.where(never, torch.zeros_like(waited), waited))
-        H = bus.inertia_B.scale(w) + (w + bus.Omega_WB_B) * SPIN_INERTIA
+        H = times(bus.inertia_B, w)
+        for effector in bus.effectors:
+            H = H + effector.momentum(bus, w) if effector.momentum else H
         acceleration = dw_R + dw_s - w.cross(w_R)
-        return e * bus.servo_P + z * bus.servo_Ki - w_star.cross(H) - bus.inertia_B.scale(acceleration), z
+        opposite = e * bus.servo_P + z * bus.servo_Ki - w_star.cross(H) - times(bus.inertia_B, acceleration)
+        return commands_for(bus, -opposite), z
 
-    bus.motor_torque_command_B, bus.control_integral_B = only(on, law, (bus.motor_torque_command_B, bus.control_integral_B))
+    commands, bus.control_integral_B = only(on, law, (held_commands(bus), bus.control_integral_B))
+    write_commands(bus, commands)
     bus.control_idle = torch.where(on, torch.zeros_like(waited), waited)
 
 
@@ -79,7 +84,7 @@ def steering_law(args: Values, h: float) -> Law:
     """Return :func:`steer` near its reference, in ticks of h s: there ``w_s = -K1 s`` and ``w_s' = K1^2 s / 4``."""
     K1, P, Ki = (args[name].unsqueeze(-1) for name in ("K1", "servo_P", "servo_Ki"))
     sums = torch.clamp(Ki, min=0.0) * h
-    inertia = box_inertia(*(args[name] for name in BODY))
+    inertia = body_inertia(args)
     none = torch.zeros_like(K1 + P + sums)
     return Law(P * K1 - inertia * K1 * K1 / 4.0, sums * K1, P + none, sums + none)
 

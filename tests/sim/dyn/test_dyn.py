@@ -322,6 +322,7 @@ def spacecraft(h: float = 1.0, n: int = 20) -> Bus:
         Vec3.of(scale * torch.randn(n, 3, dtype=torch.float64)) for scale in (0.3, 0.01, 50.0)
     )
     bus.motor_torque_B = Vec3.of(0.1 * torch.randn(n, 3, dtype=torch.float64))
+    bus.effectors = (wheels.WHEELS.effector,)
     return bus
 
 
@@ -367,7 +368,7 @@ def test_rotation_is_of_fourth_order():
 def test_torque_free_body_keeps_energy_and_momentum():
     """Without wheels: Euler's equations."""
     bus = spacecraft()
-    del bus.Omega_WB_B, bus.motor_torque_B
+    del bus.Omega_WB_B, bus.motor_torque_B, bus.effectors
     energy = bus.omega_BN_B.dot(bus.inertia_B.scale(bus.omega_BN_B))
     before = (mrp_to_dcm(bus.sigma_BN).mT @ bus.inertia_B.scale(bus.omega_BN_B)).stack()
     for _ in range(300):
@@ -380,7 +381,7 @@ def test_torque_free_body_keeps_energy_and_momentum():
 def test_motor_turns_wheel_and_hub_against_each_other():
     """From rest about one axis: u / Js - omega' on the wheel, -u / (I - Js) on the hub."""
     bus = a_bus(h=1.0, sigma_BN=[0.0] * 3, omega_BN_B=[0.0] * 3, Omega_WB_B=[0.0] * 3, motor_torque_B=[0.0, 0.1, 0.0])
-    bus.inertia_B = Vec3(*INERTIA.unbind(-1))
+    bus.inertia_B, bus.effectors = Vec3(*INERTIA.unbind(-1)), (wheels.WHEELS.effector,)
     hub.rotate(bus)
     rate = -0.1 / (INERTIA[0, 1].item() - wheels.SPIN_INERTIA)
     assert bus.omega_BN_B.y.item() == pytest.approx(rate, rel=1e-12)
@@ -395,6 +396,7 @@ def test_disturbance_acts_over_the_tick_and_a_pulse_over_a_sixth():
         bus.inertia_B = Vec3(*INERTIA.unbind(-1))
         pulse = tuple(number(x) for x in (1.0, 0.0, 0.0, 0.0))
         setattr(bus, name, pulse if name == "pulse" else thrusters.pulse_torque(pulse))
+        bus.effectors = (wheels.WHEELS.effector, *((thrusters.THRUSTERS.effector,) if name == "pulse" else ()))
         hub.rotate(bus)
         torques[name] = bus.omega_BN_B.stack() * (INERTIA - wheels.SPIN_INERTIA)
     # beyond the sixth only products of the rates, 1e-2 rad/s, that the pulse brings about
@@ -418,7 +420,7 @@ def test_drag_keeps_the_attitude_in_its_type():
     write(bus, motor_torque_B=single(0.1, 0.0, 0.0), density=number(1e-9), drag_coefficient=number(2.2))
     params = drag.DRAG.prepare({name: number(value) for name, value in SIDES.items()} | {"dragCoeff": number(2.2)})
     bus.facet_areas, bus.facet_offsets = (tuple(params[name].float().unbind(-1)) for name in ("facet_areas", "facet_offsets"))
-    bus.inertia_B = Vec3(*INERTIA.float().unbind(-1))
+    bus.inertia_B, bus.effectors = Vec3(*INERTIA.float().unbind(-1)), (wheels.WHEELS.effector, drag.DRAG.effector)
     hub.translate_and_rotate(bus)
     assert {x.dtype for x in (*bus.r_BN_N, *bus.v_BN_N)} == {torch.float64}
     assert {x.dtype for x in (*bus.sigma_BN, *bus.omega_BN_B, *bus.Omega_WB_B)} == {torch.float32}

@@ -6,7 +6,7 @@ from bsk_torch.sim.component import Bus
 from bsk_torch.sim.dyn.hub import box_inertia
 from bsk_torch.sim.fsw import control, guidance
 from bsk_torch.vec3 import Vec3
-from tests.sim.buses import N, plane, vectors, write
+from tests.sim.buses import N, plane, vectors, with_wheels, write
 
 ROUNDING = 1e-13
 
@@ -14,7 +14,14 @@ INERTIA = box_inertia(*(torch.tensor([x], dtype=torch.float64) for x in (330.0, 
 
 
 def controlled(Ki: float = -1.0, h: float = 1.0) -> Bus:
-    bus = write(Bus(round(h * 1e9)), K=plane(7.0), P=plane(35.0), Ki=plane(Ki), control_on=plane(1.0), control_idle=plane(-1.0))
+    bus = write(
+        with_wheels(Bus(round(h * 1e9))),
+        K=plane(7.0),
+        P=plane(35.0),
+        Ki=plane(Ki),
+        control_on=plane(1.0),
+        control_idle=plane(-1.0),
+    )
     zero = Vec3.zeros_like(plane(0.0))
     write(bus, inertia_B=Vec3(*(x.expand(N) for x in INERTIA.unbind(-1))), control_integral_B=zero, motor_torque_command_B=zero)
     return write(bus, error=guidance.Error(vectors(0.3), vectors(0.01), vectors(1e-3), vectors(1e-6)))

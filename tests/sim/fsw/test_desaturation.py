@@ -10,12 +10,14 @@ from bsk_torch.sim.dyn.thrusters import ARMS, THRUST
 from bsk_torch.sim.dyn.wheels import SPIN_INERTIA
 from bsk_torch.sim.fsw import desaturation
 from bsk_torch.vec3 import Vec3
-from tests.sim.buses import N, plane, vectors, write
+from tests.sim.buses import N, plane, vectors, with_wheels, write
 
 
 def dumping(speed: float, h: float = 1.0, **params: float) -> Bus:
     """One satellite whose x wheel spins, at the start of a desaturation."""
-    bus = write(Bus(round(h * 1e9)), Omega_WB_B=Vec3(plane(speed, 1), plane(0.0, 1), plane(0.0, 1)), desat_on=plane(1.0, 1))
+    bus = write(
+        with_wheels(Bus(round(h * 1e9))), Omega_WB_B=Vec3(plane(speed, 1), plane(0.0, 1), plane(0.0, 1)), desat_on=plane(1.0, 1)
+    )
     write(bus, pulse_command=tuple(plane(0.0, 1) for _ in range(4)))
     values = {"momentum_to_keep": 0.0, "dump_wait": 4.0, "shortest_pulse": 0.02, "dump_calls": 0.0, "dump_counter": 0.0}
     write(bus, **{name: plane(value, 1) for name, value in (values | params).items()})
@@ -96,9 +98,10 @@ def test_momentum_is_measured_once_in_the_first_tick():
 @pytest.mark.parametrize(("keep", "expected"), [(0.0, -10.0), (4.0, -6.0), (10.0, 0.0), (12.0, 0.0)])
 def test_momentum_to_keep(keep, expected):
     Omega = Vec3(plane(0.0, 1), plane(6.0 / SPIN_INERTIA, 1), plane(8.0 / SPIN_INERTIA, 1))
-    dH = desaturation.momentum_to_dump(Omega, plane(keep, 1))
+    h = Omega * SPIN_INERTIA
+    dH = desaturation.momentum_to_dump(h, plane(keep, 1))
     assert dH.stack()[0].tolist() == pytest.approx([0.0, 0.6 * expected, 0.8 * expected], abs=1e-12)
-    assert torch.equal(desaturation.momentum_to_dump(Omega * 0.0, plane(keep, 1)).stack(), torch.zeros(1, 3).double())
+    assert torch.equal(desaturation.momentum_to_dump(h * 0.0, plane(keep, 1)).stack(), torch.zeros(1, 3).double())
 
 
 def test_desaturation_that_is_off_commands_nothing_and_remembers():
@@ -115,7 +118,7 @@ def test_rows_dump_alone_and_together():
     buses = [dumping(speed) for speed in (300.0, 310.0, 320.0, 330.0)]
     buses[1].desat_on = buses[3].desat_on = plane(0.0, 1)
     names = ("Omega_WB_B", "desat_on", "momentum_to_keep", "dump_wait", "shortest_pulse", *DUMP)
-    together = Bus(1_000_000_000)
+    together = with_wheels(Bus(1_000_000_000))
     for name in names:
         parts = [getattr(bus, name) for bus in buses]
         write(together, **{name: joined(parts)})

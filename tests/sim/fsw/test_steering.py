@@ -12,7 +12,7 @@ from bsk_torch.sim.component import Bus
 from bsk_torch.sim.dyn.wheels import SPIN_INERTIA
 from bsk_torch.sim.fsw import BasicFSWModel, SteeringFSWModel, SteeringImagerFSWModel, guidance, steering
 from bsk_torch.vec3 import Vec3
-from tests.sim.buses import N, plane, vectors, write
+from tests.sim.buses import N, plane, vectors, with_wheels, write
 
 TABLE = np.load(Path(__file__).parents[1] / "data" / "steering.npz")
 """Recorded by record_modules.py: mrpSteering and rateServoFullNonlinear, with ticks in which they do not run."""
@@ -27,7 +27,7 @@ def tensor(values: np.ndarray) -> torch.Tensor:
 
 def servo(bus: Bus, inertia: torch.Tensor) -> Bus:
     """Gains of the recorded cases, and a servo that has never been called."""
-    write(bus, **dict(zip(steering.GAINS, tensor(TABLE["gains"]).unbind(-1), strict=True)))
+    write(with_wheels(bus), **dict(zip(steering.GAINS, tensor(TABLE["gains"]).unbind(-1), strict=True)))
     zero = plane(0.0, len(TABLE["gains"]))
     write(bus, motor_torque_command_B=Vec3(zero, zero, zero), control_integral_B=Vec3(zero, zero, zero), control_idle=zero - 1.0)
     return write(bus, inertia_B=Vec3(*(x + zero for x in inertia)))
@@ -87,7 +87,7 @@ def test_derivative_of_the_steering_rate():
 def test_on_its_course_the_servo_only_holds_it():
     """Without an error of the rate, the torque on the hub is what makes it move along the course: ``H' = L``."""
     inertia, zero = tensor(TABLE["inertia"]), Vec3.zeros_like(plane(0.0))
-    bus = write(Bus(1_000_000_000), control_on=plane(1.0), control_idle=plane(-1.0), Omega_WB_B=vectors(200.0))
+    bus = write(with_wheels(Bus(1_000_000_000)), control_on=plane(1.0), control_idle=plane(-1.0), Omega_WB_B=vectors(200.0))
     write(bus, **{name: plane(gain) for name, gain in zip(steering.GAINS, (*GAINS, 5.0, 150.0), strict=True)})
     write(bus, motor_torque_command_B=zero, control_integral_B=zero, inertia_B=Vec3(*(x + zero.x for x in inertia)))
     sigma, w_R, dw_R = vectors(0.3), vectors(1e-3), vectors(1e-6)
