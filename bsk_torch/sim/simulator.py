@@ -216,7 +216,7 @@ class Simulator:
         own = tuple(part for part in own if not (part.mends and self.as_bsk_rl))
         looked = (self.world_args, around.seen), (self.sat_args, given.seen)
         self._structural = {name for args, names in looked for name in names if not args.is_random(name)}
-        self.schedule = dyn_type.schedule
+        self.schedule, self.gravity_degree = dyn_type.schedule, dyn_type.gravity_degree
         self.parts = self.schedule.ordered((*(dataclasses.replace(part, at_start=True) for part in world_parts), *own))
         # a component of the user's own in the slot of another may leave the flags and resets to that one
         self._declared = (*declared(self.world_type, dyn_type, fsw_type), *self.parts)
@@ -249,7 +249,7 @@ class Simulator:
         flags = dict.fromkeys(flag for part in self._declared for flag in part.flags)
         self.tick = Tick(parts, uniform, self.h_ns, on_arc, self.dtype, opaque, self.stops, self.followed, flags)
         if opaque and not on_arc:
-            prepare(self.device, torch.float64)
+            prepare(self.device, torch.float64, self.gravity_degree)
         shared, n = self.tick.shared.rows(params, 1), min(2, self.num_envs) * self.count
         initial = self.tick.state.rows(merge(trial, self.parts, "initial"), n)
         start = initial, shared, self.tick.own.rows(params, n)
@@ -292,12 +292,12 @@ class Simulator:
     def _scheduled(self, part: Component, on_arc: bool) -> Component:
         if part.slot != "hub":
             return part
-        update, recorded = hub.rotate if on_arc else hub.translate_and_rotate, (*part.records, *self._recorded)
+        update, recorded = hub.rotate if on_arc else hub.integrator(self.gravity_degree), (*part.records, *self._recorded)
         return dataclasses.replace(part, update=update, records=recorded)
 
     def _make_lookahead(self, horizon: float, segment: float, replan: bool) -> None:
         places = place_kinds(self.world_args, self.scenario_state, self.state.arguments)
-        solver = make_solver(self.h_ns * NANO, self.backend, self.device)
+        solver = make_solver(self.h_ns * NANO, self.backend, self.device, self.gravity_degree)
         visibility = make_visibility(self.backend, self.device)
         manoeuvres = Manoeuvres(self.has_tank and (replan or self.orbit == "arc"), self.has_tank and replan)
         self.lookahead = LookAhead(

@@ -10,6 +10,7 @@ from __future__ import annotations
 import functools
 import math
 import operator
+from collections.abc import Callable
 from typing import Any
 
 import torch
@@ -18,7 +19,7 @@ from torch import Tensor
 from bsk_torch.astro.attitude import mrp_rate, mrp_switch, mrp_to_dcm
 from bsk_torch.astro.ephemeris import EARTH_ROTATION_RATE
 from bsk_torch.astro.frames import rotate_z
-from bsk_torch.astro.gravity import third_body
+from bsk_torch.astro.gravity import DEGREE, third_body
 from bsk_torch.astro.integrate import State, rk4_step
 from bsk_torch.astro.orbit import Elements, elements_to_rv
 from bsk_torch.constants import MU_EARTH
@@ -213,24 +214,24 @@ def rotate(bus: Bus) -> None:
     _finish(bus, sigma, omega, _regrouped(states, tuple(after)))
 
 
-def gravity(bus: Bus, r: Vec3, offset: float) -> Vec3:
+def gravity(bus: Bus, r: Vec3, offset: float, degree: int) -> Vec3:
     """Return the acceleration, m/s^2 in N, at r_BN_N, m, ``offset`` seconds after the start of the tick.
 
-    ``a = C^T f(C r) + a_S(r, r_S + v_S dt)`` with the field f in Earth-fixed axes, the Sun as a third body and
-    ``dt = offset - h <= 0``. Basilisk takes the Earth's orientation ``R3(W) [EN]`` of the end of the tick and extrapolates it
-    linearly, without making it orthonormal: ``C = (I + dt w R3'(0)) R3(W) [EN]``, where w is the Earth's rotation rate. Turned
-    by dt, x and y become ``x + w dt y`` and ``y - w dt x``.
+    ``a = C^T f(C r) + a_S(r, r_S + v_S dt)`` with the field f of a degree and order, in Earth-fixed axes, the Sun as a third
+    body and ``dt = offset - h <= 0``. Basilisk takes the Earth's orientation ``R3(W) [EN]`` of the end of the tick and
+    extrapolates it linearly, without making it orthonormal: ``C = (I + dt w R3'(0)) R3(W) [EN]``, where w is the Earth's rotation
+    rate. Turned by dt, x and y become ``x + w dt y`` and ``y - w dt x``.
     """
     dt = offset - bus.h
     turn = EARTH_ROTATION_RATE * dt
     p = rotate_z(bus.EN @ r, bus.cos_earth, bus.sin_earth)
     earth_field = called_field if bus.opaque_field else full_field
-    f = earth_field(Vec3(p.x + turn * p.y, p.y - turn * p.x, p.z))
+    f = earth_field(Vec3(p.x + turn * p.y, p.y - turn * p.x, p.z), degree)
     f = Vec3(f.x - turn * f.y, f.y + turn * f.x, f.z)
     return bus.EN.mT @ rotate_z(f, bus.cos_earth, -bus.sin_earth) + third_body(r, bus.r_SN_N + bus.v_SN_N * dt)
 
 
-def translate_and_rotate(bus: Bus) -> None:
+def translate_and_rotate(bus: Bus, degree: int = DEGREE) -> None:
     """Advance orbit, attitude and effectors together by one tick, a Runge-Kutta step, as Basilisk does.
 
     ``r' = v`` and ``v' = a(r, t) + F_N / m + [BN]^T F_B / m`` with the forces F_B, N in B, of effectors, such as drag, and the
@@ -243,7 +244,7 @@ def translate_and_rotate(bus: Bus) -> None:
 
     def rates(stage: int, offset: float, y: State) -> State:
         r, v, sigma, omega, *rest = y
-        acceleration, torque = gravity(bus, r, offset), _torque(bus, stage)
+        acceleration, torque = gravity(bus, r, offset, degree), _torque(bus, stage)
         if constant is not None:
             acceleration = acceleration + constant
         for push in pushing:
@@ -255,6 +256,16 @@ def translate_and_rotate(bus: Bus) -> None:
     start = (bus.r_BN_N, bus.v_BN_N, bus.sigma_BN, bus.omega_BN_B, *_leaves(states))
     bus.r_BN_N, bus.v_BN_N, sigma, omega, *after = rk4_step(rates, start, bus.h)
     _finish(bus, sigma, omega, _regrouped(states, tuple(after)))
+
+
+@functools.cache
+def integrator(degree: int) -> Callable[[Bus], None]:
+    """Return :func:`translate_and_rotate` in the Earth's field of a degree."""
+
+    def update(bus: Bus) -> None:
+        translate_and_rotate(bus, degree)
+
+    return update
 
 
 HUB = Component(

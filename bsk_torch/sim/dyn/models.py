@@ -10,6 +10,7 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
+from bsk_torch.astro.gravity import DEGREE
 from bsk_torch.astro.orbit import Elements
 from bsk_torch.constants import RPM
 from bsk_torch.sim import world
@@ -27,7 +28,7 @@ class DynamicsModel(Model):
     ``requires_world`` are the world models that it needs, with those of the base classes; ``world_components`` are further parts
     of the world, which replace those of world models in the same slots. ``orbit`` is the default way to compute its orbit:
     ``"arc"`` in advance, or ``"integrated"`` in every tick. ``schedule`` is the order of a tick, that of bsk_rl by default; see
-    :mod:`bsk_torch.sim.schedule`.
+    :mod:`bsk_torch.sim.schedule`. ``gravity_degree`` is the degree and order of the Earth's field, from 2 to 10.
 
     Frames: N is inertial (J2000 equator), B the body, P fixed to the Earth, H the Hill frame. Vectors ``r``, ``v`` and ``h`` in
     the formulas are ``r_BN_N``, ``v_BN_N`` and their cross product. Equations of two-body motion and of attitude are those of
@@ -39,6 +40,7 @@ class DynamicsModel(Model):
     requires_world: ClassVar[tuple[type[world.WorldModel], ...]] = (world.WorldModel,)
     orbit: ClassVar[str] = "arc"
     schedule: ClassVar[Schedule] = SCHEDULE
+    gravity_degree: ClassVar[int] = DEGREE
 
     @classmethod
     def all_components(cls) -> tuple[Component, ...]:

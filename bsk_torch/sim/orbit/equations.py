@@ -1,8 +1,8 @@
 """Equations of motion of the arcs, in the axes E of the Earth's equator at the middle of a segment.
 
-``r'' = a_E(r, t) + a_S(r, t)`` with the Earth's field a_E of degree and order 10 and the Sun as a third body a_S (see
-:mod:`bsk_torch.astro.gravity`). The zonal field, that of the point mass and J2, is a cheap approximation of a_E, to about
-1e-4 m/s^2 in low orbits.
+``r'' = a_E(r, t) + a_S(r, t)`` with the Earth's field a_E, of degree and order 10 unless the dynamics model says otherwise, and
+the Sun as a third body a_S (see :mod:`bsk_torch.astro.gravity`). The zonal field, that of the point mass and J2, is a cheap
+approximation of a_E, to about 1e-4 m/s^2 in low orbits.
 
 Basilisk turns positions into Earth-fixed axes with a matrix C that it extrapolates linearly over each step. ``C + C' dt`` is not
 orthonormal: equatorial components come out longer by the factor ``1 + (w dt)^2 / 2``, where w is the Earth's rotation rate. Arcs
@@ -23,9 +23,6 @@ from bsk_torch.astro.gravity import DEGREE, J2, field, field_weights, third_body
 from bsk_torch.constants import MU_EARTH, R_EARTH
 from bsk_torch.sim.environment.ephemeris import pole_rate
 from bsk_torch.vec3 import Mat3, Vec3
-
-FULL_FIELD = field_weights(DEGREE)
-"""Weights of the field of degree and order 10."""
 
 
 def frame_stretch(step: float) -> float:
@@ -97,8 +94,8 @@ def surroundings(et: Tensor, EN: Mat3) -> Surroundings:
     return Surroundings(sun[0], sun[1], earth_angles(et)[2], torch.stack(list(pole_rate(EN))))
 
 
-def full_field(r: Vec3, around: Surroundings, dt: Tensor, stretch: float | Tensor) -> Vec3:
-    """Return the acceleration, m/s^2, by the Earth's full field and the Sun at r, m, both in the axes E of the middle.
+def full_field(r: Vec3, around: Surroundings, dt: Tensor, stretch: float | Tensor, degree: int = DEGREE) -> Vec3:
+    """Return the acceleration, m/s^2, by the Earth's field of a degree and the Sun at r, m, both in the axes E of the middle.
 
     ``a = D^T R3(W)^T S f(S R3(W) D r) + a_S(r, r_S + v_S dt)`` at dt seconds from the middle, with the field f in Earth-fixed
     axes, the prime meridian ``W = W0 + w dt`` and the drift of the pole since the middle, ``D = I - [omega_EN dt]x``, to first
@@ -108,6 +105,6 @@ def full_field(r: Vec3, around: Surroundings, dt: Tensor, stretch: float | Tenso
     angle = around.angle + EARTH_ROTATION_RATE * dt
     cos, sin = torch.cos(angle), torch.sin(angle)
     p = rotate_z(r - tilt.cross(r), cos, sin)
-    f = rotate_z(stretched(field(stretched(p, stretch), FULL_FIELD), stretch), cos, -sin)
+    f = rotate_z(stretched(field(stretched(p, stretch), field_weights(degree)), stretch), cos, -sin)
     sun = Vec3(*around.r_SN_E.unbind(0)) + Vec3(*around.v_SN_E.unbind(0)) * dt
     return f + tilt.cross(f) + third_body(r, sun)

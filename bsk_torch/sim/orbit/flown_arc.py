@@ -9,14 +9,14 @@ import torch
 from torch import Tensor
 
 from bsk_torch.astro.frames import rotate_z
-from bsk_torch.astro.gravity import field, third_body
+from bsk_torch.astro.gravity import field, field_weights, third_body
 from bsk_torch.astro.multistep import position_weights, velocity_weights
 from bsk_torch.codegen.ir import Loop
 from bsk_torch.codegen.kernel import Kernel
 from bsk_torch.sim.component import Bus, Track, vec
 from bsk_torch.sim.environment.ephemeris import EPHEMERIS_TRACK, fixed
 from bsk_torch.sim.orbit.builder import KernelBuilder
-from bsk_torch.sim.orbit.equations import FULL_FIELD, central_gradient, stretched
+from bsk_torch.sim.orbit.equations import central_gradient, stretched
 from bsk_torch.sim.orbit.grid import LEAD_NODES, NODE_SPACING
 from bsk_torch.vec3 import Vec3, select
 
@@ -38,13 +38,15 @@ def weighted(weights: list[Any], vectors: list[Vec3]) -> Vec3:
     return total
 
 
-def acceleration(ephemeris: Bus, r: Vec3, stretch: Any) -> Vec3:
-    """Return the acceleration, m/s^2 in N, at r_BN_N, m, by the Earth's full field and the Sun.
+def acceleration(ephemeris: Bus, r: Vec3, stretch: Any, degree: int) -> Vec3:
+    """Return the acceleration, m/s^2 in N, at r_BN_N, m, by the Earth's field of a degree and the Sun.
 
     ``a = [PN]^T S f(S [PN] r) + a_S(r, r_SN)`` with the stretch S of :mod:`bsk_torch.sim.orbit.equations`.
     """
     p = fixed(ephemeris, r)
-    f = rotate_z(stretched(field(stretched(p, stretch), FULL_FIELD), stretch), ephemeris.cos_earth, -ephemeris.sin_earth)
+    f = rotate_z(
+        stretched(field(stretched(p, stretch), field_weights(degree)), stretch), ephemeris.cos_earth, -ephemeris.sin_earth
+    )
     return ephemeris.EN.mT @ f + third_body(r, ephemeris.r_SN_N)
 
 
@@ -78,7 +80,7 @@ def start_schedule() -> Tensor:
 
 
 @cache
-def start_kernel() -> Kernel:
+def start_kernel(degree: int) -> Kernel:
     """Return the kernel that finds positions and accelerations at the first nodes, by Picard iteration; shared is the stretch.
 
     Each tick visits a node: ``r_k = r0 + v0 t_k + sum_j w_kj a_j``, with the weights of the schedule and the accelerations of the
@@ -92,7 +94,7 @@ def start_kernel() -> Kernel:
     (stretch,) = builder.planes("shared", 1)
     r = r0 + v0 * time + weighted(weights[: MULTISTEP_ORDER + 1], [a0, *last])
     v = v0 + weighted(weights[MULTISTEP_ORDER + 1 :], [a0, *last])
-    a = acceleration(builder.ephemeris(), r, stretch)
+    a = acceleration(builder.ephemeris(), r, stretch, degree)
     this = [*this[1:], a]
     last = [select(first, a, select(ends, new, old)) for new, old in zip(this, last, strict=True)]
     return builder.kernel(
@@ -106,7 +108,7 @@ def start_kernel() -> Kernel:
 
 
 @cache
-def flown_kernel() -> Kernel:
+def flown_kernel(degree: int) -> Kernel:
     """Return the kernel that finds positions on the flown arc, one each tick of :data:`MULTISTEP_STEP`.
 
     Predict, evaluate, correct, with q = MULTISTEP_ORDER remembered accelerations and the weights p, c and d of
@@ -127,7 +129,7 @@ def flown_kernel() -> Kernel:
     corrector = _scaled(position_weights(after, 0, 1), MULTISTEP_STEP**2)
     straight = r + v * MULTISTEP_STEP
     predicted = straight + weighted(_scaled(position_weights(before, 0, 1), MULTISTEP_STEP**2), accelerations)
-    a, remembered = acceleration(builder.ephemeris(), predicted, stretch), accelerations[1:]
+    a, remembered = acceleration(builder.ephemeris(), predicted, stretch, degree), accelerations[1:]
     r = straight + weighted(corrector, [*remembered, a])
     change = central_gradient(predicted, r - predicted)
     r, remembered = r + change * corrector[-1], [*remembered, a + change]
@@ -140,12 +142,12 @@ NODE = Track("node", NODE_SPACING, (vec("r_BN_N", "m", exact=True),), count=1)
 
 
 @cache
-def acceleration_kernel() -> Kernel:
+def acceleration_kernel(degree: int) -> Kernel:
     """Return the kernel that writes the acceleration at a node in each tick; its state is the time, shared is the stretch."""
     builder = KernelBuilder()
     (time,) = builder.planes("state", 1)
     (stretch,) = builder.planes("shared", 1)
-    a: Any = acceleration(builder.ephemeris(), Vec3(*builder.records(2, 3)), stretch)
+    a: Any = acceleration(builder.ephemeris(), Vec3(*builder.records(2, 3)), stretch, degree)
     tracks = EPHEMERIS_TRACK, NODE
     return Kernel("accelerations", Loop(builder.program, [time + NODE_SPACING], tracks, list(a), clock=time))
 

@@ -27,8 +27,9 @@ class KernelSolver:
     device = torch.device("cpu")
     tail = flown_arc.FLOWN_STATE + planned_arc.PLANNED_STATE
 
-    def __init__(self, step: float) -> None:
-        """Take the stretches of both arcs."""
+    def __init__(self, step: float, degree: int) -> None:
+        """Take the stretches of both arcs, and the degree of the Earth's field."""
+        self.degree = degree
         self.stretches = torch.tensor([frame_stretch(step), frame_stretch(PLAN_STEP)], dtype=torch.float64)
         self.schedule = flown_arc.start_schedule()
 
@@ -81,7 +82,7 @@ class KernelSolver:
         half = torch.full((n,), -0.5 * NODE_SPACING, dtype=torch.float64)  # out of reach of rounding
         written = torch.empty_like(nodes)
         state, tracks = torch.zeros(1, n, dtype=torch.float64), (ephemeris, Samples(nodes, half))
-        flown_arc.acceleration_kernel()(state, count, tracks, shared=self.stretches, written=written)
+        flown_arc.acceleration_kernel(self.degree)(state, count, tracks, shared=self.stretches, written=written)
         return written
 
     def _start(self, r: Tensor, v: Tensor, around: Samples, flown: Tensor) -> Tensor:
@@ -91,7 +92,9 @@ class KernelSolver:
         state[:3], state[3:6] = r.mT, v.mT
         visited = torch.empty(n, ticks, 3, dtype=torch.float64)
         counts = torch.full((n,), ticks)
-        flown_arc.start_kernel()(state, counts, [around], shared=self.stretches, schedule=self.schedule, written=visited)
+        flown_arc.start_kernel(self.degree)(
+            state, counts, [around], shared=self.stretches, schedule=self.schedule, written=visited
+        )
         lead, found = 2 * LEAD_NODES, visited[:, -flown_arc.MULTISTEP_ORDER :]
         flown[:, :lead], flown[:, lead] = found[:, :lead], r
         flown[:, lead + 1 : flown_arc.MULTISTEP_ORDER + 1] = found[:, lead:]
@@ -100,7 +103,7 @@ class KernelSolver:
 
     def _fly(self, state: Tensor, step: Tensor, around: Samples, flown: Tensor) -> None:
         counts = torch.full_like(step, flown.shape[1])
-        kernel = flown_arc.flown_kernel()
+        kernel = flown_arc.flown_kernel(self.degree)
         kernel(state, counts, [around], shared=self.stretches, ticks=step, nanoseconds=MINUTE_NS // 2, written=flown)
 
     def _plan(self, tail: Tensor, step: Tensor, tracks: tuple[Samples, Samples], planned: Tensor) -> None:

@@ -80,10 +80,12 @@ def relax(guess: Tensor, ballistic: Tensor, rest: Tensor, twice: Tensor, stretch
     return guess
 
 
-def lacking(r: Tensor, dt: Tensor, stretch: Tensor, r_SN_E: Tensor, v_SN_E: Tensor, angle: Tensor, rate: Tensor) -> Tensor:
-    """Return what the zonal field lacks of the full one, m/s^2, at positions [K, 3, n], dt [K, 1] s from the middle, in E."""
+def lacking(
+    r: Tensor, dt: Tensor, stretch: Tensor, degree: int, r_SN_E: Tensor, v_SN_E: Tensor, angle: Tensor, rate: Tensor
+) -> Tensor:
+    """Return what the zonal field lacks of the field of a degree, m/s^2 in E, at positions [K, 3, n], dt [K, 1] s from the middle."""
     around = Surroundings(r_SN_E, v_SN_E, angle, rate)
-    return pack(full_field(vector(r), around, dt, stretch) - zonal_field(vector(r), stretch))
+    return pack(full_field(vector(r), around, dt, stretch, degree) - zonal_field(vector(r), stretch))
 
 
 def defects(state: Tensor, stretch: Tensor, growth: Tensor) -> Tensor:
@@ -115,8 +117,9 @@ class PicardSolver:
 
     tail = 12
 
-    def __init__(self, step: float, backend: str, device: torch.device) -> None:
-        """Make the matrices of the quadrature."""
+    def __init__(self, step: float, backend: str, device: torch.device, degree: int) -> None:
+        """Make the matrices of the quadrature; ``degree`` is that of the Earth's field."""
+        self.degree = degree
         self.device, self.kernels, self.compiled = device, kernels(backend), backend == "compiled"
         self.inside = quadrature(PICARD_DEGREE, None, str(device))
         self.outside = quadrature(
@@ -150,7 +153,7 @@ class PicardSolver:
         time = (NODE_SPACING * torch.arange(count, device=self.device)).repeat(n)
         records, tau = neighbours(EPHEMERIS_TRACK, ephemeris.table, rows, time - ephemeris.start[rows])
         sky = ephemeris_at(records.flatten(1).unbind(-1), tau)
-        return acceleration(sky, Vec3.of(nodes.flatten(0, 1)), self.stretch).stack().view(nodes.shape)
+        return acceleration(sky, Vec3.of(nodes.flatten(0, 1)), self.stretch, self.degree).stack().view(nodes.shape)
 
     def _before(self, et: Tensor, r: Tensor, v: Tensor) -> Tensor:
         """Nodes [n, LEAD_NODES, 3] before the epoch: the orbit with time running backwards."""
@@ -190,7 +193,7 @@ class PicardSolver:
         dt = (self.inside.nodes - 0.5).unsqueeze(-1) * (ARC_SEGMENT * sense)
         for k, rounds in enumerate(ROUNDS):
             if k:
-                rest = self.kernels.lacking(path, dt, self.stretch, *around)
+                rest = self.kernels.lacking(path, dt, self.stretch, self.degree, *around)
             for _ in range(rounds):
                 path = self.kernels.relax(path, ballistic, rest, self.twice, self.stretch)
         return path, rest

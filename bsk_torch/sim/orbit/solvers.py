@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import torch
 
+from bsk_torch.astro.gravity import DEGREE
 from bsk_torch.sim.orbit.kernel_solver import KernelSolver
 from bsk_torch.sim.orbit.picard import PicardSolver
 from bsk_torch.sim.orbit.solution import Solver
 
 
-def make_solver(step: float, backend: str, device: torch.device) -> Solver:
-    """Return the solver for a simulation with ticks of ``step`` seconds."""
-    return KernelSolver(step) if backend == "compiled" and device.type == "cpu" else PicardSolver(step, backend, device)
+def make_solver(step: float, backend: str, device: torch.device, degree: int = DEGREE) -> Solver:
+    """Return the solver for a simulation with ticks of ``step`` seconds, in the Earth's field of a degree and order."""
+    if backend == "compiled" and device.type == "cpu":
+        return KernelSolver(step, degree)
+    return PicardSolver(step, backend, device, degree)

@@ -7,6 +7,7 @@ import inspect
 from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
+from bsk_torch.astro.gravity import DEGREE
 from bsk_torch.sim.component import Component
 from bsk_torch.sim.hooks import check_class
 from bsk_torch.sim.schedule import SCHEDULE, Schedule, anchored
@@ -24,6 +25,7 @@ TABLES: dict[str, Table] = {
     "world_components": Table("dynamics models", "world_components = (MOON,)"),
     "requires_world": Table("dynamics models", "requires_world = (world.EclipseWorldModel,)"),
     "orbit": Table("dynamics models", "orbit = 'arc'"),
+    "gravity_degree": Table("dynamics models", "gravity_degree = 4"),
     "schedule": Table("dynamics models", "schedule = SCHEDULE.moved('wheels', before='hub')"),
     "modes": Table("flight-software models", "modes = {'safe': fsw.Mode(('control_on', 'sun_on'))}"),
     "commands": Table("flight-software models", "commands = {'desat': fsw.Command(('desat_sun',))}"),
@@ -55,6 +57,9 @@ UNUSED: dict[str, str] = {
     "is_alive": "mark methods that return [N] booleans with dyn.aliveness_checker",
 }
 """Names that are no hooks of models, those of bsk_rl among them, and what to write instead."""
+
+LEAST_DEGREE = 2
+"""Least degree of the Earth's field: look-ahead and the solvers of arcs are built around its oblateness."""
 
 SIMILAR = 0.85
 """Similarity of two names of values from which one counts as a misspelling of the other."""
@@ -130,6 +135,8 @@ def _check_table(title: str, name: str, value: Any) -> None:
             raise TypeError(f"{title}={value!r} is no tuple of models; {example}")
     elif name == "schedule" and not isinstance(value, Schedule):
         raise TypeError(f"{title}={value!r} is no Schedule, from bsk_torch.sim.schedule; {example}")
+    elif name == "gravity_degree" and not (type(value) is int and LEAST_DEGREE <= value <= DEGREE):
+        raise TypeError(f"{title}={value!r} must be a whole number from {LEAST_DEGREE} to {DEGREE}; {example}")
     elif name in ("modes", "commands") and not isinstance(value, Mapping):
         raise TypeError(f"{title}={value!r} is no dictionary; {example}")
 

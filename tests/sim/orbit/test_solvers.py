@@ -8,6 +8,7 @@ from functools import cache
 import pytest
 import torch
 
+from bsk_torch import SatelliteTasking, act, dyn, fsw, obs, sats
 from bsk_torch.constants import R_EARTH
 from bsk_torch.sim.access.visibility.planned import PlannedOrbits
 from bsk_torch.sim.orbit.arcs import Arcs
@@ -120,3 +121,27 @@ def test_few_sizes():
     sizes = {len(padded(count, CPU, few_sizes=True)) for count in range(1, 20 * COLUMN_BLOCK)}
     assert sizes == {COLUMN_BLOCK * blocks for blocks in (1, 2, 4, 8, 16, 32)}
     assert padded(50, CPU, few_sizes=True).tolist() == [*range(50), *[49] * (2 * COLUMN_BLOCK - 50)]
+
+
+@pytest.mark.parametrize("backend", ["eager", pytest.param("compiled", marks=pytest.mark.compiled)])
+def test_the_degree_of_the_field_belongs_to_the_dynamics_model(backend):
+    """Arcs and integrated orbits of degree 4 agree with each other, and differ from those of degree 10 by the missing terms."""
+    model = type("Coarse", (dyn.DynamicsModel,), {"gravity_degree": 4})
+    orbit = {"rN": [6.9e6, 0.0, 0.0], "vN": [0.0, 5.4e3, 5.4e3]}
+    positions = {}
+    for name, dyn_type, options in (
+        ("arc", model, {}),
+        ("flown", model, {"orbit": "integrated"}),
+        ("full", dyn.DynamicsModel, {}),
+    ):
+        satellite = type(
+            "Mine", (sats.Satellite,), {"dyn_type": dyn_type, "fsw_type": fsw.FSWModel, "observation_spec": [obs.Time()]}
+        )
+        satellite.action_spec = [act.Drift(duration=600.0)]
+        env = SatelliteTasking(satellite("A", orbit), time_limit=600.0, backend=backend, seed=0, **options)
+        env.rollout(1)
+        positions[name] = env.satellite.dynamics.r_BN_N
+    torch.testing.assert_close(positions["arc"], positions["flown"], rtol=0, atol=1e-3)
+    assert 0.1 < (positions["full"] - positions["arc"]).norm() < 1e3
+    with pytest.raises(TypeError, match=r"Wrong.gravity_degree=11 must be a whole number from 2 to 10"):
+        type("Wrong", (dyn.DynamicsModel,), {"gravity_degree": 11})
