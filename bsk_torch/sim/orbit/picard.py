@@ -83,7 +83,7 @@ def relax(guess: Tensor, ballistic: Tensor, rest: Tensor, twice: Tensor, stretch
 def lacking(
     r: Tensor, dt: Tensor, stretch: Tensor, degree: int, r_SN_E: Tensor, v_SN_E: Tensor, angle: Tensor, rate: Tensor
 ) -> Tensor:
-    """Return what the zonal field lacks of the field of a degree, m/s^2 in E, at positions [K, 3, n], dt [K, 1] s from the middle."""
+    """Return what the zonal field lacks of the field of a degree, m/s^2 in E, at r [K, 3, n], m, dt [K, 1] s from the middle."""
     around = Surroundings(r_SN_E, v_SN_E, angle, rate)
     return pack(full_field(vector(r), around, dt, stretch, degree) - zonal_field(vector(r), stretch))
 
