@@ -89,6 +89,7 @@ class Kernel:
         schedule: Tensor | None = None,
         written: Tensor | None = None,
         lockstep: int = 1,
+        present: Tensor | None = None,
     ) -> Tensor:
         """Run ``counts`` [n] ticks of every column of ``state`` [C, n], or as many as there are until the kernel's stop.
 
@@ -108,9 +109,10 @@ class Kernel:
             written: What each tick writes [n, L, C''], which changes; its rows may lie apart. None if it writes nothing.
             lockstep: Rows 0 to lockstep - 1 are the first group, and so on: where the kernel has a stop, the rows of a group,
                 whose ``counts`` are equal, all end in the tick in which the first of them stops.
+            present: Rows that run, [n]; all unless given. The others stay as they are.
 
         Returns:
-            Number of ticks that each row has run, [n].
+            Number of ticks that each row has run, [n]; of rows that are not present, that of their group, or ``counts``.
 
         Raises:
             ValueError: For a tensor that is not contiguous or of another type, a table with too few records, a mode without
@@ -133,15 +135,19 @@ class Kernel:
         expected, entry = counts if expected_ticks is None else expected_ticks, self._entry(lockstep)
         if stops and lockstep > 1:
             check_groups(counts, lockstep)
-            tiles = in_tiles(counts, expected, mode, lockstep, entry.width)
+            tiles = in_tiles(counts, expected, mode, lockstep, entry.width, present)
             room = () if written is None else (written, written.stride(0))
             entry.run(*tiles.size, _threads(tiles.size[0]), tiles.rows, tiles.groups, tiles.ends, *packs, *room, *records)
             return tiles.ends[:-1].repeat_interleave(lockstep)
+        if present is not None:
+            asked, alike = counts, False
+            counts, expected = (torch.where(present, ticks, 0) for ticks in (counts, expected))
         rows, ends = in_blocks(counts, None if alike else expected, mode, modes, entry.width)
         blocks = len(rows) // entry.width
         stride = 0 if written is None else written.stride(0)
         entry.run(blocks, _threads(blocks), rows, ends, *packs, written, stride, *records)
-        return torch.empty_like(counts).index_copy_(0, rows[:n], ends[:n]) if stops else counts
+        ran = torch.empty_like(counts).index_copy_(0, rows[:n], ends[:n]) if stops else counts
+        return ran if present is None else torch.where(present, ran, asked)
 
     def _check_tables(self, tracks: Sequence[Samples]) -> None:
         for track, samples in zip(self.loop.tracks, tracks, strict=True):

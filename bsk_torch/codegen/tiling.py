@@ -67,8 +67,12 @@ def check_groups(counts: Tensor, group: int) -> None:
         raise ValueError(f"counts of group {first} are {found}; rows in lockstep must have the same number of ticks")
 
 
-def in_tiles(counts: Tensor, expected_ticks: Tensor, mode: Tensor | None, group: int, width: int) -> Tiles:
+def in_tiles(
+    counts: Tensor, expected_ticks: Tensor, mode: Tensor | None, group: int, width: int, present: Tensor | None = None
+) -> Tiles:
     """Return tiles of whole groups that should take about as long, with rows of like modes in their blocks.
+
+    Rows that are not ``present`` become padding behind the others, which fill their blocks; kernels skip blocks of padding.
 
     Args:
         counts: Number of ticks, at most, of each row [n].
@@ -76,6 +80,7 @@ def in_tiles(counts: Tensor, expected_ticks: Tensor, mode: Tensor | None, group:
         mode: Mode of each row [n], if there are any.
         group: Rows of a group.
         width: Rows of a block.
+        present: Rows that run, [n]; all unless given.
     """
     groups = len(counts) // group
     each = _groups_of_a_tile(groups, group, width)
@@ -83,8 +88,13 @@ def in_tiles(counts: Tensor, expected_ticks: Tensor, mode: Tensor | None, group:
     ranked = expected_ticks.view(groups, group).amin(1).argsort()
     rows = _filled((ranked.unsqueeze(1) * group + torch.arange(group)).flatten(), 0, shape)
     owners = _filled(ranked.repeat_interleave(group), groups, shape)
-    if mode is not None:
-        alike = mode[rows].argsort(dim=1, stable=True)
+    order = None if mode is None else mode[rows]
+    if present is not None:
+        absent = ~present[rows]
+        owners = torch.where(absent, groups, owners)
+        order = absent.long() if order is None else torch.where(absent, order.amax() + 1, order)
+    if order is not None:
+        alike = order.argsort(dim=1, stable=True)
         rows, owners = rows.gather(1, alike), owners.gather(1, alike)
     padding = 0, -shape[1] % width
     rows, owners = torch.constant_pad_nd(rows, padding, 0), torch.constant_pad_nd(owners, padding, groups)

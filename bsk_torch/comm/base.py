@@ -160,7 +160,12 @@ class CommunicationMethod:
         links, n, s = self.communicate(moves), self.fleet.num_envs, self.fleet.size
         check_tensor(f"the result of {type(self).__name__}.communicate(moves)", links, (n, s, s), torch.bool)
         self.__dict__.setdefault("_guard", ChangeGuard()).check(self, FLEET_MEMORY, exempt=("due",))
-        return links
+        return self.of_present(links)
+
+    def of_present(self, links: Tensor) -> Tensor:
+        """Return the links [N, S, S] between satellites that are present."""
+        present = self.fleet.present
+        return links if present is None else links & present.unsqueeze(1) & present.unsqueeze(2)
 
 
 class NoCommunication(CommunicationMethod):

@@ -98,7 +98,7 @@ def flown_orbits(simulator: Simulator, columns: Tensor) -> FlownOrbits:
     """Return the flown orbits of the satellites of one type, with their sensors' ranges and bounds of their speeds."""
     r_BN_N, v_BN_N = (Vec3.of(simulator.read(name)) for name in ("r_BN_N", "v_BN_N"))
     speed, use_kernels = speed_bound(r_BN_N, v_BN_N), isinstance(simulator.lookahead.eclipses.visibility, KernelVisibility)
-    return FlownOrbits(simulator.arcs, columns, simulator.state.arguments[MAX_RANGE], speed, use_kernels)
+    return FlownOrbits(simulator.arcs, columns, simulator.state.arguments[MAX_RANGE], speed, use_kernels, simulator.present)
 
 
 def _check_covered(fleet: SatelliteFleet, asked: Tensor) -> None:

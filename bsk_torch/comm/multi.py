@@ -33,4 +33,5 @@ class MultiDegreeCommunication(CommunicationMethod):
 
     def communication_pairs(self) -> Tensor:
         """See :meth:`CommunicationMethod.communication_pairs`."""
-        return connected(super().communication_pairs()) & ~torch.eye(self.fleet.size, dtype=torch.bool, device=self.fleet.device)
+        own = torch.eye(self.fleet.size, dtype=torch.bool, device=self.fleet.device)
+        return connected(self.of_present(super().communication_pairs())) & ~own

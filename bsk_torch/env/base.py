@@ -29,7 +29,7 @@ from bsk_torch.env.machine import existing_device
 from bsk_torch.env.options import TaskingOptions, TimeLimit
 from bsk_torch.env.present import Present
 from bsk_torch.env.randomizer import make_randomizer
-from bsk_torch.env.satellite_group import command, decide, groups_of
+from bsk_torch.env.satellite_group import command, decide, died, groups_of
 from bsk_torch.env.snapshots import fingerprint
 from bsk_torch.env.trial import try_out
 from bsk_torch.obs.base import Values
@@ -52,7 +52,7 @@ class StepResult(NamedTuple):
         reward: Rewards of the satellites, failure penalties included, [N, S]; zero where the step did not take place.
         terminated: Episodes that have ended, [N].
         truncated: Episodes that were cut, [N].
-        removed: Satellites that had left before the step, [N, S].
+        removed: Satellites that were not present or had left before the step, [N, S].
     """
 
     duration: Tensor
@@ -205,7 +205,7 @@ class Tasking(Present, MadeOfArguments):
             checked.share(self.rewarder, self.links)
         for satellite in self.satellites:
             satellite.memory.touch()
-            satellite.task.dead = satellite.task.dead | ~satellite.is_alive()
+            satellite.task.dead = satellite.task.dead | died(satellite)
         result = self._judge((fleet.ticks - start) * fleet.h, reward, moves, removed)
         if log is not None:
             log.after(known, result, moves)
@@ -232,8 +232,11 @@ class Tasking(Present, MadeOfArguments):
     def _over(self, dead: Tensor) -> tuple[Tensor, Tensor]:
         """Return which episodes have ended, and which were cut, [N] each, by who has died, [N, S]."""
         ended = dead if self.agents_stay else dead | checked.terminated(self.rewarder)
+        cut, present = checked.truncated(self.rewarder), self.fleet.present
+        if present is not None:
+            ended, cut = ended & present, cut & present
         terminated = self._all_agents_ended(ended)
-        truncated = self.truncated_by_time | checked.truncated(self.rewarder).any(1)
+        truncated = self.truncated_by_time | cut.any(1)
         return terminated | truncated if self.terminate_on_time_limit else terminated, truncated
 
     @property

@@ -14,7 +14,7 @@ from bsk_torch.astro.ephemeris import coverage, coverage_in_words
 from bsk_torch.constants import NANO
 from bsk_torch.data import checked
 from bsk_torch.data.base import GlobalReward
-from bsk_torch.env.options import TaskingOptions
+from bsk_torch.env.options import ConstellationOptions, TaskingOptions
 from bsk_torch.env.randomizer import Randomizer
 from bsk_torch.env.types import check_names, check_world, grouped, world_arguments, world_components
 from bsk_torch.rand import Distribution, Key, first_key, seeded
@@ -71,6 +71,9 @@ class FleetBuilder:
         chiefs = [constant(satellite.sat_args_generator.get("chief_name")) for satellite in self.satellites]
         self.pairs = find_pairs(self.names, models, chiefs, options.compat == "bsk_rl")
         self.scenario, self.options, self.randomizer, self.device = scenario, options, randomizer, device
+        self.population = options.population if isinstance(options, ConstellationOptions) else None
+        if self.population is not None:
+            check_population(self.population, self.names, scenario)
         self.world_type = None if options.world_type is None else compose(options.world_type, WorldModel)
         self._world_names = [set(world_arguments(self.satellites[columns[0]], self.world_type)) for columns in self.types]
         self.world_args = expand(options.world_args, "world_args")
@@ -105,7 +108,8 @@ class FleetBuilder:
         members = {c: (k, 0 if trial else i) for k, columns in enumerate(self.types) for i, c in enumerate(columns)}
         places = {name: members[column] for column, name in enumerate(self.names)}
         pairs, as_bsk_rl = self.pairs.among(chosen), self.options.compat == "bsk_rl"
-        return SatelliteFleet(each, [self.names[k] for k in chosen], self.scenario.draw_checked, places, pairs, as_bsk_rl)
+        names, varies = [self.names[k] for k in chosen], self.varies and not trial
+        return SatelliteFleet(each, names, self.scenario.draw_checked, places, pairs, as_bsk_rl, varies)
 
     def _leaders_first(self) -> Iterator[tuple[int, dict[str, int]]]:
         """Yield the types of satellites, each behind those that it follows, with the type that it follows by slot.
@@ -229,7 +233,37 @@ class FleetBuilder:
                 fleet.ask(int(row.env_id), answers[-1], randomize)
                 if self.scenario.calls_user:
                     answers[-1]["scenario"] = self.scenario.draw_checked(row)
+                    if self.scenario.varies_population:
+                        answers[-1]["present"] = self.scenario.present_checked(row, self.names)
         return answers
+
+    @property
+    def varies(self) -> bool:
+        """Whether some satellites are not present in some episodes."""
+        return self.population is not None or self.scenario.varies_population
+
+    def draw_present(self, fleet: Fleet, key: Key, answers: Sequence[Answers]) -> Tensor | None:
+        """Return which satellites are present in the episodes of the key's environments, [n, S]; None where all are in all.
+
+        Raises:
+            ValueError: For an episode without satellites, or without one that others follow.
+        """
+        if not fleet.varies:
+            return None
+        if self.population is not None:
+            present = between(key.named("population"), *self.population, fleet.size)
+        elif self.scenario.calls_user:
+            present = torch.cat([answer["present"] for answer in answers])
+        else:
+            present = self.scenario.present_checked(key, self.names)
+        for leader in {leader for leaders in fleet.following.leaders for leader in leaders.values()}:
+            for column in fleet.columns[leader].tolist():
+                if not bool(present[:, column].all()):
+                    raise ValueError(
+                        f"{self.names[column]!r} is not present in all episodes, and components of other satellites follow it; "
+                        "let a scenario draw who is present, with it in each episode"
+                    )
+        return present
 
     def draw(self, fleet: Fleet, key: Key) -> tuple[EpisodeDraw, Tensor]:
         """Return draws for the episodes of the key's environments, and their time limits, [n] s."""
@@ -239,7 +273,7 @@ class FleetBuilder:
         scenario = {name: torch.cat([part[name] for part in parts]) for name in parts[0]} if parts else None
         drawn, limit = fleet.draw(key, given, answers, scenario), self.draw_time_limit(key, answers)
         check_ephemeris(drawn, limit)
-        return drawn, limit.to(self.device)
+        return drawn._replace(present=self.draw_present(fleet, key, answers)), limit.to(self.device)
 
     def start(self, fleet: Fleet, envs: Tensor, drawn: EpisodeDraw, limit: Tensor) -> None:
         """Start the episodes ``envs`` [n] of a fleet."""
@@ -268,6 +302,23 @@ def _may_control(satellite: Satellite) -> bool:
 def constant(value: Any) -> Any:
     """Return the value of an argument that is the same in all episodes, which a function may give together with others."""
     return value.trial if isinstance(value, Member) else value
+
+
+def check_population(population: tuple[int, int], names: Sequence[str], scenario: Scenario) -> None:
+    """Raise ValueError for more satellites than there are, or where the scenario says who is present."""
+    if population[1] > len(names):
+        raise ValueError(f"population={population}: there are {len(names)} satellites, so at most so many can be present")
+    if scenario.varies_population:
+        raise ValueError(
+            f"population={population}: {type(scenario).__name__}.present(key, names) draws who is present; leave one of them out"
+        )
+
+
+def between(key: Key, low: int, high: int, size: int) -> Tensor:
+    """Return which of ``size`` satellites are present, [n, size]: ``low`` to ``high``, each number and each choice as likely."""
+    drawn = key.uniform(1 + size)
+    number = low + torch.floor(drawn[:, :1] * (high - low + 1)).long()
+    return drawn[:, 1:].argsort(dim=1, stable=True).argsort(dim=1) < number
 
 
 def check_ephemeris(drawn: EpisodeDraw, limit: Tensor) -> None:

@@ -34,8 +34,8 @@ class ConstellationTasking(Tasking):
 
     A step lasts until the first satellite has finished its task; the others go on with theirs. Agents that are alike form a
     group, ``"agents"`` where there is only one; ``group_map`` names them. Each group holds ``observation``, ``action``,
-    ``action_mask``, ``reward`` [N, A, 1], ``mask`` [N, A] (False for removed agents), ``requires_retasking`` and ``duration``
-    [N, A, 1]; ``done``, ``terminated``, ``truncated`` and ``duration`` are at the root.
+    ``action_mask``, ``reward`` [N, A, 1], ``mask`` [N, A] (False for agents that are not present or have left),
+    ``requires_retasking`` and ``duration`` [N, A, 1]; ``done``, ``terminated``, ``truncated`` and ``duration`` are at the root.
 
     The last action of a space goes on with the task; for real numbers, which have no ``action_mask``, ``NO_ACTION`` in all of
     them does. Under ``joint=True`` with satellites of real numbers, ``action`` has an entry for each satellite by its name.
@@ -44,6 +44,9 @@ class ConstellationTasking(Tasking):
 
     A dead satellite gets the penalty and a last observation, and leaves: its tasks end no step any more, ``mask`` is False, its
     observations and rewards are zero. The episode ends when all agents are dead, or with the time limit.
+
+    With ``population=(low, high)``, or a scenario that draws who is present, some satellites take no part in some episodes:
+    :attr:`present` [N, S] tells which do. The others look like satellites that have left, but are not dead: they run no ticks.
     """
 
     options: ConstellationOptions
@@ -217,7 +220,11 @@ class ConstellationTasking(Tasking):
         """Return the episodes whose agents have all lost a satellite of ``ended`` [N, S], or the joint agent any, [N]."""
         if self.joint:
             return ended.any(1)
-        return torch.stack([self._by_agent(group, ended).all(1) for group in self.groups], 1).all(1)
+        present = self.fleet.present
+        over = [self._by_agent(group, ended) for group in self.groups]
+        if present is not None:
+            over = [gone | ~self._by_agent(group, present) for group, gone in zip(self.groups, over, strict=True)]
+        return torch.stack([gone.all(1) for gone in over], 1).all(1)
 
     def _by_agent(self, group: Group, flags: Tensor) -> Tensor:
         """Return the agents [N, A] that have a member whose flag [N, S] is set."""
@@ -291,9 +298,10 @@ class ConstellationTasking(Tasking):
         """Log once that satellites without a task were given none, as bsk_rl does; their last mode goes on."""
         if self._warned:
             return
-        for satellites, mine in zip(self.satellites, acts, strict=True):
-            task, state = satellites.task, satellites.simulator.state
-            idle = task.requires_retasking & ~mine & ~task.dead & state.of_env(moves)
+        asked = moves.unsqueeze(-1) & ~self.state.removed
+        for k, (satellites, mine) in enumerate(zip(self.satellites, acts, strict=True)):
+            task = satellites.task
+            idle = task.requires_retasking & ~mine & ~task.dead & self.fleet.rows_of(k, asked)
             if bool(idle.any()):
                 row = int(torch.nonzero(idle)[0])
                 logger.warning("%s requires retasking but received no task; its mode goes on", satellites.title(row))
@@ -350,7 +358,7 @@ class ConstellationTasking(Tasking):
         if group.is_meta or self.joint:
             leaves["members_require_retasking"] = wanted
         if not self.joint:
-            leaves["mask"] = ~self.state.removed[:, group.members[:, 0]]
+            leaves["mask"] = self._by_agent(group, ~self.state.removed)
         return leaves
 
     def _hidden(self, group: Group, wanted: Tensor, removed: Tensor) -> Tensor:
@@ -359,10 +367,11 @@ class ConstellationTasking(Tasking):
         Args:
             group: The agents.
             wanted: Members that need a task, [N, A, M].
-            removed: Satellites that had left before the step, [N, S].
+            removed: Satellites that were not present or had left before the step, [N, S].
         """
         if self.joint:
-            return ~wanted if self.options.generate_obs_retasking_only else torch.zeros_like(wanted)
+            absent = torch.zeros_like(wanted) if self.fleet.present is None else ~self.fleet.present[:, group.members]
+            return absent | ~wanted if self.options.generate_obs_retasking_only else absent
         hidden = removed[:, group.members]
         return hidden | ~wanted.any(-1, keepdim=True) if self.options.generate_obs_retasking_only else hidden
 

@@ -18,7 +18,7 @@ from bsk_torch.data.base import GlobalReward
 from bsk_torch.env.build import FleetBuilder
 from bsk_torch.env.guard import EpisodeGuard
 from bsk_torch.env.log import StepLog
-from bsk_torch.env.satellite_group import SatelliteGroup
+from bsk_torch.env.satellite_group import SatelliteGroup, begin_tasks
 from bsk_torch.rand import Key
 from bsk_torch.sats.fleet import SatelliteFleet
 from bsk_torch.scene.base import Scenario
@@ -202,8 +202,7 @@ class Episodes(EnvBase):
         for begin in self.fleet.beginnings:
             begin(envs)
         for satellite in self.satellites:
-            task, rows = satellite.task, satellite.task.rows_of(envs)
-            task.dead = task.dead.index_copy(0, rows, ~satellite.is_alive()[rows])
+            begin_tasks(satellite, envs)
         if self.log is not None and self.log.shows():
             self.log.began(envs, state.seed, state.episode)
         self.guard.begin(envs, begun)

@@ -137,6 +137,9 @@ class ConstellationOptions(TaskingOptions):
         group_map: Names of the agents of each group; by types of satellites unless given.
         generate_obs_retasking_only: Whether agents that need no task observe zeros.
         mask_busy: Whether ``action_mask`` lets busy satellites only continue.
+        population: Smallest and largest number of satellites that are present in an episode. Each number in between is as likely,
+            and so is each choice of satellites. All are present in all episodes unless given, or the scenario draws who is
+            (:meth:`bsk_torch.scene.Scenario.present`).
     """
 
     joint: bool = False
@@ -145,6 +148,7 @@ class ConstellationOptions(TaskingOptions):
     group_map: Mapping[str, Sequence[str]] | None = None
     generate_obs_retasking_only: bool = False
     mask_busy: bool = True
+    population: tuple[int, int] | None = None
 
     def __post_init__(self) -> None:
         """Check switches, and options that exclude each other."""
@@ -153,6 +157,11 @@ class ConstellationOptions(TaskingOptions):
             object.__setattr__(self, name, switch(name, getattr(self, name)))
         if self.joint and (self.meta_agent_groupings or self.group_map):
             raise ValueError("joint=True puts all satellites under one agent; leave meta_agent_groupings and group_map out")
+        if self.population is not None:
+            if not isinstance(self.population, Sequence) or isinstance(self.population, str) or len(self.population) != 2:
+                raise ValueError(f"population={self.population!r} must be the smallest and the largest number of satellites")
+            low = whole("population[0]", self.population[0], 1)
+            object.__setattr__(self, "population", (low, whole("population[1]", self.population[1], low)))
 
 
 def parse(kind: type[TaskingOptions], given: Mapping[str, Any]) -> Any:

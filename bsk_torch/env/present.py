@@ -27,6 +27,12 @@ class Present(Episodes):
         return super().__getattr__(name)
 
     @property
+    def present(self) -> Tensor:
+        """Satellites that take part in the present episodes, from their beginning to death or end, [N, S] bool."""
+        present = self.fleet.present
+        return torch.ones_like(self.state.removed) if present is None else present
+
+    @property
     def dead(self) -> Tensor:
         """Satellites that have died, [N, S] bool."""
         return self.fleet.joined([satellite.task.dead for satellite in self.satellites])

@@ -57,6 +57,21 @@ class SatelliteGroup(BoundSatellite):
         return mask | ~mask.any(1, keepdim=True)
 
 
+def died(satellites: BoundSatellite) -> Tensor:
+    """Return the satellites that fail a check now, [N]; those that are not present are not checked."""
+    failed, present = ~satellites.is_alive(), satellites.simulator.present
+    return failed if present is None else failed & present
+
+
+def begin_tasks(satellites: BoundSatellite, envs: Tensor) -> None:
+    """Note which satellites are dead or need no task in the episodes ``envs`` [n], which begin."""
+    task, present = satellites.task, satellites.simulator.present
+    rows = task.rows_of(envs)
+    task.dead = task.dead.index_copy(0, rows, died(satellites)[rows])
+    if present is not None:
+        task.requires_retasking = task.requires_retasking.index_copy(0, rows, present[rows])
+
+
 def decide(satellites: SatelliteGroup, action: Tensor, acts: Tensor) -> Decision:
     """Return the commands of ``action`` [N] where ``acts`` [N] is true; nothing changes yet."""
     return satellites.actions.decide(action, satellites.task.previous_action, acts)

@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, ClassVar
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from bsk_torch.sim.hooks import FLEET_MEMORY, ChangeGuard, check_class, check_linked
+from bsk_torch.sim.hooks import FLEET_MEMORY, ChangeGuard, check_class, check_linked, check_tensor, overrides
 
 if TYPE_CHECKING:
     from bsk_torch.rand import Key
     from bsk_torch.sats.fleet import SatelliteFleet
     from bsk_torch.sim.state import StateTable
 
-HOOKS = ("validate_satellite_names", "calls_user", "draw", "link", "reset", "after_step")
+Drawn = TypeVar("Drawn")
+
+HOOKS = ("validate_satellite_names", "calls_user", "draw", "present", "link", "reset", "after_step")
 """Members of :class:`Scenario` that subclasses may define."""
 
 UNUSED = {
@@ -28,6 +30,7 @@ UNUSED = {
     "regenerate_targets": "define it in a subclass of UniformTargets; or define draw(key)",
     "attach": "define link(fleet)",
     "draw_checked": "define draw(key)",
+    "present_checked": "define present(key, names)",
     "begin_episodes": "define reset(rows)",
     "finish_step": "define after_step(sim_time)",
 }
@@ -68,9 +71,9 @@ class Scenario:
 
     @property
     def calls_user(self) -> bool:
-        """Whether :meth:`draw` calls functions of the user, or uses NumPy's global generator.
+        """Whether :meth:`draw` or :meth:`present` calls functions of the user, or uses NumPy's global generator.
 
-        It is then called for one environment at a time, with the generator seeded, and only for episodes that begin now.
+        They are then called for one environment at a time, with the generator seeded, and only for episodes that begin now.
         """
         return False
 
@@ -88,6 +91,22 @@ class Scenario:
             ``world_args``.
         """
         return {}
+
+    def present(self, key: Key, names: Sequence[str]) -> Tensor:
+        """Draw which satellites take part in each episode; all do in all unless a subclass defines this.
+
+        A satellite that is not present is neither dead nor alive: it runs no ticks and communicates with no other, its agent's
+        ``mask`` is False, its observations and rewards are zero. Use random numbers of ``key.named("...")`` only, as in
+        :meth:`draw`.
+
+        Args:
+            key: Key of the n environments whose episodes begin.
+            names: Names of the S satellites of the environment.
+
+        Returns:
+            Satellites that take part, [n, S] bool on the CPU, at least one in each episode.
+        """
+        return torch.ones(len(key), len(names), dtype=torch.bool)
 
     def validate_satellite_names(self, satellites: Sequence[Any]) -> None:
         """Raise ValueError for satellites whose names do not fit; called first when an environment is built, as in bsk_rl."""
@@ -145,20 +164,47 @@ class Scenario:
             TypeError: If NumPy's global generator was used though ``calls_user`` is False.
             ValueError: If names or shapes differ from those of the first call: values of other episodes would be left behind.
         """
-        before = None if self.calls_user else np.random.get_state()
-        values = self.draw(key)
-        if before is not None and not _same(before, np.random.get_state()):
-            np.random.set_state(before)
-            raise TypeError(
-                f"{type(self).__name__}.draw(key) used NumPy's global generator, so episodes would depend on the batch; draw "
-                'from key.named("..."), or set calls_user = True: it is then called for one environment at a time, and seeded'
-            )
+        values = self._drawn_from_key("draw(key)", lambda: self.draw(key))
         form = {name: value.shape[1:] for name, value in values.items()}
         if self._form is None:
             self._form = form
         if form != self._form:
             forms = (", ".join(f"{name} {list(shape)}" for name, shape in each.items()) for each in (form, self._form))
             raise ValueError(f"{type(self).__name__}.draw(key) returns {' but earlier '.join(forms)}; all calls must agree")
+        return values
+
+    @property
+    def varies_population(self) -> bool:
+        """Whether :meth:`present` is defined by a subclass."""
+        return overrides(self, Scenario, "present")
+
+    def present_checked(self, key: Key, names: Sequence[str]) -> Tensor:
+        """Call :meth:`present`; not to be overridden.
+
+        Raises:
+            TypeError: If NumPy's global generator was used though ``calls_user`` is False, or the result is no mask [n, S].
+            ValueError: For an episode without satellites.
+        """
+        title = f"{type(self).__name__}.present(key, names)"
+        present = self._drawn_from_key("present(key, names)", lambda: self.present(key, names))
+        check_tensor(f"the result of {title}", present, (len(key), len(names)), torch.bool)
+        if empty := torch.nonzero(~present.any(1)).squeeze(-1).tolist():
+            envs = key.env_id[empty].tolist()
+            raise ValueError(
+                f"{title} returns no satellite for environments {envs[:5]} ({len(envs)} in all); each episode needs at least one"
+            )
+        return present
+
+    def _drawn_from_key(self, call: str, draw: Callable[[], Drawn]) -> Drawn:
+        """Return what a hook draws; TypeError if it has used NumPy's global generator though ``calls_user`` is False."""
+        before = None if self.calls_user else np.random.get_state()
+        values = draw()
+        if before is not None and not _same(before, np.random.get_state()):
+            np.random.set_state(before)
+            raise TypeError(
+                f"{type(self).__name__}.{call} used NumPy's global generator, so episodes would depend on the batch; draw "
+                'from key.named("..."), or set calls_user = True: it is then called for one environment at a time, and seeded'
+            )
         return values
 
     def begin_episodes(self, rows: Tensor) -> None:

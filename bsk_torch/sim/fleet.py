@@ -27,6 +27,8 @@ class EpisodeDraw(NamedTuple):
 
     scenario: dict[str, Tensor]
     values: list[dict[str, Any]]
+    present: Tensor | None = None
+    """Satellites that take part, [n, S]; all unless given."""
 
 
 class FleetState(StateTable):
@@ -43,11 +45,15 @@ class FleetState(StateTable):
 
     def check_relations(self, path: str) -> None:
         """See :meth:`StateTable.check_relations`: the clocks of an episode's satellites agree."""
-        clocks = [(name, table.ticks) for name, table in self.tables.items() if isinstance(table, SatelliteState)]
-        now = clocks[0][1].view(self.num_envs, -1)[:, :1]
-        for name, ticks in clocks:
-            each = ticks.view(self.num_envs, -1)
-            self.refuse(f"{path}{name}.ticks", each, each != now, "all satellites of an episode must have the same")
+        tables = {name: table for name, table in self.tables.items() if isinstance(table, SatelliteState)}
+        clocks = {name: table.ticks.view(self.num_envs, -1) for name, table in tables.items()}
+        now = torch.cat([*clocks.values()], 1).amax(1, keepdim=True)
+        for name, ticks in clocks.items():
+            wrong, why = ticks != now, "all satellites of an episode must have the same"
+            if "present" in tables[name]:
+                absent = ~tables[name]["present"].view(self.num_envs, -1)
+                wrong, why = torch.where(absent, ticks != 0, wrong), f"{why}, but for those that are not present: 0"
+            self.refuse(f"{path}{name}.ticks", ticks, wrong, why)
 
 
 class Task(Protocol):
@@ -92,6 +98,12 @@ class Group(Protocol):
     def cancel(self, rows: Tensor) -> None:
         """Cancel the tasks of ``rows`` [N], a mask."""
 
+    def died(self) -> Tensor:
+        """Return the satellites that fail a check now, [N]."""
+
+    def begin(self, envs: Tensor) -> None:
+        """Note who is dead or needs no task in the episodes ``envs`` [n], which begin."""
+
 
 class Fleet:
     """The satellites of ``num_envs`` episodes, S in each, simulated type by type.
@@ -103,12 +115,13 @@ class Fleet:
         places: Type of each satellite of an episode by name, and its number among those of the type; on a trial, where there is
             one of each type, satellites that are not simulated have the place of that one.
         groups: Models, actions and tasks of each type, once an environment has made them.
-        state: Everything that belongs to the present episodes: ``time_limit`` [N] s, ``removed`` [N, S] (satellites that have
-            died and left), the tables ``scenario`` (its draws) and ``memory`` (tensors that rewarders, communicators and users
-            declare), and the state of each type.
+        state: Everything that belongs to the present episodes: ``time_limit`` [N] s, ``removed`` [N, S] (satellites
+            that are not present, or have died and left), the tables ``scenario`` (its draws) and ``memory`` (tensors that
+            rewarders, communicators and users declare), and the state of each type.
         memory: The table ``memory`` of the state, [N, ...] each.
         scenario_state: The table ``scenario`` of the state, [N, ...] each.
         since: Ticks since reset at the start of the present step, [N].
+        varies: Whether some satellites are not present in some episodes; see :attr:`present`.
         env_ids: Index of each episode in draws, [N].
         beginnings: Functions that an environment calls with the episodes [n] that have begun.
         following: Which types of satellites follow which.
@@ -127,6 +140,7 @@ class Fleet:
         places: Mapping[str, tuple[int, int]] | None = None,
         pairs: EncounterPairs = NOBODY,
         as_bsk_rl: bool = False,
+        varies: bool = False,
     ) -> None:
         """Put simulations of the same environments together.
 
@@ -137,6 +151,7 @@ class Fleet:
             places: See the attribute; those of ``names`` unless given.
             pairs: Satellites whose distance ends steps, by their numbers among ``names``; their hubs record positions.
             as_bsk_rl: Whether conjunctions are booked with bsk_rl's errors.
+            varies: Whether some satellites are not present in some episodes.
         """
         self.simulators, self.names, self.draw_scenario = tuple(simulators), list(names), draw_scenario
         first = self.simulators[0]
@@ -158,8 +173,11 @@ class Fleet:
         self.memory, self.scenario_state = StateTable(self.num_envs, 1, self.device), first.scenario_state
         self.state.add("memory", self.memory)
         self.state.add("scenario", self.scenario_state)
+        self.varies = varies
         for k, simulator in enumerate(self.simulators):
             self.state.add(f"satellites_{k}", simulator.state)
+            if varies:
+                simulator.state.declare("present", True)
         self.encounters = Encounters(self, pairs, as_bsk_rl)
 
     def place_of(self, name: str) -> tuple[int, int]:
@@ -178,12 +196,21 @@ class Fleet:
     @property
     def ticks(self) -> Tensor:
         """Ticks since reset, [N]."""
+        if self.varies:  # the clocks of satellites that are not present stay at zero
+            return self.joined([simulator.state.ticks for simulator in self.simulators]).amax(1)
         return self.first_of_each(self.simulators[0].state.ticks, self.simulators[0].count)
 
     @property
     def sim_time(self) -> Tensor:
         """Time since reset, [N] s."""
+        if self.varies:
+            return self.joined([simulator.state.sim_time for simulator in self.simulators]).amax(1)
         return self.first_of_each(self.simulators[0].state.sim_time, self.simulators[0].count)
+
+    @property
+    def present(self) -> Tensor | None:
+        """Satellites that take part in their episodes from beginning to death or end, [N, S]; None where all do in all."""
+        return self.joined([simulator.state["present"] for simulator in self.simulators]) if self.varies else None
 
     def first_of_each(self, rows: Tensor, count: int) -> Tensor:
         """Return the values of the first satellite of each episode, [N], of rows [N * count]."""
@@ -267,6 +294,12 @@ class Fleet:
         self.state.time_limit = self.state.time_limit.index_copy(0, envs, time_limit)
         for name, value in drawn.scenario.items():
             self.scenario_state[name][envs] = value.to(self.device)
+        if drawn.present is not None:
+            present = drawn.present.to(self.device)
+            self.state.removed = self.state.removed.index_copy(0, envs, ~present)
+            for columns, simulator in zip(self.columns, self.simulators, strict=True):
+                state = simulator.state
+                state["present"] = state["present"].index_copy(0, state.rows_of(envs), present[:, columns].flatten())
         for k in self.following.order:
             self.simulators[k].reset(envs, drawn.values[k], durations[k], self.following.present(k))
 

@@ -56,6 +56,7 @@ class Runner(Protocol):
         nanoseconds: int,
         lockstep: int = 1,
         written: Tensor | None = None,
+        present: Tensor | None = None,
     ) -> Tensor:
         """Run each row for at most its number of ticks, or until it stops.
 
@@ -72,9 +73,10 @@ class Runner(Protocol):
             nanoseconds: Length of a tick.
             lockstep: Rows of an episode, which end together in the tick in which the first of them stops.
             written: Room for the fields that each tick records, [N, K, C].
+            present: Rows that run, [N]; all unless given.
 
         Returns:
-            Number of ticks that each row has run, [N].
+            Number of ticks that each row has run, [N]; of rows that are not present, that of their episode, or ``counts``.
         """
 
 
@@ -163,13 +165,15 @@ class TickLoop:
         ticks: Tensor,
         lockstep: int = 1,
         written: Tensor | None = None,
+        present: Tensor | None = None,
         **_: Any,
     ) -> Tensor:
         """See :class:`Runner`."""
-        flags, end, now = flags[:, mode], (ticks + counts).double(), ticks.double()
+        runs = counts if present is None else torch.where(present, counts, 0)
+        flags, end, now = flags[:, mode], (ticks + runs).double(), ticks.double()
         samples = *_of_rows([t.table for t in tracks], tracks), *_of_rows([t.start for t in tracks], tracks)
         planes = state
-        for k in range(int(counts.max())):
+        for k in range(int(runs.max())):
             if self.stops and k and k % CHECK_EVERY == 0 and not bool((now < end).any()):
                 break
             now = now + 1.0
@@ -177,9 +181,12 @@ class TickLoop:
             if written is not None:
                 written[:, k] = torch.where((now <= end).unsqueeze(1), planes[self.recorded].mT, written[:, k])
             if self.stops and lockstep > 1:
-                end = earliest(end, lockstep)
+                end = earliest(end, lockstep, present)
         state.copy_(planes)
-        return end.long() - ticks if self.stops else counts
+        if not self.stops:
+            return counts
+        ran = end.long() - ticks
+        return ran if present is None else earliest(torch.where(present, ran, counts), lockstep)
 
 
 def _of_rows(parts: Sequence[Tensor], tracks: Sequence[Samples]) -> list[Tensor]:
@@ -187,6 +194,8 @@ def _of_rows(parts: Sequence[Tensor], tracks: Sequence[Samples]) -> list[Tensor]
     return [part if track.owner is None else part[track.owner] for part, track in zip(parts, tracks, strict=True)]
 
 
-def earliest(end: Tensor, lockstep: int) -> Tensor:
-    """Return the first ``end`` [N] of each episode for all of its ``lockstep`` rows."""
-    return end.view(-1, lockstep).amin(1).repeat_interleave(lockstep)
+def earliest(end: Tensor, lockstep: int, present: Tensor | None = None) -> Tensor:
+    """Return the first ``end`` [N] of each episode for all of its ``lockstep`` rows; rows that are not present keep theirs."""
+    if present is None:
+        return end.view(-1, lockstep).amin(1).repeat_interleave(lockstep)
+    return torch.where(present, earliest(torch.where(present, end, torch.inf), lockstep), end)

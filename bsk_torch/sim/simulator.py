@@ -438,9 +438,27 @@ class Simulator:
         state.set_arguments(rows, values)
         et = values["utc_init"].expand(n).to(self.device)
         r_N, v_N = (x.expand(n, 3).to(self.device) for x in hub.initial_orbit(values))
-        self.lookahead.solve(rows, et, r_N, v_N, state.of_env(duration))
+        seconds = state.of_env(duration)
+        if self.present is None:
+            self.lookahead.solve(rows, et, r_N, v_N, seconds)
+        else:
+            self._look_ahead_of_present(self.present[rows], rows, et, r_N, v_N, seconds)
         self._first_tick(rows, followed)
         state.touch()
+
+    def _look_ahead_of_present(self, present: Tensor, rows: Tensor, *start: Tensor) -> None:
+        """Solve look-ahead of those of ``rows`` [n] that are ``present`` [n], from ``start``; see :meth:`LookAhead.solve`.
+
+        The others share that of the first one of their episode, so that their state is that of a satellite. Where none of this
+        type is present, the first satellite's is solved.
+        """
+        solved = present.view(-1, self.count).clone()
+        solved[:, 0] |= ~solved.any(1)
+        first = solved.long().argmax(1, keepdim=True)  # the first of the largest
+        source = rows.view(-1, self.count).gather(1, first).expand(-1, self.count).flatten()
+        there = solved.flatten()
+        self.lookahead.solve(rows[there], *(value[there] for value in start))
+        self.lookahead.repeat_rows(rows[~there], source[~there])
 
     def check_saved(self, saved: SatelliteState, path: str) -> None:
         """Check that arguments and parameters of a saved state are such as are drawn here; ``path`` is its place in the state.
@@ -644,6 +662,11 @@ class Simulator:
         return self.state.memory
 
     @property
+    def present(self) -> Tensor | None:
+        """Satellites that take part in their episodes, [N]; None where all do in all."""
+        return self.state["present"] if "present" in self.state.fields else None
+
+    @property
     def arcs(self) -> Arcs:
         """Arcs of the satellites, those that they fly on."""
         return self.lookahead.flight
@@ -698,6 +721,8 @@ class Simulator:
 
         An event that ends the run of one satellite ends that of all satellites of its environment, in the same tick. ``expected``
         [N] is the probable number of ticks, if events are expected. Arcs of runs that :meth:`rewind` may undo keep their past.
+        Satellites that are not present run no ticks, and their clocks stay at zero; the number returned for them is that of their
+        episode.
         A run writes the fields that components record to its ``trace``, and reads the traces ``followed`` of other satellites.
         """
         state = self.state
@@ -705,9 +730,9 @@ class Simulator:
             trace = self.trace(int(ticks.max()))
         if isinstance(self.runners.run, Kernel) and int(ticks.max()) > (most := ticks_at_once(state.rows)):
             if may_rewind:
-                self.lookahead.reach_in_flight(state.sim_time + ticks * state.h, state.sim_time)
+                self._reach(ticks)
             return self._run_in_pieces(ticks, most, trace, followed)
-        self.lookahead.reach_in_flight(state.sim_time + ticks * state.h, state.sim_time)
+        self._reach(ticks)
         flown = self.runners.run(
             state.planes,
             ticks,
@@ -721,10 +746,20 @@ class Simulator:
             nanoseconds=self.h_ns,
             lockstep=self.count,
             written=None if trace is None else trace.table[:, 1:],
+            present=self.present,
         )
-        state.ticks = state.ticks + flown
+        state.ticks = state.ticks + self._of_present(flown)
         state.touch()
         return flown
+
+    def _of_present(self, ticks: Tensor) -> Tensor:
+        """Return ``ticks`` [N], zero for satellites that are not present."""
+        return ticks if self.present is None else torch.where(self.present, ticks, 0)
+
+    def _reach(self, ticks: Tensor) -> None:
+        """Extend arcs as far as runs of ``ticks`` [N] go."""
+        state = self.state
+        self.lookahead.reach_in_flight(state.sim_time + self._of_present(ticks) * state.h, state.sim_time)
 
     def _run_in_pieces(self, ticks: Tensor, most: int, trace: Trace | None, followed: Mapping[str, Samples]) -> Tensor:
         """Run ``ticks`` [N], at most ``most`` at once: Python handles signals, such as Ctrl-C, between two calls of a kernel."""

@@ -246,6 +246,14 @@ class StateTable:
         else:
             self.__dict__[name] = mine.index_copy(0, rows, value[source])
 
+    def repeat_rows(self, rows: Tensor, source: Tensor) -> None:
+        """Copy the rows ``source`` [n] into ``rows`` [n], in this table and in those within, which have as many rows."""
+        for name in self.fields:
+            self._copy_field(name, rows, self.__dict__[name], source)
+        for table in self.tables.values():
+            table.repeat_rows(rows, source)
+        self.touch()
+
     def write_rows(self, name: str, rows: Tensor, new: Tensor) -> None:
         """Put ``new`` [n, W, ...] into ``rows`` [n] of a field that grows; the narrower one is filled up with ``initial``."""
         initial, old = self.fields[name].initial or 0.0, self.__dict__[name]

@@ -52,6 +52,8 @@ class FlownOrbits(NamedTuple):
         max_range: Range of their sensors, [N * count] m; no limit if it is not positive.
         max_speed: Bound of their speeds, [N * count] m/s.
         use_kernels: Whether kernels compute positions.
+        present: Those that take part in their episodes, [N * count]; None where all do. The arcs of the others do not cover the
+            ticks that are searched.
     """
 
     arcs: Arcs
@@ -59,6 +61,7 @@ class FlownOrbits(NamedTuple):
     max_range: Tensor
     max_speed: Tensor
     use_kernels: bool
+    present: Tensor | None = None
 
     def positions(self, rows: Tensor, time: Tensor) -> Tensor:
         """Return positions in N, [m, 3] m, of rows [m], which may repeat, at times [m] s since reset that the arcs cover."""
@@ -139,8 +142,9 @@ class LineOfSightSearch:
         max_range = self._by_satellite([part.max_range for part in types])
         self.max_range = torch.where(max_range > 0.0, max_range, torch.inf) if bool((max_range > 0.0).any()) else None
         self.speed = self._by_satellite([part.max_speed for part in types]) * (POLAR_STRETCH * (h_ns * NANO))
-        rows = torch.arange(len(first), device=first.device) * len(types[0].columns)
-        start, end = (pole_directions(types[0].arcs, rows, self._time(tick), h_ns) for tick in (first, last))
+        present = [part.present for part in types if part.present is not None]
+        self.present = self._by_satellite(present) if present else None
+        start, end = (self._poles(tick) for tick in (first, last))
         self.pole_start = Vec3.of(start)
         self.pole_rate = Vec3.of((end - start) / (last - first).clamp(min=1).unsqueeze(-1))
         self.block = PAIRS_PER_BLOCK if first.device.type == "cpu" else DEVICE_PAIRS_PER_BLOCK
@@ -151,6 +155,20 @@ class LineOfSightSearch:
         for part, values in zip(self.types, parts, strict=True):
             joined[:, part.columns] = values.reshape(len(self.first), -1)
         return joined
+
+    def _poles(self, tick: Tensor) -> Tensor:
+        """Return the Earth's axis in N, [N, 3], at ticks [N], by the ephemeris of the first satellite that is present."""
+        envs, found = torch.arange(len(tick), device=tick.device), None
+        for part in reversed(self.types if self.present is not None else self.types[:1]):
+            rows = envs * len(part.columns)
+            if part.present is None:
+                found = pole_directions(part.arcs, rows, self._time(tick), self.h_ns)
+                continue
+            there = part.present.view(len(tick), -1)
+            mine = pole_directions(part.arcs, rows + there.long().argmax(1), self._time(tick), self.h_ns)
+            found = mine if found is None else torch.where(there.any(1, keepdim=True), mine, found)
+        assert found is not None
+        return found
 
     def _time(self, tick: Tensor) -> Tensor:
         """Return the time after so many ticks, s since reset, float64."""
@@ -206,6 +224,9 @@ class LineOfSightSearch:
         found = (found | found.mT) & ~torch.eye(self.size, dtype=torch.bool, device=envs.device)
         speeds, length = torch.maximum(speed.unsqueeze(1), speed.unsqueeze(2)), (last - first).view(-1, 1, 1)
         possible = (length > 1) & (ends[0] + ends[1] > -speeds * length)
+        if self.present is not None:
+            both = self.present[envs].unsqueeze(1) & self.present[envs].unsqueeze(2)
+            found, possible = found & both, possible & both
         for part in torch.nonzero(((possible | possible.mT) & ~found).triu(1)).split(self.block):
             n, i, j = part.unbind(-1)
             margins = (torch.maximum(end[n, i, j], end[n, j, i]) for end in ends)
