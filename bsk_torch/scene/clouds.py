@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from torch import Tensor
@@ -55,6 +56,15 @@ class CloudyTargets(TargetScenario):
     def calls_user(self) -> bool:
         """See :attr:`Scenario.calls_user`."""
         return self.targets.calls_user or calls_user(self.cover, self.forecast_sigma)
+
+    @property
+    def varies_population(self) -> bool:
+        """See :attr:`Scenario.varies_population`."""
+        return self.targets.varies_population
+
+    def present(self, key: Key, names: Sequence[str]) -> Tensor:
+        """See :meth:`Scenario.present`."""
+        return self.targets.present(key, names)
 
     @property
     def target_names(self) -> list[str]:
