@@ -104,7 +104,7 @@ class BoundSatellite(Satellite):
 
     @property
     def removed(self) -> Tensor | None:
-        """Satellites that have left their episodes, [N], for which queries return nothing; None where none can leave."""
+        """Satellites that are absent or have left, [N], for which queries return nothing; None where there can be none."""
         return self.fleet.rows_of(self.type_index, self.fleet.state.removed) if self.fleet.size > 1 else None
 
     @property
