@@ -95,7 +95,7 @@ def entry(library: ctypes.CDLL, signature: str) -> Callable[..., None]:
     function.argtypes, function.restype = [types[code] for code in signature], None
 
     def call(*args: Tensor | int | None) -> None:
-        function(*(arg.data_ptr() if isinstance(arg, Tensor) else arg for arg in args))
+        function(*[arg.data_ptr() if isinstance(arg, Tensor) else arg for arg in args])
 
     return call
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import torch
@@ -171,7 +172,7 @@ class CommunicationMethod:
 class NoCommunication(CommunicationMethod):
     """Satellites never communicate."""
 
-    @property
+    @cached_property
     def is_silent(self) -> bool:
         """See :attr:`CommunicationMethod.is_silent`; False for subclasses that define one of the hooks."""
         return not any(overrides(self, NoCommunication, name) for name in ("communicate", "communication_pairs"))

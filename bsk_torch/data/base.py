@@ -170,11 +170,11 @@ class GlobalReward(metaclass=RewarderType):
 
     def is_terminated(self) -> Tensor:
         """Return the satellites whose episode the rewarder terminates, [N, S] bool."""
-        return torch.zeros(self.fleet.num_envs, self.fleet.size, dtype=torch.bool, device=self.fleet.device)
+        return torch.zeros(self.fleet.shape, dtype=torch.bool, device=self.fleet.device)
 
     def is_truncated(self) -> Tensor:
         """Return the satellites whose episode the rewarder truncates, [N, S] bool."""
-        return torch.zeros(self.fleet.num_envs, self.fleet.size, dtype=torch.bool, device=self.fleet.device)
+        return torch.zeros(self.fleet.shape, dtype=torch.bool, device=self.fleet.device)
 
 
 class NoReward(GlobalReward):
@@ -182,4 +182,4 @@ class NoReward(GlobalReward):
 
     def calculate_reward(self, before: Log, after: Log) -> Tensor:
         """See :meth:`GlobalReward.calculate_reward`."""
-        return torch.zeros(self.fleet.num_envs, self.fleet.size, dtype=torch.float64, device=self.fleet.device)
+        return torch.zeros(self.fleet.shape, dtype=torch.float64, device=self.fleet.device)

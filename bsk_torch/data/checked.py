@@ -28,7 +28,7 @@ def link(rewarder: GlobalReward, scenario: Scenario, fleet: SatelliteFleet) -> N
 
 def log(rewarder: GlobalReward) -> Log:
     """Return the present log; TypeError unless it is a dictionary of tensors [N, S, ...]."""
-    found, shape = rewarder.read_log(), _shape(rewarder)
+    found, shape = rewarder.read_log(), rewarder.fleet.shape
     if not isinstance(found, dict):
         raise TypeError(f"{type(rewarder).__name__}.read_log() returns {found!r}; it must return a dictionary of tensors")
     for name, value in found.items():
@@ -40,21 +40,24 @@ def log(rewarder: GlobalReward) -> Log:
 def reward(rewarder: GlobalReward, before: Log, after: Log) -> Tensor:
     """Return the reward of a step, [N, S]; TypeError for another shape, or for a dtype that is not floating-point."""
     found = rewarder.calculate_reward(before, after)
-    check_tensor(f"{type(rewarder).__name__}.calculate_reward()", found, _shape(rewarder), torch.float64, torch.float32)
+    if not (isinstance(found, Tensor) and found.shape == rewarder.fleet.shape and found.dtype == torch.float64):
+        check_tensor(f"{type(rewarder).__name__}.calculate_reward()", found, rewarder.fleet.shape, torch.float64, torch.float32)
     return found
 
 
 def terminated(rewarder: GlobalReward) -> Tensor:
     """Return the satellites whose episode the rewarder terminates, [N, S] bool; TypeError for another shape or dtype."""
     found = rewarder.is_terminated()
-    check_tensor(f"{type(rewarder).__name__}.is_terminated()", found, _shape(rewarder), torch.bool)
+    if not (isinstance(found, Tensor) and found.shape == rewarder.fleet.shape and found.dtype == torch.bool):
+        check_tensor(f"{type(rewarder).__name__}.is_terminated()", found, rewarder.fleet.shape, torch.bool)
     return found
 
 
 def truncated(rewarder: GlobalReward) -> Tensor:
     """Return the satellites whose episode the rewarder truncates, [N, S] bool; TypeError for another shape or dtype."""
     found = rewarder.is_truncated()
-    check_tensor(f"{type(rewarder).__name__}.is_truncated()", found, _shape(rewarder), torch.bool)
+    if not (isinstance(found, Tensor) and found.shape == rewarder.fleet.shape and found.dtype == torch.bool):
+        check_tensor(f"{type(rewarder).__name__}.is_truncated()", found, rewarder.fleet.shape, torch.bool)
     return found
 
 
@@ -71,13 +74,9 @@ def counts(rewarder: GlobalReward, taken: Collection[str] = ()) -> dict[str, Ten
         TypeError: For a counter of another shape or dtype.
         ValueError: For a counter whose name is already ``taken`` by the satellites.
     """
-    found, shape = rewarder.counts(), _shape(rewarder)
+    found, shape = rewarder.counts(), rewarder.fleet.shape
     for name, value in found.items():
         check_tensor(f"{type(rewarder).__name__}.counts()[{name!r}]", value, shape, torch.int64)
         if name in taken:
             raise ValueError(f"{type(rewarder).__name__}.counts() has {name!r}, which the satellites count, too; rename it")
     return found
-
-
-def _shape(rewarder: GlobalReward) -> tuple[int, int]:
-    return rewarder.fleet.num_envs, rewarder.fleet.size

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
@@ -81,7 +82,7 @@ class SatelliteTasking(Tasking):
 
     # -- the first and only group of satellites -----------------------------------------------------------------------
 
-    @property
+    @functools.cached_property
     def satellite(self) -> SatelliteGroup:
         """The satellites of all environments."""
         return self.satellites[0]

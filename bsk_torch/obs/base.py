@@ -16,6 +16,7 @@ from bsk_torch.sim.hooks import check_class, check_tensor, defined_first
 
 if TYPE_CHECKING:
     from bsk_torch.sats.bound import BoundSatellite
+    from bsk_torch.sim.simulator import Simulator
 
 HOOKS = ("link_satellite", "observables", "get_obs", "get_vector")
 """Members of :class:`Observation` that subclasses may define."""
@@ -57,9 +58,11 @@ class Observation:
         name: Name of the entry in the observation.
         unique_name: The same with a number where several entries of the satellite have it, as in ``target_2``.
         satellite: The satellites, once an environment has been built.
+        simulator: Their simulation.
     """
 
     satellite: BoundSatellite
+    simulator: Simulator
     unique_name: str
 
     def __init__(self, name: str) -> None:
@@ -82,12 +85,7 @@ class Observation:
         Overriding methods call ``super().link_satellite(satellite)`` first, and raise ValueError for a satellite that cannot be
         observed in this way.
         """
-        self.satellite = satellite
-
-    @property
-    def simulator(self) -> Any:
-        """Simulation of the satellites."""
-        return self.satellite.simulator
+        self.satellite, self.simulator = satellite, satellite.simulator
 
     @property
     def functions(self) -> list[UserFunction]:
@@ -114,7 +112,14 @@ class Observation:
 
         A class may define a faster way beside its ``get_obs``; a subclass that overrides only ``get_obs`` gets this one again.
         """
-        return torch.cat([value for _, value in flatten({self.name: self.get_obs()}, len(self.simulator.ticks))], -1)
+        return side_by_side(self.name, self.get_obs(), self.simulator.state.rows)
+
+
+def side_by_side(name: str, value: Tensor | Values, count: int) -> Tensor:
+    """Return the observation ``name`` of ``count`` satellites as a vector [N, width]; TypeError as from :func:`flatten`."""
+    if isinstance(value, Tensor) and value.ndim and value.shape[0] == count:
+        return value.unsqueeze(-1) if value.ndim == 1 else value.flatten(1)
+    return torch.cat([leaf for _, leaf in flatten({name: value}, count)], -1)
 
 
 def flatten(values: Values, count: int | None = None, prefix: str = "") -> Iterator[tuple[str, Tensor]]:
@@ -182,7 +187,8 @@ class Reader:
 
         def one(row: int) -> Any:
             view = copy.copy(entry)
-            view.satellite = satellite.one(row)  # type: ignore[assignment]  # answers as one satellite
+            view.satellite = seen = satellite.one(row)  # type: ignore[assignment]  # answers as one satellite
+            view.simulator = seen.simulator  # type: ignore[assignment]
             return view.get_obs()
 
         return self._function((len(satellite.simulator.ticks),), satellite.simulator.device, entry.get_obs, one)
@@ -202,7 +208,7 @@ class Reader:
         return vector
 
     def _flat(self) -> Tensor:
-        return torch.cat([value for _, value in flatten({self.entry.name: self.values()}, len(self.entry.simulator.ticks))], -1)
+        return side_by_side(self.entry.name, self.values(), self.entry.simulator.state.rows)
 
 
 class ObservationBuilder:

@@ -66,9 +66,9 @@ def divides(norm: Norm) -> bool:
 
 def scaled(value: Tensor, norm: Norm) -> Tensor:
     """Return the value divided by its norm."""
-    if not divides(norm):
-        return value
-    return value / (norm.to(value.device) if isinstance(norm, Tensor) else norm)
+    if isinstance(norm, Tensor):
+        return value / norm.to(value.device)
+    return value if norm == 1.0 else value / norm
 
 
 def is_own(function: Callable[..., Any]) -> bool:

@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import torch
 from torch import Tensor
 
 from bsk_torch._checks import number, switch
-from bsk_torch.obs.base import ADVICE, Observation, Values
+from bsk_torch.obs.base import ADVICE, Observation, Values, side_by_side
 from bsk_torch.obs.entries import is_own, parse_entries, parse_norm, scaled
 from bsk_torch.sats.one import is_ours
 from bsk_torch.sats.user_function import UserFunction
 from bsk_torch.sim.composition import having
 from bsk_torch.sim.params import nearest
-from bsk_torch.sim.readout.observables import observable
+from bsk_torch.sim.readout.observables import observable, vital
 
 if TYPE_CHECKING:
     from bsk_torch.sats.bound import BoundSatellite
@@ -43,6 +45,7 @@ class SatProperties(Observation):
         super().link_satellite(satellite)
         self.modules = [None if "fn" in entry else self._module(entry) for entry in self.entries]
         self._functions = [self._function(entry, module) for entry, module in zip(self.entries, self.modules, strict=True)]
+        self._reads = [self._read(*each) for each in zip(self.entries, self.modules, self._functions, strict=True)]
 
     @property
     def functions(self) -> list[UserFunction]:
@@ -78,16 +81,25 @@ class SatProperties(Observation):
         advice = f"{' or '.join(models)} has it" if models else nearest(entry["prop"], known)
         raise ValueError(f"prop={entry['prop']!r} is not a property of {self.satellite.name}; {advice}")
 
+    def _read(self, entry: dict[str, Any], module: Any, function: UserFunction | None) -> Callable[[], Any]:
+        """Return what reads an entry: the column of an observable, a property, or a function, of the user or of the package."""
+        if function is not None:
+            return partial(self._call, entry, module, function)
+        if module is None:
+            return partial(entry["fn"], self.satellite)
+        known = getattr(type(module), entry["prop"])
+        if isinstance(known, observable) and not isinstance(known, vital):
+            return partial(self.simulator.observer.read, known.function)
+        return partial(getattr, module, entry["prop"])
+
     def get_obs(self) -> Values:
         """See :meth:`Observation.get_obs`."""
-        values = {}
-        for entry, module, function in zip(self.entries, self.modules, self._functions, strict=True):
-            if function is not None:
-                value = self._call(entry, module, function)
-            else:
-                value = entry["fn"](self.satellite) if module is None else getattr(module, entry["prop"])
-            values[entry["name"]] = scaled(value, entry["norm"])
-        return values
+        return {entry["name"]: scaled(read(), entry["norm"]) for entry, read in zip(self.entries, self._reads, strict=True)}
+
+    def get_vector(self) -> Tensor:
+        """See :meth:`Observation.get_vector`."""
+        rows, values = self.simulator.state.rows, self.get_obs()
+        return torch.cat([side_by_side(f"{self.name}.{name}", value, rows) for name, value in values.items()], -1)
 
     def _call(self, entry: dict[str, Any], module: Any, function: UserFunction) -> Tensor:
         """Call a user's function or property."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 from torch import Tensor
@@ -22,6 +23,11 @@ class SatelliteFleet(Fleet):
     """
 
     satellites: tuple[BoundSatellite, ...] = ()
+
+    @cached_property
+    def shape(self) -> tuple[int, int]:
+        """Number of episodes N and of satellites S, of tables [N, S]."""
+        return self.num_envs, self.size
 
     def found(self, name: str) -> tuple[BoundSatellite, int]:
         """Return the satellites of the type of a named one, and the number of that one within the type.

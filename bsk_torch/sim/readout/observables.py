@@ -156,12 +156,12 @@ class Observer:
 
     def _forget_the_past(self) -> None:
         """Drop the values that were read before the state changed."""
-        if self._version != self.state.version:
-            self._values, self._now, self._version = {}, None, self.state.version
+        self._values, self._now, self._version = {}, None, self.state.version
 
     def read(self, function: Function) -> Tensor:
         """Return an observable, [N] or [N, 3] float64."""
-        self._forget_the_past()
+        if self._version != self.state.version:
+            self._forget_the_past()
         if function not in self._values:
             if self.kernels and function in self.wanted:
                 self._values.update(self._compute())
@@ -172,7 +172,8 @@ class Observer:
     @property
     def now(self) -> Now:
         """The present on tensors."""
-        self._forget_the_past()
+        if self._version != self.state.version:
+            self._forget_the_past()
         if self._now is None:
             self._now = now_on_tensors(self.state, self.arcs)
         return self._now
