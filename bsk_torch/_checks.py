@@ -26,7 +26,7 @@ def interval(low: float, high: float, unit: str = "", above: bool = False, finit
 
 def number(
     title: str,
-    value: Any,
+    value: object,
     low: float = -math.inf,
     high: float = math.inf,
     *,
@@ -57,7 +57,7 @@ def number(
     return found
 
 
-def _real(value: Any) -> float | None:
+def _real(value: object) -> float | None:
     if isinstance(value, bool | np.bool_):
         return None
     if not isinstance(value, Real):
@@ -71,7 +71,7 @@ def _real(value: Any) -> float | None:
         return math.inf if value > 0 else -math.inf  # type: ignore[operator]
 
 
-def whole(title: str, value: Any, low: int, high: int | None = None) -> int:
+def whole(title: str, value: object, low: int, high: int | None = None) -> int:
     """Return a whole number of the user from ``low`` to ``high`` as an int; ValueError for anything else, floats included."""
     found = int(value) if isinstance(value, Integral) and not isinstance(value, bool | np.bool_) else None
     if found is None or found < low or (high is not None and found > high):
@@ -80,21 +80,21 @@ def whole(title: str, value: Any, low: int, high: int | None = None) -> int:
     return found
 
 
-def switch(title: str, value: Any) -> bool:
+def switch(title: str, value: object) -> bool:
     """Return a switch of the user; ValueError for anything but True and False (or 1 and 0)."""
     if isinstance(value, bool | np.bool_) or (isinstance(value, Integral) and value in (0, 1)):
         return bool(value)
     raise ValueError(f"{title}={value!r} must be True or False")
 
 
-def text(title: str, value: Any) -> str:
+def text(title: str, value: object) -> str:
     """Return a text of the user; ValueError for anything but a string that is not empty."""
     if isinstance(value, str) and value:
         return value
     raise ValueError(f"{title}={value!r} must be a string that is not empty")
 
 
-def function(title: str, value: Any, what: str) -> Callable[..., Any]:
+def function(title: str, value: object, what: str) -> Callable[..., Any]:
     """Return a function of the user; ValueError for what is none; ``what`` says of what it is a function."""
     if callable(value) and not isinstance(value, type):
         return value

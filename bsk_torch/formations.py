@@ -71,7 +71,7 @@ class Formation:
     Subclasses define :meth:`draw`. Formations keep no values of episodes: all that they return follows from the key.
     """
 
-    def __init_subclass__(cls, **options: Any) -> None:
+    def __init_subclass__(cls, **options: object) -> None:
         """Refuse definitions that no environment would use; TypeError says what to write instead."""
         super().__init_subclass__(**options)
         check_class(cls, Formation, ("check", "draw"), UNUSED)
@@ -247,7 +247,7 @@ def walker_star_args(
     )
 
 
-def _check_counts(**counts: Any) -> None:
+def _check_counts(**counts: object) -> None:
     for name, value in counts.items():
         if not isinstance(value, int) or isinstance(value, bool) or not 1 <= value <= MOST_SATELLITES:
             raise ValueError(f"{name}={value!r} must be a positive integer, up to {MOST_SATELLITES}")
@@ -283,7 +283,7 @@ def _pattern(
     return _walker(counts, angles[0], altitude, inc, angles[1], nodes)
 
 
-def _checked_angles(rel_phasing: Any, clusterspacing: Any) -> tuple[float, float]:
+def _checked_angles(rel_phasing: object, clusterspacing: object) -> tuple[float, float]:
     return (
         number("rel_phasing", rel_phasing, -MOST_TURNS, MOST_TURNS),
         number("clusterspacing", clusterspacing, -MOST_TURNS, MOST_TURNS, unit="degrees"),
@@ -321,7 +321,7 @@ def _turned(angle: Tensor, key: Key) -> Tensor:
     return torch.remainder(angle + 2.0 * math.pi * key.uniform(1), 2.0 * math.pi)
 
 
-def _arguments(title: str, args: Sequence[Arg], given: Mapping[str, Any]) -> Arguments:
+def _arguments(title: str, args: Sequence[Arg], given: Mapping[str, object]) -> Arguments:
     return Arguments([Component(slot="formation", args=tuple(args))], given, title)
 
 
@@ -446,7 +446,7 @@ class _Train(Formation):
 
 
 def relative_to_chief(
-    chief_name: str, chief_orbit: Any, deputy_relative_state: Mapping[str, Any], mu: float = MU_EARTH
+    chief_name: str, chief_orbit: object, deputy_relative_state: Mapping[str, object], mu: float = MU_EARTH
 ) -> Formation:
     """Return the formation of deputies about a chief; satellites that are not named keep their own ``sat_args``.
 

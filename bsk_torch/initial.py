@@ -69,7 +69,7 @@ class HillSpin(Distribution):
         return torch.tensor(self.hill_rate, dtype=torch.float64) + rate * axis
 
 
-def hill_frame_attitude(r_N: Any, v_N: Any, spin_config: Mapping[str, Any] | None = None) -> tuple[Any, Any]:
+def hill_frame_attitude(r_N: object, v_N: object, spin_config: Mapping[str, object] | None = None) -> tuple[Any, Any]:
     """Return attitude sigma_BN and rate omega_BN_B, rad/s, of a body that is aligned with the Hill frame and spins.
 
     Both are [..., 3], arrays or tensors as given. With a random rate or axis the rate is a distribution, and there is one orbit.
@@ -99,7 +99,7 @@ def hill_frame_attitude(r_N: Any, v_N: Any, spin_config: Mapping[str, Any] | Non
     return like(sigma, r_N, v_N), HillSpin(tuple(hill_rate.tolist()), low, high, unit)
 
 
-def _checked(given: Mapping[str, Any]) -> dict[str, Any]:
+def _checked(given: Mapping[str, object]) -> dict[str, Any]:
     """Return the settings of a spin; ValueError for wrong ones."""
     known = ("type", "rate", "low", "high", "axis")
     for name in given:
@@ -113,7 +113,7 @@ def _checked(given: Mapping[str, Any]) -> dict[str, Any]:
     return spin
 
 
-def _axis(axis: Any, HN: Tensor, v_N: Any) -> Tensor | None:
+def _axis(axis: object, HN: Tensor, v_N: object) -> Tensor | None:
     """Return the unit vector of a spin axis in the Hill frame, [..., 3]; None for a random one."""
     if isinstance(axis, str):
         if axis == "random":
@@ -134,7 +134,7 @@ class WheelTriad(Sequence[Any]):
     The first two entries are objects of Basilisk that bsk_torch does not have: reading them raises TypeError.
     """
 
-    def __init__(self, speeds: Any) -> None:
+    def __init__(self, speeds: object) -> None:
         """Keep the speeds: a distribution or numbers."""
         self.speeds = speeds
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple, cast
+from typing import TYPE_CHECKING, NamedTuple, cast
 
 import torch
 from torch import Tensor
@@ -12,6 +12,7 @@ from bsk_torch._checks import number, text
 from bsk_torch.sim.hooks import check_class, check_tensor, defined_first, overrides
 
 if TYPE_CHECKING:
+    from bsk_torch.act.continuous import ContinuousAction
     from bsk_torch.sats.bound import BoundSatellite
     from bsk_torch.sim.fsw.models import FSWModel
     from bsk_torch.sim.state import StateTable
@@ -52,7 +53,7 @@ LONGEST = 1e9
 """Duration of an action that only another event ends, s; longer ones are this long."""
 
 
-def positive_duration(title: str, duration: Any, name: str, default: float) -> float:
+def positive_duration(title: str, duration: object, name: str, default: float) -> float:
     """Return the duration of the action ``name``, s, at most the ``default``, which None means.
 
     Raises:
@@ -137,7 +138,7 @@ class Action:
         """Name the entry; ValueError for a name that is no string."""
         self.name = text("name", name)
 
-    def __init_subclass__(cls, **options: Any) -> None:
+    def __init_subclass__(cls, **options: object) -> None:
         """Refuse definitions that no environment would use; TypeError says what to write instead."""
         super().__init_subclass__(**options)
         if "table" in vars(cls) and "decide" in vars(cls):
@@ -385,7 +386,7 @@ def _merged(mask: Tensor, new: Decision, old: Decision) -> Decision:
     return Decision(*(torch.where(mask, mine, other) for mine, other in pairs))
 
 
-def link_entry(entry: Any, satellite: BoundSatellite) -> None:
+def link_entry(entry: Action | ContinuousAction, satellite: BoundSatellite) -> None:
     """Link an entry of an ``action_spec``; TypeError for one that was not linked."""
     entry.link_satellite(satellite)
     if getattr(entry, "satellite", None) is not satellite:

@@ -93,7 +93,7 @@ class ContinuousBuilder:
         values = ", ".join(f"{name} {value:.6g}" for name, value in pairs)
         return f"{self.choices[int(action[-1])]}, {values}" if self.is_hybrid else values
 
-    def entry_of(self, action: Any) -> int:
+    def entry_of(self, action: object) -> int:
         """Return the number of the entry, of which there is one."""
         return 0
 
@@ -183,7 +183,7 @@ def _bounds(entry: ContinuousAction) -> tuple[Tensor, Tensor]:
     return low, high
 
 
-def _names(entry: Any, hook: str, count: int | None = None) -> list[str]:
+def _names(entry: object, hook: str, count: int | None = None) -> list[str]:
     """Return the names that a hook of an entry gives; ValueError unless they are ``count`` strings, one at least."""
     names = getattr(entry, hook)()
     wrong = isinstance(names, str) or not all(isinstance(name, str) for name in names) or not names

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
@@ -55,14 +55,14 @@ class ContinuousAction:
     """
 
     satellite: BoundSatellite
-    given_dtype: Any = torch.float64
+    given_dtype: torch.dtype = torch.float64
     fsw_type: type[FSWModel] | None = None
 
     def __init__(self, name: str) -> None:
         """Name the entry; ValueError for a name that is no string."""
         self.name = text("name", name)
 
-    def __init_subclass__(cls, **options: Any) -> None:
+    def __init_subclass__(cls, **options: object) -> None:
         """Refuse definitions that no environment would use; TypeError says what to write instead."""
         super().__init_subclass__(**options)
         check_class(cls, ContinuousAction, [hook for hook in HOOKS if hook in vars(ContinuousAction)], UNUSED)
@@ -127,7 +127,7 @@ class HybridAction(ContinuousAction):
     In :meth:`decide`, the last of the A + 1 columns of ``action`` is the number of the choice.
     """
 
-    def __init_subclass__(cls, **options: Any) -> None:
+    def __init_subclass__(cls, **options: object) -> None:
         """Refuse definitions that no environment would use; TypeError says what to write instead."""
         super().__init_subclass__(**options)
         check_class(cls, HybridAction, HOOKS, UNUSED)
@@ -142,7 +142,7 @@ class HybridAction(ContinuousAction):
         return torch.ones(len(ticks), len(self.choices()), dtype=torch.bool, device=ticks.device)
 
 
-def is_continuous(entry: Any) -> bool:
+def is_continuous(entry: object) -> bool:
     """Return whether an entry of an ``action_spec`` has real numbers; ValueError for what is no entry."""
     if not isinstance(entry, Action | ContinuousAction):
         raise ValueError(f"action_spec holds {entry!r}, which is no action; write act.Charge(), with parentheses")

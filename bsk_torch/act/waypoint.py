@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import torch
 from torch import Tensor
@@ -74,7 +74,7 @@ class HillWaypoint(Action):
     def __init__(
         self,
         chief_name: str,
-        waypoints: Any = 32,
+        waypoints: object = 32,
         durations: Sequence[float] = (600.0, 1200.0, 2000.0),
         *,
         distance: float = 60.0,
@@ -121,7 +121,7 @@ class HillWaypoint(Action):
         self._order = self._replacement_order()
         self._options: Options | None = None
 
-    def _positions(self, title: str, waypoints: Any) -> Tensor:
+    def _positions(self, title: str, waypoints: object) -> Tensor:
         if isinstance(waypoints, int) and not isinstance(waypoints, bool):
             if waypoints < 1:
                 raise ValueError(f"{title}waypoints={waypoints} must be at least 1")

@@ -88,7 +88,7 @@ class Certificate:
         }
 
 
-def certify(task: Task, entrant: Entrant, episodes: int, **options: Any) -> Certificate | None:
+def certify(task: Task, entrant: Entrant, episodes: int, **options: object) -> Certificate | None:
     """Fly the first ``episodes`` of a task with the policy that ``entrant`` enters here and on Basilisk; None where it has none.
 
     Both fly by the rules of bsk_rl, ``compat="bsk_rl"``. On Basilisk the policy decides anew by what is observed there. The
@@ -191,7 +191,7 @@ def decides_by_sight(policy: Policy) -> bool:
     return bool(first) and first <= SEEN and not any(key != "next" and key[0] == "next" for key in writes)
 
 
-def sighted(policy: Policy, env: SatelliteTasking, form: Callable[[Tensor], Any]) -> Pilot:
+def sighted(policy: Policy, env: SatelliteTasking, form: Callable[[Tensor], object]) -> Pilot:
     """The decisions of a policy, which is shown a batch of its own size: the same observation in every row."""
     n, device, dtype = env.batch_size[0], env.device, env.dtype
 

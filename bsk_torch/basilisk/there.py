@@ -76,7 +76,7 @@ def bits(arguments: dict[str, Any]) -> dict[str, Any]:
     return arguments | ({"storageInit": int(arguments["storageInit"])} if "storageInit" in arguments else {})
 
 
-def environment(problem: Problem, start: Start, satellite: Any, scenario: Any, rewarder: Any) -> SatelliteTasking:
+def environment(problem: Problem, start: Start, satellite: object, scenario: object, rewarder: object) -> SatelliteTasking:
     """The environment with every initial condition pinned; ValueError where bsk_rl would still draw one."""
     env = SatelliteTasking(
         satellite=satellite,
@@ -208,7 +208,7 @@ def causes(problem: Problem, satellite: Any) -> tuple[str, ...]:
     return tuple(failed) or ("unknown",)
 
 
-def seen_by(problem: Problem, satellite: Any, observation: Array) -> TensorDict:
+def seen_by(problem: Problem, satellite: object, observation: Array) -> TensorDict:
     """Return the observation and the action mask of the policy."""
     n = len(problem.actions)
     mask = torch.as_tensor(shield(satellite, n) if problem.shielded else np.ones(n, dtype=bool)).unsqueeze(0)

@@ -151,7 +151,7 @@ def views_of(policy: NamedPolicy) -> dict[str, Any]:
     return {name: value for name, value in policy.card.get("options", {}).items() if name != "time_limit"}
 
 
-def rule(name: str, views: Mapping[str, Any], make: Callable[..., Tasking]) -> tuple[Tasking, Policy] | None:
+def rule(name: str, views: Mapping[str, object], make: Callable[..., Tasking]) -> tuple[Tasking, Policy] | None:
     """Enter a baseline; None where the preset has no such view, or the baseline is for other observations or actions."""
     try:
         env = make(**views)
@@ -191,7 +191,7 @@ def imported(module: str, function: str) -> Callable[..., tuple[Tasking, Policy]
     return found
 
 
-def told(score: Score, reference: Mapping[str, Any] | None) -> dict[str, Any]:
+def told(score: Score, reference: Mapping[str, object] | None) -> dict[str, Any]:
     """Return what a file says about a score; the score proper where the suite has a reference for the task."""
     evaluation = score.evaluation
     rated = {} if reference is None else {"score": asdict(normalised(evaluation, reference))}
@@ -215,7 +215,7 @@ def earlier(files: Iterable[Path], suite: str) -> dict[str, dict[str, Any]]:
     return results
 
 
-def document(suite: str, episodes: int, results: Mapping[str, Any]) -> dict[str, Any]:
+def document(suite: str, episodes: int, results: Mapping[str, object]) -> dict[str, Any]:
     """Return the content of the JSON file."""
     return {
         "format": FORMAT,

@@ -27,6 +27,6 @@ def record(policy: TensorDictModuleBase, env: Tasking, seed: int) -> Any:
     return extra(EPISODES).record(policy, env, seed=seed)
 
 
-def draw_episode(episode: Any, folder: Path, title: str) -> Path:
+def draw_episode(episode: object, folder: Path, title: str) -> Path:
     """Draw a recorded episode into ``folder``: satellites on a map, about an RSO, above targets, or modes over time."""
     return extra(EPISODES).draw(episode, folder / FILES[type(episode).__name__], title)

@@ -44,7 +44,7 @@ class NamedPlanner:
         """Name in results."""
         return self.name
 
-    def environment(self, num_envs: int, options: Mapping[str, Any]) -> Tasking:
+    def environment(self, num_envs: int, options: Mapping[str, object]) -> Tasking:
         """Return environments as :meth:`NamedPolicy.environment` does."""
         return (self.base or NamedPolicy("random", self.preset)).environment(num_envs, options)
 

@@ -43,7 +43,7 @@ class NamedPolicy:
         """Name in results."""
         return self.name if self.name in (*BASELINES, PRETRAINED) else TRAINED
 
-    def environment(self, num_envs: int, options: Mapping[str, Any]) -> Tasking:
+    def environment(self, num_envs: int, options: Mapping[str, object]) -> Tasking:
         """Return environments that play the episodes of seeds, made as for the policy; ends the program if that fails."""
         trained = self.card.get("options", {})
         why = (

@@ -193,5 +193,5 @@ def _changes(config: PPOConfig) -> Iterator[str]:
             yield f"options.{name}={_said(value)}"
 
 
-def _said(value: Any) -> str:
+def _said(value: object) -> str:
     return value if isinstance(value, str) else json.dumps(value, separators=(",", ":"))

@@ -34,7 +34,7 @@ def environment_options(backend: str, device: str, time_limit: float | None) -> 
     return {"backend": backend, "device": device} | ({} if time_limit is None else {"time_limit": time_limit})
 
 
-def made(preset: str, num_envs: int, options: Mapping[str, Any], why: str = "") -> Tasking:
+def made(preset: str, num_envs: int, options: Mapping[str, object], why: str = "") -> Tasking:
     """Return an environment of a preset; ends the program if its arguments are refused. ``why`` introduces unknown ones."""
     try:
         return make(preset, num_envs=num_envs, **options)
@@ -46,7 +46,7 @@ def made(preset: str, num_envs: int, options: Mapping[str, Any], why: str = "") 
         fail(str(error))
 
 
-def environment(preset: str, num_envs: int, options: Mapping[str, Any], why: str = "") -> Tasking:
+def environment(preset: str, num_envs: int, options: Mapping[str, object], why: str = "") -> Tasking:
     """Return an environment in which policies are trained and evaluated; ends the program for agents of many satellites."""
     env = made(preset, num_envs, options, why)
     try:

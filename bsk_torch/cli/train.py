@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import torch
 import typer
@@ -148,7 +148,7 @@ def _check_resumable(folder: Path, config: PPOConfig) -> None:
         fail(str(error))
 
 
-def _configured(preset: str, algorithm: str | None, network: str | None, changes: list[str], **settings: Any) -> PPOConfig:
+def _configured(preset: str, algorithm: str | None, network: str | None, changes: list[str], **settings: object) -> PPOConfig:
     try:
         return override(configure_run(preset, algorithm, network, **settings), changes)
     except ValueError as error:

@@ -15,6 +15,7 @@ from bsk_torch.sim.state import FINITE
 
 if TYPE_CHECKING:
     from bsk_torch.sats.fleet import SatelliteFleet
+    from bsk_torch.sats.one import OneSatellite
 
 LAST = "last_communication"
 """Name under which an episode remembers the time of its last communication, s since reset."""
@@ -57,14 +58,14 @@ class CommunicationMethod:
 
     fleet: SatelliteFleet
     due: Tensor
-    one_environment: list[Any] | None = None
+    one_environment: list[OneSatellite] | None = None
     """Satellites of the environment for which pairs are listed."""
 
     def __init__(self, min_period: float = 0.0) -> None:
         """Communicate at most every ``min_period`` seconds; ValueError if it is negative."""
         self.min_period = number("min_period", min_period, 0.0, unit="s", finite=False)
 
-    def __init_subclass__(cls, **options: Any) -> None:
+    def __init_subclass__(cls, **options: object) -> None:
         """Refuse definitions that no environment would use; TypeError says what to write instead."""
         super().__init_subclass__(**options)
         check_class(cls, CommunicationMethod, HOOKS, UNUSED)
@@ -96,7 +97,7 @@ class CommunicationMethod:
         raise NotImplementedError(f"{type(self).__name__} must implement communication_pairs()")
 
     @property
-    def satellites(self) -> list[Any]:
+    def satellites(self) -> list[OneSatellite]:
         """Satellites of one environment, for a ``communication_pairs()`` in bsk_rl's form, which lists (sender, receiver) pairs.
 
         A method that asks for them is called for each environment, which is slow.

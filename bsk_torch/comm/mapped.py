@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
@@ -13,6 +13,7 @@ from bsk_torch.sim.hooks import note_slow
 if TYPE_CHECKING:
     from bsk_torch.comm.base import CommunicationMethod
     from bsk_torch.sats.fleet import SatelliteFleet
+    from bsk_torch.sats.one import OneSatellite
 
 ADVICE = "return torch.bool [N, S, S] by episode, sender and receiver, from what fleet.each(function) reads of all satellites"
 
@@ -21,13 +22,13 @@ class OneEnvironmentNeededError(Exception):
     """Raised when a method asks for the satellites of one environment."""
 
 
-def satellites_of(fleet: SatelliteFleet, env: int) -> list[Any]:
+def satellites_of(fleet: SatelliteFleet, env: int) -> list[OneSatellite]:
     """Return the satellites of an environment, by their number."""
-    found: list[Any] = [None] * fleet.size
+    found: dict[int, OneSatellite] = {}
     for part, columns in zip(fleet.satellites, fleet.columns, strict=True):
         for number, column in enumerate(columns.tolist()):
             found[column] = part.one(env * len(columns) + number)
-    return found
+    return [found[column] for column in range(fleet.size)]
 
 
 def listed_pairs(method: CommunicationMethod) -> Tensor:

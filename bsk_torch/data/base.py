@@ -64,7 +64,7 @@ def is_single_form(body: Mapping[str, Any]) -> bool:
     )
 
 
-def takes(function: Callable[..., Any], count: int) -> bool:
+def takes(function: Callable[..., object], count: int) -> bool:
     """Return whether a method can be called with ``count`` arguments beside ``self``."""
     try:
         inspect.signature(function).bind(*[None] * (count + 1))
@@ -76,7 +76,7 @@ def takes(function: Callable[..., Any], count: int) -> bool:
 class RewarderType(ABCMeta):
     """Class of rewarders. Those whose body is in bsk_rl's form derive from bases of that form, which run per environment."""
 
-    def __new__(cls, name: str, bases: tuple[type, ...], body: dict[str, Any], **options: Any) -> RewarderType:
+    def __new__(cls, name: str, bases: tuple[type, ...], body: dict[str, Any], **options: object) -> RewarderType:
         """Make a class; TypeError for one in bsk_rl's form whose base has no counterpart there."""
         if is_single_form(body):
             bases = tuple(cls._single(name, base) for base in bases)
@@ -110,13 +110,13 @@ class GlobalReward(metaclass=RewarderType):
     """
 
     single: ClassVar[type | None] = None
-    scenario: Any
+    scenario: Scenario
     fleet: SatelliteFleet
 
     total_name: str
     """Field of the state with :attr:`cum_reward`; see :mod:`bsk_torch.data.totals`."""
 
-    def __init_subclass__(cls, **options: Any) -> None:
+    def __init_subclass__(cls, **options: object) -> None:
         """Refuse definitions that no environment would use; TypeError says what to write instead."""
         super().__init_subclass__(**options)
         check_class(cls, GlobalReward, HOOKS, UNUSED)

@@ -14,6 +14,7 @@ from bsk_torch.data.images import UniqueImageReward, identity
 if TYPE_CHECKING:
     from bsk_torch.sats.fleet import SatelliteFleet
     from bsk_torch.scene.base import Scenario
+    from bsk_torch.scene.clouds import CloudyTargets
 
 
 class CloudFreeImageReward(UniqueImageReward):
@@ -22,6 +23,8 @@ class CloudFreeImageReward(UniqueImageReward):
     The true cover is not observable before the image; the target is hidden afterwards in either case. The counter ``covered``
     [N, S] is the number of images that show clouds.
     """
+
+    scenario: CloudyTargets
 
     def __init__(self, threshold: float = 0.7, reward_fn: Callable[[Tensor], Tensor] = identity) -> None:
         """Pay for images of clear targets.

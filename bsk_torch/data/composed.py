@@ -55,7 +55,7 @@ class ComposedReward(GlobalReward):
             raise AttributeError(f"several rewarders have {name!r}; read it from one of them, as in rewarders[0].{name}")
         return found[0]
 
-    def __setattr__(self, name: str, value: Any) -> None:
+    def __setattr__(self, name: str, value: object) -> None:
         """Set an attribute of the sum; AttributeError for one of a part, which would not change."""
         parts = self.__dict__.get("rewarders", ())
         of_part = any(name in vars(part) or isinstance(getattr(type(part), name, None), property) for part in parts)

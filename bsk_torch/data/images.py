@@ -16,6 +16,7 @@ from bsk_torch.sim.hooks import check_class, check_tensor
 if TYPE_CHECKING:
     from bsk_torch.sats.fleet import SatelliteFleet
     from bsk_torch.scene.base import Scenario
+    from bsk_torch.scene.targets import TargetScenario
 
 
 class ImageReward(GlobalReward):
@@ -25,7 +26,9 @@ class ImageReward(GlobalReward):
     image shows the target that was chosen last. So a step counts at most one image of a satellite, as in bsk_rl.
     """
 
-    def __init_subclass__(cls, **options: Any) -> None:
+    scenario: TargetScenario
+
+    def __init_subclass__(cls, **options: object) -> None:
         """See :meth:`GlobalReward.__init_subclass__`."""
         super().__init_subclass__(**options)
         check_class(cls, ImageReward, ("selectable", "value"), {})

@@ -43,7 +43,7 @@ def modules_of(*kinds: type) -> set[str]:
     return {base.__module__ for kind in kinds for base in kind.__mro__} - {"builtins"}
 
 
-def is_trusted(kind: Any, modules: Collection[str]) -> bool:
+def is_trusted(kind: object, modules: Collection[str]) -> bool:
     """Return whether a class is one of ``modules`` or of this package."""
     return isinstance(kind, type) and (kind.__module__ in modules or kind.__module__.startswith(OWN_PACKAGE))
 
@@ -51,12 +51,12 @@ def is_trusted(kind: Any, modules: Collection[str]) -> bool:
 class Pickler(pickle.Pickler):
     """Writes objects; TypeError for one of another class."""
 
-    def __init__(self, file: io.BytesIO, modules: Collection[str], name_of: Callable[[Any], Any]) -> None:
+    def __init__(self, file: io.BytesIO, modules: Collection[str], name_of: Callable[[Any], object]) -> None:
         """Write to ``file`` objects of classes of ``modules``; ``name_of`` names those that are found again, None for others."""
         super().__init__(file)
         self.modules, self.persistent_id = modules, name_of  # type: ignore[method-assign]
 
-    def reducer_override(self, value: Any) -> Any:
+    def reducer_override(self, value: object) -> Any:
         """Return how to make a tensor again; refuse classes that could not be read."""
         if isinstance(value, Tensor):
             return tensor_of, (value.detach().cpu().numpy(),)
@@ -71,7 +71,7 @@ class Pickler(pickle.Pickler):
 class Unpickler(pickle.Unpickler):
     """Reads objects; UnpicklingError for a name that is not allowed."""
 
-    def __init__(self, file: io.BytesIO, modules: Collection[str], find: Callable[[Any], Any]) -> None:
+    def __init__(self, file: io.BytesIO, modules: Collection[str], find: Callable[[Any], object]) -> None:
         """Read from ``file`` objects of classes of ``modules``; ``find`` returns an object by its name."""
         super().__init__(file)
         self.modules, self.persistent_load = modules, find  # type: ignore[method-assign]

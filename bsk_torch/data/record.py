@@ -71,7 +71,7 @@ class Only:
         """Filter ``kinds`` by ``keep``."""
         self.keep, self.kinds = keep, kinds
 
-    def __call__(self, opportunity: Mapping[str, Any]) -> Any:
+    def __call__(self, opportunity: Mapping[str, object]) -> Any:
         """Return whether an opportunity remains."""
         return opportunity["type"] not in self.kinds or self.keep(opportunity)
 
@@ -79,7 +79,7 @@ class Only:
 class SingleScenario(OneScenario):
     """The scenario in one environment, as rewarders in bsk_rl's form read it."""
 
-    def __init__(self, whole: Any, env: int, num_envs: int, satellites: list[StoringSatellite]) -> None:
+    def __init__(self, whole: object, env: int, num_envs: int, satellites: list[StoringSatellite]) -> None:
         """View environment ``env`` of a scenario."""
         super().__init__(whole, env, num_envs)
         self.__dict__["satellites"] = satellites

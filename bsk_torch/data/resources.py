@@ -15,6 +15,7 @@ from bsk_torch.sats.user_function import UserFunction
 from bsk_torch.sim.state import FINITE
 
 if TYPE_CHECKING:
+    from bsk_torch.sats.bound import BoundSatellite
     from bsk_torch.sats.fleet import SatelliteFleet
     from bsk_torch.scene.base import Scenario
 
@@ -32,7 +33,7 @@ Weight = float | Distribution | Callable[[], float]
 class ResourceReward(GlobalReward):
     """Pays for the growth of a resource and charges for its use: reward = reward_weight * (resource_after - resource_before)."""
 
-    def __init__(self, reward_weight: Weight = 1.0, resource_fn: Any = None) -> None:
+    def __init__(self, reward_weight: Weight = 1.0, resource_fn: object = None) -> None:
         """Pay for a resource.
 
         Args:
@@ -89,7 +90,7 @@ class ResourceReward(GlobalReward):
         """See :meth:`GlobalReward.read_log`; the resource."""
         return {"resource": self.fleet.each(self._resource)}
 
-    def _resource(self, satellite: Any) -> Tensor:
+    def _resource(self, satellite: BoundSatellite) -> Tensor:
         """Return the resource of the satellites of a type, [N]."""
         simulator = satellite.simulator
         function = self._functions.setdefault(id(satellite), UserFunction("resource_fn of data.ResourceReward", ADVICE))

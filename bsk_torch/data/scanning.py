@@ -15,6 +15,7 @@ from bsk_torch.sim.readout.observables import observable
 if TYPE_CHECKING:
     from bsk_torch.sats.fleet import SatelliteFleet
     from bsk_torch.scene.base import Scenario
+    from bsk_torch.scene.scanning import UniformNadirScanning
 
 
 class ScanningTimeReward(GlobalReward):
@@ -23,6 +24,8 @@ class ScanningTimeReward(GlobalReward):
     reward = reward_fn(max(0, level_after - level_before) / instrumentBaudRate), with levels in bit and the rate in bit/s. A step
     in which the store shrinks pays nothing, as in bsk_rl; nor does an instrument of rate 0, which gives no data.
     """
+
+    scenario: UniformNadirScanning
 
     def __init__(self, reward_fn: Callable[[Tensor], Tensor] | None = None) -> None:
         """Pay ``reward_fn`` of seconds [N, S], which returns [N, S]; None multiplies by the scenario's ``value_per_second``.

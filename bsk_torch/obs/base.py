@@ -69,7 +69,7 @@ class Observation:
         """Name the entry; ValueError for a name that is no string."""
         self.name = text("name", name)
 
-    def __init_subclass__(cls, **options: Any) -> None:
+    def __init_subclass__(cls, **options: object) -> None:
         """Refuse definitions that no environment would use; TypeError says what to write instead."""
         super().__init_subclass__(**options)
         check_class(cls, Observation, HOOKS, UNUSED)
@@ -141,7 +141,7 @@ def flatten(values: Values, count: int | None = None, prefix: str = "") -> Itera
             )
 
 
-def link(entry: Any, satellite: BoundSatellite) -> None:
+def link(entry: object, satellite: BoundSatellite) -> None:
     """Link an observation to a satellite.
 
     Raises:

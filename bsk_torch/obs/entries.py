@@ -32,7 +32,7 @@ def parse_entries(entries: Iterable[dict[str, Any]], allowed: set[str], title: s
     return parsed
 
 
-def _parsed(entry: Any, number: int, allowed: set[str], title: str) -> dict[str, Any]:
+def _parsed(entry: object, number: int, allowed: set[str], title: str) -> dict[str, Any]:
     if not isinstance(entry, dict):
         raise TypeError(f"{title} got {entry!r}; it must be a dictionary, such as dict(prop={str(entry)!r})")
     unknown = set(entry) - allowed
@@ -48,7 +48,7 @@ def _parsed(entry: Any, number: int, allowed: set[str], title: str) -> dict[str,
     return {**given, "norm": norm, "name": str(given.get("name", default))}
 
 
-def parse_norm(norm: Any, title: str) -> Norm:
+def parse_norm(norm: object, title: str) -> Norm:
     """Return a norm as a number or a tensor; 1 for None. ValueError for one that is no number, or zero."""
     try:
         table = torch.as_tensor(1.0 if norm is None else norm, dtype=torch.float64)
@@ -71,7 +71,7 @@ def scaled(value: Tensor, norm: Norm) -> Tensor:
     return value if norm == 1.0 else value / norm
 
 
-def is_own(function: Callable[..., Any]) -> bool:
+def is_own(function: Callable[..., object]) -> bool:
     """Return whether a function belongs to this package, and so takes all satellites at once; partial ones too."""
     while isinstance(function, functools.partial):
         function = function.func

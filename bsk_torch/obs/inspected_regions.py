@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
@@ -13,13 +13,18 @@ from bsk_torch.astro.orbit import hill_frame
 from bsk_torch.astro.relative import float64, like, vectors
 from bsk_torch.sim.inspection.regions import known_regions
 
+if TYPE_CHECKING:
+    from bsk_torch.sats.others import SatelliteLike
+
 AXES = ((1.0, 0.0, 0.0), (-1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, 1.0), (0.0, 0.0, -1.0))
 """Both directions of each axis."""
 
 FRAMES = ("chief_hill", "chief_body")
 
 
-def rso_imaged_regions(servicer: Any, chief: Any, region_centers: Any = AXES, frame: str = "chief_hill") -> Any:
+def rso_imaged_regions(
+    servicer: SatelliteLike, chief: SatelliteLike, region_centers: Any = AXES, frame: str = "chief_hill"
+) -> Any:
     """Return the fraction of the points of each region of the chief that the servicer knows to be inspected, [N, R].
 
     A point belongs to the region whose centre is the nearest to its position in the chief's body axes, the first of several;
@@ -52,7 +57,7 @@ def rso_imaged_regions(servicer: Any, chief: Any, region_centers: Any = AXES, fr
     return like(known_regions(inspected, _points(servicer), centers, servicer.simulator.backend == "compiled"), r)
 
 
-def _points(servicer: Any) -> Tensor:
+def _points(servicer: SatelliteLike) -> Tensor:
     """Return the positions of the points, [P, 3] m, or [N, P, 3] where they differ between episodes."""
     (r_PB_B,) = float64(servicer.scenario.r_PB_B)
     return servicer.simulator.of_env(r_PB_B) if r_PB_B.ndim == 3 else r_PB_B

@@ -147,7 +147,7 @@ class Noisy(Observation):
         return replace(key, seed=(key.seed ^ (self.simulator.ticks.cpu() + 1) * STREAM) & SEED_BITS)
 
 
-def _parse(noise: Any, title: str) -> dict[str | None, Distribution]:
+def _parse(noise: object, title: str) -> dict[str | None, Distribution]:
     """Return distributions by name, under None for all numbers; those without noise are left out."""
     given = dict(noise) if isinstance(noise, Mapping) else {None: noise}
     found: dict[str | None, Distribution] = {}

@@ -173,7 +173,7 @@ class OpportunityProperties(Observation):
             columns = {name: blank(column, nothing) for name, column in columns.items()}
         return columns, opportunities.mask
 
-    def _call(self, given: Callable[..., Any], function: UserFunction, opportunities: Opportunities) -> Tensor:
+    def _call(self, given: Callable[..., object], function: UserFunction, opportunities: Opportunities) -> Tensor:
         """Call a user's function of the satellite and its opportunities, for all or for each; return [N, n] or [N, n, width]."""
 
         def one(row: int) -> list[Any]:

@@ -30,6 +30,7 @@ from bsk_torch.vec3 import Mat3, Vec3
 
 if TYPE_CHECKING:
     from bsk_torch.sats.bound import BoundSatellite
+    from bsk_torch.sats.others import SatelliteLike
 
 __all__ = [
     "FUNCTIONS",
@@ -58,16 +59,16 @@ __all__ = [
 ]
 
 
-def states(*satellites: Any) -> list[Vec3]:
+def states(*satellites: SatelliteLike) -> list[Vec3]:
     """Return position, m, and velocity, m/s, of each satellite, one after the other."""
     return vectors(*(value for satellite in satellites for value in _orbit(satellite)))
 
 
-def _orbit(satellite: Any) -> tuple[Any, Any]:
+def _orbit(satellite: SatelliteLike) -> tuple[Any, Any]:
     return satellite.dynamics.r_BN_N, satellite.dynamics.v_BN_N
 
 
-def _as(result: Vec3, satellite: Any) -> Any:
+def _as(result: Vec3, satellite: SatelliteLike) -> Any:
     """Return a vector as a tensor [N, 3], or an array for a view of one satellite."""
     return like(result.stack(), satellite.dynamics.r_BN_N)
 
@@ -78,49 +79,49 @@ def _times(a: Mat3, b: Mat3) -> Mat3:
     return Mat3(*(columns @ row for row in a))
 
 
-def _body(satellite: Any) -> Mat3:
+def _body(satellite: SatelliteLike) -> Mat3:
     """Return the DCM [BN] of a satellite."""
     return mrp_to_dcm(*vectors(satellite.dynamics.sigma_BN))
 
 
-def _hill(satellite: Any) -> Mat3:
+def _hill(satellite: SatelliteLike) -> Mat3:
     """Return the DCM [HN] of a satellite's Hill frame."""
     return hill_frame(*states(satellite))
 
 
-def r_DC_N(deputy: Any, chief: Any) -> Any:
+def r_DC_N(deputy: SatelliteLike, chief: SatelliteLike) -> Any:
     """Return the position of the deputy relative to the chief, ``r_D - r_C``, m in N, [N, 3]."""
     r_D, _, r_C, _ = states(deputy, chief)
     return _as(r_D - r_C, deputy)
 
 
-def v_DC_N(deputy: Any, chief: Any) -> Any:
+def v_DC_N(deputy: SatelliteLike, chief: SatelliteLike) -> Any:
     """Return the inertial velocity of the deputy relative to the chief, ``v_D - v_C``, m/s in N, [N, 3]."""
     _, v_D, _, v_C = states(deputy, chief)
     return _as(v_D - v_C, deputy)
 
 
-def r_DC_Hc(deputy: Any, chief: Any) -> Any:
+def r_DC_Hc(deputy: SatelliteLike, chief: SatelliteLike) -> Any:
     """Return the position of the deputy relative to the chief in the chief's Hill frame, m, [N, 3]."""
     return cd2hill(*_orbit(chief), *_orbit(deputy))[0]
 
 
-def v_DC_Hc(deputy: Any, chief: Any) -> Any:
+def v_DC_Hc(deputy: SatelliteLike, chief: SatelliteLike) -> Any:
     """Return the velocity of the deputy relative to the chief as seen in the chief's Hill frame, m/s, [N, 3]."""
     return cd2hill(*_orbit(chief), *_orbit(deputy))[1]
 
 
-def r_DC_Hd(deputy: Any, chief: Any) -> Any:
+def r_DC_Hd(deputy: SatelliteLike, chief: SatelliteLike) -> Any:
     """Return the position of the deputy relative to the chief in the deputy's Hill frame, m, [N, 3]."""
     return -cd2hill(*_orbit(deputy), *_orbit(chief))[0]
 
 
-def v_DC_Hd(deputy: Any, chief: Any) -> Any:
+def v_DC_Hd(deputy: SatelliteLike, chief: SatelliteLike) -> Any:
     """Return the velocity of the deputy relative to the chief as seen in the deputy's Hill frame, m/s, [N, 3]."""
     return -cd2hill(*_orbit(deputy), *_orbit(chief))[1]
 
 
-def _in_body(body: Any, deputy: Any, chief: Any) -> tuple[Vec3, Vec3]:
+def _in_body(body: SatelliteLike, deputy: SatelliteLike, chief: SatelliteLike) -> tuple[Vec3, Vec3]:
     """Return relative position and velocity of the deputy as seen in the axes of a ``body``, one of the two."""
     r_D, v_D, r_C, v_C = states(deputy, chief)
     BN, (omega_BN_B,) = _body(body), vectors(body.dynamics.omega_BN_B)
@@ -128,52 +129,52 @@ def _in_body(body: Any, deputy: Any, chief: Any) -> tuple[Vec3, Vec3]:
     return r_DC_B, BN @ (v_D - v_C) - omega_BN_B.cross(r_DC_B)
 
 
-def r_DC_C(deputy: Any, chief: Any) -> Any:
+def r_DC_C(deputy: SatelliteLike, chief: SatelliteLike) -> Any:
     """Return the position of the deputy relative to the chief in the chief's body axes, m, [N, 3]."""
     return _as(_in_body(chief, deputy, chief)[0], deputy)
 
 
-def v_DC_C(deputy: Any, chief: Any) -> Any:
+def v_DC_C(deputy: SatelliteLike, chief: SatelliteLike) -> Any:
     """Return the velocity of the deputy relative to the chief as seen in the chief's body axes, m/s, [N, 3]."""
     return _as(_in_body(chief, deputy, chief)[1], deputy)
 
 
-def r_DC_D(deputy: Any, chief: Any) -> Any:
+def r_DC_D(deputy: SatelliteLike, chief: SatelliteLike) -> Any:
     """Return the position of the deputy relative to the chief in the deputy's body axes, m, [N, 3]."""
     return _as(_in_body(deputy, deputy, chief)[0], deputy)
 
 
-def v_DC_D(deputy: Any, chief: Any) -> Any:
+def v_DC_D(deputy: SatelliteLike, chief: SatelliteLike) -> Any:
     """Return the velocity of the deputy relative to the chief as seen in the deputy's body axes, m/s, [N, 3]."""
     return _as(_in_body(deputy, deputy, chief)[1], deputy)
 
 
-def sigma_DC(deputy: Any, chief: Any) -> Any:
+def sigma_DC(deputy: SatelliteLike, chief: SatelliteLike) -> Any:
     """Return the attitude of the deputy's body relative to the chief's, the MRP of ``[DN] [CN]^T``, [N, 3]."""
     return _as(dcm_to_mrp(_times(_body(deputy), _body(chief).mT)), deputy)
 
 
-def sigma_DHc(deputy: Any, chief: Any) -> Any:
+def sigma_DHc(deputy: SatelliteLike, chief: SatelliteLike) -> Any:
     """Return the attitude of the deputy's body relative to the chief's Hill frame, the MRP of ``[DN] [HcN]^T``, [N, 3]."""
     return _as(dcm_to_mrp(_times(_body(deputy), _hill(chief).mT)), deputy)
 
 
-def sigma_HdC(deputy: Any, chief: Any) -> Any:
+def sigma_HdC(deputy: SatelliteLike, chief: SatelliteLike) -> Any:
     """Return the attitude of the deputy's Hill frame relative to the chief's body, the MRP of ``[HdN] [CN]^T``, [N, 3]."""
     return _as(dcm_to_mrp(_times(_hill(deputy), _body(chief).mT)), deputy)
 
 
-def sigma_HdHc(deputy: Any, chief: Any) -> Any:
+def sigma_HdHc(deputy: SatelliteLike, chief: SatelliteLike) -> Any:
     """Return the attitude of the deputy's Hill frame relative to the chief's, the MRP of ``[HdN] [HcN]^T``, [N, 3]."""
     return _as(dcm_to_mrp(_times(_hill(deputy), _hill(chief).mT)), deputy)
 
 
-def rso_sigma_BH(deputy: Any, chief: Any) -> Any:
+def rso_sigma_BH(deputy: SatelliteLike, chief: SatelliteLike) -> Any:
     """Return the attitude of the chief's body relative to its own Hill frame, the MRP of ``[CN] [HcN]^T``, [N, 3]."""
     return _as(dcm_to_mrp(_times(_body(chief), _hill(chief).mT)), deputy)
 
 
-def rso_omega_BH(deputy: Any, chief: Any) -> Any:
+def rso_omega_BH(deputy: SatelliteLike, chief: SatelliteLike) -> Any:
     """Return the rate of the chief's body relative to its own Hill frame, rad/s in that frame, [N, 3].
 
     ``omega_BH_H = [HN] [BN]^T omega_BN_B - omega_HN_H`` with ``omega_HN_H = (0, 0, |r x v| / |r|^2)``.
@@ -187,31 +188,31 @@ def rso_omega_BH(deputy: Any, chief: Any) -> Any:
 # -- with the Sun ----------------------------------------------------------------------------------------------------------------
 
 
-def sun_hat_Hc(deputy: Any, chief: Any) -> Any:
+def sun_hat_Hc(deputy: SatelliteLike, chief: SatelliteLike) -> Any:
     """Return the direction from the Earth to the Sun in the chief's Hill frame, ``[HcN] r_SN / |r_SN|``, [N, 3]."""
     (r_SN_N,) = vectors(deputy.simulator.world.r_SN_N)
     return _as(_hill(chief) @ r_SN_N.unit(), deputy)
 
 
-def _sun_hill(satellite: Any) -> Mat3:
+def _sun_hill(satellite: SatelliteLike) -> Mat3:
     """Return the DCM [HsN] of the Hill frame of the Earth's motion about the Sun."""
     world = satellite.simulator.world
     r_SN_N, v_SN_N = vectors(world.r_SN_N, world.v_SN_N)
     return hill_frame(-r_SN_N, -v_SN_N)
 
 
-def r_Hs(deputy: Any, chief: Any) -> Any:
+def r_Hs(deputy: SatelliteLike, chief: SatelliteLike) -> Any:
     """Return the chief's position in the Hill frame of the Earth's motion about the Sun, ``[HsN] r_C``, m, [N, 3]."""
     return _as(_sun_hill(deputy) @ states(chief)[0], deputy)
 
 
-def h_Hs(deputy: Any, chief: Any) -> Any:
+def h_Hs(deputy: SatelliteLike, chief: SatelliteLike) -> Any:
     """Return the chief's angular momentum ``[HsN] (r_C x v_C)``, m^2/s, [N, 3]; for Hs see :func:`r_Hs`."""
     r_C, v_C = states(chief)
     return _as(_sun_hill(deputy) @ r_C.cross(v_C), deputy)
 
 
-def eccentricity_Hs(deputy: Any, chief: Any) -> Any:
+def eccentricity_Hs(deputy: SatelliteLike, chief: SatelliteLike) -> Any:
     """Return the chief's eccentricity vector ``[HsN] (v_C x h_C / mu - r_C / |r_C|)``, [N, 3]; for Hs see :func:`r_Hs`.
 
     ``mu`` is that of the Earth, whatever ``sat_args`` convert elements with.
@@ -300,7 +301,7 @@ class RelativeProperties(Observation):
             values[entry["name"]] = scaled(value, entry["norm"])
         return values
 
-    def _call(self, call: RelativeFunction, chief: Any, function: UserFunction) -> Tensor:
+    def _call(self, call: RelativeFunction, chief: SatelliteLike, function: UserFunction) -> Tensor:
         """Call a user's function."""
         satellite = self.satellite
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import torch
 from torch import Tensor
 
@@ -14,7 +12,7 @@ from bsk_torch.obs.entries import parse_norm, scaled
 class ResourceRewardWeight(Observation):
     """Weights of all :class:`bsk_torch.data.ResourceReward` of the environment in their order, divided by ``norm``; [N, K]."""
 
-    def __init__(self, name: str = "resource_reward_weight", norm: Any = 1.0) -> None:
+    def __init__(self, name: str = "resource_reward_weight", norm: object = 1.0) -> None:
         """Observe weights; ``norm`` is a number, or one for each weight."""
         super().__init__(name)
         self.norm = parse_norm(norm, "obs.ResourceRewardWeight: norm")

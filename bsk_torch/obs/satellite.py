@@ -52,7 +52,7 @@ class SatProperties(Observation):
         """See :attr:`Observation.functions`."""
         return [function for function in self._functions if function is not None]
 
-    def _function(self, entry: dict[str, Any], module: Any) -> UserFunction | None:
+    def _function(self, entry: dict[str, Any], module: object) -> UserFunction | None:
         """Return the user's function or property that an entry calls; None for those of the package."""
         title = f"{entry['name']!r} of {self.name!r}"
         if module is None:
@@ -81,7 +81,7 @@ class SatProperties(Observation):
         advice = f"{' or '.join(models)} has it" if models else nearest(entry["prop"], known)
         raise ValueError(f"prop={entry['prop']!r} is not a property of {self.satellite.name}; {advice}")
 
-    def _read(self, entry: dict[str, Any], module: Any, function: UserFunction | None) -> Callable[[], Any]:
+    def _read(self, entry: dict[str, Any], module: object, function: UserFunction | None) -> Callable[[], Any]:
         """Return what reads an entry: the column of an observable, a property, or a function, of the user or of the package."""
         if function is not None:
             return partial(self._call, entry, module, function)
@@ -101,7 +101,7 @@ class SatProperties(Observation):
         rows, values = self.simulator.state.rows, self.get_obs()
         return torch.cat([side_by_side(f"{self.name}.{name}", value, rows) for name, value in values.items()], -1)
 
-    def _call(self, entry: dict[str, Any], module: Any, function: UserFunction) -> Tensor:
+    def _call(self, entry: dict[str, Any], module: object, function: UserFunction) -> Tensor:
         """Call a user's function or property."""
         satellite = self.satellite
 

@@ -158,7 +158,7 @@ def aeos_city(
     return agile_environment((AgileSatellite, AgileSetSatellite), agile_args(), as_set, options)
 
 
-def cloud_forecast(satellite: Any, targets: Any) -> Tensor:
+def cloud_forecast(satellite: sats.BoundSatellite, targets: sats.Opportunities) -> Tensor:
     """Return the forecast of the cloud cover over each target, [N, n] in [0, 1]."""
     return satellite.simulator.look_up(satellite.scenario.cloud_forecast, targets.place)
 

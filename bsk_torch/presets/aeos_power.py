@@ -26,7 +26,7 @@ Random at reset: as in AEOS-v1 with 1000 targets; initial charge and wheel speed
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, cast
 
 import torch
 from torch import Tensor
@@ -35,7 +35,7 @@ from bsk_torch import act, obs, rand, scene
 from bsk_torch.env import SatelliteTasking
 from bsk_torch.presets.aeos import AHEAD, ORBIT, SATELLITE, AgileSatellite, agile_args, agile_environment, targets_ahead
 from bsk_torch.presets.nadir_scan import next_station
-from bsk_torch.sats import BoundAccessSatellite
+from bsk_torch.sats import BoundAccessSatellite, BoundSatellite
 from bsk_torch.sim import dyn
 
 BINS = 20
@@ -82,7 +82,7 @@ class TargetDensity(obs.Observation):
         return sums.scatter_add(1, number, simulator.of_env(scenario.priority).to(close.dtype))[:, :BINS] / CROWD
 
 
-def shield(satellite: Any) -> Tensor:
+def shield(satellite: BoundSatellite) -> Tensor:
     """Return which actions do not endanger the satellite, [N, n_actions] bool: only charging, only desaturation, or all.
 
     In sunlight only charging is allowed below the charge (a fraction of the battery)
@@ -123,7 +123,7 @@ class PowerSatellite(AgileSatellite):
 
     def legal_actions(self) -> Tensor | None:
         """See :meth:`Satellite.legal_actions`."""
-        return shield(self) if self.shielded else None
+        return shield(cast(BoundSatellite, self)) if self.shielded else None
 
 
 class PowerSetSatellite(PowerSatellite):

@@ -233,7 +233,7 @@ def __getattr__(name: str) -> type[Inspector]:
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
-def fuel(satellite: Any) -> Tensor:
+def fuel(satellite: sats.BoundSatellite) -> Tensor:
     """Return what the tanks are good for, m/s, [N]."""
     return satellite.fsw.dv_available
 

@@ -129,7 +129,7 @@ class AccessFilter:
         return [bool(self.function(OnePlace(opportunity))) for opportunity in one.all_places(kind)]
 
 
-def make_filter(given: Any, types: str | Collection[str] | None) -> AccessFilter:
+def make_filter(given: object, types: str | Collection[str] | None) -> AccessFilter:
     """Return a filter from a function; TypeError for anything else."""
     kinds = (types,) if isinstance(types, str) else None if types is None else tuple(types)
     if not callable(given):
@@ -139,7 +139,7 @@ def make_filter(given: Any, types: str | Collection[str] | None) -> AccessFilter
     return AccessFilter(given, kinds or (TARGET_KIND,), False)
 
 
-def _takes_one(function: Callable[..., Any]) -> bool:
+def _takes_one(function: Callable[..., object]) -> bool:
     """Return whether a function wants an argument; TypeError if it wants several."""
     try:
         signature = inspect.signature(function)

@@ -124,7 +124,7 @@ class BoundAccessSatellite(BoundSatellite, AccessSatellite):
             self._cache[(kind, n)] = now, opportunities
         return self._complete(opportunities, pad)
 
-    def _accepted(self, filter: Any, kind: str) -> Tensor:
+    def _accepted(self, filter: object, kind: str) -> Tensor:
         """Return the places [N, P] that pass a filter of a query, or are not among the indices that it excludes."""
         if callable(filter):
             return make_filter(filter, kind)(self, kind)
@@ -323,7 +323,7 @@ class BoundAccessSatellite(BoundSatellite, AccessSatellite):
         upcoming: bool = False,
         *,
         types: str | Collection[str] | None = None,
-        filter: Any = None,
+        filter: object = None,
     ) -> dict[int, list[tuple[float, float]]]:
         """Return the windows (opening and closing time, s) of environment ``env`` by place, for people to read.
 
@@ -340,11 +340,11 @@ class BoundAccessSatellite(BoundSatellite, AccessSatellite):
                 found.setdefault(place, []).append((opens, closes))
         return found
 
-    def upcoming_opportunities_dict(self, *_: Any, **__: Any) -> NoReturn:
+    def upcoming_opportunities_dict(self, *_: object, **__: object) -> NoReturn:
         """Raise TypeError that says what to write for bsk_rl's dictionary."""
         raise TypeError(_dictionaries("upcoming_opportunities_dict"))
 
-    def next_opportunities_dict(self, *_: Any, **__: Any) -> NoReturn:
+    def next_opportunities_dict(self, *_: object, **__: object) -> NoReturn:
         """Raise TypeError that says what to write for bsk_rl's dictionary."""
         raise TypeError(_dictionaries("next_opportunities_dict"))
 

@@ -33,7 +33,7 @@ def is_ours(owner: type) -> bool:
     return owner.__module__.startswith(OWN_PACKAGE)
 
 
-def of_row(value: Any, row: int) -> Any:
+def of_row(value: object, row: int) -> Any:
     """Return one row of a tensor [N, ...] as a Python number or a NumPy array of its own; likewise in tuples and dictionaries.
 
     Anything else is the same for all rows.
@@ -55,7 +55,7 @@ class OneView:
     run with the view as ``self``; a property for which that fails is one for all rows, and read at the row.
     """
 
-    def __init__(self, whole: Any, row: int, rows: int) -> None:
+    def __init__(self, whole: object, row: int, rows: int) -> None:
         """View row number ``row`` of ``rows``."""
         own = self.__dict__
         own["_whole"], own["_row"], own["_rows"] = whole, row, rows
@@ -64,7 +64,7 @@ class OneView:
     _row: int
     _rows: int
 
-    def __setattr__(self, name: str, value: Any) -> None:
+    def __setattr__(self, name: str, value: object) -> None:
         """Raise AttributeError: views are read-only."""
         raise AttributeError(f"{name!r} cannot be set: {READ_ONLY}")
 
@@ -112,7 +112,7 @@ class OneView:
     def _call(self, name: str) -> Callable[..., Any]:
         """Return a method of the package that is called for all rows and read at this one."""
 
-        def call(*args: Any, **options: Any) -> Any:
+        def call(*args: object, **options: object) -> Any:
             return of_row(getattr(self._whole, name)(*args, **options), self._row)
 
         return call
@@ -121,7 +121,7 @@ class OneView:
 class OneArguments(Mapping[str, Any]):
     """Arguments of the present episode by name: numbers, NumPy arrays, and what is neither."""
 
-    def __init__(self, whole: Mapping[str, Any], row: int) -> None:
+    def __init__(self, whole: Mapping[str, object], row: int) -> None:
         """View row number ``row`` of the arguments [N, ...] of all rows."""
         self._whole, self._row = whole, row
 

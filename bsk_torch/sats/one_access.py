@@ -34,7 +34,7 @@ Filter = Callable[[OneOpportunity], Any] | list[Any] | None
 class OneAccessSatellite(OneSatellite):
     """An access satellite of one environment, with bsk_rl's queries: opportunities are dictionaries, sorted by closing time."""
 
-    def _make(self, kind: str, place: int, r_LP_P: Any, **window: Window) -> OneOpportunity:
+    def _make(self, kind: str, place: int, r_LP_P: object, **window: Window) -> OneOpportunity:
         if kind == TARGET_KIND:
             thing: Any = OneTarget(self._whole, self._env, place)
         else:
@@ -154,7 +154,7 @@ class OneAccessSatellite(OneSatellite):
         seconds[self._row] = duration
         self._whole.calculate_additional_windows(seconds)
 
-    def add_access_filter(self, *_: Any, **__: Any) -> NoReturn:
+    def add_access_filter(self, *_: object, **__: object) -> NoReturn:
         """Raise AttributeError: filters belong to the satellites of all environments."""
         raise AttributeError("add_access_filter() belongs to all environments: call it before the environment is built")
 
@@ -175,7 +175,7 @@ class OneImagingSatellite(OneAccessSatellite):
         return [OneTarget(self._whole, self._env, index) for index, there in enumerate(exists.tolist()) if there]
 
 
-def _by_object(opportunities: list[OneOpportunity], passes: Callable[[OneOpportunity], Any]) -> dict[Any, list[Window]]:
+def _by_object(opportunities: list[OneOpportunity], passes: Callable[[OneOpportunity], object]) -> dict[Any, list[Window]]:
     found: dict[Any, list[Window]] = {}
     for opportunity in opportunities:
         if passes(opportunity):

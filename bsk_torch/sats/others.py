@@ -7,7 +7,7 @@ environment e: it is the value of the named satellite in that environment.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 import torch
@@ -17,13 +17,16 @@ if TYPE_CHECKING:
     from bsk_torch.sats.bound import BoundSatellite
     from bsk_torch.sats.one import OneSatellite
 
+SatelliteLike: TypeAlias = "BoundSatellite | OtherSatellite | OneSatellite"
+"""What functions of satellites get: all of a type, another one of each episode, or the one of a row."""
+
 PLAIN = (int, float, str, bytes, type(None), type, np.ndarray, np.generic, torch.dtype, torch.device)
 """Values that are the same for all rows."""
 
 Take = Callable[[Any], Any]
 
 
-def aligned(value: Any, rows: int, take: Take) -> Any:
+def aligned(value: object, rows: int, take: Take) -> Any:
     """Return a value whose tensors of ``rows`` rows are replaced by what ``take`` makes of them, also within containers.
 
     Functions give aligned results, and objects show aligned attributes.
@@ -45,7 +48,7 @@ def aligned(value: Any, rows: int, take: Take) -> Any:
 class Aligned:
     """Read-only view of an object whose tensors have other rows than those of the satellite that looks at it."""
 
-    def __init__(self, whole: Any, rows: int, take: Take) -> None:
+    def __init__(self, whole: object, rows: int, take: Take) -> None:
         """View ``whole``, whose tensors have ``rows`` rows; ``take`` makes a tensor with the rows of the view of one."""
         own = self.__dict__
         own["_whole"], own["_rows"], own["_take"] = whole, rows, take
@@ -60,11 +63,11 @@ class Aligned:
             raise AttributeError(name)
         return aligned(getattr(self._whole, name), self._rows, self._take)
 
-    def __getitem__(self, name: Any) -> Any:
+    def __getitem__(self, name: object) -> Any:
         """Return an entry, aligned, such as an argument by its name."""
         return aligned(self._whole[name], self._rows, self._take)
 
-    def __setattr__(self, name: str, value: Any) -> None:
+    def __setattr__(self, name: str, value: object) -> None:
         """Raise AttributeError: views are read-only."""
         raise AttributeError(f"{name!r} cannot be set: another satellite is shown to be read")
 

@@ -46,7 +46,7 @@ class Satellite:
     view_type: ClassVar[type[OneSatellite]] = OneSatellite
     bound_type: ClassVar[type[BoundSatellite]]
 
-    def __init_subclass__(cls, **options: Any) -> None:
+    def __init_subclass__(cls, **options: object) -> None:
         """Refuse definitions that no environment would use, by a TypeError with advice."""
         super().__init_subclass__(**options)
         check_satellite(cls, Satellite)
@@ -55,10 +55,10 @@ class Satellite:
     def __init__(
         self,
         name: str,
-        sat_args: Mapping[str, Any] | Callable[[], Mapping[str, Any]] | None = None,
+        sat_args: Mapping[str, object] | Callable[[], Mapping[str, object]] | None = None,
         *,
         obs_type: type = torch.Tensor,
-        dtype: Any = None,
+        dtype: object = None,
         variable_interval: bool = True,
     ) -> None:
         """Describe a satellite; an environment makes its own copy and simulates that.
@@ -85,7 +85,7 @@ class Satellite:
         self.sat_args_generator = Given(expand(sat_args, "sat_args"), type(self).default_sat_args(), "sat_args")
 
     @classmethod
-    def default_sat_args(cls, **overrides: Any) -> ArgumentTable:
+    def default_sat_args(cls, **overrides: object) -> ArgumentTable:
         """Return every argument that ``sat_args`` accepts, with its default or the given value.
 
         Raises:

@@ -45,7 +45,9 @@ class UserFunction:
         self.why = ""
         self.results: list[Tree] | None = None
 
-    def __call__(self, lead: Sequence[int], device: torch.device, whole: Callable[[], Any], one: Callable[[int], Any]) -> Tree:
+    def __call__(
+        self, lead: Sequence[int], device: torch.device, whole: Callable[[], object], one: Callable[[int], object]
+    ) -> Tree:
         """Return the result for all satellites, tensors [*lead, ...].
 
         Args:
@@ -67,7 +69,9 @@ class UserFunction:
             self.results.append(found)
         return found
 
-    def _decide(self, lead: Sequence[int], device: torch.device, whole: Callable[[], Any], one: Callable[[int], Any]) -> Tree:
+    def _decide(
+        self, lead: Sequence[int], device: torch.device, whole: Callable[[], object], one: Callable[[int], object]
+    ) -> Tree:
         failure: Exception | None = None
         try:
             with warnings.catch_warnings():
@@ -93,7 +97,7 @@ class UserFunction:
         self._map_because(_told(failure) if failure else "it mixes environments if it is called for all of them", lead[0])
         return self._map(lead, device, one)
 
-    def _map(self, lead: Sequence[int], device: torch.device, one: Callable[[int], Any]) -> Tree:
+    def _map(self, lead: Sequence[int], device: torch.device, one: Callable[[int], object]) -> Tree:
         return as_batch(self.title, stacked(self.title, [one(row) for row in range(lead[0])]), lead, device)
 
     def _map_because(self, why: str, rows: int) -> None:
@@ -164,7 +168,7 @@ def alike(a: Tree, b: Tree) -> bool:
     return bool(torch.isclose(a, b, rtol=0.0, atol=tolerance, equal_nan=True).all())
 
 
-def as_batch(title: str, value: Any, lead: Sequence[int], device: torch.device) -> Tree:
+def as_batch(title: str, value: object, lead: Sequence[int], device: torch.device) -> Tree:
     """Return the result for all satellites as tensors [*lead, ...].
 
     Tensors and NumPy arrays are taken as they are; a list of tensors [*lead] and numbers becomes [*lead, len(list)].

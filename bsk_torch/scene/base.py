@@ -14,6 +14,7 @@ from bsk_torch.sim.hooks import FLEET_MEMORY, ChangeGuard, check_class, check_li
 if TYPE_CHECKING:
     from bsk_torch.rand import Key
     from bsk_torch.sats.fleet import SatelliteFleet
+    from bsk_torch.sats.satellite import Satellite
     from bsk_torch.sim.state import StateTable
 
 Drawn = TypeVar("Drawn")
@@ -62,7 +63,7 @@ class Scenario:
     _old_hooks: ClassVar[Sequence[str]] = ()
     _form: Mapping[str, torch.Size] | None = None
 
-    def __init_subclass__(cls, **options: Any) -> None:
+    def __init_subclass__(cls, **options: object) -> None:
         """Refuse definitions that no environment would use; TypeError says what to write instead."""
         super().__init_subclass__(**options)
         check_class(cls, Scenario, HOOKS, {name: advice for name, advice in UNUSED.items() if name not in cls._old_hooks})
@@ -108,7 +109,7 @@ class Scenario:
         """
         return torch.ones(len(key), len(names), dtype=torch.bool)
 
-    def validate_satellite_names(self, satellites: Sequence[Any]) -> None:
+    def validate_satellite_names(self, satellites: Sequence[Satellite]) -> None:
         """Raise ValueError for satellites whose names do not fit; called first when an environment is built, as in bsk_rl."""
 
     def link(self, fleet: SatelliteFleet) -> None:

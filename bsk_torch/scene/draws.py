@@ -70,12 +70,12 @@ def draw_exists(key: Key, low: int, end: int) -> Tensor:
     return (columns < low + torch.floor(key.uniform(1) * (end - low))).double()
 
 
-def calls_user(*values: Any) -> bool:
+def calls_user(*values: object) -> bool:
     """Return whether one of the values is a callable of the user."""
     return any(callable(value) and not isinstance(value, Distribution) for value in values)
 
 
-def as_numbers(value: Any) -> Tensor:
+def as_numbers(value: object) -> Tensor:
     """Return numbers, sequences, arrays or tensors as a float64 tensor on the CPU.
 
     Raises:
@@ -87,7 +87,7 @@ def as_numbers(value: Any) -> Tensor:
         raise ValueError(str(error)) from error
 
 
-def _drawn(value: Any, key: Key, count: int) -> Tensor:
+def _drawn(value: object, key: Key, count: int) -> Tensor:
     if isinstance(value, Distribution):
         if dataclasses.is_dataclass(value) and getattr(value, "size", count) is None:
             value = dataclasses.replace(value, size=count)
@@ -101,7 +101,7 @@ def _drawn(value: Any, key: Key, count: int) -> Tensor:
 
 
 def draw_numbers(
-    what: str, value: Any, key: Key, count: int, low: float = -math.inf, high: float = math.inf, unit: str = ""
+    what: str, value: object, key: Key, count: int, low: float = -math.inf, high: float = math.inf, unit: str = ""
 ) -> Tensor:
     """Draw one number for each target, [n or 1, count] float64 on the CPU.
 

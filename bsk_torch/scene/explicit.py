@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import torch
 from torch import Tensor
@@ -17,7 +16,7 @@ from bsk_torch.scene.targets import TargetScenario
 class Targets(TargetScenario):
     """Targets at given positions, the same in all episodes; either for all environments, or for each environment its own."""
 
-    def __init__(self, r_LP_P: Any, priority: Any = 1.0, names: Sequence[str] | None = None) -> None:
+    def __init__(self, r_LP_P: object, priority: object = 1.0, names: Sequence[str] | None = None) -> None:
         """ValueError for a wrong argument.
 
         Args:
@@ -63,7 +62,7 @@ class Targets(TargetScenario):
         return {"target_r_LP_P": r_LP_P, "target_priority": priority * exists, "target_exists": exists}
 
 
-def _tables(r_LP_P: Any) -> list[Tensor]:
+def _tables(r_LP_P: object) -> list[Tensor]:
     """Return the lists of positions, [T, 3] each: one for all environments, or one for each."""
     if isinstance(r_LP_P, PerEnv):
         if not len(r_LP_P.values):
@@ -74,7 +73,7 @@ def _tables(r_LP_P: Any) -> list[Tensor]:
     return [_table(r_LP_P, "")]
 
 
-def _table(rows: Any, of: str) -> Tensor:
+def _table(rows: object, of: str) -> Tensor:
     table = _numbers(f"r_LP_P{of}", rows)
     if table.ndim == 3 and not of:
         raise ValueError(f"r_LP_P has shape {list(table.shape)}; use rand.per_env to give each environment its own targets")
@@ -105,7 +104,7 @@ def _padded(table: Tensor, length: int) -> Tensor:
     return torch.cat([table, table[:1].expand(length - len(table), -1)])
 
 
-def _numbers(what: str, value: Any) -> Tensor:
+def _numbers(what: str, value: object) -> Tensor:
     try:
         return as_numbers(value)
     except (TypeError, ValueError, RuntimeError, OverflowError) as error:

@@ -14,7 +14,9 @@ from torch import Tensor
 from bsk_torch._checks import number, whole
 from bsk_torch.astro.relative import fibonacci_sphere
 from bsk_torch.rand import Key, seeded
+from bsk_torch.sats.bound import BoundSatellite
 from bsk_torch.sats.fleet import SatelliteFleet
+from bsk_torch.sats.satellite import Satellite
 from bsk_torch.scene.base import Scenario
 from bsk_torch.sim.dyn.inspection import RSODynModel, RSOInspectorDynModel
 from bsk_torch.sim.fsw.inspection import RSOInspectorFSWModel
@@ -59,7 +61,7 @@ class RSOPoint:
         return [*r_PB_B, *n_B, *(number(f"{title}.{name}", getattr(self, name)) for name in limits)]
 
 
-def _vector(title: str, value: Any) -> list[float]:
+def _vector(title: str, value: object) -> list[float]:
     try:
         array = np.asarray(value.detach().cpu() if isinstance(value, Tensor) else value, dtype=float)
     except (TypeError, ValueError) as error:
@@ -94,7 +96,7 @@ class RSOPoints(Scenario):
     _fixed: Tensor | None = None
     _count: int | None = None
 
-    def __init_subclass__(cls, **options: Any) -> None:
+    def __init_subclass__(cls, **options: object) -> None:
         """See :meth:`Scenario.__init_subclass__`; points of a subclass's own differ between episodes unless it says otherwise."""
         super().__init_subclass__(**options)
         check_class(cls, RSOPoints, ("generate_points",), {})
@@ -184,7 +186,7 @@ class RSOPoints(Scenario):
 
     # -- satellites ---------------------------------------------------------------------------------------------------
 
-    def validate_satellite_names(self, satellites: Sequence[Any]) -> None:
+    def validate_satellite_names(self, satellites: Sequence[Satellite]) -> None:
         """See :meth:`Scenario.validate_satellite_names`.
 
         Raises:
@@ -221,12 +223,12 @@ class RSOPoints(Scenario):
         self.inspector_columns = [column for k in self.inspector_types for column in fleet.columns[k].tolist()]
 
     @property
-    def rso(self) -> Any:
+    def rso(self) -> BoundSatellite:
         """The RSO."""
         return self.fleet.satellites[self.rso_type]
 
     @property
-    def inspectors(self) -> list[Any]:
+    def inspectors(self) -> list[BoundSatellite]:
         """The inspectors of each type."""
         return [self.fleet.satellites[k] for k in self.inspector_types]
 
@@ -235,7 +237,7 @@ class RSOPoints(Scenario):
         return {} if self.points_are_fixed else {DRAWN: (-1e200, 1e200)}
 
 
-def _names(satellites: Sequence[Any]) -> list[str]:
+def _names(satellites: Sequence[Satellite]) -> list[str]:
     return [satellite.name for satellite in satellites]
 
 

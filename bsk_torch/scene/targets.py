@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
@@ -40,7 +40,7 @@ class TargetScenario(Scenario):
     _available: Tensor | None = None
     _link_needs_super = True
 
-    def __init_subclass__(cls, **options: Any) -> None:
+    def __init_subclass__(cls, **options: object) -> None:
         """See :meth:`Scenario.__init_subclass__`."""
         super().__init_subclass__(**options)
         check_class(cls, TargetScenario, TARGET_HOOKS, {})
@@ -195,7 +195,7 @@ class ChangingTargets(TargetScenario):
 
     _present: tuple[Tensor, Tensor] | None = None
 
-    def __init_subclass__(cls, **options: Any) -> None:
+    def __init_subclass__(cls, **options: object) -> None:
         """See :meth:`Scenario.__init_subclass__`."""
         super().__init_subclass__(**options)
         check_class(cls, ChangingTargets, ("at",), {})

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Any
 
 from torch import Tensor
 
@@ -42,7 +41,7 @@ class UniformTargets(TargetScenario):
     n_targets: int
     regenerated_key: Key | None = None
 
-    def __init_subclass__(cls, **options: Any) -> None:
+    def __init_subclass__(cls, **options: object) -> None:
         """See :meth:`Scenario.__init_subclass__`."""
         super().__init_subclass__(**options)
         check_class(cls, UniformTargets, ("places", "regenerate_targets"), {})

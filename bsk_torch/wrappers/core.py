@@ -79,7 +79,7 @@ def begin(core: Tasking, mask: Tensor, seen: TensorDictBase | None = None, state
     return core.reset(call, set_state=state is not None)
 
 
-def read_values(where: str, given: Any, satellite: SatelliteGroup, rows: tuple[int, ...] = ()) -> Tensor:
+def read_values(where: str, given: object, satellite: SatelliteGroup, rows: tuple[int, ...] = ()) -> Tensor:
     """Return actions of real numbers, [*rows, A], or hybrid ones with the choice behind, [*rows, A + 1].
 
     Args:
@@ -102,7 +102,7 @@ def read_values(where: str, given: Any, satellite: SatelliteGroup, rows: tuple[i
     return read(where, _tensor(where, given, torch.float64), satellite, rows)
 
 
-def _tensor(where: str, given: Any, dtype: torch.dtype | None = None) -> Tensor:
+def _tensor(where: str, given: object, dtype: torch.dtype | None = None) -> Tensor:
     """Return an array or tensor as a tensor of its type, and numbers in sequences in ``dtype``; TypeError for anything else."""
     try:
         if isinstance(given, np.ndarray | np.generic | Tensor):
@@ -112,7 +112,7 @@ def _tensor(where: str, given: Any, dtype: torch.dtype | None = None) -> Tensor:
         raise TypeError(f"{where} is {given!r}; it must be made of numbers: {error}") from error
 
 
-def read_actions(core: Tasking, action: Any) -> Tensor:
+def read_actions(core: Tasking, action: object) -> Tensor:
     """Return actions [N, ...] on the core's device; ValueError for another shape. The core checks their dtype and range."""
     if isinstance(core, SatelliteTasking) and form(core.satellite) is not None:
         return read_values("action", action, core.satellite, tuple(core.batch_size)).to(core.device)

@@ -39,7 +39,7 @@ class GymJointEnv(EpisodeView, gymnasium.Env[tuple[Any, ...], Sequence[Any]]):
 
     metadata: ClassVar[dict[str, Any]] = RENDERING  # type: ignore[misc]
 
-    def __init__(self, core: Core, *, render_mode: str | None = None, **options: Any) -> None:
+    def __init__(self, core: Core, *, render_mode: str | None = None, **options: object) -> None:
         """Wrap one environment.
 
         Args:
@@ -81,7 +81,7 @@ class GymJointEnv(EpisodeView, gymnasium.Env[tuple[Any, ...], Sequence[Any]]):
         self._running = True
         return self._observation(seen), self._info(seen)
 
-    def step(self, action: Sequence[Any]) -> tuple[tuple[Any, ...], float, bool, bool, dict[str, Any]]:
+    def step(self, action: Sequence[object]) -> tuple[tuple[Any, ...], float, bool, bool, dict[str, Any]]:
         """Carry out the actions until the first satellite has finished its task.
 
         Raises:
@@ -101,7 +101,7 @@ class GymJointEnv(EpisodeView, gymnasium.Env[tuple[Any, ...], Sequence[Any]]):
         pictures = snapshots(self.core, self.render_mode)
         return pictures[0] if pictures else None
 
-    def _decoded(self, action: Sequence[Any]) -> Any:
+    def _decoded(self, action: Sequence[object]) -> Any:
         """Return the actions [1, S], or by the names of the satellites where some are real numbers."""
         if len(action) != len(self._parts):
             raise ValueError(f"action has {len(action)} entries; it must have {len(self._parts)}, one per satellite")

@@ -55,7 +55,7 @@ class EpisodeDataLogger:
                 raise TypeError(f"{name}={callback!r} must be a function, or None")
         self.episode_data_callback, self.satellite_data_callback = episode, satellite
 
-    def set_metrics_logger(self, metrics_logger: Any) -> None:
+    def set_metrics_logger(self, metrics_logger: object) -> None:
         """Let a logger of RLlib's, whose method is ``log_value(name, value, ...)``, get the metrics."""
         self.metrics_logger = metrics_logger
 
@@ -97,7 +97,7 @@ class EpisodeDataWrapper(EpisodeDataLogger, gymnasium.Wrapper[Any, Any, Any, Any
         gymnasium.Wrapper.__init__(self, env)
         self._keep(episode_data_callback, satellite_data_callback)
 
-    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
+    def step(self, action: object) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
         """Step; the last info of an episode has ``metrics``."""
         observation, reward, terminated, truncated, info = self.env.step(action)
         if terminated or truncated:
@@ -110,7 +110,7 @@ class EpisodeDataParallelWrapper(EpisodeDataLogger, BaseParallelWrapper):
 
     def __init__(
         self,
-        env: Any,
+        env: object,
         episode_data_callback: EpisodeCallback | None = None,
         satellite_data_callback: SatelliteCallback | None = None,
     ) -> None:
@@ -118,7 +118,7 @@ class EpisodeDataParallelWrapper(EpisodeDataLogger, BaseParallelWrapper):
         BaseParallelWrapper.__init__(self, env)
         self._keep(episode_data_callback, satellite_data_callback)
 
-    def step(self, actions: Any) -> tuple[Any, ...]:
+    def step(self, actions: object) -> tuple[Any, ...]:
         """Step; the last infos of all agents that are left have ``metrics`` when the last agent has gone."""
         had = bool(self.env.agents)
         results = self.env.step(actions)

@@ -88,7 +88,7 @@ class PettingZooEnv(EpisodeView, ParallelEnv[str, Any, Any]):
         continue_action: bool = False,
         common_info: bool = False,
         render_mode: str | None = None,
-        **options: Any,
+        **options: object,
     ) -> None:
         """Wrap one environment.
 
@@ -154,7 +154,7 @@ class PettingZooEnv(EpisodeView, ParallelEnv[str, Any, Any]):
     # -- reset and step -----------------------------------------------------------------------------------------------
 
     def reset(
-        self, seed: int | None = None, options: Mapping[str, Any] | None = None
+        self, seed: int | None = None, options: Mapping[str, object] | None = None
     ) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
         """Start an episode.
 
@@ -172,7 +172,7 @@ class PettingZooEnv(EpisodeView, ParallelEnv[str, Any, Any]):
         self._warned = False
         return {agent: self._observation(seen, agent) for agent in self.agents}, self._infos(seen, self.agents)
 
-    def step(self, actions: Mapping[str, Any]) -> Steps:
+    def step(self, actions: Mapping[str, object]) -> Steps:
         """Carry out ``actions`` until the first satellite has finished its task.
 
         Raises:
@@ -219,7 +219,7 @@ class PettingZooEnv(EpisodeView, ParallelEnv[str, Any, Any]):
 
     # -- actions ------------------------------------------------------------------------------------------------------
 
-    def _decoded(self, actions: Mapping[str, Any]) -> list[Tensor]:
+    def _decoded(self, actions: Mapping[str, object]) -> list[Tensor]:
         """Return the actions of each group, [1, A] or [1, A, M], or [1, A, width] of real numbers."""
         for agent in actions:
             self._known(agent, "actions: agent")
@@ -240,7 +240,7 @@ class PettingZooEnv(EpisodeView, ParallelEnv[str, Any, Any]):
             tables.append(table if group.is_meta else table.squeeze(-1))
         return tables
 
-    def _row(self, agent: str, action: Any) -> list[int]:
+    def _row(self, agent: str, action: object) -> list[int]:
         """Return an agent's action for each of its satellites."""
         seat = self._seats[agent]
         if isinstance(action, np.ndarray | Tensor):

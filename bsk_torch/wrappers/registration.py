@@ -19,7 +19,7 @@ MANY = {"entry_point": f"{MODULE}.general:GymJointEnv"}
 """Entry point of constellations, which have one agent under Gymnasium."""
 
 
-def refuse_constellation(**options: Any) -> NoReturn:
+def refuse_constellation(**options: object) -> NoReturn:
     """Raise Error for ``gymnasium.make`` of agents that act on their own, which Gymnasium's interface does not have."""
     raise gymnasium.error.Error(
         "ConstellationTasking has several agents, which gymnasium.make cannot return (nor can bsk_rl's). PettingZoo's view is "

@@ -37,7 +37,7 @@ def unpack_config(env: type) -> type:
     view = VIEWS.get(env)
 
     class Unpacked(view or env):  # type: ignore[misc]
-        def __init__(self, env_config: Mapping[str, Any]) -> None:
+        def __init__(self, env_config: Mapping[str, object]) -> None:
             super().__init__(*([env] if view else []), **env_config)
 
     Unpacked.__name__ = Unpacked.__qualname__ = f"{env.__name__}_Unpacked"
@@ -45,13 +45,13 @@ def unpack_config(env: type) -> type:
     return Unpacked
 
 
-def satellite_tasking(env_config: Mapping[str, Any]) -> EpisodeDataWrapper:
+def satellite_tasking(env_config: Mapping[str, object]) -> EpisodeDataWrapper:
     """Return one episode of a ``SatelliteTasking`` with metrics, from RLlib's ``env_config``, which is left as it is."""
     arguments, callbacks = _split(env_config)
     return EpisodeDataWrapper(GymEnv(SatelliteTasking, **arguments), **callbacks)
 
 
-def constellation_tasking(env_config: Mapping[str, Any]) -> Any:
+def constellation_tasking(env_config: Mapping[str, object]) -> Any:
     """Return one episode of a ``ConstellationTasking`` with metrics, as RLlib wants it; ImportError without Ray."""
     try:
         from ray.rllib.env.wrappers.pettingzoo_env import ParallelPettingZooEnv
@@ -61,7 +61,7 @@ def constellation_tasking(env_config: Mapping[str, Any]) -> Any:
     return ParallelPettingZooEnv(EpisodeDataParallelWrapper(PettingZooEnv(ConstellationTasking, **arguments), **callbacks))
 
 
-def _split(env_config: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
+def _split(env_config: Mapping[str, object]) -> tuple[dict[str, Any], dict[str, Any]]:
     """Return the arguments of the environment, and the callbacks."""
     given = dict(env_config)
     callbacks = {name: given.pop(name) for name in CALLBACKS if name in given}
@@ -78,7 +78,7 @@ if all(map(find_spec, ("ray", "tree"))):  # Ray without RLlib lacks the latter
     class WrappedEpisodeDataCallbacks(RLlibCallback):
         """Gives RLlib's logger to the wrappers of :mod:`bsk_torch.wrappers.metrics` in each environment."""
 
-        def on_environment_created(self, *, env: Any = None, metrics_logger: Any = None, **_: Any) -> None:
+        def on_environment_created(self, *, env: object = None, metrics_logger: object = None, **_: object) -> None:
             """See RLlib's ``RLlibCallback``."""
             each = [env.par_env] if hasattr(env, "par_env") else getattr(env, "envs", [env])
             for one in each:

@@ -35,7 +35,7 @@ def flat_space(space: spaces.Space[Any]) -> spaces.Space[Any]:
     return spaces.Dict({name: _at_least_1d(box) for name, box in flat(space.spaces).items()})
 
 
-def flat(tree: Mapping[str, Any]) -> dict[str, Any]:
+def flat(tree: Mapping[str, object]) -> dict[str, Any]:
     """Return the leaves of nested dictionaries or Dict spaces, by their joined names."""
     leaves: dict[str, Any] = {}
     for name, part in tree.items():
@@ -159,7 +159,7 @@ class SB3VecEnv(VecEnv):
             self.reset_infos[row] = {name: value for name, value in infos[row].items() if name not in cut}
             infos[row] = final | {"terminal_observation": self._observed(info["final_obs"][row], 0)}
 
-    def _observed(self, observation: Any, batch_dims: int = 1) -> Any:
+    def _observed(self, observation: object, batch_dims: int = 1) -> Any:
         """Return an observation in the form of the observation space."""
         if not isinstance(observation, Mapping):
             return observation
@@ -187,11 +187,13 @@ class SB3VecEnv(VecEnv):
                 return [getattr(owner, attr_name) for _ in self._get_indices(indices)]
         raise AttributeError(f"attr_name={attr_name!r} is an attribute neither of GymVectorEnv nor of {type(self.core).__name__}")
 
-    def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
+    def set_attr(self, attr_name: str, value: object, indices: VecEnvIndices = None) -> None:
         """NotImplementedError: there are no single environments to set it in."""
         raise NotImplementedError(f"the episodes share one simulation; set {attr_name!r} in its attribute core, for all of them")
 
-    def env_method(self, method_name: str, *method_args: Any, indices: VecEnvIndices = None, **method_kwargs: Any) -> list[Any]:
+    def env_method(
+        self, method_name: str, *method_args: object, indices: VecEnvIndices = None, **method_kwargs: object
+    ) -> list[Any]:
         """Return results of ``action_masks()`` or ``render()`` for each episode; AttributeError for other methods."""
         methods: dict[str, Callable[..., Any]] = {"action_masks": self.action_masks, "render": self.get_images}
         if method_name not in methods:

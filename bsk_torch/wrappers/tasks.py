@@ -15,7 +15,7 @@ from bsk_torch.env.satellite_group import SatelliteGroup
 from bsk_torch.wrappers.core import as_numpy, counts, read_values
 
 
-def read_task(where: str, value: Any, satellite: SatelliteGroup, extra: int = 0) -> int:
+def read_task(where: str, value: object, satellite: SatelliteGroup, extra: int = 0) -> int:
     """Return a satellite's action as the environment takes it; ``NO_ACTION`` for None.
 
     Args:
@@ -43,7 +43,7 @@ def read_task(where: str, value: Any, satellite: SatelliteGroup, extra: int = 0)
     return int(value)
 
 
-def read_one(where: str, value: Any, satellite: SatelliteGroup, extra: int = 0) -> Tensor:
+def read_one(where: str, value: object, satellite: SatelliteGroup, extra: int = 0) -> Tensor:
     """Return a satellite's action: its number, a tensor without dimensions, or its numbers [A] or [A + 1].
 
     See :func:`read_task` and :func:`~bsk_torch.wrappers.core.read_values`.

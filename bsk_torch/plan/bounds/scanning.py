@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, cast
 
 import torch
 from torch import Tensor
@@ -17,6 +17,7 @@ from bsk_torch.astro.interpolate import positions
 from bsk_torch.constants import AU, SOLAR_FLUX
 from bsk_torch.data import ScanningTimeReward
 from bsk_torch.env import SatelliteTasking
+from bsk_torch.sats import BoundAccessSatellite
 from bsk_torch.sim.component import neighbours
 from bsk_torch.sim.fsw import ContinuousImagingFSWModel
 from bsk_torch.sim.orbit.builder import ARC
@@ -175,7 +176,7 @@ def _scalars(env: SatelliteTasking) -> dict[str, Tensor]:
 
 def _passes(env: SatelliteTasking) -> tuple[Tensor, Tensor]:
     """Return when passes over stations open and close, [N, K] s each; infinite where there is none."""
-    satellite: Any = env.satellite
+    satellite = cast(BoundAccessSatellite, env.satellite)
     if STATIONS not in satellite.opportunity_types:
         none = torch.zeros(len(env.env_ids), 0, dtype=torch.float64)
         return none, none

@@ -21,7 +21,7 @@ from bsk_torch.plan.bounds.envelope import Envelope
 from bsk_torch.plan.bounds.imaging import imaging_bound
 from bsk_torch.plan.bounds.tasks import check_task, payment
 from bsk_torch.plan.bounds.windows import Openings, openings, satellite_positions
-from bsk_torch.sats import BoundAccessSatellite
+from bsk_torch.sats import BoundImagingSatellite
 
 GRACE = 120.0
 """Seconds after its time in the schedule until which the window of an image may open."""
@@ -80,7 +80,7 @@ def milp_schedule(env: SatelliteTasking, *, envelope: Envelope | None = None, se
     if not isinstance(env, SatelliteTasking):
         raise ValueError("schedules by mixed-integer programs are those of one satellite; the environment has several")
     number("seconds", seconds, 0.0, unit="s", above=True)
-    every, paid = openings(cast(BoundAccessSatellite, env.satellite), env.state.limit_ticks), payment(env)
+    every, paid = openings(cast(BoundImagingSatellite, env.satellite), env.state.limit_ticks), payment(env)
     parts = [_program(env, every, paid[row], row, envelope, seconds) for row in range(len(paid))]
     width = max(1, *(len(part[0]) for part in parts))
     padded = [[torch.nn.functional.pad(x, (0, width - len(x)), value=-1) for x in part] for part in parts]
@@ -143,7 +143,7 @@ def _pairs(
     near = (first.unsqueeze(1) <= last + reach) & (first <= last.unsqueeze(1) + reach) & (target.unsqueeze(1) != target)
     i, j = torch.nonzero(near.triu(1), as_tuple=True)
     tick = 0.5 * (torch.maximum(first[i], first[j]) + torch.minimum(last[i], last[j]))
-    satellite: Any = env.satellite
+    satellite = cast(BoundImagingSatellite, env.satellite)
     here = satellite_positions(satellite, torch.full_like(i, row), tick * env.simulator.h)
     places = env.simulator.scenario_state["target_r_LP_P"][row]
     angle = angle_between(places[target[i]] - here, places[target[j]] - here)
@@ -176,7 +176,7 @@ class ScheduledPolicy(TensorDictModuleBase):
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write ``action``, [N]: targets by their index."""
         tensordict = self.otherwise(tensordict)
-        satellite: Any = self.env.satellite
+        satellite = cast(BoundImagingSatellite, self.env.satellite)
         now, h = satellite.simulator.sim_time.unsqueeze(1), satellite.simulator.h
         opens, closes = satellite.next_opportunities(satellite.target_types)
         target, time = self.schedule.target.clamp(min=0), self.schedule.tick * h

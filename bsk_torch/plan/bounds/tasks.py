@@ -12,7 +12,7 @@ from bsk_torch.data import CloudFreeImageReward, UniqueImageReward
 from bsk_torch.env import SatelliteTasking
 from bsk_torch.env.base import Tasking
 from bsk_torch.plan.bounds.envelope import SOONEST, Envelope
-from bsk_torch.sats import BoundImagingSatellite
+from bsk_torch.sats import BoundImagingSatellite, BoundSatellite
 from bsk_torch.sim.fsw import SteeringImagerFSWModel
 
 AGILITY = (
@@ -51,7 +51,7 @@ def agility(satellite: BoundImagingSatellite) -> dict[str, str]:
     return found
 
 
-def check_satellite(satellite: Any, envelope: Envelope) -> None:
+def check_satellite(satellite: BoundSatellite, envelope: Envelope) -> None:
     """ValueError unless the ``envelope`` holds for a satellite."""
     if not isinstance(satellite, BoundImagingSatellite):
         raise ValueError(f"{satellite.name} is a {type(satellite).__name__}; the bound needs satellites that image targets")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -11,6 +11,7 @@ from bsk_torch.astro.frames import angle_between
 from bsk_torch.env import SatelliteTasking
 from bsk_torch.env.rollout import Policy, play_episodes
 from bsk_torch.plan.bounds.windows import satellite_positions
+from bsk_torch.sats import BoundImagingSatellite
 
 
 class Transitions(NamedTuple):
@@ -54,8 +55,8 @@ def record_transitions(env: SatelliteTasking, policy: Policy, seed: int) -> Tran
 
     ValueError for a satellite that takes no images.
     """
-    satellite: Any = env.satellite
-    if not hasattr(satellite, "latest_target"):
+    satellite = env.satellite
+    if not isinstance(satellite, BoundImagingSatellite):
         raise ValueError(f"{satellite.name} is a {type(satellite).__name__}; transitions need a sats.ImagingSatellite")
     env.set_seed(seed)
     start, state = env.reset(), env.simulator.state

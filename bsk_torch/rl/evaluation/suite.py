@@ -69,7 +69,7 @@ class Task:
             raise ValueError(f"episodes={episodes} must lie in [1, {EPISODES}]")
         return range(self.first_seed, self.first_seed + episodes)
 
-    def environment(self, episodes: int = EPISODES, **views: Any) -> Tasking:
+    def environment(self, episodes: int = EPISODES, **views: object) -> Tasking:
         """Return environments for the episodes; ``views`` are those options in :data:`VIEWS` that differ from the preset's.
 
         Raises:
@@ -161,7 +161,7 @@ class Timed(TensorDictModuleBase):
         return tensordict
 
 
-def enter(task: Task, entrant: Entrant, episodes: int = EPISODES, **options: Any) -> tuple[Tasking, Policy] | None:
+def enter(task: Task, entrant: Entrant, episodes: int = EPISODES, **options: object) -> tuple[Tasking, Policy] | None:
     """Return the environment for the first ``episodes`` of a task and the policy that ``entrant`` enters; None where it has none.
 
     Args:
@@ -175,7 +175,7 @@ def enter(task: Task, entrant: Entrant, episodes: int = EPISODES, **options: Any
     """
     made: list[Tasking] = []
 
-    def environment(**views: Any) -> Tasking:
+    def environment(**views: object) -> Tasking:
         made.append(task.environment(episodes, **(options | views)))
         return made[-1]
 
@@ -190,7 +190,7 @@ def enter(task: Task, entrant: Entrant, episodes: int = EPISODES, **options: Any
     return env, policy
 
 
-def play(task: Task, entrant: Entrant, episodes: int = EPISODES, **options: Any) -> Score | None:
+def play(task: Task, entrant: Entrant, episodes: int = EPISODES, **options: object) -> Score | None:
     """Play the first ``episodes`` of a task with the policy that ``entrant`` enters; see :func:`enter`, also for errors."""
     entered = enter(task, entrant, episodes, **options)
     if entered is None:

@@ -326,7 +326,7 @@ class MAPPOLearner:
         """Return the weights of the policies."""
         return joined({name: group.policy_state() for name, group in self.groups.items()})
 
-    def load_policy_state(self, state: Mapping[str, Any]) -> None:
+    def load_policy_state(self, state: Mapping[str, object]) -> None:
         """Restore what :meth:`policy_state` returned."""
         for name, part in self._each(state).items():
             self.groups[name].load_policy_state(part)
@@ -345,12 +345,12 @@ class MAPPOLearner:
         """See :meth:`Learner.state_dict`."""
         return joined({name: group.state_dict() for name, group in self.groups.items()})
 
-    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+    def load_state_dict(self, state: Mapping[str, object]) -> None:
         """Restore what :meth:`state_dict` returned."""
         for name, part in self._each(state).items():
             self.groups[name].load_state_dict(part)
 
-    def _each(self, state: Mapping[str, Any]) -> Mapping[str, Any]:
+    def _each(self, state: Mapping[str, object]) -> Mapping[str, Any]:
         """Return what :func:`joined` was given."""
         return {next(iter(self.groups)): state} if len(self.groups) == 1 else state
 
@@ -364,7 +364,7 @@ class MAPPOLearner:
         return mean_report(reports)
 
 
-def joined(parts: Mapping[str, Any]) -> Any:
+def joined(parts: Mapping[str, object]) -> Any:
     """Return the part of the only group, or the parts of several by name: files of one group name none."""
     return next(iter(parts.values())) if len(parts) == 1 else dict(parts)
 

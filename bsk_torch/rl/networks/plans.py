@@ -66,7 +66,7 @@ class Networks:
         """Weights of the normaliser and of the actor, as files of policies hold them."""
         return {NORMALISER: self.normaliser.state_dict(), ACTOR: self.actor.state_dict()}
 
-    def load_policy_state(self, state: Mapping[str, Any]) -> None:
+    def load_policy_state(self, state: Mapping[str, object]) -> None:
         """Load what :meth:`policy_state` has returned; RuntimeError if it does not fit."""
         self.normaliser.load_state_dict(state[NORMALISER])
         self.actor.load_state_dict(state[ACTOR])

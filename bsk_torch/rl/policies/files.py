@@ -44,7 +44,7 @@ def save_policy(
     plan: Plan | Mapping[str, Plan],
     networks: Networks | Mapping[str, Networks],
     preset: str,
-    options: Mapping[str, Any],
+    options: Mapping[str, object],
 ) -> None:
     """Write what :func:`load_policy` needs, and for which environment the policy was made.
 
@@ -79,7 +79,7 @@ def networks_of(card: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
     return card.get(GROUPS, {AGENTS: card})
 
 
-def plain(options: Mapping[str, Any]) -> dict[str, Any]:
+def plain(options: Mapping[str, object]) -> dict[str, Any]:
     """The options that are numbers, words, or lists of them; machines, backends and logs are no part of the problem."""
     simple = (bool, int, float, str)
     return {
@@ -116,7 +116,7 @@ def read_card(path: Path | str, device: torch.device | str = "cpu") -> dict[str,
     return card
 
 
-def _is_card(card: Mapping[str, Any]) -> bool:
+def _is_card(card: Mapping[str, object]) -> bool:
     """Return whether a dictionary has the entries of a policy's file, of the right types."""
     parts = networks_of(card)
     if CARD - card.keys() or not isinstance(parts, dict) or not isinstance(card["preset"], str):
@@ -124,7 +124,7 @@ def _is_card(card: Mapping[str, Any]) -> bool:
     return isinstance(card["options"], dict) and bool(parts) and all(_is_network(part) for part in parts.values())
 
 
-def _is_network(part: Any) -> bool:
+def _is_network(part: object) -> bool:
     """Return whether something has the entries :data:`NETWORK`; weights that are not finite are none."""
     if not isinstance(part, dict) or NETWORK - part.keys() or not isinstance(part["network"], str):
         return False
@@ -134,7 +134,7 @@ def _is_network(part: Any) -> bool:
     )
 
 
-def _is_weight(value: Any) -> bool:
+def _is_weight(value: object) -> bool:
     return isinstance(value, torch.Tensor) and bool(value.isfinite().all())
 
 
@@ -160,7 +160,7 @@ def check_fits(card: Mapping[str, Any], env: Tasking, preset: str | None = None)
         logger.warning("the policy is of bsk_torch %s; this is %s", card["bsk_torch"], __version__)
 
 
-def _listed(value: Any) -> Any:
+def _listed(value: object) -> Any:
     return [_listed(part) for part in value] if isinstance(value, list | tuple) else value
 
 
@@ -169,7 +169,7 @@ def load_policy(path: Path | str, device: torch.device | str = "cpu") -> TensorD
     return build_policy(read_card(path, device), device)
 
 
-def build_policy(card: Mapping[str, Any], device: torch.device | str = "cpu") -> TensorDictModuleBase:
+def build_policy(card: Mapping[str, object], device: torch.device | str = "cpu") -> TensorDictModuleBase:
     """The policy of a card; ValueError if its weights do not fit its plan.
 
     It is one for one satellite, or :class:`~bsk_torch.rl.policies.shared_policy.GroupPolicies` of several groups.

@@ -27,7 +27,7 @@ RECORD, VERSION = "archive/bsk_torch_format", b"2"
 """Part of the archive in files that end with a checksum, and its content. Files of release 0.1 have neither."""
 
 
-def save_sealed(path: Path, entries: Mapping[str, Any]) -> None:
+def save_sealed(path: Path, entries: Mapping[str, object]) -> None:
     """Write a dictionary of tensors and plain values; see :func:`~bsk_torch.files.write_file` for errors."""
     buffer = io.BytesIO()
     torch.save(dict(entries), buffer)

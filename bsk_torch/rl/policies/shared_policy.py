@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any, cast
+from typing import cast
 
 import torch
 from tensordict import NestedKey, TensorDictBase
@@ -67,7 +67,7 @@ def member_view(env: Tasking) -> SatelliteTasking:
     return next(iter(views.values()))
 
 
-def check_reads(policy: Any, spec: Composite, hint: str = TRAINED_WITH) -> None:
+def check_reads(policy: object, spec: Composite, hint: str = TRAINED_WITH) -> None:
     """ValueError, which ends with ``hint``, for observations that a policy reads by their names and ``spec`` does not have."""
     known = {_path(key) for key in spec.keys(include_nested=True)}
     for path in (_path(key) for key in getattr(policy, "in_keys", ())):

@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import torch
 from tensordict.nn import TensorDictModule
@@ -130,7 +129,7 @@ class InspectionRule:
         description: Names of what they observe.
     """
 
-    entry: Any
+    entry: HillWaypoint | ImpulsiveThrustHill
     description: Sequence[str]
 
     @classmethod

@@ -10,7 +10,6 @@ import inspect
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from importlib import import_module
-from typing import Any
 
 import torch
 from tensordict.nn import TensorDictModule, TensorDictModuleBase, TensorDictSequential
@@ -61,7 +60,7 @@ def shield(rule: Rule, env: SatelliteTasking) -> TensorDictModule:
     """
     description, actions = env.satellite.observation_description, env.satellite.action_description
 
-    def narrow(observation: Any, action_mask: Tensor) -> Tensor:
+    def narrow(observation: object, action_mask: Tensor) -> Tensor:
         left = action_mask & rule(Columns(observation, description), actions)
         return torch.where(left.any(-1, keepdim=True), left, action_mask)
 

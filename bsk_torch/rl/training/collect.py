@@ -93,7 +93,7 @@ class Bookmark(Transform):
         self._last, self._begun = next_tensordict.copy(), None
         return next_tensordict
 
-    def set_extra_state(self, state: Any) -> None:
+    def set_extra_state(self, state: object) -> None:
         """Nothing: see the constructor."""
 
     def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:

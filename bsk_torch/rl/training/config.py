@@ -217,7 +217,7 @@ class PPOConfig:
 Config = TypeVar("Config", bound=PPOConfig)
 
 
-def _check_whole(name: str, value: Any, least: int, most: int, optional: bool = False) -> None:
+def _check_whole(name: str, value: object, least: int, most: int, optional: bool = False) -> None:
     if value is None and optional:
         return
     if not isinstance(value, int) or isinstance(value, bool):
@@ -228,7 +228,7 @@ def _check_whole(name: str, value: Any, least: int, most: int, optional: bool = 
         raise ValueError(f"{name}={value} must be at most {most}")
 
 
-def _check_within(name: str, value: Any, interval: str, optional: bool = False) -> None:
+def _check_within(name: str, value: object, interval: str, optional: bool = False) -> None:
     """ValueError unless a number lies in an interval such as ``"(0, 1]"``; nan lies in none."""
     if value is None and optional:
         return
@@ -261,7 +261,7 @@ def override(config: Config, changes: Iterable[str]) -> Config:
         raise ValueError(f"{' '.join(changes)}: {str(error).splitlines()[0]}") from error
 
 
-def _to_object(node: Any) -> Any:
+def _to_object(node: object) -> Any:
     try:
         return OmegaConf.to_object(node)
     except OmegaConfBaseException as error:
@@ -280,7 +280,7 @@ def save_config(config: PPOConfig, path: Path) -> None:
     write_file(path, OmegaConf.to_yaml(OmegaConf.structured(dataclasses.replace(config, options=options))))
 
 
-def _plain(value: Any) -> Any:
+def _plain(value: object) -> Any:
     try:
         OmegaConf.create({"value": value})
     except OmegaConfBaseException:
@@ -322,7 +322,7 @@ def _check_plain(text: str) -> None:
             raise ValueError(f"it is nested more than {DEEPEST} levels deep")
 
 
-def _check_settings(settings: Mapping[Any, Any]) -> None:
+def _check_settings(settings: Mapping[Any, object]) -> None:
     """ValueError for values that stand for others, and options that are not read from files."""
     for name, value in _leaves("", settings):
         if isinstance(value, str) and ("${" in value or value == MISSING):
@@ -332,7 +332,7 @@ def _check_settings(settings: Mapping[Any, Any]) -> None:
         raise ValueError(f"options.{name} is not read from files; give it on the command line")
 
 
-def _leaves(name: str, value: Any) -> Iterator[tuple[str, Any]]:
+def _leaves(name: str, value: object) -> Iterator[tuple[str, Any]]:
     """Yield what is nested in a value, with dotted names."""
     if isinstance(value, Mapping):
         for key, part in value.items():

@@ -99,7 +99,7 @@ class Learner:
         """Return the policy's weights; see :meth:`~bsk_torch.rl.networks.plans.Networks.policy_state`."""
         return self.networks.policy_state()
 
-    def load_policy_state(self, state: Mapping[str, Any]) -> None:
+    def load_policy_state(self, state: Mapping[str, object]) -> None:
         """Restore what :meth:`policy_state` returned."""
         self.networks.load_policy_state(state)
 

@@ -73,7 +73,7 @@ def interruptible() -> Iterator[threading.Event]:
     """An event that Ctrl-C sets, so that an iteration is finished and kept; a second Ctrl-C stops at once."""
     stop = threading.Event()
 
-    def ask(number: int, frame: Any) -> None:
+    def ask(number: int, frame: object) -> None:
         if stop.is_set():
             raise KeyboardInterrupt
         stop.set()

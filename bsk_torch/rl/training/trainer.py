@@ -177,7 +177,9 @@ class Training:
                 f"the run goes on from its last checkpoint with: bsk-torch train {self.out} --resume"
             ) from error
 
-    def _loop(self, batches: Iterator[TensorDictBase], collector: Any, log: RunLog, bar: Any, stop: threading.Event) -> None:
+    def _loop(
+        self, batches: Iterator[TensorDictBase], collector: object, log: RunLog, bar: object, stop: threading.Event
+    ) -> None:
         while self.progress.fraction < 1.0:
             begin = time.perf_counter()
             with self._collecting():

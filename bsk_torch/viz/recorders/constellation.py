@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import torch
 from tensordict import TensorDictBase
@@ -12,6 +12,7 @@ from torch import Tensor
 from bsk_torch.astro.frames import fixed_to_lla
 from bsk_torch.env import NO_ACTION, ConstellationTasking
 from bsk_torch.env.action_forms import acts, form, read
+from bsk_torch.env.agents import Group
 from bsk_torch.env.rollout import play_episodes
 from bsk_torch.env.satellite_group import SatelliteGroup
 from bsk_torch.viz.figures.constellation import ConstellationEpisode
@@ -103,7 +104,7 @@ class ConstellationRecorder:
                     if number not in (actions.n_actions, NO_ACTION) and not bool(self.removed[satellite]):
                         self.tasks.append(Task(satellite, self.times[-1], actions.entries[actions.entry_of(number)].name))
 
-    def _note_real(self, group: Any, satellite: SatelliteGroup, action: Tensor) -> None:
+    def _note_real(self, group: Group, satellite: SatelliteGroup, action: Tensor) -> None:
         """Note the tasks of agents whose actions are real numbers."""
         given = read("action", action, satellite, (len(group.agents),))
         for number, new in zip(group.members[:, 0].tolist(), acts(given, satellite, 1).tolist(), strict=True):

@@ -261,11 +261,11 @@ def _gain(estimate: Mapping[str, float] | None) -> str:
     return interval(estimate, "+") if estimate else ""
 
 
-def _number(value: Any) -> bool:
+def _number(value: object) -> bool:
     return isinstance(value, int | float) and isfinite(value)
 
 
-def _setting(value: Any) -> str:
+def _setting(value: object) -> str:
     """A setting as people write it."""
     if isinstance(value, float):
         return f"{value:g}"

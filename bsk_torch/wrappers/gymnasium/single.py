@@ -53,7 +53,7 @@ class GymEnv(EpisodeView, gymnasium.Env[Any, Any]):
 
     metadata: ClassVar[dict[str, Any]] = RENDERING  # type: ignore[misc]
 
-    def __init__(self, core: Core, *, render_mode: str | None = None, **options: Any) -> None:
+    def __init__(self, core: Core, *, render_mode: str | None = None, **options: object) -> None:
         """Wrap an environment of one episode.
 
         Args:
@@ -92,7 +92,7 @@ class GymEnv(EpisodeView, gymnasium.Env[Any, Any]):
         self._running = True
         return self._observation(seen), self._info(seen)
 
-    def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+    def step(self, action: object) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Carry out ``action`` until it ends, or an event, the time limit or ``max_step_duration`` ends the step.
 
         Raises:

@@ -65,7 +65,7 @@ class GymVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         output: str = "numpy",
         render_mode: str | None = None,
         metrics: BatchCallback | None = None,
-        **options: Any,
+        **options: object,
     ) -> None:
         """Wrap a batch of environments.
 
@@ -130,7 +130,7 @@ class GymVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         self._over = self._over & ~rows
         return self._observation(self._seen), self._info(self._seen, self._every)
 
-    def _rows(self, mask: Any) -> Tensor:
+    def _rows(self, mask: object) -> Tensor:
         """Return which environments to reset, [N] bool."""
         if mask is None:
             return self._every
@@ -146,7 +146,7 @@ class GymVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
 
     # -- step ---------------------------------------------------------------------------------------------------------
 
-    def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
+    def step(self, actions: object) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
         """Carry out ``actions`` [N, ...]; ValueError or TypeError for actions outside the space, before any state changes."""
         self._check_ready()
         same = self.autoreset_mode is AutoresetMode.SAME_STEP
