@@ -1,6 +1,10 @@
 #!/usr/bin/env bash
 # Makes .venv, installs bsk_torch with what the tests need, and runs linters, type checker and tests.
 #   scripts/test.sh [pytest arguments]
+# Without arguments these are all tests but those of the night. The tests of the documentation (marker pages: blocks of the pages,
+# tutorials, the site) are left out where pages, examples, signatures and docstrings are those with which they last passed, which
+# tests/docs/stamp.json notes; where one of these has changed, or git cannot say, they run. Blocks of the README always run.
+#   scripts/test.sh --docs   only the tests of the documentation; then notes that they have passed
 #   scripts/test.sh --all    then also the tests that need Ray, and those that need Basilisk or RLlib, which pin other packages: in
 #                            .venv-basilisk and .venv-rllib. Basilisk downloads its support data unless BSK_SUPPORT_DATA_CACHE
 #                            names a folder with them (see tests/basilisk/recorders/recording.py). No test is skipped for a
@@ -8,7 +12,8 @@
 #   scripts/test.sh --basilisk, --rllib    only one of these two
 #   scripts/test.sh --browser [pytest arguments]    only the tests of pages and reports in Chromium, which is installed with
 #                            apt-get where it is missing; part of --all
-#   scripts/test.sh --nightly [pytest arguments]    only the tests that take long, of the marker nightly
+#   scripts/test.sh --nightly [pytest arguments]    only the tests that take long, of the marker nightly, and those of the
+#                            documentation, so that a page which breaks by a change inside of a function is found here
 set -euo pipefail
 cd "$(dirname "$0")/.."
 python="${PYTHON:-python3}"
@@ -69,15 +74,23 @@ fi
 .venv/bin/lint-imports
 .venv/bin/python -W error -c "import bsk_torch"
 if [ "${1:-}" = --nightly ]; then
-    exec .venv/bin/python -m pytest -m nightly "${@:2}"
+    exec .venv/bin/python -m pytest -m "nightly or pages" "${@:2}"
+fi
+# files in their order, each by one worker (tests/conftest.py): by number of tests, the longest would come last
+parallel=(-n 2 --dist loadgroup --no-loadscope-reorder)
+if [ "${1:-}" = --docs ]; then
+    .venv/bin/python -m pytest "${parallel[@]}" -m pages
+    exec .venv/bin/python scripts/tools/docs_stamp.py --write
 fi
 if [ "${1:-}" = --all ]; then
-    .venv/bin/python -m pytest -n 2 --dist loadgroup --no-loadscope-reorder
+    .venv/bin/python -m pytest "${parallel[@]}"
     test_browser
     test_basilisk
     test_rllib
     exit
 fi
 if [ $# -gt 0 ]; then exec .venv/bin/python -m pytest "$@"; fi
-# files in their order, each by one worker (tests/conftest.py): by number of tests, the longest would come last
-exec .venv/bin/python -m pytest -n 2 --dist loadgroup --no-loadscope-reorder
+if .venv/bin/python scripts/tools/docs_stamp.py; then
+    exec .venv/bin/python -m pytest "${parallel[@]}" -m "not nightly and not browser and not pages"
+fi
+exec .venv/bin/python -m pytest "${parallel[@]}"

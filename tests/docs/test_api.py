@@ -30,6 +30,7 @@ def packages():
     return [name for name in found if not name.startswith(("bsk_torch.sim.", "bsk_torch.viz.render"))]
 
 
+@pytest.mark.pages
 def test_every_public_name_is_in_the_reference(site):
     import sphobjinv
 
@@ -65,6 +66,7 @@ def test_no_package_is_forgotten():
     assert not [name for name in packages() if name not in listed]
 
 
+@pytest.mark.pages
 def test_members_of_classes_have_entries(site):
     import sphobjinv
 
