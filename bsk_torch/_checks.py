@@ -1,4 +1,4 @@
-"""Checks of single values that users give: numbers within bounds, whole numbers, switches, functions. All raise ValueError.
+"""Checks of values that users give: numbers within bounds, whole numbers, switches, functions, gradients. All raise ValueError.
 
 Messages name the argument, the value and what is allowed. These functions are for arguments of constructors; tables of arguments
 (:class:`bsk_torch.sim.component.Arg`) check tensors of values.
@@ -7,11 +7,41 @@ Messages name the argument, the value and what is allowed. These functions are f
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from numbers import Integral, Real
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
+from tensordict import TensorDictBase
+from torch import Tensor
+
+Value = TypeVar("Value")
+
+
+def no_gradient(title: str, value: Value) -> Value:
+    """Return a value of the user in which no tensor requires a gradient: the simulation does not differentiate.
+
+    Args:
+        title: What the user calls it, for the message.
+        value: Anything; tensors are looked for in mappings, tensordicts, lists and tuples.
+
+    Raises:
+        ValueError: For a tensor that requires a gradient, which would be cut.
+    """
+    if isinstance(value, Tensor):
+        if value.requires_grad:
+            raise ValueError(
+                f"{title} requires a gradient, and the simulation does not differentiate; use .detach(), or compute it under "
+                "torch.no_grad(), as in: with torch.no_grad(): env.rollout(100, policy)"
+            )
+    elif isinstance(value, Mapping | TensorDictBase):
+        for name, part in value.items():
+            no_gradient(f"{title}[{name!r}]", part)
+    elif isinstance(value, list | tuple):
+        for k, part in enumerate(value):
+            if not isinstance(part, Real):
+                no_gradient(f"{title}[{k}]", part)
+    return value
 
 
 def interval(low: float, high: float, unit: str = "", above: bool = False, finite: bool = True) -> str:
@@ -50,7 +80,7 @@ def number(
     Raises:
         ValueError: For anything else.
     """
-    found = _real(value)
+    found = _real(no_gradient(title, value))
     within = found is not None and low <= found <= high and not (above and found == low)
     if found is None or not within or (finite and math.isinf(found)):
         raise ValueError(f"{title}={value!r} must be {interval(low, high, unit, above, finite)}{', or None' if none else ''}")

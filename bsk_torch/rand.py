@@ -20,7 +20,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from bsk_torch._checks import number, whole
+from bsk_torch._checks import no_gradient, number, whole
 from bsk_torch.astro.elements import ClassicElements
 from bsk_torch.astro.ephemeris import et_of_dates
 
@@ -210,7 +210,8 @@ def seeded(key: Key, anew: bool = False) -> Iterator[Iterator[Key]]:
 
     Iterating over the result gives the key of each environment, and seeds the generators from it before; what a function draws
     then depends on nothing but the key. Their states are put back at the end. Where one of these contexts contains another, the
-    outer one seeds, unless the inner one begins ``anew``.
+    outer one seeds, unless the inner one begins ``anew``. Gradients are recorded, so that a value that depends on parameters can
+    be told, see :func:`bsk_torch._checks.no_gradient`.
     """
     global _drawing
     rows = (key.take([k]) for k in range(len(key)))
@@ -220,7 +221,8 @@ def seeded(key: Key, anew: bool = False) -> Iterator[Iterator[Key]]:
     states, within = (np.random.get_state(), random.getstate(), torch.default_generator.get_state()), _drawing
     _drawing = True
     try:
-        yield _seeded_rows(key, rows)
+        with torch.enable_grad():
+            yield _seeded_rows(key, rows)
     finally:
         _drawing = within
         np.random.set_state(states[0])
@@ -257,6 +259,7 @@ def _check_numbers(**given: Any) -> None:
     for name, value in given.items():
         if type(value) is float and -MOST <= value <= MOST:
             continue
+        no_gradient(name, value)
         try:
             table = torch.as_tensor(value, dtype=torch.float64)
             wrong = not table.numel() or not bool((table.abs() <= MOST).all())

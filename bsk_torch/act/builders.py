@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import torch
 from torch import Tensor
 
+from bsk_torch._checks import no_gradient
 from bsk_torch.act.base import LONGEST, ActionBuilder, ActionTable, Decision, check_decision, link_entry
 from bsk_torch.act.continuous import ContinuousAction, HybridAction, is_continuous
 from bsk_torch.sim.hooks import check_tensor, overrides
@@ -172,8 +173,9 @@ def _bounds(entry: ContinuousAction) -> tuple[Tensor, Tensor]:
     title, given = f"{type(entry).__name__}.bounds()", entry.bounds()
     if not isinstance(given, tuple | list) or len(given) != 2:
         raise ValueError(f"{title} returns {given!r}; it must return the lowest and the highest values")
+    no_gradient(title, given)
     try:
-        low, high = (torch.as_tensor(side, dtype=torch.float64).detach().cpu() for side in given)
+        low, high = (torch.as_tensor(side, dtype=torch.float64).cpu() for side in given)
     except (TypeError, ValueError) as error:
         raise ValueError(f"{title} returns {given!r}; they must be numbers: {error}") from error
     if low.ndim != 1 or low.shape != high.shape or not len(low):

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import torch
 from torch import Tensor
 
-from bsk_torch._checks import number
+from bsk_torch._checks import no_gradient, number
 from bsk_torch.act.base import Action, Decision
 from bsk_torch.act.thrust import ImpulsiveThrustHill
 from bsk_torch.astro.linear_motion import LinearMotion, about_orbit
@@ -126,7 +126,7 @@ class HillWaypoint(Action):
             if waypoints < 1:
                 raise ValueError(f"{title}waypoints={waypoints} must be at least 1")
             return torch.as_tensor(fibonacci_sphere(waypoints)) * self.distance
-        positions = torch.as_tensor(waypoints, dtype=torch.float64)
+        positions = torch.as_tensor(no_gradient(f"{title}waypoints", waypoints), dtype=torch.float64)
         if positions.ndim != 2 or positions.shape[1] != 3 or not len(positions) or not bool(torch.isfinite(positions).all()):
             shape = list(positions.shape)
             raise ValueError(f"{title}waypoints must be a number, or finite positions [D, 3]; their shape is {shape}")

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
+from bsk_torch._checks import no_gradient
 from bsk_torch.data.base import GlobalReward, Log
 from bsk_torch.sim.hooks import check_linked, check_tensor
 
@@ -38,10 +39,19 @@ def log(rewarder: GlobalReward) -> Log:
 
 
 def reward(rewarder: GlobalReward, before: Log, after: Log) -> Tensor:
-    """Return the reward of a step, [N, S]; TypeError for another shape, or for a dtype that is not floating-point."""
-    found = rewarder.calculate_reward(before, after)
-    if not (isinstance(found, Tensor) and found.shape == rewarder.fleet.shape and found.dtype == torch.float64):
-        check_tensor(f"{type(rewarder).__name__}.calculate_reward()", found, rewarder.fleet.shape, torch.float64, torch.float32)
+    """Return the reward of a step, [N, S].
+
+    Raises:
+        TypeError: For another shape, or for a dtype that is not floating-point.
+        ValueError: For a reward that requires a gradient.
+    """
+    with torch.enable_grad():  # so that a reward that depends on parameters can be told
+        found = rewarder.calculate_reward(before, after)
+    shape = rewarder.fleet.shape
+    if not (isinstance(found, Tensor) and found.shape == shape and found.dtype == torch.float64) or found.requires_grad:
+        title = f"{type(rewarder).__name__}.calculate_reward()"
+        check_tensor(title, found, shape, torch.float64, torch.float32)
+        no_gradient(title, found)
     return found
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import torch
 from torch import Tensor
 
-from bsk_torch._checks import number
+from bsk_torch._checks import no_gradient, number
 from bsk_torch.data.base import GlobalReward, Log
 from bsk_torch.rand import Distribution, Key, seeded
 from bsk_torch.sats.user_function import UserFunction
@@ -118,7 +118,7 @@ def draw_weights(weight: Any, key: Key, rows: list[int]) -> Tensor:
         drawn = torch.as_tensor(weight.draw(part), dtype=torch.float64)
     else:
         with seeded(part) as each:
-            drawn = torch.tensor([float(weight()) for _ in each], dtype=torch.float64)
+            drawn = torch.tensor([float(no_gradient("reward_weight", weight())) for _ in each], dtype=torch.float64)
     if drawn.shape != (len(rows),) or not bool(torch.isfinite(drawn).all()):
         raise ValueError(f"reward_weight={weight!r} gives {drawn.tolist()[:5]}; it must give a finite number for each episode")
     return drawn

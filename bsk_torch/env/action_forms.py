@@ -13,6 +13,7 @@ from torch import Tensor
 from torchrl.data import Binary, Bounded, Categorical, Composite, TensorSpec, Unbounded
 from torchrl.data.tensor_specs import BoundedContinuous
 
+from bsk_torch._checks import no_gradient
 from bsk_torch.act.builders import ContinuousBuilder
 from bsk_torch.env.no_action import CLOSE, NO_ACTION
 from bsk_torch.env.satellite_group import SatelliteGroup
@@ -109,9 +110,11 @@ def read(title: str, given: Any, satellite: SatelliteGroup, shape: Sequence[int]
 
     Raises:
         TypeError: For another type.
-        ValueError: For another shape.
+        ValueError: For another shape, or actions that require a gradient.
     """
     builder = form(satellite)
+    if builder is not None:
+        no_gradient(title, given)
     if builder is not None and builder.is_hybrid and not isinstance(given, Tensor):
         return _joined(title, given, builder, tuple(shape))
     if not isinstance(given, Tensor):

@@ -174,7 +174,6 @@ class Tasking(Present, MadeOfArguments):
 
     # -- step ---------------------------------------------------------------------------------------------------------
 
-    @torch.no_grad()
     def _advance(self, actions: Sequence[Tensor], acts: Sequence[Tensor], moves: Tensor, all_act: bool = False) -> StepResult:
         """One decision of every episode: command, fly, score, communicate, judge.
 

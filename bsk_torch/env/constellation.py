@@ -194,7 +194,6 @@ class ConstellationTasking(Tasking):
 
     # -- step ---------------------------------------------------------------------------------------------------------
 
-    @torch.no_grad()
     def _step(self, tensordict: TensorDictBase) -> TensorDict:
         partial = tensordict.get("_step", None)
         moves = torch.ones_like(self.state.removed[:, 0]) if partial is None else partial.reshape(-1)
@@ -202,7 +201,6 @@ class ConstellationTasking(Tasking):
         given = [hints.given_action(tensordict, *key) for key in keys]
         return self.play(given, moves)
 
-    @torch.no_grad()
     def play(self, given: Sequence[Any], moves: Tensor) -> TensorDict:
         """Carry out the actions of each group where ``moves`` [N] is true; return the entries of ``next``."""
         with self.guard:
@@ -310,7 +308,6 @@ class ConstellationTasking(Tasking):
 
     # -- outputs ------------------------------------------------------------------------------------------------------
 
-    @torch.no_grad()
     def _outputs(self, result: StepResult | None, **parts: Tensor) -> TensorDict:
         duration = torch.zeros_like(self.fleet.sim_time) if result is None else result.duration
         duration = duration.to(self.dtype).unsqueeze(-1)

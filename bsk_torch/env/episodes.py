@@ -182,7 +182,6 @@ class Episodes(EnvBase):
         self.state.seed = torch.where(rows, values, self.state.seed)
         self.state.episode = self.episode.masked_fill(rows, -1)
 
-    @torch.no_grad()
     def _begin(self, envs: Tensor) -> None:
         """Start new episodes in ``envs`` [n]."""
         state = self.state

@@ -32,7 +32,8 @@ class EpisodeGuard:
     """A context that one thread may enter, also several times; RuntimeError for a second thread meanwhile, which does not wait.
 
     A step changes hundreds of tensors one after the other, so calls of two threads at once would mix two episodes' numbers, and a
-    call that an error ends leaves the episodes that it was changing without a meaning: they must be reset.
+    call that an error ends leaves the episodes that it was changing without a meaning: they must be reset. Gradients are not
+    recorded inside; :func:`bsk_torch._checks.no_gradient` refuses values that would need them.
 
     Attributes:
         state: Table with the field ``begun``: episodes that can be stepped, [N].
@@ -46,6 +47,7 @@ class EpisodeGuard:
         self.state, self.all_begun, self.interrupted, self.origin = state, False, False, Origin.DRAWN
         self._changing: Tensor | None = None
         self._lock, self._inside = threading.RLock(), ""
+        self._outer_modes: list[bool] = []
 
     # -- calls --------------------------------------------------------------------------------------------------------
 
@@ -57,6 +59,8 @@ class EpisodeGuard:
                 "same time: give each thread an environment of its own, or let one wait for the other with a threading.Lock"
             )
         self._inside = threading.current_thread().name
+        self._outer_modes.append(torch.is_grad_enabled())
+        torch.set_grad_enabled(False)
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         """Leave; after an ``error``, episodes that were being changed have not begun."""
@@ -65,6 +69,7 @@ class EpisodeGuard:
             if error is not None and changing is not None:
                 self._interrupt(changing, error)
         finally:
+            torch.set_grad_enabled(self._outer_modes.pop())
             self._lock.release()
 
     def change(self, envs: Tensor) -> None:

@@ -8,6 +8,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from bsk_torch._checks import no_gradient
 from bsk_torch.formations import Formation
 from bsk_torch.rand import Key, seeded
 from bsk_torch.sats.satellite import Satellite
@@ -68,7 +69,10 @@ class Randomizer:
         draws: Draws = {}
         for name in dict.fromkeys(name for name, _ in episodes[0]):
             columns = [k for other, k in episodes[0] if other == name]
-            rows = [torch.stack([numbers(episode[name, k]) for k in columns]) for episode in episodes]
+            rows = [
+                torch.stack([numbers(no_gradient(f"sat_arg_randomizer: {name}", episode[name, k])) for k in columns])
+                for episode in episodes
+            ]
             draws[name] = columns, torch.stack(rows)
         return draws
 

@@ -57,7 +57,6 @@ class Snapshots(Episodes):
         state[MADE_BY] = self.fingerprint.to(self.device).expand(self.num_envs, -1).clone()
         return state
 
-    @torch.no_grad()
     def restore(
         self,
         state: TensorDictBase | Mapping[str, Any] | Snapshots,

@@ -103,7 +103,6 @@ class SatelliteTasking(Tasking):
         partial = tensordict.get("_step", None)
         return self.play(hints.given_action(tensordict, "action"), None if partial is None else partial.reshape(-1))
 
-    @torch.no_grad()
     def play(self, action: Any, moves: Tensor | None = None) -> TensorDict:
         """Carry out ``action`` [N] where ``moves`` [N] is true, everywhere if None; return the entries of ``next``.
 
@@ -120,7 +119,6 @@ class SatelliteTasking(Tasking):
             result = self._advance([action], [mine], moves, moves_all and not goes_on)
             return self._proven(self._outputs(result, reward=result.reward.to(self.dtype), **self._ends(result)))
 
-    @torch.no_grad()
     def _outputs(self, result: StepResult | None, **parts: Tensor) -> TensorDict:
         observations = self.satellite.observations
         in_parts = self.satellite.obs_type is dict

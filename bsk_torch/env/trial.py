@@ -7,6 +7,9 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
+import torch
+
+from bsk_torch._checks import no_gradient
 from bsk_torch.data import checked
 from bsk_torch.data.base import GlobalReward
 from bsk_torch.env.build import FleetBuilder, link
@@ -102,7 +105,8 @@ class TrialFleet:
 def _observed(satellite: SatelliteGroup) -> Values:
     try:
         satellite.is_alive()
-        return satellite.observations.get_dict()
+        with torch.enable_grad():  # so that an observation that depends on parameters can be told
+            return no_gradient(f"observation of {satellite.name}", satellite.observations.get_dict())
     except MissingMessageError as error:
         raise TypeError(f"{satellite.name}: {error}; {provided_by(str(error.name))}") from error
 

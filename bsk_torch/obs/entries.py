@@ -9,6 +9,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from bsk_torch._checks import no_gradient
 from bsk_torch.sats.one import OWN_PACKAGE
 
 Norm = float | Tensor
@@ -50,6 +51,7 @@ def _parsed(entry: object, number: int, allowed: set[str], title: str) -> dict[s
 
 def parse_norm(norm: object, title: str) -> Norm:
     """Return a norm as a number or a tensor; 1 for None. ValueError for one that is no number, or zero."""
+    no_gradient(title, norm)
     try:
         table = torch.as_tensor(1.0 if norm is None else norm, dtype=torch.float64)
     except (TypeError, ValueError, RuntimeError, OverflowError):

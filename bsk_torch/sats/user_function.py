@@ -16,6 +16,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from bsk_torch._checks import no_gradient
+
 logger = logging.getLogger(__name__)
 
 RELATIVE, ABSOLUTE = 1e-6, 1e-7
@@ -200,7 +202,7 @@ def stacked(title: str, values: Sequence[Any]) -> Tree:
     """
     if isinstance(values[0], dict):
         return {name: stacked(f"{title}[{name!r}]", [value[name] for value in values]) for name in values[0]}
-    parts = [value.detach().cpu().numpy() if isinstance(value, Tensor) else np.asarray(value) for value in values]
+    parts = [no_gradient(title, value).cpu().numpy() if isinstance(value, Tensor) else np.asarray(value) for value in values]
     if any(part.shape != parts[0].shape for part in parts):
         raise TypeError(f"{title} has shapes {sorted({part.shape for part in parts})} in different environments; they must agree")
     if any(part.dtype.kind not in "biuf" for part in parts):

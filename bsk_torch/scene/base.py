@@ -9,6 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from bsk_torch._checks import no_gradient
 from bsk_torch.sim.hooks import FLEET_MEMORY, ChangeGuard, check_class, check_linked, check_tensor, overrides
 
 if TYPE_CHECKING:
@@ -163,7 +164,8 @@ class Scenario:
 
         Raises:
             TypeError: If NumPy's global generator was used though ``calls_user`` is False.
-            ValueError: If names or shapes differ from those of the first call: values of other episodes would be left behind.
+            ValueError: If names or shapes differ from those of the first call: values of other episodes would be left behind; for
+                a value that requires a gradient.
         """
         values = self._drawn_from_key("draw(key)", lambda: self.draw(key))
         form = {name: value.shape[1:] for name, value in values.items()}
@@ -197,9 +199,15 @@ class Scenario:
         return present
 
     def _drawn_from_key(self, call: str, draw: Callable[[], Drawn]) -> Drawn:
-        """Return what a hook draws; TypeError if it has used NumPy's global generator though ``calls_user`` is False."""
+        """Return what a hook draws.
+
+        Raises:
+            TypeError: If it has used NumPy's global generator though ``calls_user`` is False.
+            ValueError: For a value that requires a gradient.
+        """
         before = None if self.calls_user else np.random.get_state()
-        values = draw()
+        with torch.enable_grad():  # so that a value that depends on parameters can be told
+            values = no_gradient(f"{type(self).__name__}.{call}", draw())
         if before is not None and not _same(before, np.random.get_state()):
             np.random.set_state(before)
             raise TypeError(

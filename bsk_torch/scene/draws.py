@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from bsk_torch._checks import number
+from bsk_torch._checks import no_gradient, number
 from bsk_torch.rand import Distribution, Key, PerEnv, first_key, seeded
 
 Numbers = float | Distribution | Callable[[], float]
@@ -82,7 +82,7 @@ def as_numbers(value: object) -> Tensor:
         TypeError, ValueError, RuntimeError: For anything else.
     """
     try:
-        return torch.as_tensor(value.detach().cpu() if isinstance(value, Tensor) else np.asarray(value, dtype=float)).double()
+        return torch.as_tensor(value.cpu() if isinstance(value, Tensor) else np.asarray(value, dtype=float)).double()
     except OverflowError as error:
         raise ValueError(str(error)) from error
 
@@ -95,7 +95,10 @@ def _drawn(value: object, key: Key, count: int) -> Tensor:
         return rows.unsqueeze(-1).expand(-1, count) if isinstance(value, PerEnv) and rows.ndim == 1 else rows
     if callable(value):
         with seeded(key) as envs:
-            return torch.tensor([[float(value()) for _ in range(count)] for _ in envs], dtype=torch.float64).view(len(key), count)
+            return torch.tensor(
+                [[float(no_gradient("a value of the function", value())) for _ in range(count)] for _ in envs],
+                dtype=torch.float64,
+            ).view(len(key), count)
     given = as_numbers(value)
     return given.unsqueeze(0) if given.ndim else given.expand(1, count)
 
@@ -117,6 +120,7 @@ def draw_numbers(
     Raises:
         ValueError: If the argument does not give ``count`` finite numbers within the bounds.
     """
+    no_gradient(what, value)
     try:
         numbers, problem = _drawn(value, key, count), ""
     except (TypeError, ValueError, RuntimeError) as error:

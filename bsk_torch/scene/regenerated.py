@@ -15,6 +15,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from bsk_torch._checks import no_gradient
 from bsk_torch.constants import R_EARTH
 from bsk_torch.rand import Distribution, Key, seeded
 from bsk_torch.scene.draws import check_positions, draw_numbers
@@ -134,9 +135,9 @@ def _number(target: Target, name: str) -> np.ndarray | None:
     """Return an attribute as an array of numbers; None for one that is made of other things."""
     if not hasattr(target, name):
         raise TypeError(f"{target!r} lacks {name!r}, which other targets have; all targets must have the same attributes")
-    value = getattr(target, name)
+    value = no_gradient(f"{name!r} of a target", getattr(target, name))
     try:
-        array = np.asarray(value.detach().cpu() if isinstance(value, Tensor) else value)
+        array = np.asarray(value.cpu() if isinstance(value, Tensor) else value)
     except ValueError:
         return None
     return array.astype(float) if array.dtype.kind in "biuf" else None

@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from bsk_torch._checks import number, whole
+from bsk_torch._checks import no_gradient, number, whole
 from bsk_torch.astro.relative import fibonacci_sphere
 from bsk_torch.rand import Key, seeded
 from bsk_torch.sats.bound import BoundSatellite
@@ -62,8 +62,9 @@ class RSOPoint:
 
 
 def _vector(title: str, value: object) -> list[float]:
+    no_gradient(title, value)
     try:
-        array = np.asarray(value.detach().cpu() if isinstance(value, Tensor) else value, dtype=float)
+        array = np.asarray(value.cpu() if isinstance(value, Tensor) else value, dtype=float)
     except (TypeError, ValueError) as error:
         raise ValueError(f"{title}={value!r} must be three numbers") from error
     if array.shape != (3,) or not np.isfinite(array).all() or np.abs(array).max() > FARTHEST:

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from bsk_torch._checks import no_gradient
 from bsk_torch.rand import Distribution, as_value, first_key, seeded
 from bsk_torch.sim.names import nearest
 
@@ -84,7 +85,8 @@ def _called(function: Callable[[], Any], title: str) -> dict[str, Any]:
     answer = function()
     if not isinstance(answer, Mapping):
         raise TypeError(f"{title}={function!r} returned {answer!r}; it must return a dictionary of arguments, {{name: value}}")
-    return {name: value() if is_function(value) else value for name, value in answer.items()}
+    values = {name: value() if is_function(value) else value for name, value in answer.items()}
+    return no_gradient(title, values)
 
 
 def expand(given: Mapping[str, Any] | Callable[[], Mapping[str, Any]] | None, title: str) -> dict[str, Any]:
@@ -92,11 +94,12 @@ def expand(given: Mapping[str, Any] | Callable[[], Mapping[str, Any]] | None, ti
 
     Raises:
         TypeError: For anything but a dictionary or a function that returns one.
+        ValueError: For a tensor that requires a gradient.
     """
     if given is None:
         return {}
     if isinstance(given, Mapping):
-        return {name: as_value(value) for name, value in given.items()}
+        return {name: no_gradient(f"{title}[{name!r}]", as_value(value)) for name, value in given.items()}
     if not is_function(given):
         raise TypeError(f"{title}={given!r} must be a dictionary of arguments, or a function without arguments that returns one")
     with seeded(first_key(1).named(title)) as rows:
@@ -121,10 +124,10 @@ class Given(dict[str, Any]):
         return Given, (dict(self), self.defaults, self.title)
 
     def __setitem__(self, name: str, value: Any) -> None:
-        """Give an argument; KeyError for an unknown name."""
+        """Give an argument; KeyError for an unknown name, ValueError for a tensor that requires a gradient."""
         if name not in self.defaults:
             raise KeyError(unknown(self.title, name, self.defaults))
-        super().__setitem__(name, as_value(value))
+        super().__setitem__(name, no_gradient(f"{self.title}[{name!r}]", as_value(value)))
 
     def __missing__(self, name: str) -> Any:
         """Return the default of an argument; KeyError for an unknown name."""

@@ -19,7 +19,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from bsk_torch._checks import number
+from bsk_torch._checks import no_gradient, number
 from bsk_torch.astro.ephemeris import coverage, parse_utc
 from bsk_torch.rand import Distribution, Key, RandomEpoch, seeded
 from bsk_torch.sim.component import Arg, Component, Values
@@ -35,7 +35,7 @@ ELEMENT_NAMES = ("a", "e", "i", "Omega", "omega", "f")
 def numbers(value: Any) -> Tensor:
     """Return numbers, sequences, arrays, tensors, or objects with attributes a, e, i, Omega, omega and f as a float64 tensor."""
     if all(hasattr(value, name) for name in ELEMENT_NAMES):
-        value = [getattr(value, name) for name in ELEMENT_NAMES]
+        value = [no_gradient(f"orbital element {name}", getattr(value, name)) for name in ELEMENT_NAMES]
     if isinstance(value, list | tuple) and any(isinstance(v, Tensor) or hasattr(v, "a") for v in value):
         return torch.stack([numbers(v) for v in value])
     if isinstance(value, list | tuple) and any(isinstance(v, np.ndarray) for v in value):
@@ -70,7 +70,7 @@ def has_shape(shape: Sequence[int], dims: Sequence[int | None]) -> bool:
 
 
 def _shaped(arg: Arg, values: Tensor, rows: int) -> Tensor:
-    values = values.detach().cpu()
+    values = values.cpu()
     if arg.kind == "matrix" and values.shape[1:] == (3, 3):
         values = values.flatten(1)
     if arg.kind == "vector" and values.shape == (rows, 3, 1):
@@ -99,8 +99,9 @@ def convert(arg: Arg, values: Any, rows: int) -> Any:
         rows: Number of rows.
 
     Raises:
-        ValueError: For values that are not of the argument's kind, or beyond its bounds.
+        ValueError: For values that are not of the argument's kind, beyond its bounds, or that require a gradient.
     """
+    no_gradient(arg.name, values)
     if arg.kind == "choice":
         return torch.tensor([_index(arg, v) for v in values], dtype=torch.float64)
     if arg.kind == "utc":

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
+from bsk_torch._checks import no_gradient
 from bsk_torch.constants import NANO
 from bsk_torch.sim.access.lookahead import LookAhead
 from bsk_torch.sim.component import Layout
@@ -153,10 +154,12 @@ class SatelliteState(StateTable):
 
         Raises:
             KeyError: For a name that no component declares.
-            ValueError: For a field that every tick computes anew, so that what is written is lost.
+            ValueError: For a field that every tick computes anew, so that what is written is lost, or a value that requires a
+                gradient.
         """
         if name in self.overwritten:
             raise ValueError(f"write({name!r}) would be lost in the next tick: {self.overwritten[name]}")
+        no_gradient(f"value of write({name!r}, rows, value)", value)
         where = self.layout.slices[self._known(name)]
         self.planes[where] = torch.where(rows, value.reshape(self.rows, -1).mT, self.planes[where])
         self.touch()

@@ -12,7 +12,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from bsk_torch._checks import number
+from bsk_torch._checks import no_gradient, number
 from bsk_torch.codegen.kernel import Kernel, Samples
 from bsk_torch.constants import NANO
 from bsk_torch.rand import Key, first_key
@@ -568,7 +568,7 @@ class Simulator:
             dv_N: Changes of velocity in N, [N, 3] m/s; those of other rows do not matter.
 
         Raises:
-            ValueError: For satellites without a tank, tensors of other shapes, or changes that are not finite.
+            ValueError: For satellites without a tank, tensors of other shapes, changes that are not finite or require a gradient.
         """
         self.check_tank("thrust(rows, dv_N)")
         state = self.state
@@ -578,6 +578,7 @@ class Simulator:
                 f"thrust(rows, dv_N) got rows of shape {list(rows.shape)} and {rows.dtype}, dv_N of shape {list(dv_N.shape)}; "
                 f"rows must be a mask [{n}] bool, dv_N [{n}, 3] m/s"
             )
+        no_gradient("dv_N", dv_N)
         done = burn(dv_N.double(), state.read("dv_available"))
         infinite, clipped = torch.stack([(rows & ~torch.isfinite(dv_N).all(-1)).any(), (rows & done.clipped).any()]).tolist()
         if infinite:

@@ -17,6 +17,8 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
+from bsk_torch._checks import no_gradient
+
 Table = TypeVar("Table", bound="StateTable")
 
 FINITE = 1e30
@@ -287,7 +289,7 @@ class StateTable:
         Raises:
             KeyError: If a field or a table is missing in ``saved``, or one of them is unknown.
             TypeError: For something else in the place of a table or a tensor.
-            ValueError: For a tensor of another shape or type.
+            ValueError: For a tensor of another shape or type, or one that requires a gradient.
         """
         if not isinstance(saved, Mapping | TensorDictBase):
             raise TypeError(f"the saved state has {saved!r} in the place of {sorted({*self.fields, *self.tables})}")
@@ -313,6 +315,7 @@ class StateTable:
     def _checked(self, name: str, value: Tensor) -> Tensor:
         """Return a saved tensor as this table stores it."""
         field, mine = self.fields[name], self.__dict__[name]
+        no_gradient(f"{name!r} of the saved state", value)
         if value.dtype != mine.dtype:
             raise ValueError(f"{name!r} of the saved state has dtype {value.dtype}; it must be {mine.dtype}")
         leading = 1 if self.count == 1 else 2
