@@ -472,7 +472,12 @@ class Simulator:
         wrong = ~((drawn.values >= low) & (drawn.values <= high))
         for name, place in drawn.places.items() if bool(wrong.any()) else ():
             limits = f"[{float(low[place].max()):g}, {float(high[place].min()):g}]"
-            saved.refuse(f"{path}arguments.{name}", values[name], wrong[place].movedim(-1, 0), f"it must lie in {limits}")
+            saved.refuse(
+                f"{path}arguments.{name}",
+                values[name],
+                wrong[place].movedim(-1, 0).reshape(values[name].shape),
+                f"it must lie in {limits}",
+            )
         for name, value in values.items():
             if self._argument(name).shared:
                 saved.refuse(f"{path}arguments.{name}", value, value != value[:1], "it must be the same in all episodes")

@@ -17,7 +17,7 @@ import torch
 
 import bsk_torch
 from bsk_torch.rand import first_key
-from bsk_torch.sim.params import SHAPES, Arguments, merge
+from bsk_torch.sim.params import Arguments, merge
 from bsk_torch.sim.simulator import Simulator, fitted
 
 SMALL: dict[str, dict[str, Any]] = {
@@ -64,7 +64,7 @@ def cases(preset: str) -> Iterator[Case]:
     env = built(preset)
     for where, table in (("sat_args", env.default_sat_args()), ("world_args", env.default_world_args())):
         for name, arg in table.rows.items():
-            for value in values(SHAPES.get(arg.kind, ())):
+            for value in values(arg.dims):
                 yield Case(preset, where, name, value)
 
 

@@ -3,7 +3,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from bsk_torch.sim.component import Bus, Field, Layout, Track, neighbours, vec
+from bsk_torch.sim.component import Arg, Bus, Component, Field, Layout, Track, neighbours, vec
 from bsk_torch.sim.environment.ephemeris import put_track
 from bsk_torch.vec3 import Vec3
 
@@ -143,3 +143,60 @@ def test_every_row_has_its_own_time():
         alone, since = neighbours(PAIR, table, rows[k : k + 1], elapsed[k : k + 1])
         assert torch.equal(found[k], alone[0])
         assert tau[k] == since[0]
+
+
+# -- additions to a component ---------------------------------------------------------------------------------------------------
+
+
+def _one(bus) -> None:
+    """Write one."""
+    bus.steps = ("one",)
+
+
+def _two(bus) -> None:
+    bus.steps = (*bus.steps, "two")
+
+
+def _refuse(args) -> None:
+    raise ValueError("refused")
+
+
+def test_additions_run_after_the_component_and_replace_entries_of_the_same_name():
+    part = Component(
+        "battery",
+        _one,
+        args=(Arg("a", 1.0, "-", "first"), Arg("b", 2.0, "-", "second")),
+        params=(Field("p"),),
+        prepare=lambda args: {"p": args["a"]},
+        flags=("on",),
+        resets=(("x", 1.0),),
+    )
+    more = part.extended(
+        update=_two,
+        args=(Arg("b", 3.0, "-", "other"), Arg("c", 4.0, "-", "third")),
+        params=(Field("q"),),
+        prepare=lambda args: {"q": args["c"], "p": args["b"]},
+        check=_refuse,
+        flags=("on", "off"),
+        resets=(("y", 2.0),),
+    )
+    bus = Bus(1)
+    more.update(bus)
+    assert bus.steps == ("one", "two")
+    assert more.update.__doc__ == "Write one."
+    assert [(arg.name, arg.default) for arg in more.args] == [("a", 1.0), ("b", 3.0), ("c", 4.0)]
+    assert more.prepare({"a": 1, "b": 2, "c": 3}) == {"p": 2, "q": 3}
+    assert (more.slot, more.flags, more.resets) == ("battery", ("on", "off"), (("x", 1.0), ("y", 2.0)))
+    with pytest.raises(ValueError, match="refused"):
+        more.check({})
+    assert part.extended().update is _one
+
+
+def test_additions_reach_the_structure_that_arguments_need():
+    part = Component("battery", fit=lambda given: Component("battery", _one, params=(Field("p", given["count"]),)))
+    fitted = part.extended(update=_two, flags=("on",)).fit({"count": 5})
+    assert [field.width for field in fitted.params] == [5]
+    assert fitted.flags == ("on",)
+    bus = Bus(1)
+    fitted.update(bus)
+    assert bus.steps == ("one", "two")

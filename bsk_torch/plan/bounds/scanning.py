@@ -24,9 +24,6 @@ from bsk_torch.sim.orbit.builder import ARC
 from bsk_torch.sim.orbit.grid import LEAD_NODES, NODE_SPACING
 from bsk_torch.vec3 import Vec3
 
-WHEELS = 3
-"""Number of wheels, each of which draws its base power."""
-
 STATIONS = "ground_station"
 """Kind of opportunity in which data can be sent."""
 
@@ -142,6 +139,7 @@ def _row_bound(
     """Solve the program of one episode: its value, and recording, downlink, charge and level of each interval."""
     h, limit = env.simulator.h, int(env.state.limit_ticks[row])
     args = {name: float(value[row]) for name, value in _scalars(env).items()}
+    args["wheels"] = float(env.satellite.sat_args["wheelSpeeds"].shape[-1])
     ticks = torch.arange(1, limit + 1, dtype=torch.float64)
     power, angle = sunlight(env, row, ticks)
     gain = power * args["panelArea"] * args["panelEfficiency"]
@@ -204,7 +202,7 @@ def _solve(
     k, battery = len(length), args["batteryStorageCapacity"]
     store = args["dataStorageCapacity"] if math.isfinite(args["dataStorageCapacity"]) else 1e15
     eye, before, none = sparse.identity(k), sparse.eye(k, k=-1), sparse.csr_matrix((k, k))
-    base = args["basePowerDraw"] - WHEELS * args["rwBasePower"]
+    base = args["basePowerDraw"] - args["wheels"] * args["rwBasePower"]
     rate, sent = args["instrumentBaudRate"] / store, -args["transmitterBaudRate"] / store
     spent = (loss.numpy() + args["instrumentPowerDraw"]) / battery
     first = np.zeros(k)

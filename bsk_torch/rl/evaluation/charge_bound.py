@@ -21,8 +21,6 @@ from bsk_torch.sim.orbit.builder import ARC
 from bsk_torch.sim.orbit.grid import NODE_SPACING
 from bsk_torch.vec3 import Vec3
 
-WHEELS = 3
-
 SINKS = ("instrumentPowerDraw", "transmitterPowerDraw", "thrusterPowerDraw")
 """Power of what actions may switch on, W; negative where it draws."""
 
@@ -88,7 +86,8 @@ def most_power(env: SatelliteTasking, rows: Tensor) -> Tensor:
         raise ValueError(f"time_limit={last * env.simulator.h:g} s: the bound needs orbits that are solved to the end at reset")
     lit, flux = sunlight(env, rows, torch.arange(1, last + 1, dtype=torch.float64, device=env.device))
     args = {name: env.satellite.sat_args[name].expand(len(env.env_ids))[rows].unsqueeze(1) for name in NEEDED}
-    always = args["basePowerDraw"] - WHEELS * args["rwBasePower"]
+    wheels = env.satellite.sat_args["wheelSpeeds"].shape[-1]
+    always = args["basePowerDraw"] - wheels * args["rwBasePower"]
     gifts = sum(args[name].clamp(min=0.0) for name in SINKS)
     return lit * flux * (args["panelArea"] * args["panelEfficiency"]) + always + gifts
 

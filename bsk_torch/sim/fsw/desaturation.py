@@ -1,6 +1,6 @@
 """Momentum dumping: thruster pulses that take the wheels' momentum away.
 
-Basilisk's chain thrMomentumManagement, thrForceMapping, thrMomentumDumping, on the four thruster pairs of
+Basilisk's chain thrMomentumManagement, thrForceMapping, thrMomentumDumping, on the thruster pairs of
 :mod:`bsk_torch.sim.dyn.thrusters`.
 """
 
@@ -8,22 +8,27 @@ from __future__ import annotations
 
 import functools
 import operator
+from collections.abc import Sequence
 
 import torch
 from torch import Tensor
 
 from bsk_torch.sim.component import Arg, Bus, Component, Field, Values, vec
-from bsk_torch.sim.dyn.thrusters import ARMS, THRUST
+from bsk_torch.sim.dyn.thrusters import BSK_RL_THRUSTERS, ThrusterPairs
 from bsk_torch.vec3 import Vec3, only, select
 
 Pairs = tuple[Tensor, ...]
 
-_D = torch.tensor(ARMS, dtype=torch.float64).mT
-ALLOCATION = (_D.mT @ torch.linalg.inv(2.0 * _D @ _D.mT)).tolist()
-"""Impulse of each thruster of the four pairs, N s, per momentum, N m s: ``D^T (D D^T)^-1``, of least norm.
 
-D [3, 8] has the torque per newton, m, of each thruster; those of a pair are equal, so that ``D D^T`` is twice that of four.
-"""
+@functools.cache
+def impulse_map(pairs: ThrusterPairs) -> list[list[float]]:
+    """Return the impulse of each thruster of the pairs, N s, per momentum, N m s: ``D^T (D D^T)^-1``, of least norm.
+
+    D has the torque per newton, m, of each thruster; those of a pair are equal, so that ``D D^T`` is twice that of the pairs.
+    """
+    D = torch.tensor(pairs.arms, dtype=torch.float64).mT
+    mapping: list[list[float]] = (D.mT @ torch.linalg.inv(2.0 * D @ D.mT)).tolist()
+    return mapping
 
 
 def stored_momentum(bus: Bus) -> Vec3:
@@ -42,19 +47,26 @@ def momentum_to_dump(h: Vec3, keep: Tensor) -> Vec3:
     return h * (-excess / torch.where(size > 0.0, size, torch.ones_like(size)))
 
 
-def impulses(dH: Vec3) -> Pairs:
+def impulses(dH: Vec3, pairs: ThrusterPairs) -> Pairs:
     """Return the impulse, N s, of each pair's thrusters for the change of momentum dH, N m s in B: Basilisk's thrForceMapping.
 
     ``F = D^T (D D^T)^-1 dH``, of least norm, then ``F - min(0, min F)``: thrusters only push, and equal impulses of all of them
     have no torque.
     """
-    wanted = [dH.x * a + dH.y * b + dH.z * c for a, b, c in ALLOCATION]
-    least = torch.minimum(torch.minimum(wanted[0], wanted[1]), torch.minimum(wanted[2], wanted[3]))
-    least = torch.clamp(least, max=0.0)
+    wanted = [dH.x * a + dH.y * b + dH.z * c for a, b, c in impulse_map(pairs)]
+    least = torch.clamp(_least(wanted), max=0.0)
     return tuple(f - least for f in wanted)
 
 
-def dump_momentum(bus: Bus) -> None:
+def _least(values: Sequence[Tensor]) -> Tensor:
+    """Return the least of several planes, by pairs of halves."""
+    if len(values) == 1:
+        return values[0]
+    half = len(values) // 2
+    return torch.minimum(_least(values[:half]), _least(values[half:]))
+
+
+def dump_momentum(bus: Bus, pairs: ThrusterPairs) -> None:
     """Fire for one tick, wait ``maxCounterValue`` ticks, until the impulse is spent; Basilisk's thrMomentumDumping.
 
     Only pulses of a whole tick reach the integrator, so only those are commanded. With on-times left T, ticks to wait c, and
@@ -73,17 +85,19 @@ def dump_momentum(bus: Bus) -> None:
     none = tuple(torch.zeros_like(command) for command in bus.pulse_command)
     off = none, bus.dump_momentum_B, bus.dump_remaining, bus.dump_counter, bus.dump_calls
     bus.pulse_command, bus.dump_momentum_B, bus.dump_remaining, bus.dump_counter, bus.dump_calls = only(
-        on, lambda: _dump(bus), off
+        on, lambda: _dump(bus, pairs), off
     )
 
 
-def _dump(bus: Bus) -> tuple[Pairs, Vec3, Pairs, Tensor, Tensor]:
+def _dump(bus: Bus, pairs: ThrusterPairs) -> tuple[Pairs, Vec3, Pairs, Tensor, Tensor]:
     """Return commands, momentum to dump, on-times left, ticks to wait and number of calls after a call."""
     h, first, second = bus.h, bus.dump_calls == 0.0, bus.dump_calls == 1.0
     dH = select(first, momentum_to_dump(stored_momentum(bus), bus.momentum_to_keep), bus.dump_momentum_B)
     waiting = bus.dump_counter > 0.0
     fires = ~first & (second | ~waiting)
-    remaining = tuple(torch.where(second, f / THRUST, left) for f, left in zip(impulses(dH), bus.dump_remaining, strict=True))
+    remaining = tuple(
+        torch.where(second, f / pairs.thrust, left) for f, left in zip(impulses(dH, pairs), bus.dump_remaining, strict=True)
+    )
     full = tuple((fires & (left >= h) & (left >= bus.shortest_pulse)).to(left.dtype) for left in remaining)
     spent = tuple(torch.where(fires, torch.clamp(left - h, min=0.0), left) for left in remaining)
     counter = torch.where(fires, bus.dump_wait, torch.clamp(bus.dump_counter - 1.0, min=0.0))
@@ -99,34 +113,44 @@ DUMP_RESET = {"dump_calls": 0.0, "dump_counter": 0.0, "dump_remaining": 0.0}
 """What a mode resets in which desaturation begins."""
 
 
-def _initial(args: Values) -> dict[str, Tensor]:
-    widths = {"dump_momentum_B": 3, "dump_remaining": 4, "dump_counter": 1, "dump_calls": 1}
-    return {name: torch.zeros(1, width).double() for name, width in widths.items()}
-
-
-DESATURATION = Component(
-    slot="desaturation",
-    update=dump_momentum,
-    args=(
-        Arg("hs_min", 0.0, "N m s", "momentum left in the wheels", low=0.0, high=1e6),
-        Arg("maxCounterValue", 4.0, "-", "ticks between pulses", low=0.0, high=2.0**31, whole=True),
-        Arg("thrMinFireTime", 0.02, "s", "shortest pulse", low=0.0, high=1e9),
-        Arg("desatAttitude", "sun", "-", "attitude while desaturating", "choice", choices=("sun", "nadir", None)),
-        Arg("thrForceSign", 1.0, "-", "sign of the thrusters' forces"),
-    ),
-    state=(
-        vec("dump_momentum_B", "N m s"),
-        Field("dump_remaining", 4, "s", "on-time left for each pair"),
-        Field("dump_counter", 1, "-", "ticks to wait"),
-        Field("dump_calls", 1, "-", "ticks since the mode was entered"),
-    ),
-    params=(Field("momentum_to_keep", 1, "N m s"), Field("dump_wait"), Field("shortest_pulse", 1, "s")),
-    initial=_initial,
-    prepare=lambda args: {
-        "momentum_to_keep": args["hs_min"],
-        "dump_wait": args["maxCounterValue"],
-        "shortest_pulse": args["thrMinFireTime"],
-    },
-    check=_check,
-    flags=("desat_on",),
+DESATURATION_ARGS = (
+    Arg("hs_min", 0.0, "N m s", "momentum left in the wheels", low=0.0, high=1e6),
+    Arg("maxCounterValue", 4.0, "-", "ticks between pulses", low=0.0, high=2.0**31, whole=True),
+    Arg("thrMinFireTime", 0.02, "s", "shortest pulse", low=0.0, high=1e9),
+    Arg("desatAttitude", "sun", "-", "attitude while desaturating", "choice", choices=("sun", "nadir", None)),
+    Arg("thrForceSign", 1.0, "-", "sign of the thrusters' forces"),
 )
+
+
+def desaturation(pairs: ThrusterPairs) -> Component:
+    """Return the component that dumps momentum by pairs of thrusters."""
+    count = len(pairs.positions)
+    widths = {"dump_momentum_B": 3, "dump_remaining": count, "dump_counter": 1, "dump_calls": 1}
+
+    @functools.wraps(dump_momentum)
+    def update(bus: Bus) -> None:
+        dump_momentum(bus, pairs)
+
+    return Component(
+        slot="desaturation",
+        update=update,
+        args=DESATURATION_ARGS,
+        state=(
+            vec("dump_momentum_B", "N m s"),
+            Field("dump_remaining", count, "s", "on-time left for each pair", many=True),
+            Field("dump_counter", 1, "-", "ticks to wait"),
+            Field("dump_calls", 1, "-", "ticks since the mode was entered"),
+        ),
+        params=(Field("momentum_to_keep", 1, "N m s"), Field("dump_wait"), Field("shortest_pulse", 1, "s")),
+        initial=lambda args: {name: torch.zeros(1, width).double() for name, width in widths.items()},
+        prepare=lambda args: {
+            "momentum_to_keep": args["hs_min"],
+            "dump_wait": args["maxCounterValue"],
+            "shortest_pulse": args["thrMinFireTime"],
+        },
+        check=_check,
+        flags=("desat_on",),
+    )
+
+
+DESATURATION = desaturation(BSK_RL_THRUSTERS)

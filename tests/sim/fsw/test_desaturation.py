@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from bsk_torch.sim.component import Bus
-from bsk_torch.sim.dyn.thrusters import ARMS, THRUST
+from bsk_torch.sim.dyn.thrusters import BSK_RL_THRUSTERS, THRUST
 from bsk_torch.sim.dyn.wheels import SPIN_INERTIA
 from bsk_torch.sim.fsw import desaturation
 from bsk_torch.vec3 import Vec3
@@ -27,14 +27,14 @@ def dumping(speed: float, h: float = 1.0, **params: float) -> Bus:
 def fired(bus: Bus, ticks: int) -> list[list[float]]:
     commands = []
     for _ in range(ticks):
-        desaturation.dump_momentum(bus)
+        desaturation.DESATURATION.update(bus)
         commands.append([pulse.item() for pulse in bus.pulse_command])
     return commands
 
 
 def on_times(Omega: Vec3) -> list[float]:
     """On-time of the eight thrusters by the least-norm formula on their torques, shifted to be positive."""
-    D = torch.tensor([*ARMS, *ARMS], dtype=torch.float64).mT
+    D = torch.tensor([*BSK_RL_THRUSTERS.arms, *BSK_RL_THRUSTERS.arms], dtype=torch.float64).mT
     h = SPIN_INERTIA * Omega.stack()[0]
     F = D.mT @ torch.linalg.inv(D @ D.mT) @ -h
     return ((F - F.min().clamp(max=0.0)) / THRUST)[:4].tolist()
@@ -42,8 +42,8 @@ def on_times(Omega: Vec3) -> list[float]:
 
 def test_impulses_have_the_momentum_wanted_and_are_positive():
     dH = vectors(10.0)
-    F = torch.stack(desaturation.impulses(dH), -1)
-    arms = torch.tensor(ARMS, dtype=torch.float64)
+    F = torch.stack(desaturation.impulses(dH, BSK_RL_THRUSTERS), -1)
+    arms = torch.tensor(BSK_RL_THRUSTERS.arms, dtype=torch.float64)
     # the shift adds the same to all eight thrusters, whose torques cancel
     torch.testing.assert_close(2.0 * F @ arms, dH.stack(), rtol=0, atol=1e-12)
     torch.testing.assert_close(F.amin(-1), torch.zeros(N).double(), rtol=0, atol=1e-12)
@@ -87,11 +87,11 @@ def test_pulses_shorter_than_a_tick_or_than_the_limit_are_not_commanded():
 
 def test_momentum_is_measured_once_in_the_first_tick():
     bus = dumping(300.0)
-    desaturation.dump_momentum(bus)
+    desaturation.DESATURATION.update(bus)
     first = bus.dump_momentum_B.stack()
     assert first[0].tolist() == pytest.approx([-300.0 * SPIN_INERTIA, 0.0, 0.0])
     bus.Omega_WB_B = bus.Omega_WB_B * 2.0
-    desaturation.dump_momentum(bus)
+    desaturation.DESATURATION.update(bus)
     assert torch.equal(bus.dump_momentum_B.stack(), first)
 
 
@@ -124,7 +124,7 @@ def test_rows_dump_alone_and_together():
         write(together, **{name: joined(parts)})
     for _ in range(8):
         for bus in (together, *buses):
-            desaturation.dump_momentum(bus)
+            desaturation.DESATURATION.update(bus)
         for name in DUMP:
             assert leaves(getattr(together, name)) == leaves(joined([getattr(bus, name) for bus in buses]))
     assert together.dump_calls.tolist() == [8.0, 0.0, 8.0, 0.0]
