@@ -23,8 +23,8 @@ from rich.console import Console
 
 from bsk_torch import make, rand
 from bsk_torch.basilisk.flight import FLOWN, Flight, fly_here, problem_of, replay_pilot
-from bsk_torch.basilisk.needs import absent_data
 from bsk_torch.basilisk.observed import as_sets
+from bsk_torch.basilisk.support_data import absent_data
 from bsk_torch.rl.evaluation.statistics import confidence
 from bsk_torch.wrappers.gymnasium import GymEnv
 
@@ -296,7 +296,7 @@ def test_the_rule_flies_as_it_has_flown_on_basilisk():
     [("NadirScan-v1", "rule", {}), ("AEOSPower-v1", "nearest", {"n_targets": 300, "time_limit": 200.0})],
 )
 def test_a_policy_flies_on_basilisk_as_in_bsk_torch(preset, policy, options):
-    from bsk_torch.basilisk.there import BUILDERS, fly_there
+    from bsk_torch.basilisk.reference_env import BUILDERS, fly_there
 
     assert tuple(BUILDERS) == FLOWN
     flyer = Flyer(policy, preset, EAGER | options)

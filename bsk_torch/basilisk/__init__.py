@@ -1,10 +1,10 @@
 """Flights of the same episodes on Basilisk itself, driven through bsk_rl, where these are installed.
 
-Only :mod:`bsk_torch.basilisk.there` imports Basilisk, when an episode is flown; :func:`lacking` says what to install.
+Only :mod:`bsk_torch.basilisk.reference_env` imports Basilisk, when an episode is flown; :func:`lacking` says what to install.
 """
 
 from bsk_torch.basilisk.certificate import Certificate, certify
 from bsk_torch.basilisk.flight import FLOWN
-from bsk_torch.basilisk.needs import absent_data, lacking
+from bsk_torch.basilisk.support_data import absent_data, lacking
 
 __all__ = ["FLOWN", "Certificate", "absent_data", "certify", "lacking"]

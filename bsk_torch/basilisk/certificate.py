@@ -18,8 +18,8 @@ from torch import Tensor
 from torchrl.data import Composite
 
 from bsk_torch.basilisk.flight import FLOWN, Flight, Pilot, Problem, Start, problem_of, replay_pilot, starts_of
-from bsk_torch.basilisk.needs import lacking
 from bsk_torch.basilisk.observed import as_sets
+from bsk_torch.basilisk.support_data import lacking
 from bsk_torch.env import SatelliteTasking
 from bsk_torch.env.rollout import Policy, decide
 from bsk_torch.plan.bounds.schedule import ScheduledPolicy
@@ -207,7 +207,7 @@ def flown_there(problem: Problem, starts: Sequence[Start], pilot: Pilot) -> list
     """The same episodes on Basilisk, one after the other."""
     with names_kept(), warnings.catch_warnings():
         warnings.filterwarnings("ignore", "Overriding environment|.*already in registry", UserWarning)
-        from bsk_torch.basilisk.there import fly_there
+        from bsk_torch.basilisk.reference_env import fly_there
     with quiet():
         return [fly_there(problem, start, pilot) for start in starts]
 

@@ -1,6 +1,6 @@
 """A flown episode, its initial conditions, and its flight in bsk_torch.
 
-The same episode on Basilisk is in :mod:`bsk_torch.basilisk.there`; nothing here needs Basilisk.
+The same episode on Basilisk is in :mod:`bsk_torch.basilisk.reference_env`; nothing here needs Basilisk.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from bsk_torch.sim.dyn.hub import initial_orbit
 Array = NDArray[np.float64]
 
 FLOWN = "NadirScan-v1", "AEOS-v1", "AEOSPower-v1", "AEOSCity-v1"
-"""Presets that :mod:`bsk_torch.basilisk.there` can build."""
+"""Presets that :mod:`bsk_torch.basilisk.reference_env` can build."""
 
 TABLES = "target_r_LP_P", "target_priority", "target_exists"
 """Tables of scenarios with targets: positions m, Earth-fixed, priorities, and whether a row is a target."""

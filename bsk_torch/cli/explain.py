@@ -31,9 +31,9 @@ from bsk_torch.cli.shared import (
 )
 from bsk_torch.env import SatelliteTasking
 from bsk_torch.files import write_file
+from bsk_torch.rl.evaluation.counterfactual import LOST, OPEN, SAVED, check_searchable
 from bsk_torch.rl.evaluation.failures import Failure, Moment, can_be_saved, explain
 from bsk_torch.rl.evaluation.replay import Flown
-from bsk_torch.rl.evaluation.rescue import LOST, OPEN, SAVED, check_searchable
 from bsk_torch.rl.evaluation.statistics import confidence
 from bsk_torch.rl.rules.baselines import BASELINES
 

@@ -15,9 +15,9 @@ from bsk_torch.cli.report import command_of, run_card, run_config
 from bsk_torch.cli.shared import Device, Threads, check_writable, console, environment, environment_options, fail
 from bsk_torch.files import write_file
 from bsk_torch.rl.evaluation.evaluate import FRESH, Evaluation, evaluate
+from bsk_torch.rl.policies.checksummed import save_checksummed
 from bsk_torch.rl.policies.files import build_policy, check_fits, read_card
 from bsk_torch.rl.policies.pretrained import FOLDER, INDEX
-from bsk_torch.rl.policies.sealed import save_sealed
 from bsk_torch.rl.policies.shared_policy import shared
 from bsk_torch.rl.training.log import LOG, read_log
 from bsk_torch.sim.names import nearest
@@ -66,7 +66,7 @@ def publish(
     with console.status(f"playing {episodes} fresh episodes"):
         result = evaluate(policy, env, seed=seed)
     folder.mkdir(parents=True, exist_ok=True)
-    save_sealed(folder / f"{preset}.pt", read_card(run) | {"options": options})
+    save_checksummed(folder / f"{preset}.pt", read_card(run) | {"options": options})
     notes = {
         "command": command or command_of(config),
         "bsk_torch": __version__,

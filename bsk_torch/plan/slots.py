@@ -12,7 +12,7 @@ from torch import Tensor
 from bsk_torch.env import ConstellationTasking, Tasking
 from bsk_torch.env.action_forms import form
 from bsk_torch.rl.policies.shared_policy import member_views
-from bsk_torch.rl.rules.real import Bounds, bounds_of
+from bsk_torch.rl.rules.continuous import Bounds, bounds_of
 
 NOBODY = -1
 """Number of the agent where none decides."""

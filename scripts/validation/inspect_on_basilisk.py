@@ -30,7 +30,7 @@ from tensordict import TensorDict
 import bsk_torch
 from bsk_torch.astro.relative import fibonacci_sphere
 from bsk_torch.basilisk.flight import Array, Flight, Pilot, plain
-from bsk_torch.basilisk.needs import absent_data, lacking
+from bsk_torch.basilisk.support_data import absent_data, lacking
 from bsk_torch.env import ConstellationTasking
 from bsk_torch.env.rollout import play_episodes
 from bsk_torch.presets.inspection import CHIEF, FUEL, LONGEST_THRUST, NEAR, ORBIT, REGIONS, SLOW, names_of

@@ -7,7 +7,7 @@ import pytest
 from torch._inductor import config
 
 from bsk_torch.codegen import build
-from bsk_torch.rl.policies.sealed import save_sealed
+from bsk_torch.rl.policies.checksummed import save_checksummed
 from bsk_torch.rl.training.config import PPOConfig, save_config
 from bsk_torch.rl.training.lock import FolderLock
 
@@ -120,7 +120,7 @@ def test_options_out_of_range_are_refused(run, arguments):
 def damaged(folder):
     """A run with a sound configuration, and policy and logs that are none."""
     save_config(PPOConfig(frames=20, seconds=None), folder / "config.yaml")
-    save_sealed(folder / "policy.pt", {"x": 1})
+    save_checksummed(folder / "policy.pt", {"x": 1})
     (folder / "log.csv").write_text("a,b\n1,2\n")
     (folder / "evaluation.json").write_text('{"trained": ')
     return folder
@@ -159,7 +159,7 @@ def test_logs_and_results_that_are_none_are_named(run, damaged, monkeypatch):
 
 
 def test_a_checkpoint_that_is_damaged_is_named(run, damaged):
-    save_sealed(damaged / "checkpoint.pt", {"x": 1})
+    save_checksummed(damaged / "checkpoint.pt", {"x": 1})
     content = (damaged / "checkpoint.pt").read_bytes()
     (damaged / "checkpoint.pt").write_bytes(content[:100] + b"\x00" + content[101:])
     before = (damaged / "config.yaml").read_bytes()

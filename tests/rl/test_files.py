@@ -12,7 +12,7 @@ import torch
 
 import bsk_torch
 from bsk_torch.files import sweep, write_file
-from bsk_torch.rl.policies.sealed import SEAL, load_sealed, save_sealed
+from bsk_torch.rl.policies.checksummed import CHECKSUM_MARK, load_checksummed, save_checksummed
 
 PACKAGE = Path(bsk_torch.__file__).parent
 
@@ -56,8 +56,8 @@ def test_links_are_never_followed(tmp_path):
     (tmp_path / "precious").write_text("precious")
     for name in ("policy.pt", "policy.part", "checkpoint.pt.part"):
         (tmp_path / name).symlink_to(tmp_path / "precious")
-    save_sealed(tmp_path / "policy.pt", ENTRIES)
-    save_sealed(tmp_path / "checkpoint.pt", ENTRIES)
+    save_checksummed(tmp_path / "policy.pt", ENTRIES)
+    save_checksummed(tmp_path / "checkpoint.pt", ENTRIES)
     assert (tmp_path / "precious").read_text() == "precious"
     assert not (tmp_path / "policy.pt").is_symlink()
 
@@ -109,53 +109,53 @@ def writes(path):
 
 
 @pytest.fixture
-def sealed(tmp_path):
-    save_sealed(tmp_path / "x.pt", ENTRIES)
+def saved_file(tmp_path):
+    save_checksummed(tmp_path / "x.pt", ENTRIES)
     return tmp_path / "x.pt"
 
 
-def test_what_is_saved_comes_back(sealed):
-    read = load_sealed(sealed, "policy")
+def test_what_is_saved_comes_back(saved_file):
+    read = load_checksummed(saved_file, "policy")
     assert read.keys() == ENTRIES.keys()
     assert read["weights"]["a"].equal(ENTRIES["weights"]["a"])
     assert (read["n"], read["name"], read["pair"]) == (3, "x", (1, 2.5))
 
 
-def test_torch_reads_such_files_too(sealed):
-    assert torch.load(sealed, weights_only=True).keys() == ENTRIES.keys()
+def test_torch_reads_such_files_too(saved_file):
+    assert torch.load(saved_file, weights_only=True).keys() == ENTRIES.keys()
 
 
-def test_every_flipped_bit_is_noticed(sealed):
-    content, draw = sealed.read_bytes(), random.Random(0)
-    end = len(content) - 32 - len(SEAL)
+def test_every_flipped_bit_is_noticed(saved_file):
+    content, draw = saved_file.read_bytes(), random.Random(0)
+    end = len(content) - 32 - len(CHECKSUM_MARK)
     places = [*(draw.randrange(8 * len(content)) for _ in range(200)), *range(8 * end, 8 * len(content), 5)]
     assert len(places) > 250
     for place in places:
         changed = bytearray(content)
         changed[place // 8] ^= 1 << place % 8
-        sealed.write_bytes(changed)
+        saved_file.write_bytes(changed)
         with pytest.raises(ValueError, match=r"x\.pt' is a damaged policy"):
-            load_sealed(sealed, "policy")
+            load_checksummed(saved_file, "policy")
 
 
-def test_every_truncation_is_noticed(sealed):
-    content, draw = sealed.read_bytes(), random.Random(0)
+def test_every_truncation_is_noticed(saved_file):
+    content, draw = saved_file.read_bytes(), random.Random(0)
     for size in [0, 1, *(draw.randrange(len(content)) for _ in range(50)), *range(len(content) - 60, len(content))]:
-        sealed.write_bytes(content[:size])
+        saved_file.write_bytes(content[:size])
         with pytest.raises(ValueError, match=r"x\.pt' is (a damaged|no file of a) policy"):
-            load_sealed(sealed, "policy")
+            load_checksummed(saved_file, "policy")
 
 
 def test_files_of_release_0_1_are_read_with_a_warning_and_their_parts_compared(tmp_path, caplog):
     path = tmp_path / "x.pt"
     torch.save(ENTRIES, path)
-    assert load_sealed(path, "policy")["n"] == 3
+    assert load_checksummed(path, "policy")["n"] == 3
     assert "has no checksum" in caplog.text
     content = bytearray(path.read_bytes())
     content[content.index(torch.arange(600.0).numpy().tobytes()) + 100] ^= 1
     path.write_bytes(content)
     with pytest.raises(ValueError, match="is damaged"):
-        load_sealed(path, "policy")
+        load_checksummed(path, "policy")
 
 
 class Runs:
@@ -173,24 +173,24 @@ def test_nothing_in_a_file_is_executed(tmp_path):
     contents = [pickle.dumps(Runs(made))]
     torch.save({"n": Runs(made)}, path)
     contents.append(path.read_bytes())
-    save_sealed(path, {"n": Runs(made)})  # a checksum tells damage, not origin
+    save_checksummed(path, {"n": Runs(made)})  # a checksum tells damage, not origin
     contents.append(path.read_bytes())
     for content in contents:
         path.write_bytes(content)
         with pytest.raises(ValueError, match="is no file of a policy"):
-            load_sealed(path, "policy")
+            load_checksummed(path, "policy")
     assert not made.exists()
 
 
 def test_newer_formats_are_named(tmp_path, monkeypatch):
-    monkeypatch.setattr("bsk_torch.rl.policies.sealed.VERSION", b"3")
-    save_sealed(tmp_path / "x.pt", ENTRIES)
+    monkeypatch.setattr("bsk_torch.rl.policies.checksummed.VERSION", b"3")
+    save_checksummed(tmp_path / "x.pt", ENTRIES)
     monkeypatch.undo()
     with pytest.raises(ValueError, match="of format b'3'; this version of bsk_torch reads b'2'"):
-        load_sealed(tmp_path / "x.pt", "policy")
+        load_checksummed(tmp_path / "x.pt", "policy")
 
 
 def test_other_contents_are_named(tmp_path):
     torch.save([1], tmp_path / "x.pt")
     with pytest.raises(ValueError, match="it holds a list"):
-        load_sealed(tmp_path / "x.pt", "policy")
+        load_checksummed(tmp_path / "x.pt", "policy")

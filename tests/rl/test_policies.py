@@ -8,9 +8,9 @@ import torch
 
 import bsk_torch
 from bsk_torch.rl.networks.plans import MLPPlan
+from bsk_torch.rl.policies.checksummed import CHECKSUM_MARK, save_checksummed
 from bsk_torch.rl.policies.files import check_fits, load_policy, read_card, save_policy
 from bsk_torch.rl.policies.pretrained import FOLDER
-from bsk_torch.rl.policies.sealed import SEAL, save_sealed
 
 
 @pytest.fixture(scope="module")
@@ -101,7 +101,7 @@ def weights_of(path):
 def test_policies_of_the_package_carry_checksums():
     files = sorted(FOLDER.glob("*.pt"))
     assert len(files) >= 7
-    assert all(file.read_bytes()[:-32].endswith(SEAL) for file in files)
+    assert all(file.read_bytes()[:-32].endswith(CHECKSUM_MARK) for file in files)
 
 
 @pytest.mark.parametrize(
@@ -123,7 +123,7 @@ def test_policies_of_the_package_carry_checksums():
     ],
 )
 def test_entries_of_others_are_refused(path, entry, value, message):
-    save_sealed(path, read_card(path) | {entry: value})
+    save_checksummed(path, read_card(path) | {entry: value})
     with pytest.raises(ValueError, match=message):
         load_policy(path)
 
@@ -131,7 +131,7 @@ def test_entries_of_others_are_refused(path, entry, value, message):
 def test_weights_that_are_not_finite_are_refused(path):
     card = read_card(path)
     next(iter(card["actor"].values())).view(-1)[0] = torch.nan
-    save_sealed(path, card)
+    save_checksummed(path, card)
     with pytest.raises(ValueError, match="no policy of this version"):
         load_policy(path)
 

@@ -12,8 +12,8 @@ from pathlib import Path
 import pytest
 import torch
 
+from bsk_torch.rl.policies.checksummed import load_checksummed, save_checksummed
 from bsk_torch.rl.policies.files import POLICY, load_policy
-from bsk_torch.rl.policies.sealed import load_sealed, save_sealed
 from bsk_torch.rl.training.config import CONFIG, PPOConfig, load_config
 from bsk_torch.rl.training.lock import LOCK, FolderInUseError, FolderLock
 from bsk_torch.rl.training.log import EVALUATIONS, LOG, CsvLog, read_log
@@ -132,7 +132,7 @@ def test_damaged_files_are_named_and_left(half, name, damage):
 def test_checkpoints_of_others_are_refused(whole, tmp_path, crafted):
     for name in (CONFIG, LOG):
         (tmp_path / name).write_bytes((whole / name).read_bytes())
-    save_sealed(tmp_path / CHECKPOINT, load_sealed(whole / CHECKPOINT, "checkpoint") | crafted)
+    save_checksummed(tmp_path / CHECKPOINT, load_checksummed(whole / CHECKPOINT, "checkpoint") | crafted)
     before = contents(tmp_path)
     with pytest.raises(ValueError, match="checkpoint"):
         resume(tmp_path)
@@ -140,10 +140,10 @@ def test_checkpoints_of_others_are_refused(whole, tmp_path, crafted):
 
 
 def test_moments_of_another_shape_are_refused(whole, tmp_path):
-    saved = load_sealed(whole / CHECKPOINT, "checkpoint")
+    saved = load_checksummed(whole / CHECKPOINT, "checkpoint")
     next(iter(saved["learner"]["optimiser"]["state"].values()))["exp_avg"] = torch.zeros(7, 7)
     (tmp_path / CONFIG).write_bytes((whole / CONFIG).read_bytes())
-    save_sealed(tmp_path / CHECKPOINT, saved)
+    save_checksummed(tmp_path / CHECKPOINT, saved)
     with pytest.raises(ValueError, match=r"exp_avg has shape \(7, 7\)"):
         resume(tmp_path)
 
@@ -167,7 +167,7 @@ def test_a_training_that_diverges_says_so(tmp_path):
     with pytest.raises((RuntimeError, ValueError), match="diverged"):
         Diverging(SMALL, tmp_path / "run").run()
     assert weights(load_policy(tmp_path / "run")).isfinite().all()
-    assert load_sealed(tmp_path / "run" / CHECKPOINT, "checkpoint")["progress"][0] == 24
+    assert load_checksummed(tmp_path / "run" / CHECKPOINT, "checkpoint")["progress"][0] == 24
 
 
 # -- one process at a time --------------------------------------------------------------------------------------------

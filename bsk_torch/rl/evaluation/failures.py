@@ -12,8 +12,18 @@ from torch import Tensor
 from bsk_torch.constants import RPM
 from bsk_torch.env import SatelliteTasking
 from bsk_torch.env.action_forms import form
+from bsk_torch.rl.evaluation.counterfactual import (
+    LEAST_DEMANDING,
+    LOST,
+    OPEN,
+    SAVED,
+    Counterfactual,
+    candidate_plans,
+    exhaust,
+    last_chance,
+    try_plans,
+)
 from bsk_torch.rl.evaluation.replay import OVER, Flown, fly
-from bsk_torch.rl.evaluation.rescue import CALMEST, LOST, OPEN, SAVED, Rescue, exhaust, last_chance, rescue_plans, try_plans
 
 logger = logging.getLogger(__name__)
 
@@ -78,14 +88,14 @@ def explain(policy: TensorDictModuleBase, env: SatelliteTasking, seeds: Tensor) 
         return flown, []
     seeds, actions = seeds[failed], flown.actions[failed]
     noted = fly(env, seeds, actions.clamp(min=0), notes=True)
-    last, rescue = last_chance(env, seeds, actions, rescue_plans(env))
+    last, rescue = last_chance(env, seeds, actions, candidate_plans(env))
     return flown, [_failure(env, noted, int(seed), k, int(last[k]), rescue) for k, seed in enumerate(seeds)]
 
 
 def can_be_saved(env: SatelliteTasking, seeds: Tensor) -> Tensor:
-    """Whether a plan survives the episodes of ``seeds`` [n] from their starts, [n]; the calmest is tried first."""
-    plans = rescue_plans(env)
-    saved = fly(env, seeds, plans[CALMEST].expand(len(seeds), -1)).survived
+    """Whether a plan survives the episodes of ``seeds`` [n] from their starts, [n]; the least demanding plan first."""
+    plans = candidate_plans(env)
+    saved = fly(env, seeds, plans[LEAST_DEMANDING].expand(len(seeds), -1)).survived
     left = torch.nonzero(~saved).squeeze(-1)
     if len(left):
         none = torch.zeros_like(left)
@@ -93,7 +103,7 @@ def can_be_saved(env: SatelliteTasking, seeds: Tensor) -> Tensor:
     return saved
 
 
-def _failure(env: SatelliteTasking, flown: Flown, seed: int, row: int, last: int, rescue: Rescue) -> Failure:
+def _failure(env: SatelliteTasking, flown: Flown, seed: int, row: int, last: int, rescue: Counterfactual) -> Failure:
     """Explain row ``row`` of the failures; ``last`` is the last decision from which a plan saves it, if any."""
     actions, decisions = flown.actions[row], int((flown.actions[row] != OVER).sum())
     found = rescue.actions[row] if last > OVER else None

@@ -33,7 +33,7 @@ from bsk_torch.rl.marl.networks import ConstellationCritic, DecidingOnly
 from bsk_torch.rl.networks.plans import AttentionPlan, MLPPlan, Plan, real_actor
 from bsk_torch.rl.policies.files import save_policy
 from bsk_torch.rl.policies.shared_policy import member_views, of_groups, shared
-from bsk_torch.rl.rules.real import Bounds
+from bsk_torch.rl.rules.continuous import Bounds
 from bsk_torch.rl.rules.targets import image_actions
 from bsk_torch.rl.training.advantages import estimate_advantages
 from bsk_torch.rl.training.config import PPOConfig

@@ -16,9 +16,9 @@ from torchrl.modules import MLP, GRUModule, MaskedCategorical, ProbabilisticActo
 from bsk_torch.env import SatelliteTasking
 from bsk_torch.env.action_forms import form
 from bsk_torch.rl.networks.attention import Encoder, SetActor, SetCritic
+from bsk_torch.rl.networks.continuous import NormalParameters, squashed
 from bsk_torch.rl.networks.normaliser import MASK, OWN, ROWS, ObservationNormaliser, SetNormaliser, VectorNormaliser
-from bsk_torch.rl.networks.real import Bell, squashed
-from bsk_torch.rl.rules.real import Bounds, bounds_of
+from bsk_torch.rl.rules.continuous import Bounds, bounds_of
 from bsk_torch.rl.rules.targets import image_actions
 from bsk_torch.sim.params import nearest
 
@@ -249,7 +249,7 @@ def _parameters(network: nn.Module, in_keys: list[Any], bounds: Bounds) -> Tenso
     """Return a module that writes the parameters of a distribution."""
     if not bounds:
         return TensorDictModule(network, in_keys=in_keys, out_keys=["logits"])
-    return TensorDictModule(Bell(network, len(bounds)), in_keys=in_keys, out_keys=["loc", "scale"])
+    return TensorDictModule(NormalParameters(network, len(bounds)), in_keys=in_keys, out_keys=["loc", "scale"])
 
 
 def _distributed(module: TensorDictModuleBase, bounds: Bounds = ()) -> ProbabilisticActor:

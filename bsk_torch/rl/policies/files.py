@@ -15,7 +15,7 @@ from bsk_torch import __version__
 from bsk_torch.env import Tasking
 from bsk_torch.env.agents import AGENTS
 from bsk_torch.rl.networks.plans import ACTOR, NORMALISER, PLANS, Networks, Plan, check_network
-from bsk_torch.rl.policies.sealed import load_sealed, save_sealed
+from bsk_torch.rl.policies.checksummed import load_checksummed, save_checksummed
 from bsk_torch.rl.policies.shared_policy import member_views, of_groups
 
 logger = logging.getLogger(__name__)
@@ -62,7 +62,7 @@ def save_policy(
     else:
         assert isinstance(networks, Networks)
         card |= _described(plan, networks)
-    save_sealed(path, card)
+    save_checksummed(path, card)
 
 
 def _described(plan: Plan, networks: Networks) -> dict[str, Any]:
@@ -105,7 +105,7 @@ def read_card(path: Path | str, device: torch.device | str = "cpu") -> dict[str,
     path = path / POLICY if path.is_dir() else path
     if not path.is_file():
         raise FileNotFoundError(f"there is no policy {str(path)!r}; training leaves {POLICY} in its folder")
-    card = load_sealed(path, "policy", device)
+    card = load_checksummed(path, "policy", device)
     if not _is_card(card):
         raise ValueError(f"{str(path)!r} is no policy of this version of bsk_torch ({__version__}); train it again")
     for part in networks_of(card).values():

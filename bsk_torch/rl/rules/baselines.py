@@ -12,10 +12,10 @@ from tensordict.nn import TensorDictModule, TensorDictModuleBase
 from torch import Tensor
 
 from bsk_torch.env import SatelliteTasking
-from bsk_torch.rl.rules.columns import Columns
+from bsk_torch.rl.rules.continuous import Bounds, bounds_of, spread
 from bsk_torch.rl.rules.imaging import by_closing, by_discounted_priority, by_priority, imaging_rule
 from bsk_torch.rl.rules.inspection import inspection_rule
-from bsk_torch.rl.rules.real import Bounds, bounds_of, spread
+from bsk_torch.rl.rules.observation_columns import Columns
 
 LOT = "lot"
 """Key of uniform numbers, [N] each, by which evaluation decides what policies do at random, whatever the batch."""

@@ -21,7 +21,7 @@ from bsk_torch.astro.relative import fibonacci_sphere
 from bsk_torch.astro.transfers import Transfers, transfers
 from bsk_torch.env import SatelliteTasking
 from bsk_torch.presets.inspection import NEAR, SLOW
-from bsk_torch.rl.rules.columns import Columns
+from bsk_torch.rl.rules.observation_columns import Columns
 
 MEAN_MOTION = 1.04e-3
 """Mean motion, rad/s, of the orbits of the presets, which is not observed; it differs by up to 6 percent from those drawn."""

@@ -22,8 +22,8 @@ from bsk_torch.constants import DAY
 from bsk_torch.files import PART
 from bsk_torch.rl.evaluation.evaluate import Evaluation, evaluate
 from bsk_torch.rl.networks.plans import MEMORY
+from bsk_torch.rl.policies.checksummed import load_checksummed, save_checksummed
 from bsk_torch.rl.policies.files import POLICY, plain
-from bsk_torch.rl.policies.sealed import load_sealed, save_sealed
 from bsk_torch.rl.training.collect import bookmarks, check_collector, make_collector, merged, update_weights
 from bsk_torch.rl.training.config import CONFIG, PPOConfig, load_config, save_config
 from bsk_torch.rl.training.episodes import RecentEpisodes
@@ -296,7 +296,7 @@ class Training:
             "best": self.best,
         }
         with self._unless_last(last, CHECKPOINT):
-            save_sealed(self.out / CHECKPOINT, kept)
+            save_checksummed(self.out / CHECKPOINT, kept)
 
     @contextmanager
     def _unless_last(self, last: bool, name: str) -> Iterator[None]:
@@ -381,7 +381,7 @@ def read_checkpoint(out: Path, config: PPOConfig) -> dict[str, Any] | None:
     if not path.is_file():
         logger.warning("%s holds no %s; the run begins again", out, CHECKPOINT)
         return None
-    saved = load_sealed(path, "checkpoint")
+    saved = load_checksummed(path, "checkpoint")
     for name, here in {"bsk_torch": __version__, **fixed(config)}.items():
         if saved.get(name) != here:
             raise ValueError(f"the checkpoint in {str(out)!r} is of {name}={saved.get(name)!r}, and cannot go on as {here!r}")

@@ -24,11 +24,11 @@ MARGIN = 1.0
 
 SAVED, LOST, OPEN = "saved", "lost", "open"
 
-CALMEST = 4
+LEAST_DEMANDING = 4
 """Number of the plan that desaturates ten times and then charges for ever."""
 
 
-class Rescue(NamedTuple):
+class Counterfactual(NamedTuple):
     """Whether each of n episodes has been saved, [n], by which actions [n, T], and their return [n]; the best of all plans."""
 
     saved: Tensor
@@ -69,7 +69,7 @@ def action_number(env: SatelliteTasking, name: str) -> int:
     return names.index(name)
 
 
-def rescue_plans(env: SatelliteTasking, n_random: int = 32, length: int = 40, seed: int = 0) -> Tensor:
+def candidate_plans(env: SatelliteTasking, n_random: int = 32, length: int = 40, seed: int = 0) -> Tensor:
     """Sequences of actions worth trying, [P, 1 + length], at least 30 long, of which the last action, to charge, is for ever.
 
     To charge at once, after some desaturation or something else, with some desaturation after a while; and random runs.
@@ -105,17 +105,17 @@ def spliced(actions: Tensor, kept: Tensor, plans: Tensor) -> Tensor:
     return torch.where(column < kept.unsqueeze(1), first, plans.gather(1, after))
 
 
-def try_plans(env: SatelliteTasking, seeds: Tensor, actions: Tensor, kept: Tensor, plans: Tensor) -> Rescue:
+def try_plans(env: SatelliteTasking, seeds: Tensor, actions: Tensor, kept: Tensor, plans: Tensor) -> Counterfactual:
     """Fly the first ``kept`` [n] of the actions [n, T] of the episodes of ``seeds`` [n], and then every plan [P, L]."""
     n, p = len(seeds), len(plans)
     every = torch.arange(n).repeat_interleave(p)
     whole = spliced(actions[every], kept[every], plans.repeat(n, 1))
     flown = fly(env, seeds[every], whole)
     returns, best = torch.where(flown.survived, flown.returns, -torch.inf).view(n, p).max(1)
-    return Rescue(returns > -torch.inf, whole.view(n, p, -1)[torch.arange(n), best], returns)
+    return Counterfactual(returns > -torch.inf, whole.view(n, p, -1)[torch.arange(n), best], returns)
 
 
-def last_chance(env: SatelliteTasking, seeds: Tensor, actions: Tensor, plans: Tensor) -> tuple[Tensor, Rescue]:
+def last_chance(env: SatelliteTasking, seeds: Tensor, actions: Tensor, plans: Tensor) -> tuple[Tensor, Counterfactual]:
     """Number of the last decision [n] from which a plan still saves each of the episodes that ``actions`` [n, T] failed.
 
     By bisection: an episode that can be saved at a decision can be saved at those before. The number is :data:`OVER` where no
@@ -129,7 +129,7 @@ def last_chance(env: SatelliteTasking, seeds: Tensor, actions: Tensor, plans: Te
         tried = try_plans(env, seeds, actions, middle, plans)
         better = tried.saved & (high - low > 1)
         low, high = torch.where(better, middle, low), torch.where(tried.saved, high, middle)
-        best = Rescue(
+        best = Counterfactual(
             best.saved,
             torch.where(better.unsqueeze(1), tried.actions, best.actions),
             torch.where(better, tried.returns, best.returns),

@@ -14,7 +14,7 @@ from bsk_torch.rl.marl import MAPPOConfig, MAPPOTraining
 from bsk_torch.rl.networks.plans import AttentionPlan, GRUPlan, MLPPlan
 from bsk_torch.rl.policies.files import check_fits, load_policy, read_card
 from bsk_torch.rl.policies.shared_policy import shared, shared_baselines
-from bsk_torch.rl.rules.real import bounds_of, spread
+from bsk_torch.rl.rules.continuous import bounds_of, spread
 from bsk_torch.rl.rules.shield import SafeRule, shield
 from bsk_torch.rl.training.config import PPOConfig
 from bsk_torch.rl.training.trainer import resume, train

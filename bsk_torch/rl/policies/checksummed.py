@@ -20,25 +20,25 @@ from bsk_torch.files import write_file
 
 logger = logging.getLogger(__name__)
 
-SEAL = b"\nbsk_torch SHA-256:"
+CHECKSUM_MARK = b"\nbsk_torch SHA-256:"
 """Precedes the checksum, which ends the file; ``torch.load`` reads such files, too, without checking it."""
 
 RECORD, VERSION = "archive/bsk_torch_format", b"2"
 """Part of the archive in files that end with a checksum, and its content. Files of release 0.1 have neither."""
 
 
-def save_sealed(path: Path, entries: Mapping[str, object]) -> None:
+def save_checksummed(path: Path, entries: Mapping[str, object]) -> None:
     """Write a dictionary of tensors and plain values; see :func:`~bsk_torch.files.write_file` for errors."""
     buffer = io.BytesIO()
     torch.save(dict(entries), buffer)
     with zipfile.ZipFile(buffer, "a") as archive:
         archive.writestr(zipfile.ZipInfo(RECORD), VERSION)
     content = buffer.getvalue()
-    write_file(path, content + SEAL + hashlib.sha256(content).digest())
+    write_file(path, content + CHECKSUM_MARK + hashlib.sha256(content).digest())
 
 
-def load_sealed(path: Path, what: str, device: torch.device | str = "cpu") -> dict[str, Any]:
-    """Return what :func:`save_sealed` has written, or ``torch.save``, as in release 0.1: that has no checksum, and is warned of.
+def load_checksummed(path: Path, what: str, device: torch.device | str = "cpu") -> dict[str, Any]:
+    """Return what :func:`save_checksummed` has written, or ``torch.save`` in release 0.1, whose files lack a checksum: a warning.
 
     Args:
         path: The file.
@@ -49,18 +49,18 @@ def load_sealed(path: Path, what: str, device: torch.device | str = "cpu") -> di
         ValueError: For a file that is damaged, truncated or of another kind; the message names it.
     """
     content = path.read_bytes()
-    body = len(content) - len(SEAL) - hashlib.sha256().digest_size
-    sealed = body > 0 and content[body:].startswith(SEAL)
-    if sealed and hashlib.sha256(content[:body]).digest() != content[body + len(SEAL) :]:
+    body = len(content) - len(CHECKSUM_MARK) - hashlib.sha256().digest_size
+    has_checksum = body > 0 and content[body:].startswith(CHECKSUM_MARK)
+    if has_checksum and hashlib.sha256(content[:body]).digest() != content[body + len(CHECKSUM_MARK) :]:
         raise ValueError(f"{str(path)!r} is a damaged {what}: its checksum does not fit its content")
-    version, entries = _loaded(path, content[:body] if sealed else content, what, device)
-    if not sealed and version is not None:
+    version, entries = _loaded(path, content[:body] if has_checksum else content, what, device)
+    if not has_checksum and version is not None:
         raise ValueError(f"{str(path)!r} is a damaged {what}: the checksum at its end is missing")
     if version not in (None, VERSION):
         raise ValueError(f"{str(path)!r} is a {what} of format {version!r}; this version of bsk_torch reads {VERSION!r}")
     if not isinstance(entries, dict):
         raise ValueError(f"{str(path)!r} is no file of a {what}: it holds a {type(entries).__name__}")
-    if not sealed:
+    if not has_checksum:
         logger.warning("%s has no checksum, as in release 0.1: damage may go unnoticed", path)
     return entries
 

@@ -8,7 +8,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from bsk_torch.rl.rules.real import Bounds
+from bsk_torch.rl.rules.continuous import Bounds
 
 INITIAL_SCALE = 0.5
 """Deviation of actions at the start, before they are squashed into their bounds."""
@@ -17,7 +17,7 @@ SCALES = (0.01, 2.0)
 """Least and largest deviation."""
 
 
-class Bell(nn.Module):
+class NormalParameters(nn.Module):
     """Means and deviations of normal distributions by a network; the deviations do not depend on the situation."""
 
     def __init__(self, network: nn.Module, width: int) -> None:

@@ -7,10 +7,10 @@ from tensordict.nn import TensorDictModule
 import bsk_torch
 from bsk_torch import rand
 from bsk_torch.rl.evaluation.charge_bound import least_charge, longest_action, most_power, sunlight
+from bsk_torch.rl.evaluation.counterfactual import LEAST_DEMANDING, LOST, OPEN, SAVED, candidate_plans, exhaust, spliced
 from bsk_torch.rl.evaluation.evaluate import start_episodes
 from bsk_torch.rl.evaluation.failures import can_be_saved, explain
 from bsk_torch.rl.evaluation.replay import OVER, fly
-from bsk_torch.rl.evaluation.rescue import CALMEST, LOST, OPEN, SAVED, exhaust, rescue_plans, spliced
 
 CAPACITY = 200 * 3600.0
 
@@ -80,7 +80,7 @@ def test_whoever_has_less_than_the_bound_dies_whatever_he_does():
     first = env.satellite.dynamics.battery_charge
     doomed = first <= least_charge(most_power(env, seeds), longest_action(env))[:, 0]
     assert 5 < int(doomed.sum()) < 60
-    for plan in rescue_plans(env, n_random=4):
+    for plan in candidate_plans(env, n_random=4):
         assert not bool((fly(env, seeds, plan.expand(64, -1)).survived & doomed).any())
 
 
@@ -97,9 +97,9 @@ def test_the_bound_refuses_wheels_that_give_power_back():
 
 @pytest.mark.compiled
 def test_every_plan_ends_with_charging():
-    plans = rescue_plans(build(1), n_random=3)
+    plans = candidate_plans(build(1), n_random=3)
     assert set(plans[:, -1].tolist()) == {CHARGE}
-    assert plans[CALMEST, :11].tolist() == [DESAT] * 10 + [CHARGE]
+    assert plans[LEAST_DEMANDING, :11].tolist() == [DESAT] * 10 + [CHARGE]
     assert len(plans.unique(dim=0)) == len(plans)
 
 
