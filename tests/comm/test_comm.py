@@ -22,7 +22,7 @@ class FakeFleet(SimpleNamespace):
 
     def __init__(self, size: int, talkers: int | None = None) -> None:
         talkers = size if talkers is None else talkers
-        super().__init__(num_envs=3, size=size, device=torch.device("cpu"), names=[f"Sat{k}" for k in range(size)])
+        super().__init__(num_envs=3, size=size, device=torch.device("cpu"), names=[f"Sat{k}" for k in range(size)], present=None)
         self.memory, self.sim_time = StateTable(3), torch.zeros(3, dtype=torch.float64)
         self.simulators = [self.part(count) for count in (talkers, size - talkers) if count]
         if talkers:
