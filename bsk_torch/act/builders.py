@@ -71,7 +71,7 @@ class ContinuousBuilder:
         self.choices = _names(entry, "choices") if isinstance(entry, HybridAction) else []
         self.n_actions = len(self.choices)
         self._all_legal = torch.ones_like(ticks, dtype=torch.bool).unsqueeze(1).expand(-1, self.n_actions)
-        self._masks = isinstance(entry, HybridAction) and overrides(entry, HybridAction, "mask")
+        self._masking = entry if isinstance(entry, HybridAction) and overrides(entry, HybridAction, "mask") else None
 
     @property
     def is_hybrid(self) -> bool:
@@ -161,9 +161,9 @@ class ContinuousBuilder:
 
     def mask(self) -> Tensor:
         """Return which choices are legal now, [N, K] bool; TypeError for a mask of wrong shape or dtype."""
-        if not self._masks:
+        if self._masking is None:
             return self._all_legal
-        mask = self.entry.mask()  # type: ignore[attr-defined]
+        mask = self._masking.mask()
         check_tensor(f"{type(self.entry).__name__}.mask()", mask, self._all_legal.shape, torch.bool)
         return mask
 

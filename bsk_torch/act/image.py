@@ -67,7 +67,7 @@ class Image(Action):
             )
         self.kind = satellite.target_types
         targets = satellite.simulator.scenario_state["target_exists"].shape[1]
-        satellite.simulator.access.expect(self.n_actions, targets)  # type: ignore[union-attr]
+        self.satellite.access_windows.expect(self.n_actions, targets)
 
     @property
     def n_negative_actions(self) -> int:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from typing import Any, cast
 
 import torch
 from torch import Tensor
@@ -47,7 +47,7 @@ class Randomizer:
 
     def ask(self) -> dict[tuple[str, int], Any]:
         """Return the values of the user's function for one episode, by argument and satellite."""
-        answer = self.given(self.satellites)  # type: ignore[operator]
+        answer = cast(Callable[[list[Satellite]], object], self.given)(self.satellites)
         if not isinstance(answer, Mapping):
             raise TypeError(f"sat_arg_randomizer returned {answer!r}; it must return {{satellite: {{argument: value}}}}")
         return {(name, self._number(who)): value for who, args in answer.items() for name, value in args.items()}

@@ -14,6 +14,7 @@ from bsk_torch.astro.relative import float64, like, vectors
 from bsk_torch.sim.inspection.regions import known_regions
 
 if TYPE_CHECKING:
+    from bsk_torch.sats.one import Numbers
     from bsk_torch.sats.others import SatelliteLike
 
 AXES = ((1.0, 0.0, 0.0), (-1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, 1.0), (0.0, 0.0, -1.0))
@@ -24,7 +25,7 @@ FRAMES = ("chief_hill", "chief_body")
 
 def rso_imaged_regions(
     servicer: SatelliteLike, chief: SatelliteLike, region_centers: Any = AXES, frame: str = "chief_hill"
-) -> Any:
+) -> Numbers:
     """Return the fraction of the points of each region of the chief that the servicer knows to be inspected, [N, R].
 
     A point belongs to the region whose centre is the nearest to its position in the chief's body axes, the first of several;

@@ -38,8 +38,8 @@ def priority(satellite: BoundSatellite, targets: Opportunities) -> Tensor:
 
 
 def _relative_geometry(part: slice | int) -> Preset:
-    def geometry(satellite: BoundSatellite, opportunities: Opportunities) -> Tensor:
-        return satellite.aims(opportunities)[..., part]  # type: ignore[attr-defined]
+    def geometry(satellite: BoundAccessSatellite, opportunities: Opportunities) -> Tensor:
+        return satellite.aims(opportunities)[..., part]
 
     return geometry
 
@@ -144,8 +144,8 @@ class OpportunityProperties(Observation):
             if not (hasattr(type_of(satellite.dynamics), name) or hasattr(type_of(satellite.fsw), name)):
                 raise ValueError(f"{self.name!r} observes targets by {name!r}, which {satellite.name} does not have")
         if self.type == "target":
-            simulator = satellite.simulator
-            simulator.access.expect(self.n_ahead_observe, simulator.scenario_state["target_exists"].shape[1])  # type: ignore[union-attr]
+            targets = satellite.simulator.scenario_state["target_exists"].shape[1]
+            self.satellite.access_windows.expect(self.n_ahead_observe, targets)
 
     def _needs(self) -> list[str]:
         """Return names of the properties of the satellite that the entries read."""

@@ -30,6 +30,7 @@ from bsk_torch.vec3 import Mat3, Vec3
 
 if TYPE_CHECKING:
     from bsk_torch.sats.bound import BoundSatellite
+    from bsk_torch.sats.one import Numbers
     from bsk_torch.sats.others import SatelliteLike
 
 __all__ = [
@@ -68,7 +69,7 @@ def _orbit(satellite: SatelliteLike) -> tuple[Any, Any]:
     return satellite.dynamics.r_BN_N, satellite.dynamics.v_BN_N
 
 
-def _as(result: Vec3, satellite: SatelliteLike) -> Any:
+def _as(result: Vec3, satellite: SatelliteLike) -> Numbers:
     """Return a vector as a tensor [N, 3], or an array for a view of one satellite."""
     return like(result.stack(), satellite.dynamics.r_BN_N)
 
@@ -89,34 +90,34 @@ def _hill(satellite: SatelliteLike) -> Mat3:
     return hill_frame(*states(satellite))
 
 
-def r_DC_N(deputy: SatelliteLike, chief: SatelliteLike) -> Any:
+def r_DC_N(deputy: SatelliteLike, chief: SatelliteLike) -> Numbers:
     """Return the position of the deputy relative to the chief, ``r_D - r_C``, m in N, [N, 3]."""
     r_D, _, r_C, _ = states(deputy, chief)
     return _as(r_D - r_C, deputy)
 
 
-def v_DC_N(deputy: SatelliteLike, chief: SatelliteLike) -> Any:
+def v_DC_N(deputy: SatelliteLike, chief: SatelliteLike) -> Numbers:
     """Return the inertial velocity of the deputy relative to the chief, ``v_D - v_C``, m/s in N, [N, 3]."""
     _, v_D, _, v_C = states(deputy, chief)
     return _as(v_D - v_C, deputy)
 
 
-def r_DC_Hc(deputy: SatelliteLike, chief: SatelliteLike) -> Any:
+def r_DC_Hc(deputy: SatelliteLike, chief: SatelliteLike) -> Numbers:
     """Return the position of the deputy relative to the chief in the chief's Hill frame, m, [N, 3]."""
     return cd2hill(*_orbit(chief), *_orbit(deputy))[0]
 
 
-def v_DC_Hc(deputy: SatelliteLike, chief: SatelliteLike) -> Any:
+def v_DC_Hc(deputy: SatelliteLike, chief: SatelliteLike) -> Numbers:
     """Return the velocity of the deputy relative to the chief as seen in the chief's Hill frame, m/s, [N, 3]."""
     return cd2hill(*_orbit(chief), *_orbit(deputy))[1]
 
 
-def r_DC_Hd(deputy: SatelliteLike, chief: SatelliteLike) -> Any:
+def r_DC_Hd(deputy: SatelliteLike, chief: SatelliteLike) -> Numbers:
     """Return the position of the deputy relative to the chief in the deputy's Hill frame, m, [N, 3]."""
     return -cd2hill(*_orbit(deputy), *_orbit(chief))[0]
 
 
-def v_DC_Hd(deputy: SatelliteLike, chief: SatelliteLike) -> Any:
+def v_DC_Hd(deputy: SatelliteLike, chief: SatelliteLike) -> Numbers:
     """Return the velocity of the deputy relative to the chief as seen in the deputy's Hill frame, m/s, [N, 3]."""
     return -cd2hill(*_orbit(deputy), *_orbit(chief))[1]
 
@@ -129,52 +130,52 @@ def _in_body(body: SatelliteLike, deputy: SatelliteLike, chief: SatelliteLike) -
     return r_DC_B, BN @ (v_D - v_C) - omega_BN_B.cross(r_DC_B)
 
 
-def r_DC_C(deputy: SatelliteLike, chief: SatelliteLike) -> Any:
+def r_DC_C(deputy: SatelliteLike, chief: SatelliteLike) -> Numbers:
     """Return the position of the deputy relative to the chief in the chief's body axes, m, [N, 3]."""
     return _as(_in_body(chief, deputy, chief)[0], deputy)
 
 
-def v_DC_C(deputy: SatelliteLike, chief: SatelliteLike) -> Any:
+def v_DC_C(deputy: SatelliteLike, chief: SatelliteLike) -> Numbers:
     """Return the velocity of the deputy relative to the chief as seen in the chief's body axes, m/s, [N, 3]."""
     return _as(_in_body(chief, deputy, chief)[1], deputy)
 
 
-def r_DC_D(deputy: SatelliteLike, chief: SatelliteLike) -> Any:
+def r_DC_D(deputy: SatelliteLike, chief: SatelliteLike) -> Numbers:
     """Return the position of the deputy relative to the chief in the deputy's body axes, m, [N, 3]."""
     return _as(_in_body(deputy, deputy, chief)[0], deputy)
 
 
-def v_DC_D(deputy: SatelliteLike, chief: SatelliteLike) -> Any:
+def v_DC_D(deputy: SatelliteLike, chief: SatelliteLike) -> Numbers:
     """Return the velocity of the deputy relative to the chief as seen in the deputy's body axes, m/s, [N, 3]."""
     return _as(_in_body(deputy, deputy, chief)[1], deputy)
 
 
-def sigma_DC(deputy: SatelliteLike, chief: SatelliteLike) -> Any:
+def sigma_DC(deputy: SatelliteLike, chief: SatelliteLike) -> Numbers:
     """Return the attitude of the deputy's body relative to the chief's, the MRP of ``[DN] [CN]^T``, [N, 3]."""
     return _as(dcm_to_mrp(_times(_body(deputy), _body(chief).mT)), deputy)
 
 
-def sigma_DHc(deputy: SatelliteLike, chief: SatelliteLike) -> Any:
+def sigma_DHc(deputy: SatelliteLike, chief: SatelliteLike) -> Numbers:
     """Return the attitude of the deputy's body relative to the chief's Hill frame, the MRP of ``[DN] [HcN]^T``, [N, 3]."""
     return _as(dcm_to_mrp(_times(_body(deputy), _hill(chief).mT)), deputy)
 
 
-def sigma_HdC(deputy: SatelliteLike, chief: SatelliteLike) -> Any:
+def sigma_HdC(deputy: SatelliteLike, chief: SatelliteLike) -> Numbers:
     """Return the attitude of the deputy's Hill frame relative to the chief's body, the MRP of ``[HdN] [CN]^T``, [N, 3]."""
     return _as(dcm_to_mrp(_times(_hill(deputy), _body(chief).mT)), deputy)
 
 
-def sigma_HdHc(deputy: SatelliteLike, chief: SatelliteLike) -> Any:
+def sigma_HdHc(deputy: SatelliteLike, chief: SatelliteLike) -> Numbers:
     """Return the attitude of the deputy's Hill frame relative to the chief's, the MRP of ``[HdN] [HcN]^T``, [N, 3]."""
     return _as(dcm_to_mrp(_times(_hill(deputy), _hill(chief).mT)), deputy)
 
 
-def rso_sigma_BH(deputy: SatelliteLike, chief: SatelliteLike) -> Any:
+def rso_sigma_BH(deputy: SatelliteLike, chief: SatelliteLike) -> Numbers:
     """Return the attitude of the chief's body relative to its own Hill frame, the MRP of ``[CN] [HcN]^T``, [N, 3]."""
     return _as(dcm_to_mrp(_times(_body(chief), _hill(chief).mT)), deputy)
 
 
-def rso_omega_BH(deputy: SatelliteLike, chief: SatelliteLike) -> Any:
+def rso_omega_BH(deputy: SatelliteLike, chief: SatelliteLike) -> Numbers:
     """Return the rate of the chief's body relative to its own Hill frame, rad/s in that frame, [N, 3].
 
     ``omega_BH_H = [HN] [BN]^T omega_BN_B - omega_HN_H`` with ``omega_HN_H = (0, 0, |r x v| / |r|^2)``.
@@ -188,7 +189,7 @@ def rso_omega_BH(deputy: SatelliteLike, chief: SatelliteLike) -> Any:
 # -- with the Sun ----------------------------------------------------------------------------------------------------------------
 
 
-def sun_hat_Hc(deputy: SatelliteLike, chief: SatelliteLike) -> Any:
+def sun_hat_Hc(deputy: SatelliteLike, chief: SatelliteLike) -> Numbers:
     """Return the direction from the Earth to the Sun in the chief's Hill frame, ``[HcN] r_SN / |r_SN|``, [N, 3]."""
     (r_SN_N,) = vectors(deputy.simulator.world.r_SN_N)
     return _as(_hill(chief) @ r_SN_N.unit(), deputy)
@@ -201,18 +202,18 @@ def _sun_hill(satellite: SatelliteLike) -> Mat3:
     return hill_frame(-r_SN_N, -v_SN_N)
 
 
-def r_Hs(deputy: SatelliteLike, chief: SatelliteLike) -> Any:
+def r_Hs(deputy: SatelliteLike, chief: SatelliteLike) -> Numbers:
     """Return the chief's position in the Hill frame of the Earth's motion about the Sun, ``[HsN] r_C``, m, [N, 3]."""
     return _as(_sun_hill(deputy) @ states(chief)[0], deputy)
 
 
-def h_Hs(deputy: SatelliteLike, chief: SatelliteLike) -> Any:
+def h_Hs(deputy: SatelliteLike, chief: SatelliteLike) -> Numbers:
     """Return the chief's angular momentum ``[HsN] (r_C x v_C)``, m^2/s, [N, 3]; for Hs see :func:`r_Hs`."""
     r_C, v_C = states(chief)
     return _as(_sun_hill(deputy) @ r_C.cross(v_C), deputy)
 
 
-def eccentricity_Hs(deputy: SatelliteLike, chief: SatelliteLike) -> Any:
+def eccentricity_Hs(deputy: SatelliteLike, chief: SatelliteLike) -> Numbers:
     """Return the chief's eccentricity vector ``[HsN] (v_C x h_C / mu - r_C / |r_C|)``, [N, 3]; for Hs see :func:`r_Hs`.
 
     ``mu`` is that of the Earth, whatever ``sat_args`` convert elements with.

@@ -170,9 +170,9 @@ def composed(described: type[Satellite], bound: type[BoundSatellite]) -> type[Bo
     Methods are looked up in the user's classes first, then in ``bound``, in what the package adds to satellites of that kind
     (``bound_type``), and in the package's descriptions.
     """
-    bases = (bound, described.bound_type)
+    bases: tuple[type[Satellite], ...] = (bound, described.bound_type)
     if not issubclass(described.bound_type, described):  # else it is the package's own, which comes last
-        bases = (described, *bases)  # type: ignore[assignment]
+        bases = (described, *bases)
     unique = tuple(base for base in bases if not any(other is not base and issubclass(other, base) for other in bases))
     names = {"__module__": described.__module__, "__qualname__": described.__qualname__, "__doc__": described.__doc__}
     return type(described.__name__, unique, names)

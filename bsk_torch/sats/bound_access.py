@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection
-from typing import Any, NoReturn
+from typing import Any, NoReturn, cast
 
 import torch
 from torch import Tensor
@@ -18,15 +18,22 @@ from bsk_torch.sats.user_function import UserFunction
 from bsk_torch.sim.access.places import TARGET_KIND, place_positions
 from bsk_torch.sim.access.relative_geometry import SATELLITE_PROPERTIES, relative_geometries
 from bsk_torch.sim.access.window_table import Windows, candidates
-from bsk_torch.sim.access.windows import MAX_SEGMENTS
+from bsk_torch.sim.access.windows import MAX_SEGMENTS, AccessWindows
 from bsk_torch.sim.params import nearest
 
 
 class BoundAccessSatellite(BoundSatellite, AccessSatellite):
-    """The access satellites of one type in an environment: their windows now and in future."""
+    """The access satellites of one type in an environment: their windows now and in future.
+
+    Attributes:
+        access_windows: Windows of their places, which exist where there are ``opportunity_types``.
+    """
+
+    access_windows: AccessWindows
 
     def _join(self, fleet: SatelliteFleet, type_index: int) -> None:
         super()._join(fleet, type_index)
+        self.access_windows = cast(AccessWindows, self.simulator.access)
         self.access_filters = [given.bound(self.opportunity_types) for given in self.access_filters]
         self._cache: dict[tuple[str, int], tuple[tuple[int, int], Opportunities]] = {}
         self._lists: dict[tuple[str, bool], tuple[tuple[int, int], Windows]] = {}
@@ -144,7 +151,7 @@ class BoundAccessSatellite(BoundSatellite, AccessSatellite):
 
     def positions(self, type: str, place: Tensor) -> Tensor:
         """Return the Earth-fixed positions, [N, n, 3] m, of places [N, n] of a type."""
-        return place_positions(self.simulator.access, self.simulator.scenario_state, type, place)  # type: ignore[arg-type]
+        return place_positions(self.access_windows, self.simulator.scenario_state, type, place)
 
     def objects(self, type: str, place: Tensor) -> Any:
         """Return the objects of places [N, n]: :class:`~bsk_torch.sats.objects.TargetObjects`, or names of stations [N, n]."""
@@ -167,7 +174,7 @@ class BoundAccessSatellite(BoundSatellite, AccessSatellite):
             last = initial + self.max_generation_duration_beyond_initial
         if max_lookahead == MAX_SEGMENTS:
             return last
-        seen: Tensor = self.simulator.access.until + max_lookahead * self.segment  # type: ignore[union-attr]
+        seen = self.access_windows.until + max_lookahead * self.segment
         return seen if last is None else torch.minimum(seen, last)
 
     def look_further(self, row: int) -> bool:
@@ -239,9 +246,9 @@ class BoundAccessSatellite(BoundSatellite, AccessSatellite):
 
     def _known(self, type: str, time: Tensor, allowed: Tensor | None, before: Tensor | None = None) -> Windows:
         """Return the windows that have not closed at ``time`` and, if given, that open ``before`` [N] s."""
-        access = self.simulator.access
+        access = self.access_windows
         self.simulator.lookahead.search_visible(self.simulator.sim_time)
-        known = candidates(access.windows[type], time, access.until, allowed)  # type: ignore[union-attr]
+        known = candidates(access.windows[type], time, access.until, allowed)
         if before is not None:
             known = known._replace(valid=known.valid & (known.windows.open < before.unsqueeze(-1)))
         key, order = torch.sort(known.sort_key, dim=1, stable=True)
@@ -281,7 +288,7 @@ class BoundAccessSatellite(BoundSatellite, AccessSatellite):
     @property
     def window_calculation_time(self) -> Tensor:
         """End of look-ahead, [N] s since reset."""
-        return self.simulator.access.until  # type: ignore[union-attr]
+        return self.access_windows.until
 
     def calculate_additional_windows(self, duration: float | Tensor) -> None:
         """Extend look-ahead by ``duration`` s, one for all or [N], to whole segments and at least one, as in bsk_rl.
@@ -313,8 +320,7 @@ class BoundAccessSatellite(BoundSatellite, AccessSatellite):
 
     def places(self, type: str) -> int:
         """Return the number of places of a type, P."""
-        simulator = self.simulator
-        return simulator.access.kinds[type](simulator.state.all_rows[:1]).r_LP_P.shape[1]  # type: ignore[union-attr]
+        return self.access_windows.kinds[type](self.simulator.state.all_rows[:1]).r_LP_P.shape[1]
 
     def opportunities_dict(
         self,

@@ -92,7 +92,8 @@ class BoundImagingSatellite(BoundAccessSatellite, ImagingSatellite):
         """Return opening and closing time of the next known window of a target [N], [N] s each; infinity where none is known."""
         windows = self.upcoming_opportunities(self.target_types)
         mine = (windows.place == target.unsqueeze(-1)) & torch.isfinite(windows.close)
-        return tuple(torch.where(mine, time, torch.inf).amin(1) for time in (windows.open, windows.close))  # type: ignore[return-value]
+        opens, closes = (torch.where(mine, time, torch.inf).amin(1) for time in (windows.open, windows.close))
+        return opens, closes
 
 
 ImagingSatellite.bound_type = BoundImagingSatellite

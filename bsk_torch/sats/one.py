@@ -9,8 +9,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
+from numpy.typing import NDArray
 from torch import Tensor
 
 from bsk_torch.sats.others import OneOthers
@@ -19,6 +20,9 @@ from bsk_torch.sim.readout.observables import observable
 
 if TYPE_CHECKING:
     from bsk_torch.sats.bound import BoundSatellite
+
+Numbers: TypeAlias = "Tensor | NDArray[Any] | float"
+"""Numbers of all satellites, a tensor, or of the one of a row, an array or a number."""
 
 OWN_PACKAGE = __name__.partition(".")[0] + "."
 

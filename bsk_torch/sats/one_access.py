@@ -6,6 +6,7 @@ from collections.abc import Callable, Collection
 from typing import Any, NoReturn
 
 import torch
+from numpy.typing import NDArray
 
 from bsk_torch.sats.objects import OneTarget
 from bsk_torch.sats.one import OneSatellite, of_row
@@ -43,7 +44,7 @@ class OneAccessSatellite(OneSatellite):
         made.place = place
         return made
 
-    def _positions(self, kind: str) -> Any:
+    def _positions(self, kind: str) -> NDArray[Any]:
         """Return the Earth-fixed positions of all places of a type, [P, 3] m."""
         if kind == TARGET_KIND:
             return self._whole.scenario.r_LP_P[self._env].cpu().numpy()

@@ -11,6 +11,7 @@ from torch import Tensor
 
 from bsk_torch.env import SatelliteTasking, Tasking
 from bsk_torch.env.rollout import play_episodes
+from bsk_torch.sats import BoundAccessSatellite
 
 __all__ = ["Episode", "record_episode"]
 
@@ -86,8 +87,8 @@ class Recorder:
         now = float(self.simulator.sim_time[0])
         start, end = (float(time[0]) for time in self.satellite.next_eclipse())
         self.eclipses.add((start if start < end else now, end))
-        if "ground_station" in self.satellite.opportunity_types:
-            known = self.satellite.opportunities_dict(0, "ground_station")  # type: ignore[attr-defined]
+        if isinstance(self.satellite, BoundAccessSatellite) and "ground_station" in self.satellite.opportunity_types:
+            known = self.satellite.opportunities_dict(0, "ground_station")
             self.passes.update(window for windows in known.values() for window in windows)
 
     def play(self, policy: TensorDictModuleBase, seed: int) -> None:

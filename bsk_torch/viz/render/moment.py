@@ -87,8 +87,9 @@ def look(env: Tasking, row: int) -> Moment:
     first = row * env.simulator.count
     r_LP_P, imaged, aims_P = _targets(env, row, modes)
     r_N, v_N = (_of(env, row, name) for name in ("r_BN_N", "v_BN_N"))
-    silent = env.links is None or not bool(fleet.ticks[row])
-    links = torch.zeros(fleet.size, fleet.size, dtype=torch.bool) if silent else env.links[row]  # type: ignore[index]
+    links = torch.zeros(fleet.size, fleet.size, dtype=torch.bool)
+    if env.links is not None and bool(fleet.ticks[row]):
+        links = env.links[row]
     return Moment(
         names=list(fleet.names),
         modes=modes,
