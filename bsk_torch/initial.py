@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 
 from bsk_torch._checks import number, switch
-from bsk_torch.astro.relative import aligned_with_hill, like
+from bsk_torch.astro.relative import Numeric, aligned_with_hill, like
 from bsk_torch.rand import Distribution, Key, Uniform
 from bsk_torch.sim.names import nearest
 
@@ -69,7 +69,7 @@ class HillSpin(Distribution):
         return torch.tensor(self.hill_rate, dtype=torch.float64) + rate * axis
 
 
-def hill_frame_attitude(r_N: object, v_N: object, spin_config: Mapping[str, object] | None = None) -> tuple[Any, Any]:
+def hill_frame_attitude(r_N: Numeric, v_N: Numeric, spin_config: Mapping[str, object] | None = None) -> tuple[Any, Any]:
     """Return attitude sigma_BN and rate omega_BN_B, rad/s, of a body that is aligned with the Hill frame and spins.
 
     Both are [..., 3], arrays or tensors as given. With a random rate or axis the rate is a distribution, and there is one orbit.
@@ -113,7 +113,7 @@ def _checked(given: Mapping[str, object]) -> dict[str, Any]:
     return spin
 
 
-def _axis(axis: object, HN: Tensor, v_N: object) -> Tensor | None:
+def _axis(axis: object, HN: Tensor, v_N: Numeric) -> Tensor | None:
     """Return the unit vector of a spin axis in the Hill frame, [..., 3]; None for a random one."""
     if isinstance(axis, str):
         if axis == "random":

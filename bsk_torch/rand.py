@@ -254,7 +254,7 @@ MOST = 1e300
 """Bound of the numbers of distributions: their differences are finite."""
 
 
-def _check_numbers(**given: Any) -> None:
+def _check_numbers(**given: object) -> None:
     """Raise ValueError for numbers, or sequences of them, that are not finite; the names are those of the arguments."""
     for name, value in given.items():
         if type(value) is float and -MOST <= value <= MOST:
@@ -269,7 +269,7 @@ def _check_numbers(**given: Any) -> None:
             raise ValueError(f"{name}={value!r} must be a finite number, or a sequence of them")
 
 
-def _check_size(size: Any) -> None:
+def _check_size(size: object) -> None:
     if size is not None:
         whole("size", size, 1)
 
@@ -327,7 +327,7 @@ class Choice(Distribution):
     options: tuple[Any, ...]
     size: int | None = field(default=None, repr=False)
 
-    def __init__(self, options: Sequence[Any], size: int | None = None) -> None:
+    def __init__(self, options: Sequence[object], size: int | None = None) -> None:
         """Choose among ``options``, a non-empty sequence."""
         if isinstance(options, str | type) or not hasattr(options, "__len__") or not hasattr(options, "__getitem__"):
             raise ValueError(f"options={options!r} must be a sequence, such as [1.0, 2.0]")
@@ -363,7 +363,7 @@ class PerEnv(Distribution):
         return [self.values[i] for i in rows]
 
 
-def per_env(values: Any) -> PerEnv:
+def per_env(values: object) -> PerEnv:
     """Return the distribution that gives row i of ``values`` to environment i, at every reset.
 
     ``values`` is a tensor, an array or a list, which may hold strings.

@@ -56,14 +56,14 @@ class ClassicElements:
         return 1.0 / self.a
 
 
-def elem2rv(mu: float, elements: Any) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any]]:
+def elem2rv(mu: float, elements: object) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any]]:
     """Return position [3], m, and velocity [3], m/s, of elements; see :func:`bsk_torch.astro.orbit.elements_to_rv`."""
     numbers = (torch.tensor(float(getattr(elements, name)), dtype=torch.float64) for name in Elements._fields)
     r, v = elements_to_rv(Elements(*numbers), mu)
     return np.array([float(x) for x in r]), np.array([float(x) for x in v])
 
 
-def rv2elem(mu: float, rVec: Any, vVec: Any) -> ClassicElements:
+def rv2elem(mu: float, rVec: object, vVec: object) -> ClassicElements:
     """Return the elements of a bound orbit from position [3], m, and velocity [3], m/s.
 
     See :func:`bsk_torch.astro.orbit.rv_to_elements`.

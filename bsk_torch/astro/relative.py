@@ -7,10 +7,11 @@ float64.
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 import torch
+from numpy.typing import ArrayLike
 from torch import Tensor
 
 from bsk_torch.astro.attitude import dcm_to_mrp
@@ -19,21 +20,24 @@ from bsk_torch.vec3 import Mat3, Vec3
 
 __all__ = ["cd2hill", "elevation", "fibonacci_sphere", "hill2cd", "lla2ecef", "rv2HN", "rv2omega"]
 
+Numeric: TypeAlias = "ArrayLike | Tensor"
+"""Numbers, sequences of them, arrays or tensors."""
+
 GOLDEN_ANGLE = math.pi * (3.0 - math.sqrt(5.0))
 """Angle between neighbours on Fibonacci's spiral, rad."""
 
 
-def like(results: Tensor, *given: Any) -> Any:
+def like(results: Tensor, *given: Numeric) -> Any:
     """Return ``results`` as a tensor if one of the ``given`` arguments is, else as an array."""
     return results if any(isinstance(value, Tensor) for value in given) else results.numpy()
 
 
-def float64(*given: Any) -> list[Tensor]:
+def float64(*given: Numeric) -> list[Tensor]:
     """Return numbers, sequences, arrays or tensors as float64 tensors."""
     return [torch.as_tensor(np.asarray(x) if not isinstance(x, Tensor) else x, dtype=torch.float64) for x in given]
 
 
-def vectors(*given: Any) -> list[Vec3]:
+def vectors(*given: Numeric) -> list[Vec3]:
     """Return vectors [..., 3]; ValueError for another last dimension."""
     tensors = float64(*given)
     for tensor in tensors:
@@ -47,7 +51,7 @@ def stacked(matrix: Mat3) -> Tensor:
     return torch.stack([row.stack() for row in matrix], -2)
 
 
-def elevation(r_sat: Any, r_target: Any) -> Any:
+def elevation(r_sat: Numeric, r_target: Numeric) -> Any:
     """Return the elevation of satellites above the horizon of places, rad [...].
 
     ``pi / 2 - arccos(r_L . (r_S - r_L) / (|r_L| |r_S - r_L|))``
@@ -61,7 +65,7 @@ def elevation(r_sat: Any, r_target: Any) -> Any:
     return like(0.5 * math.pi - torch.arccos(place.dot(away) / (place.norm() * away.norm())), r_sat, r_target)
 
 
-def lla2ecef(lat: Any, long: Any, radius: Any) -> Any:
+def lla2ecef(lat: Numeric, long: Numeric, radius: Numeric) -> Any:
     """Return Earth-fixed positions of places on a sphere, [..., 3] in the unit of ``radius``.
 
     Args:
@@ -75,7 +79,7 @@ def lla2ecef(lat: Any, long: Any, radius: Any) -> Any:
     return like(r.unsqueeze(-1) * torch.stack(unit, -1), lat, long, radius)
 
 
-def rv2HN(r_N: Any, v_N: Any) -> Any:
+def rv2HN(r_N: Numeric, v_N: Numeric) -> Any:
     """Return the DCM [HN] of the Hill frame, [..., 3, 3]: radial, along the track, and orbit normal.
 
     Args:
@@ -85,7 +89,7 @@ def rv2HN(r_N: Any, v_N: Any) -> Any:
     return like(stacked(hill_frame(*vectors(r_N, v_N))), r_N, v_N)
 
 
-def rv2omega(r_N: Any, v_N: Any) -> Any:
+def rv2omega(r_N: Numeric, v_N: Numeric) -> Any:
     """Return the angular velocity omega_HN of the Hill frame, rad/s in N, [..., 3]: ``r x v / |r|^2``.
 
     Args:
@@ -96,7 +100,7 @@ def rv2omega(r_N: Any, v_N: Any) -> Any:
     return like((r.cross(v) / r.dot(r)).stack(), r_N, v_N)
 
 
-def cd2hill(rc_N: Any, vc_N: Any, rd_N: Any, vd_N: Any) -> tuple[Any, Any]:
+def cd2hill(rc_N: Numeric, vc_N: Numeric, rd_N: Numeric, vd_N: Numeric) -> tuple[Any, Any]:
     """Return position, m, and velocity, m/s, of a deputy relative to a chief in the chief's Hill frame, [..., 3] each.
 
     ``rho = [HN] (r_D - r_C)`` and ``rho' = [HN] (v_D - v_C) - omega_HN x rho``: the velocity as seen in the rotating frame.
@@ -115,7 +119,7 @@ def cd2hill(rc_N: Any, vc_N: Any, rd_N: Any, vd_N: Any) -> tuple[Any, Any]:
     return like(rho.stack(), *given), like(velocity.stack(), *given)
 
 
-def hill2cd(rc_N: Any, vc_N: Any, rho_H: Any, rho_deriv_H: Any) -> tuple[Any, Any]:
+def hill2cd(rc_N: Numeric, vc_N: Numeric, rho_H: Numeric, rho_deriv_H: Numeric) -> tuple[Any, Any]:
     """Return inertial position, m, and velocity, m/s, of a deputy, [..., 3] each: the inverse of :func:`cd2hill`.
 
     Args:
@@ -137,7 +141,7 @@ def fibonacci_sphere(n_points: int) -> np.ndarray:
     return np.stack([np.sqrt(1.0 - z * z) * np.cos(angle), np.sqrt(1.0 - z * z) * np.sin(angle), z], -1)
 
 
-def aligned_with_hill(r_N: Any, v_N: Any) -> tuple[Tensor, Tensor, Tensor]:
+def aligned_with_hill(r_N: Numeric, v_N: Numeric) -> tuple[Tensor, Tensor, Tensor]:
     """Return attitude sigma_BN [3] and rate omega_HN_B [3] rad/s of a body whose axes are those of the Hill frame, and [HN]."""
     r, v = vectors(r_N, v_N)
     zero = torch.zeros_like(r.x)

@@ -25,7 +25,7 @@ VALUES, CHOICE = "values", "choice"
 class _Kept(type(BoundedContinuous)):  # type: ignore[misc]
     """Makes instances of a subclass; TorchRL's metaclass would make them instances of its own class."""
 
-    def __call__(cls, *args: Any, **kwargs: Any) -> Any:
+    def __call__(cls, *args: object, **kwargs: object) -> Any:
         instance = super().__call__(*args, **kwargs)
         instance.__class__ = cls
         return instance
@@ -98,7 +98,7 @@ def mask_spec(size: int, shape: Sequence[int]) -> Binary:
     return Binary(size, shape=torch.Size([*shape, size]), dtype=torch.bool)
 
 
-def read(title: str, given: Any, satellite: SatelliteGroup, shape: Sequence[int], each: str = "") -> Tensor:
+def read(title: str, given: object, satellite: SatelliteGroup, shape: Sequence[int], each: str = "") -> Tensor:
     """Return the actions of satellites of one type, [*shape] int64, or [*shape, A] or [*shape, A + 1] of a floating type.
 
     Args:

@@ -25,7 +25,7 @@ class MadeOfArguments(Snapshots):
     _changes: list[Change]
     """Changes of arguments since then."""
 
-    def set_sat_args(self, args: Any, envs: Any = None) -> None:
+    def set_sat_args(self, args: object, envs: object = None) -> None:
         """Change arguments of satellites; episodes that begin after this call have the new ones, present ones keep theirs.
 
         Values are those that ``sat_args`` accepts, ``rand.per_env`` for a value of each environment among them; where its tensor
@@ -46,7 +46,7 @@ class MadeOfArguments(Snapshots):
         rows, ids = episodes(envs, len(self.env_ids), self.env_ids)
         self._change(of_satellites(args, self.names, ids), rows)
 
-    def set_world_args(self, args: Any, envs: Any = None) -> None:
+    def set_world_args(self, args: object, envs: object = None) -> None:
         """Change arguments of the world, as :meth:`set_sat_args` does for satellites.
 
         Args:

@@ -55,7 +55,7 @@ def of_world(args: Any, envs: tuple[int, ...] | None) -> list[Change]:
     return [Change(WORLD, name, value, envs) for name, value in expand(args, "world_args").items()]
 
 
-def episodes(envs: Any, num_envs: int, env_ids: Tensor) -> tuple[Tensor | None, tuple[int, ...] | None]:
+def episodes(envs: object, num_envs: int, env_ids: Tensor) -> tuple[Tensor | None, tuple[int, ...] | None]:
     """Return the rows of ``envs``, indices or a mask [N], and their indices in the draws; None twice for all.
 
     Raises:
@@ -137,7 +137,7 @@ class LiveArguments(MutableMapping[str, Any]):
         value = table[name]
         return value if not isinstance(value, Member) else value.function
 
-    def __setitem__(self, name: str, value: Any) -> None:
+    def __setitem__(self, name: str, value: object) -> None:
         """Set the value of all environments."""
         self._write({name: as_value(value)})
 

@@ -56,7 +56,7 @@ def given_action(tensordict: TensorDictBase, *key: str) -> Any:
     return action
 
 
-def check_call(kind: str, key: str, tensordict: Any) -> None:
+def check_call(kind: str, key: str, tensordict: object) -> None:
     """Raise TypeError unless ``step`` or ``reset`` of the class ``kind`` was given a tensordict; ``key`` is the action's."""
     if not isinstance(tensordict, TensorDictBase):
         raise TypeError(

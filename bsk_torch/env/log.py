@@ -143,7 +143,7 @@ class StepLog:
         """Return the counters and deaths of each type before a run, for :meth:`after`."""
         return [{**satellite.counts(), "dead": satellite.task.dead} for satellite in self.satellites]
 
-    def after(self, old: Sequence[Mapping[str, Tensor]], result: Any, moves: Tensor) -> None:
+    def after(self, old: Sequence[Mapping[str, Tensor]], result: object, moves: Tensor) -> None:
         """Record what has happened in a step of the episodes ``moves`` [N].
 
         ``took`` has ``target``; ``counted`` ``counter`` and ``count``; ``died`` ``checks``; ``legal`` ``action_mask``; ``step``
@@ -202,12 +202,12 @@ class StepLog:
             self._env(env, "ended", "episode %s", " and ".join(name for name, is_so in ends.items() if is_so), fields=ends)
 
     def _satellite(
-        self, name: str, env: int, event: str, text: str, *args: Any, fields: Fields, level: int = logging.INFO
+        self, name: str, env: int, event: str, text: str, *args: object, fields: Fields, level: int = logging.INFO
     ) -> None:
         if self.shows(level):
             self.loggers[name].log(level, text, *args, extra=self._extra(env, event) | {"satellite": name} | fields)
 
-    def _env(self, env: int, event: str, text: str, *args: Any, fields: Fields) -> None:
+    def _env(self, env: int, event: str, text: str, *args: object, fields: Fields) -> None:
         if self.shows():
             self.logger.info(text, *args, extra=self._extra(env, event) | {"satellite": None} | fields)
 

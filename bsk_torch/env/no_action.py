@@ -16,7 +16,7 @@ CLOSE = 1.0
 """Distance from ``NO_ACTION`` within which a floating-point number counts as it; float32 has none that is equal."""
 
 
-def is_no_action(action: Any) -> bool:
+def is_no_action(action: object) -> bool:
     """Return whether an action only goes on with the task: None, ``NO_ACTION``, or a sequence or array that holds nothing else.
 
     Floating-point numbers count within 1 of ``NO_ACTION``. An empty array is an action, and so is all that holds no numbers.
@@ -42,7 +42,7 @@ def no_action_like(action: Any) -> Any:
     return action * 0 + NO_ACTION
 
 
-def no_action_keep_indices(actions: Sequence[Any], n_observations: int) -> tuple[list[int], list[int]]:
+def no_action_keep_indices(actions: Sequence[object], n_observations: int) -> tuple[list[int], list[int]]:
     """Return which actions of an episode remain without those that only go on, and which observations belong to them.
 
     The observations are those at which the remaining actions were chosen, and the last one, so that its duration is kept.

@@ -23,7 +23,7 @@ class Randomizer:
     """Draws the arguments of a ``sat_arg_randomizer`` for the key's n environments."""
 
     def __init__(
-        self, given: Formation | Callable[[list[Satellite]], Mapping[Any, Any]], satellites: Sequence[Satellite]
+        self, given: Formation | Callable[[list[Satellite]], Mapping[Any, object]], satellites: Sequence[Satellite]
     ) -> None:
         """Check the names of the ``satellites`` with the formation, which may raise."""
         self.given, self.satellites = given, list(satellites)
@@ -52,7 +52,7 @@ class Randomizer:
             raise TypeError(f"sat_arg_randomizer returned {answer!r}; it must return {{satellite: {{argument: value}}}}")
         return {(name, self._number(who)): value for who, args in answer.items() for name, value in args.items()}
 
-    def _number(self, who: Any) -> int:
+    def _number(self, who: object) -> int:
         name = getattr(who, "name", who)
         if name not in self.names:
             raise ValueError(
@@ -77,7 +77,7 @@ class Randomizer:
         return draws
 
 
-def make_randomizer(given: Any, satellites: Sequence[Satellite]) -> Randomizer | None:
+def make_randomizer(given: object, satellites: Sequence[Satellite]) -> Randomizer | None:
     """Return the sampler of a ``sat_arg_randomizer``; TypeError where it is neither a formation nor a function."""
     if given is None:
         return None

@@ -38,8 +38,8 @@ class SatelliteTasking(Tasking):
         scenario: Scenario | None = None,
         rewarder: GlobalReward | Iterable[GlobalReward] | None = None,
         communicator: CommunicationMethod | None = None,
-        sat_arg_randomizer: Formation | Callable[[list[Satellite]], Mapping[Any, Any]] | None = None,
-        **options: Any,
+        sat_arg_randomizer: Formation | Callable[[list[Satellite]], Mapping[Any, object]] | None = None,
+        **options: object,
     ) -> None:
         """Build the environment and check its arguments; nothing is simulated before the first reset.
 
@@ -103,7 +103,7 @@ class SatelliteTasking(Tasking):
         partial = tensordict.get("_step", None)
         return self.play(hints.given_action(tensordict, "action"), None if partial is None else partial.reshape(-1))
 
-    def play(self, action: Any, moves: Tensor | None = None) -> TensorDict:
+    def play(self, action: object, moves: Tensor | None = None) -> TensorDict:
         """Carry out ``action`` [N] where ``moves`` [N] is true, everywhere if None; return the entries of ``next``.
 
         Continuous actions are [N, A], hybrid ones a tensordict of their parts or [N, A + 1] with the choice behind; among them

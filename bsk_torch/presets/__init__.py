@@ -47,7 +47,7 @@ PRESETS: dict[str, Callable[..., Any]] = {
 """Presets by name: functions of the arguments of the environment to override."""
 
 
-def make(name: str, **options: Any) -> Any:
+def make(name: str, **options: object) -> Any:
     """Return the environment of a preset.
 
     Args:

@@ -137,7 +137,7 @@ def agile_environment(
     return SatelliteTasking(satellite, **(defaults | options))
 
 
-def aeos(*, n_targets: int | tuple[int, int] = (100, 10_000), as_set: bool = False, **options: Any) -> SatelliteTasking:
+def aeos(*, n_targets: int | tuple[int, int] = (100, 10_000), as_set: bool = False, **options: object) -> SatelliteTasking:
     """Return AEOS-v1; see the module.
 
     Args:
@@ -151,7 +151,7 @@ def aeos(*, n_targets: int | tuple[int, int] = (100, 10_000), as_set: bool = Fal
 
 
 def aeos_city(
-    *, n_targets: int = 1000, n_select_from: int | Literal["all"] | None = 5000, as_set: bool = False, **options: Any
+    *, n_targets: int = 1000, n_select_from: int | Literal["all"] | None = 5000, as_set: bool = False, **options: object
 ) -> SatelliteTasking:
     """Return AEOSCity-v1: targets are ``n_targets`` of the ``n_select_from`` largest cities, drawn at reset; see :func:`aeos`."""
     options = {"scenario": scene.CityTargets(n_targets, n_select_from)} | options
@@ -179,7 +179,7 @@ class CloudySetSatellite(AgileSatellite):
     observation_spec = (obs.SatProperties(*SATELLITE), targets_ahead(CLOUDS, as_set=True), obs.Time())
 
 
-def cloudy_aeos(*, n_targets: int | tuple[int, int] = 1000, as_set: bool = False, **options: Any) -> SatelliteTasking:
+def cloudy_aeos(*, n_targets: int | tuple[int, int] = 1000, as_set: bool = False, **options: object) -> SatelliteTasking:
     """Return CloudyAEOS-v1: only images without clouds pay; see :func:`aeos`."""
     clouds = dict(scenario=scene.CloudyTargets(scene.UniformTargets(n_targets)), rewarder=data.CloudFreeImageReward())
     return agile_environment((CloudySatellite, CloudySetSatellite), agile_args(), as_set, clouds | options)

@@ -168,7 +168,7 @@ def power_args() -> dict[str, Any]:
 
 
 def aeos_power(
-    *, n_targets: int | tuple[int, int] = 1000, as_set: bool = False, shielded: bool = True, **options: Any
+    *, n_targets: int | tuple[int, int] = 1000, as_set: bool = False, shielded: bool = True, **options: object
 ) -> SatelliteTasking:
     """Return AEOSPower-v1; see the module.
 

@@ -46,7 +46,7 @@ class PresetEnvConfig:
     _target_: str = "bsk_torch.presets.config.make_env"
 
 
-def make_env(name: str, options: Mapping[str, Any] | None = None, **arguments: Any) -> Any:
+def make_env(name: str, options: Mapping[str, object] | None = None, **arguments: object) -> Any:
     """Return the environment of a :class:`PresetEnvConfig`; see :func:`bsk_torch.make`."""
     return make(name, **arguments, **(options or {}))
 

@@ -116,7 +116,7 @@ def scanning_args() -> dict[str, Any]:
     )
 
 
-def nadir_scan(*, sat_args: dict[str, Any] | None = None, obs_type: type = torch.Tensor, **options: Any) -> SatelliteTasking:
+def nadir_scan(*, sat_args: dict[str, Any] | None = None, obs_type: type = torch.Tensor, **options: object) -> SatelliteTasking:
     """Return NadirScan-v1; see the module.
 
     Args:

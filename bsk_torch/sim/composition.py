@@ -33,7 +33,7 @@ HOMES: dict[type, Home] = {
 }
 
 
-def compose(given: Any, base: Class, owner: str = "") -> Class:
+def compose(given: object, base: Class, owner: str = "") -> Class:
     """Return the class that a model class, or a tuple or list of them, stands for.
 
     Members of the first of several classes win. Duplicates, and classes of which others are subclasses, are left out; ``base``
@@ -61,7 +61,7 @@ def _title(base: type, owner: str) -> str:
     return f"{owner}.{HOMES[base].attribute}" if owner else HOMES[base].attribute
 
 
-def _check_part(part: Any, base: type, owner: str) -> None:
+def _check_part(part: object, base: type, owner: str) -> None:
     title = _title(base, owner)
     if inspect.isclass(part) and issubclass(part, base):
         return

@@ -76,12 +76,12 @@ def unknown(title: str, name: str, known: Iterable[str]) -> str:
     return f"{title}[{name!r}] is unknown; {nearest(str(name), known)}"
 
 
-def is_function(value: Any) -> bool:
+def is_function(value: object) -> bool:
     """Return whether a value is a function of the user, which is called for each episode."""
     return callable(value) and not isinstance(value, Distribution)
 
 
-def _called(function: Callable[[], Any], title: str) -> dict[str, Any]:
+def _called(function: Callable[[], object], title: str) -> dict[str, Any]:
     answer = function()
     if not isinstance(answer, Mapping):
         raise TypeError(f"{title}={function!r} returned {answer!r}; it must return a dictionary of arguments, {{name: value}}")
@@ -89,7 +89,7 @@ def _called(function: Callable[[], Any], title: str) -> dict[str, Any]:
     return no_gradient(title, values)
 
 
-def expand(given: Mapping[str, Any] | Callable[[], Mapping[str, Any]] | None, title: str) -> dict[str, Any]:
+def expand(given: Mapping[str, object] | Callable[[], Mapping[str, object]] | None, title: str) -> dict[str, Any]:
     """Return given arguments by name; a function is called once to learn the names that it sets.
 
     Raises:
@@ -112,7 +112,7 @@ def expand(given: Mapping[str, Any] | Callable[[], Mapping[str, Any]] | None, ti
 class Given(dict[str, Any]):
     """Arguments that were given; reading another one returns its default. Wrong names raise KeyError."""
 
-    def __init__(self, given: Mapping[str, Any], defaults: Mapping[str, Any], title: str) -> None:
+    def __init__(self, given: Mapping[str, object], defaults: Mapping[str, object], title: str) -> None:
         """Keep the ``given`` arguments beside the ``defaults`` of all; ``title`` is what the user calls the dictionary."""
         super().__init__()
         self.defaults, self.title = defaults, title
@@ -123,7 +123,7 @@ class Given(dict[str, Any]):
         """Pickle and copy without the table of defaults being looked up item by item."""
         return Given, (dict(self), self.defaults, self.title)
 
-    def __setitem__(self, name: str, value: Any) -> None:
+    def __setitem__(self, name: str, value: object) -> None:
         """Give an argument; KeyError for an unknown name, ValueError for a tensor that requires a gradient."""
         if name not in self.defaults:
             raise KeyError(unknown(self.title, name, self.defaults))

@@ -80,7 +80,7 @@ def overrides(instance: object, base: type, name: str) -> bool:
     return getattr(getattr(instance, name), "__func__", None) is not getattr(base, name)
 
 
-def check_tensor(title: str, value: Any, shape: Sequence[int], *dtypes: torch.dtype) -> None:
+def check_tensor(title: str, value: object, shape: Sequence[int], *dtypes: torch.dtype) -> None:
     """Raise TypeError unless a hook's result is a tensor of a shape and of one of several dtypes, any if none is given."""
     if isinstance(value, Tensor) and value.shape == tuple(shape) and (not dtypes or value.dtype in dtypes):
         return
@@ -89,13 +89,13 @@ def check_tensor(title: str, value: Any, shape: Sequence[int], *dtypes: torch.dt
     raise TypeError(f"{title} is {given}; it must be a tensor of shape {list(shape)}{kinds}")
 
 
-def _kind(value: Any) -> str:
+def _kind(value: object) -> str:
     if isinstance(value, property | cached_property):
         return "property"
     return "method" if callable(value) or isinstance(value, staticmethod | classmethod) else "value"
 
 
-def _check_hook(title: str, value: Any, declared: Any) -> None:
+def _check_hook(title: str, value: object, declared: object) -> None:
     """Raise TypeError if a definition cannot be used as the hook that is ``declared``."""
     if (_kind(value) == "method") != (_kind(declared) == "method"):
         raise TypeError(f"{title} is a {_kind(value)}; it must be a {_kind(declared)}")
@@ -105,7 +105,7 @@ def _check_hook(title: str, value: Any, declared: Any) -> None:
         raise TypeError(f"{title}{inspect.signature(_function(value))} cannot be called as {name}({wanted})")
 
 
-def _misspelled(cls: type, owner: type, name: str, value: Any, base: type, hooks: Sequence[str]) -> str | None:
+def _misspelled(cls: type, owner: type, name: str, value: object, base: type, hooks: Sequence[str]) -> str | None:
     """Return the hook that a public method or property was probably meant to be; None for all others."""
     if name.startswith("_") or _kind(value) == "value" or isinstance(value, type):
         return None
@@ -122,12 +122,12 @@ def _function(value: Any) -> Callable[..., Any]:
     return value.__func__ if isinstance(value, staticmethod | classmethod) else value
 
 
-def _parameters(declared: Any) -> list[str]:
+def _parameters(declared: object) -> list[str]:
     """Return the names of the arguments of a method, without ``self``."""
     return list(inspect.signature(_function(declared)).parameters)[0 if isinstance(declared, staticmethod) else 1 :]
 
 
-def _callable_like(value: Any, declared: Any) -> bool:
+def _callable_like(value: object, declared: object) -> bool:
     """Return whether a method accepts the positional arguments of the ``declared`` one."""
     try:
         signature = inspect.signature(_function(value))
@@ -141,7 +141,7 @@ def _callable_like(value: Any, declared: Any) -> bool:
     return True
 
 
-def check_linked(part: Any, method: str, fleet: Any) -> None:
+def check_linked(part: object, method: str, fleet: object) -> None:
     """Raise TypeError unless the ``link`` of a part of an environment has reached its base class, which keeps the fleet."""
     if getattr(part, "fleet", None) is not fleet:
         raise TypeError(f"{type(part).__name__}.{method} must call super().{method}")

@@ -6,6 +6,7 @@ was learned from flights; the schedule is made once, before the episode, and the
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, ClassVar, NamedTuple, cast
 
 import torch
@@ -163,7 +164,7 @@ class ScheduledPolicy(TensorDictModuleBase):
     in_keys: ClassVar[list[str]] = ["observation", "action_mask"]
     out_keys: ClassVar[list[str]] = ["action"]
 
-    def __init__(self, env: SatelliteTasking, schedule: Schedule, otherwise: Any) -> None:
+    def __init__(self, env: SatelliteTasking, schedule: Schedule, otherwise: Callable[[TensorDictBase], TensorDictBase]) -> None:
         """Fly ``schedule`` in the episodes of ``env`` that it was made for; ``otherwise`` is any policy.
 
         ValueError for a schedule of another number of episodes.

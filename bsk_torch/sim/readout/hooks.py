@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 import inspect
 from collections.abc import Iterator, Mapping
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from bsk_torch.astro.gravity import DEGREE
 from bsk_torch.sim.component import Component
@@ -96,7 +96,7 @@ def _subclasses(base: type) -> Iterator[type]:
         yield from _subclasses(child)
 
 
-def _check_member(cls: type, owner: type, base: type, name: str, value: Any) -> None:
+def _check_member(cls: type, owner: type, base: type, name: str, value: object) -> None:
     title = f"{cls.__name__}.{name}"
     if name in TABLES:
         if base not in owner.__bases__ and not any(hasattr(parent, name) for parent in cls.__bases__):
@@ -111,7 +111,7 @@ def _check_member(cls: type, owner: type, base: type, name: str, value: Any) -> 
         raise TypeError(f"{title} is never used; did you mean {meant!r}?")
 
 
-def _check_method(title: str, name: str, value: Any) -> None:
+def _check_method(title: str, name: str, value: object) -> None:
     if name.startswith("setup_"):
         raise TypeError(f"{title} is never used; {COMPONENT}")
     if name.startswith("action_"):
@@ -124,7 +124,7 @@ def _check_method(title: str, name: str, value: Any) -> None:
         raise TypeError(f"{title} has default arguments that are never used; {DEFAULTS}")
 
 
-def _check_table(title: str, name: str, value: Any) -> None:
+def _check_table(title: str, name: str, value: object) -> None:
     """Raise TypeError for a table that is not made of what it holds."""
     example = f"it must be written like {TABLES[name].example}"
     if name in ("components", "world_components"):

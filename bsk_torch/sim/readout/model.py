@@ -40,7 +40,7 @@ class Model:
 
     components: ClassVar[tuple[Component, ...]] = ()
 
-    def __init_subclass__(cls, **options: Any) -> None:
+    def __init_subclass__(cls, **options: object) -> None:
         """Refuse definitions that would never be used, by a TypeError with advice."""
         super().__init_subclass__(**options)
         check_model(cls, Model)

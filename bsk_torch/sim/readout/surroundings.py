@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 from torch import Tensor
 
@@ -16,7 +15,7 @@ from bsk_torch.sim.satellite_state import SatelliteState
 class World:
     """Sun, Earth and ground stations at the present time of each environment."""
 
-    def __init__(self, state: SatelliteState, arcs: Arcs, stations: Sequence[Mapping[str, Any]] = ()) -> None:
+    def __init__(self, state: SatelliteState, arcs: Arcs, stations: Sequence[Mapping[str, object]] = ()) -> None:
         """Bind the world of satellites on ``arcs`` with ground stations."""
         self._state, self._arcs, self._stations = state, arcs, stations
 
