@@ -76,7 +76,7 @@ def turn(env: SatelliteTasking, dv_N: torch.Tensor | None, drift: float) -> dict
         "thrust": lambda: None if dv_N is None else env.simulator.thrust(everyone, dv_N),
         "targets": lambda: env.satellite.find_next_opportunities(4),
         "eclipse": env.satellite.next_eclipse,
-        "flight": lambda: env.fleet.run(everyone, env.fleet.ticks + ticks, ticks),
+        "flight": lambda: env.fleet.run(everyone, env.fleet.ticks + ticks, env.fleet.ticks + ticks),
     }
     spent = {}
     for name, part in parts.items():

@@ -145,10 +145,10 @@ class RSOInspectionReward(GlobalReward):
         assert chief is not None
         assert inspectors is not None
         count = flight.counts[k]
-        each = torch.arange(count, device=flight.envs.device).repeat(len(flight.envs))
+        episodes = torch.arange(len(flight.envs), device=flight.envs.device).repeat_interleave(count)
+        pairs = torch.arange(len(episodes), device=flight.envs.device)
         of_pairs = (part.repeat_interleave(count) for part in (flight.ticks, *self._first_records(flight)))
-        envs = flight.envs.repeat_interleave(count)
-        return Records(chief, envs, inspectors, envs * count + each, *of_pairs)
+        return Records(chief, episodes, inspectors, pairs, *of_pairs)
 
     def _first_records(self, flight: Flight) -> tuple[Tensor, Tensor]:
         """Return the first record in which points may be inspected, and lit, [n] each."""

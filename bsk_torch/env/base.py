@@ -29,7 +29,7 @@ from bsk_torch.env.machine import existing_device
 from bsk_torch.env.options import TaskingOptions, TimeLimit
 from bsk_torch.env.present import Present
 from bsk_torch.env.randomizer import make_randomizer
-from bsk_torch.env.satellite_group import command, decide, died, groups_of
+from bsk_torch.env.satellite_group import command, decide, died, first_task_end, groups_of, settle_all, soonest
 from bsk_torch.env.snapshots import fingerprint
 from bsk_torch.env.trial import try_out
 from bsk_torch.obs.base import Values
@@ -195,7 +195,10 @@ class Tasking(Present, MadeOfArguments):
         if log is not None:
             log.decided(acts)
             known = log.before()
-        fleet.run(moves, self.state.limit_ticks, self.longest_ticks)
+        until = first_task_end(self.satellites, start + self.longest_ticks)
+        expected = [soonest(satellite.task.expected, satellite.simulator.count) for satellite in self.satellites]
+        result = fleet.run(moves, self.state.limit_ticks, until, expected)
+        settle_all(self.satellites, result, moves, moves & self.truncated_by_time)
         reward = checked.reward(self.rewarder, before, checked.log(self.rewarder)) * moves.unsqueeze(-1)
         totals.add(self.rewarder, reward, moves)
         self.scenario.finish_step(fleet.sim_time)
@@ -205,10 +208,10 @@ class Tasking(Present, MadeOfArguments):
         for satellite in self.satellites:
             satellite.memory.touch()
             satellite.task.dead = satellite.task.dead | died(satellite)
-        result = self._judge((fleet.ticks - start) * fleet.h, reward, moves, removed)
+        outcome = self._judge(result.ticks * fleet.h, reward, moves, removed)
         if log is not None:
-            log.after(known, result, moves)
-        return result
+            log.after(known, outcome, moves)
+        return outcome
 
     def _proven(self, outputs: TensorDict) -> TensorDict:
         """Return the outputs of a step; FloatingPointError if it is the first of a restored state, and numbers are not finite."""

@@ -205,6 +205,12 @@ class Episodes(EnvBase):
         if self.log is not None and self.log.shows():
             self.log.began(envs, state.seed, state.episode)
         self.guard.begin(envs, begun)
+        self._show(envs)
+
+    def _show(self, envs: Tensor) -> None:
+        """Show the episodes ``envs`` [n], which have begun or been restored, to recordings."""
+        for recording in self.fleet.recordings:
+            recording.begin(envs)
 
 
 def whole_limit(limit: Tensor, et: Tensor, h_ns: int) -> tuple[Tensor, Tensor]:

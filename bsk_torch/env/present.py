@@ -10,11 +10,14 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from bsk_torch._checks import whole
 from bsk_torch.data import checked
 from bsk_torch.env import hints
 from bsk_torch.env.episodes import Episodes
 from bsk_torch.env.satellite_group import SatelliteGroup
+from bsk_torch.env.snapshots import rows_of
 from bsk_torch.sim.argument_table import ArgumentTable
+from bsk_torch.sim.recording import Recording
 
 
 class Present(Episodes):
@@ -52,6 +55,41 @@ class Present(Episodes):
         names = dict.fromkeys(name for satellite in self.satellites for name in satellite.counts())
         counted = {name: self.fleet.each(functools.partial(_counted, name)) for name in names}
         return counted | checked.counts(self.rewarder, counted)
+
+    def record(
+        self,
+        fields: str | Sequence[str],
+        rows: int | Sequence[int] | Tensor | None = None,
+        every: int = 1,
+        satellites: str | Sequence[str] | None = None,
+    ) -> Recording:
+        """Record fields of the state at the ticks of all steps from now on, until ``stop()`` of what is returned, or its context.
+
+        The future of the episodes is not changed, and rows that are not recorded run as ever: see :mod:`bsk_torch.sim.recording`.
+        Episodes that begin meanwhile are recorded, too.
+
+        Args:
+            fields: Names of fields, such as ``("sigma_BN", "omega_BN_B")``; ``env.simulator.state.layout.fields`` has them all.
+            rows: Environments, or one; all unless given.
+            every: Ticks from one record to the next, counted from the beginning of an episode.
+            satellites: Names of satellites, or one; all unless given.
+
+        Raises:
+            IndexError: For a row that does not exist.
+            KeyError: For a satellite that does not exist.
+            ResetNeededError: For episodes that have not begun.
+            ValueError: For no fields, an unknown one, or a wrong number of ticks.
+        """
+        fields = (fields,) if isinstance(fields, str) else tuple(fields)
+        if not fields:
+            raise ValueError("fields=() must name at least one field of the state, such as 'sigma_BN'")
+        every = whole("every", every, 1)
+        chosen = self.fleet.all_envs if rows is None else [rows] if isinstance(rows, int) else rows
+        envs = rows_of("rows", chosen, self.num_envs, torch.device(self.device)).unique()
+        names = self.names if satellites is None else (satellites,) if isinstance(satellites, str) else tuple(satellites)
+        with self.guard:
+            self.guard.check_begun("record()", torch.zeros_like(self.state.begun).index_fill(0, envs, True))
+            return Recording(self.fleet, fields, envs, every, names)
 
     def render(self, rows: int | Sequence[int] | None = None, height: int = 480) -> Tensor:
         """Draw the present: the Earth, the satellites and their tasks; the future of the episodes is not changed.

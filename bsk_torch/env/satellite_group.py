@@ -17,6 +17,7 @@ from bsk_torch.sats.satellite import Satellite
 from bsk_torch.sats.user_function import UserFunction
 from bsk_torch.sim.dyn.events import DISARMED
 from bsk_torch.sim.fleet import NEVER
+from bsk_torch.sim.flight import RunResult
 from bsk_torch.sim.hooks import check_tensor
 
 
@@ -43,10 +44,6 @@ class SatelliteGroup(BoundSatellite):
     def user_functions(self) -> list[UserFunction]:
         """Return the functions of users that observations and satellites call."""
         return [*self.observations.functions, *self.functions]
-
-    def settle(self, event: Tensor | None, moves: Tensor, last: Tensor) -> None:
-        """Record how a run ended; see :func:`settle`."""
-        settle(self, event, moves, last)
 
     def action_mask(self) -> Tensor:
         """See :meth:`Satellite.action_mask`."""
@@ -100,6 +97,26 @@ def whole_ticks(duration: Tensor, h_ns: int) -> Tensor:
     return torch.ceil(torch.floor(duration * 1e9 + 0.5) / h_ns).long()
 
 
+def soonest(ticks: Tensor, count: int) -> Tensor:
+    """Return the first of the ticks [N * count] of the satellites of each episode, [N]."""
+    return ticks if count == 1 else ticks.view(-1, count).amin(1)
+
+
+def first_task_end(groups: Sequence[SatelliteGroup], ticks: Tensor) -> Tensor:
+    """Return the first tick at which a task that ends steps is over, at most ``ticks`` [N], [N]."""
+    for satellites in groups:
+        if satellites.variable_interval:
+            ticks = torch.minimum(ticks, soonest(satellites.task.ends, satellites.simulator.count))
+    return ticks
+
+
+def settle_all(groups: Sequence[SatelliteGroup], result: RunResult, moves: Tensor, last: Tensor) -> None:
+    """Record how a run of the episodes ``moves`` [N] ended, ``last`` [N] of which are over."""
+    for satellites, event in zip(groups, result.events, strict=True):
+        of_env = satellites.simulator.state.of_env
+        settle(satellites, event, of_env(moves), of_env(last))
+
+
 def settle(satellites: SatelliteGroup, event: Tensor | None, moves: Tensor, last: Tensor) -> None:
     """Record how a run of the rows ``moves`` [N] ended.
 
@@ -137,5 +154,4 @@ def groups_of(satellites: Sequence[Satellite], fleet: SatelliteFleet) -> tuple[S
     """Make and return the satellites of each type of a fleet from the descriptions of all, by their number in an episode."""
     groups = tuple(SatelliteGroup.of(satellites[s.columns[0]], fleet, k) for k, s in enumerate(fleet.simulators))
     fleet.satellites = groups
-    fleet.groups = groups  # type: ignore[assignment]
     return groups

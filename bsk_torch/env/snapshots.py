@@ -94,6 +94,7 @@ class Snapshots(Episodes):
             self.state.copy_rows(envs, other, source)
             self.scenario.begin_episodes(envs)
             self.guard.begin(envs, begun)
+            self._show(envs)
             if not isinstance(state, Snapshots):
                 self.guard.origin = Origin.RESTORED
 

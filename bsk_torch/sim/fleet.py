@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 
 from bsk_torch.rand import Key
 from bsk_torch.sim.encounters import NOBODY, EncounterPairs, Encounters
-from bsk_torch.sim.flight import FlightObserver, Following, StopCondition, fly
+from bsk_torch.sim.flight import Dependencies, FlightObserver, Part, RunResult, StopCondition, parts_of, together
 from bsk_torch.sim.given import Answers
 from bsk_torch.sim.names import nearest
 from bsk_torch.sim.params import Overrides
+from bsk_torch.sim.recording import Recording
 from bsk_torch.sim.satellite_state import SatelliteState
 from bsk_torch.sim.simulator import Simulator
 from bsk_torch.sim.state import StateTable
@@ -56,55 +57,6 @@ class FleetState(StateTable):
             self.refuse(f"{path}{name}.ticks", ticks, wrong, why)
 
 
-class Task(Protocol):
-    """Tasks in progress of N satellites; see :class:`bsk_torch.env.satellite_group.TaskState`."""
-
-    dead: Tensor
-    requires_retasking: Tensor
-    ends: Tensor
-    action: Tensor
-    expected: Tensor
-
-    def rows_of(self, envs: Tensor) -> Tensor:
-        """Return the rows of episodes."""
-
-
-class Group(Protocol):
-    """Satellites of one type in an environment; see :class:`bsk_torch.env.satellite_group.SatelliteGroup`."""
-
-    variable_interval: bool
-    simulator: Simulator
-    scenario: Any
-    rewarder: Any
-    actions: Any
-    observation_description: list[str]
-
-    @property
-    def task(self) -> Task:
-        """Tasks in progress."""
-
-    def checked(self, action: Tensor, acts: Tensor) -> Tensor:
-        """Return the actions [N] as int64; ValueError for one out of range where ``acts`` [N] is true."""
-
-    def decide(self, action: Tensor, acts: Tensor) -> Any:
-        """Return the commands of ``action`` [N] where ``acts`` [N] is true."""
-
-    def command(self, action: Tensor, acts: Tensor, decision: Any, all_act: bool = False) -> None:
-        """Begin ``action`` [N] where ``acts`` [N] is true."""
-
-    def settle(self, event: Tensor | None, moves: Tensor, last: Tensor) -> None:
-        """Record how a run ended."""
-
-    def cancel(self, rows: Tensor) -> None:
-        """Cancel the tasks of ``rows`` [N], a mask."""
-
-    def died(self) -> Tensor:
-        """Return the satellites that fail a check now, [N]."""
-
-    def begin(self, envs: Tensor) -> None:
-        """Note who is dead or needs no task in the episodes ``envs`` [n], which begin."""
-
-
 class Fleet:
     """The satellites of ``num_envs`` episodes, S in each, simulated type by type.
 
@@ -114,7 +66,6 @@ class Fleet:
         names: Name of every satellite.
         places: Type of each satellite of an episode by name, and its number among those of the type; on a trial, where there is
             one of each type, satellites that are not simulated have the place of that one.
-        groups: Models, actions and tasks of each type, once an environment has made them.
         state: Everything that belongs to the present episodes: ``time_limit`` [N] s, ``removed`` [N, S] (satellites
             that are not present, or have died and left), the tables ``scenario`` (its draws) and ``memory`` (tensors that
             rewarders, communicators and users declare), and the state of each type.
@@ -124,13 +75,12 @@ class Fleet:
         varies: Whether some satellites are not present in some episodes; see :attr:`present`.
         env_ids: Index of each episode in draws, [N].
         beginnings: Functions that an environment calls with the episodes [n] that have begun.
-        following: Which types of satellites follow which.
+        dependencies: Which types of satellites follow which.
         stop_conditions: Conditions on several satellites that end a step; they need traces of the satellites.
         flight_observers: Functions that read the traces of what has been run.
+        recordings: Recordings that have not been stopped.
         encounters: Conjunctions and ranges of the satellites.
     """
-
-    groups: tuple[Group, ...] = ()
 
     def __init__(
         self,
@@ -164,9 +114,10 @@ class Fleet:
         order = torch.cat(self.columns)
         self._order = None if torch.equal(order, torch.arange(self.size, device=self.device)) else order.argsort()
         self.beginnings: list[Callable[[Tensor], Any]] = []
-        self.following = Following(self.simulators)
+        self.dependencies = Dependencies(self.simulators)
         self.stop_conditions: list[StopCondition] = []
         self.flight_observers: list[FlightObserver] = []
+        self.recordings: list[Recording] = []
         self.since = torch.zeros(self.num_envs, dtype=torch.int64, device=self.device)
         self.all_envs = self.env_ids = torch.arange(self.num_envs, device=self.device)
         self.state = FleetState(self.num_envs, self.size, self.device)
@@ -300,100 +251,39 @@ class Fleet:
             for columns, simulator in zip(self.columns, self.simulators, strict=True):
                 state = simulator.state
                 state["present"] = state["present"].index_copy(0, state.rows_of(envs), present[:, columns].flatten())
-        for k in self.following.order:
-            self.simulators[k].reset(envs, drawn.values[k], durations[k], self.following.present(k))
+        for k in self.dependencies.order:
+            self.simulators[k].reset(envs, drawn.values[k], durations[k], self.dependencies.present(k))
 
     # -- running ------------------------------------------------------------------------------------------------------
 
-    def run(self, moves: Tensor, limit_ticks: Tensor, longest: int) -> None:
-        """Simulate the episodes ``moves`` [N] to the first end of a task, of the step, or of the episode.
+    def run(self, moves: Tensor, limit_ticks: Tensor, until: Tensor, expected: Sequence[Tensor] | None = None) -> RunResult:
+        """Simulate the episodes ``moves`` [N] to a given tick, to the first event that ends a step, or to the episode's end.
 
         Types whose events end no step run last. Where a later one of two types ends a step early, the earlier one runs again.
 
         Args:
             moves: Episodes that take part, [N].
             limit_ticks: Last tick of each episode, [N].
-            longest: Longest step in ticks.
+            until: Tick since reset at which the step ends unless an event does, [N].
+            expected: For each type of satellites, the tick since reset at which its events will probably end the step, [N];
+                ``until`` unless given. A matter of speed only.
         """
         now = self.ticks
         left = (limit_ticks - now).clamp(min=0)
-        ends = torch.minimum(self._first_task_end(now + longest) - now, left).clamp(min=0) * moves
-        if self.traced:
-            self._settle(moves, limit_ticks, fly(self, moves, ends, left)[1])
-            return
-        order = sorted(range(len(self.simulators)), key=lambda k: not self.simulators[k].stops)
-        before = [simulator.events if simulator.has_events else None for simulator in self.simulators]
-        ran, checkpoints = {}, {}
-        for k in order:
-            simulator = self.simulators[k]
-            if simulator.stops:
-                checkpoints[k] = simulator.checkpoint() if len(order) > 1 else None
-                flown = simulator.run(simulator.state.of_env(ends), self.expected_ticks(k, now, ends), len(order) > 1)
-                ends = ran[k] = self.first_of_each(flown, simulator.count)
-        for k, checkpoint in checkpoints.items():
-            if checkpoint is not None:
-                self._fly_again(k, checkpoint, ran[k], ends)
-        events: list[Tensor | None] = []
-        for k, (simulator, start) in enumerate(zip(self.simulators, before, strict=True)):
-            if start is None:
-                events.append(None)
-                if k not in ran:
-                    simulator.run(simulator.state.of_env(ends))
-                continue
-            cut = (ends >= left) & (ends > 0)  # the clock stops before events of the last tick are evaluated
-            if k in ran:
-                events.append((simulator.events > start) & ~simulator.state.of_env(cut))
-            else:
-                events.append(self._events_before_last_tick(simulator, ends, cut) > start)
-        self._settle(moves, limit_ticks, events)
+        ends = torch.minimum(until - now, left).clamp(min=0) * moves
+        probably = [ends] * len(self.simulators) if expected is None else [ticks - now for ticks in expected]
+        parts = []
+        for envs in parts_of(self, moves, ends):
+            parts.append(part := Part(self, envs, ends, left, probably))
+            for call in part.calls():
+                simulator, rows = self.simulators[call.k], part.rows[call.k]
+                call.ran = simulator.run(call.ticks, call.expected, call.may_rewind, call.trace, call.followed, rows)
+        return together(self, parts)
 
     @property
     def traced(self) -> bool:
         """Whether satellites depend on one another within a tick, so that runs leave traces."""
         return any(simulator.records or simulator.followed for simulator in self.simulators)
-
-    def _settle(self, moves: Tensor, limit_ticks: Tensor, events: Sequence[Tensor | None]) -> None:
-        """Record how the runs of the episodes ``moves`` [N] ended."""
-        last = moves & (self.ticks >= limit_ticks)
-        for group, event in zip(self.groups, events, strict=True):
-            state = group.simulator.state
-            group.settle(event, state.of_env(moves), state.of_env(last))
-
-    def _first_task_end(self, ticks: Tensor) -> Tensor:
-        """Return the first tick at which a task that ends steps is over, at most ``ticks`` [N], [N]."""
-        for group in self.groups:
-            if group.variable_interval:
-                ticks = torch.minimum(ticks, self._soonest(group.task.ends, group.simulator.count))
-        return ticks
-
-    def expected_ticks(self, k: int, now: Tensor, ticks: Tensor) -> Tensor:
-        """Return the probable number of ticks of one type, at most ``ticks`` [N], for each row."""
-        task, state = self.groups[k].task, self.simulators[k].state
-        expected = self._soonest(task.expected, state.count) - now
-        return torch.minimum(state.of_env(expected), state.of_env(ticks))
-
-    def _soonest(self, ticks: Tensor, count: int) -> Tensor:
-        """Return the first of the ticks [N * count] of each episode, [N]."""
-        return ticks if count == 1 else ticks.view(self.num_envs, -1).amin(1)
-
-    def _fly_again(self, k: int, checkpoint: tuple[Tensor, Tensor], ran: Tensor, ends: Tensor) -> None:
-        """Rewind one type in the episodes in which it ``ran`` [N] beyond ``ends`` [N] ticks, and simulate it to there."""
-        beyond, simulator = ran > ends, self.simulators[k]
-        if bool(beyond.any()):
-            simulator.rewind(checkpoint, simulator.state.of_env(beyond))
-            simulator.run(simulator.state.of_env(torch.where(beyond, ends, 0)))
-
-    @staticmethod
-    def _events_before_last_tick(simulator: Simulator, ticks: Tensor, cut: Tensor) -> Tensor:
-        """Run one type whose events end no step; return its events [N * count], without those of a last tick that is ``cut``."""
-        of_env = simulator.state.of_env
-        if not bool(cut.any()):
-            simulator.run(of_env(ticks))
-            return simulator.events
-        simulator.run(of_env(ticks - cut.long()))
-        events = simulator.events
-        simulator.run(of_env(cut.long()))
-        return torch.where(of_env(cut), events, simulator.events)
 
 
 def share(given: Mapping[str, tuple[Sequence[int], Tensor]], columns: Sequence[int]) -> Overrides:

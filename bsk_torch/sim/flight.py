@@ -1,15 +1,16 @@
-"""Runs of fleets whose satellites depend on one another within a tick: by traces, type after type."""
+"""How the types of satellites of a fleet run together: in which order, how far, and what is read from their traces."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, NamedTuple
 
 import torch
 from torch import Tensor
 
 from bsk_torch.codegen.kernel import Samples
-from bsk_torch.sim.simulator import Simulator
+from bsk_torch.sim.simulator import Checkpoint, Simulator, rows_of_samples
 from bsk_torch.sim.trace import Flight, Trace
 
 if TYPE_CHECKING:
@@ -25,131 +26,232 @@ FlightObserver = Callable[[Flight], None]
 """Called with the flights that a step consists of, each episode in one of them."""
 
 
-class Following:
-    """Which type of satellites follows which, and the order in which types run.
+class RunResult(NamedTuple):
+    """What the simulation of N episodes to their next event has come to.
 
     Attributes:
-        leaders: For each type, the type that it follows by slot.
-        order: The types, those that are followed before those that follow them.
+        ticks: Ticks that each episode has run, [N].
+        events: For each type of satellites, whether an event such as an image ended the action of a row, [N * count]; None for
+            types without such events.
+    """
+
+    ticks: Tensor
+    events: tuple[Tensor | None, ...]
+
+
+class Dependencies:
+    """Which type of satellites reads the trace of which, and the order in which types run.
+
+    Attributes:
+        depends_on: For each type, the type that it follows by slot.
+        order: The types, those that are followed before those that follow them, and those whose events end steps first.
     """
 
     def __init__(self, simulators: Sequence[Simulator]) -> None:
         """Find the satellites that are followed."""
         self.simulators = simulators
-        self.leaders = [{name: self._owner(name) for name in simulator.followed} for simulator in simulators]
+        self.depends_on = [{name: self._owner(name) for name in simulator.followed} for simulator in simulators]
         depth: dict[int, int] = {}
-        while len(depth) < len(simulators):  # FleetBuilder has built leaders first, so there are no circles
-            for k, leaders in enumerate(self.leaders):
-                if k not in depth and all(leader in depth for leader in leaders.values()):
-                    depth[k] = 1 + max((depth[leader] for leader in leaders.values()), default=0)
+        while len(depth) < len(simulators):  # FleetBuilder has built those that are followed first, so there are no circles
+            for k, others in enumerate(self.depends_on):
+                if k not in depth and all(other in depth for other in others.values()):
+                    depth[k] = 1 + max((depth[other] for other in others.values()), default=0)
         self.order = sorted(depth, key=lambda k: (depth[k], not simulators[k].stops))
 
     def _owner(self, name: str) -> int:
         return next(k for k, simulator in enumerate(self.simulators) if any(part.slot == name for part in simulator.parts))
 
-    def samples(self, k: int, traces: Mapping[int, Trace | None]) -> dict[str, Samples]:
+    def samples(self, k: int, traces: Mapping[int, Trace]) -> dict[str, Samples]:
         """Return the traces that the satellites of type k follow, by slot."""
         followed = {}
-        for name, leader in self.leaders[k].items():
-            trace, simulator = traces[leader], self.simulators[k]
-            assert trace is not None
-            envs = torch.arange(simulator.num_envs, device=simulator.device)
-            followed[name] = trace.samples(simulator.h_ns, envs.repeat_interleave(simulator.count))
+        for name, other in self.depends_on[k].items():
+            trace, simulator = traces[other], self.simulators[k]
+            episodes = torch.arange(len(trace.start), device=simulator.device)
+            followed[name] = trace.samples(simulator.h_ns, episodes.repeat_interleave(simulator.count))
         return followed
 
     def present(self, k: int) -> dict[str, Samples]:
         """Return traces of the present alone that the satellites of type k follow, by slot."""
-        return self.samples(k, {leader: self.simulators[leader].trace(0) for leader in self.leaders[k].values()})
+        return self.samples(k, {other: self.simulators[other].trace(0) for other in self.depends_on[k].values()})
+
+    def first(self, watched: bool) -> list[int]:
+        """Return the types that run before the end of a step is known, in their order.
+
+        These are types whose events end steps, and those that they follow; with stop conditions (``watched``), all that leave
+        traces. Types whose events end no step are among them if they leave traces: see :meth:`Part._finish`.
+        """
+        needed: set[int] = set()
+        for k in reversed(self.order):
+            simulator = self.simulators[k]
+            if k in needed or simulator.stops or (simulator.records and (watched or simulator.has_events)):
+                needed |= {k, *self.depends_on[k].values()}
+        return [k for k in self.order if k in needed]
 
 
-def fly(fleet: Fleet, moves: Tensor, ends: Tensor, left: Tensor) -> tuple[Tensor, list[Tensor | None]]:
-    """Simulate the episodes ``moves`` [N] for at most ``ends`` [N] ticks, of ``left`` [N] to the end of the episode.
+@dataclass
+class Call:
+    """A run of one type that is due, from the present state.
 
-    A stop condition that holds, or an event of a type that runs later, ends the run of all satellites of an episode; types that
-    have run too far are rewound and run again, to there.
-
-    Returns:
-        Ticks that each episode has run, [N], and for each type whether an event ended the actions of its satellites.
+    Attributes:
+        k: The type.
+        ticks: Most ticks of each row, [n * count].
+        expected: Probable number of them, [n * count]; None where no event is expected.
+        may_rewind: Whether the rows may be rewound to where they are now.
+        trace: Where it records fields.
+        followed: Traces that it reads, by slot.
+        ran: Ticks that the rows have run, [n * count], once they have.
     """
-    flown = torch.zeros_like(ends)
-    events: list[Tensor | None] = [None] * len(fleet.simulators)
-    for envs in _parts(fleet, torch.nonzero(moves).squeeze(-1), ends):
-        here = torch.zeros_like(moves).index_fill(0, envs, True)
-        ran, found = _fly_part(fleet, envs, torch.where(here, ends, 0), left)
-        flown = flown + ran
-        events = [new if old is None else old if new is None else old | new for old, new in zip(events, found, strict=True)]
-    return flown, events
+
+    k: int
+    ticks: Tensor
+    expected: Tensor | None
+    may_rewind: bool
+    trace: Trace | None
+    followed: dict[str, Samples]
+    ran: Tensor = field(init=False)
 
 
-def _parts(fleet: Fleet, envs: Tensor, ends: Tensor) -> Iterator[Tensor]:
-    """Yield the episodes ``envs`` [n] in parts whose traces fit into memory together, longest runs first."""
-    width = sum(s.count * s.tick.recorded_width for s in fleet.simulators)
+class Part:
+    """A run of n episodes of a fleet, whose traces are in memory together.
+
+    Attributes:
+        envs: The episodes, [n]; None for all of a fleet.
+        ends: Ticks that they run, [n]; at most, until all calls have been made.
+        events: For each type of satellites, whether an event ended the action of a row, [n * count], or None.
+    """
+
+    def __init__(self, fleet: Fleet, envs: Tensor | None, ends: Tensor, left: Tensor, expected: Sequence[Tensor]) -> None:
+        """Prepare the run.
+
+        Args:
+            fleet: The satellites.
+            envs: The episodes, [n]; None for all.
+            ends: Most ticks of each episode of the fleet, [N].
+            left: Ticks to the end of the episode, [N].
+            expected: Probable ticks to an event that ends the step, [N] for each type.
+        """
+        self.fleet, self.envs = fleet, envs
+        self.ends, self.left, self.expected = self._of(ends), self._of(left), [self._of(ticks) for ticks in expected]
+        some = envs if envs is not None and len(envs) < fleet.num_envs else None
+        self.rows = [None if some is None else simulator.state.rows_of(some) for simulator in fleet.simulators]
+        self.events: list[Tensor | None] = [None] * len(self.rows)
+        self.traces: dict[int, Trace] = {}
+        self.checkpoints: dict[int, Checkpoint] = {}
+        self.starts: list[Tensor | None] = []
+        self.ran: dict[int, Tensor] = {}
+
+    def calls(self) -> Iterator[Call]:
+        """Yield the runs of types that are due; each must have been made before the next one is asked for.
+
+        Types that can end the run go first, each at most as far as those before it. Then stop conditions are checked; types that
+        have run too far are rewound and run again, and all others run, to the end.
+        """
+        fleet, simulators = self.fleet, self.fleet.simulators
+        since, longest = self._of(fleet.ticks), int(self.ends.max()) if fleet.traced else 0
+        self.traces = {k: s.trace(longest, self.rows[k]) for k, s in enumerate(simulators) if s.records}
+        self.starts = [s.events(rows) if s.has_events else None for s, rows in zip(simulators, self.rows, strict=True)]
+        recordings = [(recording, recording.prepare(self.envs)) for recording in fleet.recordings]
+        first = fleet.dependencies.first(bool(fleet.stop_conditions))
+        rewinds = len(first) > 1 or bool(fleet.stop_conditions)
+        for k in first:
+            simulator, of_env = simulators[k], simulators[k].state.of_env
+            if rewinds or _ends_apart(simulator):
+                self.checkpoints[k] = simulator.checkpoint(self.rows[k])
+            call = self._call(k, of_env(self.ends), torch.minimum(of_env(self.expected[k]), of_env(self.ends)))
+            yield call
+            self.ran[k] = call.ran.view(-1, simulator.count)[:, 0]
+            self.ends = torch.minimum(self.ends, self.ran[k])
+        for condition in fleet.stop_conditions:
+            self.ends = torch.minimum(self.ends, condition(self._flight(since)))
+        for k in fleet.dependencies.order:
+            yield from self._finish(k)
+        for observe in fleet.flight_observers:
+            observe(self._flight(since))
+        for recording, places in recordings:
+            recording.add(self._episodes()[places], self.ends[places], self._followed(places))
+        self.traces.clear()
+
+    def _finish(self, k: int) -> Iterator[Call]:
+        """Yield the runs that bring type k to the end, and read its events.
+
+        The clock of an episode stops before events of its last tick are evaluated: where these do not end runs, the tick is run
+        after they have been read.
+        """
+        simulator, rows, start = self.fleet.simulators[k], self.rows[k], self.starts[k]
+        of_env, apart = simulator.state.of_env, _ends_apart(simulator)
+        last = (self.ends >= self.left) & (self.ends > 0)
+        goal = self.ends - last.long() if apart else self.ends
+        if k not in self.ran:
+            yield self._call(k, of_env(goal))
+        elif k in self.checkpoints and bool((beyond := self.ran[k] > goal).any()):
+            simulator.rewind(self.checkpoints[k], of_env(beyond))
+            yield self._call(k, of_env(torch.where(beyond, goal, 0)))
+        if start is not None:
+            new = simulator.events(rows) > start
+            self.events[k] = new if apart else new & ~of_env(last)
+        if apart and bool(last.any()):
+            call = self._call(k, of_env(last.long()))
+            call.trace = None  # the records have been made by a run of all ticks
+            yield call
+
+    def _call(self, k: int, ticks: Tensor, expected: Tensor | None = None) -> Call:
+        followed = self.fleet.dependencies.samples(k, self.traces)
+        may_rewind = k in self.checkpoints or bool(self.fleet.recordings)
+        return Call(k, ticks, expected, may_rewind, self.traces.get(k), followed)
+
+    def _followed(self, places: Tensor) -> dict[int, dict[str, Samples]]:
+        """Return the traces that the satellites of each type follow in some of the episodes, by slot."""
+        found = {}
+        for k, simulator in enumerate(self.fleet.simulators):
+            rows = simulator.state.rows_of(places)
+            followed = self.fleet.dependencies.samples(k, self.traces)
+            found[k] = {name: rows_of_samples(trace, rows) for name, trace in followed.items()}
+        return found
+
+    def _episodes(self) -> Tensor:
+        return self.fleet.all_envs if self.envs is None else self.envs
+
+    def _of(self, table: Tensor) -> Tensor:
+        """Return the entries [n] of a table [N] of episodes."""
+        return table if self.envs is None else table[self.envs]
+
+    def _flight(self, since: Tensor) -> Flight:
+        counts = tuple(simulator.count for simulator in self.fleet.simulators)
+        traces = tuple(self.traces.get(k) for k in range(len(counts)))
+        return Flight(self._episodes(), since, self.ends, self.left, traces, counts)
+
+
+def _ends_apart(simulator: Simulator) -> bool:
+    """Return whether a type has events that end actions, but not runs."""
+    return simulator.has_events and not simulator.stops
+
+
+def parts_of(fleet: Fleet, moves: Tensor, ends: Tensor) -> Iterator[Tensor | None]:
+    """Yield the episodes ``moves`` [N] in parts whose traces fit into memory together, longest runs first.
+
+    Only where traces are read one must know which episodes move; elsewhere all run together, for which None stands.
+    """
+    if not (fleet.traced or fleet.stop_conditions or fleet.flight_observers):
+        yield None
+        return
+    width = sum(simulator.count * simulator.tick.recorded_width for simulator in fleet.simulators)
+    envs = torch.nonzero(moves).squeeze(-1)
     ranked = envs[ends[envs].argsort(descending=True, stable=True)]
     while len(ranked):
         size = max(1, MOST_NUMBERS // (max(1, width) * (int(ends[ranked[0]]) + 1)))
-        yield ranked[:size].sort().values  # as the rows of traces are, where a part holds all episodes
+        yield ranked[:size].sort().values
         ranked = ranked[size:]
 
 
-def _fly_part(fleet: Fleet, envs: Tensor, ends: Tensor, left: Tensor) -> tuple[Tensor, list[Tensor | None]]:
-    """Simulate some episodes; see :func:`fly`. ``ends`` [N] is zero for all others."""
-    since, longest, simulators = fleet.ticks, int(ends.max()), fleet.simulators
-    starts = [simulator.events if simulator.has_events else None for simulator in simulators]
-    checkpoints = [simulator.checkpoint() for simulator in simulators]
-    traces: dict[int, Trace | None] = {}
-    ran: dict[int, Tensor] = {}
-    for k in fleet.following.order:
-        simulator = simulators[k]
-        traces[k] = simulator.trace(longest) if simulator.records else None
-        ticks = simulator.state.of_env(ends)
-        expected = fleet.expected_ticks(k, since, ends)
-        followed = fleet.following.samples(k, traces)
-        ran[k] = fleet.first_of_each(simulator.run(ticks, expected, True, traces[k], followed), simulator.count)
-        ends = torch.minimum(ends, ran[k])
-    counts = tuple(simulator.count for simulator in simulators)
-    recorded = tuple(traces[k] for k in range(len(simulators)))
-    flight = Flight(envs, since[envs], ends[envs], left[envs], recorded, counts)
-    for condition in fleet.stop_conditions:
-        ends = ends.index_copy(0, envs, torch.minimum(ends[envs], condition(flight)))
-    for k, simulator in enumerate(simulators):
-        _fly_again(simulator, checkpoints[k], ran[k] > ends, ends, traces[k], fleet.following.samples(k, traces))
-    flight = flight._replace(ticks=ends[envs])
-    for observe in fleet.flight_observers:
-        observe(flight)
-    cut = (ends >= left) & (ends > 0)  # the clock stops before events of the last tick are evaluated
-    events: list[Tensor | None] = []
-    for k, (simulator, start) in enumerate(zip(simulators, starts, strict=True)):
-        if start is None:
-            events.append(None)
-        elif simulator.stops:
-            events.append((simulator.events > start) & ~simulator.state.of_env(cut))
-        else:
-            followed = fleet.following.samples(k, traces)
-            events.append(_events_before_last_tick(simulator, checkpoints[k], ends, cut, followed) > start)
-    return ends, events
-
-
-def _fly_again(
-    simulator: Simulator,
-    checkpoint: tuple[Tensor, Tensor],
-    beyond: Tensor,
-    ends: Tensor,
-    trace: Trace | None,
-    followed: Mapping[str, Samples],
-) -> None:
-    """Rewind the episodes ``beyond`` [N], and simulate them for ``ends`` [N] ticks."""
-    if bool(beyond.any()):
-        simulator.rewind(checkpoint, simulator.state.of_env(beyond))
-        simulator.run(simulator.state.of_env(torch.where(beyond, ends, 0)), None, True, trace, followed)
-
-
-def _events_before_last_tick(
-    simulator: Simulator, checkpoint: tuple[Tensor, Tensor], ends: Tensor, cut: Tensor, followed: Mapping[str, Samples]
-) -> Tensor:
-    """Return the events, [N * count], of satellites that have run, without those of a last tick that is ``cut`` [N]."""
-    if not bool(cut.any()):
-        return simulator.events
-    _fly_again(simulator, checkpoint, cut, ends - cut.long(), None, followed)
-    events = simulator.events
-    simulator.run(simulator.state.of_env(cut.long()), None, True, None, followed)
-    return events
+def together(fleet: Fleet, parts: Sequence[Part]) -> RunResult:
+    """Return the result of a run in parts."""
+    if len(parts) == 1 and parts[0].envs is None:
+        return RunResult(parts[0].ends, tuple(parts[0].events))
+    ticks = torch.zeros_like(fleet.all_envs)
+    events = [torch.zeros_like(s.state.ticks, dtype=torch.bool) if s.has_events else None for s in fleet.simulators]
+    for part in parts:
+        ticks[part.envs] = part.ends
+        for event, new, rows in zip(events, part.events, part.rows, strict=True):
+            if event is not None and new is not None:
+                event[slice(None) if rows is None else rows] = new
+    return RunResult(ticks, tuple(events))

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, TypedDict
 
 import torch
 from torch import Tensor
@@ -36,6 +36,20 @@ LANES = 8
 def ticks_at_once(rows: int) -> int:
     """Return the number of ticks, at least 2, that a kernel runs of so many rows in one call."""
     return max(2, WORK * torch.get_num_threads() // max(rows, LANES))
+
+
+class RunInputs(TypedDict):
+    """What a run of n rows reads beside their fields; see :meth:`Runner.__call__`."""
+
+    tracks: Sequence[Samples]
+    shared: Tensor
+    own: Tensor
+    mode: Tensor
+    flags: Tensor
+    ticks: Tensor
+    nanoseconds: int
+    lockstep: int
+    present: Tensor | None
 
 
 class Runner(Protocol):

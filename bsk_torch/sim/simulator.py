@@ -7,7 +7,7 @@ import functools
 import logging
 from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from types import MappingProxyType
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -35,7 +35,7 @@ from bsk_torch.sim.orbit.arcs import Arcs
 from bsk_torch.sim.orbit.solvers import make_solver
 from bsk_torch.sim.params import Arguments, Overrides, merge, nearest
 from bsk_torch.sim.readout.observables import Observer
-from bsk_torch.sim.run import Runners, TickLoop, make_runners, ticks_at_once
+from bsk_torch.sim.run import RunInputs, Runners, TickLoop, make_runners, ticks_at_once
 from bsk_torch.sim.satellite_state import ArgumentState, SatelliteState
 from bsk_torch.sim.state import StateTable
 from bsk_torch.sim.tick import ARC_ORBIT, Tick
@@ -104,6 +104,20 @@ def checked_runners(start: tuple[Tensor, Tensor, Tensor], tick: Tick, backend: s
     except MissingMessageError as error:
         raise TypeError(f"{error}; {provided_by(str(error.name))}") from None
     return runners
+
+
+class Checkpoint(NamedTuple):
+    """A state of rows of a simulation to which they can be rewound.
+
+    Attributes:
+        planes: Fields of the components, [C, n].
+        ticks: Ticks since reset, [n].
+        rows: The rows, [n] indices; None for all.
+    """
+
+    planes: Tensor
+    ticks: Tensor
+    rows: Tensor | None
 
 
 class Simulator:
@@ -507,25 +521,12 @@ class Simulator:
         return bounds[0], bounds[1]
 
     def _first_tick(self, rows: Tensor, followed: Mapping[str, Samples]) -> None:
-        """Run Basilisk's tick at time zero in ``rows`` [n]."""
+        """Run Basilisk's tick at time zero in ``rows`` [n]; ``followed`` are traces of all rows."""
         state = self.state
-        arcs = self.lookahead.flight.tracks(self.tick.arc_tracks)
-        tracks = [Samples(track.table[rows], track.start[rows]) for track in arcs]
-        for name in self.tick.followed:
-            trace = followed[name]
-            tracks.append(trace._replace(owner=rows if trace.owner is None else trace.owner[rows]))
-        planes = state.planes[:, rows]
-        self.runners.first_tick(
-            planes,
-            torch.ones_like(rows),
-            tracks,
-            shared=self.uniform,
-            own=state.parameters[:, rows],
-            mode=state.mode[rows],
-            flags=self.flag_table,
-            ticks=state.ticks[rows],
-            nanoseconds=self.h_ns,
-        )
+        planes, mine = state.planes[:, rows], {name: rows_of_samples(trace, rows) for name, trace in followed.items()}
+        inputs = self._inputs(mine, rows)
+        inputs["present"] = None  # satellites that are not present have finite fields, too
+        self.runners.first_tick(planes, torch.ones_like(rows), **inputs)
         state.planes[:, rows] = planes
 
     # -- commands -----------------------------------------------------------------------------------------------------
@@ -709,10 +710,11 @@ class Simulator:
         """Whether runs leave traces."""
         return bool(self.tick.recorded)
 
-    def trace(self, ticks: int) -> Trace:
-        """Return a trace for a run of at most so many ticks from now on, with its first record."""
-        trace = Trace.room(self.tick.recorded, self.state.ticks, ticks)
-        trace.table[:, 0] = self.state.planes[self.tick.recorded_planes].mT
+    def trace(self, ticks: int, rows: Tensor | None = None) -> Trace:
+        """Return a trace for a run of ``rows`` [n], or all, of at most so many ticks from now on, with its first record."""
+        state = self.state
+        trace = Trace.room(self.tick.recorded, state.ticks if rows is None else state.ticks[rows], ticks)
+        trace.table[:, 0] = self._planes_of(rows)[self.tick.recorded_planes].mT
         return trace
 
     def run(
@@ -722,99 +724,173 @@ class Simulator:
         may_rewind: bool = False,
         trace: Trace | None = None,
         followed: Mapping[str, Samples] = MappingProxyType({}),
+        rows: Tensor | None = None,
     ) -> Tensor:
-        """Advance every row by at most ``ticks`` [N], zero leaves it untouched; return the number of ticks done, [N].
+        """Advance ``rows`` [n], or all, by at most ``ticks`` [n]; return the number of ticks done, [n].
 
-        An event that ends the run of one satellite ends that of all satellites of its environment, in the same tick. ``expected``
-        [N] is the probable number of ticks, if events are expected. Arcs of runs that :meth:`rewind` may undo keep their past.
-        Satellites that are not present run no ticks, and their clocks stay at zero; the number returned for them is that of their
-        episode.
-        A run writes the fields that components record to its ``trace``, and reads the traces ``followed`` of other satellites.
+        Zero ticks leave a row untouched. An event that ends the run of one satellite ends that of all satellites of its
+        environment, in the same tick. Satellites that are not present run no ticks, and their clocks stay at zero; the number
+        returned for them is that of their episode.
+
+        Args:
+            ticks: Most ticks of each row, [n].
+            expected: Probable number of ticks, [n], if events are expected.
+            may_rewind: Whether :meth:`rewind` may undo the run, so that arcs keep their past.
+            trace: Where the rows write the fields that components record.
+            followed: Traces of other satellites that components read, by slot.
+            rows: The rows of whole environments, [n] indices in ascending order; all unless given.
         """
         state = self.state
         if self.records and trace is None:
-            trace = self.trace(int(ticks.max()))
-        if isinstance(self.runners.run, Kernel) and int(ticks.max()) > (most := ticks_at_once(state.rows)):
+            trace = self.trace(int(ticks.max()), rows)
+        if isinstance(self.runners.run, Kernel) and int(ticks.max()) > (most := ticks_at_once(len(ticks))):
             if may_rewind:
-                self._reach(ticks)
-            return self._run_in_pieces(ticks, most, trace, followed)
-        self._reach(ticks)
-        flown = self.runners.run(
-            state.planes,
-            ticks,
-            [*self.lookahead.flight.tracks(self.tick.arc_tracks), *(followed[name] for name in self.tick.followed)],
-            expected_ticks=expected,
-            shared=self.uniform,
-            own=state.parameters,
-            mode=state.mode,
-            flags=self.flag_table,
-            ticks=state.ticks,
-            nanoseconds=self.h_ns,
-            lockstep=self.count,
-            written=None if trace is None else trace.table[:, 1:],
-            present=self.present,
-        )
-        state.ticks = state.ticks + self._of_present(flown)
+                self._reach(ticks, rows)
+            return self._run_in_pieces(ticks, most, trace, followed, rows)
+        self._reach(ticks, rows)
+        planes = state.planes if rows is None else state.planes[:, rows]
+        written = None if trace is None else trace.table[:, 1:]
+        flown = self.runners.run(planes, ticks, expected_ticks=expected, written=written, **self._inputs(followed, rows))
+        if rows is None:
+            state.ticks = state.ticks + self._of_present(flown, None)
+        else:
+            state.planes[:, rows] = planes
+            state.ticks = state.ticks.index_add(0, rows, self._of_present(flown, rows))
         state.touch()
         return flown
 
-    def _of_present(self, ticks: Tensor) -> Tensor:
-        """Return ``ticks`` [N], zero for satellites that are not present."""
-        return ticks if self.present is None else torch.where(self.present, ticks, 0)
+    def _of_present(self, ticks: Tensor, rows: Tensor | None) -> Tensor:
+        """Return ``ticks`` [n] of ``rows`` [n], or all, zero for satellites that are not present."""
+        present = self._present_of(rows)
+        return ticks if present is None else torch.where(present, ticks, 0)
 
-    def _reach(self, ticks: Tensor) -> None:
-        """Extend arcs as far as runs of ``ticks`` [N] go."""
+    def _present_of(self, rows: Tensor | None) -> Tensor | None:
+        """Return which of ``rows`` [n], or all, are present, [n]; None where all always are."""
+        present = self.present
+        return present if present is None or rows is None else present[rows]
+
+    def _reach(self, ticks: Tensor, rows: Tensor | None) -> None:
+        """Solve arcs as far as runs of ``rows`` by ``ticks`` [n] may go."""
         state = self.state
-        self.lookahead.reach_in_flight(state.sim_time + self._of_present(ticks) * state.h, state.sim_time)
+        further = self._of_present(ticks, rows)
+        if rows is not None:
+            further = torch.zeros_like(state.ticks).index_copy(0, rows, further)
+        self.lookahead.reach_in_flight(state.sim_time + further * state.h, state.sim_time)
 
-    def _run_in_pieces(self, ticks: Tensor, most: int, trace: Trace | None, followed: Mapping[str, Samples]) -> Tensor:
-        """Run ``ticks`` [N], at most ``most`` at once: Python handles signals, such as Ctrl-C, between two calls of a kernel."""
+    def _inputs(self, followed: Mapping[str, Samples], rows: Tensor | None) -> RunInputs:
+        """Return what a run of ``rows`` [n], or all, reads beside their fields; ``followed`` are traces of these rows."""
+        state, arcs = self.state, self.lookahead.flight.tracks(self.tick.arc_tracks)
+        own, mode, ticks = state.parameters, state.mode, state.ticks
+        if rows is not None:
+            own, mode, ticks = own[:, rows], mode[rows], ticks[rows]
+            arcs = tuple(rows_of_samples(track, rows) for track in arcs)
+        return {
+            "tracks": [*arcs, *(followed[name] for name in self.tick.followed)],
+            "shared": self.uniform,
+            "own": own,
+            "mode": mode,
+            "flags": self.flag_table,
+            "ticks": ticks,
+            "nanoseconds": self.h_ns,
+            "lockstep": self.count,
+            "present": self._present_of(rows),
+        }
+
+    def _run_in_pieces(
+        self, ticks: Tensor, most: int, trace: Trace | None, followed: Mapping[str, Samples], rows: Tensor | None
+    ) -> Tensor:
+        """Run ``ticks`` [n], at most ``most`` at once: Python handles signals, such as Ctrl-C, between two calls of a kernel."""
         flown, left, done = torch.zeros_like(ticks), ticks, 0
         while int(left.max()) > 0:
             part = None if trace is None else trace.after(done)
-            ran, stopped = self._run_piece(left.clamp(max=most - 1), left, part, followed)
+            ran, stopped = self._run_piece(left.clamp(max=most - 1), left, part, followed, rows)
             done += most - 1
             flown = flown + ran
             left = torch.where(stopped, 0, left - ran)
         return flown
 
     def _run_piece(
-        self, piece: Tensor, left: Tensor, trace: Trace | None, followed: Mapping[str, Samples]
+        self, piece: Tensor, left: Tensor, trace: Trace | None, followed: Mapping[str, Samples], rows: Tensor | None
     ) -> tuple[Tensor, Tensor]:
-        """Run ``piece`` [N] of the ticks that are ``left`` [N]; return the number of ticks done, and whether they were stopped.
+        """Run ``piece`` [n] of the ticks that are ``left`` [n]; return the number of ticks done, and whether they were stopped.
 
         The number does not tell whether the last tick of the piece stopped the run. Images are counted; where other components
         stop runs, a tick more is run first, and rows that were not stopped before it are rewound.
         """
         if not self.tick.stops:
-            return self.run(piece, trace=trace, followed=followed), torch.zeros_like(piece, dtype=torch.bool)
+            return self.run(piece, None, False, trace, followed, rows), torch.zeros_like(piece, dtype=torch.bool)
         if all(part.update is notice_image for part in self.tick.components if part.stops):
-            before = self.events
-            ran = self.run(piece, trace=trace, followed=followed)
-            return ran, self.state.of_env((self.events > before).view(self.num_envs, -1).any(1))
-        checkpoint = self.checkpoint()
-        ran = self.run(torch.minimum(piece + 1, left), trace=trace, followed=followed)
+            before = self.events(rows)
+            ran = self.run(piece, None, False, trace, followed, rows)
+            return ran, self.state.of_env((self.events(rows) > before).view(-1, self.count).any(1))
+        checkpoint = self.checkpoint(rows)
+        ran = self.run(torch.minimum(piece + 1, left), None, False, trace, followed, rows)
         goes_on = ran > piece
         self.rewind(checkpoint, goes_on)
-        self.run(torch.where(goes_on, piece, 0), trace=trace, followed=followed)
+        self.run(torch.where(goes_on, piece, 0), None, False, trace, followed, rows)
         return torch.where(goes_on, piece, ran), ~goes_on
 
-    def checkpoint(self) -> tuple[Tensor, Tensor]:
-        """Return the fields of the components and the clock; see :meth:`rewind`."""
-        return self.state.planes.clone(), self.state.ticks
+    def replay(self, start: Checkpoint, since: Tensor, ticks: Tensor, planes: Tensor, followed: Mapping[str, Samples]) -> Tensor:
+        """Run the rows of a checkpoint again, from there, and return their fields on the way; the state does not change.
 
-    def rewind(self, checkpoint: tuple[Tensor, Tensor], rows: Tensor) -> None:
-        """Put ``rows`` [N], a mask, back to a checkpoint."""
-        state, (planes, ticks) = self.state, checkpoint
-        state.planes, state.ticks = torch.where(rows, planes, state.planes), torch.where(rows, ticks, state.ticks)
+        Args:
+            start: Where the n rows begin; it is used up.
+            since: Ticks since reset there, [n], also of satellites that are not present.
+            ticks: Ticks since reset at which the fields are read, in ascending order, [n, P]; what is read at earlier ones than
+                those before is meaningless.
+            planes: Planes of the fields, [w].
+            followed: Traces of other satellites that components read, by slot.
+
+        Returns:
+            The fields, [n, P, w].
+        """
+        fields, now, inputs = start.planes, since, self._inputs(followed, start.rows)
+        values = fields.new_empty(*ticks.shape, len(planes))
+        written = None
+        for p, goal in enumerate(ticks.unbind(1)):
+            counts = (goal - now).clamp(min=0)
+            inputs["ticks"] = now
+            if self.records:
+                written = fields.new_empty(len(now), int(counts.max()), self.tick.recorded_width)
+            self.runners.run(fields, counts, written=written, **inputs)
+            now = now + counts
+            values[:, p] = fields[planes].mT
+        return values
+
+    def _planes_of(self, rows: Tensor | None) -> Tensor:
+        """Return the fields of the components, [C, n], of ``rows`` [n], or of all."""
+        return self.state.planes if rows is None else self.state.planes[:, rows]
+
+    def checkpoint(self, rows: Tensor | None = None) -> Checkpoint:
+        """Return the fields of the components and the clocks of ``rows`` [n], or of all; see :meth:`rewind`."""
+        if rows is None:
+            return Checkpoint(self.state.planes.clone(), self.state.ticks, None)
+        return Checkpoint(self.state.planes[:, rows], self.state.ticks[rows], rows)
+
+    def rewind(self, checkpoint: Checkpoint, back: Tensor) -> None:
+        """Put the rows of a checkpoint back to it where the mask ``back`` [n] is true."""
+        state, rows = self.state, checkpoint.rows
+        if rows is None:
+            state.planes = torch.where(back, checkpoint.planes, state.planes)
+            state.ticks = torch.where(back, checkpoint.ticks, state.ticks)
+        else:
+            state.planes[:, rows] = torch.where(back, checkpoint.planes, state.planes[:, rows])
+            state.ticks = state.ticks.index_copy(0, rows, torch.where(back, checkpoint.ticks, state.ticks[rows]))
         state.touch()
 
-    @property
-    def events(self) -> Tensor:
-        """Number of events since reset that end an action, [N]."""
-        return self.state.read("images") if self.has_events else torch.zeros_like(self.state.sim_time)
+    def events(self, rows: Tensor | None = None) -> Tensor:
+        """Return the number of events since reset that end an action, of ``rows`` [n], or of all."""
+        if not self.has_events:
+            return torch.zeros_like(self.state.sim_time if rows is None else self.state.sim_time[rows])
+        images = self.state.read("images")
+        return images if rows is None else images[rows]
 
     @property
     def has_events(self) -> bool:
         """Whether there are events that end an action."""
         return "images" in self.tick.state.fields
+
+
+def rows_of_samples(samples: Samples, rows: Tensor) -> Samples:
+    """Return the samples of ``rows`` [n] of a run."""
+    return samples._replace(owner=rows if samples.owner is None else samples.owner[rows])

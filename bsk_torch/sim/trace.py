@@ -65,11 +65,10 @@ class Trace(NamedTuple):
         """Return the part of the trace from so many ticks on, in the same memory."""
         return Trace(self.layout, self.table[:, ticks:], self.start + ticks)
 
-    def read(self, name: str, rows: Tensor | None = None) -> Tensor:
-        """Return a field of ``rows`` [n], or of all: [n, K + 1], or [n, K + 1, width]."""
+    def read(self, name: str) -> Tensor:
+        """Return a field, [N, K + 1], or [N, K + 1, width]."""
         where = self.layout.slices[name]
-        table = self.table if rows is None else self.table[rows]
-        return table[..., where.start] if self.layout.fields[name].width == 1 else table[..., where]
+        return self.table[..., where.start] if self.layout.fields[name].width == 1 else self.table[..., where]
 
     def samples(self, h_ns: int, owner: Tensor) -> Samples:
         """Return the trace as samples of :func:`trace_track` for rows that follow the rows ``owner`` [n] of the trace."""
@@ -85,7 +84,7 @@ class Flight(NamedTuple):
         since: Ticks since reset at its start, [n].
         ticks: Ticks that it took, [n].
         left: Ticks to the end of the episode, [n]: there the clock stops before any event is evaluated.
-        traces: Trace of each type of satellites; None for one that records nothing.
+        traces: Trace of each type of satellites, of the rows of these episodes; None for one that records nothing.
         counts: Number of satellites of each type in an episode.
     """
 
@@ -101,7 +100,5 @@ class Flight(NamedTuple):
         trace, count = self.traces[k], self.counts[k]
         if trace is None or name not in trace.layout.fields:
             raise ValueError(f"satellites of type {k} do not record {name!r}; list it in records of one of their components")
-        whole = count * len(self.envs) == len(trace.start)
-        rows = None if whole else (self.envs.unsqueeze(1) * count + torch.arange(count, device=self.envs.device)).flatten()
-        found = trace.read(name, rows)
+        found = trace.read(name)
         return found.view(len(self.envs), count, *found.shape[1:])

@@ -189,43 +189,30 @@ class Flyer:
     def ticks(self):
         return self.state.ticks
 
-    @property
-    def events(self):
+    def events(self, rows=None):
         return (self.ticks >= self.event).long()
 
-    def run(self, ticks, expected=None, may_rewind=False):
+    def run(self, ticks, expected=None, may_rewind=False, trace=None, followed=None, rows=None):
         self.flights.append(ticks.tolist())
         left = self.event - self.ticks
         flown = torch.where((left > 0) & self.stops, torch.minimum(ticks, left), ticks)
         self.state.ticks = self.ticks + flown
         return flown
 
-    def checkpoint(self):
+    def checkpoint(self, rows=None):
         return self.ticks.clone()
 
     def rewind(self, checkpoint, rows):
         self.state.ticks = torch.where(rows, checkpoint, self.ticks)
 
 
-class Group:
-    """The satellites of a flyer, whose tasks end at tick ``ends`` [N]; keeps the events that it is settled with."""
-
-    def __init__(self, flyer: Flyer, ends: torch.Tensor) -> None:
-        self.simulator, self.variable_interval = flyer, True
-        self.task = SimpleNamespace(ends=ends, expected=ends)
-
-    def settle(self, event, moves, last):
-        self.event = None if event is None else event.tolist()
-
-
 def fly(flyers, ticks, left=ENDLESS) -> list[list[bool] | None]:
     """Which had an event that was evaluated, None for types without; all must have flown as far."""
     fleet = Fleet(flyers, [f"S{k}" for k in range(len(flyers))])
     now = flyers[0].ticks
-    fleet.groups = groups = tuple(Group(flyer, now + torch.tensor(ticks)) for flyer in flyers)
-    fleet.run(torch.ones(N, dtype=torch.bool), now + torch.as_tensor(left), FAR)
-    assert all(torch.equal(flyer.ticks, flyers[0].ticks) for flyer in flyers)
-    return [group.event for group in groups]
+    result = fleet.run(torch.ones(N, dtype=torch.bool), now + torch.as_tensor(left), now + torch.tensor(ticks))
+    assert all(torch.equal(flyer.ticks, now + result.ticks) for flyer in flyers)
+    return [None if event is None else event.tolist() for event in result.events]
 
 
 def test_all_types_fly_to_the_first_event_of_any():

@@ -9,11 +9,11 @@ from bsk_torch.astro.orbit import periapsis_radius
 from bsk_torch.comm import los
 from bsk_torch.comm.los import flown_orbits, make_search, visible_pairs
 from bsk_torch.constants import MU_EARTH, R_EARTH
+from bsk_torch.sats.fleet import SatelliteFleet
 from bsk_torch.sim.access import line_of_sight_search
 from bsk_torch.sim.access.line_of_sight import POLAR_STRETCH, SatellitePositions, line_clearance, speed_bound, visibility_margin
 from bsk_torch.sim.access.line_of_sight_search import SatellitePairs, pole_directions
 from bsk_torch.sim.environment.ephemeris import pole_matrix
-from bsk_torch.sim.fleet import Fleet
 from bsk_torch.vec3 import Vec3
 from tests.comm.fleets import drawn_elements, make_fleet, recorded, states, step, with_ranges
 
@@ -174,7 +174,7 @@ def test_every_step_against_basilisk(name, recording, backend):
 # -- the search ----------------------------------------------------------------------------------------------------------------
 
 
-def by_brute_force(fleet: Fleet) -> torch.Tensor:
+def by_brute_force(fleet: SatelliteFleet) -> torch.Tensor:
     """Who sees whom, by a look in every tick."""
     first, last = fleet.since, torch.maximum(fleet.ticks - 1, fleet.since)
     seen = torch.zeros(fleet.num_envs, fleet.size, fleet.size, dtype=torch.bool)
@@ -185,7 +185,7 @@ def by_brute_force(fleet: Fleet) -> torch.Tensor:
     return (seen | seen.mT) & ~torch.eye(fleet.size, dtype=torch.bool)
 
 
-def mixed_fleet(n: int, s: int, eccentricity: float, backend: str = "eager", **options: object) -> Fleet:
+def mixed_fleet(n: int, s: int, eccentricity: float, backend: str = "eager", **options: object) -> SatelliteFleet:
     """Random satellites, half of them with a limited range."""
     reach = torch.where(torch.rand(s) < 0.5, 6e6 * torch.rand(s), -1.0)
     return make_fleet(with_ranges(states(drawn_elements(s, eccentricity)), reach.tolist()), n, backend=backend, **options)

@@ -46,7 +46,7 @@ def fly(env, seconds):
     if seconds > 0.0:
         ticks = round(seconds / env.fleet.h)
         everyone = torch.ones(env.num_envs, dtype=torch.bool)
-        env.fleet.run(everyone, env.fleet.ticks + ticks, ticks)
+        env.fleet.run(everyone, env.fleet.ticks + ticks, env.fleet.ticks + ticks)
 
 
 def manoeuvre(env, rows, plan=PLAN):

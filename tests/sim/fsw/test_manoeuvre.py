@@ -32,7 +32,7 @@ def test_the_message_keeps_the_old_velocity_until_the_next_tick(orbit):
     assert env.simulator.read("v_BN_N").tolist() == [V_N]
     assert fsw_model.dv_available.tolist() == [97.0]
     assert fsw_model.thrust_count.tolist() == [1.0]
-    env.fleet.run(torch.ones(1, dtype=torch.bool), torch.tensor([1]), 1)
+    env.fleet.run(torch.ones(1, dtype=torch.bool), torch.tensor([1]), torch.tensor([1]))
     fall = -3.986004415e14 / 6.9e6**2 * 0.5
     wanted = torch.tensor([[1.0 + fall, V_N[1] + 2.0, V_N[2] - 2.0]]).double()
     assert torch.allclose(env.simulator.read("v_BN_N"), wanted, atol=0.02)  # J2 and the curvature of half a second
@@ -80,7 +80,7 @@ def test_death_by_the_last_fuel_is_at_the_time_of_the_manoeuvre():
 
     def watch(*args):
         dead.append(env.dead.flatten().tolist())
-        run(*args)
+        return run(*args)
 
     env.fleet.run = watch
     step(env, td, 1)

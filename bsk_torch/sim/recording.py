@@ -1,0 +1,283 @@
+"""Recordings: fields of chosen satellites at the ticks of runs, switched on and off between steps.
+
+A recording changes nothing about a run. All rows run as ever; what the recorded ones were at the ticks in between is found by
+running them again, with the same kernel, from where the run began: from one recorded tick to the next.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from types import TracebackType
+from typing import TYPE_CHECKING, NamedTuple
+
+import torch
+from tensordict import TensorDict
+from torch import Tensor
+
+from bsk_torch.codegen.kernel import Samples
+from bsk_torch.constants import NANO
+from bsk_torch.sim.names import nearest
+from bsk_torch.sim.simulator import Checkpoint
+
+if TYPE_CHECKING:
+    from bsk_torch.sim.fleet import Fleet
+
+NO_TICK = -1
+"""Number of a tick that is not recorded."""
+
+KEYS = ("env", "episode", "time")
+"""Entries of recorded data that are no fields."""
+
+
+class _Chunk(NamedTuple):
+    """Records of n episodes at P ticks.
+
+    Attributes:
+        envs: Environments, [n].
+        episodes: Numbers of their episodes, [n].
+        ticks: Ticks since reset, [n, P]; :data:`NO_TICK` where there is no record.
+        values: Fields of the recorded satellites, [n, P, S, W].
+    """
+
+    envs: Tensor
+    episodes: Tensor
+    ticks: Tensor
+    values: Tensor
+
+
+class _Type(NamedTuple):
+    """What is recorded of the satellites of one type.
+
+    Attributes:
+        k: The type.
+        numbers: The recorded satellites, by their numbers within the type, [s].
+        places: Their places among all recorded satellites, [s, 1].
+        planes: Planes of the type's state, [w].
+        columns: Places of these planes among the recorded numbers of a satellite, [w].
+    """
+
+    k: int
+    numbers: Tensor
+    places: Tensor
+    planes: Tensor
+    columns: Tensor
+
+
+class Recording:
+    """Fields of satellites at ticks of the present episodes and those that follow, until :meth:`stop`.
+
+    Also a context, which stops it. Records are made at ends of ticks whose number since reset is a multiple of ``every``; that
+    of tick zero shows an episode's beginning. M is the number of records, S that of recorded satellites.
+
+    Attributes:
+        fields: Names of the recorded fields.
+        satellites: Names of the recorded satellites.
+        envs: Recorded environments, [n].
+        every: Ticks from one record to the next.
+    """
+
+    def __init__(self, fleet: Fleet, fields: Sequence[str], envs: Tensor, every: int, satellites: Sequence[str]) -> None:
+        """Record from now on; see :meth:`bsk_torch.env.base.Tasking.record`.
+
+        Raises:
+            ValueError: For a field that none of the satellites has.
+        """
+        self.fleet, self.fields, self.satellites = fleet, tuple(fields), tuple(satellites)
+        self.envs, self.every = envs, every
+        of_type: dict[int, list[tuple[int, int]]] = {}
+        for place, name in enumerate(self.satellites):
+            k, number = fleet.place_of(name)
+            of_type.setdefault(k, []).append((number, place))
+        layouts = {k: fleet.simulators[k].tick.state for k in of_type}
+        known = {name: layout.fields[name].width for layout in layouts.values() for name in layout.fields}
+        for name in self.fields:
+            if name not in known:
+                those = ", ".join(self.satellites)
+                raise ValueError(f"fields has {name!r}, which is no field of the state of {those}; {nearest(name, known)}")
+        ends = torch.tensor([known[name] for name in self.fields]).cumsum(0).tolist()
+        self._slices = {name: slice(end - known[name], end) for name, end in zip(self.fields, ends, strict=True)}
+        self._columns = [fleet.names.index(name) for name in self.satellites]
+        self._width, self._types = ends[-1], list[_Type]()
+        for k, pairs in of_type.items():
+            having = [name for name in self.fields if name in layouts[k].fields]
+            planes = [plane for name in having for plane in _range(layouts[k].slices[name])]
+            columns = [column for name in having for column in _range(self._slices[name])]
+            numbers, places = zip(*pairs, strict=True)
+            index = [torch.tensor(part, dtype=torch.int64, device=fleet.device) for part in (numbers, places, planes, columns)]
+            self._types.append(_Type(k, index[0], index[1].unsqueeze(-1), index[2], index[3]))
+        self._chunks: list[_Chunk] = []
+        self._data: TensorDict | None = None
+        self._starts: dict[int, Checkpoint] = {}
+        fleet.recordings.append(self)
+        self.begin(envs)
+
+    # -- what env and fleet call --------------------------------------------------------------------------------------
+
+    def begin(self, envs: Tensor) -> None:
+        """Record the present of the episodes ``envs`` [n], which have begun or been restored, where they are recorded."""
+        envs = envs[torch.isin(envs, self.envs)]
+        if len(envs):
+            values = self._blank(len(envs), 1)
+            for kind in self._types:
+                simulator = self.fleet.simulators[kind.k]
+                self._fill(values, kind, simulator.state.planes[:, simulator.state.rows_of(envs)][kind.planes].mT.unsqueeze(1))
+            self._add(envs, self._recorded(self.fleet.ticks[envs]).unsqueeze(1), values)
+
+    def prepare(self, envs: Tensor | None) -> Tensor:
+        """Note where a run of the episodes ``envs`` [n], or of all (None), begins.
+
+        Returns:
+            Places of the recorded ones among them.
+        """
+        if envs is None:
+            where = self.envs
+        else:
+            place = torch.full_like(self.fleet.all_envs, NO_TICK)
+            place[envs] = torch.arange(len(envs), device=envs.device)
+            where = place[self.envs]
+            where = where[where >= 0]
+        recorded = where if envs is None else envs[where]
+        for kind in self._types:
+            simulator = self.fleet.simulators[kind.k]
+            self._starts[kind.k] = simulator.checkpoint(simulator.state.rows_of(recorded))
+        return where
+
+    def add(self, envs: Tensor, ticks: Tensor, followed: Mapping[int, Mapping[str, Samples]]) -> None:
+        """Record a run of ``ticks`` [n] from where :meth:`prepare` was called.
+
+        Args:
+            envs: The recorded episodes, [n].
+            ticks: Ticks that they have run, [n].
+            followed: Traces of other satellites that the rows of each type read, by slot.
+        """
+        since = self.fleet.ticks[envs] - ticks
+        first = since // self.every + 1
+        most = int(((since + ticks) // self.every - first).max()) + 1 if len(envs) else 0
+        if most < 1:
+            return
+        number = (first.unsqueeze(1) + torch.arange(most, device=envs.device)) * self.every
+        number = torch.where(number <= (since + ticks).unsqueeze(1), number, NO_TICK)
+        values = self._blank(len(envs), most)
+        for kind in self._types:
+            simulator = self.fleet.simulators[kind.k]
+            of_env = simulator.state.of_env
+            found = simulator.replay(self._starts[kind.k], of_env(since), of_env(number), kind.planes, followed[kind.k])
+            self._fill(values, kind, found)
+        self._add(envs, number, values)
+
+    def _recorded(self, ticks: Tensor) -> Tensor:
+        """Return the ticks that are recorded; for others :data:`NO_TICK`."""
+        return torch.where(ticks % self.every == 0, ticks, NO_TICK)
+
+    def _blank(self, n: int, ticks: int) -> Tensor:
+        shape = n, ticks, len(self.satellites), self._width
+        return torch.full(shape, torch.nan, dtype=torch.float64, device=self.fleet.device)
+
+    def _fill(self, values: Tensor, kind: _Type, planes: Tensor) -> None:
+        """Write the planes [n * count, P, w] of a type into values [n, P, S, W]."""
+        each = planes.view(len(values), -1, *planes.shape[1:])[:, kind.numbers]
+        values[:, :, kind.places, kind.columns] = each.transpose(1, 2)
+
+    def _add(self, envs: Tensor, ticks: Tensor, values: Tensor) -> None:
+        present = self.fleet.present
+        if present is not None:
+            values = torch.where(present[envs][:, self._columns].view(len(envs), 1, -1, 1), values, torch.nan)
+        state = self.fleet.state
+        episodes = state["episode"][envs] if "episode" in state else torch.zeros_like(envs)
+        self._chunks.append(_Chunk(envs, episodes, ticks, values))
+        self._data = None
+
+    # -- what users read ----------------------------------------------------------------------------------------------
+
+    @property
+    def data(self) -> TensorDict:
+        """All records, [M]: ``env``, ``episode``, ``time`` s, and the fields, by environment and then in the order of the flight.
+
+        A field of one number is [M, S], one of several [M, S, width]; without the S where environments have one satellite. It is
+        NaN for satellites whose models do not have it, and for those that are not present.
+        """
+        if self._data is None:
+            self._data = self._joined()
+        return self._data
+
+    def take(self) -> TensorDict:
+        """Return :attr:`data`, and forget it: what is returned next has been recorded later."""
+        data, self._chunks, self._data = self.data, [], None
+        return data
+
+    def of(self, env: int, episode: int | None = None) -> TensorDict:
+        """Return the records of one episode; the last one of an environment that was recorded, unless its number is given.
+
+        Raises:
+            KeyError: If nothing of it has been recorded.
+        """
+        data = self.data
+        data = data[data["env"] == env]
+        if episode is None and len(data):
+            episode = int(data["episode"][-1])
+        data = data[data["episode"] == episode]
+        if not len(data):
+            which = "" if episode is None else f"episode {episode} of "
+            raise KeyError(f"nothing of {which}environment {env} has been recorded; recorded are {self.envs.tolist()!s:.60}")
+        return data
+
+    @property
+    def time(self) -> Tensor:
+        """Time of each record since reset, [M] s."""
+        return self.data["time"]
+
+    def __getitem__(self, name: str) -> Tensor:
+        """Return a field of all records; see :attr:`data`. KeyError for one that is not recorded, with the nearest one."""
+        if name not in (*KEYS, *self.fields):
+            raise KeyError(f"{name!r} is not recorded; {nearest(name, (*KEYS, *self.fields))}")
+        return self.data[name]
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of what has been recorded and not been taken."""
+        return sum(part.nbytes for chunk in self._chunks for part in chunk)
+
+    def _joined(self) -> TensorDict:
+        chunks = self._chunks or [self._empty()]
+        there = [chunk.ticks != NO_TICK for chunk in chunks]
+        pairs = list(zip(chunks, there, strict=True))
+        envs, episodes = (
+            torch.cat([part.unsqueeze(1).expand(here.shape)[here] for part, here in zip(parts, there, strict=True)])
+            for parts in ([chunk.envs for chunk in chunks], [chunk.episodes for chunk in chunks])
+        )
+        order = envs.argsort(stable=True)
+        ticks = torch.cat([chunk.ticks[here] for chunk, here in pairs])[order]
+        values = torch.cat([chunk.values[here] for chunk, here in pairs])[order]
+        values = values[:, 0] if self.fleet.size == 1 else values
+        time = (ticks * self.fleet.simulators[0].h_ns).double() * NANO  # rounded as the clock is
+        fields = {name: values[..., where] for name, where in self._slices.items()}
+        fields = {name: value[..., 0] if value.shape[-1] == 1 else value for name, value in fields.items()}
+        return TensorDict({"env": envs[order], "episode": episodes[order], "time": time, **fields}, [len(time)])
+
+    def _empty(self) -> _Chunk:
+        none = self.envs[:0]
+        return _Chunk(none, none, none.unsqueeze(1), self._blank(0, 1))
+
+    # -- until when ---------------------------------------------------------------------------------------------------
+
+    def stop(self) -> None:
+        """Record no more; what has been recorded stays."""
+        if self in self.fleet.recordings:
+            self.fleet.recordings.remove(self)
+
+    def __enter__(self) -> Recording:
+        """Return the recording."""
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        """Stop it."""
+        self.stop()
+
+    def __repr__(self) -> str:
+        """Say what is recorded."""
+        named = f"{list(self.fields)} of {', '.join(self.satellites)}"
+        return f"Recording({named}, every={self.every}, {len(self.envs)} environments)"
+
+
+def _range(where: slice) -> range:
+    return range(where.start, where.stop)
