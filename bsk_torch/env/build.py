@@ -256,7 +256,7 @@ class FleetBuilder:
             present = torch.cat([answer["present"] for answer in answers])
         else:
             present = self.scenario.present_checked(key, self.names)
-        for leader in {leader for leaders in fleet.dependencies.leaders for leader in leaders.values()}:
+        for leader in {leader for needed in fleet.dependencies.depends_on for leader in needed.values()}:
             for column in fleet.columns[leader].tolist():
                 if not bool(present[:, column].all()):
                     raise ValueError(
