@@ -70,7 +70,7 @@ def kind(*entries, models=(dyn.DynamicsModel, fsw.FSWModel), name="Real", base=s
 
 
 def alone(entry, num_envs=2, base=sats.Satellite, models=(dyn.DynamicsModel, fsw.FSWModel), **options):
-    options = dict(time_limit=100.0, seed=1, backend="eager", dtype=torch.float64) | options
+    options = dict(time_limit=100.0, seed=1, dtype=torch.float64) | options
     return SatelliteTasking(kind(entry, base=base, models=models)("A", START), num_envs=num_envs, **options)
 
 
@@ -351,7 +351,7 @@ class TestConstellations:
         turner = kind(act.AttitudeSetpoint(control_period=6.0), models=(dyn.BasicDynamicsModel, fsw.BasicFSWModel), name="Turner")
         discrete = kind(act.Drift(duration=7.0), act.NadirPoint(duration=3.0), name="Discrete")
         satellites = [turner("T1"), discrete("D1"), kind(Choose("choose"), name="Hybrid")("H1"), turner("T2")]
-        options = dict(num_envs=2, time_limit=60.0, seed=1, backend="eager", dtype=torch.float64) | options
+        options = dict(num_envs=2, time_limit=60.0, seed=1, dtype=torch.float64) | options
         return ConstellationTasking(satellites, **options)
 
     def test_types_side_by_side(self):
@@ -408,7 +408,7 @@ class TestHybridsOfImages:
             models=((dyn.ImagingDynModel, dyn.GroundStationDynModel), (fsw.MagicOrbitalManeuverFSWModel, fsw.ImagingFSWModel)),
         )
         sat_args = START | dict(imageAttErrorRequirement=0.1, imageRateErrorRequirement=0.1, dv_available_init=500.0)
-        options = dict(num_envs=2, seed=1, backend="eager", dtype=torch.float64, time_limit=500.0)
+        options = dict(num_envs=2, seed=1, dtype=torch.float64, time_limit=500.0)
         return SatelliteTasking(imager("A", sat_args), scene.UniformTargets(3000), data.UniqueImageReward(), **options)
 
     def test_both_forms(self):

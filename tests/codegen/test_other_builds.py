@@ -40,7 +40,7 @@ def played(*arguments: str, **environment: str) -> subprocess.CompletedProcess[s
     return subprocess.run(command, cwd=ROOT, env=os.environ | environment, capture_output=True, text=True)
 
 
-@pytest.mark.compiled
+@pytest.mark.nightly  # as all that the driver is for
 def test_the_driver_compares_what_agents_see(tmp_path):
     run = played("NadirScan-v1", f"--eager={tmp_path}")
     assert run.returncode == 0, run.stderr

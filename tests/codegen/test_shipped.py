@@ -144,14 +144,19 @@ def test_wrong_words_of_the_command(arguments, words, tmp_path):
     assert not (tmp_path / "kernels").exists()
 
 
-def test_the_command_plays_all_presets(tmp_path, monkeypatch):
+@pytest.mark.parametrize(
+    "presets",
+    [["NadirScan-v1"], pytest.param(["NadirScan-v1", "AEOSConstellation-v1"], marks=pytest.mark.nightly)],
+    ids=["one", "two"],
+)
+def test_the_command_plays_all_presets(tmp_path, monkeypatch, presets):
     """Without compiling; the whole command is a nightly test."""
     made, short = kernels.made, {"backend": "eager", "max_step_duration": 3.0}
     monkeypatch.setattr(kernels, "made", lambda preset, batch, options: made(preset, batch, options | short))
-    monkeypatch.setattr(kernels, "PRESETS", {"NadirScan-v1": None, "AEOSConstellation-v1": None})
+    monkeypatch.setattr(kernels, "PRESETS", dict.fromkeys(presets))
     result = CliRunner().invoke(app, ["build-kernels", "--mixed", "--out", str(tmp_path / "kernels")])
     assert result.exit_code == 0, result.output
-    assert "AEOSConstellation-v1: built for" in result.output
+    assert all(f"{preset}: built for" in result.output for preset in presets)
 
 
 @pytest.mark.nightly

@@ -93,7 +93,7 @@ def test_no_recorded_transition_lies_below_the_envelope_of_the_package(preset):
 
 
 def test_positions_are_those_of_the_simulation():
-    env = presets.aeos(num_envs=3, backend="eager", time_limit=300.0, n_targets=50)
+    env = presets.aeos(num_envs=3, time_limit=300.0, n_targets=50)
     env.step(env.rand_action(env.reset()))
     now = env.satellite.simulator.sim_time
     found = satellite_positions(env.satellite, torch.arange(3), now)
@@ -335,7 +335,7 @@ def test_less_of_a_resource_lowers_the_bound_of_scanning():
 
 
 def begun(preset: str = "aeos", **options: Any) -> Any:
-    env = getattr(presets, preset)(num_envs=1, backend="eager", time_limit=300.0, **options)
+    env = getattr(presets, preset)(num_envs=1, time_limit=300.0, **options)
     env.reset()
     return env
 
@@ -360,7 +360,7 @@ def test_tasks_that_are_not_covered_are_refused():
 def test_bounds_need_episodes_that_have_begun():
     for bound, preset in ((imaging_bound, presets.aeos), (scanning_bound, presets.nadir_scan)):
         with pytest.raises(ResetNeededError, match=r"call reset\(\) first"):
-            bound(preset(num_envs=1, backend="eager", time_limit=300.0))
+            bound(preset(num_envs=1, time_limit=300.0))
 
 
 def test_orbits_must_be_given_as_elements():

@@ -63,8 +63,6 @@ def test_noise_follows_from_the_future():
         scene.UniformNadirScanning(),
         num_envs=1,
         time_limit=400.0,
-        sim_rate=2.0,
-        backend="eager",
         seed=0,
     )
     env.reset()

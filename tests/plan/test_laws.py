@@ -65,6 +65,7 @@ def test_a_base_that_draws_lots_has_the_same_ones_in_every_batch(env):
     assert torch.equal(few.simulated, many.simulated)
 
 
+@pytest.mark.nightly
 def test_the_eager_back_end_decides_alike():
     for e in (scanning(2, 300.0), scanning(2, 300.0, backend="eager")):
         e.set_seed(0)
@@ -101,7 +102,7 @@ def test_budgets_bound_what_is_simulated(env):
 
 
 def test_changed_arguments_are_those_of_the_branches():
-    env = scanning(1, 400.0, backend="eager")
+    env = scanning(1, 400.0)
     planned = Rollout(env, "rule", horizon=20.0)
     planned(env.reset())
     env.set_sat_args({"panelArea": 0.3})  # one constant of the tick so far: the make of the environment changes
