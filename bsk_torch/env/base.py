@@ -19,13 +19,13 @@ from bsk_torch.data import checked, totals
 from bsk_torch.data.base import GlobalReward, NoReward
 from bsk_torch.data.composed import ComposedReward
 from bsk_torch.data.mapped import for_batch
-from bsk_torch.env import hints
+from bsk_torch.env import messages
 from bsk_torch.env.arguments import MadeOfArguments
 from bsk_torch.env.build import FleetBuilder, link
+from bsk_torch.env.devices import existing_device
 from bsk_torch.env.episodes import ENDLESS, EpisodePool
 from bsk_torch.env.guard import Origin, ResetNeededError, check_numbers
 from bsk_torch.env.log import StepLog, configure
-from bsk_torch.env.machine import existing_device
 from bsk_torch.env.options import TaskingOptions, TimeLimit
 from bsk_torch.env.present import Present
 from bsk_torch.env.randomizer import make_randomizer
@@ -147,7 +147,7 @@ class Tasking(Present, MadeOfArguments):
 
     def _assert_tensordict_shape(self, tensordict: TensorDictBase) -> None:
         """Check the argument of ``step`` and ``reset``."""
-        hints.check_call(type(self).__name__, self._action_name, tensordict)
+        messages.check_call(type(self).__name__, self._action_name, tensordict)
         super()._assert_tensordict_shape(tensordict)
 
     @property
@@ -157,7 +157,7 @@ class Tasking(Present, MadeOfArguments):
 
     def _reset(self, tensordict: TensorDictBase | None = None, *, set_state: bool = False, **unknown: Any) -> TensorDict:
         if unknown:
-            hints.check_reset(type(self).__name__, unknown)
+            messages.check_reset(type(self).__name__, unknown)
         mask = None if tensordict is None else tensordict.get("_reset", None)
         envs = self.fleet.all_envs if mask is None else torch.nonzero(mask.reshape(-1)).squeeze(-1)
         with self.guard:

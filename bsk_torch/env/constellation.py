@@ -14,7 +14,7 @@ from torchrl.data import Binary, Categorical, Composite, MultiCategorical, Unbou
 
 from bsk_torch.comm import CommunicationMethod
 from bsk_torch.data.base import GlobalReward
-from bsk_torch.env import hints
+from bsk_torch.env import messages
 from bsk_torch.env.action_forms import action_spec, acts, form, mask_size, mask_spec, read
 from bsk_torch.env.agents import AGENTS, Group, agents_of, make_groups
 from bsk_torch.env.base import StepResult, Tasking
@@ -198,7 +198,7 @@ class ConstellationTasking(Tasking):
         partial = tensordict.get("_step", None)
         moves = torch.ones_like(self.state.removed[:, 0]) if partial is None else partial.reshape(-1)
         keys = [("action",) if self.joint else (group.name, "action") for group in self.groups]
-        given = [hints.given_action(tensordict, *key) for key in keys]
+        given = [messages.given_action(tensordict, *key) for key in keys]
         return self.play(given, moves)
 
     def play(self, given: Sequence[Any], moves: Tensor) -> TensorDict:

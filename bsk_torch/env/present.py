@@ -12,7 +12,7 @@ from torch import Tensor
 
 from bsk_torch._checks import whole
 from bsk_torch.data import checked
-from bsk_torch.env import hints
+from bsk_torch.env import messages
 from bsk_torch.env.episodes import Episodes
 from bsk_torch.env.satellite_group import SatelliteGroup
 from bsk_torch.env.snapshots import rows_of
@@ -25,8 +25,8 @@ class Present(Episodes):
 
     def __getattr__(self, name: str) -> Any:
         """Look up what a module of torch registers; AttributeError with advice for names of Gymnasium's environments."""
-        if name in hints.ATTRIBUTES:
-            raise hints.no_attribute(type(self).__name__, name)
+        if name in messages.ATTRIBUTES:
+            raise messages.no_attribute(type(self).__name__, name)
         return super().__getattr__(name)
 
     @property

@@ -13,7 +13,7 @@ from torchrl.data import Composite, Unbounded
 
 from bsk_torch.comm import CommunicationMethod
 from bsk_torch.data.base import GlobalReward
-from bsk_torch.env import hints
+from bsk_torch.env import messages
 from bsk_torch.env.action_forms import action_spec, acts, form, mask_size, mask_spec, read
 from bsk_torch.env.base import StepResult, Tasking
 from bsk_torch.env.options import TaskingOptions, parse, takes
@@ -101,7 +101,7 @@ class SatelliteTasking(Tasking):
 
     def _step(self, tensordict: TensorDictBase) -> TensorDict:
         partial = tensordict.get("_step", None)
-        return self.play(hints.given_action(tensordict, "action"), None if partial is None else partial.reshape(-1))
+        return self.play(messages.given_action(tensordict, "action"), None if partial is None else partial.reshape(-1))
 
     def play(self, action: object, moves: Tensor | None = None) -> TensorDict:
         """Carry out ``action`` [N] where ``moves`` [N] is true, everywhere if None; return the entries of ``next``.

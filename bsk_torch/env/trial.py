@@ -13,7 +13,7 @@ from bsk_torch._checks import no_gradient
 from bsk_torch.data import checked
 from bsk_torch.data.base import GlobalReward
 from bsk_torch.env.build import FleetBuilder, link
-from bsk_torch.env.machine import check_memory
+from bsk_torch.env.devices import check_memory
 from bsk_torch.env.satellite_group import SatelliteGroup, groups_of
 from bsk_torch.obs.base import Values
 from bsk_torch.rand import first_key

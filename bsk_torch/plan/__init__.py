@@ -1,11 +1,11 @@
 """Planners, policies that fly copies of the present episodes before they decide, and bounds on what they can reach."""
 
-from bsk_torch.plan.bases import base_of
+from bsk_torch.plan.base_policies import base_of
 from bsk_torch.plan.beam import BeamSearch
 from bsk_torch.plan.cross_entropy import CrossEntropy
-from bsk_torch.plan.draws import redraw_clouds
 from bsk_torch.plan.names import PLANNERS, planner
 from bsk_torch.plan.planner import Planner
+from bsk_torch.plan.resampling import redraw_clouds
 from bsk_torch.plan.rollout import Rollout
 from bsk_torch.plan.search import TreeSearch
 

@@ -16,18 +16,18 @@ from torch import Tensor
 
 from bsk_torch._checks import whole
 from bsk_torch.env import Tasking
-from bsk_torch.plan.bases import Base
+from bsk_torch.plan.base_policies import Base
 from bsk_torch.plan.branches import Discounting, Flown, Jobs
-from bsk_torch.plan.nodes import Lookout
 from bsk_torch.plan.planner import Planner
 from bsk_torch.plan.priors import Prior
+from bsk_torch.plan.tree_state import StateSummary
 
 
 class Beam:
     """The sequences of R roots, at most W of each.
 
     Attributes:
-        node: What :class:`~bsk_torch.plan.nodes.Lookout` has noted of their ends, [R, W].
+        node: What :class:`~bsk_torch.plan.tree_state.StateSummary` has noted of their ends, [R, W].
         place: Rows of the store in which their states are, [R, W]; those of extensions lie behind them.
         valid: Which sequences there are, [R, W].
         gained: Return of their steps, [R, W].
@@ -143,7 +143,7 @@ class BeamSearch(Planner):
             raise ValueError(f"budget={budget} must be at least depth={depth}: a branch for each action of a sequence")
         super().__init__(env, base, horizon=horizon, **options)
         chosen = Prior(self.base if prior is None else prior, self.slots)
-        self._lookout = Lookout(env, self.slots, self.base, self._plannable, chosen, None)
+        self._summary = StateSummary(env, self.slots, self.base, self._plannable, chosen, None)
 
     def _branching(self) -> int:
         return self.budget // self.depth
@@ -154,7 +154,7 @@ class BeamSearch(Planner):
         store = self._store(len(real) * (w + share))
         now = td[real].clone()
         now.update(memory[real])
-        node = self._lookout.of_agent(now, slot.repeat_interleave(self._copies))
+        node = self._summary.of_agent(now, slot.repeat_interleave(self._copies))
         beam = Beam(node, w, share, self.depth, self.slots.most_actions)
         self._plant(store, beam.place[:, 0], rows)
         for level in range(self.depth):
@@ -163,17 +163,17 @@ class BeamSearch(Planner):
                 break
             jobs = self._extensions(beam, level, td, memory, real[r], (r, b, action))
             number = beam.number(r)
-            flown = self.branches.fly(store, jobs, (store, beam.place[r, 0] + w + number), self._lookout)
+            flown = self.branches.fly(store, jobs, (store, beam.place[r, 0] + w + number), self._summary)
             kept, child = beam.extend(level, (r, b, action), number, flown, self._discounting)
             store.restore(store, kept, child)
         mine = self.slots.at(self.slots.chosen(td)[rows], slot)
         action, seconds = self._preferred(beam.q, mine), beam.simulated.view(len(rows), -1).sum(1)
-        if not self._keeps_promises:
+        if not self._keeps_plans:
             return action, seconds
         worth = beam.q.gather(1, action.unsqueeze(1)).squeeze(1)
         plan = torch.where((beam.best_path[:, 0] == action).unsqueeze(1), beam.best_path, -1)
         plan[:, 0] = action
-        action, more = self._promised(td, memory, rows, slot, action, worth, plan)
+        action, more = self._no_worse(td, memory, rows, slot, action, worth, plan)
         return action, seconds + more
 
     def _extensions(

@@ -13,8 +13,8 @@ from torch import Tensor
 
 from bsk_torch.env import Tasking
 from bsk_torch.env.rollout import decide
-from bsk_torch.plan.draws import present_key
-from bsk_torch.plan.slots import Slots
+from bsk_torch.plan.agent_table import AgentTable
+from bsk_torch.plan.resampling import present_key
 from bsk_torch.rl.networks.plans import MEMORY
 from bsk_torch.rl.rules.baselines import LOT
 
@@ -54,7 +54,7 @@ class Jobs(NamedTuple):
     Attributes:
         rows: Rows of the environment that holds the states from which they begin, [J].
         env_ids: Indices of the episodes in draws, [J].
-        slot: Agent whose actions are given, [J]; see :data:`bsk_torch.plan.slots.NOBODY`.
+        slot: Agent whose actions are given, [J]; see :data:`bsk_torch.plan.agent_table.NOBODY`.
         plan: Its first D actions: numbers of actions [J, D], or real numbers [J, D, W]. The base policy decides after them, and
             in place of those that are illegal when their time comes, negative, or NaN.
         first: Actions of all agents in the first step, [J]; those of the base policy if None.
@@ -123,7 +123,13 @@ class Branches:
     """
 
     def __init__(
-        self, env: Tasking, slots: Slots, base: TensorDictModuleBase, rows: int, discounting: Discounting, value: Value | None
+        self,
+        env: Tasking,
+        slots: AgentTable,
+        base: TensorDictModuleBase,
+        rows: int,
+        discounting: Discounting,
+        value: Value | None,
     ) -> None:
         """Make the rows; ``value`` judges where branches end that are cut after some seconds."""
         self.slots, self.base, self.discounting, self.value = slots, base, discounting, value

@@ -14,10 +14,10 @@ from torch import Tensor
 
 from bsk_torch._checks import number, whole
 from bsk_torch.env import Tasking
-from bsk_torch.plan.bases import Base
-from bsk_torch.plan.draws import present_key
+from bsk_torch.plan.base_policies import Base
+from bsk_torch.plan.plan_cache import PlanCache
 from bsk_torch.plan.planner import Planner
-from bsk_torch.plan.promises import Promises
+from bsk_torch.plan.resampling import present_key
 
 
 class CrossEntropy(Planner):
@@ -90,8 +90,8 @@ class CrossEntropy(Planner):
         best_return, simulated, acted = self._flown(td, memory, rows, slot, unsaid)
         best_return, plan = best_return.squeeze(1), acted[:, 0].double()
         best, own = plan, torch.ones_like(best_return, dtype=torch.bool)
-        promises = self._promises(plan)
-        kept, there = promises.due(env, rows, slot)
+        plan_cache = self._cached_plans(plan)
+        kept, there = plan_cache.look_up(env, rows, slot)
         if bool(there.any()):
             total, seconds, acted = self._flown(td, memory, rows, slot, kept.unsqueeze(1).to(taken.dtype))
             simulated = simulated + seconds
@@ -119,14 +119,14 @@ class CrossEntropy(Planner):
             plan = mix * plan + (1.0 - mix) * elite.mean(1)
             deviation = mix * deviation + (1.0 - mix) * elite.std(1, correction=0)
         action = torch.where(own.unsqueeze(1), taken, best[:, 0].to(taken.dtype))
-        promises.make(env, rows, slot, torch.where(own.view(-1, 1, 1), torch.nan, best))
+        plan_cache.keep(env, rows, slot, torch.where(own.view(-1, 1, 1), torch.nan, best))
         return action, simulated
 
-    def _promises(self, plan: Tensor) -> Promises:
-        """Return what decisions have promised; ``plan`` [n, D, W] shows the shape."""
-        found = self._made.get("promises")
+    def _cached_plans(self, plan: Tensor) -> PlanCache:
+        """Return the rest of earlier plans; ``plan`` [n, D, W] shows the shape."""
+        found = self._made.get("plans")
         if found is None:
-            self._made["promises"] = found = Promises(self.env.num_envs, torch.full_like(plan[0], torch.nan))
+            self._made["plans"] = found = PlanCache(self.env.num_envs, torch.full_like(plan[0], torch.nan))
         return found
 
     def _flown(

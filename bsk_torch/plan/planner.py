@@ -13,12 +13,12 @@ from torch import Tensor
 from bsk_torch._checks import number, whole
 from bsk_torch.env import Tasking
 from bsk_torch.env.rollout import decide
-from bsk_torch.plan.bases import Base, base_of
+from bsk_torch.plan.agent_table import AgentTable
+from bsk_torch.plan.base_policies import Base, base_of
 from bsk_torch.plan.branches import Branches, Discounting, Jobs, Value, carried
-from bsk_torch.plan.copies import check_copyable
-from bsk_torch.plan.draws import Redraw, present_key, reseed_copies
-from bsk_torch.plan.promises import Promises
-from bsk_torch.plan.slots import Slots
+from bsk_torch.plan.determinism import check_copyable
+from bsk_torch.plan.plan_cache import PlanCache
+from bsk_torch.plan.resampling import Redraw, present_key, reseed_copies
 from bsk_torch.rl.evaluation.evaluate import SIMULATED
 from bsk_torch.sim.params import nearest
 
@@ -111,7 +111,7 @@ class Planner(TensorDictModuleBase):
         self._most_rows = whole("rows", rows, 1)
         if not isinstance(env, Tasking):
             raise TypeError(f"env={env!r} must be an environment of bsk_torch; of a transformed one give base_env")
-        slots = Slots(env)
+        slots = AgentTable(env)
         self._check_actions(env, slots)
         if value is not None and slots.size > 1:
             raise ValueError(f"value= judges observations of one satellite; the environment has {slots.size}")
@@ -126,7 +126,7 @@ class Planner(TensorDictModuleBase):
         self.in_keys = list(policy.in_keys)
         self.out_keys = [*policy.out_keys, SIMULATED]
 
-    def _check_actions(self, env: Tasking, slots: Slots) -> None:
+    def _check_actions(self, env: Tasking, slots: AgentTable) -> None:
         """ValueError unless some agent has a choice of the planner's kind."""
         titles = ", ".join(dict.fromkeys(slots.titles))
         if any(real and n for real, n in zip(slots.real, slots.n_actions, strict=True)):
@@ -146,7 +146,7 @@ class Planner(TensorDictModuleBase):
         return self._outside[0]
 
     @property
-    def slots(self) -> Slots:
+    def slots(self) -> AgentTable:
         """The agents of the environment."""
         return self._outside[1]
 
@@ -257,10 +257,10 @@ class Planner(TensorDictModuleBase):
         judged = self._judged(torch.zeros_like(real, dtype=torch.float64))
         return Jobs(rows, self.env.env_ids[real], slot, plan, self.slots.actions(td)[real], self._limit(real), kept, judged)
 
-    def _promised(
+    def _no_worse(
         self, td: TensorDictBase, memory: TensorDictBase, rows: Tensor, slot: Tensor, action: Tensor, worth: Tensor, plan: Tensor
     ) -> tuple[Tensor, Tensor]:
-        """Return actions that are no worse than what the last decision has promised, [n], and simulated seconds [n].
+        """Return actions that are no worse than the rest of the last plan, [n], and simulated seconds [n].
 
         Args:
             td: See :meth:`_improved`.
@@ -271,11 +271,11 @@ class Planner(TensorDictModuleBase):
             worth: Their returns, [n].
             plan: Sequences that have these returns, [n, D]; -1 where the base policy decides.
         """
-        found = self._made.get("promises")
+        found = self._made.get("plans")
         if found is None:
             blank = torch.full_like(plan[0], -1)
-            self._made["promises"] = found = Promises(self.env.num_envs, blank)
-        kept, there = found.due(self.env, rows, slot)
+            self._made["plans"] = found = PlanCache(self.env.num_envs, blank)
+        kept, there = found.look_up(self.env, rows, slot)
         index = torch.nonzero(there).squeeze(1)
         simulated = torch.zeros_like(worth)
         if len(index):
@@ -284,11 +284,11 @@ class Planner(TensorDictModuleBase):
             simulated[index] = flown.simulated
             better = torch.zeros_like(there).index_copy(0, index, total > worth[index])
             action, plan = torch.where(better, kept[:, 0], action), torch.where(better.unsqueeze(1), kept, plan)
-        found.make(self.env, rows, slot, plan)
+        found.keep(self.env, rows, slot, plan)
         return action, simulated
 
     @property
-    def _keeps_promises(self) -> bool:
+    def _keeps_plans(self) -> bool:
         """Whether returns are exact, and all actions of a sequence those of one agent."""
         return self._value is None and self.futures is None and self.slots.size == 1
 

@@ -8,7 +8,7 @@ from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
 from bsk_torch.env.rollout import decide
-from bsk_torch.plan.slots import Slots
+from bsk_torch.plan.agent_table import AgentTable
 
 RANKED = 8
 """Choices of a rule that are told apart; the others are equally likely."""
@@ -25,7 +25,7 @@ class Prior:
     those that it has not named get that of the next one. Of rules that do not look at the mask, only the first choice counts.
     """
 
-    def __init__(self, policy: TensorDictModuleBase, slots: Slots, ranked: int = RANKED) -> None:
+    def __init__(self, policy: TensorDictModuleBase, slots: AgentTable, ranked: int = RANKED) -> None:
         """Ask ``policy``, of all agents, for at most ``ranked`` choices."""
         self.policy, self.slots, self.ranked = policy, slots, ranked
 

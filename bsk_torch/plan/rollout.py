@@ -14,7 +14,7 @@ from torch import Tensor
 
 from bsk_torch._checks import whole
 from bsk_torch.env import Tasking
-from bsk_torch.plan.bases import Base
+from bsk_torch.plan.base_policies import Base
 from bsk_torch.plan.planner import Planner
 from bsk_torch.plan.priors import Prior
 

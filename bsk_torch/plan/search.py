@@ -11,12 +11,12 @@ from torch import Tensor
 
 from bsk_torch._checks import number, whole
 from bsk_torch.env import Tasking
-from bsk_torch.plan.bases import Base
+from bsk_torch.plan.base_policies import Base
 from bsk_torch.plan.branches import Jobs
-from bsk_torch.plan.nodes import Lookout
 from bsk_torch.plan.planner import Planner
 from bsk_torch.plan.priors import Prior
 from bsk_torch.plan.tree import Leaves, Trees
+from bsk_torch.plan.tree_state import StateSummary
 
 LONGEST = 64
 """Actions of a sequence that are remembered until the next decision."""
@@ -64,7 +64,7 @@ class TreeSearch(Planner):
         self.actions = None if actions is None else whole("actions", actions, 1)
         super().__init__(env, base, horizon=horizon, **options)
         chosen = Prior(self.base if prior is None else prior, self.slots)
-        self._lookout = Lookout(env, self.slots, self.base, self._plannable, chosen, self.actions)
+        self._summary = StateSummary(env, self.slots, self.base, self._plannable, chosen, self.actions)
 
     def _branching(self) -> int:
         return min(self.leaves, self.budget)
@@ -81,7 +81,7 @@ class TreeSearch(Planner):
         self._plant(store, roots * most, rows)
         now = td[real].clone()
         now.update(memory[real])
-        known = self._lookout.of_agent(now, slot.repeat_interleave(self._copies))
+        known = self._summary.of_agent(now, slot.repeat_interleave(self._copies))
         exact = self._value is None and self.futures is None
         trees = Trees(known, most, self._discounting, exact, self.exploration)
         simulated = torch.zeros(len(roots), dtype=torch.float64, device=rows.device)
@@ -98,10 +98,10 @@ class TreeSearch(Planner):
         if not exact:
             q = self._by_visits(trees, q)
         chosen, seconds = self._preferred(q, mine), simulated.view(len(rows), -1).sum(1)
-        if not self._keeps_promises:
+        if not self._keeps_plans:
             return chosen, seconds
         worth = q.gather(1, chosen.unsqueeze(1)).squeeze(1)
-        chosen, more = self._promised(td, memory, rows, slot, chosen, worth, trees.plan(chosen, min(self.budget, LONGEST)))
+        chosen, more = self._no_worse(td, memory, rows, slot, chosen, worth, trees.plan(chosen, min(self.budget, LONGEST)))
         return chosen, seconds + more
 
     def _own(self, trees: Trees, mine: Tensor) -> Leaves:
@@ -127,7 +127,7 @@ class TreeSearch(Planner):
         action = torch.cat([leaves.action[rows] for leaves, rows in zip(wave, each, strict=True)])
         new = torch.cat([(trees.count + number[k])[rows] for k, rows in enumerate(each)])
         jobs = self._from_nodes(trees, td, memory, real, root, node, action)
-        flown = self.branches.fly(store, jobs, (store, root * most + new), self._lookout)
+        flown = self.branches.fly(store, jobs, (store, root * most + new), self._summary)
         first = 0
         for leaves, rows in zip(wave, each, strict=True):
             mine = flown.take(first, first + len(rows))

@@ -32,7 +32,7 @@ class Trees:
     """R trees of at most K nodes, each of which chooses among A actions.
 
     Attributes:
-        known: What :class:`~bsk_torch.plan.nodes.Lookout` has noted of every node, [R, K].
+        known: What :class:`~bsk_torch.plan.tree_state.StateSummary` has noted of every node, [R, K].
         child: Node behind an edge, :data:`NONE` before it is followed, [R, K, A].
         visits: Number of flights that have passed an edge, [R, K, A].
         total: Sum of their returns from the node on, [R, K, A].

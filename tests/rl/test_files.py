@@ -16,7 +16,7 @@ from bsk_torch.rl.policies.checksummed import CHECKSUM_MARK, load_checksummed, s
 
 PACKAGE = Path(bsk_torch.__file__).parent
 
-WRITERS = {"files.py", "codegen/build.py"}
+WRITERS = {"files.py", "codegen/build.py", "codegen/prepared.py"}
 """Modules that write files themselves."""
 
 ENTRIES = {"weights": {"a": torch.arange(600.0), "b": torch.ones(3, dtype=torch.bool)}, "n": 3, "name": "x", "pair": (1, 2.5)}

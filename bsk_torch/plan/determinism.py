@@ -1,4 +1,4 @@
-"""Whether the episodes of an environment can be copied: whether equal states have equal futures."""
+"""Check of determinism: whether equal states have equal futures, so that episodes can be copied."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from bsk_torch.env import Tasking
-from bsk_torch.plan.slots import Slots
+from bsk_torch.plan.agent_table import AgentTable
 
 STEPS = 2
 """Decisions that are compared."""
 
 
-def check_copyable(env: Tasking, slots: Slots) -> None:
+def check_copyable(env: Tasking, slots: AgentTable) -> None:
     """Check that equal seeds begin equal episodes, and that equal states have equal futures.
 
     Two rows begin the same episode twice, and take the same decisions twice, in an environment of their own.

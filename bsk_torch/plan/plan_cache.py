@@ -12,7 +12,7 @@ from torch import Tensor
 from bsk_torch.env import Tasking
 
 
-class Promises:
+class PlanCache:
     """Actions that are to follow the last decision of each of N episodes.
 
     Attributes:
@@ -22,18 +22,18 @@ class Promises:
     """
 
     def __init__(self, num_envs: int, blank: Tensor) -> None:
-        """Promise nothing; ``blank`` is an empty plan, [D] or [D, W]."""
+        """Keep nothing yet; ``blank`` is an empty plan, [D] or [D, W]."""
         self.blank = blank
         self.plan = blank.expand(num_envs, *blank.shape).clone()
         self.slot = torch.full((num_envs,), -1, device=blank.device)
         self.made = torch.full((num_envs, 3), -1, device=blank.device)
 
-    def make(self, env: Tasking, rows: Tensor, slot: Tensor, plan: Tensor) -> None:
-        """Promise what follows the first action of ``plan`` [n, D, ...] in episodes ``rows`` [n]."""
+    def keep(self, env: Tasking, rows: Tensor, slot: Tensor, plan: Tensor) -> None:
+        """Keep what follows the first action of ``plan`` [n, D, ...] in episodes ``rows`` [n]."""
         rest = torch.cat([plan[:, 1:], self.blank[:1].expand(len(rows), 1, *self.blank.shape[1:])], 1)
         self.plan[rows], self.slot[rows], self.made[rows] = rest.to(self.plan.dtype), slot, self._now(env, rows)
 
-    def due(self, env: Tasking, rows: Tensor, slot: Tensor) -> tuple[Tensor, Tensor]:
+    def look_up(self, env: Tasking, rows: Tensor, slot: Tensor) -> tuple[Tensor, Tensor]:
         """Return plans [n, D, ...] of agents ``slot`` [n], and whether there are any, [n]: from earlier in the same episode."""
         made, now, plan = self.made[rows], self._now(env, rows), self.plan[rows]
         same = (made[:, :2] == now[:, :2]).all(1) & (made[:, 2] < now[:, 2]) & (self.slot[rows] == slot)

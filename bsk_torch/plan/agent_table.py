@@ -1,4 +1,4 @@
-"""The agents of an environment side by side, so that planners need not know how many there are."""
+"""Table of the agents of an environment: one satellite and the agents of a constellation look alike to planners."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ NOBODY = -1
 """Number of the agent where none decides."""
 
 
-class Slots:
+class AgentTable:
     """The S agents of each episode, in the order of their groups; an environment of one satellite has one.
 
     Attributes:

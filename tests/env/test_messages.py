@@ -5,7 +5,7 @@ import torch
 from torchrl.envs import StepCounter
 
 import bsk_torch
-from bsk_torch.env.hints import ATTRIBUTES
+from bsk_torch.env.messages import ATTRIBUTES
 from tests.wrappers.constellations import trio
 
 

@@ -1,4 +1,4 @@
-"""What planners that search a tree note of a state: who decides, which actions are legal, and what a policy would do."""
+"""What planners that search a tree record of a state: deciding agents, legal actions, and choices of a policy."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from torch import Tensor
 
 from bsk_torch.env import Tasking
 from bsk_torch.env.rollout import decide
+from bsk_torch.plan.agent_table import NOBODY, AgentTable
 from bsk_torch.plan.branches import carried
 from bsk_torch.plan.priors import Prior
-from bsk_torch.plan.slots import NOBODY, Slots
 
 
-class Lookout:
+class StateSummary:
     """Looks at states in which one agent is to choose; the others act by the base policy.
 
     Where several agents decide, the first one chooses. Where none does, as after the longest step, the only action is 0, of
@@ -22,7 +22,7 @@ class Lookout:
     """
 
     def __init__(
-        self, env: Tasking, slots: Slots, base: TensorDictModuleBase, plannable: Tensor, prior: Prior, most: int | None
+        self, env: Tasking, slots: AgentTable, base: TensorDictModuleBase, plannable: Tensor, prior: Prior, most: int | None
     ) -> None:
         """Allow the ``most`` probable actions, or all that are legal; agents that are ``plannable`` [S] choose."""
         self.env, self.slots, self.base, self.plannable, self.prior, self.most = env, slots, base, plannable, prior, most

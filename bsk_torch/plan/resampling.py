@@ -1,4 +1,4 @@
-"""Random numbers of planners: futures other than the true one, samples, and lots. All follow from keys of the episodes."""
+"""Resampling of hidden states and random numbers of planners; all draws follow from keys of the episodes."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def present_key(env: Tasking, rows: Tensor, env_ids: Tensor, name: str) -> Key:
 
 
 def reseed_copies(env: Tasking, rows: Tensor, lots: Tensor, key: Key, redraw: Redraw | None) -> None:
-    """Give copied episodes, the ``rows`` [n] of a model, seeds by ``lots`` [n] in [0, 1), and draw what is hidden anew.
+    """Give copied episodes, the ``rows`` [n] of a model, seeds by ``lots`` [n] in [0, 1), and redraw the hidden part of their states.
 
     ``key`` [n] has the indices of the episodes.
     """
