@@ -32,7 +32,7 @@ def present_key(env: Tasking, rows: Tensor, env_ids: Tensor, name: str) -> Key:
 
 
 def reseed_copies(env: Tasking, rows: Tensor, lots: Tensor, key: Key, redraw: Redraw | None) -> None:
-    """Give copied episodes, the ``rows`` [n] of a model, seeds by ``lots`` [n] in [0, 1), and redraw the hidden part of their states.
+    """Give copied episodes, the ``rows`` [n] of a model, seeds by ``lots`` [n] in [0, 1), and redraw hidden states.
 
     ``key`` [n] has the indices of the episodes.
     """
