@@ -25,6 +25,9 @@ RESERVE = 1e-6
 SPACING = 100.0
 """Longest time between moments at which paths are known, s; between them they count as straight, within 2 m at 1 m/s."""
 
+FAR = 1e12
+"""Distance, m, at which satellites that are not present are, so that no transfer is kept apart from them."""
+
 WEIGHT = 1e4
 """Metres that count as much as the whole of a distance that is to be kept, where none of the transfers keeps all."""
 
@@ -163,7 +166,9 @@ class HillWaypoint(Action):
     def known(self) -> Tensor:
         """Return the numbers from which transfers and their legality follow, [N, F]: equal ones have equal results."""
         places = [place.flatten(1) for place in self.places()]
-        return torch.cat([*places, self.most_dv.unsqueeze(1)], 1)
+        simulator, present = self.satellite.simulator, self.satellite.fleet.present
+        there = [] if present is None else [present.double().repeat_interleave(simulator.count, 0)]
+        return torch.cat([*places, self.most_dv.unsqueeze(1), *there], 1)
 
     def places(self) -> tuple[Tensor, Tensor]:
         """Return positions, m, and velocities, m/s, of all S satellites of the episode of each row, [N, S, 3] each in N."""
@@ -197,7 +202,12 @@ class HillWaypoint(Action):
         here = columns[(columns != own.unsqueeze(1)) & (columns != chief)].view(len(r), -1)
         r_C, v_C = (vector.unsqueeze(1) for vector in self._thrust.chief_state())
         r, v = (each.gather(1, here.unsqueeze(-1).expand(-1, -1, 3)) for each in (r, v))
-        return cd2hill(r_C, v_C, r, v)
+        rho, velocity = cd2hill(r_C, v_C, r, v)
+        if fleet.present is None:
+            return rho, velocity
+        present = fleet.present.repeat_interleave(simulator.count, 0).gather(1, here).unsqueeze(-1)
+        far = torch.tensor([0.0, FAR, 0.0], dtype=rho.dtype, device=rho.device)  # along the chief's track, where it stays
+        return torch.where(present, rho, far), torch.where(present, velocity, 0.0)
 
     def relative_state(self) -> tuple[Tensor, Tensor]:
         """Return position [N, 3] m and velocity [N, 3] m/s in the chief's Hill frame."""

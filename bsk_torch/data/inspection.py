@@ -137,7 +137,12 @@ class RSOInspectionReward(GlobalReward):
             columns = points if points.ndim == 2 else points[:, flight.envs.repeat_interleave(flight.counts[k])]
             flags = find_flags(columns, self._records(flight, k), fleet.simulators[k].backend == "compiled")
             for table, new in zip((found.inspected, found.illuminated), flags, strict=True):
-                table[flight.envs.unsqueeze(-1), fleet.columns[k]] = new.view(n, flight.counts[k], -1)
+                seen = new.view(n, flight.counts[k], -1)
+                if fleet.present is not None:
+                    present = fleet.present[flight.envs]
+                    pairs = present[:, fleet.columns[k]] & present[:, fleet.columns[scenario.rso_type]]
+                    seen = seen & pairs.unsqueeze(-1)
+                table[flight.envs.unsqueeze(-1), fleet.columns[k]] = seen
 
     def _records(self, flight: Flight, k: int) -> Records:
         """Return the records of the inspectors of type k in a flight."""

@@ -218,9 +218,11 @@ class StepLog:
     # -- reading ------------------------------------------------------------------------------------------------------
 
     def _rows(self, k: int) -> list[tuple[int, str, int]]:
-        """Return environment, name and row of each satellite of type ``k`` in the environments that are recorded."""
+        """Return environment, name and row of each present satellite of type ``k`` in the environments that are recorded."""
         names = self.satellites[k].names
-        return [(env, name, env * len(names) + m) for env in self.envs for m, name in enumerate(names)]
+        rows = [(env, name, env * len(names) + m) for env in self.envs for m, name in enumerate(names)]
+        present = self.fleet.simulators[k].present
+        return rows if present is None else [entry for entry in rows if bool(present[entry[2]])]
 
     @staticmethod
     def _images(satellite: SatelliteGroup, action: Any) -> bool:

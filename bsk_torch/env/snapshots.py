@@ -187,10 +187,17 @@ def check_values(fleet: Fleet, saved: StateTable) -> None:
     ticks, limit = whole_limit(saved["time_limit"], et, fleet.simulators[0].h_ns)
     wrong = (ticks != saved["limit_ticks"]) | (limit != saved["time_limit"])
     saved.refuse("limit_ticks", saved["limit_ticks"], wrong, "it must be that of 'time_limit', a whole number of ticks")
+    tables = []
     for k, simulator in enumerate(fleet.simulators):
         table = saved.tables[f"satellites_{k}"]
         assert isinstance(table, SatelliteState)
         simulator.check_saved(table, f"satellites_{k}.")
+        tables.append(table)
+    if fleet.varies:
+        present = torch.cat([table["present"].view(saved.num_envs, -1) for table in tables], 1)
+        absent = ~present[:, torch.cat(fleet.columns).argsort()]
+        saved.refuse("satellites_*.present", present, ~present.any(1), "each episode needs a satellite that is present")
+        saved.refuse("removed", saved["removed"], absent & ~saved["removed"], "satellites that are not present are removed")
 
 
 def lookahead_of(state: StateTable, part: int) -> LookAhead:

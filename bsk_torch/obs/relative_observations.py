@@ -14,6 +14,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
+import torch
 from torch import Tensor
 
 from bsk_torch._checks import text
@@ -295,10 +296,12 @@ class RelativeProperties(Observation):
         return [function for function in self._functions if function is not None]
 
     def get_obs(self) -> Values:
-        """See :meth:`Observation.get_obs`."""
+        """See :meth:`Observation.get_obs`; zeros where the chief is not present."""
         values, chief = {}, self.chief
         for entry, call, function in zip(self.entries, self._calls, self._functions, strict=True):
             value = call(self.satellite, chief) if function is None else self._call(call, chief, function)
+            if self.satellite.fleet.varies:
+                value = torch.where(chief.present.view(-1, *[1] * (value.ndim - 1)), value, 0.0)
             values[entry["name"]] = scaled(value, entry["norm"])
         return values
 

@@ -138,7 +138,7 @@ class OtherInspectors(obs.Observation):
         chief = satellite.others[CHIEF].dynamics
         r_C, v_C = Vec3.of(chief.r_BN_N), Vec3.of(chief.v_BN_N)
         HN, rate = hill_frame(r_C, v_C), hill_rate(r_C, v_C)
-        r_N, v_N, dead = satellite.dynamics.r_BN_N, satellite.dynamics.v_BN_N, satellite.task.dead
+        r_N, v_N, alive = satellite.dynamics.r_BN_N, satellite.dynamics.v_BN_N, ~satellite.task.dead & satellite.present
 
         def behind(table: Tensor, k: int) -> Tensor:
             """Return the rows of the inspectors k places behind."""
@@ -149,7 +149,7 @@ class OtherInspectors(obs.Observation):
             rho = HN @ Vec3.of(behind(r_N, k) - r_N)
             turning = Vec3(-rho.y * rate, rho.x * rate, torch.zeros_like(rho.z))
             velocity = HN @ Vec3.of(behind(v_N, k) - v_N) - turning
-            parts += [rho.stack() / NEAR, velocity.stack() / SLOW, (~behind(dead, k)).double().unsqueeze(1)]
+            parts += [rho.stack() / NEAR, velocity.stack() / SLOW, behind(alive, k).double().unsqueeze(1)]
         missing = r_N.new_zeros(len(r_N), 7 * (self.n_inspectors - count))
         return torch.cat([*parts, missing], 1)
 

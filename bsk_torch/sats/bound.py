@@ -108,6 +108,12 @@ class BoundSatellite(Satellite):
         return self.fleet.rows_of(self.type_index, self.fleet.state.removed) if self.fleet.size > 1 else None
 
     @property
+    def present(self) -> Tensor:
+        """Satellites that take part in their episodes, dead or alive, [N]; see :meth:`bsk_torch.scene.Scenario.present`."""
+        present = self.simulator.present
+        return torch.ones_like(self.task.dead) if present is None else present
+
+    @property
     def opportunity_types(self) -> tuple[str, ...]:
         """Kinds of opportunities that the satellites have; none."""
         return ()

@@ -229,9 +229,14 @@ class Encounters:
         return Limits(self._pair, torch.stack(radii, 1)[envs], beyond, every, torch.stack(between, 1)[envs])
 
     def _waiting(self, envs: Tensor) -> Tensor:
-        """Return the conditions that have not fired, [n, C]."""
+        """Return the conditions that have not fired, on satellites that are present, [n, C]."""
         memory, parts = self.fleet.memory, [name for name in (MET, LEFT) if name in self.fleet.memory]
-        return ~torch.cat([memory[name][envs] for name in parts], 1)
+        waiting = ~torch.cat([memory[name][envs] for name in parts], 1)
+        if self.fleet.present is None:
+            return waiting
+        present = self.fleet.present[envs]
+        every = (*self.pairs.conjunctions, *self.pairs.ranges)
+        return waiting & torch.stack([present[:, one] & present[:, other] for one, other in every], 1)
 
     def _tracks(self, flight: Flight) -> dict[int, Tensor]:
         """Return the recorded positions of the watched satellites, [n, K + 1, 3] m each, by their numbers."""

@@ -64,6 +64,7 @@ class PettingZooEnv(EpisodeView, ParallelEnv[str, Any, Any]):
     An agent that is missing in the actions, or whose action is ``None`` or ``NO_ACTION``, continues its task; an agent that
     commands several satellites acts with one such entry for each, or with one for all. Actions of real numbers are a Box, hybrid
     ones a Dict of ``values`` and ``choice``; for these, ``NO_ACTION`` in all numbers continues, and a Box has no ``action_mask``.
+    After a reset, ``agents`` lists those whose satellites are present in the episode.
     The step that terminates or truncates an agent removes it from ``agents``; later actions for it are ignored, with a warning.
     Under ``compat="bsk_rl"``, agents that the rewarder terminates stay, as there.
 
@@ -167,8 +168,8 @@ class PettingZooEnv(EpisodeView, ParallelEnv[str, Any, Any]):
         if seed is not None:
             self.core.reseed(seed)
         seen = self._seen = begin(self.core, every, state=(options or {}).get("state"))
-        gone = self._by_agent(self.core.fleet.state.removed | self.core.dead)
-        self.agents = [agent for agent in self.possible_agents if not gone[agent]]
+        dead, stays = self._by_agent(self.core.dead), self._by_agent(~self.core.fleet.state.removed)
+        self.agents = [agent for agent in self.possible_agents if stays[agent] and not dead[agent]]
         self._warned = False
         return {agent: self._observation(seen, agent) for agent in self.agents}, self._infos(seen, self.agents)
 
@@ -206,8 +207,8 @@ class PettingZooEnv(EpisodeView, ParallelEnv[str, Any, Any]):
     def _ends(self, seen: TensorDictBase) -> tuple[dict[str, bool], bool]:
         """Return which agents are terminated, and whether the episode is truncated."""
         core = self.core
-        cut = core.truncated_by_time | checked.truncated(core.rewarder).any(1)
-        ended = core.dead | checked.terminated(core.rewarder)
+        cut = core.truncated_by_time | (checked.truncated(core.rewarder) & core.present).any(1)
+        ended = core.dead | (checked.terminated(core.rewarder) & core.present)
         if core.terminate_on_time_limit:
             ended = ended | cut.unsqueeze(-1)
         return self._by_agent(ended), bool(cut)

@@ -2,16 +2,29 @@
 
 from __future__ import annotations
 
+import pickle
 from collections.abc import Sequence
 
 import pytest
 import torch
+from pettingzoo.test import parallel_api_test
 from tensordict import TensorDict
+from tensordict.nn import TensorDictModule
 from torch import Tensor
+from torchrl.envs.utils import check_env_specs
 
-from bsk_torch import ConstellationTasking, act, comm, data, obs, sats, scene
+import bsk_torch
+from bsk_torch import ConstellationTasking, GeneralSatelliteTasking, SatelliteTasking, act, comm, data, obs, sats, scene
+from bsk_torch.env.build import between
+from bsk_torch.plan import Rollout
 from bsk_torch.rand import Key
+from bsk_torch.rl.evaluation.evaluate import evaluate
+from bsk_torch.rl.marl.mappo import MAPPOConfig, MAPPOTraining
+from bsk_torch.rl.policies.shared_policy import shared, shared_baseline
 from bsk_torch.sim import dyn, fsw
+from bsk_torch.sim.access.lookahead import LookAhead
+from bsk_torch.viz.recorders.constellation import record_constellation
+from bsk_torch.wrappers import PettingZooEnv
 
 pytestmark = pytest.mark.compiled
 
@@ -86,7 +99,7 @@ def build(
 
 def scanners(count: int, n: int = 4, **options: object) -> ConstellationTasking:
     given: dict[str, object] = dict(num_envs=n, seed=3, time_limit=LIMIT)
-    satellites = [Scanner(f"S{k}") for k in range(count)]
+    satellites = [Scanner(f"S{k}", dict(panelArea=1e-3)) for k in range(count)]
     return ConstellationTasking(satellites, scene.UniformNadirScanning(), data.ScanningTimeReward(), **{**given, **options})
 
 
@@ -184,3 +197,326 @@ def test_whoever_is_absent_makes_no_difference() -> None:
         seen.append(states)
     for one, other in zip(*seen, strict=True):
         assert (one == other).all()
+
+
+# -- nothing is done for the absent -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_absent_satellites_run_no_ticks_and_are_shown_as_nothing(backend) -> None:
+    env = build(mixed(5), backend=backend)
+    td = env.reset()
+    absent = ~env.present
+    assert env.present.sum(1).tolist() == list(NUMBERS)
+    before = [(simulator.state.planes.clone(), simulator.arcs.flown.clone()) for simulator in env.fleet.simulators]
+    for step in range(6):
+        td = env.step(choose(env, td, step))["next"]
+        for group in env.groups:
+            gone = absent[:, group.members[:, 0]]
+            assert torch.equal(td[group.name, "mask"], ~gone)
+            assert not td[group.name, "observation"][gone].any()
+            assert not td[group.name, "reward"][gone].any()
+            assert not td[group.name, "requires_retasking"][gone].any()
+            assert not td[group.name, "action_mask"][gone][:, :-1].any()
+            assert td[group.name, "action_mask"][gone][:, -1].all()
+        assert not env.links[absent].any()
+        assert not env.links.mT[absent].any()
+        assert not env.dead[absent].any()
+        assert all(not count[absent].any() for count in env.counts().values())
+    for k, (simulator, (planes, flown)) in enumerate(zip(env.fleet.simulators, before, strict=True)):
+        rows = env.fleet.rows_of(k, absent)
+        assert not simulator.ticks[rows].any()
+        assert torch.equal(simulator.state.planes[:, rows], planes[:, rows])
+        assert torch.equal(simulator.arcs.flown[rows], flown[rows])
+    env.check_finite()
+
+
+def test_kernels_skip_absent_satellites(monkeypatch) -> None:
+    """Rows of absent satellites come last in their tiles, as padding."""
+    from bsk_torch.codegen import kernel
+
+    seen = []
+    original = kernel.in_tiles
+
+    def noted(*args: object) -> object:
+        tiles = original(*args)
+        seen.append((args, tiles))
+        return tiles
+
+    monkeypatch.setattr(kernel, "in_tiles", noted)
+    env = build(imagers(5))
+    env.step(choose(env, env.reset(), 0))
+    (_, _, _, group, _, present), tiles = seen[-1]
+    assert group == 5
+    assert torch.equal(present, env.present.flatten())
+    runs = tiles.groups < len(tiles.ends) - 1
+    assert sorted(tiles.rows[runs].tolist()) == torch.nonzero(present).flatten().tolist()
+    assert bool((runs.long().diff(dim=1) <= 0).all()), "those that run fill the first blocks"
+
+
+def test_no_orbits_are_solved_for_the_absent(monkeypatch) -> None:
+    solved = []
+    original = LookAhead.solve
+    monkeypatch.setattr(LookAhead, "solve", lambda self, rows, *args: (solved.append(len(rows)), original(self, rows, *args))[1])
+    env = build(imagers(5))
+    solved.clear()
+    env.reset()
+    assert solved == [sum(NUMBERS)]
+
+
+def test_dying_ends_an_episode_when_all_who_are_present_have_died() -> None:
+    env = scanners(5, population=(2, 2))
+    td = env.reset()
+    task = env.satellites[0].task
+    first = env.present.long().argmax(1)
+    dead = torch.zeros_like(env.present).scatter(1, first.unsqueeze(1), True)
+    env.simulator.state.write("charge", dead.flatten(), torch.zeros(20, dtype=torch.float64))
+    td = env.step(choose(env, td, 0))["next"]
+    assert torch.equal(env.dead, dead)
+    assert not td["done"].any()
+    assert td["agents", "reward"].squeeze(-1)[dead].lt(0.0).all()
+    assert td["agents", "mask"].sum(1).tolist() == [1] * 4
+    env.simulator.state.write("charge", env.present.flatten(), torch.zeros(20, dtype=torch.float64))
+    td = env.step(choose(env, td, 1))["next"]
+    assert td["terminated"].all()
+    assert not task.dead.view(4, 5)[~env.present].any()
+
+
+def test_idle_agents_are_warned_of_and_absent_ones_are_not(caplog) -> None:
+    env = scanners(5, population=(1, 4))
+    td = env.reset()
+    mask = td["agents", "action_mask"]
+    td["agents", "action"] = torch.where(mask[..., 0], 0, mask.shape[-1] - 1)
+    env.step(td)
+    assert "requires retasking" not in caplog.text
+    td = env.reset()
+    td["agents", "action"] = torch.full(mask.shape[:2], mask.shape[-1] - 1)
+    env.step(td)
+    assert "requires retasking" in caplog.text
+
+
+# -- states, wrappers, planners, learning --------------------------------------------------------------------------------------
+
+
+def test_states_and_copies_have_the_same_population() -> None:
+    env = build(mixed(5))
+    td = env.reset()
+    td = env.step(choose(env, td, 0))["next"]
+    state = env.get_state()
+    other, pickled = env.like(4), pickle.loads(pickle.dumps(env))
+    other.reset()
+    other.restore(env, [0, 1, 2, 3], [2, 0, 3, 1])
+    assert torch.equal(other.present, env.present[[2, 0, 3, 1]])
+    other.restore(state)
+    expected = env.step(choose(env, td, 1))["next"]
+    for copy in (other, pickled):
+        found = copy.step(choose(copy, td, 1))["next"]
+        assert all(torch.equal(leaf, found[key]) for key, leaf in expected.items(True, True))
+    wrong = state.clone()
+    wrong["removed"] = torch.zeros_like(wrong["removed"])
+    with pytest.raises(ValueError, match=r"'removed' of the saved state.*not present are removed"):
+        env.restore(wrong)
+    nobody = state.clone()
+    for k in range(2):
+        nobody[f"satellites_{k}", "present"] = torch.zeros_like(nobody[f"satellites_{k}", "present"])
+    with pytest.raises(ValueError, match=r"present|ticks"):
+        env.restore(nobody)
+
+
+def test_prepared_and_partly_reset_episodes_have_their_population() -> None:
+    """A batch of 40 satellites has a pool; its episodes are those of environments without one."""
+    many = scanners(10, population=(1, 10))
+    assert many.pool is not None
+    every, again = [], []
+    many.reset()
+    for _ in range(3):
+        every.append(many.present.clone())
+        many.reset()
+    for env_id in range(4):
+        one = scanners(2, 1, population=(1, 2), env_ids=[env_id])
+        one.reset()
+    fresh = scanners(10, 4, population=(1, 10))
+    fresh.reset()
+    for _ in range(3):
+        again.append(fresh.present.clone())
+        fresh.reset(TensorDict({"_reset": torch.ones(4, 1, dtype=torch.bool)}, [4]))
+    assert all(torch.equal(one, other) for one, other in zip(every, again, strict=True))
+    assert len({tuple(present.flatten().tolist()) for present in every}) == 3
+    assert bool((torch.stack(every).sum(-1) >= 1).all())
+
+
+def test_numbers_and_choices_of_satellites_are_equally_likely() -> None:
+    present = between(
+        Key(torch.zeros(9000, dtype=torch.int64), torch.arange(9000), torch.zeros(9000, dtype=torch.int64)), 2, 4, 5
+    )
+    numbers = present.sum(1)
+    for number in (2, 3, 4):
+        assert abs(float((numbers == number).double().mean()) - 1.0 / 3.0) < 0.02
+    assert numbers.min() == 2
+    assert numbers.max() == 4
+    assert (present.double().mean(0) - 0.6).abs().max() < 0.02
+
+
+def test_one_agent_for_all_meets_the_present_alone() -> None:
+    env = GeneralSatelliteTasking(
+        [Scanner(f"S{k}") for k in range(4)],
+        scene.UniformNadirScanning(),
+        data.ScanningTimeReward(),
+        num_envs=3,
+        seed=3,
+        time_limit=LIMIT,
+        population=(1, 3),
+    )
+    td = env.reset()
+    each = td["observation"].view(3, 4, -1)
+    assert torch.equal(each.abs().sum(-1) > 0.0, env.present)
+    assert torch.equal(td["members_require_retasking"], env.present)
+    td["action"] = torch.where(env.present, 0, 2)
+    td = env.step(td)["next"]
+    assert not td["done"].any()
+    assert td["reward"].isfinite().all()
+    check_env_specs(env)
+
+
+def test_agents_of_several_satellites_are_present_with_any_of_them() -> None:
+    class Two(scene.UniformNadirScanning):
+        def present(self, key: Key, names: Sequence[str]) -> Tensor:
+            return torch.tensor([[False, True, True, False], [False, False, True, True]])[key.env_id % 2]
+
+    env = ConstellationTasking(
+        [Scanner(f"S{k}") for k in range(4)],
+        Two(),
+        data.ScanningTimeReward(),
+        num_envs=2,
+        seed=3,
+        time_limit=LIMIT,
+        meta_agent_groupings={"pair": ["S0", "S1"]},
+    )
+    td = env.reset()
+    masks = {agent: td[group.name, "mask"][:, k] for group in env.groups for k, agent in enumerate(group.agents)}
+    assert {agent: mask.tolist() for agent, mask in masks.items()} == {
+        "pair": [True, False],
+        "S2": [True, True],
+        "S3": [False, True],
+    }
+    single = ConstellationTasking(
+        [Scanner(f"S{k}") for k in range(4)],
+        Two(),
+        data.ScanningTimeReward(),
+        seed=3,
+        meta_agent_groupings={"pair": ["S0", "S1"]},
+    )
+    view = PettingZooEnv(single)
+    view.reset()
+    assert set(view.agents) == {"pair", "S2"}
+
+
+def test_a_satellite_alone_is_always_present() -> None:
+    env = SatelliteTasking(
+        Imager("EO0", ARGS, may_see_nothing=True), FirstOnes(100), data.UniqueImageReward(), num_envs=2, seed=1
+    )
+    env.reset()
+    assert env.present.tolist() == [[True], [True]]
+    with pytest.raises(TypeError, match="population"):
+        SatelliteTasking(Scanner("S0"), population=(1, 1))
+
+
+def test_wrong_populations_are_named() -> None:
+    class Nobody(scene.Scenario):
+        def present(self, key: Key, names: Sequence[str]) -> Tensor:
+            return torch.zeros(len(key), len(names), dtype=torch.bool)
+
+    class Wide(scene.Scenario):
+        def present(self, key: Key, names: Sequence[str]) -> Tensor:
+            return torch.ones(len(key), 7, dtype=torch.bool)
+
+    def make(scenario: scene.Scenario, **options: object) -> ConstellationTasking:
+        return ConstellationTasking([Scanner("S0"), Scanner("S1")], scenario, seed=0, **options)
+
+    with pytest.raises(ValueError, match=r"Nobody.present\(key, names\) returns no satellite for environments \[0\]"):
+        make(Nobody()).reset()
+    with pytest.raises(TypeError, match=r"\[1, 7\].*\[1, 2\]"):
+        make(Wide()).reset()
+    with pytest.raises(ValueError, match=r"population=\(1, 3\): there are 2 satellites"):
+        make(scene.Scenario(), population=(1, 3))
+    for wrong in (3, (2, 1), (0, 1), (1.5, 2), "12"):
+        with pytest.raises(ValueError, match="population"):
+            make(scene.Scenario(), population=wrong)
+    with pytest.raises(ValueError, match="leave one of them out"):
+        make(Nobody(), population=(1, 2))
+
+
+# -- 1 to 50 satellites --------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def fifty() -> ConstellationTasking:
+    return scanners(50, 16, population=(1, 50))
+
+
+def test_fifty_satellites_fly_and_are_planned_for(fifty) -> None:
+    td = fifty.reset()
+    numbers = fifty.present.sum(1)
+    assert numbers.min() >= 1
+    assert numbers.max() <= 50
+    assert len(numbers.unique()) > 5
+    check_env_specs(fifty)
+    td = fifty.reset()
+    base = TensorDictModule(
+        lambda mask: mask.long().argmax(-1), in_keys=[("agents", "action_mask")], out_keys=[("agents", "action")]
+    )
+    assert not fifty.rollout(2, base, break_when_any_done=False)["next", "agents", "reward"][
+        ~fifty.present.unsqueeze(1).expand(-1, 2, -1)
+    ].any()
+    planner = Rollout(fifty, base=base, horizon=60.0)
+    td = fifty.reset()
+    td = planner(td)
+    assert not (td["agents", "action"] != td["agents", "action_mask"].shape[-1] - 1)[~fifty.present].any()
+    assert fifty.step(td)["next", "agents", "reward"].isfinite().all()
+
+
+def test_fifty_satellites_in_pettingzoo_and_in_pictures() -> None:
+    view = PettingZooEnv(scanners(50, 1, population=(1, 50)), continue_action=True, render_mode="rgb_array")
+    for _ in range(3):
+        observed, infos = view.reset()
+        names = [name for name, there in zip(view.core.names, view.core.present[0].tolist(), strict=True) if there]
+        assert view.agents == names == list(observed) == list(infos)
+        picture = view.render()
+        assert picture is not None
+        assert picture.shape == (480, 640, 3)
+        found = view.step(dict.fromkeys(view.agents, 0))
+        assert all(list(part) == names for part in found)
+    parallel_api_test(view, 10)
+
+
+def test_a_constellation_is_recorded_without_the_absent() -> None:
+    env = bsk_torch.make(
+        "Constellation-v1", num_envs=1, n_satellites=4, n_planes=1, n_targets=300, time_limit=600.0, population=(2, 3)
+    )
+    found = record_constellation(shared_baseline("hasty", env), env, seed=1)
+    count = int(env.present.sum())
+    assert len(found.names) == len(found.latitude) == len(found.deaths) == count < 4
+    assert found.links is None or found.links.shape[1:] == (count, count)
+    assert int(found.task_satellite.max()) < count
+
+
+def test_populations_are_trained_and_evaluated(tmp_path) -> None:
+    options = dict(as_set=True, n_targets=300, n_satellites=3, n_planes=1, phasing=0, time_limit=600.0, population=(1, 3))
+    config = MAPPOConfig(frames=64, num_envs=4, rollout=16, minibatch=16, seconds=None, options=options)
+    training = MAPPOTraining(config, tmp_path)
+    training.run()
+    training._lost = False
+    assert training.survived(masks([[1, 1, 0], [1, 1, 0]], [[1, 1, 0], [1, 0, 0]])).tolist() == [[True, False]] * 4
+    env = bsk_torch.make("Constellation-v1", num_envs=4, seed=0, **options)
+    found = evaluate(shared(training.policy, env), env, seed=5)
+    assert found.survival == 1.0
+    assert found.returns.isfinite().all()
+    assert not any(bool(failed.any()) for failed in found.deaths.values())
+
+
+def masks(before: list[list[int]], after: list[list[int]]) -> TensorDict:
+    """A batch [4, T] of who may act before and after each step."""
+    size = [4, len(before)]
+    here, then = (TensorDict({"mask": torch.tensor(table).bool().expand(4, -1, -1)}, size) for table in (before, after))
+    done = torch.zeros(*size, 1, dtype=torch.bool)
+    return TensorDict({"agents": here, "next": TensorDict({"agents": then, "done": done}, size)}, size)

@@ -83,6 +83,8 @@ def check_task(env: Tasking, envelope: Envelope) -> None:
         )
     if env.failure_penalty > 0.0:
         raise ValueError(f"failure_penalty={env.failure_penalty:g} pays for dying, which the bound does not count")
+    if env.fleet.varies:
+        raise ValueError("satellites that are not present in all episodes are not covered by the bound; let all be present")
     env.guard.check_begun("imaging_bound(env)")
     imagers = [part for part in env.fleet.satellites if isinstance(part, BoundImagingSatellite)]
     for part in imagers:

@@ -195,12 +195,13 @@ def _asked(env: Tasking, step: TensorDictBase) -> Tensor:
 
 
 def _failed_checks(env: Tasking) -> dict[str, Tensor]:
-    """Satellites whose aliveness check fails, [N, S] booleans, by the name of the check."""
+    """Satellites that are present and fail an aliveness check, [N, S] booleans, by the name of the check."""
     checks = [part.aliveness() for part in env.fleet.satellites]
     passed = [torch.ones_like(rows[0], dtype=torch.bool) for rows in ([*alive.values()] for alive in checks)]
     names = dict.fromkeys(name for alive in checks for name in alive)
     return {
-        name: env.fleet.joined([~alive.get(name, every) for alive, every in zip(checks, passed, strict=True)]) for name in names
+        name: env.present & env.fleet.joined([~alive.get(name, every) for alive, every in zip(checks, passed, strict=True)])
+        for name in names
     }
 
 

@@ -387,6 +387,8 @@ class MAPPOTraining(Training):
 
     config: MAPPOConfig
     env: Any  # a constellation, where the base class has one satellite
+    _lost: Tensor | bool = False
+    """Present episodes that have lost a satellite, [N]."""
 
     def make_learner(self) -> MAPPOLearner:
         """See :meth:`Training.make_learner`."""
@@ -407,7 +409,17 @@ class MAPPOTraining(Training):
 
     def survived(self, batch: TensorDictBase) -> Tensor:
         """See :meth:`Training.survived`: all satellites; a rewarder may end episodes in which none has died."""
-        return torch.stack([batch["next", group, "mask"].all(-1) for group in self.learner.groups]).all(0)
+        groups = self.learner.groups
+        if not self.env.fleet.varies:
+            return torch.stack([batch["next", group, "mask"].all(-1) for group in groups]).all(0)
+        # masks of the absent are those of the dead, so that deaths show only when they happen
+        died = torch.stack([(batch[group, "mask"] & ~batch["next", group, "mask"]).any(-1) for group in groups]).any(0)
+        done, complete = batch["next", "done"].squeeze(-1), torch.ones_like(died)
+        for step in range(died.shape[1]):
+            self._lost = died[:, step] | self._lost
+            complete[:, step] = ~self._lost
+            self._lost = self._lost & ~done[:, step]
+        return complete
 
     def fill(self, batch: TensorDictBase) -> None:
         """Satellites of a constellation are not followed one by one."""

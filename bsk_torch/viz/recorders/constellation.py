@@ -62,6 +62,7 @@ class ConstellationRecorder:
         links = self.env.links
         none = torch.zeros(self.fleet.size, self.fleet.size, dtype=torch.bool)
         self.links.append(none if links is None or len(self.times) == 1 else links[0].cpu())
+        self.present = self.env.present[0].cpu()
         self.counted, self.removed = self._counts(), self.fleet.state.removed[0].clone()
         self.deaths = torch.where(self.env.dead[0].cpu(), self.deaths.clamp(max=self.times[-1]), self.deaths)
 
@@ -120,8 +121,10 @@ class ConstellationRecorder:
         return plane
 
     def episode(self) -> ConstellationEpisode:
-        """Return the recorded episode."""
-        latitude, longitude, _ = fixed_to_lla(torch.stack(self.places, 1))
+        """Return the recorded episode, of the satellites that took part in it."""
+        shown = torch.nonzero(self.present).squeeze(-1)
+        number, planes = self.present.cumsum(0) - 1, self._planes()  # of each satellite among those shown
+        latitude, longitude, _ = fixed_to_lla(torch.stack(self.places, 1)[shown])
         images = torch.tensor([image.target for image in self.images], dtype=torch.int64)
         targets = self.env.scenario.r_LP_P[0].cpu() if hasattr(self.env.scenario, "r_LP_P") else torch.empty(0, 3)
         if hasattr(self.env.scenario, "most_targets"):
@@ -131,24 +134,24 @@ class ConstellationRecorder:
         where = fixed_to_lla(targets)
         names = list(dict.fromkeys(task.name for task in self.tasks))
         return ConstellationEpisode(
-            names=self.fleet.names,
+            names=[self.fleet.names[k] for k in shown.tolist()],
             times=torch.tensor(self.times, dtype=torch.float64),
             latitude=torch.rad2deg(latitude),
             longitude=torch.rad2deg(longitude),
-            groups=self._planes(),
-            links=None if self.env.links is None else torch.stack(self.links),
+            groups=None if planes is None else planes[shown],
+            links=None if self.env.links is None else torch.stack(self.links)[:, shown][:, :, shown],
             image_times=torch.tensor([image.time for image in self.images], dtype=torch.float64),
-            image_satellite=torch.tensor([image.satellite for image in self.images], dtype=torch.int64),
+            image_satellite=number[torch.tensor([image.satellite for image in self.images], dtype=torch.int64)],
             image_latitude=torch.rad2deg(where[0])[images],
             image_longitude=torch.rad2deg(where[1])[images],
             image_paid=torch.tensor([image.paid for image in self.images], dtype=torch.bool),
             target_latitude=torch.rad2deg(where[0])[there],
             target_longitude=torch.rad2deg(where[1])[there],
-            task_satellite=torch.tensor([task.satellite for task in self.tasks], dtype=torch.int64),
+            task_satellite=number[torch.tensor([task.satellite for task in self.tasks], dtype=torch.int64)],
             task_spans=self._spans(),
             task_kind=torch.tensor([names.index(task.name) for task in self.tasks], dtype=torch.int64),
             task_names=names,
-            deaths=self.deaths,
+            deaths=self.deaths[shown],
         )
 
     def _spans(self) -> Tensor:

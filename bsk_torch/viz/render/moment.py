@@ -81,18 +81,20 @@ class Moment:
 
 @torch.no_grad()
 def look(env: Tasking, row: int) -> Moment:
-    """The present of episode ``row`` of an environment."""
+    """The present of episode ``row`` of an environment, with the satellites that take part in it."""
     fleet = env.fleet
-    modes, world = _modes(env, row), env.simulator.world
-    first = row * env.simulator.count
+    shown = torch.nonzero(env.present[row].cpu()).squeeze(-1)
+    kind, number = fleet.place_of(fleet.names[int(shown[0])])
+    modes, world = _modes(env, row), fleet.simulators[kind].world
+    first = row * fleet.simulators[kind].count + number
     r_LP_P, imaged, aims_P = _targets(env, row, modes)
     r_N, v_N = (_of(env, row, name) for name in ("r_BN_N", "v_BN_N"))
     links = torch.zeros(fleet.size, fleet.size, dtype=torch.bool)
     if env.links is not None and bool(fleet.ticks[row]):
         links = env.links[row]
     return Moment(
-        names=list(fleet.names),
-        modes=modes,
+        names=[fleet.names[k] for k in shown.tolist()],
+        modes=[modes[k] for k in shown.tolist()],
         r_N=_array(r_N),
         orbits_N=_array(revolution(r_N, v_N)),
         sun_N=_array(world.sun_direction_N[first]),
@@ -100,8 +102,8 @@ def look(env: Tasking, row: int) -> Moment:
         stations_P=_array(_stations(fleet.simulators)),
         targets_P=_array(r_LP_P),
         imaged=_array(imaged),
-        aims_P=_array(aims_P),
-        links=_array(links),
+        aims_P=_array(aims_P[shown]),
+        links=_array(links[shown][:, shown]),
         levels=_levels(env, row),
         time=float(fleet.sim_time[row]),
         limit=float(env.time_limit[row]),
@@ -115,8 +117,8 @@ def _array(value: Tensor) -> Array:
 
 
 def _of(env: Tasking, row: int, name: str) -> Tensor:
-    """A property of the dynamics for each satellite, [S, ...]; not a number for those without it."""
-    return env.fleet.each(lambda part: getattr(part.dynamics, name), missing=math.nan)[row]
+    """A property of the dynamics for each satellite that is present, [S, ...]; not a number for those without it."""
+    return env.fleet.each(lambda part: getattr(part.dynamics, name), missing=math.nan)[row][env.present[row]]
 
 
 def revolution(r_N: Tensor, v_N: Tensor) -> Tensor:
