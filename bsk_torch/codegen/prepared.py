@@ -14,6 +14,7 @@ import os
 import shutil
 import subprocess
 import sys
+import time
 from collections import Counter
 from collections.abc import Sequence
 from functools import cache
@@ -48,6 +49,9 @@ LINKED = ("-ltorch", "-ltorch_cpu", "-ltorch_python")
 FOLDERS = "prepared-"
 """How the names of folders begin in which headers and library are kept, 45 MB."""
 
+UNUSED = 30 * 86400.0
+"""Seconds after which a folder that was not used is removed: several compilers, or options, may share a cache."""
+
 PAYS_FROM = 2
 """Kernels that a process has built in a folder when it prepares: one or two are built sooner without."""
 
@@ -70,8 +74,11 @@ def faster(command: Sequence[str], folder: Path, machine: str) -> list[str] | No
         return None
     try:
         check_owner(made)
+        os.utime(made)
     except PermissionError as error:
         logger.warning("precompiled headers are not used: %s", error)
+        return None
+    except FileNotFoundError:  # another process has emptied the cache
         return None
     rest = [word for word in command[1:] if word not in LINKED]
     linked = ("-Wl,--push-state,--no-as-needed", f"-l{LIBRARY}", "-Wl,--pop-state")
@@ -85,6 +92,14 @@ def _key(command: tuple[str, ...], machine: str) -> str:
     status = compiler.resolve().stat()
     described = [INCLUDES, torch.__version__, machine, *command, str(compiler.resolve()), str(status.st_mtime_ns)]
     return hashlib.sha256("\n".join(described).encode()).hexdigest()[:32]
+
+
+def _last_use(folder: Path) -> float:
+    """Return the time of the last build with a folder, s; now for one that is gone."""
+    try:
+        return folder.stat().st_mtime
+    except FileNotFoundError:
+        return time.time()
 
 
 @cache
@@ -102,8 +117,9 @@ def _prepare(made: Path, command: tuple[str, ...]) -> bool:
             if run.returncode:
                 logger.info("headers are not precompiled: %s", run.stdout.strip())
                 return False
-        for old in made.parent.glob(f"{FOLDERS}*"):  # of another compiler or version
-            shutil.rmtree(old, ignore_errors=True)
+        for old in made.parent.glob(f"{FOLDERS}*"):  # of another compiler or version, which no process has used for long
+            if old != made and time.time() - _last_use(old) > UNUSED:
+                shutil.rmtree(old, ignore_errors=True)
         try:
             new.rename(made)
         except OSError:  # another process was faster

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import os
+import shutil
 import subprocess
 import sys
+import time
 
 import pytest
 
@@ -92,11 +95,22 @@ def test_what_others_may_write_to_is_not_used(ready, caplog):
     assert "may be written to by other users" in caplog.text
 
 
-def test_that_of_other_compilers_is_deleted(ready, monkeypatch):
+@pytest.mark.parametrize("age", [0.0, 2.0 * prepared.UNUSED])
+def test_that_of_other_compilers_is_deleted_once_it_is_not_used(ready, monkeypatch, age):
+    """Processes with other options share a cache: what one of them uses stays."""
+    last = time.time() - age
+    os.utime(ready, (last, last))
     prepared._prepare.cache_clear()
     monkeypatch.setattr(prepared, "_key", lambda command, machine: "other")
     assert load(2) == 2
-    assert [path.name for path in made(ready.parent)] == ["prepared-other"]
+    assert {path.name for path in made(ready.parent)} == {"prepared-other", *(() if age else (ready.name,))}
+
+
+def test_a_cache_that_another_process_empties_is_filled_again(ready, monkeypatch):
+    is_dir = type(ready).is_dir
+    monkeypatch.setattr(type(ready), "is_dir", lambda path: path == ready or is_dir(path))
+    shutil.rmtree(ready)
+    assert load(2) == 2
 
 
 def test_without_it_kernels_are_built_all_the_same(folder, monkeypatch, caplog):
