@@ -175,7 +175,7 @@ class RSOInspectionReward(GlobalReward):
 
     @property
     def illuminated(self) -> Tensor:
-        """Points that have been lit in the present episodes, while inspectors looked on or not, [N, P] bool."""
+        """Points that have been lit in the present episodes, whether or not observed, [N, P] bool."""
         return self.memory["illuminated_points"]
 
     @property

@@ -12,7 +12,7 @@ from bsk_torch.scene.target import Target
 
 
 class UniqueImages(NamedTuple):
-    """What is known of images, of the whole crew [N, ...] or of the satellites of one type [N * count, ...].
+    """Image knowledge, shared by all satellites [N, ...] or per satellite of one type [N * count, ...].
 
     Attributes:
         imaged: Targets that have been imaged, as far as is known, [N, T] bool.

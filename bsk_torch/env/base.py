@@ -152,7 +152,7 @@ class Tasking(Present, MadeOfArguments):
 
     @property
     def _action_name(self) -> str:
-        """Key of the action, as one writes it."""
+        """Action key, formatted for messages."""
         return "'action'"
 
     def _reset(self, tensordict: TensorDictBase | None = None, *, set_state: bool = False, **unknown: Any) -> TensorDict:

@@ -78,7 +78,7 @@ class TrialFleet:
         return [_observed(satellite) for satellite in self.satellites]
 
     def spread(self) -> None:
-        """Let every environment have a time of its own, some seconds after the start, so that mixed up ones show."""
+        """Offset the clocks of the environments by some seconds, so that mixing of environments is detected."""
         for simulator in self.fleet.simulators:
             state = simulator.state
             state.ticks = state.ticks + state.of_env(self.fleet.all_envs + 1)

@@ -11,7 +11,7 @@ from bsk_torch.env.rollout import decide
 from bsk_torch.plan.agent_table import AgentTable
 
 RANKED = 8
-"""Choices of a rule that are told apart; the others are equally likely."""
+"""Number of rule choices ranked individually; the others are equally likely."""
 
 DECAY = 0.5
 """Ratio of the probabilities of a rule's choice and of its next best one."""

@@ -1,6 +1,6 @@
 """Conditions on the distance between two satellites of an episode, which end its steps: conjunctions and ranges.
 
-Distances are looked at when a step starts and after its ticks, on the traces of the satellites' positions; see
+Distances are checked when a step starts and after its ticks, on the traces of the satellites' positions; see
 :mod:`bsk_torch.sim.flight`. At the time limit the clock stops before any condition is looked at. Every condition fires once in
 an episode.
 """

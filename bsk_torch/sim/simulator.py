@@ -413,7 +413,7 @@ class Simulator:
         return values
 
     def _check_tick(self, values: dict[str, Any], replaced: bool) -> None:
-        """Check that arguments fit the length of a tick; what hardly does is logged once for each part of a model.
+        """Check that arguments fit the length of a tick; marginal values are logged once for each part of a model.
 
         Parts whose check reads no random argument are checked once, unless arguments of some satellites are ``replaced``.
         """
@@ -594,8 +594,7 @@ class Simulator:
             self._advised.add("tank")
             row = int(torch.nonzero(rows & done.clipped)[0])
             logger.warning(
-                "dv_N[%d] asks for %g m/s where the tank is good for %g m/s, which is what the satellite gets, and dies; this is "
-                "logged once",
+                "dv_N[%d] requests %g m/s but %g m/s remain; clipped, and the satellite is marked dead; this is logged once",
                 row,
                 float(dv_N[row].norm()),
                 float(state.read("dv_available")[row]),

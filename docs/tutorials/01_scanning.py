@@ -46,7 +46,7 @@ td = env.reset()
 print(td)
 
 # %%
-# What it sees
+# Observations
 # ------------
 #
 # The observation is a vector. ``observation_description`` names its entries:
@@ -60,7 +60,7 @@ for name, value in zip(names, td["observation"][0].tolist(), strict=True):
 # and end are divided by 5700 s, about one orbit; the time until a pass begins is 0 or less while it goes on. The last entry is
 # the time since the beginning of the episode, as a fraction of its length.
 #
-# What it does
+# Actions
 # ------------
 #
 # There are four actions. They last 180, 120, 60 and 60 s:
@@ -76,8 +76,8 @@ print("duration", td["duration"][:4].flatten().tolist())
 print("reward  ", td["reward"][:4].flatten().tolist())
 
 # %%
-# What it is rewarded for
-# -----------------------
+# Rewards
+# -------
 #
 # The reward is the time in which data were recorded, in terms of the 28,500 s of the episode: an episode that records all the
 # time returns 1. The instrument records when it points at the ground, so a scan that begins with a turn gives less than 180 /

@@ -36,7 +36,7 @@ path = draw(episode, "trained.png", "trained policy")
 # to what it imaged from there, and the larger a target is drawn, the more it is worth. The last panel shows the decisions, as
 # high as what was chosen was worth, and the sum of rewards.
 #
-# What it sees
+# Observations
 # ------------
 #
 # The preset ``AEOS-v1`` observes the satellite and the next 32 targets, in the order in which their windows close. Targets that

@@ -65,8 +65,8 @@ print("actions to choose", td["agents", "action_mask"][first].sum(-1).tolist())
 print("rewards          ", [round(reward, 2) for reward in td["agents", "reward"][first].flatten().tolist()])
 
 # %%
-# Who knows what
-# --------------
+# Shared knowledge
+# ----------------
 #
 # After each step the communicator decides which satellites share what they know. ``comm.LOSCommunication``, which this preset
 # has, connects those that see each other past the Earth; ``env.links[n, s, r]`` says that ``s`` has told ``r`` in the last step.
@@ -80,8 +80,8 @@ print("targets imaged    ", int(env.rewarder.imaged[first].sum()))
 print("known to satellite", env.rewarder.known[first].sum(-1).tolist())
 
 # %%
-# What communication is worth
-# ---------------------------
+# Value of communication
+# ----------------------
 #
 # The same rule in the same episodes, with and without communication. The reward of an image that was in vain is 0, and the time
 # that it took is lost. (``comm.FreeCommunication`` connects all satellites, ``comm.LOSMultiCommunication`` passes messages on.)

@@ -22,7 +22,7 @@ LOT = "lot"
 
 
 class RandomPolicy(TensorDictModuleBase):
-    """Legal actions with equal probability, by the lots that the tensordict has, or else by lots of its own."""
+    """Legal actions with equal probability, using the random numbers in the tensordict if it has any."""
 
     in_keys: ClassVar[list[str]] = ["action_mask", LOT]
     out_keys: ClassVar[list[str]] = ["action"]

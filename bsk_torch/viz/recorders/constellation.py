@@ -56,7 +56,7 @@ class ConstellationRecorder:
         self.total = 0.0
 
     def look(self) -> None:
-        """Note where the satellites are, and who has talked."""
+        """Record positions and active links."""
         self.times.append(float(self.fleet.sim_time[0]))
         self.places.append(self.fleet.each(lambda part: part.dynamics.r_BN_P)[0].cpu())
         links = self.env.links

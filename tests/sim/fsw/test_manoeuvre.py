@@ -65,7 +65,7 @@ def test_who_asks_for_more_gets_what_is_left_and_dies(orbit, caplog):
         for k in range(3):
             td = step(env, td, 1, 0)
             assert td["reward"][:, 0].tolist() == [0.0 if k < 2 else -1.0, 0.0]
-    assert "asks for 1 m/s where the tank is good for 0.5 m/s" in caplog.text
+    assert "requests 1 m/s but 0.5 m/s remain" in caplog.text
     assert env.satellite.fsw.dv_available.tolist() == [0.0, 2.5]
     assert env.satellite.fsw.thrust_count.tolist() == [3.0, 0.0]
     assert env.simulator.sim_time.tolist() == [180.0, 180.0]
