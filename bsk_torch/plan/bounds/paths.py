@@ -1,4 +1,4 @@
-"""Best paths in a graph of images in which every target counts once: an upper bound by Lagrange multipliers, and near-optimal paths.
+"""Paths in a graph of images in which every target counts once: an upper bound by Lagrange multipliers, and near-optimal paths.
 
 The bound of multipliers l >= 0, one for each target, is
 
