@@ -38,7 +38,7 @@ class DiscreteFSWAction(Action):
     def link_satellite(self, satellite: BoundSatellite) -> None:
         """See :meth:`Action.link_satellite`; ValueError if the flight software has no such command."""
         super().link_satellite(satellite)
-        if self.fsw_action not in satellite.simulator.commands:
+        if self.fsw_action not in satellite.simulator.type.commands:
             self.fsw_action = self.fsw_action.removeprefix("action_")
         satellite.simulator.check_command(self.fsw_action)
 

@@ -83,7 +83,7 @@ class ImpulsiveThrust(ContinuousAction):
         super().link_satellite(satellite)
         simulator = satellite.simulator
         simulator.check_tank(f"{type(self).__name__} {self.name!r}")
-        if self.fsw_action not in simulator.commands:
+        if self.fsw_action not in simulator.type.commands:
             self.fsw_action = self.fsw_action.removeprefix("action_")
         simulator.check_command(self.fsw_action)
         if self.max_drift_duration <= self.min_drift_duration:
@@ -115,7 +115,7 @@ class ImpulsiveThrust(ContinuousAction):
     @property
     def is_single(self) -> bool:
         """Whether the actions of the present step are carried out in float32."""
-        return self.given_dtype == torch.float32 and self.satellite.simulator.as_bsk_rl
+        return self.given_dtype == torch.float32 and self.satellite.simulator.type.as_bsk_rl
 
     def decide(self, action: Tensor, mask: Tensor) -> Decision:
         """See :meth:`ContinuousAction.decide`."""

@@ -143,7 +143,7 @@ def problem_of(env: SatelliteTasking, preset: str) -> Problem:
 def starts_of(env: SatelliteTasking, seeds: Sequence[int]) -> list[Start]:
     """Return the initial conditions of episodes that have just been reset, one for each seed: all given and drawn arguments."""
     simulator, n = env.simulator, len(seeds)
-    satellite, world = simulator.sat_args, simulator.world_args
+    satellite, world = simulator.type.arguments.sat_args, simulator.type.arguments.world_args
     fixed = {
         name: satellite.given[name] for name in env.builder.satellites[0].sat_args_generator if not satellite.is_random(name)
     }
@@ -176,7 +176,7 @@ def plain(values: Tensor) -> list[Any]:
 
 def epochs_of(env: SatelliteTasking, seeds: Sequence[int]) -> list[str]:
     """The epochs as they were drawn, which the simulation keeps as numbers only; ValueError where that cannot be repeated."""
-    given, n = env.simulator.world_args.given["utc_init"], len(seeds)
+    given, n = env.simulator.type.arguments.world_args.given["utc_init"], len(seeds)
     if callable(given) and not isinstance(given, Distribution):
         raise ValueError(
             "utc_init is a function, whose answers cannot be repeated; give a string or a distribution of bsk_torch.rand"

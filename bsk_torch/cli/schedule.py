@@ -23,7 +23,7 @@ def show_schedule(
     env = made(preset, 1, {"backend": "eager"})
     for simulator in env.fleet.simulators:
         names = ", ".join(env.fleet.names[k] for k in simulator.columns)
-        typer.echo("\n".join([f"{names}:", *(f"  {line}" for line in tick_lines(simulator.tick, simulator.schedule))]))
+        typer.echo("\n".join([f"{names}:", *(f"  {line}" for line in tick_lines(simulator.tick, simulator.type.schedule))]))
 
 
 def described(component: Component, schedule: Schedule = SCHEDULE) -> Slot:

@@ -135,7 +135,7 @@ class RSOInspectionReward(GlobalReward):
         n, points = len(flight.envs), scenario.columns
         for k in scenario.inspector_types:
             columns = points if points.ndim == 2 else points[:, flight.envs.repeat_interleave(flight.counts[k])]
-            flags = find_flags(columns, self._records(flight, k), fleet.simulators[k].backend == "compiled")
+            flags = find_flags(columns, self._records(flight, k), fleet.simulators[k].type.options.backend == "compiled")
             for table, new in zip((found.inspected, found.illuminated), flags, strict=True):
                 seen = new.view(n, flight.counts[k], -1)
                 if fleet.present is not None:
@@ -159,7 +159,7 @@ class RSOInspectionReward(GlobalReward):
         """Return the first record in which points may be inspected, and lit, [n] each."""
         begins, zero = flight.since == 0, torch.zeros_like(flight.since)
         simulator = self.fleet.simulators[0]
-        if not simulator.as_bsk_rl:
+        if not simulator.type.as_bsk_rl:
             first = torch.where(begins, 1, zero)
             return first, first
         # by this difference bsk_rl recognises the first step of an episode; rounding makes some of them fail
@@ -234,7 +234,7 @@ class RSOInspectionReward(GlobalReward):
         enough = (lit >= self.min_illuminated_for_completion * self._points.n_points) | (
             self.fleet.sim_time > self.min_time_for_completion
         )
-        something = torch.ones_like(enough) if self.fleet.simulators[0].as_bsk_rl else lit > 0.0
+        something = torch.ones_like(enough) if self.fleet.simulators[0].type.as_bsk_rl else lit > 0.0
         return enough & something & (inspected >= self.completion_threshold * lit)
 
     def is_terminated(self) -> Tensor:

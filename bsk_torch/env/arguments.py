@@ -9,8 +9,9 @@ from typing import Any, Self
 from tensordict import TensorDict
 from torch import Tensor
 
-from bsk_torch.env.changes import Change, LiveArguments, apply, episodes, of_satellites, of_world, remembered
+from bsk_torch.env.changes import Change, LiveArguments, changed, episodes, of_satellites, of_world, remembered
 from bsk_torch.env.snapshots import Snapshots, fingerprint
+from bsk_torch.env.trial import Made, Trial, taking_over
 from bsk_torch.env.types import check_world
 from bsk_torch.sim.params import Arguments
 from bsk_torch.sim.simulator import Simulator
@@ -24,6 +25,9 @@ class MadeOfArguments(Snapshots):
 
     _changes: list[Change]
     """Changes of arguments since then."""
+
+    _trial: Trial | None
+    """Trial episodes, where no functions of users are called as they show."""
 
     def set_sat_args(self, args: object, envs: object = None) -> None:
         """Change arguments of satellites; episodes that begin after this call have the new ones, present ones keep theirs.
@@ -59,16 +63,15 @@ class MadeOfArguments(Snapshots):
         """
         rows, ids = episodes(envs, len(self.env_ids), self.env_ids)
         changes = of_world(args, ids)
-        check_world([change.name for change in changes], [s.world_args.table for s in self.fleet.simulators])
+        check_world([change.name for change in changes], [s.type.arguments.world_args.table for s in self.fleet.simulators])
         self._change(changes, rows)
 
     def _change(self, changes: Sequence[Change], rows: Tensor | None = None) -> None:
         """Make changes of arguments in ``rows`` [n] of the batch, or in all; nothing changes where one of them is wrong."""
-        fleets = [self.fleet] if self.pool is None else [self.fleet, self.pool.fleet]
-        for make in [apply(fleet, changes) for fleet in fleets]:
-            make()
+        types = changed([simulator.type for simulator in self.fleet.simulators], changes)
+        self.fleet.change(types)
         if self.pool is not None:
-            self.pool.forget(rows)
+            self.pool.change(types, rows)
         self._changes = remembered(self._changes, changes)
         self.fingerprint = fingerprint(self.fleet)
 
@@ -92,7 +95,9 @@ class MadeOfArguments(Snapshots):
     def world_args_generator(self) -> LiveArguments:
         """Values of all arguments of the world; setting one is :meth:`set_world_args`."""
         return LiveArguments(
-            lambda: [simulator.world_args for simulator in self.fleet.simulators], self.set_world_args, "world_args_generator"
+            lambda: [simulator.type.arguments.world_args for simulator in self.fleet.simulators],
+            self.set_world_args,
+            "world_args_generator",
         )
 
     # -- environments of the same make --------------------------------------------------------------------------------
@@ -100,7 +105,8 @@ class MadeOfArguments(Snapshots):
     def like(self, num_envs: int, env_ids: Sequence[int] | Tensor | None = None) -> Self:
         """Return another environment of the same make, with other episodes, under seed 0 and without logs.
 
-        Episodes can be copied from one to the other by :meth:`restore`. Nothing is compiled anew.
+        Episodes can be copied from one to the other by :meth:`restore`. Types of satellites are shared, so that nothing
+        is traced or compiled.
 
         Args:
             num_envs: Number of its episodes.
@@ -111,9 +117,9 @@ class MadeOfArguments(Snapshots):
             MemoryError: If so many do not fit into memory.
         """
         kept = {name: value for name, value in self._arguments.items() if name not in ("log_level", "log_dir", "log_envs")}
-        other = type(self)(**{**kept, "num_envs": num_envs, "env_ids": env_ids, "seed": 0})
-        if self._changes:
-            other._change(self._changes)
+        with taking_over(Made([simulator.type for simulator in self.fleet.simulators], self._trial)):
+            other = type(self)(**{**kept, "num_envs": num_envs, "env_ids": env_ids, "seed": 0})
+        other._changes = list(self._changes)
         return other
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -123,7 +129,7 @@ class MadeOfArguments(Snapshots):
 
 
 def _sat_args_of(simulator: Simulator) -> list[Arguments]:
-    return [simulator.sat_args]
+    return [simulator.type.arguments.sat_args]
 
 
 def _rebuild(

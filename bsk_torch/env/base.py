@@ -31,13 +31,13 @@ from bsk_torch.env.present import Present
 from bsk_torch.env.randomizer import make_randomizer
 from bsk_torch.env.satellite_group import command, decide, died, first_task_end, groups_of, settle_all, soonest
 from bsk_torch.env.snapshots import fingerprint
-from bsk_torch.env.trial import try_out
+from bsk_torch.env.trial import check_room, taken_over, try_out
 from bsk_torch.obs.base import Values
 from bsk_torch.sats.dtypes import common_dtype
 from bsk_torch.sats.satellite import Satellite
 from bsk_torch.scene.base import Scenario
 from bsk_torch.sim.fleet import Fleet
-from bsk_torch.sim.simulator import whole_nanoseconds
+from bsk_torch.sim.satellite_type import whole_nanoseconds
 
 __all__ = ["ResetNeededError", "StepResult", "Tasking", "TimeLimit"]
 
@@ -95,9 +95,14 @@ class Tasking(Present, MadeOfArguments):
         self.scenario.validate_satellite_names(satellites)
         self.communicator = copy.copy(communicator or NoCommunication())
         randomizer = make_randomizer(sat_arg_randomizer, satellites)
-        self.builder = FleetBuilder(satellites, self.scenario, options, randomizer, torch.device(self.device))
+        made, device = taken_over(), torch.device(self.device)
+        self.builder = FleetBuilder(satellites, self.scenario, options, randomizer, device, made and made.types)
         self.names, self.dtype = self.builder.names, common_dtype(options.dtype, self.builder.satellites)
-        trial = try_out(self.builder, self.rewarder)
+        if made is None or made.trial is None:
+            trial = try_out(self.builder, self.rewarder)
+        else:
+            trial = made.trial
+            check_room(self.builder, trial.nbytes)
         n = options.num_envs
         self.fleet = self.builder.make_fleet(n)
         unset, start = torch.full_like(self.fleet.all_envs, -1), self.builder.draw_and_start
@@ -111,6 +116,7 @@ class Tasking(Present, MadeOfArguments):
         self.log = StepLog(self.fleet, self.satellites, self.scenario, options.log_envs) if recorded else None
         trial.decide(self.satellites)
         self._make_specs(trial.values)
+        self._trial = None if any(trial.functions) else trial
         self.longest_ticks = math.ceil(whole_nanoseconds(min(self.max_step_duration, ENDLESS)) / self.simulator.h_ns)
         self.fingerprint = fingerprint(self.fleet)
         self._changes = []
@@ -121,7 +127,7 @@ class Tasking(Present, MadeOfArguments):
 
     def _next_fleet(self) -> Fleet:
         """Return a fleet for the next episodes; it searches as far ahead for windows as actions and observations need."""
-        fleet = self.builder.make_fleet(self.num_envs)
+        fleet = self.builder.make_fleet(self.num_envs, [simulator.type for simulator in self.fleet.simulators])
         for simulator, present in zip(fleet.simulators, self.fleet.simulators, strict=True):
             if simulator.lookahead.access is not None and present.lookahead.access is not None:
                 simulator.lookahead.access.ahead = present.lookahead.access.ahead

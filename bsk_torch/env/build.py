@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
@@ -11,6 +12,7 @@ from torch import Tensor
 from bsk_torch.act.broadcast import Broadcast
 from bsk_torch.act.continuous import ContinuousAction
 from bsk_torch.astro.ephemeris import coverage, coverage_in_words
+from bsk_torch.codegen.kept import Kept
 from bsk_torch.constants import NANO
 from bsk_torch.data import checked
 from bsk_torch.data.base import GlobalReward
@@ -28,7 +30,8 @@ from bsk_torch.sim.encounters import find_pairs
 from bsk_torch.sim.fleet import EpisodeDraw, Fleet, share
 from bsk_torch.sim.given import Answers, Member, expand, is_function
 from bsk_torch.sim.params import Overrides, convert, drawn_once
-from bsk_torch.sim.simulator import Simulator, TicksMade
+from bsk_torch.sim.satellite_type import SatelliteType, SimulationOptions, Ticks, Usage, satellite_type
+from bsk_torch.sim.simulator import Simulator
 from bsk_torch.sim.state import StateTable
 from bsk_torch.sim.world import WorldModel
 
@@ -62,8 +65,12 @@ class FleetBuilder:
         options: TaskingOptions,
         randomizer: Randomizer | None,
         device: torch.device,
+        made: Sequence[SatelliteType] | None = None,
     ) -> None:
-        """Check the names of the satellites, group them by type, and check the world's arguments."""
+        """Check the names of the satellites, group them by type, and check the world's arguments.
+
+        ``made`` are the types of the satellites, where another environment of the same make has them.
+        """
         self.names = check_names(satellites)
         self.satellites = [satellite.as_given() for satellite in satellites]
         self.types = grouped(self.satellites)
@@ -77,8 +84,8 @@ class FleetBuilder:
         self.world_type = None if options.world_type is None else compose(options.world_type, WorldModel)
         self._world_names = [set(world_arguments(self.satellites[columns[0]], self.world_type)) for columns in self.types]
         self.world_args = expand(options.world_args, "world_args")
-        self.advised: set[Any] = set()
-        self._ticks: TicksMade = {}
+        self._made = made
+        self._scenario_draws: dict[int, dict[str, Tensor]] = {}
         check_world(self.world_args, [*self._world_names, self.default_world_args()])
 
     def default_world_args(self) -> ArgumentTable:
@@ -89,27 +96,50 @@ class FleetBuilder:
 
     # -- fleets -------------------------------------------------------------------------------------------------------
 
-    def make_fleet(self, n: int, trial: bool = False) -> SatelliteFleet:
-        """Return simulations of ``n`` episodes; of one satellite of each type only, if on ``trial``."""
+    @functools.cached_property
+    def satellite_types(self) -> Sequence[SatelliteType]:
+        """What simulations of the satellites of each type share."""
+        if self._made is not None:
+            return self._made
+        types: dict[int, SatelliteType] = {}
+        ticks: Ticks = Kept(len(self.types))
+        for k, followed in self._leaders_first():
+            fields = {slot: types[leader].tick.recorded for slot, leader in followed.items()}
+            types[k] = self._make_type(k, fields, ticks)
+        return [types[k] for k in range(len(types))]
+
+    def make_fleet(self, n: int, types: Sequence[SatelliteType] | None = None, trial: bool = False) -> SatelliteFleet:
+        """Return simulations of ``n`` episodes.
+
+        Args:
+            n: Number of episodes.
+            types: Types of the satellites, where arguments have changed since they were made.
+            trial: Whether to simulate one satellite of each type only.
+        """
         # the trial's arcs shall be as long as those of the batch: see check_memory
         sample = isinstance(self.options.time_limit, Distribution) and n < self.options.num_envs
         limit = self.draw_time_limit(first_key(min(SAMPLE if sample else n, self.options.num_envs)))
-        types = [columns[:1] for columns in self.types] if trial else self.types
         scenario_state, bounds = StateTable(n, 1, self.device), self.scenario._bounds()
-        for name, value in self.scenario.draw_checked(first_key(min(2, n))).items():
+        for name, value in self._scenario_draw(min(2, n)).items():
             low, high = bounds.get(name, (None, None))
             scenario_state.declare(name, None, *value.shape[1:], dtype=value.dtype, low=low, high=high)
-        simulators: dict[int, Simulator] = {}
-        for k, followed in self._leaders_first():
-            fields = {slot: simulators[leader].tick.recorded for slot, leader in followed.items()}
-            simulators[k] = self._make_simulator(k, types[k], n, limit, scenario_state, fields)
-        chosen = sorted(column for columns in types for column in columns)
-        each = [simulators[k] for k in range(len(types))]
+        types = self.satellite_types if types is None else types
+        each = []
+        for made, columns in zip(types, self.types, strict=True):
+            horizon = float(self.satellites[columns[0]].generation(limit).max())
+            each.append(Simulator(made.alone if trial else made, n, horizon=horizon, scenario_state=scenario_state))
+        chosen = sorted(column for simulator in each for column in simulator.columns)
         members = {c: (k, 0 if trial else i) for k, columns in enumerate(self.types) for i, c in enumerate(columns)}
         places = {name: members[column] for column, name in enumerate(self.names)}
         pairs, as_bsk_rl = self.pairs.among(chosen), self.options.compat == "bsk_rl"
         names, varies = [self.names[k] for k in chosen], self.varies and not trial
         return SatelliteFleet(each, names, self.scenario.draw_checked, places, pairs, as_bsk_rl, varies)
+
+    def _scenario_draw(self, n: int) -> dict[str, Tensor]:
+        """Return draws of the scenario for ``n`` environments, which show its names and shapes."""
+        if n not in self._scenario_draws:
+            self._scenario_draws[n] = self.scenario.draw_checked(first_key(n))
+        return self._scenario_draws[n]
 
     def _leaders_first(self) -> Iterator[tuple[int, dict[str, int]]]:
         """Yield the types of satellites, each behind those that it follows, with the type that it follows by slot.
@@ -136,43 +166,36 @@ class FleetBuilder:
             raise ValueError(f"satellites follow the one whose model has the slot {slot!r}; {names or 'none'} have it, not one")
         return having[0]
 
-    def _make_simulator(
-        self,
-        k: int,
-        columns: Sequence[int],
-        n: int,
-        limit: Tensor,
-        scenario_state: StateTable,
-        followed: Mapping[str, Sequence[Field]],
-    ) -> Simulator:
-        satellite, options = self.satellites[columns[0]], self.options
+    def _make_type(self, k: int, followed: Mapping[str, Sequence[Field]], ticks: Ticks) -> SatelliteType:
+        columns, options = self.types[k], self.options
+        satellite = self.satellites[columns[0]]
         given = [self.satellites[column].sat_args_generator for column in columns]
-        return Simulator(
-            satellite.dyn_type,
-            satellite.fsw_type,
+        return satellite_type(
+            (satellite.dyn_type, satellite.fsw_type),
             given[0] if all(args is given[0] for args in given) else given,
             {name: value for name, value in self.world_args.items() if name in self._world_names[k]},
-            num_envs=n,
-            device=self.device,
-            dtype=options.sim_dtype,
-            sim_rate=options.sim_rate,
-            horizon=float(satellite.generation(limit).max()),
-            orbit=options.orbit,
-            backend=options.backend,
-            segment=satellite.segment,
-            scenario_state=scenario_state,
-            stops=satellite.variable_interval,
-            columns=columns,
-            randomize=self._share_of(columns),
+            SimulationOptions(
+                device=self.device,
+                dtype=options.sim_dtype,
+                sim_rate=options.sim_rate,
+                orbit=options.orbit,
+                backend=options.backend,
+                compat=options.compat,
+                replan=bool(options.replan),
+            ),
+            Usage(
+                columns=tuple(columns),
+                stops=satellite.variable_interval,
+                controlled=_may_control(satellite),
+                segment=satellite.segment,
+                randomize=self._share_of(columns),
+                followed=followed,
+                recorded=("r_BN_N",) if self.pairs.watched.intersection(columns) else (),
+                drawn=frozenset(self._scenario_draw(min(2, options.num_envs))),
+            ),
+            num_envs=options.num_envs,
             world_type=self.world_type,
-            compat=options.compat,
-            replan=bool(options.replan),
-            advised=self.advised,
-            controlled=_may_control(satellite),
-            followed=followed,
-            recorded=("r_BN_N",) if self.pairs.watched.intersection(self.types[k]) else (),
-            together=len(self.types[k]),
-            ticks=self._ticks,
+            ticks=ticks,
         )
 
     def _share_of(self, columns: Sequence[int]) -> Callable[[Key], Overrides]:

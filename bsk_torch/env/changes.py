@@ -9,10 +9,10 @@ import torch
 from torch import Tensor
 
 from bsk_torch.rand import as_value
-from bsk_torch.sim.fleet import Fleet
 from bsk_torch.sim.given import Member, expand
 from bsk_torch.sim.names import nearest
 from bsk_torch.sim.params import Arguments
+from bsk_torch.sim.satellite_type import SatelliteType
 
 WORLD = None
 """In place of the number of a satellite: the world."""
@@ -99,24 +99,19 @@ def remembered(old: Sequence[Change], new: Sequence[Change]) -> list[Change]:
     return kept
 
 
-def apply(fleet: Fleet, changes: Sequence[Change]) -> Callable[[], None]:
-    """Check the changes of a fleet's arguments by trial draws, and return a function that makes them.
+def changed(types: Sequence[SatelliteType], changes: Sequence[Change]) -> list[SatelliteType]:
+    """Return the types of satellites with changes of their arguments, which trial draws check.
 
     Raises:
-        KeyError, ValueError: For wrong changes; the fleet is as before.
+        KeyError, ValueError: For wrong changes.
     """
-    made = []
-    for simulator in fleet.simulators:
-        own = [(simulator.columns.index(c.satellite), *c[1:]) for c in changes if c.satellite in simulator.columns]
-        world = [(0, *c[1:]) for c in changes if c.satellite is WORLD and c.name in simulator.world_args.table]
-        if own or world:
-            made.append(simulator.prepare_change(own, world))
-
-    def make() -> None:
-        for change in made:
-            change()
-
-    return make
+    new = []
+    for satellite_type in types:
+        columns, around = satellite_type.usage.columns, satellite_type.arguments.world_args.table
+        own = [(columns.index(c.satellite), *c[1:]) for c in changes if c.satellite in columns]
+        world = [(0, *c[1:]) for c in changes if c.satellite is WORLD and c.name in around]
+        new.append(satellite_type.changed(own, world) if own or world else satellite_type)
+    return new
 
 
 class LiveArguments(MutableMapping[str, Any]):

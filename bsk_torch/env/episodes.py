@@ -23,6 +23,7 @@ from bsk_torch.rand import Key
 from bsk_torch.sats.fleet import SatelliteFleet
 from bsk_torch.scene.base import Scenario
 from bsk_torch.sim.fleet import Fleet, FleetState
+from bsk_torch.sim.satellite_type import SatelliteType
 from bsk_torch.sim.simulator import Simulator
 from bsk_torch.sim.state import FINITE
 
@@ -72,8 +73,10 @@ class EpisodePool:
         """Fleet of the prepared episodes, which is made when it is needed first."""
         return self._make()
 
-    def forget(self, envs: Tensor | None) -> None:
-        """Drop the episodes prepared for ``envs`` [n], or all of them: their arguments have changed."""
+    def change(self, types: Sequence[SatelliteType], envs: Tensor | None) -> None:
+        """Take types of satellites whose arguments have changed; drop the episodes prepared for ``envs`` [n], or all of them."""
+        if "fleet" in self.__dict__:
+            self.fleet.change(types)
         self.filled[slice(None) if envs is None else envs.to(self.filled.device)] = False
 
     def fill(self, envs: Tensor, seeds: Tensor, env_ids: Tensor, episodes: Tensor) -> None:

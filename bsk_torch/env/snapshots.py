@@ -17,6 +17,7 @@ from bsk_torch.sats.fleet import SatelliteFleet
 from bsk_torch.sim.access.lookahead import LookAhead
 from bsk_torch.sim.fleet import Fleet, FleetState
 from bsk_torch.sim.satellite_state import SatelliteState
+from bsk_torch.sim.saved_rows import check_saved
 from bsk_torch.sim.state import StateTable
 
 FORMAT = 4
@@ -145,7 +146,7 @@ def fingerprint(fleet: SatelliteFleet) -> Tensor:
         make.update(repr((structure, simulator.state.constants, lookahead.arcs.tail.shape[1])).encode())
         make.update(simulator.uniform.cpu().numpy().tobytes())
         access = None if lookahead.access is None else (lookahead.access.segment, lookahead.access.as_bsk_rl)
-        used = [satellite.action_description, simulator.dtype, simulator.orbit, tick.stops, access]
+        used = [satellite.action_description, simulator.type.options.dtype, simulator.orbit, tick.stops, access]
         used += [lookahead.follows, lookahead.arcs.restarts] if simulator.has_tank else []
         use.update(repr(tuple(used)).encode())
     digests = (int.from_bytes(digest.digest(), "big") for digest in (make, use))
@@ -191,7 +192,7 @@ def check_values(fleet: Fleet, saved: StateTable) -> None:
     for k, simulator in enumerate(fleet.simulators):
         table = saved.tables[f"satellites_{k}"]
         assert isinstance(table, SatelliteState)
-        simulator.check_saved(table, f"satellites_{k}.")
+        check_saved(simulator.type, table, f"satellites_{k}.")
         tables.append(table)
     if fleet.varies:
         present = torch.cat([table["present"].view(saved.num_envs, -1) for table in tables], 1)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import copy
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextvars import ContextVar
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -22,6 +24,7 @@ from bsk_torch.sats.user_function import UserFunction
 from bsk_torch.scene.base import Scenario
 from bsk_torch.sim.component import MissingMessageError
 from bsk_torch.sim.composition import provided_by
+from bsk_torch.sim.satellite_type import SatelliteType
 
 BATCHES = (5, 7, 11, 13, 17, 19)
 """Environments of the second trial: the first number that is no other dimension of what is observed."""
@@ -34,11 +37,13 @@ class Trial(NamedTuple):
         values: Observations of one environment, for each type of satellite.
         functions: Functions of users of each type, tried with one environment.
         batched: The same functions, tried with several; empty if there are none, or only one environment.
+        nbytes: Bytes of an environment's state.
     """
 
     values: list[Values]
     functions: list[list[UserFunction]]
     batched: list[list[UserFunction]]
+    nbytes: int
 
     def decide(self, satellites: Sequence[SatelliteGroup]) -> None:
         """Let the functions of an environment's satellites be called as the trials show.
@@ -49,6 +54,38 @@ class Trial(NamedTuple):
         for satellite, alone, together in zip(satellites, self.functions, self.batched or self.functions, strict=True):
             for function, one, several in zip(satellite.user_functions(), alone, together, strict=True):
                 function.adopt(one, several, satellite.simulator.state.rows)
+
+
+class Made(NamedTuple):
+    """What an environment takes over from another one of the same make.
+
+    Attributes:
+        types: Types of satellites.
+        trial: Trial episodes, where no functions of users are called as they show.
+    """
+
+    types: Sequence[SatelliteType]
+    trial: Trial | None
+
+
+_made: ContextVar[Made | None] = ContextVar("made", default=None)
+
+
+@contextlib.contextmanager
+def taking_over(made: Made) -> Iterator[None]:
+    """Return a context in which the next environment that is constructed takes parts over: constructors are the user's."""
+    token = _made.set(made)
+    try:
+        yield
+    finally:
+        _made.reset(token)
+
+
+def taken_over() -> Made | None:
+    """Return what an environment under construction takes over, if anything, once."""
+    made = _made.get()
+    _made.set(None)
+    return made
 
 
 class TrialFleet:
@@ -111,6 +148,11 @@ def _observed(satellite: SatelliteGroup) -> Values:
         raise TypeError(f"{satellite.name}: {error}; {provided_by(str(error.name))}") from error
 
 
+def check_room(builder: FleetBuilder, nbytes: int) -> None:
+    """Raise MemoryError if a batch whose environments take ``nbytes`` bytes, twice with prepared episodes, does not fit."""
+    check_memory(builder.device, builder.options.num_envs, nbytes * (2 if builder.pool_pays else 1))
+
+
 def try_out(builder: FleetBuilder, rewarder: GlobalReward) -> Trial:
     """Observe a trial episode, from whose shapes specs are made; try functions of users with one and with several environments.
 
@@ -122,13 +164,13 @@ def try_out(builder: FleetBuilder, rewarder: GlobalReward) -> Trial:
     fleet, n = alone.fleet, builder.options.num_envs
     each = sum(s.state.nbytes * len(columns) for s, columns in zip(fleet.simulators, builder.types, strict=True))
     each += fleet.scenario_state.nbytes
-    check_memory(builder.device, n, each * (2 if builder.pool_pays else 1))
+    check_room(builder, each)
     functions = alone.start(rewarder)
     values = alone.observe()
     if n == 1 and fleet.size == len(builder.names):
         alone.score()  # with as many environments and satellites as there will be
     if n == 1 or not any(functions):
-        return Trial(values, functions, [])
+        return Trial(values, functions, [], each)
     dimensions = {size for some in functions for function in some for size in function.dimensions()}
     together = TrialFleet(builder, next((size for size in BATCHES if size not in dimensions), BATCHES[-1]))
     batched = together.start(rewarder)
@@ -136,4 +178,4 @@ def try_out(builder: FleetBuilder, rewarder: GlobalReward) -> Trial:
     together.observe()
     alone.become(together.fleet)
     alone.observe()
-    return Trial(values, functions, batched)
+    return Trial(values, functions, batched, each)

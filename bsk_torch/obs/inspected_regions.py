@@ -55,7 +55,7 @@ def rso_imaged_regions(
         BN = torch.stack([row.stack() for row in mrp_to_dcm(attitude)], -2)
         HN = torch.stack([row.stack() for row in hill_frame(position, velocity)], -2)
         centers = centers @ HN @ BN.mT  # rows are c_B = [BN] [HN]^T c_H
-    return like(known_regions(inspected, _points(servicer), centers, servicer.simulator.backend == "compiled"), r)
+    return like(known_regions(inspected, _points(servicer), centers, servicer.simulator.type.options.backend == "compiled"), r)
 
 
 def _points(servicer: SatelliteLike) -> Tensor:

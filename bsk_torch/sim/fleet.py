@@ -16,6 +16,7 @@ from bsk_torch.sim.names import nearest
 from bsk_torch.sim.params import Overrides
 from bsk_torch.sim.recording import Recording
 from bsk_torch.sim.satellite_state import SatelliteState
+from bsk_torch.sim.satellite_type import SatelliteType
 from bsk_torch.sim.simulator import Simulator
 from bsk_torch.sim.state import StateTable
 
@@ -194,18 +195,19 @@ class Fleet:
         World first, then ``randomize``, which gives arguments of all satellites, then the satellites in their order.
         """
         for simulator in self.simulators:
-            simulator.world_args.ask(0, env, answers)
+            simulator.type.arguments.world_args.ask(0, env, answers)
         if randomize is not None:
             answers["sat_arg_randomizer"] = randomize()
-        for _, arguments, k in sorted(
-            ((column, s.sat_args, k) for s in self.simulators for k, column in enumerate(s.columns)), key=lambda entry: entry[0]
-        ):
+        pairs = ((simulator.type.arguments, simulator.columns) for simulator in self.simulators)
+        each = ((column, given.sat_args, k) for given, columns in pairs for k, column in enumerate(columns))
+        for _, arguments, k in sorted(each, key=lambda entry: entry[0]):
             arguments.ask(k, env, answers)
 
     @property
     def calls_user(self) -> bool:
         """Whether arguments are given by functions of the user."""
-        return any(arguments.calls_user for s in self.simulators for arguments in (s.world_args, s.sat_args))
+        each = (simulator.type.arguments for simulator in self.simulators)
+        return any(arguments.world_args.calls_user or arguments.sat_args.calls_user for arguments in each)
 
     def draw(
         self,
@@ -227,9 +229,10 @@ class Fleet:
         world: dict[str, Any] = {}
         values = []
         for simulator in self.simulators:
-            around = simulator.world_args.draw(key, world, answers)
+            arguments = simulator.type.arguments
+            around = arguments.world_args.draw(key, world, answers)
             world |= around
-            values.append(simulator.draw(key, around, share(given or {}, simulator.columns), answers))
+            values.append(arguments.draw(key, around, share(given or {}, simulator.columns), answers))
         return EpisodeDraw(drawn, values)
 
     def reset(self, envs: Tensor, drawn: EpisodeDraw, durations: Sequence[Tensor], time_limit: Tensor) -> None:
@@ -253,6 +256,11 @@ class Fleet:
                 state["present"] = state["present"].index_copy(0, state.rows_of(envs), present[:, columns].flatten())
         for k in self.dependencies.order:
             self.simulators[k].reset(envs, drawn.values[k], durations[k], self.dependencies.present(k))
+
+    def change(self, types: Sequence[SatelliteType]) -> None:
+        """Take types of the same satellites with other arguments; present episodes keep theirs."""
+        for simulator, satellite_type in zip(self.simulators, types, strict=True):
+            simulator.change(satellite_type)
 
     # -- running ------------------------------------------------------------------------------------------------------
 

@@ -59,7 +59,9 @@ class Dependencies:
         self.order = sorted(depth, key=lambda k: (depth[k], not simulators[k].stops))
 
     def _owner(self, name: str) -> int:
-        return next(k for k, simulator in enumerate(self.simulators) if any(part.slot == name for part in simulator.parts))
+        return next(
+            k for k, simulator in enumerate(self.simulators) if any(part.slot == name for part in simulator.type.arguments.parts)
+        )
 
     def samples(self, k: int, traces: Mapping[int, Trace]) -> dict[str, Samples]:
         """Return the traces that the satellites of type k follow, by slot."""

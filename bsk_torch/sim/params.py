@@ -241,6 +241,13 @@ class Arguments:
         new._look()
         return new
 
+    def of_first(self) -> Arguments:
+        """Return the arguments of the first satellite alone."""
+        new = copy.copy(self)
+        new.columns, new.owners, new._given, new._of_envs = self.columns[:1], self.owners[:1], self._given[:1], self._of_envs[:1]
+        new._look()
+        return new
+
     # -- drawing ------------------------------------------------------------------------------------------------------
 
     def value(self, k: int, name: str, env: int) -> Any:

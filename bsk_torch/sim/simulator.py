@@ -2,108 +2,37 @@
 
 from __future__ import annotations
 
-import dataclasses
-import functools
 import logging
-from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
+from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 
-from bsk_torch._checks import no_gradient, number
+from bsk_torch._checks import no_gradient
 from bsk_torch.codegen.kernel import Kernel, Samples
 from bsk_torch.constants import NANO
-from bsk_torch.rand import Key, first_key
 from bsk_torch.sim.access.lookahead import LookAhead, Manoeuvres
 from bsk_torch.sim.access.places import place_kinds
 from bsk_torch.sim.access.visibility.backend import make_visibility
 from bsk_torch.sim.access.windows import AccessWindows
-from bsk_torch.sim.component import Arg, Component, Field, Layout, MissingMessageError, declared
-from bsk_torch.sim.composition import check_required_dyn, commanded_by, provided_by, world_components, world_of
+from bsk_torch.sim.composition import commanded_by
 from bsk_torch.sim.dyn import hub
 from bsk_torch.sim.dyn.events import notice_image
-from bsk_torch.sim.dyn.field import prepare
-from bsk_torch.sim.dyn.models import DynamicsModel
 from bsk_torch.sim.fsw.manoeuvre import burn
-from bsk_torch.sim.fsw.models import IDLE, FSWModel, MagicOrbitalManeuverFSWModel
-from bsk_torch.sim.fsw.modes import mode_table
-from bsk_torch.sim.given import Answers
-from bsk_torch.sim.initial_orbits import check_orbits
+from bsk_torch.sim.fsw.models import IDLE
 from bsk_torch.sim.orbit.arcs import Arcs
 from bsk_torch.sim.orbit.solvers import make_solver
-from bsk_torch.sim.params import Arguments, Overrides, merge, nearest
+from bsk_torch.sim.params import merge, nearest
 from bsk_torch.sim.readout.observables import Observer
-from bsk_torch.sim.run import RunInputs, Runners, TickLoop, make_runners, ticks_at_once
-from bsk_torch.sim.satellite_state import ArgumentState, SatelliteState
+from bsk_torch.sim.run import RunInputs, ticks_at_once
+from bsk_torch.sim.satellite_state import SatelliteState
+from bsk_torch.sim.satellite_type import SatelliteType
 from bsk_torch.sim.state import StateTable
-from bsk_torch.sim.tick import ARC_ORBIT, Tick
 from bsk_torch.sim.trace import Trace
-from bsk_torch.sim.world import WorldModel
 
 logger = logging.getLogger(__name__)
-
-ArgumentChange = tuple[int, str, Any, Sequence[int] | None]
-"""See :meth:`bsk_torch.sim.params.Arguments.changed`."""
-
-TicksMade = dict[Hashable, tuple[Tick, Runners]]
-"""Ticks by their identity, with what runs them."""
-
-ORBITS = ("arc", "integrated")
-
-SHORTEST_TICK, LONGEST_TICK = 1e-3, 60.0
-"""Bounds of the length of a tick, s. With shorter ones a step of minutes takes millions of ticks; longer ones than a minute would
-pass over the nodes of arcs."""
-
-CLOSE = 1e-9
-"""Relative difference of parameters that two machines compute from the same arguments."""
-
-
-class _Looked(dict[str, Any]):
-    """Given arguments that remember which of them were looked at."""
-
-    def __init__(self, given: Mapping[str, Any]) -> None:
-        super().__init__(given)
-        self.seen: set[str] = set()
-
-    def __getitem__(self, name: str) -> Any:
-        self.seen.add(name)
-        return super().__getitem__(name)
-
-    def get(self, name: str, default: Any = None) -> Any:
-        """Return an argument, or the default."""
-        self.seen.add(name)
-        return super().get(name, default)
-
-
-def fitted(parts: tuple[Component, ...], given: Mapping[str, Any]) -> tuple[Component, ...]:
-    """Return the parts with the structure that the given arguments need."""
-    return tuple(part.fit(given) if part.fit else part for part in parts)
-
-
-def _planes(layout: Layout, names: Iterable[str]) -> list[int]:
-    """Return the planes of some fields of a layout."""
-    return [plane for name in names for plane in range(layout.slices[name].start, layout.slices[name].stop)]
-
-
-def whole_nanoseconds(seconds: float) -> int:
-    """Return seconds on Basilisk's clock."""
-    return int(seconds * 1e9 + 0.5)
-
-
-def checked_runners(start: tuple[Tensor, Tensor, Tensor], tick: Tick, backend: str, device: torch.device, count: int) -> Runners:
-    """Return the runners of a tick; TypeError for a component that reads what none writes, with the models that provide it.
-
-    ``start`` holds a state [C, n] and parameters [C, 1] and [C, n] on which a tick can run.
-    """
-    try:
-        runners = make_runners(tick, backend, device, count)
-        if isinstance(runners.run, TickLoop):  # kernels have been traced, which shows the same
-            tick.check_messages(*start)
-    except MissingMessageError as error:
-        raise TypeError(f"{error}; {provided_by(str(error.name))}") from None
-    return runners
 
 
 class Checkpoint(NamedTuple):
@@ -133,308 +62,66 @@ class Simulator:
     """
 
     def __init__(
-        self,
-        dyn_type: type[DynamicsModel],
-        fsw_type: type[FSWModel],
-        sat_args: Mapping[str, Any] | Sequence[Mapping[str, Any]],
-        world_args: Mapping[str, Any],
-        *,
-        num_envs: int,
-        device: torch.device,
-        dtype: torch.dtype,
-        sim_rate: float,
-        horizon: float,
-        orbit: str | None = None,
-        backend: str = "compiled",
-        segment: float = 600.0,
-        scenario_state: StateTable | None = None,
-        stops: bool = False,
-        columns: Sequence[int] = (0,),
-        randomize: Callable[[Key], Overrides] = lambda key: {},
-        world_type: type[WorldModel] | None = None,
-        compat: str | None = None,
-        replan: bool = True,
-        advised: set[Any] | None = None,
-        controlled: bool = True,
-        followed: Mapping[str, Sequence[Field]] | None = None,
-        recorded: Sequence[str] = (),
-        together: int | None = None,
-        ticks: TicksMade | None = None,
+        self, satellite_type: SatelliteType, num_envs: int, *, horizon: float, scenario_state: StateTable | None = None
     ) -> None:
-        """Build the tick and check the arguments with trial draws; :meth:`reset` fills the state.
+        """Make room for the state of satellites; :meth:`reset` fills it.
 
         Args:
-            dyn_type: Dynamics model.
-            fsw_type: Flight-software model.
-            sat_args: Arguments of both by name: those of all satellites, or of each.
-            world_args: Arguments of the world by name.
+            satellite_type: Their type.
             num_envs: Number of environments.
-            device: Device of all tensors.
-            dtype: Type of attitude, wheels and flight software; everything is stored, and the rest computed, in float64.
-            sim_rate: Length of a tick, s.
             horizon: Seconds for which windows are generated at reset.
-            orbit: ``"arc"``, ``"integrated"``, or None for the default of the dynamics model.
-            backend: ``"compiled"`` or ``"eager"``.
-            segment: Seconds by which look-ahead windows are extended.
             scenario_state: The scenario's draws.
-            stops: Whether events such as an image end a run.
-            columns: Numbers of the satellites among all those of an environment, of other types too.
-            randomize: Draws arguments that replace those of some satellites.
-            world_type: World model; None for what the dynamics model requires.
-            compat: ``"bsk_rl"`` for access windows with bsk_rl's errors.
-            replan: Whether windows and eclipses follow manoeuvres.
-            advised: What has been logged about arguments, so that simulations that share it do not say it again.
-            controlled: Whether actions may switch attitude control on, so that its gains matter.
-            followed: Fields that the satellites record which components follow, by their slot; see :mod:`bsk_torch.sim.trace`.
-            recorded: Fields of the hub that runs record beside those of components.
-            together: Satellites of an episode that kernels are built for; as many as there are, unless given.
-            ticks: Ticks that simulations of the same satellites have made, and their kernels, which are used again; new ones are
-                added.
-
-        Raises:
-            TypeError: For models that do not fit together, or a component that reads what none writes.
         """
-        self.num_envs, self.count, self.device, self.dtype = num_envs, len(columns), device, dtype
-        self.columns, self.backend = tuple(columns), backend
-        self.scenario_state = StateTable(num_envs, 1, device) if scenario_state is None else scenario_state
-        self.h_ns = whole_nanoseconds(number("sim_rate", sim_rate, SHORTEST_TICK, LONGEST_TICK, unit="s"))
-        self.orbit = dyn_type.orbit if orbit is None else orbit
-        self.as_bsk_rl = compat == "bsk_rl"
-        self.has_tank = issubclass(fsw_type, MagicOrbitalManeuverFSWModel)
-        if self.orbit not in ORBITS:
-            raise ValueError(f"orbit={self.orbit!r} must be one of {list(ORBITS)}, or None for the model's own")
-        self.stops, self._randomize = stops, randomize
-        self._advised, self._controlled = set() if advised is None else advised, controlled
-        self._fits_tick: dict[str, Arguments] = {}
-        self.followed, self._recorded = dict(followed or {}), tuple(recorded)
-        self._together, self._ticks = self.count if together is None else together, {} if ticks is None else ticks
-        self._make_components(dyn_type, fsw_type, world_type, sat_args, world_args)
-        self._make_tick()
-        self._make_lookahead(horizon, segment, replan)
-        self.observer = Observer(self.state, self.lookahead.flight, backend)
-        stations = self.world_args.given.get("groundStationsData", ())
-        self.world = self.world_type(self.state, self.lookahead.flight, stations)
-
-    # -- construction -------------------------------------------------------------------------------------------------
-
-    def _make_components(
-        self, dyn_type: Any, fsw_type: Any, world_type: Any, sat_args: Any, world_args: Mapping[str, Any]
-    ) -> None:
-        check_required_dyn(dyn_type, fsw_type)
-        self.world_type, world_parts = world_of(dyn_type, world_type), world_components(dyn_type, world_type)
-        self.world_args = Arguments(world_parts, world_args, "world_args")
-        own = (*dyn_type.all_components(), *fsw_type.all_components())
-        self.sat_args = Arguments(own, sat_args, "sat_args", self.columns)
-        around, given = _Looked(self.world_args.given), _Looked(self.sat_args.given)
-        world_parts, own = fitted(world_parts, around), fitted(own, given)
-        own = tuple(part for part in own if not (part.mends and self.as_bsk_rl))
-        looked = (self.world_args, around.seen), (self.sat_args, given.seen)
-        self._structural = {name for args, names in looked for name in names if not args.is_random(name)}
-        self.schedule, self.gravity_degree = dyn_type.schedule, dyn_type.gravity_degree
-        self.parts = self.schedule.ordered((*(dataclasses.replace(part, at_start=True) for part in world_parts), *own))
-        # a component of the user's own in the slot of another may leave the flags and resets to that one
-        self._declared = (*declared(self.world_type, dyn_type, fsw_type), *self.parts)
-        self.modes, self.commands = mode_table(fsw_type.all_modes(), self._declared), fsw_type.all_commands()
-        self.mode_names = tuple(self.modes)
-
-    def _trial(self, envs: Sequence[int] = ()) -> tuple[dict[str, Any], dict[str, Tensor], set[str]]:
-        """Return the arguments and parameters of a trial draw, and the names of the parameters that are uniform.
-
-        The first of ``envs`` takes part in the draw.
-        """
-        key = first_key(min(2, self.num_envs))
-        if envs:
-            key = dataclasses.replace(key, env_id=torch.tensor([envs[0], *envs[-1:]])[: len(key)])
-        given = self._randomize(key)
-        trial = self.draw(key, given=given)
-        random = {name for args in (self.sat_args, self.world_args) for name in args.table if args.is_random(name)} | set(given)
-        params = merge(trial, self.parts, "prepare")
-        uniform = {name for name, value in params.items() if len(value) == 1}
-        if self.num_envs * self.count == 1:
-            uniform = self._independent_of(random, uniform, trial)
-        return trial, params, uniform
-
-    def _make_tick(self) -> None:
-        """Build the tick and its state; a trial draw determines which parameters are uniform."""
-        trial, params, uniform = self._trial()
-        on_arc = self.orbit == "arc"
-        parts = tuple(self._scheduled(part, on_arc) for part in self._running(on_arc))
-        opaque = self.device.type != "cpu"
-        flags = dict.fromkeys(flag for part in self._declared for flag in part.flags)
-        self.tick = Tick(parts, uniform, self.h_ns, on_arc, self.dtype, opaque, self.stops, self.followed, flags)
-        if opaque and not on_arc:
-            prepare(self.device, torch.float64, self.gravity_degree)
-        shared, n = self.tick.shared.rows(params, 1), min(2, self.num_envs) * self.count
-        initial = self.tick.state.rows(merge(trial, self.parts, "initial"), n)
-        start = initial, shared, self.tick.own.rows(params, n)
-        self.runners = self._runners(start)
-        self.uniform = shared.to(self.device).contiguous()
-        on = [[float(flag in (self.modes[name].on or ())) for name in self.mode_names] for flag in flags]
-        self.flag_table = torch.tensor(on, device=self.device, dtype=torch.float64)
+        options, usage = satellite_type.options, satellite_type.usage
+        self.num_envs, self.count, self.device = num_envs, satellite_type.arguments.count, options.device
+        self.columns, self.stops, self.followed = usage.columns, usage.stops, usage.followed
+        self.orbit, self.has_tank, self.h_ns = satellite_type.orbit, satellite_type.has_tank, satellite_type.h_ns
+        self.mode_names, self.flag_table = satellite_type.mode_names, satellite_type.flag_table
+        self.scenario_state = StateTable(num_envs, 1, self.device) if scenario_state is None else scenario_state
+        self.type, self.tick, self.runners = satellite_type, satellite_type.tick, satellite_type.runners
+        self.uniform = satellite_type.uniform
         self.state = SatelliteState(
             self.tick.state,
             self.tick.own,
-            trial,
-            num_envs=self.num_envs,
+            satellite_type.trial,
+            num_envs=num_envs,
             count=self.count,
             device=self.device,
             h_ns=self.h_ns,
             modes=len(self.mode_names),
-            overwritten=dict(pair for part in parts for pair in part.overwrites),
+            overwritten=dict(pair for part in self.tick.components for pair in part.overwrites),
         )
-
-    def _runners(self, start: tuple[Tensor, Tensor, Tensor] | None = None) -> Runners:
-        """Return what runs the tick; a new one is checked, with ``start``, as :func:`checked_runners` does."""
-        if self.tick.identity in self._ticks:
-            _, runners = self._ticks[self.tick.identity]
-            runners.build(self._together)
-            return runners
-        made = self.tick, self.backend, self.device, self._together
-        runners = make_runners(*made) if start is None else checked_runners(start, *made)
-        self._ticks[self.tick.identity] = self.tick, runners
-        return runners
-
-    def _independent_of(self, random: set[str], uniform: set[str], trial: dict[str, Any]) -> set[str]:
-        """Return the uniform parameters that follow from no random argument, which a batch of one cannot show otherwise."""
-        double = {n: torch.cat([v, v]) if n in random and isinstance(v, Tensor) else v for n, v in trial.items()}
-        return {name for name, value in merge(double, self.parts, "prepare").items() if len(value) == 1} & uniform
-
-    def _running(self, on_arc: bool) -> tuple[Component, ...]:
-        parts = tuple(part for part in self.parts if not (on_arc and part.integrated_only))
-        return self.schedule.ordered((*parts, ARC_ORBIT)) if on_arc else parts
-
-    def _scheduled(self, part: Component, on_arc: bool) -> Component:
-        if part.slot != "hub":
-            return part
-        update, recorded = hub.rotate if on_arc else hub.integrator(self.gravity_degree), (*part.records, *self._recorded)
-        return dataclasses.replace(part, update=update, records=recorded)
-
-    def _make_lookahead(self, horizon: float, segment: float, replan: bool) -> None:
-        places = place_kinds(self.world_args, self.scenario_state, self.state.arguments)
-        solver = make_solver(self.h_ns * NANO, self.backend, self.device, self.gravity_degree)
-        visibility = make_visibility(self.backend, self.device)
-        manoeuvres = Manoeuvres(self.has_tank and (replan or self.orbit == "arc"), self.has_tank and replan)
         self.lookahead = LookAhead(
-            self.num_envs,
+            num_envs,
             self.count,
-            solver,
-            visibility,
-            places,
+            make_solver(self.h_ns * NANO, options.backend, self.device, satellite_type.gravity_degree),
+            make_visibility(options.backend, self.device),
+            place_kinds(satellite_type.arguments.world_args, self.scenario_state, self.state.arguments),
             horizon=horizon,
-            segment=segment,
-            as_bsk_rl=self.as_bsk_rl,
-            manoeuvres=manoeuvres,
+            segment=usage.segment,
+            as_bsk_rl=satellite_type.as_bsk_rl,
+            manoeuvres=Manoeuvres(self.has_tank and (options.replan or self.orbit == "arc"), self.has_tank and options.replan),
         )
         self.state.add("lookahead", self.lookahead)
+        self.observer = Observer(self.state, self.lookahead.flight, options.backend)
+        stations = satellite_type.arguments.world_args.given.get("groundStationsData", ())
+        self.world = satellite_type.world_type(self.state, self.lookahead.flight, stations)
 
-    # -- changes of arguments -----------------------------------------------------------------------------------------
-
-    def prepare_change(self, own: Sequence[ArgumentChange], world: Sequence[ArgumentChange]) -> Callable[[], None]:
-        """Check changes of the arguments of satellites and world by a trial draw; return a function that makes them.
-
-        Raises:
-            KeyError, ValueError: For wrong changes.
-        """
-        for _, name, _, _ in (*own, *world):
-            if name in self._structural:
-                raise ValueError(
-                    f"{name} was the same for all environments when this one was built, and components were made for it; give a "
-                    "distribution, such as rand.Choice, when an environment is built, and it can be changed"
-                )
-        before = self.sat_args, self.world_args
-        self.sat_args, self.world_args = after = self.sat_args.changed(own), self.world_args.changed(world)
-        try:
-            trial, _, uniform = self._trial([env for *_, envs in (*own, *world) for env in envs or ()])
-            for _, name, _, _ in (*own, *world):
-                if isinstance(trial[name], Tensor) != (name in self.state.arguments):
-                    was = "a value" if name in self.state.arguments else "None"
-                    raise ValueError(
-                        f"{name} had {was} when the environment was built, which decides what is built; build another"
-                    )
-        finally:
-            self.sat_args, self.world_args = before
-
-        def make() -> None:
-            self.sat_args, self.world_args = after
-            self._free(set(self.tick.shared.fields) - uniform)
-
-        return make
-
-    def _free(self, names: set[str]) -> None:
-        """Let parameters, which were the same for all rows so far, differ between rows: needs another tick."""
-        if not names:
-            return
-        logger.info("a tick is built in which %s may differ between environments", sorted(names))
-        old, shared, parameters = self.tick, self.uniform, self.state.parameters
-        left = set(old.shared.fields) - names
-        on_arc = self.orbit == "arc"
-        options = self.h_ns, on_arc, self.dtype, old.opaque_field, self.stops, self.followed, old.flags.fields
-        self.tick = Tick(old.components, left, *options)
-        self.runners = self._runners()
-        self.uniform = shared[_planes(old.shared, self.tick.shared.fields)].contiguous()
-        rows = [
-            shared[old.shared.slices[name]].expand(-1, self.state.rows) if name in names else parameters[old.own.slices[name]]
-            for name in self.tick.own.fields
-        ]
-        self.state.parameters = torch.cat(rows)
+    def change(self, satellite_type: SatelliteType) -> None:
+        """Take another type of the same satellites, which :meth:`SatelliteType.changed` has returned; episodes go on."""
+        old, uniform, parameters = self.tick, self.uniform, self.state.parameters
+        self.type, self.tick, self.runners = satellite_type, satellite_type.tick, satellite_type.runners
+        self.uniform = satellite_type.uniform
+        if self.tick is not old:
+            rows = [
+                uniform[old.shared.slices[name]].expand(-1, self.state.rows)
+                if name in old.shared.fields
+                else parameters[old.own.slices[name]]
+                for name in self.tick.own.fields
+            ]
+            self.state.parameters = torch.cat(rows)
 
     # -- reset --------------------------------------------------------------------------------------------------------
-
-    def draw(
-        self,
-        key: Key,
-        world: Mapping[str, Any] | None = None,
-        given: Overrides | None = None,
-        answers: Sequence[Answers] | None = None,
-    ) -> dict[str, Any]:
-        """Return the arguments from which episodes of the key's n environments start; raises before anything has changed.
-
-        Args:
-            key: Key of the environments.
-            world: Arguments of the world that have been drawn already, such as by a simulation of other satellites.
-            given: Arguments that replace those of some satellites.
-            answers: What functions of the user returned for each environment; unless given, they are called now.
-
-        Returns:
-            Values of satellites and world by name, [1, ...] or [n * count, ...].
-        """
-        around = self.world_args.draw(key, world, answers)
-        random = (name for name in around if self.count > 1 and self.world_args.is_random(name))
-        values = {**around, **{name: around[name].repeat_interleave(self.count, 0) for name in random}}
-        values |= self.sat_args.draw(key, None, answers)
-        for name, (columns, replaced) in (given or {}).items():
-            values[name] = self.sat_args.override(name, values.get(name), columns, replaced)
-        if taken := sorted(values.keys() & set(self.scenario_state)):
-            raise ValueError(f"the scenario draws {taken}, which are arguments of satellite or world; give them other names")
-        for part in self.parts:
-            part.check(values)
-        self._check_tick(values, bool(given))
-        check_orbits(values, on_arc=self.orbit == "arc")
-        return values
-
-    def _check_tick(self, values: dict[str, Any], replaced: bool) -> None:
-        """Check that arguments fit the length of a tick; marginal values are logged once for each part of a model.
-
-        Parts whose check reads no random argument are checked once, unless arguments of some satellites are ``replaced``.
-        """
-        wrong = []
-        for part in self.parts:
-            known = self._fits_tick.get(part.slot) is self.sat_args and not replaced
-            if known or (part.slot == "control" and not self._controlled):
-                continue
-            looked = _Looked(values)
-            try:
-                words = part.check_tick(looked, self.h_ns * NANO)
-            except ValueError as error:
-                wrong.append(str(error))
-                continue
-            if not replaced and not any(self._arguments_with(name).is_random(name) for name in looked.seen):
-                self._fits_tick[part.slot] = self.sat_args
-            if words and (self.columns, part.slot) not in self._advised:
-                self._advised.add((self.columns, part.slot))
-                logger.warning("sat_args: %s", words)
-        if wrong:
-            raise ValueError(f"sat_args: {'; and '.join(wrong)}")
 
     def reset(
         self, envs: Tensor, values: dict[str, Any], duration: Tensor, followed: Mapping[str, Samples] = MappingProxyType({})
@@ -446,8 +133,8 @@ class Simulator:
         """
         state, rows = self.state, self.state.rows_of(envs)
         n = len(rows)
-        state.planes[:, rows] = self.tick.state.rows(merge(values, self.parts, "initial"), n).to(self.device)
-        state.parameters[:, rows] = self.tick.own.rows(merge(values, self.parts, "prepare"), n).to(self.device)
+        state.planes[:, rows] = self.tick.state.rows(merge(values, self.type.arguments.parts, "initial"), n).to(self.device)
+        state.parameters[:, rows] = self.tick.own.rows(merge(values, self.type.arguments.parts, "prepare"), n).to(self.device)
         state.mode[rows] = self.mode_names.index(IDLE)
         state.set_arguments(rows, values)
         et = values["utc_init"].expand(n).to(self.device)
@@ -474,52 +161,6 @@ class Simulator:
         self.lookahead.solve(rows[there], *(value[there] for value in start))
         self.lookahead.repeat_rows(rows[~there], source[~there])
 
-    def check_saved(self, saved: SatelliteState, path: str) -> None:
-        """Check that arguments and parameters of a saved state are such as are drawn here; ``path`` is its place in the state.
-
-        Raises:
-            ValueError: For arguments that are not allowed, or parameters that do not follow from them.
-        """
-        drawn = saved.tables["arguments"]
-        assert isinstance(drawn, ArgumentState)
-        values, low, high = {name: drawn[name] for name in drawn}, *self._argument_bounds
-        wrong = ~((drawn.values >= low) & (drawn.values <= high))
-        for name, place in drawn.places.items() if bool(wrong.any()) else ():
-            limits = f"[{float(low[place].max()):g}, {float(high[place].min()):g}]"
-            saved.refuse(
-                f"{path}arguments.{name}",
-                values[name],
-                wrong[place].movedim(-1, 0).reshape(values[name].shape),
-                f"it must lie in {limits}",
-            )
-        for name, value in values.items():
-            if self._argument(name).shared:
-                saved.refuse(f"{path}arguments.{name}", value, value != value[:1], "it must be the same in all episodes")
-                values[name] = value[:1]
-        on_host = {name: value.cpu() for name, value in values.items()} | saved.constants
-        for part in self.parts:
-            part.check(on_host)
-        check_orbits(on_host, on_arc=self.orbit == "arc")
-        own = self.tick.own.rows(merge(on_host, self.parts, "prepare"), saved.rows).to(saved.device).mT
-        wrong = ~torch.isclose(saved.parameters.mT, own, rtol=CLOSE, atol=0.0, equal_nan=True)
-        saved.refuse(f"{path}parameters", saved.parameters.mT, wrong, "it does not follow from the arguments of the satellite")
-
-    def _arguments_with(self, name: str) -> Arguments:
-        return self.sat_args if name in self.sat_args.table else self.world_args
-
-    def _argument(self, name: str) -> Arg:
-        return self._arguments_with(name).table[name]
-
-    @functools.cached_property
-    def _argument_bounds(self) -> tuple[Tensor, Tensor]:
-        """Smallest and largest value of each plane of the arguments, [C, 1]."""
-        arguments = self.state.arguments
-        bounds = torch.zeros(2, len(arguments.values), 1, dtype=torch.float64, device=self.device)
-        for name, place in arguments.places.items():
-            arg = self._argument(name)
-            bounds[0, place], bounds[1, place] = (0, len(arg.choices) - 1) if arg.kind == "choice" else (arg.low, arg.high)
-        return bounds[0], bounds[1]
-
     def _first_tick(self, rows: Tensor, followed: Mapping[str, Samples]) -> None:
         """Run Basilisk's tick at time zero in ``rows`` [n]; ``followed`` are traces of all rows."""
         state = self.state
@@ -533,14 +174,14 @@ class Simulator:
 
     def check_command(self, command: str) -> None:
         """Raise ValueError for a command that the flight software does not have."""
-        if command not in self.commands:
+        if command not in self.type.commands:
             having = commanded_by(command)
-            advice = f"{' or '.join(having)} has it" if having else nearest(command, self.commands)
+            advice = f"{' or '.join(having)} has it" if having else nearest(command, self.type.commands)
             raise ValueError(f"fsw_action={command!r} is not a command of the flight software; {advice}")
 
     def mode_index(self, command: str) -> Tensor:
         """Return the index into the mode table, [N], that a command means for each row."""
-        entry = self.commands[command]
+        entry = self.type.commands[command]
         if entry.choice is None:
             return torch.full_like(self.state.ticks, self.mode_names.index(entry.modes[0]))
         table = torch.tensor([self.mode_names.index(name) for name in entry.modes], device=self.device)
@@ -550,7 +191,7 @@ class Simulator:
         """Enter ``mode`` [N] where ``rows`` [N] is true: switch tasks and devices and reset the fields that the mode resets."""
         state = self.state
         state.mode = torch.where(rows, mode, state.mode)
-        planes, resets, values = self.resets
+        planes, resets, values = self.type.resets
         where = resets[:, mode] & rows
         state.planes[planes] = torch.where(where, values[:, mode], state.planes[planes])
         state.touch()
@@ -590,8 +231,7 @@ class Simulator:
         if infinite:
             row = int(torch.nonzero(rows & ~torch.isfinite(dv_N).all(-1))[0])
             raise ValueError(f"thrust(rows, dv_N): dv_N[{row}] is {dv_N[row].tolist()} m/s; it must be finite")
-        if clipped and "tank" not in self._advised:
-            self._advised.add("tank")
+        if clipped and self.type.arguments.is_new("tank"):
             row = int(torch.nonzero(rows & done.clipped)[0])
             logger.warning(
                 "dv_N[%d] requests %g m/s but %g m/s remain; clipped, and the satellite is marked dead; this is logged once",
@@ -600,7 +240,7 @@ class Simulator:
                 float(state.read("dv_available")[row]),
             )
         before = state.read("delta_v_N")
-        after = torch.where(rows.unsqueeze(-1), done.dv_N + (0.0 if self.as_bsk_rl else before), before)
+        after = torch.where(rows.unsqueeze(-1), done.dv_N + (0.0 if self.type.as_bsk_rl else before), before)
         state.write("dv_available", rows, done.left)
         state.write("thrust_count", rows, state.read("thrust_count") + 1.0)
         state.write("delta_v_N", rows, after)
@@ -621,24 +261,6 @@ class Simulator:
         else:
             r_N, v_N = (self.state.read(name)[rows] for name in ("r_BN_N", "v_BN_N"))
         self.lookahead.restart(rows, now, r_N, v_N + after)
-
-    @functools.cached_property
-    def resets(self) -> tuple[Tensor, Tensor, Tensor]:
-        """Planes [P] of the state that some mode resets, masks of the modes that do, and the values, [P, M] each."""
-        layout, modes = self.tick.state, list(self.modes.values())
-        always = dict(reset for part in self._declared for reset in part.resets)
-        rows = []
-        for name in sorted({name for mode in modes for name in mode.resets} | set(always)):
-            if name in layout.fields:
-                given = [mode.resets.get(name, always.get(name)) for mode in modes]
-                where = layout.slices[name]
-                rows += [(plane, given) for plane in range(where.start, where.stop)]
-        options: dict[str, Any] = {"device": self.device}
-        planes = torch.tensor([plane for plane, _ in rows], dtype=torch.int64, **options)
-        resets = torch.tensor([[v is not None for v in given] for _, given in rows], dtype=torch.bool, **options)
-        values = torch.tensor([[v or 0.0 for v in given] for _, given in rows], dtype=torch.float64, **options)
-        shape = len(rows), len(modes)
-        return planes, resets.view(shape), values.view(shape)
 
     # -- reading ------------------------------------------------------------------------------------------------------
 

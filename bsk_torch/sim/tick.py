@@ -7,7 +7,7 @@ inductor, and on symbolic planes, which become one loop in C++ (:mod:`bsk_torch.
 from __future__ import annotations
 
 import functools
-from collections.abc import Hashable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
@@ -79,6 +79,18 @@ class Tick:
         self.arc_tracks: tuple[Track, ...] = (EPHEMERIS_TRACK, ARC) if on_arc else (EPHEMERIS_TRACK,)
         traces = (trace_track(name, fields, h_ns * NANO) for name, fields in followed.items())
         self.tracks = (*self.arc_tracks, *traces)
+
+    def with_shared(self, shared: set[str]) -> Tick:
+        """Return the tick in which only the parameters ``shared`` are the same for all environments."""
+        options = self.h_ns, self.on_arc, self.dtype, self.opaque_field, self.stops, self.followed, self.flags.fields
+        return Tick(self.components, shared, *options)
+
+    @property
+    def functions(self) -> list[Callable[..., Any]]:
+        """Functions that the tick calls."""
+        holders = [held for part in self.components for held in (part.effector, part.allocation) if held is not None]
+        updates = [part.update for part in self.components if part.update is not None]
+        return [*updates, *(value for held in holders for value in vars(held).values() if callable(value))]
 
     @property
     def identity(self) -> Hashable:

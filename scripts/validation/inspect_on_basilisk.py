@@ -79,10 +79,10 @@ def inspectors(env: ConstellationTasking) -> Any:
 def starts_of(env: ConstellationTasking, seeds: Sequence[int]) -> list[dict[str, Any]]:
     """Return what episodes start from, as bsk_rl takes it: arguments of the RSO and of the inspector, epoch and time limit."""
     key = Key(torch.tensor(seeds), env.env_ids.cpu(), env.episode.cpu())
-    epochs = env.simulator.world_args.given["utc_init"].draw(key.named("utc_init"))
+    epochs = env.simulator.type.arguments.world_args.given["utc_init"].draw(key.named("utc_init"))
     satellites = []
     for group, described in zip(env.satellites, env.builder.satellites, strict=True):
-        state, given = group.simulator.state, group.simulator.sat_args
+        state, given = group.simulator.state, group.simulator.type.arguments.sat_args
         names = [name for name in given.table if name not in ("oe", "rN", "vN", "mu")]
         drawn = {name: plain(state.arguments[name]) for name in names if given.is_random(name) and name in state.arguments}
         fixed = {name: given.given[name] for name in described.sat_args_generator if name in names and name not in drawn}

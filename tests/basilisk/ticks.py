@@ -10,6 +10,7 @@ from bsk_torch.rand import Key
 from bsk_torch.sim import fsw
 from bsk_torch.sim.simulator import Simulator
 from tests.basilisk.replay import RECORDINGS
+from tests.sim.simulators import make_simulator
 
 COLUMNS = {
     "r": "r_BN_N",
@@ -30,10 +31,14 @@ def make(arguments: dict, orbit: str) -> Simulator:
     models = ScanningDownlinkDynModel, fsw.ContinuousImagingFSWModel
     known = {arg.name for model in models for part in model.all_components() for arg in part.args}
     values = {name: value for name, value in arguments.items() if name in known} | {"oe": None}
-    options = dict(num_envs=1, device=torch.device("cpu"), dtype=torch.float64, sim_rate=1.0, horizon=600.0, backend="eager")
-    simulator = Simulator(*models, values, {"utc_init": arguments["utc_init"]}, orbit=orbit, **options)
+    options = dict(num_envs=1, dtype=torch.float64, sim_rate=1.0, horizon=600.0, backend="eager")
+    simulator = make_simulator(*models, values, {"utc_init": arguments["utc_init"]}, orbit=orbit, **options)
     zero = torch.zeros(1, dtype=torch.int64)
-    simulator.reset(simulator.state.all_rows, simulator.draw(Key(zero, zero, zero)), torch.full((1,), 600.0, dtype=torch.float64))
+    simulator.reset(
+        simulator.state.all_rows,
+        simulator.type.arguments.draw(Key(zero, zero, zero)),
+        torch.full((1,), 600.0, dtype=torch.float64),
+    )
     return simulator
 
 

@@ -13,7 +13,7 @@ from bsk_torch.comm.los import MAX_RANGE
 from bsk_torch.rand import first_key
 from bsk_torch.sats.fleet import SatelliteFleet
 from bsk_torch.sim import dyn, fsw
-from bsk_torch.sim.simulator import Simulator
+from tests.sim.simulators import make_simulator
 
 UTC = "2021 MAR 05 07:12:33.250 (UTC)"
 
@@ -54,9 +54,9 @@ def make_fleet(
     simulators = []
     for k, columns in enumerate(types):
         fixed = [satellites[c] for c in columns]
-        options = {"num_envs": num_envs, "device": torch.device("cpu"), "dtype": torch.float64, "horizon": 0.0}
+        options = {"num_envs": num_envs, "dtype": torch.float64, "horizon": 0.0}
         more = {"sim_rate": sim_rate, "orbit": orbit, "backend": backend, "columns": list(columns)}
-        simulators.append(Simulator(models[k], fsw.BasicFSWModel, fixed, {"utc_init": UTC}, **options, **more))
+        simulators.append(make_simulator(models[k], fsw.BasicFSWModel, fixed, {"utc_init": UTC}, **options, **more))
     fleet = SatelliteFleet(simulators, [f"Sat{k}" for k in range(len(satellites))])
     fleet.satellites = tuple(SimpleNamespace(dyn_type=models[k], simulator=part) for k, part in enumerate(fleet.simulators))
     key, none = first_key(num_envs), torch.zeros(num_envs, dtype=torch.float64)

@@ -5,11 +5,11 @@ All cases are drawn, which is what checks them; some are played, and all of them
 
 from __future__ import annotations
 
-import copy
 import functools
 import logging
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import pytest
@@ -18,7 +18,8 @@ import torch
 import bsk_torch
 from bsk_torch.rand import first_key
 from bsk_torch.sim.params import Arguments, merge
-from bsk_torch.sim.simulator import Simulator, fitted
+from bsk_torch.sim.satellite_type import fitted
+from bsk_torch.sim.simulator import Simulator
 
 SMALL: dict[str, dict[str, Any]] = {
     "NadirScan-v1": {},
@@ -64,7 +65,7 @@ def cases(preset: str) -> Iterator[Case]:
     env = built(preset)
     for where, table in (("sat_args", env.default_sat_args()), ("world_args", env.default_world_args())):
         for name, arg in table.rows.items():
-            for value in values(arg.dims):
+            for value in values(tuple(size or 3 for size in arg.dims)):
                 yield Case(preset, where, name, value)
 
 
@@ -73,14 +74,13 @@ def cases(preset: str) -> Iterator[Case]:
 
 def draw(simulator: Simulator, where: str, name: str, value: Any) -> None:
     """Do what the construction of a simulation and a reset do with arguments, and check that numbers are finite."""
-    parts = [(part.slot, part) for part in simulator.parts]
-    trial = copy.copy(simulator)
-    old: Arguments = getattr(simulator, where)
-    own = [part for _, part in parts if not part.args or all(arg.name in old.table for arg in part.args)]
+    arguments = simulator.type.arguments
+    old: Arguments = getattr(arguments, where)
+    own = [part for part in arguments.parts if not part.args or all(arg.name in old.table for arg in part.args)]
     new = Arguments(own, {**old.given, name: value}, where, old.columns)
-    trial.parts = fitted(simulator.parts, {**simulator.world_args.given, **simulator.sat_args.given, **new.given})
-    setattr(trial, where, new)
-    drawn = trial.draw(first_key(2), given=simulator._randomize(first_key(2)))
+    parts = fitted(arguments.parts, {**arguments.world_args.given, **arguments.sat_args.given, **new.given})
+    trial = replace(arguments, parts=parts, **{where: new})
+    drawn = trial.draw(first_key(2), given=arguments.randomize(first_key(2)))
     for title in ("initial", "prepare"):
         for field, number in merge(drawn, trial.parts, title).items():
             assert not bool(torch.isnan(number).any()), f"{field} is NaN"

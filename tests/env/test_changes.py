@@ -107,14 +107,14 @@ def test_a_tensor_of_difficulties_may_be_written_into():
     charge[1] = 2e4
     env.set_sat_args(args, envs=[1, 2])
     assert drawn(env)["storedCharge_Init"].tolist() == [1e4, 2e4, 1e4, 1e4]
-    assert not env.simulator.sat_args._of_envs[0]
+    assert not env.simulator.type.arguments.sat_args._of_envs[0]
 
 
 def test_constants_that_are_not_changed_are_kept():
     env = build()
-    kept = env.simulator.sat_args.draw(key(4))["mass"]
+    kept = env.simulator.type.arguments.sat_args.draw(key(4))["mass"]
     env.set_sat_args({"storedCharge_Init": 1e4}, envs=[0])
-    again = [env.simulator.sat_args.draw(key(4))["mass"] for _ in range(2)]
+    again = [env.simulator.type.arguments.sat_args.draw(key(4))["mass"] for _ in range(2)]
     assert again[0] is again[1]
     assert torch.equal(again[0], kept)
     assert len(again[0]) == 1

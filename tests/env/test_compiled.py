@@ -10,16 +10,19 @@ import pytest
 import torch
 
 import bsk_torch
+from bsk_torch import act, obs, sats
 from bsk_torch.codegen import build, cpp
 from bsk_torch.codegen.build import INCLUDE
 from bsk_torch.codegen.ir import Branch, Define
+from bsk_torch.codegen.kept import Kept
 from bsk_torch.codegen.kernel import Entry
 from bsk_torch.codegen.passes import lower
 from bsk_torch.rand import first_key
-from bsk_torch.sim import dyn, fsw
+from bsk_torch.sim import dyn, fsw, satellite_type
 from bsk_torch.sim.component import Component, Field
 from bsk_torch.sim.simulator import Simulator
 from bsk_torch.sim.tick import Tick
+from tests.sim.simulators import make_simulator
 
 pytestmark = pytest.mark.compiled
 
@@ -165,9 +168,9 @@ class Ranked(dyn.DynamicsModel):
 
 
 def simulate(backend) -> Simulator:
-    options = dict(num_envs=3, device=torch.device("cpu"), dtype=torch.float64, sim_rate=1.0, horizon=600.0, backend=backend)
-    simulator = Simulator(Ranked, fsw.FSWModel, {}, world_args={}, orbit="arc", segment=600.0, **options)
-    values = simulator.draw(first_key(3))
+    options = dict(num_envs=3, dtype=torch.float64, sim_rate=1.0, horizon=600.0, backend=backend)
+    simulator = make_simulator(Ranked, fsw.FSWModel, {}, {}, orbit="arc", segment=600.0, **options)
+    values = simulator.type.arguments.draw(first_key(3))
     simulator.reset(simulator.state.all_rows, values, torch.zeros(3, dtype=torch.float64))
     return simulator
 
@@ -201,9 +204,53 @@ def test_trials_batches_and_prepared_episodes_share_their_ticks(preset, librarie
             built.append(lockstep)
         return of(loop, lockstep, name)
 
+    monkeypatch.setattr(satellite_type, "TICKS", Kept(4))
     monkeypatch.setattr(Tick, "trace", traced)
     monkeypatch.setattr(Entry, "of", staticmethod(entry))
     env = bsk_torch.make(preset, num_envs=64)
+    env.reset()
     assert env.pool is not None
     assert Counter(ticks) == {False: len(libraries), True: len(libraries)}
     assert sorted(built) == libraries
+    again = bsk_torch.make(preset, num_envs=3)  # the tick of the package's components is the same
+    assert len(ticks) == 2 * len(libraries)
+    assert [s.runners for s in again.fleet.simulators] == [s.runners for s in env.fleet.simulators]
+
+
+GAIN = 1.0
+"""What a cell of a notebook may change between two environments."""
+
+
+def drift(bus) -> None:
+    """Add a number that is read when the tick is built."""
+    bus.drift = bus.drift + GAIN
+
+
+class Drifting(dyn.DynamicsModel):
+    """A spacecraft with a component of the user's."""
+
+    components = (
+        Component(
+            "drift",
+            drift,
+            state=(Field("drift"),),
+            initial=lambda args: {"drift": torch.zeros(1, dtype=torch.float64)},
+            after="los_comms",
+        ),
+    )
+
+
+def test_ticks_of_users_components_are_built_for_each_environment_and_shared_by_its_copies(monkeypatch):
+    """A global that a component reads may have changed since; a copy of an environment is what the environment was."""
+    specs = {"observation_spec": (obs.Time(),), "action_spec": (act.Drift(),)}
+    satellite = type("Drifts", (sats.Satellite,), {"dyn_type": Drifting, "fsw_type": fsw.FSWModel, **specs})
+    envs = []
+    for gain in (1.0, 2.0):
+        monkeypatch.setitem(globals(), "GAIN", gain)
+        envs.append(bsk_torch.SatelliteTasking(satellite("A"), seed=1))
+    monkeypatch.setitem(globals(), "GAIN", 3.0)
+    envs.append(envs[1].like(2))
+    for env, gain in zip(envs, (1.0, 2.0, 2.0), strict=True):
+        env.reset()
+        env.simulator.run(torch.full((env.num_envs,), 5))
+        assert env.simulator.read("drift").tolist() == [5.0 * gain] * env.num_envs

@@ -265,7 +265,7 @@ def test_a_world_of_the_users_own_adds_its_components_arguments_and_readouts():
     )
     env.reset()
     assert (env.simulator.world.moon_mass == 1.0).all()
-    assert "moon" in [component.slot for component in env.simulator.parts]
+    assert "moon" in [component.slot for component in env.simulator.type.arguments.parts]
     assert set(env.default_world_args()) == set(compose(kinds, world.WorldModel).default_world_args())
 
 

@@ -11,8 +11,8 @@ from bsk_torch.rand import first_key
 from bsk_torch.sats.fleet import SatelliteFleet
 from bsk_torch.sim import dyn, fsw
 from bsk_torch.sim.fleet import Fleet, share
-from bsk_torch.sim.simulator import Simulator
 from bsk_torch.sim.state import StateTable
+from tests.sim.simulators import make_simulator
 
 N = 3
 
@@ -105,13 +105,13 @@ def test_share():
 def drawing() -> Fleet:
     """Satellites 0 and 2 of one type and 1 of another, whose arguments, world and scenario are random."""
     args, world = {"K": rand.Uniform(1.0, 2.0)}, {"utc_init": rand.random_epoch()}
-    options = {"num_envs": N, "device": torch.device("cpu"), "dtype": torch.float64, "sim_rate": 1.0, "horizon": 0.0}
+    options = {"num_envs": N, "dtype": torch.float64, "sim_rate": 1.0, "horizon": 0.0}
     scenario_state = StateTable(N)
     scenario_state.declare("asked", None, 2)
     options |= {"backend": "eager", "scenario_state": scenario_state}
     models = dyn.BasicDynamicsModel, fsw.BasicFSWModel
-    first = Simulator(*models, args, world, columns=(0, 2), **options)
-    second = Simulator(*models, args, world, columns=(1,), **options)
+    first = make_simulator(*models, args, world, columns=(0, 2), **options)
+    second = make_simulator(*models, args, world, columns=(1,), **options)
     return Fleet([first, second], ["A", "B", "C"], lambda key: {"asked": key.named("asked").uniform(2)})
 
 
@@ -142,7 +142,7 @@ def test_what_is_set_for_all_together(drawing):
     masses = torch.tensor([[120.0, 110.0], [220.0, 210.0], [320.0, 310.0]])
     drawn = drawing.draw(first_key(N), {"mass": ([2, 1], masses), "hs_min": ([1], masses[:, 1:])})
     two, one = drawn.values
-    default = float(drawing.simulators[0].sat_args.table["mass"].default)
+    default = float(drawing.simulators[0].type.arguments.sat_args.table["mass"].default)
     assert two["mass"].view(N, 2).tolist() == [[default, 120.0], [default, 220.0], [default, 320.0]]
     assert one["mass"].tolist() == one["hs_min"].tolist() == [110.0, 210.0, 310.0]
     assert len(two["hs_min"]) == 1

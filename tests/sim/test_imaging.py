@@ -22,6 +22,7 @@ from bsk_torch.sim.fsw import guidance, instrument, target
 from bsk_torch.sim.simulator import Simulator
 from bsk_torch.vec3 import Vec3
 from tests.sim.buses import plane, write
+from tests.sim.simulators import make_simulator
 
 CONTROLLER = np.load(Path(__file__).with_name("data") / "controller.npz")
 """Recorded by tests/basilisk/recorders/record_modules.py: simpleInstrumentController under random errors, access and tasks."""
@@ -210,9 +211,11 @@ def imager(backend: str) -> Simulator:
     """Satellites on one orbit in different modes, each image row with a place ahead of it and a partition; images end runs."""
     n = len(MODES)
     models = dyn.GroundStationDynModel, fsw.SteeringImagerFSWModel
-    options = dict(num_envs=n, device=torch.device("cpu"), dtype=torch.float64, sim_rate=1.0, horizon=600.0, stops=True)
-    simulator = Simulator(*models, ARGS, WORLD, orbit="arc", backend=backend, **options)
-    simulator.reset(simulator.state.all_rows, simulator.draw(first_key(n)), torch.full((n,), 600.0, dtype=torch.float64))
+    options = dict(num_envs=n, dtype=torch.float64, sim_rate=1.0, horizon=600.0, stops=True)
+    simulator = make_simulator(*models, ARGS, WORLD, orbit="arc", backend=backend, **options)
+    simulator.reset(
+        simulator.state.all_rows, simulator.type.arguments.draw(first_key(n)), torch.full((n,), 600.0, dtype=torch.float64)
+    )
     modes = torch.cat([simulator.mode_index(mode)[:1] for mode in MODES])
     simulator.command(torch.ones(n, dtype=torch.bool), modes)
     view = simulator.tick.state.view
@@ -307,9 +310,11 @@ def test_float32_has_the_same_data():
     """Counters are exact in the mixed mode, too, here without ground stations and with feedback control."""
     models = dyn.ImagingDynModel, fsw.ImagingFSWModel
     args = {name: value for name, value in ARGS.items() if name not in ("K1", "omega_max", "servo_P")}
-    options = dict(num_envs=2, device=torch.device("cpu"), dtype=torch.float32, sim_rate=1.0, horizon=600.0, backend="eager")
-    simulator = Simulator(*models, args, {"utc_init": WORLD["utc_init"]}, **options)
-    simulator.reset(simulator.state.all_rows, simulator.draw(first_key(2)), torch.full((2,), 600.0, dtype=torch.float64))
+    options = dict(num_envs=2, dtype=torch.float32, sim_rate=1.0, horizon=600.0, backend="eager")
+    simulator = make_simulator(*models, args, {"utc_init": WORLD["utc_init"]}, **options)
+    simulator.reset(
+        simulator.state.all_rows, simulator.type.arguments.draw(first_key(2)), torch.full((2,), 600.0, dtype=torch.float64)
+    )
     simulator.tick.state.view(simulator.state.planes, "r_LP_P")[:] = places()[2:3].mT
     simulator.command(torch.ones(2, dtype=torch.bool), simulator.mode_index("image"))
     simulator.run(torch.tensor([TICKS, 1]))

@@ -15,7 +15,7 @@ from bsk_torch.rand import first_key
 from bsk_torch.sim import dyn, fsw
 from bsk_torch.sim.component import Component, Field, collect
 from bsk_torch.sim.schedule import SCHEDULE, Slot
-from bsk_torch.sim.simulator import Simulator
+from tests.sim.simulators import make_simulator
 
 NADIR_SCAN = (
     *("earth_pole", "ground_stations", "location_target", "ephemeris", "eclipse", "orbit", "hub", "wheels", "thrusters"),
@@ -137,7 +137,7 @@ def test_a_dynamics_model_has_another_order():
     order = env.simulator.tick.schedule
     first = order.index("battery")
     assert order[first : first + 5] == ("battery", "probe", "radiator", "watch", "wheel_power")
-    printed = tick_lines(env.simulator.tick, env.simulator.schedule)
+    printed = tick_lines(env.simulator.tick, env.simulator.type.schedule)
     assert [line.split()[0] for line in printed if "heat that leaves the spacecraft (none)" in line] == ["radiator"]
     other = type("Other", (ScanningSatellite,), {"fsw_type": (RadiatorFSWModel, FSW)})
     with pytest.raises(ValueError, match="slot='watch' has after='radiator', which is no slot of a tick"):
@@ -186,9 +186,9 @@ class Measuring(dyn.DynamicsModel):
 
 @pytest.mark.parametrize("backend", ["eager", pytest.param("compiled", marks=pytest.mark.compiled)])
 def test_components_of_the_world_take_part_in_the_tick_at_time_zero(backend):
-    options = dict(num_envs=2, device=torch.device("cpu"), dtype=torch.float64, sim_rate=1.0, horizon=600.0, backend=backend)
-    simulator = Simulator(Measuring, fsw.FSWModel, {}, world_args={}, orbit="arc", segment=600.0, **options)
-    simulator.reset(simulator.state.all_rows, simulator.draw(first_key(2)), torch.zeros(2, dtype=torch.float64))
+    options = dict(num_envs=2, dtype=torch.float64, sim_rate=1.0, horizon=600.0, backend=backend)
+    simulator = make_simulator(Measuring, fsw.FSWModel, {}, {}, orbit="arc", segment=600.0, **options)
+    simulator.reset(simulator.state.all_rows, simulator.type.arguments.draw(first_key(2)), torch.zeros(2, dtype=torch.float64))
     torch.testing.assert_close(simulator.read("sun_range"), simulator.world.r_SN_N.norm(dim=-1), rtol=1e-9, atol=0)
     names = "sun_calls", "starts", "calls"
     assert [simulator.read(name).tolist() for name in names] == [[1.0, 1.0], [1.0, 1.0], [0.0, 0.0]]

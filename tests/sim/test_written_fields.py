@@ -8,15 +8,16 @@ import torch
 from bsk_torch.rand import first_key
 from bsk_torch.sim import dyn, fsw
 from bsk_torch.sim.simulator import Simulator
+from tests.sim.simulators import make_simulator
 
-OPTIONS = dict(num_envs=2, device=torch.device("cpu"), dtype=torch.float64, sim_rate=1.0, horizon=0.0, backend="eager")
+OPTIONS = dict(num_envs=2, dtype=torch.float64, sim_rate=1.0, horizon=0.0, backend="eager")
 ALL = torch.tensor([True, True])
 ORBIT = {"oe": [7e6, 0.001, 1.0, 0.1, 0.2, 0.3]}
 
 
 def simulator(dyn_type: type, fsw_type: type, **options) -> Simulator:
-    found = Simulator(dyn_type, fsw_type, ORBIT, {}, **(OPTIONS | options))
-    found.reset(found.state.all_rows, found.draw(first_key(2)), torch.zeros(2, dtype=torch.float64))
+    found = make_simulator(dyn_type, fsw_type, ORBIT, {}, **(OPTIONS | options))
+    found.reset(found.state.all_rows, found.type.arguments.draw(first_key(2)), torch.zeros(2, dtype=torch.float64))
     return found
 
 

@@ -18,6 +18,7 @@ from bsk_torch.astro.attitude import mrp_to_dcm
 from bsk_torch.astro.ephemeris import EARTH_ROTATION_RATE
 from bsk_torch.astro.orbit import Elements, hill_frame, hill_rate, rv_to_elements
 from bsk_torch.codegen.ir import Loop, UntraceableError
+from bsk_torch.codegen.kept import Kept, of_package
 from bsk_torch.codegen.kernel import Kernel
 from bsk_torch.codegen.trace import Tracer
 from bsk_torch.sim.component import Bus, MissingMessageError, neighbours
@@ -137,6 +138,10 @@ def _tensor(value: Any) -> Tensor:
     return value.clone() if value._is_view() else value
 
 
+KERNELS: Kept[ObserverKernel] = Kept(32)
+"""Kernels of observables of the package."""
+
+
 class Observer:
     """Reads observables of a simulation, each at most once between two changes of its state."""
 
@@ -181,7 +186,7 @@ class Observer:
     def _compute(self) -> dict[Function, Tensor]:
         if self._kernel is None:
             try:
-                self._kernel = ObserverKernel(self.state, self.wanted)
+                self._kernel = ObserverKernel.of(self.state, self.wanted)
             except UntraceableError as error:
                 logger.warning("%s; observations are computed on tensors instead, which is slower", error)
                 self.kernels = False
@@ -208,6 +213,15 @@ def now_on_tensors(state: SatelliteState, arcs: Arcs) -> Now:
 
 class ObserverKernel:
     """The kernel that computes several observables at once."""
+
+    @classmethod
+    def of(cls, state: SatelliteState, functions: tuple[Function, ...]) -> ObserverKernel:
+        """Return the kernel of some functions, a kept one if they are the package's; see :mod:`bsk_torch.codegen.kept`."""
+        if not of_package(functions):
+            return cls(state, functions)
+        arguments = repr((state.arguments.places, state.constants))
+        key = functions, tuple(state.layout.fields.values()), arguments
+        return KERNELS.get(key, lambda: cls(state, functions))
 
     def __init__(self, state: SatelliteState, functions: Sequence[Function]) -> None:
         """Build the kernel; UntraceableError for a function that has none."""

@@ -144,7 +144,7 @@ def _modes(env: Tasking, row: int) -> list[str]:
 
 def command_of(simulator: Simulator, mode: str) -> str:
     """Return the name of the command that enters a mode: ``"desat"`` for ``"desat_nadir"``, and mostly the mode's own."""
-    wider = (name for name, command in simulator.commands.items() if mode in command.modes and len(command.modes) > 1)
+    wider = (name for name, command in simulator.type.commands.items() if mode in command.modes and len(command.modes) > 1)
     return next(wider, mode)
 
 

@@ -60,7 +60,7 @@ def test_a_component_brings_a_flag(backend):
 
 def test_fields_of_components_are_reset():
     env = environment({"charge": fsw.Mode(("control_on", "sun_on"), {"sun_fresh": 0.25})})
-    planes, resets, values = env.simulator.resets
+    planes, resets, values = env.simulator.type.resets
     plane = env.simulator.tick.state.slices["sun_fresh"].start
     row, mode = planes.tolist().index(plane), env.simulator.mode_names.index("charge")
     assert resets[row, mode]

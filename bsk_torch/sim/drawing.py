@@ -1,0 +1,182 @@
+"""Draws of the arguments of the satellites of one type, and what trial draws show."""
+
+from __future__ import annotations
+
+import dataclasses
+import logging
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor
+
+from bsk_torch.constants import NANO
+from bsk_torch.rand import Key, first_key
+from bsk_torch.sim.component import Arg, Component
+from bsk_torch.sim.given import Answers
+from bsk_torch.sim.initial_orbits import check_orbits
+from bsk_torch.sim.params import Arguments, Overrides, merge
+
+logger = logging.getLogger(__name__)
+
+ArgumentChange = tuple[int, str, Any, Sequence[int] | None]
+"""See :meth:`bsk_torch.sim.params.Arguments.changed`."""
+
+
+class Looked(dict[str, Any]):
+    """Values by name that remember which of them were looked at."""
+
+    def __init__(self, given: Mapping[str, Any]) -> None:
+        """Keep the values."""
+        super().__init__(given)
+        self.seen: set[str] = set()
+
+    def __getitem__(self, name: str) -> Any:
+        """Return a value."""
+        self.seen.add(name)
+        return super().__getitem__(name)
+
+    def get(self, name: str, default: Any = None) -> Any:
+        """Return a value, or the default."""
+        self.seen.add(name)
+        return super().get(name, default)
+
+
+class TrialDraw(NamedTuple):
+    """What a trial draw shows.
+
+    Attributes:
+        values: Arguments of one or two environments by name.
+        parameters: Parameters that follow from them by name.
+        uniform: Names of the parameters that are the same for all rows.
+    """
+
+    values: dict[str, Any]
+    parameters: dict[str, Tensor]
+    uniform: set[str]
+
+
+@dataclass(frozen=True)
+class TypeArguments:
+    """Arguments of the satellites of one type and of their world, and their draws.
+
+    Attributes:
+        sat_args: Arguments of the models.
+        world_args: Arguments of the world.
+        parts: Components of world and satellites, which check them, in the order of a tick.
+        h_ns: Length of a tick, ns.
+        on_arc: Whether orbits are solved in advance.
+        controlled: Whether actions may switch attitude control on, so that its gains matter.
+        randomize: Draws arguments that replace those of some satellites.
+        taken: Names of what the scenario draws.
+    """
+
+    sat_args: Arguments
+    world_args: Arguments
+    parts: tuple[Component, ...]
+    h_ns: int
+    on_arc: bool
+    controlled: bool
+    randomize: Callable[[Key], Overrides]
+    taken: frozenset[str]
+    _logged: set[str] = field(default_factory=set)
+    """What has been logged about arguments."""
+    _fits: dict[str, Arguments] = field(default_factory=dict)
+    """Arguments that are known to fit the length of a tick, by slot."""
+
+    @property
+    def count(self) -> int:
+        """Number of satellites of the type in an environment."""
+        return len(self.sat_args.columns)
+
+    def is_new(self, about: str) -> bool:
+        """Return whether nothing has been logged about a part yet, so that the caller logs it once."""
+        new = about not in self._logged
+        self._logged.add(about)
+        return new
+
+    def arguments_with(self, name: str) -> Arguments:
+        """Return the arguments, of satellites or world, that have a name."""
+        return self.sat_args if name in self.sat_args.table else self.world_args
+
+    def argument(self, name: str) -> Arg:
+        """Return the entry of an argument of satellites or world."""
+        return self.arguments_with(name).table[name]
+
+    def draw(
+        self,
+        key: Key,
+        world: Mapping[str, Any] | None = None,
+        given: Overrides | None = None,
+        answers: Sequence[Answers] | None = None,
+    ) -> dict[str, Any]:
+        """Return the arguments from which episodes of the key's n environments start; raises before anything has changed.
+
+        Args:
+            key: Key of the environments.
+            world: Arguments of the world that have been drawn already, such as by a simulation of other satellites.
+            given: Arguments that replace those of some satellites.
+            answers: What functions of the user returned for each environment; unless given, they are called now.
+
+        Returns:
+            Values of satellites and world by name, [1, ...] or [n * count, ...].
+        """
+        around, count = self.world_args.draw(key, world, answers), self.count
+        random = (name for name in around if count > 1 and self.world_args.is_random(name))
+        values = {**around, **{name: around[name].repeat_interleave(count, 0) for name in random}}
+        values |= self.sat_args.draw(key, None, answers)
+        for name, (columns, replaced) in (given or {}).items():
+            values[name] = self.sat_args.override(name, values.get(name), columns, replaced)
+        if taken := sorted(values.keys() & self.taken):
+            raise ValueError(f"the scenario draws {taken}, which are arguments of satellite or world; give them other names")
+        for part in self.parts:
+            part.check(values)
+        self._check_tick(values, bool(given))
+        check_orbits(values, on_arc=self.on_arc)
+        return values
+
+    def _check_tick(self, values: dict[str, Any], replaced: bool) -> None:
+        """Check that arguments fit the length of a tick; marginal values are logged once for each part of a model.
+
+        Parts whose check reads no random argument are checked once, unless arguments of some satellites are ``replaced``.
+        """
+        wrong = []
+        for part in self.parts:
+            known = self._fits.get(part.slot) is self.sat_args and not replaced
+            if known or (part.slot == "control" and not self.controlled):
+                continue
+            looked = Looked(values)
+            try:
+                words = part.check_tick(looked, self.h_ns * NANO)
+            except ValueError as error:
+                wrong.append(str(error))
+                continue
+            if not replaced and not any(self.arguments_with(name).is_random(name) for name in looked.seen):
+                self._fits[part.slot] = self.sat_args
+            if words and self.is_new(part.slot):
+                logger.warning("sat_args: %s", words)
+        if wrong:
+            raise ValueError(f"sat_args: {'; and '.join(wrong)}")
+
+    def changed(self, own: Sequence[ArgumentChange], world: Sequence[ArgumentChange]) -> TypeArguments:
+        """Return arguments with other values; these are kept as they are. KeyError, ValueError for wrong changes."""
+        return dataclasses.replace(self, sat_args=self.sat_args.changed(own), world_args=self.world_args.changed(world))
+
+    def trial(self, num_envs: int, envs: Sequence[int] = ()) -> TrialDraw:
+        """Return a trial draw of a batch of ``num_envs`` environments; the first of ``envs`` takes part in it."""
+        key = first_key(min(2, num_envs))
+        if envs:
+            key = dataclasses.replace(key, env_id=torch.tensor([envs[0], *envs[-1:]])[: len(key)])
+        given = self.randomize(key)
+        values = self.draw(key, given=given)
+        parameters = merge(values, self.parts, "prepare")
+        uniform = {name for name, value in parameters.items() if len(value) == 1}
+        if num_envs * self.count == 1:  # a batch of one shows only so what follows from no random argument
+            random = {name for args in (self.sat_args, self.world_args) for name in args.table if args.is_random(name)}
+            double = {
+                name: torch.cat([value, value]) if name in {*random, *given} and isinstance(value, Tensor) else value
+                for name, value in values.items()
+            }
+            uniform &= {name for name, value in merge(double, self.parts, "prepare").items() if len(value) == 1}
+        return TrialDraw(values, parameters, uniform)

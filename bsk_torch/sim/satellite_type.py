@@ -1,0 +1,337 @@
+"""What all simulations of satellites of one type share: models, arguments, modes, the tick and its kernels.
+
+A :class:`SatelliteType` is made once, by :func:`satellite_type`, and handed to every simulator of such satellites: that of the
+trial episodes of an environment, of its batch, of its prepared episodes, and of other environments of the same make. Nothing of
+it changes; other arguments make another type (:meth:`SatelliteType.changed`).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import logging
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from bsk_torch._checks import number
+from bsk_torch.codegen.kept import Kept, of_package
+from bsk_torch.rand import Key
+from bsk_torch.sim.component import Bus, Component, Field, MissingMessageError, declared
+from bsk_torch.sim.composition import check_required_dyn, provided_by, world_components, world_of
+from bsk_torch.sim.drawing import ArgumentChange, Looked, TrialDraw, TypeArguments
+from bsk_torch.sim.dyn import hub
+from bsk_torch.sim.dyn.field import prepare
+from bsk_torch.sim.dyn.models import DynamicsModel
+from bsk_torch.sim.fsw.models import Command, FSWModel, MagicOrbitalManeuverFSWModel
+from bsk_torch.sim.fsw.modes import Mode, mode_table
+from bsk_torch.sim.params import Arguments, Overrides, merge
+from bsk_torch.sim.run import Runners, TickLoop, make_runners
+from bsk_torch.sim.schedule import Schedule
+from bsk_torch.sim.tick import ARC_ORBIT, Tick
+from bsk_torch.sim.world import WorldModel
+
+logger = logging.getLogger(__name__)
+
+Ticks = Kept[tuple[Tick, Runners]]
+"""Ticks, with what runs them, by their identity."""
+
+TICKS: Ticks = Kept(32)
+"""Ticks of components of the package that the process has made last: there are fewer presets."""
+
+ORBITS = ("arc", "integrated")
+
+SHORTEST_TICK, LONGEST_TICK = 1e-3, 60.0
+"""Bounds of the length of a tick, s. With shorter ones a step of minutes takes millions of ticks; longer ones than a minute would
+pass over the nodes of arcs."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SimulationOptions:
+    """How satellites are simulated; all satellites of an environment have the same.
+
+    Attributes:
+        device: Device of all tensors.
+        dtype: Type of attitude, wheels and flight software; everything is stored, and the rest computed, in float64.
+        sim_rate: Length of a tick, s.
+        orbit: ``"arc"``, ``"integrated"``, or None for the default of the dynamics model.
+        backend: ``"compiled"`` or ``"eager"``.
+        compat: ``"bsk_rl"`` for bsk_rl's errors.
+        replan: Whether windows and eclipses follow manoeuvres.
+    """
+
+    device: torch.device
+    dtype: torch.dtype = torch.float64
+    sim_rate: float = 1.0
+    orbit: str | None = None
+    backend: str = "compiled"
+    compat: str | None = None
+    replan: bool = True
+
+
+@dataclass(frozen=True, kw_only=True)
+class Usage:
+    """How an environment uses the satellites of one type.
+
+    Attributes:
+        columns: Numbers of the satellites among all those of an environment, of other types too.
+        stops: Whether events such as an image end a run.
+        controlled: Whether actions may switch attitude control on, so that its gains matter.
+        segment: Seconds by which look-ahead windows are extended.
+        randomize: Draws arguments that replace those of some satellites.
+        followed: Fields that the satellites record which components follow, by their slot; see :mod:`bsk_torch.sim.trace`.
+        recorded: Fields of the hub that runs record, those of components aside.
+        drawn: Names of what the scenario draws.
+    """
+
+    columns: tuple[int, ...] = (0,)
+    stops: bool = False
+    controlled: bool = True
+    segment: float = 600.0
+    randomize: Callable[[Key], Overrides] = lambda key: {}
+    followed: Mapping[str, Sequence[Field]] = field(default_factory=dict)
+    recorded: tuple[str, ...] = ()
+    drawn: frozenset[str] = frozenset()
+
+
+@dataclass(frozen=True)
+class SatelliteType:
+    """Satellites of one type: what their simulations share.
+
+    Attributes:
+        arguments: Arguments of satellites and world, and their draws.
+        structural: Names of arguments for which components were built, so that they cannot change.
+        world_type: World model.
+        schedule: The order of a tick.
+        modes: Flight modes by name.
+        commands: Commands of the flight software by name.
+        has_tank: Whether the satellites can change their velocity.
+        h_ns: Length of a tick, ns.
+        orbit: ``"arc"`` or ``"integrated"``.
+        gravity_degree: Degree of the Earth's field.
+        options: How they are simulated.
+        usage: How the environment uses them.
+        trial: Arguments of a trial draw, by whose shapes states are laid out.
+        tick: Their tick.
+        runners: What runs it.
+        uniform: Values of the parameters of ``tick.shared``, [C, 1].
+        flag_table: Flags of the modes, [F, M].
+        resets: Planes [P] of the state that some mode resets, masks of the modes that do, and the values, [P, M] each.
+    """
+
+    arguments: TypeArguments
+    structural: frozenset[str]
+    world_type: type[WorldModel]
+    schedule: Schedule
+    modes: Mapping[str, Mode]
+    commands: Mapping[str, Command]
+    has_tank: bool
+    h_ns: int
+    orbit: str
+    gravity_degree: int
+    options: SimulationOptions
+    usage: Usage
+    trial: Mapping[str, Any]
+    tick: Tick
+    runners: Runners
+    uniform: Tensor
+    flag_table: Tensor
+    resets: tuple[Tensor, Tensor, Tensor]
+    _num_envs: int
+    """Number of environments of the batch for which trial draws are made."""
+
+    @property
+    def as_bsk_rl(self) -> bool:
+        """Whether bsk_rl's errors are repeated."""
+        return self.options.compat == "bsk_rl"
+
+    @functools.cached_property
+    def mode_names(self) -> tuple[str, ...]:
+        """Names of the modes, in the order of their numbers."""
+        return tuple(self.modes)
+
+    @functools.cached_property
+    def alone(self) -> SatelliteType:
+        """The first satellite without the others: the same tick for fewer rows."""
+        arguments = dataclasses.replace(self.arguments, sat_args=self.arguments.sat_args.of_first())
+        usage = dataclasses.replace(self.usage, columns=self.usage.columns[:1])
+        return dataclasses.replace(self, arguments=arguments, usage=usage)
+
+    def changed(self, own: Sequence[ArgumentChange], world: Sequence[ArgumentChange]) -> SatelliteType:
+        """Return the type with other arguments of satellites and world, which a trial draw checks.
+
+        Its tick is the same, unless parameters that all rows shared may differ now.
+
+        Raises:
+            KeyError, ValueError: For wrong changes.
+        """
+        for _, name, _, _ in (*own, *world):
+            if name in self.structural:
+                raise ValueError(
+                    f"{name} was the same for all environments when this one was built, and components were made for it; give a "
+                    "distribution, such as rand.Choice, when an environment is built, and it can be changed"
+                )
+        arguments = self.arguments.changed(own, world)
+        trial = arguments.trial(self._num_envs, [env for *_, envs in (*own, *world) for env in envs or ()])
+        for _, name, _, _ in (*own, *world):
+            had = isinstance(self.trial[name], Tensor)
+            if isinstance(trial.values[name], Tensor) != had:
+                was = "a value" if had else "None"
+                raise ValueError(f"{name} had {was} when the environment was built, which decides what is built; build another")
+        new = dataclasses.replace(self, arguments=arguments)
+        differ = set(self.tick.shared.fields) - trial.uniform
+        return new._with_own(differ) if differ else new
+
+    def _with_own(self, names: set[str]) -> SatelliteType:
+        """Return the type in which parameters, which were the same for all rows so far, may differ: it has another tick."""
+        logger.info("a tick is built in which %s may differ between environments", sorted(names))
+        old = self.tick
+        tick = old.with_shared(set(old.shared.fields) - names)
+        planes = [p for name in tick.shared.fields for p in range(old.shared.slices[name].start, old.shared.slices[name].stop)]
+        runners = make_runners(tick, self.options.backend, self.options.device, self.arguments.count)
+        return dataclasses.replace(self, tick=tick, runners=runners, uniform=self.uniform[planes].contiguous())
+
+
+def satellite_type(
+    models: tuple[type[DynamicsModel], type[FSWModel]],
+    sat_args: Mapping[str, Any] | Sequence[Mapping[str, Any]],
+    world_args: Mapping[str, Any],
+    options: SimulationOptions,
+    usage: Usage,
+    *,
+    num_envs: int = 2,
+    world_type: type[WorldModel] | None = None,
+    ticks: Ticks | None = None,
+) -> SatelliteType:
+    """Build the tick of satellites, and check their arguments with trial draws.
+
+    Args:
+        models: Dynamics model and flight-software model.
+        sat_args: Arguments of both by name: those of all satellites, or of each.
+        world_args: Arguments of the world by name.
+        options: How the satellites are simulated.
+        usage: How the environment uses them.
+        num_envs: Number of environments of the batch for which the type is made.
+        world_type: World model; None for what the dynamics model requires.
+        ticks: Ticks of users' components that types of the same environment have made, which are used again; see
+            :mod:`bsk_torch.codegen.kept`.
+
+    Raises:
+        TypeError: For models that do not fit together, or a component that reads what none writes.
+        ValueError: For an argument, or an option, that is not allowed.
+    """
+    dyn_type, fsw_type = models
+    h_ns = whole_nanoseconds(number("sim_rate", options.sim_rate, SHORTEST_TICK, LONGEST_TICK, unit="s"))
+    orbit = dyn_type.orbit if options.orbit is None else options.orbit
+    if orbit not in ORBITS:
+        raise ValueError(f"orbit={orbit!r} must be one of {list(ORBITS)}, or None for the model's own")
+    check_required_dyn(dyn_type, fsw_type)
+    world, around = world_of(dyn_type, world_type), world_components(dyn_type, world_type)
+    own = (*dyn_type.all_components(), *fsw_type.all_components())
+    arguments = Arguments(around, world_args, "world_args"), Arguments(own, sat_args, "sat_args", usage.columns)
+    looked = [Looked(args.given) for args in arguments]
+    around, own = (fitted(some, given) for some, given in zip((around, own), looked, strict=True))
+    own = tuple(part for part in own if not (part.mends and options.compat == "bsk_rl"))
+    parts = dyn_type.schedule.ordered((*(dataclasses.replace(part, at_start=True) for part in around), *own))
+    # a component of the user's own in the slot of another may leave the flags and resets to that one
+    known = (*declared(world, dyn_type, fsw_type), *parts)
+    modes, on_arc = mode_table(fsw_type.all_modes(), known), orbit == "arc"
+    flags = dict.fromkeys(flag for part in known for flag in part.flags)
+    on = [[float(flag in (mode.on or ())) for mode in modes.values()] for flag in flags]
+    drawing = TypeArguments(
+        arguments[1], arguments[0], parts, h_ns, on_arc, usage.controlled, usage.randomize, frozenset(usage.drawn)
+    )
+    trial = drawing.trial(num_envs)
+    rotate = hub.rotate if on_arc else hub.integrator(dyn_type.gravity_degree)
+    running = _running(parts, dyn_type.schedule, on_arc, rotate, usage.recorded)
+    opaque = options.device.type != "cpu"
+    if opaque and not on_arc:
+        prepare(options.device, torch.float64, dyn_type.gravity_degree)
+    tick = Tick(running, trial.uniform, h_ns, on_arc, options.dtype, opaque, usage.stops, usage.followed, flags)
+    return SatelliteType(
+        arguments=drawing,
+        structural=frozenset(
+            name for args, given in zip(arguments, looked, strict=True) for name in given.seen if not args.is_random(name)
+        ),
+        world_type=world,
+        schedule=dyn_type.schedule,
+        modes=modes,
+        commands=fsw_type.all_commands(),
+        has_tank=issubclass(fsw_type, MagicOrbitalManeuverFSWModel),
+        h_ns=h_ns,
+        orbit=orbit,
+        gravity_degree=dyn_type.gravity_degree,
+        options=options,
+        usage=usage,
+        trial=trial.values,
+        tick=tick,
+        runners=_runners(tick, trial, drawing, options, Kept(1) if ticks is None else ticks),
+        uniform=tick.shared.rows(trial.parameters, 1).to(options.device).contiguous(),
+        flag_table=torch.tensor(on, device=options.device, dtype=torch.float64),
+        resets=_resets(tick, modes, dict(reset for part in known for reset in part.resets), options.device),
+        _num_envs=num_envs,
+    )
+
+
+def whole_nanoseconds(seconds: float) -> int:
+    """Return seconds on Basilisk's clock."""
+    return int(seconds * 1e9 + 0.5)
+
+
+def fitted(parts: tuple[Component, ...], given: Mapping[str, Any]) -> tuple[Component, ...]:
+    """Return the parts with the structure that the given arguments need."""
+    return tuple(part.fit(given) if part.fit else part for part in parts)
+
+
+def _running(
+    parts: Sequence[Component], schedule: Schedule, on_arc: bool, rotate: Callable[[Bus], None], recorded: Sequence[str]
+) -> tuple[Component, ...]:
+    """Return the components that run in a tick, in their order; the hub is updated by ``rotate``, and records ``recorded``."""
+    running = tuple(part for part in parts if not (on_arc and part.integrated_only))
+    running = schedule.ordered((*running, ARC_ORBIT)) if on_arc else running
+    return tuple(
+        dataclasses.replace(part, update=rotate, records=(*part.records, *recorded)) if part.slot == "hub" else part
+        for part in running
+    )
+
+
+def _runners(tick: Tick, trial: TrialDraw, arguments: TypeArguments, options: SimulationOptions, ticks: Ticks) -> Runners:
+    """Return the runners of a tick, those of an equal one if it has been made.
+
+    A new one runs once on a trial draw, or is traced; TypeError for a component that reads what none writes, with the models that
+    provide it.
+    """
+
+    def make() -> tuple[Tick, Runners]:
+        try:
+            runners = make_runners(tick, options.backend, options.device, arguments.count)
+            if isinstance(runners.run, TickLoop):  # kernels have been traced, which shows the same
+                n = max(len(value) for value in trial.values.values() if isinstance(value, Tensor))
+                state = tick.state.rows(merge(trial.values, arguments.parts, "initial"), n)
+                tick.check_messages(state, tick.shared.rows(trial.parameters, 1), tick.own.rows(trial.parameters, n))
+        except MissingMessageError as error:
+            raise TypeError(f"{error}; {provided_by(str(error.name))}") from None
+        return tick, runners
+
+    known = options.device.type == "cpu" and of_package(tick.functions)
+    _, runners = (TICKS if known else ticks).get((tick.identity, options.backend, options.device), make)
+    runners.build(arguments.count)
+    return runners
+
+
+def _resets(
+    tick: Tick, modes: Mapping[str, Mode], always: Mapping[str, float], device: torch.device
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Return the planes of the state that some mode resets; see :class:`SatelliteType`."""
+    layout, rows = tick.state, []
+    for name in sorted({name for mode in modes.values() for name in mode.resets} | set(always)):
+        if name in layout.fields:
+            given = [mode.resets.get(name, always.get(name)) for mode in modes.values()]
+            rows += [(plane, given) for plane in range(layout.slices[name].start, layout.slices[name].stop)]
+    planes = torch.tensor([plane for plane, _ in rows], dtype=torch.int64, device=device)
+    resets = torch.tensor([[v is not None for v in given] for _, given in rows], dtype=torch.bool, device=device)
+    values = torch.tensor([[v or 0.0 for v in given] for _, given in rows], dtype=torch.float64, device=device)
+    return planes, resets.view(len(rows), len(modes)), values.view(len(rows), len(modes))
