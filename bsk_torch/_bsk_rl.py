@@ -197,7 +197,7 @@ ADVICE: dict[str, str] = {name: advice for advice, names in GROUPS.items() for n
     "docs/how_to/own_component.md",
     "collect_default_args": "is default_sat_args() of a satellite class here",
     "check_aliveness_checkers": "is satellite.is_alive() here, and satellite.aliveness() for each check",
-    "Resetable": "has four hooks in bsk_rl; here values of an episode are tensors that are declared once and start anew with it: "
+    "Resetable": "has four hooks in bsk_rl; here values of an episode are tensors that are declared once and reset with it: "
     "fleet.memory.declare(name, initial_value)",
     "idealMonarc1Octet": "makes Basilisk's thrusters, which dyn.BasicDynamicsModel has: act.Desat fires them",
     "TrajectorySimulator": "looks ahead along an orbit; here satellites do: satellite.find_next_opportunities(n), "

@@ -1,4 +1,4 @@
-"""Distributions of the orbits of several satellites: constellations and formations, drawn anew in every episode.
+"""Distributions of the orbits of several satellites: constellations and formations, drawn in every episode.
 
 Values of ``sat_args`` are drawn for each satellite on its own; a :class:`Formation` draws values of several satellites that
 belong together. ``walker_delta``, ``walker_delta_args`` and ``relative_to_chief`` have the meaning that they have in bsk_rl.
@@ -59,7 +59,7 @@ Number = float | Distribution
 
 UNUSED = {
     "draw_checked": "define draw(key, names)",
-    "reset": "every episode is drawn anew: define draw(key, names)",
+    "reset": "every episode is drawn: define draw(key, names)",
     "__call__": "define draw(key, names)",
 }
 """Names that are no hooks of formations, and what to write instead."""

@@ -1,6 +1,6 @@
 """Initial attitudes, spins and wheel speeds under the names of bsk_rl's utilities; what is random is a distribution.
 
-``sat_args=dict(sigma_init=random_tumble()[0], omega_init=random_tumble()[1])`` draws anew for each environment and episode, and
+``sat_args=dict(sigma_init=random_tumble()[0], omega_init=random_tumble()[1])`` draws values for each environment and episode, and
 so does the same in a function without arguments, as bsk_rl's programs write it.
 """
 

@@ -205,17 +205,17 @@ _drawing = False
 
 
 @contextmanager
-def seeded(key: Key, anew: bool = False) -> Iterator[Iterator[Key]]:
+def seeded(key: Key, reseed: bool = False) -> Iterator[Iterator[Key]]:
     """Seed the global generators of NumPy, ``random`` and torch for functions of the user that draw values with them.
 
     Iterating over the result gives the key of each environment, and seeds the generators from it before; what a function draws
     then depends on nothing but the key. Their states are put back at the end. Where one of these contexts contains another, the
-    outer one seeds, unless the inner one begins ``anew``. Gradients are recorded, so that a value that depends on parameters can
+    outer one seeds, unless the inner one is to ``reseed``. Gradients are recorded, so that a value that depends on parameters can
     be told, see :func:`bsk_torch._checks.no_gradient`.
     """
     global _drawing
     rows = (key.take([k]) for k in range(len(key)))
-    if _drawing and not anew:
+    if _drawing and not reseed:
         yield rows
         return
     states, within = (np.random.get_state(), random.getstate(), torch.default_generator.get_state()), _drawing

@@ -14,7 +14,7 @@ policy in training; the curriculum is what stands between a step and the resets 
 
 - the arguments that depend on the level are ``rand.per_env`` tensors, a number or three for each environment;
 - when episodes end, their levels change, the tensors are written, and ``env.set_sat_args(..., envs=ended)`` tells the environment
-  which episodes are drawn anew. Nothing is compiled for that.
+  which episodes draw again. Nothing is compiled for that.
 """
 
 from __future__ import annotations
@@ -120,7 +120,7 @@ def main() -> None:
         if step % max(1, args.steps // 10) == 0:
             mean, low, high = curriculum.level.mean(), curriculum.level.min(), curriculum.level.max()
             print(f"step {step}: {episodes} episodes, {successes} survived, level {mean:.2f} ({low:.2f} to {high:.2f})")
-    print("nothing was built anew" if env.simulator.tick is kernel else "a tick was built anew")
+    print("nothing was rebuilt" if env.simulator.tick is kernel else "a tick was rebuilt")
     if args.figure is not None:
         draw(torch.stack(levels), args.figure)
 

@@ -396,7 +396,7 @@ def test_the_pure_functions_refuse_as_well():
 @pytest.mark.parametrize(
     ("name", "function", "message"),
     [
-        ("reset", lambda self: None, r"Mine.reset is never used; every episode is drawn anew: define draw\(key, names\)"),
+        ("reset", lambda self: None, r"Mine.reset is never used; every episode is drawn: define draw\(key, names\)"),
         ("draws", lambda self, key, names: {}, "Mine.draws is never used; did you mean 'draw'"),
         ("draw", lambda self, key: {}, r"Mine.draw\(self, key\) cannot be called as draw\(key, names\)"),
     ],

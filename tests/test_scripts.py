@@ -146,7 +146,7 @@ STARTS: dict[str, list[Start]] = {
     "examples/curriculum.py": [
         Start(
             "--num-envs 4 --steps 10 --time-limit 360 --rise 0.5 --figure levels.png",
-            r"(?s)step 10: \d+ episodes.*nothing was built anew",
+            r"(?s)step 10: \d+ episodes.*nothing was rebuilt",
         ),
     ],
     "scripts/demo.sh": [Start(f"{TRAIN} --out {{tmp}}/run", "trained")],

@@ -21,7 +21,7 @@ HOOKS = ("n_actions", "n_negative_actions", "link_satellite", "names", "table", 
 """Members of :class:`Action` that subclasses may define."""
 
 MEMORY = (
-    "keep values that start anew with every episode in satellite.simulator.memory; declare them in link_satellite(satellite): "
+    "keep values that are reset with every episode in satellite.simulator.memory; declare them in link_satellite(satellite): "
     "memory.declare(name, initial_value)"
 )
 

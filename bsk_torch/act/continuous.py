@@ -41,7 +41,7 @@ UNUSED = {
 class ContinuousAction:
     """The only entry of an ``action_spec``: actions of A real numbers.
 
-    N is the number of satellites of the type. Every action is carried out anew, also one that equals the one before: the flight
+    N is the number of satellites of the type. Every action is carried out, also one that equals the one before: the flight
     software enters its mode, and resets what the mode resets. All numbers are float64 inside, whatever type they were given in.
     Values outside :meth:`bounds` reach :meth:`decide` as they are; what they mean is the action's.
 
@@ -105,7 +105,7 @@ class ContinuousAction:
         """
 
     def enter(self, fsw_action: str, duration: Tensor, command: Tensor | None = None) -> Decision:
-        """Return the decision to enter a mode of the flight software anew.
+        """Return the decision to enter a mode of the flight software, also the present one.
 
         Args:
             fsw_action: Command of the flight software, such as ``"charge"``.
@@ -113,8 +113,8 @@ class ContinuousAction:
             command: What :meth:`begin` needs, [N, ...].
         """
         mode = self.satellite.simulator.mode_index(fsw_action)
-        anew = torch.ones_like(mode, dtype=torch.bool)
-        return Decision(mode, anew, duration, torch.zeros_like(mode), duration, command)
+        reenter = torch.ones_like(mode, dtype=torch.bool)
+        return Decision(mode, reenter, duration, torch.zeros_like(mode), duration, command)
 
 
 class HybridAction(ContinuousAction):

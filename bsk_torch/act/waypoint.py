@@ -148,7 +148,7 @@ class HillWaypoint(Action):
 
     @property
     def options(self) -> Options:
-        """Transfers and which are legal; which ones are is found anew only for rows of episodes that have changed."""
+        """Transfers and which are legal; which ones are is updated only for rows of episodes that have changed."""
         versions = [simulator.state.version for simulator in self.satellite.fleet.simulators]
         last = self._options
         if last is not None and last.versions == versions:

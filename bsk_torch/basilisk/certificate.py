@@ -91,7 +91,7 @@ class Certificate:
 def certify(task: Task, entrant: Entrant, episodes: int, **options: object) -> Certificate | None:
     """Fly the first ``episodes`` of a task with the policy that ``entrant`` enters here and on Basilisk; None where it has none.
 
-    Both fly by the rules of bsk_rl, ``compat="bsk_rl"``. On Basilisk the policy decides anew by what is observed there. The
+    Both fly by the rules of bsk_rl, ``compat="bsk_rl"``. On Basilisk the policy decides again by what is observed there. The
     actions of planners, of policies with a memory or lots, and of functions that do not say what they read are taken over.
 
     Args:

@@ -26,7 +26,7 @@ HOOKS = ("link", "read_log", "calculate_reward", "share", "counts", "is_terminat
 
 LOGS = "define read_log(), and calculate_reward(before, after), which gets what it returned before and after a step"
 MEMORY = (
-    "keep values that start anew with every episode in fleet.memory, where link(scenario, fleet) declares them: "
+    "keep values that are reset with every episode in fleet.memory, where link(scenario, fleet) declares them: "
     "memory.declare(name, initial_value, *shape)"
 )
 
@@ -131,7 +131,7 @@ class GlobalReward(metaclass=RewarderType):
 
     @property
     def memory(self) -> StateTable:
-        """Tensors [N, ...] that start anew with every episode; ``memory.declare(name, initial, *shape)`` in ``link`` adds one."""
+        """Tensors [N, ...] that are reset with every episode; ``memory.declare(name, initial, *shape)`` in ``link`` adds one."""
         return self.fleet.memory
 
     @property

@@ -55,7 +55,7 @@ class _Found(NamedTuple):
 class RSOInspectionReward(GlobalReward):
     """Pays for every point of an RSO that is inspected for the first time, and for completing the inspection.
 
-    A satellite that inspects k of the P points, of which nobody had inspected any before the step, gets
+    A satellite that inspects k of the P points that had not been inspected before the step gets
     ``inspection_reward_scale * k / P``; two that inspect the same point in one step are both paid, as in bsk_rl. Inspecting takes
     an inspector whose instrument records, see :mod:`bsk_torch.sim.inspection.flags`, of a :class:`scene.RSOPoints` scenario.
 
@@ -72,7 +72,7 @@ class RSOInspectionReward(GlobalReward):
     bsk_rl its attitude is zero in the first two records of an episode, which count as inspected, and by a test that rounding
     decides also as lit; ``compat="bsk_rl"`` repeats that.
 
-    Satellites that have died go on inspecting, as in bsk_rl: nobody is paid for their points any more, and they count for
+    Satellites that have died go on inspecting, as in bsk_rl: their points earn no reward any more, and they count for
     completion.
     """
 

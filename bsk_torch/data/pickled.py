@@ -1,6 +1,6 @@
 """Python objects of users as bytes in saved states: classes of their own modules and plain data, and nothing else.
 
-A state may come from a file that somebody else has written, so reading one must not run code of its choice: names of other
+A state may come from a file from another source, so reading one must not run code of its choice: names of other
 functions and classes than those below are refused, when they are written and when they are read.
 """
 

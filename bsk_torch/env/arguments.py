@@ -33,7 +33,7 @@ class MadeOfArguments(Snapshots):
         """Change arguments of satellites; episodes that begin after this call have the new ones, present ones keep theirs.
 
         Values are those that ``sat_args`` accepts, ``rand.per_env`` for a value of each environment among them; where its tensor
-        is written into, set it again, since episodes may have been prepared. Nothing is compiled anew for arguments that were
+        is written into, set it again, since episodes may have been prepared. Nothing is recompiled for arguments that were
         drawn from the start (a distribution, ``rand.per_env``, a callable), or that only say how an episode begins. Where a
         parameter of the tick was one constant so far, the tick is built again, once; states that were saved before then do not
         fit any more.

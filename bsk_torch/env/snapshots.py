@@ -69,7 +69,7 @@ class Snapshots(Episodes):
         Args:
             state: A state of :meth:`get_state`, also as nested dictionaries (``state.to_dict()``), or an environment of the same
                 make, whose present episodes are copied directly. Batch sizes may differ. Of a state, which may come from a file
-                that somebody else has written, every number that is used is checked.
+                from another source, every number that is used is checked.
             envs: Episodes of this environment to be replaced, [n] indices; all unless given.
             source: Episodes of the state, [n] indices, which may repeat; the same as ``envs`` unless given.
 
@@ -167,7 +167,7 @@ def over_saved(fleet: Fleet, mine: Tensor, state: Mapping[str, Any] | TensorDict
     if MADE_BY not in names:
         raise ValueError(
             "state was not saved by this release: it lacks the fingerprint of its environment. States of release 0.1 cannot be "
-            "restored; begin the episodes anew"
+            "restored; reset the episodes"
         )
     theirs = state[MADE_BY]
     if not isinstance(theirs, Tensor) or theirs.dtype != torch.int64 or theirs.ndim != 2 or theirs.shape[1] < 1:

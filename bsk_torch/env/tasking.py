@@ -47,7 +47,7 @@ class SatelliteTasking(Tasking):
             satellite: The satellite, or a list of it alone; the environment works on a copy.
             scenario: Task of the satellite; None for none.
             rewarder: Value of its data, the sum of several if there are several; None for zero.
-            communicator: As in :class:`bsk_torch.ConstellationTasking`; one satellite has nobody to talk to.
+            communicator: As in :class:`bsk_torch.ConstellationTasking`; one satellite has no partner.
             sat_arg_randomizer: Draws arguments that belong together: a formation of :mod:`bsk_torch.formations`, or a function of
                 the list of the one satellite, called for each episode, that returns ``{satellite: {argument: value}}``.
             **options: ``generate_obs_retasking_only``, which has no effect with one satellite, as in bsk_rl; for the others see

@@ -28,7 +28,7 @@ ADVICE = (
 """How to write an observation for all satellites."""
 
 MEMORY = (
-    "keep values that start anew with every episode in satellite.simulator.memory; declare them in link_satellite(satellite): "
+    "keep values that are reset with every episode in satellite.simulator.memory; declare them in link_satellite(satellite): "
     "memory.declare(name, initial_value)"
 )
 

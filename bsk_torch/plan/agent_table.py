@@ -14,7 +14,7 @@ from bsk_torch.env.action_forms import form
 from bsk_torch.rl.policies.shared_policy import member_views
 from bsk_torch.rl.rules.continuous import Bounds, bounds_of
 
-NOBODY = -1
+NO_AGENT = -1
 """Number of the agent where none decides."""
 
 
@@ -94,7 +94,7 @@ class AgentTable:
 
     @staticmethod
     def at(table: Tensor, slot: Tensor) -> Tensor:
-        """Return the entries of a table [n, S, ...] of one agent in each row, ``slot`` [n]; those of the first for NOBODY."""
+        """Return the entries of a table [n, S, ...] of one agent in each row, ``slot`` [n]; those of the first for NO_AGENT."""
         return table[torch.arange(len(slot), device=slot.device), slot.clamp(min=0)]
 
     def _action(self, td: TensorDictBase, group: str | None) -> Tensor:
@@ -112,7 +112,7 @@ class AgentTable:
     def put(self, td: TensorDictBase, slot: Tensor, value: Tensor, where: Tensor | None = None) -> None:
         """Let the agent ``slot`` [N] of each row act by ``value``, numbers of actions [N] or real numbers [N, W].
 
-        Nothing changes in rows where ``where`` [N] is false, or the slot is NOBODY.
+        Nothing changes in rows where ``where`` [N] is false, or the slot is NO_AGENT.
         """
         for group, first, size, bounds in zip(self.groups, self.first, self.sizes, self.bounds, strict=True):
             old = self._action(td, group)

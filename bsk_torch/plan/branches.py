@@ -54,7 +54,7 @@ class Jobs(NamedTuple):
     Attributes:
         rows: Rows of the environment that holds the states from which they begin, [J].
         env_ids: Indices of the episodes in draws, [J].
-        slot: Agent whose actions are given, [J]; see :data:`bsk_torch.plan.agent_table.NOBODY`.
+        slot: Agent whose actions are given, [J]; see :data:`bsk_torch.plan.agent_table.NO_AGENT`.
         plan: Its first D actions: numbers of actions [J, D], or real numbers [J, D, W]. The base policy decides after them, and
             in place of those that are illegal when their time comes, negative, or NaN.
         first: Actions of all agents in the first step, [J]; those of the base policy if None.

@@ -45,7 +45,7 @@ class Planner(TensorDictModuleBase):
 
     By default copies have the draws of the true episode, those that lie ahead included: a planner that is as good as a prophet
     where observations are noisy or something is hidden, such as clouds. Where all is known, as in most presets, that makes no
-    difference. With ``futures`` each decision is planned in so many futures that are drawn anew, and means decide: copies get
+    difference. With ``futures`` each decision is planned in so many resampled futures, and means decide: copies get
     seeds of their own, from which noise follows, and ``redraw`` draws hidden parts of the state.
     """
 
@@ -84,7 +84,7 @@ class Planner(TensorDictModuleBase):
             value: A module that writes ``state_value`` [n, 1] for observations [n], in place of what lies beyond; branches then
                 end with the first step that reaches the horizon.
             futures: Number of futures that are drawn for each decision; None for the true one.
-            redraw: Draws hidden parts of the state anew, such as :func:`bsk_torch.plan.redraw_clouds`.
+            redraw: Redraws hidden parts of the state, such as :func:`bsk_torch.plan.redraw_clouds`.
             seed: Seed of the futures and of samples.
             rows: Copies that are flown at once: memory and speed depend on it, results do not.
 

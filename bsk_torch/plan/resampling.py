@@ -14,7 +14,7 @@ from bsk_torch.scene import CloudyTargets
 from bsk_torch.scene.draws import draw_numbers
 
 Redraw = Callable[[Tasking, Tensor, Key], None]
-"""Draws anew what the planner cannot know: ``redraw(env, envs, key)`` writes into rows ``envs`` [n] of the state of ``env``."""
+"""Redraws what the planner cannot observe: ``redraw(env, envs, key)`` writes into rows ``envs`` [n] of the state of ``env``."""
 
 
 def present_key(env: Tasking, rows: Tensor, env_ids: Tensor, name: str) -> Key:
@@ -43,7 +43,7 @@ def reseed_copies(env: Tasking, rows: Tensor, lots: Tensor, key: Key, redraw: Re
 
 
 def redraw_clouds(env: Tasking, envs: Tensor, key: Key, candidates: int = 64) -> None:
-    """Draw the true cloud cover over all targets anew, given its forecast: a :data:`Redraw` for ``scene.CloudyTargets``.
+    """Redraw the true cloud cover over all targets, given its forecast: a :data:`Redraw` for ``scene.CloudyTargets``.
 
     Of ``candidates`` covers from the scenario's distribution one is chosen with a probability that is proportional to the
     likelihood of the forecast (sampling, importance resampling: Rubin 1987). Forecasts of 0 and 1 are clamped: their likelihoods

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from bsk_torch.env import Tasking
 from bsk_torch.env.rollout import decide
-from bsk_torch.plan.agent_table import NOBODY, AgentTable
+from bsk_torch.plan.agent_table import NO_AGENT, AgentTable
 from bsk_torch.plan.branches import carried
 from bsk_torch.plan.priors import Prior
 
@@ -18,7 +18,7 @@ class StateSummary:
     """Looks at states in which one agent is to choose; the others act by the base policy.
 
     Where several agents decide, the first one chooses. Where none does, as after the longest step, the only action is 0, of
-    NOBODY: everybody goes on.
+    NO_AGENT: all continue.
     """
 
     def __init__(
@@ -30,18 +30,18 @@ class StateSummary:
     def __call__(self, td: TensorDictBase) -> TensorDict:
         """Return ``slot`` [n], ``legal`` [n, A], ``prior`` [n, A], ``mine`` [n] (the base policy's) and ``memory`` [n]."""
         deciding = self.slots.deciding(td) & self.plannable
-        return self.of_agent(td, torch.where(deciding.any(1), deciding.long().argmax(1), NOBODY))
+        return self.of_agent(td, torch.where(deciding.any(1), deciding.long().argmax(1), NO_AGENT))
 
     def of_agent(self, td: TensorDictBase, slot: Tensor) -> TensorDict:
         """Return the same for the agents ``slot`` [n]."""
         asked = td.clone(recurse=False)
         memory = carried(asked, self.base, self.env)
         mine = self.slots.at(self.slots.chosen(decide(self.base, asked)), slot)
-        nobody = (slot == NOBODY).unsqueeze(1)
-        mine = torch.where(nobody.squeeze(1), 0, mine)
+        idle = (slot == NO_AGENT).unsqueeze(1)
+        mine = torch.where(idle.squeeze(1), 0, mine)
         own = torch.nn.functional.one_hot(mine, self.slots.most_actions).bool()
         legal = self.slots.at(self.slots.legal(td), slot)
-        legal = torch.where(nobody, own, legal | own)
+        legal = torch.where(idle, own, legal | own)
         prior = self.prior(td, slot, legal)
         if self.most is not None and self.most < legal.shape[1]:
             best = prior.masked_fill(own, torch.inf).topk(self.most, 1).indices

@@ -31,7 +31,7 @@ the track, normal), at most 1 m/s together, and the time to drift, 10 to 11 400 
 transfers: to the directions of the 32 regions, 60 m from the RSO, in 600, 1200 or 2000 s (:class:`bsk_torch.act.HillWaypoint`).
 The RSO is an agent with one action, 0: point along the Hill frame; its observation is 1.
 
-Reward of an inspector: inspected points that nobody had inspected before, over 100, less 0.1 for each m/s. When 90 % of the
+Reward of an inspector: inspected points not inspected before, over 100, less 0.1 for each m/s. When 90 % of the
 points that have been lit are inspected, everybody gets 1, the RSO included; at least 40 points must have been lit before, or an
 orbit of 5700 s passed. -1 for who dies.
 

@@ -12,7 +12,7 @@ SPECS = ("observation_spec", "action_spec", "dyn_type", "fsw_type", "target_type
 HOOKS = ("on_bind", "note_events", "legal_actions", "action_mask", "counts", "generation")
 """Methods of satellites that subclasses may define."""
 
-MEMORY = "keep values that start anew with every episode in simulator.memory: memory.declare(name, initial_value)"
+MEMORY = "keep values that are reset with every episode in simulator.memory: memory.declare(name, initial_value)"
 ENTRY = "define an act.Action, and list it in action_spec"
 
 UNUSED = {

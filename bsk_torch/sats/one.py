@@ -27,7 +27,7 @@ Numbers: TypeAlias = "Tensor | NDArray[Any] | float"
 OWN_PACKAGE = __name__.partition(".")[0] + "."
 
 READ_ONLY = (
-    "the view of one environment is read-only; set sat_args, or keep values that start anew with every episode "
+    "the view of one environment is read-only; set sat_args, or keep values that are reset with every episode "
     "in satellite.simulator.memory: memory.declare(name, initial_value)"
 )
 

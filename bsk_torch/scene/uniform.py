@@ -27,7 +27,7 @@ from bsk_torch.sim.hooks import check_class, overrides
 
 
 class UniformTargets(TargetScenario):
-    """Targets drawn uniformly by area from a sphere, anew in every episode, as bsk_rl's ``UniformTargets``.
+    """Targets drawn uniformly by area from a sphere, in every episode, as bsk_rl's ``UniformTargets``.
 
     Subclasses define :meth:`places` for other layouts; or, as in bsk_rl and slower, :meth:`regenerate_targets`.
 

@@ -68,7 +68,7 @@ class EncounterPairs(NamedTuple):
         return EncounterPairs(within(self.conjunctions), within(self.ranges))
 
 
-NOBODY = EncounterPairs((), ())
+NO_PAIRS = EncounterPairs((), ())
 """No pairs."""
 
 

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from bsk_torch.rand import Key
-from bsk_torch.sim.encounters import NOBODY, EncounterPairs, Encounters
+from bsk_torch.sim.encounters import NO_PAIRS, EncounterPairs, Encounters
 from bsk_torch.sim.flight import Dependencies, FlightObserver, Part, RunResult, StopCondition, parts_of, together
 from bsk_torch.sim.given import Answers
 from bsk_torch.sim.names import nearest
@@ -89,7 +89,7 @@ class Fleet:
         names: Sequence[str],
         draw_scenario: Callable[[Key], dict[str, Tensor]] = lambda key: {},
         places: Mapping[str, tuple[int, int]] | None = None,
-        pairs: EncounterPairs = NOBODY,
+        pairs: EncounterPairs = NO_PAIRS,
         as_bsk_rl: bool = False,
         varies: bool = False,
     ) -> None:

@@ -20,7 +20,7 @@ SIMILAR = 0.8
 """Similarity of two names (``difflib``'s ratio) from which one counts as a misspelling of the other."""
 
 FLEET_MEMORY = (
-    "keep values that start anew with every episode in self.fleet.memory, where link(fleet) declares them: "
+    "keep values that are reset with every episode in self.fleet.memory, where link(fleet) declares them: "
     "fleet.memory.declare(name, initial_value)"
 )
 """Advice for scenarios and communication methods that keep values of episodes themselves."""

@@ -1,4 +1,4 @@
-"""Conversion of ``sat_args`` and ``world_args`` to tensors, which are drawn anew at each reset.
+"""Conversion of ``sat_args`` and ``world_args`` to tensors, which are drawn at each reset.
 
 A value may be a constant, a distribution of :mod:`bsk_torch.rand`, or a callable without arguments. Constants become tensors
 with leading dimension 1, the others with one row for each environment being reset.

@@ -154,7 +154,7 @@ class SatelliteState(StateTable):
 
         Raises:
             KeyError: For a name that no component declares.
-            ValueError: For a field that every tick computes anew, so that what is written is lost, or a value that requires a
+            ValueError: For a field that every tick recomputes, so that what is written is lost, or a value that requires a
                 gradient.
         """
         if name in self.overwritten:

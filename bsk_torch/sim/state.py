@@ -1,7 +1,7 @@
 """The state of a batch of episodes: every tensor that belongs to an episode is declared once, in a :class:`StateTable`.
 
 A table holds tensors whose first dimension are rows: episodes, or the satellites of one type, ``count`` of them in each episode.
-Tables contain tables, so the state of an environment is a tree with one root. Starting episodes anew, copying them from another
+Tables contain tables, so the state of an environment is a tree with one root. Resetting episodes, copying them from another
 batch, saving, restoring, branching and counting bytes are one operation each, which works on rows of the whole tree. A tensor
 that is declared takes part in all of them; all else must follow from the state.
 """

@@ -57,7 +57,7 @@ def by_row(columns: Mapping[str, Any], rows: Sequence[int] | slice = slice(None)
 
 
 class SB3VecEnv(VecEnv):
-    """N episodes in one simulation, as Stable-Baselines3's ``VecEnv``; episodes that end start anew at once.
+    """N episodes in one simulation, as Stable-Baselines3's ``VecEnv``; episodes that end restart at once.
 
     ``infos`` has for each episode the entries of :class:`~bsk_torch.wrappers.GymEnv`, ``TimeLimit.truncated``, and at an end
     ``terminal_observation``. ``reset_infos`` are the infos with which new episodes begin. Named observations have one level

@@ -109,7 +109,7 @@ actor = ProbabilisticActor(
 critic = ValueOperator(Standardised(1), in_keys=["observation"])
 
 # %%
-# The collector steps all episodes together. Those that end begin anew; their last observations are under ``next``.
+# The collector steps all episodes together. Those that end restart; their last observations are under ``next``.
 from torchrl.collectors import Collector
 
 batch_size = NUM_ENVS * ROLLOUT

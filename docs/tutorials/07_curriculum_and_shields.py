@@ -7,7 +7,7 @@ Curriculum and shields
 Make episodes harder where they are survived, and take actions away that would end them.
 
 A curriculum changes the arguments of the satellite between episodes, for each environment on its own. A shield is a rule that
-narrows the mask of legal actions. Nothing is compiled anew for either.
+narrows the mask of legal actions. Nothing is recompiled for either.
 """
 
 # %%
@@ -89,7 +89,7 @@ panel.grid(axis="y", alpha=0.3)
 # ------------
 #
 # - ``rand.per_env(tensor)`` is an argument of which row ``i`` belongs to environment ``i``. The tensor may be changed in place.
-# - ``env.set_sat_args(arguments, envs=ended)`` says which environments draw from it anew. Large batches prepare their next
+# - ``env.set_sat_args(arguments, envs=ended)`` says which environments draw from it again. Large batches prepare their next
 #   episodes in advance; those of ``ended`` are thrown away.
 # - ``env.maybe_reset`` begins the next episodes.
 #

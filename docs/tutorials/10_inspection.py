@@ -56,7 +56,7 @@ print("reward   ", td[inspector, "reward"].flatten().tolist())
 print("fuel, m/s", env.satellites[1].fsw.dv_available.tolist())
 
 # %%
-# The reward is the fraction of points that nobody had inspected before, less 0.1 for each m/s, and 1 for completing the
+# The reward is the fraction of points not inspected before, less 0.1 for each m/s, and 1 for completing the
 # inspection. ``env.rewarder.inspected`` and ``illuminated`` are tables ``[N, 100]`` of what is known.
 #
 # Three rules

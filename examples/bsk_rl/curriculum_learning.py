@@ -10,7 +10,7 @@ On the command line::
 
 The problem of bsk_rl's page "Training with Curriculum Learning". Lines that differ from it say so. On the page an environment
 has one difficulty, set by a callback of RLlib when an episode begins. Here every episode has its own, and ``set_sat_args``
-changes what is drawn from then on: nothing is built or compiled anew.
+changes what is drawn from then on: nothing is rebuilt or recompiled.
 """
 
 from __future__ import annotations

@@ -55,7 +55,7 @@ class ImagingSatellite(sats.ImagingSatellite):
     fsw_type = fsw.SteeringImagerFSWModel
 
     def on_bind(self) -> None:
-        """Nobody has been killed at the start."""
+        """No agent has died at the start."""
         super().on_bind()
         self.simulator.memory.declare("killed", 0, dtype=torch.bool)
 

@@ -123,7 +123,7 @@ class UncertaintyReward(ImageReward):  # bsk_rl: UncertainMultiplyReward, and cl
 def search(bus: Bus) -> None:
     """Take an image once the target has been in sight for its time, as Basilisk's simpleInstrumentController does.
 
-    Time counts from the first tick in which an image is permitted, and anew after every tick in which it is not. The instrument
+    Time counts from the first tick in which an image is permitted, and again after every tick in which it is not. The instrument
     gives up in the first tick after a whole search, also where the target would be found between the last two ticks.
     """
     on = bus.location_on > 0.0

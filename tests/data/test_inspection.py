@@ -15,7 +15,7 @@ def reward_of(outputs, env, k: int) -> torch.Tensor:
 
 
 def test_two_inspectors_of_one_point_are_both_paid_once():
-    """Above and behind share some points; the reward counts points that nobody had inspected before the step."""
+    """Above and behind share some points; the reward counts points not inspected before the step."""
     env = inspection(scenario=scene.SphericalRSO(**POINTS | dict(theta_solar_max=-1.0, min_illumination_factor=0.0)))
     td = act_all(env, env.reset())
     reward = env.rewarder.rewarders[0]

@@ -114,7 +114,7 @@ def evaluate(
     Args:
         policy: Writes the actions of one satellite, or of all agents of a constellation, into what the environment returns.
             Entries that it writes under ``next``, such as a recurrent state, are given back to it at the next decision.
-        env: The environment, of one satellite or of many; its episodes start anew.
+        env: The environment, of one satellite or of many; its episodes are reset.
         seed: One episode in each of the environment's N rows: those that start after ``env.set_seed(seed)``.
         seeds: One episode for each seed, N at a time: those that ``gymnasium.make(...).reset(seed=...)`` starts. The environment
             needs ``env_ids=[0] * N`` for that.

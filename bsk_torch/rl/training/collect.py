@@ -64,7 +64,7 @@ class Bookmark(Transform):
     """Keeps in the collector's ``state_dict`` what collecting depends on, and starts from it instead of with new episodes."""
 
     def __init__(self, saved: Mapping[str, Any] | None) -> None:
-        """Continue from ``saved``, which :func:`bookmarks` returned; None begins anew."""
+        """Continue from ``saved``, which :func:`bookmarks` returned; None starts from the beginning."""
         super().__init__()
         self.saved = saved
         self._last: TensorDictBase = TensorDict()
@@ -73,7 +73,7 @@ class Bookmark(Transform):
     def get_extra_state(self) -> dict[str, Any]:
         """State of the environment and of the generator that draws actions, and what the next decision is made on.
 
-        That is not observed anew: an eclipse that was out of sight of the first query may be known to the second.
+        That is not observed again: an eclipse that was out of sight of the first query may be known to the second.
         """
         state, generator = _environment(self).get_state().to_dict(), torch.get_rng_state()
         return {"state": state, "generator": generator, "seen": self._seen().to_dict()}

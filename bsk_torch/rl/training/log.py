@@ -73,7 +73,7 @@ class CsvLog:
             self._warn(error)
             return []
         if header != self.columns:
-            logger.warning("%s has other columns than this training; it is begun anew", self.path)
+            logger.warning("%s has other columns than this training; it is started again", self.path)
             return []
         return [row for row in rows if float(row[header.index("frames")]) <= frames]
 

@@ -84,7 +84,7 @@ class EclipseTable(StateTable):
         return times(after & ~before), times(before & ~after)
 
     def restart(self, rows: Tensor) -> None:
-        """Forget the transitions of ``rows`` [n], whose arcs have just begun anew, and find those in their first hour."""
+        """Forget the transitions of ``rows`` [n], whose arcs have just restarted, and find those in their first hour."""
         begun = self.arcs.start[rows]
         self.sampled[rows], self.known[rows] = begun, begun
         orbits = PlannedOrbits(self.arcs.planned_samples, self.arcs.ephemeris_samples).take(rows)
@@ -93,7 +93,7 @@ class EclipseTable(StateTable):
         self.write_rows("ends", rows, ends)
 
     def sample_to(self, time: Tensor) -> None:
-        """Note that bsk_rl would have propagated its trajectory to ``time`` [N] s, but for orbits that have begun anew."""
+        """Note that bsk_rl would have propagated its trajectory to ``time`` [N] s, but for orbits that have restarted."""
         later, begun = torch.maximum(self.sampled, time), self.arcs.begun
         self.sampled = torch.where(begun > 0.0, self.sampled, later) if isinstance(begun, Tensor) else later
 

@@ -213,7 +213,7 @@ class LookAhead(StateTable):
             self.grow()
 
     def grow(self) -> None:
-        """Make every arc an hour longer; those that may begin anew get room only."""
+        """Make every arc an hour longer; those that may restart get room only."""
         if self.flight is not self.arcs:
             self.flight.grow()
         if self.arcs.restarts:
@@ -344,7 +344,7 @@ class LookAhead(StateTable):
         """Search on, where a manoeuvre has undone the search, until as many windows as are ``wanted`` [N] are certain.
 
         Windows that close before the end of the search do so before all that have not been found yet. So queries see the same as
-        if all had been searched anew at the manoeuvre.
+        if all had been searched again at the manoeuvre.
         """
         access: Any = self.access
         rows = torch.nonzero(access.ready < access.until).squeeze(-1)

@@ -121,7 +121,7 @@ class AccessWindows(StateTable):
 
         One and a half times the mean time in which so many passes occur, and at least three segments, is searched at once:
         farther than most queries need, but not much farther. One segment is enough for orbits that manoeuvres may change, after
-        which all is searched anew.
+        which all is searched again.
         """
         least = self.segment if self.arcs.restarts else 3.0 * self.segment
         self._expected = max(self._expected, least, 1.5 * count / (PASSES_PER_SECOND * places))

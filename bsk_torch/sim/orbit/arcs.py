@@ -1,7 +1,7 @@
 """Arcs: positions of satellites, computed ahead of the simulation in batched passes.
 
 Above the modelled atmosphere an orbit does not depend on actions until the next manoeuvre, so it is solved in advance, and a
-polynomial through positions a minute apart serves every tick. Of satellites that manoeuvre it is solved anew from there on; see
+polynomial through positions a minute apart serves every tick. Of satellites that manoeuvre it is solved again from there on; see
 :mod:`bsk_torch.sim.orbit.restartable`.
 
 Two arcs are kept for each satellite. The *flown* arc is the one that Basilisk integrates at the simulation's rate. The *planned*
@@ -65,7 +65,7 @@ class Arcs(StateTable):
     et: Tensor
 
     restarts = False
-    """Whether arcs may begin anew in mid-episode; see :class:`bsk_torch.sim.orbit.restartable.RestartableArcs`."""
+    """Whether arcs may restart in mid-episode; see :class:`bsk_torch.sim.orbit.restartable.RestartableArcs`."""
 
     def __init__(self, num_envs: int, spans: int, solver: Solver, kept: int = PLANNED_SEGMENTS, count: int = 1) -> None:
         """Make room for ``count`` satellites in each of ``num_envs`` episodes; planned arcs keep their last ``kept`` hours."""
@@ -140,7 +140,7 @@ class Arcs(StateTable):
         return tuple(samples[track.name] for track in tracks)
 
     def solve(self, rows: Tensor, et: Tensor, r: Tensor, v: Tensor) -> Tensor:
-        """Solve the arcs of ``rows`` [n] anew from ET [n] and position and velocity [n, 3] at time zero.
+        """Solve the arcs of ``rows`` [n] again from ET [n] and position and velocity [n, 3] at time zero.
 
         Returns:
             Samples [n, 2 Q - 1, 3] of the whole planned arcs, every 30 s from time zero on, of which ``planned`` keeps the last.

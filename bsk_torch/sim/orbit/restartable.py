@@ -1,4 +1,4 @@
-"""Arcs of satellites that manoeuvre: solved anew from the time of a manoeuvre on, for the rows that thrust, an hour at first.
+"""Arcs of satellites that manoeuvre: solved again from the time of a manoeuvre on, for the rows that thrust, an hour at first.
 
 Each row has its own beginning, which need be no whole hour, and is solved as far as runs and queries need: the end of the tables
 is room that may be empty yet.

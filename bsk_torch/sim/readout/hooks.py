@@ -39,7 +39,7 @@ COMPONENT = (
     "(docs/how_to/own_component.md)"
 )
 MESSAGES = f"messages are attributes of the bus that components share; {COMPONENT}"
-STATE = f"what starts anew with every episode is a Field in state= of a Component, with initial=; {COMPONENT}"
+STATE = f"what is reset with every episode is a Field in state= of a Component, with initial=; {COMPONENT}"
 DEFAULTS = f"arguments are Arg(name, default, unit, doc) in args= of a Component; {COMPONENT}"
 
 UNUSED: dict[str, str] = {

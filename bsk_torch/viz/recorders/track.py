@@ -83,8 +83,8 @@ class TrackRecorder(Recorder):
 def between(simulator: Simulator, times: Tensor, r_N: Tensor, v_N: Tensor, row: Tensor, elapsed: Tensor) -> Tensor:
     """Return the positions of the satellite of row 0, Earth-fixed [M, 3] m, from its states at a few times.
 
-    Each stretch of the orbit is solved anew from its beginning, which has no effect on the simulation, does not depend on how far
-    back that keeps arcs, and follows orbits with drag.
+    Each stretch of the orbit is solved again from its beginning, which has no effect on the simulation, does not depend on how
+    far back that keeps arcs, and follows orbits with drag.
 
     Args:
         simulator: Of the episode.

@@ -153,13 +153,13 @@ class GymVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         waiting = self._over
         seen = self._move(read_actions(self.core, actions), waiting)
         ended = (seen["terminated"] | seen["truncated"]).squeeze(-1)
-        anew = ended if same else waiting
+        starting = ended if same else waiting
         self._over = torch.zeros_like(ended) if same else ended
         results = [self._number(seen["reward"]), *(self._export(seen[name].squeeze(-1)) for name in ("terminated", "truncated"))]
         info = self._measured(ended & ~waiting) if self._metrics is not None else {}
-        if bool(anew.any()):
+        if bool(starting.any()):
             info |= self._final(seen, ended) if same else {}
-            seen = begin(self.core, anew, seen)
+            seen = begin(self.core, starting, seen)
         self._seen = seen
         return self._observation(seen), results[0], results[1], results[2], info | self._info(seen, self._every)
 
