@@ -273,7 +273,7 @@ class ImagingDynModel(BasicDynamicsModel):
     @property
     def instrument_baud(self) -> Tensor:
         """Data of one image, [N] bit; where data accumulate, the rate of the instrument, bit/s."""
-        return self.satellite.sat_args["instrumentBaudRate"]
+        return self.simulator.state.argument("instrumentBaudRate")
 
     @vital
     def data_storage_valid(now: Now) -> Tensor:
