@@ -9,7 +9,7 @@ from bsk_torch.sim import fleet, schedule, simulator
 ROOT = Path(__file__).parents[1]
 TEXT = (ROOT / "ARCHITECTURE.md").read_text()
 NAMES = re.findall(r"`([^`\n]+)`", re.sub(r"```.*?```", "", TEXT, flags=re.DOTALL))
-PLACES = [ROOT, ROOT / "bsk_torch", ROOT / "bsk_torch" / "sim", ROOT / "bsk_torch" / "codegen"]
+PLACES = [ROOT, ROOT / "bsk_torch", *(ROOT / "bsk_torch" / name for name in ("sim", "env", "codegen"))]
 OWNERS = (
     base.Tasking,
     tasking.SatelliteTasking,
