@@ -3,6 +3,7 @@
 import pytest
 
 from tests.blocks import ROOT, blocks, run_commands, run_python
+from tests.docs.quoted import checking_print
 
 README = ROOT / "README.md"
 PYTHON, SHELL = blocks(README, "python"), blocks(README, "bash")
@@ -11,9 +12,9 @@ PYTHON, SHELL = blocks(README, "python"), blocks(README, "bash")
 @pytest.mark.compiled
 @pytest.mark.parametrize("block", PYTHON, ids=[f"line{block.line}" for block in PYTHON])
 def test_python(block, tmp_path, monkeypatch):
-    """No exception; what is printed is not compared."""
+    """Results that comments behind a print quote are those that are printed."""
     monkeypatch.chdir(tmp_path)
-    run_python(block, README, {"__name__": "readme"})
+    run_python(block, README, {"__name__": "readme", "print": checking_print(README, [])})
 
 
 @pytest.mark.compiled

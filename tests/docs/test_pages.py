@@ -6,6 +6,7 @@ import pytest
 
 from bsk_torch.presets import PRESETS
 from tests.blocks import ROOT, blocks, run_commands, run_python
+from tests.docs.quoted import checking_print
 
 DOCS = ROOT / "docs"
 GENERATED = ("_build", "_tutorials", "gallery", "api/reference")
@@ -30,9 +31,9 @@ def presets():
 @pytest.mark.compiled
 @pytest.mark.parametrize("path", RUNNABLE, ids=name)
 def test_blocks(path, tmp_path, monkeypatch, presets):
-    """No exception; what is printed is not compared. Pictures of a guide are those that its blocks draw."""
+    """Results that comments behind a print quote are those that are printed; pictures of a guide are what its blocks draw."""
     monkeypatch.chdir(tmp_path)
-    namespace = {"__name__": "page"}
+    namespace = {"__name__": "page", "print": checking_print(path, [])}
     for block in blocks(path, "python", "bash"):
         run_python(block, path, namespace) if block.language == "python" else run_commands(block)
     drawn = re.findall(r"_static/how_to/([\w.]+)", path.read_text())
