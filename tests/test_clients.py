@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from bsk_torch import make
-from tests.programs import run_script
+from tests.support.programs import run_script
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from tests.programs import run_script
+from tests.support.programs import run_script
 
 ROOT = Path(__file__).parents[1]
 

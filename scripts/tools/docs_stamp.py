@@ -26,7 +26,7 @@ PARTS = {
     "pages": ("README.md", "docs"),
     "examples": ("examples",),
     "results": ("benchmarks/results",),
-    "tests of pages": ("tests/docs", "tests/blocks.py", "tests/programs.py"),
+    "tests of pages": ("tests/docs", "tests/support/blocks.py", "tests/support/programs.py"),
     "versions": ("constraints.txt", "pyproject.toml"),
 }
 """Files and folders that the tests of pages read, by what messages call them."""

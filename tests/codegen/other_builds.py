@@ -20,8 +20,8 @@ from tensordict import TensorDict, TensorDictBase
 
 import bsk_torch
 from bsk_torch.codegen import build
-from tests.choices import legal_actions
 from tests.codegen import emulated
+from tests.support.choices import legal_actions
 
 STEPS, ENVS = 6, 5
 

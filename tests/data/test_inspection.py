@@ -7,7 +7,7 @@ import torch
 
 from bsk_torch import comm, data, rand, scene
 from bsk_torch.wrappers import PettingZooEnv
-from tests.inspecting import POINTS, RSO, Inspector, act_all, chief_args, inspection, inspector_args
+from tests.support.inspecting import POINTS, RSO, Inspector, act_all, chief_args, inspection, inspector_args
 
 
 def reward_of(outputs, env, k: int) -> torch.Tensor:

@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from tests.blocks import ROOT
+from tests.support.blocks import ROOT
 
 
 @pytest.fixture(scope="session")

@@ -6,7 +6,7 @@ import pkgutil
 
 import pytest
 
-from tests.blocks import ROOT
+from tests.support.blocks import ROOT
 
 pytestmark = [pytest.mark.docs, pytest.mark.xdist_group("site")]
 

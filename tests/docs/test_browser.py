@@ -2,7 +2,7 @@
 
 import pytest
 
-from tests.browser import (
+from tests.support.browser import (
     CONTRAST,
     NAMELESS_PICTURES,
     NARROW,

@@ -5,8 +5,8 @@ import re
 import pytest
 
 from bsk_torch.presets import PRESETS
-from tests.blocks import ROOT, blocks, run_commands, run_python
 from tests.docs.quoted import checking_print
+from tests.support.blocks import ROOT, blocks, run_commands, run_python
 
 DOCS = ROOT / "docs"
 GENERATED = ("_build", "_tutorials", "gallery", "api/reference")

@@ -8,7 +8,7 @@ from xml.etree import ElementTree
 
 import pytest
 
-from tests.blocks import ROOT
+from tests.support.blocks import ROOT
 
 pytestmark = [pytest.mark.pages, pytest.mark.docs, pytest.mark.xdist_group("site")]
 

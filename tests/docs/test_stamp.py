@@ -9,7 +9,7 @@ import sys
 
 import pytest
 
-from tests.blocks import ROOT
+from tests.support.blocks import ROOT
 
 SCRIPT = ROOT / "scripts" / "tools" / "docs_stamp.py"
 

@@ -5,7 +5,7 @@ import json
 
 import pytest
 
-from tests.blocks import ROOT
+from tests.support.blocks import ROOT
 
 RESULT = json.loads((ROOT / "benchmarks" / "results" / "truth.json").read_text())
 ROWS = {(row["group"], row["recording"]): row for row in RESULT["rows"]}

@@ -4,7 +4,7 @@ import pytest
 import torch
 
 import bsk_torch
-from tests.choices import legal_actions
+from tests.support.choices import legal_actions
 
 STEPS, COUNT = 8, 3
 

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from bsk_torch import ConstellationTasking, act, comm, data, dyn, fsw, obs, sats
-from tests.manoeuvring import START, Kick, Mover, make, push, step
+from tests.support.manoeuvring import START, Kick, Mover, make, push, step
 
 ORBITS = ["arc", "integrated"]
 FIELDS = ("r_BN_N", "v_BN_N", "dv_available", "thrust_count", "delta_v_N")

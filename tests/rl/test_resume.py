@@ -12,7 +12,7 @@ from tensordict import TensorDict
 import bsk_torch
 from bsk_torch.presets import PRESETS
 from bsk_torch.rl.marl.runs import configure_run, training_of
-from tests.choices import legal_actions
+from tests.support.choices import legal_actions
 
 pytestmark = pytest.mark.compiled
 

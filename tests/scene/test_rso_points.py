@@ -10,7 +10,7 @@ import torch
 
 from bsk_torch import data, scene
 from bsk_torch.sim import fsw
-from tests.inspecting import RSO, Inspector, act_all, chief_args, inspection, inspector_args
+from tests.support.inspecting import RSO, Inspector, act_all, chief_args, inspection, inspector_args
 
 
 class TwoPoints(scene.RSOPoints):

@@ -19,7 +19,7 @@ from bsk_torch.viz.figures import inspection as pictures
 from bsk_torch.viz.figures.constellation import ConstellationEpisode
 from bsk_torch.viz.figures.style import PALETTE
 from bsk_torch.viz.recorders.inspection import InspectionRecorder, inspects, record_inspection
-from tests.inspecting import RSO, Inspector, chief_args, inspection, inspector_args
+from tests.support.inspecting import RSO, Inspector, chief_args, inspection, inspector_args
 
 PNG = b"\x89PNG"
 

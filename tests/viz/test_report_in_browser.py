@@ -3,7 +3,16 @@
 import pytest
 
 from bsk_torch.viz.report.page import write_report
-from tests.browser import CONTRAST, NAMELESS_PICTURES, NARROW, PICTURES_LACKING, WIDE, WIDER_THAN_SCREEN, Visitor, chromium
+from tests.support.browser import (
+    CONTRAST,
+    NAMELESS_PICTURES,
+    NARROW,
+    PICTURES_LACKING,
+    WIDE,
+    WIDER_THAN_SCREEN,
+    Visitor,
+    chromium,
+)
 
 pytestmark = pytest.mark.browser
 

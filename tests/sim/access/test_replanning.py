@@ -9,8 +9,8 @@ from bsk_torch.astro.eclipse import in_umbra
 from bsk_torch.astro.ephemeris import earth_orientation, sun_position
 from bsk_torch.sim.access.line_of_sight_search import flown_positions
 from bsk_torch.vec3 import Vec3
-from tests.manoeuvring import Imager, make, push
 from tests.sim.orbit.arcs import sine_of_elevation
+from tests.support.manoeuvring import Imager, make, push
 
 AHEAD = 6500.0
 """Seconds ahead that are looked at: more than an orbit."""

@@ -7,7 +7,7 @@ import torch
 
 from bsk_torch import SatelliteTasking, act, dyn, fsw, obs, sats
 from bsk_torch.sim.component import Arg, Component, Field
-from tests.manoeuvring import MU, RADIUS, START
+from tests.support.manoeuvring import MU, RADIUS, START
 
 MASS, THRUST = 330.0, 0.5
 """kg and N: 1.5 mm/s^2, thousands of times as much as electric propulsion, so that minutes show it."""

@@ -7,7 +7,7 @@ import torch
 
 from bsk_torch.sim import fsw
 from bsk_torch.sim.fsw.manoeuvre import burn
-from tests.manoeuvring import R_N, V_N, Imager, Kick, Mover, every, make, push, step
+from tests.support.manoeuvring import R_N, V_N, Imager, Kick, Mover, every, make, push, step
 
 
 @pytest.fixture(params=["integrated", "arc"])

@@ -2,8 +2,8 @@
 
 import pytest
 
-from tests.blocks import ROOT, blocks, run_commands, run_python
 from tests.docs.quoted import checking_print
+from tests.support.blocks import ROOT, blocks, run_commands, run_python
 
 README = ROOT / "README.md"
 PYTHON, SHELL = blocks(README, "python"), blocks(README, "bash")

@@ -17,7 +17,7 @@ SEED = 4_000_011
 
 @pytest.fixture
 def clouds(monkeypatch):
-    monkeypatch.syspath_prepend(str(Path(__file__).parents[1] / "benchmarks"))
+    monkeypatch.syspath_prepend(str(Path(__file__).parents[2] / "benchmarks"))
     import clouds
 
     yield clouds
@@ -27,7 +27,7 @@ def clouds(monkeypatch):
 
 @pytest.fixture
 def suite(monkeypatch):
-    monkeypatch.syspath_prepend(str(Path(__file__).parents[1] / "benchmarks"))
+    monkeypatch.syspath_prepend(str(Path(__file__).parents[2] / "benchmarks"))
     import suite
 
     yield suite

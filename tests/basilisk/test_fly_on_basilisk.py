@@ -13,7 +13,7 @@ import pytest
 import torch
 from tensordict import TensorDict
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "scripts" / "validation"))
+sys.path.insert(0, str(Path(__file__).parents[2] / "scripts" / "validation"))
 
 import fly_on_basilisk
 from flight_comparison import Pair, findings, kept, rarest, table
@@ -277,7 +277,7 @@ def test_what_is_missing_is_named(monkeypatch, tmp_path):
 @pytest.mark.compiled
 def test_the_rule_flies_as_it_has_flown_on_basilisk():
     """Every action follows from what that simulator shows; one of the three episodes ends with an empty battery."""
-    with np.load(Path(__file__).parent / "basilisk" / "recordings" / "flight_rule.npz") as file:
+    with np.load(Path(__file__).parent / "recordings" / "flight_rule.npz") as file:
         there = dict(file)
     flyer = Flyer("rule", "NadirScan-v1", {})
     env = flyer.environment(3)

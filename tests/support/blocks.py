@@ -11,9 +11,9 @@ from typing import NamedTuple
 from typer.testing import CliRunner
 
 from bsk_torch.cli import app
-from tests.programs import run_script
+from tests.support.programs import run_script
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 
 SHORT = {
     "train": "--frames 32 num_envs=2 rollout=8 evaluate_every=16 evaluate_episodes=2 --episodes 2 --time-limit 300",
