@@ -158,7 +158,7 @@ RSO = LATER + "imaging other satellites. Their surfaces can be inspected: scene.
 MIXED = LATER + "several scenarios in one environment. Satellites of several types can share one scenario"
 STORES = (
     "is not needed: rewarders keep tensors of all episodes (env.rewarder.imaged, .known, .cum_reward). One's own are subclasses "
-    "of data.GlobalReward with read_log() and calculate_reward(before, after), or have a data.DataStore of their own as in bsk_rl"
+    "of data.GlobalReward with read_log() and calculate_reward(before, after), or have their own data.DataStore as in bsk_rl"
 )
 BUILDERS = "is not needed: environments build actions and observations from action_spec and observation_spec"
 TYPES = "is a type for annotations of bsk_rl: write torch.Tensor"
@@ -202,7 +202,7 @@ ADVICE: dict[str, str] = {name: advice for advice, names in GROUPS.items() for n
     "idealMonarc1Octet": "makes Basilisk's thrusters, which dyn.BasicDynamicsModel has: act.Desat fires them",
     "TrajectorySimulator": "looks ahead along an orbit; here satellites do: satellite.find_next_opportunities(n), "
     "satellite.find_windows(until), satellite.next_eclipse()",
-    "WrappedEpisodeDataCallbacks": "needs Ray, in an environment of its own: pip install 'ray[rllib]==2.60.0'",
+    "WrappedEpisodeDataCallbacks": "needs Ray, in its own environment: pip install 'ray[rllib]==2.60.0'",
     "load_torch_mlp_policy": "loads a checkpoint of RLlib's: RLModule.from_checkpoint of Ray, as in examples/ppo_rllib.py",
     "EpisodeDataCallbacks": "is deprecated in bsk_rl: wrap the environment in EpisodeDataWrapper",
     "MultiagentEpisodeDataCallbacks": "is deprecated in bsk_rl: wrap the environment in EpisodeDataParallelWrapper",

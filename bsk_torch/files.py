@@ -15,7 +15,7 @@ PART = re.compile(r"\..+\.[0-9a-f]{16}\.part")
 def write_file(path: Path | str, content: bytes | str) -> None:
     """Write a file, or replace the one of that name; the old one stays as it is if that fails.
 
-    The content goes to a new file beside it, with a name that cannot be foreseen, reaches the disk, and is then moved. A symbolic
+    The content goes to a new file next to it with a name that cannot be foreseen, reaches the disk, then is moved. A symbolic
     link at ``path`` is replaced, and never followed: in a folder that others can write to, it could lead anywhere.
 
     Args:

@@ -73,7 +73,7 @@ class Vec3(NamedTuple):
         return self / self.norm()
 
     def map(self, function: Callable[..., Tensor], *others: Vec3) -> Vec3:
-        """Apply ``function`` to each component (and to those of ``others`` beside it)."""
+        """Apply ``function`` to each component (and to those of ``others`` alongside it)."""
         return Vec3(*(function(*parts) for parts in zip(self, *others, strict=True)))
 
     def to(self, dtype: torch.dtype) -> Vec3:

@@ -38,7 +38,7 @@ ARGUMENTS: dict[str, str] = {
 """Arguments of each example when the site is built, small enough for about a minute; ``{tmp}`` is an empty folder."""
 
 NOT_EXECUTED = ("ppo_rllib",)
-"""Scripts that are shown with what they printed last, since they need an environment of their own."""
+"""Scripts that are shown with what they printed last, since they need a separate environment."""
 
 
 def name_of(path: str | Path) -> str:

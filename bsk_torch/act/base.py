@@ -155,7 +155,7 @@ class Action:
 
     @property
     def n_negative_actions(self) -> int:
-        """Number of actions -1, -2, ... that the entry accepts beside its own; 0 unless overridden."""
+        """Number of actions -1, -2, ... that the entry accepts in addition to its own; 0 unless overridden."""
         return 0
 
     def names(self) -> list[str]:
@@ -204,7 +204,7 @@ class ActionBuilder:
     Attributes:
         entries: The entries.
         n_actions: Size of the action space.
-        n_negative_actions: Number of negative actions that are legal beside the action space.
+        n_negative_actions: Number of negative actions that are legal in addition to the action space.
     """
 
     def __init__(self, spec: Sequence[Action], satellite: BoundSatellite) -> None:

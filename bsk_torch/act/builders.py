@@ -35,7 +35,7 @@ def action_builder(spec: Sequence[Any], satellite: BoundSatellite) -> ActionBuil
     if len(spec) > 1:
         names = ", ".join(type(entry).__name__ for entry in spec)
         raise ValueError(
-            f"{title} = [{names}] has {continuous[0].name!r}, whose actions are real numbers, beside other entries; it must be "
+            f"{title} = [{names}] has {continuous[0].name!r}, whose actions are real numbers, with other entries; it must be "
             "the only one. An act.HybridAction has real numbers and a choice"
         )
     return ContinuousBuilder(continuous[0], satellite)
@@ -75,7 +75,7 @@ class ContinuousBuilder:
 
     @property
     def is_hybrid(self) -> bool:
-        """Whether there is a choice beside the real numbers."""
+        """Whether there is a choice alongside the real numbers."""
         return bool(self.choices)
 
     @property

@@ -1,4 +1,4 @@
-"""Base classes of actions that are real numbers, alone or beside a choice."""
+"""Base classes of actions that are real numbers, alone or alongside a choice."""
 
 from __future__ import annotations
 
@@ -121,7 +121,7 @@ class HybridAction(ContinuousAction):
     """Actions of A real numbers and one of K choices, such as a manoeuvre and a flight mode.
 
     The action of an environment has two parts, ``"values"`` [..., A] and ``"choice"`` [...]; ``action_mask`` [..., K] says which
-    choices are legal. Subclasses define :meth:`choices` beside the hooks of :class:`ContinuousAction`, whose :meth:`bounds` and
+    choices are legal. Subclasses define :meth:`choices` and the hooks of :class:`ContinuousAction`, whose :meth:`bounds` and
     :meth:`names` are those of the real numbers.
 
     In :meth:`decide`, the last of the A + 1 columns of ``action`` is the number of the choice.

@@ -1,6 +1,6 @@
 """Roots and maxima of many functions of one variable at once.
 
-The steps of the searches are functions of their own, which kernels take, too.
+The steps of the searches are separate functions, which kernels take, too.
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib.util
 from pathlib import Path
 
-INSTALL = "pip install -e '.[basilisk]' in a clone, without constraints.txt and in an environment of its own: bsk pins packages"
+INSTALL = "pip install -e '.[basilisk]' in a clone, without constraints.txt and in its own environment: bsk pins packages"
 
 SUPPORT = {
     "EphemerisData": ("naif0012.tls", "pck00010.tpc", "de-403-masses.tpc", "de430.bsp"),

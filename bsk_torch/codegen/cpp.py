@@ -290,7 +290,7 @@ ENTRY = ["using namespace lanes;", "", 'extern "C" int lanes_width() { return W;
 
 
 def _independent(loop: LoweredLoop) -> Lines:
-    """Print a kernel in which every row has an end of its own."""
+    """Print a kernel in which every row has its own end."""
     ticks = [
         *_clock(loop),
         *_section(_statements(loop.body, loop.schedule)),

@@ -60,7 +60,7 @@ class Kernel:
 
     @cached_property
     def independent(self) -> Entry:
-        """The library in which every row has an end of its own."""
+        """The library in which every row has its own end."""
         return Entry.of(self.loop, False, self.name)
 
     @cached_property

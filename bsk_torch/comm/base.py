@@ -41,7 +41,7 @@ class CommunicationMethod:
     """Decides after each step which satellites share their knowledge with which others.
 
     Subclasses define :meth:`communication_pairs`. Satellites that have died continue to communicate, as in bsk_rl. A method must
-    not keep values of episodes in attributes of its own, but in ``self.fleet.memory``, a
+    not keep values of episodes in its own attributes, but in ``self.fleet.memory``, a
     :class:`~bsk_torch.sim.state.StateTable`, which is reset, saved and restored with the episodes. Public attributes that hold a
     tensor must not change between steps.
 

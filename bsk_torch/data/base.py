@@ -52,7 +52,7 @@ MARKS = ("data_store_type", "datastore_type", "data_type", "create_data_store", 
 """Names that only rewarders in bsk_rl's form define."""
 
 SINGLE_ARGUMENTS = {"calculate_reward": (1, 2), "is_terminated": (1, 0), "is_truncated": (1, 0)}
-"""Methods that have other arguments in bsk_rl's form: their number there and here, beside ``self``."""
+"""Methods that have other arguments in bsk_rl's form: their number there and here, without ``self``."""
 
 
 def is_single_form(body: Mapping[str, Any]) -> bool:
@@ -65,7 +65,7 @@ def is_single_form(body: Mapping[str, Any]) -> bool:
 
 
 def takes(function: Callable[..., object], count: int) -> bool:
-    """Return whether a method can be called with ``count`` arguments beside ``self``."""
+    """Return whether a method can be called with ``count`` arguments in addition to ``self``."""
     try:
         inspect.signature(function).bind(*[None] * (count + 1))
     except TypeError:

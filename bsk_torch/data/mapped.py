@@ -32,7 +32,7 @@ def for_batch(rewarder: GlobalReward) -> GlobalReward:
 
 
 class MappedReward(GlobalReward):
-    """Runs a rewarder in bsk_rl's form for each environment, with stores of its own for each.
+    """Runs a rewarder in bsk_rl's form for each environment, with separate stores for each.
 
     Attributes:
         given: The user's rewarder; every episode begins with a deep copy of it.

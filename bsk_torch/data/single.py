@@ -28,7 +28,7 @@ HOOKS = (
     "is_terminated",
     "is_truncated",
 )
-"""Members of :class:`SingleReward` that subclasses may define, beside ``reward``."""
+"""Members of :class:`SingleReward` that subclasses may define, in addition to ``reward``."""
 
 MIXED = "the class is in bsk_rl's form; define either that or tensors of all environments with {}"
 

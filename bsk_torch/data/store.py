@@ -17,7 +17,7 @@ class Data:
         raise NotImplementedError(f"{type(self).__name__} must implement __add__(other)")
 
     def __copy__(self) -> Any:
-        """Return a unit of its own: an empty one and this."""
+        """Return a new unit: an empty one and this."""
         return type(self)() + self
 
 

@@ -38,7 +38,7 @@ def of_satellites(args: Any, names: Sequence[str], envs: tuple[int, ...] | None)
     """Return the changes that ``args`` means: arguments of all satellites, or by name of the satellite.
 
     Raises:
-        ValueError: For names of satellites beside names of arguments.
+        ValueError: For names of satellites alongside names of arguments.
     """
     if not (isinstance(args, Mapping) and any(name in names for name in args)):
         given = expand(args, "sat_args")

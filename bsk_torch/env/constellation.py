@@ -64,7 +64,7 @@ class ConstellationTasking(Tasking):
         """Build the environment and check its arguments; nothing is simulated before the first reset.
 
         Args:
-            satellites: The satellites, each with a name of its own. Those that differ in nothing but their names and arguments
+            satellites: The satellites, each with a unique name. Those that differ in nothing but their names and arguments
                 are of one type and are simulated together.
             scenario: Task of the satellites; None for none.
             rewarder: Value of their data, the sum of several if there are several; None for zero.
@@ -101,7 +101,7 @@ class ConstellationTasking(Tasking):
             if group.is_meta and real and not self.joint:
                 raise ValueError(
                     f"agent {group.agents[0]!r} commands several satellites, and the actions of {real[0]} are real numbers; "
-                    "such a satellite must be an agent of its own, or one of all satellites under joint=True"
+                    "such a satellite must be a separate agent, or one of all satellites under joint=True"
                 )
             if group.is_meta and unfit:
                 raise ValueError(

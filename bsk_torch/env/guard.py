@@ -56,7 +56,7 @@ class EpisodeGuard:
         if not self._lock.acquire(blocking=False):
             raise RuntimeError(
                 f"the environment is in use by thread {self._inside!r}, and {threading.current_thread().name!r} called it at the "
-                "same time: give each thread an environment of its own, or let one wait for the other with a threading.Lock"
+                "same time: give each thread its own environment, or let one wait for the other with a threading.Lock"
             )
         self._inside = threading.current_thread().name
         self._outer_modes.append(torch.is_grad_enabled())

@@ -49,7 +49,7 @@ class SimulationFormatter(logging.Formatter):
 def configure(level: int | str | None, file: str | Path | None) -> None:
     """Set the package's logger up.
 
-    A level shows records on standard error unless the program has handlers of its own. A file gets the records, too; it is
+    A level shows records on standard error unless the program has its own handlers. A file gets the records, too; it is
     appended to. As in bsk_rl, the level is WARNING where only a file is given.
 
     Args:

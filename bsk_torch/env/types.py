@@ -30,7 +30,7 @@ def check_names(satellites: Sequence[Satellite]) -> list[str]:
         if not name.isidentifier() or keyword.iskeyword(name):
             raise ValueError(f"name={name!r} must be a Python identifier, such as 'Scanner1'")
     if twice := sorted({name for name in names if names.count(name) > 1}):
-        raise ValueError(f"satellites has several called {twice}; every satellite needs a name of its own")
+        raise ValueError(f"satellites has several called {twice}; every satellite needs a unique name")
     return names
 
 

@@ -110,7 +110,7 @@ class Observation:
     def get_vector(self) -> Tensor:
         """Return the present observation as one vector [N, width], the leaves of :meth:`get_obs` side by side.
 
-        A class may define a faster way beside its ``get_obs``; a subclass that overrides only ``get_obs`` gets this one again.
+        A class may define a faster way alongside its ``get_obs``; a subclass that overrides only ``get_obs`` gets this one again.
         """
         return side_by_side(self.name, self.get_obs(), self.simulator.state.rows)
 

@@ -23,7 +23,7 @@ Noise = float | Distribution | Mapping[str, float | Distribution]
 """Standard deviation of normal noise, or a distribution, of all numbers that are observed or by name."""
 
 STREAM = 0x1E3779B97F4A7C15
-"""Odd number by which ticks change the seed, so that every decision has random numbers of its own."""
+"""Odd number by which ticks change the seed, so that every decision has separate random numbers."""
 
 SEED_BITS = 2**63 - 1
 

@@ -281,7 +281,7 @@ class RelativeProperties(Observation):
 
     @property
     def chief(self) -> Any:
-        """The chief, row by row beside the satellite."""
+        """The chief, row by row alongside the satellite."""
         return self.satellite.others[self.chief_name]
 
     @property

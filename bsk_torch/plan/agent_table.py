@@ -31,7 +31,7 @@ class AgentTable:
     """
 
     def __init__(self, env: Tasking) -> None:
-        """ValueError for environments whose satellites are not agents of their own, and for actions without finite bounds."""
+        """ValueError for environments whose satellites are not separate agents, and for actions without finite bounds."""
         views = member_views(env)
         self.groups: list[str | None] = list(views) if isinstance(env, ConstellationTasking) else [None]
         self.sizes = [len(env.group_map[name]) for name in views] if isinstance(env, ConstellationTasking) else [1]

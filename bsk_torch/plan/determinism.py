@@ -16,7 +16,7 @@ STEPS = 2
 def check_copyable(env: Tasking, slots: AgentTable) -> None:
     """Check that equal seeds begin equal episodes, and that equal states have equal futures.
 
-    Two rows begin the same episode twice, and take the same decisions twice, in an environment of their own.
+    Two rows begin the same episode twice, and take the same decisions twice, in a separate environment.
 
     Raises:
         TypeError: For something that is no environment of this package.

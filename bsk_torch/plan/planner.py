@@ -36,7 +36,7 @@ class Planner(TensorDictModuleBase):
     """Improves the decisions of a base policy by flying copies of the present episodes. Subclasses say which.
 
     A planner belongs to one environment, whose present episodes it copies; it writes the actions of all agents into what
-    ``reset`` or ``step`` of that environment has returned, and ``simulated_seconds`` [N] beside them: what it has simulated for
+    ``reset`` or ``step`` of that environment has returned, and ``simulated_seconds`` [N] next to it: what it has simulated for
     the decision, in seconds of flight. The environment itself is not touched, and no decision depends on other rows.
 
     In a constellation agents that decide at the same time are improved one after the other, in the order of the groups: in the
@@ -46,7 +46,7 @@ class Planner(TensorDictModuleBase):
     By default copies have the draws of the true episode, those that lie ahead included: a planner that is as good as a prophet
     where observations are noisy or something is hidden, such as clouds. Where all is known, as in most presets, that makes no
     difference. With ``futures`` each decision is planned in so many resampled futures, and means decide: copies get
-    seeds of their own, from which noise follows, and ``redraw`` draws hidden parts of the state.
+    separate seeds, from which noise follows, and ``redraw`` draws hidden parts of the state.
     """
 
     name: ClassVar[str]

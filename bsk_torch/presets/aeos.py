@@ -164,7 +164,7 @@ def cloud_forecast(satellite: sats.BoundSatellite, targets: sats.Opportunities) 
 
 
 CLOUDS = dict(fn=cloud_forecast, name="cloud_forecast")
-"""Property of targets that CloudyAEOS-v1 observes beside :data:`TARGET`."""
+"""Property of targets that CloudyAEOS-v1 observes alongside :data:`TARGET`."""
 
 
 class CloudySatellite(AgileSatellite):

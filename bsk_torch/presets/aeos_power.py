@@ -58,7 +58,7 @@ RESOURCES = (
     dict(prop="wheel_speeds_fraction"),
     dict(prop="storage_level_fraction"),
 )
-"""Observed properties of the satellite beside those of AEOS-v1."""
+"""Observed properties of the satellite in addition to those of AEOS-v1."""
 
 CHARGE, DOWNLINK, DESAT = 0, 1, 2
 """Actions that are not images."""

@@ -76,7 +76,7 @@ FUEL, LONGEST_THRUST = 10.0, 1.0
 """What a full tank is good for, and the largest change of velocity at once, m/s."""
 
 REGIONS = 32
-"""Regions that are observed beside the six of bsk_rl, and directions of waypoints."""
+"""Regions that are observed in addition to the six of bsk_rl, and directions of waypoints."""
 
 NEAR, SLOW = 500.0, 5.0
 """Norms of relative positions, m, and velocities, m/s."""

@@ -38,7 +38,7 @@ def is_ours(owner: type) -> bool:
 
 
 def of_row(value: object, row: int) -> Any:
-    """Return one row of a tensor [N, ...] as a Python number or a NumPy array of its own; likewise in tuples and dictionaries.
+    """Return one row of a tensor [N, ...] as a Python number or a new NumPy array; likewise in tuples and dictionaries.
 
     Anything else is the same for all rows.
     """

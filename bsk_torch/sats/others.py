@@ -1,4 +1,4 @@
-"""The other satellites of an episode, by name, row by row beside the satellite that asks for them.
+"""The other satellites of an episode, by name, row by row alongside the satellite that asks for them.
 
 With N environments and ``count`` satellites of the asking type in each, the row ``e * count + k`` of what is read here belongs to
 environment e: it is the value of the named satellite in that environment.
@@ -79,7 +79,7 @@ class Aligned:
 class OtherSatellite(Aligned):
     """A satellite of the same episodes: ``dynamics``, ``fsw``, ``sat_args`` and the rest, as of a :class:`BoundSatellite`.
 
-    Tensors have the rows of the satellite that asks: ``satellite.others["RSO"].dynamics.r_BN_N`` is [N, 3], beside
+    Tensors have the rows of the satellite that asks: ``satellite.others["RSO"].dynamics.r_BN_N`` is [N, 3], alongside
     ``satellite.dynamics.r_BN_N``.
     """
 

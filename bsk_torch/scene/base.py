@@ -48,7 +48,7 @@ class Scenario:
     """The task of the satellites. The base class has none.
 
     Episodes differ by what :meth:`draw` returns and by the time, and by nothing else. Environments prepare, save and restore
-    episodes by these values, so a scenario must not keep values of episodes in attributes of its own: put them into
+    episodes by these values, so a scenario must not keep values of episodes in its own attributes: put them into
     ``self.fleet.memory``, a :class:`bsk_torch.sim.state.StateTable`, which is reset, saved and restored with the episodes. Public
     attributes that hold a tensor must not change between steps; names of caches, which can be recomputed at any time, begin with
     an underscore.

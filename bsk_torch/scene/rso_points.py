@@ -109,7 +109,7 @@ class RSOPoints(Scenario):
     def generate_points(self) -> list[RSOPoint]:
         """Return the points of an episode, equally many in all of them; the hook of bsk_rl.
 
-        NumPy's global generator has a stream of its own for each environment and episode.
+        NumPy's global generator has its own stream for each environment and episode.
         """
         raise NotImplementedError(f"{type(self).__name__} must implement generate_points()")
 
@@ -212,7 +212,7 @@ class RSOPoints(Scenario):
                 f"{title}: {unfit} have dyn.RSOInspectorDynModel, but not fsw.RSOInspectorFSWModel, which points at the RSO"
             )
         if both := sorted(set(rsos) & set(inspectors)):
-            raise ValueError(f"{title}: {both} would inspect itself; give the RSO and its inspectors models of their own")
+            raise ValueError(f"{title}: {both} would inspect itself; give the RSO and its inspectors separate models")
 
     def link(self, fleet: SatelliteFleet) -> None:
         """See :meth:`Scenario.link`."""

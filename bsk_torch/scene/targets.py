@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from bsk_torch.sats.fleet import SatelliteFleet
 
 TARGET_HOOKS = ("target_names", "names", "r_LP_P", "priority", "available")
-"""Members of :class:`TargetScenario` that subclasses may define beside the hooks of :class:`Scenario`."""
+"""Members of :class:`TargetScenario` that subclasses may define in addition to the hooks of :class:`Scenario`."""
 
 
 class TargetScenario(Scenario):
@@ -126,7 +126,7 @@ class TargetScenario(Scenario):
         )
 
     def _attributes(self) -> list[str]:
-        """Return the names of drawn values that targets have beside position, priority and existence."""
+        """Return the names of drawn values that targets have in addition to position, priority and existence."""
         drawn = ((name, self.drawn(name)) for name in self.fleet.scenario_state)
         each = [name for name, value in drawn if value.ndim > 1 and value.shape[1] == self.most_targets]
         return [name for name in each if name not in ("target_r_LP_P", "target_priority", "target_exists", "target_key")]

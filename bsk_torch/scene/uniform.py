@@ -96,7 +96,7 @@ class UniformTargets(TargetScenario):
         """Fill ``self.targets`` with a :class:`Target` each, for one environment; the hook of bsk_rl.
 
         A subclass that defines it is called for each environment at its reset, on a copy of the scenario that has ``n_targets``,
-        ``radius`` and ``priority_distribution``; NumPy's global generator then has a stream of its own for each environment and
+        ``radius`` and ``priority_distribution``; NumPy's global generator then has its own stream for each environment and
         episode. ``super().regenerate_targets()`` makes the targets that the base class would draw. Attributes of targets that are
         numbers become drawn values: see :meth:`target_attribute`.
         """

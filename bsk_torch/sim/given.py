@@ -113,7 +113,7 @@ class Given(dict[str, Any]):
     """Arguments that were given; reading another one returns its default. Wrong names raise KeyError."""
 
     def __init__(self, given: Mapping[str, object], defaults: Mapping[str, object], title: str) -> None:
-        """Keep the ``given`` arguments beside the ``defaults`` of all; ``title`` is what the user calls the dictionary."""
+        """Keep the ``given`` arguments alongside the ``defaults`` of all; ``title`` is what the user calls the dictionary."""
         super().__init__()
         self.defaults, self.title = defaults, title
         for name, value in given.items():

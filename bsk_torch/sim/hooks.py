@@ -148,7 +148,7 @@ def check_linked(part: object, method: str, fleet: object) -> None:
 
 
 class ChangeGuard:
-    """Finds public attributes in which an object keeps tensors of its own from step to step.
+    """Finds public attributes in which an object keeps its own tensors from step to step.
 
     Such values would not be reset, saved and restored with the episodes that they belong to. A tensor that is assigned once, such
     as a table that is built when it is first needed, is allowed.

@@ -297,7 +297,7 @@ class StateTable:
         keys = set(saved.keys())
         if keys != {*self.fields, *self.tables}:
             missing, unknown = sorted({*self.fields, *self.tables} - keys), sorted(keys - {*self.fields, *self.tables})
-            raise KeyError(f"the saved state lacks {missing} and has {unknown} beside; it was saved by another environment")
+            raise KeyError(f"the saved state lacks {missing} and has unknown {unknown}; it was saved by another environment")
         own = other.__dict__
         own["tables"] = {name: table.over(saved[name]) for name, table in self.tables.items()}
         for name in self.fields:

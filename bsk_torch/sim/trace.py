@@ -1,6 +1,6 @@
 """Traces: fields of satellites at every tick of a run, for what depends on several satellites at the same time.
 
-Satellites of each type run in a kernel of their own. A component that ``records`` fields leaves a trace of them; one that
+Satellites of each type run in a separate kernel. A component that ``records`` fields leaves a trace of them; one that
 ``follows`` another satellite reads that one's trace, tick by tick, so the satellite which is followed runs first. What depends on
 the motion of several satellites, such as the distance between them, is computed from their traces after a run.
 """

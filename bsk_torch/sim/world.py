@@ -21,7 +21,7 @@ __all__ = ["AtmosphereWorldModel", "EclipseWorldModel", "GroundStationWorldModel
 class WorldModel(World):
     """Sun and Earth, with the gravity of both.
 
-    Subclasses list ``components`` of their own; a component replaces the one that a base class has in the same slot. An instance,
+    Subclasses list their own ``components``; a component replaces the one that a base class has in the same slot. An instance,
     ``simulator.world``, reads the present of the world, as its methods and properties do.
 
     ``only_where_required`` holds back the components of a class, not of its subclasses, from satellites whose dynamics model does

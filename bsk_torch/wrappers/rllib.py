@@ -24,7 +24,7 @@ VIEWS: dict[type, Any] = {GeneralSatelliteTasking: GymJointEnv, ConstellationTas
 
 CALLBACKS = ("episode_data_callback", "satellite_data_callback")
 
-RAY = "needs Ray, which wants an environment of its own: pip install 'ray[rllib]==2.60.0'"
+RAY = "needs Ray, which wants its own environment: pip install 'ray[rllib]==2.60.0'"
 
 
 def unpack_config(env: type) -> type:

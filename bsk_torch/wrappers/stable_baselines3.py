@@ -167,7 +167,7 @@ class SB3VecEnv(VecEnv):
         return {name: leaf if leaf.ndim > batch_dims else leaf[..., np.newaxis] for name, leaf in leaves}
 
     def close(self) -> None:
-        """Nothing has to be closed beside the views."""
+        """Nothing but the views has to be closed."""
         self.vector.close()
 
     # -- calls of single environments ---------------------------------------------------------------------------------

@@ -92,7 +92,7 @@ def options(preset: Any) -> str:
     for parameter in inspect.signature(preset).parameters.values():
         if parameter.kind is not parameter.VAR_KEYWORD:
             rows.append([code(parameter.name), code(repr(parameter.default)), argument(preset, parameter.name)])
-    return table(["option", "default", "meaning"], rows) if rows else "It has no options of its own."
+    return table(["option", "default", "meaning"], rows) if rows else "It has no options."
 
 
 def argument(function: Any, name: str) -> str:

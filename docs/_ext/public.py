@@ -52,7 +52,7 @@ class Name:
 
     @property
     def members(self) -> list[str]:
-        """Public attributes that a class defines itself, with docstrings of their own."""
+        """Public attributes that a class defines itself, with their own docstrings."""
         found = []
         for name, value in vars(self.value).items():
             function = value.fget if isinstance(value, property) else getattr(value, "__func__", value)

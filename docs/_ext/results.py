@@ -365,7 +365,7 @@ def bounds_made() -> str:
 
 
 def schedules() -> str:
-    """Return what schedules reach beside other policies and the bound."""
+    """Return what schedules reach alongside other policies and the bound."""
     rows = []
     for row in load("milp")["rows"]:
         value = f"{row['value']:.1f} ± {row['half']:.1f}"

@@ -1,4 +1,4 @@
-"""Tables of ``benchmarks/results/truth.json``: largest differences from Basilisk, beside the bounds of the tests."""
+"""Tables of ``benchmarks/results/truth.json``: largest differences from Basilisk, alongside the bounds of the tests."""
 
 from __future__ import annotations
 

@@ -38,7 +38,7 @@ def arrow(
 
 
 def save(figure: Figure, script: str) -> None:
-    """Write the drawing beside its script, as SVG."""
+    """Write the drawing alongside its script, as SVG."""
     path = Path(script).with_suffix(".svg")
     figure.savefig(path, metadata={"Date": None})
     plt.close(figure)

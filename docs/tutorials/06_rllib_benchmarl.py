@@ -7,7 +7,7 @@ Train with BenchMARL and RLlib
 A constellation trained with BenchMARL's IPPO, and what RLlib needs to train a single satellite.
 
 BenchMARL is installed without its dependencies, because it asks for an older TorchRL: ``pip install --no-deps benchmarl==1.5.2``.
-RLlib asks for an older Gymnasium and needs an environment of its own, so its part of this page is shown, not executed.
+RLlib asks for an older Gymnasium and needs its own environment, so its part of this page is shown, not executed.
 """
 
 # %%
@@ -78,7 +78,7 @@ path = draw(record(experiment.policy, alone, seed=4), "ippo.png", "IPPO of Bench
 
 # %%
 # ``MappoConfig`` trains a critic that observes all satellites. ``AEOS_CONSTELLATION`` and ``RELAY_CONSTELLATION`` are the other
-# tasks. This package has MAPPO and IPPO of its own, with a discount per second and attention over the targets:
+# tasks. This package has its own MAPPO and IPPO, with a discount per second and attention over the targets:
 #
 # .. code-block:: text
 #
@@ -87,7 +87,7 @@ path = draw(record(experiment.policy, alone, seed=4), "ippo.png", "IPPO of Bench
 # RLlib
 # -----
 #
-# The code below is a part of ``examples/ppo_rllib.py``, which is tested in an environment of its own
+# The code below is a part of ``examples/ppo_rllib.py``, which is tested in its own environment
 # (``scripts/test.sh --rllib``). To make one:
 #
 # .. code-block:: text
@@ -96,7 +96,7 @@ path = draw(record(experiment.policy, alone, seed=4), "ippo.png", "IPPO of Bench
 #     .venv-rllib/bin/pip install -e . 'ray[rllib]==2.60.0'
 #     .venv-rllib/bin/python examples/ppo_rllib.py
 #
-# RLlib steps batches of episodes through Gymnasium's vector entry point, and looks for the mask of legal actions beside the
+# RLlib steps batches of episodes through Gymnasium's vector entry point, and looks for the mask of legal actions alongside the
 # observation. A wrapper puts it there:
 #
 # .. literalinclude:: /../examples/ppo_rllib.py

@@ -135,7 +135,7 @@ except ValueError as error:
 
 # %%
 # ``bsk-torch publish RUN --folder FOLDER`` evaluates the policy of a run, copies it, and notes command, time, machine and score
-# beside it in ``policies.json``. The policies of the package were published in this way:
+# alongside it in ``policies.json``. The policies of the package were published in this way:
 from bsk_torch.rl.policies import makings
 
 for preset, making in makings().items():

@@ -159,7 +159,7 @@ class SearchFSWModel(fsw.SteeringImagerFSWModel):  # bsk_rl: CustomFswModel, wit
 
 
 class Search(act.Image):  # bsk_rl: task_target_for_imaging of the satellite
-    """Images one of the next targets, which takes a time of its own."""
+    """Images one of the next targets, which takes its own time."""
 
     def link_satellite(self, satellite: Any) -> None:
         """Count decisions."""

@@ -4,7 +4,7 @@ Bounds are those of the design, with two of them particular to images:
 
 * observations: 1e-6 with feedback, 1e-5 with steering, whose loop amplifies rounding;
 * windows: 1 ms. They come from the planned trajectory, which follows bsk_rl's to metres for half a day. From then on it drifts
-  ahead or behind with the third power of time, to 27 ms after 45 hours: the look-ahead of days has a bound of its own.
+  ahead or behind with the third power of time, to 27 ms after 45 hours: the look-ahead of days has its own bound.
 """
 
 import numpy as np

@@ -103,7 +103,7 @@ def recorded_steps(case):
 
 
 def flown_steps(initial, r, v, begin, ticks):
-    """Every recorded step as an environment of its own, and the first tick at which each condition holds in it, [n, C]."""
+    """Every recorded step as its own environment, and the first tick at which each condition holds in it, [n, C]."""
     names = ["RSO", *(f"Inspector{k}" for k in range(1, r.shape[1]))]
     far = dict(chief_name="RSO", max_range_radius=initial["sats"][1]["max_range_radius"], conjunction_radius=2.0)
     satellites = [

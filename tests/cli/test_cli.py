@@ -32,5 +32,5 @@ def test_an_unknown_preset_is_answered_with_the_nearest(run, command):
 def test_agents_of_several_satellites_are_refused(run):
     result = run("train", *SHORT, "RelayConstellation-v1", "options.joint=true", "options.as_set=false")
     assert result.exit_code == 1
-    assert "RelayConstellation-v1 cannot be learned: each satellite must be an agent of its own" in result.output
+    assert "RelayConstellation-v1 cannot be learned: each satellite must be a separate agent" in result.output
     assert len(result.output.splitlines()) == 1

@@ -184,7 +184,7 @@ for given in sys.argv[1:]:
 
 
 def test_paths(tmp_path):
-    """Built and loaded, with a working directory and a home of its own."""
+    """Built and loaded, with a working directory and its own home."""
     work, home = tmp_path / "work" / "inner", tmp_path / "home"
     work.mkdir(parents=True), home.mkdir()
     env = os.environ | {"HOME": str(home), "BSK_TORCH_ISA": "default"}

@@ -161,7 +161,7 @@ def test_the_command_plays_all_presets(tmp_path, monkeypatch, presets):
 
 @pytest.mark.nightly
 def test_a_preset_plays_with_shipped_kernels_alone(tmp_path):
-    """The command in a process of its own, without optimisation, which makes it short; then a machine without compiler."""
+    """The command in its own process, without optimisation, which makes it short; then a machine without compiler."""
     out = tmp_path / "kernels"
     quick = "from bsk_torch.codegen import build; build.FLAGS += ('-O0',); from bsk_torch.cli import app; app()"
     built = run("-c", quick, "build-kernels", "NadirScan-v1", "--out", str(out))

@@ -378,7 +378,7 @@ def test_episodes_beyond_the_ephemeris_are_refused_before_they_begin():
 
 
 def test_episodes_at_the_end_of_the_ephemeris():
-    """They look ahead beyond it, where the Sun stands still; one without a limit of its own is truncated at the end."""
+    """They look ahead beyond it, where the Sun stands still; one without its own limit is truncated at the end."""
     env = make(world_args=LATE, time_limit=float("inf"), seed=1)
     td = env.reset()
     assert env.state.limit_ticks.tolist() == [531, 531]

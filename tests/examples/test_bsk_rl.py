@@ -43,7 +43,7 @@ def test_satellite_configuration(part):
 
 @pytest.mark.parametrize("joint", [True, False])
 def test_multiagent_envs(joint):
-    """One satellite is killed in the sixth step, and sees once more where it is an agent of its own."""
+    """One satellite is killed in the sixth step, and sees once more where it is a separate agent."""
     recorded, module = load("multiagent_general" if joint else "multiagent_constellation"), example("multiagent_envs")
     env = module.make(joint=joint, **(start(recorded) | dict(scenario=recorded.targets)))
     Replay(env, recorded, tolerance=STEERING, before=lambda env, k: module.kill(env, 0) if k == 6 else None).run()

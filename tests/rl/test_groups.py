@@ -83,7 +83,7 @@ def test_each_group_is_changed_with_its_own_view(env):
 @pytest.mark.parametrize("options", [{"joint": True}, {"meta_agent_groupings": {"pair": ["EO1", "EO2"]}}])
 def test_agents_of_several_satellites_are_refused(options):
     env = bsk_torch.make("RelayConstellation-v1", num_envs=1, backend="eager", **CREW, **options)
-    with pytest.raises(ValueError, match="each satellite must be an agent of its own"):
+    with pytest.raises(ValueError, match="each satellite must be a separate agent"):
         member_views(env)
 
 

@@ -243,7 +243,7 @@ def imagers(backend) -> Simulator:
 
 
 def test_each_task_takes_one_image_into_its_partition(imagers):
-    """What the store starts with is a partition of its own, which only a downlink empties."""
+    """What the store starts with is its own partition, which only a downlink empties."""
     levels = imagers.read("partitions")
     image = ARGS["instrumentBaudRate"]
     assert levels[:3].tolist() == [[image, 0.0, 2.0 * image], [0.0, image, 2.0 * image], [image, 0.0, 2.0 * image]]

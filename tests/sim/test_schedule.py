@@ -117,7 +117,7 @@ def test_slots_are_moved_and_added():
 
 
 class Radiating(dyn.BasicDynamicsModel):
-    """Charges the battery before the sinks draw from it, and has a slot of its own."""
+    """Charges the battery before the sinks draw from it, and has its own slot."""
 
     schedule = SCHEDULE.moved("battery", before="wheel_power").with_slot(
         Slot("radiator", "heat that leaves the spacecraft", "none", "dynamics"), after="battery"

@@ -124,7 +124,7 @@ def test_the_track_belongs_to_the_decisions_that_it_was_flown_in(episode, tmp_pa
 
 
 class Counting(TensorDictModuleBase):
-    """Charges, and counts its decisions in a memory of its own."""
+    """Charges, and counts its decisions in its own memory."""
 
     in_keys, out_keys = ["observation"], ["action", ("next", "count")]
 

@@ -29,7 +29,7 @@ class ImagingBound:
         in_view: What the targets pay that come into view at all, [N].
         found: What the best schedule pays that was found in the relaxation, [N]; a satellite may be unable to fly it. The most
             that any relaxation with these least times between images can give lies between this and ``upper``.
-        multiplier: Multipliers of the targets, [N, T]: what an image of each is worth beside others.
+        multiplier: Multipliers of the targets, [N, T]: what an image of each is worth alongside others.
         target, tick: That schedule: targets by index, and the ticks at which their steps end, [N, K]; -1 behind the last. Of a
             constellation, the images of one satellite follow those of the one before.
         satellite: Which satellite of the episode takes each image, [N, K].
@@ -54,7 +54,7 @@ def imaging_bound(
 
     * successive images are no closer in time than ``envelope`` says: it rests on a million recorded transitions, not on a proof;
     * no image is carried over from a step that has just ended (:func:`~bsk_torch.plan.bounds.transitions.carried_over`); what
-      policies collect beside such images lies below the bound in any case;
+      policies collect alongside such images lies below the bound in any case;
     * power, storage and the first slew cost nothing; dying pays nothing.
 
     With the envelope of the package and full episodes of AEOS-v1 it is hardly lower than ``in_view``, whatever the number of

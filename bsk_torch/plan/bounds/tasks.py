@@ -25,7 +25,7 @@ ORBIT = 0.01
 """Fraction by which the semi-major axis may differ from that of the flights that an envelope was fitted on."""
 
 DISTURBANCE = 0.01
-"""Largest disturbance torque, as a fraction of the wheels' torque; beside it the satellite is as agile as without."""
+"""Largest disturbance torque, as a fraction of the wheels' torque; below it the satellite is as agile as without."""
 
 
 def agility(satellite: BoundImagingSatellite) -> dict[str, str]:
@@ -71,7 +71,7 @@ def check_satellite(satellite: BoundSatellite, envelope: Envelope) -> None:
             f"the envelope was fitted on near-circular orbits with a={base:g} m; a={axis.tolist()[:3]} m is too far off"
         )
     if bool((satellite.sat_args["disturbance_vector"].norm(dim=-1) > DISTURBANCE * satellite.sat_args["u_max"]).any()):
-        raise ValueError("disturbance_vector is not small beside u_max, as it was where the envelope was fitted")
+        raise ValueError("disturbance_vector is not small compared to u_max, as it was where the envelope was fitted")
 
 
 def check_task(env: Tasking, envelope: Envelope) -> None:

@@ -1,4 +1,4 @@
-"""A policy beside random actions and the rules, in the same fresh episodes."""
+"""A policy alongside random actions and the rules, in the same fresh episodes."""
 
 from __future__ import annotations
 

@@ -5,7 +5,7 @@ these decisions are learned from, by TorchRL's ``loss_mask_key``. Every satellit
 decision on, with a discount for elapsed time as in :mod:`~bsk_torch.rl.training.advantages`. The critic of MAPPO (Yu et al.
 2022, arXiv:2103.01955) observes all satellites, that of IPPO (de Witt et al. 2020, arXiv:2011.09533) one.
 
-Every group of agents, one for each type of satellites, has an actor, a critic and an optimiser of its own. In MAPPO the critics
+Every group of agents, one for each type of satellites, has its own actor, critic and optimiser. In MAPPO the critics
 observe the satellites of all groups.
 """
 

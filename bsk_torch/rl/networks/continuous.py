@@ -34,6 +34,6 @@ class NormalParameters(nn.Module):
 
 
 def squashed(bounds: Bounds) -> dict[str, Any]:
-    """Return the arguments of TorchRL's ``TanhNormal`` beside mean and deviation."""
+    """Return the arguments of TorchRL's ``TanhNormal`` alongside mean and deviation."""
     low, high = torch.tensor(bounds, dtype=torch.float32).unbind(-1)
     return {"low": low, "high": high}

@@ -100,7 +100,7 @@ class SetNormaliser(ObservationNormaliser):
         self.own, self.rows = FeatureNormaliser(n_own), FeatureNormaliser(n_features)
 
     def _join(self, tensordict: TensorDictBase) -> Tensor:
-        """Return the observations beside the set, [..., D]."""
+        """Return the observations alongside the set, [..., D]."""
         batch = tensordict.batch_size
         return torch.cat([tensordict[key].reshape(*batch, -1) for key in self.own_keys], -1)
 

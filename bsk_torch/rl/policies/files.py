@@ -24,7 +24,7 @@ POLICY = "policy.pt"
 """File of the policy in the folder of a run."""
 
 CARD = {"bsk_torch", "preset", "options"}
-"""Entries of such a file, beside those of :data:`NETWORK`, or :data:`GROUPS` where there are several groups of satellites."""
+"""Entries of such a file besides those of :data:`NETWORK`, or :data:`GROUPS` where there are several groups of satellites."""
 
 NETWORK = {"network", "plan", NORMALISER, ACTOR}
 """Entries that describe the networks of one group."""

@@ -36,12 +36,12 @@ def member_views(env: Tasking) -> dict[str, SatelliteTasking]:
     Networks and rules are built for these. An environment of one satellite is returned itself, as the only group.
 
     Raises:
-        ValueError: Unless every satellite of a constellation is an agent of its own.
+        ValueError: Unless every satellite of a constellation is a separate agent.
     """
     if not isinstance(env, ConstellationTasking):
         return {AGENTS: cast(SatelliteTasking, env)}
     if env.joint or any(group.is_meta for group in env.groups):
-        raise ValueError(f"each satellite must be an agent of its own; the groups are {dict(env.group_map)}")
+        raise ValueError(f"each satellite must be a separate agent; the groups are {dict(env.group_map)}")
     return {group.name: _view(env, group) for group in env.groups}
 
 
@@ -59,7 +59,7 @@ def member_view(env: Tasking) -> SatelliteTasking:
     """Return an environment as one of its satellites meets it, where all of them are alike; see :func:`member_views`.
 
     Raises:
-        ValueError: Unless the satellites of a constellation are alike, and each is an agent of its own.
+        ValueError: Unless the satellites of a constellation are alike, and each is a separate agent.
     """
     views = member_views(env)
     if len(views) > 1:
@@ -177,7 +177,7 @@ def for_each_group(
 def baseline(name: str, env: Tasking, seed: int = 0) -> TensorDictModuleBase:
     """Return one of the ``BASELINES`` for one satellite of ``env``, or for one of each group.
 
-    Groups that the rule does not fit, such as relays where it is about targets, act at random, beside one that it does fit.
+    Groups that the rule does not fit, such as relays where it is about targets, act at random, alongside one that it does fit.
 
     Raises:
         KeyError, ValueError: If the rule fits no group, or there is none of that name.

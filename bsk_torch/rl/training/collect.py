@@ -123,7 +123,7 @@ def prepared(env: Tasking, config: PPOConfig, saved: Mapping[str, Any] | None) -
 
 
 def start_worker(config: PPOConfig, first: int, count: int, saved: Mapping[str, Any] | None) -> TransformedEnv:
-    """In a process of its own: ``count`` episodes from number ``first`` on, and random numbers for their actions."""
+    """In its own process: ``count`` episodes from number ``first`` on, and random numbers for their actions."""
     if parent_process() is not None:
         signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the learner, which ends its workers
     torch.set_num_threads(1)

@@ -157,7 +157,7 @@ class RunLog:
             try:
                 for column, value in row.items():
                     service.log_scalar(f"{kind}/{column}", value, step=int(row["frames"]))
-            except Exception as problem:  # a full disk, or a network that is down; each service has errors of its own
+            except Exception as problem:  # a full disk, or a network that is down; each service has its own errors
                 self._drop(name, problem)
 
     def _drop(self, name: str, problem: Exception) -> None:

@@ -330,7 +330,7 @@ def _finite(state: Any) -> bool:
 
 
 def shut_down(collector: Any) -> None:
-    """End a collector and its processes; that some are lost already is no error of its own."""
+    """End a collector and its processes; that some are lost already is no separate error."""
     try:
         collector.shutdown()
     except Exception as error:
@@ -389,7 +389,7 @@ def read_checkpoint(out: Path, config: PPOConfig) -> dict[str, Any] | None:
 
 
 def train(config: PPOConfig, out: Path) -> TensorDictModuleBase:
-    """Train a policy and leave it in folder ``out`` beside its logs and configuration.
+    """Train a policy and leave it in folder ``out`` alongside its logs and configuration.
 
     Returns:
         The policy: writes ``action`` into a tensordict with ``observation`` and ``action_mask``.

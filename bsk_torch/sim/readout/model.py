@@ -34,7 +34,7 @@ def aliveness_checker(method: Checker) -> Checker:
 class Model:
     """Base of dynamics and flight-software models.
 
-    Subclasses list ``components`` of their own; a component replaces the one that a base class has in the same slot. Methods and
+    Subclasses list their own ``components``; a component replaces the one that a base class has in the same slot. Methods and
     properties read the simulation at a decision boundary and return tensors with leading dimension N.
     """
 

@@ -126,7 +126,7 @@ def inspection_figure(episode: InspectionEpisode, path: Path, title: str = "") -
     """Draw an episode to the file ``path``, .png or .svg, with headline ``title`` unless that is empty.
 
     From above: the paths about the RSO in projections of its Hill frame, as a whole and near it, with manoeuvres; a map of its
-    points, coloured by the time when they were inspected, beside the numbers of lit and inspected points and the fuel over time.
+    points, coloured by the time when they were inspected, and the numbers of lit and inspected points and the fuel over time.
     """
     figure = Figure(figsize=(10.0, sum(HEIGHTS) + 1.0), dpi=140, layout="constrained", facecolor="white")
     above, below = figure.subfigures(2, 1, height_ratios=HEIGHTS)  # type: ignore[misc]

@@ -1,4 +1,4 @@
-"""Text beside the globe: time, modes, resources, return and counts."""
+"""Text alongside the globe: time, modes, resources, return and counts."""
 
 from __future__ import annotations
 

@@ -100,7 +100,7 @@ class Variant:
         width: [m] Standard deviation of the targets' distance from a track.
         beyond: [s] How long after the time limit the tracks still lead over targets.
         communicator: Its class and options.
-        agents: Agents that command several satellites; the others are agents of their own.
+        agents: Agents that command several satellites; the others are separate agents.
         idle_only: Whether busy satellites of such agents keep their task.
         joint: Whether one agent commands all, in a ``GeneralSatelliteTasking``.
         env: Options of the environment.

@@ -9,7 +9,7 @@ Usage::
 See ``recording.py`` for what it needs, and ``example_problems.py`` for the problems. bsk_rl draws from NumPy's global
 generator, which ``reset(seed=)`` seeds; what it has drawn is read back and stored: all arguments that are functions or come
 from a ``sat_arg_randomizer``, the epoch, and the targets that have a window before the end and :data:`BEYOND` seconds after it.
-Actions come from a generator of their own.
+Actions come from a separate generator.
 """
 
 from __future__ import annotations

@@ -89,7 +89,7 @@ def epoch(view: PlannedOrbits) -> torch.Tensor:
 
 
 def later(view: PlannedOrbits) -> torch.Tensor:
-    """A start of its own for each row, on the grid."""
+    """A separate start for each row, on the grid."""
     return PLAN_STEP * torch.arange(len(view.samples.start), dtype=torch.float64)
 
 

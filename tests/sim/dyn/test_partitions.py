@@ -63,7 +63,7 @@ def parts(table: Recorded) -> list[Component]:
 
 
 class Store:
-    """The components of a group as a tick of their own; the transmitter is off in mode 0 and on in mode 1."""
+    """The components of a group as a separate tick; the transmitter is off in mode 0 and on in mode 1."""
 
     def __init__(self, table: Recorded, backend: str) -> None:
         self.table, self.parts = table, parts(table)
