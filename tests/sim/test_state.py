@@ -123,7 +123,7 @@ def test_saved_states_put_episodes_first_and_restore_any_rows_of_them():
     ("change", "error", "message"),
     [
         (lambda saved: saved.pop("returns"), KeyError, r"lacks \['returns'\]"),
-        (lambda saved: saved.update(more=saved["returns"]), KeyError, r"has \['more'\] beside"),
+        (lambda saved: saved.update(more=saved["returns"]), KeyError, r"has unknown \['more'\]"),
         (lambda saved: saved.update(returns=saved["returns"].float()), ValueError, "'returns' .* dtype torch.float32"),
         (lambda saved: saved.update(returns=saved["returns"][:2]), ValueError, r"\[2, 4\] episodes"),
         (lambda saved: saved["satellites"].update(tail=saved["satellites"]["tail"][..., :1]), ValueError, "'tail' .* shape"),
