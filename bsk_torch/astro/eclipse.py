@@ -14,7 +14,7 @@ from torch import Tensor
 from bsk_torch.constants import R_EARTH, R_SUN
 from bsk_torch.vec3 import Vec3, only
 
-__all__ = ["illumination", "in_umbra", "visible_fraction"]
+__all__ = ["illumination", "in_umbra", "sunlight_margin", "visible_fraction"]
 
 
 def _in_shadow_cones(r: Vec3, r_sun: Vec3) -> Tensor:
@@ -77,6 +77,20 @@ def _hidden(r: Vec3, to_sun: Vec3) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     cosine = -r.dot(to_sun) / (radius * distance)
     covers = (cosine > cos_sun * cos_planet + sin_sun * sin_planet) & (sin_planet > sin_sun)
     return covers, sin_sun, sin_planet, cosine
+
+
+def sunlight_margin(r: Vec3, r_sun: Vec3, visible: float) -> Tensor:
+    """Return a smooth measure that is positive where at least the part ``visible`` of the Sun's diameter is above the limb at r.
+
+    With the apparent radii a of the Sun and b of the planet and the separation c of their centres, rad::
+
+        cos(b + (2 visible - 1) a) - cos c
+
+    For ``visible`` 0 it is positive outside the umbra (:func:`in_umbra`), for 1 outside the penumbra, at distances from the Earth
+    at which the Sun looks smaller than it. Positions as for :func:`illumination`.
+    """
+    _, sin_sun, sin_planet, cosine = _hidden(r, r_sun - r)
+    return torch.cos(torch.asin(sin_planet) + (2.0 * visible - 1.0) * torch.asin(sin_sun)) - cosine
 
 
 def illumination(r: Vec3, r_sun: Vec3) -> Tensor:

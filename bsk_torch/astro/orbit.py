@@ -11,7 +11,16 @@ from torch import Tensor
 from bsk_torch.constants import MU_EARTH
 from bsk_torch.vec3 import Mat3, Vec3
 
-__all__ = ["Elements", "elements_to_rv", "hill_frame", "hill_rate", "hill_to_inertial", "periapsis_radius", "rv_to_elements"]
+__all__ = [
+    "Elements",
+    "angle_of",
+    "elements_to_rv",
+    "hill_frame",
+    "hill_rate",
+    "hill_to_inertial",
+    "periapsis_radius",
+    "rv_to_elements",
+]
 
 SMALL = 1e-11
 """Below this eccentricity or inclination Basilisk treats an orbit as circular or equatorial."""
@@ -50,7 +59,7 @@ def elements_to_rv(oe: Elements, mu: Tensor | float = MU_EARTH) -> tuple[Vec3, V
     return r, v
 
 
-def _angle(y: Tensor, x: Tensor) -> Tensor:
+def angle_of(y: Tensor, x: Tensor) -> Tensor:
     """Return the angle, rad in (-pi, pi], of points (x, y) other than the origin: ``2 atan(y / (|(x, y)| + x))`` where x >= 0.
 
     The last bit of torch's atan2 depends on where in a tensor a number stands, so results would depend on the size of the batch.
@@ -73,7 +82,7 @@ def rv_to_elements(r: Vec3, v: Vec3, mu: Tensor | float = MU_EARTH, small: float
     h = r.cross(v)
     eccentricity = r * ((v2 - mu / radius) / mu) - v * (r.dot(v) / mu)
     across = torch.sqrt(h.x * h.x + h.y * h.y)
-    e, i = eccentricity.norm(), _angle(across, h.z)
+    e, i = eccentricity.norm(), angle_of(across, h.z)
     zero, one = torch.zeros_like(e), torch.ones_like(e)
     equatorial, circular = across < small * h.norm(), e < small
     node = Vec3(torch.where(equatorial, one, -h.y), torch.where(equatorial, zero, h.x), zero)
@@ -81,9 +90,9 @@ def rv_to_elements(r: Vec3, v: Vec3, mu: Tensor | float = MU_EARTH, small: float
 
     def angle(start: Vec3, end: Vec3) -> Tensor:
         sine = start.cross(end).dot(h) / h.norm()
-        return torch.remainder(_angle(sine, start.dot(end)), 2.0 * math.pi)
+        return torch.remainder(angle_of(sine, start.dot(end)), 2.0 * math.pi)
 
-    raan = torch.remainder(_angle(node.y, node.x), 2.0 * math.pi)
+    raan = torch.remainder(angle_of(node.y, node.x), 2.0 * math.pi)
     a = 1.0 / (2.0 / radius - v2 / mu)
     return Elements(a, torch.where(circular, zero, e), i, raan, angle(node, apse), angle(apse, r))
 

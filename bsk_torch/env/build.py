@@ -127,7 +127,8 @@ class FleetBuilder:
         each = []
         for made, columns in zip(types, self.types, strict=True):
             horizon = float(self.satellites[columns[0]].generation(limit).max())
-            each.append(Simulator(made.alone if trial else made, n, horizon=horizon, scenario_state=scenario_state))
+            own, kinds = made.alone if trial else made, self.scenario.place_kinds
+            each.append(Simulator(own, n, horizon=horizon, scenario_state=scenario_state, places=kinds))
         chosen = sorted(column for simulator in each for column in simulator.columns)
         members = {c: (k, 0 if trial else i) for k, columns in enumerate(self.types) for i, c in enumerate(columns)}
         places = {name: members[column] for column, name in enumerate(self.names)}

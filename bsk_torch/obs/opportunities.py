@@ -14,6 +14,7 @@ from bsk_torch.obs.entries import is_own, parse_entries, scaled
 from bsk_torch.sats.user_function import UserFunction
 from bsk_torch.sim.access.relative_geometry import SATELLITE_PROPERTIES
 from bsk_torch.sim.params import nearest
+from bsk_torch.sim.places import STATION_KIND, FixedPlaces
 from bsk_torch.sim.readout.observables import observable
 
 if TYPE_CHECKING:
@@ -99,7 +100,7 @@ class OpportunityProperties(Observation):
         Args:
             *entries: Properties of each opportunity; see the class.
             n_ahead_observe: Number of opportunities n.
-            type: ``"target"`` or ``"ground_station"``.
+            type: ``"target"``, ``"ground_station"``, or another kind of places that scenario or models declare.
             name: Name of the observation; that of the type unless given.
             as_set: Whether to return ``rows`` [N, n, features] and ``mask`` [N, n] (1, or 0 for repetitions) instead of named
                 numbers, for policies that treat all opportunities alike.
@@ -140,12 +141,18 @@ class OpportunityProperties(Observation):
                 "sats.ImagingSatellite and a scenario such as scene.UniformTargets, ground stations a sats.AccessSatellite with "
                 "dyn.GroundStationDynModel"
             )
+        access = self.satellite.access_windows
+        places = access.kinds[self.type]
+        if not isinstance(places, FixedPlaces) and any(entry.get("prop") == "target_angle_rate" for entry in self.entries):
+            raise ValueError(
+                f"{self.name!r} observes target_angle_rate, which holds for places that rest on the Earth; places of type "
+                f"{self.type!r} move"
+            )
         for name in self._needs():
             if not (hasattr(type_of(satellite.dynamics), name) or hasattr(type_of(satellite.fsw), name)):
                 raise ValueError(f"{self.name!r} observes targets by {name!r}, which {satellite.name} does not have")
-        if self.type == "target":
-            targets = satellite.simulator.scenario_state["target_exists"].shape[1]
-            self.satellite.access_windows.expect(self.n_ahead_observe, targets)
+        if self.type != STATION_KIND:
+            access.expect(self.n_ahead_observe, places.count)
 
     def _needs(self) -> list[str]:
         """Return names of the properties of the satellite that the entries read."""

@@ -11,8 +11,8 @@ from torch import Tensor
 
 from bsk_torch.sats.one_access import OneAccessSatellite
 from bsk_torch.sats.user_function import UserFunction
-from bsk_torch.sim.access.places import TARGET_KIND
 from bsk_torch.sim.names import nearest
+from bsk_torch.sim.places import TARGET_KIND
 
 if TYPE_CHECKING:
     from bsk_torch.sats.bound_access import BoundAccessSatellite

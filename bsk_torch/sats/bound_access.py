@@ -12,14 +12,14 @@ from bsk_torch.sats.access import AccessSatellite
 from bsk_torch.sats.access_filter import Filter, make_filter
 from bsk_torch.sats.bound import BoundSatellite
 from bsk_torch.sats.fleet import SatelliteFleet
-from bsk_torch.sats.objects import TargetObjects, station_names
+from bsk_torch.sats.objects import TargetObjects, place_names
 from bsk_torch.sats.opportunities import Opportunities
 from bsk_torch.sats.user_function import UserFunction
-from bsk_torch.sim.access.places import TARGET_KIND, place_positions
 from bsk_torch.sim.access.relative_geometry import SATELLITE_PROPERTIES, relative_geometries
 from bsk_torch.sim.access.window_table import Windows, candidates
 from bsk_torch.sim.access.windows import MAX_SEGMENTS, AccessWindows
 from bsk_torch.sim.params import nearest
+from bsk_torch.sim.places import TARGET_KIND
 
 
 class BoundAccessSatellite(BoundSatellite, AccessSatellite):
@@ -150,12 +150,13 @@ class BoundAccessSatellite(BoundSatellite, AccessSatellite):
         return opportunities
 
     def positions(self, type: str, place: Tensor) -> Tensor:
-        """Return the Earth-fixed positions, [N, n, 3] m, of places [N, n] of a type."""
-        return place_positions(self.access_windows, self.simulator.scenario_state, type, place)
+        """Return the present Earth-fixed positions, [N, n, 3] m, of places [N, n] of a type."""
+        rows, now = self.simulator.state.all_rows, self.simulator.sim_time.unsqueeze(-1)
+        return self.access_windows.kinds[type].position(rows, place, now)
 
     def objects(self, type: str, place: Tensor) -> Any:
-        """Return the objects of places [N, n]: :class:`~bsk_torch.sats.objects.TargetObjects`, or names of stations [N, n]."""
-        return TargetObjects(self, place) if type == TARGET_KIND else station_names(self.simulator.world.stations, place)
+        """Return the objects of places [N, n]: :class:`~bsk_torch.sats.objects.TargetObjects`, else names [N, n]."""
+        return TargetObjects(self, place) if type == TARGET_KIND else place_names(self, type, place)
 
     def _or_nothing(self, windows: Windows, found: Tensor) -> Windows:
         """Return the windows [N, n], those of place 0 that open and close now where none was ``found`` [N]."""
@@ -320,7 +321,7 @@ class BoundAccessSatellite(BoundSatellite, AccessSatellite):
 
     def places(self, type: str) -> int:
         """Return the number of places of a type, P."""
-        return self.access_windows.kinds[type](self.simulator.state.all_rows[:1]).r_LP_P.shape[1]
+        return self.access_windows.kinds[type].count
 
     def opportunities_dict(
         self,

@@ -13,9 +13,9 @@ from bsk_torch.sats.bound_access import BoundAccessSatellite
 from bsk_torch.sats.fleet import SatelliteFleet
 from bsk_torch.sats.one import OneSatellite
 from bsk_torch.sats.one_access import OneImagingSatellite
-from bsk_torch.sim.access.places import TARGETS
 from bsk_torch.sim.dyn import DynamicsModel, ImagingDynModel
 from bsk_torch.sim.fsw import FSWModel, ImagingFSWModel
+from bsk_torch.sim.places import TARGETS
 
 BUFFER = "image_buffer"
 """Partition that images go to."""

@@ -54,9 +54,15 @@ class TargetObjects:
         return self._satellite.simulator.look_up(self._satellite.scenario.target_attribute(name), self.id)
 
 
-def station_names(stations: Sequence[str], place: Tensor) -> np.ndarray[Any, Any]:
-    """Return the names of the stations ``place`` [N, n], which are bsk_rl's objects of that type; an array of strings."""
-    return np.array(stations, dtype=object)[place.cpu().numpy()]
+def names_of(satellite: BoundAccessSatellite, kind: str) -> Sequence[str]:
+    """Return the names of all places of a kind but targets; bsk_rl's objects of stations are their names, too."""
+    places = satellite.access_windows.kinds[kind]
+    return places.names or [f"{kind}-{k}" for k in range(places.count)]
+
+
+def place_names(satellite: BoundAccessSatellite, kind: str, place: Tensor) -> np.ndarray[Any, Any]:
+    """Return the names of places [N, n] of a kind, an array of strings."""
+    return np.array(names_of(satellite, kind), dtype=object)[place.cpu().numpy()]
 
 
 class OneTarget:

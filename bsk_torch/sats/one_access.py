@@ -8,11 +8,11 @@ from typing import Any, NoReturn
 import torch
 from numpy.typing import NDArray
 
-from bsk_torch.sats.objects import OneTarget
+from bsk_torch.sats.objects import OneTarget, names_of
 from bsk_torch.sats.one import OneSatellite, of_row
-from bsk_torch.sim.access.places import TARGET_KIND
 from bsk_torch.sim.access.windows import MAX_SEGMENTS
 from bsk_torch.sim.names import nearest
+from bsk_torch.sim.places import TARGET_KIND
 
 Types = str | Collection[str] | None
 """Type of opportunities, several types, or None for all."""
@@ -39,7 +39,7 @@ class OneAccessSatellite(OneSatellite):
         if kind == TARGET_KIND:
             thing: Any = OneTarget(self._whole, self._env, place)
         else:
-            thing = self._whole.simulator.world.stations[place]
+            thing = names_of(self._whole, kind)[place]
         made = OneOpportunity(object=thing, type=kind, r_LP_P=r_LP_P, **window)
         made.place = place
         return made
@@ -48,7 +48,9 @@ class OneAccessSatellite(OneSatellite):
         """Return the Earth-fixed positions of all places of a type, [P, 3] m."""
         if kind == TARGET_KIND:
             return self._whole.scenario.r_LP_P[self._env].cpu().numpy()
-        return self._whole.simulator.access.kinds[kind](None).r_LP_P[0].cpu().numpy()
+        row, places = torch.tensor([self._row]), self._whole.simulator.access.kinds[kind]
+        place, now = torch.arange(places.count).unsqueeze(0), self._whole.simulator.sim_time[row].unsqueeze(-1)
+        return places.position(row.to(now.device), place.to(now.device), now)[0].cpu().numpy()
 
     def of_windows(self, kind: str, windows: Any, padding: bool = False) -> list[OneOpportunity]:
         """Return windows [N, W] of a type, with or without their ``padding``, as opportunities of this row."""

@@ -11,16 +11,18 @@ from torch import Tensor
 
 from bsk_torch._checks import no_gradient
 from bsk_torch.sim.hooks import FLEET_MEMORY, ChangeGuard, check_class, check_linked, check_tensor, overrides
+from bsk_torch.sim.places import TARGET_KIND, TARGETS, FixedPlaces
 
 if TYPE_CHECKING:
     from bsk_torch.rand import Key
     from bsk_torch.sats.fleet import SatelliteFleet
     from bsk_torch.sats.satellite import Satellite
+    from bsk_torch.sim.places import Places, PlaceTables
     from bsk_torch.sim.state import StateTable
 
 Drawn = TypeVar("Drawn")
 
-HOOKS = ("validate_satellite_names", "calls_user", "draw", "present", "link", "reset", "after_step")
+HOOKS = ("validate_satellite_names", "calls_user", "draw", "place_kinds", "present", "link", "reset", "after_step")
 """Members of :class:`Scenario` that subclasses may define."""
 
 UNUSED = {
@@ -42,6 +44,21 @@ UNUSED = {
 def _same(one: Any, other: Any) -> bool:
     """Return whether two states of NumPy's global generator are equal."""
     return one[2:] == other[2:] and bool((one[1] == other[1]).all())
+
+
+def target_places(tables: PlaceTables) -> dict[str, Places]:
+    """Return the targets that a scenario draws as a kind of places, for satellites with a minimum elevation of targets."""
+    drawn, arguments = tables.drawn, tables.arguments
+    if TARGETS not in drawn or "imageTargetMinimumElevation" not in arguments:
+        return {}
+    targets = FixedPlaces(
+        lambda: drawn[TARGETS],
+        lambda rows: torch.sin(arguments["imageTargetMinimumElevation"][rows]).unsqueeze(-1),
+        exists=lambda: drawn["target_exists"],
+        satellites=arguments.count,
+        advice="all have been imaged, or too few lie below the orbit: ask for more targets, lower imageTargetMinimumElevation",
+    )
+    return {TARGET_KIND: targets}
 
 
 class Scenario:
@@ -93,6 +110,18 @@ class Scenario:
             ``world_args``.
         """
         return {}
+
+    def place_kinds(self, tables: PlaceTables) -> Mapping[str, Places]:
+        """Return the places of the scenario that satellites may see, by kind; the names are types of opportunities.
+
+        Called once for every simulation, before :meth:`link`. Unless overridden, what :meth:`draw` returns as ``target_r_LP_P``
+        are targets; overriding methods add ``super().place_kinds(tables)``.
+
+        Args:
+            tables: What places may read. Draws change at resets, so read ``tables.drawn[name]`` only when positions are
+                requested.
+        """
+        return target_places(tables)
 
     def present(self, key: Key, names: Sequence[str]) -> Tensor:
         """Draw which satellites take part in each episode; all do in all unless a subclass defines this.

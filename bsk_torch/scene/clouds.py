@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from torch import Tensor
@@ -16,6 +16,7 @@ from bsk_torch.sim.state import FINITE
 
 if TYPE_CHECKING:
     from bsk_torch.sats.fleet import SatelliteFleet
+    from bsk_torch.sim.places import Places, PlaceTables
 
 
 class CloudyTargets(TargetScenario):
@@ -74,6 +75,10 @@ class CloudyTargets(TargetScenario):
     def names(self, row: int) -> list[str]:
         """See :meth:`TargetScenario.names`."""
         return self.targets.names(row)
+
+    def place_kinds(self, tables: PlaceTables) -> Mapping[str, Places]:
+        """See :meth:`Scenario.place_kinds`; those of the other scenario."""
+        return self.targets.place_kinds(tables)
 
     def draw(self, key: Key) -> dict[str, Tensor]:
         """See :class:`TargetScenario`; adds ``cloud_cover``, ``cloud_forecast`` and ``cloud_forecast_sigma``, [n, T]."""

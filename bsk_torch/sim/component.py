@@ -261,6 +261,9 @@ class Component:
 
     The hub integrates the ``effector`` of a component together with itself. Control laws ask the ``allocation`` of a component to
     distribute torques among actuators; see :mod:`bsk_torch.sim.fsw.allocation`.
+
+    ``places`` returns the kinds of places that the component brings, as :class:`bsk_torch.sim.places.Places` by name, from the
+    tables of a simulation (:class:`bsk_torch.sim.places.PlaceTables`).
     """
 
     slot: str
@@ -287,6 +290,7 @@ class Component:
     resets: tuple[tuple[str, float], ...] = ()
     effector: Effector | None = None
     allocation: Allocation | None = None
+    places: Callable[[Any], Mapping[str, object]] | None = None
 
     def extended(
         self,

@@ -14,7 +14,7 @@ from bsk_torch._checks import no_gradient
 from bsk_torch.codegen.kernel import Kernel, Samples
 from bsk_torch.constants import NANO
 from bsk_torch.sim.access.lookahead import LookAhead, Manoeuvres
-from bsk_torch.sim.access.places import place_kinds
+from bsk_torch.sim.access.places import PlaceKinds, place_kinds
 from bsk_torch.sim.access.visibility.backend import make_visibility
 from bsk_torch.sim.access.windows import AccessWindows
 from bsk_torch.sim.composition import commanded_by
@@ -62,7 +62,13 @@ class Simulator:
     """
 
     def __init__(
-        self, satellite_type: SatelliteType, num_envs: int, *, horizon: float, scenario_state: StateTable | None = None
+        self,
+        satellite_type: SatelliteType,
+        num_envs: int,
+        *,
+        horizon: float,
+        scenario_state: StateTable | None = None,
+        places: PlaceKinds = lambda tables: {},
     ) -> None:
         """Make room for the state of satellites; :meth:`reset` fills it.
 
@@ -71,8 +77,9 @@ class Simulator:
             num_envs: Number of environments.
             horizon: Seconds for which windows are generated at reset.
             scenario_state: The scenario's draws.
+            places: Returns the kinds of places that the scenario declares.
         """
-        options, usage = satellite_type.options, satellite_type.usage
+        options, usage, arguments = satellite_type.options, satellite_type.usage, satellite_type.arguments
         self.num_envs, self.count, self.device = num_envs, satellite_type.arguments.count, options.device
         self.columns, self.stops, self.followed = usage.columns, usage.stops, usage.followed
         self.orbit, self.has_tank, self.h_ns = satellite_type.orbit, satellite_type.has_tank, satellite_type.h_ns
@@ -96,7 +103,7 @@ class Simulator:
             self.count,
             make_solver(self.h_ns * NANO, options.backend, self.device, satellite_type.gravity_degree),
             make_visibility(options.backend, self.device),
-            place_kinds(satellite_type.arguments.world_args, self.scenario_state, self.state.arguments),
+            place_kinds(arguments.parts, arguments.world_args, self.scenario_state, self.state.arguments, places),
             horizon=horizon,
             segment=usage.segment,
             as_bsk_rl=satellite_type.as_bsk_rl,

@@ -5,7 +5,7 @@ import math
 import pytest
 import torch
 
-from bsk_torch.astro.eclipse import illumination, in_umbra, visible_fraction
+from bsk_torch.astro.eclipse import illumination, in_umbra, sunlight_margin, visible_fraction
 from bsk_torch.constants import AU, R_EARTH, R_SUN
 from bsk_torch.vec3 import Vec3
 
@@ -143,3 +143,16 @@ def test_rows_alone_and_together():
     r = Vec3.of(7e6 * torch.nn.functional.normalize(torch.randn(64, 3, dtype=torch.float64), dim=-1))
     alone = torch.cat([illumination(Vec3(*(x[k : k + 1] for x in r)), SUN) for k in range(64)])
     assert torch.equal(illumination(r, SUN), alone)
+
+
+@pytest.mark.parametrize(("visible", "least"), [(0.0, 1e-9), (0.5, 0.5), (1.0, 1.0 - 1e-9)])
+def test_the_margin_of_sunlight_is_positive_where_so_much_of_the_disc_is_seen(visible, least):
+    across = torch.linspace(R_EARTH - 2e5, R_EARTH + 2e5, 4001, dtype=torch.float64)
+    r = Vec3(torch.full_like(across, -2.5e6), across * 0.6, across * 0.8)
+    lit = illumination(r, SUN) >= least
+    assert 100 < lit.sum() < 3900
+    differ = lit != (sunlight_margin(r, SUN, visible) > 0.0)
+    # half of the diameter is not quite half of the area, as the limb is bent
+    assert differ.sum() <= (3 if visible == 0.5 else 1)
+    day = Vec3(-r.x, r.y, r.z)
+    assert (sunlight_margin(day, SUN, visible) > 0.0).all()

@@ -9,11 +9,11 @@ from torch import Tensor
 
 from bsk_torch.astro.interpolate import positions
 from bsk_torch.sats.bound_access import BoundAccessSatellite
-from bsk_torch.sim.access.places import TARGET_KIND
 from bsk_torch.sim.component import neighbours
 from bsk_torch.sim.environment.ephemeris import EPHEMERIS_TRACK, ephemeris_at, fixed
 from bsk_torch.sim.orbit.builder import ARC
 from bsk_torch.sim.orbit.grid import LEAD_NODES, NODE_SPACING
+from bsk_torch.sim.places import TARGET_KIND
 from bsk_torch.vec3 import Vec3
 
 CHUNK = 1 << 18

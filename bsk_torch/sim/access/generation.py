@@ -13,7 +13,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from bsk_torch.sim.access.passes import SHORTEST_PASS, Passes, PassSearch
+from bsk_torch.sim.access.passes import SHORTEST_PASS, GroundTrack, Passes, PassSearch
 from bsk_torch.sim.orbit.grid import PLAN_STEP
 
 
@@ -79,9 +79,9 @@ def within(passes: Passes, intervals: GenerationIntervals) -> Passes:
     return Passes(*(part[kept] for part in (row, place, opens, closes)))
 
 
-def true_windows(search: PassSearch, passes: Passes, intervals: GenerationIntervals) -> Passes:
+def true_windows(track: GroundTrack, passes: Passes, intervals: GenerationIntervals) -> Passes:
     """Return the passes between the ends of the intervals, cut there, without the short ones."""
-    track, row = search.track, passes.row
+    row = passes.row
     # how long those last that are in progress at an end of the ground track is not known
     in_progress = (passes.open <= track.start[row]) | (passes.close >= track.end[row])
     long = in_progress | (passes.close - passes.open > SHORTEST_PASS)

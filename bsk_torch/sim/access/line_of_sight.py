@@ -13,41 +13,16 @@ import torch
 from torch import Tensor
 
 from bsk_torch.astro.orbit import periapsis_radius
-from bsk_torch.constants import R_EARTH
+from bsk_torch.astro.sight import TINY_LENGTH, line_clearance, stretch
 from bsk_torch.vec3 import Vec3, select
-
-POLAR_STRETCH = 1.0 / 0.98
-"""Factor for lengths along the Earth's axis; bsk_rl sets the polar radius to 0.98 of the equatorial one."""
 
 SPEED_MARGIN = 1.02
 """Factor of :func:`speed_bound`: perturbations may make a satellite a little faster than at its osculating periapsis."""
-
-TINY_LENGTH = 1e-300
-"""A positive number, far below the rounding error of positions, which keeps quotients finite and ranges inclusive."""
 
 
 def speed_bound(r_BN_N: Vec3, v_BN_N: Vec3) -> Tensor:
     """Return an upper bound of the speed on an orbit, m/s: that at the osculating periapsis, ``|r x v| / r_p``, and 2 % more."""
     return SPEED_MARGIN * r_BN_N.cross(v_BN_N).norm() / periapsis_radius(r_BN_N, v_BN_N)
-
-
-def stretch(r_BN_N: Vec3, pole: Vec3) -> Vec3:
-    """Return the position with its component along the unit vector ``pole`` multiplied by :data:`POLAR_STRETCH`."""
-    return r_BN_N + pole * ((POLAR_STRETCH - 1.0) * r_BN_N.dot(pole))
-
-
-def line_clearance(p: Vec3, q: Vec3) -> Tensor:
-    """Return the distance, m, from the surface of a spherical Earth to the segment between p and q; negative if it is blocked.
-
-    The nearest point of the segment to the Earth's centre is ``p + k (q - p)`` with ``k = p . (p - q) / |p - q|^2`` clamped to
-    [0, 1]; its squared distance is ``p . p - k (2 p . (p - q) - k |p - q|^2)``. The distance of a segment from a point changes by
-    no more than the larger displacement of its ends.
-    """
-    p2, q2, pq = p.dot(p), q.dot(q), p.dot(q)
-    along = p2 - pq
-    d2 = along + (q2 - pq)
-    k = torch.clamp(along / torch.clamp(d2, min=TINY_LENGTH), 0.0, 1.0)
-    return torch.sqrt(torch.clamp(p2 - k * (2.0 * along - k * d2), min=0.0)) - R_EARTH
 
 
 class SatellitePositions(NamedTuple):

@@ -11,15 +11,15 @@ from torch import Tensor
 
 from bsk_torch.codegen.kernel import Samples
 from bsk_torch.sim.access.eclipses import SEARCH_STEP, SEARCHES, EclipseTable
-from bsk_torch.sim.access.places import ADVICE
 from bsk_torch.sim.access.visibility.backend import Visibility
 from bsk_torch.sim.access.visibility.planned import PlannedOrbits
 from bsk_torch.sim.access.window_table import Windows
-from bsk_torch.sim.access.windows import BEFORE_SEARCH, BEHIND_SEARCH, MAX_SEGMENTS, AccessWindows, PlacesOf
+from bsk_torch.sim.access.windows import BEFORE_SEARCH, BEHIND_SEARCH, MAX_SEGMENTS, AccessWindows
 from bsk_torch.sim.orbit.arcs import PLANNED_SEGMENTS, REACH_AROUND, Arcs, segments_for
 from bsk_torch.sim.orbit.grid import ARC_SEGMENT, PLAN_STEP
 from bsk_torch.sim.orbit.restartable import RestartableArcs
 from bsk_torch.sim.orbit.solution import Solver
+from bsk_torch.sim.places import Places
 from bsk_torch.sim.state import StateTable
 
 MARGIN = SEARCH_STEP * (SEARCHES - 1) + 2.0 * PLAN_STEP
@@ -67,7 +67,7 @@ class LookAhead(StateTable):
         count: int,
         solver: Solver,
         visibility: Visibility,
-        places: Mapping[str, PlacesOf],
+        places: Mapping[str, Places],
         *,
         horizon: float,
         segment: float,
@@ -81,7 +81,7 @@ class LookAhead(StateTable):
             count: Satellites in each.
             solver: Solver of the arcs.
             visibility: Geometry of visibility under the back end.
-            places: Places by kind, as functions of rows.
+            places: Places by kind.
             horizon: Seconds for which windows are generated at reset.
             segment: Seconds by which windows are extended.
             as_bsk_rl: See :class:`~bsk_torch.sim.access.windows.AccessWindows`.
@@ -131,7 +131,7 @@ class LookAhead(StateTable):
 
     def _rows_at_once(self, rows: Tensor) -> int:
         number, pairs = (CHUNK, SEARCHED) if self.device.type == "cpu" else (DEVICE_CHUNK, DEVICE_SEARCHED)
-        places = 1 if self.access is None else max(of(rows[:1]).r_LP_P.shape[1] for of in self.access.kinds.values())
+        places = 1 if self.access is None else max(kind.count for kind in self.access.kinds.values())
         return max(1, min(number, pairs // places))
 
     def check_time(self, path: str, time: Tensor) -> None:
@@ -372,8 +372,9 @@ class LookAhead(StateTable):
         return True
 
     def _raise_nothing_in_view(self, kind: str, envs: list[int]) -> NoReturn:
-        seconds = MAX_SEGMENTS * self.access.segment  # type: ignore[union-attr]
+        access: Any = self.access
+        seconds, advice = MAX_SEGMENTS * access.segment, access.kinds[kind].advice
         raise RuntimeError(
-            f"no {kind} comes into view of environments {list(dict.fromkeys(envs))[:5]} within {seconds:g} s; {ADVICE[kind]}, "
+            f"no {kind} comes into view of environments {list(dict.fromkeys(envs))[:5]} within {seconds:g} s; {advice}, "
             "or build the satellite with may_see_nothing=True"
         )

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from bsk_torch.astro.sight import max_central_angle
 from bsk_torch.codegen.kernel import Samples
 from bsk_torch.sim.access.padded import argsort_by_group
 from bsk_torch.sim.access.visibility.backend import Visibility
@@ -22,10 +23,10 @@ from bsk_torch.sim.access.visibility.geometry import (
     SET,
     SHORT_PASS,
     SearchCells,
-    max_central_angle,
 )
 from bsk_torch.sim.access.visibility.pairs import Brackets, PlacePairs
 from bsk_torch.sim.orbit.grid import PLAN_STEP
+from bsk_torch.sim.places import Sites
 
 SHORTEST_PASS = 0.1
 """Passes between two samples that last no longer than this, s, are dropped."""
@@ -35,18 +36,6 @@ SCREEN_PRODUCTS, DEVICE_SCREEN_PRODUCTS = 1 << 20, 1 << 26
 
 SCREEN_SLACK = 1e-5
 """Angle, rad, that the coarse screen adds to the reach of a cell: the products are float32, with errors of 1e-7."""
-
-
-class Places(NamedTuple):
-    """Places on the ground; n is the number of satellites, or 1 if all have the same places.
-
-    Attributes:
-        r_LP_P: Earth-fixed positions, [n, P, 3] m; NaN for the padding of satellites that have fewer places than others.
-        sin_min_elevation: Sines of the minimum elevation, [n, P].
-    """
-
-    r_LP_P: Tensor
-    sin_min_elevation: Tensor
 
 
 class GroundTrack(NamedTuple):
@@ -84,7 +73,7 @@ class Passes(NamedTuple):
 # -- the coarse screen -----------------------------------------------------------------------------------------------------------
 
 
-def coarse_screen(track: GroundTrack, places: Places) -> tuple[Tensor, Tensor, Tensor]:
+def coarse_screen(track: GroundTrack, places: Sites) -> tuple[Tensor, Tensor, Tensor]:
     """Return row, place and cell, [m] each, of all pairs that may be visible from within a cell; a superset of those that are.
 
     From its middle sample, a satellite turns by at most psi within a cell (one more sample on both sides included), and a place
@@ -137,7 +126,7 @@ def _products_above(middle: Tensor, places: Tensor, limit: Tensor) -> tuple[Tens
 class PassSearch:
     """Search for the passes of n satellites over their places during the samples of a ground track."""
 
-    def __init__(self, visibility: Visibility, track: GroundTrack, places: Places) -> None:
+    def __init__(self, visibility: Visibility, track: GroundTrack, places: Sites) -> None:
         """Screen all pairs and classify the samples of those that remain."""
         self.visibility, self.track, self.places = visibility, track, places
         row, place, cell = coarse_screen(track, places)

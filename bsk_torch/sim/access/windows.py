@@ -7,7 +7,7 @@ whole episode, later in segments of ten minutes. A window that is open at the en
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 
 import torch
 from torch import Tensor
@@ -15,12 +15,14 @@ from torch import Tensor
 from bsk_torch.astro.interpolate import BEFORE, COUNT
 from bsk_torch.sim.access.generation import GenerationIntervals, true_windows, windows_of_bsk_rl
 from bsk_torch.sim.access.padded import tabulate
-from bsk_torch.sim.access.passes import GroundTrack, Passes, PassSearch, Places
+from bsk_torch.sim.access.passes import GroundTrack, Passes, PassSearch
+from bsk_torch.sim.access.sampled_passes import find_passes
 from bsk_torch.sim.access.visibility.backend import Visibility
 from bsk_torch.sim.access.visibility.planned import PlannedOrbits
 from bsk_torch.sim.access.window_table import Windows, candidates, join_at, next_to_close
 from bsk_torch.sim.orbit.arcs import Arcs
 from bsk_torch.sim.orbit.grid import ARC_SEGMENT, PLAN_STEP
+from bsk_torch.sim.places import FixedPlaces, Places
 from bsk_torch.sim.state import StateTable
 
 MAX_SEGMENTS = 100
@@ -38,9 +40,6 @@ sample's two neighbours.
 
 PASSES_PER_SECOND = 1.2e-5
 """Typical rate of passes of a low orbit over one place, 1/s."""
-
-PlacesOf = Callable[[Tensor], Places]
-"""Function that returns the places of rows [n]."""
 
 
 class WindowState(StateTable):
@@ -86,7 +85,7 @@ class AccessWindows(StateTable):
     ready: Tensor
 
     def __init__(
-        self, arcs: Arcs, visibility: Visibility, kinds: Mapping[str, PlacesOf], segment: float, as_bsk_rl: bool = False
+        self, arcs: Arcs, visibility: Visibility, kinds: Mapping[str, Places], segment: float, as_bsk_rl: bool = False
     ) -> None:
         """Prepare empty tables."""
         super().__init__(arcs.num_envs, arcs.count, arcs.device)
@@ -101,7 +100,7 @@ class AccessWindows(StateTable):
     def check_relations(self, path: str) -> None:
         """See :meth:`StateTable.check_relations`: windows over places that exist."""
         for kind, places in self.kinds.items():
-            count, place = places(self.all_rows[:1]).r_LP_P.shape[1], self.tables[kind]["place"]
+            count, place = places.count, self.tables[kind]["place"]
             self.refuse(f"{path}{kind}.place", place, place >= count, f"there are {count} places")
             close = self.tables[kind]["close"]
             late = torch.isfinite(close) & (close > self.ready.unsqueeze(-1))
@@ -257,10 +256,13 @@ class AccessWindows(StateTable):
         self.ready[rows] = end
 
     def _generate(self, kind: str, rows: Tensor, track: GroundTrack, intervals: GenerationIntervals) -> Passes:
-        """Return the windows of ``rows`` [n] over one kind of places."""
-        search = PassSearch(self.visibility, track, self.kinds[kind](rows))
-        windows = windows_of_bsk_rl if self.as_bsk_rl else true_windows
-        return windows(search, search.passes(), intervals)
+        """Return the windows of ``rows`` [n] over one kind of places; bsk_rl knows fixed ones alone."""
+        places = self.kinds[kind]
+        if not isinstance(places, FixedPlaces):
+            return true_windows(track, find_passes(places, rows, track), intervals)
+        search = PassSearch(self.visibility, track, places.sites(rows))
+        passes = search.passes()
+        return windows_of_bsk_rl(search, passes, intervals) if self.as_bsk_rl else true_windows(track, passes, intervals)
 
     def _store_passes(self, kind: str, rows: Tensor, found: Passes) -> None:
         close, opens, place = tabulate(found.row, found.close, len(rows), found.open, found.place)

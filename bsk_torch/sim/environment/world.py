@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import torch
@@ -20,6 +20,7 @@ from bsk_torch.constants import R_EARTH
 from bsk_torch.rand import random_epoch
 from bsk_torch.sim.component import Arg, Bus, Component, Field, Values
 from bsk_torch.sim.environment.ephemeris import move_sun_and_earth, orient_pole, turned
+from bsk_torch.sim.places import STATION_KIND, FixedPlaces, Places, PlaceTables
 from bsk_torch.vec3 import Vec3
 
 DEFAULT_STATIONS: tuple[dict[str, Any], ...] = tuple(
@@ -53,6 +54,21 @@ def station_arrays(args: Values) -> dict[str, Tensor]:
         "station_sin_elevations": numbers("gsMinimumElevation", args["gsMinimumElevation"]).sin()[None],
         "station_ranges": numbers("gsMaximumRange", args["gsMaximumRange"])[None],
     }
+
+
+def station_names(stations: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
+    """Return the names of ground stations as bsk_rl makes them, in the order of their indices."""
+    return tuple(f"GroundStation{station.get('name', k)}" for k, station in enumerate(stations))
+
+
+def station_places(tables: PlaceTables) -> dict[str, Places]:
+    """Return the ground stations as a kind of places; they stand at the same points in all environments."""
+    arrays, device = station_arrays(tables.world), tables.arguments.device
+    r_LP_P = arrays["station_positions_P"].view(1, 3, -1).mT.contiguous().to(device)
+    advice = "add stations to world_args['groundStationsData'], lower gsMinimumElevation"
+    names = station_names(tables.world["groundStationsData"])
+    sines = arrays["station_sin_elevations"].to(device)
+    return {STATION_KIND: FixedPlaces(r_LP_P, lambda rows: sines, advice=advice, names=names)}
 
 
 def see_stations(bus: Bus) -> None:
@@ -109,6 +125,7 @@ def ground_stations(count: int) -> Component:
         initial=lambda args: {"station_access": torch.zeros(1, dtype=torch.float64)},
         overwrites=(("station_access", "it follows from orbit and stations"),),
         prepare=station_arrays,
+        places=station_places,
     )
 
 

@@ -18,10 +18,10 @@ import torch
 from torch import Tensor
 
 from bsk_torch.astro.attitude import mrp_to_dcm
+from bsk_torch.astro.sight import stretch
 from bsk_torch.codegen.ir import Loop
 from bsk_torch.codegen.kernel import Kernel, Samples
 from bsk_torch.constants import R_EARTH
-from bsk_torch.sim.access.line_of_sight import stretch
 from bsk_torch.sim.component import Field, Layout, Track
 from bsk_torch.sim.inspection.points import COLUMNS, Point, faces, in_view, sunlit
 from bsk_torch.sim.orbit.builder import KernelBuilder

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from bsk_torch.sim.access.line_of_sight import line_clearance, stretch
+from bsk_torch.astro.sight import line_clearance, stretch
 from bsk_torch.vec3 import Vec3
 
 NO_RANGE = 1e200

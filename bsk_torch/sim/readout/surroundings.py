@@ -8,6 +8,7 @@ from torch import Tensor
 
 from bsk_torch.astro.ephemeris import EARTH_ROTATION_RATE, earth_orientation, sun_position, sun_state
 from bsk_torch.sim.environment.ephemeris import pole_matrix
+from bsk_torch.sim.environment.world import station_names
 from bsk_torch.sim.orbit.arcs import Arcs
 from bsk_torch.sim.satellite_state import SatelliteState
 
@@ -54,4 +55,4 @@ class World:
     @property
     def stations(self) -> tuple[str, ...]:
         """Names of the ground stations, in the order of their indices."""
-        return tuple(f"GroundStation{s.get('name', k)}" for k, s in enumerate(self._stations))
+        return station_names(self._stations)

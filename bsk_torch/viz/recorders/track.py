@@ -13,6 +13,7 @@ from bsk_torch.env import SatelliteTasking
 from bsk_torch.sim.access.visibility.planned import position_between, take_rows
 from bsk_torch.sim.environment.ephemeris import EPHEMERIS_TRACK, fixed
 from bsk_torch.sim.orbit.arcs import ARC, Arcs, segments_for
+from bsk_torch.sim.places import FixedPlaces
 from bsk_torch.sim.simulator import Simulator
 from bsk_torch.viz.recorders.episode import Episode, Recorder
 
@@ -64,10 +65,8 @@ class TrackRecorder(Recorder):
 
     def _stations(self) -> Tensor:
         access = self.simulator.access
-        station = None if access is None else access.kinds.get("ground_station")
-        return (
-            torch.empty(0, 3, dtype=torch.float64) if station is None else station(self.simulator.state.all_rows).r_LP_P[0].cpu()
-        )
+        stations = None if access is None else access.kinds.get("ground_station")
+        return stations.r_LP_P[0].cpu() if isinstance(stations, FixedPlaces) else torch.empty(0, 3, dtype=torch.float64)
 
     def _track(self) -> tuple[Tensor, Tensor]:
         """Times [M] and Earth-fixed positions [M, 3] along the whole orbit."""

@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from bsk_torch.astro.orbit import Elements, elements_to_rv, rv_to_elements
+from bsk_torch.sim.places import FixedPlaces
 from bsk_torch.vec3 import Vec3
 from bsk_torch.viz.recorders.episode import QUANTITIES
 
@@ -151,8 +152,9 @@ def command_of(simulator: Simulator, mode: str) -> str:
 def _stations(simulators: Iterable[Simulator]) -> Tensor:
     """Earth-fixed positions [K, 3] of the ground stations, if anybody sees some."""
     for simulator in simulators:
-        if simulator.access is not None and "ground_station" in simulator.access.kinds:
-            return simulator.access.kinds["ground_station"](simulator.state.all_rows).r_LP_P[0]
+        stations = None if simulator.access is None else simulator.access.kinds.get("ground_station")
+        if isinstance(stations, FixedPlaces):
+            return stations.r_LP_P[0]
     return torch.empty(0, 3, dtype=torch.float64)
 
 

@@ -10,14 +10,16 @@ import pytest
 import torch
 
 from bsk_torch.astro.orbit import Elements
+from bsk_torch.astro.sight import max_central_angle
 from bsk_torch.constants import R_EARTH
 from bsk_torch.sim.access import passes as module
 from bsk_torch.sim.access.generation import GenerationIntervals, windows_of_bsk_rl
-from bsk_torch.sim.access.passes import SHORTEST_PASS, GroundTrack, Passes, PassSearch, Places, coarse_screen
-from bsk_torch.sim.access.visibility.geometry import SAMPLES_PER_CELL, max_central_angle
+from bsk_torch.sim.access.passes import SHORTEST_PASS, GroundTrack, Passes, PassSearch, coarse_screen
+from bsk_torch.sim.access.visibility.geometry import SAMPLES_PER_CELL
 from bsk_torch.sim.access.visibility.kernels import KernelVisibility
 from bsk_torch.sim.access.visibility.tensors import TensorVisibility
 from bsk_torch.sim.orbit.grid import PLAN_STEP
+from bsk_torch.sim.places import Sites
 from tests.sim.orbit.arcs import at, every, fixed_samples, places_of, sine_of_elevation, sines_of_elevation
 
 SIGHTS = [TensorVisibility, pytest.param(KernelVisibility, marks=pytest.mark.compiled)]
@@ -70,7 +72,7 @@ def ground_of(kind: str, n: int, samples: int) -> GroundTrack:
 # -- the coarse screen ---------------------------------------------------------------------------------------------------------
 
 
-def table(ground: GroundTrack, places: Places) -> torch.Tensor:
+def table(ground: GroundTrack, places: Sites) -> torch.Tensor:
     """Which places [n, P] the screen leaves of each cell, [n, C, P]."""
     n, samples = ground.r_BP_P.shape[:2]
     left = torch.zeros(n, math.ceil((samples - 1) / SAMPLES_PER_CELL), places.r_LP_P.shape[1], dtype=torch.long)
@@ -80,7 +82,7 @@ def table(ground: GroundTrack, places: Places) -> torch.Tensor:
     return left.bool()
 
 
-def seen_around_cells(ground: GroundTrack, places: Places) -> torch.Tensor:
+def seen_around_cells(ground: GroundTrack, places: Sites) -> torch.Tensor:
     """Which places see the satellite from a sample before each cell to a sample after, every three seconds, [n, C, P]."""
     parts = round(PLAN_STEP / 3.0)
     r_P = every(ground, 3.0)
@@ -102,7 +104,7 @@ def test_the_screen_loses_nothing(kind, samples):
     r_P[:, :40] = torch.nn.functional.normalize(ground.r_BP_P[:, below], dim=-1) * R_EARTH
     deep = r_P * uniform(n, count, 1, low=0.8, high=1.0)  # exaggerated, so that all must be searched for as the lowest one
     same = limits(n, 1).expand(n, count)
-    for places in (Places(r_P, limits(n, count)), Places(r_P, limits(n, 1, 80.0).expand(n, count)), Places(deep, same)):
+    for places in (Sites(r_P, limits(n, count)), Sites(r_P, limits(n, 1, 80.0).expand(n, count)), Sites(deep, same)):
         needed, left = seen_around_cells(ground, places), table(ground, places)
         assert not (needed & ~left).any()
         assert needed.any()
@@ -114,10 +116,10 @@ def test_missing_places_are_never_left():
     """Nor do they change what is left of others."""
     ground, r_P = ground_of("low", 6, 121), anywhere(6, 30)
     least = limits(6, 30)
-    whole = table(ground, Places(r_P, least))
+    whole = table(ground, Sites(r_P, least))
     missing = torch.rand(6, 30) < 0.4
     missing[2] = True
-    padded = Places(r_P.masked_fill(missing.unsqueeze(-1), math.nan), least)
+    padded = Sites(r_P.masked_fill(missing.unsqueeze(-1), math.nan), least)
     left = table(ground, padded)
     assert not left.mT[missing].any()
     needed = seen_around_cells(ground, padded)
@@ -132,7 +134,7 @@ def test_the_screen_does_not_depend_on_how_many_products_are_made_at_once(shared
     found = []
     for room in (1, 1000, 3 * 8 * 50, 1 << 20):
         monkeypatch.setattr(module, "SCREEN_PRODUCTS", room)
-        found.append(coarse_screen(ground, Places(r_P, least)))
+        found.append(coarse_screen(ground, Sites(r_P, least)))
     for other in found[1:]:
         assert all(torch.equal(a, b) for a, b in zip(found[0], other, strict=True))
     assert len(found[0][0]) > 10
@@ -141,8 +143,8 @@ def test_the_screen_does_not_depend_on_how_many_products_are_made_at_once(shared
 def test_places_that_all_satellites_share():
     """The same as given to each."""
     ground, r_P, least = ground_of("low", 5, 121), anywhere(1, 80), limits(1, 80)
-    once = PassSearch(TensorVisibility(), ground, Places(r_P, least)).passes()
-    each = PassSearch(TensorVisibility(), ground, Places(r_P.expand(5, -1, -1), least.expand(5, -1))).passes()
+    once = PassSearch(TensorVisibility(), ground, Sites(r_P, least)).passes()
+    each = PassSearch(TensorVisibility(), ground, Sites(r_P.expand(5, -1, -1), least.expand(5, -1))).passes()
     assert all(torch.equal(a, b) for a, b in zip(once, each, strict=True))
     assert len(once.row) > 10
 
@@ -153,7 +155,7 @@ def test_nothing_in_sight(sight):
     ground = ground_of("low", 3, 10)
     behind = -torch.nn.functional.normalize(ground.r_BP_P[:, 5:6], dim=-1) * R_EARTH
     for r_P in (behind, torch.full_like(behind, math.nan)):
-        search = PassSearch(sight(), ground, Places(r_P, torch.full((3, 1), 0.1, dtype=torch.float64)))
+        search = PassSearch(sight(), ground, Sites(r_P, torch.full((3, 1), 0.1, dtype=torch.float64)))
         passes = search.passes()
         assert all(part.shape == (0,) for part in passes)
         assert all(part.shape == (0,) for part in windows_of_bsk_rl(search, passes, segments(ground, 90.0)))
@@ -175,11 +177,11 @@ def test_limit_angle():
 
 @pytest.mark.parametrize("sight", SIGHTS)
 def test_passes_of_a_row_do_not_depend_on_others(sight):
-    ground, places = ground_of("low", 6, 181), Places(anywhere(6, 60), limits(6, 60))
+    ground, places = ground_of("low", 6, 181), Sites(anywhere(6, 60), limits(6, 60))
     together = PassSearch(sight(), ground, places).passes()
     for row in range(6):
         alone = PassSearch(
-            sight(), GroundTrack(*(x[row : row + 1] for x in ground)), places_of(places)(torch.tensor([row]))
+            sight(), GroundTrack(*(x[row : row + 1] for x in ground)), places_of(places).sites(torch.tensor([row]))
         ).passes()
         mine = together.row == row
         assert mine.any()
@@ -189,7 +191,7 @@ def test_passes_of_a_row_do_not_depend_on_others(sight):
 
 def test_passes_do_not_depend_on_where_a_search_ends():
     """One that ends later finds the same, and what was cut goes on."""
-    ground, places = ground_of("low", 8, 181), Places(anywhere(8, 60), limits(8, 60))
+    ground, places = ground_of("low", 8, 181), Sites(anywhere(8, 60), limits(8, 60))
     long = listed(PassSearch(TensorVisibility(), ground, places).passes())
     for samples in (180, 97, 50, 11):
         short = GroundTrack(ground.r_BP_P[:, :samples], ground.start)
@@ -294,7 +296,7 @@ def as_bsk_rl(pair: Pair, boundaries: list[float]) -> list[tuple[float, float]]:
     return windows
 
 
-def crossings(ground: GroundTrack, places: Places) -> tuple[dict[tuple[int, int], list[float]], torch.Tensor]:
+def crossings(ground: GroundTrack, places: Sites) -> tuple[dict[tuple[int, int], list[float]], torch.Tensor]:
     """Times of all changes between samples 0.1 s apart, by bisection, and which places see the satellite first."""
     up = sines_of_elevation(every(ground, 0.1), places.r_LP_P) > places.sin_min_elevation.unsqueeze(1)
     row, k, place = torch.nonzero(up[:, 1:] != up[:, :-1], as_tuple=True)
@@ -312,7 +314,7 @@ def crossings(ground: GroundTrack, places: Places) -> tuple[dict[tuple[int, int]
     return found, up[:, 0]
 
 
-def expected_windows(ground: GroundTrack, places: Places, intervals: GenerationIntervals) -> Listed:
+def expected_windows(ground: GroundTrack, places: Sites, intervals: GenerationIntervals) -> Listed:
     """What bsk_rl generates, for all rows and places."""
     changes, first_up = crossings(ground, places)
     found: Listed = {}
@@ -342,7 +344,7 @@ def check_against_bsk_rl(ground: GroundTrack, low: float, high: float, intervals
     n, samples = ground.r_BP_P.shape[:2]
     track = ground.r_BP_P[:, torch.randint(samples, (40,))]
     r_P = torch.nn.functional.normalize(track + 8e5 * torch.randn_like(track), dim=-1) * R_EARTH
-    places = Places(r_P, limits(n, 40, low, high))
+    places = Sites(r_P, limits(n, 40, low, high))
     search = PassSearch(TensorVisibility(), ground, places)
     passes, expected = search.passes(), expected_windows(ground, places, intervals)
     assert_same(listed(windows_of_bsk_rl(search, passes, intervals)), expected, 1e-6)
@@ -389,7 +391,7 @@ def at_rest(near: bool) -> PassSearch:
     return PassSearch(
         TensorVisibility(),
         GroundTrack(r_P, numbers(0.0)),
-        Places(numbers(0.0, 0.0, R_EARTH).view(1, 1, 3), numbers(0.5).view(1, 1)),
+        Sites(numbers(0.0, 0.0, R_EARTH).view(1, 1, 3), numbers(0.5).view(1, 1)),
     )
 
 

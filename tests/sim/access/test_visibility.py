@@ -10,6 +10,7 @@ import torch
 from bsk_torch.astro.eclipse import illumination
 from bsk_torch.astro.ephemeris import earth_orientation, sun_position
 from bsk_torch.astro.frames import lla_to_fixed
+from bsk_torch.astro.sight import elevation_clearance
 from bsk_torch.codegen.kernel import Samples
 from bsk_torch.constants import R_EARTH
 from bsk_torch.sim.access.passes import GroundTrack
@@ -24,7 +25,6 @@ from bsk_torch.sim.access.visibility.geometry import (
     SHORT_PASS,
     SearchCells,
     classify,
-    elevation_clearance,
     event_code,
 )
 from bsk_torch.sim.access.visibility.kernels import KernelVisibility

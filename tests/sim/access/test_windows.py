@@ -12,13 +12,13 @@ from bsk_torch.astro.frames import lla_to_fixed
 from bsk_torch.constants import R_EARTH
 from bsk_torch.sim.access import window_table
 from bsk_torch.sim.access import windows as module
-from bsk_torch.sim.access.passes import Places
 from bsk_torch.sim.access.visibility.backend import make_visibility
 from bsk_torch.sim.access.window_table import Windows, next_to_close
 from bsk_torch.sim.access.windows import BEFORE_SEARCH, BEHIND_SEARCH, SEARCH_AHEAD, AccessWindows
 from bsk_torch.sim.environment.world import DEFAULT_STATIONS, station_arrays
 from bsk_torch.sim.orbit.arcs import segments_for
 from bsk_torch.sim.orbit.grid import ARC_SEGMENT
+from bsk_torch.sim.places import Sites
 from tests.sim.orbit.arcs import Solved, orbits, places_of, planned
 
 MILLISECOND = 1e-3  # s; measured: 0.08 ms over windows generated at reset, 0.21 ms over look-ahead
@@ -32,7 +32,7 @@ def number(x: float) -> torch.Tensor:
     return torch.tensor([x], dtype=torch.float64)
 
 
-def stations() -> Places:
+def stations() -> Sites:
     arrays = station_arrays(
         {
             "groundStationsData": DEFAULT_STATIONS,
@@ -41,14 +41,14 @@ def stations() -> Places:
             "gsMaximumRange": number(-1.0),
         }
     )
-    return Places(arrays["station_positions_P"].view(1, 3, -1).mT.contiguous(), arrays["station_sin_elevations"])
+    return Sites(arrays["station_positions_P"].view(1, 3, -1).mT.contiguous(), arrays["station_sin_elevations"])
 
 
 def table(
-    flight: Solved, duration: float, places: Places | None = None, segment: float = SEGMENT, as_bsk_rl: bool = False
+    flight: Solved, duration: float, places: Sites | None = None, segment: float = SEGMENT, as_bsk_rl: bool = False
 ) -> AccessWindows:
     sites = places or stations()
-    access = AccessWindows(flight.arcs, make_visibility(flight.backend, CPU), {KIND: lambda rows: sites}, segment, as_bsk_rl)
+    access = AccessWindows(flight.arcs, make_visibility(flight.backend, CPU), {KIND: places_of(sites)}, segment, as_bsk_rl)
     rows = torch.arange(len(flight.arcs.start))
     access.generate(rows, flight.view, torch.full((len(rows),), duration, dtype=torch.float64))
     return access
@@ -193,7 +193,7 @@ def test_windows_in_progress_where_the_arcs_end_are_joined_when_they_grow(record
     initials, end = recording("windows")["ic"], 2.0 * ARC_SEGMENT
     flight, longer = fly(initials, 2), fly(initials, 5)
     below = planned_ground(longer, end)
-    places = Places(torch.stack([below, below + 2e5, -below], 1), torch.full((5, 3), 0.5, dtype=torch.float64))
+    places = Sites(torch.stack([below, below + 2e5, -below], 1), torch.full((5, 3), 0.5, dtype=torch.float64))
     access, whole = (
         AccessWindows(one.arcs, make_visibility(one.backend, CPU), {KIND: places_of(places)}, SEGMENT) for one in (flight, longer)
     )
@@ -279,7 +279,7 @@ def by_place(windows: Windows) -> Windows:
 def test_windows_cut_at_the_same_time_come_in_the_order_of_their_places(fly):
     """As bsk_rl's bisect.insort leaves them; neighbouring sites, so that two passes are often in progress at once."""
     latitude, longitude = (torch.deg2rad(torch.tensor(x, dtype=torch.float64)) for x in ([47.0, 46.0, 45.0], [10.0, 14.0, 12.0]))
-    places = Places(lla_to_fixed(latitude, longitude, torch.zeros(3).double())[None], torch.full((1, 3), 0.1).double())
+    places = Sites(lla_to_fixed(latitude, longitude, torch.zeros(3).double())[None], torch.full((1, 3), 0.1).double())
     access, cut = table(fly(orbits(60), 6), 1800.0, places, segment=1800.0), 0
     for _ in range(6):
         access.until += access.segment
@@ -357,7 +357,7 @@ def test_passes_between_two_samples(fly, recording):
     samples = elevation[(time % 30.0) < 0.005].amax()
     limit = 0.5 * (elevation[top] + samples)  # between the best sample and the top
     assert limit > samples + 1e-4
-    places = Places(site.view(1, 1, 3), torch.sin(limit).view(1, 1))
+    places = Sites(site.view(1, 1, 3), torch.sin(limit).view(1, 1))
     inside = time[elevation > limit]
     ((place, opens, closes),) = listed(table(arcs, 7200.0, places), 0)
     assert place == 0
@@ -526,7 +526,7 @@ def test_kinds_share_what_is_known(recording, fly):
     both = AccessWindows(
         flight.arcs,
         make_visibility(flight.backend, CPU),
-        {"target": lambda rows: targets, KIND: lambda rows: stations()},
+        {"target": places_of(targets), KIND: places_of(stations())},
         SEGMENT,
     )
     rows, time = torch.arange(5), torch.full((5,), 1300.0, dtype=torch.float64)
@@ -551,11 +551,11 @@ def test_kinds_share_what_is_known(recording, fly):
 # -- places of each environment's own ------------------------------------------------------------------------------------------
 
 
-def near_stations(n: int = 1, count: int = 40) -> Places:
+def near_stations(n: int = 1, count: int = 40) -> Sites:
     """Targets [n, count] all around the Earth, with limits of 20 to 60 degrees."""
     unit = torch.nn.functional.normalize(torch.randn(n, count, 3, dtype=torch.float64), dim=-1)
     limit = torch.deg2rad(20.0 + 40.0 * torch.rand(n, count, dtype=torch.float64))
-    return Places(unit * (R_EARTH + 1000.0), torch.sin(limit))
+    return Sites(unit * (R_EARTH + 1000.0), torch.sin(limit))
 
 
 def test_each_environment_has_places_of_its_own(recording, fly):
@@ -565,7 +565,7 @@ def test_each_environment_has_places_of_its_own(recording, fly):
     for row, number in enumerate(numbers):
         places.r_LP_P[row, number:] = math.nan
 
-    def access(flight: Solved, mine: Places) -> AccessWindows:
+    def access(flight: Solved, mine: Sites) -> AccessWindows:
         made = AccessWindows(flight.arcs, make_visibility(flight.backend, CPU), {KIND: places_of(mine)}, SEGMENT)
         rows = torch.arange(len(flight.arcs.start))
         made.generate(rows, flight.view, torch.full((len(rows),), 6000.0, dtype=torch.float64))
@@ -580,7 +580,7 @@ def test_each_environment_has_places_of_its_own(recording, fly):
         seen = listed(together, row)
         assert all(place < number for place, _, _ in seen)
         if number:
-            alone = access(fly(initials[row : row + 1], 6), Places(*(x[row : row + 1, :number] for x in places)))
+            alone = access(fly(initials[row : row + 1], 6), Sites(*(x[row : row + 1, :number] for x in places)))
             assert [w[0] for w in listed(alone, 0)] == [w[0] for w in seen]
             for one, other in zip(listed(alone, 0), seen, strict=True):
                 assert one[1:] == pytest.approx(other[1:], abs=1e-6)
@@ -591,15 +591,12 @@ def test_some_rows_are_reset_and_extended_with_their_own_places(recording, fly):
     """The places of rows are asked for by their numbers, whatever these are."""
     flight = fly(recording("windows")["ic"], 6)
     first, second = near_stations(5), near_stations(5)
-    current = {"places": first}
-    access = AccessWindows(
-        flight.arcs, make_visibility(flight.backend, CPU), {KIND: lambda rows: places_of(current["places"])(rows)}, SEGMENT
-    )
+    access = AccessWindows(flight.arcs, make_visibility(flight.backend, CPU), {KIND: places_of(first)}, SEGMENT)
     every, duration = torch.arange(5), torch.full((5,), 6000.0, dtype=torch.float64)
     access.generate(every, flight.view, duration)
     before = [listed(access, row) for row in range(5)]
     rows = torch.tensor([3, 1])
-    current["places"] = second
+    access.kinds[KIND] = places_of(second)
     access.generate(rows, flight.view.take(rows), duration[rows])
     other = AccessWindows(flight.arcs, make_visibility(flight.backend, CPU), {KIND: places_of(second)}, SEGMENT)
     other.generate(every, flight.view, duration)
@@ -655,7 +652,7 @@ def test_thousands_of_targets(recording, solve_arcs):
     counts = torch.isfinite(access.windows[KIND].close).sum(1)
     assert (counts > 1500).all()
     assert elapsed < 10.0  # twenty times what has been measured; one place after another would take minutes
-    alone = table(flight, GENERATED, Places(*(x[:, 4990:] for x in places)))
+    alone = table(flight, GENERATED, Sites(*(x[:, 4990:] for x in places)))
     for row in range(5):
         mine = [(place - 4990, *times) for place, *times in listed(access, row) if place >= 4990]
         expected = listed(alone, row)

@@ -12,9 +12,9 @@ import bsk_torch
 from bsk_torch.astro.ephemeris import earth_orientation
 from bsk_torch.astro.orbit import Elements
 from bsk_torch.constants import R_EARTH
-from bsk_torch.sim.access.passes import Places
 from bsk_torch.sim.access.visibility.backend import make_visibility
 from bsk_torch.sim.access.windows import AccessWindows
+from bsk_torch.sim.places import Sites
 from tests.sim.orbit.arcs import Solved, initial, places_of, planned, sines_of_elevation
 
 KIND, CPU = "target", torch.device("cpu")
@@ -49,10 +49,10 @@ def eccentric(solve_arcs) -> Solved:
 
 
 @pytest.fixture(scope="module")
-def places() -> Places:
+def places() -> Sites:
     """Thirty places everywhere, with limits of 0 to 60 degrees."""
     r_LP_P = R_EARTH * torch.nn.functional.normalize(torch.randn(1, 30, 3, dtype=torch.float64), dim=-1)
-    return Places(r_LP_P, torch.sin(torch.linspace(0.0, math.pi / 3.0, 30, dtype=torch.float64)).unsqueeze(0))
+    return Sites(r_LP_P, torch.sin(torch.linspace(0.0, math.pi / 3.0, 30, dtype=torch.float64)).unsqueeze(0))
 
 
 @pytest.fixture(scope="module")
@@ -66,7 +66,7 @@ def visible(eccentric, places) -> tuple[torch.Tensor, torch.Tensor]:
 
 
 def compare(
-    flight: Solved, places: Places, visible: tuple[torch.Tensor, torch.Tensor], generated: float, as_bsk_rl: bool
+    flight: Solved, places: Sites, visible: tuple[torch.Tensor, torch.Tensor], generated: float, as_bsk_rl: bool
 ) -> list[Counted]:
     """Count for each orbit what windows that were generated at reset and then segment by segment tell."""
     rows = torch.arange(len(flight.arcs.start))

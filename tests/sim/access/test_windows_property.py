@@ -14,11 +14,12 @@ from hypothesis import strategies as st
 
 from bsk_torch.astro.interpolate import COUNT
 from bsk_torch.astro.orbit import Elements
+from bsk_torch.astro.sight import max_central_angle
 from bsk_torch.constants import R_EARTH
-from bsk_torch.sim.access.passes import GroundTrack, PassSearch, Places
+from bsk_torch.sim.access.passes import GroundTrack, PassSearch
 from bsk_torch.sim.access.visibility.backend import make_visibility
-from bsk_torch.sim.access.visibility.geometry import max_central_angle
 from bsk_torch.sim.orbit.grid import PLAN_STEP
+from bsk_torch.sim.places import Sites
 from tests.sim.orbit.arcs import at, every, fixed_samples, sine_of_elevation, sines_of_elevation
 
 STEP = 0.1
@@ -126,12 +127,12 @@ def some_time(ground: GroundTrack, random: Random, low: float, high: float) -> t
     return ground.start.unsqueeze(-1) + random(low, high)
 
 
-def near_the_track(ground: GroundTrack, seed: int) -> Places:
+def near_the_track(ground: GroundTrack, seed: int) -> Sites:
     """Places near points that the satellites fly over during the search; a few are missing."""
     random = Random(len(ground.start), seed)
     r_P, limit = beside(ground, some_time(ground, random, 0.0, length(ground)), random, across=False)
     r_P[random(0.0, 1.0) < 0.05] = torch.nan
-    return Places(r_P, torch.sin(limit))
+    return Sites(r_P, torch.sin(limit))
 
 
 def tops(ground: GroundTrack, r_P: torch.Tensor) -> torch.Tensor:
@@ -144,14 +145,14 @@ def tops(ground: GroundTrack, r_P: torch.Tensor) -> torch.Tensor:
     return torch.where(inside, here + slope * slope / (8.0 * bend), torch.maximum(before, after))
 
 
-def grazing(ground: GroundTrack, seed: int, low: float, high: float) -> Places:
+def grazing(ground: GroundTrack, seed: int, low: float, high: float) -> Sites:
     """Places whose limits lie 1e-6 to 1e-2 rad below the top of a pass that culminates ``low`` to ``high`` s after the start."""
     random = Random(len(ground.start), seed)
     r_P, _ = beside(ground, some_time(ground, random, low, high), random, across=True)
-    return Places(r_P, torch.sin((tops(ground, r_P) - 10.0 ** random(-6.0, -2.0)).clamp(LOWEST, HIGHEST)))
+    return Sites(r_P, torch.sin((tops(ground, r_P) - 10.0 ** random(-6.0, -2.0)).clamp(LOWEST, HIGHEST)))
 
 
-def close_calls(ground: GroundTrack, seed: int) -> Places:
+def close_calls(ground: GroundTrack, seed: int) -> Sites:
     """Places whose limits lie 1e-10 to 1e-4 rad below or above the elevation at a sample, mostly near the top of a pass."""
     random = Random(len(ground.start), seed)
     time = PLAN_STEP * (some_time(ground, random, 0.0, length(ground)) / PLAN_STEP).round()
@@ -159,7 +160,7 @@ def close_calls(ground: GroundTrack, seed: int) -> Places:
     rows = torch.arange(len(time)).repeat_interleave(PLACES)
     elevation = torch.asin(sine_of_elevation(at(ground, rows, time.flatten()).view(r_P.shape), r_P))
     apart = 10.0 ** random(-10.0, -4.0) * (random(-1.0, 3.0) > 0.0).double().mul(2.0).sub(1.0)
-    return Places(r_P, torch.sin((elevation - apart).clamp(LOWEST, HIGHEST)))
+    return Sites(r_P, torch.sin((elevation - apart).clamp(LOWEST, HIGHEST)))
 
 
 # -- brute force ---------------------------------------------------------------------------------------------------------------
@@ -176,7 +177,7 @@ Listed = dict[tuple[int, int], list[Window]]
 """Windows of each row and place."""
 
 
-def brute(ground: GroundTrack, places: Places) -> Listed:
+def brute(ground: GroundTrack, places: Sites) -> Listed:
     """Windows where the elevation is above the limit, every :data:`STEP`."""
     up = (sines_of_elevation(every(ground, STEP), places.r_LP_P) > places.sin_min_elevation.unsqueeze(1)).transpose(1, 2)
     change = torch.diff(torch.nn.functional.pad(up.to(torch.int8), (1, 1)))
@@ -189,7 +190,7 @@ def brute(ground: GroundTrack, places: Places) -> Listed:
     return found
 
 
-def searched(ground: GroundTrack, places: Places, backend: str) -> Listed:
+def searched(ground: GroundTrack, places: Sites, backend: str) -> Listed:
     """Windows of the batched search without those that fall between two samples of brute force; edges are crossings."""
     passes = PassSearch(make_visibility(backend, torch.device("cpu")), ground, places).passes()
     for inner, time in (
@@ -213,7 +214,7 @@ def agree(expected: Window, found: Window) -> bool:
     return -SMALL < expected.first - found.first < STEP + SMALL and -SMALL < found.last - expected.last < STEP + SMALL
 
 
-def compare(drawn: Searches, ground: GroundTrack, places: Places, backend: str, counted: Counter[str]) -> None:
+def compare(drawn: Searches, ground: GroundTrack, places: Sites, backend: str, counted: Counter[str]) -> None:
     """Fail unless brute force and search agree in number and times; count what windows there are."""
     expected, found = brute(ground, places), searched(ground, places, backend)
     for row, place in expected.keys() | found.keys():
@@ -238,7 +239,7 @@ def compare(drawn: Searches, ground: GroundTrack, places: Places, backend: str, 
 
 
 def compared(
-    orbit: st.SearchStrategy[Orbit], examples: int, backend: str, places: Callable[[GroundTrack, int], Places]
+    orbit: st.SearchStrategy[Orbit], examples: int, backend: str, places: Callable[[GroundTrack, int], Sites]
 ) -> Counter[str]:
     """Compare examples, a third of them where the search is slow, and count."""
     counted: Counter[str] = Counter()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import torch
@@ -12,12 +11,13 @@ from bsk_torch.astro.ephemeris import earth_orientation
 from bsk_torch.astro.interpolate import coefficients, position, velocity
 from bsk_torch.astro.orbit import Elements, elements_to_rv
 from bsk_torch.constants import R_EARTH
-from bsk_torch.sim.access.passes import GroundTrack, Places
+from bsk_torch.sim.access.passes import GroundTrack
 from bsk_torch.sim.access.visibility.planned import PlannedOrbits, position_between
 from bsk_torch.sim.component import neighbours
 from bsk_torch.sim.orbit.arcs import ARC, Arcs
 from bsk_torch.sim.orbit.grid import LEAD_NODES, NODE_SPACING, PLAN_STEP
 from bsk_torch.sim.orbit.solvers import make_solver
+from bsk_torch.sim.places import FixedPlaces, Sites
 from bsk_torch.vec3 import Vec3
 
 
@@ -118,6 +118,7 @@ def sines_of_elevation(r_P: torch.Tensor, site: torch.Tensor) -> torch.Tensor:
     return dot.sub_(site2).div_(line2.mul_(site2).sqrt_())
 
 
-def places_of(places: Places) -> Callable[[torch.Tensor], Places]:
-    """Looks up the places of rows [n], which may be the same for all."""
-    return lambda rows: places if len(places.r_LP_P) == 1 else Places(*(part[rows] for part in places))
+def places_of(places: Sites) -> FixedPlaces:
+    """The places of rows, which may be the same for all."""
+    sines = places.sin_min_elevation
+    return FixedPlaces(places.r_LP_P, lambda rows: sines if len(sines) == 1 else sines[rows])

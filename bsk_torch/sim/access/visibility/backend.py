@@ -27,7 +27,7 @@ class Visibility(Protocol):
         """Return event codes, [m, CLASSIFIED_SAMPLES]; see :func:`bsk_torch.sim.access.visibility.geometry.event_code`."""
 
     def clearance(self, pairs: PlacePairs, time: Tensor) -> Tensor:
-        """Return the clearance of each pair at its time [m] s, [m]; see ``geometry.elevation_clearance``."""
+        """Return the clearance of each pair at its time [m] s, [m]; see ``elevation_clearance``."""
 
     def crossings(self, pairs: PlacePairs, brackets: Brackets) -> Tensor:
         """Return the times at which the clearance is zero between the bracketing times, [m] s."""

@@ -8,7 +8,6 @@ import torch
 from torch import Tensor
 
 from bsk_torch.sim.orbit.grid import PLAN_STEP
-from bsk_torch.vec3 import Vec3
 
 SAMPLES_PER_CELL = 16
 """Samples of a cell, the unit of the coarse screen, which compares only the middle one with all places."""
@@ -37,37 +36,6 @@ class SearchCells(NamedTuple):
     end: Tensor
     search_begin: Tensor
     search_end: Tensor
-
-
-def elevation_clearance(r_BP_P: Vec3, r_LP_P: Vec3, sin_min_elevation: Any) -> Any:
-    """Return a measure of how far a satellite B is above the minimum elevation over a place L; positive if it is visible.
-
-    The measure is ``cos(theta) - cos(theta_max)``, with theta the angle at the Earth's centre between B and L::
-
-        theta_max = acos(q cos e) - e        cos(theta_max) = q cos^2 e + sin e sqrt(1 - q^2 cos^2 e)
-
-    where e is the minimum elevation and ``q = |r_LP| / |r_BP|`` (law of sines in the triangle centre, L, B; Wertz and Larson,
-    Space Mission Analysis and Design, section 5.2). Unlike the elevation, it is nearly a sinusoid of time, so the parabola
-    through three samples gives the height of a culmination between them.
-
-    Args:
-        r_BP_P: Earth-fixed position of the satellite, m.
-        r_LP_P: Earth-fixed position of the place, m.
-        sin_min_elevation: Sine of the minimum elevation.
-    """
-    radius, distance = r_LP_P.norm(), r_BP_P.norm()
-    q, cos2 = radius / distance, 1.0 - sin_min_elevation * sin_min_elevation
-    cos_theta_max = q * cos2 + sin_min_elevation * torch.sqrt(torch.clamp(1.0 - q * q * cos2, min=0.0))
-    return r_LP_P.dot(r_BP_P) / (radius * distance) - cos_theta_max
-
-
-def max_central_angle(radius_ratio: Tensor, sin_min_elevation: Tensor) -> Tensor:
-    """Return the angle at the Earth's centre, rad, at which a satellite stands at the minimum elevation e.
-
-    ``theta_max = acos(q cos e) - e``, see :func:`elevation_clearance`; ``radius_ratio`` is q.
-    """
-    cosine = torch.sqrt(1.0 - sin_min_elevation * sin_min_elevation)
-    return torch.acos(torch.clamp(radius_ratio * cosine, -1.0, 1.0)) - torch.asin(sin_min_elevation)
 
 
 def classify(before: Any, here: Any, after: Any, is_first: Any, is_last: Any) -> tuple[Any, Any, Any]:

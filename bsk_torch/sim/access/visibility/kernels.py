@@ -12,9 +12,10 @@ from torch import Tensor
 from bsk_torch.astro.eclipse import in_umbra
 from bsk_torch.astro.interpolate import coefficients, position
 from bsk_torch.astro.roots import halved, narrowed, next_guess, placed, refined, sections
+from bsk_torch.astro.sight import elevation_clearance
 from bsk_torch.codegen.ir import Loop
 from bsk_torch.codegen.kernel import Kernel
-from bsk_torch.sim.access.visibility.geometry import CLASSIFIED_SAMPLES, SearchCells, elevation_clearance, event_code
+from bsk_torch.sim.access.visibility.geometry import CLASSIFIED_SAMPLES, SearchCells, event_code
 from bsk_torch.sim.access.visibility.pairs import (
     BISECTIONS,
     CULMINATION_ITERATIONS,

@@ -8,7 +8,8 @@ from torch import Tensor
 from bsk_torch.astro.eclipse import in_umbra
 from bsk_torch.astro.interpolate import positions
 from bsk_torch.astro.roots import find_maximum, find_root
-from bsk_torch.sim.access.visibility.geometry import CLASSIFIED_SAMPLES, SearchCells, elevation_clearance, event_code
+from bsk_torch.astro.sight import elevation_clearance
+from bsk_torch.sim.access.visibility.geometry import CLASSIFIED_SAMPLES, SearchCells, event_code
 from bsk_torch.sim.access.visibility.pairs import (
     BISECTIONS,
     CULMINATION_ITERATIONS,

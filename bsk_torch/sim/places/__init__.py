@@ -1,0 +1,34 @@
+"""Kinds of places that satellites may see: fixed on the Earth, moving on the Earth, in orbit."""
+
+from bsk_torch.sim.places.base import (
+    STATION_KIND,
+    TARGET_KIND,
+    TARGETS,
+    Clearance,
+    FixedPlaces,
+    Places,
+    PlaceTables,
+    Sight,
+    Sites,
+)
+from bsk_torch.sim.places.clearance import AboveElevation, ClearOfEarth, Lit, WithinRange
+from bsk_torch.sim.places.moving import GreatCirclePlaces
+from bsk_torch.sim.places.orbiting import OrbitingPlaces
+
+__all__ = [
+    "STATION_KIND",
+    "TARGETS",
+    "TARGET_KIND",
+    "AboveElevation",
+    "ClearOfEarth",
+    "Clearance",
+    "FixedPlaces",
+    "GreatCirclePlaces",
+    "Lit",
+    "OrbitingPlaces",
+    "PlaceTables",
+    "Places",
+    "Sight",
+    "Sites",
+    "WithinRange",
+]

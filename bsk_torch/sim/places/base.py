@@ -1,0 +1,215 @@
+"""Interface of kinds of places: points that satellites may see, on the ground or in orbit.
+
+A kind says where its places are at a time and what a clear view of them needs. Models declare kinds: a component by its
+``places``, a scenario by its method ``place_kinds``; both are called with :class:`PlaceTables` when a simulation is built. The
+name of a kind is a type of opportunities.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from typing import NamedTuple, Protocol
+
+import torch
+from torch import Tensor
+
+from bsk_torch.astro.ephemeris import coverage, earth_orientation, sun_state
+from bsk_torch.sim.component import Values
+from bsk_torch.sim.state import StateTable
+from bsk_torch.vec3 import Vec3
+
+STATION_KIND, TARGET_KIND = "ground_station", "target"
+"""Names of the kinds that components and scenarios of the package declare."""
+
+TARGETS = "target_r_LP_P"
+"""Name under which scenarios draw the positions of targets."""
+
+
+class PlaceTables(NamedTuple):
+    """Tables that kinds of places read; N rows of satellites in ``num_envs`` environments.
+
+    Attributes:
+        drawn: Draws of the scenario, [num_envs, ...] each; read whenever positions are requested, since they change at resets.
+        arguments: Arguments of satellites and world, [N, ...] each; likewise.
+        world: Arguments of the world that are the same in all environments, such as the ground stations.
+    """
+
+    drawn: StateTable
+    arguments: StateTable
+    world: Values
+
+    def of_rows(self, name: str, rows: Tensor, place: Tensor) -> Tensor:
+        """Return the draws ``name`` [num_envs, P, ...] for satellites ``rows`` [n] and places [n, ...]; [n, ..., ...]."""
+        envs = rows // self.arguments.count
+        return self.drawn[name][envs.view(-1, *[1] * (place.ndim - 1)), place]
+
+    def orientation(self, rows: Tensor, time: Tensor) -> Tensor:
+        """Return the matrix [PN] at times [n, ...] s since the reset of satellites ``rows`` [n], [n, ..., 3, 3]."""
+        return earth_orientation(self._et(rows, time))
+
+    def sun(self, rows: Tensor, time: Tensor) -> Tensor:
+        """Return the Earth-fixed position of the Sun, [n, ..., 3] m, at times [n, ...] s since the reset of ``rows`` [n].
+
+        Behind the end of the ephemeris the Sun stays where it is at the end, as for look-ahead.
+        """
+        et = self._et(rows, time)
+        return (earth_orientation(et) @ sun_state(et.clamp(max=coverage()[1]))[0].unsqueeze(-1)).squeeze(-1)
+
+    def _et(self, rows: Tensor, time: Tensor) -> Tensor:
+        return self.arguments["utc_init"][rows].view(-1, *[1] * (time.ndim - 1)) + time
+
+
+class Sight(NamedTuple):
+    """Satellites B and places L at the same times; all tensors broadcast to [n, ...].
+
+    Attributes:
+        rows: Rows of the satellites, [n].
+        place: Numbers of the places.
+        time: Times, s since reset.
+        r_BP_P: Earth-fixed position of the satellite, m.
+        r_LP_P: Earth-fixed position of the place, m.
+        tables: Tables of the kind, for the position of the Sun.
+    """
+
+    rows: Tensor
+    place: Tensor
+    time: Tensor
+    r_BP_P: Vec3
+    r_LP_P: Vec3
+    tables: PlaceTables
+
+
+class Clearance(Protocol):
+    """One condition of a clear view; :mod:`bsk_torch.sim.places.clearance` has those of the package."""
+
+    def margin(self, sight: Sight) -> Tensor:
+        """Return a smooth, dimensionless measure, [n, ...], that is positive where the condition holds.
+
+        The search samples it every 30 s, and looks for extremes between three samples by the parabola through them.
+        """
+
+    def reachable(self, sight: Sight, moved_B: Tensor, moved_L: Tensor) -> Tensor:
+        """Return False, [n, ...], where the condition cannot hold as long as neither satellite nor place is further away.
+
+        The satellite moves by up to ``moved_B``, the place by up to ``moved_L`` m. True is always right, but slow.
+        """
+
+
+class Places(ABC):
+    """A kind of places, P in every environment.
+
+    Attributes:
+        tables: Tables of the simulation.
+        clearances: Conditions of a clear view, all of which must hold.
+        advice: What a user can do if none of the places comes into view, as the end of an error message.
+        names: Names of the places; empty for none.
+    """
+
+    tables: PlaceTables
+    clearances: Sequence[Clearance] = ()
+    advice: str = "lengthen the orbits' look-ahead, or ask for more places"
+    names: Sequence[str] = ()
+
+    @property
+    @abstractmethod
+    def count(self) -> int:
+        """Number of places P in every environment, those that do not exist included."""
+
+    @abstractmethod
+    def position(self, rows: Tensor, place: Tensor, time: Tensor) -> Tensor:
+        """Return Earth-fixed positions, [n, ..., 3] m.
+
+        Args:
+            rows: Rows of satellites, [n], which say in which environment the places are; they may repeat.
+            place: Numbers of places, which broadcast with the times to [n, ...].
+            time: Times, s since reset.
+        """
+
+    def exists(self, rows: Tensor) -> Tensor:
+        """Return which places exist in the environments of ``rows`` [n], [n or 1, P] bool; all, unless overridden."""
+        return torch.ones(1, self.count, dtype=torch.bool, device=rows.device)
+
+    @abstractmethod
+    def max_speed(self, rows: Tensor) -> Tensor:
+        """Return a bound of the speed of places relative to the Earth, [n or 1, P or 1] m/s; the coarse screen uses it."""
+
+
+class Sites(NamedTuple):
+    """Places on the ground; n is the number of satellites, or 1 if all have the same places.
+
+    Attributes:
+        r_LP_P: Earth-fixed positions, [n, P, 3] m; NaN for the padding of satellites that have fewer places than others.
+        sin_min_elevation: Sines of the minimum elevation, [n, P].
+    """
+
+    r_LP_P: Tensor
+    sin_min_elevation: Tensor
+
+
+class FixedPlaces(Places):
+    """Places that rest on the Earth, and see satellites above a minimum elevation.
+
+    Their windows are found by kernels, which makes them the fastest kind.
+    """
+
+    def __init__(
+        self,
+        r_LP_P: Tensor | Callable[[], Tensor],
+        sin_min_elevation: float | Callable[[Tensor], Tensor],
+        *,
+        exists: Callable[[], Tensor] | None = None,
+        satellites: int = 1,
+        advice: str = Places.advice,
+        names: Sequence[str] = (),
+    ) -> None:
+        """Describe places.
+
+        Args:
+            r_LP_P: Earth-fixed positions, [1, P, 3] m for all environments or [num_envs, P, 3]; or a function that returns them,
+                such as ``lambda: tables.drawn["buoy_r_LP_P"]`` of what a scenario draws.
+            sin_min_elevation: Sine of the minimum elevation: a number, or a function of rows [n] that returns [n or 1, P or 1].
+            exists: Function that returns which places exist, [num_envs, P], 1 or 0.
+            satellites: Satellites in each environment, ``tables.arguments.count``.
+            advice: See :class:`Places`.
+            names: See :class:`Places`.
+        """
+        self._table, self._limit, self._exists = r_LP_P, sin_min_elevation, exists
+        self.satellites, self.advice, self.names = satellites, advice, tuple(names)
+
+    @property
+    def r_LP_P(self) -> Tensor:
+        """Earth-fixed positions, [1 or num_envs, P, 3] m."""
+        return self._table if isinstance(self._table, Tensor) else self._table()
+
+    @property
+    def count(self) -> int:
+        """See :attr:`Places.count`."""
+        return self.r_LP_P.shape[1]
+
+    def position(self, rows: Tensor, place: Tensor, time: Tensor) -> Tensor:
+        """See :meth:`Places.position`; the same at all times."""
+        table = self.r_LP_P
+        if len(table) == 1:
+            return table[0, place]
+        return table[(rows // self.satellites).view(-1, *[1] * (place.ndim - 1)), place]
+
+    def exists(self, rows: Tensor) -> Tensor:
+        """See :meth:`Places.exists`."""
+        return super().exists(rows) if self._exists is None else self._exists()[rows // self.satellites] > 0.5
+
+    def max_speed(self, rows: Tensor) -> Tensor:
+        """See :meth:`Places.max_speed`; zero."""
+        return torch.zeros(1, 1, dtype=torch.float64, device=rows.device)
+
+    def sites(self, rows: Tensor) -> Sites:
+        """Return the places of satellites ``rows`` [n] as tables."""
+        table, given = self.r_LP_P, self._limit(rows) if callable(self._limit) else self._limit
+        sines = torch.as_tensor(given, dtype=table.dtype, device=table.device)
+        sines = (sines if sines.ndim else sines.view(1, 1)).expand(-1, table.shape[1])
+        if len(table) == len(sines) == 1 and self._exists is None:
+            return Sites(table, sines)
+        r_LP_P = table[rows // self.satellites] if len(table) > 1 else table.repeat(len(rows), 1, 1)
+        if self._exists is not None:
+            r_LP_P.masked_fill_(~self.exists(rows).unsqueeze(-1), torch.nan)
+        return Sites(r_LP_P, sines.expand(r_LP_P.shape[:2]))

@@ -1,0 +1,96 @@
+"""Conditions of a clear view between a satellite and a place; see :class:`bsk_torch.sim.places.base.Clearance`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from bsk_torch.astro.eclipse import sunlight_margin
+from bsk_torch.astro.sight import POLAR_STRETCH, elevation_clearance, line_clearance, max_central_angle, stretch
+from bsk_torch.constants import R_EARTH
+from bsk_torch.sim.places.base import Sight
+from bsk_torch.vec3 import Vec3
+
+SLACK = 1e-5
+"""Angle, rad, or fraction by which screens are wider than bounds, which covers rounding."""
+
+
+@dataclass(frozen=True)
+class AboveElevation:
+    """The satellite stands above a minimum elevation over the place; ``sin_min_elevation`` is its sine."""
+
+    sin_min_elevation: float
+
+    def margin(self, sight: Sight) -> Tensor:
+        """See :func:`bsk_torch.astro.sight.elevation_clearance`."""
+        return elevation_clearance(sight.r_BP_P, sight.r_LP_P, self._sine(sight))
+
+    def _sine(self, sight: Sight) -> Tensor:
+        return torch.full_like(sight.r_BP_P.x[:1], self.sin_min_elevation)
+
+    def reachable(self, sight: Sight, moved_B: Tensor, moved_L: Tensor) -> Tensor:
+        """Compare the central angle with the largest one: a point at r that moves by d turns by at most asin(d / r)."""
+        r_B, r_L = sight.r_BP_P.norm(), sight.r_LP_P.norm()
+        turn = torch.asin((moved_B / r_B).clamp(max=1.0)) + torch.asin((moved_L / r_L).clamp(max=1.0))
+        ratio = (r_L - moved_L).clamp(min=0.0) / (r_B + moved_B)
+        reach = turn + max_central_angle(ratio, self._sine(sight)) + SLACK
+        return sight.r_LP_P.dot(sight.r_BP_P) / (r_B * r_L) > torch.cos(reach.clamp(max=torch.pi))
+
+
+@dataclass(frozen=True)
+class WithinRange:
+    """Satellite and place are no further apart than ``max_range`` m."""
+
+    max_range: float
+
+    def margin(self, sight: Sight) -> Tensor:
+        """Return ``(d_max^2 - d^2) / R^2`` at the distance d; its square is smooth where satellites pass close to each other."""
+        line = sight.r_LP_P - sight.r_BP_P
+        return (self.max_range * self.max_range - line.dot(line)) * (1.0 / (R_EARTH * R_EARTH))
+
+    def reachable(self, sight: Sight, moved_B: Tensor, moved_L: Tensor) -> Tensor:
+        """Compare the distance with the range and the way that both can make."""
+        line, most = sight.r_LP_P - sight.r_BP_P, (self.max_range + moved_B + moved_L) * (1.0 + SLACK)
+        return line.dot(line) < most * most
+
+
+@dataclass(frozen=True)
+class ClearOfEarth:
+    """The line of sight keeps ``altitude`` m above the Earth, the ellipsoid of lines of sight between satellites.
+
+    Its polar radius is 0.98 of the equatorial one, as in bsk_rl; see :mod:`bsk_torch.sim.access.line_of_sight`. For places in
+    orbit: a place on the ground lies below the ellipsoid nowhere but near the poles.
+    """
+
+    altitude: float = 0.0
+
+    def margin(self, sight: Sight) -> Tensor:
+        """Return how far the line of sight passes above the altitude, in Earth radii."""
+        pole = Vec3(*(sight.r_BP_P.x.new_full((), axis) for axis in (0.0, 0.0, 1.0)))
+        clear = line_clearance(stretch(sight.r_BP_P, pole), stretch(sight.r_LP_P, pole))
+        return (clear - self.altitude) * (1.0 / R_EARTH)
+
+    def reachable(self, sight: Sight, moved_B: Tensor, moved_L: Tensor) -> Tensor:
+        """Compare the margin with the larger displacement of the two ends, by which it changes at most."""
+        return self.margin(sight) + torch.maximum(moved_B, moved_L) * (POLAR_STRETCH * (1.0 + SLACK) / R_EARTH) > 0.0
+
+
+@dataclass(frozen=True)
+class Lit:
+    """The Sun shines on the place: at least the fraction ``visible`` of its diameter stands above the Earth's limb there.
+
+    0 is the edge of the umbra, 1 that of the penumbra; at 0.5 half of the Sun's disc is visible. On the ground, the Sun is above
+    the horizon.
+    """
+
+    visible: float = 0.0
+
+    def margin(self, sight: Sight) -> Tensor:
+        """See :func:`bsk_torch.astro.eclipse.sunlight_margin`."""
+        return sunlight_margin(sight.r_LP_P, Vec3.of(sight.tables.sun(sight.rows, sight.time)), self.visible)
+
+    def reachable(self, sight: Sight, moved_B: Tensor, moved_L: Tensor) -> Tensor:
+        """Return True: light changes too quickly in orbit to screen by it."""
+        return torch.ones_like(sight.r_LP_P.x, dtype=torch.bool)

@@ -1,0 +1,68 @@
+"""Places that move on the Earth, along great circles: ships, aircraft, clouds."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+
+from bsk_torch.sim.places.base import Clearance, Places, PlaceTables
+
+
+class GreatCirclePlaces(Places):
+    """Places that move along great circles of the Earth-fixed sphere through their starting points, at constant speed.
+
+    The position is ``r = r0 cos(s) + |r0| d sin(s)`` with ``s = v t / |r0|``, where d is the unit vector of the course at r0.
+    """
+
+    def __init__(
+        self,
+        tables: PlaceTables,
+        start: str,
+        velocity: str,
+        clearances: Sequence[Clearance],
+        *,
+        exists: str | None = None,
+        advice: str = Places.advice,
+        names: Sequence[str] = (),
+    ) -> None:
+        """Describe places by what the scenario draws.
+
+        Args:
+            tables: Tables of the simulation.
+            start: Name of the draw of positions at time zero, [num_envs, P, 3] m, Earth-fixed.
+            velocity: Name of the draw of velocities then, [num_envs, P, 3] m/s relative to the Earth; what they have along the
+                vertical does not count.
+            clearances: Conditions of a clear view, such as ``AboveElevation``.
+            exists: Name of the draw that says which places exist, [num_envs, P], 1 or 0; all of them unless given.
+            advice: See :class:`Places`.
+            names: See :class:`Places`.
+        """
+        self.tables, self.clearances, self.advice, self.names = tables, tuple(clearances), advice, tuple(names)
+        self._start, self._velocity, self._exists = start, velocity, exists
+
+    @property
+    def count(self) -> int:
+        """See :attr:`Places.count`."""
+        return self.tables.drawn[self._start].shape[1]
+
+    def exists(self, rows: Tensor) -> Tensor:
+        """See :meth:`Places.exists`."""
+        if self._exists is None:
+            return super().exists(rows)
+        return self.tables.drawn[self._exists][rows // self.tables.arguments.count] > 0.5
+
+    def position(self, rows: Tensor, place: Tensor, time: Tensor) -> Tensor:
+        """See :meth:`Places.position`."""
+        r, v = (self.tables.of_rows(name, rows, place) for name in (self._start, self._velocity))
+        radius = r.norm(dim=-1, keepdim=True)
+        v = v - r * ((v * r).sum(-1, keepdim=True) / (radius * radius))
+        speed = v.norm(dim=-1, keepdim=True)
+        angle = speed / radius * time.unsqueeze(-1)
+        course = v / torch.where(speed > 0.0, speed, torch.ones_like(speed))
+        return r * torch.cos(angle) + course * (radius * torch.sin(angle))
+
+    def max_speed(self, rows: Tensor) -> Tensor:
+        """See :meth:`Places.max_speed`."""
+        return self.tables.drawn[self._velocity][rows // self.tables.arguments.count].norm(dim=-1)
