@@ -144,6 +144,7 @@ def of_satellites(env: ConstellationTasking, td: TensorDict, row: int) -> dict[s
 def test_satellites_that_are_present_are_as_if_the_others_did_not_exist(satellites, backend) -> None:
     env = build(satellites(5), backend=backend)
     whole = history(env, 8)
+    assert whole
     for row, number in enumerate(NUMBERS):
         alone = build(satellites(number), scene.UniformTargets, num_envs=1, env_ids=[row], backend=backend)
         for one, many in zip(history(alone, 8), whole, strict=True):
@@ -158,6 +159,7 @@ def test_satellites_that_are_present_are_as_if_the_others_did_not_exist(satellit
 @pytest.mark.parametrize("satellites", [imagers, mixed])
 def test_both_back_ends_agree_on_who_is_present(satellites) -> None:
     eager, compiled = (history(build(satellites(5), backend=backend), 6) for backend in BACKENDS)
+    assert eager
     for one, other in zip(eager, compiled, strict=True):
         for key, leaf in one.items(True, True):
             assert torch.allclose(leaf.double(), other[key].double(), rtol=1e-5, atol=1e-6), key
@@ -195,6 +197,7 @@ def test_whoever_is_absent_makes_no_difference() -> None:
             td = env.step(td)["next"]
             states.append(td["agents"][:, columns].clone())
         seen.append(states)
+    assert [len(states) for states in seen] == [4, 4]
     for one, other in zip(*seen, strict=True):
         assert (one == other).all()
 
