@@ -523,3 +523,80 @@ def masks(before: list[list[int]], after: list[list[int]]) -> TensorDict:
     here, then = (TensorDict({"mask": torch.tensor(table).bool().expand(4, -1, -1)}, size) for table in (before, after))
     done = torch.zeros(*size, 1, dtype=torch.bool)
     return TensorDict({"agents": here, "next": TensorDict({"agents": then, "done": done}, size)}, size)
+
+
+# -- satellites that depend on one another -------------------------------------------------------------------------------------
+
+
+class Collider(sats.Satellite):
+    observation_spec = (obs.SatProperties(dict(prop="r_BN_P", norm=7e6)),)
+    action_spec = (act.Drift(duration=300.0),)
+    dyn_type = (dyn.ConjunctionDynModel, dyn.BasicDynamicsModel)
+    fsw_type = fsw.BasicFSWModel
+
+
+class Watcher(Collider):
+    observation_spec = (*Collider.observation_spec, obs.RelativeProperties(dict(prop="r_DC_N", norm=1e6), chief_name="S2"))
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_nothing_meets_an_absent_satellite_or_sees_it(backend) -> None:
+    """The third satellite would be at the first one's place; the first two meet."""
+
+    class WithoutThird(scene.UniformNadirScanning):
+        def present(self, key: Key, names: Sequence[str]) -> Tensor:
+            return torch.tensor([True, True, False]).expand(len(key), -1)
+
+    radius, speed = 7e6, (3.986004418e14 / 7e6) ** 0.5
+    places = [
+        ([radius, 0.0, 0.0], [0.0, speed, 0.0]),
+        ([0.0, radius, 0.0], [speed, 0.0, 0.0]),
+        ([radius, 0.0, 0.0], [0.0, speed, 0.0]),
+    ]
+    steady = dict(conjunction_radius=2e4, sigma_init=[0.1, 0.0, 0.0], omega_init=[0.0, 0.0, 0.01], wheelSpeeds=[0.0, 1.0, 2.0])
+    steady |= dict(storedCharge_Init=2e5, disturbance_vector=[0.0, 0.0, 1e-4])
+
+    def make(kind: type[sats.Satellite], count: int, scenario: scene.Scenario) -> ConstellationTasking:
+        satellites = [kind(f"S{k}", steady | dict(rN=r, vN=v)) for k, (r, v) in enumerate(places[:count])]
+        when = dict(utc_init="2018 SEP 29 21:00:00.000 (UTC)")
+        return ConstellationTasking(satellites, scenario, seed=0, num_envs=2, time_limit=1200.0, world_args=when, backend=backend)
+
+    seen = []
+    for env in (make(Watcher, 3, WithoutThird()), make(Collider, 2, scene.UniformNadirScanning())):
+        td, steps = env.reset(), []
+        for step in range(3):
+            td = env.step(choose(env, td, step))["next"]
+            agents = td["agents"][:, :2]
+            steps.append((agents["observation"], agents["reward"], agents["mask"], td["duration"], td["done"], env.dead[:, :2]))
+        seen.append(steps)
+    for (observed, *whole), (alone, *two) in zip(*seen, strict=True):
+        assert torch.equal(observed[..., :3], alone)
+        assert not observed[..., 3:].any()
+        assert all(torch.equal(one, other) for one, other in zip(whole, two, strict=True))
+    assert seen[0][-1][-1].all(), "the two have met"
+
+
+def test_inspectors_that_are_absent_see_no_points_and_the_inspected_one_must_be_present() -> None:
+    preset = "MultiInspection-v1"
+
+    class WithoutLast(scene.SphericalRSO):
+        def present(self, key: Key, names: Sequence[str]) -> Tensor:
+            return (torch.arange(len(names)) < len(names) - 1).expand(len(key), -1)
+
+    seen = []
+    for options in (dict(scenario=WithoutLast()), dict(scenario=scene.SphericalRSO(), n_inspectors=2)):
+        env = bsk_torch.make(preset, num_envs=2, seed=0, **options)
+        td = env.reset()
+        for _ in range(2):
+            for group in env.group_map:
+                where = env.full_action_spec[group, "action"]
+                real = hasattr(where.space, "low")
+                td[group, "action"] = (
+                    where.space.low * 0.45 + where.space.high * 0.55 if real else td[group, "action_mask"].long().argmax(-1)
+                )
+            td = env.step(td)["next"]
+        seen.append((env.rewarder.inspected, td["duration"], td["inspector", "reward"][:, :2], env.returns))
+    assert all(torch.equal(one, other) for one, other in zip(*seen, strict=True))
+    assert seen[0][0].any()
+    with pytest.raises(ValueError, match="'RSO' is not present in all episodes, and components of other satellites follow it"):
+        bsk_torch.make(preset, num_envs=16, seed=0, population=(1, 2)).reset()
