@@ -99,8 +99,8 @@ def remembered(old: Sequence[Change], new: Sequence[Change]) -> list[Change]:
     return kept
 
 
-def changed(types: Sequence[SatelliteType], changes: Sequence[Change]) -> list[SatelliteType]:
-    """Return the types of satellites with changes of their arguments, which trial draws check.
+def changed(types: Sequence[SatelliteType], changes: Sequence[Change], num_envs: int) -> list[SatelliteType]:
+    """Return the types of satellites with changes of their arguments, which trial draws for ``num_envs`` environments check.
 
     Raises:
         KeyError, ValueError: For wrong changes.
@@ -110,7 +110,7 @@ def changed(types: Sequence[SatelliteType], changes: Sequence[Change]) -> list[S
         columns, around = satellite_type.usage.columns, satellite_type.arguments.world_args.table
         own = [(columns.index(c.satellite), *c[1:]) for c in changes if c.satellite in columns]
         world = [(0, *c[1:]) for c in changes if c.satellite is WORLD and c.name in around]
-        new.append(satellite_type.changed(own, world) if own or world else satellite_type)
+        new.append(satellite_type.changed(own, world, num_envs) if own or world else satellite_type)
     return new
 
 

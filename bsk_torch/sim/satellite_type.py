@@ -140,8 +140,6 @@ class SatelliteType:
     uniform: Tensor
     flag_table: Tensor
     resets: tuple[Tensor, Tensor, Tensor]
-    _num_envs: int
-    """Number of environments of the batch for which trial draws are made."""
 
     @property
     def as_bsk_rl(self) -> bool:
@@ -160,8 +158,8 @@ class SatelliteType:
         usage = dataclasses.replace(self.usage, columns=self.usage.columns[:1])
         return dataclasses.replace(self, arguments=arguments, usage=usage)
 
-    def changed(self, own: Sequence[ArgumentChange], world: Sequence[ArgumentChange]) -> SatelliteType:
-        """Return the type with other arguments of satellites and world, which a trial draw checks.
+    def changed(self, own: Sequence[ArgumentChange], world: Sequence[ArgumentChange], num_envs: int) -> SatelliteType:
+        """Return the type with other arguments of satellites and world, which a trial draw for a batch of ``num_envs`` checks.
 
         Its tick is the same, unless parameters that all rows shared may differ now.
 
@@ -175,7 +173,7 @@ class SatelliteType:
                     "distribution, such as rand.Choice, when an environment is built, and it can be changed"
                 )
         arguments = self.arguments.changed(own, world)
-        trial = arguments.trial(self._num_envs, [env for *_, envs in (*own, *world) for env in envs or ()])
+        trial = arguments.trial(num_envs, [env for *_, envs in (*own, *world) for env in envs or ()])
         for _, name, _, _ in (*own, *world):
             had = isinstance(self.trial[name], Tensor)
             if isinstance(trial.values[name], Tensor) != had:
@@ -272,7 +270,6 @@ def satellite_type(
         uniform=tick.shared.rows(trial.parameters, 1).to(options.device).contiguous(),
         flag_table=torch.tensor(on, device=options.device, dtype=torch.float64),
         resets=_resets(tick, modes, dict(reset for part in known for reset in part.resets), options.device),
-        _num_envs=num_envs,
     )
 
 

@@ -98,7 +98,7 @@ def test_draws(preset, caplog):
     for case in cases(preset):
         simulators = built(preset).fleet.simulators if case.where == "sat_args" else built(preset).fleet.simulators[:1]
         for simulator in simulators:
-            if case.name not in getattr(simulator, case.where).table:
+            if case.name not in getattr(simulator.type.arguments, case.where).table:
                 continue
             count += 1
             try:

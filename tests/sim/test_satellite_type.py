@@ -37,10 +37,10 @@ def test_batches_prepared_episodes_and_copies_share_one_type(env):
 def test_changed_arguments_make_another_type(env):
     """The tick is the same unless a parameter may differ now; the old type is as it was."""
     old = env.simulator.type
-    charge = old.changed([(0, "storedCharge_Init", 5e4, None)], [])
+    charge = old.changed([(0, "storedCharge_Init", 5e4, None)], [], N)
     assert charge.tick is old.tick
     assert charge.arguments.draw(first_key(2))["storedCharge_Init"].view(-1)[0] == 5e4
-    mass = old.changed([(0, "mass", rand.Uniform(300.0, 310.0), None)], [])
+    mass = old.changed([(0, "mass", rand.Uniform(300.0, 310.0), None)], [], N)
     assert mass.tick is not old.tick
     freed = set(old.tick.shared.fields) - set(mass.tick.shared.fields)
     assert freed
