@@ -1,5 +1,8 @@
 """Every block of the README runs."""
 
+import json
+import re
+
 import pytest
 
 from tests.docs.quoted import checking_print
@@ -26,3 +29,21 @@ def test_commands(block, tmp_path, monkeypatch):
 
 def test_figures_are_filled_in():
     assert "@@" not in README.read_text()
+
+
+def result(name):
+    return json.loads((ROOT / "benchmarks" / "results" / f"{name}.json").read_text())
+
+
+def test_figures_are_those_that_were_measured():
+    """Speed compared with Basilisk, and the flight of a trained policy on it."""
+    text = " ".join(README.read_text().split())
+    ratios = {row["case"]: row["ratio"] for name in ("vs_basilisk", "vs_basilisk_imaging") for row in result(name)["rows"]}
+    quoted = re.search(
+        r"satellites are simulated ([\d,]+) times .* satellites ([\d,]+) times; a single satellite ([\d.]+) times", text
+    )
+    assert quoted.groups() == (f"{ratios['4096']:,.0f}", f"{ratios['imaging-1k-1024']:,.0f}", f"{ratios['1']:.1f}")
+    flown = result("flight_nadir_scan")["summary"]
+    episodes, decisions = re.search(r"flew (\d+) episodes on Basilisk itself and chose .* of ([\d,]+) decisions", text).groups()
+    for side in ("bsk_torch", "basilisk"):
+        assert f"{flown[side]['decisions'][0] * int(episodes):,.0f}" == decisions
