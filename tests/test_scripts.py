@@ -107,6 +107,9 @@ STARTS: dict[str, list[Start]] = {
     "benchmarks/resources.py": [
         Start("--episodes 2 --time-limit 900", r"(?s)\| targets in view \| .*\| images that the store holds \| 100 \|"),
     ],
+    "benchmarks/recording.py": [
+        Start("--batches 2 --every 4 --steps 1 --rounds 1", r"\| scan \| 2 \| 2 \| 4 \| [\d.]+ \| [\d.]+ \|"),
+    ],
     "benchmarks/reset.py": [
         Start("--batch 4 --rows 1 --rounds 1 --shares 2 --seconds 0.1 --warm-up 1", r"\| scan \| 2 \| [\d.]+% \|"),
     ],

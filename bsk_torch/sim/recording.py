@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 NO_TICK = -1
 """Number of a tick that is not recorded."""
 
-KEYS = ("env", "episode", "time")
+KEYS = ("env", "episode", "tick", "time")
 """Entries of recorded data that are no fields."""
 
 
@@ -191,7 +191,7 @@ class Recording:
 
     @property
     def data(self) -> TensorDict:
-        """All records, [M]: ``env``, ``episode``, ``time`` s, and the fields, by environment and then in the order of the flight.
+        """All records, [M]: ``env``, ``episode``, ``tick``, ``time`` s, and the fields, by environment and then in order of time.
 
         A field of one number is [M, S], one of several [M, S, width]; without the S where environments have one satellite. It is
         NaN for satellites whose models do not have it, and for those that are not present.
@@ -252,7 +252,8 @@ class Recording:
         time = (ticks * self.fleet.simulators[0].h_ns).double() * NANO  # rounded as the clock is
         fields = {name: values[..., where] for name, where in self._slices.items()}
         fields = {name: value[..., 0] if value.shape[-1] == 1 else value for name, value in fields.items()}
-        return TensorDict({"env": envs[order], "episode": episodes[order], "time": time, **fields}, [len(time)])
+        index = {"env": envs[order], "episode": episodes[order], "tick": ticks, "time": time}
+        return TensorDict(index | fields, [len(time)])
 
     def _empty(self) -> _Chunk:
         none = self.envs[:0]

@@ -123,6 +123,16 @@ def startup() -> str:
     return with_command("startup", ["satellites", "precision", "cache", "construction, s", "reset, s", "first step, s"], rows)
 
 
+def recordings() -> str:
+    """Return what recordings at tick resolution cost."""
+    rows = []
+    for row in load("recording")["rows"]:
+        times = [f"{row[name]:.3g}" for name in ("without_ms", "with_ms", "ratio", "bytes")]
+        rows.append([str(row["batch"]), str(row["rows"]), str(row["every"]), *times])
+    head = ["environments", "recorded", "every", "a step without, ms", "with, ms", "ratio", "bytes a record"]
+    return with_command("recording", head, rows)
+
+
 def resets() -> str:
     """Return the cost of resetting rows of a batch."""
     rows = []
@@ -449,6 +459,7 @@ TABLES = {
     "constellations": constellations,
     "breakdown": breakdown,
     "startup": startup,
+    "recordings": recordings,
     "resets": resets,
     "memory": memory,
     "soak": soak,

@@ -7,12 +7,10 @@ from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
 from bsk_torch.astro.relative import rv2HN
-from bsk_torch.constants import NANO
 from bsk_torch.data import ComposedReward, RSOInspectionReward
 from bsk_torch.env import ConstellationTasking
 from bsk_torch.env.rollout import play_episodes
 from bsk_torch.scene import RSOPoints
-from bsk_torch.sim.trace import Flight
 from bsk_torch.viz.figures.inspection import InspectionEpisode
 from bsk_torch.viz.recorders.episode import first_row
 
@@ -38,9 +36,6 @@ class InspectionRecorder:
         assert isinstance(env.scenario, RSOPoints)
         self.env, self.fleet, self.scenario = env, env.fleet, env.scenario
         self.rewarder = next(part for part in _parts(env) if isinstance(part, RSOInspectionReward))
-        self.times: list[Tensor] = []
-        self.paths: list[Tensor] = []
-        self.light: list[Tensor] = []
         self.decisions: list[float] = []
         self.fuel: list[Tensor] = []
         self.lit_at = torch.full((self.scenario.n_points,), torch.inf, dtype=torch.float64)
@@ -52,31 +47,19 @@ class InspectionRecorder:
         self.env.set_seed(seed)
         start = self.env.reset()
         self.look()
-        self.fleet.flight_observers.append(self.follow)
-        try:
+        with self.env.record(("r_BN_N", "illumination"), rows=0) as recording:
             for _ in play_episodes(self.env, policy, start, first_row(self.env)):
                 self.look()
-        finally:
-            self.fleet.flight_observers.remove(self.follow)
+        self.flight = recording.of(0, 0)
 
-    def follow(self, flight: Flight) -> None:
-        """Note where the inspectors are at every tick of a flight, and how much of the Sun the RSO sees."""
-        here = torch.nonzero(flight.envs == 0).flatten()
-        if not len(here):
-            return
-        row, ticks = int(here[0]), int(flight.ticks[here[0]])
-        first = 1 if self.times else 0  # the last record of a flight is the first one of the next
-        if ticks < 1:
-            return
-        r_C = flight.read(self.scenario.rso_type, "r_BN_N")[row, 0, : ticks + 1]
+    def paths(self) -> Tensor:
+        """Return the positions of the inspectors relative to the RSO, in its Hill frame, at every tick, [I, T, 3] m."""
+        r_BN_N = self.flight["r_BN_N"].movedim(1, 0)
+        r_C = r_BN_N[self.scenario.rso_column]
         # two positions span the plane of the orbit as position and velocity do
         ahead = torch.cat([r_C[1:] - r_C[:-1], r_C[-1:] - r_C[-2:-1]])
-        HN = rv2HN(r_C, ahead)
-        each = [flight.read(k, "r_BN_N")[row, :, : ticks + 1] for k in self.scenario.inspector_types]
-        rho_H = (HN @ (torch.cat(each) - r_C).unsqueeze(-1)).squeeze(-1)
-        self.times.append((flight.since[row] + torch.arange(first, ticks + 1, device=r_C.device)).cpu())
-        self.paths.append(rho_H[:, first:].cpu())
-        self.light.append(flight.read(self.scenario.rso_type, "illumination")[row, 0, first : ticks + 1].cpu())
+        rho_N = r_BN_N[self.scenario.inspector_columns] - r_C
+        return (rv2HN(r_C, ahead) @ rho_N.unsqueeze(-1)).squeeze(-1)
 
     def look(self) -> None:
         """Note fuel, points and deaths at a decision boundary."""
@@ -107,9 +90,9 @@ class InspectionRecorder:
         columns = self.scenario.inspector_columns
         return InspectionEpisode(
             names=[self.fleet.names[column] for column in columns],
-            times=(torch.cat(self.times) * self.fleet.simulators[0].h_ns).double() * NANO,  # rounded as the clock is
-            rho_H=torch.cat(self.paths, 1),
-            illumination=torch.cat(self.light),
+            times=self.flight["time"].cpu(),
+            rho_H=self.paths().cpu(),
+            illumination=self.flight["illumination"][:, self.scenario.rso_column].cpu(),
             decisions=torch.tensor(self.decisions, dtype=torch.float64),
             fuel=torch.stack(self.fuel, 1),
             points=torch.tensor([list(point.n_B) for point in points], dtype=torch.float64),
