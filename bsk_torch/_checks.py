@@ -45,7 +45,7 @@ def no_gradient(title: str, value: Value) -> Value:
 
 
 def interval(low: float, high: float, unit: str = "", above: bool = False, finite: bool = True) -> str:
-    """Return bounds in words, such as ``"a number in (0, 60] s"``; ``above`` excludes ``low``, ``finite`` infinite bounds."""
+    """Return bounds as text, such as ``"a number in (0, 60] s"``; ``above`` excludes ``low``, ``finite`` infinite bounds."""
     unit = f" {unit}" if unit else ""
     if low == -math.inf and high == math.inf:
         return f"a {'finite ' if finite else ''}number{f' of{unit}' if unit else ''}"

@@ -66,7 +66,7 @@ print("gain over the rule", results["planner"].gain_over(results["hasty"]))
 # -------
 #
 # No policy collects more than its episode's bound, which solves an easier problem: every image lies within a window, each target
-# pays once, and two images are no closer in time than the closest of a million recorded pairs at the same angle.
+# counts once, and two images are no closer in time than the closest of a million recorded pairs at the same angle.
 env.set_seed(SEED)
 env.reset()
 bound = imaging_bound(env, iterations=30)

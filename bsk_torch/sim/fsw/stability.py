@@ -115,8 +115,8 @@ def check_gains(args: Values, h: float, law: Law, gains: str, suggested: str) ->
         args: Drawn arguments; without those of a body with wheels nothing is checked.
         h: Length of a tick, s.
         law: The control law.
-        gains: The gains in words.
-        suggested: Stable gains in words, with the names of :data:`SUGGESTED` in braces.
+        gains: The gains as text.
+        suggested: Stable gains as text, with the names of :data:`SUGGESTED` in braces.
 
     Raises:
         ValueError: Where nothing keeps the growing rates bounded, so that numbers overflow.
@@ -142,7 +142,7 @@ def check_gains(args: Values, h: float, law: Law, gains: str, suggested: str) ->
 
 
 def in_words(args: Values, *names: str) -> str:
-    """Return gains in words; of several rows the range."""
+    """Return gains as text; of several rows the range."""
     return " and ".join(
         f"{name}={low:g}" if low == high else f"{name} from {low:g} to {high:g}"
         for name in names

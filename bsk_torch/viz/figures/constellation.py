@@ -167,7 +167,7 @@ class ConstellationEpisode:
 
     @property
     def outcome(self) -> str:
-        """Number of images, and of satellites that died, in words."""
+        """Number of images, and of satellites that died, as text."""
         images, dead = len(self.image_times), int(self.died.sum())
         survived = f", {dead} of {self.size} satellites died" if dead else ""
         return f"{images} image{'s' * (images != 1)} by {self.size} satellite{'s' * (self.size != 1)}{survived}"

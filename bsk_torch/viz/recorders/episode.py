@@ -54,7 +54,7 @@ class Episode:
 
     @property
     def outcome(self) -> str:
-        """End of the episode, in words."""
+        """How the episode ended, as text."""
         return f"return {self.total:.3f}, {'died' if self.died else 'survived'}"
 
 

@@ -140,7 +140,7 @@ def _caption(measure: Measure, marked: bool) -> str:
 
 
 def _ends(measure: Measure, run: RunData) -> str:
-    """A curve in words: where it begins and ends."""
+    """Description of a curve: its first and last values."""
     part = run.evaluations if run.evaluations.get(measure.name) else run.log
     values = [value for value in part[measure.name] if isfinite(value)]
     return f"{measure.title} over training: from {values[0]:.3f} to {values[-1]:.3f} after {part['frames'][-1]:,.0f} steps."
