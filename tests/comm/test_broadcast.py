@@ -23,7 +23,7 @@ def make_satellite(n: int = 4) -> SimpleNamespace:
         mode=torch.full((n,), NADIR),
         ticks=torch.zeros(n, dtype=torch.int64),
         state=SimpleNamespace(arguments=SimpleNamespace(version=0)),
-        commands={"drift": None},
+        type=SimpleNamespace(commands={"drift": None}),
         check_command=lambda command: None,
         mode_index=lambda command: torch.full((n,), DRIFT),
     )
