@@ -110,6 +110,12 @@ STARTS: dict[str, list[Start]] = {
     "benchmarks/recording.py": [
         Start("--batches 2 --every 4 --steps 1 --rounds 1", r"\| scan \| 2 \| 2 \| 4 \| [\d.]+ \| [\d.]+ \|"),
     ],
+    "benchmarks/orbiting_places.py": [
+        Start(
+            "--batch 2 --places 5 --chunk 1 --minutes 20 --range-km 3000 --arcs 5",
+            r"(?s)\| 5 \| 2 \| 0\.2 \| .*\| 5 \| \d+ \| [\d.]+ \| \d+ \|",
+        ),
+    ],
     "benchmarks/reset.py": [
         Start("--batch 4 --rows 1 --rounds 1 --shares 2 --seconds 0.1 --warm-up 1", r"\| scan \| 2 \| [\d.]+% \|"),
     ],
