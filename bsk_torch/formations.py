@@ -18,9 +18,9 @@ from bsk_torch._checks import number, switch, text, whole
 from bsk_torch.astro.orbit import Elements, elements_to_rv, hill_to_inertial, rv_to_elements
 from bsk_torch.constants import MU_EARTH
 from bsk_torch.rand import MOST_SATELLITES, Distribution, Key, first_key
+from bsk_torch.sim.arguments.values import Arguments, nearest
 from bsk_torch.sim.component import Arg, Component
 from bsk_torch.sim.hooks import check_class
-from bsk_torch.sim.params import Arguments, nearest
 from bsk_torch.vec3 import Vec3
 
 __all__ = [

@@ -8,7 +8,7 @@ from functools import lru_cache
 import torch
 from torch import Tensor
 
-from bsk_torch.sim.params import nearest
+from bsk_torch.sim.arguments.values import nearest
 
 
 def allow_only(actions: Sequence[str], *names: str, where: Tensor) -> Tensor:

@@ -34,7 +34,7 @@ from bsk_torch.rl.evaluation.suite import EPISODES, VIEWS, Entrant, Score, Task,
 from bsk_torch.rl.policies.pretrained import makings
 from bsk_torch.rl.policies.shared_policy import baseline, shared
 from bsk_torch.rl.rules.baselines import BASELINES
-from bsk_torch.sim.params import nearest
+from bsk_torch.sim.arguments.values import nearest
 
 FORMAT = 1
 """Version of the layout of the JSON file."""

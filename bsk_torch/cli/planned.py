@@ -14,7 +14,7 @@ from bsk_torch.env import Tasking
 from bsk_torch.plan.names import PLANNERS, find_planner, options_of, planner
 from bsk_torch.rl.policies.shared_policy import shared
 from bsk_torch.rl.rules.baselines import BASELINES
-from bsk_torch.sim.params import nearest
+from bsk_torch.sim.arguments.values import nearest
 
 PREFIX = "plan:"
 """What the names of planners begin with."""

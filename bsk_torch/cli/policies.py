@@ -15,7 +15,7 @@ from bsk_torch.rl.policies.files import build_policy, check_fits, read_card
 from bsk_torch.rl.policies.pretrained import pretrained_file
 from bsk_torch.rl.policies.shared_policy import baseline
 from bsk_torch.rl.rules.baselines import BASELINES
-from bsk_torch.sim.params import nearest
+from bsk_torch.sim.arguments.values import nearest
 
 TRAINED, PRETRAINED = "trained", "pretrained"
 """Names, in results, of the policy of a file, and of the one that comes with the package."""

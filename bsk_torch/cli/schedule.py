@@ -9,8 +9,8 @@ import typer
 
 from bsk_torch.cli.shared import made
 from bsk_torch.sim.component import Component
+from bsk_torch.sim.run.tick import Tick
 from bsk_torch.sim.schedule import SCHEDULE, Schedule, Slot
-from bsk_torch.sim.tick import Tick
 
 
 def show_schedule(

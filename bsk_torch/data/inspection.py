@@ -12,8 +12,8 @@ from bsk_torch.constants import NANO
 from bsk_torch.data.base import GlobalReward, Log
 from bsk_torch.scene.rso_points import RSOPoints
 from bsk_torch.sim.inspection.flags import Records, find_flags
+from bsk_torch.sim.run.trace import Flight
 from bsk_torch.sim.state import FINITE
-from bsk_torch.sim.trace import Flight
 
 if TYPE_CHECKING:
     from bsk_torch.sats.fleet import SatelliteFleet

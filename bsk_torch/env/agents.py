@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from bsk_torch.sim.params import nearest
+from bsk_torch.sim.arguments.values import nearest
 
 AGENTS = "agents"
 """Name of the group where there is only one."""

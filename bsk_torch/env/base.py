@@ -21,23 +21,23 @@ from bsk_torch.data.composed import ComposedReward
 from bsk_torch.data.mapped import for_batch
 from bsk_torch.env import messages
 from bsk_torch.env.arguments import MadeOfArguments
-from bsk_torch.env.build import FleetBuilder, link
-from bsk_torch.env.devices import existing_device
+from bsk_torch.env.build.devices import existing_device
+from bsk_torch.env.build.fleets import FleetBuilder, link
+from bsk_torch.env.build.randomizer import make_randomizer
+from bsk_torch.env.build.trial import check_room, taken_over, try_out
 from bsk_torch.env.episodes import ENDLESS, EpisodePool
 from bsk_torch.env.guard import Origin, ResetNeededError, check_numbers
 from bsk_torch.env.log import StepLog, configure
 from bsk_torch.env.options import TaskingOptions, TimeLimit
 from bsk_torch.env.present import Present
-from bsk_torch.env.randomizer import make_randomizer
 from bsk_torch.env.satellite_group import command, decide, died, first_task_end, groups_of, settle_all, soonest
 from bsk_torch.env.snapshots import fingerprint
-from bsk_torch.env.trial import check_room, taken_over, try_out
 from bsk_torch.obs.base import Values
 from bsk_torch.sats.dtypes import common_dtype
 from bsk_torch.sats.satellite import Satellite
 from bsk_torch.scene.base import Scenario
+from bsk_torch.sim.build.satellite_type import whole_nanoseconds
 from bsk_torch.sim.fleet import Fleet
-from bsk_torch.sim.satellite_type import whole_nanoseconds
 
 __all__ = ["ResetNeededError", "StepResult", "Tasking", "TimeLimit"]
 

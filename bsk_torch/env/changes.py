@@ -9,10 +9,10 @@ import torch
 from torch import Tensor
 
 from bsk_torch.rand import as_value
-from bsk_torch.sim.given import Member, expand
+from bsk_torch.sim.arguments.sources import Member, expand
+from bsk_torch.sim.arguments.values import Arguments
+from bsk_torch.sim.build.satellite_type import SatelliteType
 from bsk_torch.sim.names import nearest
-from bsk_torch.sim.params import Arguments
-from bsk_torch.sim.satellite_type import SatelliteType
 
 WORLD = None
 """In place of the number of a satellite: the world."""

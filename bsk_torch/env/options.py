@@ -15,8 +15,8 @@ from bsk_torch._checks import number, switch, whole
 from bsk_torch.codegen.inductor import BACKENDS
 from bsk_torch.rand import Distribution
 from bsk_torch.sats.dtypes import as_dtype
-from bsk_torch.sim.params import nearest
-from bsk_torch.sim.satellite_type import LONGEST_TICK, ORBITS, SHORTEST_TICK
+from bsk_torch.sim.arguments.values import nearest
+from bsk_torch.sim.build.satellite_type import LONGEST_TICK, ORBITS, SHORTEST_TICK
 from bsk_torch.sim.world import WorldModel
 
 TimeLimit = float | Distribution | Callable[[], float]

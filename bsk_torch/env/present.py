@@ -16,8 +16,8 @@ from bsk_torch.env import messages
 from bsk_torch.env.episodes import Episodes
 from bsk_torch.env.satellite_group import SatelliteGroup
 from bsk_torch.env.snapshots import rows_of
-from bsk_torch.sim.argument_table import ArgumentTable
-from bsk_torch.sim.recording import Recording
+from bsk_torch.sim.arguments.table import ArgumentTable
+from bsk_torch.sim.run.recording import Recording
 
 
 class Present(Episodes):
@@ -65,8 +65,8 @@ class Present(Episodes):
     ) -> Recording:
         """Record fields of the state at the ticks of all steps from now on, until ``stop()`` of what is returned, or its context.
 
-        The future of the episodes is not changed, and rows that are not recorded run as ever: see :mod:`bsk_torch.sim.recording`.
-        Episodes that begin meanwhile are recorded, too.
+        The future of the episodes is not changed, and rows that are not recorded run as ever; see
+        :mod:`bsk_torch.sim.run.recording`. Episodes that begin meanwhile are recorded, too.
 
         Args:
             fields: Names of fields, such as ``("sigma_BN", "omega_BN_B")``; ``env.simulator.state.layout.fields`` has them all.

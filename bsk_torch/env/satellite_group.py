@@ -17,8 +17,8 @@ from bsk_torch.sats.satellite import Satellite
 from bsk_torch.sats.user_function import UserFunction
 from bsk_torch.sim.dyn.events import DISARMED
 from bsk_torch.sim.fleet import NEVER
-from bsk_torch.sim.flight import RunResult
 from bsk_torch.sim.hooks import check_tensor
+from bsk_torch.sim.run.coupled import RunResult
 
 
 class SatelliteGroup(BoundSatellite):

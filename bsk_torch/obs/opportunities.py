@@ -13,7 +13,7 @@ from bsk_torch.obs.base import Observation, Values
 from bsk_torch.obs.entries import is_own, parse_entries, scaled
 from bsk_torch.sats.user_function import UserFunction
 from bsk_torch.sim.access.relative_geometry import SATELLITE_PROPERTIES
-from bsk_torch.sim.params import nearest
+from bsk_torch.sim.arguments.values import nearest
 from bsk_torch.sim.places import STATION_KIND, FixedPlaces
 from bsk_torch.sim.readout.observables import observable
 

@@ -15,8 +15,8 @@ from bsk_torch.obs.base import ADVICE, Observation, Values, side_by_side
 from bsk_torch.obs.entries import is_own, parse_entries, parse_norm, scaled
 from bsk_torch.sats.one import is_ours
 from bsk_torch.sats.user_function import UserFunction
-from bsk_torch.sim.composition import having
-from bsk_torch.sim.params import nearest
+from bsk_torch.sim.arguments.values import nearest
+from bsk_torch.sim.build.composition import having
 from bsk_torch.sim.readout.observables import observable, vital
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ from bsk_torch.env import Tasking
 from bsk_torch.rl.policies.files import build_policy, check_fits, read_card
 from bsk_torch.rl.policies.shared_policy import shared, shared_baseline
 from bsk_torch.rl.rules.baselines import BASELINES
-from bsk_torch.sim.params import nearest
+from bsk_torch.sim.arguments.values import nearest
 
 Base: TypeAlias = "TensorDictModuleBase | str | Path | None"
 """A policy of all agents, its name, or its file; None for the first of :data:`USUAL` that fits."""

@@ -11,7 +11,7 @@ from bsk_torch.plan.cross_entropy import CrossEntropy
 from bsk_torch.plan.planner import Planner
 from bsk_torch.plan.rollout import Rollout
 from bsk_torch.plan.search import TreeSearch
-from bsk_torch.sim.params import nearest
+from bsk_torch.sim.arguments.values import nearest
 
 PLANNERS: dict[str, type[Planner]] = {kind.name: kind for kind in (Rollout, BeamSearch, TreeSearch, CrossEntropy)}
 """Planners by the names that they have on the command line."""

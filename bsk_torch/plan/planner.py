@@ -20,7 +20,7 @@ from bsk_torch.plan.determinism import check_copyable
 from bsk_torch.plan.plan_cache import PlanCache
 from bsk_torch.plan.resampling import Redraw, present_key, reseed_copies
 from bsk_torch.rl.evaluation.evaluate import SIMULATED
-from bsk_torch.sim.params import nearest
+from bsk_torch.sim.arguments.values import nearest
 
 ROWS = 512
 """Copies that are flown at once, unless an argument says otherwise."""

@@ -28,7 +28,7 @@ from bsk_torch.presets.aeos_power import aeos_power
 from bsk_torch.presets.constellation import aeos_constellation, constellation, relay_constellation
 from bsk_torch.presets.inspection import multi_inspection, rso_inspection
 from bsk_torch.presets.nadir_scan import nadir_scan
-from bsk_torch.sim.params import nearest
+from bsk_torch.sim.arguments.values import nearest
 
 __all__ = ["PRESETS", "make"]
 

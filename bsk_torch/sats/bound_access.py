@@ -18,7 +18,7 @@ from bsk_torch.sats.user_function import UserFunction
 from bsk_torch.sim.access.relative_geometry import SATELLITE_PROPERTIES, relative_geometries
 from bsk_torch.sim.access.window_table import Windows, candidates
 from bsk_torch.sim.access.windows import MAX_SEGMENTS, AccessWindows
-from bsk_torch.sim.params import nearest
+from bsk_torch.sim.arguments.values import nearest
 from bsk_torch.sim.places import TARGET_KIND
 
 

@@ -15,11 +15,11 @@ from bsk_torch._checks import switch, text
 from bsk_torch.sats.dtypes import as_dtype
 from bsk_torch.sats.hooks import check_satellite
 from bsk_torch.sats.one import OneSatellite
-from bsk_torch.sim.argument_table import ArgumentTable
-from bsk_torch.sim.composition import compose
+from bsk_torch.sim.arguments.sources import Given, expand
+from bsk_torch.sim.arguments.table import ArgumentTable
+from bsk_torch.sim.build.composition import compose
 from bsk_torch.sim.dyn.models import BasicDynamicsModel, DynamicsModel
 from bsk_torch.sim.fsw.models import BasicFSWModel, FSWModel
-from bsk_torch.sim.given import Given, expand
 
 if TYPE_CHECKING:
     from bsk_torch.sats.bound import BoundSatellite

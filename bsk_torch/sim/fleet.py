@@ -9,14 +9,14 @@ import torch
 from torch import Tensor
 
 from bsk_torch.rand import Key
-from bsk_torch.sim.encounters import NO_PAIRS, EncounterPairs, Encounters
-from bsk_torch.sim.flight import Dependencies, FlightObserver, Part, RunResult, StopCondition, parts_of, together
-from bsk_torch.sim.given import Answers
+from bsk_torch.sim.arguments.sources import Answers
+from bsk_torch.sim.arguments.values import Overrides
+from bsk_torch.sim.build.satellite_type import SatelliteType
 from bsk_torch.sim.names import nearest
-from bsk_torch.sim.params import Overrides
-from bsk_torch.sim.recording import Recording
+from bsk_torch.sim.run.coupled import Dependencies, FlightObserver, Part, RunResult, StopCondition, parts_of, together
+from bsk_torch.sim.run.encounters import NO_PAIRS, EncounterPairs, Encounters
+from bsk_torch.sim.run.recording import Recording
 from bsk_torch.sim.satellite_state import SatelliteState
-from bsk_torch.sim.satellite_type import SatelliteType
 from bsk_torch.sim.simulator import Simulator
 from bsk_torch.sim.state import StateTable
 

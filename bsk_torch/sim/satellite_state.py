@@ -12,8 +12,8 @@ from torch import Tensor
 from bsk_torch._checks import no_gradient
 from bsk_torch.constants import NANO
 from bsk_torch.sim.access.lookahead import LookAhead
+from bsk_torch.sim.arguments.values import nearest
 from bsk_torch.sim.component import Layout
-from bsk_torch.sim.params import nearest
 from bsk_torch.sim.state import StateTable, look_up
 
 LAST_TICK = 2**53

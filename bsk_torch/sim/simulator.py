@@ -17,20 +17,20 @@ from bsk_torch.sim.access.lookahead import LookAhead, Manoeuvres
 from bsk_torch.sim.access.places import PlaceKinds, place_kinds
 from bsk_torch.sim.access.visibility.backend import make_visibility
 from bsk_torch.sim.access.windows import AccessWindows
-from bsk_torch.sim.composition import commanded_by
+from bsk_torch.sim.arguments.values import merge, nearest
+from bsk_torch.sim.build.composition import commanded_by
+from bsk_torch.sim.build.satellite_type import SatelliteType
 from bsk_torch.sim.dyn import hub
 from bsk_torch.sim.dyn.events import notice_image
 from bsk_torch.sim.fsw.manoeuvre import burn
 from bsk_torch.sim.fsw.models import IDLE
 from bsk_torch.sim.orbit.arcs import Arcs
 from bsk_torch.sim.orbit.solvers import make_solver
-from bsk_torch.sim.params import merge, nearest
 from bsk_torch.sim.readout.observables import Observer
-from bsk_torch.sim.run import RunInputs, ticks_at_once
+from bsk_torch.sim.run.runners import RunInputs, ticks_at_once
+from bsk_torch.sim.run.trace import Trace
 from bsk_torch.sim.satellite_state import SatelliteState
-from bsk_torch.sim.satellite_type import SatelliteType
 from bsk_torch.sim.state import StateTable
-from bsk_torch.sim.trace import Trace
 
 logger = logging.getLogger(__name__)
 

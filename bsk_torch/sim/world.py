@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any, ClassVar
 
-from bsk_torch.sim.argument_table import ArgumentTable
+from bsk_torch.sim.arguments.table import ArgumentTable
 from bsk_torch.sim.component import Component, collect
 from bsk_torch.sim.environment import world as environment
 from bsk_torch.sim.readout.hooks import check_model

@@ -10,7 +10,7 @@ from gymnasium import Wrapper, spaces
 from gymnasium.vector import AutoresetMode
 
 from bsk_torch.env.action_forms import form
-from bsk_torch.sim.params import nearest
+from bsk_torch.sim.arguments.values import nearest
 from bsk_torch.wrappers.core import check_options
 from bsk_torch.wrappers.gymnasium.single import Core
 from bsk_torch.wrappers.gymnasium.vector import GymVectorEnv

@@ -20,7 +20,7 @@ from bsk_torch.env import SatelliteTasking
 from bsk_torch.presets import make
 from bsk_torch.rl.policies.files import check_fits, load_policy, read_card
 from bsk_torch.rl.rules.baselines import BASELINES
-from bsk_torch.sim.params import nearest
+from bsk_torch.sim.arguments.values import nearest
 
 RANDOM = "random"
 """Name of the policy whose actions depend on the episode's seed and the number of the decision only."""

@@ -35,7 +35,7 @@ from rich.progress import track
 from bsk_torch.basilisk.flight import Flight, Problem, Start, fly_here, problem_of, replay_pilot
 from bsk_torch.basilisk.support_data import absent_data, lacking
 from bsk_torch.presets import PRESETS
-from bsk_torch.sim.params import nearest
+from bsk_torch.sim.arguments.values import nearest
 
 BATCH = 256
 """Episodes at once in bsk_torch."""

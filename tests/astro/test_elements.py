@@ -10,7 +10,7 @@ import torch
 
 from bsk_torch.astro.elements import ClassicElements, elem2rv, rv2elem
 from bsk_torch.constants import MU_EARTH
-from bsk_torch.sim.params import numbers
+from bsk_torch.sim.arguments.values import numbers
 
 
 def orbit() -> ClassicElements:

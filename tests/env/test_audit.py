@@ -15,8 +15,8 @@ from torch.overrides import TorchFunctionMode
 from torch.utils._python_dispatch import TorchDispatchMode
 
 import bsk_torch
-from bsk_torch.sim.run import TickLoop
-from tests.sim.runs import start_of
+from bsk_torch.sim.run.runners import TickLoop
+from tests.sim.run.runs import start_of
 
 WAITS = 5
 """Waits of a step: are all actions legal, do the arcs reach (twice), how long is the longest duration, who lacks a window."""

@@ -13,7 +13,7 @@ from bsk_torch import act, obs, sats
 from bsk_torch.astro.elements import ClassicElements
 from bsk_torch.astro.ephemeris import parse_utc
 from bsk_torch.rand import Key, random_circular_orbit, random_epoch, random_orbit, random_unit_vector
-from bsk_torch.sim.params import Arguments
+from bsk_torch.sim.arguments.values import Arguments
 from tests.idioms.runner import Idiom, run, title
 
 

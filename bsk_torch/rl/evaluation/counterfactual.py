@@ -17,7 +17,7 @@ from bsk_torch.env.rollout import play_episodes
 from bsk_torch.rl.evaluation.charge_bound import check_bounded, least_charge, longest_action, most_power
 from bsk_torch.rl.evaluation.evaluate import start_episodes
 from bsk_torch.rl.evaluation.replay import OVER, fly, script
-from bsk_torch.sim.params import nearest
+from bsk_torch.sim.arguments.values import nearest
 
 MARGIN = 1.0
 """Charge, W s, by which a satellite must lie below the bound to be called lost: far more than rounding in five orbits."""

@@ -23,7 +23,7 @@ from bsk_torch.env.rollout import Policy
 from bsk_torch.presets import PRESETS, make
 from bsk_torch.rl.evaluation.evaluate import SUITE_SEEDS, Evaluation, evaluate
 from bsk_torch.rl.evaluation.statistics import Estimate, confidence
-from bsk_torch.sim.params import nearest
+from bsk_torch.sim.arguments.values import nearest
 
 __all__ = [
     "EPISODES",

@@ -40,7 +40,7 @@ from bsk_torch.rl.training.config import PPOConfig
 from bsk_torch.rl.training.imitation import TAUGHT, imitation_loss, taught_actions
 from bsk_torch.rl.training.ppo import REPORTED, Learner, there
 from bsk_torch.rl.training.trainer import VALIDATION, Training
-from bsk_torch.sim.params import nearest
+from bsk_torch.sim.arguments.values import nearest
 
 logger = logging.getLogger(__name__)
 

@@ -12,7 +12,7 @@ from bsk_torch.rl.marl.mappo import LOSSES, MAPPOConfig, MAPPOTraining
 from bsk_torch.rl.training.config import CONFIG, PPOConfig, load_config, read_settings
 from bsk_torch.rl.training.recipes import configure, recipe_of
 from bsk_torch.rl.training.trainer import Training
-from bsk_torch.sim.params import nearest
+from bsk_torch.sim.arguments.values import nearest
 
 PPO = "ppo"
 """Algorithm for one satellite."""

@@ -20,7 +20,7 @@ from bsk_torch.rl.networks.continuous import NormalParameters, squashed
 from bsk_torch.rl.networks.normaliser import MASK, OWN, ROWS, ObservationNormaliser, SetNormaliser, VectorNormaliser
 from bsk_torch.rl.rules.continuous import Bounds, bounds_of
 from bsk_torch.rl.rules.targets import image_actions
-from bsk_torch.sim.params import nearest
+from bsk_torch.sim.arguments.values import nearest
 
 NORMALISER, ACTOR = "sight", "actor"
 """Keys of weights in files of policies and in checkpoints, as in release 0.1."""

@@ -11,7 +11,7 @@ import torch
 from tensordict.nn import TensorDictModuleBase
 
 from bsk_torch.rl.policies.files import load_policy
-from bsk_torch.sim.params import nearest
+from bsk_torch.sim.arguments.values import nearest
 
 FOLDER = Path(__file__).parent
 """Folder of the policies, ``PRESET.pt``, and of their notes."""

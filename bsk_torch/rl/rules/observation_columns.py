@@ -8,7 +8,7 @@ import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 
-from bsk_torch.sim.params import nearest
+from bsk_torch.sim.arguments.values import nearest
 
 
 class Columns:

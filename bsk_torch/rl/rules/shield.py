@@ -18,7 +18,7 @@ from torch import Tensor
 from bsk_torch.act import allow_only
 from bsk_torch.env import SatelliteTasking
 from bsk_torch.rl.rules.baselines import Columns
-from bsk_torch.sim.params import nearest
+from bsk_torch.sim.arguments.values import nearest
 
 Rule = Callable[[Columns, Sequence[str]], Tensor]
 """Function of the observed columns and the names of the actions to a mask of allowed actions, [N, A] booleans."""

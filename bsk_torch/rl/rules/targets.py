@@ -12,7 +12,7 @@ from bsk_torch.act import Action, Image
 from bsk_torch.env import SatelliteTasking
 from bsk_torch.env.action_forms import form
 from bsk_torch.obs import OpportunityProperties
-from bsk_torch.sim.params import nearest
+from bsk_torch.sim.arguments.values import nearest
 
 WIDTHS = {"r_LP_P": 3, "r_LB_H": 3}
 """Number of columns of the properties of targets that have more than one."""

@@ -21,7 +21,7 @@ from bsk_torch.rl.evaluation.evaluate import FRESH, SUITE_SEEDS
 from bsk_torch.rl.networks.plans import check_network
 from bsk_torch.rl.policies.files import LOGS
 from bsk_torch.rl.training.imitation import check_teacher
-from bsk_torch.sim.params import nearest
+from bsk_torch.sim.arguments.values import nearest
 
 logger = logging.getLogger(__name__)
 

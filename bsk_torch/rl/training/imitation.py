@@ -14,7 +14,7 @@ from torch import Tensor
 from bsk_torch.env import SatelliteTasking
 from bsk_torch.env.action_forms import form
 from bsk_torch.rl.rules.baselines import BASELINES
-from bsk_torch.sim.params import nearest
+from bsk_torch.sim.arguments.values import nearest
 
 TEACHERS = tuple(name for name in BASELINES if name != "random")
 """Rules that can be imitated."""

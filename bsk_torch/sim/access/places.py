@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 
 from bsk_torch.rand import first_key
+from bsk_torch.sim.arguments.values import Arguments
 from bsk_torch.sim.component import Component
-from bsk_torch.sim.params import Arguments
 from bsk_torch.sim.places import FixedPlaces, Places, PlaceTables
 from bsk_torch.sim.state import StateTable
 

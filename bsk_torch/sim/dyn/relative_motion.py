@@ -1,4 +1,4 @@
-"""Dynamics models of satellites that must not collide, or must not lose one another; :mod:`bsk_torch.sim.encounters` looks."""
+"""Dynamics models of satellites that must not collide, or must not lose one another: see :mod:`bsk_torch.sim.run.encounters`."""
 
 from __future__ import annotations
 

@@ -25,7 +25,7 @@ from bsk_torch.constants import R_EARTH
 from bsk_torch.sim.component import Field, Layout, Track
 from bsk_torch.sim.inspection.points import COLUMNS, Point, faces, in_view, sunlit
 from bsk_torch.sim.orbit.builder import KernelBuilder
-from bsk_torch.sim.trace import Trace
+from bsk_torch.sim.run.trace import Trace
 from bsk_torch.vec3 import Vec3, only
 
 GROUP = 25

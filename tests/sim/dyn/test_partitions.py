@@ -13,10 +13,10 @@ from bsk_torch.sim.component import Bus, Component, Field
 from bsk_torch.sim.dyn import events, partitions, storage
 from bsk_torch.sim.environment import world
 from bsk_torch.sim.environment.ephemeris import EPHEMERIS_TRACK
-from bsk_torch.sim.run import Runners, make_runners
-from bsk_torch.sim.tick import Tick
+from bsk_torch.sim.run.runners import Runners, make_runners
+from bsk_torch.sim.run.tick import Tick
 from tests.sim.buses import plane, write
-from tests.sim.runs import Start
+from tests.sim.run.runs import Start
 
 TABLE = np.load(Path(__file__).parents[1] / "data" / "store.npz")
 """Recorded by record_modules.py: instrument, transmitter and store under random commands, tasks and access."""

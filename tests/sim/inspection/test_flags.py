@@ -12,7 +12,7 @@ from bsk_torch.constants import R_EARTH
 from bsk_torch.sim.component import Field, vec
 from bsk_torch.sim.inspection.flags import GROUP, Records, find_flags
 from bsk_torch.sim.inspection.points import Point, faces, point_columns
-from bsk_torch.sim.trace import Trace
+from bsk_torch.sim.run.trace import Trace
 from bsk_torch.vec3 import Vec3
 
 CHIEF = vec("sun_N"), vec("r_BN_N"), Field("other"), vec("sigma_BN"), Field("illumination"), vec("pole_N")

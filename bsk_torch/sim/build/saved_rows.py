@@ -5,11 +5,11 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from bsk_torch.sim.drawing import TypeArguments
-from bsk_torch.sim.initial_orbits import check_orbits
-from bsk_torch.sim.params import merge
+from bsk_torch.sim.arguments.draws import TypeArguments
+from bsk_torch.sim.build.initial_orbits import check_orbits
+from bsk_torch.sim.arguments.values import merge
 from bsk_torch.sim.satellite_state import ArgumentState, SatelliteState
-from bsk_torch.sim.satellite_type import SatelliteType
+from bsk_torch.sim.build.satellite_type import SatelliteType
 
 CLOSE = 1e-9
 """Relative difference of parameters that two machines compute from the same arguments."""

@@ -12,9 +12,9 @@ import pytest
 from bsk_torch import sats
 from bsk_torch.rand import Distribution
 from bsk_torch.sim import dyn, fsw, world
-from bsk_torch.sim.given import RANKS, in_order
+from bsk_torch.sim.arguments.sources import RANKS, in_order
 
-RECORDED = json.loads((Path(__file__).parent / "data" / "default_args.json").read_text())
+RECORDED = json.loads((Path(__file__).parents[1] / "data" / "default_args.json").read_text())
 
 POINTING = {"groundLocationPlanetRadius", "imageTargetMinimumElevation", "imageTargetMaximumRange"}
 """Arguments of bsk_rl's dynamics that the flight software has here; every imaging satellite has both."""

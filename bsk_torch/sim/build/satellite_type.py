@@ -21,17 +21,17 @@ from bsk_torch._checks import number
 from bsk_torch.codegen.kept import Kept, of_package
 from bsk_torch.rand import Key
 from bsk_torch.sim.component import Bus, Component, Field, MissingMessageError, declared
-from bsk_torch.sim.composition import check_required_dyn, provided_by, world_components, world_of
-from bsk_torch.sim.drawing import ArgumentChange, Looked, TrialDraw, TypeArguments
+from bsk_torch.sim.build.composition import check_required_dyn, provided_by, world_components, world_of
+from bsk_torch.sim.arguments.draws import ArgumentChange, Looked, TrialDraw, TypeArguments
 from bsk_torch.sim.dyn import hub
 from bsk_torch.sim.dyn.field import prepare
 from bsk_torch.sim.dyn.models import DynamicsModel
 from bsk_torch.sim.fsw.models import Command, FSWModel, MagicOrbitalManeuverFSWModel
 from bsk_torch.sim.fsw.modes import Mode, mode_table
-from bsk_torch.sim.params import Arguments, Overrides, merge
-from bsk_torch.sim.run import Runners, TickLoop, make_runners
+from bsk_torch.sim.arguments.values import Arguments, Overrides, merge
+from bsk_torch.sim.run.runners import Runners, TickLoop, make_runners
 from bsk_torch.sim.schedule import Schedule
-from bsk_torch.sim.tick import ARC_ORBIT, Tick
+from bsk_torch.sim.run.tick import ARC_ORBIT, Tick
 from bsk_torch.sim.world import WorldModel
 
 logger = logging.getLogger(__name__)
@@ -82,7 +82,7 @@ class Usage:
         controlled: Whether actions may switch attitude control on, so that its gains matter.
         segment: Seconds by which look-ahead windows are extended.
         randomize: Draws arguments that replace those of some satellites.
-        followed: Fields that the satellites record which components follow, by their slot; see :mod:`bsk_torch.sim.trace`.
+        followed: Fields that the satellites record which components follow, by their slot; see :mod:`bsk_torch.sim.run.trace`.
         recorded: Fields of the hub that runs record, those of components aside.
         drawn: Names of what the scenario draws.
     """

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from bsk_torch.sim import dyn
-from bsk_torch.sim.encounters import NEVER, EncounterPairs, Limits, find_pairs, first_ticks, reached
+from bsk_torch.sim.run.encounters import NEVER, EncounterPairs, Limits, find_pairs, first_ticks, reached
 from bsk_torch.vec3 import Vec3
 
 N, C, K = 7, 4, 60

@@ -1,8 +1,8 @@
 """Conditions on the distance between two satellites of an episode, which end its steps: conjunctions and ranges.
 
 Distances are checked when a step starts and after its ticks, on the traces of the satellites' positions; see
-:mod:`bsk_torch.sim.flight`. At the time limit the clock stops before any condition is looked at. Every condition fires once in
-an episode.
+:mod:`bsk_torch.sim.run.coupled`. At the time limit the clock stops before any condition is evaluated. Every condition fires once
+in an episode.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from torch import Tensor
 from bsk_torch.constants import NANO
 from bsk_torch.sim.dyn.relative_motion import ConjunctionDynModel, MaxRangeDynModel
 from bsk_torch.sim.names import nearest
-from bsk_torch.sim.trace import Flight
+from bsk_torch.sim.run.trace import Flight
 from bsk_torch.vec3 import Vec3
 
 if TYPE_CHECKING:

@@ -12,8 +12,8 @@ from bsk_torch._checks import no_gradient
 from bsk_torch.formations import Formation
 from bsk_torch.rand import Key, seeded
 from bsk_torch.sats.satellite import Satellite
-from bsk_torch.sim.given import Answers
-from bsk_torch.sim.params import nearest, numbers
+from bsk_torch.sim.arguments.sources import Answers
+from bsk_torch.sim.arguments.values import nearest, numbers
 
 Draws = dict[str, tuple[Sequence[int], Tensor]]
 """By argument: the satellites [c] that it is set for, and its values [n, c, ...]."""

@@ -11,6 +11,7 @@ from bsk_torch import rand
 from bsk_torch.astro.ephemeris import parse_utc
 from bsk_torch.astro.orbit import Elements
 from bsk_torch.rand import Key
+from bsk_torch.sim.arguments.values import Arguments, convert, merge, nearest
 from bsk_torch.sim.component import Arg
 from bsk_torch.sim.dyn.hub import HUB
 from bsk_torch.sim.dyn.power import BATTERY, PANEL
@@ -20,7 +21,6 @@ from bsk_torch.sim.fsw.control import MRP_FEEDBACK
 from bsk_torch.sim.fsw.desaturation import DESATURATION
 from bsk_torch.sim.fsw.guidance import LOCATION_POINTING
 from bsk_torch.sim.fsw.instrument import SCANNING_CONTROLLER
-from bsk_torch.sim.params import Arguments, convert, merge, nearest
 
 PARTS = (HUB, PANEL, BATTERY, TRANSMITTER, MRP_FEEDBACK, DESATURATION, SCANNING_CONTROLLER, LOCATION_POINTING)
 WORLD = (EPHEMERIS, GROUND_STATIONS)

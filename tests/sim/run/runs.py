@@ -7,13 +7,13 @@ from dataclasses import dataclass
 from torch import Tensor
 
 from bsk_torch.codegen.kernel import Samples
-from bsk_torch.sim.run import Runner
+from bsk_torch.sim.run.runners import Runner
 from bsk_torch.sim.simulator import Simulator
 
 
 @dataclass(frozen=True)
 class Start:
-    """Arguments of a :class:`bsk_torch.sim.run.Runner`."""
+    """Arguments of a :class:`bsk_torch.sim.run.runners.Runner`."""
 
     state: Tensor
     shared: Tensor

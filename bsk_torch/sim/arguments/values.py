@@ -22,8 +22,8 @@ from torch import Tensor
 from bsk_torch._checks import no_gradient, number
 from bsk_torch.astro.ephemeris import coverage, parse_utc
 from bsk_torch.rand import Distribution, Key, RandomEpoch, seeded
+from bsk_torch.sim.arguments.sources import Answers, Member, in_order, is_function, unknown
 from bsk_torch.sim.component import Arg, Component, Values
-from bsk_torch.sim.given import Answers, Member, in_order, is_function, unknown
 from bsk_torch.sim.names import nearest
 
 Overrides = Mapping[str, tuple[Tensor, Tensor]]

@@ -22,7 +22,7 @@ from bsk_torch.sim.component import Bus, Component, Field, Layout, MissingMessag
 from bsk_torch.sim.dyn.forces import check_force
 from bsk_torch.sim.environment.ephemeris import EPHEMERIS_TRACK, put_track
 from bsk_torch.sim.orbit.arcs import ARC, follow_arc
-from bsk_torch.sim.trace import recorded, trace_track
+from bsk_torch.sim.run.trace import recorded, trace_track
 
 _ON_ARC = "the orbit was computed in advance; pass orbit='integrated' to the environment"
 
@@ -63,8 +63,8 @@ class Tick:
     ) -> None:
         """Lay out the packs of ``components``, which are in the order of a tick of ``h_ns`` nanoseconds.
 
-        ``followed`` are the fields that satellites record which components follow; see :mod:`bsk_torch.sim.trace`. ``flags`` are
-        what modes may switch on, those that the components declare aside.
+        ``followed`` are the fields that satellites record which components follow; see :mod:`bsk_torch.sim.run.trace`. ``flags``
+        are what modes may switch on, those that the components declare aside.
         """
         params = [field for component in components for field in component.params]
         self.components, self.h_ns, self.dtype, self.opaque_field = components, h_ns, dtype, opaque_field

@@ -6,9 +6,10 @@ import pytest
 import torch
 
 from bsk_torch import ConstellationTasking, act, obs, sats
-from bsk_torch.sim import dyn, flight, fsw
+from bsk_torch.sim import dyn, fsw
 from bsk_torch.sim.component import Component, Field
 from bsk_torch.sim.dyn.events import IMAGE_EVENT
+from bsk_torch.sim.run import coupled as flight
 from bsk_torch.vec3 import Vec3
 
 ENVS, TICKS = 5, 40

@@ -13,15 +13,15 @@ from torch import Tensor
 
 from bsk_torch.constants import NANO
 from bsk_torch.rand import Key, first_key
+from bsk_torch.sim.arguments.sources import Answers
+from bsk_torch.sim.arguments.values import Arguments, Overrides, merge
+from bsk_torch.sim.build.initial_orbits import check_orbits
 from bsk_torch.sim.component import Arg, Component
-from bsk_torch.sim.given import Answers
-from bsk_torch.sim.initial_orbits import check_orbits
-from bsk_torch.sim.params import Arguments, Overrides, merge
 
 logger = logging.getLogger(__name__)
 
 ArgumentChange = tuple[int, str, Any, Sequence[int] | None]
-"""See :meth:`bsk_torch.sim.params.Arguments.changed`."""
+"""See :meth:`bsk_torch.sim.arguments.values.Arguments.changed`."""
 
 
 class Looked(dict[str, Any]):

@@ -1,0 +1,1 @@
+"""Ticks, what repeats them, and runs of satellites that depend on one another."""
