@@ -9,9 +9,10 @@ from __future__ import annotations
 import math
 from typing import Any, TypeAlias
 
+from collections.abc import Sequence
+
 import numpy as np
 import torch
-from numpy.typing import ArrayLike
 from torch import Tensor
 
 from bsk_torch.astro.attitude import dcm_to_mrp
@@ -20,7 +21,7 @@ from bsk_torch.vec3 import Mat3, Vec3
 
 __all__ = ["cd2hill", "elevation", "fibonacci_sphere", "hill2cd", "lla2ecef", "rv2HN", "rv2omega"]
 
-Numeric: TypeAlias = "ArrayLike | Tensor"
+Numeric: TypeAlias = "float | Sequence[object] | np.ndarray | Tensor"
 """Numbers, sequences of them, arrays or tensors."""
 
 GOLDEN_ANGLE = math.pi * (3.0 - math.sqrt(5.0))
