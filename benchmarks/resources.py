@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 
 import bsk_torch
-from bsk_torch.plan.bounds.scanning import WHEELS, sunlight
+from bsk_torch.plan.bounds.scanning import sunlight
 from bsk_torch.plan.bounds.windows import openings
 
 PRESET = "AEOSPower-v1"
@@ -39,7 +39,7 @@ def quantities(env: Any) -> dict[str, Tensor]:
     ticks = torch.arange(1, int(limit.max()) + 1, SAMPLES, dtype=torch.float64)
     flux = torch.stack([sunlight(env, row, ticks)[0] for row in rows.split(1)])
     gained = flux.mean(1) * seconds * args["panelArea"] * args["panelEfficiency"]
-    load = WHEELS * args["rwBasePower"] - args["basePowerDraw"]
+    load = args["wheelSpeeds"].shape[-1] * args["rwBasePower"] - args["basePowerDraw"]
     targets, start, image = seen.sum(1).double(), args["storedCharge_Init"], args["instrumentBaudRate"]
     surplus = start + gained - load * seconds
     return {

@@ -304,11 +304,12 @@ def test_every_script_is_started():
     for path, where in (ELSEWHERE | STARTED_BY_OTHERS).items():
         assert Path(path).stem in (ROOT / where).read_text(), f"{where} does not start {path}"
     reached = started | set(STARTED_BY_OTHERS)
-    modules = {Path(name).stem: name for name in names if name.endswith(".py")}
+    modules = [(Path(name).stem, name) for name in names if name.endswith(".py")]
     waiting = list(reached)
     while waiting:  # and what those import
         path = waiting.pop()
-        found = {modules[module] for module in imported(ROOT / path) & modules.keys()} if path.endswith(".py") else set()
+        imports = imported(ROOT / path) if path.endswith(".py") else set()
+        found = {name for module, name in modules if module in imports}
         waiting += found - reached
         reached |= found
     assert not names - reached, f"no test starts {', '.join(sorted(names - reached))}: add them to STARTS"
