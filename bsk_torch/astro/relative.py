@@ -7,9 +7,8 @@ float64.
 from __future__ import annotations
 
 import math
-from typing import Any, TypeAlias
-
 from collections.abc import Sequence
+from typing import Any, TypeAlias
 
 import numpy as np
 import torch
