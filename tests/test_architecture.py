@@ -4,7 +4,7 @@ import re
 from pathlib import Path
 
 from bsk_torch.env import base, constellation, satellite_group, tasking
-from bsk_torch.env.build import fleets as build
+from bsk_torch.env.assembly import fleets as build
 from bsk_torch.sim import fleet, schedule, simulator
 
 ROOT = Path(__file__).parents[1]

@@ -9,8 +9,8 @@ from typing import Any, Self
 from tensordict import TensorDict
 from torch import Tensor
 
-from bsk_torch.env.build.trial import Made, Trial, taking_over
-from bsk_torch.env.build.types import check_world
+from bsk_torch.env.assembly.trial import Made, Trial, taking_over
+from bsk_torch.env.assembly.types import check_world
 from bsk_torch.env.changes import Change, LiveArguments, changed, episodes, of_satellites, of_world, remembered
 from bsk_torch.env.snapshots import Snapshots, fingerprint
 from bsk_torch.sim.arguments.values import Arguments

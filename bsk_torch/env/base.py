@@ -21,10 +21,10 @@ from bsk_torch.data.composed import ComposedReward
 from bsk_torch.data.mapped import for_batch
 from bsk_torch.env import messages
 from bsk_torch.env.arguments import MadeOfArguments
-from bsk_torch.env.build.devices import existing_device
-from bsk_torch.env.build.fleets import FleetBuilder, link
-from bsk_torch.env.build.randomizer import make_randomizer
-from bsk_torch.env.build.trial import check_room, taken_over, try_out
+from bsk_torch.env.assembly.devices import existing_device
+from bsk_torch.env.assembly.fleets import FleetBuilder, link
+from bsk_torch.env.assembly.randomizer import make_randomizer
+from bsk_torch.env.assembly.trial import check_room, taken_over, try_out
 from bsk_torch.env.episodes import ENDLESS, EpisodePool
 from bsk_torch.env.guard import Origin, ResetNeededError, check_numbers
 from bsk_torch.env.log import StepLog, configure
@@ -36,7 +36,7 @@ from bsk_torch.obs.base import Values
 from bsk_torch.sats.dtypes import common_dtype
 from bsk_torch.sats.satellite import Satellite
 from bsk_torch.scene.base import Scenario
-from bsk_torch.sim.build.satellite_type import whole_nanoseconds
+from bsk_torch.sim.assembly.satellite_type import whole_nanoseconds
 from bsk_torch.sim.fleet import Fleet
 
 __all__ = ["ResetNeededError", "StepResult", "Tasking", "TimeLimit"]

@@ -11,7 +11,7 @@ from torch import Tensor
 from bsk_torch.rand import as_value
 from bsk_torch.sim.arguments.sources import Member, expand
 from bsk_torch.sim.arguments.values import Arguments
-from bsk_torch.sim.build.satellite_type import SatelliteType
+from bsk_torch.sim.assembly.satellite_type import SatelliteType
 from bsk_torch.sim.names import nearest
 
 WORLD = None

@@ -15,14 +15,14 @@ from bsk_torch._checks import whole
 from bsk_torch.astro.ephemeris import coverage
 from bsk_torch.constants import NANO
 from bsk_torch.data.base import GlobalReward
-from bsk_torch.env.build.fleets import FleetBuilder
+from bsk_torch.env.assembly.fleets import FleetBuilder
 from bsk_torch.env.guard import EpisodeGuard
 from bsk_torch.env.log import StepLog
 from bsk_torch.env.satellite_group import SatelliteGroup, begin_tasks
 from bsk_torch.rand import Key
 from bsk_torch.sats.fleet import SatelliteFleet
 from bsk_torch.scene.base import Scenario
-from bsk_torch.sim.build.satellite_type import SatelliteType
+from bsk_torch.sim.assembly.satellite_type import SatelliteType
 from bsk_torch.sim.fleet import Fleet, FleetState
 from bsk_torch.sim.simulator import Simulator
 from bsk_torch.sim.state import FINITE

@@ -16,7 +16,7 @@ from bsk_torch.obs.entries import is_own, parse_entries, parse_norm, scaled
 from bsk_torch.sats.one import is_ours
 from bsk_torch.sats.user_function import UserFunction
 from bsk_torch.sim.arguments.values import nearest
-from bsk_torch.sim.build.composition import having
+from bsk_torch.sim.assembly.composition import having
 from bsk_torch.sim.readout.observables import observable, vital
 
 if TYPE_CHECKING:

@@ -17,7 +17,7 @@ from bsk_torch.sats.hooks import check_satellite
 from bsk_torch.sats.one import OneSatellite
 from bsk_torch.sim.arguments.sources import Given, expand
 from bsk_torch.sim.arguments.table import ArgumentTable
-from bsk_torch.sim.build.composition import compose
+from bsk_torch.sim.assembly.composition import compose
 from bsk_torch.sim.dyn.models import BasicDynamicsModel, DynamicsModel
 from bsk_torch.sim.fsw.models import BasicFSWModel, FSWModel
 

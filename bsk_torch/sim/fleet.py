@@ -11,7 +11,7 @@ from torch import Tensor
 from bsk_torch.rand import Key
 from bsk_torch.sim.arguments.sources import Answers
 from bsk_torch.sim.arguments.values import Overrides
-from bsk_torch.sim.build.satellite_type import SatelliteType
+from bsk_torch.sim.assembly.satellite_type import SatelliteType
 from bsk_torch.sim.names import nearest
 from bsk_torch.sim.run.coupled import Dependencies, FlightObserver, Part, RunResult, StopCondition, parts_of, together
 from bsk_torch.sim.run.encounters import NO_PAIRS, EncounterPairs, Encounters

@@ -18,8 +18,8 @@ from bsk_torch.sim.access.places import PlaceKinds, place_kinds
 from bsk_torch.sim.access.visibility.backend import make_visibility
 from bsk_torch.sim.access.windows import AccessWindows
 from bsk_torch.sim.arguments.values import merge, nearest
-from bsk_torch.sim.build.composition import commanded_by
-from bsk_torch.sim.build.satellite_type import SatelliteType
+from bsk_torch.sim.assembly.composition import commanded_by
+from bsk_torch.sim.assembly.satellite_type import SatelliteType
 from bsk_torch.sim.dyn import hub
 from bsk_torch.sim.dyn.events import notice_image
 from bsk_torch.sim.fsw.manoeuvre import burn

@@ -11,7 +11,7 @@ import torch
 
 from bsk_torch import NO_ACTION, ConstellationTasking, act, data, obs, rand, sats, scene
 from bsk_torch.sim import dyn, fsw, world
-from bsk_torch.sim.build.composition import compose
+from bsk_torch.sim.assembly.composition import compose
 from tests.basilisk.replay import RECORDINGS
 
 BOUNDS = {"time": 0.0, "r": 1e-3, "v": 1e-6, "sigma": 1e-10, "omega": 1e-12, "observation": 1e-6, "reward": 1e-9}

@@ -27,7 +27,7 @@ def packages():
     import bsk_torch
 
     found = (info.name for info in pkgutil.walk_packages(bsk_torch.__path__, "bsk_torch.") if info.ispkg)
-    return [name for name in found if not name.startswith(("bsk_torch.sim.", "bsk_torch.viz.render", "bsk_torch.env.build"))]
+    return [name for name in found if not name.startswith(("bsk_torch.sim.", "bsk_torch.viz.render", "bsk_torch.env.assembly"))]
 
 
 @pytest.mark.pages

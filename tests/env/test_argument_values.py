@@ -18,7 +18,7 @@ import torch
 import bsk_torch
 from bsk_torch.rand import first_key
 from bsk_torch.sim.arguments.values import Arguments, merge
-from bsk_torch.sim.build.satellite_type import fitted
+from bsk_torch.sim.assembly.satellite_type import fitted
 from bsk_torch.sim.simulator import Simulator
 
 SMALL: dict[str, dict[str, Any]] = {

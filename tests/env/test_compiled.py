@@ -19,7 +19,7 @@ from bsk_torch.codegen.kernel import Entry
 from bsk_torch.codegen.passes import lower
 from bsk_torch.rand import first_key
 from bsk_torch.sim import dyn, fsw
-from bsk_torch.sim.build import satellite_type
+from bsk_torch.sim.assembly import satellite_type
 from bsk_torch.sim.component import Component, Field
 from bsk_torch.sim.run.tick import Tick
 from bsk_torch.sim.simulator import Simulator

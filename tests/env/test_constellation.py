@@ -603,7 +603,7 @@ def test_pools_of_prepared_episodes_change_nothing(monkeypatch: pytest.MonkeyPat
         return seen
 
     without = episodes()
-    monkeypatch.setattr("bsk_torch.env.build.fleets.SMALLEST_POOL", 1)
+    monkeypatch.setattr("bsk_torch.env.assembly.fleets.SMALLEST_POOL", 1)
     assert len(without) == 25
     for a, b in zip(without, episodes(), strict=True):
         assert_equal(a, b)

@@ -15,7 +15,7 @@ from torchrl.envs.utils import check_env_specs
 
 import bsk_torch
 from bsk_torch import ConstellationTasking, GeneralSatelliteTasking, SatelliteTasking, act, comm, data, obs, sats, scene
-from bsk_torch.env.build.fleets import between
+from bsk_torch.env.assembly.fleets import between
 from bsk_torch.plan import Rollout
 from bsk_torch.rand import Key
 from bsk_torch.rl.evaluation.evaluate import evaluate

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bsk_torch import act, dyn, obs, rand, sats
-from bsk_torch.env.build.types import check_names, check_world, grouped, same_type, world_arguments, world_components
+from bsk_torch.env.assembly.types import check_names, check_world, grouped, same_type, world_arguments, world_components
 
 ORBIT = [7e6, 0.0, 1.0, 0.0, 0.0, 0.0]
 PLACE = {"rN": [7e6, 0.0, 0.0], "vN": [0.0, 7.5e3, 0.0]}

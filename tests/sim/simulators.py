@@ -8,7 +8,7 @@ from typing import Any
 
 import torch
 
-from bsk_torch.sim.build.satellite_type import SimulationOptions, Usage, satellite_type
+from bsk_torch.sim.assembly.satellite_type import SimulationOptions, Usage, satellite_type
 from bsk_torch.sim.simulator import Simulator
 from bsk_torch.sim.state import StateTable
 

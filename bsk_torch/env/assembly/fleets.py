@@ -16,21 +16,21 @@ from bsk_torch.codegen.kept import Kept
 from bsk_torch.constants import NANO
 from bsk_torch.data import checked
 from bsk_torch.data.base import GlobalReward
+from bsk_torch.env.assembly.randomizer import Randomizer
+from bsk_torch.env.assembly.types import check_names, check_world, grouped, world_arguments, world_components
 from bsk_torch.env.options import ConstellationOptions, TaskingOptions
-from bsk_torch.env.build.randomizer import Randomizer
-from bsk_torch.env.build.types import check_names, check_world, grouped, world_arguments, world_components
 from bsk_torch.rand import Distribution, Key, first_key, seeded
 from bsk_torch.sats.fleet import SatelliteFleet
 from bsk_torch.sats.satellite import Satellite
 from bsk_torch.scene.base import Scenario
-from bsk_torch.sim.arguments.table import ArgumentTable
-from bsk_torch.sim.component import Arg, Component, Field
-from bsk_torch.sim.build.composition import compose
-from bsk_torch.sim.run.encounters import find_pairs
-from bsk_torch.sim.fleet import EpisodeDraw, Fleet, share
 from bsk_torch.sim.arguments.sources import Answers, Member, expand, is_function
+from bsk_torch.sim.arguments.table import ArgumentTable
 from bsk_torch.sim.arguments.values import Overrides, convert, drawn_once
-from bsk_torch.sim.build.satellite_type import SatelliteType, SimulationOptions, Ticks, Usage, satellite_type
+from bsk_torch.sim.assembly.composition import compose
+from bsk_torch.sim.assembly.satellite_type import SatelliteType, SimulationOptions, Ticks, Usage, satellite_type
+from bsk_torch.sim.component import Arg, Component, Field
+from bsk_torch.sim.fleet import EpisodeDraw, Fleet, share
+from bsk_torch.sim.run.encounters import find_pairs
 from bsk_torch.sim.simulator import Simulator
 from bsk_torch.sim.state import StateTable
 from bsk_torch.sim.world import WorldModel

@@ -20,18 +20,18 @@ from torch import Tensor
 from bsk_torch._checks import number
 from bsk_torch.codegen.kept import Kept, of_package
 from bsk_torch.rand import Key
-from bsk_torch.sim.component import Bus, Component, Field, MissingMessageError, declared
-from bsk_torch.sim.build.composition import check_required_dyn, provided_by, world_components, world_of
 from bsk_torch.sim.arguments.draws import ArgumentChange, Looked, TrialDraw, TypeArguments
+from bsk_torch.sim.arguments.values import Arguments, Overrides, merge
+from bsk_torch.sim.assembly.composition import check_required_dyn, provided_by, world_components, world_of
+from bsk_torch.sim.component import Bus, Component, Field, MissingMessageError, declared
 from bsk_torch.sim.dyn import hub
 from bsk_torch.sim.dyn.field import prepare
 from bsk_torch.sim.dyn.models import DynamicsModel
 from bsk_torch.sim.fsw.models import Command, FSWModel, MagicOrbitalManeuverFSWModel
 from bsk_torch.sim.fsw.modes import Mode, mode_table
-from bsk_torch.sim.arguments.values import Arguments, Overrides, merge
 from bsk_torch.sim.run.runners import Runners, TickLoop, make_runners
-from bsk_torch.sim.schedule import Schedule
 from bsk_torch.sim.run.tick import ARC_ORBIT, Tick
+from bsk_torch.sim.schedule import Schedule
 from bsk_torch.sim.world import WorldModel
 
 logger = logging.getLogger(__name__)

@@ -7,9 +7,9 @@ from collections.abc import Iterable, Sequence
 
 from bsk_torch.rand import MOST_SATELLITES
 from bsk_torch.sats.satellite import Satellite
-from bsk_torch.sim.component import Component
-from bsk_torch.sim.build.composition import world_components as components_of_world
 from bsk_torch.sim.arguments.values import alike, nearest
+from bsk_torch.sim.assembly.composition import world_components as components_of_world
+from bsk_torch.sim.component import Component
 from bsk_torch.sim.world import WorldModel
 
 OWN = ("name", "sat_args_generator")

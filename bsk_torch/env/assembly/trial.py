@@ -14,17 +14,17 @@ import torch
 from bsk_torch._checks import no_gradient
 from bsk_torch.data import checked
 from bsk_torch.data.base import GlobalReward
-from bsk_torch.env.build.fleets import FleetBuilder, link
-from bsk_torch.env.build.devices import check_memory
+from bsk_torch.env.assembly.devices import check_memory
+from bsk_torch.env.assembly.fleets import FleetBuilder, link
 from bsk_torch.env.satellite_group import SatelliteGroup, groups_of
 from bsk_torch.obs.base import Values
 from bsk_torch.rand import first_key
 from bsk_torch.sats.fleet import SatelliteFleet
 from bsk_torch.sats.user_function import UserFunction
 from bsk_torch.scene.base import Scenario
+from bsk_torch.sim.assembly.composition import provided_by
+from bsk_torch.sim.assembly.satellite_type import SatelliteType
 from bsk_torch.sim.component import MissingMessageError
-from bsk_torch.sim.build.composition import provided_by
-from bsk_torch.sim.build.satellite_type import SatelliteType
 
 BATCHES = (5, 7, 11, 13, 17, 19)
 """Environments of the second trial: the first number that is no other dimension of what is observed."""

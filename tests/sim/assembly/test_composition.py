@@ -9,10 +9,10 @@ import pytest
 import torch
 
 from bsk_torch import SatelliteTasking, act, obs, sats
-from bsk_torch.env.build.types import same_type, world_components
+from bsk_torch.env.assembly.types import same_type, world_components
 from bsk_torch.sim import dyn, fsw, world
+from bsk_torch.sim.assembly.composition import compose, providers, world_of
 from bsk_torch.sim.component import Arg, Component, Field
-from bsk_torch.sim.build.composition import compose, providers, world_of
 from bsk_torch.sim.schedule import SCHEDULE
 
 

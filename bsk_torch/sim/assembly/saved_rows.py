@@ -6,10 +6,10 @@ import torch
 from torch import Tensor
 
 from bsk_torch.sim.arguments.draws import TypeArguments
-from bsk_torch.sim.build.initial_orbits import check_orbits
 from bsk_torch.sim.arguments.values import merge
+from bsk_torch.sim.assembly.initial_orbits import check_orbits
+from bsk_torch.sim.assembly.satellite_type import SatelliteType
 from bsk_torch.sim.satellite_state import ArgumentState, SatelliteState
-from bsk_torch.sim.build.satellite_type import SatelliteType
 
 CLOSE = 1e-9
 """Relative difference of parameters that two machines compute from the same arguments."""

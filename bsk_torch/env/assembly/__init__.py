@@ -1,0 +1,1 @@
+"""From satellites and options to simulations: types, fleets, trial episodes."""

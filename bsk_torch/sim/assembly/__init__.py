@@ -1,0 +1,1 @@
+"""From models and arguments to what all simulations of satellites of one type share."""
