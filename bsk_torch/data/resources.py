@@ -49,7 +49,8 @@ class ResourceReward(GlobalReward):
             ValueError: For a weight that is neither a finite number, a distribution nor a function.
         """
         if not callable(resource_fn):
-            raise TypeError(f"resource_fn={resource_fn!r} must be a function of the satellite")
+            advice = "; write resource_fn= before it: the first argument is the weight" if callable(reward_weight) else ""
+            raise TypeError(f"resource_fn={resource_fn!r} must be a function of the satellite{advice}")
         if not callable(reward_weight) and not isinstance(reward_weight, Distribution):
             reward_weight = number("reward_weight", reward_weight)
         self.resource_fn, self.weight = resource_fn, reward_weight

@@ -7,9 +7,11 @@ import pytest
 from torch._inductor import config
 
 from bsk_torch.codegen import build
+from bsk_torch.codegen.kept import Kept
 from bsk_torch.rl.policies.checksummed import save_checksummed
 from bsk_torch.rl.training.config import PPOConfig, save_config
 from bsk_torch.rl.training.lock import FolderLock
+from bsk_torch.sim.assembly import satellite_type
 
 pytestmark = pytest.mark.compiled
 
@@ -57,7 +59,7 @@ def folder(tmp_path, monkeypatch):
         ((*SCAN, "hidden=[1"), "flow sequence"),
         ((*SCAN, "--time-limit", -5), "time_limit=-5"),
         ((*SCAN, "--time-limit", "nan"), "time_limit=nan"),
-        ((*SCAN, "--device", "foo"), "device='foo' is not here"),
+        ((*SCAN, "--device", "foo"), "device='foo' is not available"),
         ((*SCAN, "--backend", "foo"), "backend='foo' must be one of"),
         ((*SCAN, "--out", "file"), "'file' is no folder"),
         ((*SCAN, "--out", "file/run"), "is no folder"),
@@ -201,6 +203,7 @@ def test_a_full_disk_is_named(run, folder, monkeypatch):
 def test_a_missing_compiler_is_named(run, folder, monkeypatch):
     monkeypatch.setenv("BSK_TORCH_CACHE", str(folder / "cache"))
     monkeypatch.setattr(build, "LOADED", {})
+    monkeypatch.setattr(satellite_type, "TICKS", Kept(1))  # nothing has been built in this process
     with config.patch({"cpp.cxx": (None, "/missing/c++")}):
         result = run("eval", "random", "--seeds", "0:1", "--time-limit", 60)
     assert refused(result, "needs a C++ compiler")

@@ -55,7 +55,11 @@ def renamed(name):
         ([basic("A")] * 4097, ValueError, "satellites has 4097 entries; at most 4096 are possible"),
         ([basic("A"), "B"], TypeError, "satellites holds 'B', which is no satellite; write MySatellite('Name'), with paren"),
         ([Basic], TypeError, "which is no satellite; write MySatellite('Name'), with parentheses"),
-        ([basic("A"), basic("B"), Other("A")], ValueError, "satellites has several called ['A']; every satellite needs a unique name"),
+        (
+            [basic("A"), basic("B"), Other("A")],
+            ValueError,
+            "satellites has several called ['A']; every satellite needs a uniq",
+        ),
         ([basic("A"), renamed("B 1")], ValueError, "name='B 1' must be a Python identifier, such as 'Scanner1'"),
         ([renamed("class")], ValueError, "name='class' must be a Python identifier"),
     ],

@@ -37,7 +37,9 @@ class Log:
 
 
 def test_rewards_are_summed_for_each_satellite_and_part_without_penalties():
-    parts = data.ComposedReward(data.ScanningTimeReward(), data.ResourceReward(lambda sat: sat.dynamics.battery_charge_fraction))
+    parts = data.ComposedReward(
+        data.ScanningTimeReward(), data.ResourceReward(resource_fn=lambda sat: sat.dynamics.battery_charge_fraction)
+    )
     env = trio(charges=(FULL, EMPTY, FULL), rewarder=parts, seed=0)
     now, paid = env.reset(), torch.zeros(1, 3, dtype=torch.float64)
     for _ in range(3):

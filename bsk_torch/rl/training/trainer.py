@@ -207,7 +207,8 @@ class Training:
     def _warm_up(self) -> None:
         """Compile before the clock starts."""
         begin = time.perf_counter()
-        self.env.step(self.actor(self.env.reset()))
+        with torch.no_grad():
+            self.env.step(self.actor(self.env.reset()))
         self.env.set_seed(self.config.seed)
         torch.manual_seed(self.config.seed)
         logger.info("ready after %.1f s", time.perf_counter() - begin)

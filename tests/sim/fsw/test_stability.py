@@ -143,8 +143,9 @@ def test_suggested_gains_are_stable(ratio, h):
 def test_fixed_gains_are_checked_once_and_changed_ones_again(caplog):
     env = bsk_torch.make("NadirScan-v1", num_envs=2, seed=0, backend="eager")
     env.reset()
-    assert "control" in env.simulator._fits_tick
-    assert "hub" not in env.simulator._fits_tick  # initial rates are random
+    checked = env.simulator.type.arguments._fits
+    assert "control" in checked
+    assert "hub" not in checked  # initial rates are random
     assert "is not stable" not in caplog.text
     env.set_sat_args({"P": 1e4})
     env.reset()

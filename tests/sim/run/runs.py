@@ -25,10 +25,11 @@ class Start:
     nanoseconds: int
     expected_ticks: Tensor | None = None
     lockstep: int = 1
+    present: Tensor | None = None
 
     def run(self, runner: Runner, counts: Tensor) -> Tensor:
         """Run from here, which changes ``state``; returns the number of ticks of each row."""
-        names = ("expected_ticks", "shared", "own", "mode", "flags", "ticks", "nanoseconds", "lockstep")
+        names = ("expected_ticks", "shared", "own", "mode", "flags", "ticks", "nanoseconds", "lockstep", "present")
         return runner(self.state, counts, self.tracks, **{name: getattr(self, name) for name in names})
 
 
