@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import difflib
 import re
-from datetime import UTC, datetime, timedelta
+from datetime import datetime, timedelta, timezone
 from fractions import Fraction
 from typing import NamedTuple
 
@@ -90,7 +90,7 @@ def read_epoch(given: str | datetime) -> Epoch:
         ValueError: For a text of another form, or one that names no date or time.
     """
     if isinstance(given, datetime):
-        utc = given.astimezone(UTC).replace(tzinfo=None) if given.tzinfo else given
+        utc = given.astimezone(timezone.utc).replace(tzinfo=None) if given.tzinfo else given
         return Epoch(utc.replace(second=0, microsecond=0), utc.second + utc.microsecond * 1e-6, "UTC")
     text = " ".join(given.upper().split())
     try:

@@ -8,7 +8,7 @@ import platform
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict
-from datetime import UTC, datetime
+from datetime import datetime, timezone
 from importlib import import_module
 from importlib.metadata import version
 from pathlib import Path
@@ -224,7 +224,7 @@ def document(suite: str, episodes: int, results: Mapping[str, object]) -> dict[s
         "bsk_torch": version("bsk_torch"),
         "torch": str(torch.__version__),
         "machine": platform.processor() or platform.machine(),
-        "date": datetime.now(UTC).date().isoformat(),
+        "date": datetime.now(timezone.utc).date().isoformat(),
         "policies": results,
     }
 

@@ -47,27 +47,22 @@ def reward(rewarder: GlobalReward, before: Log, after: Log) -> Tensor:
     """
     with torch.enable_grad():  # so that a reward that depends on parameters can be told
         found = rewarder.calculate_reward(before, after)
-    shape = rewarder.fleet.shape
-    if not (isinstance(found, Tensor) and found.shape == shape and found.dtype == torch.float64) or found.requires_grad:
-        title = f"{type(rewarder).__name__}.calculate_reward()"
-        check_tensor(title, found, shape, torch.float64, torch.float32)
-        no_gradient(title, found)
-    return found
+    title = f"{type(rewarder).__name__}.calculate_reward()"
+    check_tensor(title, found, rewarder.fleet.shape, torch.float64, torch.float32)
+    return no_gradient(title, found)
 
 
 def terminated(rewarder: GlobalReward) -> Tensor:
     """Return the satellites whose episode the rewarder terminates, [N, S] bool; TypeError for another shape or dtype."""
     found = rewarder.is_terminated()
-    if not (isinstance(found, Tensor) and found.shape == rewarder.fleet.shape and found.dtype == torch.bool):
-        check_tensor(f"{type(rewarder).__name__}.is_terminated()", found, rewarder.fleet.shape, torch.bool)
+    check_tensor(f"{type(rewarder).__name__}.is_terminated()", found, rewarder.fleet.shape, torch.bool)
     return found
 
 
 def truncated(rewarder: GlobalReward) -> Tensor:
     """Return the satellites whose episode the rewarder truncates, [N, S] bool; TypeError for another shape or dtype."""
     found = rewarder.is_truncated()
-    if not (isinstance(found, Tensor) and found.shape == rewarder.fleet.shape and found.dtype == torch.bool):
-        check_tensor(f"{type(rewarder).__name__}.is_truncated()", found, rewarder.fleet.shape, torch.bool)
+    check_tensor(f"{type(rewarder).__name__}.is_truncated()", found, rewarder.fleet.shape, torch.bool)
     return found
 
 

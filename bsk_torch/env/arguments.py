@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Sequence
-from typing import Any, Self
+from typing import Any, TypeVar
 
 from tensordict import TensorDict
 from torch import Tensor
@@ -15,6 +15,8 @@ from bsk_torch.env.changes import Change, LiveArguments, changed, episodes, of_s
 from bsk_torch.env.snapshots import Snapshots, fingerprint
 from bsk_torch.sim.arguments.values import Arguments
 from bsk_torch.sim.simulator import Simulator
+
+Environment = TypeVar("Environment", bound="MadeOfArguments")
 
 
 class MadeOfArguments(Snapshots):
@@ -102,7 +104,7 @@ class MadeOfArguments(Snapshots):
 
     # -- environments of the same make --------------------------------------------------------------------------------
 
-    def like(self, num_envs: int, env_ids: Sequence[int] | Tensor | None = None) -> Self:
+    def like(self: Environment, num_envs: int, env_ids: Sequence[int] | Tensor | None = None) -> Environment:
         """Return another environment of the same make, with other episodes, under seed 0 and without logs.
 
         Episodes can be copied from one to the other by :meth:`restore`. Types of satellites are shared, so that nothing

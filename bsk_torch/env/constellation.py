@@ -302,7 +302,7 @@ class ConstellationTasking(Tasking):
             idle = task.requires_retasking & ~mine & ~task.dead & self.fleet.rows_of(k, asked)
             if bool(idle.any()):
                 row = int(torch.nonzero(idle)[0])
-                logger.warning("%s requires retasking but received no task; its mode goes on", satellites.title(row))
+                logger.warning("%s requires retasking but received no task; its mode continues", satellites.title(row))
                 self._warned = True
                 return
 

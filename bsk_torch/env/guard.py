@@ -1,4 +1,4 @@
-"""Consistency of the episodes of an environment: one thread at a time, and none goes on that a call left half changed."""
+"""Consistency of the episodes of an environment: one thread at a time, and no step from what an interrupted call has left."""
 
 from __future__ import annotations
 

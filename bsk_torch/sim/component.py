@@ -38,14 +38,18 @@ class Bus:
 
     ``h_ns`` and ``h`` are the length of the tick in nanoseconds and seconds, ``ticks`` is the number of this tick since reset,
     ``dtype`` the type of attitude and flight software, and ``opaque_field`` is True where the Earth's field is called as one
-    operator. ``effectors`` are those of the components that run.
+    operator. ``effectors`` are those of the components that run. ``gravity_degree`` is the degree of the Earth's field in which
+    the hub integrates the orbit; None where the orbit was solved in advance.
     """
 
     effectors: tuple[Effector, ...] = ()
 
-    def __init__(self, h_ns: int, dtype: torch.dtype = torch.float64, opaque_field: bool = False) -> None:
+    def __init__(
+        self, h_ns: int, dtype: torch.dtype = torch.float64, opaque_field: bool = False, gravity_degree: int | None = None
+    ) -> None:
         """Start a tick of ``h_ns`` nanoseconds."""
         self.h_ns, self.h, self.dtype, self.opaque_field = h_ns, h_ns * NANO, dtype, opaque_field
+        self.gravity_degree = gravity_degree
 
     def __getattr__(self, name: str) -> Any:
         """Raise a MissingMessageError: no component has written ``name``."""

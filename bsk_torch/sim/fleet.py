@@ -236,7 +236,7 @@ class Fleet:
         return EpisodeDraw(drawn, values)
 
     def reset(self, envs: Tensor, drawn: EpisodeDraw, durations: Sequence[Tensor], time_limit: Tensor) -> None:
-        """Start the episodes ``envs`` [n] anew.
+        """Start new episodes in ``envs`` [n].
 
         Args:
             envs: Episodes, [n].

@@ -115,7 +115,7 @@ class Simulator:
         self.world = satellite_type.world_type(self.state, self.lookahead.flight, stations)
 
     def change(self, satellite_type: SatelliteType) -> None:
-        """Take another type of the same satellites, which :meth:`SatelliteType.changed` has returned; episodes go on."""
+        """Take another type of the same satellites, from :meth:`SatelliteType.changed`; present episodes continue."""
         old, uniform, parameters = self.tick, self.uniform, self.state.parameters
         self.type, self.tick, self.runners = satellite_type, satellite_type.tick, satellite_type.runners
         self.uniform = satellite_type.uniform
@@ -133,7 +133,7 @@ class Simulator:
     def reset(
         self, envs: Tensor, values: dict[str, Any], duration: Tensor, followed: Mapping[str, Samples] = MappingProxyType({})
     ) -> None:
-        """Start the episodes ``envs`` [n] anew from drawn ``values``, with windows for ``duration`` [n] s.
+        """Start new episodes in ``envs`` [n] from drawn ``values``, with windows for ``duration`` [n] s.
 
         ``state.reset`` must have been called, and the scenario's draws written to ``scenario_state`` before. ``followed`` are the
         traces of the satellites that this one follows, which have been reset.
@@ -406,7 +406,7 @@ class Simulator:
         self.lookahead.reach_in_flight(state.sim_time + further * state.h, state.sim_time)
 
     def _inputs(self, followed: Mapping[str, Samples], rows: Tensor | None) -> RunInputs:
-        """Return what a run of ``rows`` [n], or all, reads beside their fields; ``followed`` are traces of these rows."""
+        """Return what a run of ``rows`` [n], or all, reads apart from their fields; ``followed`` are traces of these rows."""
         state, arcs = self.state, self.lookahead.flight.tracks(self.tick.arc_tracks)
         own, mode, ticks = state.parameters, state.mode, state.ticks
         if rows is not None:

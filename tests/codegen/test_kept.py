@@ -41,6 +41,6 @@ def test_functions_of_the_package():
     sinks = [part.update for part in vars(power).values() if getattr(part, "slot", None) == "base_power"]
     assert sinks
     assert sinks[0].__closure__
-    assert of_package([hub.rotate, hub.integrator(4), *sinks, enclosing(hub.rotate)])
+    assert of_package([hub.rotate, *sinks, enclosing(hub.rotate)])
     for function in (enclosing, enclosing(enclosing), functools.partial(hub.rotate), abs):
         assert not of_package([hub.rotate, function])

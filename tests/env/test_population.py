@@ -25,6 +25,7 @@ from bsk_torch.sim import dyn, fsw
 from bsk_torch.sim.access.lookahead import LookAhead
 from bsk_torch.viz.recorders.constellation import record_constellation
 from bsk_torch.wrappers import PettingZooEnv
+from tests.env.test_constellation import Linked, Relay
 
 pytestmark = pytest.mark.compiled
 
@@ -32,10 +33,6 @@ BACKENDS = ["eager", "compiled"]
 LIMIT = 600.0
 NUMBERS = (3, 1, 5, 2)
 """Satellites of each environment, where the first ones are present."""
-
-
-class Linked(dyn.ImagingDynModel, dyn.LOSCommDynModel):
-    pass
 
 
 class Imager(sats.ImagingSatellite):
@@ -48,16 +45,6 @@ class Imager(sats.ImagingSatellite):
     action_spec = (act.Charge(duration=47.0), act.Drift(duration=31.0), act.Image(n_ahead_image=3))
     dyn_type = Linked
     fsw_type = fsw.ImagingFSWModel
-
-
-class RelayDynModel(dyn.BasicDynamicsModel, dyn.LOSCommDynModel):
-    pass
-
-
-class Relay(sats.Satellite):
-    observation_spec = (obs.SatProperties(dict(prop="battery_charge_fraction")), obs.Time())
-    action_spec = (act.Charge(duration=40.0), act.Drift(duration=25.0))
-    dyn_type = RelayDynModel
 
 
 class Scanner(sats.Satellite):
@@ -319,11 +306,11 @@ def test_states_and_copies_have_the_same_population() -> None:
     wrong["removed"] = torch.zeros_like(wrong["removed"])
     with pytest.raises(ValueError, match=r"'removed' of the saved state.*not present are removed"):
         env.restore(wrong)
-    nobody = state.clone()
+    empty = state.clone()
     for k in range(2):
-        nobody[f"satellites_{k}", "present"] = torch.zeros_like(nobody[f"satellites_{k}", "present"])
+        empty[f"satellites_{k}", "present"] = torch.zeros_like(empty[f"satellites_{k}", "present"])
     with pytest.raises(ValueError, match=r"present|ticks"):
-        env.restore(nobody)
+        env.restore(empty)
 
 
 def test_prepared_and_partly_reset_episodes_have_their_population() -> None:

@@ -189,7 +189,8 @@ class AttentionPlan:
             raise ValueError(
                 f"network='attention' needs one observation with as_set=True and the satellite's obs_type=dict; found {len(sets)}"
             )
-        n_rows, n_features = leaves[(*sets[0], "rows")][-2:]
+        rows_key = (*sets[0], "rows")
+        n_rows, n_features = leaves[rows_key][-2:]
         images = image_actions(env)
         if len(images) > n_rows:
             raise ValueError(f"network='attention': {len(images)} targets can be chosen, but only {n_rows} are observed")

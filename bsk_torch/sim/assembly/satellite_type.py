@@ -23,8 +23,7 @@ from bsk_torch.rand import Key
 from bsk_torch.sim.arguments.draws import ArgumentChange, Looked, TrialDraw, TypeArguments
 from bsk_torch.sim.arguments.values import Arguments, Overrides, merge
 from bsk_torch.sim.assembly.composition import check_required_dyn, provided_by, world_components, world_of
-from bsk_torch.sim.component import Bus, Component, Field, MissingMessageError, declared
-from bsk_torch.sim.dyn import hub
+from bsk_torch.sim.component import Component, Field, MissingMessageError, declared
 from bsk_torch.sim.dyn.field import prepare
 from bsk_torch.sim.dyn.models import DynamicsModel
 from bsk_torch.sim.fsw.models import Command, FSWModel, MagicOrbitalManeuverFSWModel
@@ -243,12 +242,12 @@ def satellite_type(
         arguments[1], arguments[0], parts, h_ns, on_arc, usage.controlled, usage.randomize, frozenset(usage.drawn)
     )
     trial = drawing.trial(num_envs)
-    rotate = hub.rotate if on_arc else hub.integrator(dyn_type.gravity_degree)
-    running = _running(parts, dyn_type.schedule, on_arc, rotate, usage.recorded)
+    running = _running(parts, dyn_type.schedule, on_arc, usage.recorded)
     opaque = options.device.type != "cpu"
     if opaque and not on_arc:
         prepare(options.device, torch.float64, dyn_type.gravity_degree)
-    tick = Tick(running, trial.uniform, h_ns, on_arc, options.dtype, opaque, usage.stops, usage.followed, flags)
+    layout = options.dtype, opaque, usage.stops, usage.followed, flags, dyn_type.gravity_degree
+    tick = Tick(running, trial.uniform, h_ns, on_arc, *layout)
     return SatelliteType(
         arguments=drawing,
         structural=frozenset(
@@ -283,15 +282,12 @@ def fitted(parts: tuple[Component, ...], given: Mapping[str, Any]) -> tuple[Comp
     return tuple(part.fit(given) if part.fit else part for part in parts)
 
 
-def _running(
-    parts: Sequence[Component], schedule: Schedule, on_arc: bool, rotate: Callable[[Bus], None], recorded: Sequence[str]
-) -> tuple[Component, ...]:
-    """Return the components that run in a tick, in their order; the hub is updated by ``rotate``, and records ``recorded``."""
+def _running(parts: Sequence[Component], schedule: Schedule, on_arc: bool, recorded: Sequence[str]) -> tuple[Component, ...]:
+    """Return the components that run in a tick, in their order; the hub also records the fields ``recorded``."""
     running = tuple(part for part in parts if not (on_arc and part.integrated_only))
     running = schedule.ordered((*running, ARC_ORBIT)) if on_arc else running
     return tuple(
-        dataclasses.replace(part, update=rotate, records=(*part.records, *recorded)) if part.slot == "hub" else part
-        for part in running
+        dataclasses.replace(part, records=(*part.records, *recorded)) if part.slot == "hub" else part for part in running
     )
 
 

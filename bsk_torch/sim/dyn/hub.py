@@ -10,7 +10,6 @@ from __future__ import annotations
 import functools
 import math
 import operator
-from collections.abc import Callable
 from typing import Any
 
 import torch
@@ -19,7 +18,7 @@ from torch import Tensor
 from bsk_torch.astro.attitude import mrp_rate, mrp_switch, mrp_to_dcm
 from bsk_torch.astro.ephemeris import EARTH_ROTATION_RATE
 from bsk_torch.astro.frames import rotate_z
-from bsk_torch.astro.gravity import DEGREE, third_body
+from bsk_torch.astro.gravity import third_body
 from bsk_torch.astro.integrate import State, rk4_step
 from bsk_torch.astro.orbit import Elements, elements_to_rv
 from bsk_torch.constants import MU_EARTH
@@ -231,7 +230,7 @@ def gravity(bus: Bus, r: Vec3, offset: float, degree: int) -> Vec3:
     return bus.EN.mT @ rotate_z(f, bus.cos_earth, -bus.sin_earth) + third_body(r, bus.r_SN_N + bus.v_SN_N * dt)
 
 
-def translate_and_rotate(bus: Bus, degree: int = DEGREE) -> None:
+def translate_and_rotate(bus: Bus, degree: int) -> None:
     """Advance orbit, attitude and effectors together by one tick, a Runge-Kutta step, as Basilisk does.
 
     ``r' = v`` and ``v' = a(r, t) + F_N / m + [BN]^T F_B / m`` with the forces F_B, N in B, of effectors, such as drag, and the
@@ -258,18 +257,17 @@ def translate_and_rotate(bus: Bus, degree: int = DEGREE) -> None:
     _finish(bus, sigma, omega, _regrouped(states, tuple(after)))
 
 
-@functools.cache
-def integrator(degree: int) -> Callable[[Bus], None]:
-    """Return :func:`translate_and_rotate` in the Earth's field of a degree."""
-
-    def update(bus: Bus) -> None:
-        translate_and_rotate(bus, degree)
-
-    return update
+def move(bus: Bus) -> None:
+    """Advance the spacecraft by one tick; its orbit, too, unless that was solved in advance."""
+    if bus.gravity_degree is None:
+        rotate(bus)
+    else:
+        translate_and_rotate(bus, bus.gravity_degree)
 
 
 HUB = Component(
     slot="hub",
+    update=move,
     args=(
         Arg("mass", 330.0, "kg", "hub mass", low=1e-6, high=1e9),
         Arg("width", 1.38, "m", "side of the hub", low=1e-6, high=1e4),

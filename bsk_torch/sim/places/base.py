@@ -44,6 +44,10 @@ class PlaceTables(NamedTuple):
         envs = rows // self.arguments.count
         return self.drawn[name][envs.view(-1, *[1] * (place.ndim - 1)), place]
 
+    def of_envs(self, name: str, rows: Tensor) -> Tensor:
+        """Return the draws ``name`` [num_envs, ...] of the environments of satellites ``rows`` [n], [n, ...]."""
+        return self.drawn[name][rows // self.arguments.count]
+
     def orientation(self, rows: Tensor, time: Tensor) -> Tensor:
         """Return the matrix [PN] at times [n, ...] s since the reset of satellites ``rows`` [n], [n, ..., 3, 3]."""
         return earth_orientation(self._et(rows, time))
@@ -133,6 +137,35 @@ class Places(ABC):
     @abstractmethod
     def max_speed(self, rows: Tensor) -> Tensor:
         """Return a bound of the speed of places relative to the Earth, [n or 1, P or 1] m/s; the coarse screen uses it."""
+
+
+class DrawnPlaces(Places):
+    """Places of which a scenario draws what they are and which of them exist."""
+
+    def __init__(
+        self,
+        tables: PlaceTables,
+        clearances: Sequence[Clearance],
+        *,
+        exists: str | None = None,
+        advice: str = Places.advice,
+        names: Sequence[str] = (),
+    ) -> None:
+        """Describe places.
+
+        Args:
+            tables: Tables of the simulation.
+            clearances: Conditions of a clear view, such as ``AboveElevation`` or ``WithinRange``.
+            exists: Name of the draw that says which places exist, [num_envs, P], 1 or 0; all of them unless given.
+            advice: See :class:`Places`.
+            names: See :class:`Places`.
+        """
+        self.tables, self.clearances, self.advice, self.names = tables, tuple(clearances), advice, tuple(names)
+        self._exists = exists
+
+    def exists(self, rows: Tensor) -> Tensor:
+        """See :meth:`Places.exists`."""
+        return super().exists(rows) if self._exists is None else self.tables.of_envs(self._exists, rows) > 0.5
 
 
 class Sites(NamedTuple):

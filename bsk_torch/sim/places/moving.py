@@ -7,10 +7,10 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from bsk_torch.sim.places.base import Clearance, Places, PlaceTables
+from bsk_torch.sim.places.base import Clearance, DrawnPlaces, Places, PlaceTables
 
 
-class GreatCirclePlaces(Places):
+class GreatCirclePlaces(DrawnPlaces):
     """Places that move along great circles of the Earth-fixed sphere through their starting points, at constant speed.
 
     The position is ``r = r0 cos(s) + |r0| d sin(s)`` with ``s = v t / |r0|``, where d is the unit vector of the course at r0.
@@ -34,24 +34,18 @@ class GreatCirclePlaces(Places):
             start: Name of the draw of positions at time zero, [num_envs, P, 3] m, Earth-fixed.
             velocity: Name of the draw of velocities then, [num_envs, P, 3] m/s relative to the Earth; what they have along the
                 vertical does not count.
-            clearances: Conditions of a clear view, such as ``AboveElevation``.
-            exists: Name of the draw that says which places exist, [num_envs, P], 1 or 0; all of them unless given.
-            advice: See :class:`Places`.
-            names: See :class:`Places`.
+            clearances: See :class:`~bsk_torch.sim.places.base.DrawnPlaces`, as for the other arguments.
+            exists: Likewise.
+            advice: Likewise.
+            names: Likewise.
         """
-        self.tables, self.clearances, self.advice, self.names = tables, tuple(clearances), advice, tuple(names)
-        self._start, self._velocity, self._exists = start, velocity, exists
+        super().__init__(tables, clearances, exists=exists, advice=advice, names=names)
+        self._start, self._velocity = start, velocity
 
     @property
     def count(self) -> int:
         """See :attr:`Places.count`."""
         return self.tables.drawn[self._start].shape[1]
-
-    def exists(self, rows: Tensor) -> Tensor:
-        """See :meth:`Places.exists`."""
-        if self._exists is None:
-            return super().exists(rows)
-        return self.tables.drawn[self._exists][rows // self.tables.arguments.count] > 0.5
 
     def position(self, rows: Tensor, place: Tensor, time: Tensor) -> Tensor:
         """See :meth:`Places.position`."""
@@ -65,4 +59,4 @@ class GreatCirclePlaces(Places):
 
     def max_speed(self, rows: Tensor) -> Tensor:
         """See :meth:`Places.max_speed`."""
-        return self.tables.drawn[self._velocity][rows // self.tables.arguments.count].norm(dim=-1)
+        return self.tables.of_envs(self._velocity, rows).norm(dim=-1)

@@ -10,18 +10,18 @@ from torch import Tensor
 from bsk_torch.astro.ephemeris import EARTH_ROTATION_RATE
 from bsk_torch.astro.mean_orbit import mean_position
 from bsk_torch.constants import MU_EARTH
-from bsk_torch.sim.places.base import Clearance, Places, PlaceTables
+from bsk_torch.sim.places.base import Clearance, DrawnPlaces, Places, PlaceTables
 from bsk_torch.vec3 import Mat3
 
 SPEED_MARGIN = 1.02
 """Factor of the bound of speeds, for the short-period terms of J2."""
 
 
-class OrbitingPlaces(Places):
+class OrbitingPlaces(DrawnPlaces):
     """Places on orbits about an oblate Earth, in closed form: six numbers each are all that an episode keeps.
 
-    The precision is that of :mod:`bsk_torch.astro.mean_orbit`: half a kilometre from the satellites' own orbits after two hours.
-    That moves windows by less than 0.3 s.
+    Positions differ from those that satellites would fly by about half a kilometer (median) and up to a few kilometers in two
+    hours, see ``tests/astro/test_mean_orbit.py``: tenths of a second of an orbit.
     """
 
     def __init__(
@@ -40,24 +40,18 @@ class OrbitingPlaces(Places):
             tables: Tables of the simulation.
             orbits: Name of the draw of mean elements at time zero, [num_envs, P, 6]: what
                 :func:`bsk_torch.astro.mean_orbit.mean_elements` returns for positions and velocities.
-            clearances: Conditions of a clear view, such as ``ClearOfEarth`` and ``WithinRange``.
-            exists: Name of the draw that says which places exist, [num_envs, P], 1 or 0; all of them unless given.
-            advice: See :class:`Places`.
-            names: See :class:`Places`.
+            clearances: See :class:`~bsk_torch.sim.places.base.DrawnPlaces`, as for the other arguments.
+            exists: Likewise.
+            advice: Likewise.
+            names: Likewise.
         """
-        self.tables, self.clearances, self.advice, self.names = tables, tuple(clearances), advice, tuple(names)
-        self._orbits, self._exists = orbits, exists
+        super().__init__(tables, clearances, exists=exists, advice=advice, names=names)
+        self._orbits = orbits
 
     @property
     def count(self) -> int:
         """See :attr:`Places.count`."""
         return self.tables.drawn[self._orbits].shape[1]
-
-    def exists(self, rows: Tensor) -> Tensor:
-        """See :meth:`Places.exists`."""
-        if self._exists is None:
-            return super().exists(rows)
-        return self.tables.drawn[self._exists][rows // self.tables.arguments.count] > 0.5
 
     def position(self, rows: Tensor, place: Tensor, time: Tensor) -> Tensor:
         """See :meth:`Places.position`."""
@@ -66,7 +60,7 @@ class OrbitingPlaces(Places):
 
     def max_speed(self, rows: Tensor) -> Tensor:
         """See :meth:`Places.max_speed`: the speed at perigee, and that of the Earth's rotation at apogee."""
-        oe = self.tables.drawn[self._orbits][rows // self.tables.arguments.count]
+        oe = self.tables.of_envs(self._orbits, rows)
         a, e = oe[..., 0], oe[..., 1]
         perigee = torch.sqrt(MU_EARTH / a * (1.0 + e) / (1.0 - e))
         return SPEED_MARGIN * (perigee + EARTH_ROTATION_RATE * a * (1.0 + e))

@@ -39,7 +39,7 @@ def ticks_at_once(rows: int) -> int:
 
 
 class RunInputs(TypedDict):
-    """What a run of n rows reads beside their fields; see :meth:`Runner.__call__`."""
+    """What a run of n rows reads apart from their fields; see :meth:`Runner.__call__`."""
 
     tracks: Sequence[Samples]
     shared: Tensor

@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
+from bsk_torch.astro.gravity import DEGREE
 from bsk_torch.codegen.ir import Loop
 from bsk_torch.codegen.kernel import Kernel
 from bsk_torch.codegen.trace import Tracer
@@ -60,15 +61,17 @@ class Tick:
         stops: bool = False,
         followed: Mapping[str, Sequence[Field]] = MappingProxyType({}),
         flags: Iterable[str] = (),
+        gravity_degree: int = DEGREE,
     ) -> None:
         """Lay out the packs of ``components``, which are in the order of a tick of ``h_ns`` nanoseconds.
 
         ``followed`` are the fields that satellites record which components follow; see :mod:`bsk_torch.sim.run.trace`. ``flags``
-        are what modes may switch on, those that the components declare aside.
+        are what modes may switch on, those that the components declare aside. ``gravity_degree`` is that of the Earth's field
+        where orbits are not solved in advance.
         """
         params = [field for component in components for field in component.params]
         self.components, self.h_ns, self.dtype, self.opaque_field = components, h_ns, dtype, opaque_field
-        self.on_arc = on_arc
+        self.on_arc, self.gravity_degree = on_arc, gravity_degree
         self.stops = stops and any(component.stops for component in components)
         self.state = Layout(field for component in components for field in component.state)
         self.shared = Layout(field for field in params if field.name in shared)
@@ -83,7 +86,7 @@ class Tick:
     def with_shared(self, shared: set[str]) -> Tick:
         """Return the tick in which only the parameters ``shared`` are the same for all environments."""
         options = self.h_ns, self.on_arc, self.dtype, self.opaque_field, self.stops, self.followed, self.flags.fields
-        return Tick(self.components, shared, *options)
+        return Tick(self.components, shared, *options, self.gravity_degree)
 
     @property
     def functions(self) -> list[Callable[..., Any]]:
@@ -100,12 +103,14 @@ class Tick:
             (p.slot, id(p.update), p.effector, p.allocation, p.stops, p.at_start, *f)
             for p, f in zip(self.components, fields, strict=True)
         )
-        options = self.h_ns, self.on_arc, self.dtype, self.opaque_field, self.stops, tuple(self.flags.fields)
+        field = None if self.on_arc else self.gravity_degree
+        options = self.h_ns, field, self.dtype, self.opaque_field, self.stops, tuple(self.flags.fields)
         return parts, options, frozenset(self.shared.fields), self.tracks
 
     def bus(self, inputs: Inputs, h_ns: int | None = None) -> Bus:
         """Return the bus at the start of a tick."""
-        bus = Bus(self.h_ns if h_ns is None else h_ns, self.dtype, self.opaque_field)
+        degree = None if self.on_arc else self.gravity_degree
+        bus = Bus(self.h_ns if h_ns is None else h_ns, self.dtype, self.opaque_field, degree)
         packs = (self.state, inputs.state), (self.shared, inputs.shared), (self.own, inputs.own), (self.flags, inputs.flags)
         for layout, planes in packs:
             layout.put(bus, planes)

@@ -421,6 +421,6 @@ def test_drag_keeps_the_attitude_in_its_type():
     params = drag.DRAG.prepare({name: number(value) for name, value in SIDES.items()} | {"dragCoeff": number(2.2)})
     bus.facet_areas, bus.facet_offsets = (tuple(params[name].float().unbind(-1)) for name in ("facet_areas", "facet_offsets"))
     bus.inertia_B, bus.effectors = Vec3(*INERTIA.float().unbind(-1)), (wheels.WHEELS.effector, drag.DRAG.effector)
-    hub.translate_and_rotate(bus)
+    hub.translate_and_rotate(bus, 10)
     assert {x.dtype for x in (*bus.r_BN_N, *bus.v_BN_N)} == {torch.float64}
     assert {x.dtype for x in (*bus.sigma_BN, *bus.omega_BN_B, *bus.Omega_WB_B)} == {torch.float32}

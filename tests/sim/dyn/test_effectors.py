@@ -171,3 +171,31 @@ def test_four_wheels_fly_alike_in_eager_and_compiled():
         speeds.append(env.simulator.state.read("skewed_speed"))
         assert (speeds[-1] - before).abs().amax() > 0.1
     torch.testing.assert_close(*speeds, rtol=1e-7, atol=1e-9)
+
+
+def note_rate(bus: Bus) -> None:
+    """Count the ticks in which the hub has moved."""
+    bus.moves = bus.moves + 1.0
+
+
+COUNTED_HUB = hub.HUB.extended(
+    update=note_rate, state=(Field("moves"),), initial=lambda args: {"moves": torch.zeros(1, dtype=torch.float64)}
+)
+
+
+class CountedDynModel(dyn.BasicDynamicsModel):
+    components = (COUNTED_HUB,)
+
+
+@pytest.mark.parametrize("orbit", ["arc", "integrated"])
+def test_additions_to_the_hub_run_after_it_has_moved(orbit):
+    """Whether the orbit is solved in advance or integrated, the hub moves as it does without the addition."""
+    rates = []
+    for dyn_type in (CountedDynModel, dyn.BasicDynamicsModel):
+        satellite = type("Mine", (ScanningSatellite,), {"dyn_type": (dyn_type, ScanningSatellite.get_dyn_type())})
+        env = SatelliteTasking(satellite("A"), num_envs=2, seed=0, time_limit=60.0, backend="eager", orbit=orbit)
+        env.step(env.reset().set("action", torch.zeros(2, dtype=torch.int64)))
+        rates.append(env.satellite.dynamics.omega_BN_B)
+        if dyn_type is CountedDynModel:
+            assert torch.equal(env.simulator.state.read("moves"), env.simulator.state.ticks.double())
+    assert torch.equal(*rates)
