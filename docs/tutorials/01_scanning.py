@@ -1,21 +1,21 @@
 """
 .. _tutorial-scanning:
 
-A satellite that scans the ground
-=================================
+Scan the ground with one satellite
+==================================
 
-What the satellite of the BSK-RL paper sees, does and is rewarded for; a policy written by hand; and how to draw an episode.
+Observations, actions and rewards of the BSK-RL paper's satellite, a hand-written policy, and plots of an episode.
 
-The satellite flies around the Earth for five orbits (28,500 s) and records data of the ground below it. Its battery must not
-run empty, its wheels must not reach their largest speed, and what does not fit into its store is lost. It decides every one to
-three minutes what to do next.
+The satellite flies around the Earth for five orbits (28,500 s) and records data of the ground below. Its battery must not run
+empty, its wheels must not reach their maximum speed, and data that exceed its buffer are lost. It makes a decision every one to
+three minutes.
 """
 
 # %%
-# The result
-# ----------
+# Result
+# ------
 #
-# This is one episode of the policy that comes with the package:
+# One episode with the pretrained policy:
 import torch
 
 import bsk_torch
@@ -31,12 +31,11 @@ episode = record(pretrained("NadirScan-v1"), env, seed=7)
 path = draw(episode, "trained.png", "trained policy")
 
 # %%
-# The bar at the top shows the decisions. Below are what they did to the battery, to the store and to the three wheels. The grey
-# bands are eclipses, in which the solar panel gives no power; the green ones are passes over a ground station, the only times at
-# which the store can be emptied. The policy scans most of the time, charges when it has to, and waits for passes to downlink.
-#
-# One environment, many episodes
-# ------------------------------
+# The bar at the top shows the decisions. The panels below show the battery, the data buffer and the three wheels. In the gray
+# bands (eclipses), the solar panel produces no power. The green bands are passes over a ground station, the only times at which
+# the satellite can downlink data. The policy scans most of the time, charges when necessary, and waits for passes to downlink.
+# Batched episodes
+# ----------------
 #
 # ``bsk_torch.make`` returns a TorchRL environment that plays ``num_envs`` independent episodes at once. Every value is a tensor
 # whose first dimension is the episode.
@@ -55,10 +54,10 @@ for name, value in zip(names, td["observation"][0].tolist(), strict=True):
     print(f"{name:52} {value:7.3f}")
 
 # %%
-# Charge, store and wheel speeds are fractions of their limits. The two errors are angles over pi: how far the instrument is
-# turned away from the ground below, and the panel away from the Sun. The times until the next pass and the next eclipse begin
-# and end are divided by 5700 s, about one orbit; the time until a pass begins is 0 or less while it goes on. The last entry is
-# the time since the beginning of the episode, as a fraction of its length.
+# Battery charge, buffer level and wheel speeds are fractions of their limits. The two errors are angles divided by pi: how far
+# the instrument is turned away from the ground below, and the panel from the Sun. The times until the start and end of the next
+# pass and the next eclipse are divided by 5700 s, about one orbit; the time until the start is 0 or negative during a pass. The
+# last entry is the time since the start of the episode, as a fraction of its length.
 #
 # Actions
 # ------------
@@ -68,8 +67,8 @@ for number, name in enumerate(env.satellite.action_description):
     print(number, name)
 
 # %%
-# Episodes do not wait for each other: each ``step`` lets every episode finish its own action. ``duration`` says how long that
-# took.
+# Episodes do not wait for each other: in each ``step``, every episode finishes its own action. ``duration`` is the simulated
+# time.
 td["action"] = torch.arange(EPISODES) % 4
 td = env.step(td)["next"]
 print("duration", td["duration"][:4].flatten().tolist())
@@ -78,16 +77,14 @@ print("reward  ", td["reward"][:4].flatten().tolist())
 # %%
 # Rewards
 # -------
+# The reward is the time spent recording, as a fraction of the episode's 28,500 s: an episode that always records returns 1. The
+# instrument records only while it points at the ground, so a scan that starts with a slew earns less than 180 / 28,500 = 0.0063,
+# and a full buffer earns nothing. If the satellite dies, the reward is -1 and the episode is ``terminated``.
+# Write a policy by hand
+# ----------------------
 #
-# The reward is the time in which data were recorded, in terms of the 28,500 s of the episode: an episode that records all the
-# time returns 1. The instrument records when it points at the ground, so a scan that begins with a turn gives less than 180 /
-# 28,500 = 0.0063, and a full store gives nothing. If the satellite dies, the reward is -1 and the episode is ``terminated``.
-#
-# A policy written by hand
-# ------------------------
-#
-# A policy of TorchRL reads a tensordict and writes ``action``. This one looks at the battery, the wheels and the store, in the
-# order of what is most urgent. ``Columns`` finds entries of the observation by the end of their names.
+# A TorchRL policy reads a tensordict and writes ``action``. This one checks the battery, the wheels and the data buffer, most
+# urgent first. ``Columns`` finds entries of the observation by the end of their names.
 from tensordict.nn import TensorDictModule
 
 from bsk_torch.rl.rules import Columns
@@ -109,8 +106,8 @@ def decide(observation):
 mine = TensorDictModule(decide, in_keys=["observation"], out_keys=["action"])
 
 # %%
-# ``evaluate`` plays one episode in each row to its end. The same ``seed`` gives every policy the same episodes, so that gains
-# can be compared episode by episode. ``BASELINES`` has random actions, and a rule with more care than ours.
+# ``evaluate`` plays one full episode in each environment. With the same ``seed``, every policy gets the same episodes, so gains
+# can be compared by episode. ``BASELINES`` contains random actions and a more careful rule.
 from bsk_torch.rl.evaluation import evaluate
 from bsk_torch.rl.rules import BASELINES
 
@@ -126,13 +123,13 @@ for name, result in results.items():
 print("gain of the trained policy over mine:", results["trained"].gain_over(results["mine"]))
 
 # %%
-# The intervals are those of 95 % confidence. An episode of our own policy:
+# The table shows 95 % confidence intervals. An episode with the hand-written policy:
 env = bsk_torch.make("NadirScan-v1", num_envs=1, time_limit=SECONDS)
 episode = record(mine, env, seed=7)
 path = draw(episode, "mine.png", "mine")
 
 # %%
-# And on the map, in the same colours. The track is thick where a reward was earned and shaded in eclipse:
+# The same episode on the map, in the same colors. The track is thick where a reward was earned, and shaded in eclipse:
 from pathlib import Path
 
 from bsk_torch.viz.figures.track_map import track_map
@@ -140,11 +137,10 @@ from bsk_torch.viz.figures.track_map import track_map
 path = track_map(episode, Path("map.png"), "mine")
 
 # %%
-# With Gymnasium
-# --------------
-#
-# Importing ``bsk_torch`` registers the environment with Gymnasium, as one episode or as one vector environment. ``info`` holds
-# the mask of legal actions and the duration of the step.
+# Use Gymnasium
+# -------------
+# Importing ``bsk_torch`` registers the environment with Gymnasium, as a single or a vector environment. ``info`` contains the
+# mask of legal actions and the duration of the step.
 import gymnasium
 
 single = gymnasium.make("bsk_torch/NadirScan-v1")
@@ -153,11 +149,11 @@ observation, reward, terminated, truncated, info = single.step(SCAN)
 print(observation.shape, f"{reward:.5f}", terminated, truncated, info)
 
 # %%
-# Next
-# ----
+# Next steps
+# ----------
 #
-# - :ref:`tutorial-imaging`: a satellite that chooses among targets, and the parts of a problem of your own.
+# - :ref:`tutorial-imaging`: choose among targets, and build your own environment.
 # - :ref:`tutorial-torchrl`: train a policy for this satellite.
-# - :ref:`tutorial-evaluating`: how good a policy is, and how to pass it on.
+# - :ref:`tutorial-evaluating`: evaluate and publish a policy.
 #
 # sphinx_gallery_thumbnail_number = 1

@@ -1,21 +1,21 @@
 """
 .. _tutorial-imaging:
 
-A satellite that chooses targets
-================================
+Choose targets with an agile satellite
+======================================
 
-Targets, their windows and opportunities; a rule by value and angle; and the parts of a problem of your own.
+Targets, windows and opportunities, a rule based on value and angle, and the parts of a custom environment.
 
-An agile satellite turns its camera to one of the targets near its path. Each target has a priority, the reward for its first
-image, and windows, the times at which the satellite is high enough above its horizon. Turning takes time, so whoever chooses
-one target gives up others.
+An agile satellite points its camera at targets near its ground track. Each target has a priority, the reward for its first image,
+and windows, the times at which the satellite is high enough above the target's horizon. Slews take time, so choosing one target
+means skipping others.
 """
 
 # %%
-# The result
-# ----------
+# Result
+# ------
 #
-# One orbit of the policy that comes with the package, among 1,000 targets:
+# One orbit with the pretrained policy, among 1,000 targets:
 import torch
 
 import bsk_torch
@@ -32,15 +32,14 @@ episode = record(pretrained("AEOS-v1"), env, seed=3)
 path = draw(episode, "trained.png", "trained policy")
 
 # %%
-# The map has all targets and the ground track. Below it are the ten minutes with the most images: lines lead from the satellite
-# to what it imaged from there, and the larger a target is drawn, the more it is worth. The last panel shows the decisions, as
-# high as what was chosen was worth, and the sum of rewards.
+# The map shows all targets and the ground track. The panel below shows the ten minutes with the most images: lines connect the
+# satellite's positions to the targets imaged from there, and the size of a target shows its priority. The last panel shows the
+# decisions, with the priority of the chosen target as height, and the sum of rewards.
 #
 # Observations
 # ------------
-#
-# The preset ``AEOS-v1`` observes the satellite and the next 32 targets, in the order in which their windows close. Targets that
-# have been imaged are left out.
+# The preset ``AEOS-v1`` observes the satellite and the next 32 targets, in the order in which their windows close. Imaged targets
+# are excluded.
 env = bsk_torch.make("AEOS-v1", num_envs=EPISODES, **world)
 env.set_seed(0)
 td = env.reset()
@@ -50,11 +49,11 @@ for name, value in zip(names[:20], td["observation"][0, :20].tolist(), strict=Tr
     print(f"{name:40} {value:7.3f}")
 
 # %%
-# Numbers are divided by norms: the angle between the camera and a target by pi, the seconds until a window opens and closes by
-# 300. A window that is open has opened before now, so that its number is negative.
+# Values are normalized: the angle between camera and target is divided by pi, and the seconds until a window opens and closes by
+# 300. If a window is already open, the time until it opens is negative.
 #
-# Action ``k`` images the ``k``-th of these targets. The step ends when the image has been taken, when the target's window closes,
-# or after 300 s, so decisions last different times:
+# Action ``k`` images the ``k``-th of these targets. The step ends when the image is taken, when the target's window closes, or
+# after 300 s, so the duration of decisions varies:
 td["action"] = torch.zeros(EPISODES, dtype=torch.int64)
 td = env.step(td)["next"]
 print("seconds ", td["duration"][:5].flatten().tolist())
@@ -64,8 +63,7 @@ print("images  ", td["counts", "imaged"][:5].flatten().tolist())
 # %%
 # Windows and opportunities
 # -------------------------
-#
-# An opportunity is one window of one target. The satellite knows those to come, whether they are observed or not:
+# An opportunity is one window of one target. The satellite knows all upcoming opportunities, observed or not:
 ahead = env.satellite.find_next_opportunities(6)
 now = env.simulator.sim_time
 for k in range(6):
@@ -75,8 +73,8 @@ for k in range(6):
     print(f"target {target:3}: {start:6.1f} to {end:6.1f} s from now, priority {worth:.2f}")
 
 # %%
-# ``place`` is the number of the target, and ``env.scenario.priority`` and ``env.scenario.r_LP_P`` are tables of all targets of
-# all episodes. An action may also name a target directly, in view or not, by ``bsk_torch.act.image_target``:
+# ``place`` is the index of the target; ``env.scenario.priority`` and ``env.scenario.r_LP_P`` are tables of all targets in all
+# episodes. An action may also select a target directly, in view or not, with ``bsk_torch.act.image_target``:
 from bsk_torch import act
 
 best = env.scenario.priority.gather(1, ahead.place).argmax(1, keepdim=True)
@@ -85,12 +83,12 @@ td = env.step(td)["next"]
 print("imaged after", td["duration"][:5].flatten().tolist(), "s")
 
 # %%
-# A rule of your own
-# ------------------
+# Write a custom rule
+# -------------------
 #
-# The most valuable target is often far away, and the nearest one is often worth little. This rule divides the priority by a
-# power of the time that the image will take: that of the turn, or the wait for the window if that is longer. The agile satellite
-# of the presets turns by an angle of 1 rad in about a minute, and the time grows with the root of the angle.
+# The most valuable target is often far away, and the nearest one often has a low priority. This rule divides the priority by a
+# power of the time needed for the image: the slew time, or the wait for the window if longer. The agile satellite of the presets
+# slews by 1 rad in about a minute, and slew time grows with the square root of the angle.
 from tensordict.nn import TensorDictModule
 
 from bsk_torch.rl.rules import Columns
@@ -113,8 +111,8 @@ def decide(observation, action_mask):
 mine = TensorDictModule(decide, in_keys=["observation", "action_mask"], out_keys=["action"])
 
 # %%
-# It plays the same episodes as the baselines: *greedy* takes the most valuable target, *nearest* the one whose window closes
-# next, *hasty* discounts the value by the time that the image takes.
+# The rule plays the same episodes as the baselines. *Greedy* takes the most valuable target, *nearest* the target whose window
+# closes next, and *hasty* discounts the value by the time needed for the image.
 from bsk_torch.rl.evaluation import compare, comparison_table
 
 print(comparison_table(compare({"mine": mine}, env, seed=0)))
@@ -126,12 +124,12 @@ episode = record(mine, env, seed=3)
 path = draw(episode, "mine.png", "by value and angle")
 
 # %%
-# Targets of your own
-# -------------------
+# Change the targets
+# ------------------
 #
-# What the targets are is the scenario. ``scene.Targets`` takes places and priorities; ``scene.CityTargets`` has cities,
-# ``scene.CloudyTargets`` clouds of which only a forecast is seen, and ``scene.ChangingTargets`` targets that come and go. The
-# satellite stays the same.
+# The scenario defines the targets. ``scene.Targets`` takes places and priorities, ``scene.CityTargets`` uses cities,
+# ``scene.CloudyTargets`` adds clouds observed only as forecasts, and ``scene.ChangingTargets`` supports targets that appear and
+# vanish. The satellite does not change.
 from bsk_torch import scene
 
 
@@ -148,12 +146,12 @@ env = bsk_torch.make("AEOS-v1", scenario=scene.Targets(places, torch.rand(len(pl
 path = draw(record(mine, env, seed=3), "grid.png", "a grid of targets")
 
 # %%
-# A satellite of your own
-# -----------------------
+# Define a satellite
+# ------------------
 #
-# A problem is put together from parts, as in BSK-RL: a satellite has observations, actions, dynamics and flight software; the
-# environment adds a scenario and a rewarder. A new kind of satellite is compiled when it is used for the first time, which takes
-# up to a minute. ``backend="eager"`` plays without that, slowly: enough to try a few steps.
+# As in BSK-RL, an environment is composed of parts: a satellite has observations, actions, dynamics and flight software; the
+# environment adds a scenario and a rewarder. A new type of satellite is compiled on first use, which takes up to a minute.
+# ``backend="eager"`` runs without compilation; it is slow, but sufficient for a few steps.
 import math
 
 from bsk_torch import SatelliteTasking, data, dyn, fsw, obs, sats
@@ -196,11 +194,11 @@ print("rewards", rollout["next", "reward"].squeeze(-1).tolist())
 print("seconds", rollout["next", "duration"].squeeze(-1).tolist())
 
 # %%
-# Next
-# ----
+# Next steps
+# ----------
 #
-# - :ref:`tutorial-constellations`: many satellites that share the targets.
-# - :ref:`tutorial-sb3`: train in an environment with a mask of actions.
-# - :ref:`tutorial-curriculum`: change the problem while training goes on.
+# - :ref:`tutorial-constellations`: let many satellites share the targets.
+# - :ref:`tutorial-sb3`: train with action masks.
+# - :ref:`tutorial-curriculum`: change the environment during training.
 #
 # sphinx_gallery_thumbnail_number = 1

@@ -4,18 +4,18 @@
 Constellations and communication
 ================================
 
-Several satellites share the targets of one episode: groups of agents, masks, who knows what, and what communication is worth.
+Several satellites share the targets of one episode: groups of agents, masks, shared knowledge, and the value of communication.
 
-Two satellites that image the same target waste one image. Each knows its own images; of those of others it knows what has been
-communicated to it, and leaves those targets out.
+If two satellites image the same target, one image is wasted. Each satellite knows its own images and those communicated by
+others, and skips these targets.
 """
 
 # %%
-# The result
-# ----------
+# Result
+# ------
 #
-# Twelve satellites in three planes for one orbit, with the policy that comes with the package. It was trained to decide for one
-# satellite at a time, and ``shared`` lets it decide for all of them:
+# Twelve satellites in three planes for one orbit, with the pretrained policy. It was trained with a single satellite; ``shared``
+# applies it to all of them:
 import torch
 
 import bsk_torch
@@ -35,14 +35,13 @@ policy = shared(pretrained("Constellation-v1"), env)
 path = draw(record(policy, env, seed=2), "constellation.png", "twelve satellites")
 
 # %%
-# The map has the ground tracks, the images, and the satellites with their contacts at the moment of most contacts. Below, each
-# satellite has a row: its images over time, and bars where it was in contact with another one.
+# The map shows the ground tracks, the images, and the satellites with their contacts at the moment with the most contacts. Below,
+# each satellite has a row with its images over time, and bars during contacts with other satellites.
 #
 # Groups of agents
 # ----------------
-#
-# ``group_map`` says which agents belong together. Agents that are alike are one group, with tensors ``[N, S, ...]`` for ``N``
-# episodes and ``S`` satellites. Here all are alike:
+# ``group_map`` lists the groups of agents. Agents with the same spaces form one group, with tensors ``[N, S, ...]`` for ``N``
+# episodes and ``S`` satellites. Here, all agents are in one group:
 env = bsk_torch.make("Constellation-v1", num_envs=EPISODES, **(world | dict(as_set=False)))
 env.set_seed(0)
 td = env.reset()
@@ -51,11 +50,11 @@ for name in ("observation", "action_mask", "mask", "requires_retasking"):
     print(f"{name:20}", list(td["agents", name].shape))
 
 # %%
-# ``mask`` says which agents are alive, ``requires_retasking`` which ones need a new task. The observation of each satellite is
-# that of ``AEOS-v1``, of its own next 16 targets.
+# ``mask`` marks living agents, and ``requires_retasking`` marks agents that need a new task. The observation of each satellite is
+# the one of ``AEOS-v1``, with its next 16 targets.
 #
-# A step lasts until the first satellite has finished its task; the others go on with theirs. ``action_mask`` then allows busy
-# satellites only the last action, which continues:
+# A step lasts until the first satellite finishes its task; the others continue theirs. For busy satellites, ``action_mask``
+# allows only the last action, which continues the task:
 td["agents", "action"] = td["agents", "action_mask"].int().argmax(-1)  # the first legal action of each
 td = env.step(td)["next"]
 first = 0
@@ -67,10 +66,10 @@ print("rewards          ", [round(reward, 2) for reward in td["agents", "reward"
 # %%
 # Shared knowledge
 # ----------------
-#
-# After each step the communicator decides which satellites share what they know. ``comm.LOSCommunication``, which this preset
-# has, connects those that see each other past the Earth; ``env.links[n, s, r]`` says that ``s`` has told ``r`` in the last step.
-# ``env.rewarder.known[n, s, t]`` says that satellite ``s`` knows target ``t`` to have been imaged.
+# After each step, the communicator determines which satellites share their knowledge. This preset uses
+# ``comm.LOSCommunication``, which links satellites with a line of sight. ``env.links[n, s, r]`` is True if ``s`` sent its
+# knowledge to ``r`` in the last step. ``env.rewarder.known[n, s, t]`` is True if satellite ``s`` knows that target ``t`` has
+# been imaged.
 rule = shared_baseline("hasty", env, 0)
 for _ in range(40):
     td = env.step(rule(td))["next"]
@@ -82,9 +81,8 @@ print("known to satellite", env.rewarder.known[first].sum(-1).tolist())
 # %%
 # Value of communication
 # ----------------------
-#
-# The same rule in the same episodes, with and without communication. The reward of an image that was in vain is 0, and the time
-# that it took is lost. (``comm.FreeCommunication`` connects all satellites, ``comm.LOSMultiCommunication`` passes messages on.)
+# Compare the same rule in the same episodes, with and without communication. A duplicate image earns 0, and its time is lost.
+# (``comm.FreeCommunication`` links all satellites; ``comm.LOSMultiCommunication`` relays messages.)
 from bsk_torch.rl.evaluation import evaluate
 
 METHODS = {
@@ -113,20 +111,20 @@ right.bar(wasted.keys(), wasted.values(), color="#c1476b")
 right.set_ylabel("images in vain")
 
 # %%
-# A ``CommunicationMethod`` of your own returns ``[N, S, S]`` from ``communication_pairs()``: who tells whom. Communication may
-# also be an action: in ``RelayConstellation-v1`` four low imagers cannot see each other, and two high relays pass on what they
-# hear, when they choose to. Its agents are of two kinds, so there are two groups:
+# A custom ``CommunicationMethod`` returns the links ``[N, S, S]``, by sender and receiver, from ``communication_pairs()``.
+# Communication may also be an action: in ``RelayConstellation-v1``, four low imagers cannot see each other, and two high relays
+# choose when to broadcast. There are two kinds of agents and therefore two groups:
 env = bsk_torch.make("RelayConstellation-v1", num_envs=2, time_limit=600.0)
 td = env.reset()
 for group, agents in env.group_map.items():
     print(group, agents, list(td[group, "observation"].shape), list(td[group, "action_mask"].shape))
 
 # %%
-# Other views
-# -----------
+# Use PettingZoo or Gymnasium
+# ---------------------------
 #
-# PettingZoo gets one episode, with dictionaries by agent; ``bsk_torch/GeneralSatelliteTasking-v1`` of Gymnasium has one agent
-# that commands all satellites.
+# The PettingZoo view has one episode, with dictionaries by agent. Gymnasium's ``bsk_torch/GeneralSatelliteTasking-v1`` has one
+# agent that commands all satellites.
 from bsk_torch.wrappers.pettingzoo import parallel_env
 
 parallel = parallel_env("AEOSConstellation-v1", n_targets=200, time_limit=600.0)
@@ -136,11 +134,11 @@ observations, rewards, terminations, truncations, infos = parallel.step(actions)
 print({agent: round(float(reward), 3) for agent, reward in rewards.items()})
 
 # %%
-# Next
-# ----
+# Next steps
+# ----------
 #
 # - :ref:`tutorial-marl`: train constellations with BenchMARL.
-# - :ref:`tutorial-evaluating`: pass a policy on.
-# - :ref:`tutorial-film`: watch what a constellation does.
+# - :ref:`tutorial-evaluating`: evaluate and publish a policy.
+# - :ref:`tutorial-film`: watch a constellation.
 #
 # sphinx_gallery_thumbnail_number = 1

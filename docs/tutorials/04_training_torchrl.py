@@ -4,19 +4,19 @@
 Train with TorchRL
 ==================
 
-Train a policy for the scanning satellite twice: with the trainer of this package in two lines, and with a PPO loop of TorchRL's
-parts that you can change.
+Train a policy for the scanning satellite in two ways: with the package's trainer in two lines, and with a customizable PPO loop
+built from TorchRL components.
 
-Decisions of this satellite last one to three minutes. The discount is therefore given per second: after a decision of ``t``
-seconds the future counts ``gamma ** t``.
+Decisions of this satellite last one to three minutes. The discount is therefore defined per second: after a decision of ``t``
+seconds, future rewards are multiplied by ``gamma ** t``.
 """
 
 # %%
-# The result
-# ----------
+# Result
+# ------
 #
-# ``configure`` returns the settings that work well for a preset, and ``Training`` collects, learns, and leaves the policy, logs
-# and a checkpoint in a folder. This is less than a tenth of a full training:
+# ``configure`` returns recommended settings for a preset. ``Training`` collects experience, trains, and saves the policy, logs
+# and a checkpoint in a folder. This run is less than a tenth of a full training:
 import tempfile
 from pathlib import Path
 
@@ -47,7 +47,7 @@ trained = Training(config, folder).run()
 print(sorted(path.name for path in folder.iterdir()))
 
 # %%
-# ``compare`` plays fresh episodes, the same for the policy and for every baseline that fits:
+# ``compare`` plays unseen episodes, the same for the policy and for every applicable baseline:
 env = bsk_torch.make("NadirScan-v1", num_envs=EPISODES, time_limit=SECONDS)
 results = compare({"trained": trained}, env, seed=config.seed)
 print(comparison_table(results))
@@ -61,20 +61,19 @@ levels = {name: (r.mean_return.mean, r.mean_return.half_width) for name, r in re
 path = learning_curve(read_log(folder / LOG), Path("curve.png"), levels, "NadirScan-v1")
 
 # %%
-# On the command line this is
+# The equivalent command is
 #
 # .. code-block:: text
 #
 #     bsk-torch train NadirScan-v1 --frames 262144 num_envs=256 rollout=32 evaluate_every=0 --out runs/scan
+# which also evaluates and plots. To continue the run, use ``bsk-torch train runs/scan --resume frames=3000000``. A full training
+# of three million decisions takes a few minutes.
 #
-# which also evaluates and draws. ``bsk-torch train runs/scan --resume frames=3000000`` goes on from there. A full training of
-# three million decisions takes a few minutes.
+# Write the training loop
+# -----------------------
 #
-# The same by hand
-# ----------------
-#
-# The rest of this page is a PPO of TorchRL's parts, in the form in which you may want to change it. First the environment, and
-# the mean and deviation of its observations under random actions, by which the networks standardise what they see.
+# The rest of this page is a PPO built from TorchRL components, ready to customize. First, create the environment, and compute the
+# mean and standard deviation of its observations under random actions, which the networks use to standardize their inputs.
 torch.manual_seed(0)
 env = bsk_torch.make("NadirScan-v1", num_envs=NUM_ENVS, seed=0, time_limit=SECONDS)
 seen = env.rollout(ROLLOUT, break_when_any_done=False)["observation"].flatten(0, 1)
@@ -82,8 +81,8 @@ deviation, mean = torch.std_mean(seen, 0)
 n_actions = env.action_spec.space.n
 
 # %%
-# Actor and critic have two hidden layers. ``MaskedCategorical`` gives illegal actions the probability zero; its mask is the
-# ``action_mask`` of the environment.
+# Actor and critic have two hidden layers. ``MaskedCategorical`` sets the probability of illegal actions to zero, using the
+# environment's ``action_mask``.
 from tensordict.nn import TensorDictModule
 from torch import nn
 from torchrl.modules import MLP, MaskedCategorical, ProbabilisticActor, ValueOperator
@@ -109,7 +108,7 @@ actor = ProbabilisticActor(
 critic = ValueOperator(Standardised(1), in_keys=["observation"])
 
 # %%
-# The collector steps all episodes together. Those that end restart; their last observations are under ``next``.
+# The collector steps all episodes together. Finished episodes restart; their last observations are under ``next``.
 from torchrl.collectors import Collector
 
 batch_size = NUM_ENVS * ROLLOUT
@@ -122,8 +121,8 @@ collector = Collector(
 )
 
 # %%
-# The advantages are where time comes in: ``steps_to_next_obs`` is the key with the length of each step, here in seconds. The
-# discount is kept in double precision, because it is close to one: 0.99999 per second is 0.57 over ten orbits.
+# The advantage estimator accounts for time: ``steps_to_next_obs`` is the key of the step length, here in seconds. The discount
+# uses double precision, because it is close to one: 0.99999 per second is 0.57 over ten orbits.
 from torchrl.objectives import ClipPPOLoss
 from torchrl.objectives.value import GAE
 
@@ -134,7 +133,7 @@ loss = ClipPPOLoss(actor, critic, clip_epsilon=0.2, entropy_coeff=0.01, normaliz
 optimiser = torch.optim.Adam(loss.parameters(), lr=2.5e-3, eps=1e-5)
 
 # %%
-# The loop: collect, estimate advantages, and take eight passes over the batch. The learning rate falls linearly.
+# The loop collects data, estimates advantages, and makes eight passes over the batch. The learning rate decreases linearly.
 returns, running = [], torch.zeros(NUM_ENVS)
 ended = []
 for k, batch in enumerate(collector):
@@ -169,16 +168,16 @@ panel.grid(axis="y", alpha=0.3)
 legend = panel.legend(frameon=False)
 
 # %%
-# Its most probable actions, in the episodes of the table above:
+# Evaluate its most probable actions on the episodes of the table above:
 judge = bsk_torch.make("NadirScan-v1", num_envs=EPISODES, time_limit=SECONDS)
 print(comparison_table(compare({"by hand": actor}, judge, seed=0)))
 
 # %%
-# Next
-# ----
+# Next steps
+# ----------
 #
 # - :ref:`tutorial-sb3`: the same task with Stable-Baselines3.
-# - :ref:`tutorial-curriculum`: make episodes harder while training goes on, and forbid dangerous actions.
-# - :ref:`tutorial-evaluating`: compare, report and publish policies.
+# - :ref:`tutorial-curriculum`: increase the difficulty during training, and mask dangerous actions.
+# - :ref:`tutorial-evaluating`: evaluate and publish policies.
 #
 # sphinx_gallery_thumbnail_number = 1

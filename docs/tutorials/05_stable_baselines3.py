@@ -4,18 +4,18 @@
 Train with Stable-Baselines3
 ============================
 
-Train sb3-contrib's MaskablePPO on many episodes in one simulation, without subprocesses, and compare the result with rules.
+Train sb3-contrib's MaskablePPO on many episodes in one simulation, without subprocesses, and compare it with rules.
 
-This page needs ``pip install 'bsk_torch[sb3]'``. Any other algorithm of Stable-Baselines3 for discrete actions works in the
-same way; MaskablePPO also uses the mask of legal actions.
+Run ``pip install 'bsk_torch[sb3]'`` first. Other Stable-Baselines3 algorithms for discrete actions work in the same way;
+MaskablePPO also uses the mask of legal actions.
 """
 
 # %%
-# The result
-# ----------
+# Result
+# ------
 #
-# ``SB3VecEnv`` is a ``VecEnv`` over the batched environment: its name and the number of episodes are all it needs. ``VecMonitor``
-# notes the returns of episodes, ``VecNormalize`` standardises observations.
+# ``SB3VecEnv`` wraps the batched environment as a ``VecEnv``, given its name and the number of episodes. ``VecMonitor`` records
+# the returns of episodes, and ``VecNormalize`` standardizes observations.
 import time
 
 import torch
@@ -82,15 +82,13 @@ panel.grid(axis="y", alpha=0.3)
 # %%
 # Discounts
 # ---------
-#
-# Stable-Baselines3 discounts per decision: a step of a minute counts as much as one of three. A decision lasts 160 s
-# in the mean, so 0.999 per decision is about 0.999994 per second. :ref:`tutorial-torchrl` discounts per second.
+# Stable-Baselines3 discounts per decision: a step of one minute is discounted as much as one of three minutes. The mean duration
+# of a decision is 160 s, so 0.999 per decision is about 0.999994 per second. :ref:`tutorial-torchrl` discounts per second.
 #
 # Evaluate
 # --------
-#
-# ``evaluate`` and ``compare`` play policies of TorchRL, which read a tensordict and write ``action``. A few lines turn the model
-# into one: it sees normalised observations, and chooses its most probable legal action.
+# ``evaluate`` and ``compare`` accept TorchRL policies, which read a tensordict and write ``action``. A few lines wrap the model:
+# the wrapper normalizes observations and returns the most probable legal action.
 from tensordict.nn import TensorDictModule
 
 import bsk_torch
@@ -109,18 +107,18 @@ judge = bsk_torch.make("NadirScan-v1", num_envs=EPISODES, **world)
 print(comparison_table(compare({"MaskablePPO": policy}, judge, seed=0)))
 
 # %%
-# An episode of it:
+# An episode with this policy:
 from bsk_torch.viz.episodes import draw, record
 
 alone = bsk_torch.make("NadirScan-v1", num_envs=1, **world)
 path = draw(record(policy, alone, seed=7), "sb3.png", "MaskablePPO")
 
 # %%
-# What Stable-Baselines3 sees
-# ---------------------------
+# Contents of infos
+# -----------------
 #
-# ``infos`` has for each episode the mask and the duration, and where an episode has ended its last observation. ``core`` is the
-# TorchRL environment of the other tutorials.
+# For each episode, ``infos`` contains the mask, the duration and, at the end of an episode, its last observation. ``core`` is the
+# TorchRL environment used in the other tutorials.
 env = SB3VecEnv("NadirScan-v1", 2, **world)
 observations = env.reset()
 observations, rewards, dones, infos = env.step([0, 1])
@@ -129,11 +127,10 @@ print(env.action_masks())
 print(type(env.core).__name__, env.core.satellite.action_description)
 
 # %%
-# Next
-# ----
-#
-# - :ref:`sphx_glr_gallery_ppo_sb3.py`: the same as a program with options, logged metrics, and the model on disk.
+# Next steps
+# ----------
+# - :ref:`sphx_glr_gallery_ppo_sb3.py`: a complete program with options, logged metrics, and a saved model.
 # - :ref:`tutorial-marl`: RLlib and BenchMARL.
-# - :ref:`tutorial-evaluating`: how good a policy is.
+# - :ref:`tutorial-evaluating`: evaluate and publish a policy.
 #
 # sphinx_gallery_thumbnail_number = 1

@@ -4,18 +4,18 @@
 Train with BenchMARL and RLlib
 ==============================
 
-A constellation trained with BenchMARL's IPPO, and what RLlib needs to train a single satellite.
+Train a constellation with BenchMARL's IPPO, and a single satellite with RLlib.
 
-BenchMARL is installed without its dependencies, because it asks for an older TorchRL: ``pip install --no-deps benchmarl==1.5.2``.
-RLlib asks for an older Gymnasium and needs its own environment, so its part of this page is shown, not executed.
+Install BenchMARL without its dependencies, because it declares an older TorchRL: ``pip install --no-deps benchmarl==1.5.2``.
+RLlib requires an older Gymnasium and therefore a separate virtual environment; its part of this page is shown but not executed.
 """
 
 # %%
-# The result
-# ----------
+# Result
+# ------
 #
-# Three satellites of one plane learn to share 1,000 targets, in half a minute. ``ConstellationTask`` makes a task of BenchMARL
-# of a preset; everything else is BenchMARL's own configuration.
+# Three satellites in one plane learn to share 1,000 targets in half a minute. ``ConstellationTask`` converts a preset to a
+# BenchMARL task; everything else is BenchMARL's standard configuration.
 import tempfile
 
 import torch
@@ -23,7 +23,7 @@ import torch
 from bsk_torch.rl.evaluation import comparison_table, evaluate
 from bsk_torch.rl.marl import shared_baseline
 
-# first, since it lets BenchMARL import newer versions of TorchRL
+# import this first: it makes BenchMARL compatible with newer versions of TorchRL
 from bsk_torch.rl.marl.benchmarl import ConstellationTask
 
 # isort: split
@@ -63,7 +63,7 @@ untrained = evaluate(experiment.policy, env, seed=1)
 experiment.run()
 
 # %%
-# The policy of the experiment writes the actions of all agents into a tensordict, so it can be evaluated like every other one:
+# The experiment's policy writes the actions of all agents into a tensordict, so it can be evaluated like any other policy:
 results = {"IPPO": evaluate(experiment.policy, env, seed=1), "untrained": untrained}
 results |= {name: evaluate(shared_baseline(name, env, 0), env, seed=1) for name in ("random", "nearest")}
 print(comparison_table(results))
@@ -78,7 +78,7 @@ path = draw(record(experiment.policy, alone, seed=4), "ippo.png", "IPPO of Bench
 
 # %%
 # ``MappoConfig`` trains a critic that observes all satellites. ``AEOS_CONSTELLATION`` and ``RELAY_CONSTELLATION`` are the other
-# tasks. This package has its own MAPPO and IPPO, with a discount per second and attention over the targets:
+# tasks. bsk_torch also provides MAPPO and IPPO, with a discount per second and attention over the targets:
 #
 # .. code-block:: text
 #
@@ -86,45 +86,38 @@ path = draw(record(experiment.policy, alone, seed=4), "ippo.png", "IPPO of Bench
 #
 # RLlib
 # -----
-#
-# The code below is a part of ``examples/ppo_rllib.py``, which is tested in its own environment
-# (``scripts/test.sh --rllib``). To make one:
+# The code below is part of ``examples/ppo_rllib.py``. ``scripts/test.sh --rllib`` tests it in a separate virtual environment. To
+# create one:
 #
 # .. code-block:: text
 #
 #     python -m venv .venv-rllib
 #     .venv-rllib/bin/pip install -e . 'ray[rllib]==2.60.0'
 #     .venv-rllib/bin/python examples/ppo_rllib.py
-#
-# RLlib steps batches of episodes through Gymnasium's vector entry point, and looks for the mask of legal actions alongside the
-# observation. A wrapper puts it there:
+# RLlib steps batches of episodes through Gymnasium's vector entry point, and expects the mask of legal actions next to the
+# observation. A wrapper adds it:
 #
 # .. literalinclude:: /../examples/ppo_rllib.py
 #     :pyobject: MaskedObservations
-#
-# The environment that RLlib is given is one batched simulation:
+# RLlib's environment is one batched simulation:
 #
 # .. literalinclude:: /../examples/ppo_rllib.py
 #     :pyobject: make_vector
-#
-# It is registered under a name, and chosen with the entry point; RLlib's own module for masked actions is the network:
+# Register it under a name, and select it with the entry point. The network is RLlib's module for masked actions:
 #
 # .. literalinclude:: /../examples/ppo_rllib.py
 #     :pyobject: make_algorithm
-#
-# And the trained module as a policy for ``evaluate``:
+# Wrap the trained module as a policy for ``evaluate``:
 #
 # .. literalinclude:: /../examples/ppo_rllib.py
 #     :pyobject: as_policy
-#
-# RLlib keeps episodes as Python objects, one decision after the other, and discounts per decision. Several agents with different
-# clocks need connectors there; :ref:`sphx_glr_gallery_bsk_rl_async_multiagent_training.py` does the same with a mask.
-#
-# Next
-# ----
+# RLlib stores episodes as Python objects, one decision after the other, and discounts per decision. For several agents with
+# different clocks, RLlib needs connectors; :ref:`sphx_glr_gallery_bsk_rl_async_multiagent_training.py` uses a mask instead.
+# Next steps
+# ----------
 #
 # - :ref:`sphx_glr_gallery_mappo_benchmarl.py` and :ref:`sphx_glr_gallery_ppo_rllib.py`: both as programs with options.
 # - :ref:`tutorial-constellations`: groups, masks and communication.
-# - :ref:`tutorial-evaluating`: compare and publish policies.
+# - :ref:`tutorial-evaluating`: evaluate and publish policies.
 #
 # sphinx_gallery_thumbnail_number = 1

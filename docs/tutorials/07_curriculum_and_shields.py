@@ -4,19 +4,19 @@
 Curriculum and shields
 ======================
 
-Make episodes harder where they are survived, and take actions away that would end them.
+Increase the difficulty of episodes that the satellite survives, and mask actions that would end them.
 
-A curriculum changes the arguments of the satellite between episodes, for each environment on its own. A shield is a rule that
-narrows the mask of legal actions. Nothing is recompiled for either.
+A curriculum changes the arguments of the satellite between episodes, separately for each environment. A shield is a rule that
+restricts the mask of legal actions. Neither needs recompilation.
 """
 
 # %%
-# The result
-# ----------
+# Result
+# ------
 #
-# Each environment has a level from 0 to 1. From level to level the scanning satellite starts with less charge and faster wheels.
-# When an episode ends, the level rises if the satellite has survived, and falls if not. A rule decides in the place of a policy
-# that learns.
+# Each environment has a level from 0 to 1. At higher levels, the scanning satellite starts with less charge and faster wheels.
+# When an episode ends, the level rises if the satellite survived, and falls otherwise. Here, a rule is used instead of a learning
+# policy.
 import torch
 from torchrl.envs.utils import step_mdp
 
@@ -82,19 +82,19 @@ panel.set(xlabel="steps", ylabel="level", ylim=(0, 1))
 panel.grid(axis="y", alpha=0.3)
 
 # %%
-# The line is the mean; half of the environments are in the dark band, and nine tenths in the light one. The levels end where
-# the rule survives two thirds of the episodes, since a failure costs twice what a success gains.
+# The line is the mean; the dark band contains half of the environments, and the light band nine tenths. The levels converge to
+# the point where the rule survives two thirds of the episodes, because a failure lowers the level by twice as much as a success
+# raises it.
 #
-# How it works
-# ------------
+# Mechanism
+# ---------
 #
-# - ``rand.per_env(tensor)`` is an argument of which row ``i`` belongs to environment ``i``. The tensor may be changed in place.
-# - ``env.set_sat_args(arguments, envs=ended)`` says which environments draw from it again. Large batches prepare their next
-#   episodes in advance; those of ``ended`` are thrown away.
-# - ``env.maybe_reset`` begins the next episodes.
-#
+# - ``rand.per_env(tensor)`` is an argument with one row per environment. The tensor may be edited in place.
+# - ``env.set_sat_args(arguments, envs=ended)`` sets the environments that use the new values. Large batches prepare their next
+#   episodes in advance; the prepared episodes of ``ended`` are discarded.
+# - ``env.maybe_reset`` starts the next episodes.
 # Distributions can be changed in the same way, for all environments at once. From the next episodes on, these satellites start
-# between 20 and 40 % of charge:
+# with 20 to 40 % of charge:
 env.set_sat_args({"storedCharge_Init": rand.Uniform(0.2 * CAPACITY, 0.4 * CAPACITY)})
 env.reset()
 share = env.satellite.dynamics.battery_charge_fraction
@@ -103,9 +103,8 @@ print(f"charge from {share.min():.0%} to {share.max():.0%}")
 # %%
 # Shields
 # -------
-#
-# A shield is a function of what is observed and of the names of the actions to a mask ``[N, A]``. ``allow_only`` and ``forbid``
-# make masks by names; masks are combined with ``&``.
+# A shield is a function that takes the observation and the action names and returns a mask ``[N, A]``. ``allow_only`` and
+# ``forbid`` build masks from names. Combine masks with ``&``.
 from bsk_torch.act import allow_only, forbid
 from bsk_torch.rl.evaluation import evaluate
 from bsk_torch.rl.rules import BASELINES, RULES, shielded
@@ -132,14 +131,14 @@ for name, result in results.items():
     print(f"{name:8} return {result.mean_return}, survival {result.survival:6.1%} ({low:.1%} to {high:.1%})")
 
 # %%
-# ``RULES["safe"]`` is the shield of ``bsk-torch eval ... --shield safe``, with limits that were found by trying. Where a shield
-# leaves nothing, the mask stays what it was.
+# ``RULES["safe"]`` is the shield of ``bsk-torch eval ... --shield safe``, with empirically chosen limits. If a shield would mask
+# all actions, the mask is left unchanged.
 #
-# Learn behind a shield
-# ---------------------
+# Train with a shield
+# -------------------
 #
-# ``shielded`` narrows ``action_mask`` before the policy chooses. So does a method of the satellite: what ``legal_actions``
-# returns is the ``action_mask`` of the environment, in every library and for every algorithm.
+# ``shielded`` restricts ``action_mask`` before the policy chooses. A method of the satellite does the same: the mask returned by
+# ``legal_actions`` becomes the environment's ``action_mask``, in every library and for every algorithm.
 from bsk_torch import SatelliteTasking, data, scene
 from bsk_torch.presets.nadir_scan import ScanningSatellite, scanning_args
 
@@ -169,11 +168,11 @@ for fraction, mask in zip(env.satellite.dynamics.battery_charge_fraction.tolist(
     print(f"charge {fraction:5.1%}, legal actions {[int(legal) for legal in mask]}")
 
 # %%
-# Next
-# ----
+# Next steps
+# ----------
 #
 # - :ref:`sphx_glr_gallery_curriculum.py`: the curriculum as a program with options.
-# - :ref:`sphx_glr_gallery_bsk_rl_training_with_shield.py`: trainings behind masks and replacements, the problem of BSK-RL's page.
+# - :ref:`sphx_glr_gallery_bsk_rl_training_with_shield.py`: BSK-RL's problem, trained with masks and with replaced actions.
 # - :ref:`tutorial-evaluating`: compare policies with and without a shield.
 #
 # sphinx_gallery_thumbnail_number = 1

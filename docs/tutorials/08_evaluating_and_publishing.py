@@ -4,17 +4,17 @@
 Evaluate and publish a policy
 =============================
 
-Compare policies in the same episodes, write a report, and pass a policy on as one file with a checksum.
+Compare policies on the same episodes, write a report, and publish a policy as one file with a checksum.
 
-Episodes differ a lot: a satellite that starts with a full battery earns more than one that starts with little. Policies are
-therefore compared in the same episodes, and the differences are averaged.
+Episodes vary widely: a satellite that starts with a full battery earns more than one that starts with little charge. Policies are
+therefore compared on the same episodes, and the differences are averaged.
 """
 
 # %%
-# The result
-# ----------
+# Result
+# ------
 #
-# What the policy of the package gains over a rule, episode by episode:
+# The gain of the pretrained policy over a rule, by episode:
 import matplotlib.pyplot as plt
 import torch
 
@@ -42,8 +42,8 @@ right.axvline(0.0, color="#333a45", linewidth=1)
 right.set(xlabel="gain (ends of the axis: or more)", ylabel="episodes")
 
 # %%
-# Each dot is an episode; those above the line are better with the trained policy. The interval of the mean difference is narrower
-# than it would be in two different sets of episodes:
+# Each dot is an episode; above the line, the trained policy is better. The confidence interval of the mean difference is narrower
+# than with two different sets of episodes:
 print("trained:", trained.mean_return, f"survival {trained.survival:.1%}")
 print("rule:   ", rule.mean_return, f"survival {rule.survival:.1%}")
 print("gain:   ", trained.gain_over(rule))
@@ -51,20 +51,20 @@ apart = (trained.mean_return.half_width**2 + rule.mean_return.half_width**2) ** 
 print(f"in different episodes the gain would be known to ± {apart:.3f}")
 
 # %%
-# All intervals are those of 95 % confidence. An ``Evaluation`` also has the causes of deaths, the lengths of episodes, how full
-# the store was at the end, and what the environment has counted:
+# All intervals are 95 % confidence intervals. An ``Evaluation`` also contains the causes of death, the lengths of episodes, the
+# fill level of the data buffer at the end, and the environment's counters:
 print(rule.causes, f"{trained.fill.mean():.0%} full,", f"{trained.decisions.double().mean():.0f} decisions")
 
 # %%
-# ``seeds`` names single episodes: seed 7 is the one that ``gymnasium.make("bsk_torch/NadirScan-v1").reset(seed=7)`` starts, on
-# every machine and in every batch size. ``seed`` instead starts as many episodes as the environment has rows. Seeds of training
-# and evaluation should differ; ``FRESH`` is what ``compare`` adds.
+# ``seeds`` selects single episodes: seed 7 is the episode started by
+# ``gymnasium.make("bsk_torch/NadirScan-v1").reset(seed=7)``, on every machine and with every batch size. ``seed`` instead starts
+# one episode in each environment. Use different seeds for training and evaluation; ``compare`` adds ``FRESH`` to the seed.
 #
-# On the command line
-# -------------------
+# Use the command line
+# --------------------
 #
-# ``bsk-torch eval`` prints the same numbers for a folder of a run, a file, ``pretrained``, or a baseline. ``--shield`` adds the
-# policy behind a shield, ``--out`` and ``--episodes-out`` keep the numbers. This is
+# ``bsk-torch eval`` prints the same numbers for a run folder, a file, ``pretrained``, or a baseline. ``--shield`` adds the policy
+# with a shield; ``--out`` and ``--episodes-out`` save the numbers. Here is
 # ``bsk-torch eval pretrained --preset NadirScan-v1 --seeds 0:200 --shield safe``:
 from bsk_torch.cli import app
 from bsk_torch.cli.shared import console
@@ -82,11 +82,11 @@ console.width = 120
 bsk_torch_command("eval", "pretrained", "--preset", "NadirScan-v1", "--seeds", SEEDS, "--shield", "safe", *LIMIT)
 
 # %%
-# A report
-# --------
+# Write a report
+# --------------
 #
-# ``bsk-torch report`` turns the folder of a run into one HTML page: learning curves, the table of the evaluation, causes of
-# death, the best, the median and the worst episode. Here for a short training:
+# ``bsk-torch report`` converts a run folder to one HTML page with learning curves, the evaluation table, causes of death, and the
+# best, median and worst episodes. Here for a short training run:
 import tempfile
 from pathlib import Path
 
@@ -98,16 +98,15 @@ policy = Training(configure("NadirScan-v1", **short), folder).run()
 bsk_torch_command("report", str(folder), "--episodes", SHOWN)
 
 # %%
-# The curves of a report of a full training; the marks are figures of the BSK-RL paper:
+# The curves of a full training run, with values of the BSK-RL paper marked:
 #
 # .. image:: /../benchmarks/results/report.png
-#    :alt: Return, survival, collected data and fill of the store over training, with the paper's figures marked
-#
-# A policy is a file
+#    :alt: Return, survival, collected data and buffer level over training, with the paper's values marked
+# Load a policy file
 # ------------------
 #
-# ``policy.pt`` in the folder of a run is all that is needed: weights, how the networks are built, and in which environment the
-# policy was trained. ``load_policy`` reads it on another machine, ``read_card`` says what it is, and ``check_fits`` refuses an
+# ``policy.pt`` in the run folder is self-contained: it has the weights, the network architecture, and the training environment.
+# ``load_policy`` reads it on any machine, ``read_card`` returns its metadata, and ``check_fits`` raises an error for an
 # environment with other observations or actions.
 import shutil
 
@@ -124,7 +123,7 @@ td = env.reset()
 print("the same actions:", bool((loaded(td.clone())["action"] == policy(td.clone())["action"]).all()))
 
 # %%
-# The file carries a checksum, and reading it executes nothing, whoever has written it. A file that is damaged is refused:
+# The file has a checksum, and reading it never executes code from the file. A damaged file raises an error:
 damaged = bytearray(Path(file).read_bytes())
 damaged[len(damaged) // 2] ^= 1
 Path(file).write_bytes(damaged)
@@ -134,8 +133,8 @@ except ValueError as error:
     print(str(error).replace(str(folder.parent), "..."))
 
 # %%
-# ``bsk-torch publish RUN --folder FOLDER`` evaluates the policy of a run, copies it, and notes command, time, machine and score
-# alongside it in ``policies.json``. The policies of the package were published in this way:
+# ``bsk-torch publish RUN --folder FOLDER`` evaluates the policy of a run, copies it, and records command, time, machine and score
+# in ``policies.json``. The package's policies were published in this way:
 from bsk_torch.rl.policies import makings
 
 for preset, making in makings().items():
@@ -143,8 +142,8 @@ for preset, making in makings().items():
     print(f"{preset:22} {score['return']:8.3f} in {score['episodes']} episodes, by {making['command']}")
 
 # %%
-# Next
-# ----
+# Next steps
+# ----------
 #
 # - :ref:`tutorial-film`: watch a policy.
 # - :ref:`tutorial-curriculum`: shields.

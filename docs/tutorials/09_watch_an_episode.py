@@ -4,16 +4,16 @@
 Watch an episode
 ================
 
-Films of episodes: frames of the globe with the satellites, their targets and what they do.
+Make films of episodes: frames of the globe with satellites, targets and activities.
 
-A frame shows the present moment of one episode. Nothing needs a display.
+A frame shows the current moment of one episode. No display is needed.
 """
 
 # %%
-# The result
-# ----------
+# Result
+# ------
 #
-# A satellite that images targets, with the policy of the package and one frame per decision:
+# An imaging satellite with the pretrained policy, one frame per decision:
 import torch
 from PIL import Image
 from torchrl.envs.utils import step_mdp
@@ -44,36 +44,36 @@ env = bsk_torch.make("AEOS-v1", num_envs=1, as_set=True, n_targets=1000)
 film(env, pretrained("AEOS-v1"), "imaging.webp", seed=5, frames=FRAMES)
 
 # %%
-# Dark dots are targets, and green ones have been imaged. The strong line is where the satellite has flown, the faint one the rest
-# of its orbit. Pillow writes GIF files in the same way, larger and with 256 colours.
+# Dark dots are targets; green dots are imaged targets. The strong line is the past path of the satellite, and the faint line the
+# rest of its orbit. Pillow also writes GIF files, which are larger and limited to 256 colors.
 #
-# ``env.render()`` returns pictures ``[480, 640, 3]`` of unsigned bytes: of the row that is named, or of all up to sixteen.
+# ``env.render()`` returns images ``[480, 640, 3]`` of unsigned bytes, for the selected environment or for up to sixteen.
 print(env.render(rows=0).shape, env.render(rows=0).dtype)
 
 # %%
-# A constellation
-# ---------------
+# Film a constellation
+# --------------------
 #
-# The same function films a constellation. A step ends with the first task of any satellite, so there are many short ones.
+# The same function films a constellation. A step ends when the first satellite finishes its task, so there are many short steps.
 from bsk_torch.rl.marl import shared
 
 env = bsk_torch.make("Constellation-v1", num_envs=1, n_satellites=MEMBERS, n_targets=2000, as_set=True)
 film(env, shared(pretrained("Constellation-v1"), env), "constellation.webp", seed=1, frames=FRAMES)
 
 # %%
-# The scanning satellite
-# ----------------------
+# Film the scanning satellite
+# ---------------------------
 #
-# The panel at the right has the levels of battery, store and wheels. A frame here is one to three minutes of flight.
+# The panel on the right shows the levels of battery, data buffer and wheels. Each frame covers one to three minutes of flight.
 env = bsk_torch.make("NadirScan-v1", num_envs=1)
 film(env, pretrained("NadirScan-v1"), "scanning.webp", seed=7, frames=FRAMES)
 
 # %%
-# Through Gymnasium
-# -----------------
+# Record with Gymnasium
+# ---------------------
 #
-# The Gymnasium view has ``render_mode="rgb_array"``, so that ``gymnasium.wrappers.RecordVideo`` writes MP4 files (extra
-# ``video``):
+# The Gymnasium view supports ``render_mode="rgb_array"``, for use with ``gymnasium.wrappers.RecordVideo``, which writes MP4 files
+# (extra ``video``):
 #
 # .. code-block:: python
 #
@@ -82,13 +82,12 @@ film(env, pretrained("NadirScan-v1"), "scanning.webp", seed=7, frames=FRAMES)
 #
 #     env = gymnasium.make("bsk_torch/NadirScan-v1", render_mode="rgb_array")
 #     env = RecordVideo(env, "videos", episode_trigger=lambda episode: episode == 0)
+# For figures of a whole episode instead of a film, use ``record`` and ``draw``; see :ref:`tutorial-scanning`.
 #
-# Pictures of a whole episode, instead of a film, are what ``record`` and ``draw`` make: see :ref:`tutorial-scanning`.
+# Next steps
+# ----------
 #
-# Next
-# ----
-#
-# - :ref:`tutorial-evaluating`: numbers beside the pictures.
+# - :ref:`tutorial-evaluating`: evaluate a policy.
 # - :ref:`examples`: programs to copy.
 #
 # sphinx_gallery_thumbnail_number = 1

@@ -4,18 +4,19 @@
 Inspect a spacecraft
 ====================
 
-Fly about another spacecraft by changes of velocity, until its surface has been seen in sunlight: rules, pictures, and training.
+Fly around another spacecraft by velocity changes until its surface has been seen in sunlight: rules, figures, and training.
 
-The inspected spacecraft, the RSO (resident space object), is a sphere with 100 points. An inspector starts some hundred metres
-away, with fuel for 10 m/s. It inspects a point from less than 250 m, within 30 degrees of its normal, with the Sun within 60.
+The inspected spacecraft, the RSO (resident space object), is a sphere with 100 points. An inspector starts some hundred meters
+away, with fuel for 10 m/s. To inspect a point, it must be closer than 250 m and within 30 degrees of the point's normal, with the
+Sun within 60 degrees.
 """
 
 # %%
-# The result
-# ----------
+# Result
+# ------
 #
-# One inspector that flies from waypoint to waypoint, by a rule: of 96 transfers it takes the one that shows the most points,
-# less fuel and time.
+# One inspector flies from waypoint to waypoint by a rule: of 96 transfers, it takes the one that reveals the most points, minus
+# costs of fuel and time.
 import torch
 
 import bsk_torch
@@ -33,15 +34,15 @@ path = draw(episode, "inspection.png", "survey by waypoints")
 print(episode.outcome)
 
 # %%
-# The paths are drawn in the RSO's Hill frame: radial, along the track and normal to the orbit, which turns once in an orbit. The
-# map shows the points by the time when they were inspected; grey ones were lit, but not inspected. Points that never see the Sun
-# do not count: the inspection is complete when 90 percent of those that were lit are inspected.
+# The paths are drawn in the RSO's Hill frame (radial, along-track and normal to the orbit), which rotates once per orbit. The map
+# shows the inspection time of the points; gray points were lit but not inspected. Points that never see the Sun do not count: the
+# inspection is complete when 90 percent of the lit points are inspected.
 #
-# Changes of velocity
+# Change the velocity
 # -------------------
 #
-# By default actions are real numbers, as in bsk_rl: a change of velocity in the Hill frame, m/s, and the time to drift, s.
-# Steps end when an inspector has finished its drift. The RSO is an agent, too, and has nothing to decide:
+# By default, actions are continuous, as in bsk_rl: a velocity change in the Hill frame, in m/s, and the drift time, in s. Steps
+# end when an inspector finishes its drift. The RSO is also an agent, but has nothing to decide:
 env = bsk_torch.make("RSOInspection-v1", num_envs=2, seed=0, time_limit=SECONDS)
 td = env.reset()
 for group, agents in env.group_map.items():
@@ -56,15 +57,15 @@ print("reward   ", td[inspector, "reward"].flatten().tolist())
 print("fuel, m/s", env.satellites[1].fsw.dv_available.tolist())
 
 # %%
-# The reward is the fraction of points not inspected before, less 0.1 for each m/s, and 1 for completing the
-# inspection. ``env.rewarder.inspected`` and ``illuminated`` are tables ``[N, 100]`` of what is known.
+# The reward is the fraction of newly inspected points, minus 0.1 per m/s, plus 1 for completing the inspection.
+# ``env.rewarder.inspected`` and ``illuminated`` are tables ``[N, 100]`` of the points inspected and lit so far.
 #
-# Three rules
-# -----------
+# Compare rules
+# -------------
 #
-# *Drift* never thrusts: a small difference of the orbits' periods carries the inspector away, and it dies 1000 m from the RSO.
-# *Circumnavigate* cancels that difference every ten minutes, and flies around the RSO, but at the distance at which it started.
-# *Survey* comes near, and looks for points that are missing.
+# *Drift* never thrusts: a small difference in orbital period carries the inspector away, and it dies 1000 m from the RSO.
+# *Circumnavigate* cancels this difference every ten minutes and flies around the RSO, but at its initial distance. *Survey*
+# approaches and searches for missing points.
 from bsk_torch.rl.evaluation import evaluate
 
 env = bsk_torch.make("RSOInspection-v1", num_envs=EPISODES, time_limit=SECONDS)
@@ -75,12 +76,10 @@ for rule in ("drift", "circumnavigate", "survey"):
     print(f"{rule:15} return {result.mean_return}, {points:3.0f} points, {complete:4.0%} complete, {spent:.1f} m/s")
 
 # %%
-# Around the RSO with little fuel
+# Fuel-efficient circumnavigation
 # ~~~~~~~~~~~~~~~~~~~~~~~~~~~~~~~
-#
-# Near a circular orbit, relative motion follows the equations of Clohessy and Wiltshire. An orbit of the same period is, seen
-# from the RSO, an ellipse that is twice as long as it is high. Since the RSO's orbit is not quite circular, small corrections
-# are needed:
+# Near a circular orbit, relative motion follows the Clohessy-Wiltshire equations. Seen from the RSO, an orbit with the same
+# period is an ellipse twice as long as it is high. Since the RSO's orbit is not quite circular, small corrections are needed:
 env = bsk_torch.make("RSOInspection-v1", num_envs=1, time_limit=min(SECONDS, 17_100.0))
 episode = record(shared_baseline("circumnavigate", env), env, seed=6)
 path = draw(episode, "circumnavigation.png", "natural motion")
@@ -88,9 +87,8 @@ path = draw(episode, "circumnavigation.png", "natural motion")
 # %%
 # Three inspectors
 # ----------------
-#
-# In ``MultiInspection-v1`` points are shared, so the inspection is complete earlier. Inspectors die that come within 4 m of each
-# other. With waypoints, those transfers are illegal that would come near another inspector if it drifted on.
+# In ``MultiInspection-v1``, points are shared, so the inspection is complete earlier. Inspectors that come within 4 m of each
+# other die. With waypoints, transfers close to the predicted path of another inspector are masked.
 env = bsk_torch.make("MultiInspection-v1", num_envs=1, actions="waypoints", time_limit=SECONDS)
 episode = record(shared_baseline("survey", env), env, seed=4)
 path = draw(episode, "three.png", "three inspectors")
@@ -98,9 +96,8 @@ path = draw(episode, "three.png", "three inspectors")
 # %%
 # Train
 # -----
-#
-# With ``actions="waypoints"`` a policy chooses among the 96 transfers, with a mask of those that are safe. ``configure_run``
-# returns the settings of a training; this one is far too short to learn the task, and shows how it begins:
+# With ``actions="waypoints"``, a policy chooses among the 96 transfers, with unsafe ones masked. ``configure_run`` returns the
+# settings of a training run. This run is far too short to learn the task and only demonstrates the start:
 import tempfile
 from pathlib import Path
 
@@ -116,19 +113,18 @@ policy = training_of(config, folder).run()
 path = learning_curve(read_log(folder / LOG), Path("curve.png"), {}, "RSOInspection-v1")
 
 # %%
-# The discount is per second: after an hour the future counts ``0.9999 ** 3600``, about 0.7. The full training takes ten minutes
-# on two cores. It compares the policy with chance and with the rule, and draws an episode:
+# The discount is per second: rewards one hour ahead are multiplied by ``0.9999 ** 3600``, about 0.7. The full training takes ten
+# minutes on two cores. It compares the policy with random actions and the rule, and plots an episode:
 #
 # .. code-block:: text
 #
 #     bsk-torch train RSOInspection-v1 --minutes 10 options.actions=waypoints num_envs=256 rollout=16 \
 #         'hidden=[128,128]' gamma=0.9999 epochs=4 minibatch=1024 learning_rate=1e-3 entropy=0.01 evaluate_every=50000
+# Next steps
+# ----------
 #
-# Next
-# ----
-#
-# - :ref:`tutorial-constellations`: groups of agents, and what they know.
-# - :ref:`tutorial-evaluating`: compare policies, and pass one on.
-# - :ref:`tutorial-torchrl`: what a training consists of.
+# - :ref:`tutorial-constellations`: groups of agents, and shared knowledge.
+# - :ref:`tutorial-evaluating`: evaluate and publish policies.
+# - :ref:`tutorial-torchrl`: parts of a training loop.
 #
 # sphinx_gallery_thumbnail_number = 1

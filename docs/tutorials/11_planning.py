@@ -1,20 +1,20 @@
 """
 .. _tutorial-planning:
 
-Plan, and know how far the best can be
-======================================
+Plan ahead and compute bounds
+=============================
 
-Fly copies of an episode before deciding, bound what any policy could collect, and fly the schedule of a mixed-integer program.
+Simulate copies of an episode before deciding, compute an upper bound for any policy, and execute a mixed-integer schedule.
 
-The task is agile imaging, one orbit with 3000 targets on Earth. A satellite sees the next 32 of them and images one after the
-other; turning takes most of the time.
+The task is agile imaging: one orbit with 3000 targets on Earth. A satellite observes the next 32 targets and images one after the
+other; slews take most of the time.
 """
 
 # %%
-# The result
-# ----------
+# Result
+# ------
 #
-# The same episodes with random choice, a rule, the policy that comes with the package, and a planner:
+# The same episodes with random actions, a rule, the pretrained policy, and a planner:
 import time
 
 import torch
@@ -52,21 +52,20 @@ fly("trained", pretrained("AEOS-v1"))
 fly("planner", Rollout(env, "hasty", horizon=240.0, budget=8, gamma=0.997))
 
 # %%
-# The planner
-# -----------
+# Use a planner
+# -------------
 #
-# ``Rollout`` copies every episode once for each of the eight targets that the rule likes best, images that target in the copy,
-# and lets the rule fly on, for 240 s in all. What returns the most is done in the true episode; then the same begins again. A
-# planner is a policy like any other, and reports the seconds of flight that it simulates for each decision:
+# ``Rollout`` copies every episode once for each of the rule's eight preferred targets, images the target in the copy, and
+# continues with the rule, for 240 s in total. It then takes the action with the highest return in the true episode, and repeats
+# this for the next decision. A planner is a policy like any other. It reports the simulated seconds of flight per decision:
 print(f"{float(results['planner'].simulated_per_decision):,.0f} simulated seconds for each decision")
 print("gain over the rule", results["planner"].gain_over(results["hasty"]))
 
 # %%
-# A bound
-# -------
-#
-# No policy collects more than its episode's bound, which solves an easier problem: every image lies within a window, each target
-# counts once, and two images are no closer in time than the closest of a million recorded pairs at the same angle.
+# Compute an upper bound
+# ----------------------
+# No policy collects more than the bound of its episode. The bound solves an easier problem: every image lies within a window,
+# each target counts once, and two images are no closer in time than the closest of a million recorded pairs at the same angle.
 env.set_seed(SEED)
 env.reset()
 bound = imaging_bound(env, iterations=30)
@@ -75,12 +74,12 @@ for name, result in results.items():
 print("no higher than all targets that come into view:", bool((bound.upper <= bound.in_view * (1.0 + 1e-9)).all()))
 
 # %%
-# The schedule of a program
-# -------------------------
+# Compute a schedule
+# ------------------
 #
-# The paper's rivals of learned policies are mixed-integer programs: with typical instead of least times between images, which
-# targets, and when? HiGHS solves one for each episode, which knows all targets in advance. The schedule is flown in closed loop:
-# what is late waits, what has become impossible is left out, and behind the end the rule acts.
+# The BSK-RL paper compares learned policies with mixed-integer programs, which choose targets and times using typical instead of
+# minimum times between images. HiGHS solves one program per episode, with all targets known in advance. The schedule is executed
+# in closed loop: late images are delayed, impossible ones are skipped, and the rule acts after the end of the schedule.
 begun = time.process_time()
 env.set_seed(SEED)
 env.reset()
@@ -89,10 +88,10 @@ seconds = time.process_time() - begun
 fly("schedule", ScheduledPolicy(env, schedule, shared_baseline("hasty", env)), before=seconds)
 
 # %%
-# Side by side
-# ------------
+# Compare return and computation
+# ------------------------------
 #
-# What each reaches, as a share of the bound, over the computation that it takes:
+# Return as a share of the bound, over computation time:
 figure, axes = pyplot.subplots(figsize=(7.0, 3.2))
 for name, result in results.items():
     share = float(result.returns.sum() / bound.upper.sum())
@@ -104,17 +103,16 @@ figure.tight_layout()
 
 # %%
 # ``benchmarks/planners.py``, ``benchmarks/bounds.py`` and ``benchmarks/milp.py`` do this with hundreds of episodes and up to
-# 10,000 targets; their tables are in the studies of planners and of bounds. On the command line a planner is
+# 10,000 targets; for results, see the studies of planners and of bounds. To use a planner on the command line, run
 #
 # .. code-block:: text
 #
 #     bsk-torch eval plan:rollout --preset AEOS-v1 --plan base=hasty --plan horizon=240 --plan budget=8 --seeds 0:8
-#
-# Next
-# ----
+# Next steps
+# ----------
 #
 # - :ref:`tutorial-imaging`: the task and its rules.
-# - :ref:`tutorial-evaluating`: compare policies, and pass one on.
-# - :doc:`/how_to/plan`: trees, value networks, and planners of real numbers.
+# - :ref:`tutorial-evaluating`: evaluate and publish policies.
+# - :doc:`/how_to/plan`: tree search, value networks, and planners for continuous actions.
 #
 # sphinx_gallery_thumbnail_number = 1

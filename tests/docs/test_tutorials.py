@@ -87,7 +87,7 @@ def test_structure(name):
     source = (FOLDER / name).read_text()
     assert re.match(r'"""\n\.\. _tutorial-[a-z0-9]+:\n\n[^\n]+\n=+\n\n', source)
     headings = re.findall(r"^# ([^\n]+)\n# -{3,}$", source, re.MULTILINE)
-    assert (headings[0], headings[-1]) == ("The result", "Next")
+    assert (headings[0], headings[-1]) == ("Result", "Next steps")
     assert "# sphinx_gallery_thumbnail_number = " in source
 
 
