@@ -47,8 +47,14 @@ class Curriculum:
         """Start at level 0; a success adds ``rise``, a failure takes ``fall`` away."""
         self.rise, self.fall = rise, fall
         self.level = torch.zeros(num_envs, dtype=torch.float64)
-        self.charge, self.wheels = torch.zeros_like(self.level), torch.zeros(num_envs, 3, dtype=torch.float64)
-        self.args = {"storedCharge_Init": rand.per_env(self.charge), "wheelSpeeds": rand.per_env(self.wheels)}
+        self.charge, self.wheels = (
+            torch.zeros_like(self.level),
+            torch.zeros(num_envs, 3, dtype=torch.float64),
+        )
+        self.args = {
+            "storedCharge_Init": rand.per_env(self.charge),
+            "wheelSpeeds": rand.per_env(self.wheels),
+        }
         self._write()
 
     def record(self, ended: Tensor, survived: Tensor) -> None:
@@ -59,7 +65,12 @@ class Curriculum:
 
     def _write(self) -> None:
         self.charge.copy_(
-            BATTERY * torch.lerp(torch.full_like(self.level, CHARGES[0]), self.level.new_tensor(CHARGES[1]), self.level)
+            BATTERY
+            * torch.lerp(
+                torch.full_like(self.level, CHARGES[0]),
+                self.level.new_tensor(CHARGES[1]),
+                self.level,
+            )
         )
         speed = SPEEDS[0] + (SPEEDS[1] - SPEEDS[0]) * self.level
         self.wheels.copy_(speed.unsqueeze(-1) * speed.new_tensor([1.0, -1.0, 1.0]))
@@ -81,7 +92,14 @@ def draw(levels: Tensor, path: Path) -> None:
 
     figure, (panel,) = style.panels([3.0])
     steps = range(1, len(levels) + 1)
-    panel.fill_between(steps, levels.amin(1), levels.amax(1), color=style.PALETTE[0], alpha=0.15, linewidth=0)
+    panel.fill_between(
+        steps,
+        levels.amin(1),
+        levels.amax(1),
+        color=style.PALETTE[0],
+        alpha=0.15,
+        linewidth=0,
+    )
     panel.plot(steps, levels.mean(1), color=style.PALETTE[0])
     style.label(panel, "level: mean, least and largest")
     panel.set_xlabel("steps")
@@ -90,19 +108,30 @@ def draw(levels: Tensor, path: Path) -> None:
 
 def main() -> None:
     """Play, and print how far the levels have come."""
-    parser = argparse.ArgumentParser(description="Let the difficulty of each environment follow its success.")
+    parser = argparse.ArgumentParser(
+        description="Let the difficulty of each environment follow its success."
+    )
     parser.add_argument("--num-envs", type=int, default=32)
     parser.add_argument("--steps", type=int, default=200)
     parser.add_argument("--time-limit", type=float, default=5700.0, help="s")
     parser.add_argument("--rise", type=float, default=0.1)
     parser.add_argument("--fall", type=float, default=0.2)
     parser.add_argument("--backend", choices=("compiled", "eager"), default="compiled")
-    parser.add_argument("--figure", type=Path, help="file for a picture of the levels; needs the extra viz")
+    parser.add_argument(
+        "--figure",
+        type=Path,
+        help="file for a picture of the levels; needs the extra viz",
+    )
     args = parser.parse_args()
 
     curriculum = Curriculum(args.num_envs, args.rise, args.fall)
     env = bsk_torch.make(
-        "NadirScan-v1", num_envs=args.num_envs, sat_args=curriculum.args, time_limit=args.time_limit, backend=args.backend, seed=1
+        "NadirScan-v1",
+        num_envs=args.num_envs,
+        sat_args=curriculum.args,
+        time_limit=args.time_limit,
+        backend=args.backend,
+        seed=1,
     )
     kernel, episodes, successes = env.simulator.tick, 0, 0
     levels, state = [], env.reset()
@@ -114,13 +143,24 @@ def main() -> None:
             survived = ~env.dead
             curriculum.record(ended, survived)
             env.set_sat_args(curriculum.args, envs=ended)
-            episodes, successes = episodes + int(ended.sum()), successes + int((ended & survived).sum())
+            episodes, successes = (
+                episodes + int(ended.sum()),
+                successes + int((ended & survived).sum()),
+            )
             state = env.maybe_reset(state)
         levels.append(curriculum.level.clone())
         if step % max(1, args.steps // 10) == 0:
-            mean, low, high = curriculum.level.mean(), curriculum.level.min(), curriculum.level.max()
-            print(f"step {step}: {episodes} episodes, {successes} survived, level {mean:.2f} ({low:.2f} to {high:.2f})")
-    print("nothing was rebuilt" if env.simulator.tick is kernel else "a tick was rebuilt")
+            mean, low, high = (
+                curriculum.level.mean(),
+                curriculum.level.min(),
+                curriculum.level.max(),
+            )
+            print(
+                f"step {step}: {episodes} episodes, {successes} survived, level {mean:.2f} ({low:.2f} to {high:.2f})"
+            )
+    print(
+        "nothing was rebuilt" if env.simulator.tick is kernel else "a tick was rebuilt"
+    )
     if args.figure is not None:
         draw(torch.stack(levels), args.figure)
 

@@ -39,7 +39,14 @@ ALGORITHMS = {"mappo": MappoConfig, "ippo": IppoConfig}
 TASKS = {preset: name for name, preset in PRESET.items()}
 """Names of BenchMARL's tasks by preset."""
 
-SMALL = {"Constellation-v1": {"n_satellites": 4, "n_planes": 2, "n_targets": 1000, "time_limit": 2850.0}}
+SMALL = {
+    "Constellation-v1": {
+        "n_satellites": 4,
+        "n_planes": 2,
+        "n_targets": 1000,
+        "time_limit": 2850.0,
+    }
+}
 """Arguments of presets that are made smaller unless other ones are given."""
 
 
@@ -68,9 +75,17 @@ def experiment_config(options: argparse.Namespace) -> ExperimentConfig:
 
 def make_experiment(options: argparse.Namespace) -> Experiment:
     """The training, ready to run."""
-    given = {name: getattr(options, name) for name in ("n_satellites", "n_planes", "n_targets", "time_limit")}
-    world = SMALL.get(options.preset, {}) | {name: value for name, value in given.items() if value is not None}
-    algorithm, model = ALGORITHMS[options.algorithm].get_from_yaml(), MlpConfig.get_from_yaml()
+    given = {
+        name: getattr(options, name)
+        for name in ("n_satellites", "n_planes", "n_targets", "time_limit")
+    }
+    world = SMALL.get(options.preset, {}) | {
+        name: value for name, value in given.items() if value is not None
+    }
+    algorithm, model = (
+        ALGORITHMS[options.algorithm].get_from_yaml(),
+        MlpConfig.get_from_yaml(),
+    )
     algorithm.entropy_coef, model.num_cells = 0.01, [256, 256]
     return Experiment(
         task=ConstellationTask[TASKS[options.preset]].get_task({"options": world}),
@@ -89,22 +104,47 @@ def entrant(preset: str, make: Callable[..., Any], file: str) -> tuple[Any, Any]
 
 def arguments() -> argparse.Namespace:
     """Parse the command line."""
-    parser = argparse.ArgumentParser(description="Train a constellation with BenchMARL.")
+    parser = argparse.ArgumentParser(
+        description="Train a constellation with BenchMARL."
+    )
     parser.add_argument("--algorithm", default="mappo", choices=sorted(ALGORITHMS))
-    parser.add_argument("--iterations", type=int, default=60, help="batches to collect and learn from")
+    parser.add_argument(
+        "--iterations", type=int, default=60, help="batches to collect and learn from"
+    )
     parser.add_argument("--num-envs", type=int, default=128, help="episodes at once")
-    parser.add_argument("--rollout", type=int, default=32, help="steps of each between two updates")
+    parser.add_argument(
+        "--rollout", type=int, default=32, help="steps of each between two updates"
+    )
     parser.add_argument("--gamma", type=float, default=0.99, help="discount per step")
-    parser.add_argument("--preset", default="Constellation-v1", choices=sorted(TASKS), help="made smaller by the next options")
+    parser.add_argument(
+        "--preset",
+        default="Constellation-v1",
+        choices=sorted(TASKS),
+        help="made smaller by the next options",
+    )
     parser.add_argument("--n-satellites", type=int, help="4 in Constellation-v1")
     parser.add_argument("--n-planes", type=int, help="2 in Constellation-v1")
     parser.add_argument("--n-targets", type=int, help="1,000 in Constellation-v1")
-    parser.add_argument("--time-limit", type=float, help="length of an episode, s; 2,850 in Constellation-v1")
-    parser.add_argument("--episodes", type=int, default=256, help="fresh episodes for every evaluation")
+    parser.add_argument(
+        "--time-limit",
+        type=float,
+        help="length of an episode, s; 2,850 in Constellation-v1",
+    )
+    parser.add_argument(
+        "--episodes", type=int, default=256, help="fresh episodes for every evaluation"
+    )
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--out", type=Path, default=Path("runs"), help="folder for BenchMARL's logs")
-    parser.add_argument("--policy", type=Path, help="file for the policy, which entrant() plays")
-    parser.add_argument("--figure", type=Path, help="file for a picture of an episode; needs the extra viz")
+    parser.add_argument(
+        "--out", type=Path, default=Path("runs"), help="folder for BenchMARL's logs"
+    )
+    parser.add_argument(
+        "--policy", type=Path, help="file for the policy, which entrant() plays"
+    )
+    parser.add_argument(
+        "--figure",
+        type=Path,
+        help="file for a picture of an episode; needs the extra viz",
+    )
     return parser.parse_args()
 
 
@@ -118,13 +158,19 @@ def main() -> None:
     untrained = evaluate(experiment.policy, env, seed=options.seed + FRESH)
     experiment.run()
     if options.policy is not None:
-        torch.save({"preset": options.preset, "policy": experiment.policy}, options.policy)
+        torch.save(
+            {"preset": options.preset, "policy": experiment.policy}, options.policy
+        )
     results = compare({options.algorithm: experiment.policy}, env, options.seed)
     print(comparison_table(results | {"untrained": untrained}))
     if options.figure is not None:
         from bsk_torch.viz.episodes import draw, record
 
-        draw(record(experiment.policy, env, seed=options.seed + FRESH), options.figure, "BenchMARL")
+        draw(
+            record(experiment.policy, env, seed=options.seed + FRESH),
+            options.figure,
+            "BenchMARL",
+        )
 
 
 if __name__ == "__main__":

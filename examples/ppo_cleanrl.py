@@ -46,7 +46,11 @@ class Agent(nn.Module):
         super().__init__()
         self.actor, self.critic = (
             nn.Sequential(
-                nn.Linear(n_observed, hidden), nn.Tanh(), nn.Linear(hidden, hidden), nn.Tanh(), nn.Linear(hidden, n_out)
+                nn.Linear(n_observed, hidden),
+                nn.Tanh(),
+                nn.Linear(hidden, hidden),
+                nn.Tanh(),
+                nn.Linear(hidden, n_out),
             )
             for n_out in (n_actions, 1)
         )
@@ -70,7 +74,9 @@ class Agent(nn.Module):
     def policy(self, observation: Tensor, mask: Tensor) -> Categorical:
         """Distribution over the actions that ``mask`` [..., n] allows."""
         logits = self.actor(self.normalised(observation))
-        return Categorical(logits=logits.masked_fill(~mask, torch.finfo(logits.dtype).min))
+        return Categorical(
+            logits=logits.masked_fill(~mask, torch.finfo(logits.dtype).min)
+        )
 
     def value(self, observation: Tensor) -> Tensor:
         """Expected return from observations [..., F], [...]."""
@@ -98,7 +104,9 @@ class Step:
 class Collector:
     """Plays on in the vector environment, and remembers how the last episodes went."""
 
-    def __init__(self, env: gymnasium.vector.VectorEnv, agent: Agent, seed: int) -> None:
+    def __init__(
+        self, env: gymnasium.vector.VectorEnv, agent: Agent, seed: int
+    ) -> None:
         """Begin with the first episodes of ``seed``."""
         self.env, self.agent = env, agent
         self.observation, self.info = env.reset(seed=seed)
@@ -111,14 +119,33 @@ class Collector:
         observation, mask = self.observation, self.info["action_mask"].bool()
         chosen = self.agent.policy(observation, mask)
         action = chosen.sample()
-        self.observation, reward, terminated, truncated, self.info = self.env.step(action)
+        self.observation, reward, terminated, truncated, self.info = self.env.step(
+            action
+        )
         ended = terminated | truncated
         self._count(reward, ended)
-        last = self.info.get("final_obs", self.observation)  # environments that have ended show their next episode already
-        seconds = torch.where(ended, self.info.get("final_info", self.info)["duration"], self.info["duration"])
-        following = self.agent.value(torch.where(ended.unsqueeze(-1), last, self.observation)).masked_fill(terminated, 0.0)
+        # environments that have ended show their next episode already
+        last = self.info.get("final_obs", self.observation)
+        seconds = torch.where(
+            ended,
+            self.info.get("final_info", self.info)["duration"],
+            self.info["duration"],
+        )
+        following = self.agent.value(
+            torch.where(ended.unsqueeze(-1), last, self.observation)
+        ).masked_fill(terminated, 0.0)
         value = self.agent.value(observation)
-        return Step(observation, mask, action, chosen.log_prob(action), value, reward, seconds, ended, following)
+        return Step(
+            observation,
+            mask,
+            action,
+            chosen.log_prob(action),
+            value,
+            reward,
+            seconds,
+            ended,
+            following,
+        )
 
     def _count(self, reward: Tensor, ended: Tensor) -> None:
         self.running += reward
@@ -140,28 +167,52 @@ def advantages(steps: list[Step], gamma: float, lmbda: float) -> Tensor:
 # -- learning ---------------------------------------------------------------------------------------------------------
 
 
-def learn(agent: Agent, optimiser: torch.optim.Optimizer, steps: list[Step], options: argparse.Namespace, left: float) -> None:
+def learn(
+    agent: Agent,
+    optimiser: torch.optim.Optimizer,
+    steps: list[Step],
+    options: argparse.Namespace,
+    left: float,
+) -> None:
     """Several passes over the steps of a rollout; ``left`` is the fraction of the entropy's weight."""
     advantage = advantages(steps, options.gamma, options.lmbda)
     names = ("observation", "mask", "action", "log_prob", "value")
-    batch = {name: torch.stack([getattr(step, name) for step in steps]).flatten(0, 1) for name in names}
-    batch |= {"advantage": advantage.flatten(), "target": advantage.flatten() + batch["value"]}
+    batch = {
+        name: torch.stack([getattr(step, name) for step in steps]).flatten(0, 1)
+        for name in names
+    }
+    batch |= {
+        "advantage": advantage.flatten(),
+        "target": advantage.flatten() + batch["value"],
+    }
     for _ in range(options.epochs):
         for rows in torch.randperm(len(advantage.flatten())).split(options.minibatch):
-            loss = ppo_loss(agent, {name: value[rows] for name, value in batch.items()}, options.clip, options.entropy * left)
+            loss = ppo_loss(
+                agent,
+                {name: value[rows] for name, value in batch.items()},
+                options.clip,
+                options.entropy * left,
+            )
             optimiser.zero_grad()
             loss.backward()
             nn.utils.clip_grad_norm_(agent.parameters(), options.gradient_norm)
             optimiser.step()
-    agent.look(batch["observation"])  # only now, since the probabilities that were noted are those of the old normalisation
+    # only now, since the probabilities that were noted are those of the old normalisation
+    agent.look(batch["observation"])
 
 
-def ppo_loss(agent: Agent, part: dict[str, Tensor], clip: float, entropy: float) -> Tensor:
+def ppo_loss(
+    agent: Agent, part: dict[str, Tensor], clip: float, entropy: float
+) -> Tensor:
     """Clipped surrogate, squared error of the values, and a bonus for entropy."""
     policy = agent.policy(part["observation"], part["mask"])
     ratio = (policy.log_prob(part["action"]) - part["log_prob"]).exp()
-    advantage = (part["advantage"] - part["advantage"].mean()) / (part["advantage"].std() + 1e-8)
-    gain = torch.minimum(ratio * advantage, ratio.clamp(1.0 - clip, 1.0 + clip) * advantage).mean()
+    advantage = (part["advantage"] - part["advantage"].mean()) / (
+        part["advantage"].std() + 1e-8
+    )
+    gain = torch.minimum(
+        ratio * advantage, ratio.clamp(1.0 - clip, 1.0 + clip) * advantage
+    ).mean()
     error = (agent.value(part["observation"]) - part["target"]).square().mean()
     return error - gain - entropy * policy.entropy().mean()
 
@@ -170,13 +221,22 @@ def ppo_loss(agent: Agent, part: dict[str, Tensor], clip: float, entropy: float)
 
 
 @torch.no_grad()
-def evaluate(env: gymnasium.vector.VectorEnv, agent: Agent | None, seed: int) -> tuple[Tensor, Tensor]:
+def evaluate(
+    env: gymnasium.vector.VectorEnv, agent: Agent | None, seed: int
+) -> tuple[Tensor, Tensor]:
     """Play one episode in each environment: returns [N] and whether the time limit ended them [N]. Without agent, at random."""
     observation, info = env.reset(seed=seed)
-    returns, over, lasted = (torch.zeros(env.num_envs, dtype=kind) for kind in (torch.float64, torch.bool, torch.bool))
+    returns, over, lasted = (
+        torch.zeros(env.num_envs, dtype=kind)
+        for kind in (torch.float64, torch.bool, torch.bool)
+    )
     while not bool(over.all()):
         mask = info["action_mask"]
-        policy = Categorical(probs=mask.float()) if agent is None else agent.policy(observation, mask.bool())
+        policy = (
+            Categorical(probs=mask.float())
+            if agent is None
+            else agent.policy(observation, mask.bool())
+        )
         action = policy.sample() if agent is None else policy.probs.argmax(-1)
         observation, reward, terminated, truncated, info = env.step(action)
         returns += torch.where(over, 0.0, reward)
@@ -188,7 +248,9 @@ def evaluate(env: gymnasium.vector.VectorEnv, agent: Agent | None, seed: int) ->
 def show(title: str, returns: Tensor, lasted: Tensor) -> None:
     """Print the mean return of an evaluation with its 95 % confidence interval, and the survival."""
     half = 1.96 * returns.std() / len(returns) ** 0.5
-    print(f"{title:>10}: return {returns.mean():.3f} ± {half:.3f}, survival {lasted.double().mean():.1%}")
+    print(
+        f"{title:>10}: return {returns.mean():.3f} ± {half:.3f}, survival {lasted.double().mean():.1%}"
+    )
 
 
 def draw(curve: list[tuple[int, float]], path: Path) -> None:
@@ -204,31 +266,88 @@ def draw(curve: list[tuple[int, float]], path: Path) -> None:
 
 def arguments() -> argparse.Namespace:
     """Parse the command line."""
-    parser = argparse.ArgumentParser(description="PPO in one file, on the Gymnasium vector environment.")
-    parser.add_argument("--preset", default="NadirScan-v1", help="environment with one satellite that observes a vector")
-    parser.add_argument("--steps", type=int, default=2_000_000, help="decisions to learn from")
+    parser = argparse.ArgumentParser(
+        description="PPO in one file, on the Gymnasium vector environment."
+    )
+    parser.add_argument(
+        "--preset",
+        default="NadirScan-v1",
+        help="environment with one satellite that observes a vector",
+    )
+    parser.add_argument(
+        "--steps", type=int, default=2_000_000, help="decisions to learn from"
+    )
     parser.add_argument("--num-envs", type=int, default=1024, help="episodes at once")
-    parser.add_argument("--rollout", type=int, default=16, help="decisions of each between two updates")
-    parser.add_argument("--hidden", type=int, default=64, help="width of the two hidden layers")
-    parser.add_argument("--learning-rate", type=float, default=2.5e-3, help="at the start; it falls linearly")
-    parser.add_argument("--gamma", type=float, default=0.99999, help="discount per second")
-    parser.add_argument("--lmbda", type=float, default=0.95, help="decay of the advantage estimator, per decision")
-    parser.add_argument("--clip", type=float, default=0.2, help="largest change of an action's probability ratio")
-    parser.add_argument("--entropy", type=float, default=0.01, help="weight of the entropy at the start; it falls linearly")
+    parser.add_argument(
+        "--rollout", type=int, default=16, help="decisions of each between two updates"
+    )
+    parser.add_argument(
+        "--hidden", type=int, default=64, help="width of the two hidden layers"
+    )
+    parser.add_argument(
+        "--learning-rate",
+        type=float,
+        default=2.5e-3,
+        help="at the start; it falls linearly",
+    )
+    parser.add_argument(
+        "--gamma", type=float, default=0.99999, help="discount per second"
+    )
+    parser.add_argument(
+        "--lmbda",
+        type=float,
+        default=0.95,
+        help="decay of the advantage estimator, per decision",
+    )
+    parser.add_argument(
+        "--clip",
+        type=float,
+        default=0.2,
+        help="largest change of an action's probability ratio",
+    )
+    parser.add_argument(
+        "--entropy",
+        type=float,
+        default=0.01,
+        help="weight of the entropy at the start; it falls linearly",
+    )
     parser.add_argument("--epochs", type=int, default=8, help="passes over a rollout")
-    parser.add_argument("--minibatch", type=int, default=2048, help="decisions in a gradient step")
-    parser.add_argument("--gradient-norm", type=float, default=0.5, help="gradients are scaled down to this norm")
+    parser.add_argument(
+        "--minibatch", type=int, default=2048, help="decisions in a gradient step"
+    )
+    parser.add_argument(
+        "--gradient-norm",
+        type=float,
+        default=0.5,
+        help="gradients are scaled down to this norm",
+    )
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--episodes", type=int, default=1024, help="fresh episodes for every evaluation")
-    parser.add_argument("--time-limit", type=float, help="length of an episode, s, instead of the preset's")
+    parser.add_argument(
+        "--episodes", type=int, default=1024, help="fresh episodes for every evaluation"
+    )
+    parser.add_argument(
+        "--time-limit",
+        type=float,
+        help="length of an episode, s, instead of the preset's",
+    )
     parser.add_argument("--backend", default="compiled", choices=["compiled", "eager"])
     parser.add_argument("--out", type=Path, help="file for the agent's weights")
-    parser.add_argument("--figure", type=Path, help="file for a picture of the learning curve; needs the extra viz")
+    parser.add_argument(
+        "--figure",
+        type=Path,
+        help="file for a picture of the learning curve; needs the extra viz",
+    )
     options = parser.parse_args()
-    known = [name for name, spec in gymnasium.registry.items() if name.startswith("bsk_torch/") and spec.vector_entry_point]
+    known = [
+        name
+        for name, spec in gymnasium.registry.items()
+        if name.startswith("bsk_torch/") and spec.vector_entry_point
+    ]
     if f"bsk_torch/{options.preset}" not in known:
         names = ", ".join(name.removeprefix("bsk_torch/") for name in known)
-        parser.error(f"--preset {options.preset!r} is no environment of one satellite; these are {names}")
+        parser.error(
+            f"--preset {options.preset!r} is no environment of one satellite; these are {names}"
+        )
     return options
 
 
@@ -237,11 +356,21 @@ def main() -> None:
     options = arguments()
     torch.set_num_threads(1)
     torch.manual_seed(options.seed)
-    world: dict[str, Any] = {} if options.time_limit is None else {"time_limit": options.time_limit}
-    world |= {"backend": options.backend, "output": "torch", "autoreset_mode": "SameStep"}
+    world: dict[str, Any] = (
+        {} if options.time_limit is None else {"time_limit": options.time_limit}
+    )
+    world |= {
+        "backend": options.backend,
+        "output": "torch",
+        "autoreset_mode": "SameStep",
+    }
     env_id = f"bsk_torch/{options.preset}"
     env = gymnasium.make_vec(env_id, num_envs=options.num_envs, **world)
-    agent = Agent(env.single_observation_space.shape[0], int(env.single_action_space.n), options.hidden)
+    agent = Agent(
+        env.single_observation_space.shape[0],
+        int(env.single_action_space.n),
+        options.hidden,
+    )
     optimiser = torch.optim.Adam(agent.parameters(), options.learning_rate, eps=1e-5)
     collector = Collector(env, agent, options.seed)
     per_update, begin = options.num_envs * options.rollout, time.perf_counter()
@@ -249,12 +378,25 @@ def main() -> None:
     for update in range(max(1, options.steps // per_update)):
         left = max(LEAST, 1.0 - update * per_update / options.steps)
         optimiser.param_groups[0]["lr"] = options.learning_rate * left
-        learn(agent, optimiser, [collector.step() for _ in range(options.rollout)], options, left)
+        learn(
+            agent,
+            optimiser,
+            [collector.step() for _ in range(options.rollout)],
+            options,
+            left,
+        )
         if collector.returns:
-            curve.append(((update + 1) * per_update, sum(collector.returns) / len(collector.returns)))
+            curve.append(
+                (
+                    (update + 1) * per_update,
+                    sum(collector.returns) / len(collector.returns),
+                )
+            )
         if update % 10 == 9 and curve:
             recent = curve[-1][1]
-            print(f"{(update + 1) * per_update:>9} steps, {time.perf_counter() - begin:4.0f} s: return {recent:.3f}")
+            print(
+                f"{(update + 1) * per_update:>9} steps, {time.perf_counter() - begin:4.0f} s: return {recent:.3f}"
+            )
     fresh = gymnasium.make_vec(env_id, num_envs=options.episodes, **world)
     show("random", *evaluate(fresh, None, options.seed + FRESH))
     show("trained", *evaluate(fresh, agent, options.seed + FRESH))

@@ -48,7 +48,9 @@ from ray.rllib.core import DEFAULT_MODULE_ID
 from ray.rllib.core.columns import Columns
 from ray.rllib.core.rl_module.default_model_config import DefaultModelConfig
 from ray.rllib.core.rl_module.rl_module import RLModule, RLModuleSpec
-from ray.rllib.examples.rl_modules.classes.action_masking_rlm import ActionMaskingTorchRLModule
+from ray.rllib.examples.rl_modules.classes.action_masking_rlm import (
+    ActionMaskingTorchRLModule,
+)
 from ray.tune import register_env
 from tensordict.nn import TensorDictModule
 from torch import Tensor
@@ -75,20 +77,31 @@ class MaskedObservations(gymnasium.vector.VectorWrapper):
         mask = spaces.Box(0.0, 1.0, (env.single_action_space.n,), np.float32)
         parts = {"action_mask": mask, "observations": env.single_observation_space}
         self.single_observation_space = spaces.Dict(parts)
-        self.observation_space = batch_space(self.single_observation_space, env.num_envs)
+        self.observation_space = batch_space(
+            self.single_observation_space, env.num_envs
+        )
 
-    def reset(self, *, seed: Any = None, options: dict[str, Any] | None = None) -> tuple[dict[str, Any], dict[str, Any]]:
+    def reset(
+        self, *, seed: Any = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, Any], dict[str, Any]]:
         """See :meth:`gymnasium.vector.VectorEnv.reset`."""
         observation, info = self.env.reset(seed=seed, options=options)
         return self._masked(observation, info), info
 
-    def step(self, actions: Any) -> tuple[dict[str, Any], Any, Any, Any, dict[str, Any]]:
+    def step(
+        self, actions: Any
+    ) -> tuple[dict[str, Any], Any, Any, Any, dict[str, Any]]:
         """See :meth:`gymnasium.vector.VectorEnv.step`."""
         observation, *results, info = self.env.step(actions)
         return self._masked(observation, info), *results, info
 
-    def _masked(self, observation: np.ndarray, info: dict[str, Any]) -> dict[str, np.ndarray]:
-        return {"action_mask": info["action_mask"].astype(np.float32), "observations": observation}
+    def _masked(
+        self, observation: np.ndarray, info: dict[str, Any]
+    ) -> dict[str, np.ndarray]:
+        return {
+            "action_mask": info["action_mask"].astype(np.float32),
+            "observations": observation,
+        }
 
 
 def make_vector(context: Mapping[str, Any]) -> MaskedObservations:
@@ -101,7 +114,9 @@ def make_vector(context: Mapping[str, Any]) -> MaskedObservations:
 
 def make_algorithm(options: argparse.Namespace, world: dict[str, Any]) -> Algorithm:
     """PPO in this process, with the settings of :mod:`bsk_torch.rl.training.ppo`, as far as it has them."""
-    model = DefaultModelConfig(fcnet_hiddens=[64, 64], fcnet_activation="tanh", vf_share_layers=False)
+    model = DefaultModelConfig(
+        fcnet_hiddens=[64, 64], fcnet_activation="tanh", vf_share_layers=False
+    )
     batch = options.num_envs * options.rollout
     config = (
         PPOConfig()
@@ -113,11 +128,18 @@ def make_algorithm(options: argparse.Namespace, world: dict[str, Any]) -> Algori
             gym_env_vectorize_mode="vector_entry_point",
         )
         .learners(num_learners=0)
-        .rl_module(rl_module_spec=RLModuleSpec(module_class=ActionMaskingTorchRLModule, model_config=model))
+        .rl_module(
+            rl_module_spec=RLModuleSpec(
+                module_class=ActionMaskingTorchRLModule, model_config=model
+            )
+        )
         .training(
             gamma=options.gamma,
             lambda_=0.95,
-            lr=[[0, options.learning_rate], [options.steps, LEAST * options.learning_rate]],
+            lr=[
+                [0, options.learning_rate],
+                [options.steps, LEAST * options.learning_rate],
+            ],
             train_batch_size_per_learner=batch,
             minibatch_size=min(512, batch),
             num_epochs=8,
@@ -132,26 +154,47 @@ def make_algorithm(options: argparse.Namespace, world: dict[str, Any]) -> Algori
     return config.build_algo()
 
 
-def as_policy(module: RLModule, mean: np.ndarray, variance: np.ndarray) -> TensorDictModule:
+def as_policy(
+    module: RLModule, mean: np.ndarray, variance: np.ndarray
+) -> TensorDictModule:
     """The module's most probable actions, as what :func:`bsk_torch.rl.evaluation.evaluate` plays."""
 
     def choose(observation: Tensor, action_mask: Tensor) -> Tensor:
-        seen = (observation - torch.as_tensor(mean)) / torch.as_tensor(variance + 1e-8).sqrt()
-        batch = {Columns.OBS: {"observations": seen.float(), "action_mask": action_mask.float()}}
+        seen = (observation - torch.as_tensor(mean)) / torch.as_tensor(
+            variance + 1e-8
+        ).sqrt()
+        batch = {
+            Columns.OBS: {
+                "observations": seen.float(),
+                "action_mask": action_mask.float(),
+            }
+        }
         return module.forward_inference(batch)[Columns.ACTION_DIST_INPUTS].argmax(-1)
 
-    return TensorDictModule(choose, in_keys=["observation", "action_mask"], out_keys=["action"])
+    return TensorDictModule(
+        choose, in_keys=["observation", "action_mask"], out_keys=["action"]
+    )
 
 
-def entrant(preset: str, make: Callable[..., Any], folder: str) -> tuple[Any, TensorDictModule] | None:
+def entrant(
+    preset: str, make: Callable[..., Any], folder: str
+) -> tuple[Any, TensorDictModule] | None:
     """Enter the module of a checkpoint in ``bsk-torch bench``; None for presets that observe or act otherwise."""
     path = Path(folder).absolute()
-    module = RLModule.from_checkpoint(path / "learner_group" / "learner" / "rl_module" / DEFAULT_MODULE_ID)
+    module = RLModule.from_checkpoint(
+        path / "learner_group" / "learner" / "rl_module" / DEFAULT_MODULE_ID
+    )
     env, kept = make(), np.load(path / "normalize.npz")
     if not isinstance(env, SatelliteTasking):
         return None
-    seen, actions = env.observation_spec["observation"], env.satellite.action_description
-    if tuple(seen.shape[1:]) != kept["mean"].shape or len(actions) != module.action_space.n:
+    seen, actions = (
+        env.observation_spec["observation"],
+        env.satellite.action_description,
+    )
+    if (
+        tuple(seen.shape[1:]) != kept["mean"].shape
+        or len(actions) != module.action_space.n
+    ):
         return None
     return env, as_policy(module, kept["mean"], kept["variance"])
 
@@ -163,24 +206,56 @@ def train(algorithm: Algorithm, steps: int) -> None:
         report = algorithm.train()["env_runners"]
         done = int(report["num_env_steps_sampled_lifetime"])
         recent = report.get("episode_return_mean", float("nan"))
-        print(f"{done:>9} steps, {time.perf_counter() - begin:4.0f} s: return {recent:.3f}", flush=True)
+        print(
+            f"{done:>9} steps, {time.perf_counter() - begin:4.0f} s: return {recent:.3f}",
+            flush=True,
+        )
 
 
 def arguments() -> argparse.Namespace:
     """Parse the command line."""
     parser = argparse.ArgumentParser(description="Train with RLlib's PPO.")
-    parser.add_argument("--preset", default="NadirScan-v1", help="environment with one satellite that observes a vector")
-    parser.add_argument("--steps", type=int, default=400_000, help="decisions to learn from")
+    parser.add_argument(
+        "--preset",
+        default="NadirScan-v1",
+        help="environment with one satellite that observes a vector",
+    )
+    parser.add_argument(
+        "--steps", type=int, default=400_000, help="decisions to learn from"
+    )
     parser.add_argument("--num-envs", type=int, default=64, help="episodes at once")
-    parser.add_argument("--rollout", type=int, default=64, help="decisions of each between two updates")
-    parser.add_argument("--learning-rate", type=float, default=1e-3, help="at the start; it falls linearly")
-    parser.add_argument("--gamma", type=float, default=0.999, help="discount per decision")
+    parser.add_argument(
+        "--rollout", type=int, default=64, help="decisions of each between two updates"
+    )
+    parser.add_argument(
+        "--learning-rate",
+        type=float,
+        default=1e-3,
+        help="at the start; it falls linearly",
+    )
+    parser.add_argument(
+        "--gamma", type=float, default=0.999, help="discount per decision"
+    )
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--episodes", type=int, default=1024, help="fresh episodes for every evaluation")
-    parser.add_argument("--time-limit", type=float, help="length of an episode, s, instead of the preset's")
+    parser.add_argument(
+        "--episodes", type=int, default=1024, help="fresh episodes for every evaluation"
+    )
+    parser.add_argument(
+        "--time-limit",
+        type=float,
+        help="length of an episode, s, instead of the preset's",
+    )
     parser.add_argument("--backend", default="compiled", choices=["compiled", "eager"])
-    parser.add_argument("--out", type=Path, help="folder for the checkpoint; a new one in runs/ unless given")
-    parser.add_argument("--figure", type=Path, help="file for a picture of an episode; needs the extra viz")
+    parser.add_argument(
+        "--out",
+        type=Path,
+        help="folder for the checkpoint; a new one in runs/ unless given",
+    )
+    parser.add_argument(
+        "--figure",
+        type=Path,
+        help="file for a picture of an episode; needs the extra viz",
+    )
     return parser.parse_args()
 
 
@@ -188,13 +263,19 @@ def main() -> None:
     """Train, save, evaluate."""
     options = arguments()
     torch.set_num_threads(1)
-    world = {"backend": options.backend} | ({} if options.time_limit is None else {"time_limit": options.time_limit})
+    world = {"backend": options.backend} | (
+        {} if options.time_limit is None else {"time_limit": options.time_limit}
+    )
     register_env(NAME, make_vector)
     algorithm = make_algorithm(options, world)
     train(algorithm, options.steps)
-    out = options.out or Path("runs") / f"{options.preset}_rllib_{datetime.now():%Y%m%d-%H%M%S}"
+    out = (
+        options.out
+        or Path("runs") / f"{options.preset}_rllib_{datetime.now():%Y%m%d-%H%M%S}"
+    )
     algorithm.save_to_path(out.absolute())
-    seen = algorithm.env_runner.env.env.env.obs_rms  # below RLlib's wrapper and the mask
+    # below RLlib's wrapper and the mask
+    seen = algorithm.env_runner.env.env.env.obs_rms
     np.savez(out / "normalize.npz", mean=seen.mean, variance=seen.var)
     fresh = make(options.preset, num_envs=options.episodes, **world)
     policy = as_policy(algorithm.get_module(), seen.mean, seen.var)
@@ -203,7 +284,15 @@ def main() -> None:
     if options.figure is not None:
         from bsk_torch.viz.episodes import draw, record
 
-        draw(record(policy, make(options.preset, num_envs=1, **world), seed=options.seed + FRESH), options.figure, "RLlib PPO")
+        draw(
+            record(
+                policy,
+                make(options.preset, num_envs=1, **world),
+                seed=options.seed + FRESH,
+            ),
+            options.figure,
+            "RLlib PPO",
+        )
     algorithm.stop()
 
 

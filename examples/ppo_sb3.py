@@ -52,7 +52,12 @@ def metrics(env: Any) -> dict[str, Any]:
 
 def make_env(options: argparse.Namespace, world: dict[str, Any]) -> VecNormalize:
     """The environment to train in, with episodes on record and observations of mean 0 and variance 1."""
-    return VecNormalize(VecMonitor(SB3VecEnv(options.preset, options.num_envs, metrics=metrics, **world)), norm_reward=False)
+    return VecNormalize(
+        VecMonitor(
+            SB3VecEnv(options.preset, options.num_envs, metrics=metrics, **world)
+        ),
+        norm_reward=False,
+    )
 
 
 def make_model(options: argparse.Namespace, env: VecNormalize) -> MaskablePPO:
@@ -79,38 +84,78 @@ def as_policy(model: MaskablePPO, env: VecNormalize) -> TensorDictModule:
 
     def choose(observation: Tensor, action_mask: Tensor) -> Tensor:
         seen = env.normalize_obs(observation.numpy())
-        actions, _ = model.predict(seen, deterministic=True, action_masks=action_mask.numpy())
+        actions, _ = model.predict(
+            seen, deterministic=True, action_masks=action_mask.numpy()
+        )
         return torch.as_tensor(actions)
 
-    return TensorDictModule(choose, in_keys=["observation", "action_mask"], out_keys=["action"])
+    return TensorDictModule(
+        choose, in_keys=["observation", "action_mask"], out_keys=["action"]
+    )
 
 
-def entrant(preset: str, make: Callable[..., Any], folder: str) -> tuple[Any, TensorDictModule] | None:
+def entrant(
+    preset: str, make: Callable[..., Any], folder: str
+) -> tuple[Any, TensorDictModule] | None:
     """Enter the model of a folder in ``bsk-torch bench``; None for presets with other spaces than it was trained in."""
     model, env = MaskablePPO.load(Path(folder) / "model.zip", device="cpu"), make()
     if not isinstance(env, SatelliteTasking):
         return None
     seen = SB3VecEnv(env)
-    if (seen.observation_space, seen.action_space) != (model.observation_space, model.action_space):
+    if (seen.observation_space, seen.action_space) != (
+        model.observation_space,
+        model.action_space,
+    ):
         return None
-    return env, as_policy(model, VecNormalize.load(str(Path(folder) / "normalize.pkl"), seen))
+    return env, as_policy(
+        model, VecNormalize.load(str(Path(folder) / "normalize.pkl"), seen)
+    )
 
 
 def arguments() -> argparse.Namespace:
     """Parse the command line."""
-    parser = argparse.ArgumentParser(description="Train with sb3-contrib's MaskablePPO.")
-    parser.add_argument("--preset", default="NadirScan-v1", help="environment with one satellite that observes a vector")
-    parser.add_argument("--steps", type=int, default=2_000_000, help="decisions to learn from")
+    parser = argparse.ArgumentParser(
+        description="Train with sb3-contrib's MaskablePPO."
+    )
+    parser.add_argument(
+        "--preset",
+        default="NadirScan-v1",
+        help="environment with one satellite that observes a vector",
+    )
+    parser.add_argument(
+        "--steps", type=int, default=2_000_000, help="decisions to learn from"
+    )
     parser.add_argument("--num-envs", type=int, default=1024, help="episodes at once")
-    parser.add_argument("--rollout", type=int, default=16, help="decisions of each between two updates")
-    parser.add_argument("--learning-rate", type=float, default=2.5e-3, help="at the start; it falls linearly")
-    parser.add_argument("--gamma", type=float, default=0.999, help="discount per decision")
+    parser.add_argument(
+        "--rollout", type=int, default=16, help="decisions of each between two updates"
+    )
+    parser.add_argument(
+        "--learning-rate",
+        type=float,
+        default=2.5e-3,
+        help="at the start; it falls linearly",
+    )
+    parser.add_argument(
+        "--gamma", type=float, default=0.999, help="discount per decision"
+    )
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--episodes", type=int, default=1024, help="fresh episodes for every evaluation")
-    parser.add_argument("--time-limit", type=float, help="length of an episode, s, instead of the preset's")
+    parser.add_argument(
+        "--episodes", type=int, default=1024, help="fresh episodes for every evaluation"
+    )
+    parser.add_argument(
+        "--time-limit",
+        type=float,
+        help="length of an episode, s, instead of the preset's",
+    )
     parser.add_argument("--backend", default="compiled", choices=["compiled", "eager"])
-    parser.add_argument("--out", type=Path, help="folder for the model; a new one in runs/ unless given")
-    parser.add_argument("--figure", type=Path, help="file for a picture of an episode; needs the extra viz")
+    parser.add_argument(
+        "--out", type=Path, help="folder for the model; a new one in runs/ unless given"
+    )
+    parser.add_argument(
+        "--figure",
+        type=Path,
+        help="file for a picture of an episode; needs the extra viz",
+    )
     return parser.parse_args()
 
 
@@ -118,24 +163,39 @@ def main() -> None:
     """Train, save, evaluate."""
     options = arguments()
     torch.set_num_threads(1)
-    world = {"backend": options.backend} | ({} if options.time_limit is None else {"time_limit": options.time_limit})
+    world = {"backend": options.backend} | (
+        {} if options.time_limit is None else {"time_limit": options.time_limit}
+    )
     env = make_env(options, world)
     model = make_model(options, env)
     begin = time.perf_counter()
     model.learn(options.steps, log_interval=10, callback=MetricsCallback())
     seconds = time.perf_counter() - begin
-    out = options.out or Path("runs") / f"{options.preset}_sb3_{datetime.now():%Y%m%d-%H%M%S}"
+    out = (
+        options.out
+        or Path("runs") / f"{options.preset}_sb3_{datetime.now():%Y%m%d-%H%M%S}"
+    )
     out.mkdir(parents=True, exist_ok=True)
     model.save(out / "model.zip")
     env.save(str(out / "normalize.pkl"))
     fresh = make(options.preset, num_envs=options.episodes, **world)
     policy = as_policy(model, env)
     print(comparison_table(compare({"MaskablePPO": policy}, fresh, options.seed)))
-    print(f"{model.num_timesteps} decisions in {seconds:.0f} s; the model and what normalises its observations are in {out}")
+    print(
+        f"{model.num_timesteps} decisions in {seconds:.0f} s; the model and what normalises its observations are in {out}"
+    )
     if options.figure is not None:
         from bsk_torch.viz.episodes import draw, record
 
-        draw(record(policy, make(options.preset, num_envs=1, **world), seed=options.seed + FRESH), options.figure, "MaskablePPO")
+        draw(
+            record(
+                policy,
+                make(options.preset, num_envs=1, **world),
+                seed=options.seed + FRESH,
+            ),
+            options.figure,
+            "MaskablePPO",
+        )
 
 
 if __name__ == "__main__":

@@ -40,7 +40,9 @@ SHARING: dict[str, comm.CommunicationMethod] = {
 """Methods of communication after every step."""
 
 
-def train_alone(options: argparse.Namespace, world: dict[str, Any], out: Path) -> TensorDictModuleBase:
+def train_alone(
+    options: argparse.Namespace, world: dict[str, Any], out: Path
+) -> TensorDictModuleBase:
     """A policy of the only satellite of an otherwise equal environment.
 
     Where others take targets away few are left, so it also learns in worlds with down to a tenth of the targets: with all of them
@@ -54,33 +56,65 @@ def train_alone(options: argparse.Namespace, world: dict[str, Any], out: Path) -
         rollout=32,
         minibatch=1024,
         seed=options.seed,
-        options=world | {"n_satellites": 1, "n_planes": 1, "phasing": 0, "n_targets": targets},
+        options=world
+        | {"n_satellites": 1, "n_planes": 1, "phasing": 0, "n_targets": targets},
     )
     return MAPPOTraining(config, out).run()
 
 
 def row(who: str, sharing: str, result: Evaluation, alone: Evaluation) -> str:
     """Line of the table: a result, and its gain over that without sharing in the same episodes."""
-    images, wasted = (float(result.counts[name].double().mean()) for name in ("imaged", "duplicates"))
+    images, wasted = (
+        float(result.counts[name].double().mean()) for name in ("imaged", "duplicates")
+    )
     gain = "-" if result is alone else str(result.gain_over(alone))
     return f"| {who} | {sharing} | {result.mean_return} | {gain} | {images:.0f} | {wasted:.0f} |"
 
 
 def arguments() -> argparse.Namespace:
     """Parse the command line."""
-    parser = argparse.ArgumentParser(description="Let a policy that was trained on one satellite fly a constellation.")
-    parser.add_argument("--policy", type=Path, help="folder of a training, instead of a new one")
-    parser.add_argument("--minutes", type=float, default=4.0, help="training time after compilation")
-    parser.add_argument("--num-envs", type=int, default=256, help="satellites that learn at once, each on its own")
-    parser.add_argument("--episodes", type=int, default=256, help="fresh episodes for every evaluation")
-    parser.add_argument("--n-satellites", type=int, default=12, help="of the constellation")
-    parser.add_argument("--n-targets", type=int, default=5000, help="of an episode of the constellation")
-    parser.add_argument("--time-limit", type=float, default=5700.0, help="length of an episode, s")
-    parser.add_argument("--rules", nargs="*", default=["greedy"], help="baselines to compare with")
+    parser = argparse.ArgumentParser(
+        description="Let a policy that was trained on one satellite fly a constellation."
+    )
+    parser.add_argument(
+        "--policy", type=Path, help="folder of a training, instead of a new one"
+    )
+    parser.add_argument(
+        "--minutes", type=float, default=4.0, help="training time after compilation"
+    )
+    parser.add_argument(
+        "--num-envs",
+        type=int,
+        default=256,
+        help="satellites that learn at once, each on its own",
+    )
+    parser.add_argument(
+        "--episodes", type=int, default=256, help="fresh episodes for every evaluation"
+    )
+    parser.add_argument(
+        "--n-satellites", type=int, default=12, help="of the constellation"
+    )
+    parser.add_argument(
+        "--n-targets", type=int, default=5000, help="of an episode of the constellation"
+    )
+    parser.add_argument(
+        "--time-limit", type=float, default=5700.0, help="length of an episode, s"
+    )
+    parser.add_argument(
+        "--rules", nargs="*", default=["greedy"], help="baselines to compare with"
+    )
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--backend", default="compiled", choices=["compiled", "eager"])
-    parser.add_argument("--out", type=Path, help="folder for the results; a new one in runs/ unless given")
-    parser.add_argument("--figure", type=Path, help="file for a picture of an episode; needs the extra viz")
+    parser.add_argument(
+        "--out",
+        type=Path,
+        help="folder for the results; a new one in runs/ unless given",
+    )
+    parser.add_argument(
+        "--figure",
+        type=Path,
+        help="file for a picture of an episode; needs the extra viz",
+    )
     return parser.parse_args()
 
 
@@ -90,14 +124,30 @@ def main() -> None:
     torch.set_num_threads(1)
     logging.basicConfig(level=logging.INFO, format="%(message)s")
     out = options.out or Path("runs") / f"share_intent_{datetime.now():%Y%m%d-%H%M%S}"
-    world = {"as_set": True, "backend": options.backend, "n_targets": options.n_targets, "time_limit": options.time_limit}
-    trained = load_policy(options.policy) if options.policy else train_alone(options, world, out)
+    world = {
+        "as_set": True,
+        "backend": options.backend,
+        "n_targets": options.n_targets,
+        "time_limit": options.time_limit,
+    }
+    trained = (
+        load_policy(options.policy)
+        if options.policy
+        else train_alone(options, world, out)
+    )
     returns: dict[str, dict[str, list[float]]] = {}
     alone: dict[str, Evaluation] = {}
-    print("| policy | shared with | team return | gain by sharing | images | duplicates |\n|---|---|---|---|---|---|")
+    print(
+        "| policy | shared with | team return | gain by sharing | images | duplicates |\n|---|---|---|---|---|---|"
+    )
     for sharing, communicator in SHARING.items():
-        constellation = {"n_satellites": options.n_satellites, "communicator": communicator}
-        env = make("Constellation-v1", num_envs=options.episodes, **world, **constellation)
+        constellation = {
+            "n_satellites": options.n_satellites,
+            "communicator": communicator,
+        }
+        env = make(
+            "Constellation-v1", num_envs=options.episodes, **world, **constellation
+        )
         flown = {"trained alone": SharedPolicy(trained)} | {
             rule: shared_baseline(rule, env, options.seed) for rule in options.rules
         }
@@ -108,7 +158,11 @@ def main() -> None:
     if options.figure is not None:
         from bsk_torch.viz.episodes import draw, record
 
-        draw(record(SharedPolicy(trained), env, seed=options.seed + FRESH), options.figure, "trained alone, sharing all")
+        draw(
+            record(SharedPolicy(trained), env, seed=options.seed + FRESH),
+            options.figure,
+            "trained alone, sharing all",
+        )
     out.mkdir(parents=True, exist_ok=True)
     (out / "share_intent.json").write_text(json.dumps(returns) + "\n")
 

@@ -120,7 +120,10 @@ policies = {
 results = {name: evaluate(policy, env, seed=1) for name, policy in policies.items()}
 for name, result in results.items():
     print(f"{name:8} return {result.mean_return}, survival {result.survival:6.1%}")
-print("gain of the trained policy over mine:", results["trained"].gain_over(results["mine"]))
+print(
+    "gain of the trained policy over mine:",
+    results["trained"].gain_over(results["mine"]),
+)
 
 # %%
 # The table shows 95 % confidence intervals. An episode with the hand-written policy:

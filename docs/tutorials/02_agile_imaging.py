@@ -70,7 +70,9 @@ for k in range(6):
     target = int(ahead.place[0, k])
     start, end = (float(time[0, k] - now[0]) for time in (ahead.open, ahead.close))
     worth = float(env.scenario.priority[0, target])
-    print(f"target {target:3}: {start:6.1f} to {end:6.1f} s from now, priority {worth:.2f}")
+    print(
+        f"target {target:3}: {start:6.1f} to {end:6.1f} s from now, priority {worth:.2f}"
+    )
 
 # %%
 # ``place`` is the index of the target; ``env.scenario.priority`` and ``env.scenario.r_LP_P`` are tables of all targets in all
@@ -108,7 +110,9 @@ def decide(observation, action_mask):
     return value.masked_fill((seconds > close) | ~action_mask, -1.0).argmax(1)
 
 
-mine = TensorDictModule(decide, in_keys=["observation", "action_mask"], out_keys=["action"])
+mine = TensorDictModule(
+    decide, in_keys=["observation", "action_mask"], out_keys=["action"]
+)
 
 # %%
 # The rule plays the same episodes as the baselines. *Greedy* takes the most valuable target, *nearest* the target whose window
@@ -136,13 +140,19 @@ from bsk_torch import scene
 def on_ground(latitude, longitude):
     """Degrees [T] to Earth-fixed positions, [T, 3] m, on a sphere."""
     lat, lon = (torch.deg2rad(x) for x in (latitude, longitude))
-    return 6371e3 * torch.stack([lat.cos() * lon.cos(), lat.cos() * lon.sin(), lat.sin()], -1)
+    return 6371e3 * torch.stack(
+        [lat.cos() * lon.cos(), lat.cos() * lon.sin(), lat.sin()], -1
+    )
 
 
 torch.manual_seed(0)
-grid = torch.cartesian_prod(torch.linspace(-40, 40, 9), torch.linspace(-180, 170, 36)).double()
+grid = torch.cartesian_prod(
+    torch.linspace(-40, 40, 9), torch.linspace(-180, 170, 36)
+).double()
 places = on_ground(grid[:, 0], grid[:, 1])
-env = bsk_torch.make("AEOS-v1", scenario=scene.Targets(places, torch.rand(len(places))), time_limit=ORBIT)
+env = bsk_torch.make(
+    "AEOS-v1", scenario=scene.Targets(places, torch.rand(len(places))), time_limit=ORBIT
+)
 path = draw(record(mine, env, seed=3), "grid.png", "a grid of targets")
 
 # %%
@@ -176,7 +186,13 @@ class Imager(sats.ImagingSatellite):
     fsw_type = fsw.SteeringImagerFSWModel
 
 
-agile = dict(imageAttErrorRequirement=0.01, u_max=0.4, K1=0.5, omega_max=math.radians(5.0), servo_P=30.0)
+agile = dict(
+    imageAttErrorRequirement=0.01,
+    u_max=0.4,
+    K1=0.5,
+    omega_max=math.radians(5.0),
+    servo_P=30.0,
+)
 env = SatelliteTasking(
     Imager("EO1", sat_args=agile),
     scenario=scene.UniformTargets(5000),

@@ -29,7 +29,9 @@ EPISODES = 8
 SECONDS = 5700.0
 
 torch.set_num_threads(1)
-world = dict(n_satellites=SATELLITES, n_targets=TARGETS, time_limit=SECONDS, as_set=True)
+world = dict(
+    n_satellites=SATELLITES, n_targets=TARGETS, time_limit=SECONDS, as_set=True
+)
 env = bsk_torch.make("Constellation-v1", num_envs=1, **world)
 policy = shared(pretrained("Constellation-v1"), env)
 path = draw(record(policy, env, seed=2), "constellation.png", "twelve satellites")
@@ -42,7 +44,9 @@ path = draw(record(policy, env, seed=2), "constellation.png", "twelve satellites
 # ----------------
 # ``group_map`` lists the groups of agents. Agents with the same spaces form one group, with tensors ``[N, S, ...]`` for ``N``
 # episodes and ``S`` satellites. Here, all agents are in one group:
-env = bsk_torch.make("Constellation-v1", num_envs=EPISODES, **(world | dict(as_set=False)))
+env = bsk_torch.make(
+    "Constellation-v1", num_envs=EPISODES, **(world | dict(as_set=False))
+)
 env.set_seed(0)
 td = env.reset()
 print(env.group_map)
@@ -55,13 +59,20 @@ for name in ("observation", "action_mask", "mask", "requires_retasking"):
 #
 # A step lasts until the first satellite finishes its task; the others continue theirs. For busy satellites, ``action_mask``
 # allows only the last action, which continues the task:
-td["agents", "action"] = td["agents", "action_mask"].int().argmax(-1)  # the first legal action of each
+# the first legal action of each
+td["agents", "action"] = td["agents", "action_mask"].int().argmax(-1)
 td = env.step(td)["next"]
 first = 0
 print("seconds", float(td["duration"][first]))
-print("needs a task    ", td["agents", "requires_retasking"][first].flatten().int().tolist())
+print(
+    "needs a task    ",
+    td["agents", "requires_retasking"][first].flatten().int().tolist(),
+)
 print("actions to choose", td["agents", "action_mask"][first].sum(-1).tolist())
-print("rewards          ", [round(reward, 2) for reward in td["agents", "reward"][first].flatten().tolist()])
+print(
+    "rewards          ",
+    [round(reward, 2) for reward in td["agents", "reward"][first].flatten().tolist()],
+)
 
 # %%
 # Shared knowledge
@@ -91,21 +102,35 @@ METHODS = {
 }
 results = {}
 for name, communicator in METHODS.items():
-    env = bsk_torch.make("Constellation-v1", num_envs=EPISODES, communicator=communicator, **world)
+    env = bsk_torch.make(
+        "Constellation-v1", num_envs=EPISODES, communicator=communicator, **world
+    )
     results[name] = evaluate(shared_baseline("nearest", env, 0), env, seed=1)
 
 for name, result in results.items():
-    images, wasted = (float(result.counts[key].double().mean()) for key in ("imaged", "duplicates"))
+    images, wasted = (
+        float(result.counts[key].double().mean()) for key in ("imaged", "duplicates")
+    )
     gain = result.gain_over(results["none"])
-    print(f"{name:14} return {result.mean_return}, {images:4.0f} images, {wasted:3.0f} in vain, gain {gain}")
+    print(
+        f"{name:14} return {result.mean_return}, {images:4.0f} images, {wasted:3.0f} in vain, gain {gain}"
+    )
 
 # %%
 import matplotlib.pyplot as plt
 
-wasted = {name: float(result.counts["duplicates"].double().mean()) for name, result in results.items()}
+wasted = {
+    name: float(result.counts["duplicates"].double().mean())
+    for name, result in results.items()
+}
 returns = {name: result.mean_return for name, result in results.items()}
 figure, (left, right) = plt.subplots(1, 2, figsize=(9, 3), layout="constrained")
-left.bar(returns.keys(), [r.mean for r in returns.values()], yerr=[r.half_width for r in returns.values()], color="#2f6db3")
+left.bar(
+    returns.keys(),
+    [r.mean for r in returns.values()],
+    yerr=[r.half_width for r in returns.values()],
+    color="#2f6db3",
+)
 left.set_ylabel("return of the team")
 right.bar(wasted.keys(), wasted.values(), color="#c1476b")
 right.set_ylabel("images in vain")
@@ -117,7 +142,12 @@ right.set_ylabel("images in vain")
 env = bsk_torch.make("RelayConstellation-v1", num_envs=2, time_limit=600.0)
 td = env.reset()
 for group, agents in env.group_map.items():
-    print(group, agents, list(td[group, "observation"].shape), list(td[group, "action_mask"].shape))
+    print(
+        group,
+        agents,
+        list(td[group, "observation"].shape),
+        list(td[group, "action_mask"].shape),
+    )
 
 # %%
 # Use PettingZoo or Gymnasium

@@ -57,7 +57,9 @@ print(comparison_table(results))
 from bsk_torch.rl.training.log import LOG, read_log
 from bsk_torch.viz.figures.curves import learning_curve
 
-levels = {name: (r.mean_return.mean, r.mean_return.half_width) for name, r in results.items()}
+levels = {
+    name: (r.mean_return.mean, r.mean_return.half_width) for name, r in results.items()
+}
 path = learning_curve(read_log(folder / LOG), Path("curve.png"), levels, "NadirScan-v1")
 
 # %%
@@ -100,7 +102,9 @@ class Standardised(nn.Module):
 
 
 actor = ProbabilisticActor(
-    TensorDictModule(Standardised(n_actions), in_keys=["observation"], out_keys=["logits"]),
+    TensorDictModule(
+        Standardised(n_actions), in_keys=["observation"], out_keys=["logits"]
+    ),
     in_keys={"logits": "logits", "mask": "action_mask"},
     distribution_class=MaskedCategorical,
     return_log_prob=True,
@@ -129,7 +133,9 @@ from torchrl.objectives.value import GAE
 gamma = torch.tensor(0.99999, dtype=torch.float64)
 advantages = GAE(gamma=gamma, lmbda=0.95, value_network=critic, average_gae=False)
 advantages.set_keys(steps_to_next_obs=("next", "duration"))
-loss = ClipPPOLoss(actor, critic, clip_epsilon=0.2, entropy_coeff=0.01, normalize_advantage=True)
+loss = ClipPPOLoss(
+    actor, critic, clip_epsilon=0.2, entropy_coeff=0.01, normalize_advantage=True
+)
 optimiser = torch.optim.Adam(loss.parameters(), lr=2.5e-3, eps=1e-5)
 
 # %%
@@ -137,7 +143,9 @@ optimiser = torch.optim.Adam(loss.parameters(), lr=2.5e-3, eps=1e-5)
 returns, running = [], torch.zeros(NUM_ENVS)
 ended = []
 for k, batch in enumerate(collector):
-    optimiser.param_groups[0]["lr"] = 2.5e-3 * max(0.05, 1.0 - k * batch_size / LOOP_FRAMES)
+    optimiser.param_groups[0]["lr"] = 2.5e-3 * max(
+        0.05, 1.0 - k * batch_size / LOOP_FRAMES
+    )
     with torch.no_grad():
         advantages(batch)
     flat = batch.reshape(-1)
@@ -145,10 +153,17 @@ for k, batch in enumerate(collector):
         for rows in torch.randperm(len(flat)).split(2048):
             losses = loss(flat[rows])
             optimiser.zero_grad()
-            (losses["loss_objective"] + losses["loss_critic"] + losses["loss_entropy"]).backward()
+            (
+                losses["loss_objective"]
+                + losses["loss_critic"]
+                + losses["loss_entropy"]
+            ).backward()
             nn.utils.clip_grad_norm_(loss.parameters(), 0.5)
             optimiser.step()
-    for reward, done in zip(*(batch["next", key].squeeze(-1).unbind(1) for key in ("reward", "done")), strict=True):
+    for reward, done in zip(
+        *(batch["next", key].squeeze(-1).unbind(1) for key in ("reward", "done")),
+        strict=True,
+    ):
         running = running + reward
         ended += running[done].tolist()
         running = running.masked_fill(done, 0.0)
@@ -160,8 +175,15 @@ collector.shutdown()
 import matplotlib.pyplot as plt
 
 figure, panel = plt.subplots(figsize=(8, 3), layout="constrained")
-panel.plot([(k + 1) * batch_size for k in range(len(returns))], returns, color="#2f6db3")
-panel.axhline(results["rule"].mean_return.mean, color="#e8a628", linestyle="--", label="rule written by hand")
+panel.plot(
+    [(k + 1) * batch_size for k in range(len(returns))], returns, color="#2f6db3"
+)
+panel.axhline(
+    results["rule"].mean_return.mean,
+    color="#e8a628",
+    linestyle="--",
+    label="rule written by hand",
+)
 panel.set_xlabel("decisions")
 panel.set_ylabel("return while training")
 panel.grid(axis="y", alpha=0.3)

@@ -50,7 +50,9 @@ class Returns(BaseCallback):
 
 
 world = dict(time_limit=SECONDS)
-env = VecNormalize(VecMonitor(SB3VecEnv("NadirScan-v1", NUM_ENVS, **world)), norm_reward=False)
+env = VecNormalize(
+    VecMonitor(SB3VecEnv("NadirScan-v1", NUM_ENVS, **world)), norm_reward=False
+)
 model = MaskablePPO(
     "MlpPolicy",
     env,
@@ -98,11 +100,15 @@ from bsk_torch.rl.evaluation import compare, comparison_table
 def choose(observation, action_mask):
     """Observations [N, 12] and legal actions [N, 4] to actions [N]."""
     seen = env.normalize_obs(observation.numpy())
-    actions, _ = model.predict(seen, deterministic=True, action_masks=action_mask.numpy())
+    actions, _ = model.predict(
+        seen, deterministic=True, action_masks=action_mask.numpy()
+    )
     return torch.as_tensor(actions)
 
 
-policy = TensorDictModule(choose, in_keys=["observation", "action_mask"], out_keys=["action"])
+policy = TensorDictModule(
+    choose, in_keys=["observation", "action_mask"], out_keys=["action"]
+)
 judge = bsk_torch.make("NadirScan-v1", num_envs=EPISODES, **world)
 print(comparison_table(compare({"MaskablePPO": policy}, judge, seed=0)))
 

@@ -65,7 +65,10 @@ experiment.run()
 # %%
 # The experiment's policy writes the actions of all agents into a tensordict, so it can be evaluated like any other policy:
 results = {"IPPO": evaluate(experiment.policy, env, seed=1), "untrained": untrained}
-results |= {name: evaluate(shared_baseline(name, env, 0), env, seed=1) for name in ("random", "nearest")}
+results |= {
+    name: evaluate(shared_baseline(name, env, 0), env, seed=1)
+    for name in ("random", "nearest")
+}
 print(comparison_table(results))
 
 # %%

@@ -35,13 +35,20 @@ torch.set_num_threads(1)
 level = torch.zeros(NUM_ENVS, dtype=torch.float64)
 charge = torch.full((NUM_ENVS,), 0.9 * CAPACITY, dtype=torch.float64)
 wheels = torch.full((NUM_ENVS, 3), 500.0, dtype=torch.float64)  # rpm
-arguments = {"storedCharge_Init": rand.per_env(charge), "wheelSpeeds": rand.per_env(wheels)}
-env = bsk_torch.make("NadirScan-v1", num_envs=NUM_ENVS, sat_args=arguments, time_limit=SECONDS, seed=1)
+arguments = {
+    "storedCharge_Init": rand.per_env(charge),
+    "wheelSpeeds": rand.per_env(wheels),
+}
+env = bsk_torch.make(
+    "NadirScan-v1", num_envs=NUM_ENVS, sat_args=arguments, time_limit=SECONDS, seed=1
+)
 
 
 def harder(ended, survived):
     """Change the levels of the episodes that have ended [N], and what follows from the levels."""
-    level.add_(torch.where(ended, torch.where(survived, 0.1, -0.2), 0.0)).clamp_(0.0, 1.0)
+    level.add_(torch.where(ended, torch.where(survived, 0.1, -0.2), 0.0)).clamp_(
+        0.0, 1.0
+    )
     charge.copy_((0.9 - 0.8 * level) * CAPACITY)
     wheels.copy_((500.0 + 5400.0 * level).unsqueeze(1) * torch.tensor([1.0, -1.0, 1.0]))
     env.set_sat_args(arguments, envs=ended)
@@ -75,7 +82,12 @@ table = torch.stack(levels)
 figure, panel = plt.subplots(figsize=(8, 3), layout="constrained")
 for share, opacity in ((0.05, 0.15), (0.25, 0.3)):
     panel.fill_between(
-        range(STEPS), table.quantile(share, 1), table.quantile(1 - share, 1), color="#2f6db3", alpha=opacity, linewidth=0
+        range(STEPS),
+        table.quantile(share, 1),
+        table.quantile(1 - share, 1),
+        color="#2f6db3",
+        alpha=opacity,
+        linewidth=0,
     )
 panel.plot(table.mean(1), color="#2f6db3")
 panel.set(xlabel="steps", ylabel="level", ylim=(0, 1))
@@ -124,11 +136,17 @@ def careful(see, actions):
 
 env = bsk_torch.make("NadirScan-v1", num_envs=EPISODES)
 policy = BASELINES["random"](env, 0)
-players = {"random": policy, "careful": shielded(policy, careful, env), "safe": shielded(policy, RULES["safe"], env)}
+players = {
+    "random": policy,
+    "careful": shielded(policy, careful, env),
+    "safe": shielded(policy, RULES["safe"], env),
+}
 results = {name: evaluate(player, env, seed=2) for name, player in players.items()}
 for name, result in results.items():
     low, high = result.survival_interval
-    print(f"{name:8} return {result.mean_return}, survival {result.survival:6.1%} ({low:.1%} to {high:.1%})")
+    print(
+        f"{name:8} return {result.mean_return}, survival {result.survival:6.1%} ({low:.1%} to {high:.1%})"
+    )
 
 # %%
 # ``RULES["safe"]`` is the shield of ``bsk-torch eval ... --shield safe``, with empirically chosen limits. If a shield would mask
@@ -154,7 +172,9 @@ class CarefulSatellite(ScanningSatellite):
 
 env = SatelliteTasking(
     CarefulSatellite(
-        "Scanner1", sat_args=scanning_args() | dict(storedCharge_Init=rand.Uniform(0.05 * CAPACITY, 0.15 * CAPACITY))
+        "Scanner1",
+        sat_args=scanning_args()
+        | dict(storedCharge_Init=rand.Uniform(0.05 * CAPACITY, 0.15 * CAPACITY)),
     ),
     scenario=scene.UniformNadirScanning(value_per_second=1 / 28_500.0),
     rewarder=data.ScanningTimeReward(),
@@ -164,7 +184,11 @@ env = SatelliteTasking(
     seed=0,
 )
 td = env.reset()
-for fraction, mask in zip(env.satellite.dynamics.battery_charge_fraction.tolist(), td["action_mask"].tolist(), strict=True):
+for fraction, mask in zip(
+    env.satellite.dynamics.battery_charge_fraction.tolist(),
+    td["action_mask"].tolist(),
+    strict=True,
+):
     print(f"charge {fraction:5.1%}, legal actions {[int(legal) for legal in mask]}")
 
 # %%

@@ -28,16 +28,23 @@ FRAMES = 65_536
 SECONDS = 28_500.0
 
 torch.set_num_threads(1)
-env = bsk_torch.make("NadirScan-v1", num_envs=EPISODES, env_ids=[0] * EPISODES, time_limit=SECONDS)
+env = bsk_torch.make(
+    "NadirScan-v1", num_envs=EPISODES, env_ids=[0] * EPISODES, time_limit=SECONDS
+)
 players = {"trained": pretrained("NadirScan-v1"), "rule": BASELINES["rule"](env, 0)}
-results = {name: evaluate(player, env, seeds=range(EPISODES)) for name, player in players.items()}
+results = {
+    name: evaluate(player, env, seeds=range(EPISODES))
+    for name, player in players.items()
+}
 trained, rule = results["trained"], results["rule"]
 
 figure, (left, right) = plt.subplots(1, 2, figsize=(9, 3.4), layout="constrained")
 left.plot([-1.2, 1], [-1.2, 1], color="#d9dde3")
 left.plot(rule.returns, trained.returns, ".", color="#2f6db3", markersize=4, alpha=0.6)
 left.set(xlabel="return of the rule", ylabel="return of the trained policy")
-right.hist((trained.returns - rule.returns).clamp(-0.5, 0.5).numpy(), bins=40, color="#2f6db3")
+right.hist(
+    (trained.returns - rule.returns).clamp(-0.5, 0.5).numpy(), bins=40, color="#2f6db3"
+)
 right.axvline(0.0, color="#333a45", linewidth=1)
 right.set(xlabel="gain (ends of the axis: or more)", ylabel="episodes")
 
@@ -53,7 +60,11 @@ print(f"in different episodes the gain would be known to ± {apart:.3f}")
 # %%
 # All intervals are 95 % confidence intervals. An ``Evaluation`` also contains the causes of death, the lengths of episodes, the
 # fill level of the data buffer at the end, and the environment's counters:
-print(rule.causes, f"{trained.fill.mean():.0%} full,", f"{trained.decisions.double().mean():.0f} decisions")
+print(
+    rule.causes,
+    f"{trained.fill.mean():.0%} full,",
+    f"{trained.decisions.double().mean():.0f} decisions",
+)
 
 # %%
 # ``seeds`` selects single episodes: seed 7 is the episode started by
@@ -79,7 +90,17 @@ def bsk_torch_command(*arguments):
 
 
 console.width = 120
-bsk_torch_command("eval", "pretrained", "--preset", "NadirScan-v1", "--seeds", SEEDS, "--shield", "safe", *LIMIT)
+bsk_torch_command(
+    "eval",
+    "pretrained",
+    "--preset",
+    "NadirScan-v1",
+    "--seeds",
+    SEEDS,
+    "--shield",
+    "safe",
+    *LIMIT,
+)
 
 # %%
 # Write a report
@@ -93,7 +114,14 @@ from pathlib import Path
 from bsk_torch.rl.training import Training, configure
 
 folder = Path(tempfile.mkdtemp()) / "scan"
-short = dict(frames=FRAMES, seconds=None, num_envs=128, rollout=16, evaluate_every=0, options={"time_limit": SECONDS})
+short = dict(
+    frames=FRAMES,
+    seconds=None,
+    num_envs=128,
+    rollout=16,
+    evaluate_every=0,
+    options={"time_limit": SECONDS},
+)
 policy = Training(configure("NadirScan-v1", **short), folder).run()
 bsk_torch_command("report", str(folder), "--episodes", SHOWN)
 
@@ -114,13 +142,21 @@ from bsk_torch.rl.policies import check_fits, load_policy, read_card
 
 file = shutil.copy(folder / "policy.pt", folder.parent / "elsewhere.pt")
 card = read_card(file)
-print(card["preset"], card["network"], card["bsk_torch"], f"{Path(file).stat().st_size / 1e3:.0f} kB")
+print(
+    card["preset"],
+    card["network"],
+    card["bsk_torch"],
+    f"{Path(file).stat().st_size / 1e3:.0f} kB",
+)
 
 env = bsk_torch.make(card["preset"], num_envs=4, **card["options"])
 check_fits(card, env, card["preset"])
 loaded = load_policy(file)
 td = env.reset()
-print("the same actions:", bool((loaded(td.clone())["action"] == policy(td.clone())["action"]).all()))
+print(
+    "the same actions:",
+    bool((loaded(td.clone())["action"] == policy(td.clone())["action"]).all()),
+)
 
 # %%
 # The file has a checksum, and reading it never executes code from the file. A damaged file raises an error:
@@ -139,7 +175,9 @@ from bsk_torch.rl.policies import makings
 
 for preset, making in makings().items():
     score = making["score"]
-    print(f"{preset:22} {score['return']:8.3f} in {score['episodes']} episodes, by {making['command']}")
+    print(
+        f"{preset:22} {score['return']:8.3f} in {score['episodes']} episodes, by {making['command']}"
+    )
 
 # %%
 # Next steps

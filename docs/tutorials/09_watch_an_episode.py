@@ -36,8 +36,18 @@ def film(env, policy, path, seed, frames):
         td = step_mdp(env.step(policy(td)))
         pictures.append(env.render(rows=0))
     first, *others = (Image.fromarray(picture.numpy()) for picture in pictures)
-    first.save(path, save_all=True, append_images=others, duration=150, loop=0, quality=70, method=2)
-    print(f"{len(pictures)} pictures of {float(env.fleet.sim_time[0]) / 60:.0f} minutes of flight")
+    first.save(
+        path,
+        save_all=True,
+        append_images=others,
+        duration=150,
+        loop=0,
+        quality=70,
+        method=2,
+    )
+    print(
+        f"{len(pictures)} pictures of {float(env.fleet.sim_time[0]) / 60:.0f} minutes of flight"
+    )
 
 
 env = bsk_torch.make("AEOS-v1", num_envs=1, as_set=True, n_targets=1000)
@@ -57,8 +67,16 @@ print(env.render(rows=0).shape, env.render(rows=0).dtype)
 # The same function films a constellation. A step ends when the first satellite finishes its task, so there are many short steps.
 from bsk_torch.rl.marl import shared
 
-env = bsk_torch.make("Constellation-v1", num_envs=1, n_satellites=MEMBERS, n_targets=2000, as_set=True)
-film(env, shared(pretrained("Constellation-v1"), env), "constellation.webp", seed=1, frames=FRAMES)
+env = bsk_torch.make(
+    "Constellation-v1", num_envs=1, n_satellites=MEMBERS, n_targets=2000, as_set=True
+)
+film(
+    env,
+    shared(pretrained("Constellation-v1"), env),
+    "constellation.webp",
+    seed=1,
+    frames=FRAMES,
+)
 
 # %%
 # Film the scanning satellite

@@ -28,7 +28,9 @@ SECONDS = 57_000.0
 FRAMES, NUM_ENVS = 8_192, 64
 
 torch.set_num_threads(1)
-env = bsk_torch.make("RSOInspection-v1", num_envs=1, actions="waypoints", time_limit=SECONDS)
+env = bsk_torch.make(
+    "RSOInspection-v1", num_envs=1, actions="waypoints", time_limit=SECONDS
+)
 episode = record(shared_baseline("survey", env), env, seed=2)
 path = draw(episode, "inspection.png", "survey by waypoints")
 print(episode.outcome)
@@ -46,11 +48,18 @@ print(episode.outcome)
 env = bsk_torch.make("RSOInspection-v1", num_envs=2, seed=0, time_limit=SECONDS)
 td = env.reset()
 for group, agents in env.group_map.items():
-    print(group, agents, list(env.action_spec[group, "action"].shape), list(td[group, "observation"].shape))
+    print(
+        group,
+        agents,
+        list(env.action_spec[group, "action"].shape),
+        list(td[group, "observation"].shape),
+    )
 
 rso, inspector = env.group_map
 td[rso, "action"] = torch.zeros(2, 1, dtype=torch.int64)
-td[inspector, "action"] = torch.tensor([[[0.0, 0.1, 0.0, 600.0]], [[0.0, 0.0, 0.2, 300.0]]])
+td[inspector, "action"] = torch.tensor(
+    [[[0.0, 0.1, 0.0, 600.0]], [[0.0, 0.0, 0.2, 300.0]]]
+)
 td = env.step(td)["next"]
 print("seconds  ", td["duration"].flatten().tolist())
 print("reward   ", td[inspector, "reward"].flatten().tolist())
@@ -71,9 +80,14 @@ from bsk_torch.rl.evaluation import evaluate
 env = bsk_torch.make("RSOInspection-v1", num_envs=EPISODES, time_limit=SECONDS)
 for rule in ("drift", "circumnavigate", "survey"):
     result = evaluate(shared_baseline(rule, env), env, seed=1)
-    complete, points = env.rewarder.bonus_reward_yielded.double().mean(), env.rewarder.inspected.sum(1).double().mean()
+    complete, points = (
+        env.rewarder.bonus_reward_yielded.double().mean(),
+        env.rewarder.inspected.sum(1).double().mean(),
+    )
     spent = 10.0 - env.satellites[1].fsw.dv_available.mean()
-    print(f"{rule:15} return {result.mean_return}, {points:3.0f} points, {complete:4.0%} complete, {spent:.1f} m/s")
+    print(
+        f"{rule:15} return {result.mean_return}, {points:3.0f} points, {complete:4.0%} complete, {spent:.1f} m/s"
+    )
 
 # %%
 # Fuel-efficient circumnavigation
@@ -89,7 +103,9 @@ path = draw(episode, "circumnavigation.png", "natural motion")
 # ----------------
 # In ``MultiInspection-v1``, points are shared, so the inspection is complete earlier. Inspectors that come within 4 m of each
 # other die. With waypoints, transfers close to the predicted path of another inspector are masked.
-env = bsk_torch.make("MultiInspection-v1", num_envs=1, actions="waypoints", time_limit=SECONDS)
+env = bsk_torch.make(
+    "MultiInspection-v1", num_envs=1, actions="waypoints", time_limit=SECONDS
+)
 episode = record(shared_baseline("survey", env), env, seed=4)
 path = draw(episode, "three.png", "three inspectors")
 
@@ -105,10 +121,24 @@ from bsk_torch.rl.marl import configure_run, training_of
 from bsk_torch.rl.training.log import LOG, read_log
 from bsk_torch.viz.figures.curves import learning_curve
 
-settings = dict(num_envs=NUM_ENVS, rollout=16, hidden=(128, 128), gamma=0.9999, epochs=4, minibatch=1024)
+settings = dict(
+    num_envs=NUM_ENVS,
+    rollout=16,
+    hidden=(128, 128),
+    gamma=0.9999,
+    epochs=4,
+    minibatch=1024,
+)
 options = dict(actions="waypoints", time_limit=SECONDS)
 folder = Path(tempfile.mkdtemp()) / "inspection"
-config = configure_run("RSOInspection-v1", frames=FRAMES, seconds=None, evaluate_every=0, options=options, **settings)
+config = configure_run(
+    "RSOInspection-v1",
+    frames=FRAMES,
+    seconds=None,
+    evaluate_every=0,
+    options=options,
+    **settings,
+)
 policy = training_of(config, folder).run()
 path = learning_curve(read_log(folder / LOG), Path("curve.png"), {}, "RSOInspection-v1")
 

@@ -34,7 +34,9 @@ LIMIT = 10.0
 SEED = 1
 
 torch.set_num_threads(1)
-env = bsk_torch.make("AEOS-v1", num_envs=EPISODES, n_targets=TARGETS, time_limit=SECONDS, as_set=True)
+env = bsk_torch.make(
+    "AEOS-v1", num_envs=EPISODES, n_targets=TARGETS, time_limit=SECONDS, as_set=True
+)
 results, spent = {}, {}
 
 
@@ -43,7 +45,9 @@ def fly(name, policy, before=0.0):
     begun = time.process_time()
     results[name] = evaluate(policy, env, seed=SEED)
     spent[name] = (before + time.process_time() - begun) / EPISODES
-    print(f"{name:10} {results[name].mean_return}  {spent[name]:6.2f} s for each episode")
+    print(
+        f"{name:10} {results[name].mean_return}  {spent[name]:6.2f} s for each episode"
+    )
 
 
 fly("random", shared_baseline("random", env))
@@ -58,7 +62,9 @@ fly("planner", Rollout(env, "hasty", horizon=240.0, budget=8, gamma=0.997))
 # ``Rollout`` copies every episode once for each of the rule's eight preferred targets, images the target in the copy, and
 # continues with the rule, for 240 s in total. It then takes the action with the highest return in the true episode, and repeats
 # this for the next decision. A planner is a policy like any other. It reports the simulated seconds of flight per decision:
-print(f"{float(results['planner'].simulated_per_decision):,.0f} simulated seconds for each decision")
+print(
+    f"{float(results['planner'].simulated_per_decision):,.0f} simulated seconds for each decision"
+)
 print("gain over the rule", results["planner"].gain_over(results["hasty"]))
 
 # %%
@@ -70,8 +76,13 @@ env.set_seed(SEED)
 env.reset()
 bound = imaging_bound(env, iterations=30)
 for name, result in results.items():
-    print(f"{name:10} {float(result.returns.sum() / bound.upper.sum()):.0%} of the bound")
-print("no higher than all targets that come into view:", bool((bound.upper <= bound.in_view * (1.0 + 1e-9)).all()))
+    print(
+        f"{name:10} {float(result.returns.sum() / bound.upper.sum()):.0%} of the bound"
+    )
+print(
+    "no higher than all targets that come into view:",
+    bool((bound.upper <= bound.in_view * (1.0 + 1e-9)).all()),
+)
 
 # %%
 # Compute a schedule
@@ -85,7 +96,11 @@ env.set_seed(SEED)
 env.reset()
 schedule = milp_schedule(env, seconds=LIMIT)
 seconds = time.process_time() - begun
-fly("schedule", ScheduledPolicy(env, schedule, shared_baseline("hasty", env)), before=seconds)
+fly(
+    "schedule",
+    ScheduledPolicy(env, schedule, shared_baseline("hasty", env)),
+    before=seconds,
+)
 
 # %%
 # Compare return and computation
@@ -96,9 +111,15 @@ figure, axes = pyplot.subplots(figsize=(7.0, 3.2))
 for name, result in results.items():
     share = float(result.returns.sum() / bound.upper.sum())
     axes.plot(max(spent[name], 1e-3), share, "o")
-    axes.annotate(name, (max(spent[name], 1e-3), share), textcoords="offset points", xytext=(6, 4))
+    axes.annotate(
+        name, (max(spent[name], 1e-3), share), textcoords="offset points", xytext=(6, 4)
+    )
 axes.axhline(1.0, color="0.5", linewidth=0.8)
-axes.set(xscale="log", xlabel="seconds of one core for each episode", ylabel="share of the bound")
+axes.set(
+    xscale="log",
+    xlabel="seconds of one core for each episode",
+    ylabel="share of the bound",
+)
 figure.tight_layout()
 
 # %%

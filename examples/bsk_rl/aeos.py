@@ -23,7 +23,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from bsk_torch import SatelliteTasking, act, data, obs, rand, sats, scene  # bsk_rl: from bsk_rl import SatelliteTasking, ...
+# bsk_rl: from bsk_rl import SatelliteTasking, ...
+from bsk_torch import SatelliteTasking, act, data, obs, rand, sats, scene
 from bsk_torch.constants import R_EARTH  # bsk_rl: orbitalMotion.REQ_EARTH * 1e3
 from bsk_torch.sim import fsw  # bsk_rl: from bsk_rl.sim import fsw
 
@@ -47,7 +48,9 @@ SETS: dict[str, tuple[Any, Any]] = {
 """Observed properties of the satellite and of each target, by the page's names."""
 
 
-def free_satellite(observation: str, n_ahead: int = 32, include_time: bool = False) -> type[sats.ImagingSatellite]:
+def free_satellite(
+    observation: str, n_ahead: int = 32, include_time: bool = False
+) -> type[sats.ImagingSatellite]:
     """Return a satellite with one of the :data:`SETS` of observations; bsk_rl: satellite_generator(observation, ...)."""
     own, targets = SETS[observation]
 
@@ -68,10 +71,16 @@ def free_satellite(observation: str, n_ahead: int = 32, include_time: bool = Fal
 class Density(obs.Observation):
     """Sums of the priorities of targets whose next window closes in each of the next intervals."""
 
-    def __init__(self, interval_duration: float = 60 * 3, intervals: int = 10, norm: float = 3.0) -> None:
+    def __init__(
+        self, interval_duration: float = 60 * 3, intervals: int = 10, norm: float = 3.0
+    ) -> None:
         """Sum over ``intervals`` of ``interval_duration`` seconds each, and divide by ``norm``."""
         super().__init__("obs")  # bsk_rl: super().__init__()
-        self.interval_duration, self.intervals, self.norm = interval_duration, intervals, norm
+        self.interval_duration, self.intervals, self.norm = (
+            interval_duration,
+            intervals,
+            norm,
+        )
 
     def worth(self) -> Tensor:
         """What is summed, [environments, T]."""
@@ -87,23 +96,33 @@ class Density(obs.Observation):
         # bsk_rl: [sum(rewards[time_bins == i]) for i in range(self.intervals)]
         number = interval.clamp(0.0, float(self.intervals)).long()
         sums = torch.zeros(len(close), self.intervals + 1, dtype=close.dtype)
-        return sums.scatter_add(1, number, simulator.of_env(self.worth()).to(close.dtype))[:, : self.intervals] / self.norm
+        return (
+            sums.scatter_add(1, number, simulator.of_env(self.worth()).to(close.dtype))[
+                :, : self.intervals
+            ]
+            / self.norm
+        )
 
 
 def wheel_speed_3(satellite: Any) -> Tensor:
     """Speeds of the wheels, [N, 3]."""
-    return satellite.dynamics.wheel_speeds / 630  # bsk_rl: np.array(sat.dynamics.wheel_speeds[0:3]) / 630
+    # bsk_rl: np.array(sat.dynamics.wheel_speeds[0:3]) / 630
+    return satellite.dynamics.wheel_speeds / 630
 
 
 def s_hat_H(satellite: Any) -> Tensor:
     """Direction of the Sun from the satellite in the Hill frame, [N, 3]."""
     dynamics = satellite.dynamics
-    r_SB_N = dynamics.world.r_SN_N - dynamics.r_BN_N  # bsk_rl: world.gravFactory.spiceObject.planetStateOutMsgs[...] - r_BN_N
-    r_SB_H = (dynamics.HN @ r_SB_N.unsqueeze(-1)).squeeze(-1)  # bsk_rl: rv2HN(r_BN_N, v_BN_N) @ r_SB_N
+    # bsk_rl: world.gravFactory.spiceObject.planetStateOutMsgs[...] - r_BN_N
+    r_SB_N = dynamics.world.r_SN_N - dynamics.r_BN_N
+    # bsk_rl: rv2HN(r_BN_N, v_BN_N) @ r_SB_N
+    r_SB_H = (dynamics.HN @ r_SB_N.unsqueeze(-1)).squeeze(-1)
     return r_SB_H / r_SB_H.norm(dim=-1, keepdim=True)  # bsk_rl: np.linalg.norm(r_SB_H)
 
 
-def power_satellite(n_ahead: int = 32, include_time: bool = False) -> type[sats.ImagingSatellite]:
+def power_satellite(
+    n_ahead: int = 32, include_time: bool = False
+) -> type[sats.ImagingSatellite]:
     """Return a satellite that also charges; bsk_rl: power_sat_generator(n_ahead, include_time)."""
 
     class PowerSatellite(sats.ImagingSatellite):
@@ -116,8 +135,11 @@ def power_satellite(n_ahead: int = 32, include_time: bool = False) -> type[sats.
                 dict(prop="wheel_speed_3", fn=wheel_speed_3),
                 dict(prop="s_hat_H", fn=s_hat_H),
             ),
-            obs.OpportunityProperties(*WHERE_AND_WHEN, type="target", n_ahead_observe=n_ahead),
-            obs.Eclipse(norm=5700.0),  # bsk_rl after 1.3.8: norm=None, the orbital period
+            obs.OpportunityProperties(
+                *WHERE_AND_WHEN, type="target", n_ahead_observe=n_ahead
+            ),
+            # bsk_rl after 1.3.8: norm=None, the orbital period
+            obs.Eclipse(norm=5700.0),
             Density(intervals=20, norm=5),
             *([obs.Time()] if include_time else []),
         ]
@@ -140,7 +162,8 @@ SAT_ARGS: dict[str, Any] = dict(
     omega_max=math.radians(5),
     servo_Ki=5.0,
     servo_P=150 / 5,
-    oe=rand.random_orbit(a=6371 + 800.0, omega=0.0),  # bsk_rl: lambda: random_orbit(alt=800)
+    # bsk_rl: lambda: random_orbit(alt=800)
+    oe=rand.random_orbit(a=6371 + 800.0, omega=0.0),
 )
 
 SAT_ARGS_POWER = SAT_ARGS | dict(
@@ -151,15 +174,25 @@ SAT_ARGS_POWER = SAT_ARGS | dict(
     instrumentPowerDraw=-10,
     thrusterPowerDraw=-30,
     nHat_B=[0, 0, -1],
-    wheelSpeeds=rand.Uniform(-2000.0, 2000.0, 3),  # bsk_rl: lambda: np.random.uniform(-2000, 2000, 3)
+    # bsk_rl: lambda: np.random.uniform(-2000, 2000, 3)
+    wheelSpeeds=rand.Uniform(-2000.0, 2000.0, 3),
     desatAttitude="nadir",
 )
 
 
-def make(variant: str = "S3", num_envs: int = 1, sat_args: dict[str, Any] | None = None, **options: Any) -> SatelliteTasking:
+def make(
+    variant: str = "S3",
+    num_envs: int = 1,
+    sat_args: dict[str, Any] | None = None,
+    **options: Any,
+) -> SatelliteTasking:
     """Return ``num_envs`` episodes of a variant, S1, S2, S3 or power; ``sat_args`` and ``options`` replace its own."""
     power = variant == "power"
-    kind, arguments = (power_satellite(), SAT_ARGS_POWER) if power else (free_satellite(variant), SAT_ARGS)
+    kind, arguments = (
+        (power_satellite(), SAT_ARGS_POWER)
+        if power
+        else (free_satellite(variant), SAT_ARGS)
+    )
     defaults = dict(
         scenario=scene.UniformTargets(3000),  # or scene.CityTargets(3000)
         rewarder=data.UniqueImageReward(),
@@ -181,15 +214,33 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="Image targets at random.")
     parser.add_argument("variant", nargs="?", default="S3", choices=[*SETS, "power"])
     parser.add_argument("--num-envs", type=int, default=4, help="episodes at once")
-    parser.add_argument("--time-limit", type=float, default=5 * 5700.0, help="length of an episode, s")
+    parser.add_argument(
+        "--time-limit", type=float, default=5 * 5700.0, help="length of an episode, s"
+    )
     parser.add_argument("--backend", default="compiled", choices=["compiled", "eager"])
-    parser.add_argument("--figure", type=Path, help="file for a picture of the first episode at the end; needs the extra viz")
+    parser.add_argument(
+        "--figure",
+        type=Path,
+        help="file for a picture of the first episode at the end; needs the extra viz",
+    )
     options = parser.parse_args()
-    env = make(options.variant, options.num_envs, time_limit=options.time_limit, backend=options.backend, seed=0)
+    env = make(
+        options.variant,
+        options.num_envs,
+        time_limit=options.time_limit,
+        backend=options.backend,
+        seed=0,
+    )
     td = env.reset()
     for _ in range(5):
         td = env.rand_step(td)["next"]  # bsk_rl: env.step(env.action_space.sample())
-        print("rewards", td["reward"].squeeze(1).tolist(), "after", td["duration"].squeeze(1).tolist(), "s")
+        print(
+            "rewards",
+            td["reward"].squeeze(1).tolist(),
+            "after",
+            td["duration"].squeeze(1).tolist(),
+            "s",
+        )
     if options.figure is not None:
         from PIL import Image
 

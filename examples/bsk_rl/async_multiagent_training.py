@@ -30,7 +30,8 @@ from torchrl.modules import MaskedCategorical, ProbabilisticActor, ValueOperator
 from torchrl.objectives import ClipPPOLoss
 from torchrl.objectives.value import MultiAgentGAE
 
-from bsk_torch import ConstellationTasking, act, formations  # bsk_rl: from bsk_rl import act, data, obs, sats, scene
+# bsk_rl: from bsk_rl import act, data, obs, sats, scene
+from bsk_torch import ConstellationTasking, act, formations
 from bsk_torch.rl.training.advantages import estimate_advantages
 
 AGENTS = "agents"
@@ -49,16 +50,22 @@ class AsynchronousScanner(ScanningSatellite):
     ]
 
 
-def make(num_envs: int = 1, sat_args: Sequence[dict[str, Any]] | None = None, **options: Any) -> ConstellationTasking:
+def make(
+    num_envs: int = 1, sat_args: Sequence[dict[str, Any]] | None = None, **options: Any
+) -> ConstellationTasking:
     """Return ``num_envs`` episodes of the problem.
 
     ``sat_args`` of each satellite replace what would be drawn, ``options`` those of the problem.
     """
     own = [{}] * N_SATELLITES if sat_args is None else sat_args
-    planes = formations.walker_delta_args(n_planes=2, altitude=500.0)  # bsk_rl: walker_delta_args(n_planes=2, altitude=500)
+    # bsk_rl: walker_delta_args(n_planes=2, altitude=500)
+    planes = formations.walker_delta_args(n_planes=2, altitude=500.0)
     defaults = task() | dict(sat_arg_randomizer=planes if sat_args is None else None)
     return ConstellationTasking(
-        satellites=[AsynchronousScanner(f"Scanner{k + 1}", sat_args=SAT_ARGS | own[k]) for k in range(N_SATELLITES)],
+        satellites=[
+            AsynchronousScanner(f"Scanner{k + 1}", sat_args=SAT_ARGS | own[k])
+            for k in range(N_SATELLITES)
+        ],
         num_envs=num_envs,  # bsk_rl: one episode
         **(defaults | options),
     )
@@ -66,17 +73,30 @@ def make(num_envs: int = 1, sat_args: Sequence[dict[str, Any]] | None = None, **
 
 def mlp(inputs: int, outputs: int, width: int = 64) -> nn.Sequential:
     """Return a network with two hidden layers; bsk_rl: fcnet_hiddens=[2048, 2048]."""
-    return nn.Sequential(nn.Linear(inputs, width), nn.Tanh(), nn.Linear(width, width), nn.Tanh(), nn.Linear(width, outputs))
+    return nn.Sequential(
+        nn.Linear(inputs, width),
+        nn.Tanh(),
+        nn.Linear(width, width),
+        nn.Tanh(),
+        nn.Linear(width, outputs),
+    )
 
 
 class Team:
     """One actor and one critic for all satellites; bsk_rl: policies={"p0"} for all agents."""
 
-    def __init__(self, env: ConstellationTasking, gamma: float, lmbda: float, rate: float) -> None:
+    def __init__(
+        self, env: ConstellationTasking, gamma: float, lmbda: float, rate: float
+    ) -> None:
         """Fresh networks; ``gamma`` is per second, ``lmbda`` per decision of a satellite."""
-        width, actions = env.observation_spec[AGENTS, "observation"].shape[-1], env.action_spec[AGENTS, "action"].space.n
+        width, actions = (
+            env.observation_spec[AGENTS, "observation"].shape[-1],
+            env.action_spec[AGENTS, "action"].space.n,
+        )
         self.gamma, self.lmbda = gamma, lmbda ** (1.0 / env.fleet.size)
-        logits = TensorDictModule(mlp(width, actions), in_keys=["seen"], out_keys=["logits"])
+        logits = TensorDictModule(
+            mlp(width, actions), in_keys=["seen"], out_keys=["logits"]
+        )
         self.actor = ProbabilisticActor(
             logits,
             in_keys={"logits": "logits", "mask": "action_mask"},
@@ -84,7 +104,13 @@ class Team:
             return_log_prob=True,
         )
         self.critic = ValueOperator(mlp(width, 1), in_keys=["seen"])
-        self.loss = ClipPPOLoss(self.actor, self.critic, clip_epsilon=0.1, entropy_coeff=0.01, normalize_advantage=False)
+        self.loss = ClipPPOLoss(
+            self.actor,
+            self.critic,
+            clip_epsilon=0.1,
+            entropy_coeff=0.01,
+            normalize_advantage=False,
+        )
         self.loss.loss_mask_key = "decides"
         self.optimiser = torch.optim.Adam(self.loss.parameters(), rate)
 
@@ -92,28 +118,53 @@ class Team:
         """Return what chooses actions [N, S] in an environment; busy satellites can only continue."""
 
         def choose(observation: Tensor, action_mask: Tensor) -> tuple[Tensor, Tensor]:
-            chosen = self.actor(TensorDict({"seen": observation, "action_mask": action_mask}, observation.shape[:-1]))
+            chosen = self.actor(
+                TensorDict(
+                    {"seen": observation, "action_mask": action_mask},
+                    observation.shape[:-1],
+                )
+            )
             return chosen["action"], chosen["action_log_prob"]
 
         keys = [(AGENTS, "observation"), (AGENTS, "action_mask")]
-        return TensorDictSequential(TensorDictModule(choose, in_keys=keys, out_keys=[(AGENTS, "action"), (AGENTS, "log_prob")]))
+        return TensorDictSequential(
+            TensorDictModule(
+                choose,
+                in_keys=keys,
+                out_keys=[(AGENTS, "action"), (AGENTS, "log_prob")],
+            )
+        )
 
     def learn(self, batch: TensorDictBase, epochs: int = 4) -> dict[str, float]:
         """Learn from a batch [N, T] of all satellites; return what is worth a line of a log."""
         team = self._experience(batch)
-        estimate_advantages(  # bsk_rl: TimeDiscountedGAEPPOTorchLearner, after CondenseMultiStepActions
-            team, self.critic, self.gamma, self.lmbda, estimator=MultiAgentGAE, done="removed", terminated="satellite_terminated"
+        # bsk_rl: TimeDiscountedGAEPPOTorchLearner, after CondenseMultiStepActions
+        estimate_advantages(
+            team,
+            self.critic,
+            self.gamma,
+            self.lmbda,
+            estimator=MultiAgentGAE,
+            done="removed",
+            terminated="satellite_terminated",
         )
         deviation, mean = torch.std_mean(team["advantage"][team["decides"]])
         team["advantage"] = (team["advantage"] - mean) / deviation.clamp(min=1e-4)
         for _ in range(epochs):
             losses = self.loss(team)
             self.optimiser.zero_grad()
-            (losses["loss_objective"] + losses["loss_critic"] + losses["loss_entropy"]).backward()
+            (
+                losses["loss_objective"]
+                + losses["loss_critic"]
+                + losses["loss_entropy"]
+            ).backward()
             nn.utils.clip_grad_norm_(self.loss.parameters(), 0.5)
             self.optimiser.step()
         reward = batch["next", AGENTS, "reward"].sum(1).mean()
-        return {"reward": float(reward), "decisions": float(team["decides"].float().mean())}
+        return {
+            "reward": float(reward),
+            "decisions": float(team["decides"].float().mean()),
+        }
 
     @staticmethod
     def _experience(batch: TensorDictBase) -> TensorDict:
@@ -132,7 +183,8 @@ class Team:
                 "duration": after["duration"],
                 "done": batch["next", "done"],
                 "removed": ended | ~after["mask"].unsqueeze(-1),
-                "satellite_terminated": batch["next", "terminated"].unsqueeze(-2) | ~after["mask"].unsqueeze(-1),
+                "satellite_terminated": batch["next", "terminated"].unsqueeze(-2)
+                | ~after["mask"].unsqueeze(-1),
             },
         }
         return TensorDict(parts, batch.batch_size, names=[None, "time"])
@@ -142,18 +194,37 @@ def main() -> None:
     """Train."""
     parser = argparse.ArgumentParser(description="Learn one policy for four scanners.")
     parser.add_argument("--num-envs", type=int, default=32, help="episodes at once")
-    parser.add_argument("--iterations", type=int, default=20, help="batches to learn from")
-    parser.add_argument("--rollout", type=int, default=32, help="steps of each episode in a batch")
-    parser.add_argument("--time-limit", type=float, default=28500.0, help="length of an episode, s")
+    parser.add_argument(
+        "--iterations", type=int, default=20, help="batches to learn from"
+    )
+    parser.add_argument(
+        "--rollout", type=int, default=32, help="steps of each episode in a batch"
+    )
+    parser.add_argument(
+        "--time-limit", type=float, default=28500.0, help="length of an episode, s"
+    )
     parser.add_argument("--backend", default="compiled", choices=["compiled", "eager"])
-    parser.add_argument("--figure", type=Path, help="file for a picture of the learning curve; needs the extra viz")
+    parser.add_argument(
+        "--figure",
+        type=Path,
+        help="file for a picture of the learning curve; needs the extra viz",
+    )
     options = parser.parse_args()
     torch.manual_seed(0)
-    env = make(options.num_envs, time_limit=options.time_limit, backend=options.backend, seed=0)
+    env = make(
+        options.num_envs, time_limit=options.time_limit, backend=options.backend, seed=0
+    )
     team = Team(env, gamma=0.99997, lmbda=0.95, rate=1e-3)  # bsk_rl: lr=0.00003
     frames, show = options.num_envs * options.rollout, Show()
     # bsk_rl: tune.run("PPO", ...) with ContinuePreviousAction, MakeAddedStepActionValid and CondenseMultiStepActions
-    for k, batch in enumerate(Collector(env, team.policy(), frames_per_batch=frames, total_frames=options.iterations * frames)):
+    for k, batch in enumerate(
+        Collector(
+            env,
+            team.policy(),
+            frames_per_batch=frames,
+            total_frames=options.iterations * frames,
+        )
+    ):
         show((k + 1) * frames, team.learn(batch))
     show.draw(options.figure, "reward", "decisions")
 

@@ -23,11 +23,16 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from bsk_torch import NO_ACTION, ConstellationTasking, act, obs, rand, sats, scene  # bsk_rl: from bsk_rl import act, obs, sats
+# bsk_rl: from bsk_rl import act, obs, sats
+from bsk_torch import NO_ACTION, ConstellationTasking, act, obs, rand, sats, scene
 from bsk_torch.astro.frames import angle_between
 from bsk_torch.constants import R_EARTH  # bsk_rl: orbitalMotion.REQ_EARTH * 1e3
-from bsk_torch.data import UniqueImageReward  # bsk_rl: from bsk_rl.data.unique_image_data import UniqueImageData, ...
-from bsk_torch.scene import CloudyTargets, UniformTargets  # bsk_rl: from bsk_rl.scene.targets import UniformTargets
+
+# bsk_rl: from bsk_rl.data.unique_image_data import UniqueImageData, ...
+from bsk_torch.data import UniqueImageReward
+
+# bsk_rl: from bsk_rl.scene.targets import UniformTargets
+from bsk_torch.scene import CloudyTargets, UniformTargets
 from bsk_torch.sim import dyn, fsw  # bsk_rl: from bsk_rl.sim import dyn, fsw, world
 
 
@@ -37,8 +42,10 @@ class CustomDynModel(dyn.FullFeaturedDynModel):
     @property
     def solar_angle_norm(self) -> Tensor:
         """Between the side opposite to the instrument and the Sun, over pi, [N]."""
-        panels_N = -self.BN[:, 2]  # bsk_rl: np.matmul(np.transpose(self.BN), np.array([0, 0, -1]))
-        return angle_between(panels_N, self.world.sun_direction_N) / torch.pi  # bsk_rl: np.arccos(np.dot(...)) / np.pi
+        # bsk_rl: np.matmul(np.transpose(self.BN), np.array([0, 0, -1]))
+        panels_N = -self.BN[:, 2]
+        # bsk_rl: np.arccos(np.dot(...)) / np.pi
+        return angle_between(panels_N, self.world.sun_direction_N) / torch.pi
 
 
 class CustomSatComposed(sats.ImagingSatellite):
@@ -63,8 +70,16 @@ class CustomSatComposed(sats.ImagingSatellite):
         obs.OpportunityProperties(
             dict(prop="priority"),
             # bsk_rl: dict(fn=lambda sat, opp: opp["object"].cloud_cover_forecast), cloud_cover_sigma likewise
-            dict(fn=lambda sat, opp: sat.simulator.look_up(sat.scenario.cloud_forecast, opp.place)),
-            dict(fn=lambda sat, opp: sat.simulator.look_up(sat.scenario.drawn("cloud_forecast_sigma"), opp.place)),
+            dict(
+                fn=lambda sat, opp: sat.simulator.look_up(
+                    sat.scenario.cloud_forecast, opp.place
+                )
+            ),
+            dict(
+                fn=lambda sat, opp: sat.simulator.look_up(
+                    sat.scenario.drawn("cloud_forecast_sigma"), opp.place
+                )
+            ),
             type="target",
             n_ahead_observe=32,
         ),
@@ -82,35 +97,48 @@ SAT_ARGS: dict[str, Any] = dict(
     imageAttErrorRequirement=0.01,
     imageRateErrorRequirement=0.01,
     batteryStorageCapacity=80.0 * 3600 * 2,
-    storedCharge_Init=rand.Uniform(0.4 * 80 * 3600 * 2, 80.0 * 3600 * 2),  # bsk_rl: lambda: np.random.uniform(0.4, 1.0) * ...
+    # bsk_rl: lambda: np.random.uniform(0.4, 1.0) * ...
+    storedCharge_Init=rand.Uniform(0.4 * 80 * 3600 * 2, 80.0 * 3600 * 2),
     u_max=0.2,
     K1=0.5,
     nHat_B=[0, 0, -1],
     imageTargetMinimumElevation=math.radians(45),
     rwBasePower=20,
     maxWheelSpeed=1500,
-    storageInit=rand.Uniform(0.0, 0.01 * STORE),  # bsk_rl: lambda: np.random.randint(0, 0.01 * dataStorageCapacity)
-    wheelSpeeds=rand.Uniform(-1.0, 1.0, 3),  # bsk_rl: lambda: np.random.uniform(-1, 1, 3)
+    # bsk_rl: lambda: np.random.randint(0, 0.01 * dataStorageCapacity)
+    storageInit=rand.Uniform(0.0, 0.01 * STORE),
+    # bsk_rl: lambda: np.random.uniform(-1, 1, 3)
+    wheelSpeeds=rand.Uniform(-1.0, 1.0, 3),
 )
 
 
-class CloudTargets(CloudyTargets):  # bsk_rl: class CloudTargets(UniformTargets), which regenerates targets with three attributes
+# bsk_rl: class CloudTargets(UniformTargets), which regenerates targets with three attributes
+class CloudTargets(CloudyTargets):
     """Targets under clouds, with the Earth's average cover."""
 
     mu_data = 0.6740208166434426
 
     def __init__(self, targets: scene.targets.TargetScenario) -> None:
         """Put ``targets`` under clouds."""
-        super().__init__(targets, cover=rand.Uniform(0.0, 2 * self.mu_data), forecast_sigma=rand.Uniform(0.01, 0.05))
+        super().__init__(
+            targets,
+            cover=rand.Uniform(0.0, 2 * self.mu_data),
+            forecast_sigma=rand.Uniform(0.01, 0.05),
+        )
 
 
-class CloudImagingPercentReward(UniqueImageReward):  # bsk_rl: three classes, of data, store and rewarder
+# bsk_rl: three classes, of data, store and rewarder
+class CloudImagingPercentReward(UniqueImageReward):
     """Pays for images that are not cloud covered, by a function of priority and cover.
 
     Counters: ``cloud_free`` and ``cloud_covered`` [N, S], the numbers of images of either kind.
     """
 
-    def __init__(self, reward_fn: Callable[[Tensor, Tensor, Tensor], Tensor], threshold: float = 0.7) -> None:
+    def __init__(
+        self,
+        reward_fn: Callable[[Tensor, Tensor, Tensor], Tensor],
+        threshold: float = 0.7,
+    ) -> None:
         """Pay ``reward_fn(priority, cover, count)``, [N, S] each, where the cover is at most ``threshold``."""
         super().__init__()
         self.paid_by, self.threshold = reward_fn, threshold
@@ -123,12 +151,18 @@ class CloudImagingPercentReward(UniqueImageReward):  # bsk_rl: three classes, of
 
     def counts(self) -> dict[str, Tensor]:
         """Add the counters."""
-        return super().counts() | {name: self.memory[name] for name in ("cloud_free", "cloud_covered")}
+        return super().counts() | {
+            name: self.memory[name] for name in ("cloud_free", "cloud_covered")
+        }
 
-    def value(self, target: Tensor, taken: Tensor) -> Tensor:  # bsk_rl: compare_log_states and calculate_reward
+    # bsk_rl: compare_log_states and calculate_reward
+    def value(self, target: Tensor, taken: Tensor) -> Tensor:
         """Return the reward of each satellite for an image that it has ``taken`` of ``target``, [N, S] each."""
         super().value(target, taken)  # notes what has been imaged
-        priority, cover = (table.gather(1, target) for table in (self.scenario.priority, self.scenario.cloud_cover))
+        priority, cover = (
+            table.gather(1, target)
+            for table in (self.scenario.priority, self.scenario.cloud_cover)
+        )
         free = taken & (cover <= self.threshold)
         for name, which in (("cloud_free", free), ("cloud_covered", taken & ~free)):
             self.memory[name] = self.memory[name] + which
@@ -152,7 +186,8 @@ def make(
     Targets with a forecast above ``largest_forecast`` are hidden, as by the page's ``cloud_cover_filter`` with 0.2.
     """
     scenario = CloudTargets(UniformTargets((1000, 10_000)))
-    scenario.largest_forecast = largest_forecast  # bsk_rl: satellite.add_access_filter(cloud_cover_filter)
+    # bsk_rl: satellite.add_access_filter(cloud_cover_filter)
+    scenario.largest_forecast = largest_forecast
     defaults = dict(
         scenario=scenario,
         rewarder=CloudImagingPercentReward(linear),
@@ -162,7 +197,8 @@ def make(
         time_limit=95 * 60 * 3.0,
         failure_penalty=0.0,
     )
-    return ConstellationTasking(  # bsk_rl: gym.make("GeneralSatelliteTasking-v1", world_type=world.GroundStationWorldModel, ...
+    # bsk_rl: gym.make("GeneralSatelliteTasking-v1", world_type=world.GroundStationWorldModel, ...
+    return ConstellationTasking(
         satellites=[CustomSatComposed("EO", SAT_ARGS | (sat_args or {}))],
         num_envs=num_envs,  # bsk_rl: one episode
         joint=True,
@@ -172,24 +208,45 @@ def make(
 
 def main() -> None:
     """Charge, go on, image the first target, then act at random until the time is up."""
-    parser = argparse.ArgumentParser(description="Image targets under clouds at random.")
+    parser = argparse.ArgumentParser(
+        description="Image targets under clouds at random."
+    )
     parser.add_argument("--num-envs", type=int, default=4, help="episodes at once")
-    parser.add_argument("--time-limit", type=float, default=95 * 60 * 3.0, help="length of an episode, s")
+    parser.add_argument(
+        "--time-limit",
+        type=float,
+        default=95 * 60 * 3.0,
+        help="length of an episode, s",
+    )
     parser.add_argument("--backend", default="compiled", choices=["compiled", "eager"])
-    parser.add_argument("--figure", type=Path, help="file for a picture of the first episode at the end; needs the extra viz")
+    parser.add_argument(
+        "--figure",
+        type=Path,
+        help="file for a picture of the first episode at the end; needs the extra viz",
+    )
     options = parser.parse_args()
-    env = make(options.num_envs, time_limit=options.time_limit, backend=options.backend, seed=1)
+    env = make(
+        options.num_envs, time_limit=options.time_limit, backend=options.backend, seed=1
+    )
     td = env.reset()  # bsk_rl: env.reset(seed=1)
     satellite = env.fleet.satellites[0]
-    print("actions:", satellite.action_description[:3], "states:", satellite.observation_description[:3])
+    print(
+        "actions:",
+        satellite.action_description[:3],
+        "states:",
+        satellite.observation_description[:3],
+    )
     for action in (0, NO_ACTION, 1):  # bsk_rl: 0, None, 1
-        td = env.step(td.set("action", torch.full((options.num_envs, 1), action)))["next"]
+        td = env.step(td.set("action", torch.full((options.num_envs, 1), action)))[
+            "next"
+        ]
     total = torch.zeros(options.num_envs, 1, dtype=td["reward"].dtype)
     while not td["done"].any():
         td = env.rand_step(td)["next"]  # bsk_rl: env.step(env.action_space.sample())
         total += td["reward"]
     print("reward:", total.squeeze(1))  # bsk_rl: env.unwrapped.rewarder.cum_reward
-    for name in ("cloud_covered", "cloud_free"):  # bsk_rl: env.unwrapped.rewarder.data.cloud_covered, .cloud_free
+    # bsk_rl: env.unwrapped.rewarder.data.cloud_covered, .cloud_free
+    for name in ("cloud_covered", "cloud_free"):
         print(f"{name}:", env.counts()[name].squeeze(1))
     if options.figure is not None:
         from PIL import Image

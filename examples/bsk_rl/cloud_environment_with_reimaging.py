@@ -26,9 +26,12 @@ import torch
 from aeos import Density, s_hat_H
 from torch import Tensor
 
-from bsk_torch import ConstellationTasking, act, formations, obs, rand, sats, scene  # bsk_rl: from bsk_rl import ...
+# bsk_rl: from bsk_rl import ...
+from bsk_torch import ConstellationTasking, act, formations, obs, rand, sats, scene
 from bsk_torch.constants import R_EARTH  # bsk_rl: orbitalMotion.REQ_EARTH * 1e3
-from bsk_torch.data import ImageReward  # bsk_rl: from bsk_rl.data.base import Data, DataStore, GlobalReward
+
+# bsk_rl: from bsk_rl.data.base import Data, DataStore, GlobalReward
+from bsk_torch.data import ImageReward
 from bsk_torch.sim import fsw  # bsk_rl: from bsk_rl.sim import fsw
 
 ENOUGH = 0.95
@@ -39,7 +42,11 @@ AHEAD = 40
 
 def time_variation(seconds: Tensor, t_const: float = 30 * 60 / 5) -> Tensor:
     """Return how much the clouds have moved since the last image, 0 to 1: 0.998 after half an hour."""
-    return torch.where(seconds <= 0, torch.zeros_like(seconds), torch.sigmoid(2.5 * (seconds / t_const - 2.5)))
+    return torch.where(
+        seconds <= 0,
+        torch.zeros_like(seconds),
+        torch.sigmoid(2.5 * (seconds / t_const - 2.5)),
+    )
 
 
 def belief_update(belief: Tensor, forecast: Tensor, seconds: Tensor) -> Tensor:
@@ -54,13 +61,21 @@ class CloudTargets(scene.CloudyTargets):
 
     def __init__(self, targets: scene.targets.TargetScenario) -> None:
         """Put ``targets`` under clouds."""
-        super().__init__(targets, cover=rand.Uniform(0.0, 2 * self.mu_data), forecast_sigma=rand.Uniform(0.01, 0.05))
+        super().__init__(
+            targets,
+            cover=rand.Uniform(0.0, 2 * self.mu_data),
+            forecast_sigma=rand.Uniform(0.01, 0.05),
+        )
 
-    def draw(self, key: rand.Key) -> dict[str, Tensor]:  # bsk_rl: regenerate_targets, target by target
+    # bsk_rl: regenerate_targets, target by target
+    def draw(self, key: rand.Key) -> dict[str, Tensor]:
         """Draw the belief and the time of the last image of every target, too."""
         belief = 0.94 * key.named("belief").uniform(self.most_targets)
         previous = -5700.0 * key.named("previous").uniform(self.most_targets)
-        return super().draw(key) | {"belief_at_start": belief, "previous_at_start": previous}
+        return super().draw(key) | {
+            "belief_at_start": belief,
+            "previous_at_start": previous,
+        }
 
 
 class BeliefReward(ImageReward):  # bsk_rl: three classes, of data, store and rewarder
@@ -90,35 +105,65 @@ class BeliefReward(ImageReward):  # bsk_rl: three classes, of data, store and re
     @property
     def previous(self) -> Tensor:
         """Time of the last image, [N, T] s since reset."""
-        return torch.maximum(self.scenario.drawn("previous_at_start"), self.memory["imaged_at"])
+        return torch.maximum(
+            self.scenario.drawn("previous_at_start"), self.memory["imaged_at"]
+        )
 
     def counts(self) -> dict[str, Tensor]:
         """See the class."""
         return {name: self.memory[name] for name in ("reimaged", "complete")}
 
-    def selectable(self) -> Tensor:  # bsk_rl: satellite.add_access_filter(belief_threshold_filter)
+    # bsk_rl: satellite.add_access_filter(belief_threshold_filter)
+    def selectable(self) -> Tensor:
         """Targets whose belief is below the threshold, for every satellite, [N, S, T]."""
         open_to_all = self.scenario.available & (self.belief < ENOUGH)
         return open_to_all.unsqueeze(1).expand(-1, self.fleet.size, -1)
 
-    def value(self, target: Tensor, taken: Tensor) -> Tensor:  # bsk_rl: compare_log_states and calculate_reward
+    # bsk_rl: compare_log_states and calculate_reward
+    def value(self, target: Tensor, taken: Tensor) -> Tensor:
         """Return the reward [N, S] and update the beliefs; satellites that image a target together do so one after the other."""
         now, rewards = self.fleet.sim_time.unsqueeze(1), []
-        done = self.belief > ENOUGH  # before the step: bsk_rl reads self.data.imaged_complete, which grows after it
-        for k in range(self.fleet.size):  # the few satellites of an episode; all episodes at once
+        # before the step: bsk_rl reads self.data.imaged_complete, which grows after it
+        done = self.belief > ENOUGH
+        # the few satellites of an episode; all episodes at once
+        for k in range(self.fleet.size):
             one, takes = target[:, k : k + 1], taken[:, k : k + 1]
             forecast, priority, belief, previous, complete = (
                 table.gather(1, one)
-                for table in (self.scenario.cloud_forecast, self.scenario.priority, self.belief, self.previous, done)
+                for table in (
+                    self.scenario.cloud_forecast,
+                    self.scenario.priority,
+                    self.belief,
+                    self.previous,
+                    done,
+                )
             )
             after = belief_update(belief, forecast, now - previous)
             whole = (1 - self.alpha) * (after > ENOUGH)
-            rewards.append(torch.where(takes & ~complete, priority * (whole + (after - belief) * self.alpha), 0.0))
-            for name, new in (("growth", after - self.scenario.drawn("belief_at_start").gather(1, one)), ("imaged_at", now)):
+            rewards.append(
+                torch.where(
+                    takes & ~complete,
+                    priority * (whole + (after - belief) * self.alpha),
+                    0.0,
+                )
+            )
+            for name, new in (
+                (
+                    "growth",
+                    after - self.scenario.drawn("belief_at_start").gather(1, one),
+                ),
+                ("imaged_at", now),
+            ):
                 table = self.memory[name]
-                self.memory[name] = table.scatter(1, one, torch.where(takes, new, table.gather(1, one)))
-            self.memory["reimaged"] = _added(self.memory["reimaged"], k, takes & (previous >= 0))
-            self.memory["complete"] = _added(self.memory["complete"], k, takes & ~complete & (after > ENOUGH))
+                self.memory[name] = table.scatter(
+                    1, one, torch.where(takes, new, table.gather(1, one))
+                )
+            self.memory["reimaged"] = _added(
+                self.memory["reimaged"], k, takes & (previous >= 0)
+            )
+            self.memory["complete"] = _added(
+                self.memory["complete"], k, takes & ~complete & (after > ENOUGH)
+            )
         return torch.cat(rewards, 1)
 
 
@@ -147,7 +192,9 @@ def belief(satellite: Any, opportunities: Any) -> Tensor:
 
 def time_since_prev_obs(satellite: Any, opportunities: Any) -> Tensor:
     """Return the time since the last image, [N, n] s."""
-    return satellite.simulator.sim_time.unsqueeze(1) - of_targets(satellite, opportunities, satellite.rewarder.previous)
+    return satellite.simulator.sim_time.unsqueeze(1) - of_targets(
+        satellite, opportunities, satellite.rewarder.previous
+    )
 
 
 def forecast(satellite: Any, opportunities: Any) -> Tensor:
@@ -157,7 +204,10 @@ def forecast(satellite: Any, opportunities: Any) -> Tensor:
 
 def belief_expected(satellite: Any, opportunities: Any) -> Tensor:
     """Return the probability of success after an image now, [N, n]."""
-    known = (function(satellite, opportunities) for function in (belief, forecast, time_since_prev_obs))
+    known = (
+        function(satellite, opportunities)
+        for function in (belief, forecast, time_since_prev_obs)
+    )
     return belief_update(*known)
 
 
@@ -200,7 +250,8 @@ SAT_ARGS: dict[str, Any] = dict(
     imageAttErrorRequirement=0.01,
     imageRateErrorRequirement=0.01,
     batteryStorageCapacity=80.0 * 3600 * 2,
-    storedCharge_Init=rand.Uniform(0.4 * 80 * 3600 * 2, 80.0 * 3600 * 2),  # bsk_rl: lambda: np.random.uniform(0.4, 1.0) * ...
+    # bsk_rl: lambda: np.random.uniform(0.4, 1.0) * ...
+    storedCharge_Init=rand.Uniform(0.4 * 80 * 3600 * 2, 80.0 * 3600 * 2),
     u_max=0.1,
     K1=0.2,
     K3=0.5,
@@ -209,8 +260,10 @@ SAT_ARGS: dict[str, Any] = dict(
     imageTargetMinimumElevation=math.radians(45),
     rwBasePower=20,
     maxWheelSpeed=1500,
-    storageInit=rand.Uniform(0.0, 0.01 * STORE),  # bsk_rl: lambda: np.random.randint(0, 0.01 * dataStorageCapacity)
-    wheelSpeeds=rand.Uniform(-1.0, 1.0, 3),  # bsk_rl: lambda: np.random.uniform(-1, 1, 3)
+    # bsk_rl: lambda: np.random.randint(0, 0.01 * dataStorageCapacity)
+    storageInit=rand.Uniform(0.0, 0.01 * STORE),
+    # bsk_rl: lambda: np.random.uniform(-1, 1, 3)
+    wheelSpeeds=rand.Uniform(-1.0, 1.0, 3),
     dataStorageCapacity=STORE,
 )
 
@@ -218,7 +271,10 @@ N_SATELLITES = 5
 
 
 def make(
-    num_envs: int = 1, sat_args: Sequence[dict[str, Any]] | None = None, alpha: float = 1.0, **options: Any
+    num_envs: int = 1,
+    sat_args: Sequence[dict[str, Any]] | None = None,
+    alpha: float = 1.0,
+    **options: Any,
 ) -> ConstellationTasking:
     """Return ``num_envs`` episodes of the problem.
 
@@ -226,7 +282,9 @@ def make(
     """
     own = [{}] * N_SATELLITES if sat_args is None else sat_args
     # bsk_rl: walker_delta_args(altitude=500.0, n_planes=1, inc=45, clustersize=5, clusterspacing=72)
-    ring = formations.walker_delta_args(altitude=500.0, n_planes=1, inc=45.0, clustersize=5, clusterspacing=72)
+    ring = formations.walker_delta_args(
+        altitude=500.0, n_planes=1, inc=45.0, clustersize=5, clusterspacing=72
+    )
     defaults = dict(
         scenario=CloudTargets(scene.UniformTargets((1000, 10_000))),
         rewarder=BeliefReward(alpha),
@@ -237,7 +295,9 @@ def make(
         failure_penalty=0.0,
     )
     return ConstellationTasking(
-        satellites=[BeliefSatellite(f"EO{k}", SAT_ARGS | own[k]) for k in range(N_SATELLITES)],
+        satellites=[
+            BeliefSatellite(f"EO{k}", SAT_ARGS | own[k]) for k in range(N_SATELLITES)
+        ],
         num_envs=num_envs,  # bsk_rl: one episode
         **(defaults | options),
     )
@@ -253,10 +313,15 @@ def greedy(env: ConstellationTasking) -> Tensor:
     bsk_rl reads the observation, name by name and satellite by satellite.
     """
     satellite = env.fleet.satellites[0]
-    ahead, now = satellite.find_next_opportunities(AHEAD), satellite.simulator.sim_time.unsqueeze(1)
+    ahead, now = (
+        satellite.find_next_opportunities(AHEAD),
+        satellite.simulator.sim_time.unsqueeze(1),
+    )
     angle, rate = satellite.aims(ahead)[..., 3], satellite.aims(ahead)[..., 4]
     powers = torch.ones_like(angle), angle, rate, angle**2, rate**2, angle * rate
-    slew = sum(x * power for x, power in zip(COEFFICIENTS, powers, strict=True)).clamp(min=1e-3)  # type: ignore[union-attr]
+    slew = sum(x * power for x, power in zip(COEFFICIENTS, powers, strict=True)).clamp(
+        min=1e-3
+    )  # type: ignore[union-attr]
     ready = torch.maximum(slew, ahead.open - now).clamp(min=1.0)
     growth = belief_expected(satellite, ahead) - belief(satellite, ahead)
     score = growth * of_targets(satellite, ahead, satellite.scenario.priority) / ready
@@ -266,18 +331,32 @@ def greedy(env: ConstellationTasking) -> Tensor:
 
 def main() -> None:
     """Charge, then follow the greedy rule."""
-    parser = argparse.ArgumentParser(description="Image targets until they have probably been seen.")
+    parser = argparse.ArgumentParser(
+        description="Image targets until they have probably been seen."
+    )
     parser.add_argument("--num-envs", type=int, default=2, help="episodes at once")
     parser.add_argument("--steps", type=int, default=5)
-    parser.add_argument("--time-limit", type=float, default=95 * 60 / 2, help="length of an episode, s")
+    parser.add_argument(
+        "--time-limit", type=float, default=95 * 60 / 2, help="length of an episode, s"
+    )
     parser.add_argument("--backend", default="compiled", choices=["compiled", "eager"])
-    parser.add_argument("--figure", type=Path, help="file for a picture of the first episode at the end; needs the extra viz")
+    parser.add_argument(
+        "--figure",
+        type=Path,
+        help="file for a picture of the first episode at the end; needs the extra viz",
+    )
     options = parser.parse_args()
-    env = make(options.num_envs, time_limit=options.time_limit, backend=options.backend, seed=1)
+    env = make(
+        options.num_envs, time_limit=options.time_limit, backend=options.backend, seed=1
+    )
     td = env.reset()
     total = torch.zeros(options.num_envs, N_SATELLITES)
     for k in range(options.steps):
-        action = torch.zeros(options.num_envs, N_SATELLITES, dtype=torch.int64) if k == 0 else greedy(env)
+        action = (
+            torch.zeros(options.num_envs, N_SATELLITES, dtype=torch.int64)
+            if k == 0
+            else greedy(env)
+        )
         td["agents", "action"] = action  # bsk_rl: {satellite.name: action}
         td = env.step(td)["next"]
         total += td["agents", "reward"].squeeze(2)

@@ -40,7 +40,11 @@ class ImagingSatellite(sats.ImagingSatellite):
     """Broadcasts for a quarter of a minute, or images one of the next four targets."""
 
     observation_spec = [
-        obs.OpportunityProperties(dict(prop="priority"), dict(prop="opportunity_open", norm=5700.0), n_ahead_observe=4)
+        obs.OpportunityProperties(
+            dict(prop="priority"),
+            dict(prop="opportunity_open", norm=5700.0),
+            n_ahead_observe=4,
+        )
     ]
     action_spec = [act.Broadcast(duration=15.0), act.Image(n_ahead_image=4)]
     dyn_type = dyn.FullFeaturedDynModel
@@ -67,14 +71,18 @@ SAT_ARGS = dict(
 """Power and storage never run out."""
 
 
-def make(num_envs: int = 1, sat_args: Sequence[dict[str, Any]] | None = None, **options: Any) -> ConstellationTasking:
+def make(
+    num_envs: int = 1, sat_args: Sequence[dict[str, Any]] | None = None, **options: Any
+) -> ConstellationTasking:
     """Return ``num_envs`` episodes of the problem.
 
     ``sat_args`` of each satellite replace what would be drawn, ``options`` those of the problem.
     """
     own = [{}] * N_AGENTS if sat_args is None else sat_args
     # bsk_rl: walker_delta_args(altitude=800.0, inc=60.0, n_planes=1, clustersize=N_AGENTS, clusterspacing=5.0)
-    pair = formations.walker_delta_args(altitude=800.0, inc=60.0, n_planes=1, clustersize=N_AGENTS, clusterspacing=5.0)
+    pair = formations.walker_delta_args(
+        altitude=800.0, inc=60.0, n_planes=1, clustersize=N_AGENTS, clusterspacing=5.0
+    )
     defaults = dict(
         scenario=scene.UniformTargets(1000),
         rewarder=data.UniqueImageReward(),
@@ -82,7 +90,9 @@ def make(num_envs: int = 1, sat_args: Sequence[dict[str, Any]] | None = None, **
         sat_arg_randomizer=pair if sat_args is None else None,
     )
     return ConstellationTasking(
-        satellites=[ImagingSatellite(f"EO{k + 1}", SAT_ARGS | own[k]) for k in range(N_AGENTS)],
+        satellites=[
+            ImagingSatellite(f"EO{k + 1}", SAT_ARGS | own[k]) for k in range(N_AGENTS)
+        ],
         num_envs=num_envs,  # bsk_rl: one episode
         **(defaults | options),
     )
@@ -93,16 +103,33 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="Broadcast what has been imaged.")
     parser.add_argument("--num-envs", type=int, default=2, help="episodes at once")
     parser.add_argument("--backend", default="compiled", choices=["compiled", "eager"])
-    parser.add_argument("--figure", type=Path, help="file for a picture of the first episode at the end; needs the extra viz")
+    parser.add_argument(
+        "--figure",
+        type=Path,
+        help="file for a picture of the first episode at the end; needs the extra viz",
+    )
     options = parser.parse_args()
     env = make(options.num_envs, backend=options.backend, seed=0)
     td = env.reset()
     for actions in ([IMAGE_3, IMAGE_2], [BROADCAST, BROADCAST], [IMAGE_2, BROADCAST]):
-        td["agents", "action"] = torch.tensor(actions).expand(options.num_envs, N_AGENTS)  # bsk_rl: {"EO-1": .., "EO-2": ..}
+        # bsk_rl: {"EO-1": .., "EO-2": ..}
+        td["agents", "action"] = torch.tensor(actions).expand(
+            options.num_envs, N_AGENTS
+        )
         td = env.step(td)["next"]
-        heard = env.links.flatten(1).sum(1) - N_AGENTS * env.links.diagonal(dim1=1, dim2=2).any(1)  # everyone hears itself
+        # everyone hears itself
+        heard = env.links.flatten(1).sum(1) - N_AGENTS * env.links.diagonal(
+            dim1=1, dim2=2
+        ).any(1)
         known = env.rewarder.known.sum(2)
-        print("rewards", td["agents", "reward"].squeeze(2).tolist(), "heard", heard.tolist(), "images known", known.tolist())
+        print(
+            "rewards",
+            td["agents", "reward"].squeeze(2).tolist(),
+            "heard",
+            heard.tolist(),
+            "images known",
+            known.tolist(),
+        )
     if options.figure is not None:
         from PIL import Image
 

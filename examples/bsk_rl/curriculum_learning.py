@@ -45,8 +45,10 @@ def attitude_error_norm(satellite: Any) -> Tensor:
 
 def solar_angle_norm(satellite: Any) -> Tensor:
     """Angle between solar panels and the Sun over pi, [N]."""
-    panels_N = -satellite.dynamics.BN[:, 2]  # bsk_rl: np.matmul(np.transpose(sat.dynamics.BN), np.array([0, 0, -1]))
-    return angle_between(panels_N, satellite.dynamics.world.sun_direction_N) / torch.pi  # bsk_rl: np.arccos(np.dot(b_N, a_hat))
+    # bsk_rl: np.matmul(np.transpose(sat.dynamics.BN), np.array([0, 0, -1]))
+    panels_N = -satellite.dynamics.BN[:, 2]
+    # bsk_rl: np.arccos(np.dot(b_N, a_hat))
+    return angle_between(panels_N, satellite.dynamics.world.sun_direction_N) / torch.pi
 
 
 class CustomDynamics(dyn.GroundStationDynModel, dyn.ContinuousImagingDynModel):
@@ -139,7 +141,12 @@ class Graded(rand.Distribution):
 class Battery(Graded):
     """Energy in a share of the battery's capacity, W s, [n]."""
 
-    def __init__(self, ends: tuple[float, float], difficulty: Tensor | None, share: tuple[float, float] = (1.0, 1.0)) -> None:
+    def __init__(
+        self,
+        ends: tuple[float, float],
+        difficulty: Tensor | None,
+        share: tuple[float, float] = (1.0, 1.0),
+    ) -> None:
         """``share`` is the range of the share."""
         super().__init__(ends, difficulty)
         self.share = share
@@ -147,7 +154,11 @@ class Battery(Graded):
     def draw(self, key: rand.Key) -> Tensor:
         """See :meth:`Distribution.draw`."""
         low, high = self.share
-        return BATTERY * self.size(key, "capacity") * (low + (high - low) * key.uniform(1).squeeze(1))
+        return (
+            BATTERY
+            * self.size(key, "capacity")
+            * (low + (high - low) * key.uniform(1).squeeze(1))
+        )
 
 
 class Torque(Graded):
@@ -156,13 +167,22 @@ class Torque(Graded):
     def draw(self, key: rand.Key) -> Tensor:
         """See :meth:`Distribution.draw`."""
         vector = key.normal(3)  # bsk_rl: np.random.normal(size=3)
-        return TORQUE * self.size(key, "torque").unsqueeze(1) * vector / vector.norm(dim=1, keepdim=True)
+        return (
+            TORQUE
+            * self.size(key, "torque").unsqueeze(1)
+            * vector
+            / vector.norm(dim=1, keepdim=True)
+        )
 
 
 def difficult_args(difficulty: Any, curriculum: str = "direct") -> dict[str, Any]:
     """Return the arguments that depend on the difficulty, 0 to 1: a number, or one for each environment, [N]."""
     battery, torque = CURRICULA[curriculum]
-    level = None if curriculum == "randomised" else torch.as_tensor(difficulty, dtype=torch.float64).reshape(-1)
+    level = (
+        None
+        if curriculum == "randomised"
+        else torch.as_tensor(difficulty, dtype=torch.float64).reshape(-1)
+    )
     return dict(
         batteryStorageCapacity=Battery(battery, level),
         storedCharge_Init=Battery(battery, level, INITIAL_CHARGE),
@@ -171,7 +191,11 @@ def difficult_args(difficulty: Any, curriculum: str = "direct") -> dict[str, Any
 
 
 def make(
-    num_envs: int = 1, sat_args: dict[str, Any] | None = None, difficulty: Any = 0.0, curriculum: str = "direct", **options: Any
+    num_envs: int = 1,
+    sat_args: dict[str, Any] | None = None,
+    difficulty: Any = 0.0,
+    curriculum: str = "direct",
+    **options: Any,
 ) -> SatelliteTasking:
     """Return ``num_envs`` episodes of the problem; ``sat_args`` and ``options`` replace its own."""
     arguments = SAT_ARGS | difficult_args(difficulty, curriculum) | (sat_args or {})
@@ -182,7 +206,8 @@ def make(
         time_limit=duration,
         failure_penalty=-1.0,
     )
-    return SatelliteTasking(  # bsk_rl: class SatelliteTaskingCL(SatelliteTasking), with set_task(difficulty)
+    # bsk_rl: class SatelliteTaskingCL(SatelliteTasking), with set_task(difficulty)
+    return SatelliteTasking(
         satellite=ScanningSatellite("Scanner1", sat_args=arguments),
         num_envs=num_envs,  # bsk_rl: one episode
         **(defaults | options),
@@ -194,13 +219,33 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="Learn with a curriculum.")
     parser.add_argument("--curriculum", default="direct", choices=CURRICULA)
     parser.add_argument("--num-envs", type=int, default=64, help="episodes at once")
-    parser.add_argument("--iterations", type=int, default=20, help="batches to learn from")
-    parser.add_argument("--rollout", type=int, default=16, help="decisions of each episode in a batch")
-    parser.add_argument("--time-limit", type=float, default=INTERVALS * 180.0, help="length of an episode, s")
+    parser.add_argument(
+        "--iterations", type=int, default=20, help="batches to learn from"
+    )
+    parser.add_argument(
+        "--rollout", type=int, default=16, help="decisions of each episode in a batch"
+    )
+    parser.add_argument(
+        "--time-limit",
+        type=float,
+        default=INTERVALS * 180.0,
+        help="length of an episode, s",
+    )
     parser.add_argument("--backend", default="compiled", choices=["compiled", "eager"])
-    parser.add_argument("--figure", type=Path, help="file for a picture of the learning curve; needs the extra viz")
+    parser.add_argument(
+        "--figure",
+        type=Path,
+        help="file for a picture of the learning curve; needs the extra viz",
+    )
     options = parser.parse_args()
-    config = PPOConfig(num_envs=options.num_envs, rollout=options.rollout, lmbda=0.95, clip=0.2, gradient_norm=0.5, entropy=0.0)
+    config = PPOConfig(
+        num_envs=options.num_envs,
+        rollout=options.rollout,
+        lmbda=0.95,
+        clip=0.2,
+        gradient_norm=0.5,
+        entropy=0.0,
+    )
     own = dict(time_limit=options.time_limit, backend=options.backend, seed=0)
     env = make(options.num_envs, curriculum=options.curriculum, **own)
     last = options.iterations * config.batch
@@ -208,7 +253,8 @@ def main() -> None:
 
     def harder(frames: int) -> None:
         """Raise the difficulty from 0 to 1 over the training; episodes that begin from then on have it."""
-        env.set_sat_args(difficult_args(frames / last, options.curriculum))  # bsk_rl: CLCallbacks.on_episode_start, set_task
+        # bsk_rl: CLCallbacks.on_episode_start, set_task
+        env.set_sat_args(difficult_args(frames / last, options.curriculum))
 
     def tell(frames: int, report: dict[str, float]) -> None:
         """Add what the curriculum does."""

@@ -39,7 +39,8 @@ class MortalDynModel(dyn.FullFeaturedDynModel):
     """Dies of what the environment is told, too."""
 
     @dyn.aliveness_checker
-    def not_killed(self) -> Tensor:  # bsk_rl: a function isnt_alive that takes the place of satellite.is_alive
+    # bsk_rl: a function isnt_alive that takes the place of satellite.is_alive
+    def not_killed(self) -> Tensor:
         """[N]."""
         return ~self.simulator.memory["killed"]
 
@@ -48,7 +49,11 @@ class ImagingSatellite(sats.ImagingSatellite):
     """Chooses among the next ten targets."""
 
     observation_spec = [
-        obs.OpportunityProperties(dict(prop="priority"), dict(prop="opportunity_open", norm=5700.0), n_ahead_observe=10)
+        obs.OpportunityProperties(
+            dict(prop="priority"),
+            dict(prop="opportunity_open", norm=5700.0),
+            n_ahead_observe=10,
+        )
     ]
     action_spec = [act.Image(n_ahead_image=10)]
     dyn_type = MortalDynModel  # bsk_rl: dyn.FullFeaturedDynModel
@@ -77,7 +82,10 @@ SAT_ARGS = dict(
 
 
 def make(
-    num_envs: int = 1, sat_args: Sequence[dict[str, Any]] | None = None, joint: bool = False, **options: Any
+    num_envs: int = 1,
+    sat_args: Sequence[dict[str, Any]] | None = None,
+    joint: bool = False,
+    **options: Any,
 ) -> ConstellationTasking:
     """Return ``num_envs`` episodes of the problem.
 
@@ -90,12 +98,19 @@ def make(
         rewarder=data.UniqueImageReward(),
         communicator=comm.LOSCommunication(),
         # bsk_rl: walker_delta_args(altitude=800.0, inc=60.0, n_planes=1)
-        sat_arg_randomizer=formations.walker_delta_args(altitude=800.0, inc=60.0, n_planes=1) if sat_args is None else None,
+        sat_arg_randomizer=formations.walker_delta_args(
+            altitude=800.0, inc=60.0, n_planes=1
+        )
+        if sat_args is None
+        else None,
     )
     return ConstellationTasking(
-        satellites=[ImagingSatellite(f"EO{k + 1}", SAT_ARGS | own[k]) for k in range(3)],
+        satellites=[
+            ImagingSatellite(f"EO{k + 1}", SAT_ARGS | own[k]) for k in range(3)
+        ],
         num_envs=num_envs,  # bsk_rl: one episode
-        joint=joint,  # bsk_rl: GeneralSatelliteTasking(...) instead of ConstellationTasking(...)
+        # bsk_rl: GeneralSatelliteTasking(...) instead of ConstellationTasking(...)
+        joint=joint,
         **(defaults | options),
     )
 
@@ -103,7 +118,9 @@ def make(
 def kill(env: ConstellationTasking, satellite: int) -> None:
     """Let a satellite of every episode die at the end of the next step."""
     memory = env.fleet.satellites[0].simulator.memory
-    memory["killed"] = memory["killed"] | (torch.arange(env.fleet.size) == satellite).repeat(env.fleet.num_envs)
+    memory["killed"] = memory["killed"] | (
+        torch.arange(env.fleet.size) == satellite
+    ).repeat(env.fleet.num_envs)
 
 
 def main() -> None:
@@ -111,23 +128,40 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="Fly three imagers.")
     parser.add_argument("--num-envs", type=int, default=2, help="episodes at once")
     parser.add_argument("--backend", default="compiled", choices=["compiled", "eager"])
-    parser.add_argument("--figure", type=Path, help="file for a picture of the first episode at the end; needs the extra viz")
+    parser.add_argument(
+        "--figure",
+        type=Path,
+        help="file for a picture of the first episode at the end; needs the extra viz",
+    )
     options = parser.parse_args()
     common = dict(num_envs=options.num_envs, backend=options.backend, seed=0)
     first = torch.tensor([7, 9, 8]).expand(options.num_envs, 3)
 
     env = make(joint=True, **common)
     td = env.reset()
-    print(env.observation_spec["observation"].shape, env.action_spec)  # bsk_rl: tuples of spaces
+    print(
+        env.observation_spec["observation"].shape, env.action_spec
+    )  # bsk_rl: tuples of spaces
     td = env.step(td.set("action", first))["next"]  # bsk_rl: env.step([7, 9, 8])
-    asked = td["members_require_retasking"]  # [N, 3]; bsk_rl: info[sat.name]["requires_retasking"]
-    td = env.step(td.set("action", torch.where(asked, 0, NO_ACTION)))["next"]  # bsk_rl: 0 or None for each
-    print("joint: rewards", td["reward"].squeeze(1), "after", td["duration"].squeeze(1), "s")
+    # [N, 3]; bsk_rl: info[sat.name]["requires_retasking"]
+    asked = td["members_require_retasking"]
+    # bsk_rl: 0 or None for each
+    td = env.step(td.set("action", torch.where(asked, 0, NO_ACTION)))["next"]
+    print(
+        "joint: rewards",
+        td["reward"].squeeze(1),
+        "after",
+        td["duration"].squeeze(1),
+        "s",
+    )
 
     env = make(**common)
     td = env.reset()
-    print(env.group_map, td["agents", "observation"].shape)  # bsk_rl: dictionaries by agent
-    td["agents", "action"] = first  # bsk_rl: {env.agents[0]: 7, env.agents[1]: 9, env.agents[2]: 8}
+    print(
+        env.group_map, td["agents", "observation"].shape
+    )  # bsk_rl: dictionaries by agent
+    # bsk_rl: {env.agents[0]: 7, env.agents[1]: 9, env.agents[2]: 8}
+    td["agents", "action"] = first
     td = env.step(td)["next"]
     print("rewards", td["agents", "reward"].squeeze(2))
     kill(env, 0)  # bsk_rl: env.satellites[0].is_alive = isnt_alive

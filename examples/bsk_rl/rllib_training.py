@@ -39,20 +39,25 @@ from bsk_torch.rl.training.ppo import Learner
 from bsk_torch.sim import dyn, fsw  # bsk_rl: from bsk_rl.sim import dyn, fsw
 
 
-class ScanningDownlinkDynModel(dyn.ContinuousImagingDynModel, dyn.GroundStationDynModel):
+class ScanningDownlinkDynModel(
+    dyn.ContinuousImagingDynModel, dyn.GroundStationDynModel
+):
     """Scans and downlinks; adds two angles."""
 
     @property
     def instrument_pointing_error(self) -> Tensor:
         """Between instrument and nadir, [N] rad."""
-        return angle_between(-self.r_BN_P, self.satellite.fsw.c_hat_P)  # bsk_rl: np.arccos(np.dot(-r_BN_P_unit, c_hat_P))
+        # bsk_rl: np.arccos(np.dot(-r_BN_P_unit, c_hat_P))
+        return angle_between(-self.r_BN_P, self.satellite.fsw.c_hat_P)
 
     @property
     def solar_pointing_error(self) -> Tensor:
         """Between solar panels and the Sun, [N] rad."""
         nHat_B = self.satellite.sat_args["nHat_B"].unsqueeze(-1)
-        nHat_N = (self.BN.mT @ nHat_B).squeeze(-1)  # bsk_rl: np.transpose(self.BN) @ nHat_B
-        return angle_between(nHat_N, self.world.sun_direction_N)  # bsk_rl: world.gravFactory.spiceObject.planetStateOutMsgs[...]
+        # bsk_rl: np.transpose(self.BN) @ nHat_B
+        nHat_N = (self.BN.mT @ nHat_B).squeeze(-1)
+        # bsk_rl: world.gravFactory.spiceObject.planetStateOutMsgs[...]
+        return angle_between(nHat_N, self.world.sun_direction_N)
 
 
 class ScanningSatellite(sats.AccessSatellite):
@@ -87,11 +92,13 @@ class ScanningSatellite(sats.AccessSatellite):
 
 SAT_ARGS: dict[str, Any] = dict(
     dataStorageCapacity=5000 * 8e6,  # bit
-    storageInit=rand.Uniform(0.0, 0.8 * 5000 * 8e6),  # bsk_rl: lambda: np.random.uniform(0.0, 0.8) * 5000 * 8e6
+    # bsk_rl: lambda: np.random.uniform(0.0, 0.8) * 5000 * 8e6
+    storageInit=rand.Uniform(0.0, 0.8 * 5000 * 8e6),
     instrumentBaudRate=0.5 * 8e6,
     transmitterBaudRate=-50 * 8e6,
     batteryStorageCapacity=200 * 3600,  # W s
-    storedCharge_Init=rand.Uniform(0.3 * 200 * 3600, 200 * 3600),  # bsk_rl: lambda: np.random.uniform(0.3, 1.0) * 200 * 3600
+    # bsk_rl: lambda: np.random.uniform(0.3, 1.0) * 200 * 3600
+    storedCharge_Init=rand.Uniform(0.3 * 200 * 3600, 200 * 3600),
     basePowerDraw=-10.0,  # W
     instrumentPowerDraw=-30.0,
     transmitterPowerDraw=-25.0,
@@ -99,9 +106,11 @@ SAT_ARGS: dict[str, Any] = dict(
     panelArea=0.25,
     imageAttErrorRequirement=0.1,
     imageRateErrorRequirement=0.1,
-    disturbance_vector=rand.Normal(0.0, 1e-4, 3),  # N m; bsk_rl: lambda: np.random.normal(scale=0.0001, size=3)
+    # N m; bsk_rl: lambda: np.random.normal(scale=0.0001, size=3)
+    disturbance_vector=rand.Normal(0.0, 1e-4, 3),
     maxWheelSpeed=6000.0,  # rpm
-    wheelSpeeds=rand.Uniform(-3000.0, 3000.0, 3),  # bsk_rl: lambda: np.random.uniform(-3000, 3000, 3)
+    # bsk_rl: lambda: np.random.uniform(-3000, 3000, 3)
+    wheelSpeeds=rand.Uniform(-3000.0, 3000.0, 3),
     desatAttitude="nadir",
 )
 """Data and power bind."""
@@ -121,10 +130,15 @@ def task() -> dict[str, Any]:
     )
 
 
-def make(num_envs: int = 1, sat_args: dict[str, Any] | None = None, **options: Any) -> SatelliteTasking:
+def make(
+    num_envs: int = 1, sat_args: dict[str, Any] | None = None, **options: Any
+) -> SatelliteTasking:
     """Return ``num_envs`` episodes of the problem; ``sat_args`` and ``options`` replace its own."""
     satellite = ScanningSatellite("Scanner1", sat_args=SAT_ARGS | (sat_args or {}))
-    return SatelliteTasking(satellite=satellite, num_envs=num_envs, **(task() | options))  # bsk_rl: one episode
+    # bsk_rl: one episode
+    return SatelliteTasking(
+        satellite=satellite, num_envs=num_envs, **(task() | options)
+    )
 
 
 class EpisodeMetrics:
@@ -136,23 +150,47 @@ class EpisodeMetrics:
 
     def __init__(self, num_envs: int, penalty: float) -> None:
         """Follow ``num_envs`` environments in which dying costs ``penalty``."""
-        self.penalty, self.reward, self.seconds = penalty, torch.zeros(num_envs), torch.zeros(num_envs)
+        self.penalty, self.reward, self.seconds = (
+            penalty,
+            torch.zeros(num_envs),
+            torch.zeros(num_envs),
+        )
 
     def __call__(self, batch: Any) -> dict[str, float]:
         """Return metrics of the episodes that end in a batch [N, T]."""
         following, rows = batch["next"], []
         for reward, seconds, done, truncated in zip(
-            *(following[name].squeeze(-1).unbind(1) for name in ("reward", "duration", "done", "truncated")), strict=True
+            *(
+                following[name].squeeze(-1).unbind(1)
+                for name in ("reward", "duration", "done", "truncated")
+            ),
+            strict=True,
         ):
             self.reward, self.seconds = self.reward + reward, self.seconds + seconds
-            rows.append(torch.stack([self.reward, truncated.float(), self.seconds / 5700.0], 1)[done])
-            self.reward, self.seconds = self.reward.masked_fill(done, 0.0), self.seconds.masked_fill(done, 0.0)
+            rows.append(
+                torch.stack([self.reward, truncated.float(), self.seconds / 5700.0], 1)[
+                    done
+                ]
+            )
+            self.reward, self.seconds = (
+                self.reward.masked_fill(done, 0.0),
+                self.seconds.masked_fill(done, 0.0),
+            )
         ended = torch.cat(rows).double()
         if not len(ended):
             return {}
-        means = dict(zip(("reward", "alive", "orbits_complete"), ended.mean(0).tolist(), strict=True))
+        means = dict(
+            zip(
+                ("reward", "alive", "orbits_complete"),
+                ended.mean(0).tolist(),
+                strict=True,
+            )
+        )
         per_orbit = (ended[:, 0] / ended[:, 2]).mean()
-        return means | {"episodes": float(len(ended)), "reward_per_orbit": float(per_orbit)}
+        return means | {
+            "episodes": float(len(ended)),
+            "reward_per_orbit": float(per_orbit),
+        }
 
 
 def train(
@@ -175,7 +213,14 @@ def train(
     learner = Learner(config, env)
     actor = learner.networks.policy.select_out_keys("action", "action_log_prob")
     metrics = EpisodeMetrics(config.num_envs, env.failure_penalty)
-    batches = iter(Collector(env, actor, frames_per_batch=config.batch, total_frames=iterations * config.batch))
+    batches = iter(
+        Collector(
+            env,
+            actor,
+            frames_per_batch=config.batch,
+            total_frames=iterations * config.batch,
+        )
+    )
     for k in range(iterations):
         before(k * config.batch)
         learner.anneal(k / iterations)
@@ -207,10 +252,15 @@ class Show:
         figure, axes = style.panels([1.6] * len(names))
         for panel, name in zip(axes, names, strict=True):
             rows = [row for row in self.rows if name in row]
-            panel.plot([row["decisions"] for row in rows], [row[name] for row in rows], color=style.PALETTE[0])
+            panel.plot(
+                [row["decisions"] for row in rows],
+                [row[name] for row in rows],
+                color=style.PALETTE[0],
+            )
             style.label(panel, name)
         axes[-1].set_xlabel("decisions")
-        figure.draw_without_rendering()  # ticks, and the room that their labels need, are known after the first layout
+        # ticks, and the room that their labels need, are known after the first layout
+        figure.draw_without_rendering()
         style.save(figure, path)
 
 
@@ -218,14 +268,25 @@ def main() -> None:
     """Train, then play an episode."""
     parser = argparse.ArgumentParser(description="Learn to scan.")
     parser.add_argument("--num-envs", type=int, default=64, help="episodes at once")
-    parser.add_argument("--iterations", type=int, default=20, help="batches to learn from")
-    parser.add_argument("--rollout", type=int, default=16, help="decisions of each episode in a batch")
-    parser.add_argument("--time-limit", type=float, default=DURATION, help="length of an episode, s")
+    parser.add_argument(
+        "--iterations", type=int, default=20, help="batches to learn from"
+    )
+    parser.add_argument(
+        "--rollout", type=int, default=16, help="decisions of each episode in a batch"
+    )
+    parser.add_argument(
+        "--time-limit", type=float, default=DURATION, help="length of an episode, s"
+    )
     parser.add_argument("--backend", default="compiled", choices=["compiled", "eager"])
-    parser.add_argument("--figure", type=Path, help="file for a picture of the learning curve")
+    parser.add_argument(
+        "--figure", type=Path, help="file for a picture of the learning curve"
+    )
     options = parser.parse_args()
-    env = make(options.num_envs, time_limit=options.time_limit, backend=options.backend, seed=0)
-    config = PPOConfig(  # bsk_rl: PPOConfig().training(...).env_runners(...).environment(...)
+    env = make(
+        options.num_envs, time_limit=options.time_limit, backend=options.backend, seed=0
+    )
+    # bsk_rl: PPOConfig().training(...).env_runners(...).environment(...)
+    config = PPOConfig(
         num_envs=options.num_envs,
         rollout=options.rollout,
         hidden=(64, 64),  # bsk_rl: fcnet_hiddens=[512, 512]
@@ -236,9 +297,13 @@ def main() -> None:
         gradient_norm=0.5,
     )
     show = Show()
-    learner = train(env, config, options.iterations, show)  # bsk_rl: tune.run("PPO", ...)
+    # bsk_rl: tune.run("PPO", ...)
+    learner = train(env, config, options.iterations, show)
     rollout = env.rollout(8, learner.networks.policy, break_when_any_done=False)
-    print("rewards of the first episode's next steps:", rollout["next", "reward"][0].flatten())
+    print(
+        "rewards of the first episode's next steps:",
+        rollout["next", "reward"][0].flatten(),
+    )
     show.draw(options.figure, "reward", "alive", "entropy")
 
 

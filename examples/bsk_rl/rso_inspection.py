@@ -35,8 +35,12 @@ from bsk_torch import (  # bsk_rl: from bsk_rl import act, data, obs, sats, scen
     scene,
 )
 from bsk_torch.astro.clohessy_wiltshire import transfer
-from bsk_torch.astro.relative import fibonacci_sphere  # bsk_rl: from bsk_rl.utils.orbital import fibonacci_sphere
-from bsk_torch.obs.relative_observations import rso_imaged_regions  # bsk_rl: from bsk_rl.obs.relative_observations import ...
+
+# bsk_rl: from bsk_rl.utils.orbital import fibonacci_sphere
+from bsk_torch.astro.relative import fibonacci_sphere
+
+# bsk_rl: from bsk_rl.obs.relative_observations import ...
+from bsk_torch.obs.relative_observations import rso_imaged_regions
 from bsk_torch.presets.inspection import EccentricOrbit, RelativeState
 from bsk_torch.sim import dyn, fsw  # bsk_rl: from bsk_rl.sim import dyn, fsw
 
@@ -68,7 +72,10 @@ class Inspector(sats.Satellite):
         obs.RelativeProperties(
             dict(prop="r_DC_Hc", norm=500),
             dict(prop="v_DC_Hc", norm=5),
-            dict(prop="rso_imaged_regions", fn=partial(rso_imaged_regions, region_centers=fibonacci_sphere(15))),
+            dict(
+                prop="rso_imaged_regions",
+                fn=partial(rso_imaged_regions, region_centers=fibonacci_sphere(15)),
+            ),
             dict(prop="sun_hat_Hc"),  # bsk_rl: a function sun_hat_chief
             chief_name=CHIEF,
         ),
@@ -76,10 +83,19 @@ class Inspector(sats.Satellite):
         obs.Time(),
     ]
     action_spec = [
-        act.ImpulsiveThrustHill(chief_name=CHIEF, max_dv=1.0, max_drift_duration=2 * ORBIT, fsw_action="action_inspect_rso")
+        act.ImpulsiveThrustHill(
+            chief_name=CHIEF,
+            max_dv=1.0,
+            max_drift_duration=2 * ORBIT,
+            fsw_action="action_inspect_rso",
+        )
     ]
     dyn_type = (dyn.MaxRangeDynModel, dyn.ConjunctionDynModel, dyn.RSOInspectorDynModel)
-    fsw_type = (fsw.SteeringFSWModel, fsw.MagicOrbitalManeuverFSWModel, fsw.RSOInspectorFSWModel)
+    fsw_type = (
+        fsw.SteeringFSWModel,
+        fsw.MagicOrbitalManeuverFSWModel,
+        fsw.RSOInspectorFSWModel,
+    )
 
 
 RSO_ARGS = dict(conjunction_radius=2.0)
@@ -111,7 +127,10 @@ def fuel(satellite: Any) -> Tensor:
 
 
 def make(
-    num_envs: int = 1, sat_args: Sequence[dict[str, Any]] | None = None, n_inspectors: int = 1, **options: Any
+    num_envs: int = 1,
+    sat_args: Sequence[dict[str, Any]] | None = None,
+    n_inspectors: int = 1,
+    **options: Any,
 ) -> ConstellationTasking:
     """Return ``num_envs`` episodes of the problem.
 
@@ -120,14 +139,21 @@ def make(
     names = [f"Inspector{k}" for k in range(1, n_inspectors + 1)]
     own = [{}] * (1 + n_inspectors) if sat_args is None else sat_args
     # bsk_rl: sat_arg_randomizer(satellites), a function that calls relative_to_chief(...)
-    about = formations.relative_to_chief(CHIEF, EccentricOrbit(), {name: RelativeState() for name in names})
+    about = formations.relative_to_chief(
+        CHIEF, EccentricOrbit(), {name: RelativeState() for name in names}
+    )
     defaults = dict(
         scenario=scene.SphericalRSO(
-            n_points=100, radius=1.0, theta_max=math.radians(30), range_max=250, theta_solar_max=math.radians(60)
+            n_points=100,
+            radius=1.0,
+            theta_max=math.radians(30),
+            range_max=250,
+            theta_solar_max=math.radians(60),
         ),
         rewarder=(
             data.RSOInspectionReward(completion_bonus=1.0, completion_threshold=0.90),
-            data.ResourceReward(resource_fn=fuel, reward_weight=rand.Uniform(0.0, 0.5)),  # bsk_rl: np.random.uniform(0.0, 0.5)
+            # bsk_rl: np.random.uniform(0.0, 0.5)
+            data.ResourceReward(resource_fn=fuel, reward_weight=rand.Uniform(0.0, 0.5)),
         ),
         sat_arg_randomizer=about if sat_args is None else None,
         sim_rate=5.0,
@@ -137,7 +163,10 @@ def make(
     return ConstellationTasking(
         satellites=[
             RSO(CHIEF, sat_args=RSO_ARGS | own[0]),
-            *(Inspector(name, sat_args=INSPECTOR_ARGS | given) for name, given in zip(names, own[1:], strict=True)),
+            *(
+                Inspector(name, sat_args=INSPECTOR_ARGS | given)
+                for name, given in zip(names, own[1:], strict=True)
+            ),
         ],
         num_envs=num_envs,  # bsk_rl: one episode
         **(defaults | options),
@@ -146,34 +175,68 @@ def make(
 
 def main() -> None:
     """Fly to random places near the RSO."""
-    parser = argparse.ArgumentParser(description="Inspect a spacecraft from random places about it.")
+    parser = argparse.ArgumentParser(
+        description="Inspect a spacecraft from random places about it."
+    )
     parser.add_argument("--num-envs", type=int, default=4, help="episodes at once")
-    parser.add_argument("--time-limit", type=float, default=20000.0, help="length of an episode, s")
+    parser.add_argument(
+        "--time-limit", type=float, default=20000.0, help="length of an episode, s"
+    )
     parser.add_argument("--backend", default="compiled", choices=["compiled", "eager"])
-    parser.add_argument("--figure", type=Path, help="file for a picture of the first episode; needs the extra viz")
+    parser.add_argument(
+        "--figure",
+        type=Path,
+        help="file for a picture of the first episode; needs the extra viz",
+    )
     options = parser.parse_args()
     torch.manual_seed(0)
-    env = make(options.num_envs, time_limit=options.time_limit, backend=options.backend, seed=0)
+    env = make(
+        options.num_envs, time_limit=options.time_limit, backend=options.backend, seed=0
+    )
 
     def visit(td: Any) -> Any:
         """Let the inspectors fly to random places, and the RSO keep its attitude."""
         rso, inspectors = (group.name for group in env.groups)
-        td[rso, "action"] = torch.zeros(options.num_envs, 1, dtype=torch.int64)  # bsk_rl: {"RSO": 0, "Inspector1": np.array(..)}
-        rho, velocity = 500.0 * td[inspectors, "observation"][..., 2:5].double(), 5.0 * td[inspectors, "observation"][..., 5:8]
+        # bsk_rl: {"RSO": 0, "Inspector1": np.array(..)}
+        td[rso, "action"] = torch.zeros(options.num_envs, 1, dtype=torch.int64)
+        rho, velocity = (
+            500.0 * td[inspectors, "observation"][..., 2:5].double(),
+            5.0 * td[inspectors, "observation"][..., 5:8],
+        )
         place = torch.nn.functional.normalize(torch.randn_like(rho), dim=-1) * 60.0
         drift = torch.full_like(rho[..., :1], 1500.0)
-        dv_H = transfer(rho, place, torch.tensor(MEAN_MOTION), drift.squeeze(-1)) - velocity
+        dv_H = (
+            transfer(rho, place, torch.tensor(MEAN_MOTION), drift.squeeze(-1))
+            - velocity
+        )
         return td.set((inspectors, "action"), torch.cat([dv_H, drift], -1).float())
 
     if options.figure is not None:
         from bsk_torch.viz.figures.inspection import inspection_figure
         from bsk_torch.viz.recorders.inspection import record_inspection
 
-        inspection_figure(record_inspection(visit, env, seed=0), options.figure, "random places")
+        inspection_figure(
+            record_inspection(visit, env, seed=0), options.figure, "random places"
+        )
     td = env.rollout(1000, visit, break_when_any_done=True)
-    known, lit = env.rewarder.inspected.sum(1).tolist(), env.rewarder.illuminated.sum(1).tolist()
-    print("inspected", known, "of lit", lit, "fuel", [round(left, 2) for left in env.satellites[1].fsw.dv_available.tolist()])
-    print("steps", td.shape[1], "rewards", td["next", env.groups[1].name, "reward"].sum(1).flatten().tolist())
+    known, lit = (
+        env.rewarder.inspected.sum(1).tolist(),
+        env.rewarder.illuminated.sum(1).tolist(),
+    )
+    print(
+        "inspected",
+        known,
+        "of lit",
+        lit,
+        "fuel",
+        [round(left, 2) for left in env.satellites[1].fsw.dv_available.tolist()],
+    )
+    print(
+        "steps",
+        td.shape[1],
+        "rewards",
+        td["next", env.groups[1].name, "reward"].sum(1).flatten().tolist(),
+    )
 
 
 if __name__ == "__main__":

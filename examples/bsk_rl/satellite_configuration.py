@@ -20,7 +20,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from bsk_torch import SatelliteTasking, act, data, obs, rand, sats, scene  # bsk_rl: from bsk_rl import sats, act, obs, scene, ...
+# bsk_rl: from bsk_rl import sats, act, obs, scene, ...
+from bsk_torch import SatelliteTasking, act, data, obs, rand, sats, scene
 from bsk_torch.sim import dyn, fsw  # bsk_rl: from bsk_rl.sim import dyn, fsw
 
 
@@ -69,7 +70,9 @@ def meaning_of_life(satellite: Any) -> Tensor:
 class CustomSatPropsSatellite(SimpleSatellite):
     """Observes the function."""
 
-    observation_spec = [obs.SatProperties(dict(prop="meaning_of_life", fn=meaning_of_life))]
+    observation_spec = [
+        obs.SatProperties(dict(prop="meaning_of_life", fn=meaning_of_life))
+    ]
 
 
 class OppPropsSatellite(sats.ImagingSatellite):
@@ -91,13 +94,20 @@ class OppPropsSatellite(sats.ImagingSatellite):
 class ComposedObsSatellite(SimpleSatellite):
     """Several observations side by side."""
 
-    observation_spec = [obs.Eclipse(), obs.SatProperties(dict(prop="battery_charge_fraction"))]
+    observation_spec = [
+        obs.Eclipse(),
+        obs.SatProperties(dict(prop="battery_charge_fraction")),
+    ]
 
 
 class ActionSatellite(SimpleSatellite):
     """The same action may occur twice."""
 
-    action_spec = [act.Charge(duration=120.0), act.Desat(duration=60.0), act.Charge(duration=600.0)]
+    action_spec = [
+        act.Charge(duration=120.0),
+        act.Desat(duration=60.0),
+        act.Charge(duration=600.0),
+    ]
 
 
 class ImageActSatellite(sats.ImagingSatellite):
@@ -121,11 +131,17 @@ SATELLITES: dict[str, type[sats.Satellite]] = {
 """The satellites by name."""
 
 
-def make(part: str, num_envs: int = 1, sat_args: dict[str, Any] | None = None, **options: Any) -> SatelliteTasking:
+def make(
+    part: str, num_envs: int = 1, sat_args: dict[str, Any] | None = None, **options: Any
+) -> SatelliteTasking:
     """Return ``num_envs`` episodes of a satellite of :data:`SATELLITES`; ``sat_args`` and ``options`` replace its own."""
     kind, obs_type = SATELLITES[part], options.pop("obs_type", torch.Tensor)
     imaging = issubclass(kind, sats.ImagingSatellite)
-    targets = dict(scenario=scene.UniformTargets(1000), rewarder=data.UniqueImageReward()) if imaging else {}
+    targets = (
+        dict(scenario=scene.UniformTargets(1000), rewarder=data.UniqueImageReward())
+        if imaging
+        else {}
+    )
     return SatelliteTasking(
         satellite=kind("Sat1", sat_args or {}, obs_type=obs_type),
         num_envs=num_envs,  # bsk_rl: one episode
@@ -138,11 +154,16 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="Look at the parts of a satellite.")
     parser.add_argument("--num-envs", type=int, default=2, help="episodes at once")
     parser.add_argument("--backend", default="compiled", choices=["compiled", "eager"])
-    parser.add_argument("--figure", type=Path, help="file for a picture of the first episode at the end; needs the extra viz")
+    parser.add_argument(
+        "--figure",
+        type=Path,
+        help="file for a picture of the first episode at the end; needs the extra viz",
+    )
     options = parser.parse_args()
     common = dict(num_envs=options.num_envs, backend=options.backend, seed=0)
     print(SimpleSatellite.default_sat_args())
-    drag = dict(mass=300.0, dragCoeff=rand.Uniform(2.0, 2.4))  # bsk_rl: dragCoeff=lambda: np.random.uniform(2.0, 2.4)
+    # bsk_rl: dragCoeff=lambda: np.random.uniform(2.0, 2.4)
+    drag = dict(mass=300.0, dragCoeff=rand.Uniform(2.0, 2.4))
     env = make("properties", sat_args=drag, **common)
     for _ in range(3):
         env.reset()  # bsk_rl: sat.generate_sat_args()
@@ -155,13 +176,16 @@ def main() -> None:
     env = make("actions", **common)
     td = env.reset()
     for action in range(3):
-        td = env.step(td.set("action", torch.full((options.num_envs,), action)))["next"]  # bsk_rl: env.step(action)
+        # bsk_rl: env.step(action)
+        td = env.step(td.set("action", torch.full((options.num_envs,), action)))["next"]
         print(env.satellite.action_description[action], td["duration"].squeeze(1))
     env = make("images", **common)
     td = env.reset()
     print(env.satellite.action_description)
-    ninth = env.satellite.find_next_opportunities(10).place[:, 9]  # bsk_rl: find_next_opportunities(n=10)[9]["object"]
-    td = env.step(td.set("action", act.image_target(ninth)))["next"]  # bsk_rl: env.step(target)
+    # bsk_rl: find_next_opportunities(n=10)[9]["object"]
+    ninth = env.satellite.find_next_opportunities(10).place[:, 9]
+    # bsk_rl: env.step(target)
+    td = env.step(td.set("action", act.image_target(ninth)))["next"]
     print("reward for target", ninth, "is", td["reward"].squeeze(1))
     if options.figure is not None:
         from PIL import Image

@@ -35,7 +35,9 @@ class MyScanningSatellite(sats.AccessSatellite):
     """Sees its store, its battery and the next eclipse."""
 
     observation_spec = [
-        obs.SatProperties(dict(prop="storage_level_fraction"), dict(prop="battery_charge_fraction")),
+        obs.SatProperties(
+            dict(prop="storage_level_fraction"), dict(prop="battery_charge_fraction")
+        ),
         obs.Eclipse(),
     ]
     action_spec = [act.Scan(duration=60.0), act.Charge(duration=600.0)]
@@ -43,14 +45,17 @@ class MyScanningSatellite(sats.AccessSatellite):
     fsw_type = fsw.ContinuousImagingFSWModel
 
 
-def make(num_envs: int = 1, sat_args: dict[str, Any] | None = None, **options: Any) -> SatelliteTasking:
+def make(
+    num_envs: int = 1, sat_args: dict[str, Any] | None = None, **options: Any
+) -> SatelliteTasking:
     """Return ``num_envs`` episodes of the problem; ``sat_args`` and ``options`` replace its own."""
     arguments = dict(
         imageAttErrorRequirement=0.05,
         dataStorageCapacity=1e10,
         instrumentBaudRate=1e7,
         storedCharge_Init=50000.0,
-        storageInit=rand.Uniform(0.25e10, 0.75e10),  # bsk_rl: lambda: np.random.uniform(0.25, 0.75) * 1e10
+        # bsk_rl: lambda: np.random.uniform(0.25, 0.75) * 1e10
+        storageInit=rand.Uniform(0.25e10, 0.75e10),
     )
     defaults = dict(
         scenario=scene.UniformNadirScanning(),
@@ -58,7 +63,9 @@ def make(num_envs: int = 1, sat_args: dict[str, Any] | None = None, **options: A
         time_limit=5700.0,  # about one orbit
     )
     return SatelliteTasking(  # bsk_rl: gym.make("SatelliteTasking-v1", ...
-        satellite=MyScanningSatellite(name="EO1", sat_args=arguments | (sat_args or {})),
+        satellite=MyScanningSatellite(
+            name="EO1", sat_args=arguments | (sat_args or {})
+        ),
         num_envs=num_envs,  # bsk_rl: one episode
         **(defaults | options),
     )
@@ -68,11 +75,19 @@ def main() -> None:
     """Scan three times, then charge until the time is up."""
     parser = argparse.ArgumentParser(description="Scan, then charge.")
     parser.add_argument("--num-envs", type=int, default=4, help="episodes at once")
-    parser.add_argument("--time-limit", type=float, default=5700.0, help="length of an episode, s")
+    parser.add_argument(
+        "--time-limit", type=float, default=5700.0, help="length of an episode, s"
+    )
     parser.add_argument("--backend", default="compiled", choices=["compiled", "eager"])
-    parser.add_argument("--figure", type=Path, help="file for a picture of the first episode at the end; needs the extra viz")
+    parser.add_argument(
+        "--figure",
+        type=Path,
+        help="file for a picture of the first episode at the end; needs the extra viz",
+    )
     options = parser.parse_args()
-    env = make(options.num_envs, time_limit=options.time_limit, backend=options.backend, seed=1)
+    env = make(
+        options.num_envs, time_limit=options.time_limit, backend=options.backend, seed=1
+    )
     scan, charge = (torch.full((options.num_envs,), action) for action in (0, 1))
     td = env.reset()  # bsk_rl: observation, info = env.reset(seed=1)
     print("store, before:", td["observation"][:, 0])
@@ -82,7 +97,10 @@ def main() -> None:
     print("store, after:", td["observation"][:, 0])
     while not td["truncated"].all():
         td = env.step(td.set("action", charge))["next"]
-        print(f"{float(env.simulator.sim_time[0]):6.0f} s, charge:", td["observation"][:, 1])
+        print(
+            f"{float(env.simulator.sim_time[0]):6.0f} s, charge:",
+            td["observation"][:, 1],
+        )
     if options.figure is not None:
         from PIL import Image
 

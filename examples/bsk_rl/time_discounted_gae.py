@@ -35,32 +35,51 @@ class TimelessSatellite(ScanningSatellite):
     observation_spec = ScanningSatellite.observation_spec[:-1]
 
 
-def make(num_envs: int = 1, sat_args: dict[str, Any] | None = None, **options: Any) -> SatelliteTasking:
+def make(
+    num_envs: int = 1, sat_args: dict[str, Any] | None = None, **options: Any
+) -> SatelliteTasking:
     """Return ``num_envs`` episodes of the problem; ``sat_args`` and ``options`` replace its own."""
     satellite = TimelessSatellite("Scanner1", sat_args=SAT_ARGS | (sat_args or {}))
-    return SatelliteTasking(satellite=satellite, num_envs=num_envs, **(task() | options))  # bsk_rl: one episode
+    # bsk_rl: one episode
+    return SatelliteTasking(
+        satellite=satellite, num_envs=num_envs, **(task() | options)
+    )
 
 
 def main() -> None:
     """Train."""
     parser = argparse.ArgumentParser(description="Learn with a discount per second.")
     parser.add_argument("--num-envs", type=int, default=64, help="episodes at once")
-    parser.add_argument("--iterations", type=int, default=20, help="batches to learn from")
-    parser.add_argument("--rollout", type=int, default=16, help="decisions of each episode in a batch")
-    parser.add_argument("--time-limit", type=float, default=28500.0, help="length of an episode, s")
+    parser.add_argument(
+        "--iterations", type=int, default=20, help="batches to learn from"
+    )
+    parser.add_argument(
+        "--rollout", type=int, default=16, help="decisions of each episode in a batch"
+    )
+    parser.add_argument(
+        "--time-limit", type=float, default=28500.0, help="length of an episode, s"
+    )
     parser.add_argument("--backend", default="compiled", choices=["compiled", "eager"])
-    parser.add_argument("--figure", type=Path, help="file for a picture of the learning curve; needs the extra viz")
+    parser.add_argument(
+        "--figure",
+        type=Path,
+        help="file for a picture of the learning curve; needs the extra viz",
+    )
     options = parser.parse_args()
     config = PPOConfig(
         num_envs=options.num_envs,
         rollout=options.rollout,
-        gamma=0.99999,  # per second; bsk_rl: gamma=0.999, which TimeDiscountedGAEPPOTorchLearner takes to the power of d_ts
-        reward_time="end",  # bsk_rl: config.training(learner_class=TimeDiscountedGAEPPOTorchLearner)
+        # per second; bsk_rl: gamma=0.999, which TimeDiscountedGAEPPOTorchLearner takes to the power of d_ts
+        gamma=0.99999,
+        # bsk_rl: config.training(learner_class=TimeDiscountedGAEPPOTorchLearner)
+        reward_time="end",
         lmbda=0.95,
         clip=0.1,
         gradient_norm=0.5,
     )
-    env = make(options.num_envs, time_limit=options.time_limit, backend=options.backend, seed=0)
+    env = make(
+        options.num_envs, time_limit=options.time_limit, backend=options.backend, seed=0
+    )
     show = Show()
     train(env, config, options.iterations, show)  # bsk_rl: tune.run("PPO", ...)
     show.draw(options.figure, "reward", "alive", "entropy")

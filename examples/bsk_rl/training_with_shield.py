@@ -37,7 +37,9 @@ from bsk_torch import (  # bsk_rl: from bsk_rl import act, data, obs, sats, scen
     sats,
     scene,
 )
-from bsk_torch.constants import MU_EARTH, R_EARTH  # bsk_rl: orbitalMotion.MU_EARTH * 1e9, orbitalMotion.REQ_EARTH * 1e3
+
+# bsk_rl: orbitalMotion.MU_EARTH * 1e9, orbitalMotion.REQ_EARTH * 1e3
+from bsk_torch.constants import MU_EARTH, R_EARTH
 from bsk_torch.rl.training.config import PPOConfig
 from bsk_torch.sim import dyn, fsw  # bsk_rl: from bsk_rl.sim import dyn, fsw
 
@@ -67,7 +69,8 @@ class EarthObserver(sats.ImagingSatellite):  # bsk_rl: CustomSatComposed
             dict(prop="s_hat_H", fn=s_hat_H),
         ),
         obs.OpportunityProperties(
-            dict(prop="opportunity_open", norm=ORBIT),  # bsk_rl after 1.3.8: norm=None, the orbital period
+            # bsk_rl after 1.3.8: norm=None, the orbital period
+            dict(prop="opportunity_open", norm=ORBIT),
             dict(prop="opportunity_close", norm=ORBIT),
             type="ground_station",
             n_ahead_observe=1,
@@ -95,7 +98,8 @@ class EarthObserver(sats.ImagingSatellite):  # bsk_rl: CustomSatComposed
     fsw_type = fsw.SteeringImagerFSWModel
 
 
-class ShieldedObserver(EarthObserver):  # bsk_rl: class WrapperActionMasking(ObservationWrapper)
+# bsk_rl: class WrapperActionMasking(ObservationWrapper)
+class ShieldedObserver(EarthObserver):
     """Publishes which actions the rule allows in ``action_mask``."""
 
     def legal_actions(self) -> Tensor:
@@ -103,7 +107,9 @@ class ShieldedObserver(EarthObserver):  # bsk_rl: class WrapperActionMasking(Obs
         return allowed(self)
 
 
-def power_requirement(eclipse_start: Tensor, eclipse_end: Tensor, min_power: float = 0.25) -> Tensor:
+def power_requirement(
+    eclipse_start: Tensor, eclipse_end: Tensor, min_power: float = 0.25
+) -> Tensor:
     """Return the charge, of the capacity, that is needed in sunlight, [N]: more if an eclipse begins too soon to charge for it.
 
     Times are in orbits; the battery charges, and drains in eclipse, by its capacity in an orbit.
@@ -112,17 +118,28 @@ def power_requirement(eclipse_start: Tensor, eclipse_end: Tensor, min_power: flo
     return min_power + torch.where(draw < eclipse_start, 0.0, draw - eclipse_start)
 
 
-def allowed(satellite: Any, rw_threshold: float = 0.7) -> Tensor:  # bsk_rl: power_shielding_function(obs, act, indexes)
+# bsk_rl: power_shielding_function(obs, act, indexes)
+def allowed(satellite: Any, rw_threshold: float = 0.7) -> Tensor:
     """Return which actions the rule allows, [N, 35]: only charging, where charge is needed, only desaturation, or all."""
-    start, end = ((time - satellite.simulator.sim_time) / ORBIT for time in satellite.next_eclipse())
+    start, end = (
+        (time - satellite.simulator.sim_time) / ORBIT
+        for time in satellite.next_eclipse()
+    )
     sunlit = ~(end < start)
-    low = sunlit & (satellite.dynamics.battery_charge_fraction < power_requirement(start, end))
-    fast = ~low & (satellite.dynamics.wheel_speeds_fraction.abs().amax(1) > rw_threshold)
+    low = sunlit & (
+        satellite.dynamics.battery_charge_fraction < power_requirement(start, end)
+    )
+    fast = ~low & (
+        satellite.dynamics.wheel_speeds_fraction.abs().amax(1) > rw_threshold
+    )
     names = satellite.action_description
-    return act.allow_only(names, "action_charge", where=low) & act.allow_only(names, "action_desat", where=fast)
+    return act.allow_only(names, "action_charge", where=low) & act.allow_only(
+        names, "action_desat", where=fast
+    )
 
 
-class Replacement(Transform):  # bsk_rl: class WrapperPostPosed(WrapperActionLogging, ActionWrapper, RewardWrapper)
+# bsk_rl: class WrapperPostPosed(WrapperActionLogging, ActionWrapper, RewardWrapper)
+class Replacement(Transform):
     """Carries out the action that the rule allows in place of one that it forbids, at a price.
 
     Attributes:
@@ -139,15 +156,23 @@ class Replacement(Transform):  # bsk_rl: class WrapperPostPosed(WrapperActionLog
         action = tensordict["action"]
         self.replaced = ~mask.gather(1, action.unsqueeze(1))
         self.interferences += int(self.replaced.sum())
-        return tensordict.set("action", torch.where(self.replaced.squeeze(1), mask.int().argmax(1), action))
+        return tensordict.set(
+            "action",
+            torch.where(self.replaced.squeeze(1), mask.int().argmax(1), action),
+        )
 
-    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
-        next_tensordict["reward"] = next_tensordict["reward"] + self.penalty * self.replaced
+    def _step(
+        self, tensordict: TensorDictBase, next_tensordict: TensorDictBase
+    ) -> TensorDictBase:
+        next_tensordict["reward"] = (
+            next_tensordict["reward"] + self.penalty * self.replaced
+        )
         return next_tensordict
 
 
 GENERAL: dict[str, Any] = dict(
-    oe=rand.random_orbit(a=6371 + 800.0, i=45.0, omega=0.0),  # bsk_rl: lambda: random_orbit(alt=ALTITUDE, i=45)
+    # bsk_rl: lambda: random_orbit(alt=ALTITUDE, i=45)
+    oe=rand.random_orbit(a=6371 + 800.0, i=45.0, omega=0.0),
     imageAttErrorRequirement=0.01,
     imageRateErrorRequirement=0.01,
     u_max=0.4,
@@ -159,16 +184,19 @@ GENERAL: dict[str, Any] = dict(
     rwBasePower=20,
     transmitterPacketSize=0,
     dataStorageCapacity=2 * 8e6 * 25,  # fifty images
-    storageInit=rand.Uniform(0.0, 0.99 * 2 * 8e6 * 25),  # bsk_rl: lambda: np.random.randint(0, 0.99 * 2 * 8e6 * 25)
+    # bsk_rl: lambda: np.random.randint(0, 0.99 * 2 * 8e6 * 25)
+    storageInit=rand.Uniform(0.0, 0.99 * 2 * 8e6 * 25),
 )
 
 BATTERY = 80.0 * 3600 * 2  # W s
 
 LIMITED = dict(
     batteryStorageCapacity=BATTERY,
-    storedCharge_Init=rand.Uniform(0.4 * BATTERY, BATTERY),  # bsk_rl: lambda: np.random.uniform(0.4, 1.0) * 80.0 * 3600 * 2
+    # bsk_rl: lambda: np.random.uniform(0.4, 1.0) * 80.0 * 3600 * 2
+    storedCharge_Init=rand.Uniform(0.4 * BATTERY, BATTERY),
     maxWheelSpeed=1500,
-    wheelSpeeds=rand.Uniform(-750.0, 750.0, 3),  # bsk_rl: lambda: np.random.uniform(-750, 750, 3)
+    # bsk_rl: lambda: np.random.uniform(-750, 750, 3)
+    wheelSpeeds=rand.Uniform(-750.0, 750.0, 3),
 )
 
 CASES: dict[str, tuple[dict[str, Any], float]] = {
@@ -179,7 +207,8 @@ CASES: dict[str, tuple[dict[str, Any], float]] = {
             batteryStorageCapacity=1000 * BATTERY,
             storedCharge_Init=990 * BATTERY,
             maxWheelSpeed=15000,
-            wheelSpeeds=rand.Uniform(-1.0, 1.0, 3),  # bsk_rl: lambda: np.random.uniform(-1, 1, 3)
+            # bsk_rl: lambda: np.random.uniform(-1, 1, 3)
+            wheelSpeeds=rand.Uniform(-1.0, 1.0, 3),
         ),
         0.0,
     ),
@@ -201,7 +230,8 @@ def make(
     own, penalty = CASES[case]
     kind = ShieldedObserver if masked else EarthObserver
     defaults = dict(
-        scenario=scene.UniformTargets((100, 3000)),  # or scene.CityTargets, which takes one number
+        # or scene.CityTargets, which takes one number
+        scenario=scene.UniformTargets((100, 3000)),
         rewarder=data.UniqueImageReward(),
         time_limit=math.floor(3 * PERIOD),
         failure_penalty=penalty,
@@ -218,16 +248,33 @@ def make(
 def main() -> None:
     """Train behind a shield."""
     parser = argparse.ArgumentParser(description="Learn behind a shield.")
-    parser.add_argument("--shield", default="mask", choices=["none", "mask", "replacement"])
-    parser.add_argument("--penalty", type=float, default=-0.1, help="reward of a replaced action")
+    parser.add_argument(
+        "--shield", default="mask", choices=["none", "mask", "replacement"]
+    )
+    parser.add_argument(
+        "--penalty", type=float, default=-0.1, help="reward of a replaced action"
+    )
     parser.add_argument("--case", default="no_failure_penalty", choices=CASES)
     parser.add_argument("--num-envs", type=int, default=64, help="episodes at once")
-    parser.add_argument("--iterations", type=int, default=20, help="batches to learn from")
-    parser.add_argument("--rollout", type=int, default=16, help="decisions of each episode in a batch")
+    parser.add_argument(
+        "--iterations", type=int, default=20, help="batches to learn from"
+    )
+    parser.add_argument(
+        "--rollout", type=int, default=16, help="decisions of each episode in a batch"
+    )
     parser.add_argument("--n-targets", type=int, default=1000)
-    parser.add_argument("--time-limit", type=float, default=math.floor(3 * PERIOD), help="length of an episode, s")
+    parser.add_argument(
+        "--time-limit",
+        type=float,
+        default=math.floor(3 * PERIOD),
+        help="length of an episode, s",
+    )
     parser.add_argument("--backend", default="compiled", choices=["compiled", "eager"])
-    parser.add_argument("--figure", type=Path, help="file for a picture of the learning curve; needs the extra viz")
+    parser.add_argument(
+        "--figure",
+        type=Path,
+        help="file for a picture of the learning curve; needs the extra viz",
+    )
     options = parser.parse_args()
     env = make(
         options.num_envs,
@@ -248,7 +295,12 @@ def main() -> None:
         gradient_norm=0.5,
         entropy=0.0,
     )
-    train(TransformedEnv(env, shield) if options.shield == "replacement" else env, config, options.iterations, show)
+    train(
+        TransformedEnv(env, shield) if options.shield == "replacement" else env,
+        config,
+        options.iterations,
+        show,
+    )
     print("replaced actions:", shield.interferences)
     show.draw(options.figure, "reward", "alive", "entropy")
 
