@@ -73,7 +73,9 @@ def checking_print(path: Path, seen: list[str]) -> Callable[..., None]:
         frame = sys._getframe(1)
         if frame.f_code.co_filename != str(path):
             return
-        comment = lines[frame.f_lineno - 1].partition("  # ")[2].strip()
+        first = lines[frame.f_lineno - 1]
+        last = first if not first.endswith("(") else next(line for line in lines[frame.f_lineno :] if line.startswith(")"))
+        comment = last.partition("  # ")[2].strip()
         if comment and any(quoted(comment)):
             seen.append(comment)
             assert not (wrong := contradictions(comment, values)), f"line {frame.f_lineno}: {wrong} of {comment!r}: {values}"

@@ -50,5 +50,21 @@ def test_a_page_has_one_heading_and_says_what_it_is_for(path):
     assert re.match(r"[\w`*\[(]", first), f"the first line is no sentence: {first}"
 
 
+WIDEST = 96
+"""Columns of code that a page of 1,280 pixels shows."""
+
+
+def test_code_fits_a_page():
+    wide = [
+        f"{name(path)}:{block.line + k}"
+        for path in PAGES
+        if path.name != "migration.md"
+        for block in blocks(path, "python", "bash")
+        for k, line in enumerate(block.code.splitlines())
+        if len(line) > WIDEST
+    ]
+    assert not wide
+
+
 def test_pages_are_found():
     assert len(PAGES) >= 10

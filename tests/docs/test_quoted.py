@@ -57,6 +57,6 @@ def test_a_wrong_comment_on_a_page_fails(tmp_path):
 
 def test_pages_quote_what_blocks_print():
     comments = [
-        line.partition("  # ")[2] for path in PAGES for line in path.read_text().splitlines() if line.startswith("print(")
+        line.partition("  # ")[2] for path in PAGES for line in path.read_text().splitlines() if line.startswith(("print(", ")"))
     ]
     assert sum(any(quoted(comment)) for comment in comments) > 25
