@@ -163,7 +163,7 @@ class Team:
         reward = batch["next", AGENTS, "reward"].sum(1).mean()
         return {
             "reward": float(reward),
-            "decisions": float(team["decides"].float().mean()),
+            "deciding": float(team["decides"].float().mean()),
         }
 
     @staticmethod
@@ -226,7 +226,7 @@ def main() -> None:
         )
     ):
         show((k + 1) * frames, team.learn(batch))
-    show.draw(options.figure, "reward", "decisions")
+    show.draw(options.figure, "reward", "deciding")
 
 
 if __name__ == "__main__":

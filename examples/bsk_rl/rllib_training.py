@@ -236,12 +236,12 @@ class Show:
 
     def __init__(self) -> None:
         """Nothing has been seen."""
-        self.rows: list[dict[str, float]] = []
+        self.rows: list[tuple[int, dict[str, float]]] = []
 
     def __call__(self, frames: int, report: dict[str, float]) -> None:
         """Print a line."""
         print(frames, {name: round(value, 4) for name, value in report.items()})
-        self.rows.append({"decisions": frames} | report)
+        self.rows.append((frames, report))
 
     def draw(self, path: Path | None, *names: str) -> None:
         """Draw some of the numbers over the decisions to a file, unless ``path`` is None; needs the extra viz."""
@@ -251,12 +251,10 @@ class Show:
 
         figure, axes = style.panels([1.6] * len(names))
         for panel, name in zip(axes, names, strict=True):
-            rows = [row for row in self.rows if name in row]
-            panel.plot(
-                [row["decisions"] for row in rows],
-                [row[name] for row in rows],
-                color=style.PALETTE[0],
-            )
+            rows = [
+                (frames, report[name]) for frames, report in self.rows if name in report
+            ]
+            panel.plot(*zip(*rows, strict=True), color=style.PALETTE[0])
             style.label(panel, name)
         axes[-1].set_xlabel("decisions")
         # ticks, and the room that their labels need, are known after the first layout

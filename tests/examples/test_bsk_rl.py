@@ -194,7 +194,7 @@ STARTS = {
     "cloud_environment_with_reimaging": (f"{SMALL} --steps 3", "complete"),
     "rllib_training": (TRAINING, "rewards of the first"),
     "time_discounted_gae": (TRAINING, "entropy"),
-    "async_multiagent_training": (TRAINING, "decisions"),
+    "async_multiagent_training": (TRAINING, "deciding"),
     "target_location_uncertainty": (f"{SMALL} --n-targets 300", "found_again"),
     "curriculum_learning": (TRAINING, "torque"),
     "rso_inspection": (SMALL, "of lit"),
@@ -213,6 +213,18 @@ def test_runs(name, tmp_path, monkeypatch, capsys):
     module.main()
     assert re.search(printed, capsys.readouterr().out)
     assert (tmp_path / "picture.png").read_bytes()[:4] == b"\x89PNG"
+
+
+def test_a_report_is_drawn_over_the_frames_whatever_its_columns_are_called(tmp_path, monkeypatch):
+    from bsk_torch.viz.figures import style
+
+    show, drawn = example("rllib_training").Show(), []
+    monkeypatch.setattr(style, "save", lambda figure, path: drawn.append(figure))
+    for frames, share in ((100, 0.5), (200, 0.25)):
+        show(frames, {"decisions": share})
+    show.draw(tmp_path / "curve.png", "decisions")
+    (line,) = drawn[0].axes[0].lines
+    assert (list(line.get_xdata()), list(line.get_ydata())) == ([100, 200], [0.5, 0.25])
 
 
 def test_every_file_is_started_and_listed():
