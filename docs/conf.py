@@ -10,7 +10,9 @@ HERE = Path(__file__).parent
 ROOT = HERE.parent
 sys.path.insert(0, str(ROOT))
 
-os.environ["TQDM_DISABLE"] = "1"  # tqdm reads it when it is imported: pages show all that goes to the standard streams
+os.environ["TQDM_DISABLE"] = (
+    "1"  # tqdm reads it when it is imported: pages show all that goes to the standard streams
+)
 import bsk_torch  # noqa: E402
 from docs import gallery  # noqa: E402
 from docs._ext import inventories  # noqa: E402
@@ -44,7 +46,13 @@ nitpicky = True
 suppress_warnings = ["config.cache"]  # settings hold functions
 
 # Markdown
-myst_enable_extensions = ["colon_fence", "dollarmath", "deflist", "attrs_block", "attrs_inline"]
+myst_enable_extensions = [
+    "colon_fence",
+    "dollarmath",
+    "deflist",
+    "attrs_block",
+    "attrs_inline",
+]
 myst_heading_anchors = 3
 html_math_renderer = "mathml"
 
@@ -63,7 +71,9 @@ python_maximum_signature_line_length = 100
 modindex_common_prefix = ["bsk_torch."]
 
 # other projects: tables that are kept here, because the build has no network
-intersphinx_mapping = inventories.write(HERE / "inventories", HERE / "_build" / "inventories")
+intersphinx_mapping = inventories.write(
+    HERE / "inventories", HERE / "_build" / "inventories"
+)
 intersphinx_timeout = 1
 
 # programs and tutorials as pages

@@ -44,14 +44,18 @@ NOT_EXECUTED = ("ppo_rllib",)
 def name_of(path: str | Path) -> str:
     """Name of a script in :data:`ARGUMENTS`: its path from the folder ``examples`` on."""
     parts = Path(path).parts
-    return "/".join(parts[parts.index("examples") :]) if "examples" in parts else parts[-1]
+    return (
+        "/".join(parts[parts.index("examples") :]) if "examples" in parts else parts[-1]
+    )
 
 
 def arguments(gallery_conf: dict[str, Any], script_vars: dict[str, Any]) -> list[str]:
     """Return the command line with which a script is executed."""
     keep_quiet()
     line = ARGUMENTS.get(name_of(script_vars["src_file"]), "")
-    return shlex.split(line.replace("{tmp}", tempfile.mkdtemp()) if "{tmp}" in line else line)
+    return shlex.split(
+        line.replace("{tmp}", tempfile.mkdtemp()) if "{tmp}" in line else line
+    )
 
 
 def keep_quiet() -> None:
@@ -62,7 +66,9 @@ def keep_quiet() -> None:
     warnings.filterwarnings("ignore", module="torchrl", category=FutureWarning)
 
 
-def written_pictures(block: Any, block_vars: dict[str, Any], gallery_conf: dict[str, Any]) -> str:
+def written_pictures(
+    block: Any, block_vars: dict[str, Any], gallery_conf: dict[str, Any]
+) -> str:
     """Say how an example was executed, and show the pictures that a block has written into its working directory.
 
     They are shown in the order of their making, and moved away.
