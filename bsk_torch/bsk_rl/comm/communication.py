@@ -1,0 +1,162 @@
+"""Which satellites tell one another what they know, at the place of ``bsk_rl.comm.communication``."""
+
+from __future__ import annotations
+
+import logging
+from abc import ABC, abstractmethod
+from copy import copy
+from itertools import permutations
+from typing import Any
+
+from bsk_torch.bsk_rl.utils.functional import Resetable
+from bsk_torch.sim.dyn import LOSCommDynModel
+
+__all__ = [
+    "BroadcastCommunication",
+    "CommunicationMethod",
+    "FreeCommunication",
+    "LOSCommunication",
+    "LOSMultiCommunication",
+    "MultiDegreeCommunication",
+    "NoCommunication",
+]
+
+logger = logging.getLogger(__name__)
+
+Pairs = list[tuple[Any, Any]]
+"""Satellites that tell, and satellites that are told."""
+
+
+class CommunicationMethod(ABC, Resetable):
+    """Base of communication; subclasses define :meth:`communication_pairs`.
+
+    Attributes:
+        satellites: Satellites of the environment.
+        min_period: Least time between communications, s.
+        last_communication_time: Time of the last one, s.
+    """
+
+    satellites: list[Any]
+
+    def __init__(self, min_period: float = 0.0) -> None:
+        """Take the least time between communications, s."""
+        self.min_period = min_period
+
+    def reset_overwrite_previous(self) -> None:
+        """Forget the last episode."""
+        self.last_communication_time = 0.0
+
+    def link_satellites(self, satellites: list[Any]) -> None:
+        """Keep the satellites of the environment."""
+        self.satellites = satellites
+
+    @abstractmethod
+    def communication_pairs(self) -> Pairs:
+        """Return the satellites that tell, and those that are told, after a step."""
+
+    def communicate(self) -> None:
+        """Let satellites tell one another what they know, unless the last time was too short ago.
+
+        If there are as many pairs as all satellites would make, all of them tell all others, whoever the pairs are.
+        """
+        now = self.satellites[0].simulator.sim_time
+        if now - self.last_communication_time < self.min_period:
+            return
+        pairs = self.communication_pairs()
+        if pairs:
+            logger.info("Communicating data in %d direction%s.", len(pairs), "s" if len(pairs) > 1 else "")
+        count = len(self.satellites)
+        if len(pairs) == count * (count - 1):
+            self._communicate_all()
+        else:
+            for sender, receiver in pairs:
+                receiver.data_store.stage_communicated_data(sender.data_store.data)
+            for satellite in self.satellites:
+                satellite.data_store.update_with_communicated_data()
+        self.last_communication_time = now
+
+    def _communicate_all(self) -> None:
+        """Give every satellite the data of all."""
+        total = type(self.satellites[0].data_store.data)()
+        for satellite in self.satellites:
+            total += satellite.data_store.data
+        for satellite in self.satellites:
+            satellite.data_store.data = copy(total)
+            if hasattr(satellite.data_store, "pass_data"):
+                satellite.data_store.pass_data()
+
+
+class NoCommunication(CommunicationMethod):
+    """Satellites keep what they know to themselves."""
+
+    def communication_pairs(self) -> Pairs:
+        """See :meth:`CommunicationMethod.communication_pairs`."""
+        return []
+
+
+class FreeCommunication(CommunicationMethod):
+    """All satellites tell all others."""
+
+    def communication_pairs(self) -> Pairs:
+        """See :meth:`CommunicationMethod.communication_pairs`."""
+        return list(permutations(self.satellites, 2))
+
+
+class LOSCommunication(CommunicationMethod):
+    """Satellites that saw one another at any time of the step, past the Earth, tell one another."""
+
+    def link_satellites(self, satellites: list[Any]) -> None:
+        """Keep the satellites; TypeError for those without lines of sight."""
+        super().link_satellites(satellites)
+        for satellite in satellites:
+            if not issubclass(satellite.dyn_type, LOSCommDynModel):
+                raise TypeError(
+                    f"{satellite.name} has dynamics model {satellite.dyn_type.__name__}, without lines of sight; "
+                    "write dyn_type = (..., dyn.LOSCommDynModel)"
+                )
+
+    def communication_pairs(self) -> Pairs:
+        """See :meth:`CommunicationMethod.communication_pairs`; as in bsk_rl, each direction is listed twice."""
+        visible = {frozenset(pair) for pair in self.satellites[0].simulator.visible_pairs()}
+        numbered = list(enumerate(self.satellites))
+        pairs = []
+        for (i, one), (j, other) in permutations(numbered, 2):
+            if frozenset((i, j)) in visible:
+                pairs += [(one, other), (other, one)]
+        return pairs
+
+
+class MultiDegreeCommunication(CommunicationMethod):
+    """Composed with another method, whose pairs are links of chains: satellites that a chain joins tell one another."""
+
+    def communication_pairs(self) -> Pairs:
+        """See :meth:`CommunicationMethod.communication_pairs`."""
+        groups = {satellite.name: {satellite.name} for satellite in self.satellites}
+        for one, other in super().communication_pairs():  # type: ignore[safe-super]
+            joined = groups[one.name] | groups[other.name]
+            for name in joined:
+                groups[name] = joined
+        distinct = {id(group): group for group in groups.values()}.values()
+        members = [[satellite for satellite in self.satellites if satellite.name in group] for group in distinct]
+        return [pair for group in members for pair in permutations(group, 2)]
+
+
+class LOSMultiCommunication(MultiDegreeCommunication, LOSCommunication):
+    """Satellites that a chain of lines of sight joins tell one another."""
+
+
+class BroadcastCommunication(CommunicationMethod):
+    """Composed with another method: of its pairs, those communicate whose sender has chosen ``act.Broadcast``."""
+
+    def communication_pairs(self) -> Pairs:
+        """See :meth:`CommunicationMethod.communication_pairs`."""
+        actions = {
+            satellite.name: [act for act in satellite.action_builder.action_spec if hasattr(act, "broadcast_pending")]
+            for satellite in self.satellites
+        }
+        senders = {name for name, own in actions.items() if any(act.broadcast_pending for act in own)}
+        pairs = [(one, other) for one, other in super().communication_pairs() if one.name in senders]  # type: ignore[safe-super]
+        for name in senders:
+            for act in actions[name]:
+                act.broadcast_pending = False
+        return pairs

@@ -1,0 +1,154 @@
+"""Bases of data, of what satellites know, and of rewarders, at the place of ``bsk_rl.data.base``."""
+
+from __future__ import annotations
+
+import logging
+import warnings
+from abc import ABC, abstractmethod
+from typing import Any
+
+from bsk_torch.bsk_rl.scene.scenario import Scenario
+from bsk_torch.bsk_rl.utils.functional import Resetable
+
+__all__ = ["Data", "DataStore", "GlobalReward"]
+
+logger = logging.getLogger(__name__)
+
+LogStateType = Any
+"""What a store reads from its satellite at the end of a step."""
+
+
+class Data(ABC):
+    """A unit of data; without arguments it is empty."""
+
+    @abstractmethod
+    def __add__(self, other: Any) -> Any:
+        """Return both units together."""
+
+    def __copy__(self) -> Any:
+        """Return a unit with the same contents."""
+        return type(self)() + self
+
+
+class DataStore(ABC):
+    """What a satellite has collected and been told in an episode.
+
+    Subclasses define :attr:`data_type`, :meth:`get_log_state` and :meth:`compare_log_states`.
+
+    Attributes:
+        satellite: The satellite.
+        data: All that it knows.
+        new_data: What it has collected in the last step.
+        staged_data: What others have told it, before it is added to ``data``.
+    """
+
+    data_type: type[Data]
+
+    def __init__(self, satellite: Any, initial_data: Any = None) -> None:
+        """Take the satellite, and what it knows at the beginning; nothing unless given."""
+        self.satellite = satellite
+        self.staged_data: list[Any] = []
+        self.data: Any = initial_data if initial_data else self.data_type()
+        self.new_data: Any = self.data_type()
+
+    def get_log_state(self) -> LogStateType:
+        """Return what data is found by: it is compared with that of the step before."""
+        return None
+
+    @abstractmethod
+    def compare_log_states(self, old_state: LogStateType, new_state: LogStateType) -> Any:
+        """Return the data of a step from what :meth:`get_log_state` returned before and after it."""
+
+    def update_from_logs(self) -> Any:
+        """Add the data of a step, and return it; the first call, at reset, only reads the state."""
+        if not hasattr(self, "log_state"):
+            self.log_state = self.get_log_state()
+            return self.data_type()
+        before = self.log_state
+        self.log_state = self.get_log_state()
+        self.new_data = self.compare_log_states(before, self.log_state)
+        self.data += self.new_data
+        return self.new_data
+
+    def stage_communicated_data(self, external_data: Any) -> None:
+        """Keep data of another satellite, which is not told to others in the same step."""
+        self.staged_data.append(external_data)
+
+    def update_with_communicated_data(self) -> None:
+        """Add the data that others have told."""
+        for staged in self.staged_data:
+            self.data += staged
+        self.staged_data = []
+
+
+class _StoreAlias:
+    """``datastore_type``, the name of ``data_store_type`` before bsk_rl 1.0."""
+
+    def __get__(self, instance: object, owner: type[GlobalReward]) -> type[DataStore]:
+        warnings.warn("datastore_type is deprecated; write data_store_type", DeprecationWarning, stacklevel=2)
+        return owner.data_store_type
+
+
+class GlobalReward(ABC, Resetable):
+    """Base of rewarders, which know everything that has been collected.
+
+    Subclasses define :attr:`data_store_type` and :meth:`calculate_reward`.
+
+    Attributes:
+        scenario: Scenario of the environment.
+        data: All that has been collected in the episode.
+        cum_reward: Sum of the rewards of each satellite in the episode, by name.
+        data_store_kwargs: Further arguments of the stores.
+    """
+
+    data_store_type: type[DataStore]
+    datastore_type = _StoreAlias()
+    scenario: Any
+
+    def __init__(self) -> None:
+        """Take the type of data from that of the stores."""
+        if not hasattr(type(self), "data_store_type"):
+            self.data_store_type = self.datastore_type
+        self.data_type: Any = self.data_store_type.data_type
+        self.data_store_kwargs: dict[str, Any] = {}
+
+    def link_scenario(self, scenario: Scenario) -> None:
+        """Keep the scenario of the environment."""
+        self.scenario = scenario
+
+    def reset_overwrite_previous(self) -> None:
+        """Forget data and rewards of the last episode."""
+        self.data: Any = self.data_type()
+        self.cum_reward: dict[str, float] = {}
+
+    def initial_data(self, satellite: Any) -> Any:
+        """Return what a satellite knows at the beginning."""
+        return self.data_type()
+
+    def create_data_store(self, satellite: Any) -> None:
+        """Give a satellite its store for the episode."""
+        initial = self.initial_data(satellite)
+        satellite.data_store = self.data_store_type(satellite, initial_data=initial, **self.data_store_kwargs)
+        self.cum_reward[satellite.name] = 0.0
+
+    @abstractmethod
+    def calculate_reward(self, new_data_dict: dict[str, Any]) -> dict[str, float]:
+        """Return the reward of a step by name of satellite, from the data that each has collected in it."""
+
+    def reward(self, new_data_dict: dict[str, Any]) -> dict[str, float]:
+        """Return the reward of a step, and add it and its data to those of the episode."""
+        reward = self.calculate_reward(new_data_dict)
+        for name, value in reward.items():
+            self.cum_reward[name] += value
+        for new_data in new_data_dict.values():
+            self.data += new_data
+        logger.info("Total reward: %s", {name: value for name, value in reward.items() if value != 0})
+        return reward
+
+    def is_truncated(self, satellite: Any) -> bool:
+        """Return whether the episode is truncated for a satellite."""
+        return False
+
+    def is_terminated(self, satellite: Any) -> bool:
+        """Return whether the episode terminates for a satellite."""
+        return False

@@ -1,0 +1,37 @@
+"""No data and no reward, at the place of ``bsk_rl.data.no_data``."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from bsk_torch.bsk_rl.data.base import Data, DataStore, GlobalReward
+
+__all__ = ["NoData", "NoDataStore", "NoReward"]
+
+
+class NoData(Data):
+    """Nothing."""
+
+    def __add__(self, other: object) -> NoData:
+        """Return nothing."""
+        return type(self)()
+
+
+class NoDataStore(DataStore):
+    """A store of nothing."""
+
+    data_type = NoData
+
+    def compare_log_states(self, old_state: Any, new_state: Any) -> NoData:
+        """Return nothing."""
+        return self.data_type()
+
+
+class NoReward(GlobalReward):
+    """Zero reward in every step."""
+
+    data_store_type = NoDataStore
+
+    def calculate_reward(self, new_data_dict: dict[str, NoData]) -> dict[str, float]:
+        """See :meth:`GlobalReward.calculate_reward`."""
+        return dict.fromkeys(new_data_dict, 0.0)

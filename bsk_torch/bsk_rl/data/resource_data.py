@@ -1,0 +1,85 @@
+"""Reward for the change of any quantity, at the place of ``bsk_rl.data.resource_data``."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from bsk_torch.bsk_rl.data.base import Data, DataStore, GlobalReward
+
+__all__ = ["ResourceData", "ResourceDataStore", "ResourceReward"]
+
+
+def nothing(satellite: object) -> float:
+    """Return zero, the quantity of a rewarder that is given none."""
+    return 0.0
+
+
+class ResourceData(Data):
+    """Change of a quantity."""
+
+    def __init__(self, resource_accumulated: float = 0.0) -> None:
+        """Take the change."""
+        self.resource_accumulated = resource_accumulated
+
+    def __add__(self, other: ResourceData) -> ResourceData:
+        """Return the sum."""
+        return ResourceData(self.resource_accumulated + other.resource_accumulated)
+
+    def __repr__(self) -> str:
+        """Return the change."""
+        return f"ResourceData(resource_accumulated={self.resource_accumulated})"
+
+
+class ResourceDataStore(DataStore):
+    """Follows a quantity of the satellite."""
+
+    data_type = ResourceData
+
+    def __init__(self, *args: Any, resource_fn: Callable[[Any], float] = nothing, **kwargs: Any) -> None:
+        """Take the quantity as a function of the satellite."""
+        super().__init__(*args, **kwargs)
+        self.resource_fn = resource_fn
+
+    def get_log_state(self) -> float:
+        """Return the present quantity."""
+        return self.resource_fn(self.satellite)
+
+    def compare_log_states(self, prev_state: float, new_state: float) -> ResourceData:
+        """Return the change."""
+        return ResourceData(new_state - prev_state)
+
+
+class ResourceReward(GlobalReward):
+    """Pays for the change of a quantity, such as fuel or time: ``reward_weight`` times the change in each step."""
+
+    data_store_type = ResourceDataStore
+
+    def __init__(self, reward_weight: float | Callable[[], float] = 1.0, resource_fn: Callable[[Any], float] = nothing) -> None:
+        """Take weight and quantity.
+
+        Args:
+            reward_weight: Reward per unit of the quantity, or a function that draws it for each episode.
+            resource_fn: The quantity as a function of the satellite.
+        """
+        super().__init__()
+        self._reward_weight = reward_weight
+        self.resource_fn = resource_fn
+        self.data_store_kwargs = {"resource_fn": resource_fn}
+
+    def reset_pre_sim_init(self) -> None:
+        """Draw the weight."""
+        self.reward_weight = self._reward_weight() if callable(self._reward_weight) else self._reward_weight
+        super().reset_pre_sim_init()
+
+    def reset_post_sim_init(self) -> None:
+        """Give the weight to the observations ``obs.ResourceRewardWeight`` of the satellites."""
+        for satellite in self.scenario.satellites:
+            for observation in satellite.observation_builder.observation_spec:
+                if hasattr(observation, "weight_vector"):
+                    observation.weight_vector.append(self.reward_weight)
+        super().reset_post_sim_init()
+
+    def calculate_reward(self, new_data_dict: dict[str, ResourceData]) -> dict[str, float]:
+        """See :meth:`GlobalReward.calculate_reward`."""
+        return {name: self.reward_weight * data.resource_accumulated for name, data in new_data_dict.items()}

@@ -1,0 +1,106 @@
+"""Reward for the first image of each target, at the place of ``bsk_rl.data.unique_image_data``."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any
+
+from bsk_torch.bsk_rl.data.base import Data, DataStore, GlobalReward
+from bsk_torch.bsk_rl.scene.targets import Target
+from bsk_torch.bsk_rl.utils import vizard
+
+__all__ = ["UniqueImageData", "UniqueImageReward", "UniqueImageStore"]
+
+
+class UniqueImageData(Data):
+    """Targets that have been imaged.
+
+    Attributes:
+        imaged: Targets that have been imaged.
+        duplicates: Number of images of targets that had been imaged before; in what satellites know, each exchange counts all
+            that both sides know once more.
+        known: Targets that are known, imaged or not.
+    """
+
+    def __init__(
+        self, imaged: Iterable[Target] | None = None, duplicates: int = 0, known: Iterable[Target] | None = None
+    ) -> None:
+        """Take targets, of which repeated ones are duplicates."""
+        listed = list(imaged or ())
+        self.imaged = set(listed)
+        self.duplicates = duplicates + len(listed) - len(self.imaged)
+        self.known = set(known or ())
+
+    def __add__(self, other: UniqueImageData) -> UniqueImageData:
+        """Return both together; what both have imaged are duplicates."""
+        imaged = self.imaged | other.imaged
+        both = len(self.imaged) + len(other.imaged) - len(imaged)
+        return type(self)(imaged, self.duplicates + other.duplicates + both, self.known | other.known)
+
+
+class UniqueImageStore(DataStore):
+    """Finds images by the first partition of the satellite's store: where it has grown, ``latest_target`` has been imaged."""
+
+    data_type = UniqueImageData
+
+    def get_log_state(self) -> float:
+        """Return the level of the first partition, bit."""
+        return self.satellite.dynamics.storageUnit.storageUnitDataOutMsg.read().storedData[0]
+
+    def compare_log_states(self, old_state: float, new_state: float) -> UniqueImageData:
+        """Return the target that has been imaged, if any."""
+        if new_state - old_state <= 0:
+            return UniqueImageData()
+        target = self.satellite.latest_target
+        if target is None:
+            raise AssertionError(f"{self.satellite.name} has taken an image, but has no latest_target")
+        self.update_target_colors([target])
+        return UniqueImageData(imaged={target})
+
+    @vizard.visualize
+    def update_target_colors(self, targets: list[Target], vizInstance: Any = None, vizSupport: Any = None) -> None:
+        """Color targets in Vizard."""
+
+
+def whole_priority(priority: float) -> float:
+    """Return the priority itself, the reward of a target unless another is given."""
+    return priority
+
+
+class UniqueImageReward(GlobalReward):
+    """Pays for the first image of each target in an episode; satellites that take it in the same step share the reward.
+
+    Satellites know all targets from the beginning. Those that they know to be imaged, by themselves or by communication, are left
+    out of what they observe and act on.
+    """
+
+    data_store_type = UniqueImageStore
+
+    def __init__(self, reward_fn: Callable[[float], float] = whole_priority) -> None:
+        """Take the reward as a function of the priority of a target."""
+        super().__init__()
+        self.reward_fn = reward_fn
+
+    def initial_data(self, satellite: Any) -> UniqueImageData:
+        """Return all targets as known."""
+        return self.data_type(known=self.scenario.targets)
+
+    def create_data_store(self, satellite: Any) -> None:
+        """Give a satellite its store, and hide from it the targets that the store has imaged."""
+        super().create_data_store(satellite)
+        data_store = satellite.data_store
+
+        def unique_target_filter(opportunity: Mapping[str, Any]) -> bool:
+            return opportunity["type"] != "target" or opportunity["object"] not in data_store.data.imaged
+
+        satellite.add_access_filter(unique_target_filter)
+
+    def calculate_reward(self, new_data_dict: dict[str, UniqueImageData]) -> dict[str, float]:
+        """See :meth:`GlobalReward.calculate_reward`."""
+        takers = Counter(target for data in new_data_dict.values() for target in data.imaged)
+        reward = {}
+        for name, data in new_data_dict.items():
+            new = (target for target in data.imaged if target not in self.data.imaged)
+            reward[name] = sum((self.reward_fn(target.priority) / takers[target] for target in new), 0.0)
+        return reward

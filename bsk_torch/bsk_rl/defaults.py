@@ -1,0 +1,182 @@
+"""Arguments of models with their defaults, in the order in which bsk_rl draws them from NumPy's global generator.
+
+bsk_rl collects arguments from the methods of models by name: those of the tasks of the flight software first, the last task
+before the others, then those of the flight software itself, then those of the dynamics. :data:`DYN`, :data:`FSW`, :data:`TASKS`
+and :data:`WORLD` say which method of which model declares which arguments there; constant values are those of the components
+here. Arguments of components that bsk_rl lacks follow behind.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+from bsk_torch.bsk_rl.utils.attitude import random_tumble
+from bsk_torch.bsk_rl.utils.functional import safe_dict_merge
+from bsk_torch.bsk_rl.utils.orbital import random_epoch, random_orbit
+from bsk_torch.constants import R_EARTH
+from bsk_torch.rand import Distribution
+from bsk_torch.sim import dyn, fsw, world
+from bsk_torch.sim.component import Arg, Component
+
+__all__ = ["sat_defaults", "world_defaults"]
+
+Methods = dict[str, str]
+"""Names of methods, with the arguments that they declare, separated by spaces."""
+
+DYN: dict[type, Methods] = {
+    dyn.DynamicsModel: {
+        "_utc_init": "utc_init",
+        "setup_spacecraft_hub": "mass width depth height sigma_init omega_init rN vN oe mu min_orbital_radius",
+    },
+    dyn.DisturbanceTorqueDynModel: {"setup_disturbance_torque": "disturbance_vector"},
+    dyn.AtmosphericDragDynModel: {"setup_drag_effector": "dragCoeff panelArea"},
+    dyn.BasicDynamicsModel: {
+        "setup_battery": "batteryStorageCapacity storedCharge_Init",
+        "setup_power_sink": "basePowerDraw",
+        "setup_reaction_wheel_dyn_effector": "wheelSpeeds maxWheelSpeed u_max",
+        "setup_reaction_wheel_power": "rwBasePower rwMechToElecEfficiency rwElecToMechEfficiency",
+        "setup_solar_panel": "panelArea panelEfficiency nHat_B",
+        "setup_thruster_power": "thrusterPowerDraw",
+    },
+    dyn.ImagingDynModel: {
+        "setup_imaging_target": "groundLocationPlanetRadius imageTargetMinimumElevation imageTargetMaximumRange",
+        "setup_instrument": "instrumentBaudRate",
+        "setup_instrument_power_sink": "instrumentPowerDraw",
+        "setup_storage_unit": "dataStorageCapacity bufferNames storageUnitValidCheck storageInit",
+        "setup_transmitter": "transmitterBaudRate transmitterNumBuffers transmitterPacketSize",
+        "setup_transmitter_power_sink": "transmitterPowerDraw",
+    },
+    dyn.ContinuousImagingDynModel: {
+        "setup_imaging_target": "imageTargetMaximumRange",
+        "setup_storage_unit": "dataStorageCapacity storageUnitValidCheck storageInit",
+    },
+    dyn.LOSCommDynModel: {"setup_los_comms": "losMaximumRange"},
+    dyn.ConjunctionDynModel: {"setup_conjunctions": "conjunction_radius conjunction_check_rate"},
+    dyn.MaxRangeDynModel: {"setup_range": "max_range_radius chief_name enforce_range_on_chief"},
+}
+"""Arguments of dynamics models."""
+
+FSW: dict[type, Methods] = {fsw.MagicOrbitalManeuverFSWModel: {"setup_fuel": "dv_available_init"}}
+"""Arguments of flight-software models."""
+
+TASKS: dict[type, dict[str, Methods]] = {
+    fsw.BasicFSWModel: {
+        "MRPControlTask": {"setup_mrp_feedback_rwa": "K Ki P"},
+        "RWDesatTask": {
+            "setup_momentum_dumping": "hs_min maxCounterValue thrMinFireTime desatAttitude",
+            "setup_thruster_mapping": "controlAxes_B thrForceSign",
+        },
+    },
+    fsw.SteeringFSWModel: {"MRPControlTask": {"setup_mrp_steering_rwa": "K1 K3 omega_max servo_Ki servo_P"}},
+    fsw.ImagingFSWModel: {
+        "LocPointTask": {
+            "setup_instrument_controller": "imageAttErrorRequirement imageRateErrorRequirement",
+            "setup_location_pointing": "inst_pHat_B",
+        }
+    },
+}
+"""Arguments of the tasks of flight-software models; a model's task takes the place of that of its bases."""
+
+WORLD: dict[type, Methods] = {
+    world.WorldModel: {"setup_gravity_bodies": "utc_init"},
+    world.AtmosphereWorldModel: {"setup_atmosphere_density_model": "planetRadius baseDensity scaleHeight"},
+    world.GroundStationWorldModel: {
+        "setup_ground_locations": "groundStationsData groundLocationPlanetRadius gsMinimumElevation gsMaximumRange"
+    },
+}
+"""Arguments of world models."""
+
+RANDOM: dict[str, Callable[[], Any]] = {
+    "utc_init": random_epoch,
+    "oe": random_orbit,
+    "sigma_init": lambda: random_tumble(maxSpinRate=0.0001)[0],
+    "omega_init": lambda: random_tumble(maxSpinRate=0.0001)[1],
+    "wheelSpeeds": lambda: np.random.uniform(-1500, 1500, 3),
+    "storedCharge_Init": lambda: np.random.uniform(30.0 * 3600.0, 70.0 * 3600.0),
+}
+"""Arguments that are drawn unless they are given; attitude and rate each draw both, as in bsk_rl."""
+
+FIXED: dict[str, Any] = {
+    "utc_init": "this value will be set by the world model",
+    "groundLocationPlanetRadius": R_EARTH,
+    "imageTargetMinimumElevation": math.radians(45.0),
+    "imageTargetMaximumRange": -1.0,
+}
+"""Arguments of satellites that their components may lack, since others replace what reads them."""
+
+
+ARRAYS = ("nHat_B",)
+"""Vectors that are arrays in bsk_rl; others are lists."""
+
+
+def sat_defaults(dyn_type: type, fsw_type: type) -> dict[str, Any]:
+    """Return all arguments of satellites of two models, by name: constants, or functions that draw a value.
+
+    Args:
+        dyn_type: Dynamics model of the core, or a class derived from several.
+        fsw_type: Flight-software model, likewise.
+    """
+    components = (*dyn_type.all_components(), *fsw_type.all_components())  # type: ignore[attr-defined]
+    values = {**FIXED, **_values(components, without="utc_init")}
+    found = _collected(dyn_type, _methods(dyn_type, DYN), values)
+    found = safe_dict_merge(found, _collected(fsw_type, _methods(fsw_type, FSW), values))
+    tasks = _tasks(fsw_type)
+    for name in sorted(tasks):
+        found = safe_dict_merge(found, _collected(getattr(fsw_type, name, None), tasks[name], values))
+    return found | {name: value for name, value in values.items() if name not in found and name not in FIXED}
+
+
+def world_defaults(world_type: type) -> dict[str, Any]:
+    """Return all arguments of a world model by name; see :func:`sat_defaults`."""
+    values = _values(world_type.all_components())  # type: ignore[attr-defined]
+    found = _collected(world_type, _methods(world_type, WORLD), values)
+    return found | {name: value for name, value in values.items() if name not in found}
+
+
+def _methods(model: type, table: Mapping[type, Methods]) -> Methods:
+    """Return the declaring methods of a model and its bases, those of derived classes first."""
+    return {name: args for base in reversed(model.__mro__) for name, args in table.get(base, {}).items()}
+
+
+def _tasks(model: type) -> dict[str, Methods]:
+    """Return the declaring methods of each task of flight software, and the tasks of its subclasses that declare others."""
+    listed = {name: methods for base in reversed(model.__mro__) for name, methods in TASKS.get(base, {}).items()}
+    own = (name for name in dir(model) if isinstance(getattr(model, name), type) and issubclass(getattr(model, name), fsw.Task))
+    return listed | {name: listed.get(name, {}) for name in own}
+
+
+def _collected(model: object, methods: Methods, values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the arguments that methods declare, in the order of their names, and those that users have declared with them."""
+    declared = {} if model is None else _declared(model)
+    found: dict[str, Any] = {}
+    for name in sorted({*methods, *declared}):
+        table = declared.get(name) or {arg: values[arg] for arg in methods[name].split()}
+        safe_dict_merge(table, found)
+    return found
+
+
+def _declared(model: object) -> dict[str, dict[str, Any]]:
+    """Return what :func:`~bsk_torch.bsk_rl.utils.functional.default_args` has declared on a model, by method."""
+    marked = (name for name in dir(model) if not name.startswith("__") and hasattr(getattr(model, name), "defaults"))
+    return {name: dict(getattr(model, name).defaults) for name in marked}
+
+
+def _values(components: tuple[Component, ...], without: str = "") -> dict[str, Any]:
+    """Return the defaults of components as bsk_rl gives them."""
+    args = (arg for component in components for arg in component.args if arg.name != without)
+    return {arg.name: _value(arg) for arg in args}
+
+
+def _value(arg: Arg) -> Any:
+    """Return the default of an argument: a number, list or array, or a function that draws one."""
+    if arg.name in RANDOM and isinstance(arg.default, Distribution):
+        return RANDOM[arg.name]
+    if arg.name in ARRAYS:
+        return np.array(arg.default)
+    if isinstance(arg.default, tuple):
+        return list(arg.default)
+    return int(arg.default) if arg.whole and isinstance(arg.default, float) and math.isfinite(arg.default) else arg.default

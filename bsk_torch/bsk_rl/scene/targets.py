@@ -1,0 +1,148 @@
+"""Targets on the ground, at the place of ``bsk_rl.scene.targets``."""
+
+from __future__ import annotations
+
+import logging
+import sys
+from collections.abc import Callable, Iterable
+from typing import Any
+
+import numpy as np
+
+from bsk_torch.bsk_rl.scene.scenario import Scenario
+from bsk_torch.bsk_rl.utils import vizard
+from bsk_torch.bsk_rl.utils.orbital import lla2ecef
+from bsk_torch.constants import R_EARTH
+from bsk_torch.scene.cities import city_table
+
+__all__ = ["CityTargets", "Target", "UniformTargets"]
+
+logger = logging.getLogger(__name__)
+
+
+class Target:
+    """A place on the ground that is worth imaging; two targets are never equal.
+
+    Attributes:
+        name: Its name, which others may have, too.
+        r_LP_P: Earth-fixed position, m [3].
+        priority: Its value.
+    """
+
+    def __init__(self, name: str, r_LP_P: Iterable[float], priority: float) -> None:
+        """Take name, position and priority."""
+        self.name = name
+        self.r_LP_P = np.array(r_LP_P)
+        self.priority = priority
+
+    @property
+    def id(self) -> str:
+        """Name that no other target has; copies keep it."""
+        if not hasattr(self, "_id"):
+            self._id = f"{self.name}_{id(self)}"
+        return self._id
+
+    def __repr__(self) -> str:
+        """Return the name."""
+        return f"Target({self.name})"
+
+
+class UniformTargets(Scenario):
+    """Targets spread evenly over the sphere, drawn in every episode."""
+
+    def __init__(
+        self,
+        n_targets: int | tuple[int, int],
+        priority_distribution: Callable[[], float] | None = None,
+        radius: float = R_EARTH,
+    ) -> None:
+        """Take what targets are drawn from.
+
+        Args:
+            n_targets: Number of targets, or ``(low, high)`` for a number that is drawn: at least ``low`` and less than ``high``.
+            priority_distribution: Draws the priority of a target; uniform in [0, 1) unless given.
+            radius: Distance of targets from the Earth's centre, m.
+        """
+        self._n_targets = n_targets
+        self.priority_distribution = priority_distribution or (
+            lambda: np.random.rand()
+        )  # copies of bound methods copy the generator
+        self.radius = radius
+
+    def reset_overwrite_previous(self) -> None:
+        """Forget the targets of the last episode."""
+        self.targets: list[Target] = []
+
+    def reset_pre_sim_init(self) -> None:
+        """Draw targets, and let satellites look out for them."""
+        n = self._n_targets
+        self.n_targets = n if isinstance(n, int) else int(np.random.randint(n[0], n[1]))
+        logger.info("Generating %d targets", self.n_targets)
+        self.regenerate_targets()
+        for satellite in self.satellites:
+            if hasattr(satellite, "add_location_for_access_checking"):
+                for target in self.targets:
+                    satellite.add_location_for_access_checking(
+                        object=target,
+                        r_LP_P=target.r_LP_P,
+                        min_elev=satellite.sat_args_generator["imageTargetMinimumElevation"],
+                        type="target",
+                    )
+
+    def reset_during_sim_init(self) -> None:
+        """Draw the targets in Vizard."""
+        for target in self.targets:
+            self.visualize_target(target)
+
+    @vizard.visualize
+    def visualize_target(self, target: Target, vizSupport: Any = None, vizInstance: Any = None) -> None:
+        """Draw a target in Vizard."""
+
+    def regenerate_targets(self) -> None:
+        """Write the targets of an episode into ``self.targets``; the hook for others than these."""
+        self.targets = []
+        for k in range(self.n_targets):
+            r_LP_P = np.random.normal(size=3)
+            r_LP_P *= self.radius / np.linalg.norm(r_LP_P)
+            self.targets.append(Target(name=f"tgt-{k}", r_LP_P=r_LP_P, priority=self.priority_distribution()))
+
+
+class CityTargets(UniformTargets):
+    """Targets at different cities, drawn in every episode; the table is :func:`bsk_torch.scene.cities.city_table`.
+
+    Cities are not those of bsk_rl's table, so the same draws lead to other places.
+    """
+
+    def __init__(
+        self,
+        n_targets: int | tuple[int, int],
+        n_select_from: int | str | None = None,
+        location_offset: float = 0,
+        priority_distribution: Callable[[], float] | None = None,
+        radius: float = R_EARTH,
+    ) -> None:
+        """Take what targets are drawn from; see :class:`UniformTargets` for the others.
+
+        Args:
+            n_targets: Number of targets.
+            n_select_from: Number of the most populous cities to draw from; None or ``"all"`` for all.
+            location_offset: Length of a random shift away from the city, m.
+            priority_distribution: Draws the priority of a target.
+            radius: Distance of targets from the Earth's centre, m.
+        """
+        super().__init__(n_targets, priority_distribution, radius)
+        self.n_select_from = sys.maxsize if n_select_from in ("all", None) else int(n_select_from)
+        self.location_offset = location_offset
+
+    def regenerate_targets(self) -> None:
+        """See :meth:`UniformTargets.regenerate_targets`; ImportError without the extra ``cities``."""
+        names, angles = city_table()
+        self.targets = []
+        self.n_select_from = min(self.n_select_from, len(names))
+        for k in np.random.choice(self.n_select_from, self.n_targets, replace=False):
+            latitude, longitude = np.degrees(angles[k].numpy())
+            shift = np.random.normal(size=3)
+            shift *= self.location_offset / np.linalg.norm(shift)
+            r_LP_P = lla2ecef(latitude, longitude, self.radius) + shift
+            r_LP_P *= self.radius / np.linalg.norm(r_LP_P)
+            self.targets.append(Target(name=names[k].replace("'", ""), r_LP_P=r_LP_P, priority=self.priority_distribution()))

@@ -1,0 +1,1 @@
+"""The simulation below the environments."""

@@ -1,0 +1,90 @@
+"""Which points of a spacecraft have been inspected, and which were lit, in the runs of one episode."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from bsk_torch.constants import NANO
+from bsk_torch.sim.fleet import Fleet
+from bsk_torch.sim.inspection.flags import Records, find_flags
+from bsk_torch.sim.inspection.points import point_columns
+from bsk_torch.sim.run.trace import Flight
+
+Place = tuple[int, int]
+"""Type of a satellite, and its row among the satellites of the type."""
+
+
+class Found(NamedTuple):
+    """Points that a satellite has inspected, and that were lit, [P] bool each."""
+
+    inspected: np.ndarray
+    illuminated: np.ndarray
+
+
+class Inspection:
+    """Finds the flags of all points in the runs of an episode, by bsk_rl's rules (:mod:`bsk_torch.sim.inspection.flags`).
+
+    In the first two records of an episode the RSO has no attitude yet: they count as inspected, and as lit only where the length
+    of the step, rounded, is not that of its records: bsk_rl's test of the beginning of an episode.
+    """
+
+    def __init__(self, fleet: Fleet, rso: Place, inspectors: Sequence[Place], points: Sequence[Any]) -> None:
+        """Begin to observe the runs of ``fleet``, which holds one episode.
+
+        Args:
+            fleet: The satellites.
+            rso: Place of the spacecraft that is inspected.
+            inspectors: Places of those that inspect it.
+            points: Points of its surface (:class:`bsk_torch.bsk_rl.scene.rso_points.RSOPoint`).
+        """
+        self.fleet, self.rso, self.inspectors = fleet, rso, list(inspectors)
+        vectors = (np.array([getattr(point, name) for point in points], dtype=float) for name in ("r_PB_B", "n_B"))
+        limits = (
+            np.array([getattr(point, name) for point in points], dtype=float)
+            for name in ("theta_max", "range_max", "theta_solar_max", "min_illumination_factor")
+        )
+        given = (torch.from_numpy(part) for part in (*vectors, *limits))
+        self.columns = point_columns(*given)
+        self._found = {place: self._nothing() for place in self.inspectors}
+        fleet.flight_observers.append(self._look)
+
+    def _nothing(self) -> Found:
+        return Found(*np.zeros((2, self.columns.shape[-1]), dtype=bool))
+
+    def stop(self) -> None:
+        """Observe no further runs."""
+        self.fleet.flight_observers.remove(self._look)
+
+    def take(self, inspector: Place) -> Found:
+        """Return what an inspector has found since the last call, and forget it."""
+        found, self._found[inspector] = self._found[inspector], self._nothing()
+        return found
+
+    def _look(self, flight: Flight) -> None:
+        """Add the flags of a run."""
+        ticks = int(flight.ticks.max()) if len(flight.ticks) else 0
+        if not ticks:
+            return
+        chief = flight.traces[self.rso[0]]
+        assert chief is not None
+        compiled = self.fleet.simulators[self.rso[0]].type.options.backend == "compiled"
+        count, seen_from, lit_from = torch.tensor([ticks]), torch.zeros(1, dtype=torch.int64), self._lit_from(flight)
+        for place in self.inspectors:
+            k, row = place
+            inspectors = flight.traces[k]
+            assert inspectors is not None
+            rows = torch.tensor([self.rso[1]]), torch.tensor([row])
+            records = Records(chief, rows[0], inspectors, rows[1], count, seen_from, lit_from)
+            new = find_flags(self.columns, records, compiled)
+            self._found[place] = Found(*(old | flags[0].numpy() for old, flags in zip(self._found[place], new, strict=True)))
+
+    def _lit_from(self, flight: Flight) -> Tensor:
+        """Return the first record in which points may be lit, [1]: the third of the episode where bsk_rl recognises its step."""
+        simulator, ticks = self.fleet.simulators[0], int(flight.ticks[0])
+        recognised = int(flight.since[0]) == 0 and ticks * simulator.h_ns * NANO - simulator.h * ticks == 0.0
+        return torch.tensor([2 if recognised else 0])

@@ -1,0 +1,1 @@
+"""Utilities, at the places of ``bsk_rl.utils``."""

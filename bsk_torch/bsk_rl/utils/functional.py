@@ -1,0 +1,177 @@
+"""Helpers of classes that are reset with every episode, at the place of ``bsk_rl.utils.functional``."""
+
+from __future__ import annotations
+
+import re
+import types
+import warnings
+from collections.abc import Callable, Mapping
+from copy import deepcopy
+from typing import Any, TypeVar
+from unittest.mock import MagicMock
+
+import numpy as np
+
+from bsk_torch.sim.dyn import aliveness_checker
+
+__all__ = [
+    "AbstractClassProperty",
+    "Resetable",
+    "aliveness_checker",
+    "check_aliveness_checkers",
+    "collect_default_args",
+    "default_args",
+    "is_property",
+    "safe_dict_merge",
+    "valid_func_name",
+    "vectorize_nested_dict",
+]
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+
+class Resetable:
+    """Base of what is reset with every episode: satellites, scenarios, rewarders and communicators.
+
+    ``env.reset`` calls the hooks in this order: :meth:`reset_overwrite_previous` before anything is drawn,
+    :meth:`reset_pre_sim_init` before and :meth:`reset_during_sim_init` while the simulation is made, and
+    :meth:`reset_post_sim_init` when it stands at time zero.
+    """
+
+    def reset_overwrite_previous(self) -> None:
+        """Forget what belongs to the last episode."""
+
+    def reset_pre_sim_init(self) -> None:
+        """Prepare an episode, before there is a simulation."""
+
+    def reset_during_sim_init(self) -> None:
+        """Prepare an episode, when satellites have their models and the clock has not begun."""
+
+    def reset_post_sim_init(self) -> None:
+        """Prepare an episode, at time zero."""
+
+
+# -- default arguments -----------------------------------------------------------------------------------------------------------
+
+
+def default_args(**defaults: Any) -> Callable[[Function], Function]:
+    """Return a decorator that declares ``defaults`` as arguments of a model, for ``sat_args`` or ``world_args``."""
+
+    def declare(function: Function) -> Function:
+        function.defaults = dict(defaults)  # type: ignore[attr-defined]
+        return function
+
+    return declare
+
+
+def safe_dict_merge(updates: Mapping[str, Any], base: dict[str, Any]) -> dict[str, Any]:
+    """Add copies of the entries of ``updates`` to ``base``, with a warning for those that replace others; return ``base``."""
+    for name, value in updates.items():
+        if name in base and np.any(base[name] != value):
+            warnings.warn(f"Conflicting values for {name}: overwriting {base[name]} with {value}", stacklevel=2)
+    base.update(deepcopy(dict(updates)))
+    return base
+
+
+def collect_default_args(object: object) -> dict[str, Any]:
+    """Return what :func:`default_args` has declared on the methods of a class or object, by the names of the methods in order."""
+    defaults: dict[str, Any] = {}
+    for method in _marked(object, "defaults"):
+        safe_dict_merge(method.defaults, defaults)
+    return defaults
+
+
+def _marked(object: object, mark: str) -> list[Any]:
+    """Return the methods that have an attribute, by name; properties are not read."""
+    names = (name for name in dir(object) if not name.startswith("__") and not is_property(object, name))
+    found = (getattr(object, name, None) for name in names)
+    return [method for method in found if callable(method) and hasattr(method, mark)]
+
+
+def check_aliveness_checkers(model: object, log_failure: bool = False) -> bool:
+    """Return whether all methods of a model that :func:`aliveness_checker` marks hold.
+
+    Args:
+        model: Model of a satellite.
+        log_failure: Whether the logger of ``model.satellite`` gets a warning of the first one that does not.
+    """
+    for method in _marked(model, "is_aliveness_checker"):
+        if not np.all(np.asarray(method())):
+            if log_failure:
+                model.satellite.logger.warning(f"failed {method.__name__} check")  # type: ignore[attr-defined]
+            return False
+    return True
+
+
+def is_property(obj: object, attr_name: str) -> bool:
+    """Return whether the class of an object defines a name as a property, which is not read."""
+    return isinstance(getattr(type(obj), attr_name, None), property)
+
+
+# -- names and vectors -----------------------------------------------------------------------------------------------------------
+
+
+def valid_func_name(name: str) -> str:
+    """Return a name with underscores for what Python's names may not have."""
+    name = re.sub(r"\W+", "_", name)
+    return f"_{name}" if name[0].isdigit() else name
+
+
+def vectorize_nested_dict(dictionary: Mapping[str, Any]) -> tuple[list[str], np.ndarray]:
+    """Return the names and numbers of nested dictionaries, as ``"target.priority"`` or ``"r_BN_N[0]"``, one after another."""
+    names: list[str] = []
+    values: list[np.ndarray] = []
+    for key, value in dictionary.items():
+        if isinstance(value, Mapping):
+            inner, numbers = vectorize_nested_dict(value)
+            names += [f"{key}.{name}" for name in inner]
+            values.append(numbers)
+        elif isinstance(value, np.ndarray | list):
+            numbers = np.asarray(value).flatten()
+            names += [f"{key}[{k}]" for k in range(len(numbers))]
+            values.append(numbers)
+        else:
+            names.append(key)
+            values.append(np.asarray([value]))
+    return names, np.concatenate(values)
+
+
+# -- composition of classes ------------------------------------------------------------------------------------------------------
+
+
+class AbstractClassProperty:
+    """A class attribute that subclasses must define; reading it of an instance raises NotImplementedError."""
+
+    __isabstractmethod__ = True
+    name = ""
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        """Keep the name of the attribute."""
+        self.name = name
+
+    def __get__(self, instance: object, owner: type) -> AbstractClassProperty:
+        """Return itself to the class."""
+        if instance is None:
+            return self
+        raise NotImplementedError(f"{owner.__name__}.{self.name} must be defined by the subclass")
+
+
+def mock_safe_bases(*bases: Any) -> tuple[type, ...]:
+    """Return classes, with the classes that mocks stand for in place of mocks."""
+    return tuple((base._spec_class or object) if isinstance(base, MagicMock) else base for base in bases)
+
+
+def remove_duplicate_bases(*bases: type) -> tuple[type, ...]:
+    """Return classes without repetitions, in their order."""
+    return tuple(dict.fromkeys(bases))
+
+
+def remove_inherited_bases(*bases: type) -> tuple[type, ...]:
+    """Return the classes from which no other one of them is derived."""
+    return tuple(base for base in bases if not any(base is not other and issubclass(other, base) for other in bases))
+
+
+def compose_types(*types_: type, name: str = "") -> type:
+    """Return a class derived from all of ``types_``, the first of which comes first; ``name`` begins its name."""
+    title = f"{name}({', '.join(part.__name__ for part in types_)})"
+    return types.new_class(title, mock_safe_bases(*remove_inherited_bases(*remove_duplicate_bases(*types_))))

@@ -1,0 +1,72 @@
+"""Environments for RLlib, at the place of ``bsk_rl.utils.rllib``.
+
+Where RLlib is installed, importing this module registers ``"SatelliteTasking-RLlib"`` and ``"ConstellationTasking-RLlib"``: their
+``env_config`` has the arguments of the environment, ``episode_data_callback`` and ``satellite_data_callback``.
+"""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Mapping
+from importlib.util import find_spec
+from typing import Any, NoReturn
+
+from bsk_torch.bsk_rl.utils.rllib.callbacks import EpisodeDataParallelWrapper, EpisodeDataWrapper
+
+__all__ = ["load_torch_mlp_policy", "unpack_config"]
+
+CALLBACKS = ("episode_data_callback", "satellite_data_callback")
+
+HAS_RLLIB = all(map(find_spec, ("ray", "tree")))
+"""Whether RLlib is installed; Ray without it lacks the second package."""
+
+
+def unpack_config(env: type) -> type:
+    """Return a class derived from ``env`` that takes its arguments as one dictionary, as RLlib gives them."""
+
+    class Unpacked(env):
+        def __init__(self, env_config: Mapping[str, Any]) -> None:
+            super().__init__(**env_config)
+
+    Unpacked.__name__ = Unpacked.__qualname__ = f"{env.__name__}_Unpacked"
+    Unpacked.__doc__ = f"{env.__name__} made with a dictionary of its arguments."
+    return Unpacked
+
+
+def load_torch_mlp_policy(policy_path: object, policy_name: str = "default_agent") -> NoReturn:
+    """Raise ImportError: a checkpoint of RLlib's is loaded by RLlib."""
+    raise ImportError(
+        "load_torch_mlp_policy is not in bsk_torch: write RLModule.from_checkpoint of Ray, as examples/ppo_rllib.py does"
+    )
+
+
+def _environment(name: str) -> Any:
+    """Return a class of environments; their module imports this package."""
+    return getattr(importlib.import_module("bsk_torch.bsk_rl.gym"), name)
+
+
+def _split(env_config: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Return the arguments of the environment, and the callbacks."""
+    given = dict(env_config)
+    return given, {name: given.pop(name) for name in CALLBACKS if name in given}
+
+
+def satellite_tasking(env_config: Mapping[str, Any]) -> EpisodeDataWrapper:
+    """Return a ``SatelliteTasking`` with metrics, from RLlib's ``env_config``."""
+    arguments, callbacks = _split(env_config)
+    return EpisodeDataWrapper(_environment("SatelliteTasking")(**arguments), **callbacks)
+
+
+def constellation_tasking(env_config: Mapping[str, Any]) -> Any:
+    """Return a ``ConstellationTasking`` with metrics, as RLlib wants it, from its ``env_config``."""
+    from ray.rllib.env.wrappers.pettingzoo_env import ParallelPettingZooEnv
+
+    arguments, callbacks = _split(env_config)
+    return ParallelPettingZooEnv(EpisodeDataParallelWrapper(_environment("ConstellationTasking")(**arguments), **callbacks))
+
+
+if HAS_RLLIB:
+    from ray.tune.registry import register_env
+
+    register_env("SatelliteTasking-RLlib", satellite_tasking)
+    register_env("ConstellationTasking-RLlib", constellation_tasking)
