@@ -1,20 +1,20 @@
 """
-A curriculum for each environment
-=================================
+Curriculum per environment
+==========================
 
-Episodes become harder where they are survived, and easier where they are not.
+Raise the difficulty of an environment after every survived episode, and lower it after every death.
 
 On the command line::
 
     python examples/curriculum.py
     python examples/curriculum.py --num-envs 64 --steps 400 --rise 0.05 --fall 0.1
 
-The satellite of NadirScan-v1 starts with less charge and faster wheels from level to level. A rule decides in the place of a
-policy in training; the curriculum is what stands between a step and the resets that follow it:
+At higher levels, the satellite of NadirScan-v1 starts with less charge and faster wheels. A rule is used instead of a learning
+policy. The curriculum runs between a step and the following resets:
 
-- the arguments that depend on the level are ``rand.per_env`` tensors, a number or three for each environment;
-- when episodes end, their levels change, the tensors are written, and ``env.set_sat_args(..., envs=ended)`` tells the environment
-  which episodes draw again. Nothing is compiled for that.
+- Arguments that depend on the level are ``rand.per_env`` tensors, with one or three numbers per environment.
+- When episodes end, their levels and the tensors are updated, and ``env.set_sat_args(..., envs=ended)`` makes these environments
+  draw again. This needs no recompilation.
 """
 
 from __future__ import annotations
@@ -34,17 +34,17 @@ from bsk_torch.presets.nadir_scan import BATTERY
 SCAN, CHARGE, DOWNLINK, DESAT = range(4)
 
 CHARGES = 0.9, 0.1
-"""Initial charge at levels 0 and 1, in terms of the battery's capacity."""
+"""Initial charge at levels 0 and 1, as a fraction of the battery's capacity."""
 
 SPEEDS = 500.0, 5900.0
 """Initial speed of the wheels at levels 0 and 1, rpm."""
 
 
 class Curriculum:
-    """Levels of difficulty [N] from 0 to 1, and the arguments of the satellite that follow from them."""
+    """Difficulty levels [N] from 0 to 1, and the corresponding satellite arguments."""
 
     def __init__(self, num_envs: int, rise: float, fall: float) -> None:
-        """Start at level 0; a success adds ``rise``, a failure takes ``fall`` away."""
+        """Start at level 0; a success adds ``rise``, a failure subtracts ``fall``."""
         self.rise, self.fall = rise, fall
         self.level = torch.zeros(num_envs, dtype=torch.float64)
         self.charge, self.wheels = (
@@ -87,7 +87,7 @@ def rule(satellite: Any) -> Tensor:
 
 
 def draw(levels: Tensor, path: Path) -> None:
-    """Draw mean and range of levels [T, N] over the steps to a file."""
+    """Plot mean and range of levels [T, N] over the steps to a file."""
     from bsk_torch.viz.figures import style
 
     figure, (panel,) = style.panels([3.0])
@@ -107,7 +107,7 @@ def draw(levels: Tensor, path: Path) -> None:
 
 
 def main() -> None:
-    """Play, and print how far the levels have come."""
+    """Play, and print the levels."""
     parser = argparse.ArgumentParser(
         description="Let the difficulty of each environment follow its success."
     )
@@ -120,7 +120,7 @@ def main() -> None:
     parser.add_argument(
         "--figure",
         type=Path,
-        help="file for a picture of the levels; needs the extra viz",
+        help="file for a figure of the levels; needs the extra viz",
     )
     args = parser.parse_args()
 

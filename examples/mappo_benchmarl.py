@@ -2,14 +2,14 @@
 MAPPO and IPPO with BenchMARL
 =============================
 
-Train a small constellation with BenchMARL, and compare it with rules on fresh episodes.
+Train a small constellation with BenchMARL, and compare it with rules on unseen episodes.
 
-It needs BenchMARL without the older TorchRL that it asks for::
+Install BenchMARL without its dependencies, because it declares an older TorchRL::
 
     pip install --no-deps benchmarl==1.5.2
     python examples/mappo_benchmarl.py --iterations 60
 
-What was trained in a whole preset takes part in the suite of frozen episodes::
+To benchmark a policy trained on a full preset::
 
     python examples/mappo_benchmarl.py --preset RelayConstellation-v1 --iterations 60 --policy runs/relay_mappo.pt
     bsk-torch bench examples.mappo_benchmarl:entrant,runs/relay_mappo.pt hasty --presets RelayConstellation-v1
@@ -26,7 +26,7 @@ import torch
 
 from bsk_torch.rl.evaluation import FRESH, compare, comparison_table, evaluate
 
-# first, since it lets BenchMARL import newer versions of TorchRL
+# import this first: it makes BenchMARL compatible with newer versions of TorchRL
 from bsk_torch.rl.marl.benchmarl import PRESET, ConstellationTask
 
 # isort: split
@@ -47,7 +47,7 @@ SMALL = {
         "time_limit": 2850.0,
     }
 }
-"""Arguments of presets that are made smaller unless other ones are given."""
+"""Arguments that make presets smaller by default."""
 
 
 def experiment_config(options: argparse.Namespace) -> ExperimentConfig:
@@ -74,7 +74,7 @@ def experiment_config(options: argparse.Namespace) -> ExperimentConfig:
 
 
 def make_experiment(options: argparse.Namespace) -> Experiment:
-    """The training, ready to run."""
+    """Return the experiment, ready to run."""
     given = {
         name: getattr(options, name)
         for name in ("n_satellites", "n_planes", "n_targets", "time_limit")
@@ -109,11 +109,11 @@ def arguments() -> argparse.Namespace:
     )
     parser.add_argument("--algorithm", default="mappo", choices=sorted(ALGORITHMS))
     parser.add_argument(
-        "--iterations", type=int, default=60, help="batches to collect and learn from"
+        "--iterations", type=int, default=60, help="number of training batches"
     )
     parser.add_argument("--num-envs", type=int, default=128, help="episodes at once")
     parser.add_argument(
-        "--rollout", type=int, default=32, help="steps of each between two updates"
+        "--rollout", type=int, default=32, help="steps per episode between two updates"
     )
     parser.add_argument("--gamma", type=float, default=0.99, help="discount per step")
     parser.add_argument(
@@ -131,19 +131,19 @@ def arguments() -> argparse.Namespace:
         help="length of an episode, s; 2,850 in Constellation-v1",
     )
     parser.add_argument(
-        "--episodes", type=int, default=256, help="fresh episodes for every evaluation"
+        "--episodes", type=int, default=256, help="unseen episodes per evaluation"
     )
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument(
         "--out", type=Path, default=Path("runs"), help="folder for BenchMARL's logs"
     )
     parser.add_argument(
-        "--policy", type=Path, help="file for the policy, which entrant() plays"
+        "--policy", type=Path, help="file for the policy, for use with entrant()"
     )
     parser.add_argument(
         "--figure",
         type=Path,
-        help="file for a picture of an episode; needs the extra viz",
+        help="file for a figure of an episode; needs the extra viz",
     )
     return parser.parse_args()
 

@@ -1,16 +1,16 @@
 """
-PPO in one file
+Single-file PPO
 ===============
 
-In the manner of CleanRL, on the Gymnasium vector environment: torch only, masked, with time-aware discount.
+CleanRL-style PPO on the Gymnasium vector environment: torch only, with action masks and a time-aware discount.
 
 On the command line::
 
     python examples/ppo_cleanrl.py
     python examples/ppo_cleanrl.py --preset AEOSPower-v1 --num-envs 256 --rollout 32 --gamma 0.997
 
-Decisions last different times, so gamma is a discount per second: after a step of t seconds the future counts gamma^t.
-``info["duration"]`` tells t, ``info["action_mask"]`` which actions are legal.
+Decisions vary in duration, so gamma is a discount per second: after a step of t seconds, future rewards are multiplied by
+gamma^t. ``info["duration"]`` is t, and ``info["action_mask"]`` marks legal actions.
 """
 
 from __future__ import annotations
@@ -29,17 +29,17 @@ from torch.distributions import Categorical
 import bsk_torch  # noqa: F401  - registers the presets with Gymnasium
 
 FRESH = 1_000_003
-"""Added to the seed of training to get that of evaluation, whose episodes are then new to the agent."""
+"""Added to the training seed for evaluation, so that evaluation episodes are unseen."""
 
 LEAST = 0.05
-"""Fraction of learning rate and entropy weight that is left at the end."""
+"""Final fraction of learning rate and entropy weight."""
 
 
 # -- agent ------------------------------------------------------------------------------------------------------------
 
 
 class Agent(nn.Module):
-    """Actor and critic, on observations that are normalised by what has been seen so far."""
+    """Actor and critic, on observations normalized by running statistics."""
 
     def __init__(self, n_observed: int, n_actions: int, hidden: int) -> None:
         """Networks of two layers of ``hidden`` units; the untrained actor is nearly uniform."""
@@ -60,7 +60,7 @@ class Agent(nn.Module):
         self.register_buffer("square", torch.ones(n_observed, dtype=torch.float64))
 
     def look(self, observation: Tensor) -> None:
-        """Take observations [..., F] into account in the normalisation."""
+        """Update the normalization with observations [..., F]."""
         rows = observation.flatten(0, -2).double()
         self.count += len(rows)
         self.mean += (rows.mean(0) - self.mean) * len(rows) / self.count
@@ -102,12 +102,12 @@ class Step:
 
 
 class Collector:
-    """Plays on in the vector environment, and remembers how the last episodes went."""
+    """Steps the vector environment, and keeps the returns of recent episodes."""
 
     def __init__(
         self, env: gymnasium.vector.VectorEnv, agent: Agent, seed: int
     ) -> None:
-        """Begin with the first episodes of ``seed``."""
+        """Start the first episodes of ``seed``."""
         self.env, self.agent = env, agent
         self.observation, self.info = env.reset(seed=seed)
         self.running = torch.zeros(env.num_envs, dtype=torch.float64)
@@ -115,7 +115,7 @@ class Collector:
 
     @torch.no_grad()
     def step(self) -> Step:
-        """Let every environment do an action of the agent."""
+        """Step every environment with the agent's actions."""
         observation, mask = self.observation, self.info["action_mask"].bool()
         chosen = self.agent.policy(observation, mask)
         action = chosen.sample()
@@ -124,7 +124,7 @@ class Collector:
         )
         ended = terminated | truncated
         self._count(reward, ended)
-        # environments that have ended show their next episode already
+        # finished environments already show their next episode
         last = self.info.get("final_obs", self.observation)
         seconds = torch.where(
             ended,
@@ -154,7 +154,7 @@ class Collector:
 
 
 def advantages(steps: list[Step], gamma: float, lmbda: float) -> Tensor:
-    """Generalised advantages [T, N] with ``gamma`` per second and ``lmbda`` per decision."""
+    """Generalized advantages [T, N] with ``gamma`` per second and ``lmbda`` per decision."""
     result, later = [], torch.zeros_like(steps[0].value)
     for step in reversed(steps):
         discount = (gamma ** step.seconds.double()).float()
@@ -174,7 +174,7 @@ def learn(
     options: argparse.Namespace,
     left: float,
 ) -> None:
-    """Several passes over the steps of a rollout; ``left`` is the fraction of the entropy's weight."""
+    """Make several passes over the steps of a rollout; ``left`` scales the entropy weight."""
     advantage = advantages(steps, options.gamma, options.lmbda)
     names = ("observation", "mask", "action", "log_prob", "value")
     batch = {
@@ -197,7 +197,7 @@ def learn(
             loss.backward()
             nn.utils.clip_grad_norm_(agent.parameters(), options.gradient_norm)
             optimiser.step()
-    # only now, since the probabilities that were noted are those of the old normalisation
+    # only now: the stored probabilities use the old normalization
     agent.look(batch["observation"])
 
 
@@ -224,7 +224,7 @@ def ppo_loss(
 def evaluate(
     env: gymnasium.vector.VectorEnv, agent: Agent | None, seed: int
 ) -> tuple[Tensor, Tensor]:
-    """Play one episode in each environment: returns [N] and whether the time limit ended them [N]. Without agent, at random."""
+    """Play one episode per environment (randomly without an agent): returns [N], and whether the time limit ended it [N]."""
     observation, info = env.reset(seed=seed)
     returns, over, lasted = (
         torch.zeros(env.num_envs, dtype=kind)
@@ -254,7 +254,7 @@ def show(title: str, returns: Tensor, lasted: Tensor) -> None:
 
 
 def draw(curve: list[tuple[int, float]], path: Path) -> None:
-    """Draw the return of the last episodes over the decisions to a file."""
+    """Plot the return of recent episodes over the decisions to a file."""
     from bsk_torch.viz.figures import style
 
     figure, (panel,) = style.panels([3.0])
@@ -272,14 +272,17 @@ def arguments() -> argparse.Namespace:
     parser.add_argument(
         "--preset",
         default="NadirScan-v1",
-        help="environment with one satellite that observes a vector",
+        help="single-satellite preset with vector observations",
     )
     parser.add_argument(
-        "--steps", type=int, default=2_000_000, help="decisions to learn from"
+        "--steps", type=int, default=2_000_000, help="number of training decisions"
     )
     parser.add_argument("--num-envs", type=int, default=1024, help="episodes at once")
     parser.add_argument(
-        "--rollout", type=int, default=16, help="decisions of each between two updates"
+        "--rollout",
+        type=int,
+        default=16,
+        help="decisions per episode between two updates",
     )
     parser.add_argument(
         "--hidden", type=int, default=64, help="width of the two hidden layers"
@@ -288,7 +291,7 @@ def arguments() -> argparse.Namespace:
         "--learning-rate",
         type=float,
         default=2.5e-3,
-        help="at the start; it falls linearly",
+        help="initial value; decreases linearly",
     )
     parser.add_argument(
         "--gamma", type=float, default=0.99999, help="discount per second"
@@ -303,13 +306,13 @@ def arguments() -> argparse.Namespace:
         "--clip",
         type=float,
         default=0.2,
-        help="largest change of an action's probability ratio",
+        help="maximum change of an action's probability ratio",
     )
     parser.add_argument(
         "--entropy",
         type=float,
         default=0.01,
-        help="weight of the entropy at the start; it falls linearly",
+        help="initial entropy weight; decreases linearly",
     )
     parser.add_argument("--epochs", type=int, default=8, help="passes over a rollout")
     parser.add_argument(
@@ -323,19 +326,19 @@ def arguments() -> argparse.Namespace:
     )
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument(
-        "--episodes", type=int, default=1024, help="fresh episodes for every evaluation"
+        "--episodes", type=int, default=1024, help="unseen episodes per evaluation"
     )
     parser.add_argument(
         "--time-limit",
         type=float,
-        help="length of an episode, s, instead of the preset's",
+        help="length of an episode, s (default: the preset's)",
     )
     parser.add_argument("--backend", default="compiled", choices=["compiled", "eager"])
     parser.add_argument("--out", type=Path, help="file for the agent's weights")
     parser.add_argument(
         "--figure",
         type=Path,
-        help="file for a picture of the learning curve; needs the extra viz",
+        help="file for a figure of the learning curve; needs the extra viz",
     )
     options = parser.parse_args()
     known = [

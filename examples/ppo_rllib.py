@@ -2,23 +2,23 @@
 PPO with RLlib
 ==============
 
-Train through Gymnasium's vector entry point, and compare the policy with random actions and the rules on fresh episodes.
+Train through Gymnasium's vector entry point, and compare the policy with random actions and rules on unseen episodes.
 
-It needs RLlib, which asks for an older Gymnasium than the newest, so better in a virtual environment of its own::
+RLlib requires an older Gymnasium, so install it in a separate virtual environment::
 
     pip install 'ray[rllib]==2.60.0'
     python examples/ppo_rllib.py
 
-The module takes part in the suite of frozen episodes::
+To benchmark the trained module::
 
     python examples/ppo_rllib.py --out runs/rllib
     bsk-torch bench examples.ppo_rllib:entrant,runs/rllib rule --presets NadirScan-v1
 
-RLlib handles episodes as Python objects, one decision after the other, and discounts per decision: a step of a minute counts as
-much as one of three.
+RLlib handles episodes as Python objects, one decision after the other, and discounts per decision: a step of one minute is
+discounted as much as one of three minutes.
 
-The documentation does not execute this program, since its packages do not fit those of the others; ``scripts/test.sh --rllib``
-tests it. A run of 100,000 decisions has printed this:
+The documentation does not execute this program, because its dependencies conflict with the others; ``scripts/test.sh --rllib``
+tests it. A run of 100,000 decisions printed this:
 
 .. literalinclude:: /../examples/recorded/ppo_rllib.txt
    :language: text
@@ -65,11 +65,11 @@ NAME = "bsk_torch"
 """Name of the environment in RLlib."""
 
 LEAST = 0.05
-"""Fraction of the learning rate that is left at the end."""
+"""Final fraction of the learning rate."""
 
 
 class MaskedObservations(gymnasium.vector.VectorWrapper):
-    """Puts ``info["action_mask"]`` alongside the observations, where RLlib's masking module looks for it."""
+    """Adds ``info["action_mask"]`` to the observations, as expected by RLlib's masking module."""
 
     def __init__(self, env: gymnasium.vector.VectorEnv) -> None:
         """Wrap a vector environment with discrete actions."""
@@ -105,7 +105,7 @@ class MaskedObservations(gymnasium.vector.VectorWrapper):
 
 
 def make_vector(context: Mapping[str, Any]) -> MaskedObservations:
-    """The environment that RLlib asks for: ``num_envs`` episodes of ``preset`` in one simulation, observations normalised."""
+    """Return RLlib's environment: ``num_envs`` episodes of ``preset`` in one simulation, with normalized observations."""
     options = dict(context)
     env_id = f"bsk_torch/{options.pop('preset')}"
     env = gymnasium.make_vec(env_id, vectorization_mode="vector_entry_point", **options)
@@ -113,7 +113,7 @@ def make_vector(context: Mapping[str, Any]) -> MaskedObservations:
 
 
 def make_algorithm(options: argparse.Namespace, world: dict[str, Any]) -> Algorithm:
-    """PPO in this process, with the settings of :mod:`bsk_torch.rl.training.ppo`, as far as it has them."""
+    """Return PPO in this process, with the settings of :mod:`bsk_torch.rl.training.ppo` where supported."""
     model = DefaultModelConfig(
         fcnet_hiddens=[64, 64], fcnet_activation="tanh", vf_share_layers=False
     )
@@ -157,7 +157,7 @@ def make_algorithm(options: argparse.Namespace, world: dict[str, Any]) -> Algori
 def as_policy(
     module: RLModule, mean: np.ndarray, variance: np.ndarray
 ) -> TensorDictModule:
-    """The module's most probable actions, as what :func:`bsk_torch.rl.evaluation.evaluate` plays."""
+    """Return the module's most probable actions as a policy for :func:`bsk_torch.rl.evaluation.evaluate`."""
 
     def choose(observation: Tensor, action_mask: Tensor) -> Tensor:
         seen = (observation - torch.as_tensor(mean)) / torch.as_tensor(
@@ -179,7 +179,7 @@ def as_policy(
 def entrant(
     preset: str, make: Callable[..., Any], folder: str
 ) -> tuple[Any, TensorDictModule] | None:
-    """Enter the module of a checkpoint in ``bsk-torch bench``; None for presets that observe or act otherwise."""
+    """Enter the module of a checkpoint in ``bsk-torch bench``; None for presets with other spaces."""
     path = Path(folder).absolute()
     module = RLModule.from_checkpoint(
         path / "learner_group" / "learner" / "rl_module" / DEFAULT_MODULE_ID
@@ -200,7 +200,7 @@ def entrant(
 
 
 def train(algorithm: Algorithm, steps: int) -> None:
-    """Learn from at least ``steps`` decisions, and say how it goes."""
+    """Train for at least ``steps`` decisions, and print progress."""
     begin, done = time.perf_counter(), 0
     while done < steps:
         report = algorithm.train()["env_runners"]
@@ -218,43 +218,46 @@ def arguments() -> argparse.Namespace:
     parser.add_argument(
         "--preset",
         default="NadirScan-v1",
-        help="environment with one satellite that observes a vector",
+        help="single-satellite preset with vector observations",
     )
     parser.add_argument(
-        "--steps", type=int, default=400_000, help="decisions to learn from"
+        "--steps", type=int, default=400_000, help="number of training decisions"
     )
     parser.add_argument("--num-envs", type=int, default=64, help="episodes at once")
     parser.add_argument(
-        "--rollout", type=int, default=64, help="decisions of each between two updates"
+        "--rollout",
+        type=int,
+        default=64,
+        help="decisions per episode between two updates",
     )
     parser.add_argument(
         "--learning-rate",
         type=float,
         default=1e-3,
-        help="at the start; it falls linearly",
+        help="initial value; decreases linearly",
     )
     parser.add_argument(
         "--gamma", type=float, default=0.999, help="discount per decision"
     )
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument(
-        "--episodes", type=int, default=1024, help="fresh episodes for every evaluation"
+        "--episodes", type=int, default=1024, help="unseen episodes per evaluation"
     )
     parser.add_argument(
         "--time-limit",
         type=float,
-        help="length of an episode, s, instead of the preset's",
+        help="length of an episode, s (default: the preset's)",
     )
     parser.add_argument("--backend", default="compiled", choices=["compiled", "eager"])
     parser.add_argument(
         "--out",
         type=Path,
-        help="folder for the checkpoint; a new one in runs/ unless given",
+        help="folder for the checkpoint (default: a new one in runs/)",
     )
     parser.add_argument(
         "--figure",
         type=Path,
-        help="file for a picture of an episode; needs the extra viz",
+        help="file for a figure of an episode; needs the extra viz",
     )
     return parser.parse_args()
 
@@ -280,7 +283,7 @@ def main() -> None:
     fresh = make(options.preset, num_envs=options.episodes, **world)
     policy = as_policy(algorithm.get_module(), seen.mean, seen.var)
     print(comparison_table(compare({"RLlib PPO": policy}, fresh, options.seed)))
-    print(f"checkpoint, and what normalises its observations, are in {out}")
+    print(f"checkpoint and observation statistics saved in {out}")
     if options.figure is not None:
         from bsk_torch.viz.episodes import draw, record
 

@@ -2,21 +2,21 @@
 MaskablePPO with Stable-Baselines3
 ==================================
 
-Train with sb3-contrib, and compare the policy with random actions and the rules on fresh episodes.
+Train with sb3-contrib, and compare the policy with random actions and rules on unseen episodes.
 
-It needs Stable-Baselines3: pip install 'bsk_torch[sb3]'
+Install Stable-Baselines3 with: pip install 'bsk_torch[sb3]'
 
 On the command line::
 
     python examples/ppo_sb3.py
     python examples/ppo_sb3.py --preset AEOSPower-v1 --gamma 0.95 --rollout 32 --num-envs 256
 
-The model takes part in the suite of frozen episodes::
+To benchmark the model::
 
     python examples/ppo_sb3.py --out runs/sb3
     bsk-torch bench examples.ppo_sb3:entrant,runs/sb3 rule --presets NadirScan-v1
 
-Stable-Baselines3 discounts per decision: a step of a minute counts as much as one of three. The trainings of bsk_torch.rl and of
+Stable-Baselines3 discounts per decision: a step of one minute is discounted as much as one of three minutes. bsk_torch.rl and
 examples/ppo_cleanrl.py discount per second.
 """
 
@@ -42,16 +42,16 @@ from bsk_torch.rl.evaluation import FRESH, compare, comparison_table
 from bsk_torch.wrappers.stable_baselines3 import MetricsCallback, SB3VecEnv
 
 LEAST = 0.05
-"""Fraction of the learning rate that is left at the end."""
+"""Final fraction of the learning rate."""
 
 
 def metrics(env: Any) -> dict[str, Any]:
-    """Return what MetricsCallback logs of each episode when it ends, as ``episode/charge``: numbers [N] by name."""
+    """Return numbers [N] by name, logged by MetricsCallback at the end of each episode (``episode/charge``)."""
     return {"charge": env.satellite.dynamics.battery_charge_fraction}
 
 
 def make_env(options: argparse.Namespace, world: dict[str, Any]) -> VecNormalize:
-    """The environment to train in, with episodes on record and observations of mean 0 and variance 1."""
+    """Return the training environment, with recorded returns and normalized observations."""
     return VecNormalize(
         VecMonitor(
             SB3VecEnv(options.preset, options.num_envs, metrics=metrics, **world)
@@ -61,7 +61,7 @@ def make_env(options: argparse.Namespace, world: dict[str, Any]) -> VecNormalize
 
 
 def make_model(options: argparse.Namespace, env: VecNormalize) -> MaskablePPO:
-    """MaskablePPO with the settings of :mod:`bsk_torch.rl.training.ppo`, as far as it has them."""
+    """Return MaskablePPO with the settings of :mod:`bsk_torch.rl.training.ppo` where supported."""
     rate = options.learning_rate
     return MaskablePPO(
         "MlpPolicy",
@@ -80,7 +80,7 @@ def make_model(options: argparse.Namespace, env: VecNormalize) -> MaskablePPO:
 
 
 def as_policy(model: MaskablePPO, env: VecNormalize) -> TensorDictModule:
-    """The model's most probable actions, as what :func:`bsk_torch.rl.evaluation.evaluate` plays."""
+    """Return the model's most probable actions as a policy for :func:`bsk_torch.rl.evaluation.evaluate`."""
 
     def choose(observation: Tensor, action_mask: Tensor) -> Tensor:
         seen = env.normalize_obs(observation.numpy())
@@ -97,7 +97,7 @@ def as_policy(model: MaskablePPO, env: VecNormalize) -> TensorDictModule:
 def entrant(
     preset: str, make: Callable[..., Any], folder: str
 ) -> tuple[Any, TensorDictModule] | None:
-    """Enter the model of a folder in ``bsk-torch bench``; None for presets with other spaces than it was trained in."""
+    """Enter the model of a folder in ``bsk-torch bench``; None for presets with other spaces."""
     model, env = MaskablePPO.load(Path(folder) / "model.zip", device="cpu"), make()
     if not isinstance(env, SatelliteTasking):
         return None
@@ -120,41 +120,44 @@ def arguments() -> argparse.Namespace:
     parser.add_argument(
         "--preset",
         default="NadirScan-v1",
-        help="environment with one satellite that observes a vector",
+        help="single-satellite preset with vector observations",
     )
     parser.add_argument(
-        "--steps", type=int, default=2_000_000, help="decisions to learn from"
+        "--steps", type=int, default=2_000_000, help="number of training decisions"
     )
     parser.add_argument("--num-envs", type=int, default=1024, help="episodes at once")
     parser.add_argument(
-        "--rollout", type=int, default=16, help="decisions of each between two updates"
+        "--rollout",
+        type=int,
+        default=16,
+        help="decisions per episode between two updates",
     )
     parser.add_argument(
         "--learning-rate",
         type=float,
         default=2.5e-3,
-        help="at the start; it falls linearly",
+        help="initial value; decreases linearly",
     )
     parser.add_argument(
         "--gamma", type=float, default=0.999, help="discount per decision"
     )
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument(
-        "--episodes", type=int, default=1024, help="fresh episodes for every evaluation"
+        "--episodes", type=int, default=1024, help="unseen episodes per evaluation"
     )
     parser.add_argument(
         "--time-limit",
         type=float,
-        help="length of an episode, s, instead of the preset's",
+        help="length of an episode, s (default: the preset's)",
     )
     parser.add_argument("--backend", default="compiled", choices=["compiled", "eager"])
     parser.add_argument(
-        "--out", type=Path, help="folder for the model; a new one in runs/ unless given"
+        "--out", type=Path, help="folder for the model (default: a new one in runs/)"
     )
     parser.add_argument(
         "--figure",
         type=Path,
-        help="file for a picture of an episode; needs the extra viz",
+        help="file for a figure of an episode; needs the extra viz",
     )
     return parser.parse_args()
 
@@ -182,7 +185,7 @@ def main() -> None:
     policy = as_policy(model, env)
     print(comparison_table(compare({"MaskablePPO": policy}, fresh, options.seed)))
     print(
-        f"{model.num_timesteps} decisions in {seconds:.0f} s; the model and what normalises its observations are in {out}"
+        f"{model.num_timesteps} decisions in {seconds:.0f} s; model and observation statistics saved in {out}"
     )
     if options.figure is not None:
         from bsk_torch.viz.episodes import draw, record

@@ -1,16 +1,16 @@
 """
-Trained alone, flown together
-=============================
+Single-satellite policy in a constellation
+==========================================
 
-Fly a constellation with a policy that was trained on one satellite, and let satellites share what they have imaged.
+Fly a constellation with a policy trained on one satellite, and let satellites share the list of imaged targets.
 
 On the command line::
 
     python examples/share_intent.py --minutes 4                train on one satellite first
-    python examples/share_intent.py --policy runs/alone        a folder that training has left
+        python examples/share_intent.py --policy runs/alone        use the run folder of an earlier training
 
-After "Intent Sharing for Emergent Collaboration in Autonomous Earth Observing Constellations", a study with bsk_rl. Satellites
-coordinate only by this: targets that another satellite has reported as imaged are not observed any more.
+Based on "Intent Sharing for Emergent Collaboration in Autonomous Earth Observing Constellations", a study with bsk_rl. The only
+coordination is that targets reported as imaged by another satellite are no longer observed.
 """
 
 from __future__ import annotations
@@ -37,16 +37,16 @@ SHARING: dict[str, comm.CommunicationMethod] = {
     "line of sight, passed on": comm.LOSMultiCommunication(),
     "all": comm.FreeCommunication(),
 }
-"""Methods of communication after every step."""
+"""Communication methods."""
 
 
 def train_alone(
     options: argparse.Namespace, world: dict[str, Any], out: Path
 ) -> TensorDictModuleBase:
-    """A policy of the only satellite of an otherwise equal environment.
+    """Train a policy in an equal environment with a single satellite.
 
-    Where others take targets away few are left, so it also learns in worlds with down to a tenth of the targets: with all of them
-    in every episode it gains next to nothing by sharing.
+    In a constellation, others image many of the targets, so the number of targets is varied down to a tenth. With all targets in
+    every episode, the policy would gain almost nothing by sharing.
     """
     targets = options.n_targets // 10, options.n_targets + 1
     config = MAPPOConfig(
@@ -63,7 +63,7 @@ def train_alone(
 
 
 def row(who: str, sharing: str, result: Evaluation, alone: Evaluation) -> str:
-    """Line of the table: a result, and its gain over that without sharing in the same episodes."""
+    """Return a table row: a result, and its gain over the result without sharing in the same episodes."""
     images, wasted = (
         float(result.counts[name].double().mean()) for name in ("imaged", "duplicates")
     )
@@ -74,10 +74,12 @@ def row(who: str, sharing: str, result: Evaluation, alone: Evaluation) -> str:
 def arguments() -> argparse.Namespace:
     """Parse the command line."""
     parser = argparse.ArgumentParser(
-        description="Let a policy that was trained on one satellite fly a constellation."
+        description="Fly a constellation with a policy trained on one satellite."
     )
     parser.add_argument(
-        "--policy", type=Path, help="folder of a training, instead of a new one"
+        "--policy",
+        type=Path,
+        help="run folder of an earlier training, instead of a new one",
     )
     parser.add_argument(
         "--minutes", type=float, default=4.0, help="training time after compilation"
@@ -86,16 +88,19 @@ def arguments() -> argparse.Namespace:
         "--num-envs",
         type=int,
         default=256,
-        help="satellites that learn at once, each on its own",
+        help="number of training environments",
     )
     parser.add_argument(
-        "--episodes", type=int, default=256, help="fresh episodes for every evaluation"
+        "--episodes", type=int, default=256, help="unseen episodes per evaluation"
     )
     parser.add_argument(
-        "--n-satellites", type=int, default=12, help="of the constellation"
+        "--n-satellites", type=int, default=12, help="satellites in the constellation"
     )
     parser.add_argument(
-        "--n-targets", type=int, default=5000, help="of an episode of the constellation"
+        "--n-targets",
+        type=int,
+        default=5000,
+        help="targets in an episode of the constellation",
     )
     parser.add_argument(
         "--time-limit", type=float, default=5700.0, help="length of an episode, s"
@@ -108,18 +113,18 @@ def arguments() -> argparse.Namespace:
     parser.add_argument(
         "--out",
         type=Path,
-        help="folder for the results; a new one in runs/ unless given",
+        help="folder for the results (default: a new one in runs/)",
     )
     parser.add_argument(
         "--figure",
         type=Path,
-        help="file for a picture of an episode; needs the extra viz",
+        help="file for a figure of an episode; needs the extra viz",
     )
     return parser.parse_args()
 
 
 def main() -> None:
-    """Train or load, then fly with every way of sharing."""
+    """Train or load, then fly with every communication method."""
     options = arguments()
     torch.set_num_threads(1)
     logging.basicConfig(level=logging.INFO, format="%(message)s")

@@ -2,15 +2,15 @@
 Agile Earth observation
 =======================
 
-Three sets of observations without a limit of power, and one with a battery to manage.
+Three sets of observations with unlimited power, and one with a battery to manage.
 
 On the command line::
 
     python examples/bsk_rl/aeos.py S3 --num-envs 4
     python examples/bsk_rl/aeos.py power --num-envs 4
 
-The problems of bsk_rl's page "Agile Earth-Observing Satellite Environment". Lines that differ from it say so. The presets
-``AEOS-v1`` and ``AEOSPower-v1`` are relatives with other numbers.
+The problems of bsk_rl's page "Agile Earth-Observing Satellite Environment". Comments mark lines that differ from it. The presets
+``AEOS-v1`` and ``AEOSPower-v1`` are similar, with other parameters.
 """
 
 from __future__ import annotations
@@ -221,7 +221,7 @@ def main() -> None:
     parser.add_argument(
         "--figure",
         type=Path,
-        help="file for a picture of the first episode at the end; needs the extra viz",
+        help="file for a figure of the first episode at the end; needs the extra viz",
     )
     options = parser.parse_args()
     env = make(

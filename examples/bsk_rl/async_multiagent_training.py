@@ -1,16 +1,16 @@
 """
-Satellites with clocks of their own
-===================================
+Asynchronous multi-agent training
+=================================
 
-Four scanners learn one policy: a satellite decides when it has finished its task, not when others have.
+Four scanners learn one policy, each deciding when it finishes its own task.
 
 On the command line::
 
     python examples/bsk_rl/async_multiagent_training.py --iterations 50 --num-envs 64
 
-The problem of bsk_rl's page "Asynchronous Multiagent Decision Making". Lines that differ from it say so. RLlib needs three
-connectors there: one that lets busy satellites continue, two that take their steps out of the experience again. Here
-``action_mask`` allows busy satellites nothing but to continue, and the loss counts the steps only in which a satellite decided.
+The problem of bsk_rl's page "Asynchronous Multiagent Decision Making". Comments mark lines that differ from it. RLlib needs three
+connectors: one that lets busy satellites continue, and two that remove their steps from the experience. Here, ``action_mask``
+allows busy satellites only to continue, and the loss includes only steps with a decision.
 """
 
 from __future__ import annotations
@@ -195,7 +195,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="Learn one policy for four scanners.")
     parser.add_argument("--num-envs", type=int, default=32, help="episodes at once")
     parser.add_argument(
-        "--iterations", type=int, default=20, help="batches to learn from"
+        "--iterations", type=int, default=20, help="number of training batches"
     )
     parser.add_argument(
         "--rollout", type=int, default=32, help="steps of each episode in a batch"
@@ -207,7 +207,7 @@ def main() -> None:
     parser.add_argument(
         "--figure",
         type=Path,
-        help="file for a picture of the learning curve; needs the extra viz",
+        help="file for a figure of the learning curve; needs the extra viz",
     )
     options = parser.parse_args()
     torch.manual_seed(0)

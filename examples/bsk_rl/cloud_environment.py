@@ -1,15 +1,15 @@
 """
-Targets under clouds
-====================
+Cloudy targets
+==============
 
-Images pay the more, the clearer the sky over the target is, but only a forecast can be seen beforehand.
+The reward of an image increases with clear sky over the target, but only a forecast is observed beforehand.
 
 On the command line::
 
     python examples/bsk_rl/cloud_environment.py --num-envs 4
 
-The problem of bsk_rl's page "Cloud Environment". Lines that differ from it say so. On the page every target is an object with
-attributes; here an attribute is a table [N, T] of all targets of all environments.
+The problem of bsk_rl's page "Cloud Environment". Comments mark lines that differ from it. On the page, every target is an object
+with attributes; here, an attribute is a table [N, T] of all targets of all environments.
 """
 
 from __future__ import annotations
@@ -171,7 +171,7 @@ class CloudImagingPercentReward(UniqueImageReward):
 
 
 def linear(priority: Tensor, cover: Tensor, count: Tensor) -> Tensor:
-    """Return the reward: nothing at the threshold, the priority under a clear sky; shared by those who image together."""
+    """Return the reward: zero at the threshold, the priority under a clear sky; shared by simultaneous images."""
     return priority / count * (1 - cover / 0.7)
 
 
@@ -207,7 +207,7 @@ def make(
 
 
 def main() -> None:
-    """Charge, go on, image the first target, then act at random until the time is up."""
+    """Charge, continue, image the first target, then act randomly until the time limit."""
     parser = argparse.ArgumentParser(
         description="Image targets under clouds at random."
     )
@@ -222,7 +222,7 @@ def main() -> None:
     parser.add_argument(
         "--figure",
         type=Path,
-        help="file for a picture of the first episode at the end; needs the extra viz",
+        help="file for a figure of the first episode at the end; needs the extra viz",
     )
     options = parser.parse_args()
     env = make(

@@ -2,16 +2,16 @@
 Clouds and repeated images
 ==========================
 
-Images may be repeated until the target has probably been seen; five satellites and a greedy rule.
+Five satellites repeat images until each target has probably been seen, with a greedy rule.
 
 On the command line::
 
     python examples/bsk_rl/cloud_environment_with_reimaging.py --num-envs 2
 
-The problem of bsk_rl's page "Cloud Environment with Re-imaging", the case of the probability of success. Lines that differ from
-it say so. On the page every target is an object whose belief the data store changes; here beliefs are a table [N, T] of all
-targets. Its case of single images is ``data.CloudFreeImageReward``; its network of tokens is ``as_set=True`` with ``bsk-torch
-train --network attention``.
+The problem of bsk_rl's page "Cloud Environment with Re-imaging", the case of the probability of success. Comments mark lines that
+differ from it. On the page, every target is an object with a belief updated by the data store; here, beliefs are a table [N, T]
+of all targets. Its case of single images is ``data.CloudFreeImageReward``; its network of tokens is ``as_set=True`` with
+``bsk-torch train --network attention``.
 """
 
 from __future__ import annotations
@@ -35,13 +35,13 @@ from bsk_torch.data import ImageReward
 from bsk_torch.sim import fsw  # bsk_rl: from bsk_rl.sim import fsw
 
 ENOUGH = 0.95
-"""Probability of success from which on a target needs no image any more; bsk_rl: target.reward_threshold."""
+"""Probability of success at which a target needs no further image; bsk_rl: target.reward_threshold."""
 
 AHEAD = 40
 
 
 def time_variation(seconds: Tensor, t_const: float = 30 * 60 / 5) -> Tensor:
-    """Return how much the clouds have moved since the last image, 0 to 1: 0.998 after half an hour."""
+    """Return the cloud movement since the last image, 0 to 1: 0.998 after half an hour."""
     return torch.where(
         seconds <= 0,
         torch.zeros_like(seconds),
@@ -55,7 +55,7 @@ def belief_update(belief: Tensor, forecast: Tensor, seconds: Tensor) -> Tensor:
 
 
 class CloudTargets(scene.CloudyTargets):
-    """Targets under clouds that have been imaged before, with some success; what is known of them changes with images."""
+    """Cloudy targets with earlier images of partial success; images update the beliefs."""
 
     mu_data = 0.6740208166434426
 
@@ -173,7 +173,7 @@ def _added(counter: Tensor, column: int, which: Tensor) -> Tensor:
 
 
 class CloudCoverDensity(Density):
-    """Sums of the forecasts of cloud cover over targets, by when their next windows close."""
+    """Sums of cloud-cover forecasts over targets, by closing time of their next windows."""
 
     def worth(self) -> Tensor:
         """See :meth:`Density.worth`."""
@@ -304,7 +304,7 @@ def make(
 
 
 COEFFICIENTS = 3.504, 96.8639, 1325.3045, -23.6751, -1.681e4, -1009.7423
-"""Of the polynomial that predicts the time of a slew; the page's fit."""
+"""Coefficients of the polynomial predicting slew time; the page's fit."""
 
 
 def greedy(env: ConstellationTasking) -> Tensor:
@@ -343,7 +343,7 @@ def main() -> None:
     parser.add_argument(
         "--figure",
         type=Path,
-        help="file for a picture of the first episode at the end; needs the extra viz",
+        help="file for a figure of the first episode at the end; needs the extra viz",
     )
     options = parser.parse_args()
     env = make(

@@ -2,13 +2,13 @@
 Communication as an action
 ==========================
 
-Two imagers, five degrees apart, share what they have imaged when they take the action to broadcast it.
+Two imagers, five degrees apart, share the list of imaged targets by a broadcast action.
 
 On the command line::
 
     python examples/bsk_rl/communication_action.py --num-envs 2
 
-The problem of bsk_rl's page "Broadcast Communication". Lines that differ from it say so.
+The problem of bsk_rl's page "Broadcast Communication". Comments mark lines that differ from it.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class ImagingSatellite(sats.ImagingSatellite):
 
 
 class BroadcastLOS(comm.BroadcastCommunication, comm.LOSMultiCommunication):
-    """Who broadcasts is heard by everyone that relays can reach."""
+    """A broadcast reaches every satellite connected by relays."""
 
 
 SAT_ARGS = dict(
@@ -106,7 +106,7 @@ def main() -> None:
     parser.add_argument(
         "--figure",
         type=Path,
-        help="file for a picture of the first episode at the end; needs the extra viz",
+        help="file for a figure of the first episode at the end; needs the extra viz",
     )
     options = parser.parse_args()
     env = make(options.num_envs, backend=options.backend, seed=0)

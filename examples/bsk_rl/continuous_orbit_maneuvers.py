@@ -1,15 +1,16 @@
 """
-Continuous orbit manoeuvres
-===========================
+Continuous orbit maneuvers
+==========================
 
-A scanner changes its orbit: the action is a change of velocity and the time to drift, in real numbers.
+A scanner changes its orbit with continuous actions: a velocity change and a drift time.
 
 On the command line::
 
     python examples/bsk_rl/continuous_orbit_maneuvers.py --num-envs 4
 
-The problem of bsk_rl's page "Continuous Orbit Maneuvers", as far as 1.3.8 has it. Lines that differ from it say so. In bsk_rl,
-passes over stations and eclipses remain those of the first orbit; here they follow (``replan=False`` for the others).
+The problem of bsk_rl's page "Continuous Orbit Maneuvers", as far as supported by 1.3.8. Comments mark lines that differ from it.
+In bsk_rl, station passes and eclipses remain those of the first orbit; here, they follow the new orbit (use ``replan=False`` for
+bsk_rl's behavior).
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ PASS = (
 
 
 class Scanner(sats.AccessSatellite):
-    """Scans the ground below between manoeuvres."""
+    """Scans the ground below between maneuvers."""
 
     observation_spec = [
         obs.SatProperties(
@@ -93,7 +94,7 @@ def raise_orbit(env: SatelliteTasking, dv: float, drift: float) -> Tensor:
 
 
 def main() -> None:
-    """Raise the orbit until the time is up."""
+    """Raise the orbit until the time limit."""
     parser = argparse.ArgumentParser(
         description="Raise an orbit by impulses while scanning."
     )
@@ -105,7 +106,7 @@ def main() -> None:
     parser.add_argument(
         "--figure",
         type=Path,
-        help="file for a picture of altitude and fuel; needs the extra viz",
+        help="file for a figure of altitude and fuel; needs the extra viz",
     )
     options = parser.parse_args()
     env = make(

@@ -1,16 +1,16 @@
 """
-A curriculum in training
-========================
+Curriculum training
+===================
 
-The battery shrinks and the disturbing torque grows with a difficulty that training raises.
+During training, an increasing difficulty reduces the battery capacity and increases the disturbance torque.
 
 On the command line::
 
     python examples/bsk_rl/curriculum_learning.py --curriculum direct --iterations 100 --num-envs 256
 
-The problem of bsk_rl's page "Training with Curriculum Learning". Lines that differ from it say so. On the page an environment
-has one difficulty, set by a callback of RLlib when an episode begins. Here every episode has its own, and ``set_sat_args``
-changes what is drawn from then on: nothing is rebuilt or recompiled.
+The problem of bsk_rl's page "Training with Curriculum Learning". Comments mark lines that differ from it. On the page, an
+environment has one difficulty, set by an RLlib callback at the start of an episode. Here, every episode has a separate
+difficulty, and ``set_sat_args`` changes future draws without rebuilding or recompiling anything.
 """
 
 from __future__ import annotations
@@ -85,7 +85,7 @@ class ScanningSatellite(sats.AccessSatellite):
 
 
 BATTERY, TORQUE, INTERVALS = 400 * 3600.0, 0.0002, 90
-"""Capacity, W s, and disturbing torque, N m, that the factors of a curriculum multiply; number of intervals in an episode."""
+"""Nominal capacity, W s, and disturbance torque, N m, scaled by the curriculum; number of intervals in an episode."""
 
 SAT_ARGS: dict[str, Any] = dict(
     imageAttErrorRequirement=0.1,
@@ -130,7 +130,7 @@ class Graded(rand.Distribution):
         self.ends, self.difficulty = ends, difficulty
 
     def size(self, key: rand.Key, name: str) -> Tensor:
-        """Return the number of each environment, [n]; what belongs together is drawn under one name."""
+        """Return the number of each environment, [n]; related values share the name of a draw."""
         first, last = self.ends
         if self.difficulty is None:
             return first + (last - first) * key.named(name).uniform(1).squeeze(1)
@@ -220,10 +220,10 @@ def main() -> None:
     parser.add_argument("--curriculum", default="direct", choices=CURRICULA)
     parser.add_argument("--num-envs", type=int, default=64, help="episodes at once")
     parser.add_argument(
-        "--iterations", type=int, default=20, help="batches to learn from"
+        "--iterations", type=int, default=20, help="number of training batches"
     )
     parser.add_argument(
-        "--rollout", type=int, default=16, help="decisions of each episode in a batch"
+        "--rollout", type=int, default=16, help="decisions per episode in a batch"
     )
     parser.add_argument(
         "--time-limit",
@@ -235,7 +235,7 @@ def main() -> None:
     parser.add_argument(
         "--figure",
         type=Path,
-        help="file for a picture of the learning curve; needs the extra viz",
+        help="file for a figure of the learning curve; needs the extra viz",
     )
     options = parser.parse_args()
     config = PPOConfig(
@@ -252,12 +252,12 @@ def main() -> None:
     show = Show()
 
     def harder(frames: int) -> None:
-        """Raise the difficulty from 0 to 1 over the training; episodes that begin from then on have it."""
+        """Raise the difficulty of new episodes from 0 to 1 over the training."""
         # bsk_rl: CLCallbacks.on_episode_start, set_task
         env.set_sat_args(difficult_args(frames / last, options.curriculum))
 
     def tell(frames: int, report: dict[str, float]) -> None:
-        """Add what the curriculum does."""
+        """Add the curriculum."""
         arguments = env.satellite.sat_args
         battery = arguments["batteryStorageCapacity"].mean() / BATTERY
         torque = arguments["disturbance_vector"].norm(dim=-1).mean() / TORQUE

@@ -1,14 +1,14 @@
 """
-Many agents, or one for all
-===========================
+Joint or separate agents
+========================
 
-Three imagers of one orbit that tell each other, in line of sight, what they have imaged; under one agent or three.
+Three imagers in one orbit, controlled by one agent or three, share imaged targets over lines of sight.
 
 On the command line::
 
     python examples/bsk_rl/multiagent_envs.py --num-envs 2
 
-The problem of bsk_rl's page "Multi-Agent Environments". Lines that differ from it say so.
+The problem of bsk_rl's page "Multi-Agent Environments". Comments mark lines that differ from it.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from bsk_torch.sim import dyn, fsw  # bsk_rl: from bsk_rl.sim import dyn, fsw
 
 
 class MortalDynModel(dyn.FullFeaturedDynModel):
-    """Dies of what the environment is told, too."""
+    """Can also be killed by a flag in the environment's memory."""
 
     @dyn.aliveness_checker
     # bsk_rl: a function isnt_alive that takes the place of satellite.is_alive
@@ -131,7 +131,7 @@ def main() -> None:
     parser.add_argument(
         "--figure",
         type=Path,
-        help="file for a picture of the first episode at the end; needs the extra viz",
+        help="file for a figure of the first episode at the end; needs the extra viz",
     )
     options = parser.parse_args()
     common = dict(num_envs=options.num_envs, backend=options.backend, seed=0)

@@ -1,16 +1,16 @@
 """
-Training with metrics of episodes
-=================================
+Training with episode metrics
+=============================
 
-Learn to scan the ground below, to charge, to downlink and to slow the wheels down.
+Learn to scan the ground, charge, downlink and desaturate the wheels.
 
 On the command line::
 
     python examples/bsk_rl/rllib_training.py --iterations 100 --num-envs 256
 
-The problem of bsk_rl's page "Training with RLlib PPO". The trainer is TorchRL's PPO of this package in the place of RLlib's
-(``examples/ppo_rllib.py`` trains with RLlib). Lines that differ from the page say so. ``bsk-torch train NadirScan-v1`` trains
-in this problem too, with evaluation, checkpoints and pictures.
+The problem of bsk_rl's page "Training with RLlib PPO". The trainer is the package's PPO, based on TorchRL, instead of RLlib's
+(for RLlib, see ``examples/ppo_rllib.py``). Comments mark lines that differ from the page. ``bsk-torch train NadirScan-v1`` trains
+on the same problem, with evaluation, checkpoints and figures.
 """
 
 from __future__ import annotations
@@ -113,7 +113,7 @@ SAT_ARGS: dict[str, Any] = dict(
     wheelSpeeds=rand.Uniform(-3000.0, 3000.0, 3),
     desatAttitude="nadir",
 )
-"""Data and power bind."""
+"""Data and power are limited."""
 
 DURATION = 5 * 5700.0
 """About five orbits, s."""
@@ -142,14 +142,14 @@ def make(
 
 
 class EpisodeMetrics:
-    """Means over the episodes that have ended since they were asked for last.
+    """Means over the episodes ended since the last call.
 
-    bsk_rl calls a function of the environment, ``episode_data_callback``, whenever an episode ends. Here many end in a batch; the
-    same numbers are taken from it, row by row.
+    bsk_rl calls a function of the environment, ``episode_data_callback``, whenever an episode ends. Here, many episodes end in a
+    batch, and the same numbers are computed from its rows.
     """
 
     def __init__(self, num_envs: int, penalty: float) -> None:
-        """Follow ``num_envs`` environments in which dying costs ``penalty``."""
+        """Track ``num_envs`` environments with a failure penalty of ``penalty``."""
         self.penalty, self.reward, self.seconds = (
             penalty,
             torch.zeros(num_envs),
@@ -204,9 +204,9 @@ def train(
 
     Args:
         env: The environment, or a transformed one.
-        config: Settings of PPO; of what to train, only the network.
+        config: Settings of PPO; only the network settings define the policy.
         iterations: Number of batches.
-        seen: Called with the number of decisions so far and what has been measured in a batch.
+        seen: Called with the number of decisions so far and the metrics of a batch.
         before: Called with the number of decisions so far before each batch.
     """
     torch.manual_seed(config.seed)
@@ -232,10 +232,10 @@ def train(
 
 
 class Show:
-    """Prints a line for each batch, and draws what the lines say."""
+    """Prints a line for each batch, and plots the metrics."""
 
     def __init__(self) -> None:
-        """Nothing has been seen."""
+        """Start without metrics."""
         self.rows: list[tuple[int, dict[str, float]]] = []
 
     def __call__(self, frames: int, report: dict[str, float]) -> None:
@@ -244,7 +244,7 @@ class Show:
         self.rows.append((frames, report))
 
     def draw(self, path: Path | None, *names: str) -> None:
-        """Draw some of the numbers over the decisions to a file, unless ``path`` is None; needs the extra viz."""
+        """Plot some of the metrics over the decisions to a file, unless ``path`` is None; needs the extra viz."""
         if path is None:
             return
         from bsk_torch.viz.figures import style
@@ -257,7 +257,7 @@ class Show:
             panel.plot(*zip(*rows, strict=True), color=style.PALETTE[0])
             style.label(panel, name)
         axes[-1].set_xlabel("decisions")
-        # ticks, and the room that their labels need, are known after the first layout
+        # ticks and the space for their labels are known after the first layout
         figure.draw_without_rendering()
         style.save(figure, path)
 
@@ -267,17 +267,17 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="Learn to scan.")
     parser.add_argument("--num-envs", type=int, default=64, help="episodes at once")
     parser.add_argument(
-        "--iterations", type=int, default=20, help="batches to learn from"
+        "--iterations", type=int, default=20, help="number of training batches"
     )
     parser.add_argument(
-        "--rollout", type=int, default=16, help="decisions of each episode in a batch"
+        "--rollout", type=int, default=16, help="decisions per episode in a batch"
     )
     parser.add_argument(
         "--time-limit", type=float, default=DURATION, help="length of an episode, s"
     )
     parser.add_argument("--backend", default="compiled", choices=["compiled", "eager"])
     parser.add_argument(
-        "--figure", type=Path, help="file for a picture of the learning curve"
+        "--figure", type=Path, help="file for a figure of the learning curve"
     )
     options = parser.parse_args()
     env = make(

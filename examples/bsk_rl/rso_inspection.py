@@ -2,14 +2,14 @@
 Inspection of a spacecraft
 ==========================
 
-An inspector flies about a resident space object (RSO) by changes of velocity, until its surface has been seen in sunlight.
+An inspector flies around a resident space object (RSO) by velocity changes until its surface has been seen in sunlight.
 
 On the command line::
 
     python examples/bsk_rl/rso_inspection.py --num-envs 4
 
-The problem of bsk_rl's page "RSO Inspection". Lines that differ from it say so. The preset ``RSOInspection-v1`` has the problem
-of bsk_rl's benchmark, without the steering law.
+The problem of bsk_rl's page "RSO Inspection". Comments mark lines that differ from it. The preset ``RSOInspection-v1`` is the
+problem of bsk_rl's benchmark, without the steering law.
 """
 
 from __future__ import annotations
@@ -120,7 +120,7 @@ INSPECTOR_ARGS = dict(
 
 
 def fuel(satellite: Any) -> Tensor:
-    """Return what the tank is good for, m/s [N]; bsk_rl: lambda sat: sat.fsw.dv_available if ... else 0.0."""
+    """Return the remaining velocity change in the tank, m/s [N]; bsk_rl: lambda sat: sat.fsw.dv_available if ... else 0.0."""
     if hasattr(satellite.fsw, "dv_available"):
         return satellite.fsw.dv_available
     return torch.zeros_like(satellite.simulator.sim_time)
@@ -176,7 +176,7 @@ def make(
 def main() -> None:
     """Fly to random places near the RSO."""
     parser = argparse.ArgumentParser(
-        description="Inspect a spacecraft from random places about it."
+        description="Inspect a spacecraft from random nearby places."
     )
     parser.add_argument("--num-envs", type=int, default=4, help="episodes at once")
     parser.add_argument(
@@ -186,7 +186,7 @@ def main() -> None:
     parser.add_argument(
         "--figure",
         type=Path,
-        help="file for a picture of the first episode; needs the extra viz",
+        help="file for a figure of the first episode; needs the extra viz",
     )
     options = parser.parse_args()
     torch.manual_seed(0)

@@ -1,14 +1,14 @@
 """
-How a satellite is described
-============================
+Satellite configuration
+=======================
 
-Arguments, observations and actions, in seven small satellites.
+Arguments, observations and actions of seven small satellites.
 
 On the command line::
 
     python examples/bsk_rl/satellite_configuration.py --num-envs 2
 
-The satellites of bsk_rl's page "Satellite Configuration". Lines that differ from it say so.
+The satellites of bsk_rl's page "Satellite Configuration". Comments mark lines that differ from it.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from bsk_torch.sim import dyn, fsw  # bsk_rl: from bsk_rl.sim import dyn, fsw
 
 
 class SimpleSatellite(sats.Satellite):
-    """The least that is needed."""
+    """Minimal satellite."""
 
     observation_spec = [obs.Time()]
     action_spec = [act.Drift()]
@@ -35,7 +35,7 @@ class SimpleSatellite(sats.Satellite):
 
 
 class SatPropsSatellite(SimpleSatellite):
-    """Observes properties of its models: any, of a given model, and divided by a norm."""
+    """Observes properties of any model, of a given model, and divided by a norm."""
 
     observation_spec = [
         obs.SatProperties(
@@ -47,7 +47,7 @@ class SatPropsSatellite(SimpleSatellite):
 
 
 class BespokeFSWModel(fsw.BasicFSWModel):
-    """Flight software with a property of one's own."""
+    """Flight software with a custom property."""
 
     @property
     def meaning_of_life(self) -> Tensor:
@@ -111,7 +111,7 @@ class ActionSatellite(SimpleSatellite):
 
 
 class ImageActSatellite(sats.ImagingSatellite):
-    """An action that stands for several."""
+    """An entry that provides several actions."""
 
     observation_spec = [obs.Time()]
     action_spec = [act.Image(n_ahead_image=3)]
@@ -150,14 +150,14 @@ def make(
 
 
 def main() -> None:
-    """Look at arguments and observations, try actions, and name a target."""
+    """Print arguments and observations, try actions, and select a target."""
     parser = argparse.ArgumentParser(description="Look at the parts of a satellite.")
     parser.add_argument("--num-envs", type=int, default=2, help="episodes at once")
     parser.add_argument("--backend", default="compiled", choices=["compiled", "eager"])
     parser.add_argument(
         "--figure",
         type=Path,
-        help="file for a picture of the first episode at the end; needs the extra viz",
+        help="file for a figure of the first episode at the end; needs the extra viz",
     )
     options = parser.parse_args()
     common = dict(num_envs=options.num_envs, backend=options.backend, seed=0)

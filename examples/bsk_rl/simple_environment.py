@@ -8,7 +8,7 @@ On the command line::
 
     python examples/bsk_rl/simple_environment.py --num-envs 4
 
-The problem of bsk_rl's page "Getting Started". Lines that differ from it say so.
+The problem of bsk_rl's page "Getting Started". Comments mark lines that differ from it.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from bsk_torch.sim import dyn, fsw  # bsk_rl: from bsk_rl.sim import dyn, fsw
 
 
 class MyScanningSatellite(sats.AccessSatellite):
-    """Sees its store, its battery and the next eclipse."""
+    """Observes its data buffer, its battery and the next eclipse."""
 
     observation_spec = [
         obs.SatProperties(
@@ -72,7 +72,7 @@ def make(
 
 
 def main() -> None:
-    """Scan three times, then charge until the time is up."""
+    """Scan three times, then charge until the time limit."""
     parser = argparse.ArgumentParser(description="Scan, then charge.")
     parser.add_argument("--num-envs", type=int, default=4, help="episodes at once")
     parser.add_argument(
@@ -82,7 +82,7 @@ def main() -> None:
     parser.add_argument(
         "--figure",
         type=Path,
-        help="file for a picture of the first episode at the end; needs the extra viz",
+        help="file for a figure of the first episode at the end; needs the extra viz",
     )
     options = parser.parse_args()
     env = make(

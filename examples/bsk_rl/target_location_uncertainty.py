@@ -1,16 +1,16 @@
 """
-Targets that must be searched for
-=================================
+Target location uncertainty
+===========================
 
-Images take the longer, the larger the area is in which a target may be, and areas grow.
+Images take longer for larger search areas, and search areas grow with time.
 
 On the command line::
 
     python examples/bsk_rl/target_location_uncertainty.py --num-envs 4
 
-The problem of bsk_rl's page "Target Location Uncertainty". Lines that differ from it say so. On the page every target is an
-object whose area the environment changes after each step; here areas are a table [N, T] of all targets, which the rewarder
-keeps.
+The problem of bsk_rl's page "Target Location Uncertainty". Comments mark lines that differ from it. On the page, every target is
+an object with an area updated by the environment after each step; here, areas are a table [N, T] of all targets, kept by the
+rewarder.
 """
 
 from __future__ import annotations
@@ -51,15 +51,15 @@ LARGEST = 100e3
 
 
 LOTS = 1024
-"""Number of random numbers that are drawn for the decisions of an episode; a longer one begins with the first again."""
+"""Number of random numbers drawn for the decisions of an episode; longer episodes reuse them from the start."""
 
 
 class AreaTargets(scene.UniformTargets):
-    """Targets in square areas, drawn with what the search for them takes."""
+    """Targets in square areas, with drawn search parameters."""
 
     # bsk_rl: regenerate_targets, target by target
     def draw(self, key: rand.Key) -> dict[str, Tensor]:
-        """Draw side of the area, m, speed of the search, m/s, and speed of the target, m/s; and a lot for every decision."""
+        """Draw side of the area, m, speeds of search and target, m/s, and a random number for every decision."""
         drawn = {
             # bsk_rl: np.random.uniform(10.0, 100.0) * 1e3, and so on
             "side": (10e3, 100e3),
@@ -75,9 +75,9 @@ class AreaTargets(scene.UniformTargets):
 
 # bsk_rl: UncertainMultiplyReward, and class SatelliteUncertaintyTargets(SatelliteTasking)
 class UncertaintyReward(ImageReward):
-    """Pays priority times area for every image; areas then shrink to nothing, and grow with time.
+    """Rewards every image with priority times area; the area then shrinks to zero and grows with time.
 
-    Areas change after every step, after the observation, as on the page: an observation shows the areas of a step ago.
+    Areas change after the observation of every step, as on the page: an observation shows the areas of the previous step.
     Counters: ``found`` and ``found_again`` [N, S], images of targets for the first time, and later ones.
     """
 
@@ -150,8 +150,8 @@ class UncertaintyReward(ImageReward):
 def search(bus: Bus) -> None:
     """Take an image once the target has been in sight for its time, as Basilisk's simpleInstrumentController does.
 
-    Time counts from the first tick in which an image is permitted, and again after every tick in which it is not. The instrument
-    gives up in the first tick after a whole search, also where the target would be found between the last two ticks.
+    Time counts from the first tick in which an image is permitted, and restarts after every tick in which it is not. The
+    instrument stops in the first tick after a complete search, even if the target would be found between the last two ticks.
     """
     on = bus.location_on > 0.0
     tries = (bus.image_taken < 0.5) & (bus.given_up < 0.5)
@@ -195,14 +195,14 @@ SEARCH_CONTROLLER = dataclasses.replace(
 
 # bsk_rl: CustomFswModel, with another action_image
 class SearchFSWModel(fsw.SteeringImagerFSWModel):
-    """Takes images that need time."""
+    """Takes images with a search time."""
 
     components = (SEARCH_CONTROLLER,)
     modes = {"image": fsw.Mode(IMAGE_MODE.on, {**IMAGE_MODE.resets, "given_up": 0.0})}
 
 
 class Search(act.Image):  # bsk_rl: task_target_for_imaging of the satellite
-    """Images one of the next targets, which takes its own time."""
+    """Images one of the next targets, with a search time per target."""
 
     def link_satellite(self, satellite: Any) -> None:
         """Count decisions."""
@@ -210,7 +210,7 @@ class Search(act.Image):  # bsk_rl: task_target_for_imaging of the satellite
         satellite.simulator.memory.declare("searches", 0)
 
     def begin(self, mask: Tensor, decision: act.Decision) -> None:
-        """Tell the instrument how long it must look."""
+        """Set the search time of the instrument."""
         super().begin(mask, decision)
         satellite, memory = self.satellite, self.satellite.simulator.memory
         number = torch.remainder(memory["searches"], LOTS).unsqueeze(1)
@@ -308,7 +308,7 @@ def make(
 
 
 def main() -> None:
-    """Image targets at random until the time is up."""
+    """Image targets at random until the time limit."""
     parser = argparse.ArgumentParser(description="Search for targets at random.")
     parser.add_argument("--num-envs", type=int, default=4, help="episodes at once")
     parser.add_argument(
@@ -319,7 +319,7 @@ def main() -> None:
     parser.add_argument(
         "--figure",
         type=Path,
-        help="file for a picture of the first episode at the end; needs the extra viz",
+        help="file for a figure of the first episode at the end; needs the extra viz",
     )
     options = parser.parse_args()
     env = make(

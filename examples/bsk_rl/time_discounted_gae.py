@@ -1,20 +1,19 @@
 """
-A discount per second
-=====================
+Time-discounted GAE
+===================
 
-Decisions that last longer are discounted more.
+Discount per second, so that longer decisions are discounted more.
 
 On the command line::
 
     python examples/bsk_rl/time_discounted_gae.py --iterations 100 --num-envs 256
 
-The problem of bsk_rl's page "Time-Discounted GAE", that of ``rllib_training.py`` without the time as an observation. Lines that
-differ from the page say so. With a discount gamma per second, a step of t seconds and rewards at the end of steps, values
-follow::
+The problem of bsk_rl's page "Time-Discounted GAE": ``rllib_training.py`` without the time as an observation. Comments mark lines
+that differ from the page. With a discount gamma per second, a step of t seconds and rewards at the end of steps, values satisfy::
 
     V = E[gamma^t (r + V')]
 
-which is what ``bsk_torch.rl`` computes unless told otherwise; the decay lambda is per decision, as in bsk_rl.
+This is the default of ``bsk_torch.rl``; the decay lambda is per decision, as in bsk_rl.
 """
 
 from __future__ import annotations
@@ -30,7 +29,7 @@ from bsk_torch.rl.training.config import PPOConfig
 
 
 class TimelessSatellite(ScanningSatellite):
-    """Does not see the time."""
+    """Does not observe the time."""
 
     observation_spec = ScanningSatellite.observation_spec[:-1]
 
@@ -51,10 +50,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="Learn with a discount per second.")
     parser.add_argument("--num-envs", type=int, default=64, help="episodes at once")
     parser.add_argument(
-        "--iterations", type=int, default=20, help="batches to learn from"
+        "--iterations", type=int, default=20, help="number of training batches"
     )
     parser.add_argument(
-        "--rollout", type=int, default=16, help="decisions of each episode in a batch"
+        "--rollout", type=int, default=16, help="decisions per episode in a batch"
     )
     parser.add_argument(
         "--time-limit", type=float, default=28500.0, help="length of an episode, s"
@@ -63,7 +62,7 @@ def main() -> None:
     parser.add_argument(
         "--figure",
         type=Path,
-        help="file for a picture of the learning curve; needs the extra viz",
+        help="file for a figure of the learning curve; needs the extra viz",
     )
     options = parser.parse_args()
     config = PPOConfig(

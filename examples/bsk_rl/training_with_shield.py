@@ -1,17 +1,17 @@
 """
-Training behind a shield
-========================
+Shielded training
+=================
 
-A rule forbids dangerous actions, as a mask of actions or as a replacement of them, in training and in tests.
+A rule masks or replaces dangerous actions, in training and in tests.
 
 On the command line::
 
     python examples/bsk_rl/training_with_shield.py --shield mask --iterations 50 --num-envs 256
     python examples/bsk_rl/training_with_shield.py --shield replacement --penalty -0.1
 
-The problem of bsk_rl's page "Shielded training with action masking and action replacement". Lines that differ from it say so.
-The page wraps one environment; here a mask is what ``legal_actions`` of the satellite returns, and a replacement is a transform
-of TorchRL.
+The problem of bsk_rl's page "Shielded training with action masking and action replacement". Comments mark lines that differ from
+it. The page wraps one environment; here, the satellite's ``legal_actions`` returns the mask, and a TorchRL transform replaces
+actions.
 """
 
 from __future__ import annotations
@@ -100,7 +100,7 @@ class EarthObserver(sats.ImagingSatellite):  # bsk_rl: CustomSatComposed
 
 # bsk_rl: class WrapperActionMasking(ObservationWrapper)
 class ShieldedObserver(EarthObserver):
-    """Publishes which actions the rule allows in ``action_mask``."""
+    """Restricts ``action_mask`` to the actions allowed by the rule."""
 
     def legal_actions(self) -> Tensor:
         """Return [N, 35] booleans."""
@@ -110,7 +110,7 @@ class ShieldedObserver(EarthObserver):
 def power_requirement(
     eclipse_start: Tensor, eclipse_end: Tensor, min_power: float = 0.25
 ) -> Tensor:
-    """Return the charge, of the capacity, that is needed in sunlight, [N]: more if an eclipse begins too soon to charge for it.
+    """Return the charge required in sunlight, as a fraction of the capacity, [N]; more if an eclipse starts soon.
 
     Times are in orbits; the battery charges, and drains in eclipse, by its capacity in an orbit.
     """
@@ -120,7 +120,7 @@ def power_requirement(
 
 # bsk_rl: power_shielding_function(obs, act, indexes)
 def allowed(satellite: Any, rw_threshold: float = 0.7) -> Tensor:
-    """Return which actions the rule allows, [N, 35]: only charging, where charge is needed, only desaturation, or all."""
+    """Return the actions allowed by the rule, [N, 35]: only charging if charge is required, only desaturation, or all."""
     start, end = (
         (time - satellite.simulator.sim_time) / ORBIT
         for time in satellite.next_eclipse()
@@ -140,7 +140,7 @@ def allowed(satellite: Any, rw_threshold: float = 0.7) -> Tensor:
 
 # bsk_rl: class WrapperPostPosed(WrapperActionLogging, ActionWrapper, RewardWrapper)
 class Replacement(Transform):
-    """Carries out the action that the rule allows in place of one that it forbids, at a price.
+    """Replaces a forbidden action by the action allowed by the rule, with a penalty.
 
     Attributes:
         interferences: Number of replaced actions.
@@ -225,7 +225,7 @@ def make(
 ) -> SatelliteTasking:
     """Return ``num_envs`` episodes of a case of :data:`CASES`; ``sat_args`` and ``options`` replace its own.
 
-    With ``masked``, ``action_mask`` leaves out what the rule forbids.
+    With ``masked``, ``action_mask`` excludes actions forbidden by the rule.
     """
     own, penalty = CASES[case]
     kind = ShieldedObserver if masked else EarthObserver
@@ -246,8 +246,8 @@ def make(
 
 
 def main() -> None:
-    """Train behind a shield."""
-    parser = argparse.ArgumentParser(description="Learn behind a shield.")
+    """Train with a shield."""
+    parser = argparse.ArgumentParser(description="Train with a shield.")
     parser.add_argument(
         "--shield", default="mask", choices=["none", "mask", "replacement"]
     )
@@ -257,10 +257,10 @@ def main() -> None:
     parser.add_argument("--case", default="no_failure_penalty", choices=CASES)
     parser.add_argument("--num-envs", type=int, default=64, help="episodes at once")
     parser.add_argument(
-        "--iterations", type=int, default=20, help="batches to learn from"
+        "--iterations", type=int, default=20, help="number of training batches"
     )
     parser.add_argument(
-        "--rollout", type=int, default=16, help="decisions of each episode in a batch"
+        "--rollout", type=int, default=16, help="decisions per episode in a batch"
     )
     parser.add_argument("--n-targets", type=int, default=1000)
     parser.add_argument(
@@ -273,7 +273,7 @@ def main() -> None:
     parser.add_argument(
         "--figure",
         type=Path,
-        help="file for a picture of the learning curve; needs the extra viz",
+        help="file for a figure of the learning curve; needs the extra viz",
     )
     options = parser.parse_args()
     env = make(
