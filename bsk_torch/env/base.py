@@ -196,7 +196,7 @@ class Tasking(Present, MadeOfArguments):
         decisions = [decide(satellite, action, mine) for satellite, action, mine in commanded]
         self.guard.change(moves)
         for (satellite, action, mine), decision in zip(commanded, decisions, strict=True):
-            command(satellite, action, mine, decision, all_act)
+            command(satellite, action, mine, decision, satellite.simulator.state.of_env(moves), all_act)
         log = self.log if self.log is not None and self.log.shows(logging.WARNING) else None
         if log is not None:
             log.decided(acts)

@@ -74,13 +74,18 @@ def decide(satellites: SatelliteGroup, action: Tensor, acts: Tensor) -> Decision
     return satellites.actions.decide(action, satellites.task.previous_action, acts)
 
 
-def command(satellites: SatelliteGroup, action: Tensor, acts: Tensor, decision: Decision, all_act: bool = False) -> None:
-    """Begin ``action`` [N] where ``acts`` [N] is true (``all_act``: everywhere); other satellites continue their tasks."""
+def command(
+    satellites: SatelliteGroup, action: Tensor, acts: Tensor, decision: Decision, moves: Tensor, all_act: bool = False
+) -> None:
+    """Begin ``action`` [N] where ``acts`` [N] is true (``all_act``: everywhere); other satellites continue their tasks.
+
+    As in bsk_rl, a dead satellite of ``moves`` [N] no longer requires a task, unless the one that it is given ends.
+    """
     task, simulator = satellites.task, satellites.simulator
     simulator.command(decision.retask & acts, decision.mode)
     satellites.actions.begin(action, acts, decision)
     task.previous_action = torch.where(acts, decision.key, task.previous_action)
-    task.requires_retasking = task.requires_retasking & ~acts
+    task.requires_retasking = task.requires_retasking & ~(acts | (task.dead & moves))
     now = simulator.state.ticks
     ends = now + whole_ticks(decision.duration, simulator.h_ns)
     expected = ends if decision.expected is decision.duration else now + whole_ticks(decision.expected, simulator.h_ns)

@@ -582,6 +582,34 @@ def test_joint_observes_only_those_who_need_a_task_on_request() -> None:
     assert not third.any()
 
 
+DEAD_FROM_THE_START = {
+    ((None, 1, None), (0, 2)): [False, True, False],
+    ((None, 0, 1), (0,)): [False, False, True],
+    ((1, None, None), (2,)): [True, True, False],
+    ((2, 1, None), (0,)): [False, True, True],
+    ((2, 1, None), (0, 2)): [False, True, False],
+}
+"""Who requires a task, and is not zeros, after the first step of bsk_rl, by the actions of three satellites and who has no charge."""
+
+
+@pytest.mark.parametrize(("actions", "dead"), DEAD_FROM_THE_START)
+def test_the_dead_require_no_task_in_the_step_that_ends_a_joint_episode(
+    actions: tuple[int | None, ...], dead: tuple[int, ...]
+) -> None:
+    class Three(sats.Satellite):
+        observation_spec = (obs.SatProperties(dict(prop="r_BN_N", norm=7e6)),)
+        action_spec = (act.Drift(duration=60.0), act.Drift(duration=33.0, name="short"), act.Charge(duration=47.0))
+
+    satellites = [Three(f"s{k}", dict(storedCharge_Init=0.0) if k in dead else {}) for k in range(3)]
+    env = build(satellites, num_envs=2, scenario=None, rewarder=None, joint=True, generate_obs_retasking_only=True)
+    td = env.reset()
+    td["action"] = torch.tensor([NO_ACTION if choice is None else choice for choice in actions]).expand(2, 3)
+    td = env.step(td.set("_step", torch.tensor([True, False])))["next"]
+    assert bool(td["terminated"][0])
+    assert env.requires_retasking.tolist() == [DEAD_FROM_THE_START[actions, dead], [True, True, True]]
+    assert (td["observation"][0].view(3, -1) != 0.0).any(-1).tolist() == DEAD_FROM_THE_START[actions, dead]
+
+
 def test_a_constellation_can_be_pickled_in_the_middle_of_an_episode() -> None:
     env = mixed(communicator=comm.LOSCommunication(), sat_arg_randomizer=formations.train_args(3.0))
     td = play(env, 5)[-1]
