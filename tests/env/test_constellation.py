@@ -276,7 +276,7 @@ def test_an_idle_satellite_without_a_task_is_named_once(caplog: pytest.LogCaptur
     for _ in range(2):
         td = env.step(td.set(("agents", "action"), torch.tensor([[0, 5], [0, 1]])))["next"].clone()
     said = [record.message for record in caplog.records if "requires retasking" in record.message]
-    assert said == ["satellite EO1 of environment 0 requires retasking but received no task; its mode goes on"]
+    assert said == ["satellite EO1 of environment 0 requires retasking but received no task; its mode continues"]
     assert td["duration"].tolist() == [[47.0], [31.0]]
 
 

@@ -160,6 +160,26 @@ def test_no_resolver_runs(tmp_path):
     assert not calls
 
 
+@pytest.mark.parametrize(
+    "changes",
+    [
+        ["learning_rate=${oc.env:BSK_TORCH_RATE}"],
+        ["hidden=[${bsk_torch_test:},64]"],
+        ["options.time_limit=${bsk_torch_test:}"],
+        ["options.a=${bsk_torch_test:}", "options.a.b=1"],
+        ["seed=${frames}"],
+        ["frames=???"],
+    ],
+)
+def test_changes_are_literal_values(changes, monkeypatch):
+    calls = []
+    OmegaConf.register_new_resolver("bsk_torch_test", lambda: calls.append(1) or 64, replace=True)
+    monkeypatch.setenv("BSK_TORCH_RATE", "0.001")
+    with pytest.raises(ValueError, match="would be replaced; settings are literal values: numbers, true, false, null, text"):
+        override(PPOConfig(), changes)
+    assert not calls
+
+
 def test_bytes_that_are_no_text_are_refused(tmp_path):
     (tmp_path / "config.yaml").write_bytes(b"preset: \xff\xfe")
     with pytest.raises(ValueError, match="is no configuration"):

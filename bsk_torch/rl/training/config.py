@@ -245,16 +245,19 @@ def override(config: Config, changes: Iterable[str]) -> Config:
     """The configuration with ``changes`` such as ``"learning_rate=1e-3"``, ``"hidden=[128,128]"`` or ``"options.as_set=true"``.
 
     Raises:
-        ValueError: For a field that does not exist, a value of the wrong type, or one that the configuration refuses.
+        ValueError: For a field that does not exist, a value of the wrong type, an interpolation (``${...}``), or a value that
+            the configuration refuses.
     """
     changes = list(changes)
     for change in changes:
-        name = change.split("=")[0].split(".")[0]
+        setting, _, value = change.partition("=")
+        name = setting.split(".")[0]
         known = [field.name for field in dataclasses.fields(config)]
         if "=" not in change:
             raise ValueError(f"{change!r} must read name=value, such as learning_rate=1e-3; {nearest(name, known)}")
         if name not in known:
             raise ValueError(f"{name!r} is no setting of the training; {nearest(name, known)}; all: {', '.join(known)}")
+        _check_literal(setting, value)
     try:
         return _to_object(OmegaConf.merge(OmegaConf.structured(config), OmegaConf.from_dotlist(changes)))
     except (OmegaConfBaseException, yaml.YAMLError) as error:
@@ -325,11 +328,20 @@ def _check_plain(text: str) -> None:
 def _check_settings(settings: Mapping[Any, object]) -> None:
     """ValueError for values that stand for others, and options that are not read from files."""
     for name, value in _leaves("", settings):
-        if isinstance(value, str) and ("${" in value or value == MISSING):
-            raise ValueError(f"{name}={value!r} would be replaced; settings in files are plain values")
+        if isinstance(value, str):
+            _check_literal(name, value)
     options = settings.get("options")
     for name in set(LOGS) & set(options) if isinstance(options, Mapping) else ():
         raise ValueError(f"options.{name} is not read from files; give it on the command line")
+
+
+def _check_literal(name: str, text: str) -> None:
+    """ValueError for text that OmegaConf would replace by another setting, a variable of the environment, or the like."""
+    if "${" in text or text == MISSING:
+        raise ValueError(
+            f"{name}={text!r} would be replaced; settings are literal values: numbers, true, false, null, text without ${{, and "
+            "lists or dictionaries of these"
+        )
 
 
 def _leaves(name: str, value: object) -> Iterator[tuple[str, Any]]:
