@@ -99,7 +99,7 @@ class Tasking(Present, MadeOfArguments):
         self.builder = FleetBuilder(satellites, self.scenario, options, randomizer, device, made and made.types)
         self.names, self.dtype = self.builder.names, common_dtype(options.dtype, self.builder.satellites)
         if made is None or made.trial is None:
-            trial = try_out(self.builder, self.rewarder)
+            trial = try_out(self.builder, self.rewarder, self.communicator)
         else:
             trial = made.trial
             check_room(self.builder, trial.nbytes)

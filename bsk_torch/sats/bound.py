@@ -100,12 +100,12 @@ class BoundSatellite(Satellite):
     @property
     def time_limit(self) -> Tensor:
         """Time limits of the episodes, [N] s."""
-        return self.simulator.state.of_env(self.fleet.state.time_limit)
+        return self.of_env(self.fleet.state.time_limit)
 
     @property
     def removed(self) -> Tensor | None:
         """Satellites that are absent or have left, [N], for which queries return nothing; None where there can be none."""
-        return self.fleet.rows_of(self.type_index, self.fleet.state.removed) if self.fleet.size > 1 else None
+        return self.rows_of(self.fleet.state.removed) if self.fleet.size > 1 else None
 
     @property
     def present(self) -> Tensor:
@@ -148,6 +148,17 @@ class BoundSatellite(Satellite):
         return f"environment {env}" if len(self.names) == 1 else f"satellite {self.names[k]} of environment {env}"
 
     # -- reading ------------------------------------------------------------------------------------------------------
+
+    def rows_of(self, table: Tensor) -> Tensor:
+        """Return the rows [N, ...] of these satellites from a table of all satellites, [environments, S, ...].
+
+        Such tables are those that rewarders and communicators declare with ``fleet.size``: ``fleet.memory[name]``.
+        """
+        return self.fleet.rows_of(self.type_index, table)
+
+    def of_env(self, table: Tensor) -> Tensor:
+        """Return the rows [N, ...] of these satellites from a table of the environments, [environments, ...]."""
+        return self.simulator.state.of_env(table)
 
     def next_eclipse(self) -> tuple[Tensor, Tensor]:
         """Return the next start and the next end of an eclipse, [N] s since reset."""

@@ -68,7 +68,7 @@ class BoundImagingSatellite(BoundAccessSatellite, ImagingSatellite):
 
         AttributeError for a rewarder that does not keep them, as :class:`bsk_torch.data.UniqueImageReward` does.
         """
-        return self.fleet.rows_of(self.type_index, self.rewarder.known)
+        return self.rows_of(self.rewarder.known)
 
     @property
     def imaged(self) -> Tensor:

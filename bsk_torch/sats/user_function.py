@@ -23,6 +23,12 @@ logger = logging.getLogger(__name__)
 RELATIVE, ABSOLUTE = 1e-6, 1e-7
 """Differences of two results that count as rounding: relative to the largest number, and absolute."""
 
+TABLES = (
+    "satellite.rows_of(table) takes the satellite's rows from a table of all satellites, such as satellite.fleet.memory['name'], "
+    "and satellite.of_env(table) from a table of the environments"
+)
+"""How to read what rewarders and communicators keep."""
+
 Tree = Any
 """A tensor, or a dictionary of tensors by name, which may be nested."""
 
@@ -129,10 +135,16 @@ class UserFunction:
             return
         tries = (alone, together)
         agree = alike(first_of(alone.results[-1]), first_of(together.results[-1]))
+        shapes = [[list(leaf.shape[1:]) for leaf in leaves_of(each.results[-1])] for each in tries if each.results]
+        if shapes[0] != shapes[1]:
+            raise TypeError(
+                f"{self.title} has the shapes {shapes[0]} for a satellite of one environment alone, and {shapes[1]} for one of "
+                f"several; {TABLES}"
+            )
         if not agree and (alone.mapped or together.mapped):
             raise TypeError(
-                f"{self.title} gives other values in two calls for the same state of a satellite; it must follow from the state "
-                "of the satellite alone. obs.Noisy(observation, ...) adds random numbers"
+                f"{self.title} gives different values for the same state of a satellite, called alone and in a batch; it must "
+                f"follow from the state of the satellite alone. obs.Noisy(observation, ...) adds random numbers; {TABLES}"
             )
         if not agree:
             raise TypeError(f"{self.title} mixes environments: an environment gives other values in a batch; {self.advice}")

@@ -122,7 +122,11 @@ def test_an_environment_alone_observes_the_same(three):
 @pytest.mark.parametrize(
     ("entry", "error", "words"),
     [
-        (dict(fn=lambda sat: np.random.normal(), name="x"), TypeError, r"'x' of 'sat_props' gives other values .* obs\.Noisy"),
+        (
+            dict(fn=lambda sat: np.random.normal(), name="x"),
+            TypeError,
+            r"'x' of 'sat_props' gives different values .* obs\.Noisy",
+        ),
         (dict(fn=lambda sat: sat.dynamics.r_BN_N - sat.dynamics.r_BN_N.mean(dim=0), name="x"), TypeError, "mixes environments"),
         (dict(fn=lambda sat: "far", name="x"), TypeError, "'x' of 'sat_props' is 'far'; it must be a number"),
         (dict(fn=lambda sat: sat.dynamics.speedy, name="x"), AttributeError, "no attribute 'speedy'"),

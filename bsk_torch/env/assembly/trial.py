@@ -12,6 +12,7 @@ from typing import NamedTuple
 import torch
 
 from bsk_torch._checks import no_gradient
+from bsk_torch.comm import CommunicationMethod
 from bsk_torch.data import checked
 from bsk_torch.data.base import GlobalReward
 from bsk_torch.env.assembly.devices import check_memory
@@ -99,10 +100,11 @@ class TrialFleet:
         self.satellites = groups_of(builder.satellites, self.fleet)
         self.scenario: Scenario = copy.copy(builder.scenario)
 
-    def start(self, rewarder: GlobalReward) -> list[list[UserFunction]]:
+    def start(self, rewarder: GlobalReward, communicator: CommunicationMethod) -> list[list[UserFunction]]:
         """Start the episodes; return the functions of users of each type, which keep their results from now on."""
         self.rewarder = copy.copy(rewarder)
         link(self.fleet, self.scenario, self.rewarder)
+        copy.copy(communicator).attach(self.fleet)  # it may declare what satellites observe
         functions = [satellite.user_functions() for satellite in self.satellites]
         for function in (each for some in functions for each in some):
             function.begin_trial()
@@ -153,7 +155,7 @@ def check_room(builder: FleetBuilder, nbytes: int) -> None:
     check_memory(builder.device, builder.options.num_envs, nbytes * (2 if builder.pool_pays else 1))
 
 
-def try_out(builder: FleetBuilder, rewarder: GlobalReward) -> Trial:
+def try_out(builder: FleetBuilder, rewarder: GlobalReward, communicator: CommunicationMethod) -> Trial:
     """Observe a trial episode, from whose shapes specs are made; try functions of users with one and with several environments.
 
     Raises:
@@ -165,7 +167,7 @@ def try_out(builder: FleetBuilder, rewarder: GlobalReward) -> Trial:
     each = sum(s.state.nbytes * len(columns) for s, columns in zip(fleet.simulators, builder.types, strict=True))
     each += fleet.scenario_state.nbytes
     check_room(builder, each)
-    functions = alone.start(rewarder)
+    functions = alone.start(rewarder, communicator)
     values = alone.observe()
     if n == 1 and fleet.size == len(builder.names):
         alone.score()  # with as many environments and satellites as there will be
@@ -173,7 +175,7 @@ def try_out(builder: FleetBuilder, rewarder: GlobalReward) -> Trial:
         return Trial(values, functions, [], each)
     dimensions = {size for some in functions for function in some for size in function.dimensions()}
     together = TrialFleet(builder, next((size for size in BATCHES if size not in dimensions), BATCHES[-1]))
-    batched = together.start(rewarder)
+    batched = together.start(rewarder, communicator)
     together.spread()
     together.observe()
     alone.become(together.fleet)
