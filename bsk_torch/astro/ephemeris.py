@@ -344,7 +344,7 @@ def _locate(table: _SunTable, et: Tensor) -> tuple[Tensor, Tensor]:
     # The clamp follows the conversion so that NaN, too, gets an index that exists.
     index = ((et - table.start) / table.segment).floor().long().clamp(0, segments - 1)
     # Subtracting the segment's middle from et is exact, so the scaled time keeps all of et's precision.
-    scaled = (et - (table.start + (index + 0.5) * table.segment)) / (0.5 * table.segment)
+    scaled = (et - (table.start + (index.to(et.dtype) + 0.5) * table.segment)) / (0.5 * table.segment)
     exponents = torch.arange(terms, dtype=et.dtype, device=et.device)
     return index, scaled.unsqueeze(-1) ** exponents
 

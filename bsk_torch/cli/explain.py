@@ -122,7 +122,10 @@ def statistics(moments: Sequence[Moment]) -> dict[str, Any]:
     """Return the least, median and largest value of the moments' numbers, and how often each action was chosen."""
     if not moments:
         return {}
-    numbers = {name: torch.tensor([getattr(moment, name) for moment in moments]) for name in ("charge", "wheel_rpm", "dark")}
+    numbers = {
+        name: torch.tensor([getattr(moment, name) for moment in moments], dtype=torch.float64)
+        for name in ("charge", "wheel_rpm", "dark")
+    }
     ranges = {name: [round(float(f()), 4) for f in (v.min, v.median, v.max)] for name, v in numbers.items()}
     return {**ranges, "actions": dict(Counter(moment.action for moment in moments))}
 

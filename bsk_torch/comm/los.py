@@ -102,7 +102,7 @@ def flown_orbits(simulator: Simulator, columns: Tensor) -> FlownOrbits:
 
 
 def _check_covered(fleet: SatelliteFleet, asked: Tensor) -> None:
-    begin = torch.where(asked, (fleet.since - 1).clamp(min=0) * fleet.h, torch.inf)
+    begin = torch.where(asked, (fleet.since - 1).clamp(min=0).double() * fleet.h, torch.inf)
     for simulator in fleet.simulators:
         arcs = simulator.arcs
         # one tick before a manoeuvre the new orbit's continuation backwards is off by the change of velocity times a tick

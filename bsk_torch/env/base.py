@@ -214,7 +214,7 @@ class Tasking(Present, MadeOfArguments):
         for satellite in self.satellites:
             satellite.memory.touch()
             satellite.task.dead = satellite.task.dead | died(satellite)
-        outcome = self._judge(result.ticks * fleet.h, reward, moves, removed)
+        outcome = self._judge(result.ticks.double() * fleet.h, reward, moves, removed)
         if log is not None:
             log.after(known, outcome, moves)
         return outcome
@@ -230,7 +230,7 @@ class Tasking(Present, MadeOfArguments):
     def _judge(self, duration: Tensor, reward: Tensor, moves: Tensor, removed: Tensor) -> StepResult:
         """Return the outcome of a step: adds failure penalties [N, S], and says which episodes have ended."""
         dead = self.fleet.joined([satellite.task.dead for satellite in self.satellites])
-        reward = reward + self.failure_penalty * (dead & moves.unsqueeze(-1))
+        reward = reward + self.failure_penalty * (dead & moves.unsqueeze(-1)).to(reward.dtype)
         if self.fleet.size > 1:
             reward = torch.where(removed, 0.0, reward)
         terminated, truncated = self._over(dead)

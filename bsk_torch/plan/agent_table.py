@@ -89,7 +89,7 @@ class AgentTable:
                 action = self._action(td, group)
                 parts.append(torch.nn.functional.pad(action, (0, self.most_numbers - action.shape[-1])))
             else:
-                parts.append(torch.zeros(*td.batch_size, size, self.most_numbers, device=td.device))
+                parts.append(torch.zeros(*td.batch_size, size, self.most_numbers, dtype=torch.float32, device=td.device))
         return torch.cat(parts, 1)
 
     @staticmethod
@@ -137,7 +137,7 @@ class AgentTable:
         for group, bounds in zip(self.groups, self.bounds, strict=True):
             at = td if group is None else td[group]
             if bounds:
-                low, high = torch.tensor(bounds, device=td.device).unbind(1)
+                low, high = torch.tensor(bounds, dtype=torch.float32, device=td.device).unbind(1)
                 at["action"] = torch.zeros_like(low).clamp(low, high).expand(*at.batch_size, -1).clone()
             else:
                 at["action"] = at["action_mask"].long().argmax(-1)

@@ -124,7 +124,7 @@ def draw_numbers(
     try:
         numbers, problem = _drawn(value, key, count), ""
     except (TypeError, ValueError, RuntimeError) as error:
-        numbers, problem = torch.empty(0), f": {error}"
+        numbers, problem = torch.empty(0, dtype=torch.float64), f": {error}"
     if numbers.shape not in ((len(key), count), (1, count)):
         raise ValueError(
             f"{what}={value!r} does not give one number for each of {count} targets{problem}; allowed are a number, {count} "

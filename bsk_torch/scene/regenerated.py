@@ -63,7 +63,7 @@ def draw_regenerated(scenario: UniformTargets, key: Key) -> dict[str, Tensor]:
                 f"{int(key.env_id[row])}, where there is room for {most}; give the largest number as n_targets, as in "
                 f"n_targets=({scenario.low}, {len(targets) + 1})"
             )
-    values = {"target_exists": torch.tensor([[float(k < len(targets)) for k in range(most)] for targets in made]).double()}
+    values = {"target_exists": torch.tensor([[k < len(targets) for k in range(most)] for targets in made]).double()}
     for name, blank in _columns(scenario, made).items():
         rows = [[_number(target, name) for target in targets] + [blank] * (most - len(targets)) for targets in made]
         values[f"target_{name}"] = torch.as_tensor(np.array(rows, dtype=float))

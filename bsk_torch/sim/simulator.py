@@ -403,7 +403,7 @@ class Simulator:
         further = self._of_present(ticks, rows)
         if rows is not None:
             further = torch.zeros_like(state.ticks).index_copy(0, rows, further)
-        self.lookahead.reach_in_flight(state.sim_time + further * state.h, state.sim_time)
+        self.lookahead.reach_in_flight(state.sim_time + further.double() * state.h, state.sim_time)
 
     def _inputs(self, followed: Mapping[str, Samples], rows: Tensor | None) -> RunInputs:
         """Return what a run of ``rows`` [n], or all, reads apart from their fields; ``followed`` are traces of these rows."""

@@ -104,7 +104,10 @@ def scanning_bound(env: SatelliteTasking, *, interval: float = 60.0) -> Scanning
     rows = torch.arange(len(env.env_ids))
     passes = _passes(env)
     parts = [_row_bound(env, row, ticks, passes) for row in rows.split(1)]
-    return ScanningBound(torch.tensor([part[0] for part in parts]), *(torch.stack(c) for c in list(zip(*parts, strict=True))[1:]))
+    return ScanningBound(
+        torch.tensor([part[0] for part in parts], dtype=torch.float64),
+        *(torch.stack(c) for c in list(zip(*parts, strict=True))[1:]),
+    )
 
 
 def _linprog() -> Any:

@@ -89,7 +89,7 @@ def candidate_plans(env: SatelliteTasking, n_random: int = 32, length: int = 40,
 def _random_runs(n: int, charge: int, count: int, length: int, seed: int) -> list[list[int]]:
     """Random sequences of one to eight of each action, of which charging is as likely as three others."""
     generator = torch.Generator().manual_seed(seed)
-    weight = torch.ones(n).index_fill(0, torch.tensor([charge]), 3.0)
+    weight = torch.ones(n, dtype=torch.float32).index_fill(0, torch.tensor([charge]), 3.0)
     runs = []
     for _ in range(count):
         kinds = torch.multinomial(weight, length, replacement=True, generator=generator)

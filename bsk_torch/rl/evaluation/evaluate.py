@@ -163,7 +163,7 @@ def _evaluated(policy: TensorDictModuleBase, env: Tasking, start: TensorDictBase
     level = getattr(env.satellite.dynamics, "storage_level_fraction", None) if isinstance(env, SatelliteTasking) else None
     return Evaluation(
         returns=returns,
-        collected=returns - env.failure_penalty * dead.sum(1),
+        collected=returns - env.failure_penalty * dead.sum(1).to(returns.dtype),
         survived=~dead.any(1),
         decisions=decisions[:n],
         seconds=env.fleet.sim_time[:n].clone(),

@@ -31,6 +31,7 @@ from bsk_torch.env.agents import AGENTS
 from bsk_torch.rl.evaluation.evaluate import Evaluation, evaluate
 from bsk_torch.rl.marl.networks import ConstellationCritic, DecidingOnly
 from bsk_torch.rl.networks.plans import AttentionPlan, MLPPlan, Plan, real_actor
+from bsk_torch.rl.networks.precision import float32_weights
 from bsk_torch.rl.policies.files import save_policy
 from bsk_torch.rl.policies.shared_policy import member_views, of_groups, shared
 from bsk_torch.rl.rules.continuous import Bounds
@@ -193,7 +194,8 @@ class GroupLearner(Learner):
         plans = {name: group_plan(config, view) for name, view in views.items() if sees_all and name != group}
         self.others = list(plans)
         sizes = [observed_sizes(plan) for plan in plans.values()]
-        judge = ConstellationCritic(*observed_sizes(self.plan), CRITIC_WIDTH, sees_all, sizes)
+        with float32_weights():
+            judge = ConstellationCritic(*observed_sizes(self.plan), CRITIC_WIDTH, sees_all, sizes)
         keys = list(self.networks.normaliser.out_keys)
         parts = [("seen", "others", name, part) for name, plan in plans.items() for part in observed_parts(plan)]
         self.critic = ValueOperator(judge, in_keys=[*keys, ALIVE, *parts]).to(env.device)

@@ -24,7 +24,7 @@ class NormalParameters(nn.Module):
         """``network`` gives the ``width`` means."""
         super().__init__()
         self.network = network
-        self.log_scale = nn.Parameter(torch.full((width,), math.log(INITIAL_SCALE)))
+        self.log_scale = nn.Parameter(torch.full((width,), math.log(INITIAL_SCALE), dtype=torch.float32))
 
     def forward(self, *seen: Tensor) -> tuple[Tensor, Tensor]:
         """Means and deviations, [..., A] each."""

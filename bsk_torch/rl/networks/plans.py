@@ -18,6 +18,7 @@ from bsk_torch.env.action_forms import form
 from bsk_torch.rl.networks.attention import Encoder, SetActor, SetCritic
 from bsk_torch.rl.networks.continuous import NormalParameters, squashed
 from bsk_torch.rl.networks.normaliser import MASK, OWN, ROWS, ObservationNormaliser, SetNormaliser, VectorNormaliser
+from bsk_torch.rl.networks.precision import float32_weights
 from bsk_torch.rl.rules.continuous import Bounds, bounds_of
 from bsk_torch.rl.rules.targets import image_actions
 from bsk_torch.sim.arguments.values import nearest
@@ -99,6 +100,7 @@ class MLPPlan:
         """Outputs of the actor's network: a logit of each action, or a mean of each real number."""
         return len(self.bounds) or self.n_actions
 
+    @float32_weights()
     def build(self) -> Networks:
         """Fresh networks."""
         actor, critic = (self._layers(n) for n in (self.n_outputs, 1))
@@ -129,6 +131,7 @@ class GRUPlan(MLPPlan):
         if len(self.hidden) < 2:
             raise ValueError(f"hidden={self.hidden}: network='gru' needs a layer before its unit, such as (64, 64)")
 
+    @float32_weights()
     def build(self) -> Networks:
         """Fresh networks."""
         *before, last = self.hidden
@@ -155,7 +158,7 @@ class Recall(TensorDictModuleBase):
         """Write what is missing."""
         shape, on = tensordict.batch_size, {"device": tensordict.device}
         if MEMORY not in tensordict.keys():  # noqa: SIM118  - a tensordict
-            tensordict[MEMORY] = torch.zeros(*shape, 1, self.width, **on)
+            tensordict[MEMORY] = torch.zeros(*shape, 1, self.width, dtype=torch.float32, **on)
         if INIT not in tensordict.keys():  # noqa: SIM118
             tensordict[INIT] = torch.zeros(*shape, 1, dtype=torch.bool, **on)
         return tensordict
@@ -203,6 +206,7 @@ class AttentionPlan:
         if not self.hidden or len(set(self.hidden)) > 1 or self.hidden[0] % HEAD:
             raise ValueError(f"hidden={self.hidden}: blocks of attention need equal widths, multiples of {HEAD}")
 
+    @float32_weights()
     def build(self) -> Networks:
         """Fresh networks."""
         width, keys = self.hidden[0], [OWN, ROWS, MASK]

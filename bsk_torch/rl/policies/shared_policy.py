@@ -104,7 +104,7 @@ class SharedPolicy(TensorDictModuleBase):
         legal = seen["action_mask"]
         decides = ~legal[..., -1]
         action = torch.full(decides.shape, legal.shape[-1] - 1, device=legal.device)
-        log_prob = torch.zeros(decides.shape, device=legal.device)
+        log_prob = torch.zeros(decides.shape, dtype=torch.float32, device=legal.device)
         if bool(decides.any()):  # after the longest step, all may still be busy
             deciding = seen[decides]
             deciding["action_mask"] = deciding["action_mask"][..., :-1]

@@ -115,7 +115,7 @@ class ScanRule:
 def scan_rule(env: SatelliteTasking, seed: int = 0) -> TensorDictModule:
     """:class:`ScanRule` for presets that observe and act like NadirScan-v1; KeyError or ValueError for others."""
     description, actions = env.satellite.observation_description, env.satellite.action_description
-    ScanRule().decide(torch.zeros(1, len(description)), description, actions)
+    ScanRule().decide(torch.zeros(1, len(description), dtype=torch.float64), description, actions)
     return TensorDictModule(
         lambda observation: ScanRule().decide(observation, description, actions), in_keys=["observation"], out_keys=["action"]
     )

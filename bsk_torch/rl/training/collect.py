@@ -117,7 +117,7 @@ def prepared(env: Tasking, config: PPOConfig, saved: Mapping[str, Any] | None) -
     """An environment that a collector can play in and go on with; one that begins episodes with an empty memory, if need be."""
     transforms: list[Transform] = [Stagger(env)] if config.stagger else []
     if config.network == "gru":
-        memory = Unbounded((1, config.hidden[-1]), device=env.device)
+        memory = Unbounded((1, config.hidden[-1]), dtype=torch.float32, device=env.device)
         transforms += [InitTracker(), TensorDictPrimer({MEMORY: memory}, default_value=0.0, expand_specs=True)]
     return TransformedEnv(env, Compose(*transforms, Bookmark(saved)))  # type: ignore[call-overload]
 

@@ -26,7 +26,7 @@ class RecentEpisodes:
         """Follow ``num_envs`` environments, in which dying is rewarded with ``penalty``, and average over as many episodes."""
         self.penalty = penalty
         self.ended: deque[tuple[float, ...]] = deque(maxlen=num_envs)
-        self.returns, self.decisions = torch.zeros(num_envs, dtype=torch.float64), torch.zeros(num_envs)
+        self.returns, self.decisions = torch.zeros(num_envs, dtype=torch.float64), torch.zeros(num_envs, dtype=torch.float32)
         self.first = torch.ones(num_envs, dtype=torch.bool)
         self.count = 0
 
@@ -45,7 +45,7 @@ class RecentEpisodes:
             counts = ends & ~self.first
             self.first = self.first & ~ends
             level = torch.full_like(self.returns, torch.nan) if fill is None else fill[:, step].cpu()
-            collected = self.returns - self.penalty * ~alive
+            collected = self.returns - self.penalty * (~alive).to(self.returns.dtype)
             rows = torch.stack([self.returns, alive, collected, level, self.decisions], 1)[counts]
             self.ended.extend(tuple(row) for row in rows.tolist())
             self.count += int(ends.sum())

@@ -79,7 +79,7 @@ class EclipseTable(StateTable):
 
         def times(flags: Tensor) -> Tensor:
             row, sample = torch.nonzero(flags, as_tuple=True)
-            return tabulate(row, start[row] + PLAN_STEP * (sample + 1), len(start))[0]
+            return tabulate(row, start[row] + PLAN_STEP * (sample + 1).to(start.dtype), len(start))[0]
 
         return times(after & ~before), times(before & ~after)
 

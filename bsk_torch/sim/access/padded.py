@@ -19,7 +19,7 @@ def argsort_by_group(group: Tensor, time: Tensor) -> Tensor:
         time: Time of each entry, [m] s.
     """
     longest = float(time.abs().max()) if len(time) else 0.0
-    return torch.argsort(group * 2.0 ** math.ceil(math.log2(longest + 2.0) + 1.0) + time, stable=True)
+    return torch.argsort(group.to(time.dtype) * 2.0 ** math.ceil(math.log2(longest + 2.0) + 1.0) + time, stable=True)
 
 
 def tabulate(row: Tensor, time: Tensor, n: int, *others: Tensor) -> tuple[Tensor, ...]:

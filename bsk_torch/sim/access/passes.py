@@ -49,6 +49,10 @@ class GroundTrack(NamedTuple):
         """Time of the last sample, [n] s."""
         return self.start + PLAN_STEP * (self.r_BP_P.shape[1] - 1)
 
+    def time(self, row: Tensor, sample: Tensor) -> Tensor:
+        """Return the times, s, of the samples with these numbers on the tracks of these rows, of shapes that broadcast."""
+        return self.start[row] + PLAN_STEP * sample.to(self.start.dtype)  # never of torch's default type, which may be short
+
 
 class CrossingEvents(NamedTuple):
     """Crossings of the elevation limit in one direction: row, place and time, s, of each, [m]."""
@@ -130,8 +134,7 @@ class PassSearch:
         """Screen all pairs and classify the samples of those that remain."""
         self.visibility, self.track, self.places = visibility, track, places
         row, place, cell = coarse_screen(track, places)
-        begin, end = track.start[row], track.end[row]
-        first = begin + PLAN_STEP * SAMPLES_PER_CELL * cell
+        begin, end, first = track.start[row], track.end[row], track.time(row, SAMPLES_PER_CELL * cell)
         cells = SearchCells(first, torch.minimum(first + PLAN_STEP * SAMPLES_PER_CELL, end), begin, end)
         # half a step early, so that rounding of a sample's time does not lead to the sample before
         codes = visibility.events(self.pairs(row, place, 0.5 * PLAN_STEP), cells).to(torch.uint8)
@@ -159,19 +162,16 @@ class PassSearch:
         """Return row, place and sample of the events whose code has a bit."""
         return tuple(part[(self._codes & bit) > 0] for part in self._events)
 
-    def _sample_time(self, row: Tensor, sample: Tensor) -> Tensor:
-        return self.track.start[row] + PLAN_STEP * sample
-
     def _above_limit_at(self, sample: int) -> CrossingEvents:
         """Return the pairs that are above the limit at the first or at the last sample."""
         row, place, k = self._with_code(ABOVE_LIMIT)
         there = k == sample
-        return CrossingEvents(row[there], place[there], self._sample_time(row, k)[there])
+        return CrossingEvents(row[there], place[there], self.track.time(row, k)[there])
 
     def _crossings(self, bit: int) -> CrossingEvents:
         """Return the rises, or the sets, between samples."""
         row, place, k = self._with_code(bit)
-        a, b = self._sample_time(row, k - 1), self._sample_time(row, k)
+        a, b = self.track.time(row, k - 1), self.track.time(row, k)
         pairs = self.pairs(row, place)
         brackets = Brackets(a, b, *(self.visibility.clearance(pairs, time) for time in (a, b)))
         return CrossingEvents(row, place, self.visibility.crossings(pairs, brackets))
@@ -179,7 +179,7 @@ class PassSearch:
     def _short_passes(self) -> Passes:
         """Return the passes that lie between two samples."""
         row, place, k = self._with_code(SHORT_PASS)
-        a, b = self._sample_time(row, k - 2), self._sample_time(row, k)
+        a, b = self.track.time(row, k - 2), self.track.time(row, k)
         pairs = self.pairs(row, place)
         culmination = self.visibility.culminations(pairs, a, b)
         top = self.visibility.clearance(pairs, culmination)

@@ -113,8 +113,9 @@ class _Search:
         moved_B = (self.track.r_BP_P[:, around] - r_BP_P.unsqueeze(2)).norm(dim=-1).amax(-1).unsqueeze(1)
         moved_L = (self.places.max_speed(self.rows) * ((half + 1) * PLAN_STEP)).unsqueeze(-1)
         place = torch.arange(self.places.count, device=device).view(1, -1, 1)
-        time = (self.track.start.unsqueeze(-1) + PLAN_STEP * middle).unsqueeze(1)
-        sight = self.sight(torch.arange(len(self.rows), device=device), place, time, r_BP_P.unsqueeze(1))
+        every = torch.arange(len(self.rows), device=device)
+        time = self.track.time(every.unsqueeze(-1), middle).unsqueeze(1)
+        sight = self.sight(every, place, time, r_BP_P.unsqueeze(1))
         near = self.places.exists(self.rows).unsqueeze(-1).expand(len(self.rows), self.places.count, len(middle))
         for clearance in self.places.clearances:
             near = near & clearance.reachable(sight, moved_B, moved_L)
@@ -139,11 +140,10 @@ class _Search:
         runs, run = self.runs(row, place, cell)
         sample = cell.unsqueeze(-1) * CELL_SAMPLES + torch.arange(CELL_SAMPLES + 2, device=row.device)
         known = sample.clamp(max=self.samples - 1)
-        start = self.track.start[row]
-        time = start.unsqueeze(-1) + PLAN_STEP * sample
+        time = self.track.time(row.unsqueeze(-1), sample)
         sight = self.sight(row, place.unsqueeze(-1), time, self.track.r_BP_P[row.unsqueeze(-1), known])
-        first, last = (start + PLAN_STEP * part[run] for part in (runs.first, runs.last))
-        begin = start + PLAN_STEP * CELL_SAMPLES * cell
+        first, last = (self.track.time(row, part[run]) for part in (runs.first, runs.last))
+        begin = self.track.time(row, CELL_SAMPLES * cell)
         cells = SearchCells(begin, torch.minimum(begin + PLAN_STEP * CELL_SAMPLES, last), first, last)
         edges = [self._edges(c, c.margin(sight).expand(time.shape), time, cells, runs, run) for c in self.places.clearances]
         return self._together(Edges(*(torch.cat(parts) for parts in zip(*edges, strict=True))), runs)
@@ -157,13 +157,13 @@ class _Search:
         b = time[k, j]
         f = self.margin_near(clearance, runs.row[run[k]], runs.place[run[k]], b)
         root = find_root(f, b - PLAN_STEP, b, margin[k, j - 1], margin[k, j], ROOT_ITERATIONS, BISECTIONS)
-        found = [(run[k], root, torch.where((codes[k, j] & RISE) > 0, 1.0, -1.0).to(time.dtype))]
+        found = [(run[k], root, _signs((codes[k, j] & RISE) > 0, time))]
         k, j = torch.nonzero(codes & ABOVE_LIMIT, as_tuple=True)
         at_start = time[k, j] < cells.search_begin[k] + 0.5 * PLAN_STEP
-        found.append((run[k], time[k, j], torch.where(at_start, 1.0, -1.0).to(time.dtype)))
+        found.append((run[k], time[k, j], _signs(at_start, time)))
         both = torch.cat([codes & SHORT_PASS, mirrored & SHORT_PASS])
         k, j = torch.nonzero(both, as_tuple=True)
-        sign = torch.where(k < len(codes), 1.0, -1.0).to(time.dtype)
+        sign = _signs(k < len(codes), time)
         k = torch.where(k < len(codes), k, k - len(codes))
         found.append(self._short(clearance, runs, run[k], time[k, j] - PLAN_STEP, sign))
         return Edges(*(torch.cat(columns) for columns in zip(*found, strict=True)))
@@ -197,3 +197,8 @@ class _Search:
         long = torch.nonzero(time[closes] > time[opens]).squeeze(-1)
         own = run[opens[long]]
         return Passes(runs.row[own], runs.place[own], time[opens[long]], time[closes[long]])
+
+
+def _signs(positive: Tensor, like: Tensor) -> Tensor:
+    """Return 1 where the mask holds and -1 elsewhere, in the type of another tensor."""
+    return 2.0 * positive.to(like.dtype) - 1.0

@@ -85,7 +85,7 @@ def candidates(windows: Windows, time: Tensor, until: Tensor, allowed: Tensor | 
     if allowed is not None:
         valid = valid & allowed.gather(1, windows.place)
     is_cut = windows.close > end
-    tie_break = torch.where(is_cut, windows.place * TIE_BREAK, 0.0)
+    tie_break = torch.where(is_cut, windows.place.to(end.dtype) * TIE_BREAK, 0.0)
     return Candidates(Windows(windows.open, torch.minimum(windows.close, end), windows.place), valid, tie_break)
 
 

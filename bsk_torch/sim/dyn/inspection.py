@@ -38,7 +38,7 @@ def refer_to_past_hill(bus: Bus) -> None:
 
 
 def _unknown(_: Values) -> dict[str, Tensor]:
-    return {name: torch.zeros(1, 3).double() for name in ("sun_N", "pole_N")}
+    return {name: torch.zeros(1, 3, dtype=torch.float64) for name in ("sun_N", "pole_N")}
 
 
 RSO = Component(

@@ -64,7 +64,7 @@ def ephemeris_records(et: Tensor, hours: int, start: Tensor | float = 0.0) -> Te
 
     No episode reaches the end of the Sun's table, but look-ahead may: there the Sun stays where it is at the end.
     """
-    elapsed = EPHEMERIS_TRACK.spacing * torch.arange(hours, device=et.device)
+    elapsed = EPHEMERIS_TRACK.spacing * torch.arange(hours, dtype=et.dtype, device=et.device)
     elapsed = elapsed + (start.unsqueeze(-1) if isinstance(start, Tensor) else start)
     times = et.unsqueeze(-1) + elapsed  # rounded once: a record does not depend on where its table starts
     parts = [

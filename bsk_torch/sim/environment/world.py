@@ -48,7 +48,7 @@ def station_arrays(args: Values) -> dict[str, Tensor]:
 
     radius = numbers("groundLocationPlanetRadius", args["groundLocationPlanetRadius"])
     latitude, longitude = (torch.tensor([math.radians(s[key]) for s in stations], dtype=torch.float64) for key in ("lat", "long"))
-    r_P = lla_to_fixed(latitude, longitude, numbers("elev", torch.zeros(())), radius)
+    r_P = lla_to_fixed(latitude, longitude, numbers("elev", torch.zeros((), dtype=torch.float64)), radius)
     return {
         "station_positions_P": r_P.mT.reshape(1, -1),
         "station_sin_elevations": numbers("gsMinimumElevation", args["gsMinimumElevation"]).sin()[None],

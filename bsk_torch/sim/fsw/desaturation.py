@@ -142,7 +142,7 @@ def desaturation(pairs: ThrusterPairs) -> Component:
             Field("dump_calls", 1, "-", "ticks since the mode was entered"),
         ),
         params=(Field("momentum_to_keep", 1, "N m s"), Field("dump_wait"), Field("shortest_pulse", 1, "s")),
-        initial=lambda args: {name: torch.zeros(1, width).double() for name, width in widths.items()},
+        initial=lambda args: {name: torch.zeros(1, width, dtype=torch.float64) for name, width in widths.items()},
         prepare=lambda args: {
             "momentum_to_keep": args["hs_min"],
             "dump_wait": args["maxCounterValue"],

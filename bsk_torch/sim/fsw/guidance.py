@@ -126,7 +126,7 @@ def _memory(task: str) -> tuple[Field, ...]:
 
 
 def _forget(task: str) -> dict[str, Tensor]:
-    return {f"{task}_sigma_BR": torch.zeros(1, 3).double(), f"{task}_fresh": torch.ones(1).double()}
+    return {f"{task}_sigma_BR": torch.zeros(1, 3, dtype=torch.float64), f"{task}_fresh": torch.ones(1, dtype=torch.float64)}
 
 
 # modes that can be added to any flight software, such as hold_inertial, ask for attitude control, where there is a law and where

@@ -44,7 +44,9 @@ IMPOSED_ATTITUDE = Component(
         vec("omega_RN_N", "rad/s", "rate of the reference, in N"),
     ),
     # the last two replace what the hub starts with: without a reference Basilisk imposes zero from the beginning
-    initial=lambda args: {name: torch.zeros(1, 3).double() for name in ("sigma_RN", "omega_RN_N", "sigma_BN", "omega_BN_B")},
+    initial=lambda args: {
+        name: torch.zeros(1, 3, dtype=torch.float64) for name in ("sigma_RN", "omega_RN_N", "sigma_BN", "omega_BN_B")
+    },
     overwrites=(("sigma_BN", _ADVICE), ("omega_BN_B", _ADVICE)),
     resets=(("sigma_RN", 0.0), ("omega_RN_N", 0.0)),
 )

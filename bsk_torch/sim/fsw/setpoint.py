@@ -32,7 +32,7 @@ ATTITUDE_SETPOINT = Component(
     after="navigation",
     update=hold,
     state=(vec("sigma_RN", "-", "set-point, MRP; zero from every command until an action sets it"),),
-    initial=lambda args: {"sigma_RN": torch.zeros(1, 3).double()},
+    initial=lambda args: {"sigma_RN": torch.zeros(1, 3, dtype=torch.float64)},
     resets=(("sigma_RN", 0.0),),
 )
 

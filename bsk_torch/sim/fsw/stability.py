@@ -56,19 +56,19 @@ class Law(NamedTuple):
     r1: Tensor
 
 
-def _times(p: Polynomial, q: Polynomial) -> list[Tensor]:
+def _times(p: Polynomial, q: Polynomial) -> list[Tensor | float]:
     """Return the product of two polynomials, highest powers first."""
-    product = [torch.zeros(())] * (len(p) + len(q) - 1)
+    product: list[Tensor | float] = [0.0] * (len(p) + len(q) - 1)
     for i, a in enumerate(p):
         for k, b in enumerate(q):
             product[i + k] = product[i + k] + a * b
     return product
 
 
-def _plus(*parts: Polynomial) -> list[Tensor]:
+def _plus(*parts: Polynomial) -> list[Tensor | float]:
     size = max(map(len, parts))
     padded: list[list[Any]] = [[0.0] * (size - len(part)) + list(part) for part in parts]
-    return [sum(column, start=torch.zeros(())) for column in zip(*padded, strict=True)]
+    return [sum(column) for column in zip(*padded, strict=True)]
 
 
 def roots_within(polynomial: Polynomial, radius: float = 1.0) -> Tensor:

@@ -170,7 +170,7 @@ def _free(points: Sequence[Point], limits: _Limits, at: _Moment, BN: Any, rho2: 
     def tested() -> tuple[Any, ...]:
         pole_B, r_B = BN @ at.pole_N, BN @ at.r_BN_N
         inspector_B = stretch(BN @ at.inspector_N, pole_B)
-        return tuple(torch.where(in_view(point, r_B, inspector_B, pole_B), 1.0, 0.0).to(one.dtype) for point in points)
+        return tuple(in_view(point, r_B, inspector_B, pole_B).to(one.dtype) for point in points)
 
     return only(~clear, tested, (one,) * len(points))
 

@@ -150,7 +150,7 @@ class PicardSolver:
         """See :class:`bsk_torch.sim.orbit.solution.Solver`."""
         n, count, _ = nodes.shape
         rows = torch.arange(n, device=self.device).repeat_interleave(count)
-        time = (NODE_SPACING * torch.arange(count, device=self.device)).repeat(n)
+        time = (NODE_SPACING * torch.arange(count, dtype=torch.float64, device=self.device)).repeat(n)
         records, tau = neighbours(EPHEMERIS_TRACK, ephemeris.table, rows, time - ephemeris.start[rows])
         sky = ephemeris_at(records.flatten(1).unbind(-1), tau)
         return acceleration(sky, Vec3.of(nodes.flatten(0, 1)), self.stretch, self.degree).stack().view(nodes.shape)

@@ -133,8 +133,9 @@ class RestartableArcs(Arcs):
         last = torch.round((self.solved[rows] - lead) / NODE_SPACING)
         first = (torch.floor((time - lead) / NODE_SPACING) - BEFORE).clamp(min=0.0)
         first = torch.minimum(first, last - (COUNT - 1))
-        nodes = self.flown[rows.unsqueeze(-1), first.long().unsqueeze(-1) + torch.arange(COUNT, device=self.device)]
-        times = (lead + first * NODE_SPACING).unsqueeze(-1) + NODE_SPACING * torch.arange(COUNT, device=self.device)
+        around = torch.arange(COUNT, device=self.device)
+        nodes = self.flown[rows.unsqueeze(-1), first.long().unsqueeze(-1) + around]
+        times = (lead + first * NODE_SPACING).unsqueeze(-1) + NODE_SPACING * around.to(time.dtype)
         a = self.solver.accelerations(nodes, Samples(self.ephemeris[rows], self.start[rows] - times[:, 0]))
         c = coefficients([Vec3.of(node) for node in a.unbind(1)])
         s = (time - times[:, BEFORE]) / NODE_SPACING

@@ -73,7 +73,7 @@ def _others(panel: Axes, episode: ImagingEpisode) -> list[Patch]:
 
 def _rewards(panel: Axes, episode: ImagingEpisode, limits: tuple[float, float]) -> Line2D:
     """The sum of rewards on its own axis, with zero where it is within ``limits`` unless rewards were negative."""
-    total = torch.cat([torch.zeros(1), episode.rewards.cumsum(0)]).tolist()
+    total = torch.nn.functional.pad(episode.rewards.cumsum(0), (1, 0)).tolist()
     for color, width in (("white", 3.2), (INK, 1.7)):
         panel.step((episode.times / HOUR).tolist(), total, where="post", color=color, linewidth=width)
     tidy(panel)

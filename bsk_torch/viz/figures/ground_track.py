@@ -167,7 +167,7 @@ def _close_up(panel: Axes, episode: ImagingEpisode, span: tuple[float, float]) -
     reach = episode.reach * KM
     panel.fill_between(x, y - reach, y + reach, color=PALETTE[0], alpha=0.08, linewidth=0)
     panel.plot(x, y, color=PALETTE[0], linewidth=2.2)
-    minutes = torch.arange(span[0], span[1] + 1e-6, 60.0)
+    minutes = np.arange(span[0], span[1] + 1e-6, 60.0)
     panel.plot(*(np.interp(minutes, episode.track_times[during], q) for q in (x, y)), "|", color=PALETTE[0], markersize=8.0)
     panel.set(aspect="equal", anchor="W", xlim=(float(x[0]) - reach, float(x[-1]) + reach), ylim=(-1.15 * reach, 1.15 * reach))
     places = along_and_across(episode.r_LP_P, path)

@@ -80,7 +80,7 @@ class ConstellationRecorder:
 
     def _counts(self) -> tuple[Tensor, Tensor]:
         """Images and images without reward of each satellite, [S] each."""
-        counts, none = self.env.counts(), torch.zeros(1, self.fleet.size)
+        counts, none = self.env.counts(), torch.zeros(1, self.fleet.size, dtype=torch.int64)
         return counts.get("imaged", none)[0].clone(), counts.get("duplicates", none)[0].clone()
 
     def _note_images(self, before: tuple[Tensor, Tensor]) -> None:
@@ -126,7 +126,9 @@ class ConstellationRecorder:
         number, planes = self.present.cumsum(0) - 1, self._planes()  # of each satellite among those shown
         latitude, longitude, _ = fixed_to_lla(torch.stack(self.places, 1)[shown])
         images = torch.tensor([image.target for image in self.images], dtype=torch.int64)
-        targets = self.env.scenario.r_LP_P[0].cpu() if hasattr(self.env.scenario, "r_LP_P") else torch.empty(0, 3)
+        targets = (
+            self.env.scenario.r_LP_P[0].cpu() if hasattr(self.env.scenario, "r_LP_P") else torch.empty(0, 3, dtype=torch.float64)
+        )
         if hasattr(self.env.scenario, "most_targets"):
             there = self.fleet.scenario_state["target_exists"][0].cpu() > 0.5
         else:

@@ -74,7 +74,7 @@ class TrackRecorder(Recorder):
         r_N, v_N = self.noted("r_BN_N")[:-1], self.noted("v_BN_N")[:-1]
         counts = torch.ceil(times.diff() / SAMPLE).long()
         row = torch.repeat_interleave(torch.arange(len(counts)), counts)
-        elapsed = SAMPLE * (torch.arange(len(row)) - (counts.cumsum(0) - counts)[row])
+        elapsed = SAMPLE * (torch.arange(len(row)) - (counts.cumsum(0) - counts)[row]).double()
         r_P = between(self.simulator, times[:-1].to(device), r_N.to(device), v_N.to(device), row.to(device), elapsed.to(device))
         return torch.cat([times[row] + elapsed, times[-1:]]), torch.cat([r_P.cpu(), self.noted("r_BN_P")[-1:]])
 

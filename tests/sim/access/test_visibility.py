@@ -31,6 +31,7 @@ from bsk_torch.sim.access.visibility.kernels import KernelVisibility
 from bsk_torch.sim.access.visibility.pairs import CULMINATION_ITERATIONS, Brackets, PlacePairs
 from bsk_torch.sim.access.visibility.planned import PlannedOrbits, position_between, sample_planned, take_rows
 from bsk_torch.sim.access.visibility.tensors import TensorVisibility
+from bsk_torch.sim.environment.ephemeris import ephemeris_records
 from bsk_torch.sim.orbit.grid import PLAN_STEP
 from bsk_torch.vec3 import Vec3
 from tests.sim.orbit.arcs import above, at, orbits, sine_of_elevation, sines_of_elevation
@@ -145,6 +146,23 @@ def test_ground_by_definition(view, sky_full_of_satellites):
     expected = (earth_orientation(et) @ r_N.unsqueeze(-1)).squeeze(-1)
     # m; the meridian's angle is rounded to 3e-11 rad, which the ephemeris does once an hour and the ephemeris every time
     torch.testing.assert_close(TensorVisibility().ground_track(view, start, SAMPLES - 11), expected, rtol=0, atol=2e-3)
+
+
+@pytest.mark.parametrize("visibility", BOTH, ids=["tensors", "kernels"])
+def test_samples_after_a_year_are_those_of_their_times(visibility):
+    """From 2^25 s on, every second sample's time is no float32 number."""
+    count, last = 1_140_000, 200
+    et, start = torch.tensor([7.0e8], dtype=torch.float64), torch.tensor([PLAN_STEP * (count - last)], dtype=torch.float64)
+    angle = (2.0 * math.pi / 5700.0) * PLAN_STEP * torch.arange(count + 2, dtype=torch.float64)
+    r_BN_N = 6.9e6 * torch.stack([torch.cos(angle), 0.8 * torch.sin(angle), 0.6 * torch.sin(angle)], -1).unsqueeze(0)
+    ephemeris = ephemeris_records(et, math.ceil(count * PLAN_STEP / 3600.0) + 2)
+    begin = torch.full_like(start, -0.5 * PLAN_STEP)  # so that rounding does not lead to the sample before
+    orbits = PlannedOrbits(Samples(r_BN_N, begin), Samples(ephemeris, torch.zeros_like(start)))
+    whole, end = (visibility.ground_track(orbits, first, n) for first, n in ((torch.zeros_like(start), count), (start, last)))
+    torch.testing.assert_close(whole[:, -last:], end, rtol=0, atol=1e-6)
+    distance = whole.norm(dim=-1)
+    torch.testing.assert_close(distance, r_BN_N[:, :count].norm(dim=-1), rtol=1e-12, atol=0)
+    assert bool((whole.diff(dim=1).norm(dim=-1) > 1e4).all())
 
 
 # -- clearance -----------------------------------------------------------------------------------------------------------------

@@ -81,3 +81,11 @@ def test_records_are_met():
     torch.testing.assert_close(end.r_SN_N.stack(), start.r_SN_N.stack(), rtol=0, atol=1e-4)  # a few roundings of 1 au
     torch.testing.assert_close(end.v_SN_N.stack(), start.v_SN_N.stack(), rtol=0, atol=1e-10)
     torch.testing.assert_close(end.cos_earth, start.cos_earth, rtol=0, atol=6e-11)
+
+
+def test_records_years_into_a_table():
+    """Hours beyond 2^24 s are no float32 numbers."""
+    start = torch.tensor([parse_utc("2024-01-01T00:00:00")], dtype=torch.float64)
+    hours = 90_002  # ten years
+    found = ephemeris_records(start, hours)[:, -1:]
+    torch.testing.assert_close(found, ephemeris_records(start, 1, torch.full_like(start, 90_001 * ARC_SEGMENT)), rtol=0, atol=0)

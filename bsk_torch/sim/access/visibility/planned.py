@@ -52,7 +52,7 @@ def position_between(nodes: Samples, ephemeris: Samples, time: Tensor) -> tuple[
 
 def sample_planned(orbits: PlannedOrbits, start: Tensor, count: int) -> tuple[Vec3, Bus]:
     """Return planned positions, Sun and Earth at ``count`` times 30 s apart from ``start`` [n] s on, flattened to [n * count]."""
-    time = (start.unsqueeze(-1) + PLAN_STEP * torch.arange(count, device=start.device)).flatten()
+    time = (start.unsqueeze(-1) + PLAN_STEP * torch.arange(count, dtype=start.dtype, device=start.device)).flatten()
     orbits = orbits.take(torch.arange(len(start), device=start.device).repeat_interleave(count))
     records, tau = records_around(EPHEMERIS_TRACK, orbits.ephemeris, time)
     return Vec3.of(records_around(FINE, orbits.samples, time)[0].squeeze(1)), ephemeris_at(records.flatten(1).unbind(-1), tau)

@@ -40,7 +40,9 @@ class TensorVisibility:
 
     def events(self, pairs: PlacePairs, cells: SearchCells) -> Tensor:
         """See :meth:`Visibility.events`."""
-        times = cells.first.unsqueeze(-1) + PLAN_STEP * torch.arange(CLASSIFIED_SAMPLES, device=cells.first.device)
+        times = cells.first.unsqueeze(-1) + PLAN_STEP * torch.arange(
+            CLASSIFIED_SAMPLES, dtype=cells.first.dtype, device=cells.first.device
+        )
         every = pairs.take(torch.arange(len(times), device=times.device).repeat_interleave(CLASSIFIED_SAMPLES))
         r_BP_P = Vec3.of(records_around(FINE, every.track, times.flatten())[0].squeeze(1))
         clearance = elevation_clearance(r_BP_P, Vec3.of(every.r_LP_P), every.sin_min_elevation).view(times.shape)
