@@ -94,12 +94,12 @@ def as_value(program: Program[Proxy], given: Any, dtype: torch.dtype) -> Proxy:
 
 
 def _literal_dtype(given: Any) -> torch.dtype:
-    """Return the type of a number or a tensor without dimensions among booleans; kernels do not know torch's default type."""
+    """Return the type of a number or a tensor without dimensions among booleans: torch's, as long as its default is float32."""
     if isinstance(given, torch.Tensor):
         return require_dtype(given.dtype)
     if isinstance(given, bool):
         return torch.bool
-    return require_dtype(torch.float64 if isinstance(given, float) else torch.int64)
+    return require_dtype(torch.float32 if isinstance(given, float) else torch.int64)
 
 
 def _common(program: Program[Proxy], args: Sequence[Any]) -> tuple[Proxy, ...]:
