@@ -1,4 +1,4 @@
-"""Actions: entries of a satellite's ``action_spec``, the commands that an agent can choose from, or one of real numbers."""
+"""Actions: entries of a satellite's ``action_spec``, either discrete commands or one continuous action."""
 
 from __future__ import annotations
 

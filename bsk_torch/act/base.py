@@ -27,18 +27,18 @@ MEMORY = (
 
 BSK_RL = {
     "action_description": "define names()",
-    "link_simulator": "define link_satellite(satellite), which finds the simulation in satellite.simulator",
+    "link_simulator": "define link_satellite(satellite) and access the simulation through satellite.simulator",
     "reset_overwrite_previous": MEMORY,
     "reset_pre_sim_init": MEMORY,
     "reset_during_sim_init": MEMORY,
     "reset_post_sim_init": MEMORY,
     "get_action_mask": "define mask()",
 }
-"""Names of bsk_rl that are hooks of no action here, and what to write instead."""
+"""Names of bsk_rl that are not hooks of actions, and their replacements."""
 
 UNUSED = {
     "set_action": "define decide(index, mask, action, previous), or begin(mask, decision) for what follows the command",
-    "set_action_override": "actions are integers; n_negative_actions reserves the numbers -1, -2, ... for an entry's own use",
+    "set_action_override": "actions are integers; n_negative_actions reserves the numbers -1, -2, ... for an entry",
     "space": "the action space is discrete; set n_actions, or derive from act.ContinuousAction",
     "action_space": "the action space is discrete; set n_actions, or derive from act.ContinuousAction",
     **BSK_RL,
@@ -46,15 +46,15 @@ UNUSED = {
     "action_mask": "define mask()",
     "explicit": "it is called n_negative_actions",
 }
-"""Names that are no hooks of actions, those of bsk_rl among them, and what to write instead."""
+"""Names that are not hooks of actions, including bsk_rl's, and their replacements."""
 
 
 LONGEST = 1e9
-"""Duration of an action that only another event ends, s; longer ones are this long."""
+"""Duration of an action ended only by another event, s; longer durations are reduced to it."""
 
 
 def positive_duration(title: str, duration: object, name: str, default: float) -> float:
-    """Return the duration of the action ``name``, s, at most the ``default``, which None means.
+    """Return the duration of the action ``name``, s; ``default`` for None, and at most ``default``.
 
     Raises:
         ValueError: Unless it is positive.
@@ -65,20 +65,18 @@ def positive_duration(title: str, duration: object, name: str, default: float) -
 
 
 DTYPES = (torch.int64, torch.bool, torch.float64, torch.int64, torch.float64)
-"""Types of the first fields of a :class:`Decision`, which have a number for each row."""
+"""Types of the first fields of a :class:`Decision`, which have one number per row."""
 
 
 class Decision(NamedTuple):
-    """Commands that the actions of one step stand for, [N] each.
+    """Commands of the actions of one step, [N] each.
 
     Attributes:
-        mode: Index of the flight mode to enter, int64.
-        retask: Whether to enter it, bool; otherwise the present mode continues.
-        duration: Time after which the action ends, s.
-        key: Number that identifies the action; an action with the key of the one before repeats it. int64.
-        expected: Probable time until an event ends the action, at most ``duration``, s. It only sorts rows, for speed.
-        command: What ``decide`` of an action hands to its ``begin``, [N, ...], or None; in ``end`` of a continuous action the
-            action that has ended, [N, A].
+        mode: Index of the flight mode to enter, int64. retask: Whether to enter it, bool; otherwise the current mode continues.
+        duration: Time after which the action ends, s. key: Number that identifies the action, int64; an action with the key of
+        the previous one repeats it. expected: Expected time until an event ends the action, at most ``duration``, s. It is used
+        only to sort rows for speed. command: Value passed from ``decide`` of an action to its ``begin``, [N, ...], or None; in
+        ``end`` of a continuous action, the ended action, [N, A].
     """
 
     mode: Tensor
@@ -98,7 +96,7 @@ def check_decision(title: str, decision: Decision, rows: int) -> None:
 
 
 class ActionTable(NamedTuple):
-    """Commands of A actions that stay the same until the next reset.
+    """Commands of A actions, constant until the next reset.
 
     Attributes:
         mode: Index of the flight mode of each action, [N, A] int64.
@@ -120,14 +118,14 @@ class ActionTable(NamedTuple):
 class Action:
     """One entry of an ``action_spec``: ``n_actions`` consecutive numbers of the discrete action space.
 
-    N is the number of satellites of the type. Subclasses define :meth:`table` if their commands stay the same until the next
+    N is the number of satellites of the type. Subclasses define :meth:`table` if their commands are constant until the next
     reset, and :meth:`decide` otherwise; the other hooks are optional. All hooks of a subclass are called in every environment.
 
     Attributes:
         name: Name of the entry in ``action_description``.
         satellite: The satellites, once an environment has been built.
         n_actions: Number of actions.
-        fsw_type: Flight software that the action adds to that of the satellite; None for nothing.
+        fsw_type: Flight software added to the satellite's by the action; None for none.
     """
 
     n_actions: int = 1
@@ -135,27 +133,27 @@ class Action:
     fsw_type: type[FSWModel] | None = None
 
     def __init__(self, name: str) -> None:
-        """Name the entry; ValueError for a name that is no string."""
+        """Name the entry; ValueError unless the name is a string."""
         self.name = text("name", name)
 
     def __init_subclass__(cls, **options: object) -> None:
-        """Refuse definitions that no environment would use; TypeError says what to write instead."""
+        """Raise TypeError, suggesting a replacement, for definitions that no environment would use."""
         super().__init_subclass__(**options)
         if "table" in vars(cls) and "decide" in vars(cls):
-            raise TypeError(f"{cls.__name__} defines both table() and decide(), of which one would never be called; define one")
+            raise TypeError(f"{cls.__name__} defines both table() and decide(), but only one would be called; define one")
         check_class(cls, Action, HOOKS, UNUSED)
 
     def link_satellite(self, satellite: BoundSatellite) -> None:
         """Prepare for a satellite; called once when an environment is built.
 
         Overriding methods call ``super().link_satellite(satellite)`` first, and raise ValueError for a satellite that lacks
-        something that the action needs.
+        something needed by the action.
         """
         self.satellite = satellite
 
     @property
     def n_negative_actions(self) -> int:
-        """Number of actions -1, -2, ... that the entry accepts in addition to its own; 0 unless overridden."""
+        """Number of additional actions -1, -2, ... accepted by the entry; 0 by default."""
         return 0
 
     def names(self) -> list[str]:
@@ -167,13 +165,13 @@ class Action:
         raise NotImplementedError(f"{type(self).__name__} must implement table() or decide(index, mask, action, previous)")
 
     def decide(self, index: Tensor, mask: Tensor, action: Tensor, previous: Tensor) -> Decision:
-        """Return the commands of the entry's actions; those of :meth:`table` unless overridden.
+        """Return the commands of the entry's actions (default: those of :meth:`table`).
 
         Args:
             index: Number of the action within the entry, [N] int64, from 0 to ``n_actions`` - 1.
-            mask: Whether the entry's action is carried out now, [N] bool; the commands of other rows are ignored.
+            mask: Whether the entry's action is executed now, [N] bool; the commands of other rows are ignored.
             action: Number of the action in the whole action space, [N] int64.
-            previous: Key of the action before, [N] int64; -1 for none.
+            previous: Key of the previous action, [N] int64; -1 for none.
         """
         return self.table().decision(index, action, previous)
 
@@ -185,12 +183,12 @@ class Action:
 
         Args:
             mask: Rows in which a duration or an event has ended an action of the entry.
-            decision: Present mode, duration and key of the actions; ``retask`` equals the rows in which an action has ended.
+            decision: Current mode, duration and key of the actions; ``retask`` equals the rows in which an action has ended.
             event: Whether an event ended the action, [N] bool, and not its duration.
         """
 
     def mask(self) -> Tensor:
-        """Return which of the entry's actions are legal now, [N, n_actions] bool; all of them unless overridden."""
+        """Return which of the entry's actions are legal now, [N, n_actions] bool (default: all)."""
         ticks = self.satellite.simulator.ticks
         return torch.ones(len(ticks), self.n_actions, dtype=torch.bool, device=ticks.device)
 
@@ -198,20 +196,20 @@ class Action:
 class ActionBuilder:
     """The discrete action space of a satellite type: the entries of its ``action_spec``, numbered in order.
 
-    Entries whose commands stay the same until the next reset are looked up in one table; only the others are asked in every step,
-    and only hooks that a subclass overrides are called.
+    Entries with commands constant until the next reset are looked up in one table. Only the others are called in every step, and
+    only hooks overridden by a subclass are called.
 
     Attributes:
         entries: The entries.
         n_actions: Size of the action space.
-        n_negative_actions: Number of negative actions that are legal in addition to the action space.
+        n_negative_actions: Number of additional legal negative actions.
     """
 
     def __init__(self, spec: Sequence[Action], satellite: BoundSatellite) -> None:
         """Link every entry to the satellite.
 
         Raises:
-            ValueError: For numbers and names of actions that do not fit together.
+            ValueError: For inconsistent numbers and names of actions.
             TypeError: For an entry whose ``link_satellite`` does not call that of its base class.
         """
         for entry in spec:
@@ -235,10 +233,10 @@ class ActionBuilder:
         self._commands: dict[int, Tensor | None] = {}
 
     def _shared_keys(self) -> Tensor | None:
-        """Return the key of each action, [n_actions], where several entries give one command; None where keys are numbers.
+        """Return the key of each action, [n_actions], if several entries give one command; None if keys are action numbers.
 
-        An action that repeats the command of the last one lets it go on, whatever the durations of both: as in bsk_rl the command
-        is the key.
+        An action that repeats the command of the last one continues it, whatever their durations: as in bsk_rl, the command is
+        the key.
         """
         first: dict[str, int] = {}
         keys = list(range(self.n_actions))
@@ -255,11 +253,11 @@ class ActionBuilder:
         return [name for entry in self.entries for name in entry.names()]
 
     def title(self, action: Tensor) -> str:
-        """Return what an action, a number without dimensions, is called."""
+        """Return the name of an action, a number without dimensions."""
         return self.description[int(action)] if action >= 0 else "a target by its index"
 
     def checked(self, action: Tensor, acts: Tensor) -> Tensor:
-        """Return the actions [N] as int64, 0 where they do not count, in a copy that the user's later changes do not reach.
+        """Return a copy of the actions [N] as int64, with 0 where they are ignored.
 
         Raises:
             ValueError: For an action out of range where the mask ``acts`` [N] is true.
@@ -291,11 +289,11 @@ class ActionBuilder:
         tables = [self._checked_table(k) if k in self._fixed else self._open_table(k) for k in range(len(self.entries))]
         mode, reset, duration = (torch.cat(parts, -1) for parts in zip(*tables, strict=True))
         whole = ActionTable(mode, reset, duration.minimum(self._longest))
-        self._table, self._table_draws = whole, draws  # a reset may draw other arguments, on which modes depend
+        self._table, self._table_draws = whole, draws  # a reset may draw other arguments that change modes
         return whole
 
     def _open_table(self, k: int) -> ActionTable:
-        """Return a table of the k-th entry for rows that :meth:`decide` fills in."""
+        """Return a table of the k-th entry, for rows filled in by :meth:`decide`."""
         forever = self._longest.new_full((self.entries[k].n_actions,), torch.inf)
         mode = torch.zeros(len(self._all_legal), len(forever), dtype=torch.int64, device=forever.device)
         return ActionTable(mode, torch.zeros_like(forever, dtype=torch.bool), forever)
@@ -304,8 +302,8 @@ class ActionBuilder:
         """Return the table of the k-th entry.
 
         Raises:
-            TypeError: For something else than a table, or fields of a wrong shape or dtype.
-            ValueError: For durations that are not positive.
+            TypeError: If it is not a table, or for fields of a wrong shape or dtype.
+            ValueError: For non-positive durations.
         """
         entry, table = self.entries[k], self.entries[k].table()
         if not isinstance(table, ActionTable):
@@ -327,10 +325,10 @@ class ActionBuilder:
     def decide(self, action: Tensor, previous: Tensor, acts: Tensor) -> Decision:
         """Return the commands of ``action`` [N] after actions with the keys ``previous`` [N].
 
-        Commands of rows outside ``acts`` [N] bool have no meaning.
+        Commands of rows outside ``acts`` [N] bool are undefined.
 
         Raises:
-            TypeError: For commands of a subclass that have the wrong shape or dtype.
+            TypeError: For a subclass's commands of wrong shape or dtype.
         """
         if len(self._deciding) == len(self.entries) == 1:
             return self._decided(0, acts, action, previous)
@@ -344,7 +342,7 @@ class ActionBuilder:
         return decision
 
     def _decided(self, k: int, acts: Tensor, action: Tensor, previous: Tensor) -> Decision:
-        """Return the commands of the k-th entry, [N]; TypeError unless every one is a tensor [N] of its dtype."""
+        """Return the commands of the k-th entry, [N]; TypeError unless each is a tensor [N] of the right dtype."""
         entry, mask = self.entries[k], self._rows_of(k, action)
         index = (action - self._starts[k]).clamp(0, entry.n_actions - 1)
         decision = entry.decide(index, mask & acts, action, previous)
@@ -366,7 +364,7 @@ class ActionBuilder:
         """Return which actions are legal now, [N, n_actions] bool; a view, to be read only.
 
         Raises:
-            TypeError: For a mask of a subclass that has the wrong shape or dtype.
+            TypeError: For a subclass's mask of wrong shape or dtype.
         """
         if not self._masking:
             return self._all_legal
@@ -387,14 +385,14 @@ def _merged(mask: Tensor, new: Decision, old: Decision) -> Decision:
 
 
 def link_entry(entry: Action | ContinuousAction, satellite: BoundSatellite) -> None:
-    """Link an entry of an ``action_spec``; TypeError for one that was not linked."""
+    """Link an entry of an ``action_spec``; TypeError if linking failed."""
     entry.link_satellite(satellite)
     if getattr(entry, "satellite", None) is not satellite:
         raise TypeError(f"{type(entry).__name__}.link_satellite(satellite) must call super().link_satellite(satellite)")
 
 
 def _link(entry: Action, satellite: BoundSatellite) -> None:
-    """Link an entry; raise for one that was not linked, or whose numbers and names of actions do not fit together."""
+    """Link an entry; raise if linking failed, or if its numbers and names of actions are inconsistent."""
     title = type(entry).__name__
     link_entry(entry, satellite)
     for name, low in (("n_actions", 1), ("n_negative_actions", 0)):

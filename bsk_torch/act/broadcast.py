@@ -20,8 +20,8 @@ class Broadcast(Action):
     """Send a satellite's knowledge to the satellites that can receive it; its flight mode continues.
 
     Use it with :class:`~bsk_torch.comm.BroadcastCommunication`. The message is sent at the end of the step, which another
-    satellite may end before ``duration`` has passed. The following action counts as a new one, even if it equals the one before
-    the broadcast.
+    satellite may end before ``duration`` has passed. The next action counts as new, even if it equals the action before the
+    broadcast.
     """
 
     def __init__(self, name: str = "action_broadcast", duration: float | None = None) -> None:

@@ -1,4 +1,4 @@
-"""Action spaces that satellites' ``action_spec`` form: of numbered actions, or of one continuous entry."""
+"""Action spaces of satellites' ``action_spec``: discrete actions, or one continuous entry."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def action_builder(spec: Sequence[Any], satellite: BoundSatellite) -> ActionBuil
     """Return the action space of an ``action_spec``.
 
     Raises:
-        ValueError: For an empty spec, an entry that is no action, or a continuous entry that is not the only one.
+        ValueError: For an empty spec, an entry that is not an action, or a continuous entry among others.
     """
     title = f"{type(satellite).__name__}.action_spec"
     if not spec:
@@ -42,15 +42,15 @@ def action_builder(spec: Sequence[Any], satellite: BoundSatellite) -> ActionBuil
 
 
 class ContinuousBuilder:
-    """The action space of a satellite type whose actions are real numbers.
+    """The action space of a satellite type with continuous actions.
 
-    Actions inside are [N, A] float64, or [N, A + 1] with the number of the choice behind.
+    Internally, actions are [N, A] float64, or [N, A + 1] with the number of the choice last.
 
     Attributes:
         entries: The entry.
         low: Lowest values, [A] float64.
         high: Highest values, [A] float64.
-        n_actions: Number K of choices; 0 where there are only real numbers.
+        n_actions: Number K of choices; 0 without a choice.
         n_negative_actions: 0.
     """
 
@@ -60,7 +60,7 @@ class ContinuousBuilder:
         """Link the entry to the satellite.
 
         Raises:
-            ValueError: For bounds and names that do not fit together.
+            ValueError: For inconsistent bounds and names.
             TypeError: For an entry whose ``link_satellite`` does not call that of its base class.
         """
         self.entries, self.entry, self.satellite = (entry,), entry, satellite
@@ -75,42 +75,42 @@ class ContinuousBuilder:
 
     @property
     def is_hybrid(self) -> bool:
-        """Whether there is a choice alongside the real numbers."""
+        """Whether there is a choice in addition to the real numbers."""
         return bool(self.choices)
 
     @property
     def width(self) -> int:
-        """Numbers of an action, its choice included."""
+        """Numbers of an action, including its choice."""
         return len(self.low) + self.is_hybrid
 
     @property
     def description(self) -> list[str]:
-        """Names of the real numbers, and of the choices behind them."""
+        """Names of the real numbers, followed by those of the choices."""
         return [*self.names, *self.choices]
 
     def title(self, action: Tensor) -> str:
-        """Return what an action [A] or [A + 1] is called: its numbers, and its choice."""
+        """Return the name of an action [A] or [A + 1]: its numbers and its choice."""
         pairs = zip(self.names, action.tolist(), strict=False)
         values = ", ".join(f"{name} {value:.6g}" for name, value in pairs)
         return f"{self.choices[int(action[-1])]}, {values}" if self.is_hybrid else values
 
     def entry_of(self, action: object) -> int:
-        """Return the number of the entry, of which there is one."""
+        """Return the number of the only entry."""
         return 0
 
     def table(self) -> ActionTable:
         """There is none; TypeError."""
-        raise TypeError(f"{self.entry.name!r} has real numbers, of which there is no table")
+        raise TypeError(f"{self.entry.name!r} is continuous and has no table")
 
     def declare(self, task: StateTable) -> None:
         """Declare the actions in progress in the table of tasks."""
         task.declare("action", 0.0, self.width, low=-LARGEST, high=LARGEST)
 
     def checked(self, action: Tensor, acts: Tensor) -> Tensor:
-        """Return actions [N, A] or [N, A + 1] in float64, 0 where they do not count, and note their type for the entry.
+        """Return actions [N, A] or [N, A + 1] as float64, 0 where they are ignored, and store their dtype in the entry.
 
         Raises:
-            ValueError: For numbers that are not finite, or no choice, where the mask ``acts`` [N] is true.
+            ValueError: For infinite or NaN values, or an invalid choice, where the mask ``acts`` [N] is true.
         """
         self.entry.given_dtype = action.dtype
         action = torch.where(acts.unsqueeze(-1), action.to(torch.float64), 0.0)
@@ -133,11 +133,11 @@ class ContinuousBuilder:
             raise ValueError(f"choice {float(choice[row]):g} of {self.satellite.title(row)} is out of range; legal are {names}")
 
     def decide(self, action: Tensor, previous: Tensor, acts: Tensor) -> Decision:
-        """Return the commands of ``action`` [N, A] where ``acts`` [N] bool; those of other rows have no meaning.
+        """Return the commands of ``action`` [N, A] where ``acts`` [N] bool; those of other rows are undefined.
 
         Raises:
-            TypeError: For commands of a subclass that have the wrong shape or dtype.
-            ValueError: For durations that are not positive.
+            TypeError: For a subclass's commands of wrong shape or dtype.
+            ValueError: For non-positive durations.
         """
         title, decision = type(self.entry).__name__, self.entry.decide(action, acts)
         check_decision(title, decision, len(action))
@@ -169,10 +169,10 @@ class ContinuousBuilder:
 
 
 def _bounds(entry: ContinuousAction) -> tuple[Tensor, Tensor]:
-    """Return the bounds of an entry, [A] float64 each; ValueError for what are none."""
+    """Return the bounds of an entry, [A] float64 each; ValueError if invalid."""
     title, given = f"{type(entry).__name__}.bounds()", entry.bounds()
     if not isinstance(given, tuple | list) or len(given) != 2:
-        raise ValueError(f"{title} returns {given!r}; it must return the lowest and the highest values")
+        raise ValueError(f"{title} returns {given!r}; it must return the lower and upper bounds")
     no_gradient(title, given)
     try:
         low, high = (torch.as_tensor(side, dtype=torch.float64).cpu() for side in given)
@@ -181,12 +181,12 @@ def _bounds(entry: ContinuousAction) -> tuple[Tensor, Tensor]:
     if low.ndim != 1 or low.shape != high.shape or not len(low):
         raise ValueError(f"{title} returns bounds of shapes {list(low.shape)} and {list(high.shape)}; both must be [A]")
     if not bool((low < high).all()):
-        raise ValueError(f"{title} returns {low.tolist()} and {high.tolist()}; each lowest value must be below the highest")
+        raise ValueError(f"{title} returns {low.tolist()} and {high.tolist()}; each lower bound must be below the upper")
     return low, high
 
 
 def _names(entry: object, hook: str, count: int | None = None) -> list[str]:
-    """Return the names that a hook of an entry gives; ValueError unless they are ``count`` strings, one at least."""
+    """Return the names from a hook of an entry; ValueError unless they are ``count`` strings, at least one."""
     names = getattr(entry, hook)()
     wrong = isinstance(names, str) or not all(isinstance(name, str) for name in names) or not names
     if wrong or count not in (None, len(names)):

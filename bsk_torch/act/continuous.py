@@ -1,4 +1,4 @@
-"""Base classes of actions that are real numbers, alone or alongside a choice."""
+"""Base classes of continuous actions, alone or combined with a discrete choice."""
 
 from __future__ import annotations
 
@@ -27,31 +27,31 @@ DECIDE = (
 UNUSED = {
     "set_action": DECIDE,
     "set_action_override": DECIDE,
-    "space": "define bounds(), which returns the lowest and the highest values",
-    "action_space": "define bounds(), which returns the lowest and the highest values",
-    "builder_type": "an act.ContinuousAction is the only entry of its action_spec",
+    "space": "define bounds(), which returns the lower and upper bounds",
+    "action_space": "define bounds(), which returns the lower and upper bounds",
+    "builder_type": "an act.ContinuousAction must be the only entry of its action_spec",
     "n_actions": "an act.ContinuousAction has as many numbers as names() returns; act.HybridAction has choices()",
     "n_negative_actions": "an act.ContinuousAction has no numbers of actions",
     "table": DECIDE,
     **BSK_RL,
 }
-"""Names that are no hooks of continuous actions, those of bsk_rl among them, and what to write instead."""
+"""Names that are not hooks of continuous actions, including bsk_rl's, and their replacements."""
 
 
 class ContinuousAction:
     """The only entry of an ``action_spec``: actions of A real numbers.
 
-    N is the number of satellites of the type. Every action is carried out, also one that equals the one before: the flight
-    software enters its mode, and resets what the mode resets. All numbers are float64 inside, whatever type they were given in.
-    Values outside :meth:`bounds` reach :meth:`decide` as they are; what they mean is the action's.
+    N is the number of satellites of the type. Every action is executed, even if it equals the previous one: the flight software
+    enters its mode, and resets the fields that the mode resets. Numbers are converted to float64. Values outside :meth:`bounds`
+    are passed to :meth:`decide` unchanged; the action defines their meaning.
 
     Subclasses define :meth:`bounds`, :meth:`names` and :meth:`decide`; the other hooks are optional.
 
     Attributes:
         name: Name of the entry.
         satellite: The satellites, once an environment has been built.
-        given_dtype: Type in which the actions of the present step were given.
-        fsw_type: Flight software that the action adds to that of the satellite; None for nothing.
+        given_dtype: Input dtype of the actions of the current step.
+        fsw_type: Flight software added to the satellite's by the action; None for none.
     """
 
     satellite: BoundSatellite
@@ -59,11 +59,11 @@ class ContinuousAction:
     fsw_type: type[FSWModel] | None = None
 
     def __init__(self, name: str) -> None:
-        """Name the entry; ValueError for a name that is no string."""
+        """Name the entry; ValueError unless the name is a string."""
         self.name = text("name", name)
 
     def __init_subclass__(cls, **options: object) -> None:
-        """Refuse definitions that no environment would use; TypeError says what to write instead."""
+        """Raise TypeError, suggesting a replacement, for definitions that no environment would use."""
         super().__init_subclass__(**options)
         check_class(cls, ContinuousAction, [hook for hook in HOOKS if hook in vars(ContinuousAction)], UNUSED)
 
@@ -71,14 +71,14 @@ class ContinuousAction:
         """Prepare for a satellite; called once when an environment is built.
 
         Overriding methods call ``super().link_satellite(satellite)`` first, and raise ValueError for a satellite that lacks
-        something that the action needs.
+        something needed by the action.
         """
         self.satellite = satellite
 
     def bounds(self) -> tuple[Tensor | Sequence[float], Tensor | Sequence[float]]:
-        """Return the lowest and the highest values of actions, [A] each; they may be infinite.
+        """Return the lower and upper bounds of actions, [A] each; they may be infinite.
 
-        They are asked for once, after :meth:`link_satellite`, and become the action space of all agents of the type.
+        Called once, after :meth:`link_satellite`; defines the action space of all agents of the type.
         """
         raise NotImplementedError(f"{type(self).__name__} must implement bounds()")
 
@@ -87,11 +87,11 @@ class ContinuousAction:
         raise NotImplementedError(f"{type(self).__name__} must implement names()")
 
     def decide(self, action: Tensor, mask: Tensor) -> Decision:
-        """Return the commands of actions; nothing may change yet, since the decisions of all satellites are made first.
+        """Return the commands of actions; must not change anything, since all satellites decide first.
 
         Args:
             action: Actions, [N, A] float64: finite, but not always within the bounds.
-            mask: Whether an action is carried out now, [N] bool; the commands of other rows are ignored.
+            mask: Whether an action is executed now, [N] bool; the commands of other rows are ignored.
         """
         raise NotImplementedError(f"{type(self).__name__} must implement decide(action, mask)")
 
@@ -105,12 +105,12 @@ class ContinuousAction:
         """
 
     def enter(self, fsw_action: str, duration: Tensor, command: Tensor | None = None) -> Decision:
-        """Return the decision to enter a mode of the flight software, also the present one.
+        """Return the decision to enter a mode of the flight software, even if it is already active.
 
         Args:
             fsw_action: Command of the flight software, such as ``"charge"``.
             duration: Time after which the actions end, [N] s.
-            command: What :meth:`begin` needs, [N, ...].
+            command: Value passed to :meth:`begin`, [N, ...].
         """
         mode = self.satellite.simulator.mode_index(fsw_action)
         reenter = torch.ones_like(mode, dtype=torch.bool)
@@ -118,17 +118,17 @@ class ContinuousAction:
 
 
 class HybridAction(ContinuousAction):
-    """Actions of A real numbers and one of K choices, such as a manoeuvre and a flight mode.
+    """Actions of A real numbers and one of K choices, such as a maneuver and a flight mode.
 
-    The action of an environment has two parts, ``"values"`` [..., A] and ``"choice"`` [...]; ``action_mask`` [..., K] says which
-    choices are legal. Subclasses define :meth:`choices` and the hooks of :class:`ContinuousAction`, whose :meth:`bounds` and
-    :meth:`names` are those of the real numbers.
+    The action of an environment has two parts, ``"values"`` [..., A] and ``"choice"`` [...]; ``action_mask`` [..., K] marks legal
+    choices. Subclasses define :meth:`choices` and the hooks of :class:`ContinuousAction`; :meth:`bounds` and :meth:`names` refer
+    to the real numbers.
 
     In :meth:`decide`, the last of the A + 1 columns of ``action`` is the number of the choice.
     """
 
     def __init_subclass__(cls, **options: object) -> None:
-        """Refuse definitions that no environment would use; TypeError says what to write instead."""
+        """Raise TypeError, suggesting a replacement, for definitions that no environment would use."""
         super().__init_subclass__(**options)
         check_class(cls, HybridAction, HOOKS, UNUSED)
 
@@ -137,13 +137,13 @@ class HybridAction(ContinuousAction):
         raise NotImplementedError(f"{type(self).__name__} must implement choices()")
 
     def mask(self) -> Tensor:
-        """Return which choices are legal now, [N, K] bool; all of them unless overridden."""
+        """Return which choices are legal now, [N, K] bool (default: all)."""
         ticks = self.satellite.simulator.ticks
         return torch.ones(len(ticks), len(self.choices()), dtype=torch.bool, device=ticks.device)
 
 
 def is_continuous(entry: object) -> bool:
-    """Return whether an entry of an ``action_spec`` has real numbers; ValueError for what is no entry."""
+    """Return whether an entry of an ``action_spec`` is continuous; ValueError unless it is an action."""
     if not isinstance(entry, Action | ContinuousAction):
-        raise ValueError(f"action_spec holds {entry!r}, which is no action; write act.Charge(), with parentheses")
+        raise ValueError(f"action_spec holds {entry!r}, which is not an action; write act.Charge(), with parentheses")
     return isinstance(entry, ContinuousAction)

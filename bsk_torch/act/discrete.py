@@ -1,4 +1,4 @@
-"""Actions that put the flight software into a mode for a time. Names and defaults are those of bsk_rl."""
+"""Actions that put the flight software into a mode for some time. Names and defaults match bsk_rl."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 class DiscreteFSWAction(Action):
     """Enter a flight mode for ``duration`` seconds.
 
-    The same action twice in a row lets the mode continue, unless ``reset_task`` is set.
+    Repeating the action continues the mode, unless ``reset_task`` is set.
     """
 
     def __init__(self, fsw_action: str, name: str | None = None, duration: float | None = None, reset_task: bool = False) -> None:
@@ -24,12 +24,12 @@ class DiscreteFSWAction(Action):
 
         Args:
             fsw_action: Command of the flight-software model, such as ``"charge"``, or ``"action_charge"`` as bsk_rl writes it.
-            name: Name in ``action_description``; that of the command unless given.
+            name: Name in ``action_description`` (default: the name of the command).
             duration: Time until the action ends, s; None for 1e9 s.
             reset_task: Whether a repeated action enters the mode again.
 
         Raises:
-            ValueError: For a duration that is not positive, or a name that is no string.
+            ValueError: For a non-positive duration, or a name that is not a string.
         """
         super().__init__(text("fsw_action", fsw_action) if name is None else name)
         self.fsw_action, self.reset_task = text("fsw_action", fsw_action), switch("reset_task", reset_task)
@@ -74,7 +74,7 @@ class NadirPoint(DiscreteFSWAction):
 
 
 class Desat(DiscreteFSWAction):
-    """Desaturate the reaction wheels with thrusters; a repeated action plans the impulses again from the present momentum."""
+    """Desaturate the reaction wheels with thrusters; a repeated action replans the impulses from the current momentum."""
 
     def __init__(self, name: str = "action_desat", duration: float | None = None) -> None:
         """See :class:`DiscreteFSWAction`."""

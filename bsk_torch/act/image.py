@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from bsk_torch.sats.imaging import BoundImagingSatellite
 
 SLEW = 40.0
-"""Typical duration of a slew to a target, s; used only for the expected durations by which rows are sorted."""
+"""Typical duration of a slew to a target, s; used only for the expected durations that sort rows."""
 
 NO_TARGET = -1
 """Key of an action without a target, and of the state before the first action."""
@@ -29,9 +29,9 @@ def image_target(target: Tensor | int) -> Tensor | int:
 class Image(Action):
     """Image the target of the k-th next access window, for k from 0 to ``n_ahead_image`` - 1.
 
-    The action ends when the image has been taken, when the target's window closes, or after ``max_duration``. Choosing the same
-    target again continues the action: a target is not imaged twice in a row. Actions -1, -2, ... stand for the targets 0, 1,
-    ... by their index in the scenario; see :func:`image_target`.
+    The action ends when the image is taken, when the target's window closes, or after ``max_duration``. Choosing the same target
+    again continues the action: a target is not imaged twice in a row. Actions -1, -2, ... select targets 0, 1, ... by their index
+    in the scenario; see :func:`image_target`.
     """
 
     satellite: BoundImagingSatellite
@@ -39,14 +39,12 @@ class Image(Action):
     def __init__(
         self, n_ahead_image: int, max_duration: float | None = None, name: str = "action_image", mask_repeated: bool = False
     ) -> None:
-        """Stand for ``n_ahead_image`` actions.
+        """Provide ``n_ahead_image`` actions.
 
         Args:
-            n_ahead_image: Number of windows to choose from.
-            max_duration: Longest duration, s; None for no limit but the window.
-            name: Name in ``action_description``.
-            mask_repeated: Whether ``action_mask`` excludes actions that stand for the last target again, because fewer than
-                ``n_ahead_image`` windows are known.
+            n_ahead_image: Number of windows to choose from. max_duration: Maximum duration, s; None for no limit other than the
+            window. name: Name in ``action_description``. mask_repeated: Whether ``action_mask`` excludes actions that repeat the
+            last target because fewer than ``n_ahead_image`` windows are known.
 
         Raises:
             ValueError: For fewer than one target or a duration that is not positive.
@@ -85,7 +83,7 @@ class Image(Action):
         simulator = self.satellite.simulator
         known = self.satellite.find_next_opportunities(self.n_actions, self.kind, torch.where(mask & (action >= 0), index + 1, 0))
         target = known.place.gather(1, index.unsqueeze(-1)).squeeze(-1)
-        same = known.place == target.unsqueeze(-1)  # the target's first window may come before the one that was chosen
+        same = known.place == target.unsqueeze(-1)  # the target's first window may come before the chosen one
         opens, close = (torch.where(same, time, torch.inf).amin(1) for time in (known.open, known.close))
         by_index = mask & (action < 0)
         if bool(by_index.any()):
@@ -115,7 +113,7 @@ class Image(Action):
         if bool(missing.any()):
             row = int(torch.nonzero(missing)[0])
             raise ValueError(
-                f"action {int(action[row])} of {self.satellite.title(row)} asks for target {int(target[row])}, which has "
+                f"action {int(action[row])} of {self.satellite.title(row)} selects target {int(target[row])}, which has "
                 "been imaged, does not exist, or has no window that is known now"
             )
         return tuple(torch.where(mask, a, b) for a, b in zip((target, *window), found, strict=True))

@@ -38,5 +38,5 @@ def _is_named(actions: tuple[str, ...], names: tuple[str, ...], device: torch.de
     """Return whether each action is one of ``names``, [A] bool."""
     for name in names:
         if name not in actions:
-            raise ValueError(f"{name!r} is not one of the actions; {nearest(name, actions)}")
+            raise ValueError(f"{name!r} is not an action; {nearest(name, actions)}")
     return torch.tensor([action in names for action in actions], device=device)

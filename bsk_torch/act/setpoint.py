@@ -16,9 +16,9 @@ from bsk_torch.sim.fsw.setpoint import ATTITUDE_MRP, AttitudeSetpointFSWModel
 class AttitudeSetpoint(ContinuousAction):
     """Turn to an attitude, and hold it: the action is sigma_RN, the MRP of the reference R relative to N.
 
-    The reference is at rest and stays until the next action. With reaction wheels the satellite turns the short way round by its
-    control law; components up to one allow MRPs longer than one, which mean the same attitudes. A satellite without actuators has
-    the attitude of the reference after one tick, and shows the MRP as it was given, also where it is longer than one.
+    The reference is inertially fixed and stays until the next action. With reaction wheels, the control law turns the satellite
+    the short way around. Components up to one allow MRPs longer than one, which represent the same attitudes. A satellite without
+    actuators has the attitude of the reference after one tick, and reports the MRP as given, even if longer than one.
     """
 
     fsw_type = AttitudeSetpointFSWModel

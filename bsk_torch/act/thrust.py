@@ -1,4 +1,4 @@
-"""Actions that change the velocity of a satellite at once."""
+"""Actions that change the velocity of a satellite impulsively."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ if TYPE_CHECKING:
     from bsk_torch.sats.bound import BoundSatellite
 
 SHORTEST = 2
-"""Ticks that a drift lasts at least."""
+"""Minimum length of a drift, ticks."""
 
 
 def length(dv: Tensor) -> Tensor:
-    """Return the lengths [N] of vectors [N, 3]; those of vectors in float32 are rounded once."""
+    """Return the lengths [N] of vectors [N, 3]; for float32 vectors, rounded once."""
     return dv.double().square().sum(-1).sqrt().to(dv.dtype)
 
 
 def shortened(dv: Tensor, longest: float | Tensor) -> Tensor:
-    """Return changes of velocity [N, 3] of at most ``longest`` [N]: ``dv <- dv / |dv| longest`` where ``|dv| > longest``."""
+    """Return velocity changes [N, 3] of at most ``longest`` [N]: ``dv <- dv / |dv| longest`` where ``|dv| > longest``."""
     most = torch.as_tensor(longest, dtype=dv.dtype, device=dv.device)
     size = length(dv)
     over = size > most
@@ -39,14 +39,14 @@ def shortened(dv: Tensor, longest: float | Tensor) -> Tensor:
 class ImpulsiveThrust(ContinuousAction):
     """Change the velocity by dv_N, m/s in N, and drift for a time, s: four numbers.
 
-    A longer change than ``max_dv`` is scaled down to it, so the corners of the space are; the tank may allow still less. The
-    drift lasts at least two ticks and at most ``max_drift_duration``. The satellite needs
-    :class:`~bsk_torch.sim.fsw.MagicOrbitalManeuverFSWModel` among its flight software.
+    Velocity changes longer than ``max_dv``, including the corners of the action space, are scaled down to it; the tank may allow
+    less. The drift lasts at least two ticks and at most ``max_drift_duration``. The satellite's flight software must include
+    :class:`~bsk_torch.sim.fsw.MagicOrbitalManeuverFSWModel`.
 
-    Without ``fsw_action`` the satellite turns to the attitude of N during the drift; without actuators it has it at once.
+    Without ``fsw_action``, the satellite turns to the attitude of N during the drift, or immediately if it has no actuators.
 
-    Under ``compat="bsk_rl"``, actions that are given in float32 are carried out in float32, as NumPy does: the drift may end a
-    tick late, and what is left in the tank is rounded.
+    With ``compat="bsk_rl"``, float32 actions are executed in float32, as in NumPy: the drift may end a tick late, and the content
+    of the tank is rounded.
     """
 
     fsw_type = InertialHoldFSWModel
@@ -61,14 +61,11 @@ class ImpulsiveThrust(ContinuousAction):
         """Thrust, then drift.
 
         Args:
-            name: Name of the entry.
-            max_dv: Longest change of velocity, m/s.
-            max_drift_duration: Longest drift, s.
-            fsw_action: Command of the flight software for the drift, such as ``"nadir_scan"``, or ``"action_nadir_scan"`` as
-                bsk_rl writes it.
+            name: Name of the entry. max_dv: Maximum velocity change, m/s. max_drift_duration: Maximum drift, s. fsw_action:
+            Flight-software command during the drift, such as ``"nadir_scan"``, or ``"action_nadir_scan"`` as in bsk_rl.
 
         Raises:
-            ValueError: For a limit that is not positive, or a name that is no string.
+            ValueError: For a non-positive limit, or a name that is not a string.
         """
         super().__init__(name)
         title = f"action {self.name!r}: "
@@ -89,7 +86,7 @@ class ImpulsiveThrust(ContinuousAction):
         if self.max_drift_duration <= self.min_drift_duration:
             raise ValueError(
                 f"action {self.name!r}: max_drift_duration={self.max_drift_duration:g} must be more than {SHORTEST} ticks, "
-                f"{self.min_drift_duration:g} s, which a drift lasts at least"
+                f"{self.min_drift_duration:g} s, the minimum length of a drift"
             )
 
     @property
@@ -109,12 +106,12 @@ class ImpulsiveThrust(ContinuousAction):
         return ["dV_N_x", "dV_N_y", "dV_N_z", "duration"]
 
     def change_of_velocity(self, dv: Tensor) -> Tensor:
-        """Return the first three numbers of actions as changes of velocity in N, [N, 3] m/s."""
+        """Return the first three numbers of actions as velocity changes in N, [N, 3] m/s."""
         return dv
 
     @property
     def is_single(self) -> bool:
-        """Whether the actions of the present step are carried out in float32."""
+        """Whether the actions of the current step are executed in float32."""
         return self.given_dtype == torch.float32 and self.satellite.simulator.type.as_bsk_rl
 
     def decide(self, action: Tensor, mask: Tensor) -> Decision:
@@ -147,10 +144,9 @@ class ImpulsiveThrust(ContinuousAction):
 
 
 class ImpulsiveThrustHill(ImpulsiveThrust):
-    """As :class:`ImpulsiveThrust`, with the change of velocity in the Hill frame of a chief: radial, along the track, normal.
+    """As :class:`ImpulsiveThrust`, with the velocity change in the Hill frame of a chief: radial, along-track, normal.
 
-    The chief is a satellite of the episode, the acting one itself included; its frame is that before any manoeuvre of the same
-    time.
+    The chief is any satellite of the episode, including the acting one; its frame is taken before any maneuver at the same time.
     """
 
     def __init__(

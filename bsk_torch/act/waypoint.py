@@ -20,27 +20,27 @@ if TYPE_CHECKING:
     from bsk_torch.sats.bound import BoundSatellite
 
 RESERVE = 1e-6
-"""What is always left in the tank, m/s."""
+"""Velocity change always left in the tank, m/s."""
 
 SPACING = 100.0
-"""Longest time between moments at which paths are known, s; between them they count as straight, within 2 m at 1 m/s."""
+"""Maximum time between computed points of a path, s; paths are straight in between, within 2 m at 1 m/s."""
 
 FAR = 1e12
-"""Distance, m, at which satellites that are not present are, so that no transfer is kept apart from them."""
+"""Distance, m, assigned to absent satellites, so that transfers are not kept apart from them."""
 
 WEIGHT = 1e4
-"""Metres that count as much as the whole of a distance that is to be kept, where none of the transfers keeps all."""
+"""Scale, m, for comparing violated distances if none of the transfers keeps all distances."""
 
 
 class Options(NamedTuple):
-    """What N satellites can do at present.
+    """Available transfers of N satellites.
 
     Attributes:
-        versions: Versions of the states that this follows from.
-        known: Numbers of each row that it follows from, [N, F].
+        versions: Versions of the states used.
+        known: Numbers used, by row, [N, F].
         ahead: All transfers.
-        legal: Which of them are legal, [N, n_actions].
-        stuck: Where none of them keeps the distances, [N].
+        legal: Whether each transfer is legal, [N, n_actions].
+        stuck: Whether no transfer keeps the distances, [N].
     """
 
     versions: list[int]
@@ -51,25 +51,25 @@ class Options(NamedTuple):
 
 
 class HillWaypoint(Action):
-    """Fly to one of several waypoints about a chief in one of several durations, by a single manoeuvre.
+    """Fly to one of several waypoints around a chief in one of several durations, by a single maneuver.
 
-    Action ``d * K + k`` is the transfer to waypoint d in duration k. The manoeuvre follows from the linear relative motion about
-    a chief on an orbit of two bodies (:func:`bsk_torch.astro.linear_motion.about_orbit`); nothing is done on arrival, so the
+    Action ``d * K + k`` is the transfer to waypoint d in duration k. The maneuver is computed from the linear relative motion
+    about a chief on a two-body orbit (:func:`bsk_torch.astro.linear_motion.about_orbit`). There is no maneuver on arrival, so the
     satellite passes the waypoint.
 
-    Transfers that come nearer to the chief than ``keep_out``, go beyond ``keep_in``, come nearer than ``keep_apart`` to any other
-    satellite if that drifts on, or cost more than ``max_dv`` or what is left in the tank, are illegal. The manoeuvre of one that
-    costs more is scaled down to what is allowed, and lasts for the shortest duration, after which another manoeuvre is possible.
-    Where all are illegal, one is legal nevertheless: that which keeps the distances best for the shortest duration, and the
-    satellite nearest to the chief if it drifts on for as long again. It lasts for the shortest duration, too.
+    A transfer is illegal if it passes closer to the chief than ``keep_out``, goes beyond ``keep_in``, passes closer than
+    ``keep_apart`` to the predicted drift of another satellite, or costs more than ``max_dv`` or the content of the tank. A
+    maneuver that costs too much is scaled down to the limit and lasts for the shortest duration, after which another maneuver is
+    possible. If all are illegal, one is legal nevertheless: the transfer that best keeps the distances for the shortest duration
+    and keeps the satellite closest to the chief during an equally long drift afterwards. It also lasts for the shortest duration.
 
-    Satellites of one type and episode that decide at the same time do not know of each other's choice when they read their masks.
-    A shield keeps their paths ``keep_apart``, in the order of their numbers: where the chosen one comes nearer than that to the
-    path of an earlier satellite, the satellite flies the transfer to the waypoint closest to the chosen one, then that of the
-    nearest duration, among those which its mask allows and which are clear of the earlier ones; if there is none, the legal one
-    that stays the farthest apart, for the shortest duration. The action that is recorded stays the chosen one.
+    Satellites of one type and episode that decide at the same time do not know each other's choice when they read their masks. A
+    shield keeps their paths ``keep_apart``, in the order of their numbers. If the chosen path comes too close to the path of an
+    earlier satellite, the satellite flies another legal transfer that is clear of the earlier paths: the one with the waypoint,
+    then the duration, closest to the chosen one. If there is none, it flies the legal transfer that stays farthest apart, for the
+    shortest duration. The recorded action does not change.
 
-    bsk_rl has no such action: its manoeuvres are :class:`ImpulsiveThrustHill`.
+    bsk_rl has no such action; its maneuvers are :class:`ImpulsiveThrustHill`.
     """
 
     fsw_type = ImpulsiveThrustHill.fsw_type
@@ -92,14 +92,14 @@ class HillWaypoint(Action):
 
         Args:
             chief_name: Name of the chief.
-            waypoints: Positions in the chief's Hill frame, [D, 3] m; or a number of them, spread evenly at the ``distance``.
+            waypoints: Positions in the chief's Hill frame, [D, 3] m, or their number, distributed evenly at the ``distance``.
             durations: Durations of transfers, s.
-            distance: Distance of evenly spread waypoints from the chief, m.
-            max_dv: Largest manoeuvre, m/s.
-            keep_out: Smallest distance from the chief on the way, m.
-            keep_in: Largest distance from the chief on the way, m.
-            keep_apart: Smallest distance from other satellites on the way, m.
-            fsw_action: Command of the flight software for the way.
+            distance: Distance of evenly distributed waypoints from the chief, m.
+            max_dv: Maximum maneuver, m/s.
+            keep_out: Minimum distance from the chief on the way, m.
+            keep_in: Maximum distance from the chief on the way, m.
+            keep_apart: Minimum distance from other satellites on the way, m.
+            fsw_action: Flight-software command during the transfer.
             name: Name of the entry.
 
         Raises:
@@ -107,7 +107,7 @@ class HillWaypoint(Action):
         """
         super().__init__(name)
         title = f"action {self.name!r}: "
-        # carries out the manoeuvres, and checks chief, tank and command
+        # executes the maneuvers, and checks chief, tank and command
         self._thrust = ImpulsiveThrustHill(chief_name, self.name, max_dv, math.inf, fsw_action)
         self.chief_name, self.max_dv = self._thrust.chief_name, self._thrust.max_dv
         self.distance = number(f"{title}distance", distance, 0.0, unit="m", above=True)
@@ -140,7 +140,7 @@ class HillWaypoint(Action):
         super().link_satellite(satellite)
         self._thrust.link_satellite(satellite)
         if satellite.fleet.place_of(self.chief_name)[0] == satellite.type_index:
-            raise ValueError(f"action {self.name!r}: chief_name={self.chief_name!r} is of the type that flies about it")
+            raise ValueError(f"action {self.name!r}: chief_name={self.chief_name!r} has the same type as its deputies")
 
     def names(self) -> list[str]:
         """See :meth:`Action.names`."""
@@ -148,7 +148,7 @@ class HillWaypoint(Action):
 
     @property
     def options(self) -> Options:
-        """Transfers and which are legal; which ones are is updated only for rows of episodes that have changed."""
+        """Transfers and their legality, updated only for rows of changed episodes."""
         versions = [simulator.state.version for simulator in self.satellite.fleet.simulators]
         last = self._options
         if last is not None and last.versions == versions:
@@ -164,7 +164,7 @@ class HillWaypoint(Action):
         return self._options
 
     def known(self) -> Tensor:
-        """Return the numbers from which transfers and their legality follow, [N, F]: equal ones have equal results."""
+        """Return the inputs of transfers and their legality, [N, F]; equal inputs give equal results."""
         places = [place.flatten(1) for place in self.places()]
         simulator, present = self.satellite.simulator, self.satellite.fleet.present
         there = [] if present is None else [present.double().repeat_interleave(simulator.count, 0)]
@@ -177,19 +177,19 @@ class HillWaypoint(Action):
         return r.repeat_interleave(simulator.count, 0), v.repeat_interleave(simulator.count, 0)
 
     def ahead(self) -> Transfers:
-        """Return all transfers from the present position."""
+        """Return all transfers from the current position."""
         motion = self.motion(self.durations, self.samples)
         return transfers(motion, *self.relative_state(), self.waypoints.to(motion.time.device), self.most_dv)
 
     def motion(self, durations: Tensor, samples: int) -> LinearMotion:
-        """Return the motion about the chief to moments of durations, s."""
+        """Return the motion about the chief at given times, s."""
         count = self.satellite.simulator.count
         r_CN_N, v_CN_N = (vector[::count] for vector in self._thrust.chief_state())  # the same for all of an episode
         return about_orbit(r_CN_N, v_CN_N, durations.to(r_CN_N.device), samples).repeated(count)
 
     @property
     def most_dv(self) -> Tensor:
-        """Largest manoeuvre at present, [N] m/s; one that takes all that is left would be the satellite's last."""
+        """Maximum maneuver now, [N] m/s; a maneuver that empties the tank would kill the satellite."""
         return (self.satellite.simulator.read("dv_available") - RESERVE).clamp(0.0, self.max_dv)
 
     def others(self) -> tuple[Tensor, Tensor]:
@@ -238,22 +238,22 @@ class HillWaypoint(Action):
         legal = ((self.missed(ahead, others) <= 0.0) & (ahead.cost <= self.most_dv[rows, None, None])).flatten(1)
         none = ~legal.any(1)
         stuck = torch.nonzero(none).squeeze(1)
-        if len(stuck):  # few, and often none: what is legal there takes as long to find as the rest
+        if len(stuck):  # few rows, often none: finding a legal transfer there takes as long as the rest
             least = self.least(ahead.some(stuck), rows[stuck])
             legal[stuck] = torch.zeros_like(legal[stuck]).scatter(1, least, True)
         return legal, none
 
     def others_of(self, rows: Tensor) -> tuple[Tensor, Tensor] | None:
-        """Return positions and velocities of the satellites that are to be kept apart from the rows; None for none."""
+        """Return positions and velocities of the satellites to keep apart from the rows; None for none."""
         if self.keep_apart == 0.0 or self.satellite.fleet.size == 2:
             return None
         rho, velocity = self.others()
         return rho[rows], velocity[rows]
 
     def missed(self, ahead: Transfers, others: tuple[Tensor, Tensor] | None) -> Tensor:
-        """Return by what part transfers come too near or go too far, [N, D, K]; not positive for those that do not.
+        """Return the relative violation of distances by transfers, [N, D, K]; not positive for transfers without violation.
 
-        ``others`` are the satellites that are to be kept apart; see :meth:`others_of`.
+        ``others`` are the satellites to keep apart; see :meth:`others_of`.
         """
         if others is None:
             nearest, farthest = ahead.distances()
@@ -267,7 +267,7 @@ class HillWaypoint(Action):
         return torch.maximum(missed, farthest / self.keep_in - 1.0) if math.isfinite(self.keep_in) else missed
 
     def least(self, ahead: Transfers, rows: Tensor) -> Tensor:
-        """Return the transfers, [R, 1], of those ``ahead`` of R rows, that are legal where none keeps the distances."""
+        """Return the transfers among ``ahead`` to allow where none keeps the distances, [R, 1] for R rows."""
         soon = math.ceil(self.shortest / SPACING)
         twice = self.motion(torch.tensor([2.0 * self.shortest], dtype=torch.float64), 2 * soon).some(rows)
         later = torch.linalg.vector_norm(ahead.along(twice).position(-1), dim=-1)
@@ -275,12 +275,12 @@ class HillWaypoint(Action):
         return (missed * WEIGHT + later).flatten(1).argmin(1, keepdim=True)
 
     def shielded(self, chosen: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
-        """Return the transfers that are flown, [N], where ``chosen`` [N] are decided at the same time in the rows ``mask`` [N].
+        """Return the transfers to fly, [N], for ``chosen`` [N], decided at the same time in the rows ``mask`` [N].
 
-        The second tensor, [N], says which of them stay ``keep_apart`` from those of the satellites before.
+        The second tensor, [N], is True for transfers that stay ``keep_apart`` from those of earlier satellites.
 
-        The first satellite of an episode flies what it has chosen. Each following one does so, too, unless that comes nearer than
-        ``keep_apart`` to the path of one before; see the class for what it flies then. A path goes on after its arrival.
+        The first satellite of an episode flies its chosen transfer. So does each following satellite, unless its path comes
+        closer than ``keep_apart`` to an earlier one; for this case, see the class. Paths continue after arrival.
         """
         count = self.satellite.simulator.count
         if count == 1 or self.keep_apart == 0.0:
@@ -306,7 +306,7 @@ class HillWaypoint(Action):
         return torch.stack(flown, 1).flatten(), torch.stack(kept, 1).flatten()
 
     def _replacement_order(self) -> Tensor:
-        """Return the places [A, A] of transfers by how near they come to each: by the waypoint, and for one by the duration."""
+        """Return the rank [A, A] of transfers by closeness to each transfer: first by waypoint, then by duration."""
         apart = torch.cdist(self.waypoints, self.waypoints, compute_mode="donot_use_mm_for_euclid_dist")
         longer = (self.durations - self.durations.unsqueeze(1)).abs()
         apart = (apart.repeat_interleave(len(longer), 0)).repeat_interleave(len(longer), 1)

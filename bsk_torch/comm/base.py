@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from bsk_torch.sats.one import OneSatellite
 
 LAST = "last_communication"
-"""Name under which an episode remembers the time of its last communication, s since reset."""
+"""Memory name of the time of an episode's last communication, s since reset."""
 
 HOOKS = ("refines", "link", "communication_pairs", "communicate")
 """Members of :class:`CommunicationMethod` that subclasses may define."""
@@ -34,18 +34,17 @@ UNUSED = {
     "attach": "define link(fleet)",
     "exchange": "define communication_pairs(), or communicate(moves)",
 }
-"""Names that are no hooks of communication methods, those of bsk_rl among them, and what to write instead."""
+"""Names that are not hooks of communication methods, including bsk_rl's, and their replacements."""
 
 
 class CommunicationMethod:
-    """Decides after each step which satellites share their knowledge with which others.
+    """Determines after each step which satellites share their knowledge with which others.
 
-    Subclasses define :meth:`communication_pairs`. Satellites that have died continue to communicate, as in bsk_rl. A method must
-    not keep values of episodes in its own attributes, but in ``self.fleet.memory``, a
-    :class:`~bsk_torch.sim.state.StateTable`, which is reset, saved and restored with the episodes. Public attributes that hold a
-    tensor must not change between steps.
+    Subclasses define :meth:`communication_pairs`. Dead satellites continue to communicate, as in bsk_rl. Keep values of episodes
+    in ``self.fleet.memory``, a :class:`~bsk_torch.sim.state.StateTable`, which is reset, saved and restored with the episodes,
+    and not in attributes. Public tensor attributes must not change between steps.
 
-    N is the number of environments, S that of satellites in each.
+    N is the number of environments, S the number of satellites in each.
 
     Attributes:
         fleet: The satellites, once an environment has been built.
@@ -54,19 +53,19 @@ class CommunicationMethod:
     """
 
     refines: ClassVar[bool] = False
-    """Whether the class only changes the pairs of another one, which must follow it among the base classes."""
+    """Whether the class only changes the pairs of another class, which must follow it among the base classes."""
 
     fleet: SatelliteFleet
     due: Tensor
     one_environment: list[OneSatellite] | None = None
-    """Satellites of the environment for which pairs are listed."""
+    """Satellites of the environment with listed pairs."""
 
     def __init__(self, min_period: float = 0.0) -> None:
         """Communicate at most every ``min_period`` seconds; ValueError if it is negative."""
         self.min_period = number("min_period", min_period, 0.0, unit="s", finite=False)
 
     def __init_subclass__(cls, **options: object) -> None:
-        """Refuse definitions that no environment would use; TypeError says what to write instead."""
+        """Raise TypeError, suggesting a replacement, for definitions that no environment would use."""
         super().__init_subclass__(**options)
         check_class(cls, CommunicationMethod, HOOKS, UNUSED)
 
@@ -78,14 +77,14 @@ class CommunicationMethod:
         Overriding methods call ``super().link(fleet)`` first.
 
         Raises:
-            TypeError: If there is no class for this one to refine, or satellites cannot communicate in this way.
-            ValueError: Likewise, if that depends on arguments.
+            TypeError: If there is no class to refine, or satellites do not support this method.
+            ValueError: Likewise, depending on arguments.
         """
         chain = [cls for cls in type(self).__mro__ if "communication_pairs" in vars(cls)]
         if len(chain) > 1 and vars(chain[-2]).get("refines", False):
             name = chain[-2].__name__
             raise TypeError(
-                f"{type(self).__name__}: {name} refines another way of communication, which must follow it, "
+                f"{type(self).__name__}: {name} refines another communication method, which must follow it, "
                 f"as in class Mine(comm.{name}, comm.LOSCommunication)"
             )
         self.fleet = fleet
@@ -100,10 +99,10 @@ class CommunicationMethod:
     def satellites(self) -> list[OneSatellite]:
         """Satellites of one environment, for a ``communication_pairs()`` in bsk_rl's form, which lists (sender, receiver) pairs.
 
-        A method that asks for them is called for each environment, which is slow.
+        A method that uses them is called for each environment, which is slow.
         """
         if self.one_environment is None:
-            raise OneEnvironmentNeededError(f"{type(self).__name__}.satellites are known in communication_pairs() only")
+            raise OneEnvironmentNeededError(f"{type(self).__name__}.satellites is available only in communication_pairs()")
         return self.one_environment
 
     def _pairs(self) -> Tensor:
@@ -114,7 +113,7 @@ class CommunicationMethod:
         return listed_pairs(self) if isinstance(pairs, list | tuple) else pairs
 
     def communicate(self, moves: Tensor) -> Tensor:
-        """Return the pairs that communicate after a step, in episodes whose last communication is ``min_period`` ago.
+        """Return the pairs that communicate after a step, in episodes whose last communication was at least ``min_period`` ago.
 
         Args:
             moves: Episodes that took part in the step, [N].
@@ -157,7 +156,7 @@ class CommunicationMethod:
         """Call :meth:`communicate` and check its result; not to be overridden.
 
         Raises:
-            TypeError: If the result is not a bool tensor [N, S, S], or a public attribute that holds a tensor has changed.
+            TypeError: If the result is not a bool tensor [N, S, S], or a public tensor attribute has changed.
         """
         links, n, s = self.communicate(moves), self.fleet.num_envs, self.fleet.size
         check_tensor(f"the result of {type(self).__name__}.communicate(moves)", links, (n, s, s), torch.bool)
@@ -165,7 +164,7 @@ class CommunicationMethod:
         return self.of_present(links)
 
     def of_present(self, links: Tensor) -> Tensor:
-        """Return the links [N, S, S] between satellites that are present."""
+        """Return the links [N, S, S] between present satellites."""
         present = self.fleet.present
         return links if present is None else links & present.unsqueeze(1) & present.unsqueeze(2)
 

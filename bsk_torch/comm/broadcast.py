@@ -15,10 +15,10 @@ if TYPE_CHECKING:
 
 
 class BroadcastCommunication(CommunicationMethod):
-    """Refines another method: only satellites that have chosen :class:`~bsk_torch.act.Broadcast` send.
+    """Refines another method: only satellites that chose :class:`~bsk_torch.act.Broadcast` send.
 
-    They send at the end of the first step after which their episode communicates at all, whether or not their action is over by
-    then, and whether or not any satellite receives the message.
+    They send at the end of the first step with communication in their episode, whether or not their action has ended and whether
+    or not any satellite receives the message.
     """
 
     refines: ClassVar[bool] = True

@@ -20,18 +20,18 @@ if TYPE_CHECKING:
     from bsk_torch.sim.simulator import Simulator
 
 MAX_RANGE = "losMaximumRange"
-"""Argument of satellites: range of the sensor, m; no limit if it is not positive."""
+"""Satellite argument: range of the sensor, m; unlimited unless positive."""
 
 
 class LOSCommunication(CommunicationMethod):
     """Two satellites communicate, both ways, if at any time since the previous step there was a line of sight between them.
 
-    A line of sight from one satellite to another is a straight line that the Earth does not block and that is no longer than
+    A line of sight from one satellite to another is a straight line not blocked by the Earth and no longer than
     ``losMaximumRange`` of the first. All dynamics models must have :class:`~bsk_torch.sim.dyn.LOSCommDynModel` among their bases.
-    Lines of sight during steps after which ``min_period`` forbids communication are dropped.
+    Lines of sight in steps without communication because of ``min_period`` are dropped.
 
-    bsk_rl lists every direction of a link twice, and lets all satellites communicate with one another if the number of entries
-    equals that of ordered pairs, as with three links among four satellites. Here satellites without a line of sight never
+    bsk_rl lists every direction of a link twice, and links all satellites with one another if the number of entries equals the
+    number of ordered pairs, as with three links among four satellites. Here, satellites without a line of sight never
     communicate.
     """
 
@@ -52,7 +52,7 @@ class LOSCommunication(CommunicationMethod):
                 )
             if simulator.orbit != "arc":
                 raise ValueError(
-                    f"{type(self).__name__} looks back along orbits that are computed in advance, but {name} has "
+                    f"{type(self).__name__} needs orbits computed in advance, but {name} has "
                     f"orbit={simulator.orbit!r}; pass orbit='arc' to the environment"
                 )
 
@@ -66,16 +66,16 @@ class LOSMultiCommunication(MultiDegreeCommunication, LOSCommunication):
 
 
 def visible_pairs(fleet: SatelliteFleet, asked: Tensor) -> Tensor:
-    """Return the pairs that had a line of sight, in either direction, since the present step began, [N, S, S] booleans.
+    """Return the pairs that had a line of sight, in either direction, since the current step began, [N, S, S] booleans.
 
-    As in bsk_rl, ticks count from that at which the step began to the last but one: Basilisk's recorders run before the modules.
+    As in bsk_rl, ticks count from the start of the step to the last but one, because Basilisk's recorders run before the modules.
 
     Args:
         fleet: The satellites.
-        asked: Episodes to be searched, [N]; False for all pairs of the others.
+        asked: Episodes to search, [N]; the result is False for all others.
 
     Raises:
-        RuntimeError: If arcs have moved on so far that they do not cover the step any more.
+        RuntimeError: If arcs have advanced so far that they no longer cover the step.
     """
     found = torch.zeros(fleet.num_envs, fleet.size, fleet.size, dtype=torch.bool, device=fleet.device)
     envs = torch.nonzero(asked & (fleet.ticks > fleet.since)).squeeze(-1)
@@ -105,7 +105,7 @@ def _check_covered(fleet: SatelliteFleet, asked: Tensor) -> None:
     begin = torch.where(asked, (fleet.since - 1).clamp(min=0).double() * fleet.h, torch.inf)
     for simulator in fleet.simulators:
         arcs = simulator.arcs
-        # one tick before a manoeuvre the new orbit's continuation backwards is off by the change of velocity times a tick
+        # one tick before a maneuver, the backward continuation of the new orbit is off by the velocity change times a tick
         earlier = (arcs.start == arcs.begun) * (1.5 * simulator.h) if arcs.restarts else 0.0
         if bool((simulator.of_env(begin) < arcs.start - earlier).any()):
-            raise RuntimeError("arcs have moved on and hold the step's start no more: ask before anything looks ahead of its end")
+            raise RuntimeError("arcs have advanced and no longer cover the start of the step: search before looking ahead")

@@ -19,7 +19,7 @@ ADVICE = "return torch.bool [N, S, S] by episode, sender and receiver, from what
 
 
 class OneEnvironmentNeededError(Exception):
-    """Raised when a method asks for the satellites of one environment."""
+    """Raised when a method accesses the satellites of one environment."""
 
 
 def satellites_of(fleet: SatelliteFleet, env: int) -> list[OneSatellite]:
@@ -32,7 +32,7 @@ def satellites_of(fleet: SatelliteFleet, env: int) -> list[OneSatellite]:
 
 
 def listed_pairs(method: CommunicationMethod) -> Tensor:
-    """Return the pairs of each environment that is due, [N, S, S] bool; TypeError for what is no list of pairs."""
+    """Return the pairs of each due environment, [N, S, S] bool; TypeError unless they are a list of pairs."""
     title = f"{type(method).__name__}.communication_pairs()"
     note_slow(title, ADVICE)
     fleet = method.fleet

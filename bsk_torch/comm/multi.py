@@ -11,10 +11,10 @@ from bsk_torch.comm.base import CommunicationMethod
 
 
 def connected(pairs: Tensor) -> Tensor:
-    """Return the pairs of nodes that a path along ``pairs`` [N, S, S], in either direction, connects; [N, S, S] booleans.
+    """Return the pairs of nodes connected by a path along ``pairs`` [N, S, S], in either direction; [N, S, S] booleans.
 
-    Each node is connected to itself. Squaring the matrix of connections finds paths of up to 1, 2, 4, ... links, and ends when it
-    finds no more: the transitive closure of the undirected graph.
+    Each node is connected to itself. Repeated squaring of the connection matrix finds paths of up to 1, 2, 4, ... links until
+    there are no more: the transitive closure of the undirected graph.
     """
     size = pairs.shape[-1]
     near = pairs | pairs.mT | torch.eye(size, dtype=torch.bool, device=pairs.device)
@@ -27,7 +27,7 @@ def connected(pairs: Tensor) -> Tensor:
 
 
 class MultiDegreeCommunication(CommunicationMethod):
-    """Refines another method: all satellites that a chain of its pairs connects communicate in the same step."""
+    """Refines another method: all satellites connected by a chain of its pairs communicate in the same step."""
 
     refines: ClassVar[bool] = True
 
