@@ -100,7 +100,7 @@ class TestHooks:
             (dict(bounds=lambda self: ([0.0, 0.0], [1.0])), r"shapes \[2\] and \[1\]"),
             (dict(bounds=lambda self: ([1.0], [1.0])), "must be below"),
             (dict(bounds=lambda self: ([float("nan")], [1.0])), "must be below"),
-            (dict(bounds=lambda self: 3.0), "must return the lowest and the highest"),
+            (dict(bounds=lambda self: 3.0), "must return the lower and upper bounds"),
             (dict(bounds=lambda self: (["a"], ["b"])), "must be numbers"),
             (dict(names=lambda self: ["a", "b"]), "1 names, one for each number of bounds"),
             (dict(names=lambda self: "s"), "1 names"),

@@ -306,7 +306,7 @@ def test_wrong_arguments(given, words):
 def test_wrong_satellites():
     with pytest.raises(ValueError, match="chief_name='B' is no satellite of the environment"):
         make(HillWaypoint("B"))
-    with pytest.raises(ValueError, match="chief_name='D2' is of the type that flies about it"):
+    with pytest.raises(ValueError, match="chief_name='D2' has the same type as its deputies"):
         make(HillWaypoint("D2"), ("D1", "D2"))
     with pytest.raises(ValueError, match="'nadir' is not a command of the flight software"):
         make(HillWaypoint("C", fsw_action="nadir"))

@@ -286,7 +286,7 @@ class LateMulti(comm.FreeCommunication, comm.MultiDegreeCommunication):
 
 @pytest.mark.parametrize("cls", [comm.BroadcastCommunication, comm.MultiDegreeCommunication, LateMulti])
 def test_a_refinement_of_nothing_is_an_error(cls):
-    with pytest.raises(TypeError, match=r"refines another way of communication, which must follow it"):
+    with pytest.raises(TypeError, match=r"refines another communication method, which must follow it"):
         linked(cls())
 
 

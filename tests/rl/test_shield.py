@@ -42,7 +42,7 @@ def test_masks_by_name():
     where = torch.tensor([True, False])
     assert allow_only(ACTIONS, "action_charge", "action_desat", where=where).tolist() == [[False, True, False, True], [True] * 4]
     assert forbid(ACTIONS, "action_charge", where=where).tolist() == [[True, False, True, True], [True] * 4]
-    with pytest.raises(ValueError, match=r"'action_charg' is not one of the actions; did you mean 'action_charge'"):
+    with pytest.raises(ValueError, match=r"'action_charg' is not an action; did you mean 'action_charge'"):
         allow_only(ACTIONS, "action_charg", where=where)
 
 
