@@ -8,7 +8,7 @@ ENV PATH=/opt/venv/bin:$PATH
 WORKDIR /src
 COPY . .
 RUN pip install --no-cache-dir --index-url https://download.pytorch.org/whl/cpu torch==2.13.0 \
-    && pip install --no-cache-dir -c constraints.txt ".[train,viz]"
+    && pip install --no-cache-dir -c constraints.txt ".[viz]"
 ARG ISA=
 RUN bsk-torch build-kernels --out /opt/kernels ${ISA:+--isa "$ISA"}
 

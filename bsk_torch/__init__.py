@@ -1,16 +1,22 @@
-"""Spacecraft tasking for reinforcement learning: BSK-RL's problems and Basilisk's physics, in batched torch operations."""
+"""Spacecraft tasking for reinforcement learning: BSK-RL's problems and Basilisk's physics, in batched torch operations.
 
-from bsk_torch import act, comm, data, formations, obs, rand, sats, scene
+Attributes are imported when they are first read (PEP 562), so that ``bsk-torch --help`` does not wait for torch.
+"""
+
+from importlib import import_module as _import_module
+from importlib.util import find_spec as _find_spec
+from typing import TYPE_CHECKING
+
 from bsk_torch._bsk_rl import install as _install_bsk_rl
-from bsk_torch.env import NO_ACTION, ConstellationTasking, GeneralSatelliteTasking, SatelliteTasking
-from bsk_torch.presets import make
-from bsk_torch.sim import dyn, fsw
-from bsk_torch.wrappers.registration import register as _register
+from bsk_torch._listed import register_listed as _register_listed
+
+if TYPE_CHECKING:
+    from bsk_torch import act, comm, data, formations, obs, rand, sats, scene
+    from bsk_torch.env import NO_ACTION, ConstellationTasking, GeneralSatelliteTasking, SatelliteTasking
+    from bsk_torch.presets import make
+    from bsk_torch.sim import dyn, fsw
 
 __version__ = "0.2.0"
-
-_install_bsk_rl()
-_register()
 
 __all__ = [
     "NO_ACTION",
@@ -29,3 +35,34 @@ __all__ = [
     "sats",
     "scene",
 ]
+
+_HOMES = {
+    "NO_ACTION": "bsk_torch.env",
+    "ConstellationTasking": "bsk_torch.env",
+    "GeneralSatelliteTasking": "bsk_torch.env",
+    "SatelliteTasking": "bsk_torch.env",
+    "dyn": "bsk_torch.sim",
+    "fsw": "bsk_torch.sim",
+    "make": "bsk_torch.presets",
+}
+"""Modules of the names that are no modules of the package."""
+
+
+def __getattr__(name: str) -> object:
+    """Import an attribute: a name of ``_HOMES``, or a module of the package."""
+    if name in _HOMES:
+        found: object = getattr(_import_module(_HOMES[name]), name)
+    elif not name.startswith("__") and _find_spec(f"{__name__}.{name}") is not None:
+        found = _import_module(f"{__name__}.{name}")
+    else:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    globals()[name] = found
+    return found
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})
+
+
+_install_bsk_rl()
+_register_listed()

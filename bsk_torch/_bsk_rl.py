@@ -11,7 +11,7 @@ import importlib
 import sys
 from collections.abc import Callable, Sequence
 from importlib.abc import Loader, MetaPathFinder
-from importlib.machinery import ModuleSpec
+from importlib.machinery import ModuleSpec, PathFinder
 from types import ModuleType
 from typing import Any
 
@@ -273,14 +273,39 @@ class _Maker(Loader):
         module.__dict__["__dir__"] = lambda: [name for name in names.split() if name not in ADVICE]
 
 
+class _Answering(Loader):
+    """Loads a module of ours that also answers for names of bsk_rl."""
+
+    def __init__(self, module: str, loader: Loader) -> None:
+        """Keep its name below the root, and how to load it."""
+        self.module, self.loader = module, loader
+
+    def __getattr__(self, name: str) -> Any:
+        """Return what else the loader has, such as the source."""
+        return getattr(self.loader, name)
+
+    def create_module(self, spec: ModuleSpec) -> ModuleType | None:
+        """Make the module as the loader does."""
+        return self.loader.create_module(spec)
+
+    def exec_module(self, module: ModuleType) -> None:
+        """Run the module, and let it look names of bsk_rl up."""
+        self.loader.exec_module(module)
+        module.__dict__["__getattr__"] = _reader(self.module, module.__dict__.get("__getattr__"))
+
+
 class _Finder(MetaPathFinder):
-    """Finds modules of bsk_rl that no file makes."""
+    """Finds modules of bsk_rl: ours, which also answer for its names, and those that no file makes."""
 
     def find_spec(self, name: str, path: Sequence[str] | None, target: ModuleType | None = None) -> ModuleSpec | None:
         """Return how to make a module of bsk_rl; None for all others."""
         root, _, module = name.partition(".")
         if root != ROOT or module not in MODULES:
             return None
+        ours = PathFinder.find_spec(name, path, target)
+        if ours is not None and ours.loader is not None:
+            ours.loader = _Answering(module, ours.loader)
+            return ours
         package = any(other.startswith(f"{module}.") for other in MODULES)
         return ModuleSpec(name, _Maker(module), is_package=package)
 
@@ -288,10 +313,6 @@ class _Finder(MetaPathFinder):
 def install() -> None:
     """Make modules of bsk_rl importable, and let those that exist here answer for names that they do not have.
 
-    To be called when the package has been imported.
+    To be called before any of them is imported.
     """
-    for module in MODULES:
-        existing = sys.modules.get(place(module))
-        if existing is not None:
-            existing.__dict__["__getattr__"] = _reader(module, existing.__dict__.get("__getattr__"))
-    sys.meta_path.append(_Finder())
+    sys.meta_path.insert(0, _Finder())

@@ -10,9 +10,6 @@ HERE = Path(__file__).parent
 ROOT = HERE.parent
 sys.path.insert(0, str(ROOT))
 
-os.environ["TQDM_DISABLE"] = (
-    "1"  # tqdm reads it when it is imported: pages show all that goes to the standard streams
-)
 import bsk_torch  # noqa: E402
 from docs import gallery  # noqa: E402
 from docs._ext import inventories  # noqa: E402

@@ -12,20 +12,16 @@ from datetime import datetime, timezone
 from importlib import import_module
 from importlib.metadata import version
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import torch
-import typer
-from rich.box import SIMPLE_HEAD
-from rich.console import Console
-from rich.table import Table
 
 from bsk_torch.basilisk import FLOWN, absent_data, lacking
 from bsk_torch.basilisk import certify as certified
 from bsk_torch.cli.planned import PREFIX, named_planner
 from bsk_torch.cli.policies import PRETRAINED, NamedPolicy, named_policy
-from bsk_torch.cli.results import WIDE
-from bsk_torch.cli.shared import Backend, Device, Threads, check_writable, console, fail
+from bsk_torch.cli.shared import check_writable
+from bsk_torch.cli.terminal import fail, print_table, screen, working
 from bsk_torch.env import Tasking
 from bsk_torch.env.rollout import Policy
 from bsk_torch.files import write_file
@@ -41,33 +37,18 @@ FORMAT = 1
 
 
 def bench(
-    policies: Annotated[
-        list[str],
-        typer.Argument(
-            help=f"'pretrained', a baseline ({', '.join(BASELINES)}), also with a view of the presets such as "
-            "survey,actions=waypoints, the folder or file of a policy, a planner with its options such as "
-            "plan:rollout,base=hasty,horizon=240, or a function of your own as package.module:function, "
-            "with strings for it after commas."
-        ),
-    ],
-    suite: Annotated[str, typer.Option(help="Name of the suite.")] = "v1",
-    presets: Annotated[str | None, typer.Option(help="Some of its presets only, separated by commas.")] = None,
-    episodes: Annotated[int, typer.Option(min=1, max=EPISODES, help="The first so many episodes of each task only.")] = EPISODES,
-    beside: Annotated[list[Path] | None, typer.Option(help="JSON file of an earlier run, whose policies are shown, too.")] = None,
-    out: Annotated[Path | None, typer.Option(help="JSON file for results and returns of all episodes.")] = None,
-    threads: Threads = 1,
-    backend: Backend = "compiled",
-    device: Device = "cpu",
-    certify: Annotated[
-        int, typer.Option(min=0, help="Fly so many first episodes of each task again on Basilisk, where it is installed.")
-    ] = 0,
+    policies: list[str],
+    suite: str,
+    presets: str | None,
+    episodes: int,
+    beside: list[Path] | None,
+    out: Path | None,
+    threads: int,
+    backend: str,
+    device: str,
+    certify: int,
 ) -> None:
-    """Play the frozen episodes of a suite, the same for every policy, and compare.
-
-    Scores are returns, 0 for random actions and 1 for the best rule or policy of the package when the suite was made. A policy
-    that does not fit a preset has no score there. With --certify, the last column says how many of the episodes flown again on
-    Basilisk have the same decisions and fate there, and how far returns are apart at most.
-    """
+    """Play the frozen episodes of a suite, the same for every policy, and compare; see :mod:`bsk_torch.cli.main`."""
     torch.set_num_threads(threads)
     check_writable(out)
     try:
@@ -84,7 +65,7 @@ def bench(
     for name, entrant in entrants.items():
         results[name] = {}
         for task in tasks:
-            with console.status(f"{name}: {task.preset}"):
+            with working(f"{name}: {task.preset}"):
                 try:
                     score = play(task, entrant, episodes, backend=backend, device=device)
                     again = certify if score is not None and task.preset in FLOWN else 0
@@ -116,9 +97,9 @@ def check_certifiable(tasks: Sequence[Task], certify: int, episodes: int) -> Non
     if missing := lacking():
         fail(f"--certify {certify}: {missing}")
     if warning := absent_data(os.environ.get("BSK_SUPPORT_DATA_CACHE")):
-        console.print(warning)
+        screen.print(warning)
     if left := [task.preset for task in tasks if task not in flown]:
-        console.print(f"not flown on Basilisk, as only {names} can be: {', '.join(left)}")
+        screen.print(f"not flown on Basilisk, as only {names} can be: {', '.join(left)}")
 
 
 def entrant_of(name: str) -> Entrant:
@@ -236,17 +217,16 @@ def print_suite(results: Mapping[str, Mapping[str, Any]], presets: list[str], ti
         if not rows:
             continue
         best, gains = ranking({name: row["returns"] for name, row in rows.items()})
-        table = Table(title=f"{preset}, {title}", title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
-        columns = ["policy", "score", "return", f"gain of {best}", "survival", "ms per decision", "simulated s per decision"]
+        columns = ["policy", "score", "return", f"gain of {best}", "survival", "ms / decision", "simulated s / decision"]
         flown = any("basilisk" in row for row in rows.values())
-        for column in [*columns, "same on Basilisk"] if flown else columns:
-            table.add_column(column, justify="left" if column == "policy" else "right")
-        most = len(rows[best]["returns"])
+        most, table = len(rows[best]["returns"]), []
         for name, gain in gains.items():
             row, n = rows[name], len(rows[name]["returns"])
-            more = [on_basilisk(row)] if flown else []
-            table.add_row(name if n == most else f"{name} ({n} episodes)", *cells(row, None if name == best else gain), *more)
-        Console(width=WIDE).print(table)
+            more = {"same on Basilisk": on_basilisk(row)} if flown else {}
+            label = name if n == most else f"{name} ({n} episodes)"
+            table.append(dict(zip(columns, [label, *cells(row, None if name == best else gain)], strict=True)) | more)
+        expendable = ("simulated s / decision", "ms / decision", "survival", "return", "same on Basilisk")
+        print_table(table, f"{preset}, {title}", expendable, left=("policy",))
 
 
 def cells(row: Mapping[str, Any], gain: Estimate | None) -> list[str]:

@@ -4,32 +4,19 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Annotated
 
 import torch
-import typer
 from tensordict.nn import TensorDictModuleBase
 
 from bsk_torch.cli.planned import PREFIX, NamedPlanner, named_planner
 from bsk_torch.cli.policies import NamedPolicy, named_policy
 from bsk_torch.cli.results import print_results, save_episodes, save_results
-from bsk_torch.cli.shared import (
-    Backend,
-    Device,
-    Threads,
-    TimeLimit,
-    check_writable,
-    console,
-    environment_options,
-    fail,
-    seed_range,
-)
+from bsk_torch.cli.shared import check_writable, environment_options, seed_range
+from bsk_torch.cli.terminal import fail, working
 from bsk_torch.env import Tasking
-from bsk_torch.plan.names import PLANNERS
-from bsk_torch.rl.evaluation.evaluate import Evaluation, evaluate
+from bsk_torch.rl.evaluation.evaluate import evaluate
 from bsk_torch.rl.marl.runs import is_constellation
 from bsk_torch.rl.policies.shared_policy import for_each_group, shared, shared_baselines
-from bsk_torch.rl.rules.baselines import BASELINES
 from bsk_torch.rl.rules.shield import find_rule, shielded
 
 MOST = 4096
@@ -43,32 +30,20 @@ MOST_PLANNED = 64
 
 
 def evaluate_policy(
-    policy: Annotated[
-        str,
-        typer.Argument(
-            help=f"Folder of a training run, its policy.pt, 'pretrained', a baseline: {', '.join(BASELINES)}; or a planner: "
-            f"{', '.join(PREFIX + name for name in PLANNERS)}."
-        ),
-    ],
-    preset: Annotated[str | None, typer.Option(help="Environment; that of the run unless given.")] = None,
-    seeds: Annotated[str, typer.Option(help="'A:B' for the episodes of seeds A to B - 1, or a single seed.")] = "0:1000",
-    shield: Annotated[str | None, typer.Option(help="'safe', or a rule of your own as package.module:function.")] = None,
-    plan: Annotated[
-        list[str] | None,
-        typer.Option(help="Option of a planner, NAME=VALUE, such as base=hasty, horizon=240, budget=64; may be repeated."),
-    ] = None,
-    baselines: Annotated[bool, typer.Option(help="Whether to compare with the baselines that fit.")] = True,
-    out: Annotated[Path | None, typer.Option(help="JSON file for what the table says.")] = None,
-    episodes_out: Annotated[Path | None, typer.Option(help="CSV file with a line for every episode.")] = None,
-    threads: Threads = 1,
-    backend: Backend = "compiled",
-    device: Device = "cpu",
-    time_limit: TimeLimit = None,
+    policy: str,
+    preset: str | None,
+    seeds: str,
+    shield: str | None,
+    plan: list[str] | None,
+    baselines: bool,
+    out: Path | None,
+    episodes_out: Path | None,
+    threads: int,
+    backend: str,
+    device: str,
+    time_limit: float | None,
 ) -> None:
-    """Play the episodes of given seeds, the same for every policy, and compare: returns, survival, causes of death.
-
-    The episode of seed 7 is the one that gymnasium.make("bsk_torch/PRESET").reset(seed=7) starts.
-    """
+    """Play the episodes of given seeds, the same for every policy, and compare; see :mod:`bsk_torch.cli.main`."""
     torch.set_num_threads(threads)
     episodes = seed_range(seeds)
     for path in (out, episodes_out):
@@ -93,7 +68,10 @@ def evaluate_policy(
     actors = {name: one if planned else shared(one, env) for name, one in (guarded | {label: actor}).items()}
     chosen = next(iter(actors))
     actors |= {name: rule for name, rule in shared_baselines(env).items() if baselines and name != policy}
-    results = {other: _evaluated(other, actor, env, episodes) for other, actor in actors.items()}
+    results = {}
+    for k, (other, one) in enumerate(actors.items(), 1):
+        with working(f"evaluating {other}, policy {k} of {len(actors)}"):
+            results[other] = evaluate(one, env, seeds=episodes)
     print_results(results, f"{named.preset}, {len(episodes)} episodes, seeds {seeds}", chosen if len(results) > 1 else None)
     if out is not None:
         save_results(results, out, chosen)
@@ -112,8 +90,3 @@ def _guarded(policy: TensorDictModuleBase, shield: str, env: Tasking) -> TensorD
         fail(f"the shield {shield!r} does not fit: {error.args[0]}")
     except ValueError as error:
         fail(str(error))
-
-
-def _evaluated(name: str, policy: TensorDictModuleBase, env: Tasking, seeds: range) -> Evaluation:
-    with console.status(f"evaluating: {name}"):
-        return evaluate(policy, env, seeds=seeds)

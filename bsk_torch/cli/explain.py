@@ -6,89 +6,85 @@ import dataclasses
 import json
 import time
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import torch
 import typer
-from rich.box import SIMPLE_HEAD
-from rich.console import Console
-from rich.table import Table
+from torch import Tensor
 
 from bsk_torch.cli.policies import named_policy
-from bsk_torch.cli.results import WIDE
-from bsk_torch.cli.shared import (
-    Backend,
-    Device,
-    Threads,
-    TimeLimit,
-    check_writable,
-    console,
-    environment_options,
-    fail,
-    seed_range,
-)
-from bsk_torch.env import SatelliteTasking
+from bsk_torch.cli.shared import check_picture, check_writable, environment_options, extra, made, seed_range
+from bsk_torch.cli.terminal import fail, print_table, working
+from bsk_torch.env import SatelliteTasking, Tasking
 from bsk_torch.files import write_file
 from bsk_torch.rl.evaluation.counterfactual import LOST, OPEN, SAVED, check_searchable
 from bsk_torch.rl.evaluation.failures import Failure, Moment, can_be_saved, explain
-from bsk_torch.rl.evaluation.replay import Flown
+from bsk_torch.rl.evaluation.replay import Flown, script
 from bsk_torch.rl.evaluation.statistics import confidence
-from bsk_torch.rl.rules.baselines import BASELINES
 
-COLUMNS = ("seed", "cause", "died, s", "outcome", "last chance, s", "action then", "charge", "wheels, rpm", "dark, s")
-"""Columns of the table but the last, :data:`PROVEN`."""
+LOST_AFTER = "lost after"
+"""Column with the number of decisions from the last chance to the first that is proven to be too late."""
 
-PROVEN = "lost after"
-"""Number of decisions from the last chance to the first that is proven to be too late."""
+EXPENDABLE = ("dark (s)", "wheels (rpm)", LOST_AFTER, "charge", "outcome")
+"""Columns to leave out where the terminal is narrow, the first one first."""
+
+
+FATES = {SAVED: "could be saved", LOST: "could not be saved", OPEN: "unknown whether it could be saved"}
+"""What a picture says of an episode, by the outcome of the search."""
 
 
 def explain_failures(
-    policy: Annotated[
-        str, typer.Argument(help=f"Folder of a training run, its policy.pt, 'pretrained', or a baseline: {', '.join(BASELINES)}.")
-    ],
-    preset: Annotated[str | None, typer.Option(help="Environment; that of the run unless given.")] = None,
-    seeds: Annotated[str, typer.Option(help="'A:B' for the episodes of seeds A to B - 1, or a single seed.")] = "0:2000",
-    starts: Annotated[
-        str | None,
-        typer.Option(help="Seeds of episodes to be tested for actions that survive them, whatever the policy."),
-    ] = None,
-    num_envs: Annotated[int, typer.Option(min=1, help="Episodes, or states of a search, at once.")] = 1024,
-    out: Annotated[Path | None, typer.Option(help="JSON file for the results.")] = None,
-    threads: Threads = 1,
-    backend: Backend = "compiled",
-    device: Device = "cpu",
-    time_limit: TimeLimit = None,
+    policy: str,
+    preset: str | None,
+    seeds: str,
+    starts: str | None,
+    num_envs: int,
+    draw: Path | None,
+    out: Path | None,
+    threads: int,
+    backend: str,
+    device: str,
+    time_limit: float | None,
 ) -> None:
-    """Search every episode in which the satellite dies for actions that survive it, and prove which ones have none.
-
-    The search goes from the start of the episode and from as late a decision as possible. An episode is called lost only if that
-    is proven.
-    """
+    """Search every episode in which the satellite dies for actions that survive it; see :mod:`bsk_torch.cli.main`."""
     torch.set_num_threads(threads)
     episodes, begun = seed_range(seeds), None if starts is None else seed_range(starts, "--starts")
     check_writable(out)
+    if draw is not None:
+        check_writable(draw)
+        check_picture("--draw", draw)
     named = named_policy(policy, preset)
-    env = named.environment(num_envs, environment_options(backend, device, time_limit))
+    options = environment_options(backend, device, time_limit)
+    env = named.environment(num_envs, options)
     if not isinstance(env, SatelliteTasking):
         fail(f"{named.preset} has many satellites; failures are explained of one")
     actor = named.build(env, device)
     begin = time.perf_counter()
     try:
         check_searchable(env)
-        with console.status(f"flying {len(episodes)} episodes"):
-            flown, failures = explain(actor, env, torch.tensor(episodes))
-            figures = summary(flown, failures) | ({} if begun is None else {"starts": survivable(env, begun)})
+        with working(f"playing {len(episodes)} episodes") as show:
+            flown, failures = explain(actor, env, torch.tensor(episodes), show)
+            figures = summary(flown, failures)
+            if begun is not None:
+                show(f"searching for actions that survive {len(begun)} episodes")
+                figures["starts"] = survivable(env, begun)
     except ValueError as error:
         fail(f"failures in {named.preset} cannot be explained: {error}")
-    screen = Console(width=WIDE)
     if failures:
-        screen.print(table(failures))
-    screen.print_json(json.dumps(figures))
+        print_table([cells(failure) for failure in failures], expendable=EXPENDABLE, left=("cause", "action then"))
+    typer.echo("\n".join(told(figures)))
     if out is not None:
         about = {"policy": Path(policy).name, "seeds": [episodes.start, episodes.stop]}
         save(out, about | figures | {"seconds": round(time.perf_counter() - begin, 1)}, failures)
+    if draw is not None and failures:
+        with working("drawing"):
+            one = made(named.preset, 1, named.options(options) | {"env_ids": [0]})
+            draw_failure(one, failures[0], flown.actions[episodes.index(failures[0].seed)], draw)
+        typer.echo(f"{draw}: the death in the episode of seed {failures[0].seed}")
+    elif draw is not None:
+        typer.echo(f"{draw} was not drawn: no satellite died")
 
 
 def summary(flown: Flown, failures: Sequence[Failure]) -> dict[str, Any]:
@@ -130,24 +126,54 @@ def statistics(moments: Sequence[Moment]) -> dict[str, Any]:
     return {**ranges, "actions": dict(Counter(moment.action for moment in moments))}
 
 
-def table(failures: Sequence[Failure]) -> Table:
-    """Return a line for each failure: its last chance, and the number of decisions after which it is proven to be lost."""
-    drawn = Table(*COLUMNS, PROVEN, box=SIMPLE_HEAD, pad_edge=False)
-    for failure in failures:
-        then = failure.last_chance or failure.start
-        drawn.add_row(
-            f"{failure.seed}",
-            failure.cause.replace("_valid", ""),
-            f"{failure.died:.0f}",
-            failure.outcome,
-            f"{then.time:.0f}" if failure.last_chance else "none",
-            then.action.removeprefix("action_"),
-            f"{then.charge:.1%}",
-            f"{then.wheel_rpm:.0f}",
-            f"{then.dark:.0f}",
-            f"{failure.lost_from - then.decision}",
-        )
-    return drawn
+def told(figures: Mapping[str, Any]) -> Iterator[str]:
+    """Yield what :func:`summary` has found, in lines of at most 80 characters."""
+    died, n, best = figures["died"], figures["episodes"], figures["survival_of_the_best"]
+    yield f"{died} of {n} episodes end in death: survival {figures['survival']:.1%}"
+    if died:
+        yield f"could be saved: {figures[SAVED]}; proven lost from the start: {figures[LOST]}; open: {figures[OPEN]}"
+        yield f"survival of the best policy: {best['at_least']:.1%} to {best['at_most']:.1%}"
+    if "starts" in figures:
+        first, end = figures["starts"]["seeds"]
+        yield f"starts of seeds {first}:{end} that a plan survives: {figures['starts']['survived']} of {end - first}"
+
+
+def cells(failure: Failure) -> dict[str, str]:
+    """Return a row of the table: the last chance, and the number of decisions after which the episode is proven to be lost."""
+    then = failure.last_chance or failure.start
+    return {
+        "seed": f"{failure.seed}",
+        "cause": failure.cause.replace("_valid", ""),
+        "died (s)": f"{failure.died:.0f}",
+        "outcome": failure.outcome,
+        "last chance (s)": f"{then.time:.0f}" if failure.last_chance else "none",
+        "action then": then.action.removeprefix("action_"),
+        "charge": f"{then.charge:.1%}",
+        "wheels (rpm)": f"{then.wheel_rpm:.0f}",
+        "dark (s)": f"{then.dark:.0f}",
+        LOST_AFTER: f"{failure.lost_from - then.decision}",
+    }
+
+
+def draw_failure(env: Tasking, failure: Failure, actions: Tensor, path: Path) -> None:
+    """Draw the episode of a failure over time, with its cause and its last chance, as a replay of ``actions`` [T] in ``env``."""
+    recorder, figure = extra("bsk_torch.viz.recorders.track"), extra("bsk_torch.viz.figures.timeline")
+    episode = recorder.record_track(script(actions.clamp(min=0).unsqueeze(0)), env, seed=failure.seed)
+    cause = failure.cause.replace("_valid", "")
+    marks = [(failure.died, f"died: {cause}")]
+    if failure.last_chance is not None:
+        rescue = "" if failure.rescue is None else f": {rescued(env, failure)} saves it"
+        marks.append((failure.last_chance.time, f"last chance{rescue}"))
+    figure.timeline(episode, path, f"Seed {failure.seed}, {FATES[failure.outcome]}", marks)
+
+
+def rescued(env: Tasking, failure: Failure) -> str:
+    """Return the action at the last chance that the rescue takes instead of the policy's."""
+    assert failure.last_chance is not None
+    assert failure.rescue is not None
+    assert isinstance(env, SatelliteTasking)
+    number = failure.rescue[min(failure.last_chance.decision, len(failure.rescue) - 1)]
+    return env.satellite.action_description[number].removeprefix("action_")
 
 
 def save(path: Path, figures: dict[str, Any], failures: Sequence[Failure]) -> None:

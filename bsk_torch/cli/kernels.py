@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
 
 import torch
 import typer
 from tensordict import TensorDict
 
-from bsk_torch.cli.shared import console, fail, made
+from bsk_torch.cli.shared import made
+from bsk_torch.cli.terminal import fail, working
 from bsk_torch.codegen import shipped
 from bsk_torch.env import Tasking
 from bsk_torch.presets import PRESETS
@@ -20,19 +20,8 @@ BATCHES = (1, 4)
 STEPS = 3
 
 
-def build_kernels(
-    presets: Annotated[list[str] | None, typer.Argument(help="Names of presets; all unless given.")] = None,
-    out: Annotated[Path, typer.Option(help="Folder that BSK_TORCH_KERNELS will name on other machines.")] = Path("kernels"),
-    isa: Annotated[
-        str | None, typer.Option(help=f"One of {', '.join(shipped.LEVELS)}; the best of this machine unless given.")
-    ] = None,
-    mixed: Annotated[bool, typer.Option("--mixed", help="Also those of mixed precision (sim_dtype=float32).")] = False,
-) -> None:
-    """Compile the kernels of presets for machines that have no compiler.
-
-    The other machines need the same versions of torch and bsk_torch, processors with the same instructions, and a C library
-    that is not older. There, BSK_TORCH_KERNELS names the folder.
-    """
+def build_kernels(presets: list[str] | None, out: Path, isa: str | None, mixed: bool) -> None:
+    """Compile the kernels of presets for machines that have no compiler; see :mod:`bsk_torch.cli.main`."""
     for preset in presets or ():
         if preset not in PRESETS:
             fail(f"{preset!r} is no preset; they are {', '.join(PRESETS)}")
@@ -40,7 +29,7 @@ def build_kernels(
         with shipped.building(out, isa) as target:
             for preset in presets or PRESETS:
                 for dtype in (torch.float64, torch.float32)[: 1 + mixed]:
-                    with console.status(f"compiling and playing {preset}, {target.isa}, {dtype}"):
+                    with working(f"compiling and playing {preset}, {target.isa}, {dtype}"):
                         for batch in BATCHES:
                             play(made(preset, batch, {"sim_dtype": dtype, "seed": 0}))
                 typer.echo(f"{preset}: built for {target.isa}")

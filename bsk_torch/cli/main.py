@@ -1,29 +1,36 @@
-"""The commands of ``bsk-torch``."""
+"""The commands of ``bsk-torch``, as users see them. Importing this module imports neither torch nor what does the work."""
 
 from __future__ import annotations
 
 import logging
-import sys
-from typing import Any
+from pathlib import Path
+from typing import Annotated, Any
 
 import typer
 from typer.core import TyperGroup
 
-from bsk_torch.cli.bench import bench
-from bsk_torch.cli.evaluate import evaluate_policy
-from bsk_torch.cli.explain import explain_failures
-from bsk_torch.cli.kernels import build_kernels
-from bsk_torch.cli.publish import publish
-from bsk_torch.cli.report import report
-from bsk_torch.cli.schedule import show_schedule
-from bsk_torch.cli.shared import Preset, fail, made
-from bsk_torch.cli.train import train
-from bsk_torch.presets import PRESETS
+from bsk_torch import __version__
+from bsk_torch.cli.declaration import (
+    Backend,
+    Device,
+    OfPreset,
+    Plan,
+    Policy,
+    PolicyOrPlanner,
+    Preset,
+    Run,
+    Shield,
+    Threads,
+    TimeLimit,
+    WithoutTypes,
+    command,
+)
+from bsk_torch.cli.terminal import activity, fail
 
 logger = logging.getLogger(__name__)
 
 
-class Commands(TyperGroup):
+class Commands(WithoutTypes, TyperGroup):
     """Ends the program with one error, not a traceback, where files, memory or a compiler fail in the middle of a command."""
 
     def invoke(self, ctx: Any) -> Any:
@@ -35,6 +42,8 @@ class Commands(TyperGroup):
         except (OSError, RuntimeError, MemoryError) as error:
             logger.debug("the command failed", exc_info=error)
             fail(described(error))
+        finally:
+            activity.report()
 
 
 def described(error: BaseException) -> str:
@@ -44,38 +53,320 @@ def described(error: BaseException) -> str:
     return str(error) or type(error).__name__
 
 
-app = typer.Typer(cls=Commands, help="Train and evaluate satellite-tasking policies.", no_args_is_help=True, add_completion=False)
+app = typer.Typer(cls=Commands, no_args_is_help=True, add_completion=False, rich_markup_mode="rich")
 
 
-@app.callback()
-def setup() -> None:
-    """Say what takes long, and nothing else."""
-    logging.basicConfig(level=logging.INFO, format="%(message)s")
-    logging.getLogger("torchrl").setLevel(logging.WARNING)
+def show_version(asked: bool) -> None:
+    """Print the version and end the program."""
+    if asked:
+        typer.echo(f"bsk_torch {__version__}")
+        raise typer.Exit
 
 
-@app.command("list")
-def list_presets() -> None:
-    """List the environments that can be trained in."""
-    for name, preset in PRESETS.items():
-        docs = (preset.__doc__ or "", getattr(sys.modules.get(preset.__module__), "__doc__", None) or "")
-        lines = [doc.partition("\n")[0] for doc in docs]
-        about = lines[0] if lines[0].startswith(f"{name}:") else lines[1]
-        typer.echo(f"{name}  {about.removeprefix(f'{name}:').strip()}")
+@app.callback(epilog="'bsk-torch COMMAND --help' shows the options of a command, with examples.")
+def setup(
+    version: Annotated[
+        bool, typer.Option("--version", metavar="", is_eager=True, callback=show_version, help="Show the version and exit.")
+    ] = False,
+) -> None:
+    """Train, evaluate and film policies for spacecraft tasking."""
 
 
-@app.command("args")
+@command(app, "presets", "bsk-torch list\nbsk-torch list --long", name="list")
+def list_presets(
+    long: Annotated[bool, typer.Option("--long", help="Add what the pretrained policy reaches, and its training.")] = False,
+) -> None:
+    """List the environments, with a line about each."""
+
+
+@command(
+    app,
+    "train",
+    """
+    bsk-torch train NadirScan-v1 --minutes 3
+    bsk-torch train AEOS-v1 --network attention --frames 600000 --out runs/aeos
+    bsk-torch train NadirScan-v1 learning_rate=1e-3 'hidden=[128,128]'
+    bsk-torch train runs/aeos --resume frames=1200000
+    """,
+)
+def train(
+    context: typer.Context,
+    preset: Annotated[
+        str, typer.Argument(help="Environment ('bsk-torch list' names them); with --resume, a run folder.", show_default=False)
+    ],
+    changes: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="NAME=VALUE",
+            help="Settings that differ from the preset's recipe, such as learning_rate=1e-3, evaluate_every=500000, "
+            "collector=multi, or options.n_targets=1000 for the environment: the fields of bsk_torch.rl.training.PPOConfig and, "
+            "for constellations, bsk_torch.rl.marl.MAPPOConfig.",
+            show_default=False,
+        ),
+    ] = None,
+    algorithm: Annotated[
+        str | None,
+        typer.Option(metavar="NAME", help="'ppo' for one satellite; 'mappo' (default) or 'ippo' for constellations."),
+    ] = None,
+    network: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help="'mlp' (default for one satellite), 'gru' (with a memory), or 'attention' (for targets observed as a set, and "
+            "for constellations).",
+        ),
+    ] = None,
+    minutes: Annotated[
+        float | None,
+        typer.Option(metavar="M", min=0.01, help="Training time, without compilation; default: 3, or no limit with --frames."),
+    ] = None,
+    frames: Annotated[
+        int | None, typer.Option(metavar="N", help="Number of decisions. With --minutes, the limit reached first counts.")
+    ] = None,
+    seed: Annotated[int, typer.Option(metavar="N", min=0, help="Seed of networks, actions and episodes.")] = 0,
+    seeds: Annotated[
+        int, typer.Option(metavar="N", min=1, help="Number of runs, one after the other, with seeds from --seed on.")
+    ] = 1,
+    resume: Annotated[bool, typer.Option("--resume", help="Resume the run in the given folder.")] = False,
+    out: Annotated[
+        Path | None, typer.Option(metavar="FOLDER", help="Folder for the results; default: a new one in runs/.")
+    ] = None,
+    episodes: Annotated[int, typer.Option(metavar="N", min=1, help="Unseen episodes of the final comparison.")] = 256,
+    threads: Threads = 1,
+    backend: Backend = "compiled",
+    device: Device = "cpu",
+    time_limit: TimeLimit = None,
+) -> None:
+    """Train policies with PPO, MAPPO or IPPO, and compare them with random actions and rules in unseen episodes."""
+
+
+@command(
+    app,
+    "evaluate",
+    """
+    bsk-torch eval runs/scan
+    bsk-torch eval pretrained --preset AEOS-v1 --seeds 0:256
+    bsk-torch eval runs/scan --shield safe --out results.json
+    bsk-torch eval plan:rollout --plan base=rule --plan horizon=1500 --seeds 0:8
+    """,
+    name="eval",
+)
+def evaluate_policy(
+    policy: PolicyOrPlanner,
+    preset: OfPreset = None,
+    seeds: Annotated[str, typer.Option(metavar="A:B", help="Episodes of the seeds A to B - 1, or of a single seed.")] = "0:1000",
+    shield: Shield = None,
+    plan: Plan = None,
+    baselines: Annotated[bool, typer.Option(help="Compare with the baselines that fit.")] = True,
+    out: Annotated[Path | None, typer.Option(metavar="FILE", help="JSON file for the results.")] = None,
+    episodes_out: Annotated[Path | None, typer.Option(metavar="FILE", help="CSV file with a row for each episode.")] = None,
+    threads: Threads = 1,
+    backend: Backend = "compiled",
+    device: Device = "cpu",
+    time_limit: TimeLimit = None,
+) -> None:
+    """Compare policies in the same episodes: returns, survival, causes of death.
+
+    The episode of seed 7 is the one that gymnasium.make("bsk_torch/PRESET").reset(seed=7) starts.
+    """
+
+
+@command(
+    app,
+    "film",
+    """
+    bsk-torch film runs/scan
+    bsk-torch film pretrained --preset Constellation-v1 --until 1200
+    bsk-torch film rule --preset NadirScan-v1 --seed 7 --out episode.png
+    bsk-torch film nearest --preset RelayConstellation-v1 --every 20 --out relay.mp4
+    """,
+)
+def film(
+    policy: PolicyOrPlanner,
+    preset: OfPreset = None,
+    seed: Annotated[int, typer.Option(metavar="N", min=0, help="Seed of the episode.")] = 0,
+    out: Annotated[
+        Path,
+        typer.Option(
+            metavar="FILE",
+            help="A film (.gif, .webp, .mp4), or a picture of the whole episode (.png, .svg).",
+        ),
+    ] = Path("film.gif"),
+    until: Annotated[float | None, typer.Option(metavar="S", help="Stop after S seconds of the episode.")] = None,
+    every: Annotated[
+        float | None, typer.Option(metavar="S", help="A frame at least every S seconds; default: one for each decision.")
+    ] = None,
+    fps: Annotated[float, typer.Option(metavar="N", min=0.1, max=50.0, help="Frames in a second of the film.")] = 5.0,
+    height: Annotated[int, typer.Option(metavar="N", help="Height of a frame in pixels; the width is 4/3 of it.")] = 480,
+    plan: Plan = None,
+    threads: Threads = 1,
+    backend: Backend = "compiled",
+    device: Device = "cpu",
+    time_limit: TimeLimit = None,
+) -> None:
+    """Film an episode of a policy, or draw it as one picture. Needs the extra viz; .mp4 needs video."""
+
+
+@command(
+    app,
+    "explain",
+    """
+    bsk-torch explain runs/scan --seeds 0:200
+    bsk-torch explain runs/scan --seed 11 --draw death.png
+    bsk-torch explain random --preset NadirScan-v1 --seeds 0:50 --out deaths.json
+    """,
+    name="explain",
+)
+def explain_failures(
+    policy: Policy,
+    preset: OfPreset = None,
+    seeds: Annotated[
+        str, typer.Option("--seeds", "--seed", metavar="A:B", help="Episodes of the seeds A to B - 1, or of a single seed.")
+    ] = "0:2000",
+    starts: Annotated[
+        str | None,
+        typer.Option(metavar="A:B", help="Seeds of episodes to search for actions that survive them, whatever the policy."),
+    ] = None,
+    num_envs: Annotated[int, typer.Option(metavar="N", min=1, help="Episodes, or states of a search, at once.")] = 1024,
+    draw: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Picture (.png, .svg) of the first death, with its cause and last chance.")
+    ] = None,
+    out: Annotated[Path | None, typer.Option(metavar="FILE", help="JSON file for the results.")] = None,
+    threads: Threads = 1,
+    backend: Backend = "compiled",
+    device: Device = "cpu",
+    time_limit: TimeLimit = None,
+) -> None:
+    """Find actions that would have saved each lost satellite, or prove that none exist.
+
+    For each death, the search looks for a rescue from the start of the episode, and then from as late a decision as possible. An
+    episode is called lost only if that is proven.
+    """
+
+
+@command(app, "report", "bsk-torch report runs/scan\nbsk-torch report runs/scan --episodes 256")
+def report(
+    run: Run,
+    episodes: Annotated[
+        int, typer.Option(metavar="N", min=1, help="Unseen episodes, of which the best, the median and the worst are shown.")
+    ] = 64,
+    threads: Threads = 1,
+    backend: Backend = "compiled",
+    device: Device = "cpu",
+) -> None:
+    """Write report.html into a run folder: learning curves, final comparison, episodes on maps. Needs the extra viz."""
+
+
+@command(
+    app,
+    "bench",
+    """
+    bsk-torch bench pretrained hasty --presets AEOS-v1 --episodes 64
+    bsk-torch bench plan:rollout,base=hasty,horizon=240 --out results.json
+    bsk-torch bench my_package.policies:enter
+    """,
+)
+def bench(
+    policies: Annotated[
+        list[str],
+        typer.Argument(
+            help="'pretrained'; a baseline, also with a view of the presets such as survey,actions=waypoints; a policy file or "
+            "its folder; a planner with its options such as plan:rollout,base=hasty,horizon=240; or your own function as "
+            "package.module:function, with strings for it after commas.",
+            show_default=False,
+        ),
+    ],
+    suite: Annotated[str, typer.Option(metavar="NAME", help="Suite of frozen episodes.")] = "v1",
+    presets: Annotated[str | None, typer.Option(metavar="NAMES", help="Only some of its presets, separated by commas.")] = None,
+    episodes: Annotated[
+        int, typer.Option(metavar="N", min=1, max=1024, help="Number of episodes per task (the first N).")
+    ] = 1024,
+    beside: Annotated[
+        list[Path] | None,
+        typer.Option(metavar="FILE", help="JSON file of an earlier run, whose policies are also shown; repeatable."),
+    ] = None,
+    out: Annotated[Path | None, typer.Option(metavar="FILE", help="JSON file for results and returns of all episodes.")] = None,
+    threads: Threads = 1,
+    backend: Backend = "compiled",
+    device: Device = "cpu",
+    certify: Annotated[
+        int, typer.Option(metavar="N", min=0, help="Fly the first N episodes of each task on Basilisk too, if it is installed.")
+    ] = 0,
+) -> None:
+    """Compare policies of any library in the frozen episodes of a suite.
+
+    Scores are returns, scaled to 0 for random actions and 1 for the best rule or policy of the package when the suite was made. A
+    policy that does not fit a preset has no score there. With --certify, the last column shows how many of the episodes flown on
+    Basilisk have the same decisions and outcome there, and the largest difference of their returns.
+    """
+
+
+@command(app, "arguments", "bsk-torch args NadirScan-v1", name="args")
 def show_arguments(preset: Preset) -> None:
-    """Print every argument of a preset's satellite and world with default, unit and meaning."""
-    env = made(preset, 1, {"backend": "eager"})
-    typer.echo(f"sat_args\n{env.default_sat_args()!r}\n\nworld_args\n{env.default_world_args()!r}")
+    """Show every argument of a preset's satellite and world, with its default, unit and meaning."""
 
 
-app.command("bench")(bench)
-app.command("build-kernels")(build_kernels)
-app.command("eval")(evaluate_policy)
-app.command("explain")(explain_failures)
-app.command("publish")(publish)
-app.command("report")(report)
-app.command("schedule")(show_schedule)
-app.command("train")(train)
+@command(app, "schedule", "bsk-torch schedule\nbsk-torch schedule NadirScan-v1", name="schedule")
+def show_schedule(
+    preset: Annotated[
+        str | None, typer.Argument(help="Environment, such as AEOS-v1; default: all slots.", show_default=False)
+    ] = None,
+) -> None:
+    """Show the order of a tick: all slots, or the components that run in a preset."""
+
+
+@command(
+    app,
+    "publish",
+    "bsk-torch publish runs/scan --folder policies\nbsk-torch publish runs/team --drop n_satellites --drop n_planes",
+)
+def publish(
+    run: Run,
+    training: Annotated[
+        str | None,
+        typer.Option("--command", metavar="TEXT", help="Training command to record, if it differs from the run's settings."),
+    ] = None,
+    drop: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME",
+            help="Option of the environment for training only, such as n_satellites for a policy that was trained alone and is "
+            "meant for all; repeatable.",
+        ),
+    ] = None,
+    episodes: Annotated[int, typer.Option(metavar="N", min=4, help="Unseen episodes of the evaluation.")] = 256,
+    folder: Annotated[
+        Path | None, typer.Option(metavar="FOLDER", help="Folder of the policies; default: that of the installed package.")
+    ] = None,
+    threads: Threads = 1,
+    device: Device = "cpu",
+) -> None:
+    """Add the policy of a run to the pretrained ones, with its training command, time and score.
+
+    The evaluation plays the unseen episodes of seed 1,000,003 + the seed of training, in the environment of the training without
+    the dropped options.
+    """
+
+
+@command(
+    app,
+    "kernels",
+    "bsk-torch build-kernels NadirScan-v1 --isa avx2 --out kernels\nexport BSK_TORCH_KERNELS=$PWD/kernels",
+    name="build-kernels",
+)
+def build_kernels(
+    presets: Annotated[list[str] | None, typer.Argument(help="Environments; default: all.", show_default=False)] = None,
+    out: Annotated[
+        Path, typer.Option(metavar="FOLDER", help="Folder that BSK_TORCH_KERNELS will name on the other machines.")
+    ] = Path("kernels"),
+    isa: Annotated[
+        str | None,
+        typer.Option(metavar="NAME", help="'avx512', 'avx2', or 'default' (plain C++); default: the best of this machine."),
+    ] = None,
+    mixed: Annotated[bool, typer.Option("--mixed", help="Also for mixed precision (sim_dtype=float32).")] = False,
+) -> None:
+    """Compile the kernels of presets for machines that have no compiler.
+
+    The other machines need the same versions of torch and bsk_torch, processors with the same instructions, and a C library that
+    is not older.
+    """

@@ -9,7 +9,7 @@ from typing import Any
 from tensordict.nn import TensorDictModuleBase
 
 from bsk_torch.cli.policies import FIRST, PRETRAINED, NamedPolicy, named_policy
-from bsk_torch.cli.shared import fail
+from bsk_torch.cli.terminal import fail
 from bsk_torch.env import Tasking
 from bsk_torch.plan.names import PLANNERS, find_planner, options_of, planner
 from bsk_torch.rl.policies.shared_policy import shared

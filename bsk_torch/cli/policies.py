@@ -8,7 +8,8 @@ from typing import Any
 
 from tensordict.nn import TensorDictModuleBase
 
-from bsk_torch.cli.shared import environment, fail
+from bsk_torch.cli.shared import environment
+from bsk_torch.cli.terminal import fail
 from bsk_torch.env import Tasking
 from bsk_torch.presets import PRESETS
 from bsk_torch.rl.policies.files import build_policy, check_fits, read_card
@@ -43,6 +44,10 @@ class NamedPolicy:
         """Name in results."""
         return self.name if self.name in (*BASELINES, PRETRAINED) else TRAINED
 
+    def options(self, given: Mapping[str, object]) -> dict[str, object]:
+        """Return the arguments of the environment: those with which the policy was trained, and those that are ``given``."""
+        return {**self.card.get("options", {}), **given}
+
     def environment(self, num_envs: int, options: Mapping[str, object]) -> Tasking:
         """Return environments that play the episodes of seeds, made as for the policy; ends the program if that fails."""
         trained = self.card.get("options", {})
@@ -51,7 +56,7 @@ class NamedPolicy:
             if trained
             else ""
         )
-        return environment(self.preset, num_envs, trained | options | {"env_ids": [0] * num_envs}, why)
+        return environment(self.preset, num_envs, self.options(options) | {"env_ids": [0] * num_envs}, why)
 
     def build(self, env: Tasking, device: str = "cpu") -> TensorDictModuleBase:
         """Return the policy for one satellite of ``env``, or of each group; ends the program if it does not fit."""
@@ -75,7 +80,7 @@ def named_policy(name: str, preset: str | None) -> NamedPolicy:
         card = read_card(pretrained_file(preset or FIRST) if name == PRETRAINED else name)
     except FileNotFoundError:
         hint = nearest(name, (*BASELINES, PRETRAINED))
-        fail(f"{name!r} is neither a run with a policy.pt, nor such a file, nor a baseline; {hint}")
+        fail(f"{name!r} is not a run folder, policy file or baseline; {hint}")
     except ValueError as error:
         fail(str(error))
     return NamedPolicy(name, preset or card["preset"], card)

@@ -5,14 +5,15 @@ from __future__ import annotations
 import json
 import platform
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import torch
 import typer
 
 from bsk_torch import __version__
 from bsk_torch.cli.report import command_of, run_card, run_config
-from bsk_torch.cli.shared import Device, Threads, check_writable, console, environment, environment_options, fail
+from bsk_torch.cli.shared import check_writable, environment, environment_options
+from bsk_torch.cli.terminal import fail, working
 from bsk_torch.files import write_file
 from bsk_torch.rl.evaluation.evaluate import FRESH, Evaluation, evaluate
 from bsk_torch.rl.policies.checksummed import save_checksummed
@@ -27,25 +28,10 @@ FIRST = 4
 
 
 def publish(
-    run: Annotated[Path, typer.Argument(help="Folder of a training run.")],
-    command: Annotated[str | None, typer.Option(help="Command that trained it, if it was not that of its settings.")] = None,
-    drop: Annotated[
-        list[str] | None,
-        typer.Option(
-            help="Option of the environment that holds for the training only, such as n_satellites for a policy that was trained "
-            "alone and is for all; for each one."
-        ),
-    ] = None,
-    episodes: Annotated[int, typer.Option(min=FIRST, help="Fresh episodes of the evaluation.")] = 256,
-    folder: Annotated[Path, typer.Option(help="Where the policies lie.")] = FOLDER,
-    threads: Threads = 1,
-    device: Device = "cpu",
+    run: Path, training: str | None, drop: list[str] | None, episodes: int, folder: Path | None, threads: int, device: str
 ) -> None:
-    """Evaluate a policy, copy it to the pretrained ones, and note command, time and score.
-
-    The evaluation plays the fresh episodes of seed 1,000,003 + the seed of training, in the environment for which the policy is
-    published: that of the training, but for the options that are dropped.
-    """
+    """Evaluate a policy, copy it to the pretrained ones, and note command, time and score; see :mod:`bsk_torch.cli.main`."""
+    folder = FOLDER if folder is None else folder
     torch.set_num_threads(threads)
     config, card = run_config(run), run_card(run, device)
     for name in drop or ():
@@ -63,12 +49,12 @@ def publish(
         policy = shared(build_policy(card, device), env)
     except ValueError as error:
         fail(str(error))
-    with console.status(f"playing {episodes} fresh episodes"):
+    with working(f"playing {episodes} fresh episodes"):
         result = evaluate(policy, env, seed=seed)
     folder.mkdir(parents=True, exist_ok=True)
     save_checksummed(folder / f"{preset}.pt", read_card(run) | {"options": options})
     notes = {
-        "command": command or command_of(config),
+        "command": training or command_of(config),
         "bsk_torch": __version__,
         "seed": config.seed,
         "frames": int(log["frames"][-1]),
@@ -95,7 +81,7 @@ def _log(path: Path) -> dict[str, list[float]]:
 def _listed(folder: Path) -> dict[str, Any]:
     """Notes of the policies in a folder, by preset; ends the program if they are damaged, or it is no folder."""
     if folder.exists() and not folder.is_dir():
-        fail(f"{str(folder)!r} is no folder; name one for the policies")
+        fail(f"{str(folder)!r} is not a folder; name one for the policies")
     index = folder / INDEX
     try:
         listed = json.loads(index.read_text(encoding="utf-8")) if index.exists() else {}

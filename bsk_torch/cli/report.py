@@ -10,22 +10,14 @@ from dataclasses import asdict, fields
 from importlib import import_module
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 import torch
 import typer
 
 from bsk_torch.cli.pictures import record
-from bsk_torch.cli.shared import (
-    Backend,
-    Device,
-    Threads,
-    check_writable,
-    console,
-    environment,
-    environment_options,
-    fail,
-)
+from bsk_torch.cli.shared import check_writable, environment, environment_options
+from bsk_torch.cli.terminal import fail, working
 from bsk_torch.rl.evaluation.evaluate import FRESH, evaluate
 from bsk_torch.rl.marl.runs import PPO, algorithm_of, configure_run, read_config
 from bsk_torch.rl.policies.files import POLICY, build_policy, check_fits, read_card
@@ -46,14 +38,8 @@ VERSIONS = ("bsk_torch", "torch", "torchrl", "matplotlib")
 """Packages whose versions a report notes."""
 
 
-def report(
-    run: Annotated[Path, typer.Argument(help="Folder of a training run.")],
-    episodes: Annotated[int, typer.Option(min=1, help="Fresh episodes; the best, the median and the worst are shown.")] = 64,
-    threads: Threads = 1,
-    backend: Backend = "compiled",
-    device: Device = "cpu",
-) -> None:
-    """Write report.html into the folder of a run: learning curves, final evaluation, and episodes on maps."""
+def report(run: Path, episodes: int, threads: int, backend: str, device: str) -> None:
+    """Write report.html into the folder of a run; see :mod:`bsk_torch.cli.main`."""
     torch.set_num_threads(threads)
     pages, config = _pages(), run_config(run)
     card, log, evaluations = run_card(run, device), _columns(run / LOG), _columns(run / EVALUATIONS)
@@ -74,7 +60,7 @@ def report(
         command=command_of(config),
     )
     path = pages.write_report(data, run / REPORT)
-    typer.echo(f"the report is {path} ({path.stat().st_size / 1e6:.1f} MB)")
+    typer.echo(f"{path}, {path.stat().st_size / 1e6:.1f} MB; open it in a browser: {path.resolve().as_uri()}")
 
 
 def _pages() -> Any:
@@ -91,9 +77,9 @@ def _pages() -> Any:
 def run_config(folder: Path) -> PPOConfig:
     """Configuration of a run; ends the program where there is none."""
     if not folder.is_dir():
-        fail(f"there is no folder {str(folder)!r}; training says at its end where it has left its results")
+        fail(f"there is no folder {str(folder)!r}; training prints its folder at the end")
     if not (folder / CONFIG).is_file():
-        fail(f"{str(folder)!r} has no {CONFIG}; it is no folder of a run")
+        fail(f"{str(folder)!r} has no {CONFIG}; it is not a run folder")
     try:
         return read_config(folder)
     except ValueError as error:
@@ -150,10 +136,10 @@ def _episodes(
         policy = shared(build_policy(card, device), env)
     except ValueError as error:
         fail(str(error))
-    with console.status(f"playing {episodes} fresh episodes"):
+    with working(f"playing {episodes} fresh episodes"):
         returns = evaluate(policy, env, seed=config.seed + FRESH).returns
     for why, number in extremes(returns).items():
-        with console.status(f"playing the {why} episode again"):
+        with working(f"playing the {why} episode again"):
             one = environment(config.preset, 1, options | {"env_ids": [number]})
             yield why, number, record(policy, one, config.seed + FRESH)
 

@@ -9,16 +9,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 import torch
-from rich.box import SIMPLE_HEAD
-from rich.console import Console
-from rich.table import Table
 
+from bsk_torch.cli.terminal import print_table
 from bsk_torch.files import write_file
 from bsk_torch.rl.evaluation.evaluate import Evaluation
 from bsk_torch.rl.evaluation.statistics import Estimate, mean
-
-WIDE = 240
-"""Characters that a line may have: narrow terminals break lines, rather than that numbers are left out."""
 
 
 def print_results(results: Mapping[str, Evaluation], title: str, chosen: str | None = None) -> None:
@@ -33,13 +28,9 @@ def print_results(results: Mapping[str, Evaluation], title: str, chosen: str | N
         if plans:
             simulated = results[name].simulated_per_decision
             row["simulated s / decision"] = "" if simulated is None else f"{simulated:,.0f}"
-    columns = next(iter(rows.values()))
-    table = Table(title=title, title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
-    for column in ("policy", *columns):
-        table.add_column(column, justify="left" if column == "policy" else "right")
-    for name, row in rows.items():
-        table.add_row(name, *row.values())
-    Console(width=WIDE).print(table)
+    counts = dict.fromkeys(name for result in results.values() for name in result.counts)
+    expendable = ("decisions", "simulated s / decision", "fill", "collected", *counts, "deaths")
+    print_table([{"policy": name} | row for name, row in rows.items()], title, expendable, left=("policy",))
 
 
 def _row(result: Evaluation, mortal: bool) -> dict[str, str]:

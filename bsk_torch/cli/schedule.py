@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Annotated
 
 import typer
 
@@ -13,9 +12,7 @@ from bsk_torch.sim.run.tick import Tick
 from bsk_torch.sim.schedule import SCHEDULE, Schedule, Slot
 
 
-def show_schedule(
-    preset: Annotated[str | None, typer.Argument(help="Name of a preset, such as AEOS-v1; all slots without it.")] = None,
-) -> None:
+def show_schedule(preset: str | None) -> None:
     """Print the order of a tick: all slots, or the components that run in a preset."""
     if preset is None:
         typer.echo("\n".join(slot_lines(SCHEDULE)))

@@ -1,32 +1,20 @@
-"""Options, environments and errors of several commands."""
+"""Environments, seeds and files of several commands."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from importlib import import_module
 from pathlib import Path
-from typing import Annotated, Any, NoReturn
+from typing import Any
 
-import typer
-from rich.console import Console
-
+from bsk_torch.cli.terminal import fail, working
 from bsk_torch.env import Tasking
 from bsk_torch.presets import make
 from bsk_torch.rl.policies.shared_policy import member_views
 
-console = Console()
-
 LARGEST_SEED, MOST_SEEDS = 2**62, 10_000_000
 """Bounds of the seeds of episodes, and of their number, that a command plays."""
-
-Preset = Annotated[str, typer.Argument(help="Name of an environment; see 'bsk-torch list'.")]
-Seed = Annotated[int, typer.Option(min=0, help="Seed of networks, actions and episodes.")]
-Episodes = Annotated[int, typer.Option(min=1, help="Fresh episodes for every evaluation.")]
-Threads = Annotated[int, typer.Option(min=1, help="Threads of torch; one is fastest for these sizes.")]
-Backend = Annotated[str, typer.Option(help="'compiled', or 'eager' for debugging.")]
-Device = Annotated[str, typer.Option(help="Where to simulate and learn, such as 'cuda'.")]
-TimeLimit = Annotated[float | None, typer.Option(help="Length of an episode, s, instead of the preset's.")]
 
 
 def environment_options(backend: str, device: str, time_limit: float | None) -> dict[str, Any]:
@@ -35,9 +23,10 @@ def environment_options(backend: str, device: str, time_limit: float | None) -> 
 
 
 def made(preset: str, num_envs: int, options: Mapping[str, object], why: str = "") -> Tasking:
-    """Return an environment of a preset; ends the program if its arguments are refused. ``why`` introduces unknown ones."""
+    """Return an environment of a preset; ends the program if its arguments are wrong. ``why`` introduces unknown ones."""
     try:
-        return make(preset, num_envs=num_envs, **options)
+        with working(f"building {preset}"):
+            return make(preset, num_envs=num_envs, **options)
     except KeyError as error:
         fail(str(error.args[0]))
     except TypeError as error:
@@ -54,12 +43,6 @@ def environment(preset: str, num_envs: int, options: Mapping[str, object], why: 
     except ValueError as error:
         fail(f"{preset} cannot be learned: {error}")
     return env
-
-
-def fail(message: str) -> NoReturn:
-    """Print an error and end the program."""
-    typer.secho(message, err=True, fg="red")
-    raise typer.Exit(1)
 
 
 def seed_range(text: str, option: str = "--seeds") -> range:
@@ -92,7 +75,17 @@ def check_writable(path: Path | None) -> None:
         fail(f"{str(path)!r} cannot be written: the folder {str(path.parent)!r} is read-only")
 
 
-def extra(module: str, extras: str = "train,viz") -> Any:
+PICTURES = (".png", ".svg")
+"""What the names of pictures end with."""
+
+
+def check_picture(option: str, path: Path, kinds: Sequence[str] = PICTURES) -> None:
+    """End the program if a picture's name does not end with one of ``kinds``."""
+    if path.suffix not in kinds:
+        fail(f"{option} {str(path)!r} must end with {', '.join(kinds[:-1])} or {kinds[-1]}")
+
+
+def extra(module: str, extras: str = "viz") -> Any:
     """Return a module that needs the packages of ``extras``; ends the program if one is missing."""
     try:
         return import_module(module)

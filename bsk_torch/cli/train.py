@@ -5,27 +5,17 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from datetime import datetime
+from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import torch
 import typer
 
 from bsk_torch.cli.pictures import draw_episode, record
 from bsk_torch.cli.results import print_results, save_results
-from bsk_torch.cli.shared import (
-    Backend,
-    Device,
-    Episodes,
-    Seed,
-    Threads,
-    TimeLimit,
-    console,
-    environment,
-    environment_options,
-    extra,
-    fail,
-)
+from bsk_torch.cli.shared import environment, environment_options
+from bsk_torch.cli.terminal import activity, fail, for_shell, working
 from bsk_torch.env import Tasking
 from bsk_torch.presets import make
 from bsk_torch.rl.evaluation.evaluate import FRESH, Evaluation, evaluate
@@ -34,66 +24,42 @@ from bsk_torch.rl.policies.shared_policy import shared, shared_baselines
 from bsk_torch.rl.training.config import CONFIG, PPOConfig, override
 from bsk_torch.rl.training.lock import FolderLock
 from bsk_torch.rl.training.log import LOG, read_log
-from bsk_torch.rl.training.progress import check_progress_bar
 from bsk_torch.rl.training.trainer import check_folder, read_checkpoint
 
 if TYPE_CHECKING:
     from tensordict.nn import TensorDictModuleBase
 
-Changes = Annotated[
-    list[str] | None,
-    typer.Argument(
-        metavar="[NAME=VALUE]...",
-        help="Settings that differ from the recipe's, such as learning_rate=1e-3 'hidden=[128,128]' evaluate_every=500000 "
-        "loggers=[csv,tensorboard] collector=multi workers=2; every field of bsk_torch.rl.training.PPOConfig, or, for "
-        "constellations, of bsk_torch.rl.marl.MAPPOConfig.",
-    ),
-]
-
-
 MINUTES = 3.0
 """Training time unless a limit is given."""
 
-ANEW = ("algorithm", "network", "minutes", "frames", "seed", "seeds", "out", "backend", "device", "time_limit")
-"""Parameters of the command that say how a run begins; one that is resumed takes changes as NAME=VALUE."""
+OF_NEW_RUNS = ("algorithm", "network", "minutes", "frames", "seed", "seeds", "out", "backend", "device", "time_limit")
+"""Parameters of the command that new runs take; one that is resumed takes changes as NAME=VALUE."""
 
 
 def train(
     context: typer.Context,
-    preset: Annotated[
-        str, typer.Argument(help="Name of an environment, see 'bsk-torch list'; or, with --resume, the folder of a run.")
-    ],
-    changes: Changes = None,
-    algorithm: Annotated[
-        str | None, typer.Option(help="'ppo' for one satellite; 'mappo' or 'ippo' for constellations, 'mappo' unless given.")
-    ] = None,
-    network: Annotated[
-        str | None,
-        typer.Option(
-            help="'mlp', for one satellite unless given; 'gru' with a memory; 'attention' for targets observed as a set, and for "
-            "constellations."
-        ),
-    ] = None,
-    minutes: Annotated[
-        float | None, typer.Option(min=0.01, help=f"Training time after compilation; {MINUTES:g} unless --frames is given.")
-    ] = None,
-    frames: Annotated[int | None, typer.Option(help="Number of decisions; with --minutes, what is reached first counts.")] = None,
-    seed: Seed = 0,
-    seeds: Annotated[int, typer.Option(min=1, help="Number of trainings, with seeds from --seed on, one after the other.")] = 1,
-    resume: Annotated[bool, typer.Option("--resume", help="Go on with the run in the folder that is named.")] = False,
-    out: Annotated[Path | None, typer.Option(help="Folder for the results; a new one in runs/ unless given.")] = None,
-    episodes: Episodes = 256,
-    threads: Threads = 1,
-    backend: Backend = "compiled",
-    device: Device = "cpu",
-    time_limit: TimeLimit = None,
+    preset: str,
+    changes: list[str] | None,
+    algorithm: str | None,
+    network: str | None,
+    minutes: float | None,
+    frames: int | None,
+    seed: int,
+    seeds: int,
+    resume: bool,
+    out: Path | None,
+    episodes: int,
+    threads: int,
+    backend: str,
+    device: str,
+    time_limit: float | None,
 ) -> None:
-    """Train policies with PPO, MAPPO or IPPO and compare them with random actions and rules on fresh episodes."""
+    """Train policies and compare them with the baselines that fit; see :mod:`bsk_torch.cli.main`."""
     torch.set_num_threads(threads)
     if resume:
         folder = Path(preset)
         config = _read(folder, changes or [])
-        given = [name for name in ANEW if _is_given(context, name)]
+        given = [name for name in OF_NEW_RUNS if _is_given(context, name)]
         if given:
             fail(
                 f"--{given[0].replace('_', '-')} is for new runs; with --resume, changes are written as NAME=VALUE: frames=100000"
@@ -103,7 +69,7 @@ def train(
     else:
         for name, said in (("preset", "the first argument"), ("network", "--network"), ("algorithm", "--algorithm")):
             if any(change.startswith(f"{name}=") for change in changes or []):
-                fail(f"{name}= is no change of a recipe, which depends on it; name it as {said}")
+                fail(f"{name}= is not a setting; give it as {said}")
         minutes = MINUTES if minutes is None and frames is None else minutes
         limit = {"frames": frames, "seconds": None if minutes is None else 60.0 * minutes}
         options = environment_options(backend, device, time_limit)
@@ -119,7 +85,7 @@ def train(
         if interrupted:
             break
     if len(trained) > 1:
-        print_results(results | trained, f"{config.preset}, {episodes} fresh episodes")
+        print_results(results | trained, f"{config.preset}, {episodes} unseen episodes")
 
 
 def _is_given(context: typer.Context, name: str) -> bool:
@@ -129,13 +95,11 @@ def _is_given(context: typer.Context, name: str) -> bool:
 
 
 def _check(folders: Iterable[Path]) -> None:
-    """End the program before anything is done if a folder is not empty, or a package is missing that is needed at the end."""
-    extra("bsk_torch.viz.figures.curves")
+    """End the program before anything is done if a folder is not empty."""
     try:
-        check_progress_bar()
         for folder in folders:
             check_folder(folder)
-    except (FileExistsError, ModuleNotFoundError) as error:
+    except FileExistsError as error:
         fail(str(error))
 
 
@@ -158,7 +122,7 @@ def _configured(preset: str, algorithm: str | None, network: str | None, changes
 def _read(folder: Path, changes: list[str]) -> PPOConfig:
     """Return the configuration of a run that is resumed."""
     if not (folder / CONFIG).is_file():
-        fail(f"{str(folder)!r} is no folder of a run: it has no {CONFIG}")
+        fail(f"{str(folder)!r} is not a run folder: it has no {CONFIG}")
     try:
         return override(read_config(folder), changes)
     except ValueError as error:
@@ -179,21 +143,27 @@ def _run(
         Results of the trained policy, and whether the user interrupted the training.
     """
     try:
-        run = training_of(config, folder, resume)
+        with working("building the training"):
+            run = training_of(config, folder, resume)
     except (ValueError, FileNotFoundError, ModuleNotFoundError) as error:
         fail(str(error))
     results = dict(baselines) | ({} if resume else {"untrained": _evaluated("untrained", shared(run.policy, env), env, seed)})
-    policy = shared(run.run(), env)
+    activity.report()
+    policy = shared(run.run(bar=not activity.quiet), env)
     results["trained"] = _evaluated("trained", policy, env, seed)
-    print_results(results, f"{config.preset}, {env.batch_size[0]} fresh episodes", "trained")
+    print_results(results, f"{config.preset}, {env.batch_size[0]} unseen episodes", "trained")
     save_results(results, folder / "evaluation.json", "trained")
-    _draw(policy, results, config, folder)
-    typer.echo(f"policy, logs, evaluation and pictures are in {folder}; 'bsk-torch report {folder}' makes a page of them")
+    if find_spec("matplotlib") is None:
+        typer.echo("no pictures were drawn: they need matplotlib; pip install 'bsk_torch[viz]'")
+    else:
+        with working("drawing"):
+            _draw(policy, results, config, folder)
+    typer.echo(f"results: {folder}\nnext: bsk-torch report {for_shell(folder)}")
     return results["trained"], run.interrupted
 
 
 def _evaluated(name: str, policy: TensorDictModuleBase, env: Tasking, seed: int) -> Evaluation:
-    with console.status(f"evaluating: {name}"):
+    with working(f"evaluating {name}"):
         return evaluate(policy, env, seed=seed + FRESH)
 
 
@@ -202,8 +172,9 @@ def _draw(policy: TensorDictModuleBase, results: Mapping[str, Evaluation], confi
     levels = {name: (result.mean_return.mean, result.mean_return.half_width) for name, result in results.items()}
     log = read_log(folder / LOG) if (folder / LOG).is_file() else {}
     if log:  # a full disk may have kept it from being written
-        curves = extra("bsk_torch.viz.figures.curves")
-        curves.learning_curve(log, folder / "learning_curve.png", levels, f"{config.preset}: learning")
+        from bsk_torch.viz.figures.curves import learning_curve
+
+        learning_curve(log, folder / "learning_curve.png", levels, f"{config.preset}: learning")
     env = make(config.preset, num_envs=1, **config.options)
     recorded = record(policy, env, config.seed + FRESH)
     draw_episode(recorded, folder, f"{config.preset}: one episode of the trained policy")

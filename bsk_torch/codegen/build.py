@@ -157,13 +157,17 @@ def _seal(code: bytes) -> bytes:
 @cache
 def _announce(folder: Path) -> None:
     """Warn once that compilation takes time: a warning reaches users who have not configured logging, too."""
-    logger.warning("compiling for this machine, once: a satellite type takes about 15 s; kernels are kept in %s", folder)
+    logger.warning(
+        "compiling for this machine, once: a satellite type takes about 15 s; kernels are kept in %s",
+        folder,
+        extra={"kernel_folder": str(folder)},
+    )
 
 
 def _built(source: str, path: Path, name: str) -> ctypes.CDLL:
     begin = time.perf_counter()
     _announce(path.parent)
-    logger.info("compiling the %s", name)
+    logger.info("compiling the %s", name, extra={"kernel": name})
     command = _command(name)
     try:
         _build(source, path, name, command)
@@ -172,7 +176,8 @@ def _built(source: str, path: Path, name: str) -> ctypes.CDLL:
             f"the {name} cannot be kept in {path.parent} ({error}); let BSK_TORCH_CACHE name a folder that can be written to. "
             f"{WITHOUT}"
         ) from error
-    logger.info("compiled the %s in %.1f s; kept in %s", name, time.perf_counter() - begin, path.parent)
+    seconds = time.perf_counter() - begin
+    logger.info("compiled the %s in %.1f s", name, seconds, extra={"kernel_seconds": seconds, "folder": str(path.parent)})
     try:
         return ctypes.CDLL(str(path))
     except OSError as error:

@@ -55,10 +55,11 @@ def just_in_time(function: Kernel, name: str) -> Kernel:
 
 def _compiled(function: Kernel, name: str, tensors: tuple[Tensor, ...]) -> Kernel:
     begin = time.perf_counter()
-    logger.info("compiling the %s for tensors of these sizes; it takes a minute or so", name)
+    logger.info("compiling the %s for tensors of these sizes; it takes a minute or so", name, extra={"kernel": name})
     graph = make_fx(lambda *inputs: function(*inputs), _allow_non_fake_inputs=True)(*tensors)
     options = OPTIONS | (CUDA_OPTIONS if tensors[0].device.type == "cuda" else {})
     fast: Kernel = torch.compile(graph, fullgraph=True, dynamic=False, options=options)
     fast(*tensors)
-    logger.info("compiled the %s in %.1f s", name, time.perf_counter() - begin)
+    seconds = time.perf_counter() - begin
+    logger.info("compiled the %s in %.1f s", name, seconds, extra={"kernel_seconds": seconds, "folder": ""})
     return fast

@@ -51,7 +51,7 @@ def base_of(base: Base, env: Tasking) -> TensorDictModuleBase:
         card = read_card(base)
     except FileNotFoundError as error:
         raise ValueError(
-            f"base={str(base)!r} is neither a rule nor a run with a policy.pt nor such a file; {nearest(str(base), BASELINES)}"
+            f"base={str(base)!r} is not a rule, run folder or policy file; {nearest(str(base), BASELINES)}"
         ) from error
     check_fits(card, env)
     return shared(build_policy(card, env.device), env)

@@ -108,4 +108,4 @@ def _numbers(what: str, value: object) -> Tensor:
     try:
         return as_numbers(value)
     except (TypeError, ValueError, RuntimeError, OverflowError) as error:
-        raise ValueError(f"{what} is not made of numbers, or of rows of unequal length: {error}") from error
+        raise ValueError(f"{what} must be numeric, in rows of equal length: {error}") from error

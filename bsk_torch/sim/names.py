@@ -5,9 +5,14 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable
 
+CLOSE, NEAR = 0.5, 0.1
+"""Least similarity of names that are suggested, 1 for equal ones, and how much less than that of the closest it may be."""
+
 
 def nearest(name: str, known: Iterable[str]) -> str:
-    """Return a hint that names the valid names closest to a wrong one."""
+    """Return a hint: the valid names that are about as close to a wrong one as the closest, or all if none is close."""
     by_lower = {str(k).lower(): str(k) for k in known}
-    close = [by_lower[k] for k in difflib.get_close_matches(name.lower(), by_lower, n=3, cutoff=0.5)]
+    ratios = {k: difflib.SequenceMatcher(None, name.lower(), k).ratio() for k in by_lower}
+    least = max(CLOSE, max(ratios.values(), default=0.0) - NEAR)
+    close = [by_lower[k] for k in sorted(ratios, key=lambda k: -ratios[k]) if ratios[k] >= least][:3]
     return f"did you mean {' or '.join(map(repr, close))}?" if close else f"valid names: {', '.join(sorted(by_lower.values()))}"

@@ -109,7 +109,7 @@ def _tensor(where: str, given: object, dtype: torch.dtype | None = None) -> Tens
             return torch.as_tensor(given)
         return torch.as_tensor(np.asarray(given, dtype=float if dtype is not None else None))
     except (TypeError, ValueError) as error:
-        raise TypeError(f"{where} is {given!r}; it must be made of numbers: {error}") from error
+        raise TypeError(f"{where} is {given!r}; it must be numeric: {error}") from error
 
 
 def read_actions(core: Tasking, action: object) -> Tensor:

@@ -27,7 +27,8 @@ def commands() -> str:
     group: Any = get_command(app)
     parts = []
     for name, command in sorted(group.commands.items()):
-        parts += [f"## bsk-torch {name}", paragraphs(command.help), block(usage(name, command))]
+        examples = command.epilog.partition("\n\n")[2].replace("\\[", "[")
+        parts += [f"## bsk-torch {name}", paragraphs(command.help), block(usage(name, command)), block(examples, "bash")]
         rows = [parameter(p) for p in command.params if p.name != "help"]
         parts += [table(["argument or option", "default", "meaning"], rows)] if rows else []
     return "\n\n".join(parts) + "\n"

@@ -7,7 +7,7 @@ cd "$(dirname "${BASH_SOURCE[0]}")/../.."
 venv=${VENV:-$PWD/.venv-newest}
 [ -x "$venv/bin/python" ] || "${PYTHON:-python3}" -m venv "$venv"
 "$venv/bin/python" -m pip install -q --upgrade torch torchrl tensordict
-"$venv/bin/python" -m pip install -q -e ".[train,viz]" pytest hypothesis
+"$venv/bin/python" -m pip install -q -e ".[viz]" pytest hypothesis
 chosen=(tests/codegen/test_kernel.py tests/basilisk tests/env/test_contract.py tests/env/test_state.py tests/wrappers tests/rl/test_training.py)
 [ $# -eq 0 ] || chosen=("$@")
 export OMP_NUM_THREADS=1 BSK_TORCH_CACHE="${BSK_TORCH_CACHE:-$venv/kernels}"

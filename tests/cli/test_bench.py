@@ -64,7 +64,7 @@ def test_a_function_may_enter_a_policy(run, tmp_path, monkeypatch):
     [
         (["random", "--suite", "v0"], "suite='v0' is not a suite; did you mean 'v1'"),
         (["random", "--presets", "NadirScan"], "preset 'NadirScan' is not in the suite v1; did you mean 'NadirScan-v1'"),
-        (["randon"], "'randon' is neither a run with a policy.pt, nor such a file, nor a baseline"),
+        (["randon"], "'randon' is not a run folder, policy file or baseline; did you mean 'random'?"),
         (["survey,action=waypoints"], "NAME=VALUE with a NAME among as_set, shielded, actions; did you mean 'actions'"),
         (["nobody:enter"], "nobody:enter cannot be imported"),
         (["json:nothing"], "json:nothing cannot be imported"),

@@ -104,7 +104,7 @@ def test_what_was_learned_by_few_is_published_for_all(run, trained, tmp_path):
 def test_what_is_no_run_is_not_published(run, tmp_path):
     result = run("publish", tmp_path)
     assert result.exit_code == 1
-    assert "it is no folder of a run" in result.output
+    assert "it is not a run folder" in result.output
 
 
 def test_a_run_goes_on(run, trained):

@@ -53,19 +53,19 @@ def folder(tmp_path, monkeypatch):
         ((*SCAN, "options.scenario=5"), "scenario=5 must be a Scenario"),
         ((*SCAN, "options.rewarder=Mine"), "rewarder='Mine' must be a rewarder"),
         ((*SCAN, "options.num_envs=5"), "the setting 'num_envs' decides that"),
-        ((*SCAN, "preset=AEOS-v1"), "name it as the first argument"),
-        ((*SCAN, "network=gru"), "name it as --network"),
+        ((*SCAN, "preset=AEOS-v1"), "preset= is not a setting; give it as the first argument"),
+        ((*SCAN, "network=gru"), "network= is not a setting; give it as --network"),
         ((*SCAN, "clip=-1"), "clip=-1.0 must lie in (0, 1)"),
         ((*SCAN, "hidden=[1"), "flow sequence"),
         ((*SCAN, "--time-limit", -5), "time_limit=-5"),
         ((*SCAN, "--time-limit", "nan"), "time_limit=nan"),
         ((*SCAN, "--device", "foo"), "device='foo' is not available"),
         ((*SCAN, "--backend", "foo"), "backend='foo' must be one of"),
-        ((*SCAN, "--out", "file"), "'file' is no folder"),
-        ((*SCAN, "--out", "file/run"), "is no folder"),
-        ((*SCAN, "--out", "link"), "'link' is no folder"),
-        (("train", "empty", "--resume"), "'empty' is no folder of a run"),
-        (("train", "file", "--resume"), "'file' is no folder of a run"),
+        ((*SCAN, "--out", "file"), "'file' is not a folder"),
+        ((*SCAN, "--out", "file/run"), "is not a folder"),
+        ((*SCAN, "--out", "link"), "'link' is not a folder"),
+        (("train", "empty", "--resume"), "'empty' is not a run folder"),
+        (("train", "file", "--resume"), "'file' is not a run folder"),
         (("eval", "random", "--seeds", "5:3"), "names no episode"),
         (("eval", "random", "--seeds", f"0:{2**70}"), "seeds must be at most"),
         (("eval", "random", "--seeds", "0:99999999999"), "more than 10000000 episodes"),
@@ -76,7 +76,7 @@ def folder(tmp_path, monkeypatch):
         (("eval", "random", "--out", "a", "--episodes-out", "a"), "are the same file"),
         (("eval", "random", "--backend", "eager", "--seeds", "0:1", "--shield", ".x:f"), "relative import"),
         (("eval", "random", "--backend", "eager", "--seeds", "0:1", "--shield", "os:getcwd"), "must take the observed columns"),
-        (("eval", "empty"), "is neither a run"),
+        (("eval", "empty"), "is not a run folder"),
         (("eval", "file"), "'file' is no file of a policy"),
         (("explain", "random", "--starts", "3:1"), "--starts '3:1' names no episode"),
         (("explain", "random", "--out", "empty"), "'empty' is a folder"),
@@ -157,7 +157,7 @@ def test_logs_and_results_that_are_none_are_named(run, damaged, monkeypatch):
     (damaged / "log.csv").write_text("frames,seconds\n20,1\n")
     (damaged / "policies.json").write_text("[1")
     assert refused(run("publish", damaged, "--folder", damaged), "policies.json' is damaged")
-    assert refused(run("publish", damaged, "--folder", damaged / "file"), "file' is no folder")
+    assert refused(run("publish", damaged, "--folder", damaged / "file"), "file' is not a folder")
 
 
 def test_a_checkpoint_that_is_damaged_is_named(run, damaged):

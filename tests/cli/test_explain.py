@@ -33,7 +33,8 @@ def scanning(tmp_path, monkeypatch):
 def test_deaths_are_explained_and_starts_tested(run, tmp_path, scanning):
     out = tmp_path / "failures.json"
     limits = ("--time-limit", "2400", "--num-envs", "256")
-    result = run("explain", scanning, "--seeds", "0:2", "--starts", "0:3", *limits, "--out", out)
+    drawn = tmp_path / "death.png"
+    result = run("explain", scanning, "--seeds", "0:2", "--starts", "0:3", *limits, "--out", out, "--draw", drawn)
     assert result.exit_code == 0, result.output
     kept = json.loads(out.read_text())
     assert (kept["policy"], kept["seeds"], kept["episodes"]) == (scanning.name, [0, 2], 2)
@@ -44,12 +45,16 @@ def test_deaths_are_explained_and_starts_tested(run, tmp_path, scanning):
     assert kept["starts"]["seeds"] == [0, 3]
     assert kept["starts"]["survived"] > 0
     assert "last chance" in result.output
+    assert f"{kept['died']} of 2 episodes end in death" in result.output
+    assert "{" not in result.output
+    assert f"{drawn}: the death in the episode of seed {kept['failures'][0]['seed']}" in result.output
+    assert drawn.read_bytes().startswith(b"\x89PNG")
 
 
 def test_survivors_need_no_explanation(run):
-    result = run("explain", "rule", "--seeds", "5", *SHORT)
+    result = run("explain", "rule", "--seed", "5", *SHORT)
     assert result.exit_code == 0, result.output
-    assert json.loads(result.output[result.output.index("{") :])["died"] == 0
+    assert result.output == "0 of 1 episodes end in death: survival 100.0%\n"
     assert "last chance" not in result.output
 
 

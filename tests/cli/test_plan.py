@@ -33,7 +33,7 @@ def test_planners_are_compared_with_the_baselines_that_fit(run, tmp_path):
         (["plan:rollout", "--plan", "horizon"], "--plan 'horizon' must be NAME=VALUE"),
         (["plan:rollout", "--plan", "horizon=0"], "horizon=0 must be a number in (0, inf] s"),
         (["plan:rollout", "--plan", "budget=0"], "budget=0 must be a whole number from 1 on"),
-        (["plan:rollout", "--plan", "base=ruel"], "'ruel' is neither a run"),
+        (["plan:rollout", "--plan", "base=ruel"], "'ruel' is not a run folder"),
         (["plan:rollout", "--plan", "base=hasty"], "the policy 'hasty' does not fit NadirScan-v1"),
         (["plan:rollout", "--plan", "value=3"], "'value' is a module or a function; give it in Python"),
         (["plan:cem"], "plans real numbers"),

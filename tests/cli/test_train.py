@@ -48,7 +48,7 @@ def test_train_with_attention_knows_the_targets_and_draws_them(run, tmp_path):
         (("NadirScan-v1", "learning_rat=1e-3"), "did you mean 'learning_rate'"),
         (("NadirScan-v1", "hidden=[a]"), "could not be converted to Integer"),
         (("NadirScan-v1", "gamma=2"), "must lie in (0, 1]"),
-        (("nowhere", "--resume"), "'nowhere' is no folder of a run"),
+        (("nowhere", "--resume"), "'nowhere' is not a run folder"),
     ],
 )
 def test_what_cannot_be_trained_is_refused(run, arguments, message):
@@ -56,6 +56,15 @@ def test_what_cannot_be_trained_is_refused(run, arguments, message):
     assert result.exit_code == 1
     assert message in result.output
     assert len(result.output.splitlines()) == 1
+
+
+def test_without_matplotlib_pictures_are_left_out(run, tmp_path, monkeypatch):
+    monkeypatch.setattr("bsk_torch.cli.train.find_spec", lambda name: None)
+    result = run("train", "NadirScan-v1", "--frames", 20, *SIZES, "--out", tmp_path, *SHORT)
+    assert result.exit_code == 0, result.output
+    assert result.output.count("no pictures were drawn: they need matplotlib; pip install 'bsk_torch[viz]'") == 1
+    assert (tmp_path / "policy.pt").is_file()
+    assert not list(tmp_path.glob("*.png"))
 
 
 def test_several_seeds_are_compared(run, tmp_path):

@@ -97,7 +97,7 @@ def beyond() -> str:
 def test_devices(device):
     if device == "cuda" and torch.cuda.is_available():
         pytest.skip("there is one")
-    with pytest.raises(ValueError, match=re.escape(f"device={str(device)!r} is not available; available: ['cpu'")):
+    with pytest.raises(ValueError, match=re.escape(f"device={str(device)!r} is not available (available: cpu")):
         make(device=device)
 
 

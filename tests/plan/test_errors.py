@@ -39,7 +39,7 @@ def env():
         (Rollout, {"rows": 0}, "rows=0 must be"),
         (Rollout, {"value": 3}, "value=3 must be a module"),
         (Rollout, {"redraw": redraw_clouds}, "there are none: give futures=1"),
-        (Rollout, {"base": "hastey"}, "base='hastey' is neither a rule .* did you mean 'hasty'"),
+        (Rollout, {"base": "hastey"}, "base='hastey' is not a rule.* did you mean 'hasty'"),
         (Rollout, {"base": "hasty"}, "base='hasty' does not fit the environment"),
         (CrossEntropy, {}, "planner 'cem' plans real numbers; Scanner1 chooses numbered actions: use 'rollout'"),
     ],

@@ -81,8 +81,8 @@ def test_callables_are_asked_for_each_target():
         (([[1, 2], [3, 4]],), r"r_LP_P has shape \[2, 2\]; it must be \[T, 3\]"),
         (([[X], [Y]],), r"r_LP_P has shape \[2, 1, 3\]; use rand.per_env to give each environment its own targets"),
         ((rand.per_env([X, Y]),), r"r_LP_P of environment 0 has shape \[3\]; it must be \[T, 3\]"),
-        (([[X], [Y, Z]],), r"r_LP_P is not made of numbers, or of rows of unequal length: .*inhomogeneous"),
-        ((["here"],), r"r_LP_P is not made of numbers, or of rows of unequal length: could not convert string"),
+        (([[X], [Y, Z]],), r"r_LP_P must be numeric, in rows of equal length: .*inhomogeneous"),
+        ((["here"],), r"r_LP_P must be numeric, in rows of equal length: could not convert string"),
         ((rand.Uniform(),), r"r_LP_P=Uniform\(.*\) must be positions \[T, 3\] or rand.per_env; scene.UniformTargets draws"),
         (
             ([X, [6378.1366, 0, 0]],),

@@ -202,7 +202,7 @@ def test_what_is_no_run_is_refused(call, folder, monkeypatch):
     (folder / "config.yaml").write_text("hiden: [1]\n")
     assert "hiden" in said(folder)
     (folder / "config.yaml").unlink()
-    assert "it is no folder of a run" in said(folder)
+    assert "it is not a run folder" in said(folder)
 
     def missing(name):
         raise ModuleNotFoundError(name="matplotlib")

@@ -72,7 +72,7 @@ class TestGymnasium:
         ("action", "error", "words"),
         [
             ([0.0, 0.0], ValueError, r"shape \[2\]; it must be \[3\]"),
-            (["a", 0.0, 0.0], TypeError, "must be made of numbers"),
+            (["a", 0.0, 0.0], TypeError, "must be numeric"),
             (np.array([0, 0, 0]), TypeError, "dtype torch.int64"),
             ([0.0, float("nan"), 0.0], ValueError, "mrp_2=nan"),
             (3, ValueError, "shape"),

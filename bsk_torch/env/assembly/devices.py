@@ -20,7 +20,7 @@ def existing_device(device: torch.device | str) -> torch.device:
     except (RuntimeError, TypeError):
         found = None
     if found is None or (found.type != "cpu" and (found.type != "cuda" or (found.index or 0) >= cuda)):
-        raise ValueError(f"device={str(device)!r} is not available; available: {there}")
+        raise ValueError(f"device={str(device)!r} is not available (available: {', '.join(there)})")
     return found
 
 

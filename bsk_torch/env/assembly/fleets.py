@@ -220,7 +220,7 @@ class FleetBuilder:
 
     @property
     def pool_pays(self) -> bool:
-        """Whether the batch is so large that the next episodes are prepared in bulk."""
+        """True for batches large enough to prepare episodes in bulk."""
         return self.options.num_envs * len(self.names) >= SMALLEST_POOL and not self.calls_user
 
     # -- episodes -----------------------------------------------------------------------------------------------------

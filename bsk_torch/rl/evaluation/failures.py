@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
@@ -70,8 +71,16 @@ class Failure:
     rescue: list[int] | None
 
 
-def explain(policy: TensorDictModuleBase, env: SatelliteTasking, seeds: Tensor) -> tuple[Flown, list[Failure]]:
+def explain(
+    policy: TensorDictModuleBase, env: SatelliteTasking, seeds: Tensor, tell: Callable[[str], object] = logger.info
+) -> tuple[Flown, list[Failure]]:
     """Fly the episodes of ``seeds`` [n] with a policy, and find out whether those that it failed could have been survived.
+
+    Args:
+        policy: Chooses actions.
+        env: The environment.
+        seeds: Of the episodes.
+        tell: Is called with what is done next.
 
     Returns:
         What was flown, and the failures in the order of the seeds.
@@ -83,13 +92,18 @@ def explain(policy: TensorDictModuleBase, env: SatelliteTasking, seeds: Tensor) 
         raise ValueError(f"failures are explained by other numbered actions; those of {env.satellite.name} are real numbers")
     flown = fly(env, seeds, policy)
     failed = torch.nonzero(~flown.survived).squeeze(-1)
-    logger.info("died in %d of %d episodes; looking for the last decisions that could be survived", len(failed), len(seeds))
-    if not len(failed):
+    n = len(failed)
+    if not n:
         return flown, []
+    tell(f"looking for the last chances in {n} episodes that end in death")
     seeds, actions = seeds[failed], flown.actions[failed]
     noted = fly(env, seeds, actions.clamp(min=0), notes=True)
     last, rescue = last_chance(env, seeds, actions, candidate_plans(env))
-    return flown, [_failure(env, noted, int(seed), k, int(last[k]), rescue) for k, seed in enumerate(seeds)]
+    failures = []
+    for k, seed in enumerate(seeds):
+        tell(f"searching death {k + 1} of {n} for a later chance")
+        failures.append(_failure(env, noted, int(seed), k, int(last[k]), rescue))
+    return flown, failures
 
 
 def can_be_saved(env: SatelliteTasking, seeds: Tensor) -> Tensor:

@@ -166,7 +166,7 @@ def make_collector(
         actor: Writes actions and their log-probabilities.
         saved: What :func:`bookmarks` gave, to go on from there; None to begin.
     """
-    common: dict[str, Any] = dict(frames_per_batch=config.batch, total_frames=ENDLESS)
+    common: dict[str, Any] = dict(frames_per_batch=config.batch, total_frames=ENDLESS - ENDLESS % config.batch)
     each: dict[str, Any] = dict(auto_register_policy_transforms=False, use_buffers=False)
     count = 1 if config.collector == "single" else config.workers
     marks: Sequence[Mapping[str, Any] | None] = [None] * count if saved is None else saved

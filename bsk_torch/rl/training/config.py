@@ -256,7 +256,7 @@ def override(config: Config, changes: Iterable[str]) -> Config:
         if "=" not in change:
             raise ValueError(f"{change!r} must read name=value, such as learning_rate=1e-3; {nearest(name, known)}")
         if name not in known:
-            raise ValueError(f"{name!r} is no setting of the training; {nearest(name, known)}; all: {', '.join(known)}")
+            raise ValueError(f"unknown setting {name!r}; {nearest(name, known)}")
         _check_literal(setting, value)
     try:
         return _to_object(OmegaConf.merge(OmegaConf.structured(config), OmegaConf.from_dotlist(changes)))

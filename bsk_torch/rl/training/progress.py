@@ -8,18 +8,15 @@ import threading
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from importlib.util import find_spec
-from typing import Any
+
+import rich.progress
+from rich.console import Console, RenderableType
+from rich.progress import BarColumn, TaskProgressColumn, TextColumn
+from rich.text import Text
 
 from bsk_torch.rl.training.config import PPOConfig
 
 logger = logging.getLogger(__name__)
-
-
-def check_progress_bar() -> None:
-    """Raise ModuleNotFoundError, naming the command that installs it, if tqdm is missing."""
-    if find_spec("tqdm") is None:
-        raise ModuleNotFoundError("training shows a progress bar of tqdm; pip install 'bsk_torch[train]'", name="tqdm")
 
 
 class Progress:
@@ -51,21 +48,42 @@ class Progress:
         return self.seconds * (1.0 - used) / used if used else float("inf")
 
 
-def progress_bar() -> Any:
-    """Return a bar of tqdm that :func:`show` moves."""
-    from tqdm import tqdm
+class TrainingBar(rich.progress.Progress):
+    """A bar of the used budget, and below it the means over the episodes that ended last.
 
-    return tqdm(total=100, desc="training", unit="%", bar_format="{desc} {percentage:3.0f}% |{bar}| {elapsed}{postfix}")
+    Where the standard error is neither a terminal nor a notebook, the same is logged after each tenth of the budget.
+    """
+
+    def __init__(self, shown: bool = True) -> None:
+        """Show nothing unless ``shown``."""
+        columns = TextColumn("training"), BarColumn(None), TaskProgressColumn(), TextColumn("{task.fields[speed]}")
+        self.means, self.tenths = Text("waiting for the first episodes to end"), 0
+        console = Console(stderr=True)
+        self.seen = console.is_terminal or console.is_jupyter
+        super().__init__(*columns, console=console, expand=True, disable=not (shown and self.seen))
+        self.task = self.add_task("", total=1.0, speed="")
+
+    def get_renderables(self) -> Iterator[RenderableType]:
+        """Yield the lines that are shown."""
+        yield self.make_tasks_table(self.tasks)
+        yield self.means
+
+    def show(self, progress: Progress, row: Mapping[str, float], count: int) -> None:
+        """Show the figures of a row of the log, whose means are over ``count`` episodes."""
+        speed = f"{duration(progress.left)} left, {row['frames'] / row['seconds']:,.0f} decisions/s"
+        self.update(self.task, completed=progress.fraction, speed=speed)
+        if count:
+            self.means = Text(f"last {count:,} episodes: return {row['return']:.3f}, survival {row['survival']:.0%}")
+        if not self.seen and int(10.0 * progress.fraction) > self.tenths:
+            self.tenths = int(10.0 * progress.fraction)
+            logger.info("training %.0f%%, %s; %s", 100.0 * progress.fraction, speed, self.means)
 
 
-def show(bar: Any, progress: Progress, row: Mapping[str, float]) -> None:
-    """Move the bar, and show the figures of a row of the log."""
-    bar.n = round(100.0 * progress.fraction, 1)
-    bar.set_postfix_str(
-        f"{bar.format_interval(progress.left)} left, {row['frames'] / row['seconds']:,.0f} frames/s, "
-        f"{row['simulated_days'] / row['seconds']:.1f} simulated days/s, "
-        f"return {row['return']:.3f}, survival {row['survival']:.0%}"
-    )
+def duration(seconds: float) -> str:
+    """Return a time as people write it, such as 2:05 or 1:00:00."""
+    minutes, seconds = divmod(round(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours}:{minutes:02}:{seconds:02}" if hours else f"{minutes}:{seconds:02}"
 
 
 @contextmanager

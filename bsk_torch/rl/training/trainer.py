@@ -30,7 +30,7 @@ from bsk_torch.rl.training.episodes import RecentEpisodes
 from bsk_torch.rl.training.lock import LOCK, FolderLock
 from bsk_torch.rl.training.log import RunLog, check_loggers
 from bsk_torch.rl.training.ppo import REPORTED, Learner
-from bsk_torch.rl.training.progress import Progress, check_progress_bar, interruptible, progress_bar, show
+from bsk_torch.rl.training.progress import Progress, TrainingBar, interruptible
 
 logger = logging.getLogger(__name__)
 
@@ -63,13 +63,12 @@ class Training:
             FileExistsError: If ``out`` is not empty, or no folder.
             FileNotFoundError: If there is no run to go on with.
             FolderInUseError: If another process works in ``out``.
-            ModuleNotFoundError: If tqdm, or a logger or Ray that the configuration names, is not installed.
+            ModuleNotFoundError: If a logger or Ray that the configuration names is not installed.
             OSError: If ``out`` cannot be written to.
             ValueError: If the checkpoint is damaged, of another version, or of other settings that cannot change.
         """
         check_loggers(config.loggers)
         check_collector(config.collector)
-        check_progress_bar()
         (check_resumable if resume else check_folder)(out)
         self.config, self.out, self.days, self.iteration = config, out, 0.0, 0
         self.best: dict[str, Any] = {"return": float("-inf"), "waited": 0, "networks": None}
@@ -132,20 +131,23 @@ class Training:
 
     # -- running ------------------------------------------------------------------------------------------------------
 
-    def run(self) -> TensorDictModuleBase:
+    def run(self, bar: bool = True) -> TensorDictModuleBase:
         """Train until the budget is used, patience is at its end, or the user interrupts; the best policy.
+
+        Args:
+            bar: Whether to show the progress.
 
         Raises:
             RuntimeError: If the training diverges, or a process that collects is lost. The run can be resumed.
             OSError: If the last checkpoint or the policy cannot be written; likewise.
         """
         try:
-            self._train()
+            self._train(bar)
             return self._finish()
         finally:
             self.lock.release()
 
-    def _train(self) -> None:
+    def _train(self, shown: bool) -> None:
         self._warm_up()
         with self._collecting():
             collector = make_collector(self.config, self.env, self.actor, self.marks)
@@ -154,7 +156,7 @@ class Training:
         try:
             with (
                 RunLog(self.out, self.config.loggers, self.progress.frames) as log,
-                progress_bar() as bar,
+                TrainingBar(shown) as bar,
                 interruptible() as stop,
             ):
                 self.progress.start()
@@ -178,7 +180,7 @@ class Training:
             ) from error
 
     def _loop(
-        self, batches: Iterator[TensorDictBase], collector: object, log: RunLog, bar: object, stop: threading.Event
+        self, batches: Iterator[TensorDictBase], collector: object, log: RunLog, bar: TrainingBar, stop: threading.Event
     ) -> None:
         while self.progress.fraction < 1.0:
             begin = time.perf_counter()
@@ -187,7 +189,7 @@ class Training:
             row = {"iteration": self.iteration, "collect_seconds": time.perf_counter() - begin} | self._learn(batch)
             self.iteration += 1
             log.iteration(row)
-            show(bar, self.progress, row)
+            bar.show(self.progress, row, len(self.recent.ended))
             with self._collecting():
                 update_weights(collector)
             if self._due(self.config.evaluate_every) or (self.config.evaluate_every and self.progress.fraction >= 1.0):
@@ -206,12 +208,10 @@ class Training:
 
     def _warm_up(self) -> None:
         """Compile before the clock starts."""
-        begin = time.perf_counter()
         with torch.no_grad():
             self.env.step(self.actor(self.env.reset()))
         self.env.set_seed(self.config.seed)
         torch.manual_seed(self.config.seed)
-        logger.info("ready after %.1f s", time.perf_counter() - begin)
 
     def _learn(self, batch: TensorDictBase) -> dict[str, float]:
         """Learn from a batch [N, T]; a row of the log."""
@@ -347,14 +347,14 @@ def check_folder(out: Path) -> None:
         PermissionError: If it cannot be written to.
     """
     if not out.is_dir() and (out.exists() or out.is_symlink()):
-        raise FileExistsError(f"{str(out)!r} is no folder; name one for the results")
+        raise FileExistsError(f"{str(out)!r} is not a folder; name one for the results")
     if (out / LOCK).exists():
         FolderLock(out).release()
     check_empty(out)
     there = next(folder for folder in (out, *out.absolute().parents) if folder.exists())
     if not there.is_dir() or not os.access(there, os.W_OK | os.X_OK):
         raise PermissionError(
-            f"{str(out)!r} cannot be written: {str(there)!r} is {'read-only' if there.is_dir() else 'no folder'}"
+            f"{str(out)!r} cannot be written: {str(there)!r} is {'read-only' if there.is_dir() else 'not a folder'}"
         )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,8 +22,18 @@ HOUR = 3600.0
 NIGHT, PASS = "#3b4252", "#2f9e72"
 
 
-def timeline(episode: Episode, path: Path, title: str = "") -> Path:
-    """Draw an episode to the file ``path``, .png or .svg, with headline ``title`` unless that is empty."""
+def timeline(episode: Episode, path: Path, title: str = "", marks: Sequence[tuple[float, str]] = ()) -> Path:
+    """Draw an episode to the file ``path``, .png or .svg.
+
+    Args:
+        episode: What to draw.
+        path: The file.
+        title: Headline; none if it is empty.
+        marks: Moments, s since reset, and what to write at each: a line through all panels.
+
+    Returns:
+        The path.
+    """
     figure, axes = panels((0.5, *(1.35 for _ in episode.series)))
     _modes(axes[0], episode)
     for panel, name in zip(axes[1:], episode.series, strict=True):
@@ -30,6 +41,8 @@ def timeline(episode: Episode, path: Path, title: str = "") -> Path:
     for panel in axes:
         shade(panel, episode)
     time_axis(axes[-1], episode)
+    for k, (time, text) in enumerate(sorted(marks)):
+        mark(axes, time / HOUR, text, row=k)
     if title:
         headline(figure, f"{title}: {episode.outcome}")
     figure.legend(handles=_legend(episode), loc="outside lower center", ncols=8, frameon=False, fontsize=9, labelcolor=INK)
@@ -83,6 +96,23 @@ def shade(panel: Axes, episode: Episode) -> None:
     for intervals, color, alpha in ((episode.eclipses, NIGHT, 0.16), (episode.passes, PASS, 0.35)):
         for start, end in (intervals / HOUR).tolist():
             panel.axvspan(start, end, color=color, alpha=alpha, linewidth=0, zorder=0)
+
+
+def mark(axes: Sequence[Axes], hour: float, text: str, row: int = 0) -> None:
+    """Draw a line through all panels at an hour, and write the text above the first panel, ``row`` lines of text higher."""
+    for panel in axes:
+        panel.axvline(hour, color=INK, linewidth=1.6, linestyle=(0, (4, 2)))
+    late = hour > 0.5 * axes[0].get_xlim()[1]
+    axes[0].annotate(
+        text,
+        (hour, 1.0),
+        xytext=(-4 if late else 4, 4 + 12 * row),
+        xycoords=axes[0].get_xaxis_transform(),
+        textcoords="offset points",
+        ha="right" if late else "left",
+        color=INK,
+        fontsize=9.5,
+    )
 
 
 def mode_color(action: int) -> str:

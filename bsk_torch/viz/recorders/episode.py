@@ -10,7 +10,7 @@ from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
 from bsk_torch.env import SatelliteTasking, Tasking
-from bsk_torch.env.rollout import play_episodes
+from bsk_torch.env.rollout import Policy, play_episodes
 from bsk_torch.sats import BoundAccessSatellite
 
 __all__ = ["Episode", "record_episode"]
@@ -91,7 +91,7 @@ class Recorder:
             known = self.satellite.opportunities_dict(0, "ground_station")
             self.passes.update(window for windows in known.values() for window in windows)
 
-    def play(self, policy: TensorDictModuleBase, seed: int) -> None:
+    def play(self, policy: Policy, seed: int) -> None:
         """Play the first episode of ``seed``, with the most probable actions."""
         self.env.set_seed(seed)
         start = self.env.reset()

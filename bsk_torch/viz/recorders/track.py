@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import torch
-from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
 from bsk_torch.astro.frames import fixed_to_lla
 from bsk_torch.env import SatelliteTasking
+from bsk_torch.env.rollout import Policy
 from bsk_torch.sim.access.visibility.planned import position_between, take_rows
 from bsk_torch.sim.environment.ephemeris import EPHEMERIS_TRACK, fixed
 from bsk_torch.sim.orbit.arcs import ARC, Arcs, segments_for
@@ -100,7 +100,7 @@ def between(simulator: Simulator, times: Tensor, r_N: Tensor, v_N: Tensor, row: 
     return fixed(around, r).stack()
 
 
-def record_track(policy: TensorDictModuleBase, env: SatelliteTasking, *, seed: int) -> TrackEpisode:
+def record_track(policy: Policy, env: SatelliteTasking, *, seed: int) -> TrackEpisode:
     """Play the first episode of ``seed`` in row 0 of ``env``, with the most probable actions."""
     recorder = TrackRecorder(env)
     recorder.play(policy, seed)

@@ -1,0 +1,92 @@
+"""The presets, with a line about each, and what Gymnasium has to know of them; read without torch.
+
+``import bsk_torch`` registers these environments, and ``bsk-torch list`` and ``--help`` read them, before torch is imported.
+"""
+
+from __future__ import annotations
+
+import sys
+from typing import Any, NamedTuple, NoReturn
+
+import gymnasium
+
+MODULE = "bsk_torch.wrappers"
+
+ONE = {"entry_point": f"{MODULE}.gymnasium:GymEnv", "vector_entry_point": f"{MODULE}.gymnasium:GymVectorEnv"}
+"""Entry points of presets with one satellite."""
+
+MANY = {"entry_point": f"{MODULE}.general:GymJointEnv"}
+"""Entry point of constellations, which have one agent under Gymnasium."""
+
+
+class Listed(NamedTuple):
+    """Gymnasium's entry points of a preset, and its task in one line."""
+
+    views: dict[str, str]
+    task: str
+
+
+LISTED: dict[str, Listed] = {
+    "NadirScan-v1": Listed(ONE, "record the ground below; keep battery, wheels and data store within limits"),
+    "AEOS-v1": Listed(ONE, "choose which of the next 32 targets to image, of 100 to 9,999"),
+    "AEOSPower-v1": Listed(ONE, "AEOS-v1 with a small battery and store, and weak wheels"),
+    "AEOSCity-v1": Listed(ONE, "AEOS-v1 with cities as targets (extra: cities)"),
+    "CloudyAEOS-v1": Listed(ONE, "AEOS-v1 under clouds, of which only a forecast is observed"),
+    "Constellation-v1": Listed(MANY, "12 imagers that communicate along lines of sight"),
+    "AEOSConstellation-v1": Listed(MANY, "three imagers in one plane that share all they know every minute"),
+    "RelayConstellation-v1": Listed(MANY, "four low imagers, two high relays; to broadcast is an action"),
+    "RSOInspection-v1": Listed(MANY, "fly around a spacecraft until its surface is inspected"),
+    "MultiInspection-v1": Listed(MANY, "the same with three inspectors that must not collide"),
+}
+"""The presets of the package, in the order of :data:`bsk_torch.presets.PRESETS`."""
+
+
+def satellite_tasking(**options: Any) -> Any:
+    """Return an environment of the user's satellite; the class is imported when it is needed."""
+    from bsk_torch.env import SatelliteTasking
+
+    return SatelliteTasking(**options)
+
+
+def general_satellite_tasking(**options: Any) -> Any:
+    """Return an environment of the user's satellites, which are one agent; likewise."""
+    from bsk_torch.env import GeneralSatelliteTasking
+
+    return GeneralSatelliteTasking(**options)
+
+
+def refuse_constellation(**options: object) -> NoReturn:
+    """Raise Error for ``gymnasium.make`` of agents that act on their own, which Gymnasium's interface does not have."""
+    raise gymnasium.error.Error(
+        "ConstellationTasking has several agents, which gymnasium.make cannot return (nor can bsk_rl's). PettingZoo's view is "
+        "bsk_torch.wrappers.pettingzoo.parallel_env(bsk_torch.ConstellationTasking, satellites=[...], ...); one agent for all "
+        "satellites is gymnasium.make('bsk_torch/GeneralSatelliteTasking-v1', satellites=[...], ...)"
+    )
+
+
+OWN: dict[str, dict[str, Any]] = {
+    "SatelliteTasking-v1": {**ONE, "kwargs": {"core": satellite_tasking}},
+    "GeneralSatelliteTasking-v1": {**MANY, "kwargs": {"core": general_satellite_tasking}},
+    "ConstellationTasking-v1": {"entry_point": refuse_constellation, "vector_entry_point": refuse_constellation},
+}
+"""Environments of a user's own satellites: ``gymnasium.make("bsk_torch/SatelliteTasking-v1", satellite=..., rewarder=...)``."""
+
+
+def register_listed() -> None:
+    """Register :data:`LISTED` and :data:`OWN` as ``bsk_torch/<name>`` with Gymnasium.
+
+    The names of :data:`OWN` are registered without ``bsk_torch/`` too, as bsk_rl does it, unless bsk_rl has been imported: then
+    they mean bsk_rl's environments, and they do from the moment on when bsk_rl is imported later. Repeated calls do nothing.
+    """
+    for name, preset in LISTED.items():
+        register_once(f"bsk_torch/{name}", **preset.views, kwargs={"core": name})
+    for name, entry in OWN.items():
+        register_once(f"bsk_torch/{name}", **entry)
+        if "bsk_rl" not in sys.modules:
+            register_once(name, **entry)
+
+
+def register_once(env_id: str, **entry: Any) -> None:
+    """Register an environment, unless there is one of that name."""
+    if env_id not in gymnasium.registry:
+        gymnasium.register(env_id, **entry)

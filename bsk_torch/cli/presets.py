@@ -1,0 +1,47 @@
+"""``bsk-torch list``: the environments, without importing torch."""
+
+from __future__ import annotations
+
+import json
+from importlib.resources import files
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from bsk_torch._listed import LISTED, MANY
+from bsk_torch.cli.terminal import line_width, print_table
+
+
+def list_presets(long: bool) -> None:
+    """Print a line about each preset, or a table with what its pretrained policy reaches."""
+    if not long:
+        table = Table.grid(padding=(0, 2))
+        for name, preset in LISTED.items():
+            table.add_row(Text(name, style="bold"), Text(preset.task))
+        Console(width=line_width()).print(table)
+        return
+    path = files("bsk_torch").joinpath("rl/policies/policies.json")  # of a package that would import torch
+    notes: dict[str, dict[str, Any]] = json.loads(path.read_text())
+    print_table(
+        [described(name, notes.get(name)) for name in LISTED], EXPLAINED, ("survival", "satellites"), ("preset", "satellites")
+    )
+
+
+EXPLAINED = "Pretrained policies: mean return of unseen episodes with its 95 % interval, and their training"
+
+
+def described(name: str, note: dict[str, Any] | None) -> dict[str, str]:
+    """Return the cells of a preset: how many satellites, and the notes on its pretrained policy, if it has one."""
+    satellites = {"preset": name, "satellites": "several" if LISTED[name].views is MANY else "one"}
+    if note is None:
+        return satellites | dict.fromkeys(("return", "survival", "decisions", "minutes"), "")
+    score = note["score"]
+    digits = 1 if score["return"] >= 10.0 else 3
+    return satellites | {
+        "return": f"{score['return']:.{digits}f} ± {score['half_width']:.{digits}f}",
+        "survival": f"{score['survival']:.1%}",
+        "decisions": f"{note['frames']:,}",
+        "minutes": f"{note['seconds'] / 60.0:.0f}",
+    }

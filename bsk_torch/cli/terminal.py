@@ -1,0 +1,182 @@
+"""What commands print: errors, messages, what takes long, the compilation of kernels, and tables that fit the terminal.
+
+Results alone go to the standard output; all else goes to the standard error.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import shlex
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import NoReturn
+
+import typer
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+from rich.table import Table
+from rich.text import Text
+
+WIDE = 240
+"""Characters in a line of files and pipes, which have no width."""
+
+screen = Console(stderr=True)
+"""Where messages and activities are shown."""
+
+
+def fail(message: str) -> NoReturn:
+    """Print an error and end the program."""
+    typer.secho(message, err=True, fg="red")
+    raise typer.Exit(1)
+
+
+def for_shell(path: Path | str) -> str:
+    """Return a path as a shell takes it."""
+    return shlex.quote(str(path))
+
+
+# -- messages and activities ---------------------------------------------------------------------------------------------------
+
+
+class Activity:
+    """The line at the bottom of the screen: what takes long, and how many kernels have been compiled.
+
+    Attributes:
+        quiet: Whether nothing is shown.
+        text: The present activity; empty if there is none.
+        compiled: Number of kernels since the last report.
+        seconds: Time in which they were compiled.
+        folder: Where they are kept.
+    """
+
+    def __init__(self) -> None:
+        """Show nothing yet."""
+        self.quiet, self.compiled, self.seconds, self.folder = False, 0, 0.0, ""
+        self._bar: Progress | None = None
+        self.text, self._kernel = "", ""
+
+    @property
+    def line(self) -> str:
+        """What is shown: the kernel that is compiled, or the activity."""
+        return self._kernel or self.text
+
+    def show(self, text: str) -> None:
+        """Show an activity, or none if ``text`` is empty."""
+        self.text = text
+        if text and self._bar is None and screen.is_terminal and not self.quiet:
+            columns = SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn()
+            self._bar = Progress(*columns, console=screen, transient=True)
+            self._bar.add_task(self.line)
+            self._bar.start()
+        if self._bar is not None and text:
+            self._bar.update(self._bar.task_ids[0], description=self.line)
+        elif self._bar is not None:
+            self._bar.stop()
+            self._bar = None
+
+    def compiling(self, kernel: str) -> None:
+        """Count a kernel whose compilation begins."""
+        self.compiled += 1
+        self._kernel = f"compiling kernel {self.compiled} ({kernel}), once per machine"
+        self.show(self.text)
+
+    def has_compiled(self, seconds: float, folder: str) -> None:
+        """Add the time that a kernel has taken."""
+        self.seconds, self.folder, self._kernel = self.seconds + seconds, folder, ""
+        self.show(self.text)
+
+    def report(self) -> None:
+        """Print how many kernels have been compiled, in what time, and where they are kept, if there were any."""
+        if self.compiled and not self.quiet:
+            kernels = f"{self.compiled} kernel{'s' * (self.compiled > 1)}"
+            once = f", once per machine; kept in {self.folder}" if self.folder else ""
+            screen.print(Text(f"compiled {kernels} in {self.seconds:.0f} s{once}"))
+        self.compiled, self.seconds = 0, 0.0
+
+
+activity = Activity()
+
+
+@contextmanager
+def working(text: str) -> Iterator[Callable[[str], None]]:
+    """Show what takes long; yields a function that shows another text."""
+    before = activity.text
+    activity.show(text)
+    try:
+        yield activity.show
+    finally:
+        activity.show(before)
+
+
+class Messages(logging.Handler):
+    """Prints messages above the activity; those about kernels are counted, and printed only at level DEBUG."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Print or count a message."""
+        told = vars(record)
+        if "kernel" in told:
+            activity.compiling(told["kernel"])
+        elif "kernel_seconds" in told:
+            activity.has_compiled(told["kernel_seconds"], told["folder"])
+        counted = {"kernel", "kernel_seconds"} & told.keys() or ("kernel_folder" in told and screen.is_terminal)
+        if not counted or logging.getLogger().isEnabledFor(logging.DEBUG):
+            screen.print(Text(self.format(record)))
+
+
+def set_verbosity(verbose: bool, quiet: bool) -> None:
+    """Print all messages, warnings and errors alone, or what is usual; ends the program if both are asked for."""
+    if verbose and quiet:
+        fail("--verbose and --quiet exclude each other")
+    activity.quiet = quiet
+    level = logging.DEBUG if verbose else logging.WARNING if quiet else logging.INFO
+    logging.basicConfig(level=level, format="%(message)s", handlers=[Messages()])
+    for name in ("torchrl", "matplotlib", "PIL"):
+        logging.getLogger(name).setLevel(logging.WARNING)
+
+
+# -- tables --------------------------------------------------------------------------------------------------------------------
+
+
+def line_width() -> int:
+    """Return the characters that a line of results may have: those of the terminal, or of the variable COLUMNS."""
+    console = Console()
+    return console.width if console.is_terminal or os.environ.get("COLUMNS") else WIDE
+
+
+def print_table(
+    rows: Sequence[Mapping[str, str]], title: str = "", expendable: Sequence[str] = (), left: Sequence[str] = ()
+) -> None:
+    """Print a table that fits the terminal.
+
+    Args:
+        rows: Cells by column, the same columns in each row.
+        title: Headline.
+        expendable: Columns to leave out where the terminal is too narrow, the first one first. A line below names them.
+        left: Columns with text, which is aligned at the left.
+    """
+    console, columns = Console(width=line_width()), list(rows[0])
+    order = [name for name in expendable if name in columns]
+    dropped: list[str] = []
+    while order and _needed(console, _table(rows, columns, title, left)) > console.width:
+        dropped.append(order.pop(0))
+        columns.remove(dropped[-1])
+    console.print(_table(rows, columns, title, left))
+    if dropped:
+        console.print(Text(f"not shown in {console.width} columns: {', '.join(dropped)}"))
+
+
+def _table(rows: Sequence[Mapping[str, str]], columns: Sequence[str], title: str, left: Sequence[str]) -> Table:
+    table = Table(title=Text(title) if title else None, title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
+    for name in columns:
+        table.add_column(name, justify="left" if name in left else "right", overflow="fold")
+    for row in rows:
+        table.add_row(*(Text(row[name]) for name in columns))
+    return table
+
+
+def _needed(console: Console, table: Table) -> int:
+    """Return the characters of the longest line of a table that breaks none."""
+    return console.measure(table, options=console.options.update(max_width=10 * WIDE)).maximum
