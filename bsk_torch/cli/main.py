@@ -178,7 +178,7 @@ def evaluate_policy(
     bsk-torch film runs/scan
     bsk-torch film pretrained --preset Constellation-v1 --until 1200
     bsk-torch film rule --preset NadirScan-v1 --seed 7 --out episode.png
-    bsk-torch film nearest --preset RelayConstellation-v1 --every 20 --out relay.mp4
+    bsk-torch film random --preset Constellation-v1 --every 20 --out team.mp4
     """,
 )
 def film(

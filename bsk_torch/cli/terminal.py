@@ -133,7 +133,7 @@ def set_verbosity(verbose: bool, quiet: bool) -> None:
     activity.quiet = quiet
     level = logging.DEBUG if verbose else logging.WARNING if quiet else logging.INFO
     logging.basicConfig(level=level, format="%(message)s", handlers=[Messages()])
-    for name in ("torchrl", "matplotlib", "PIL"):
+    for name in ("matplotlib", "PIL"):
         logging.getLogger(name).setLevel(logging.WARNING)
 
 

@@ -185,7 +185,7 @@ def test_comparisons_lose_columns_by_rank(columns, capsys):
     assert f"not shown in {columns} columns: decisions, simulated s / decision, fill, collected" in shown
     rows = [line.split()[0] for line in shown.splitlines() if "±" in line]
     assert rows == list(results)
-    assert ("imaged" in head) == (columns == 100)
+    assert ("deaths" in head) == (columns == 100)
 
 
 def test_files_and_pipes_get_all_columns(monkeypatch, capsys):
@@ -282,13 +282,15 @@ def test_kernels_are_counted_in_one_line_with_the_total_at_the_end(monkeypatch, 
 # -- a terminal --------------------------------------------------------------------------------------------------------
 
 
-def in_terminal(columns, *arguments):
-    """Run bsk-torch in a terminal; return the exit code and all that it writes."""
+def in_terminal(columns, folder, *arguments):
+    """Run bsk-torch in a terminal and a folder; return the exit code and all that it writes."""
     leader, follower = pty.openpty()
     fcntl.ioctl(follower, termios.TIOCSWINSZ, struct.pack("HHHH", 40, columns, 0, 0))
     environment = {name: value for name, value in os.environ.items() if name not in ("COLUMNS", "LINES")} | {"TERM": "xterm"}
     command = [sys.executable, "-m", "bsk_torch", *map(str, arguments)]
-    process = subprocess.Popen(command, stdin=follower, stdout=follower, stderr=follower, env=environment, close_fds=True)
+    environment["PYTHONPATH"] = os.pathsep.join(sys.path)
+    streams = dict(stdin=follower, stdout=follower, stderr=follower)
+    process = subprocess.Popen(command, cwd=folder, env=environment, close_fds=True, **streams)
     os.close(follower)
     written = bytearray()
     while True:
@@ -303,13 +305,35 @@ def in_terminal(columns, *arguments):
     return process.wait(), written.decode()
 
 
+def drawn(written):
+    """Return the lines that are left of what was written to a terminal, and the largest column that was ever reached."""
+    lines, row, column, reached = [[]], 0, 0, 0
+    for part in re.findall(r"\x1b\[[0-9;?]*[a-zA-Z]|[\s\S]", written):
+        if part.startswith("\x1b["):
+            row -= int(part[2:-1]) if part.endswith("A") else 0
+            lines[row] = [] if part.endswith("K") else lines[row]
+        elif part == "\r":
+            column = 0
+        elif part == "\n":
+            row += 1
+            lines += [[]] * (row == len(lines))
+        else:
+            lines[row] = [*lines[row][:column], *" " * (column - len(lines[row])), part, *lines[row][column + 1 :]]
+            column += 1
+            reached = max(reached, column if part.strip() else 0)
+    return ["".join(line).rstrip() for line in lines], reached
+
+
 @pytest.mark.compiled
 @pytest.mark.parametrize("columns", [80, 100])
 def test_a_training_fits_the_terminal(columns, tmp_path):
     sizes = ("--frames", 40, "num_envs=4", "rollout=5", "--episodes", 2, "--time-limit", 300)
-    code, written = in_terminal(columns, "train", "NadirScan-v1", *sizes, "--out", tmp_path / "run")
+    code, written = in_terminal(columns, tmp_path, "train", "NadirScan-v1", *sizes, "--out", "run")
     assert code == 0, written
-    assert widest(written) <= columns
+    lines, reached = drawn(written)
+    assert reached <= columns
+    assert [line.split()[0] for line in lines if line][:2] == ["training", "last"]
+    assert lines[0].count("━") >= 30
     assert "nan" not in written
     assert "waiting for the first episodes to end" in written
     assert "100%" in written

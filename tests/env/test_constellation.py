@@ -589,7 +589,7 @@ DEAD_FROM_THE_START = {
     ((2, 1, None), (0,)): [False, True, True],
     ((2, 1, None), (0, 2)): [False, True, False],
 }
-"""Who requires a task, and is not zeros, after the first step of bsk_rl, by the actions of three satellites and who has no charge."""
+"""Who requires a task, and is not zeros, after bsk_rl's first step, by the actions of three satellites and who has no charge."""
 
 
 @pytest.mark.parametrize(("actions", "dead"), DEAD_FROM_THE_START)

@@ -87,6 +87,18 @@ def duration(seconds: float) -> str:
 
 
 @contextmanager
+def unbroken() -> Iterator[None]:
+    """Leave out what TorchRL logs at level INFO, such as the sizes of its buffers: it would break the bar."""
+    torchrl = logging.getLogger("torchrl")
+    before = torchrl.level
+    torchrl.setLevel(logging.WARNING)
+    try:
+        yield
+    finally:
+        torchrl.setLevel(before)
+
+
+@contextmanager
 def interruptible() -> Iterator[threading.Event]:
     """An event that Ctrl-C sets, so that an iteration is finished and kept; a second Ctrl-C stops at once."""
     stop = threading.Event()

@@ -30,7 +30,7 @@ from bsk_torch.rl.training.episodes import RecentEpisodes
 from bsk_torch.rl.training.lock import LOCK, FolderLock
 from bsk_torch.rl.training.log import RunLog, check_loggers
 from bsk_torch.rl.training.ppo import REPORTED, Learner
-from bsk_torch.rl.training.progress import Progress, TrainingBar, interruptible
+from bsk_torch.rl.training.progress import Progress, TrainingBar, interruptible, unbroken
 
 logger = logging.getLogger(__name__)
 
@@ -158,6 +158,7 @@ class Training:
                 RunLog(self.out, self.config.loggers, self.progress.frames) as log,
                 TrainingBar(shown) as bar,
                 interruptible() as stop,
+                unbroken(),
             ):
                 self.progress.start()
                 self._loop(iter(collector), collector, log, bar, stop)
