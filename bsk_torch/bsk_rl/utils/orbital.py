@@ -5,6 +5,7 @@ Angles of arguments are in degrees and lengths in km, as in bsk_rl; elements are
 
 from __future__ import annotations
 
+import functools
 import logging
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -13,13 +14,15 @@ from typing import Any
 import numpy as np
 import torch
 
+from bsk_torch.astro.eclipse import in_umbra
 from bsk_torch.astro.ephemeris import parse_utc
 from bsk_torch.astro.relative import cd2hill, elevation, fibonacci_sphere, hill2cd, lla2ecef, rv2HN, rv2omega
 from bsk_torch.bsk_rl.utils import orbital_motion as orbitalMotion  # noqa: N812  (the name that programs import)
 from bsk_torch.bsk_rl.utils.orbital_motion import ClassicElements, elem2rv, rv2elem
-from bsk_torch.sim.access.visibility.planned import PlannedOrbits
-from bsk_torch.sim.access.visibility.tensors import TensorVisibility
-from bsk_torch.sim.orbit.arcs import Arcs
+from bsk_torch.sim.access.visibility.planned import PlannedOrbits, position_between, sample_planned, take_rows
+from bsk_torch.sim.environment.ephemeris import EPHEMERIS_TRACK, fixed
+from bsk_torch.sim.orbit.arcs import REACH_AROUND, Arcs
+from bsk_torch.sim.orbit.builder import ARC
 from bsk_torch.sim.orbit.grid import PLAN_STEP
 from bsk_torch.sim.orbit.solvers import make_solver
 
@@ -230,9 +233,10 @@ def relative_to_chief(
 
 
 class TrajectorySimulator:
-    """The orbit of a satellite without drag and manoeuvres, in steps of 30 s from the epoch on, as far as it is asked for.
+    """The orbit of a satellite without drag and manoeuvres, in steps from the epoch on, as far as it is asked for.
 
-    Positions are those of the planned arcs (:mod:`bsk_torch.sim.orbit.planned_arc`), on which satellites look ahead too.
+    In steps of 30 s, positions are those of the planned arcs (:mod:`bsk_torch.sim.orbit.planned_arc`), on which satellites look
+    ahead too and which have the error of Basilisk's Runge-Kutta method; in others, they are those of the exact orbit.
     """
 
     def __init__(
@@ -252,13 +256,13 @@ class TrajectorySimulator:
             vN: Initial velocity, m/s [3].
             oe: Initial elements.
             mu: Gravitational parameter to which the elements refer, m^3/s^2.
-            dt: Step, s; 30.
+            dt: Step, s.
 
         Raises:
-            ValueError: For both or none of the two, or another step.
+            ValueError: For both or none of the two, or a step that is not positive.
         """
-        if dt != PLAN_STEP:
-            raise ValueError(f"dt={dt!r} must be {PLAN_STEP:g}: orbits are planned in these steps, s")
+        if not dt > 0.0:
+            raise ValueError(f"dt={dt!r} must be positive, s")
         if oe is None and rN is not None and vN is not None:
             self.rN_init, self.vN_init = np.asarray(rN, dtype=float), np.asarray(vN, dtype=float)
         elif oe is not None and mu is not None and rN is None and vN is None:
@@ -266,18 +270,20 @@ class TrajectorySimulator:
         else:
             raise ValueError("give the orbit as (rN, vN), or as (oe, mu)")
         self.utc_init, self.dt = utc_init, dt
-        self._visibility = TensorVisibility()
         self._count = 0
         self._eclipse_starts: list[float] = []
         self._eclipse_ends: list[float] = []
         self._searched = 0.0
         self._tables: tuple[np.ndarray, np.ndarray, np.ndarray] = (np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0, dtype=bool))
-        cpu = torch.device("cpu")
-        self._arcs = Arcs(1, 1, make_solver(1.0, "eager", cpu), kept=2**30)
-        et = torch.tensor([parse_utc(utc_init)], dtype=torch.float64)
+
+    @functools.cached_property
+    def _arcs(self) -> Arcs:
+        """The solved orbit; many programs never ask for it."""
+        arcs = Arcs(1, 1, make_solver(1.0, "eager", torch.device("cpu")), kept=2**30)
+        et = torch.tensor([parse_utc(self.utc_init)], dtype=torch.float64)
         r, v = (torch.as_tensor(x, dtype=torch.float64).unsqueeze(0) for x in (self.rN_init, self.vN_init))
-        self._arcs.solve(torch.zeros(1, dtype=torch.long), et, r, v)
-        self._sample()
+        arcs.solve(torch.zeros(1, dtype=torch.long), et, r, v)
+        return arcs
 
     @property
     def sim_time(self) -> float:
@@ -294,16 +300,25 @@ class TrajectorySimulator:
         if t < self.sim_time:
             return
         self._count = math.floor(t / self.dt) + 1
-        while self._count > len(self._tables[0]):
+        needed = (self._count - 1) * self.dt + (0.0 if self.dt == PLAN_STEP else REACH_AROUND)
+        while self._arcs.length < needed:
             self._arcs.grow()
-            self._sample()
+        if self._count > len(self._tables[0]):
+            self._tables = tuple(map(np.concatenate, zip(self._tables, self._sampled(), strict=True)))  # type: ignore[assignment]
 
-    def _sample(self) -> None:
-        """Keep positions in N and P, m, and whether the Sun is hidden, at all steps of the arcs."""
-        orbits = PlannedOrbits(self._arcs.planned_samples, self._arcs.ephemeris_samples)
-        start, count = torch.zeros(1, dtype=torch.float64), self._arcs.planned.shape[1]
-        fixed, dark = self._visibility.ground_track(orbits, start, count), self._visibility.umbra(orbits, start, count)
-        self._tables = self._arcs.planned[0].numpy(), fixed[0].numpy(), dark[0].numpy()
+    def _sampled(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return positions in N and P, m [n, 3], and whether the Sun is hidden, [n], at steps that are not in the tables yet."""
+        first, arcs = len(self._tables[0]), self._arcs
+        times = self.dt * torch.arange(first, self._count, dtype=torch.float64)
+        if self.dt == PLAN_STEP:
+            planned = PlannedOrbits(arcs.planned_samples, arcs.ephemeris_samples)
+            r_BN_N, sky = sample_planned(planned, times[:1], len(times))
+        else:
+            owner = torch.zeros(len(times), dtype=torch.long)
+            nodes, ephemeris = (take_rows(track, owner) for track in arcs.tracks((ARC, EPHEMERIS_TRACK)))
+            r_BN_N, sky = position_between(nodes, ephemeris, times)
+        tables = r_BN_N.stack(), fixed(sky, r_BN_N).stack(), in_umbra(r_BN_N, sky.r_SN_N)
+        return tables[0].numpy(), tables[1].numpy(), tables[2].numpy()
 
     def next_eclipse(self, t: float, max_tries: int = 2) -> tuple[float, float]:
         """Return the times of the next start and of the next end of an eclipse after ``t``, s; within one, they are of two.
