@@ -29,8 +29,8 @@ MOST_PENALTY = 1e30
 """Bound of the penalty of a failure: a sum of some stays finite in float32."""
 
 ABSENT = {
-    "vizard_dir": "there is no Vizard here; env.render() draws pictures, and 'bsk-torch report' films",
-    "vizard_settings": "there is no Vizard here; env.render() draws pictures, and 'bsk-torch report' films",
+    "vizard_dir": "there is no Vizard here; env.render() draws pictures, and 'bsk-torch film' makes films",
+    "vizard_settings": "there is no Vizard here; env.render() draws pictures, and 'bsk-torch film' makes films",
     "render_mode": "bsk_rl does not use it; env.render() returns pixels",
 }
 """Options of bsk_rl's environments that mean nothing here unless they are None, and what to use instead."""

@@ -20,6 +20,7 @@ SHORT = {
     "eval": "--seeds 0:2 --time-limit 300",
     "report": "--episodes 3",
     "list": "",
+    "film": "--time-limit 300 --height 120",
     "schedule": "",
     "explain": "--seeds 0:1",
     "bench": "--episodes 2",
