@@ -60,7 +60,7 @@ def report(run: Path, episodes: int, threads: int, backend: str, device: str) ->
         command=command_of(config),
     )
     path = pages.write_report(data, run / REPORT)
-    typer.echo(f"{path}, {path.stat().st_size / 1e6:.1f} MB; open it in a browser: {path.resolve().as_uri()}")
+    typer.echo(f"{path} ({path.stat().st_size / 1e6:.1f} MB)\nopen it in a browser: {path.resolve().as_uri()}")
 
 
 def _pages() -> Any:

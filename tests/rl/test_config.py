@@ -70,7 +70,7 @@ def test_changes_are_read_in_their_types():
         ("options.num_envs=5", "the setting 'num_envs' decides that"),
         ("options.seed=5", "the setting 'seed' decides that"),
         ("options.env_ids=[0]", "the setting 'num_envs' decides that"),
-        ("=1", "no setting of the training"),
+        ("=1", "unknown setting ''"),
     ],
 )
 def test_what_cannot_be_is_named(change, message):

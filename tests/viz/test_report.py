@@ -179,6 +179,7 @@ def test_the_command_plays_and_shows_three_episodes(call, folder):
     result = call(folder, "--episodes", 3, "--backend", "eager")
     assert result.exit_code == 0, result.output
     assert "report.html (" in " ".join(result.output.split())
+    assert (folder / "report.html").resolve().as_uri() in result.output
     page = Page((folder / "report.html").read_text())
     assert [title.split()[0] for title in page.titles if "episode (no." in title] == ["Best", "Median", "Worst"]
     assert "0.500 ± 0.100" in page.words
