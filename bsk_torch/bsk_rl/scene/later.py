@@ -11,7 +11,8 @@ RSO = (
 MIXED = "several scenarios in one environment are not in bsk_torch yet. Satellites of several types can share one scenario"
 
 GROUPS = {
-    RSO: "RSOImageData RSOImageRecord RSOImageReward RSOImageStore RSOPriorityEvent RSOTarget RSOTargetCatalog RSOTargets",
+    RSO: "RSOImageData RSOImageRecord RSOImageReward RSOImageStore RSOPriorityEvent RSOTarget RSOTargetCatalog RSOTargets "
+    "CandidateSnapshot target_geometry candidate_snapshot illumination_factor",
     MIXED: "MixedData MixedDataStore MixedReward MixedScenario",
 }
 
