@@ -356,7 +356,8 @@ class PerEnv(Distribution):
     def draw(self, key: Key) -> Tensor | list[Any]:
         """See :meth:`Distribution.draw`; ValueError if there are fewer rows than environments."""
         if int(key.env_id.max()) >= len(self.values):
-            raise ValueError(f"per_env has {len(self.values)} rows, but environment {int(key.env_id.max())} needs one")
+            of = f"{key.name}: " if key.name else ""
+            raise ValueError(f"{of}per_env has {len(self.values)} rows, but environment {int(key.env_id.max())} needs one")
         rows = key.env_id.tolist()
         if isinstance(self.values, Tensor):
             return self.values[key.env_id.to(self.values.device)]

@@ -70,7 +70,7 @@ class MadeOfArguments(Snapshots):
 
     def _change(self, changes: Sequence[Change], rows: Tensor | None = None) -> None:
         """Make changes of arguments in ``rows`` [n] of the batch, or in all; nothing changes where one of them is wrong."""
-        types = changed([simulator.type for simulator in self.fleet.simulators], changes, self.num_envs)
+        types = changed([simulator.type for simulator in self.fleet.simulators], changes, self.env_ids)
         self.fleet.change(types)
         if self.pool is not None:
             self.pool.change(types, rows)

@@ -38,6 +38,7 @@ from bsk_torch.sats.satellite import Satellite
 from bsk_torch.scene.base import Scenario
 from bsk_torch.sim.assembly.satellite_type import whole_nanoseconds
 from bsk_torch.sim.fleet import Fleet
+from bsk_torch.sim.state import without_autograd
 
 __all__ = ["ResetNeededError", "StepResult", "Tasking", "TimeLimit"]
 
@@ -71,6 +72,7 @@ class Tasking(Present, MadeOfArguments):
     links: Tensor | None = None
     """Communication after the last step by sender and receiver, [N, S, S]; None where satellites never communicate."""
 
+    @without_autograd()
     def _build(
         self,
         satellites: Sequence[Satellite],
@@ -108,6 +110,8 @@ class Tasking(Present, MadeOfArguments):
         unset, start = torch.full_like(self.fleet.all_envs, -1), self.builder.draw_and_start
         self.pool = EpisodePool(unset, self._next_fleet, start) if self.builder.pool_pays else None
         self._declare_state(options.env_ids)
+        for simulator in self.fleet.simulators:
+            simulator.type.arguments.check_per_env(self.env_ids)
         self.satellites = groups_of(self.builder.satellites, self.fleet)
         link(self.fleet, self.scenario, self.rewarder)
         totals.declare(self.rewarder, self.fleet)

@@ -99,8 +99,10 @@ def remembered(old: Sequence[Change], new: Sequence[Change]) -> list[Change]:
     return kept
 
 
-def changed(types: Sequence[SatelliteType], changes: Sequence[Change], num_envs: int) -> list[SatelliteType]:
-    """Return the types of satellites with changes of their arguments, which trial draws for ``num_envs`` environments check.
+def changed(types: Sequence[SatelliteType], changes: Sequence[Change], env_ids: Tensor) -> list[SatelliteType]:
+    """Return the types of satellites with changes of their arguments, which trial draws check.
+
+    ``env_ids`` are the indices of the environments in draws, [N].
 
     Raises:
         KeyError, ValueError: For wrong changes.
@@ -110,7 +112,9 @@ def changed(types: Sequence[SatelliteType], changes: Sequence[Change], num_envs:
         columns, around = satellite_type.usage.columns, satellite_type.arguments.world_args.table
         own = [(columns.index(c.satellite), *c[1:]) for c in changes if c.satellite in columns]
         world = [(0, *c[1:]) for c in changes if c.satellite is WORLD and c.name in around]
-        new.append(satellite_type.changed(own, world, num_envs) if own or world else satellite_type)
+        new.append(satellite_type.changed(own, world, len(env_ids)) if own or world else satellite_type)
+        if own or world:
+            new[-1].arguments.check_per_env(env_ids)
     return new
 
 

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import enum
 import threading
+from contextlib import AbstractContextManager
 from types import TracebackType
 
 import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 
-from bsk_torch.sim.state import SHOWN, StateTable
+from bsk_torch.sim.state import SHOWN, StateTable, without_autograd
 
 
 class ResetNeededError(RuntimeError):
@@ -32,8 +33,8 @@ class EpisodeGuard:
     """A context that one thread may enter, also several times; RuntimeError for a second thread meanwhile, which does not wait.
 
     A step changes hundreds of tensors one after the other, so calls of two threads at once would mix two episodes' numbers, and a
-    call that an error ends leaves the episodes that it was changing without a meaning: they must be reset. Gradients are not
-    recorded inside; :func:`bsk_torch._checks.no_gradient` refuses values that would need them.
+    call that an error ends leaves the episodes that it was changing without a meaning: they must be reset. Inside, gradients are
+    not recorded (:func:`bsk_torch._checks.no_gradient` rejects values that need them) and torch's inference mode is left.
 
     Attributes:
         state: Table with the field ``begun``: episodes that can be stepped, [N].
@@ -47,7 +48,7 @@ class EpisodeGuard:
         self.state, self.all_begun, self.interrupted, self.origin = state, False, False, Origin.DRAWN
         self._changing: Tensor | None = None
         self._lock, self._inside = threading.RLock(), ""
-        self._outer_modes: list[bool] = []
+        self._modes: list[AbstractContextManager[None]] = []
 
     # -- calls --------------------------------------------------------------------------------------------------------
 
@@ -59,8 +60,8 @@ class EpisodeGuard:
                 "same time: give each thread its own environment, or let one wait for the other with a threading.Lock"
             )
         self._inside = threading.current_thread().name
-        self._outer_modes.append(torch.is_grad_enabled())
-        torch.set_grad_enabled(False)
+        self._modes.append(without_autograd())
+        self._modes[-1].__enter__()
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         """Leave; after an ``error``, episodes that were being changed have not begun."""
@@ -69,7 +70,7 @@ class EpisodeGuard:
             if error is not None and changing is not None:
                 self._interrupt(changing, error)
         finally:
-            torch.set_grad_enabled(self._outer_modes.pop())
+            self._modes.pop().__exit__(None, None, None)
             self._lock.release()
 
     def change(self, envs: Tensor) -> None:

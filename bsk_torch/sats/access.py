@@ -18,6 +18,9 @@ from bsk_torch.sim.orbit.grid import PLAN_STEP
 LONGEST_GENERATION = 1e6
 """Bound of the seconds that one extension of windows searches, eleven days: all of them are kept."""
 
+LONGEST_AT_RESET = 1e7
+"""Bound of the seconds for which windows are generated at reset, 116 days: they take seconds and megabytes for each episode."""
+
 
 class AccessSatellite(Satellite):
     """Adds access windows; see :mod:`bsk_torch.sim.access.windows`.
@@ -45,7 +48,7 @@ class AccessSatellite(Satellite):
             sat_args: Arguments of the models.
             generation_duration: Seconds by which windows are extended when a query runs out of them, a multiple of 30.
             initial_generation_duration: Seconds for which windows are generated at reset; None for the time limit (nothing
-                where that is infinite).
+                where that is infinite). Of more than :data:`LONGEST_AT_RESET`, the rest is generated as queries need it.
             max_generation_duration_beyond_initial: Seconds beyond that after which queries end; they then repeat the last window.
             may_see_nothing: Whether queries without a window within a hundred segments yield observations of zeros, and images
                 that only wait for a segment; otherwise they raise as in bsk_rl.
@@ -77,7 +80,7 @@ class AccessSatellite(Satellite):
     def generation(self, limit: Tensor) -> Tensor:
         """See :meth:`Satellite.generation`."""
         wanted = limit if self.initial_generation_duration is None else torch.full_like(limit, self.initial_generation_duration)
-        wanted = torch.where(torch.isfinite(wanted), wanted, torch.zeros_like(wanted))
+        wanted = torch.where(torch.isfinite(wanted), wanted.clamp(max=LONGEST_AT_RESET), torch.zeros_like(wanted))
         least = max(2.0 * PLAN_STEP, self.generation_duration)
         whole = torch.ceil(torch.clamp(wanted, min=least) / self.generation_duration) * self.generation_duration
         return torch.where(wanted > 0.0, whole, torch.zeros_like(wanted))

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
@@ -26,6 +27,28 @@ FINITE = 1e30
 
 SHOWN = 5
 """Number of wrong rows that a message lists."""
+
+
+@contextmanager
+def without_autograd() -> Iterator[None]:
+    """A context, or a decorator, without gradients and outside of torch's inference mode.
+
+    State that is made in inference mode could never be written into outside of it.
+    """
+    if torch.is_inference_mode_enabled():
+        with torch.inference_mode(False), torch.no_grad():
+            yield
+    else:
+        with torch.no_grad():
+            yield
+
+
+def owned(value: Tensor) -> Tensor:
+    """Return the tensor, or a copy of one that was made in torch's inference mode, which can be written into."""
+    if not value.is_inference():
+        return value
+    with without_autograd():
+        return value.clone()
 
 
 @dataclass(frozen=True)
@@ -107,7 +130,7 @@ class StateTable:
             dtype = {bool: torch.bool, int: torch.int64}.get(type(initial), torch.float64)
         self.fields[name] = StateField(name, initial, grows, planes, low, high)
         size = (*shape, self.rows) if planes else (self.rows, *shape)
-        self.__dict__[name] = torch.full(size, initial or 0, dtype=dtype, device=self.device)
+        self.__dict__[name] = owned(torch.full(size, initial or 0, dtype=dtype, device=self.device))
 
     def bound(self, name: str, low: float | None, high: float | None) -> None:
         """Set the smallest and the largest value that a state which is restored may hold in a declared field."""
@@ -158,7 +181,7 @@ class StateTable:
         """Replace a declared tensor, or set an attribute that is no tensor; AttributeError for another tensor."""
         if isinstance(value, Tensor) and name not in self.fields:
             raise AttributeError(f"tensor {name!r} is not declared as part of the state; call declare({name!r}, ...) first")
-        self.__dict__[name] = value
+        self.__dict__[name] = owned(value) if isinstance(value, Tensor) else value
 
     def __getitem__(self, name: str) -> Tensor:
         """Return the tensor ``name``; KeyError where it is not declared."""
@@ -171,7 +194,7 @@ class StateTable:
         old = self[name]
         if value.shape != old.shape:
             raise ValueError(f"{name!r} has shape {list(old.shape)} in the state; it cannot become {list(value.shape)}")
-        self.__dict__[name] = value.to(old.dtype)
+        self.__dict__[name] = owned(value.to(old.dtype))
         self.touch()
 
     def __contains__(self, name: object) -> bool:

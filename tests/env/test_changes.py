@@ -7,6 +7,7 @@ import pickle
 import pytest
 import torch
 
+import bsk_torch
 from bsk_torch import ConstellationTasking, SatelliteTasking, act, obs, rand, sats
 from bsk_torch.astro.ephemeris import parse_utc
 from bsk_torch.env.changes import Change, episodes, remembered
@@ -319,3 +320,45 @@ def test_rows_that_share_their_draws_change_together():
     assert episodes([2], 3, ids)[1] == (8,)
     with pytest.raises(ValueError, match="env_ids others have too"):
         episodes([0], 3, ids)
+
+
+# -- what is rejected when it is set --------------------------------------------------------------------------------------------
+
+ROWS = 4
+
+
+def rows_of(good, bad, at=3):
+    return rand.per_env([bad if k == at else good for k in range(ROWS)])
+
+
+WRONG = {
+    "too few rows": ({"panelArea": rand.per_env(torch.ones(2, dtype=torch.float64))}, {}, "panelArea: per_env has 2 rows"),
+    "a value out of range": ({"panelArea": rows_of(1.0, -1.0)}, {}, "panelArea=-1 m.2 is not allowed"),
+    "a value of another shape": ({"panelArea": rows_of(1.0, [1.0, 2.0])}, {}, "panelArea=.* is not made of numbers"),
+    "values that do not fit others": ({"batteryStorageCapacity": rows_of(3e8, 1.0)}, {}, "storedCharge_Init=.* is above"),
+    "an epoch that does not exist": ({}, {"utc_init": rows_of("2020-01-01T00:00:00", "2020-13-01T00:00:00")}, "utc_init"),
+    "too few epochs": ({}, {"utc_init": rand.per_env(["2020-01-01T00:00:00"])}, "utc_init: per_env has 1 rows"),
+}
+"""Arguments of satellites and of the world that fit the first two environments of four, not all, and the errors."""
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_wrong_rows_are_rejected_when_they_are_given(case):
+    sat_args, world_args, message = WRONG[case]
+    options = {"num_envs": ROWS, "seed": 0, "backend": "eager", "time_limit": 600.0}
+    with pytest.raises(ValueError, match=message):
+        bsk_torch.make("NadirScan-v1", sat_args=sat_args, world_args=world_args, **options)
+    env, other = (bsk_torch.make("NadirScan-v1", **options) for _ in range(2))
+    env.reset(), other.reset()
+    with pytest.raises(ValueError, match=message):
+        env.set_sat_args(sat_args) if sat_args else env.set_world_args(world_args)
+    assert (env.reset() == other.reset()).all()
+    assert dict(env.satellite.sat_args_generator) == dict(other.satellite.sat_args_generator)
+
+
+def test_rows_are_those_of_the_indices_in_draws():
+    values = rand.per_env(torch.ones(8, dtype=torch.float64))
+    options = {"num_envs": 2, "backend": "eager", "time_limit": 600.0, "sat_args": {"panelArea": values}}
+    bsk_torch.make("NadirScan-v1", env_ids=[3, 7], **options).reset()
+    with pytest.raises(ValueError, match="panelArea: per_env has 8 rows, but environment 8 needs one"):
+        bsk_torch.make("NadirScan-v1", env_ids=[3, 8], **options)

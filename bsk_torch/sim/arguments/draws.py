@@ -130,11 +130,35 @@ class TypeArguments:
             values[name] = self.sat_args.override(name, values.get(name), columns, replaced)
         if taken := sorted(values.keys() & self.taken):
             raise ValueError(f"the scenario draws {taken}, which are arguments of satellite or world; give them other names")
+        self._check(values, bool(given))
+        return values
+
+    def _check(self, values: dict[str, Any], replaced: bool) -> None:
+        """Check what values mean together; ``replaced`` says whether arguments of some satellites are."""
         for part in self.parts:
             part.check(values)
-        self._check_tick(values, bool(given))
+        self._check_tick(values, replaced)
         check_orbits(values, on_arc=self.on_arc)
-        return values
+
+    def check_per_env(self, env_ids: Tensor) -> None:
+        """Check the values of ``rand.per_env`` in all environments, [n] indices in draws, with those of the first for the rest.
+
+        Raises:
+            ValueError: For too few rows, and values that are not allowed.
+        """
+        key = dataclasses.replace(first_key(len(env_ids)), env_id=env_ids.cpu())
+        around, own = self.world_args.draw_per_env(key), self.sat_args.draw_per_env(key)
+        if not around and not own:
+            return
+        first = key.take([0])
+        given = self.randomize(first)
+        others = {
+            name: value.repeat(len(key), *[1] * (value.ndim - 1)) if isinstance(value, Tensor) and len(value) > 1 else value
+            for name, value in self.draw(first, given=given).items()
+        }
+        around = {name: value.repeat_interleave(self.count, 0) for name, value in around.items()}
+        mine = {name: value for name, value in (around | own).items() if name not in given}
+        self._check(others | mine, bool(given))
 
     def _check_tick(self, values: dict[str, Any], replaced: bool) -> None:
         """Check that arguments fit the length of a tick; marginal values are logged once for each part of a model.

@@ -21,7 +21,7 @@ from torch import Tensor
 
 from bsk_torch._checks import no_gradient, number
 from bsk_torch.astro.ephemeris import coverage, parse_utc
-from bsk_torch.rand import Distribution, Key, RandomEpoch, seeded
+from bsk_torch.rand import Distribution, Key, PerEnv, RandomEpoch, seeded
 from bsk_torch.sim.arguments.sources import Answers, Member, in_order, is_function, unknown
 from bsk_torch.sim.component import Arg, Component, Values
 from bsk_torch.sim.names import nearest
@@ -297,6 +297,19 @@ class Arguments:
         answers = self._asked_alone(key, known) if answers is None else answers
         rows = key if self.columns == (0,) else key.of_satellites(torch.tensor(self.columns))
         return {n: known[n] if n in known else self._drawn_or_kept(arg, key, rows, answers) for n, arg in self.table.items()}
+
+    def draw_per_env(self, key: Key) -> dict[str, Any]:
+        """Return the values, [n * S, ...], of the arguments that ``rand.per_env`` gives: the same in all episodes.
+
+        Those that functions of the user give to some satellites or environments are left out.
+        """
+        names = [name for name in self.table if self._is_per_env(name)]
+        rows = key if self.columns == (0,) else key.of_satellites(torch.tensor(self.columns))
+        return {name: self._drawn_or_kept(self.table[name], key, rows, ()) for name in names}
+
+    def _is_per_env(self, name: str) -> bool:
+        values = [value for k in range(len(self._given)) for value in self._values_of(k, name)]
+        return any(isinstance(value, PerEnv) for value in values) and not any(map(is_function, values))
 
     def override(self, name: str, values: Any, columns: Tensor, given: Tensor) -> Tensor:
         """Return values [n * S, ...] of the argument ``name``, with those of some satellites replaced.

@@ -57,7 +57,7 @@ def draw(given: dict, parts=PARTS, n: int = 3, title: str = "sat_args") -> dict:
         ({"mass": "heavy"}, ValueError, "sat_args: mass='heavy' must be numeric (kg): "),
         ({"mass": rand.Uniform(-5.0, -4.0)}, ValueError, "sat_args: mass=-4."),
         ({"mass": rand.Uniform(size=2)}, ValueError, "mass needs one number for each environment (kg); got shape [2]"),
-        ({"mass": rand.per_env([1.0, 2.0])}, ValueError, "sat_args: per_env has 2 rows, but environment 2 needs one"),
+        ({"mass": rand.per_env([1.0, 2.0])}, ValueError, "sat_args: mass: per_env has 2 rows, but environment 2 needs one"),
         ({"mass": None}, ValueError, "sat_args: mass=None is not allowed; give hub mass in kg"),
         ({"sigma_init": None}, ValueError, "sigma_init=None is not allowed; give initial attitude, MRP of B relative to N in -"),
         ({"desatAttitude": "moon"}, ValueError, "sat_args: desatAttitude='moon' must be one of ['sun', 'nadir', None]"),
