@@ -334,7 +334,7 @@ def rows_of(good, bad, at=3):
 WRONG = {
     "too few rows": ({"panelArea": rand.per_env(torch.ones(2, dtype=torch.float64))}, {}, "panelArea: per_env has 2 rows"),
     "a value out of range": ({"panelArea": rows_of(1.0, -1.0)}, {}, "panelArea=-1 m.2 is not allowed"),
-    "a value of another shape": ({"panelArea": rows_of(1.0, [1.0, 2.0])}, {}, "panelArea=.* is not made of numbers"),
+    "a value of another shape": ({"panelArea": rows_of(1.0, [1.0, 2.0])}, {}, "panelArea=.*real number, not list"),
     "values that do not fit others": ({"batteryStorageCapacity": rows_of(3e8, 1.0)}, {}, "storedCharge_Init=.* is above"),
     "an epoch that does not exist": ({}, {"utc_init": rows_of("2020-01-01T00:00:00", "2020-13-01T00:00:00")}, "utc_init"),
     "too few epochs": ({}, {"utc_init": rand.per_env(["2020-01-01T00:00:00"])}, "utc_init: per_env has 1 rows"),
