@@ -53,7 +53,8 @@ class LOSCommunication(CommunicationMethod):
             if simulator.orbit != "arc":
                 raise ValueError(
                     f"{type(self).__name__} needs orbits computed in advance, but {name} has "
-                    f"orbit={simulator.orbit!r}; pass orbit='arc' to the environment"
+                    f"orbit={simulator.orbit!r}; pass orbit='arc' to the environment, and where the orbit is so low that drag is "
+                    "felt also world_args={'baseDensity': 0.0}, which leaves drag out"
                 )
 
     def communication_pairs(self) -> Tensor:

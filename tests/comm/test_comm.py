@@ -6,13 +6,13 @@ from typing import Any
 import pytest
 import torch
 
-from bsk_torch import comm
+from bsk_torch import ConstellationTasking, act, comm, obs, sats
 from bsk_torch.act.broadcast import PENDING
 from bsk_torch.comm.base import LAST
 from bsk_torch.comm.multi import connected
 from bsk_torch.sim import dyn
 from bsk_torch.sim.state import StateTable
-from tests.comm.fleets import drawn_elements, make_fleet, recorded, states, step
+from tests.comm.fleets import Seeing, drawn_elements, make_fleet, recorded, states, step
 
 ALL = torch.tensor([True, True, True])
 
@@ -306,3 +306,28 @@ def test_sight_needs_arcs():
     fleet = make_fleet(states(drawn_elements(2)), orbit="integrated")
     with pytest.raises(ValueError, match=r"Sat0 has orbit='integrated'; pass orbit='arc'"):
         comm.LOSMultiCommunication().link(fleet)
+
+
+class Low(sats.Satellite):
+    """A satellite that feels drag."""
+
+    observation_spec = (obs.Time(),)
+    action_spec = (act.Drift(duration=30.0),)
+    dyn_type = Seeing
+
+
+def low_pair(**options):
+    satellites = [Low(name, {"oe": [6.62e6, 0.0, 0.9, 0.0, 0.0, f]}) for name, f in (("A", 0.0), ("B", 0.05))]
+    given = {"communicator": comm.LOSCommunication(), "num_envs": 1, "seed": 0, "backend": "eager", "time_limit": 60.0}
+    return ConstellationTasking(satellites, **{**given, **options})
+
+
+def test_drag_and_sight_advise_what_works_together():
+    leaves_out = r"world_args=\{'baseDensity': 0.0\}"
+    with pytest.raises(ValueError, match=rf"drag is felt.*{leaves_out}, as communication along lines of sight needs"):
+        low_pair()
+    with pytest.raises(ValueError, match=rf"pass orbit='arc'.*{leaves_out}"):
+        low_pair(orbit="integrated")
+    env = low_pair(world_args={"baseDensity": 0.0})
+    env.rollout(1)
+    assert env.links.tolist() == [[[False, True], [True, False]]]

@@ -39,7 +39,8 @@ def check_orbits(values: Mapping[str, Any], on_arc: bool) -> None:
             raise ValueError(
                 f"sat_args: an orbit comes down to {lowest / 1e3:.0f} km from the Earth's centre, but drag is felt below "
                 f"{top / 1e3:.6g} km (by {', '.join(names)}) and the orbit is computed without it; pass "
-                "orbit='integrated' to the environment"
+                "orbit='integrated' to the environment, or leave drag out by world_args={'baseDensity': 0.0}, as communication "
+                "along lines of sight needs"
             )
     elif not bool((exponential_density(r, *(values[name] for name in names)) <= DENSEST_AIR).all()):
         raise ValueError(f"world_args: by {', '.join(names)} the air has more than {DENSEST_AIR:g} kg/m^3 at an initial position")
