@@ -12,6 +12,7 @@ its work.
 
 from __future__ import annotations
 
+import argparse
 import json
 import math
 import os
@@ -363,10 +364,14 @@ def play(player: Iterator[Step], seconds: float) -> dict[str, float]:
 
 def main() -> None:
     """Answer until the input ends."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("environment", choices=PRESETS)
+    parser.add_argument("options", type=json.loads, help="arguments of the environment, JSON")
+    given = parser.parse_args()
     answers = os.fdopen(os.dup(1), "w")
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # Basilisk talks
-    env = PRESETS[sys.argv[1]](**json.loads(sys.argv[2]))
-    player = PLAYERS.get(sys.argv[1], episodes)(env)
+    env = PRESETS[given.environment](**given.options)
+    player = PLAYERS.get(given.environment, episodes)(env)
     next(player)
     for line in sys.stdin:
         print(json.dumps(play(player, float(line))), file=answers, flush=True)

@@ -3,6 +3,7 @@
 # compares the policy with others, draws a learning curve and an episode.
 # Usage: scripts/demo.sh [options of 'bsk-torch train']     PYTHON=python3.12 scripts/demo.sh chooses the interpreter.
 set -euo pipefail
+case "${1:-}" in -h | --help) sed -n '2,/^set/s/^# \{0,1\}//p' "$0"; exit ;; esac
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
 
 python=${PYTHON:-python3}

@@ -8,12 +8,15 @@
 #                              with a page that lists all versions (docs/contributing/versions.md)
 # Look at the result with: python -m http.server --directory docs/_build/html
 set -euo pipefail
+case "${1:-}" in -h | --help) sed -n '2,/^set/s/^# \{0,1\}//p' "$0"; exit ;; esac
 cd "$(dirname "$0")/.."
 python="${PYTHON:-python3}"
 export OMP_NUM_THREADS=1 BSK_TORCH_CACHE="${BSK_TORCH_CACHE:-$PWD/.venv/kernels}"
-if [ "${1:-}" = --quick ]; then
-    export BSK_TORCH_DOCS_QUICK=1
-fi
+case "${1:-}" in
+    "") ;;
+    --quick) export BSK_TORCH_DOCS_QUICK=1 ;;
+    *) echo "$1 is no option of scripts/docs.sh; there is --quick" >&2; exit 2 ;;
+esac
 
 [ -x .venv/bin/python ] || "$python" -m venv .venv
 # torch first and by exact version: an open range may bring gigabytes of CUDA packages

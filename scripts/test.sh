@@ -15,6 +15,7 @@
 #   scripts/test.sh --nightly [pytest arguments]    only the tests that take long, of the marker nightly, and those of the
 #                            documentation, so that a page which breaks by a change inside of a function is found here
 set -euo pipefail
+case "${1:-}" in -h | --help) sed -n '2,/^set/s/^# \{0,1\}//p' "$0"; exit ;; esac
 cd "$(dirname "$0")/.."
 python="${PYTHON:-python3}"
 # one cache of kernels for all tests, and no threads that fight over the cores

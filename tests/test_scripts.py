@@ -315,6 +315,29 @@ def test_every_script_is_started():
     assert not names - reached, f"no test starts {', '.join(sorted(names - reached))}: add them to STARTS"
 
 
+@pytest.mark.parametrize(
+    ("script", "usage"),
+    [
+        ("scripts/tools/publish_docs.py", "usage: publish_docs.py [-h] pages site"),
+        ("scripts/tools/check_prose.py", "usage: check_prose.py [-h] [file ...]"),
+        ("scripts/demo.sh", "Usage: scripts/demo.sh"),
+        ("scripts/docs.sh", "scripts/docs.sh --quick"),
+        ("scripts/test.sh", "scripts/test.sh [pytest arguments]"),
+        ("scripts/tools/try_newest.sh", "scripts/tools/try_newest.sh [pytest arguments"),
+    ],
+)
+def test_help_explains_and_does_nothing(script, usage, tmp_path):
+    printed = run(tmp_path, script, "--help")
+    assert usage in printed
+    assert not list(tmp_path.iterdir())
+
+
+def test_no_script_reads_its_arguments_by_position():
+    for folder in ("benchmarks", "scripts", "tests/basilisk/recorders"):
+        for path in (ROOT / folder).rglob("*.py"):
+            assert "sys.argv" not in path.read_text(), f"{path} takes --help for an argument: read them by argparse"
+
+
 def test_shell_scripts_are_executable():
     scripts = [*(ROOT / "scripts").glob("*.sh"), ROOT / ".ci/run"]
     assert len(scripts) >= 3

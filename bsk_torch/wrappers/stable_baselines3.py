@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -56,12 +57,19 @@ def by_row(columns: Mapping[str, Any], rows: Sequence[int] | slice = slice(None)
     return [dict(zip(chosen, row, strict=True)) for row in zip(*values, strict=True)]
 
 
+logger = logging.getLogger(__name__)
+
+MASK = "action_mask"
+"""Entry of infos with the legal actions."""
+
+
 class SB3VecEnv(VecEnv):
     """N episodes in one simulation, as Stable-Baselines3's ``VecEnv``; episodes that end restart at once.
 
     ``infos`` has for each episode the entries of :class:`~bsk_torch.wrappers.GymEnv`, ``TimeLimit.truncated``, and at an end
     ``terminal_observation``. ``reset_infos`` are the infos with which new episodes begin. Named observations have one level
-    of names, such as ``sat_props/storage_level_fraction``. sb3-contrib's MaskablePPO calls :meth:`action_masks`.
+    of names, such as ``sat_props/storage_level_fraction``. sb3-contrib's MaskablePPO calls :meth:`action_masks`; other algorithms
+    ignore masks, of which the log warns once, when an action is chosen that a mask forbids.
     Stable-Baselines3 discounts per decision, however long it took: ``infos[k]["duration"]``, s. The batched environment is
     :attr:`core`.
 
@@ -70,6 +78,8 @@ class SB3VecEnv(VecEnv):
         >>> env = SB3VecEnv("NadirScan-v1", num_envs=64)
         >>> MaskablePPO("MlpPolicy", env, n_steps=32).learn(100_000)
     """
+
+    _warned = False
 
     def __init__(
         self,
@@ -100,6 +110,7 @@ class SB3VecEnv(VecEnv):
         self.core = self.vector.core
         self._actions: np.ndarray | None = None
         self._begin_with: dict[str, Any] = {}
+        self._legal: np.ndarray | None = None
         builder = form(self.core.satellite)
         if builder is not None and builder.is_hybrid:
             raise ValueError(
@@ -130,6 +141,7 @@ class SB3VecEnv(VecEnv):
         observation, info = self.vector.reset(seed=self._seeds, options=self._begin_with)
         self._reset_seeds()
         self._begin_with, self._actions = {}, None
+        self._legal = None if self._warned else info.get(MASK)
         self.reset_infos = by_row(info)
         return self._observed(observation)
 
@@ -142,7 +154,9 @@ class SB3VecEnv(VecEnv):
         if self._actions is None:
             raise RuntimeError("step_wait() needs actions; call step_async(actions) first, or step(actions)")
         actions, self._actions = self._actions, None
+        self._warn_of_masks(actions)
         observation, reward, terminated, truncated, info = self.vector.step(actions)
+        self._legal = None if self._warned else info.get(MASK)
         cut, ended = {"TimeLimit.truncated": truncated & ~terminated}, terminated | truncated
         measured = info.pop(METRICS, {})
         infos = by_row(info | cut)
@@ -152,6 +166,19 @@ class SB3VecEnv(VecEnv):
             for row in np.flatnonzero(ended).tolist():
                 infos[row][METRICS] = {name: float(values[row]) for name, values in measured.items()}
         return self._observed(observation), reward.astype(np.float32), ended, infos
+
+    def _warn_of_masks(self, actions: np.ndarray) -> None:
+        """Warn once of actions [N] that masks forbid, which are carried out all the same."""
+        if self._legal is None or np.shape(actions) != (self.num_envs,):
+            return
+        rows, chosen = np.arange(self.num_envs), np.asarray(actions)
+        inside = (chosen >= 0) & (chosen < self._legal.shape[1])
+        if not self._legal[rows[inside], chosen[inside].astype(np.int64)].all():
+            self._warned, self._legal = True, None
+            logger.warning(
+                "the policy chooses actions that the mask forbids: Stable-Baselines3's own algorithms ignore masks; train with "
+                "MaskablePPO of sb3-contrib, which asks env.action_masks()"
+            )
 
     def _replace(self, infos: list[dict[str, Any]], info: dict[str, Any], cut: dict[str, Any], rows: list[int]) -> None:
         """Put the last infos of the episodes ``rows`` in the place of those that the next ones begin with."""

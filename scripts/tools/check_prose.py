@@ -9,6 +9,7 @@ arguments these are the pages, the package, the examples, and the part of the ch
 
 from __future__ import annotations
 
+import argparse
 import ast
 import csv
 import io
@@ -93,4 +94,6 @@ def main(names: list[str]) -> None:
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("files", nargs="*", metavar="file")
+    main(parser.parse_args().files)

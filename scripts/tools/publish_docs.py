@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import argparse
 import shutil
-import sys
 from html import escape
 from pathlib import Path
 
@@ -39,4 +39,10 @@ def order(name: str) -> tuple[bool, list[int]]:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), Path(sys.argv[2]))
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("pages", type=Path, help="folder of the built pages")
+    parser.add_argument("site", type=Path, help="folder of the site")
+    given = parser.parse_args()
+    if not (given.pages / "index.html").is_file():
+        parser.error(f"{str(given.pages)!r} has no index.html; build the pages first: scripts/docs.sh")
+    main(given.pages, given.site)

@@ -3,6 +3,7 @@
 # CUDA build), runs tests that use all of them, and prints one row for docs/start/installation.md.
 #   scripts/tools/try_newest.sh [pytest arguments instead of the chosen tests]
 set -euo pipefail
+case "${1:-}" in -h | --help) sed -n '2,/^set/s/^# \{0,1\}//p' "$0"; exit ;; esac
 cd "$(dirname "${BASH_SOURCE[0]}")/../.."
 venv=${VENV:-$PWD/.venv-newest}
 [ -x "$venv/bin/python" ] || "${PYTHON:-python3}" -m venv "$venv"

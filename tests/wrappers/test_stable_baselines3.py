@@ -154,6 +154,16 @@ def test_infos_of_a_step_are_split_by_environment():
 # -- what is asked of single environments -----------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize(("kind", "make", "warnings_"), [(PPO, careful, 1), (PPO, scanning, 0), (MaskablePPO, careful, 0)])
+def test_algorithms_that_ignore_masks_are_told_once(kind, make, warnings_, caplog):
+    env = SB3VecEnv(make, 8, seed=0)
+    model = kind("MlpPolicy", env, n_steps=8, batch_size=32, n_epochs=1, seed=0, device="cpu")
+    model.learn(128)
+    told = [record.getMessage() for record in caplog.records if "MaskablePPO" in record.getMessage()]
+    assert len(told) == warnings_
+    assert all("the mask forbids" in text for text in told)
+
+
 def test_masks_are_found_by_sb3_contrib():
     env = VecMonitor(SB3VecEnv(careful, 16))
     env.seed(0)

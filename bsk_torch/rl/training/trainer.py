@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import logging
 import os
+import shlex
 import threading
 import time
 from collections.abc import Iterator
@@ -177,7 +178,7 @@ class Training:
             reason = [type(error).__name__, *str(error).strip().splitlines()[:1]][-1]
             raise RuntimeError(
                 f"a process that collects experience has failed or was lost ({reason}); "
-                f"the run goes on from its last checkpoint with: bsk-torch train {self.out} --resume"
+                f"the run goes on from its last checkpoint with: bsk-torch train {shlex.quote(str(self.out))} --resume"
             ) from error
 
     def _loop(
