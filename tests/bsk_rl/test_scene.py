@@ -1,6 +1,7 @@
 """Scenarios of the drop-in."""
 
 import copy
+import pickle
 
 import numpy as np
 import pytest
@@ -38,6 +39,16 @@ def test_targets_are_told_apart_and_keep_their_id_in_copies():
     assert one.id.startswith("Oslo_")
     assert copy.deepcopy(one).id == one.id
     assert repr(one) == "Target(Oslo)"
+
+
+def test_copies_draw_from_the_same_generator():
+    """Environments copy their scenario; its draws must still follow the seed of NumPy's global generator."""
+    drawn = []
+    for scenario in (UniformTargets(2), copy.deepcopy(UniformTargets(2)), pickle.loads(pickle.dumps(UniformTargets(2)))):
+        np.random.seed(4)
+        reset(scenario, [])
+        drawn.append([target.priority for target in scenario.targets] + [np.random.rand()])
+    assert drawn[0] == drawn[1] == drawn[2]
 
 
 def test_an_own_scenario_regenerates_targets():

@@ -47,6 +47,11 @@ class Target:
         return f"Target({self.name})"
 
 
+def uniform_priority() -> float:
+    """Draw a priority from [0, 1); a function, since copies of NumPy's methods have copies of the generator."""
+    return np.random.rand()
+
+
 class UniformTargets(Scenario):
     """Targets spread evenly over the sphere, drawn in every episode."""
 
@@ -64,9 +69,7 @@ class UniformTargets(Scenario):
             radius: Distance of targets from the Earth's centre, m.
         """
         self._n_targets = n_targets
-        self.priority_distribution = priority_distribution or (
-            lambda: np.random.rand()
-        )  # copies of bound methods copy the generator
+        self.priority_distribution = priority_distribution or uniform_priority
         self.radius = radius
 
     def reset_overwrite_previous(self) -> None:
