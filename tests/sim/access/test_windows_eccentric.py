@@ -57,11 +57,14 @@ def places() -> Sites:
 
 @pytest.fixture(scope="module")
 def visible(eccentric, places) -> tuple[torch.Tensor, torch.Tensor]:
+    return looked_at(eccentric, places)
+
+
+def looked_at(flight: Solved, places: Sites) -> tuple[torch.Tensor, torch.Tensor]:
     """Times [T] of brute force, and whether places are above their limits then, [n, T, P]."""
     time = torch.arange(STEP, SPAN, STEP, dtype=torch.float64)
-    rows = range(2 * len(ECCENTRICITIES))
-    r_BN_N = torch.stack([planned(eccentric.view, row, time).stack() for row in rows])
-    r_BP_P = (earth_orientation(eccentric.arcs.et.unsqueeze(-1) + time) @ r_BN_N.unsqueeze(-1)).squeeze(-1)
+    r_BN_N = torch.stack([planned(flight.view, row, time).stack() for row in range(len(flight.arcs.start))])
+    r_BP_P = (earth_orientation(flight.arcs.et.unsqueeze(-1) + time) @ r_BN_N.unsqueeze(-1)).squeeze(-1)
     return time, sines_of_elevation(r_BP_P, places.r_LP_P.expand(len(r_BP_P), -1, -1)) > places.sin_min_elevation.unsqueeze(1)
 
 
@@ -94,6 +97,17 @@ def compare(
 def test_windows_are_those_of_brute_force(generated, eccentric, places, visible):
     """Every ten seconds of eight hours, for 12 orbits and 30 places."""
     counted = compare(eccentric, places, visible, generated, as_bsk_rl=False)
+    assert all(some.visible > 100 for some in counted)
+    assert all(some.missed == some.offered == 0 for some in counted), counted
+
+
+def test_windows_of_high_circular_orbits_are_those_of_brute_force(solve_arcs, places):
+    """Where bsk_rl's maximiser leaves the searched interval: see tests/basilisk/test_lost_passes.py."""
+    altitude = torch.tensor([1.2e6, 1.4e6, 2e6, 3e6, 8e6, 2e7], dtype=torch.float64)
+    spread = torch.linspace(0.3, 2.8, len(altitude), dtype=torch.float64)
+    oe = Elements(R_EARTH + altitude, 0.0 * spread, spread, 2.0 * spread, 0.0 * spread, spread)
+    flight = Solved(*solve_arcs(initial(oe, "2024-03-01T00:00:00"), 1 + math.ceil(SPAN / 3600.0), backend="eager"), "eager")
+    counted = compare(flight, places, looked_at(flight, places), SPAN, as_bsk_rl=False)
     assert all(some.visible > 100 for some in counted)
     assert all(some.missed == some.offered == 0 for some in counted), counted
 
