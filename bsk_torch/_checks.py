@@ -75,7 +75,7 @@ def number(
         unit: Unit, for the message.
         above: Whether ``low`` itself is excluded.
         finite: Whether infinity is excluded.
-        none: Whether the message says that None is allowed, too; callers treat it before.
+        none: Whether the message also lists None as allowed; callers handle it before.
 
     Raises:
         ValueError: For anything else.

@@ -44,7 +44,7 @@ DELTA_NODES, STAR_NODES = 360.0, 180.0
 """Angle, degrees, over which the ascending nodes of a Walker delta or star pattern are spread."""
 
 CIRCULAR_BELOW = 1e-14
-"""Eccentricity below which a deputy's orbit is taken for a circle; this moves it by less than a micrometre."""
+"""Eccentricity below which a deputy's orbit is taken for a circle; this moves it by less than a micrometer."""
 
 ORBIT_ARGS = (
     Arg("altitude", 500.0, "km", "altitude above 6371 km", low=0.0, high=1e6),
@@ -55,7 +55,7 @@ Settings = dict[str, tuple[Sequence[int], Tensor]]
 """Name of an argument -> indices of the satellites that it is set for, and float64 values [n, number of these, ...]."""
 
 Number = float | Distribution
-"""A number, or a distribution that is drawn once for all satellites of an environment."""
+"""A number, or a distribution drawn once for all satellites of an environment."""
 
 UNUSED = {
     "draw_checked": "define draw(key, names)",
@@ -66,13 +66,13 @@ UNUSED = {
 
 
 class Formation:
-    """Arguments of several satellites that are drawn together at each reset, in place of their ``sat_args``.
+    """Arguments of several satellites drawn together at each reset, in place of their ``sat_args``.
 
     Subclasses define :meth:`draw`. Formations keep no values of episodes: all that they return follows from the key.
     """
 
     def __init_subclass__(cls, **options: object) -> None:
-        """Refuse definitions that no environment would use; TypeError says what to write instead."""
+        """Raise TypeError, suggesting a replacement, for definitions that no environment would use."""
         super().__init_subclass__(**options)
         check_class(cls, Formation, ("check", "draw"), UNUSED)
 
@@ -90,11 +90,10 @@ class Formation:
             names: Names of the satellites of one environment.
 
         Returns:
-            For every argument that is set, by its name in ``sat_args``: the indices into ``names`` of the satellites that it is
-            set for, and its values, float64 [n, number of these satellites, ...]. Elements ``oe`` are a in m, e, and
-            i, Omega, omega, f in rad.
+            For every argument set, by its name in ``sat_args``: the indices into ``names`` of its satellites, and its values,
+            float64 [n, number of these satellites, ...]. Elements ``oe`` are a in m, e, and i, Omega, omega, f in rad.
         """
-        raise TypeError(f"{type(self).__name__} does not say how to draw: implement draw(key, names)")
+        raise TypeError(f"{type(self).__name__} must implement draw(key, names)")
 
     def draw_checked(self, key: Key, names: Sequence[str]) -> Settings:
         """Call :meth:`draw` and check its result; not to be overridden.
@@ -147,7 +146,7 @@ def walker_delta(
         altitude: Altitude above 6371 km, m.
         inc: Inclination, degrees.
         clustersize: Number of satellites in a cluster, which takes the place of one satellite of the pattern.
-        clusterspacing: Angle between neighbours in a cluster, degrees.
+        clusterspacing: Angle between neighbors in a cluster, degrees.
 
     Raises:
         ValueError: If the satellites do not fill the planes equally, or clusters do not fill a plane.
@@ -166,7 +165,7 @@ def walker_star(
 ) -> Tensor:
     """Return the elements of a Walker star pattern, as :func:`walker_delta`, but with ``Omega = 180 p / P`` degrees.
 
-    Near-polar planes then meet at the poles like the lines of a star, and satellites of neighbouring planes fly side by side
+    Near-polar planes then meet at the poles like the lines of a star, and satellites of neighboring planes fly side by side
     except at the seam between the last and the first (Walker 1984; Wertz, Mission geometry, 2001, section 13.1).
     """
     return _pattern(_filled(n_spacecraft, n_planes, clustersize), rel_phasing, altitude, inc, clusterspacing, STAR_NODES)
@@ -190,13 +189,13 @@ def walker_delta_args(
     Args:
         n_planes: Number of planes; the number of satellites must be a multiple.
         rel_phasing: See :func:`walker_delta`.
-        altitude: Altitude above 6371 km, km (not m); a number or a distribution, which is drawn once for all satellites.
+        altitude: Altitude above 6371 km, km (not m); a number or a distribution, drawn once for all satellites.
         inc: Inclination, degrees; a number or a distribution, as ``altitude``.
         randomize_true_anomaly: Shift all satellites along their orbits by the same angle, uniform in 360 degrees.
         randomize_lan: Turn all planes about the Earth's axis by the same angle, uniform in 360 degrees.
         clustersize: See :func:`walker_delta`.
         clusterspacing: See :func:`walker_delta`, degrees.
-        phasing: Walker's F, instead of ``rel_phasing``: neighbours in adjacent planes are F 360 / T degrees apart, where T counts
+        phasing: Walker's F, instead of ``rel_phasing``: neighbors in adjacent planes are F 360 / T degrees apart, where T counts
             clusters; an integer from 0 to ``n_planes - 1``.
 
     Raises:
@@ -380,7 +379,7 @@ def train_args(
     """Return the formation of all satellites one behind the other on one circular orbit, the first one leading.
 
     Args:
-        spacing: Angle at the Earth's centre from a satellite to the next, degrees: a number, a sequence with one for each gap, or
+        spacing: Angle at the Earth's center from a satellite to the next, degrees: a number, a sequence with one for each gap, or
             a distribution of either. A degree is 1/360 of the period.
         altitude: Altitude above 6371 km, km; a number or a distribution.
         inc: Inclination, degrees; a number or a distribution.
@@ -425,7 +424,7 @@ class _Train(Formation):
         return 360.0 * key.uniform(1) if given is None else given.unsqueeze(-1).expand(len(key), 1)
 
     def _gaps(self, key: Key, count: int) -> Tensor:
-        """Return the angles between neighbours, [n or 1, count] degrees."""
+        """Return the angles between neighbors, [n or 1, count] degrees."""
         try:
             if isinstance(self.spacing, Distribution):
                 gaps = torch.as_tensor(self.spacing.draw(key.named("spacing")), dtype=torch.float64)

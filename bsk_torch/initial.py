@@ -70,7 +70,7 @@ class HillSpin(Distribution):
 
 
 def hill_frame_attitude(r_N: Numeric, v_N: Numeric, spin_config: Mapping[str, object] | None = None) -> tuple[Any, Any]:
-    """Return attitude sigma_BN and rate omega_BN_B, rad/s, of a body that is aligned with the Hill frame and spins.
+    """Return attitude sigma_BN and rate omega_BN_B, rad/s, of a body aligned with the Hill frame and spins.
 
     Both are [..., 3], arrays or tensors as given. With a random rate or axis the rate is a distribution, and there is one orbit.
 
@@ -79,7 +79,7 @@ def hill_frame_attitude(r_N: Numeric, v_N: Numeric, spin_config: Mapping[str, ob
         v_N: Velocity, m/s [..., 3].
         spin_config: ``type`` ``"fixed"`` with ``rate``, or ``"uniform"`` with ``low`` and ``high``, in degrees per second;
             ``axis`` ``"radial"``, ``"tangential"``, ``"normal"``, ``"velocity"``, ``"random"``, or a vector in the Hill frame.
-            No spin unless given.
+            No spin by default.
 
     Raises:
         ValueError: For an unknown or missing entry, a zero axis, or an orbit without Hill frame.

@@ -59,7 +59,7 @@ HIGH_WORDS = zlib.crc32(b"high words of environment and episode")
 """Stream of the keys of environments and episodes from 2**32 on."""
 
 BLOCKS_AT_ONCE = 1 << 14
-"""Philox blocks that are drawn at once, so that their words stay in the processor's cache."""
+"""Philox blocks drawn at once, so that their words stay in the processor's cache."""
 
 MONTHS = ("JAN", "FEB", "MAR", "APR", "MAY", "JUN", "JUL", "AUG", "SEP", "OCT", "NOV", "DEC")
 
@@ -247,7 +247,7 @@ class Distribution:
 
     def draw(self, key: Key) -> Tensor | list[Any]:
         """Return the values of the key's n environments: a float64 tensor [n, ...] or a list of n objects."""
-        raise TypeError(f"{type(self).__name__} does not say how to draw: implement draw(key)")
+        raise TypeError(f"{type(self).__name__} must implement draw(key)")
 
 
 MOST = 1e300

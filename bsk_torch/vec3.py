@@ -2,7 +2,7 @@
 
 Inside the simulation a vector is three tensors of one shape, not one tensor with a trailing three: the compiler then fuses
 a whole tick into a single loop over the batch. The operators keep equations readable: ``omega_BR_B = omega_BN_B - omega_RN_B``
-and ``r_P = PN @ r_N``. A scalar always stands on the right of ``*``.
+and ``r_P = PN @ r_N``. A scalar is always on the right of ``*``.
 """
 
 from __future__ import annotations
@@ -176,7 +176,7 @@ def _leaves(tree: Any) -> list[Any]:
 
 
 def _rebuilt(like: Any, leaves: list[Any]) -> Any:
-    """``leaves``, which are used up, in the shape of ``like``."""
+    """Return the ``leaves``, consuming them, in the shape of ``like``."""
     if not isinstance(like, tuple):
         return leaves.pop(0)
     parts = [_rebuilt(part, leaves) for part in like]

@@ -67,7 +67,7 @@ add_module_names = False
 python_maximum_signature_line_length = 100
 modindex_common_prefix = ["bsk_torch."]
 
-# other projects: tables that are kept here, because the build has no network
+# other projects: tables kept here, because the build has no network
 intersphinx_mapping = inventories.write(
     HERE / "inventories", HERE / "_build" / "inventories"
 )

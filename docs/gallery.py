@@ -38,7 +38,7 @@ ARGUMENTS: dict[str, str] = {
 """Arguments of each example when the site is built, small enough for about a minute; ``{tmp}`` is an empty folder."""
 
 NOT_EXECUTED = ("ppo_rllib",)
-"""Scripts that are shown with what they printed last, since they need a separate environment."""
+"""Scripts shown with what they printed last, since they need a separate environment."""
 
 
 def name_of(path: str | Path) -> str:
@@ -69,7 +69,7 @@ def keep_quiet() -> None:
 def written_pictures(
     block: Any, block_vars: dict[str, Any], gallery_conf: dict[str, Any]
 ) -> str:
-    """Say how an example was executed, and show the pictures that a block has written into its working directory.
+    """Show the command of an example, and the figures written by a block into its working directory.
 
     They are shown in the order of their making, and moved away.
     """

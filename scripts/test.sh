@@ -71,6 +71,7 @@ if [ "${1:-}" = --browser ]; then
 fi
 .venv/bin/ruff check .
 .venv/bin/ruff format --check .
+.venv/bin/python scripts/tools/check_prose.py
 .venv/bin/mypy
 .venv/bin/lint-imports
 .venv/bin/python -W error -c "import bsk_torch"

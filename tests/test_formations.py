@@ -313,7 +313,7 @@ def test_users_formations():
     formation = Two()
     formation.check(["A", "B"])
     assert formation.draw(key(), ["A", "B"])["mass"][1].shape == (5, 1)
-    with pytest.raises(TypeError, match=r"Formation does not say how to draw: implement draw\(key, names\)"):
+    with pytest.raises(TypeError, match=r"Formation must implement draw\(key, names\)"):
         fm.Formation().check(["A"])
 
 

@@ -210,6 +210,7 @@ ELSEWHERE = {
     "scripts/test.sh": ".ci/run",
     "scripts/tools/try_newest.sh": "tests/packaging/test_packages.py",
     "scripts/tools/docs_stamp.py": "tests/docs/test_stamp.py",
+    "scripts/tools/check_prose.py": "tests/test_prose.py",
     "scripts/tools/publish_docs.py": "tests/docs/test_site.py",
     "tests/basilisk/recorders/record_arguments.py": "tests/test_scripts.py",
     **{f"tests/basilisk/recorders/{script}.py": "tests/test_scripts.py" for script in RECORDED},

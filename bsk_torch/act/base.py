@@ -72,11 +72,13 @@ class Decision(NamedTuple):
     """Commands of the actions of one step, [N] each.
 
     Attributes:
-        mode: Index of the flight mode to enter, int64. retask: Whether to enter it, bool; otherwise the current mode continues.
-        duration: Time after which the action ends, s. key: Number that identifies the action, int64; an action with the key of
-        the previous one repeats it. expected: Expected time until an event ends the action, at most ``duration``, s. It is used
-        only to sort rows for speed. command: Value passed from ``decide`` of an action to its ``begin``, [N, ...], or None; in
-        ``end`` of a continuous action, the ended action, [N, A].
+        mode: Index of the flight mode to enter, int64.
+        retask: Whether to enter it, bool; otherwise the current mode continues.
+        duration: Time after which the action ends, s.
+        key: Number that identifies the action, int64; an action with the key of the previous one repeats it.
+        expected: Expected time until an event ends the action, at most ``duration``, s. It is used only to sort rows for speed.
+        command: Value passed from ``decide`` of an action to its ``begin``, [N, ...], or None; in ``end`` of a continuous action,
+            the ended action, [N, A].
     """
 
     mode: Tensor

@@ -42,9 +42,11 @@ class Image(Action):
         """Provide ``n_ahead_image`` actions.
 
         Args:
-            n_ahead_image: Number of windows to choose from. max_duration: Maximum duration, s; None for no limit other than the
-            window. name: Name in ``action_description``. mask_repeated: Whether ``action_mask`` excludes actions that repeat the
-            last target because fewer than ``n_ahead_image`` windows are known.
+            n_ahead_image: Number of windows to choose from.
+            max_duration: Maximum duration, s; None for no limit other than the window.
+            name: Name in ``action_description``.
+            mask_repeated: Whether ``action_mask`` excludes actions that repeat the last target because fewer than
+                ``n_ahead_image`` windows are known.
 
         Raises:
             ValueError: For fewer than one target or a duration that is not positive.
@@ -114,7 +116,7 @@ class Image(Action):
             row = int(torch.nonzero(missing)[0])
             raise ValueError(
                 f"action {int(action[row])} of {self.satellite.title(row)} selects target {int(target[row])}, which has "
-                "been imaged, does not exist, or has no window that is known now"
+                "already been imaged, does not exist, or has no known window"
             )
         return tuple(torch.where(mask, a, b) for a, b in zip((target, *window), found, strict=True))
 

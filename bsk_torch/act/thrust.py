@@ -61,8 +61,11 @@ class ImpulsiveThrust(ContinuousAction):
         """Thrust, then drift.
 
         Args:
-            name: Name of the entry. max_dv: Maximum velocity change, m/s. max_drift_duration: Maximum drift, s. fsw_action:
-            Flight-software command during the drift, such as ``"nadir_scan"``, or ``"action_nadir_scan"`` as in bsk_rl.
+            name: Name of the entry.
+            max_dv: Maximum velocity change, m/s.
+            max_drift_duration: Maximum drift, s.
+            fsw_action: Flight-software command during the drift, such as ``"nadir_scan"``, or ``"action_nadir_scan"`` as in
+                bsk_rl.
 
         Raises:
             ValueError: For a non-positive limit, or a name that is not a string.

@@ -12,11 +12,11 @@ from bsk_torch.vec3 import Scalar, Vec3
 __all__ = ["exponential_density", "top_radius"]
 
 NEGLIGIBLE_DENSITY = 1e-20
-"""Density, kg/m^3, below which drag moves a spacecraft by less than a micrometre in five orbits."""
+"""Density, kg/m^3, below which drag moves a spacecraft by less than a micrometer in five orbits."""
 
 
 def exponential_density(r: Vec3, radius: Scalar, base: Scalar, scale_height: Scalar) -> Tensor:
-    """Return the density, kg/m^3, at the position r, m, relative to the Earth's centre, in any axes.
+    """Return the density, kg/m^3, at the position r, m, relative to the Earth's center, in any axes.
 
     ``rho = rho_0 exp(-(|r| - r_0) / H)`` with ``radius`` r_0, m, at which the density is ``base`` rho_0, kg/m^3, and the
     ``scale_height`` H, m (Vallado, section 8.6.2, with one layer).

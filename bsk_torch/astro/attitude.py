@@ -42,7 +42,7 @@ def dcm_to_mrp(dcm: Mat3) -> Vec3:
     With the squares ``4 b0^2 = 1 + tr C`` and ``4 bi^2 = 1 + 2 C_ii - tr C`` of the Euler parameters, the largest of the four is
     taken and the others follow from ``4 b0 b1 = C_yz - C_zy``, ``4 b1 b2 = C_xy + C_yx`` and their cyclic permutations; then
     ``sigma = b / (1 + b0)`` with the sign that makes b0 positive (Schaub and Junkins, chapter 3). Euler parameters are
-    used up to a common factor here, which normalising by their length removes: ``sigma = q / (q0 + sign(q0) |(q0, q)|)``.
+    used up to a common factor here, which normalizing by their length removes: ``sigma = q / (q0 + sign(q0) |(q0, q)|)``.
     """
     (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = dcm
     trace = xx + yy + zz

@@ -70,7 +70,7 @@ def transfer(rho: Tensor, target: Tensor, n: Tensor, time: Tensor) -> Tensor:
 def circumnavigation(direction: Tensor, n: Tensor) -> Tensor:
     """Return the velocity, m/s [..., 3], with which a deputy at ``direction`` [..., 3] m flies around the chief without drift.
 
-    ``y' = -2 n x`` cancels the drift along the track, and ``x' = n y / 2`` centres the ellipse of axes 1 to 2 on the chief.
+    ``y' = -2 n x`` cancels the drift along the track, and ``x' = n y / 2`` centers the ellipse of axes 1 to 2 on the chief.
     """
     x, y, _ = direction.unbind(-1)
     return torch.stack([0.5 * n * y, -2.0 * n * x, torch.zeros_like(x)], -1)

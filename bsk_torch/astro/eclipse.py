@@ -1,7 +1,7 @@
 """Illumination of a spacecraft that the Earth shades: Basilisk's module eclipse, with a spherical Earth.
 
 Source of the equations: Montenbruck and Gill, "Satellite Orbits", section 3.4.2, and Vallado, section 5.3. Positions are relative
-to the Earth's centre, m, in common axes.
+to the Earth's center, m, in common axes.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ def _in_shadow_cones(r: Vec3, r_sun: Vec3) -> Tensor:
 def visible_fraction(sun_radius: Tensor, planet_radius: Tensor, separation: Tensor) -> Tensor:
     """Return the fraction of the Sun's disc that the planet's leaves visible; an annular eclipse gives the hidden fraction.
 
-    With the apparent radii a of the Sun and b of the planet and the separation c of their centres, rad::
+    With the apparent radii a of the Sun and b of the planet and the separation c of their centers, rad::
 
         c < b - a                  0
         c < a - b                  b^2 / a^2
@@ -82,7 +82,7 @@ def _hidden(r: Vec3, to_sun: Vec3) -> tuple[Tensor, Tensor, Tensor, Tensor]:
 def sunlight_margin(r: Vec3, r_sun: Vec3, visible: float) -> Tensor:
     """Return a smooth measure that is positive where at least the part ``visible`` of the Sun's diameter is above the limb at r.
 
-    With the apparent radii a of the Sun and b of the planet and the separation c of their centres, rad::
+    With the apparent radii a of the Sun and b of the planet and the separation c of their centers, rad::
 
         cos(b + (2 visible - 1) a) - cos c
 
@@ -97,8 +97,8 @@ def illumination(r: Vec3, r_sun: Vec3) -> Tensor:
     """Return the illuminated fraction of the solar disc, 1 in full light and 0 in the umbra; see :func:`visible_fraction`.
 
     Args:
-        r: Spacecraft position relative to the Earth's centre, m.
-        r_sun: Sun position relative to the Earth's centre, m, in the same axes.
+        r: Spacecraft position relative to the Earth's center, m.
+        r_sun: Sun position relative to the Earth's center, m, in the same axes.
 
     As in Basilisk, the discs are compared only inside the shadow cones of a spherical Earth, and an annular eclipse gives
     the hidden instead of the visible fraction.

@@ -1,7 +1,7 @@
 """Time, the Sun's position and the Earth's orientation, as the Basilisk spacecraft simulator sees them.
 
 Epochs are ET: TDB seconds past J2000 (2000-01-01 12:00:00 TDB), float64.  Positions are geometric (no light time, no
-aberration), relative to the Earth's centre, along the J2000 (ICRF) axes.
+aberration), relative to the Earth's center, along the J2000 (ICRF) axes.
 
 Sources:
     UTC to TDB: leap seconds and the one-term TDB - TT formula of the NAIF kernel naif0012.tls.

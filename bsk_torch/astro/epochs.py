@@ -227,7 +227,7 @@ def _offset(text: str) -> timedelta:
 
 
 def _date(text: str, slash: bool) -> tuple[datetime, str | None]:
-    """Return the day, and the hours if they stand behind it; ``slash`` tells that one stands in front of the clock."""
+    """Return the day, and the hours if they follow it; ``slash`` is True if a slash precedes the clock."""
     tokens = TOKEN.findall(text)
     if "".join(tokens) != text:
         raise _UnknownFormError

@@ -35,7 +35,7 @@ class Weights(NamedTuple):
 
 
 def _unnormalised(degree: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the coefficients C and S of GGM03S without normalisation, up to ``degree``.
+    """Return the coefficients C and S of GGM03S without normalization, up to ``degree``.
 
     ``C_nm = sqrt((2 - d_0m) (2 n + 1) (n - m)! / (n + m)!) Cbar_nm`` and S likewise (Montenbruck and Gill, section 3.2).
     """

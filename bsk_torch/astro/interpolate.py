@@ -18,7 +18,7 @@ COUNT, BEFORE = 10, 4
 def _from_differences() -> tuple[tuple[float, ...], ...]:
     """Return the matrix from the nodes' differences to node :data:`BEFORE` to the coefficients of s, s^2, ... (rows), s in steps.
 
-    Its columns are Lagrange's polynomials ``l_j(s)`` of the other nodes, exact fractions that are rounded once: the same on every
+    Its columns are Lagrange's polynomials ``l_j(s)`` of the other nodes, exact fractions rounded once: the same on every
     processor. As ``sum_j l_j(s) = 1``, ``r(s) = r_m + sum_j (r_j - r_m) l_j(s)`` with the middle node m.
     """
     polynomials = lagrange(tuple(k - BEFORE for k in range(COUNT)))
@@ -43,7 +43,7 @@ def coefficients(nodes: list[Vec3]) -> list[Vec3]:
 def position(c: list[Vec3], s: Tensor) -> Vec3:
     """Return the position ``r(s) = sum_k c_k s^k``, m, s steps after the middle node (Horner's rule).
 
-    For a low orbit and steps of 60 s it is good to a few micrometres.
+    For a low orbit and steps of 60 s it is good to a few micrometers.
     """
     r = c[-1]
     for term in c[-2::-1]:

@@ -2,7 +2,7 @@
 
 :func:`about_orbit` holds about a chief on any orbit of two bodies, :func:`about_circle` about one on a circular orbit of which
 only the mean motion is known. Both leave out terms of second order in distance over radius: 100 m over 7000 km leave a few
-centimetres in a third of an orbit. Forces other than the Earth's attraction as a point, which nearly are the same on both, are
+centimeters in a third of an orbit. Forces other than the Earth's attraction as a point, which nearly are the same on both, are
 left out, too.
 """
 

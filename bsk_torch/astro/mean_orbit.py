@@ -119,7 +119,7 @@ def _energy(r: Vec3, v: Vec3) -> Tensor:
 def _axis(oe: Tensor, energy: Tensor) -> Tensor:
     """Return the mean semi-major axis a, m, of the energy, which J2 leaves constant; e and i are those of mean elements.
 
-    ``E = -mu / (2 a) + mu J2 R^2 (1 - 3 cos^2 i) / (4 a^3 eta^3)``. An error of a metre of a moves the satellite by nine metres
+    ``E = -mu / (2 a) + mu J2 R^2 (1 - 3 cos^2 i) / (4 a^3 eta^3)``. An error of a meter of a moves the satellite by nine meters
     along the track after one revolution, so a is found better in this way than by first-order short-period terms.
     """
     a, e, c = oe[..., 0], oe[..., 1], torch.cos(oe[..., 2])

@@ -24,7 +24,7 @@ Numeric: TypeAlias = "float | Sequence[object] | np.ndarray | Tensor"
 """Numbers, sequences of them, arrays or tensors."""
 
 GOLDEN_ANGLE = math.pi * (3.0 - math.sqrt(5.0))
-"""Angle between neighbours on Fibonacci's spiral, rad."""
+"""Angle between neighbors on Fibonacci's spiral, rad."""
 
 
 def like(results: Tensor, *given: Numeric) -> Any:
@@ -71,7 +71,7 @@ def lla2ecef(lat: Numeric, long: Numeric, radius: Numeric) -> Any:
     Args:
         lat: Latitude, degrees [...].
         long: Longitude, degrees [...].
-        radius: Distance from the centre [...].
+        radius: Distance from the center [...].
     """
     up, east, r = torch.broadcast_tensors(*float64(lat, long, radius))
     up, east = torch.deg2rad(up), torch.deg2rad(east)

@@ -25,7 +25,7 @@ def refined(a: Tensor, b: Tensor, f_a: Tensor, f_b: Tensor, c: Tensor, f_c: Tens
     """Return the bracket a, b, f_a, f_b with the new point c: regula falsi, Illinois variant.
 
     c replaces b. Where f changes its sign between b and c, b becomes a; elsewhere a stays and f_a is halved, without which a
-    would stay for ever and convergence would be linear (Dowell and Jarratt, BIT 11, 1971).
+    would stay forever and convergence would be linear (Dowell and Jarratt, BIT 11, 1971).
     """
     crossed = (f_c < 0.0) ^ (f_b < 0.0)
     return torch.where(crossed, b, a), c, torch.where(crossed, f_b, 0.5 * f_a), f_c

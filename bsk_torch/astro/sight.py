@@ -22,11 +22,11 @@ TINY_LENGTH = 1e-300
 def elevation_clearance(r_BP_P: Vec3, r_LP_P: Vec3, sin_min_elevation: Any) -> Any:
     """Return a measure of how far a satellite B is above the minimum elevation over a place L; positive if it is visible.
 
-    The measure is ``cos(theta) - cos(theta_max)``, with theta the angle at the Earth's centre between B and L::
+    The measure is ``cos(theta) - cos(theta_max)``, with theta the angle at the Earth's center between B and L::
 
         theta_max = acos(q cos e) - e        cos(theta_max) = q cos^2 e + sin e sqrt(1 - q^2 cos^2 e)
 
-    where e is the minimum elevation and ``q = |r_LP| / |r_BP|`` (law of sines in the triangle centre, L, B; Wertz and Larson,
+    where e is the minimum elevation and ``q = |r_LP| / |r_BP|`` (law of sines in the triangle center, L, B; Wertz and Larson,
     Space Mission Analysis and Design, section 5.2). Unlike the elevation, it is nearly a sinusoid of time, so the parabola
     through three samples gives the height of a culmination between them.
 
@@ -42,7 +42,7 @@ def elevation_clearance(r_BP_P: Vec3, r_LP_P: Vec3, sin_min_elevation: Any) -> A
 
 
 def max_central_angle(radius_ratio: Tensor, sin_min_elevation: Tensor) -> Tensor:
-    """Return the angle at the Earth's centre, rad, at which a satellite stands at the minimum elevation e.
+    """Return the angle at the Earth's center, rad, at which a satellite is at the minimum elevation e.
 
     ``theta_max = acos(q cos e) - e``, see :func:`elevation_clearance`; ``radius_ratio`` is q.
     """
@@ -62,7 +62,7 @@ def stretch(r_BN_N: Vec3, pole: Vec3) -> Vec3:
 def line_clearance(p: Vec3, q: Vec3) -> Tensor:
     """Return the distance, m, from the surface of a spherical Earth to the segment between p and q; negative if it is blocked.
 
-    The nearest point of the segment to the Earth's centre is ``p + k (q - p)`` with ``k = p . (p - q) / |p - q|^2`` clamped to
+    The nearest point of the segment to the Earth's center is ``p + k (q - p)`` with ``k = p . (p - q) / |p - q|^2`` clamped to
     [0, 1]; its squared distance is ``p . p - k (2 p . (p - q) - k |p - q|^2)``. The distance of a segment from a point changes by
     no more than the larger displacement of its ends.
     """

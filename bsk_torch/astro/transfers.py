@@ -1,4 +1,4 @@
-"""Transfers between points about a chief: manoeuvres and paths for many targets and durations at once."""
+"""Transfers between points about a chief: maneuvers and paths for many targets and durations at once."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ class Transfers(NamedTuple):
     """Transfers of N deputies to D targets in K durations, in the chief's Hill frame.
 
     Attributes:
-        dv: Manoeuvres that begin them, components [K, D, N] m/s; rows stand last, so that operations run along them.
-        cost: Manoeuvres that would take them to the target, [N, D, K] m/s: the lengths of ``dv`` where that is not limited;
+        dv: Maneuvers that begin them, components [K, D, N] m/s; rows stand last, so that operations run along them.
+        cost: Maneuvers that would take them to the target, [N, D, K] m/s: the lengths of ``dv`` where that is not limited;
             infinite where none does.
         motion: Motion of deputies up to the arrival.
-        start: Positions at the manoeuvre, components [N] m.
+        start: Positions at the maneuver, components [N] m.
         velocity: Velocities before it, components [N] m/s.
     """
 
@@ -45,7 +45,7 @@ class Transfers(NamedTuple):
         return self._at(moment).stack().permute(2, 1, 0, 3)
 
     def manoeuvre(self, chosen: Tensor) -> Tensor:
-        """Return the manoeuvres [N, 3] m/s of transfers ``d * K + k``, [N]."""
+        """Return the maneuvers [N, 3] m/s of transfers ``d * K + k``, [N]."""
         durations, targets = self.dv.x.shape[:2]
         place = (chosen % durations * targets + torch.div(chosen, durations, rounding_mode="floor")).unsqueeze(0)
         return self.dv.map(lambda x: x.flatten(0, 1).gather(0, place).squeeze(0)).stack()
@@ -60,7 +60,7 @@ class Transfers(NamedTuple):
         return Transfers(dv, self.cost[rows], self.motion.some(rows), start, velocity)
 
     def along(self, motion: LinearMotion) -> Transfers:
-        """Return the same manoeuvres with paths over another duration, that of a motion with K = 1."""
+        """Return the same maneuvers with paths over another duration, that of a motion with K = 1."""
         K = len(self.dv.x)
         rr, rv = (Mat3(*(row.map(lambda x: x.expand(-1, K, -1)) for row in matrix)) for matrix in (motion.rr, motion.rv))
         return self._replace(motion=LinearMotion(rr, rv, motion.time.expand(-1, K)))
@@ -122,14 +122,14 @@ def transfers(motion: LinearMotion, rho: Tensor, velocity: Tensor, targets: Tens
     """Return transfers by the linear relative motion: ``rho' = rv^-1 (target - rr rho)``.
 
     No velocity leads to a target where ``rv`` is singular, on circular orbits after multiples of half a period: such transfers
-    cost an infinity, and have no manoeuvre.
+    cost an infinity, and have no maneuver.
 
     Args:
         motion: Motion of deputies, for N chiefs and K durations.
         rho: Positions of deputies, [N, 3] m.
         velocity: Their velocities in the Hill frame, [N, 3] m/s.
         targets: Targets in the Hill frame of the arrival, [D, 3] m.
-        most: Largest manoeuvres, [N] m/s; larger ones are scaled down to it, and their paths miss the target.
+        most: Largest maneuvers, [N] m/s; larger ones are scaled down to it, and their paths miss the target.
     """
     start, before = Vec3.of(rho), Vec3.of(velocity)
     missed = Vec3.of(targets.unsqueeze(1)) - motion.at(-1, start, before).map(lambda x: x.unsqueeze(1))

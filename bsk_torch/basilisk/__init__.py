@@ -1,6 +1,6 @@
 """Flights of the same episodes on Basilisk itself, driven through bsk_rl, where these are installed.
 
-Only :mod:`bsk_torch.basilisk.reference_env` imports Basilisk, when an episode is flown; :func:`lacking` says what to install.
+Only :mod:`bsk_torch.basilisk.reference_env` imports Basilisk, when an episode is flown; :func:`lacking` lists what to install.
 """
 
 from bsk_torch.basilisk.certificate import Certificate, certify

@@ -38,7 +38,7 @@ SEEN = {"observation", "action_mask"}
 
 @dataclass(frozen=True)
 class Certificate:
-    """Episodes that have been flown in bsk_torch and on Basilisk, n of them.
+    """Episodes flown in bsk_torch and on Basilisk, n of them.
 
     Attributes:
         seeds: Their seeds, n.
@@ -92,7 +92,7 @@ def certify(task: Task, entrant: Entrant, episodes: int, **options: object) -> C
     """Fly the first ``episodes`` of a task with the policy that ``entrant`` enters here and on Basilisk; None where it has none.
 
     Both fly by the rules of bsk_rl, ``compat="bsk_rl"``. On Basilisk the policy decides again by what is observed there. The
-    actions of planners, of policies with a memory or lots, and of functions that do not say what they read are taken over.
+    actions of planners, recurrent or random policies, and functions without declared inputs are replayed.
 
     Args:
         task: One of the presets in :data:`~bsk_torch.basilisk.flight.FLOWN`.
@@ -101,7 +101,7 @@ def certify(task: Task, entrant: Entrant, episodes: int, **options: object) -> C
         **options: ``backend`` and ``device`` of the environment.
 
     Raises:
-        ImportError: Without Basilisk; the message says what to install.
+        ImportError: Without Basilisk; the message lists what to install.
         TypeError, ValueError: For other presets and numbers of episodes, and as :func:`~bsk_torch.rl.evaluation.suite.enter`.
     """
     if task.preset not in FLOWN:
@@ -141,7 +141,7 @@ def agreed(here: Sequence[int], there: Sequence[int]) -> int:
 
 
 class Noted(TensorDictModuleBase):
-    """A policy, its actions, and what the episodes start from, which is read at the first decision."""
+    """A policy, its actions, and the initial conditions of the episodes, read at the first decision."""
 
     def __init__(self, policy: Policy, starts: Callable[[], list[Start]]) -> None:
         """Note what ``policy`` does; ``starts`` returns what the episodes of the present start from."""
@@ -183,7 +183,7 @@ def problem_and_form(task: Task, env: SatelliteTasking) -> tuple[Problem, Callab
 
 
 def decides_by_sight(policy: Policy) -> bool:
-    """Whether a policy says that it reads nothing but observation and mask, and keeps nothing for its next decision."""
+    """Whether a policy declares that it reads only observation and mask, and keeps nothing for its next decision."""
     if isinstance(policy, Planner | ScheduledPolicy):  # these read the state of the environment, too
         return False
     reads, writes = (list(getattr(policy, name, [])) for name in ("in_keys", "out_keys"))
@@ -192,7 +192,7 @@ def decides_by_sight(policy: Policy) -> bool:
 
 
 def sighted(policy: Policy, env: SatelliteTasking, form: Callable[[Tensor], object]) -> Pilot:
-    """The decisions of a policy, which is shown a batch of its own size: the same observation in every row."""
+    """The decisions of a policy, called with its original batch size and the same observation in every row."""
     n, device, dtype = env.batch_size[0], env.device, env.dtype
 
     def pilot(seen: TensorDict, seeds: Sequence[int], step: int) -> tuple[Tensor, Tensor]:

@@ -7,7 +7,7 @@ loaded.
 
 The vector instructions are those that torch uses on this machine. ``BSK_TORCH_ISA`` names others: ``avx512``,
 ``avx2``, or ``default``, which means plain C++. It is meant for tests; the machine must have the named instructions.
-Kernels that were built for other machines, :mod:`bsk_torch.codegen.shipped`, are looked for before the cache.
+Kernels built for other machines, :mod:`bsk_torch.codegen.shipped`, are looked for before the cache.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ product and a sum into one rounding."""
 
 GCC_FLAGS = ("-O1", "-fexpensive-optimizations", "-fira-region=one", "-fschedule-insns", "-fsched-pressure")
 """Options of GCC only. Ticks, which are vector instructions already, gain nothing by what -O2 does beyond the expensive
-optimizations (contraction is one of them) and by registers that are allocated loop by loop, but compile in a quarter less time.
+optimizations (contraction is one of them) and by registers allocated loop by loop, but compile in a quarter less time.
 Scheduling with regard to register pressure makes them 10 % faster."""
 
 ISAS = ("avx512", "avx2", "default")

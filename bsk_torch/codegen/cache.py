@@ -43,7 +43,7 @@ UNLOCKED_FOR = 3600.0
 ROOT = 0
 
 PRIVATE = 0o700
-"""Mode of folders and libraries that are made here."""
+"""Mode of folders and libraries made here."""
 
 
 def cache_folder() -> Path:
@@ -62,8 +62,8 @@ def check_owner(folder: Path) -> None:
         own = POSIX and status.st_uid == os.geteuid() and not status.st_mode & stat.S_ISVTX
         advice = f", or run chmod go-w {shlex.quote(str(folder))} if it is yours alone" if own else ""
         raise PermissionError(
-            f"the cache of kernels, {folder}, {complaint}, and libraries that others put there would run with your rights; let "
-            f"{VARIABLE} name a folder of your own{advice}"
+            f"the kernel cache {folder} {complaint}, and libraries placed there by others would run with your permissions; let "
+            f"{VARIABLE} name a folder that only you can write to{advice}"
         )
 
 
@@ -102,7 +102,7 @@ def _complaint(status: os.stat_result) -> str:
 
 @contextmanager
 def build_folder(parent: Path) -> Iterator[Path]:
-    """Make a folder to build in, which is deleted at the end, or by :func:`sweep` if this process is killed."""
+    """Make a build folder, deleted at the end, or by :func:`sweep` if this process is killed."""
     with tempfile.TemporaryDirectory(dir=parent, prefix=BUILDS) as name, open(Path(name, "new"), "wb") as lock:
         if POSIX:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -116,7 +116,7 @@ def sweep(parent: Path) -> None:
     for path in parent.glob(f"{BUILDS}*"):
         with suppress(OSError):
             if not _is_locked(path):
-                logger.info("deleting %s, which a build that was killed has left", path)
+                logger.info("deleting %s, left by a killed build", path)
                 shutil.rmtree(path)
 
 

@@ -322,7 +322,7 @@ def _independent(loop: LoweredLoop) -> Lines:
 
 
 def _remember() -> Lines:
-    """Print the mask of lanes that have not ended, renewed whenever one has: ended rows go on computing, and may stop again."""
+    """Print the mask of running lanes, updated whenever one ends: ended rows keep computing, and may stop again."""
     lanes = [*_remaining("count[l] - k"), "running = gt(left, D(0));"]
     return ["M running;", *_block("const auto remember = [&](int64_t k)", lanes, close="};"), "remember(0);"]
 

@@ -1,4 +1,4 @@
-"""Results of operations that are known when a program is made.
+"""Results of operations known when a program is made.
 
 Only what no rounding and no special number could contradict is folded: ``x * 0`` stays, because x may be NaN; ``x + 0`` does not,
 though it loses the sign of a negative zero.

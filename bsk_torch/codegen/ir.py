@@ -1,7 +1,7 @@
 """Intermediate form of kernels: values, regions, and the statements of a loop.
 
 A :class:`Program` is a graph of values in static single assignment form. Each :class:`Value` stands for one number of every row,
-and has an operation, arguments, a dtype and a lifetime. A :class:`Region` holds the values that are computed only where a mask
+and has an operation, arguments, a dtype and a lifetime. A :class:`Region` holds the values computed only where a mask
 holds. Equal operations are stored once, and known results are folded (:mod:`bsk_torch.codegen.fold`) when a value is made.
 
 :mod:`bsk_torch.codegen.trace` makes programs of tensor code, :mod:`bsk_torch.codegen.passes` turns a traced :class:`Loop` into
@@ -152,7 +152,7 @@ class Program(Generic[V]):
         return self._intern("input", (), (source, *index), dtype, lifetime)
 
     def operation(self, op: str, args: tuple[Value, ...], dtype: torch.dtype) -> V:
-        """Return the value ``op(args)``: its result where that is known, an equal value that exists, or a new one."""
+        """Return the value ``op(args)``: its known result, an existing equal value, or a new one."""
         folded = fold(self, op, args, dtype)
         if folded is not None:
             return folded
@@ -211,7 +211,7 @@ class Program(Generic[V]):
 
 
 class TrackShape(Protocol):
-    """A table [N, records, width] of which a tick reads a few neighbouring records."""
+    """A table [N, records, width] of which a tick reads a few neighboring records."""
 
     @property
     def spacing(self) -> float:
@@ -268,7 +268,7 @@ class Loop:
 
 
 class Variable(NamedTuple):
-    """A place that is written more than once, or under another name than that of a value."""
+    """A location written more than once, or under a name other than that of a value."""
 
     name: str
     dtype: torch.dtype
@@ -281,14 +281,14 @@ class Define(NamedTuple):
 
 
 class Declare(NamedTuple):
-    """Make room for a value that is computed later and may change; ``initial`` is what it holds until then."""
+    """Declare a value to compute later, which may change; it holds ``initial`` until then."""
 
     value: Value
     initial: Value | None = None
 
 
 class Update(NamedTuple):
-    """Compute a value that has been declared."""
+    """Compute a declared value."""
 
     value: Value
 
@@ -328,7 +328,7 @@ class Record(NamedTuple):
 class Carried(NamedTuple):
     """Variables that outlive a tick of blocks that run in lockstep.
 
-    ``common`` are equal in all rows. The others belong to a block; ``initial`` are those that are known before its first tick.
+    ``common`` are equal in all rows. The others belong to a block; ``initial`` are those known before its first tick.
     """
 
     common: tuple[Value | Variable, ...]

@@ -16,7 +16,7 @@ Value = TypeVar("Value")
 
 
 class Kept(Generic[Value]):
-    """The last values that were made, by key."""
+    """The most recent values, by key."""
 
     def __init__(self, most: int) -> None:
         """Keep ``most`` of them."""

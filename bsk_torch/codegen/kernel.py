@@ -109,7 +109,7 @@ class Kernel:
             written: What each tick writes [n, L, C''], which changes; its rows may lie apart. None if it writes nothing.
             lockstep: Rows 0 to lockstep - 1 are the first group, and so on: where the kernel has a stop, the rows of a group,
                 whose ``counts`` are equal, all end in the tick in which the first of them stops.
-            present: Rows that run, [n]; all unless given. The others stay as they are.
+            present: Rows that run, [n] (default: all). The others remain unchanged.
 
         Returns:
             Number of ticks that each row has run, [n]; of rows that are not present, that of their group, or ``counts``.

@@ -30,7 +30,7 @@ from bsk_torch.codegen.ir import (
 )
 
 LOADED = ("state", "own", "flag", "shared")
-"""Sources of the inputs that are read when a block of rows begins, in the order in which they are."""
+"""Sources of the inputs read when a block of rows begins, in the order in which they are."""
 
 CLOCK_VARIABLES = ("start", "base", "from", "until")
 """Variables of each track: its start, the time of its record, and between which times the record is the one to read."""
@@ -90,7 +90,7 @@ def live_values(loop: Loop) -> list[Value]:
     """Values on which the results of a loop depend, in the order in which they are computed.
 
     Raises:
-        UntraceableError: For a result that is computed under a condition only.
+        UntraceableError: For a result computed under a condition only.
     """
     loop.program.root.require_visible(loop.results)
     live: set[Value] = set()
@@ -143,7 +143,7 @@ def _branch(region: Region, live: set[Value]) -> list[Statement]:
 
 
 def _record(t: int, shape: object, live: Iterable[Value]) -> Record:
-    """Return the values that hold as long as a record of track t, all of which are kept."""
+    """Return the values that hold as long as a record of track t; all are kept."""
     values = tuple(value for value in live if value.lifetime == t and value.op != "constant")
     inputs = tuple(value for value in values if value.op == "input")
     return Record(shape, inputs, tuple(value for value in values if value.op != "input"), values)  # type: ignore[arg-type]
@@ -216,7 +216,7 @@ def carried_state(live: Iterable[Value], changes: Sequence[tuple[int, Value]]) -
 def schedule_stores(body: Sequence[Statement], stores: Iterable[Store]) -> list[Statement]:
     """Put each store behind the last statement that computes its value or reads what it overwrites.
 
-    A tick has more values than there are registers. A value that is stored at once frees its register; one that is stored at the
+    A tick has more values than there are registers. A value stored at once frees its register; one stored at the
     end of the tick would be spilled in the meantime and read again. Stores are never put into a branch.
     """
     last_read: dict[str, int] = {}

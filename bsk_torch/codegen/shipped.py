@@ -1,6 +1,6 @@
-"""Kernels that are built on one machine for others that have no compiler.
+"""Kernels built on one machine for others that have no compiler.
 
-:func:`building` makes every kernel that is needed within it, for a named set of instructions of x86-64 processors instead of this
+:func:`building` makes every kernel needed within it, for a named set of instructions of x86-64 processors instead of this
 very processor, and puts it into a folder. Where ``BSK_TORCH_KERNELS`` names such folders, :func:`find` looks there first. The
 name of a library is a hash of its source, of torch's version, of the compiler's options and of the instructions, so that a folder
 can hold kernels of several versions, and one that does not fit is never found. Owner and mode are checked as in the cache.
@@ -32,7 +32,7 @@ NARROWER = ("-march=", "-mcpu=", "-mtune=", "-mavx", "-mamx", "-mfma")
 
 
 READABLE = 0o755
-"""Mode of folders and libraries that are made here: other users may run them."""
+"""Mode of folders and libraries made here: other users may run them."""
 
 
 class Target(NamedTuple):
@@ -56,11 +56,11 @@ def can_run() -> list[str]:
 
 @contextmanager
 def building(folder: Path, isa: str | None = None) -> Iterator[Target]:
-    """Put all kernels that are needed within this context, and not yet loaded by this process, into a folder.
+    """Put all kernels needed within this context, and not yet loaded by this process, into a folder.
 
     Args:
         folder: Made if it is missing; for :data:`VARIABLE` of other machines.
-        isa: Instructions, a name of :data:`LEVELS`; the best that this processor has unless given.
+        isa: Instructions, a name of :data:`LEVELS` (default: the best that this processor has).
 
     Raises:
         ValueError: For instructions that this processor does not have, or processors other than x86-64.

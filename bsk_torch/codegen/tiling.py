@@ -1,7 +1,7 @@
 """Arrangement of rows: in blocks, and in tiles of blocks for groups of rows that run in lockstep.
 
 A block holds as many rows as a vector has lanes, and takes as long as its longest row, in every branch that one of its rows
-takes. So rows that are expected to run for about as long, in the same mode, share a block.
+takes. So rows expected to run for about as long, in the same mode, share a block.
 """
 
 from __future__ import annotations
@@ -80,7 +80,7 @@ def in_tiles(
         mode: Mode of each row [n], if there are any.
         group: Rows of a group.
         width: Rows of a block.
-        present: Rows that run, [n]; all unless given.
+        present: Rows that run, [n] (default: all).
     """
     groups = len(counts) // group
     each = _groups_of_a_tile(groups, group, width)

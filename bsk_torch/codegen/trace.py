@@ -1,8 +1,8 @@
 """Tracing: tensor code becomes a program.
 
-Tensor code that is called with the values of a :class:`Tracer` instead of tensors, and computes element by element, runs as it
-is: operators and torch functions on a :class:`Proxy` add operations to the tracer's program, with torch's type promotion.
-Everything else raises :class:`bsk_torch.codegen.ir.UntraceableError` with a reason.
+Elementwise tensor code runs unchanged when called with the values of a :class:`Tracer` instead of tensors: operators and torch
+functions on a :class:`Proxy` add operations to the tracer's program, with torch's type promotion. Everything else raises
+:class:`bsk_torch.codegen.ir.UntraceableError` with a reason.
 """
 
 from __future__ import annotations

@@ -30,7 +30,7 @@ UNUSED = {
     "reset_during_sim_init": FLEET_MEMORY,
     "reset_post_sim_init": FLEET_MEMORY,
     "reset": FLEET_MEMORY,
-    "after_step": "define communication_pairs(), which is called after every step",
+    "after_step": "define communication_pairs(), called after every step",
     "attach": "define link(fleet)",
     "exchange": "define communication_pairs(), or communicate(moves)",
 }

@@ -23,7 +23,7 @@ VALUES, CHOICE = "values", "choice"
 
 
 class _Kept(type(BoundedContinuous)):  # type: ignore[misc]
-    """Makes instances of a subclass; TorchRL's metaclass would make them instances of its own class."""
+    """Makes instances of a subclass; TorchRL's metaclass would make instances of TorchRL's class."""
 
     def __call__(cls, *args: object, **kwargs: object) -> Any:
         instance = super().__call__(*args, **kwargs)
@@ -76,7 +76,7 @@ def form(satellite: SatelliteGroup) -> ContinuousBuilder | None:
 
 
 def action_spec(satellite: SatelliteGroup, shape: Sequence[int], dtype: torch.dtype, extra: int = 0) -> TensorSpec:
-    """Return the spec of a satellite's action; ``extra`` choices at the end go on with the present task."""
+    """Return the spec of a satellite's action; ``extra`` choices at the end continue the current task."""
     builder = form(satellite)
     if builder is None:
         return Categorical(satellite.actions.n_actions + extra, shape=torch.Size(shape), dtype=torch.int64)
@@ -163,10 +163,10 @@ def _joined(title: str, given: Any, builder: ContinuousBuilder, shape: tuple[int
 
 
 def acts(action: Tensor, satellite: SatelliteGroup, extra: int = 0) -> Tensor:
-    """Return where actions [...], [..., A] or [..., A + 1] are new tasks, and do not go on with the present one.
+    """Return where actions [...], [..., A] or [..., A + 1] are new tasks, and do not continue the current one.
 
-    ``NO_ACTION`` goes on, in all numbers of a continuous action (within 1 of it, for single precision has none that is equal) or
-    as the choice of a hybrid one; so do ``extra`` actions, or choices, beyond the satellite's own.
+    ``NO_ACTION`` continues the task, in all numbers of a continuous action (within 1 of it, because single precision cannot
+    represent it) or as the choice of a hybrid one; so do ``extra`` actions, or choices, beyond the satellite's.
     """
     builder, n = form(satellite), satellite.actions.n_actions
     if builder is None:

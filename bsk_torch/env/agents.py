@@ -98,7 +98,7 @@ def make_groups(
         names: Names of all satellites.
         types: Numbers of the satellites of each type.
         titles: What each type is called.
-        group_map: Agents of each group; by type unless given.
+        group_map: Agents of each group (default: by type).
 
     Raises:
         ValueError: For a ``group_map`` that names unknown agents, does not hold each once, or puts unlike ones together.

@@ -35,15 +35,14 @@ class MadeOfArguments(Snapshots):
         """Change arguments of satellites; episodes that begin after this call have the new ones, present ones keep theirs.
 
         Values are those that ``sat_args`` accepts, ``rand.per_env`` for a value of each environment among them; where its tensor
-        is written into, set it again, since episodes may have been prepared. Nothing is recompiled for arguments that were
-        drawn from the start (a distribution, ``rand.per_env``, a callable), or that only say how an episode begins. Where a
-        parameter of the tick was one constant so far, the tick is built again, once; states that were saved before then do not
-        fit any more.
+        is written into, set it again, since episodes may have been prepared. Nothing is recompiled for arguments drawn from the
+        start (a distribution, ``rand.per_env``, a callable), or that only set initial conditions. If a parameter of the tick was
+        a constant, the tick is rebuilt once, and states saved before no longer fit.
 
         Args:
             args: New values by name of the argument, for all satellites; or, by name of the satellite, such dictionaries; or a
                 function that returns a dictionary.
-            envs: Indices of the environments that get them, [n], or a mask [N]; all unless given.
+            envs: Indices of the environments that get them, [n], or a mask [N] (default: all).
 
         Raises:
             KeyError: For an unknown argument.
@@ -57,7 +56,7 @@ class MadeOfArguments(Snapshots):
 
         Args:
             args: New values by name, or a function that returns a dictionary.
-            envs: Indices of the environments that get them, [n], or a mask [N]; all unless given.
+            envs: Indices of the environments that get them, [n], or a mask [N] (default: all).
 
         Raises:
             KeyError: For an unknown argument.
@@ -112,7 +111,7 @@ class MadeOfArguments(Snapshots):
 
         Args:
             num_envs: Number of its episodes.
-            env_ids: Their indices in draws; 0 to ``num_envs`` - 1 unless given.
+            env_ids: Their indices in draws (default: 0 to ``num_envs`` - 1).
 
         Raises:
             ValueError: For a wrong argument, and where arguments of :func:`bsk_torch.rand.per_env` have too few rows.

@@ -232,7 +232,7 @@ class Tasking(Present, MadeOfArguments):
         return outputs
 
     def _judge(self, duration: Tensor, reward: Tensor, moves: Tensor, removed: Tensor) -> StepResult:
-        """Return the outcome of a step: adds failure penalties [N, S], and says which episodes have ended."""
+        """Return the outcome of a step: adds failure penalties [N, S], and determines which episodes have ended."""
         dead = self.fleet.joined([satellite.task.dead for satellite in self.satellites])
         reward = reward + self.failure_penalty * (dead & moves.unsqueeze(-1)).to(reward.dtype)
         if self.fleet.size > 1:
@@ -253,7 +253,7 @@ class Tasking(Present, MadeOfArguments):
 
     @property
     def agents_stay(self) -> bool:
-        """Whether agents that the rewarder terminates stay in the episode, which goes on."""
+        """Whether agents terminated by the rewarder stay in the continuing episode."""
         return False
 
     def _all_agents_ended(self, ended: Tensor) -> Tensor:

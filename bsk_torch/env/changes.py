@@ -141,7 +141,7 @@ class LiveArguments(MutableMapping[str, Any]):
         self._write({name: as_value(value)})
 
     def __delitem__(self, name: str) -> None:
-        """Refuse: every argument has a value."""
+        """Raise TypeError: every argument has a value."""
         raise TypeError(f"{self._title}[{name!r}] cannot be deleted; set it to the value that it should have")
 
     def __iter__(self) -> Iterator[str]:

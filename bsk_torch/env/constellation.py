@@ -32,12 +32,12 @@ logger = logging.getLogger(__name__)
 class ConstellationTasking(Tasking):
     """N independent episodes with S satellites each, as bsk_rl's ``ConstellationTasking`` plays one.
 
-    A step lasts until the first satellite has finished its task; the others go on with theirs. Agents that are alike form a
-    group, ``"agents"`` where there is only one; ``group_map`` names them. Each group holds ``observation``, ``action``,
+    A step lasts until the first satellite finishes its task; the others continue theirs. Agents with the same spaces form a
+    group, called ``"agents"`` if there is only one; ``group_map`` names them. Each group holds ``observation``, ``action``,
     ``action_mask``, ``reward`` [N, A, 1], ``mask`` [N, A] (False for agents that are not present or have left),
     ``requires_retasking`` and ``duration`` [N, A, 1]; ``done``, ``terminated``, ``truncated`` and ``duration`` are at the root.
 
-    The last action of a space goes on with the task; for real numbers, which have no ``action_mask``, ``NO_ACTION`` in all of
+    The last action of a space continues the task; for real numbers, which have no ``action_mask``, ``NO_ACTION`` in all of
     them does. Under ``joint=True`` with satellites of real numbers, ``action`` has an entry for each satellite by its name.
     ``action_mask`` allows nothing else to the busy and the dead; an action that
     a busy satellite is given all the same becomes its task at once, one that a dead satellite is given is ignored.
@@ -68,7 +68,7 @@ class ConstellationTasking(Tasking):
                 are of one type and are simulated together.
             scenario: Task of the satellites; None for none.
             rewarder: Value of their data, the sum of several if there are several; None for zero.
-            communicator: Exchange of data between satellites; none unless given.
+            communicator: Exchange of data between satellites (default: none).
             sat_arg_randomizer: Draws arguments of all satellites together: a formation of :mod:`bsk_torch.formations`, or a
                 function of the list of satellites, called for each episode, that returns ``{satellite: {argument: value}}``.
             **options: See :class:`bsk_torch.env.options.ConstellationOptions`.
@@ -211,7 +211,7 @@ class ConstellationTasking(Tasking):
 
     @property
     def agents_stay(self) -> bool:
-        """Whether agents that the rewarder terminates stay in the episode, which goes on: under ``compat="bsk_rl"``, as there."""
+        """Whether agents terminated by the rewarder stay in the continuing episode, as in bsk_rl with ``compat="bsk_rl"``."""
         return self.options.compat == "bsk_rl" and not self.joint
 
     def _all_agents_ended(self, ended: Tensor) -> Tensor:
@@ -293,7 +293,7 @@ class ConstellationTasking(Tasking):
         return [read(what, action, members[0], shape)]
 
     def _warn_of_idle(self, acts: Sequence[Tensor], moves: Tensor) -> None:
-        """Log once that satellites without a task were given none, as bsk_rl does; their last mode goes on."""
+        """Log once that satellites without a task received none, as in bsk_rl; their last mode continues."""
         if self._warned:
             return
         asked = moves.unsqueeze(-1) & ~self.state.removed

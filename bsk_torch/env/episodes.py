@@ -56,7 +56,7 @@ class EpisodePool:
     """The next episode of every environment, in a second fleet.
 
     Solving orbits and windows for a few rows costs as much as for dozens, and in a large batch a few rows end at every step. So
-    when a prepared episode is missing, all that have been used are refilled at once. Draws do not depend on when they are made:
+    when a prepared episode is missing, all used ones are refilled at once. Draws do not depend on when they are made:
     an episode is the same, bit for bit, with and without a pool.
     """
 
@@ -70,7 +70,7 @@ class EpisodePool:
 
     @functools.cached_property
     def fleet(self) -> Fleet:
-        """Fleet of the prepared episodes, which is made when it is needed first."""
+        """Fleet of the prepared episodes, created on first use."""
         return self._make()
 
     def change(self, types: Sequence[SatelliteType], envs: Tensor | None) -> None:
@@ -103,7 +103,7 @@ class Episodes(EnvBase):
         env_ids: Index of each episode in the draws, [N].
         scenario: Task of the satellites.
         rewarder: Value of their data.
-        guard: Says which episodes can be stepped.
+        guard: Tracks which episodes can be stepped.
         log: Records of what satellites do, if any.
     """
 
@@ -167,7 +167,7 @@ class Episodes(EnvBase):
 
         Args:
             seeds: Seed of all environments, or one for each of the N, where None keeps the present seed.
-            mask: Environments to seed, [N] bool; all unless given.
+            mask: Environments to seed, [N] bool (default: all).
 
         Raises:
             ValueError: For a seed that is no integer from 0 to 2**63 - 1, or a wrong number of them.
@@ -227,7 +227,7 @@ def whole_limit(limit: Tensor, et: Tensor, h_ns: int) -> tuple[Tensor, Tensor]:
 
 
 def read_env_ids(given: Any, n: int) -> Tensor:
-    """Return the index of each episode in draws, [n] int64, 0 to n - 1 unless given; ValueError for what are no such indices."""
+    """Return the index of each episode in draws, [n] int64, 0 to n - 1 by default; ValueError for what are no such indices."""
     if given is None:
         return torch.arange(n)
     table = given if isinstance(given, Tensor) else np.asarray(given) if isinstance(given, np.ndarray | Sequence) else None

@@ -95,7 +95,7 @@ class EpisodeGuard:
         self.state["begun"] = self.state["begun"] & ~half
         self.all_begun, self.interrupted = False, self.interrupted or bool(half.any())
         if isinstance(error, IndexError) and self.origin is not Origin.DRAWN:
-            raise FloatingPointError(f"no satellite can fly with the numbers of a state that was restored: {error}") from error
+            raise FloatingPointError(f"no satellite can fly with the numbers of the restored state: {error}") from error
 
     # -- checks -------------------------------------------------------------------------------------------------------
 
@@ -104,7 +104,7 @@ class EpisodeGuard:
 
         Args:
             call: Name of the method.
-            envs: Mask [N] of the episodes that it is about; all unless given.
+            envs: Mask [N] of the episodes that it is about (default: all).
 
         Raises:
             ResetNeededError: For episodes that have not begun, or whose last step was interrupted.

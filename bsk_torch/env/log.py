@@ -121,7 +121,7 @@ class StepLog:
             self._env(env, "began", "episode %d of seed %d begins", episode, seed, fields={"seed": seed})
 
     def decided(self, acts: Sequence[Tensor]) -> None:
-        """Record decisions that have been entered, where ``acts`` [N * count] of each type: ``action``, ``target``, ``ends``.
+        """Record entered decisions, where ``acts`` [N * count] of each type: ``action``, ``target``, ``ends``.
 
         A continuous ``action`` is a list of its values.
         """
@@ -218,7 +218,7 @@ class StepLog:
     # -- reading ------------------------------------------------------------------------------------------------------
 
     def _rows(self, k: int) -> list[tuple[int, str, int]]:
-        """Return environment, name and row of each present satellite of type ``k`` in the environments that are recorded."""
+        """Return environment, name and row of each present satellite of type ``k`` in the recorded environments."""
         names = self.satellites[k].names
         rows = [(env, name, env * len(names) + m) for env in self.envs for m, name in enumerate(names)]
         present = self.fleet.simulators[k].present

@@ -1,4 +1,4 @@
-"""The action that goes on with the present task, and the helpers for it that bsk_rl has."""
+"""The action that continues the current task, and the helpers for it that bsk_rl has."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ import torch
 from torch import Tensor
 
 NO_ACTION = 2**31 - 1
-"""Action of a satellite that goes on with its task, as bsk_rl's; the last action of every space means the same."""
+"""Action of a satellite that continues its task, as bsk_rl's; the last action of every space means the same."""
 
 CLOSE = 1.0
 """Distance from ``NO_ACTION`` within which a floating-point number counts as it; float32 has none that is equal."""
 
 
 def is_no_action(action: object) -> bool:
-    """Return whether an action only goes on with the task: None, ``NO_ACTION``, or a sequence or array that holds nothing else.
+    """Return whether an action only continues the task: None, ``NO_ACTION``, or a sequence or array that holds nothing else.
 
     Floating-point numbers count within 1 of ``NO_ACTION``. An empty array is an action, and so is all that holds no numbers.
     """
@@ -34,7 +34,7 @@ def is_no_action(action: object) -> bool:
 
 
 def no_action_like(action: Any) -> Any:
-    """Return ``NO_ACTION`` for an integer, else an array or tensor of the action's shape and type that is filled with it."""
+    """Return ``NO_ACTION`` for an integer, else an array or tensor of the action's shape and type filled with it."""
     if isinstance(action, int | np.integer):
         return NO_ACTION
     if isinstance(action, Tensor):
@@ -43,7 +43,7 @@ def no_action_like(action: Any) -> Any:
 
 
 def no_action_keep_indices(actions: Sequence[object], n_observations: int) -> tuple[list[int], list[int]]:
-    """Return which actions of an episode remain without those that only go on, and which observations belong to them.
+    """Return the actions of an episode that do not only continue a task, and the observations belonging to them.
 
     The observations are those at which the remaining actions were chosen, and the last one, so that its duration is kept.
     """

@@ -58,7 +58,7 @@ class TaskingOptions:
         terminate_on_time_limit: Whether the time limit also terminates.
         device: Where the simulation runs.
         seed: Seed of all draws, from 0 to 2**63 - 1; None for a random one.
-        env_ids: Index of each episode in the draws, from 0 to 2**63 - 1; 0 to N - 1 unless given.
+        env_ids: Index of each episode in the draws, from 0 to 2**63 - 1; 0 to N - 1 by default.
         dtype: Type of observations, rewards and durations, of torch or NumPy; None for the one that the satellites name, or
             float32.
         sim_dtype: float64 for parity with Basilisk; float32 for mixed precision: attitude, wheels and flight software in float32,
@@ -66,12 +66,12 @@ class TaskingOptions:
         orbit: ``"arc"`` (in advance), ``"integrated"`` (in every tick, with drag), or None for the model's own.
         backend: ``"compiled"``, or ``"eager"`` for debugging.
         compat: ``"bsk_rl"`` repeats bsk_rl's errors, for comparisons; ``docs/migration.md`` lists them. None for what is true.
-        replan: Whether windows and eclipses that lie ahead follow manoeuvres; None for True, or for False with
+        replan: Whether windows and eclipses that lie ahead follow maneuvers; None for True, or for False with
             ``compat="bsk_rl"``, whose look-ahead stays on the first orbit of an episode.
         log_level: Level of the package's logger: ``"INFO"`` records what satellites do, see :mod:`bsk_torch.env.log`; None leaves
             it.
         log_dir: Path of a file (as in bsk_rl) that gets the records, too.
-        log_envs: Environments whose satellites are recorded; the first one unless given.
+        log_envs: Environments whose satellites are recorded (default: the first one).
     """
 
     num_envs: int = 1
@@ -117,7 +117,7 @@ class TaskingOptions:
             raise ValueError(f"compat={self.compat!r} must be one of {list(COMPATIBLE)}")
         if self.replan and self.compat is not None:
             raise ValueError(
-                f"replan={self.replan!r} with compat={self.compat!r}: look-ahead of bsk_rl follows no manoeuvre; leave one out"
+                f"replan={self.replan!r} with compat={self.compat!r}: look-ahead of bsk_rl follows no maneuver; leave one out"
             )
         checked["replan"] = self.compat is None if self.replan is None else switch("replan", self.replan)
         for name, value in checked.items():
@@ -134,11 +134,11 @@ class ConstellationOptions(TaskingOptions):
             ``requires_retasking`` [N, S]. The episode ends when any satellite dies.
         meta_agent_groupings: Names of the satellites of agents that command several; their actions are [N, A, M].
         only_retask_idle_meta_agent_members: Whether such agents' actions for busy satellites are ignored.
-        group_map: Names of the agents of each group; by types of satellites unless given.
+        group_map: Names of the agents of each group (default: by types of satellites).
         generate_obs_retasking_only: Whether agents that need no task observe zeros.
         mask_busy: Whether ``action_mask`` lets busy satellites only continue.
         population: Smallest and largest number of satellites that are present in an episode. Each number in between is as likely,
-            and so is each choice of satellites. All are present in all episodes unless given, or the scenario draws who is
+            and so is each choice of satellites. All are present in all episodes by default, or the scenario draws who is
             (:meth:`bsk_torch.scene.Scenario.present`).
     """
 

@@ -70,9 +70,9 @@ class Present(Episodes):
 
         Args:
             fields: Names of fields, such as ``("sigma_BN", "omega_BN_B")``; ``env.simulator.state.layout.fields`` has them all.
-            rows: Environments, or one; all unless given.
+            rows: Environments, or one (default: all).
             every: Ticks from one record to the next, counted from the beginning of an episode.
-            satellites: Names of satellites, or one; all unless given.
+            satellites: Names of satellites, or one (default: all).
 
         Raises:
             IndexError: For a row that does not exist.

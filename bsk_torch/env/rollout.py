@@ -40,7 +40,7 @@ def play_episodes(
         env: The environment, N episodes.
         policy: Chooses actions.
         start: The tensordict that ``env.reset`` or ``step_mdp`` has returned; ``env.reset()`` is called unless it is given.
-        playing: Episodes that are played, [N] booleans; all that have not ended at ``start`` unless it is given.
+        playing: Episodes to play, [N] booleans (default: all that have not ended at ``start``).
         max_steps: Largest number of steps.
 
     Yields:

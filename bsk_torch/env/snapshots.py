@@ -69,9 +69,9 @@ class Snapshots(Episodes):
         Args:
             state: A state of :meth:`get_state`, also as nested dictionaries (``state.to_dict()``), or an environment of the same
                 make, whose present episodes are copied directly. Batch sizes may differ. Of a state, which may come from a file
-                from another source, every number that is used is checked.
-            envs: Episodes of this environment to be replaced, [n] indices; all unless given.
-            source: Episodes of the state, [n] indices, which may repeat; the same as ``envs`` unless given.
+                from another source, every number used is checked.
+            envs: Episodes of this environment to be replaced, [n] indices (default: all).
+            source: Episodes of the state, [n] indices, which may repeat (default: the same as ``envs``).
 
         Raises:
             KeyError, TypeError, ValueError: For something that is no state, that another make of environment has saved, or with
@@ -182,7 +182,7 @@ def check_values(fleet: Fleet, saved: StateTable) -> None:
     Raises:
         ValueError: For a value that no environment of this make has, or an episode that has not begun.
     """
-    saved.refuse("begun", saved["begun"], ~saved["begun"], "such episodes have nothing to go on with")
+    saved.refuse("begun", saved["begun"], ~saved["begun"], "such episodes cannot continue")
     saved.check()
     et = lookahead_of(saved, 0).arcs.et.view(saved.num_envs, -1)[:, 0]
     ticks, limit = whole_limit(saved["time_limit"], et, fleet.simulators[0].h_ns)

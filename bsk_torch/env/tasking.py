@@ -107,11 +107,11 @@ class SatelliteTasking(Tasking):
         """Carry out ``action`` [N] where ``moves`` [N] is true, everywhere if None; return the entries of ``next``.
 
         Continuous actions are [N, A], hybrid ones a tensordict of their parts or [N, A + 1] with the choice behind; among them
-        ``NO_ACTION`` goes on with the present task.
+        ``NO_ACTION`` continues the current task.
         """
         action = read("action", action, self.satellite, self.batch_size, ", one per environment")
         moves_all, moves = moves is None, torch.ones_like(self.dead) if moves is None else moves
-        goes_on = form(self.satellite) is not None  # numbers of actions have none that goes on with the task
+        goes_on = form(self.satellite) is not None  # numbers of actions have none that continues the task
         mine = moves & acts(action, self.satellite) if goes_on else moves
         with self.guard:
             self.guard.check_begun("step()")

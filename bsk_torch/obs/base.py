@@ -70,7 +70,7 @@ class Observation:
         self.name = text("name", name)
 
     def __init_subclass__(cls, **options: object) -> None:
-        """Refuse definitions that no environment would use; TypeError says what to write instead."""
+        """Raise TypeError, suggesting a replacement, for definitions that no environment would use."""
         super().__init_subclass__(**options)
         check_class(cls, Observation, HOOKS, UNUSED)
         if "get_vector" in vars(cls) and "get_obs" not in vars(cls):
@@ -126,7 +126,7 @@ def flatten(values: Values, count: int | None = None, prefix: str = "") -> Itera
     """Yield the leaves in order, as dotted names and tensors [N, width].
 
     Raises:
-        TypeError: For a leaf that is no tensor [N] or [N, ...], with N = ``count`` if that is given.
+        TypeError: For a leaf that is no tensor [N] or [N, ...], with N = ``count`` if given.
     """
     for name, value in values.items():
         path = f"{prefix}{name}"
@@ -163,7 +163,7 @@ class Reader:
     """
 
     def __init__(self, entry: Observation) -> None:
-        """Read an ``entry``, which is linked to its satellites."""
+        """Read an ``entry`` linked to its satellites."""
         self.entry = entry
         # get_vector() belongs to the get_obs() of the same class: a subclass that overrides only the latter does not use it
         self._has_vector = defined_first(entry, "get_vector", "get_obs") == "get_vector"
@@ -175,7 +175,7 @@ class Reader:
 
     @property
     def functions(self) -> list[UserFunction]:
-        """Functions of users that the observation calls, that of its own class included."""
+        """User functions called by the observation, including the function of its class."""
         return [*([] if self._function is None else [self._function]), *self.entry.functions]
 
     def values(self) -> Tensor | Values:

@@ -28,19 +28,19 @@ def rso_imaged_regions(
 ) -> Numbers:
     """Return the fraction of the points of each region of the chief that the servicer knows to be inspected, [N, R].
 
-    A point belongs to the region whose centre is the nearest to its position in the chief's body axes, the first of several;
-    regions without points give 0. Centres in ``"chief_hill"`` turn with the chief's Hill frame, so points change regions where
+    A point belongs to the region whose center is the nearest to its position in the chief's body axes, the first of several;
+    regions without points give 0. Centers in ``"chief_hill"`` turn with the chief's Hill frame, so points change regions where
     the chief's body does not turn with it. What has been communicated counts, see :class:`bsk_torch.data.RSOInspectionReward`.
 
     Args:
         servicer: The satellite that observes.
         chief: The RSO.
-        region_centers: Centres [R, 3] in the axes of ``frame``, of points at a distance of about 1; both directions of each axis
-            unless given.
+        region_centers: Centers [R, 3] in the axes of ``frame``, of points at a distance of about 1; both directions of each axis
+            by default.
         frame: ``"chief_hill"`` or ``"chief_body"``.
 
     Raises:
-        ValueError: For another frame, or centres of another shape.
+        ValueError: For another frame, or centers of another shape.
     """
     if frame not in FRAMES:
         raise ValueError(f"frame={frame!r} must be one of {list(FRAMES)}")

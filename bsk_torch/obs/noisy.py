@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from bsk_torch.sats.bound import BoundSatellite
 
 Noise = float | Distribution | Mapping[str, float | Distribution]
-"""Standard deviation of normal noise, or a distribution, of all numbers that are observed or by name."""
+"""Standard deviation of normal noise, or a distribution, of all numbers observed or by name."""
 
 STREAM = 0x1E3779B97F4A7C15
 """Odd number by which ticks change the seed, so that every decision has separate random numbers."""
@@ -53,8 +53,8 @@ class Noisy(Observation):
             observation: Any observation, such as ``obs.SatProperties(...)``.
             noise: Noise of each decision: the standard deviation of normal noise, a distribution of :mod:`bsk_torch.rand`, or a
                 dictionary of these by the names of properties; properties that it does not name have none.
-            bias: Noise that is drawn once for each episode, likewise.
-            name: Name of the entry; that of the observation unless given.
+            bias: Noise drawn once for each episode, likewise.
+            name: Name of the entry (default: that of the observation).
 
         Raises:
             ValueError: For something that is no observation, no noise, or a negative standard deviation.

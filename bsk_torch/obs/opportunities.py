@@ -81,8 +81,8 @@ class OpportunityProperties(Observation):
     :class:`~bsk_torch.sats.access.Opportunities` that returns [N, n] or [N, n, width]), and optionally ``norm`` (divisor; None
     for 1) and ``name``. With ``fn``, ``prop`` is only a name. If there are fewer opportunities, the last one is repeated.
 
-    bsk_rl's functions of a satellite and an opportunity work as they stand: ``opp["object"].priority``, ``opp["window"][0]``.
-    Where one cannot be called for all opportunities at once, it is called for each, which is slow; the log says so.
+    bsk_rl's functions of a satellite and an opportunity work unchanged: ``opp["object"].priority``, ``opp["window"][0]``. A
+    function that cannot be called for all opportunities at once is called for each, which is slow and logged.
     """
 
     satellite: BoundAccessSatellite
@@ -101,7 +101,7 @@ class OpportunityProperties(Observation):
             *entries: Properties of each opportunity; see the class.
             n_ahead_observe: Number of opportunities n.
             type: ``"target"``, ``"ground_station"``, or another kind of places that scenario or models declare.
-            name: Name of the observation; that of the type unless given.
+            name: Name of the observation (default: that of the type).
             as_set: Whether to return ``rows`` [N, n, features] and ``mask`` [N, n] (1, or 0 for repetitions) instead of named
                 numbers, for policies that treat all opportunities alike.
 

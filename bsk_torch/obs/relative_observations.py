@@ -1,6 +1,6 @@
 """Observations of a satellite relative to another one of its episode, and the functions that they observe.
 
-D is the deputy, the satellite that observes, C is the chief. Names say what is observed and in which axes: N inertial, C and D of
+D is the deputy, the observing satellite; C is the chief. Names denote the quantity and the axes: N inertial, C and D of
 the two bodies, Hc and Hd of their Hill frames (radial, along the track, orbit normal), Hs of the Hill frame of the Earth's orbit
 about the Sun. Velocities are those that an observer in the named frame sees: in a rotating frame F they are
 ``[FN] (v_D - v_C - omega_FN x (r_D - r_C))`` (Schaub and Junkins, sections 1.3 and 14.2). Attitudes are MRPs with a length of at
@@ -241,7 +241,7 @@ class RelativeProperties(Observation):
 
     Each argument is a dictionary with ``prop`` (name of a function of this module, one of :data:`FUNCTIONS`) or ``fn`` (function
     of deputy and chief that returns [N] or [N, width]), and optionally ``norm`` (divisor; None for 1) and ``name``, which is
-    ``prop`` unless given, with ``_normd`` where a norm divides. With ``fn``, ``prop`` is only a name.
+    ``prop`` by default, with ``_normd`` where a norm divides. With ``fn``, ``prop`` is only a name.
 
     The chief may be any satellite, the deputy itself included. Functions see it as
     :class:`~bsk_torch.sats.others.OtherSatellite`; they may also be written for one deputy and one chief, as in bsk_rl, and are

@@ -31,8 +31,8 @@ class SatProperties(Observation):
     ``fn``, ``prop`` is only a name.
 
     Functions, and properties that a user's model adds, may be written for one satellite as in bsk_rl: with NumPy, returning a
-    number or an array. Where they cannot be called for all satellites at once, they are called for each, which is slow; the log
-    says so. See :class:`bsk_torch.sats.user_function.UserFunction`.
+    number or an array. If they cannot be called for all satellites at once, they are called for each, which is slow and logged.
+    See :class:`bsk_torch.sats.user_function.UserFunction`.
     """
 
     def __init__(self, *entries: dict[str, Any], name: str = "sat_props") -> None:
@@ -145,7 +145,7 @@ class Eclipse(Observation):
     """Time until the next start and until the next end of an eclipse, divided by ``norm`` seconds, or the period; [N, 2].
 
     They need not belong to the same eclipse. As in bsk_rl, times are on a grid of 30 s, and both are one second after the epoch
-    if no eclipse begins or ends in the time that is searched.
+    if no eclipse starts or ends in the searched time.
     """
 
     def __init__(self, norm: float | None = 1.0, name: str = "eclipse") -> None:

@@ -61,7 +61,7 @@ class Beam:
     def extend(
         self, level: int, edge: tuple[Tensor, Tensor, Tensor], number: Tensor, flown: Flown, discounting: Discounting
     ) -> tuple[Tensor, Tensor]:
-        """Go on with the best extensions; return the rows of the store in which they are to be, [k], and where they are, [k].
+        """Continue with the best extensions; return their rows in the store, [k], and their current rows, [k].
 
         Args:
             level: Actions of the sequences before.
@@ -130,11 +130,11 @@ class BeamSearch(Planner):
             env: The environment in which the planner acts.
             base: The base policy.
             horizon: Seconds that branches last.
-            budget: Branches that are flown for a decision of one agent, an equal share of them in each depth, at least ``depth``:
+            budget: Branches flown for a decision of one agent, an equal share of them in each depth, at least ``depth``:
                 the extensions that the prior prefers.
-            width: Sequences that are extended.
+            width: Number of extended sequences.
             depth: Length of the longest sequences, actions.
-            prior: Policy of all agents that says which actions are tried; the base policy unless given.
+            prior: Policy of all agents that selects the actions to try (default: the base policy).
             **options: Further arguments of :class:`~bsk_torch.plan.planner.Planner`.
         """
         self.width, self.depth = whole("width", width, 1), whole("depth", depth, 1)
@@ -195,7 +195,7 @@ class BeamSearch(Planner):
         return jobs._replace(first=None, limit=None, carried=kept, judged=self._judged(beam.elapsed[r, b]))
 
     def _tried(self, beam: Beam, share: int) -> Tensor:
-        """Return the extensions that are tried, [R, W, A]: at most ``share`` of each root; those of the base policy first."""
+        """Return the extensions to try, [R, W, A]: at most ``share`` of each root; those of the base policy first."""
         legal, prior = beam.node["legal"] & beam.valid.unsqueeze(-1), beam.node["prior"]
         own = torch.nn.functional.one_hot(beam.node["mine"], legal.shape[-1]).bool()
         weight = torch.where(own, 1.0 + prior, prior).masked_fill(~legal, -1.0).flatten(1)

@@ -62,7 +62,7 @@ class Jobs(NamedTuple):
         carried: What the base policy remembers, [J]; None for nothing.
         judged: Seconds after which the value network judges, 0 for the end of the first step, [J]; None for the jobs' limits, up
             to which all rewards count.
-        decided: Branches that take the actions ``first``, [J]; all unless given.
+        decided: Branches that take the actions ``first``, [J] (default: all).
     """
 
     rows: Tensor

@@ -52,8 +52,8 @@ class CrossEntropy(Planner):
             env: The environment in which the planner acts.
             base: The base policy.
             horizon: Seconds that branches last.
-            budget: Sequences that are flown for a decision of one agent, at least two in each iteration.
-            iterations: Number of distributions that are drawn from.
+            budget: Sequences flown for a decision of one agent, at least two in each iteration.
+            iterations: Number of distributions drawn from.
             depth: Actions of a sequence.
             elites: Fraction of the samples from which the next distribution follows.
             spread: Standard deviation of the first distribution, over half the width of the bounds.
@@ -135,7 +135,7 @@ class CrossEntropy(Planner):
         """Fly ``plans`` [n, P, D, W] of agents ``slot`` [n] in ``rows`` [n]; NaN stands for what the base policy does.
 
         Returns:
-            Returns [n, P], simulated seconds [n], and the actions that were taken in the first future, [n, P, D, W].
+            Returns [n, P], simulated seconds [n], and the actions taken in the first future, [n, P, D, W].
         """
         n, p, copies = len(rows), plans.shape[1], self._copies
         each = torch.arange(n, device=rows.device).repeat_interleave(p * copies)

@@ -10,7 +10,7 @@ from bsk_torch.env import Tasking
 from bsk_torch.plan.agent_table import AgentTable
 
 STEPS = 2
-"""Decisions that are compared."""
+"""Number of compared decisions."""
 
 
 def check_copyable(env: Tasking, slots: AgentTable) -> None:
@@ -48,9 +48,9 @@ def _compare(found: list[TensorDictBase], words: str) -> None:
         if not (_same(value[0], value[1]) and _same(value, second[key])):
             name = key if isinstance(key, str) else ".".join(key)
             raise ValueError(
-                f"the environment cannot be copied: {words} {name!r}. Planning needs functions that give the same for the same "
-                "episode: let those that draw at random use a key of bsk_torch.rand, or, at reset, the global generators of "
-                "NumPy or Python, which are seeded; and declare values that an episode must remember (fleet.memory.declare)"
+                f"the environment cannot be copied: {words} {name!r}. Planning needs functions with the same results for the same "
+                "episode: draw random numbers from a key of bsk_torch.rand or, at reset, from the seeded global generators of "
+                "NumPy or Python, and declare values kept within an episode (fleet.memory.declare)"
             )
 
 

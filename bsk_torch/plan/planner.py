@@ -23,7 +23,7 @@ from bsk_torch.rl.evaluation.evaluate import SIMULATED
 from bsk_torch.sim.arguments.values import nearest
 
 ROWS = 512
-"""Copies that are flown at once, unless an argument says otherwise."""
+"""Default number of copies simulated at once."""
 
 REWARD_TIMES = ("end", "start")
 """When the reward of a step comes, in returns."""
@@ -33,7 +33,7 @@ ENDLESS = 2**62
 
 
 class Planner(TensorDictModuleBase):
-    """Improves the decisions of a base policy by flying copies of the present episodes. Subclasses say which.
+    """Improves the decisions of a base policy by simulating copies of the current episodes. Subclasses select the branches.
 
     A planner belongs to one environment, whose present episodes it copies; it writes the actions of all agents into what
     ``reset`` or ``step`` of that environment has returned, and ``simulated_seconds`` [N] next to it: what it has simulated for
@@ -83,10 +83,10 @@ class Planner(TensorDictModuleBase):
             reward_time: When the reward of a step counts: at its ``"end"`` or its ``"start"``.
             value: A module that writes ``state_value`` [n, 1] for observations [n], in place of what lies beyond; branches then
                 end with the first step that reaches the horizon.
-            futures: Number of futures that are drawn for each decision; None for the true one.
+            futures: Number of futures drawn for each decision; None for the true one.
             redraw: Redraws hidden parts of the state, such as :func:`bsk_torch.plan.redraw_clouds`.
             seed: Seed of the futures and of samples.
-            rows: Copies that are flown at once: memory and speed depend on it, results do not.
+            rows: Copies flown at once: memory and speed depend on it, results do not.
 
         Raises:
             TypeError: For something that is no environment, or a base that is no policy.
@@ -167,11 +167,11 @@ class Planner(TensorDictModuleBase):
         return store
 
     def _rows(self) -> int:
-        """Number of copies that are flown at once."""
+        """Number of copies flown at once."""
         return min(self._most_rows, self.env.num_envs * (self.futures or 1) * self._branching())
 
     def _branching(self) -> int:
-        """Return the largest number of branches of one episode that are flown together."""
+        """Return the largest number of branches of one episode flown together."""
         raise NotImplementedError(f"{type(self).__name__} must implement _branching()")
 
     @torch.no_grad()
@@ -206,8 +206,8 @@ class Planner(TensorDictModuleBase):
         """Return actions of the agents ``slot`` [n] in ``rows`` [n] of the environment, [n] or [n, W], and simulated seconds [n].
 
         Args:
-            td: What the agents observe, with the actions that have been decided so far, [N].
-            memory: What the base policy remembers, [N].
+            td: Observations of the agents, with the actions decided so far, [N].
+            memory: Memory of the base policy, [N].
             rows: Episodes.
             slot: Agents.
         """

@@ -36,7 +36,7 @@ class Rollout(Planner):
             env: The environment in which the planner acts.
             base: The base policy.
             horizon: Seconds that branches last.
-            budget: Actions that are tried for a decision, those that the base policy prefers; None for all that are legal.
+            budget: Actions tried for a decision, those preferred by the base policy; None for all legal actions.
             **options: Further arguments of :class:`~bsk_torch.plan.planner.Planner`.
         """
         self.budget = None if budget is None else whole("budget", budget, 1)
@@ -60,7 +60,7 @@ class Rollout(Planner):
         return action, torch.zeros_like(q[:, 0]).index_add(0, several[:, 0], simulated)
 
     def _tried(self, td: TensorDictBase, rows: Tensor, slot: Tensor, mine: Tensor) -> Tensor:
-        """Return the actions that are tried, [n, A]: that of the base policy among them."""
+        """Return the actions to try, [n, A], including the base policy's."""
         legal = self.slots.at(self.slots.legal(td)[rows], slot)
         own = torch.nn.functional.one_hot(mine, legal.shape[1]).bool()
         if self.budget is None or self.budget >= legal.shape[1]:

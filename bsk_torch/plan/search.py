@@ -19,7 +19,7 @@ from bsk_torch.plan.tree import Leaves, Trees
 from bsk_torch.plan.tree_state import StateSummary
 
 LONGEST = 64
-"""Actions of a sequence that are remembered until the next decision."""
+"""Actions of a sequence remembered until the next decision."""
 
 
 class TreeSearch(Planner):
@@ -28,7 +28,7 @@ class TreeSearch(Planner):
     Each flight follows an edge for the first time. What is behind it is worth what the base policy earns from there to the
     horizon, or what a value network says. With the base policy as judge, and one future, returns are exact: the largest one
     counts, and the base policy's own action is kept unless another one is better; with enough budget, all sequences of actions
-    up to the horizon are tried. Else means count, and the action that has been visited most often is taken.
+    up to the horizon are tried. Otherwise returns are averaged, and the most visited action is taken.
     """
 
     name: ClassVar[str] = "mcts"
@@ -56,7 +56,7 @@ class TreeSearch(Planner):
             actions: Actions that each node tries, the most probable ones; None for all that are legal.
             leaves: Flights at once in each tree.
             exploration: Weight of the prior.
-            prior: Policy of all agents that gives the probabilities; the base policy unless given.
+            prior: Policy of all agents that gives the probabilities (default: the base policy).
             **options: Further arguments of :class:`~bsk_torch.plan.planner.Planner`.
         """
         self.budget, self.leaves = whole("budget", budget, 1), whole("leaves", leaves, 1)

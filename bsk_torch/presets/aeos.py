@@ -21,7 +21,7 @@ of each target:
 ``time``                      time since reset, over the time limit
 ============================  ==================================================================================
 
-Targets are those of the next windows in order of their closing times, without those that have been imaged. With ``as_set=True``
+Targets are those of the next windows in order of their closing times, excluding imaged targets. With ``as_set=True``
 they are ``rows`` [N, 32, features] with a ``mask`` [N, 32].
 
 Actions: 0 to 31, image that target. The step ends with the image, with the end of the window, or after 300 s.
@@ -60,7 +60,7 @@ SOON = 300.0
 """Norm of the times of windows, and longest step, s."""
 
 AHEAD = 32
-"""Number of targets that are observed and can be chosen."""
+"""Number of targets observed and can be chosen."""
 
 SATELLITE = (
     dict(prop="omega_BH_H", norm=0.03),

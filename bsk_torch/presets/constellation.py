@@ -139,7 +139,7 @@ def constellation(
     Args:
         n_satellites: Number of satellites.
         n_planes: Number of their orbital planes.
-        phasing: Phase between neighbouring planes, in units of 360 degrees over the number of satellites; None for 1, or for 0
+        phasing: Phase between neighboring planes, in units of 360 degrees over the number of satellites; None for 1, or for 0
             where there is one plane.
         n_targets: Number of targets that all satellites share, or its range (the upper end excluded).
         as_set: Whether targets are observed as ``rows`` [N, S, 16, features] with a ``mask`` instead of in one vector.

@@ -42,7 +42,7 @@ Random at reset: orbit of the RSO (500 to 1100 km above a sphere of 6371 km, ecc
 inspectors, epoch, attitudes and wheel speeds of inspectors.
 
 Ticks take 5 s. Orbits are solved ahead, ``orbit="arc"``: nearly twice as fast as ``"integrated"``, which is what the models do by
-themselves. After 24 000 s, positions relative to the RSO differ by half a millimetre, and the same points are inspected. Gains of
+themselves. After 24 000 s, positions relative to the RSO differ by half a millimeter, and the same points are inspected. Gains of
 the attitude control are stable with these ticks, which those of bsk_rl's benchmark are not; the instrument records at any
 attitude error, in both.
 """
@@ -76,7 +76,7 @@ FUEL, LONGEST_THRUST = 10.0, 1.0
 """What a full tank is good for, and the largest change of velocity at once, m/s."""
 
 REGIONS = 32
-"""Regions that are observed in addition to the six of bsk_rl, and directions of waypoints."""
+"""Regions observed in addition to the six of bsk_rl, and directions of waypoints."""
 
 NEAR, SLOW = 500.0, 5.0
 """Norms of relative positions, m, and velocities, m/s."""

@@ -55,7 +55,7 @@ def next_station() -> obs.OpportunityProperties:
 
 
 class ScanningDownlinkDynModel(dyn.ContinuousImagingDynModel, dyn.GroundStationDynModel):
-    """Dynamics of a satellite that scans and downlinks, with the two pointing errors that are observed."""
+    """Dynamics of a satellite that scans and downlinks, with the two observed pointing errors."""
 
     @observable
     def instrument_pointing_error(now: Now) -> Tensor:

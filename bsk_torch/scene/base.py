@@ -82,7 +82,7 @@ class Scenario:
     _form: Mapping[str, torch.Size] | None = None
 
     def __init_subclass__(cls, **options: object) -> None:
-        """Refuse definitions that no environment would use; TypeError says what to write instead."""
+        """Raise TypeError, suggesting a replacement, for definitions that no environment would use."""
         super().__init_subclass__(**options)
         check_class(cls, Scenario, HOOKS, {name: advice for name, advice in UNUSED.items() if name not in cls._old_hooks})
 
@@ -169,7 +169,7 @@ class Scenario:
         return self.fleet.scenario_state[name]
 
     def _bounds(self) -> dict[str, tuple[float, float]]:
-        """Return the smallest and the largest value of what :meth:`draw` returns, by name, for states that are restored.
+        """Return the minimum and maximum of the values returned by :meth:`draw`, by name, for restored states.
 
         Values of users' scenarios have no bounds: they are not checked.
         """

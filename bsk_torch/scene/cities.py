@@ -59,7 +59,7 @@ class CityTargets(UniformTargets):
             location_offset: Length of a shift in a random direction of space, m; shifted targets are projected back onto the
                 sphere.
             priority_distribution: See :class:`UniformTargets`.
-            radius: Distance of the targets from the Earth's centre, m.
+            radius: Distance of the targets from the Earth's center, m.
         """
         super().__init__(n_targets, priority_distribution, radius)
         self.n_select_from = self._selected(n_select_from)
@@ -91,7 +91,7 @@ class CityTargets(UniformTargets):
         return super()._bounds() | {"target_city": (0.0, self.n_select_from - 1.0)}
 
     def offset(self, key: Key) -> Tensor:
-        """Draw the shifts away from the city centres, [n, T, 3] m."""
+        """Draw the shifts away from the city centers, [n, T, 3] m."""
         return self.location_offset * on_sphere(key.named("target_offset").uniform(2 * self.most_targets).view(len(key), -1, 2))
 
     def names(self, row: int) -> list[str]:

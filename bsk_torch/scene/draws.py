@@ -25,7 +25,7 @@ MOST_TARGETS = 10**7
 """Bound of the number of targets: every episode keeps all of them."""
 
 MIN_RADIUS = 6.3e6
-"""Minimum distance of a target from the Earth's centre, m; the poles are at 6.357e6."""
+"""Minimum distance of a target from the Earth's center, m; the poles are at 6.357e6."""
 
 MAX_RADIUS_IN_KM = 1e7
 """A distance that is below the minimum in m, but between it and this in km, was probably given in km by mistake."""
@@ -165,12 +165,12 @@ def check_positions(r_LP_P: Tensor, of: str = "") -> None:
 
 
 def _inside(distance: Tensor) -> str:
-    """Return the fault of a distance from the Earth's centre, m; an empty string if there is none."""
+    """Return the fault of a distance from the Earth's center, m; an empty string if there is none."""
     meant = " (km? then multiply by 1000)" if MIN_RADIUS <= 1000.0 * float(distance) <= MAX_RADIUS_IN_KM else ""
     if distance.isfinite() and float(distance) >= MIN_RADIUS:
         return ""
-    given = f"from the Earth's centre is {float(distance):g} m{meant}"
-    return f"{given}; positions are Earth-fixed, in metres, at least {MIN_RADIUS:g} m"
+    given = f"from the Earth's center is {float(distance):g} m{meant}"
+    return f"{given}; positions are Earth-fixed, in meters, at least {MIN_RADIUS:g} m"
 
 
 def on_sphere(u: Tensor, west: Any = -math.pi, width: Any = 2.0 * math.pi, span: Any = (-1.0, 1.0)) -> Tensor:

@@ -20,11 +20,11 @@ class Targets(TargetScenario):
         """ValueError for a wrong argument.
 
         Args:
-            r_LP_P: Earth-fixed positions in m, [T, 3] for all environments; or ``rand.per_env`` with [T, 3] for each
-                environment, as a tensor [N, T, 3] or as a list of N lists that may differ in length.
-            priority: Priority of each target: a number, T numbers, a distribution, a callable without arguments that is called
-                for each target, or ``rand.per_env`` with a number for each environment or for each of its targets.
-            names: Names of the T columns; ``"tgt-0"`` and so on unless given.
+            r_LP_P: Earth-fixed positions in m, [T, 3] for all environments; or ``rand.per_env`` with [T, 3] for each environment,
+                as a tensor [N, T, 3] or as a list of N lists that may differ in length.
+            priority: Priority of each target: a number, T numbers, a distribution, a callable without arguments called for each
+                target, or ``rand.per_env`` with a number for each environment or for each of its targets.
+            names: Names of the T columns; ``"tgt-0"`` and so on by default.
         """
         self.per_env = isinstance(r_LP_P, PerEnv)
         tables = _tables(r_LP_P)

@@ -1,7 +1,7 @@
 """Targets that a subclass makes itself, environment by environment, in bsk_rl's ``regenerate_targets``.
 
 The hook runs on a copy of the scenario for each environment at its reset, under a random stream of that environment and episode.
-What it puts into ``self.targets`` becomes drawn values, so all else goes on as with targets that are drawn in batches.
+Its ``self.targets`` become drawn values, so everything else works as with targets drawn in batches.
 """
 
 from __future__ import annotations
@@ -132,7 +132,7 @@ def _columns(scenario: UniformTargets, made: Sequence[list[Target]]) -> dict[str
 
 
 def _number(target: Target, name: str) -> np.ndarray | None:
-    """Return an attribute as an array of numbers; None for one that is made of other things."""
+    """Return an attribute as an array of numbers; None for one made of other things."""
     if not hasattr(target, name):
         raise TypeError(f"{target!r} lacks {name!r}, which other targets have; all targets must have the same attributes")
     value = no_gradient(f"{name!r} of a target", getattr(target, name))

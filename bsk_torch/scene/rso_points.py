@@ -79,7 +79,7 @@ class RSOPoints(Scenario):
     :class:`bsk_torch.data.RSOInspectionReward`. A subclass defines :meth:`generate_points`.
 
     A point is *seen* by an inspector within its range and within the cone ``theta_max`` about its normal, if the Earth leaves the
-    line of sight free. It is *lit* where the Sun, as seen from the Earth's centre, stands within ``theta_solar_max`` of its
+    line of sight free. It is *lit* where the Sun, as seen from the Earth's center, stands within ``theta_solar_max`` of its
     normal, and the RSO is not deeper in the Earth's shadow than ``min_illumination_factor`` says. The RSO itself hides nothing
     beyond these cones.
 

@@ -53,9 +53,9 @@ class UniformTargets(TargetScenario):
             n_targets: Number of targets, or a range (low, high) from which the number is drawn in each episode. ``high`` is
                 exclusive, as in bsk_rl's draws (its documentation says inclusive). Where there are none, satellites that look for
                 some raise RuntimeError as in bsk_rl, unless they are built with ``may_see_nothing=True``.
-            priority_distribution: Priority of each target: a number, a distribution, or a callable without arguments that is
+            priority_distribution: Priority of each target: a number, a distribution, or a callable without arguments
                 called for each target; None for uniform in [0, 1).
-            radius: Distance of the targets from the Earth's centre, m.
+            radius: Distance of the targets from the Earth's center, m.
         """
         self.low, self.end = count_range("n_targets", n_targets)
         self.most_targets = columns_for(self.end)
@@ -108,7 +108,7 @@ class UniformTargets(TargetScenario):
         self.targets = [Target(names[k], r_LP_P[k], priority[k]) for k in range(self.n_targets)]
 
     def _names_of(self, values: dict[str, Tensor]) -> list[str]:
-        """Return the names of targets that have been drawn for one environment."""
+        """Return the names of targets drawn for one environment."""
         return [f"tgt-{k}" for k in range(values["target_priority"].shape[1])]
 
     def names(self, row: int) -> list[str]:

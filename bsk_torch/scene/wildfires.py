@@ -64,7 +64,7 @@ class Wildfires(ChangingTargets, UniformTargets):
             full_area: Burnt area above which the priority is constant, m^2.
             regions: Regions in which fires break out, uniformly by area: (south, north, west, east) in degrees each; None for
                 the whole Earth.
-            radius: Distance of the fires from the Earth's centre, m.
+            radius: Distance of the fires from the Earth's center, m.
         """
         count_range("n_fires", n_fires)
         super().__init__(n_fires, priority_distribution, radius)

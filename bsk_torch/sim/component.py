@@ -74,7 +74,7 @@ class Arg:
     """An argument that users set by name in ``sat_args`` or ``world_args``.
 
     ``kind`` is the form of its values: ``scalar``, ``vector`` (three numbers), ``matrix`` (nine numbers), ``choice``
-    (one of ``choices``, kept as its index), ``utc``, ``orbit``, ``stations`` or ``constant`` (kept as it is). ``shape`` is the
+    (one of ``choices``, kept as its index), ``utc``, ``orbit``, ``stations`` or ``constant`` (kept unchanged). ``shape`` is the
     shape of other values that are numbers, such as ``(4, 3)``; None in it stands for any size, such as ``(None, 3)``: the same
     for all satellites of a type, and fixed when the environment is built. ``low`` and
     ``high`` bound every number (inclusive). Numbers must be finite unless infinity means something, such as no limit: where an
@@ -120,7 +120,7 @@ class Arg:
 
     @property
     def allowed(self) -> str:
-        """What a number must do, in words."""
+        """Allowed range of a number, for messages."""
         if (self.low, self.high) == (-math.inf, math.inf):
             return "be finite"
         begin = "[" if self.may_be_infinite or math.isfinite(self.low) else "("
@@ -134,7 +134,7 @@ class Field:
 
     ``vectors`` are tuples of :class:`Vec3`, one for every three of the numbers: the axes of four wheels have ``width=12``.
     ``exact`` ones are float64 even where attitude and flight software run in float32: orbit, time and accumulators. ``limit`` is
-    the largest magnitude that a state which is restored may have.
+    the largest magnitude in a restored state.
     """
 
     name: str
@@ -154,9 +154,9 @@ def vec(name: str, unit: str = "", doc: str = "", exact: bool = False) -> Field:
 
 @dataclass(frozen=True)
 class Track:
-    """Samples of quantities that are known in advance, a record of ``fields`` every ``spacing`` seconds.
+    """Samples of quantities known in advance, a record of ``fields`` every ``spacing`` seconds.
 
-    A tick reads, as ``bus.<name>``, ``count`` neighbouring records, of which ``before`` lie before the last one that has passed,
+    A tick reads, as ``bus.<name>``, ``count`` neighboring records, of which ``before`` lie before the last one that has passed,
     and the seconds since that one as ``bus.<name>_tau``.
     """
 
@@ -206,7 +206,7 @@ class Effector:
     All members are optional; vectors are in B, and quantities that do not depend on the stage are read from the bus.
 
     Attributes:
-        state: Fields of the state that are integrated with the hub, as they stand on the bus: y.
+        state: Fields of the state integrated with the hub, as on the bus: y.
         loads: ``loads(bus, omega_BN_B, y)`` yields torques, N m, that the hub exerts on the effector. They are subtracted one
             after another.
         inertia: ``inertia(bus)`` returns J, kg m^2, the part of I that does not turn with the hub about its own axes, a matrix or
@@ -252,11 +252,11 @@ class Component:
     tensors [n or 1] and [n or 1, width]; ``check`` raises for arguments that do not fit together, ``check_tick`` for those that
     do not fit the length of a tick, s, and returns words to be logged about those that hardly do. ``overwrites`` lists fields
     whose last value the update does not read, so that what a user writes into them is lost, each with advice what to do instead.
-    ``integrated_only`` components run only where the orbit is integrated in the tick. ``fit`` makes the component that is used
-    from the arguments as users gave them, defaults included, where its structure depends on them: it is called once, when the
+    ``integrated_only`` components run only where the orbit is integrated in the tick. ``fit`` returns the component to use, from
+    the arguments as users gave them, defaults included, where its structure depends on them: it is called once, when the
     simulation is built. A component that ``mends`` an error of bsk_rl does not run under ``compat="bsk_rl"``.
 
-    ``records`` names fields of the state that are kept at every tick of a run, see :mod:`bsk_torch.sim.run.trace`. ``follows``
+    ``records`` names fields of the state kept at every tick of a run, see :mod:`bsk_torch.sim.run.trace`. ``follows``
     names a slot: the component reads, as ``bus.<slot>[0].<field>``, what the one satellite of the episode whose model has that
     slot records, at the end of the same tick.
 

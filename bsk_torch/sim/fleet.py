@@ -30,7 +30,7 @@ class EpisodeDraw(NamedTuple):
     scenario: dict[str, Tensor]
     values: list[dict[str, Any]]
     present: Tensor | None = None
-    """Satellites that take part, [n, S]; all unless given."""
+    """Satellites that take part, [n, S] (default: all)."""
 
 
 class FleetState(StateTable):
@@ -99,7 +99,7 @@ class Fleet:
             simulators: Simulation of each type.
             names: Name of every satellite.
             draw_scenario: Draws for episodes to come; see :meth:`bsk_torch.scene.base.Scenario.draw`.
-            places: See the attribute; those of ``names`` unless given.
+            places: See the attribute (default: those of ``names``).
             pairs: Satellites whose distance ends steps, by their numbers among ``names``; their hubs record positions.
             as_bsk_rl: Whether conjunctions are booked with bsk_rl's errors.
             varies: Whether some satellites are not present in some episodes.
@@ -221,7 +221,7 @@ class Fleet:
         Args:
             key: Key of the n environments.
             given: Arguments of satellites of all types that replace others: by name, the satellites [c] and values [n, c, ...].
-            answers: What functions of the user returned for each of the environments (see :meth:`ask`); unless given, they are
+            answers: What functions of the user returned for each of the environments (see :meth:`ask`); by default, they are
                 called now.
             scenario: Draws of the scenario, if they have been made.
         """
@@ -274,7 +274,7 @@ class Fleet:
             limit_ticks: Last tick of each episode, [N].
             until: Tick since reset at which the step ends unless an event does, [N].
             expected: For each type of satellites, the tick since reset at which its events will probably end the step, [N];
-                ``until`` unless given. A matter of speed only.
+                ``until`` by default. A matter of speed only.
         """
         now = self.ticks
         left = (limit_ticks - now).clamp(min=0)

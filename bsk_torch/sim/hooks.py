@@ -1,7 +1,7 @@
 """Checks of the classes that users derive from the package's base classes.
 
 A hook is a method, property or value of a base class that subclasses may define. A definition that the package would never use
-otherwise shows only as a wrong result, so :func:`check_class` refuses it when the class is defined.
+otherwise shows only as a wrong result, so :func:`check_class` raises an error when the class is defined.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ def note_slow(title: str, advice: str) -> None:
 
 
 def check_class(cls: type, base: type, hooks: Sequence[str], unused: Mapping[str, str]) -> None:
-    """Refuse a subclass with definitions that would never be used; call it from ``base.__init_subclass__``.
+    """Raise an error for definitions of a subclass that would never be used; call from ``base.__init_subclass__``.
 
     Args:
         cls: The class that is being defined. Its bases that do not derive from ``base`` are checked with it.
@@ -48,8 +48,8 @@ def check_class(cls: type, base: type, hooks: Sequence[str], unused: Mapping[str
         unused: Names that a user may expect to be hooks, such as those of bsk_rl, each with advice what to write instead.
 
     Raises:
-        TypeError: For a name in ``unused``; for a public method that is spelled almost like a hook and can be called like it; for
-            a hook that is not of the kind of the base class's, or cannot be called with the arguments of the hook.
+        TypeError: For a name in ``unused``; for a public method spelled almost like a hook and callable like it; for a hook of
+        another kind than the base class's, or not callable with the arguments of the hook.
     """
     for owner in cls.__mro__:
         if owner is object or (owner is not cls and issubclass(owner, base)):
@@ -67,7 +67,7 @@ def check_class(cls: type, base: type, hooks: Sequence[str], unused: Mapping[str
 
 
 def defined_first(instance: object, *names: str) -> str:
-    """Return the name that is defined nearest to an instance: in itself, its class, or the first of the bases that define one."""
+    """Return the name defined closest to an instance: in itself, its class, or the first of the bases that define one."""
     for namespace in (vars(instance), *(vars(cls) for cls in type(instance).__mro__)):
         for name in names:
             if name in namespace:
@@ -150,8 +150,8 @@ def check_linked(part: object, method: str, fleet: object) -> None:
 class ChangeGuard:
     """Finds public attributes in which an object keeps its own tensors from step to step.
 
-    Such values would not be reset, saved and restored with the episodes that they belong to. A tensor that is assigned once, such
-    as a table that is built when it is first needed, is allowed.
+    Such values would not be reset, saved and restored with the episodes that they belong to. A tensor assigned once, such
+    as a table built when it is first needed, is allowed.
     """
 
     def __init__(self) -> None:

@@ -153,7 +153,7 @@ SCHEDULE = Schedule(
         ),
         *_group(
             "orbit",
-            ("manoeuvre", "the change of velocity that was commanded at the end of the last tick", "spacecraft"),
+            ("manoeuvre", "the change of velocity commanded at the end of the last tick", "spacecraft"),
             ("orbit", "position and velocity from an arc solved in advance", "spacecraft"),
         ),
         *_group(

@@ -204,7 +204,7 @@ class Simulator:
         state.touch()
 
     def check_tank(self, title: str) -> None:
-        """Raise ValueError for satellites that cannot change their velocity; ``title`` says what would."""
+        """Raise ValueError for satellites that cannot change their velocity; ``title`` names the action."""
         if not self.has_tank:
             raise ValueError(
                 f"{title} changes the velocity of a satellite without a tank; compose its flight software with one, "
@@ -214,11 +214,11 @@ class Simulator:
     def thrust(self, rows: Tensor, dv_N: Tensor) -> None:
         """Change the velocity of satellites at once, at the present time; what the tank is not good for is left out.
 
-        The message of the present keeps the velocity before the manoeuvre until the next tick. A second manoeuvre at the same
+        The message of the present keeps the velocity before the maneuver until the next tick. A second maneuver at the same
         time is added to the first; under ``compat="bsk_rl"`` it replaces it, though both are paid for.
 
         Args:
-            rows: Satellites that manoeuvre, [N] bool; those with a change of zero count, too.
+            rows: Satellites that maneuver, [N] bool; those with a change of zero count, too.
             dv_N: Changes of velocity in N, [N, 3] m/s; those of other rows do not matter.
 
         Raises:
@@ -366,7 +366,7 @@ class Simulator:
             may_rewind: Whether :meth:`rewind` may undo the run, so that arcs keep their past.
             trace: Where the rows write the fields that components record.
             followed: Traces of other satellites that components read, by slot.
-            rows: The rows of whole environments, [n] indices in ascending order; all unless given.
+            rows: The rows of whole environments, [n] indices in ascending order (default: all).
         """
         state = self.state
         if self.records and trace is None:

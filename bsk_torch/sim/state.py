@@ -2,8 +2,8 @@
 
 A table holds tensors whose first dimension are rows: episodes, or the satellites of one type, ``count`` of them in each episode.
 Tables contain tables, so the state of an environment is a tree with one root. Resetting episodes, copying them from another
-batch, saving, restoring, branching and counting bytes are one operation each, which works on rows of the whole tree. A tensor
-that is declared takes part in all of them; all else must follow from the state.
+batch, saving, restoring, branching and counting bytes are one operation each, which works on rows of the whole tree. They
+cover every declared tensor; all other values must be derived from the state.
 """
 
 from __future__ import annotations
@@ -118,11 +118,11 @@ class StateTable:
             dtype: Type; that of ``initial`` unless given (float64 for None).
             grows: Whether the first dimension of ``shape`` may become longer.
             planes: Whether the tensor is stored as [*shape, rows].
-            low: Smallest value that a state which is restored may hold; None for no bound. With a bound, NaN is refused, too.
+            low: Smallest value that a restored state may hold; None for no bound. With a bound, NaN is also rejected.
             high: Largest one, likewise; :data:`FINITE` where all numbers are right.
 
         Raises:
-            ValueError: For a name that is taken.
+            ValueError: For a name already in use.
         """
         if name in self.__dict__ or name in self.tables or hasattr(type(self), name):
             raise ValueError(f"name={name!r} is already declared; known are {sorted((*self.fields, *self.tables))}")
@@ -133,7 +133,7 @@ class StateTable:
         self.__dict__[name] = owned(torch.full(size, initial or 0, dtype=dtype, device=self.device))
 
     def bound(self, name: str, low: float | None, high: float | None) -> None:
-        """Set the smallest and the largest value that a state which is restored may hold in a declared field."""
+        """Set the smallest and the largest value that a restored state may hold in a declared field."""
         self.fields[name] = replace(self.fields[name], low=low, high=high)
 
     def add(self, name: str, table: StateTable) -> None:
@@ -145,7 +145,7 @@ class StateTable:
 
         Raises:
             TypeError: For something that is no table.
-            ValueError: For a name that is taken, or a table of other episodes.
+            ValueError: For a name already in use, or a table of other episodes.
         """
         if not isinstance(table, StateTable):
             raise TypeError(f"table={table!r} must be a StateTable; declare(name, initial) adds a tensor")

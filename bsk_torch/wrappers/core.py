@@ -85,7 +85,7 @@ def read_values(where: str, given: object, satellite: SatelliteGroup, rows: tupl
     Args:
         where: Name of the argument, for messages.
         given: Array or tensor, whose type is kept; nested sequences of numbers, which are float64; for hybrid actions also a
-            mapping of ``"values"`` and ``"choice"``. None, or ``NO_ACTION`` in all numbers, goes on with the task, without
+            mapping of ``"values"`` and ``"choice"``. None, or ``NO_ACTION`` in all numbers, continues the task, without
             ``rows``.
         satellite: The satellite.
         rows: Leading dimensions.

@@ -119,7 +119,7 @@ class EpisodeDataParallelWrapper(EpisodeDataLogger, BaseParallelWrapper):
         self._keep(episode_data_callback, satellite_data_callback)
 
     def step(self, actions: object) -> tuple[Any, ...]:
-        """Step; the last infos of all agents that are left have ``metrics`` when the last agent has gone."""
+        """Step; when the last agent leaves, the last infos of all remaining agents have ``metrics``."""
         had = bool(self.env.agents)
         results = self.env.step(actions)
         if had and not self.env.agents:

@@ -20,12 +20,12 @@ def register() -> None:
     :data:`~bsk_torch.presets.PRESETS`. Repeated calls do nothing.
 
     Raises:
-        TypeError: For a preset of the user's that does not say what it returns.
+        TypeError: For a user's preset without a return annotation.
     """
     register_listed()
     for name, preset in PRESETS.items():
         made = get_type_hints(preset).get("return")
         if made is None:
-            raise TypeError(f"preset {name!r} does not say what it returns; write def {preset.__name__}(...) -> SatelliteTasking")
+            raise TypeError(f"preset {name!r} has no return annotation; write def {preset.__name__}(...) -> SatelliteTasking")
         views = MANY if issubclass(made, ConstellationTasking) else ONE
         register_once(f"bsk_torch/{name}", **views, kwargs={"core": name})

@@ -46,7 +46,7 @@ def unpack_config(env: type) -> type:
 
 
 def satellite_tasking(env_config: Mapping[str, object]) -> EpisodeDataWrapper:
-    """Return one episode of a ``SatelliteTasking`` with metrics, from RLlib's ``env_config``, which is left as it is."""
+    """Return one episode of a ``SatelliteTasking`` with metrics, from RLlib's ``env_config``, which is not modified."""
     arguments, callbacks = _split(env_config)
     return EpisodeDataWrapper(GymEnv(SatelliteTasking, **arguments), **callbacks)
 

@@ -30,7 +30,7 @@ def unbounded(shape: tuple[int, ...], dtype: torch.dtype) -> spaces.Box:
 
 
 def action_space(satellite: SatelliteGroup, extra: int = 0) -> spaces.Space[Any]:
-    """Return the space of a satellite's action, with ``extra`` choices at the end that go on with its task.
+    """Return the space of a satellite's action, with ``extra`` choices at the end that continue its task.
 
     That is Discrete; a Box of float32 where actions are real numbers; or a Dict of the two as ``"values"`` and ``"choice"``.
     """

@@ -1,4 +1,4 @@
-"""Stable-Baselines3's vectorised environment over the batched one: N episodes in one simulation, without subprocesses."""
+"""Stable-Baselines3's vectorized environment over the batched one: N episodes in one simulation, without subprocesses."""
 
 from __future__ import annotations
 
@@ -26,11 +26,12 @@ except ImportError as error:
     raise ImportError("SB3VecEnv is an environment of Stable-Baselines3: pip install 'bsk_torch[sb3]'") from error
 
 SEPARATOR = "/"
-"""Between the names of a nested observation; Stable-Baselines3 knows one level, and torch refuses dots in names of modules."""
+"""Between the names of a nested observation; Stable-Baselines3 supports one level, and torch does not allow dots in module
+names."""
 
 
 def flat_space(space: spaces.Space[Any]) -> spaces.Space[Any]:
-    """Return a Box as it is, and for nested observations a Dict of one level, such as ``sat_props/storage_level_fraction``."""
+    """Return a Box unchanged, and for nested observations a Dict of one level, such as ``sat_props/storage_level_fraction``."""
     if not isinstance(space, spaces.Dict):
         return space
     return spaces.Dict({name: _at_least_1d(box) for name, box in flat(space.spaces).items()})

@@ -34,11 +34,11 @@ def read_task(where: str, value: object, satellite: SatelliteGroup, extra: int =
     if isinstance(value, np.ndarray | Tensor) and value.ndim == 0:
         value = value.item()
     if isinstance(value, bool) or not isinstance(value, int | np.integer):
-        raise TypeError(f"{where} is {value!r}; it must be an integer, or None to go on with the task")
+        raise TypeError(f"{where} is {value!r}; it must be an integer, or None to continue the task")
     if value != NO_ACTION and not -negative <= value < n + extra:
         names = [f"{k}: {name}" for k, name in enumerate(satellite.action_description)]
         names += [f"-1 to {-negative}: a target by its index"] if negative else []
-        names += [f"{n} or None: go on" if extra else "None: go on"]
+        names += [f"{n} or None: continue" if extra else "None: continue"]
         raise ValueError(f"{where} is {value}; it must be one of {', '.join(names)}")
     return int(value)
 

@@ -54,7 +54,7 @@ def plain(value: float) -> str:
 
 
 def command(words: Sequence[str]) -> str:
-    """Return a block with a command, which goes on in further lines where it is long."""
+    """Return a block with a command, split over several lines if long."""
     lines = [words[0]]
     for word in words[1:]:
         if len(lines[-1]) + len(word) > WIDEST:

@@ -40,7 +40,7 @@ FOLDER = "reference"
 """Folder of the pages within ``docs/api``; git ignores it."""
 
 SHORT_VALUE = 60
-"""Characters of a value that is shown."""
+"""Maximum number of characters of a displayed value."""
 
 TABLED = 4
 """From so many members on, the page of a class begins with a table of them."""

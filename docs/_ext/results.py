@@ -33,7 +33,7 @@ CASES = {
     "imaging-1k-64": "64 satellites",
     "imaging-1k-1": "one satellite",
 }
-"""Cases of ``vs_basilisk.py`` in words; others are numbers of satellites."""
+"""Labels of the cases of ``vs_basilisk.py``; others are numbers of satellites."""
 
 
 @cache
@@ -209,7 +209,7 @@ def flights(*names: str) -> str:
 
 
 PAPERS = "NadirScan-v1"
-"""Preset that is flown unless another one is named."""
+"""Default preset of flights."""
 
 
 def flight_command(name: str) -> str:

@@ -31,7 +31,7 @@ panel.text(LEFT, 0.3, "time", color=GREY, fontsize=8.5, va="top")
 panel.text(
     LEFT + SCALE * 100,
     0.3,
-    "a dot is a decision: who has finished gets a new task, the others go on",
+    "a dot is a decision: finished satellites get a new task, the others continue",
     ha="center",
     va="top",
     fontsize=9,

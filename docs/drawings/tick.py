@@ -1,4 +1,4 @@
-"""Draws a tick: groups of components in their order, and the messages that are read a tick later."""
+"""Draws a tick: groups of components in their order, and the messages read a tick later."""
 
 from __future__ import annotations
 

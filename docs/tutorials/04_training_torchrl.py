@@ -91,7 +91,7 @@ from torchrl.modules import MLP, MaskedCategorical, ProbabilisticActor, ValueOpe
 
 
 class Standardised(nn.Module):
-    """A network [N, F] -> [N, outputs] on standardised observations."""
+    """A network [N, F] -> [N, outputs] on standardized observations."""
 
     def __init__(self, outputs):
         super().__init__()

@@ -126,7 +126,7 @@ class Graded(rand.Distribution):
     """
 
     def __init__(self, ends: tuple[float, float], difficulty: Tensor | None) -> None:
-        """``difficulty`` is 0 to 1, [1] or [environments]; drawn in every episode if None (domain randomisation)."""
+        """``difficulty`` is 0 to 1, [1] or [environments]; drawn in every episode if None (domain randomization)."""
         self.ends, self.difficulty = ends, difficulty
 
     def size(self, key: rand.Key, name: str) -> Tensor:

@@ -4,7 +4,7 @@
 
 The patterns are in ``prose.csv``, next to this script: regular expressions, matched in any case and across line breaks. Checked
 are pages without their code, and docstrings, comments and other strings of Python files. Text in backticks is code. Without
-arguments these are the pages, the package, the examples, and the part of the changelog that is not released.
+arguments, the script checks :data:`PLACES`, and of the changelog only the unreleased part.
 """
 
 from __future__ import annotations
@@ -22,9 +22,20 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
 CODE = "\N{REPLACEMENT CHARACTER}"
-"""Takes the place of code, so that no phrase is found across it."""
+"""Replaces code, so that no phrase is found across it."""
 
-PLACES = ("*.md", "docs", "examples", "bsk_torch")
+PLACES = (
+    *("ARCHITECTURE.md", "CHANGELOG.md", "CONTRIBUTING.md", "SECURITY.md"),
+    *(f"docs/{part}" for part in ("api", "contributing", "how_it_works", "how_to", "speed", "studies", "truth", "tutorials")),
+    "examples",
+    *(
+        f"bsk_torch/{part}"
+        for part in ("act", "astro", "basilisk", "codegen", "comm", "env", "obs", "plan", "presets", "rand.py")
+    ),
+    *(f"bsk_torch/{part}" for part in ("rl", "scene", "sim", "viz", "wrappers", "vec3.py", "formations.py", "initial.py")),
+)
+"""Files and folders checked by default."""
+
 NO_PROSE = re.compile(
     r"^(?P<fence>```+|~~~+)(?!\{(?:note|tip|warning|figure|admonition)\})[\s\S]*?^(?P=fence)"  # blocks of code
     r"|``[\s\S]+?``|`[^`]+`|<!--[\s\S]*?-->|\]\([^)]*\)|https?://\S+|<[a-z/][^>]*>",  # code, comments, targets of links, HTML
@@ -33,7 +44,7 @@ NO_PROSE = re.compile(
 
 
 def patterns() -> list[tuple[re.Pattern[str], str]]:
-    """Patterns to avoid, and what to write instead."""
+    """Return the patterns to avoid, each with its replacement."""
     with (Path(__file__).parent / "prose.csv").open() as file:
         rows = [(row["avoid"], row["write"]) for row in csv.DictReader(file)]
     loose = [(re.sub(r"(?<=[\w)?]) (?=[\w(])", r"\\s+", avoid), write) for avoid, write in rows]  # lines break at spaces
@@ -41,19 +52,19 @@ def patterns() -> list[tuple[re.Pattern[str], str]]:
 
 
 def blank(text: str) -> str:
-    """Text with its code replaced, character by character, so that places stay."""
+    """Return text with its code replaced, character by character, so that line numbers are unchanged."""
     return NO_PROSE.sub(lambda found: re.sub(r"[^\n]", CODE, found[0]), text)
 
 
 def page_text(path: Path, text: str) -> Iterator[tuple[int, str]]:
-    """The prose of a page, with the line that it starts in."""
+    """Yield the prose of a page with its first line."""
     if path.name == "CHANGELOG.md":
         text = text[: released.start() if (released := re.search(r"^## [\d.]+ - \d{4}", text, re.MULTILINE)) else None]
     yield 1, blank(text)
 
 
 def program_text(text: str) -> Iterator[tuple[int, str]]:
-    """Comments and strings of a program, with the lines that they start in; lines of comments that follow one another are one."""
+    """Yield comments and strings of a program with their first lines; consecutive lines of comments are joined."""
     start, lines, last = 0, [], -1
     for token in tokenize.generate_tokens(io.StringIO(text).readline):
         if token.type == tokenize.COMMENT:
@@ -68,12 +79,12 @@ def program_text(text: str) -> Iterator[tuple[int, str]]:
     for node in ast.walk(tree):
         if isinstance(node, ast.JoinedStr):
             yield node.lineno, blank("".join(part.value if isinstance(part, ast.Constant) else CODE for part in node.values))
-        elif isinstance(node, ast.Constant) and isinstance(node.value, str) and node not in formatted:
+        elif isinstance(node, ast.Constant) and isinstance(node.value, str) and " " in node.value and node not in formatted:
             yield node.lineno, blank(node.value)
 
 
 def check(path: Path, avoid: list[tuple[re.Pattern[str], str]]) -> Iterator[str]:
-    """What to change in a file, one line a place."""
+    """Yield a line for each match in a file: place, text, replacement."""
     text = path.read_text()
     for first, prose in program_text(text) if path.suffix == ".py" else page_text(path, text):
         for pattern, write in avoid:
@@ -83,7 +94,7 @@ def check(path: Path, avoid: list[tuple[re.Pattern[str], str]]) -> Iterator[str]
 
 
 def main(names: list[str]) -> None:
-    """Print what to change, and exit with 1 if there is something."""
+    """Print the matches; exit with 1 if there are any."""
     if not names:
         listed = subprocess.run(["git", "ls-files", "-z", *PLACES], cwd=ROOT, capture_output=True, text=True, check=True)
         names = [name for name in listed.stdout.split("\0") if name.endswith((".md", ".py"))]

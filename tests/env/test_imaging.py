@@ -178,7 +178,7 @@ def test_explicit_targets():
     for key in ("observation", "reward", "duration"):
         assert torch.equal(one[key], two[key])
     never = int((~torch.isfinite(env.satellite.next_opportunities("target")[1][0])).nonzero()[0])
-    with pytest.raises(ValueError, match=f"environment 0 selects target {never}, which has been imaged"):
+    with pytest.raises(ValueError, match=f"environment 0 selects target {never}, which has already been imaged"):
         step(env, act.image_target(never))
     with pytest.raises(ValueError, match=f"-1 to -{TARGETS} for a target by its index"):
         step(env, -TARGETS - 1)

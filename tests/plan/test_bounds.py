@@ -364,7 +364,7 @@ def test_bounds_need_episodes_that_have_begun():
 
 
 def test_orbits_must_be_given_as_elements():
-    with pytest.raises(ValueError, match="needs orbits that are given as elements"):
+    with pytest.raises(ValueError, match="needs orbits given as elements"):
         imaging_bound(begun(n_targets=100, sat_args={"oe": None, "rN": [7e6, 0.0, 0.0], "vN": [0.0, 7.5e3, 0.0]}))
 
 

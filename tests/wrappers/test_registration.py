@@ -75,5 +75,5 @@ def test_bare_names_are_left_to_bsk_rl_where_it_is_there(there, monkeypatch):
 
 def test_presets_must_say_what_they_return(monkeypatch):
     monkeypatch.setitem(PRESETS, "Own-v1", lambda **options: None)
-    with pytest.raises(TypeError, match=r"preset 'Own-v1' does not say what it returns; write def .* -> SatelliteTasking"):
+    with pytest.raises(TypeError, match=r"preset 'Own-v1' has no return annotation; write def .* -> SatelliteTasking"):
         register()

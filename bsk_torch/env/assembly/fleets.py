@@ -41,7 +41,7 @@ SMALLEST_POOL = 32
 """Number of satellites in a batch from which preparing episodes in bulk pays."""
 
 SAMPLE = 1024
-"""Random time limits that are drawn to estimate the length of arcs before a batch is built."""
+"""Random time limits drawn to estimate the length of arcs before a batch is built."""
 
 
 class FleetBuilder:
@@ -346,7 +346,7 @@ def between(key: Key, low: int, high: int, size: int) -> Tensor:
 
 
 def check_ephemeris(drawn: EpisodeDraw, limit: Tensor) -> None:
-    """Raise ValueError for episodes with finite time limits [n] s that would go on after the Sun's ephemeris."""
+    """Raise ValueError for episodes with finite time limits [n] s beyond the end of the Sun's ephemeris."""
     finite = torch.where(torch.isfinite(limit), limit, 0.0)
     for values in drawn.values:
         et = values["utc_init"].cpu()

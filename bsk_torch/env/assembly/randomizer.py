@@ -1,4 +1,4 @@
-"""Arguments that are drawn for all satellites of an episode together: formations, or functions of the user."""
+"""Arguments drawn for all satellites of an episode together: formations, or functions of the user."""
 
 from __future__ import annotations
 

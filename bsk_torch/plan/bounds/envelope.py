@@ -3,7 +3,7 @@
 The angle is that between the directions of both targets from the satellite at the time of the first image. After a slew from one
 target at rest to the next, with the mean rate of both lines of sight taken away, the time depends on little else. *Direct* is a
 slew in one step. Where a step ends without an image, because its target's window closes, the satellite may be on the way already;
-such slews, *any*, have a lower envelope of their own. An image is counted at the end of its step.
+such slews, *any*, have a separate, lower envelope. An image is counted at the end of its step.
 """
 
 from __future__ import annotations
@@ -152,6 +152,6 @@ class Envelope:
 
     @classmethod
     def load(cls, path: Path = FILE) -> Envelope:
-        """Read the envelope of a file, that of the agile satellites of the presets unless given."""
+        """Read the envelope of a file (default: that of the agile satellites of the presets)."""
         saved: dict[str, Any] = json.loads(path.read_text())
         return cls(**saved | {name: tuple(saved.get(name, ())) for name in ("direct", "any", "typical")})

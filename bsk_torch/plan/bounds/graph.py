@@ -24,7 +24,7 @@ PAIRS = 1 << 14
 """Pairs of windows whose angles are computed at once."""
 
 LAST_CLOSINGS = 3
-"""Windows that close next which are looked through for one that is neither of the two of a pair."""
+"""Number of next-closing windows to search for one outside a pair."""
 
 
 class Spans(NamedTuple):

@@ -27,8 +27,8 @@ class ImagingBound:
     Attributes:
         upper: No policy collects more, under the assumptions of :func:`imaging_bound`, [N].
         in_view: What the targets pay that come into view at all, [N].
-        found: What the best schedule pays that was found in the relaxation, [N]; a satellite may be unable to fly it. The most
-            that any relaxation with these least times between images can give lies between this and ``upper``.
+        found: Return of the best schedule found in the relaxation, [N]; a satellite may be unable to fly it. The optimum of the
+            relaxation with these minimum times between images lies between this and ``upper``.
         multiplier: Multipliers of the targets, [N, T]: what an image of each is worth alongside others.
         target, tick: That schedule: targets by index, and the ticks at which their steps end, [N, K]; -1 behind the last. Of a
             constellation, the images of one satellite follow those of the one before.
@@ -58,17 +58,17 @@ def imaging_bound(
     * power, storage and the first slew cost nothing; dying pays nothing.
 
     With the envelope of the package and full episodes of AEOS-v1 it is hardly lower than ``in_view``, whatever the number of
-    targets that was tried: least times know the angle alone, and are short. Energy and storage of AEOSPower-v1 would suffice for
+    targets tried: minimum times depend only on the angle, and are short. Energy and storage of AEOSPower-v1 would suffice for
     images of all targets in view, so that constraints on them would not lower it (``docs/studies/bounds.md`` has the figures).
 
-    Targets pay once by multipliers (:mod:`bsk_torch.plan.bounds.paths`); time is in cells of some ticks, rounded in favour of
+    Targets pay once by multipliers (:mod:`bsk_torch.plan.bounds.paths`); time is in cells of some ticks, rounded in favor of
     the satellite. In a constellation all satellites share the targets: the sum of their paths under the same multipliers.
 
     Args:
         env: An environment after ``reset``; what it returns afterwards does not change.
-        envelope: Least times between images; those of the presets' agile satellite unless given.
+        envelope: Least times between images (default: those of the presets' agile satellite).
         iterations: Subgradients for the multipliers.
-        bits: Neighbours that paths remember; each doubles the time.
+        bits: Neighbors that paths remember; each doubles the time.
         cell: Ticks in a cell, 1 or 2.
         gap: Fraction by which ``upper`` and ``found`` may differ in the end.
 

@@ -6,7 +6,7 @@ The bound of multipliers l >= 0, one for each target, is
 
 with priorities p: paths may image a target again and again, which the multipliers make expensive. For every l it is no less than
 what any paths collect that image each target once. The multipliers descend along subgradients (images of a target minus one),
-with momentum, by steps after Polyak. Paths remember which of a few neighbours of the last target, those that are the quickest
+with momentum, by steps after Polyak. Paths remember which of a few neighbors of the last target, those that are the quickest
 to come back from, they have imaged just before, and do not image them again. (Ng-routes of Baldacci, Mingozzi and Roberti, "New
 route relaxation and pricing strategies for the vehicle routing problem", Operations Research 59, 2011.)
 """
@@ -31,7 +31,7 @@ ROUNDING = 1e-12
 """Fraction by which sums of priorities may differ in another order."""
 
 MOST_IMAGES = 4096
-"""Images of an episode that are returned."""
+"""Maximum number of returned images per episode."""
 
 
 class Paths(NamedTuple):
@@ -39,7 +39,7 @@ class Paths(NamedTuple):
 
     Attributes:
         upper: No paths collect more, [E].
-        lower: What the best paths that were found collect, each target once, [E].
+        lower: Sum collected by the best paths found, each target once, [E].
         multiplier: Multipliers of the targets, [E, T].
         nodes: Nodes of these paths, [E, MOST_IMAGES], -1 behind them.
     """
@@ -88,7 +88,7 @@ def best_paths(
         priority: What the first image of each target pays, [E, T].
         satellites: Satellites of an episode.
         iterations: Number of subgradients.
-        bits: Number of neighbours that paths remember.
+        bits: Number of neighbors that paths remember.
         gap: Fraction by which upper and lower bound of an episode may differ in the end.
         start: Multipliers to start with, [E, T].
     """

@@ -1,7 +1,7 @@
 """Schedules of images by mixed-integer programming with learned slew times, and their flight in closed loop.
 
-As in works that plan agile satellites by such programs, the time between two images is a function of the angle between them that
-was learned from flights; the schedule is made once, before the episode, and then flown.
+As in works that plan agile satellites by such programs, the time between two images is a function of the angle between them,
+learned from flights; the schedule is computed once, before the episode, and then executed.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ def milp_schedule(env: SatelliteTasking, *, envelope: Envelope | None = None, se
 
     Args:
         env: An environment after ``reset``.
-        envelope: Typical times; those of the presets' agile satellite unless given.
+        envelope: Typical times (default: those of the presets' agile satellite).
         seconds: Time limit of each program, s.
 
     Raises:

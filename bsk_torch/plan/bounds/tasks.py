@@ -56,7 +56,7 @@ def check_satellite(satellite: BoundSatellite, envelope: Envelope) -> None:
     if not isinstance(satellite, BoundImagingSatellite):
         raise ValueError(f"{satellite.name} is a {type(satellite).__name__}; the bound needs satellites that image targets")
     if satellite.sat_args.get("oe") is None:
-        raise ValueError("the bound needs orbits that are given as elements, oe=...")
+        raise ValueError("the bound needs orbits given as elements, oe=...")
     mine, known = agility(satellite), envelope.arguments
     other = [name for name in mine if name != "a" and mine[name] != known.get(name)]
     if other:

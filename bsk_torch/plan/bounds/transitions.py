@@ -21,7 +21,7 @@ class Transitions(NamedTuple):
         angle: Angle between the directions of both targets from the satellite at the first image, [n] rad.
         ticks: Time from image to image, [n] int64 ticks.
         one_step: Whether the second image was taken in the step after the first, [n].
-        carried: Number of images that were carried over, which are left out; see :func:`carried_over`.
+        carried: Number of excluded images that were carried over; see :func:`carried_over`.
     """
 
     angle: Tensor
@@ -41,7 +41,7 @@ def carried_over(imaged: Tensor, ticks: Tensor) -> Tensor:
 
     A step that ends, because its window closes, in the very tick in which the instrument is told to record leaves the data to the
     next step: bsk_rl and this package credit the image to the next action's target. Such a step lasts a single tick, and no step
-    can take an image of its own in less than two.
+    can take an image in fewer than two.
 
     Args:
         imaged: Whether the step ended with an image.

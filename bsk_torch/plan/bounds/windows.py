@@ -17,7 +17,7 @@ from bsk_torch.sim.places import TARGET_KIND
 from bsk_torch.vec3 import Vec3
 
 CHUNK = 1 << 18
-"""Positions that are interpolated at once."""
+"""Positions interpolated at once."""
 
 
 def satellite_positions(satellite: BoundAccessSatellite, rows: Tensor, time: Tensor) -> Tensor:
@@ -59,7 +59,7 @@ def openings(satellite: BoundAccessSatellite, limit_ticks: Tensor) -> Openings:
 
     An image is seen in the tick after the one in which the instrument may take it, and a window's end is seen at the first tick
     at or after it. One tick more is allowed on both sides: windows are those of the planned orbit, ticks fly another one that is
-    metres away.
+    meters away.
     """
     h = satellite.simulator.h
     opens, close, place = satellite.find_windows(limit_ticks.double() * h, TARGET_KIND)

@@ -83,7 +83,7 @@ def most_power(env: SatelliteTasking, rows: Tensor) -> Tensor:
     last = int(env.state.limit_ticks[rows].max())
     known = env.simulator.orbit == "arc" and not env.simulator.has_tank
     if not known or last * env.simulator.h > env.simulator.arcs.length:
-        raise ValueError(f"time_limit={last * env.simulator.h:g} s: the bound needs orbits that are solved to the end at reset")
+        raise ValueError(f"time_limit={last * env.simulator.h:g} s: the bound needs orbits solved to the end at reset")
     lit, flux = sunlight(env, rows, torch.arange(1, last + 1, dtype=torch.float64, device=env.device))
     args = {name: env.satellite.sat_args[name].expand(len(env.env_ids))[rows].unsqueeze(1) for name in NEEDED}
     wheels = env.satellite.sat_args["wheelSpeeds"].shape[-1]

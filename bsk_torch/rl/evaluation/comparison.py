@@ -12,7 +12,7 @@ from bsk_torch.rl.policies.shared_policy import shared_baselines
 
 
 def compare(policies: Mapping[str, TensorDictModuleBase], env: Tasking, seed: int) -> dict[str, Evaluation]:
-    """Evaluate policies that were trained with ``seed``, and every baseline that fits, in the same fresh episodes.
+    """Evaluate policies trained with ``seed``, and every baseline that fits, in the same fresh episodes.
 
     Args:
         policies: Policies by name; see :func:`~bsk_torch.rl.evaluation.evaluate.evaluate`.

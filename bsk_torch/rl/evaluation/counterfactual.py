@@ -1,6 +1,6 @@
 """Searches for actions that would have saved a satellite, and proofs that there are none.
 
-Actions that are found are flown from the start of the episode. An episode is called lost if that is proven: every sequence of
+The actions found are flown from the start of the episode. An episode is called lost if that is proven: every sequence of
 actions has been tried until death, or until the charge was below the bound of :mod:`bsk_torch.rl.evaluation.charge_bound`.
 """
 
@@ -25,7 +25,7 @@ MARGIN = 1.0
 SAVED, LOST, OPEN = "saved", "lost", "open"
 
 LEAST_DEMANDING = 4
-"""Number of the plan that desaturates ten times and then charges for ever."""
+"""Number of the plan that desaturates ten times and then charges forever."""
 
 
 class Counterfactual(NamedTuple):
@@ -42,7 +42,7 @@ class Verdict(NamedTuple):
     Attributes:
         outcome: :data:`SAVED`, :data:`LOST`, or :data:`OPEN` where the search was given up.
         actions: Actions from the start that survive, [T], if any were found; the last one is repeated.
-        states: Number of states that were reached.
+        states: Number of states reached.
     """
 
     outcome: str
@@ -70,7 +70,7 @@ def action_number(env: SatelliteTasking, name: str) -> int:
 
 
 def candidate_plans(env: SatelliteTasking, n_random: int = 32, length: int = 40, seed: int = 0) -> Tensor:
-    """Sequences of actions worth trying, [P, 1 + length], at least 30 long, of which the last action, to charge, is for ever.
+    """Sequences of actions worth trying, [P, 1 + length], at least 30 long, of which the last action, to charge, is forever.
 
     To charge at once, after some desaturation or something else, with some desaturation after a while; and random runs.
     """
@@ -144,8 +144,7 @@ def exhaust(env: SatelliteTasking, seed: int, actions: Tensor, kept: int, bound:
     """Try all that can be done after the first ``kept`` of the actions [T] of the episode of ``seed``.
 
     Breadth first: all actions from all states, without those that die or, with ``bound``, have less charge than it says is
-    needed. The states stand in the environment's rows; once they are too many, charging for ever is tried from each, and that
-    is all.
+    needed. The states are held in the environment's rows; once there are too many, only permanent charging is tried from each.
     """
     rows = torch.arange(len(env.env_ids), device=env.device)
     now = start_episodes(env, [seed])
@@ -184,7 +183,7 @@ def _put(env: SatelliteTasking, sources: Tensor) -> None:
 
 
 def _charged(env: SatelliteTasking, now: TensorDictBase, living: Tensor, paths: Tensor, states: int) -> Verdict:
-    """Whether any of the rows ``living`` survives if it charges for ever from ``now`` on."""
+    """Whether any of the rows ``living`` survives if it charges forever from ``now`` on."""
     rows, charge = torch.arange(len(env.env_ids), device=env.device), action_number(env, "action_charge")
     for _ in play_episodes(env, script(torch.full_like(rows, charge).unsqueeze(1)), now, torch.isin(rows, living)):
         pass

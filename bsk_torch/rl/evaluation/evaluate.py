@@ -23,7 +23,7 @@ FRESH = 1_000_003
 """Added to the seed of training to get the seed of evaluation, whose episodes are new to the policy."""
 
 SUITE_SEEDS = range(2**60, 2**60 + 2**20)
-"""Seeds of the episodes of suites (:mod:`bsk_torch.rl.evaluation.suite`), which trainings refuse."""
+"""Seeds of the episodes of suites (:mod:`bsk_torch.rl.evaluation.suite`), not allowed in training."""
 
 SHARE = "shared(policy, env) lets a policy of one satellite decide for those of a constellation"
 """What to do about a policy that reads what a constellation shows for its groups only."""
@@ -120,7 +120,7 @@ def evaluate(
             needs ``env_ids=[0] * N`` for that.
 
     Returns:
-        Results of the episodes. Those of a constellation are sums over its satellites; ``survived`` says whether all survived.
+        Results of the episodes. Those of a constellation are sums over its satellites; ``survived`` is True if all survived.
 
     Raises:
         ValueError: Without seeds, with both kinds of them, with ``seeds`` where the environment has other ``env_ids``, or for a
@@ -150,7 +150,7 @@ def start_episodes(env: Tasking, seeds: Sequence[int]) -> TensorDictBase:
 
 
 def _evaluated(policy: TensorDictModuleBase, env: Tasking, start: TensorDictBase, n: int) -> Evaluation:
-    """Results of the first ``n`` rows, which are played from ``start`` to their ends."""
+    """Results of the first ``n`` rows, played from ``start`` to their ends."""
     player = with_lots(policy, env) if LOT in policy.in_keys else policy
     rows = torch.arange(env.batch_size[0], device=env.device) < n
     decisions = torch.zeros_like(rows, dtype=torch.int64)

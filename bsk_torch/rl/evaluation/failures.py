@@ -56,7 +56,7 @@ class Failure:
         start: The first decision.
         last_chance: The last decision at which it could still be saved, if any.
         lost_from: Number of the first decision that is proven to be too late; after the policy's last one that is death itself.
-        best_return: Largest return of the rescues that were flown.
+        best_return: Largest return of the rescues flown.
         rescue: The actions of the latest of them, from the start; the last one is repeated.
     """
 

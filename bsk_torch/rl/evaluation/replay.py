@@ -16,11 +16,11 @@ OVER = -1
 """Stands for no action, where an episode has ended."""
 
 NOTED = {"charge_fraction": "battery_charge_fraction", "wheel_speeds": "wheel_speeds"}
-"""Properties of the dynamics that are noted, by the names that they get."""
+"""Recorded properties of the dynamics, by their names in the record."""
 
 
 class Flown(NamedTuple):
-    """Episodes that have been flown to their ends, n of them.
+    """Episodes flown to their ends, n of them.
 
     Attributes:
         survived: Whether the satellite lives, [n].

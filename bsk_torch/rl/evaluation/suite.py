@@ -44,7 +44,7 @@ EPISODES = 1024
 """Episodes of each task."""
 
 VIEWS = ("as_set", "shielded", "actions")
-"""Options of presets that say how a policy observes and acts, and leave the task as it is; each policy may choose them."""
+"""Options of presets that change only how a policy observes and acts; each policy may choose them."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ class Task:
     Attributes:
         preset: Name of the environment.
         first_seed: Seed of the first episode; the others follow.
-        at_once: Episodes that are played side by side, so that they fit into memory. Results do not depend on it.
+        at_once: Episodes played side by side, so that they fit into memory. Results do not depend on it.
         options: Arguments of the environment that differ from the preset's.
     """
 
@@ -73,7 +73,7 @@ class Task:
         """Return environments for the episodes; ``views`` are those options in :data:`VIEWS` that differ from the preset's.
 
         Raises:
-            ValueError: For options that would make another task, and values that the preset refuses.
+            ValueError: For options that would change the task, and values rejected by the preset.
         """
         for name in views:
             if name not in (*VIEWS, "backend", "device"):
@@ -204,7 +204,7 @@ def play(task: Task, entrant: Entrant, episodes: int = EPISODES, **options: obje
 
 @cache
 def references(suite: str) -> dict[str, dict[str, Any]]:
-    """Returns between which those of a suite are normalised, by preset: ``low`` and ``high``, each with its mean and its source.
+    """Returns between which those of a suite are normalized, by preset: ``low`` and ``high``, each with its mean and its source.
 
     ``low`` is the policy that acts at random; ``high`` the best of the package's rules and policies when the suite was made. They
     are means over all frozen episodes, and belong to the suite as its episodes do.

@@ -50,7 +50,7 @@ class TaskConfig:
 
 
 class ConstellationClass(TaskClass):
-    """A preset with several satellites, as BenchMARL sees it: batched, with discrete actions that are masked."""
+    """A preset with several satellites, as BenchMARL sees it: batched, with masked discrete actions."""
 
     def get_env_fun(
         self, num_envs: int, continuous_actions: bool, seed: int | None, device: torch.device | str

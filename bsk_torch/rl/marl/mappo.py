@@ -5,7 +5,7 @@ these decisions are learned from, by TorchRL's ``loss_mask_key``. Every satellit
 decision on, with a discount for elapsed time as in :mod:`~bsk_torch.rl.training.advantages`. The critic of MAPPO (Yu et al.
 2022, arXiv:2103.01955) observes all satellites, that of IPPO (de Witt et al. 2020, arXiv:2011.09533) one.
 
-Every group of agents, one for each type of satellites, has its own actor, critic and optimiser. In MAPPO the critics
+Every group of agents, one for each type of satellites, has its own actor, critic and optimizer. In MAPPO the critics
 observe the satellites of all groups.
 """
 
@@ -83,7 +83,7 @@ class MAPPOConfig(PPOConfig):
     algorithm: str = "mappo"
 
     def __post_init__(self) -> None:
-        """Refuse what :class:`PPOConfig` refuses, and unknown algorithms and networks."""
+        """Raise the errors of :class:`PPOConfig`, and ValueError for unknown algorithms and networks."""
         super().__post_init__()
         if self.algorithm not in LOSSES:
             raise ValueError(f"algorithm={self.algorithm!r} must be one of {sorted(LOSSES)}; {nearest(self.algorithm, LOSSES)}")
@@ -137,7 +137,7 @@ def team_batch(batch: TensorDictBase, group: str = AGENTS, others: Sequence[str]
 
 
 def _seen(situations: TensorDictBase, group: str, others: Sequence[str] = ()) -> TensorDict:
-    """Return the normalised observations of each agent [N, T, S], as a tensordict [N, T]."""
+    """Return the normalized observations of each agent [N, T, S], as a tensordict [N, T]."""
     agents = situations[group]
     parts = {**agents["seen"], "alive": agents["mask"]}
     if others:
@@ -148,7 +148,7 @@ def _seen(situations: TensorDictBase, group: str, others: Sequence[str] = ()) ->
 def team_advantages(team: TensorDictBase, critic: ValueOperator, gamma: float, lmbda: float, reward_time: str = "end") -> None:
     """Write ``advantage`` and ``value_target`` [N, T, S, 1] of each satellite in semi-Markov time.
 
-    Nothing is expected after a satellite's death. Advantages are standardised over decisions; those of satellites that did not
+    Nothing is expected after a satellite's death. Advantages are standardized over decisions; those of satellites that did not
     decide have no meaning.
 
     Args:
@@ -180,7 +180,7 @@ def observed_sizes(plan: Plan) -> tuple[int, int]:
 
 
 class GroupLearner(Learner):
-    """Actor and critic of all satellites of a group, and their optimiser."""
+    """Actor and critic of all satellites of a group, and their optimizer."""
 
     config: MAPPOConfig
 
@@ -249,10 +249,10 @@ class GroupLearner(Learner):
         self.networks.normaliser.update(agents.select("observation")[deciding(agents)])
 
     def learn(self, batch: TensorDictBase) -> dict[str, float]:
-        """Several passes over a batch [N, T] of normalised situations; means of what the loss reports.
+        """Several passes over a batch [N, T] of normalized situations; means of what the loss reports.
 
-        ``decisions`` is the number of decisions that were learned from: 0, and nothing else is reported, where the satellites of
-        the group were busy but for one decision at most, which has no standardised advantage.
+        ``decisions`` is the number of decisions learned from: 0, and nothing else is reported, where the satellites of
+        the group were busy but for one decision at most, which has no standardized advantage.
         """
         team = team_batch(batch, self.group, self.others, self.bounds)
         decisions = int(team[DECIDES].sum())
@@ -307,7 +307,7 @@ class MAPPOLearner:
 
     @property
     def learning_rate(self) -> float:
-        """Present step of the optimisers."""
+        """Present step of the optimizers."""
         return self._first.learning_rate
 
     @property
@@ -321,7 +321,7 @@ class MAPPOLearner:
 
     @property
     def policy(self) -> TensorDictModuleBase:
-        """The present policy for one satellite, or those of all groups; it goes on learning while training does."""
+        """The present policy for one satellite, or those of all groups; it continues to learn during training."""
         return of_groups({name: group.policy for name, group in self.groups.items()})
 
     def policy_state(self) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Networks of constellations: actors that are asked for those who decide only, and critics that observe all satellites."""
+"""Networks of constellations: actors asked for those who decide only, and critics that observe all satellites."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from torch.nn.functional import relu
 
 
 class DecidingOnly(nn.Module):
-    """A network that is evaluated for satellites that decide only.
+    """A network evaluated for satellites that decide only.
 
     The others get zeros, and deviations of one where the network gives means and deviations.
     """
@@ -33,7 +33,7 @@ class DecidingOnly(nn.Module):
 
 
 class Gist(nn.Module):
-    """What a satellite sees as one vector: of its own observation, and of the mean over its targets if it observes a set."""
+    """Observation of a satellite as one vector: its features, and the mean over its targets if it observes a set."""
 
     def __init__(self, n_own: int, n_features: int, width: int) -> None:
         """Expect ``n_own`` numbers of a satellite and ``n_features`` of each of its targets; 0 for none."""
@@ -57,7 +57,7 @@ class ConstellationCritic(Gist):
     """Value of the state of each satellite of a group, from its own observation and, in MAPPO, the mean over all alive."""
 
     def __init__(self, n_own: int, n_features: int, width: int, sees_all: bool, others: Sequence[tuple[int, int]] = ()) -> None:
-        """Expect what :class:`Gist` does; ``others`` are the same two numbers of each other group that is observed."""
+        """Expect what :class:`Gist` does; ``others`` are the same two numbers of each other observed group."""
         super().__init__(n_own, n_features, width)
         self.sees_all = sees_all
         self.value = nn.Sequential(nn.Linear((1 + sees_all) * width, width), nn.ReLU(), nn.Linear(width, 1))

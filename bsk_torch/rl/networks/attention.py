@@ -1,7 +1,7 @@
 """Networks for a set of targets: the order of the rows does not matter, nor does padding.
 
-The satellite's own features and every target become tokens that attend to each other. A target's token says how good its image
-would be, the satellite's token what the other actions and the situation are worth.
+The satellite's own features and every target become tokens that attend to each other. A target's token gives the value of its
+image, and the satellite's token gives the values of the other actions and of the state.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ class Encoder(nn.Module):
         self.norm = nn.LayerNorm(width)
 
     def forward(self, own: Tensor, rows: Tensor, mask: Tensor) -> Tensor:
-        """Tokens [B, 1 + K, W] of ``own`` [B, D] and ``rows`` [B, K, F], of which ``mask`` [B, K] says which exist."""
+        """Tokens [B, 1 + K, W] of ``own`` [B, D] and ``rows`` [B, K, F], of which those in ``mask`` [B, K] exist."""
         targets = self.mix(relu(self.row(rows) + self.context(own).unsqueeze(-2)))
         tokens = torch.cat([self.own(own).unsqueeze(-2), targets], -2)
         exists = torch.cat([torch.ones_like(mask[:, :1]), mask], -1)

@@ -1,4 +1,4 @@
-"""Normalisation of observations to zero mean and unit deviation, without outliers."""
+"""Normalization of observations to zero mean and unit deviation, without outliers."""
 
 from __future__ import annotations
 
@@ -11,22 +11,22 @@ from tensordict.nn import TensorDictModuleBase
 from torch import Tensor, nn
 
 OWN, ROWS, MASK = ("seen", "own"), ("seen", "rows"), ("seen", "mask")
-"""Keys of normalised observations: the satellite's own [..., D], rows of targets [..., K, F], and a mask of rows [..., K]."""
+"""Keys of normalized observations: the satellite's own [..., D], rows of targets [..., K, F], and a mask of rows [..., K]."""
 
 FLOOR = 1e-4
-"""Least deviation that is divided by."""
+"""Least deviation divided by."""
 
 LARGEST = 10.0
-"""Bound of normalised observations, in deviations."""
+"""Bound of normalized observations, in deviations."""
 
 
 def symlog(x: Tensor) -> Tensor:
-    """sign(x) log(1 + abs(x)): small numbers as they are, large ones by magnitude (Hafner et al. 2023, arXiv:2301.04104)."""
+    """sign(x) log(1 + abs(x)): small numbers unchanged, large ones by magnitude (Hafner et al. 2023, arXiv:2301.04104)."""
     return torch.sign(x) * torch.log1p(x.abs())
 
 
 class FeatureNormaliser(nn.Module):
-    """Standardises features, after :func:`symlog`, with running mean and variance."""
+    """Standardizes features, after :func:`symlog`, with running mean and variance."""
 
     def __init__(self, width: int) -> None:
         """Start without samples of ``width`` features; until the first update these are only compressed."""
@@ -56,14 +56,14 @@ class FeatureNormaliser(nn.Module):
         self.count += len(samples)
 
     def forward(self, x: Tensor) -> Tensor:
-        """Features [..., F], standardised."""
+        """Features [..., F], standardized."""
         deviation = self.variance.sqrt().clamp(min=FLOOR)
         z = (symlog(x) - self.mean.to(x.dtype)) / deviation.to(x.dtype)
         return z.clamp(-LARGEST, LARGEST)
 
 
 class ObservationNormaliser(TensorDictModuleBase, ABC):
-    """Writes normalised observations into tensordicts."""
+    """Writes normalized observations into tensordicts."""
 
     @abstractmethod
     def update(self, tensordict: TensorDictBase) -> None:
@@ -71,7 +71,7 @@ class ObservationNormaliser(TensorDictModuleBase, ABC):
 
 
 class VectorNormaliser(ObservationNormaliser):
-    """Normaliser of an observation vector."""
+    """Normalizer of an observation vector."""
 
     def __init__(self, n_observed: int) -> None:
         """Expect vectors of width ``n_observed``."""
@@ -89,7 +89,7 @@ class VectorNormaliser(ObservationNormaliser):
 
 
 class SetNormaliser(ObservationNormaliser):
-    """Normaliser of an observation with one set: its rows share mean and deviation, all other parts are concatenated."""
+    """Normalizer of an observation with one set: its rows share mean and deviation, all other parts are concatenated."""
 
     def __init__(self, set_key: NestedKey, own_keys: Sequence[NestedKey], n_own: int, n_features: int) -> None:
         """Look for ``rows`` and ``mask`` under ``set_key``, with ``n_features`` columns, and for ``n_own`` numbers elsewhere."""

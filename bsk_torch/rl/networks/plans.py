@@ -38,7 +38,7 @@ HEAD = 32
 
 @dataclass(frozen=True)
 class Networks:
-    """A normaliser of observations, an actor and a critic."""
+    """A normalizer of observations, an actor and a critic."""
 
     normaliser: ObservationNormaliser
     actor: ProbabilisticActor
@@ -64,7 +64,7 @@ class Networks:
         return Networks(self.normaliser.to(device), self.actor.to(device), self.critic.to(device))
 
     def policy_state(self) -> dict[str, Any]:
-        """Weights of the normaliser and of the actor, as files of policies hold them."""
+        """Weights of the normalizer and of the actor, as files of policies hold them."""
         return {NORMALISER: self.normaliser.state_dict(), ACTOR: self.actor.state_dict()}
 
     def load_policy_state(self, state: Mapping[str, object]) -> None:
@@ -145,7 +145,7 @@ class GRUPlan(MLPPlan):
 
 
 class Recall(TensorDictModuleBase):
-    """Gives a policy with a memory an empty one where an episode begins: where there is none, or ``is_init`` says so."""
+    """Clears the memory of a recurrent policy at the start of an episode: if there is none, or ``is_init`` is True."""
 
     def __init__(self, width: int) -> None:
         """The memory has ``width`` numbers."""
@@ -258,7 +258,7 @@ def _parameters(network: nn.Module, in_keys: list[Any], bounds: Bounds) -> Tenso
 
 
 def _distributed(module: TensorDictModuleBase, bounds: Bounds = ()) -> ProbabilisticActor:
-    """Categorical distribution over the legal actions, or a normal one that is squashed into bounds, by what a module writes."""
+    """Categorical distribution over the legal actions, or a normal one squashed into bounds, by what a module writes."""
     if bounds:
         return real_actor(module, bounds)
     return ProbabilisticActor(

@@ -10,7 +10,7 @@ import torch
 
 @contextmanager
 def float32_weights() -> Iterator[None]:
-    """Let modules that are built inside have float32 weights; a context, or a decorator of the function that builds them.
+    """Let modules built inside have float32 weights; a context, or a decorator of the function that builds them.
 
     Modules take torch's default type, which programs may have set: policies from files would then not fit observations.
     """

@@ -46,7 +46,7 @@ def load_checksummed(path: Path, what: str, device: torch.device | str = "cpu") 
         device: Where tensors go.
 
     Raises:
-        ValueError: For a file that is damaged, truncated or of another kind; the message names it.
+        ValueError: For a damaged file, truncated or of another kind; the message names it.
     """
     content = path.read_bytes()
     body = len(content) - len(CHECKSUM_MARK) - hashlib.sha256().digest_size

@@ -24,7 +24,7 @@ POLICY = "policy.pt"
 """File of the policy in the folder of a run."""
 
 CARD = {"bsk_torch", "preset", "options"}
-"""Entries of such a file besides those of :data:`NETWORK`, or :data:`GROUPS` where there are several groups of satellites."""
+"""Entries of such a file in addition to :data:`NETWORK`, or :data:`GROUPS` for several groups of satellites."""
 
 NETWORK = {"network", "plan", NORMALISER, ACTOR}
 """Entries that describe the networks of one group."""
@@ -98,7 +98,7 @@ def read_card(path: Path | str, device: torch.device | str = "cpu") -> dict[str,
     Files of release 0.1, which have no checksum, are read with a warning.
 
     Raises:
-        ValueError: For a file that is damaged, or no policy of this package; the message names it.
+        ValueError: For a damaged file, or one that is not a policy of this package; the message names it.
         FileNotFoundError: Where there is none.
     """
     path = Path(path)

@@ -1,4 +1,4 @@
-"""Policies that come with the package, one for each preset that has been trained, and how they were made."""
+"""Policies included in the package, one for each trained preset, and how they were trained."""
 
 from __future__ import annotations
 
@@ -41,8 +41,7 @@ def pretrained_file(preset: str) -> Path:
 def pretrained(preset: str, device: torch.device | str = "cpu") -> TensorDictModuleBase:
     """The policy for ``preset``: writes ``action`` into what its environment gives.
 
-    It needs the environment that it was trained in: ``read_card(pretrained_file(preset))["options"]`` says how, such as
-    ``as_set=True``. Policies of constellations decide for one satellite;
-    :func:`~bsk_torch.rl.policies.shared_policy.shared` applies them to all.
+    It needs the options of its training environment, ``read_card(pretrained_file(preset))["options"]``, such as ``as_set=True``.
+    Policies of constellations decide for one satellite; :func:`~bsk_torch.rl.policies.shared_policy.shared` applies them to all.
     """
     return load_policy(pretrained_file(preset), device)

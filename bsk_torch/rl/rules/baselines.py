@@ -78,7 +78,7 @@ class ScanRule:
     Args:
         fast: Wheel speed from which momentum is dumped.
         low: Battery charge below which the panel is turned to the Sun.
-        enough: Charge up to which charging goes on once the panel faces the Sun.
+        enough: Charge up to which charging continues once the panel faces the Sun.
         facing: Angle, fraction of half a turn, within which it does.
         worth: Data level from which a pass is used for downlink.
         full: Data level from which scanning would be in vain.
@@ -100,7 +100,7 @@ class ScanRule:
         return wish
 
     def wishes(self, see: Columns) -> dict[str, Tensor]:
-        """Return masks [N] of actions other than scanning that are needed, in ascending order of urgency."""
+        """Return masks [N] of needed actions other than scanning, in ascending order of urgency."""
         charge, level = see["battery_charge_fraction"], see["storage_level_fraction"]
         charging = see["solar_pointing_error_normd"] < self.facing
         passing = (see["opportunity_open_normd"] <= 0.0) & (level > self.worth)

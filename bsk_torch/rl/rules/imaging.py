@@ -47,7 +47,7 @@ def by_discounted_priority(see: TargetReader, observation: Observation) -> Tenso
 
 @dataclass(frozen=True)
 class ImagingRule:
-    """Images the target that is wanted most, of those that exist and whose image is legal; else does what is legal.
+    """Images the most preferred of the existing, legal targets; otherwise takes a legal action.
 
     Satellites that can downlink empty a full store where a station is in view; they have to observe :data:`LEVEL` and
     :data:`OPENS`.

@@ -30,10 +30,10 @@ SAMPLES = 12
 """Moments of a transfer at which it is evaluated."""
 
 VIEW = math.radians(12.0), math.radians(45.0)
-"""Angles between the centre of a region and the inspector up to which all of its points are in view, and from which none is."""
+"""Angles between the center of a region and the inspector up to which all of its points are in view, and from which none is."""
 
 LIGHT = math.radians(42.0), math.radians(78.0)
-"""Angles between the centre of a region and the Sun, likewise."""
+"""Angles between the center of a region and the Sun, likewise."""
 
 SHADOW = math.cos(math.radians(115.0))
 """Cosine of the angle between zenith and Sun beyond which the RSO is in the Earth's shadow."""
@@ -92,7 +92,7 @@ def new_regions(seen: Seen, ahead: Transfers) -> Tensor:
     """Return about how many regions transfers would show that are not inspected yet, [N, D, K].
 
     A region counts as far as its points are in view and lit at the best moment of the transfer: wholly up to the first of the
-    angles :data:`VIEW` and :data:`LIGHT` from its centre to the inspector and to the Sun, not at all from the second one on.
+    angles :data:`VIEW` and :data:`LIGHT` from its center to the inspector and to the Sun, not at all from the second one on.
     """
     best = torch.zeros(*ahead.cost.shape, len(seen.centers), dtype=ahead.cost.dtype, device=ahead.cost.device)
     for k in range(ahead.samples):  # few, and each a batch: all at once would take that many times the memory
@@ -156,7 +156,7 @@ class InspectionRule:
         return torch.cat([ahead.manoeuvre(best), duration.unsqueeze(1)], 1)
 
     def circumnavigate(self, observation: Tensor) -> Tensor:
-        """Stop the drift along the track, and fly around the RSO without further manoeuvres."""
+        """Stop the drift along the track, and fly around the RSO without further maneuvers."""
         seen = Seen.of(observation, self.description)
         dv = circumnavigation(seen.rho, seen.n) - seen.velocity
         dv[:, 2] = 0.0

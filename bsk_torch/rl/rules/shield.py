@@ -29,7 +29,7 @@ class SafeRule:
     """Dump momentum when a wheel is fast, charge when the battery is nearly empty, else do anything.
 
     For satellites that observe ``wheel_speeds_fraction`` and ``battery_charge_fraction`` and can desaturate and charge. The
-    defaults were found by trying on NadirScan-v1, with a trained policy, random actions, and scanning for ever: with less charge
+    defaults were found by trying on NadirScan-v1, with a trained policy, random actions, and scanning forever: with less charge
     or faster wheels (which take more power) more of these die, and with more charge the trained policy earns less.
 
     Args:

@@ -114,7 +114,7 @@ class Bookmark(Transform):
 
 
 def prepared(env: Tasking, config: PPOConfig, saved: Mapping[str, Any] | None) -> TransformedEnv:
-    """An environment that a collector can play in and go on with; one that begins episodes with an empty memory, if need be."""
+    """An environment for a collector, which can resume it; recurrent policies start episodes with an empty memory."""
     transforms: list[Transform] = [Stagger(env)] if config.stagger else []
     if config.network == "gru":
         memory = Unbounded((1, config.hidden[-1]), dtype=torch.float32, device=env.device)
@@ -132,7 +132,7 @@ def start_worker(config: PPOConfig, first: int, count: int, saved: Mapping[str, 
 
 
 class SharedWeights(SharedMemWeightSyncScheme):
-    """TorchRL's way to hand weights to processes, which would wait for ever for one that is lost."""
+    """TorchRL's way to send weights to processes, which would wait forever for a lost one."""
 
     def _wait_for_ack(self, worker_ids: Any = None, timeout: float | None = None) -> None:
         begin = time.monotonic()
@@ -161,10 +161,10 @@ def make_collector(
     """Return a collector that yields batches by ``actor`` without end; see :func:`merged`.
 
     Args:
-        config: Says where to collect, and how much at once.
+        config: Settings of where to collect, and how much at once.
         env: The environment to play in if that is this process; others make their own shares of it.
         actor: Writes actions and their log-probabilities.
-        saved: What :func:`bookmarks` gave, to go on from there; None to begin.
+        saved: Result of :func:`bookmarks` to resume from; None to start.
     """
     common: dict[str, Any] = dict(frames_per_batch=config.batch, total_frames=ENDLESS - ENDLESS % config.batch)
     each: dict[str, Any] = dict(auto_register_policy_transforms=False, use_buffers=False)

@@ -26,14 +26,14 @@ from bsk_torch.sim.arguments.values import nearest
 logger = logging.getLogger(__name__)
 
 LEAST = 0.05
-"""Fraction of learning rate and entropy weight that is left at the end of a schedule."""
+"""Fraction of learning rate and entropy weight left at the end of a schedule."""
 
 SCHEDULES: dict[str, Callable[[float], float]] = {
     "constant": lambda used: 1.0,
     "linear": lambda used: max(LEAST, 1.0 - used),
     "cosine": lambda used: LEAST + (1.0 - LEAST) * 0.5 * (1.0 + math.cos(math.pi * used)),
 }
-"""Fraction of a setting that is left, by the used fraction of the budget."""
+"""Remaining fraction of a setting, by the used fraction of the budget."""
 
 CONFIG = "config.yaml"
 """File of the configuration in the folder of a run."""
@@ -154,7 +154,7 @@ class PPOConfig:
     options: dict[str, Any] = dataclasses.field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Refuse invalid settings before anything is built."""
+        """Raise ValueError for invalid settings before anything is built."""
         for name in ("hidden", "loggers"):  # files and command lines bring lists
             given = getattr(self, name)
             if isinstance(given, str) or not isinstance(given, Iterable):
@@ -246,7 +246,7 @@ def override(config: Config, changes: Iterable[str]) -> Config:
 
     Raises:
         ValueError: For a field that does not exist, a value of the wrong type, an interpolation (``${...}``), or a value that
-            the configuration refuses.
+            the configuration rejects.
     """
     changes = list(changes)
     for change in changes:
@@ -295,10 +295,10 @@ def read_settings(path: Path) -> dict[str, Any]:
     """Return the settings in a file of :func:`save_config`, as they are written there.
 
     The file may come from others. Nothing in it is executed or looked up: ``${...}``, which OmegaConf would replace by variables
-    of the environment and the like, is refused, and so are the aliases of YAML and options that write files.
+    of the environment and the like, is rejected, and so are YAML aliases and options that write files.
 
     Raises:
-        ValueError: For a file that holds no settings, or something else besides; the message names it.
+        ValueError: For a file without settings, or with additional content; the message names it.
     """
     try:
         text = path.read_text(encoding="utf-8")

@@ -1,6 +1,6 @@
 """Imitation of a rule before reinforcement learning.
 
-The policy plays, the rule says what it would have done in each situation, and the policy learns to do that: data aggregation
+The policy plays, the rule labels each situation with its action, and the policy learns these actions: data aggregation
 (Ross et al. 2011, arXiv:1011.0686) in which the newest batch counts. The critic learns the values of what is played meanwhile.
 """
 

@@ -13,7 +13,7 @@ from filelock import FileLock, Timeout
 from bsk_torch.files import sweep
 
 LOCK = "run.lock"
-"""File in a run's folder while a process works there; it says which one."""
+"""File in a run folder while a process works there; names the process."""
 
 WAIT = 0.5
 """Time to wait for a process that is about to end, s."""

@@ -56,7 +56,7 @@ class CsvLog:
     """
 
     def __init__(self, path: Path, columns: Iterable[str], keep: float = 0) -> None:
-        """Start the file at ``path``, or go on after its rows with up to ``keep`` frames."""
+        """Start the file at ``path``, or continue after its rows with up to ``keep`` frames."""
         self.path, self.columns = path, tuple(columns)
         self._file: io.RawIOBase | None = None
         self._warned = False
@@ -64,7 +64,7 @@ class CsvLog:
         self._flush()
 
     def _kept(self, frames: float) -> list[Sequence[str]]:
-        """Return the rows of the present file that are kept."""
+        """Return the rows of the current file to keep."""
         if not self.path.exists():
             return []
         try:
@@ -96,7 +96,7 @@ class CsvLog:
 
     def _warn(self, error: OSError) -> None:
         if not self._warned:
-            logger.warning("%s cannot be written (%s); the training goes on", self.path, error.strerror or error)
+            logger.warning("%s cannot be written (%s); training continues", self.path, error.strerror or error)
         self._warned = True
 
     def close(self) -> None:
@@ -123,7 +123,7 @@ class RunLog:
     """All logs of a run: ``log.csv`` and ``evaluations.csv`` in its folder, and the services that the configuration names."""
 
     def __init__(self, out: Path, names: Iterable[str], keep: float = 0) -> None:
-        """Log into folder ``out``; go on after ``keep`` frames."""
+        """Log into folder ``out``; continue after ``keep`` frames."""
         self.training = CsvLog(out / LOG, COLUMNS, keep)
         self.evaluation = CsvLog(out / EVALUATIONS, EVALUATED, keep)
         self.services = {name: _service(name, out) for name in names if name != "csv"}
@@ -161,7 +161,7 @@ class RunLog:
                 self._drop(name, problem)
 
     def _drop(self, name: str, problem: Exception) -> None:
-        logger.warning("the logger %s fails (%s) and is used no more; the training goes on", name, problem)
+        logger.warning("the logger %s fails (%s) and is used no more; training continues", name, problem)
         self.services.pop(name, None)
 
 

@@ -1,4 +1,4 @@
-"""Proximal policy optimisation (Schulman et al. 2017, arXiv:1707.06347) with a discount per second.
+"""Proximal policy optimization (Schulman et al. 2017, arXiv:1707.06347) with a discount per second.
 
 See :mod:`~bsk_torch.rl.training.advantages` for the returns of decisions that last different times.
 """
@@ -25,7 +25,7 @@ from bsk_torch.rl.training.config import SCHEDULES, PPOConfig
 from bsk_torch.rl.training.imitation import TAUGHT, find_teacher, imitation_loss, taught_actions
 
 REPORTED = ("entropy", "kl_approx", "clip_fraction", "explained_variance", "loss_critic")
-"""Entries of the loss that are logged."""
+"""Logged entries of the loss."""
 
 LEARNED_FROM = ("seen", "action_mask", "action", "action_log_prob", "advantage", "value_target")
 """Keys of a batch that gradient steps need; real numbers as actions have no mask."""
@@ -38,7 +38,7 @@ def there(keys: Iterable[str], batch: TensorDictBase) -> list[str]:
 
 
 class Learner:
-    """Actor, critic and their optimiser."""
+    """Actor, critic and their optimizer."""
 
     def __init__(self, config: PPOConfig, env: SatelliteTasking) -> None:
         """Fresh networks for an environment; ValueError if it does not fit them."""
@@ -82,7 +82,7 @@ class Learner:
 
     @property
     def learning_rate(self) -> float:
-        """Present step of the optimiser."""
+        """Present step of the optimizer."""
         return float(self.optimiser.param_groups[0]["lr"])
 
     @property
@@ -92,7 +92,7 @@ class Learner:
 
     @property
     def policy(self) -> TensorDictModuleBase:
-        """The present policy; it goes on learning while training does."""
+        """The present policy; it continues to learn during training."""
         return self.networks.policy
 
     def policy_state(self) -> dict[str, Any]:
@@ -115,7 +115,7 @@ class Learner:
         self.loss.entropy_coeff.fill_(config.entropy * SCHEDULES[config.entropy_schedule](fraction))
 
     def state_dict(self) -> dict[str, Any]:
-        """Networks, normaliser and optimiser."""
+        """Networks, normalizer and optimizer."""
         return {name: getattr(self, name).state_dict() for name in ("loss", "optimiser")} | {
             NORMALISER: self.networks.normaliser.state_dict()
         }
@@ -124,7 +124,7 @@ class Learner:
         """Restore what :meth:`state_dict` returned; RuntimeError, ValueError or KeyError if it does not fit."""
         self.loss.load_state_dict(state["loss"])
         self.optimiser.load_state_dict(state["optimiser"])
-        for weight, moments in self.optimiser.state.items():  # the optimiser itself does not look at shapes
+        for weight, moments in self.optimiser.state.items():  # the optimizer itself does not look at shapes
             for name, value in moments.items():
                 if isinstance(value, Tensor) and value.ndim and value.shape != weight.shape:
                     raise ValueError(f"{name} has shape {tuple(value.shape)}, its weight {tuple(weight.shape)}")

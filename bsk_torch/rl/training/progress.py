@@ -23,7 +23,7 @@ class Progress:
     """Used part of a training's budget; the clock starts with :meth:`start`."""
 
     def __init__(self, config: PPOConfig) -> None:
-        """Count towards the limits of ``config``."""
+        """Count toward the limits of ``config``."""
         self.config, self.frames, self.before, self.begin = config, 0, 0.0, time.perf_counter()
 
     def start(self) -> None:

@@ -36,16 +36,16 @@ from bsk_torch.rl.training.progress import Progress, TrainingBar, interruptible,
 logger = logging.getLogger(__name__)
 
 CHECKPOINT = "checkpoint.pt"
-"""File of a run's folder to go on from."""
+"""File of a run folder to resume from."""
 
 FIXED = ("preset", "algorithm", "network", "hidden", "num_envs", "collector", "workers", "seed", "options")
-"""Settings with which a run has to go on, because its checkpoint depends on them."""
+"""Settings that must not change when a run is resumed, because its checkpoint depends on them."""
 
 VALIDATION = 2_000_003
 """Added to the seed of training to get that of the evaluations by which the best policy is chosen."""
 
 LEVEL = "storage_level_fraction"
-"""Observation that says how full the data buffer is."""
+"""Observation of the fill level of the data buffer."""
 
 
 class Training:
@@ -57,12 +57,12 @@ class Training:
         Args:
             config: What to train and how.
             out: The folder; it must not hold anything yet, unless a run in it is resumed.
-            resume: Go on from the checkpoint in ``out``, as if nothing had happened; from the start if the run has not got as far
-                as a checkpoint.
+            resume: Resume from the checkpoint in ``out``, with the same result as without interruption; start if there is no
+                checkpoint yet.
 
         Raises:
             FileExistsError: If ``out`` is not empty, or no folder.
-            FileNotFoundError: If there is no run to go on with.
+            FileNotFoundError: If there is no run to resume.
             FolderInUseError: If another process works in ``out``.
             ModuleNotFoundError: If a logger or Ray that the configuration names is not installed.
             OSError: If ``out`` cannot be written to.
@@ -103,7 +103,7 @@ class Training:
 
     @property
     def policy(self) -> TensorDictModuleBase:
-        """The present policy; it goes on learning while training does."""
+        """The present policy; it continues to learn during training."""
         return self.learner.policy
 
     @property
@@ -169,7 +169,7 @@ class Training:
 
     @contextmanager
     def _collecting(self) -> Iterator[None]:
-        """Say of errors in processes that collect how to go on."""
+        """Add to errors in collecting processes how to resume."""
         try:
             yield
         except Exception as error:
@@ -178,7 +178,7 @@ class Training:
             reason = [type(error).__name__, *str(error).strip().splitlines()[:1]][-1]
             raise RuntimeError(
                 f"a process that collects experience has failed or was lost ({reason}); "
-                f"the run goes on from its last checkpoint with: bsk-torch train {shlex.quote(str(self.out))} --resume"
+                f"resume from the last checkpoint with: bsk-torch train {shlex.quote(str(self.out))} --resume"
             ) from error
 
     def _loop(
@@ -303,16 +303,16 @@ class Training:
 
     @contextmanager
     def _unless_last(self, last: bool, name: str) -> Iterator[None]:
-        """Go on without a file that will be written again; the one before it is still there."""
+        """Continue without a file that will be rewritten later; the previous one remains."""
         try:
             yield
         except OSError as error:
             if last:
                 raise
-            logger.warning("no new %s after %d frames: %s; the training goes on", name, self.progress.frames, error)
+            logger.warning("no new %s after %d frames: %s; training continues", name, self.progress.frames, error)
 
     def _restore(self, saved: dict[str, Any]) -> None:
-        """Go on from a checkpoint; ValueError, which names it, if it does not fit this environment and these networks."""
+        """Resume from a checkpoint; ValueError, naming it, if it does not fit this environment and these networks."""
         try:
             self.learner.load_state_dict(saved["learner"])
             self.recent.load_state_dict(saved["recent"])
@@ -361,7 +361,7 @@ def check_folder(out: Path) -> None:
 
 
 def check_empty(out: Path) -> None:
-    """FileExistsError if there is something in a folder, except for what a process leaves that was killed before it began."""
+    """Raise FileExistsError for a non-empty folder, except for files left by a process killed before it started."""
     if out.is_dir() and any(path.name != LOCK and not PART.fullmatch(path.name) for path in out.iterdir()):
         raise FileExistsError(f"{str(out)!r} is not empty; choose another folder, or resume the run in it")
 
@@ -387,7 +387,7 @@ def read_checkpoint(out: Path, config: PPOConfig) -> dict[str, Any] | None:
     saved = load_checksummed(path, "checkpoint")
     for name, here in {"bsk_torch": __version__, **fixed(config)}.items():
         if saved.get(name) != here:
-            raise ValueError(f"the checkpoint in {str(out)!r} is of {name}={saved.get(name)!r}, and cannot go on as {here!r}")
+            raise ValueError(f"the checkpoint in {str(out)!r} has {name}={saved.get(name)!r}, and cannot be resumed as {here!r}")
     return saved
 
 
@@ -401,5 +401,5 @@ def train(config: PPOConfig, out: Path) -> TensorDictModuleBase:
 
 
 def resume(out: Path, kind: type[PPOConfig] = PPOConfig, run: type[Training] = Training) -> TensorDictModuleBase:
-    """Go on with the run in folder ``out``, which an interruption or the end of its budget has left."""
+    """Resume the run in folder ``out`` after an interruption or the end of its budget."""
     return run(load_config(out / CONFIG, kind), out, resume=True).run()

@@ -46,7 +46,7 @@ def close_from_start(search: PassSearch, row: Tensor, place: Tensor, start: Tens
     """Return whether bsk_rl's close samples of an interval begin with the interval, [m].
 
     Close samples are those at a distance below ``1.1 (R - |r_LP|) / sin(e_min)``, 1.1 times the slant range at the minimum
-    elevation over a flat Earth, where R is the largest distance from the Earth's centre in the interval. The sample at the start
+    elevation over a flat Earth, where R is the largest distance from the Earth's center in the interval. The sample at the start
     itself does not matter.
 
     Args:

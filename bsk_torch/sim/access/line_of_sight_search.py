@@ -35,7 +35,7 @@ from bsk_torch.sim.orbit.grid import LEAD_NODES, NODE_SPACING
 from bsk_torch.vec3 import Vec3
 
 PAIRS_PER_BLOCK, DEVICE_PAIRS_PER_BLOCK = 1 << 15, 1 << 22
-"""Pairs that are evaluated together: on the CPU, so that they fit into its cache, and on other devices, which memory limits."""
+"""Pairs evaluated together: on the CPU, so that they fit into its cache, and on other devices, which memory limits."""
 
 PAIRS_PER_BATCH = 1 << 22
 """Pairs of which margins are kept together, unless one episode has more."""
@@ -54,7 +54,7 @@ class FlownOrbits(NamedTuple):
         max_speed: Bound of their speeds, [N * count] m/s.
         use_kernels: Whether kernels compute positions.
         present: Those that take part in their episodes, [N * count]; None where all do. The arcs of the others do not cover the
-            ticks that are searched.
+            searched ticks.
     """
 
     arcs: Arcs

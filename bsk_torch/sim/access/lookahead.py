@@ -36,22 +36,22 @@ SEARCHED, DEVICE_SEARCHED = 1 << 18, 1 << 24
 
 
 class Manoeuvres(NamedTuple):
-    """What follows manoeuvres: the arcs that ticks fly on, and look-ahead."""
+    """What follows maneuvers: the arcs that ticks fly on, and look-ahead."""
 
     flight: bool
     lookahead: bool
 
 
 NONE = Manoeuvres(False, False)
-"""Nothing: of satellites that do not manoeuvre."""
+"""Nothing: of satellites that do not maneuver."""
 
 
 class LookAhead(StateTable):
     """Arcs, eclipses and windows of the satellites of one type.
 
     Attributes:
-        arcs: Where the satellites will be, or, where look-ahead follows no manoeuvre, would have been without any.
-        flight: Where they will be; the same object unless look-ahead follows no manoeuvre.
+        arcs: Where the satellites will be, or, where look-ahead follows no maneuver, would have been without any.
+        flight: Where they will be; the same object unless look-ahead follows no maneuver.
         eclipses: When they will be in the umbra.
         access: When places will see them; None without places.
     """
@@ -85,7 +85,7 @@ class LookAhead(StateTable):
             horizon: Seconds for which windows are generated at reset.
             segment: Seconds by which windows are extended.
             as_bsk_rl: See :class:`~bsk_torch.sim.access.windows.AccessWindows`.
-            manoeuvres: What follows manoeuvres.
+            manoeuvres: Objects that follow maneuvers.
         """
         super().__init__(num_envs, count, solver.device)
         kept = max(PLANNED_SEGMENTS, segments_for(segment) + PLANNED_SEGMENTS - 1)
@@ -135,7 +135,7 @@ class LookAhead(StateTable):
         return max(1, min(number, pairs // places))
 
     def check_time(self, path: str, time: Tensor) -> None:
-        """Raise ValueError unless arcs, which have been searched for eclipses and windows, cover the ``time`` [rows] s."""
+        """Raise ValueError unless arcs, searched for eclipses and windows, cover the ``time`` [rows] s."""
         end, covers = self.arcs.end, "the arcs must reach from before the present to behind it"
         for name, arcs in (("arcs", self.arcs), ("flight", self.flight)):
             self.refuse(f"{path}lookahead.{name}.start", arcs.start, (arcs.start > time) | (arcs.end < time), covers)
@@ -226,11 +226,11 @@ class LookAhead(StateTable):
         self.arcs.grow()
         self.eclipses.lengthen(self.all_rows)
 
-    # -- manoeuvres ---------------------------------------------------------------------------------------------------
+    # -- maneuvers ---------------------------------------------------------------------------------------------------
 
     @property
     def follows(self) -> bool:
-        """Whether any arcs follow manoeuvres."""
+        """Whether any arcs follow maneuvers."""
         return self.flight.restarts
 
     def state_at(self, rows: Tensor, now: Tensor) -> tuple[Tensor, Tensor]:
@@ -271,7 +271,7 @@ class LookAhead(StateTable):
             access.extend(part, now)
 
     def search_visible(self, now: Tensor) -> None:
-        """Search all windows that queries see, after manoeuvres, too; ``now`` [N] s is the present."""
+        """Search all windows that queries see, after maneuvers, too; ``now`` [N] s is the present."""
         if self.arcs.restarts and self.access is not None:
             self._search_to(self.all_rows, self.access.until, now)
 
@@ -308,8 +308,8 @@ class LookAhead(StateTable):
             kind: A key of ``access.kinds``.
             time: Present time, [N] s since reset.
             width: Number of windows.
-            allowed: Which places count, [N, P]; all of them unless given.
-            count: Number of windows that each row needs, [N], at most ``width``, which it is unless given.
+            allowed: Which places count, [N, P]; all of them by default.
+            count: Number of windows that each row needs, [N], at most ``width``, which it is by default.
             last: Time, [N] s, from which on no segments are added; in any case no more than
                 :data:`~bsk_torch.sim.access.windows.MAX_SEGMENTS` are.
             may_see_nothing: Whether there may be none at all; look-ahead then ends as many segments from now, so that queries in
@@ -327,7 +327,7 @@ class LookAhead(StateTable):
         short = rows = torch.nonzero(found < wanted).squeeze(-1)
         if not len(rows):
             return windows, found
-        # a step may have been longer than all that was searched before it
+        # a step may have been longer than all searched before it
         limit = (time if may_see_nothing else torch.maximum(access.until, time)) + MAX_SEGMENTS * access.segment
         limit = limit if last is None else torch.minimum(limit, last)
         while True:
@@ -345,10 +345,10 @@ class LookAhead(StateTable):
         return windows, found
 
     def _search_certain(self, kind: str, time: Tensor, wanted: Tensor, allowed: Tensor | None) -> None:
-        """Search on, where a manoeuvre has undone the search, until as many windows as are ``wanted`` [N] are certain.
+        """Search on, where a maneuver has undone the search, until as many windows as are ``wanted`` [N] are certain.
 
         Windows that close before the end of the search do so before all that have not been found yet. So queries see the same as
-        if all had been searched again at the manoeuvre.
+        if all had been searched again at the maneuver.
         """
         access: Any = self.access
         rows = torch.nonzero(access.ready < access.until).squeeze(-1)

@@ -2,7 +2,7 @@
 
 The search has three stages. A coarse screen compares every place with one sample in sixteen, as a matrix product of unit
 vectors, and drops most pairs. The remaining pairs are classified at every sample, 30 s apart. Crossings of the elevation limit
-that are found in this way are refined by root finding on an interpolated ground track.
+are then refined by root finding on an interpolated ground track.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ SHORTEST_PASS = 0.1
 """Passes between two samples that last no longer than this, s, are dropped."""
 
 SCREEN_PRODUCTS, DEVICE_SCREEN_PRODUCTS = 1 << 20, 1 << 26
-"""Products of the coarse screen that are held at once: on the CPU, so that they fit into its cache, and on other devices."""
+"""Products of the coarse screen held at once: on the CPU, so that they fit into its cache, and on other devices."""
 
 SCREEN_SLACK = 1e-5
 """Angle, rad, that the coarse screen adds to the reach of a cell: the products are float32, with errors of 1e-7."""

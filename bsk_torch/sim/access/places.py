@@ -28,7 +28,7 @@ def place_kinds(
 
     Raises:
         TypeError: For something else than places.
-        ValueError: For a name that is taken, or places without clearances.
+        ValueError: For a name already in use, or places without clearances.
     """
     bringing = [part for part in parts if part.places]
     tables = PlaceTables(scenario, arguments, world_args.draw(first_key(1)) if bringing else {})
@@ -39,7 +39,7 @@ def place_kinds(
             if not isinstance(places, Places):
                 raise TypeError(f"{owner} gives places {name!r}: {places!r}; it must be a sim.places.Places")
             if name in kinds:
-                raise ValueError(f"{owner} gives places {name!r}, a name that is taken; other kinds are {sorted(kinds)}")
+                raise ValueError(f"{owner} gives places {name!r}, a name already in use; other kinds are {sorted(kinds)}")
             if not places.clearances and not isinstance(places, FixedPlaces):
                 raise ValueError(f"{owner} gives places {name!r} without clearances; give at least one: ClearOfEarth()")
             kinds[name] = places

@@ -1,7 +1,7 @@
 """Passes of satellites over places that move, by sampling: each condition of a clear view by itself, then all together.
 
 A coarse screen drops the stretches of two minutes in which some condition cannot hold, whatever satellite and place do within the
-distance that they cover. What remains are runs of neighbouring stretches, in which every condition is sampled every 30 s.
+distance that they cover. What remains are runs of neighboring stretches, in which every condition is sampled every 30 s.
 Crossings of zero are refined by root finding; between three samples whose parabola comes close to zero, the extreme is searched
 for, so that neither short passes nor short interruptions are lost. A window is where all conditions hold.
 """
@@ -33,11 +33,11 @@ BISECTIONS, ROOT_ITERATIONS = 4, 10
 """Steps of the search for a crossing: bisections until the margin is nearly straight, then regula falsi."""
 
 SCREENED = 1 << 19
-"""Stretches of pairs that are screened at once, so that memory is bounded."""
+"""Stretches of pairs screened at once, so that memory is bounded."""
 
 
 class Runs(NamedTuple):
-    """Neighbouring stretches of pairs that the screen leaves: row of the search, place, first and last sample, [r] each."""
+    """Neighboring stretches of pairs that the screen leaves: row of the search, place, first and last sample, [r] each."""
 
     row: Tensor
     place: Tensor
@@ -123,7 +123,7 @@ class _Search:
         return row, number, cell
 
     def runs(self, row: Tensor, place: Tensor, cell: Tensor) -> tuple[Runs, Tensor]:
-        """Return runs of neighbouring stretches, and the run of each stretch, [m]."""
+        """Return runs of neighboring stretches, and the run of each stretch, [m]."""
         starts = torch.ones_like(row, dtype=torch.bool)
         starts[1:] = (row[1:] != row[:-1]) | (place[1:] != place[:-1]) | (cell[1:] != cell[:-1] + 1)
         run = torch.cumsum(starts, 0) - 1

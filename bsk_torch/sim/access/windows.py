@@ -1,4 +1,4 @@
-"""Access windows that are kept up to date: generated at reset, extended when a query runs out of them.
+"""Access windows, kept up to date: generated at reset, extended when a query runs out of them.
 
 Windows are found on the planned trajectory, and queries see them as bsk_rl's do, for an interval at a time: once at reset for the
 whole episode, later in segments of ten minutes. A window that is open at the end of what is seen is closed there, until more is.
@@ -29,13 +29,13 @@ MAX_SEGMENTS = 100
 """Segments that a query may add before it gives up."""
 
 SEARCH_AHEAD = 10800.0
-"""Longest time, s, that is searched at once beyond the end of what queries see; see :meth:`AccessWindows.expect`."""
+"""Maximum time, s, searched at once beyond the range of queries; see :meth:`AccessWindows.expect`."""
 
 BEFORE_SEARCH, BEHIND_SEARCH = (BEFORE + 2) * PLAN_STEP, (COUNT - BEFORE) * PLAN_STEP
 """Seconds of the ground track around an interval of the search: with them, what is found in it does not depend on its ends.
 
 A crossing is interpolated between :data:`~bsk_torch.astro.interpolate.COUNT` samples, and a short pass is searched for between a
-sample's two neighbours.
+sample's two neighbors.
 """
 
 PASSES_PER_SECOND = 1.2e-5
@@ -77,7 +77,7 @@ class AccessWindows(StateTable):
         segment: Length, s, of the intervals that queries add.
         until: End of what queries see, [N] s.
         ready: End of what has been searched, [N] s.
-        ahead: Segments that are searched at once.
+        ahead: Segments searched at once.
         as_bsk_rl: Whether the windows are those that bsk_rl makes of passes, with its errors, instead of the passes themselves.
     """
 
@@ -119,7 +119,7 @@ class AccessWindows(StateTable):
         """Announce queries for ``count`` windows over ``places`` places, which sets how far ahead is searched.
 
         One and a half times the mean time in which so many passes occur, and at least three segments, is searched at once:
-        farther than most queries need, but not much farther. One segment is enough for orbits that manoeuvres may change, after
+        farther than most queries need, but not much farther. One segment is enough for orbits that maneuvers may change, after
         which all is searched again.
         """
         least = self.segment if self.arcs.restarts else 3.0 * self.segment
@@ -192,7 +192,7 @@ class AccessWindows(StateTable):
         return rows[~enough & (self.until[rows] < until + most * self.segment)]
 
     def restart(self, rows: Tensor, time: Tensor) -> None:
-        """Drop the windows of ``rows`` [n] that lie ahead of ``time`` [n] s, a manoeuvre, up to which all has been searched.
+        """Drop the windows of ``rows`` [n] that lie ahead of ``time`` [n] s, a maneuver, up to which all has been searched.
 
         Of windows that are open then the beginning is kept: the search from there on joins it to what follows.
         """

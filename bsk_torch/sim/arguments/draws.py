@@ -83,7 +83,7 @@ class TypeArguments:
     _logged: set[str] = field(default_factory=set)
     """What has been logged about arguments."""
     _fits: dict[str, Arguments] = field(default_factory=dict)
-    """Arguments that are known to fit the length of a tick, by slot."""
+    """Arguments known to fit the length of a tick, by slot."""
 
     @property
     def count(self) -> int:
@@ -117,7 +117,7 @@ class TypeArguments:
             key: Key of the environments.
             world: Arguments of the world that have been drawn already, such as by a simulation of other satellites.
             given: Arguments that replace those of some satellites.
-            answers: What functions of the user returned for each environment; unless given, they are called now.
+            answers: What functions of the user returned for each environment; by default, they are called now.
 
         Returns:
             Values of satellites and world by name, [1, ...] or [n * count, ...].
@@ -184,7 +184,7 @@ class TypeArguments:
             raise ValueError(f"sat_args: {'; and '.join(wrong)}")
 
     def changed(self, own: Sequence[ArgumentChange], world: Sequence[ArgumentChange]) -> TypeArguments:
-        """Return arguments with other values; these are kept as they are. KeyError, ValueError for wrong changes."""
+        """Return arguments with other values; these remain unchanged. KeyError, ValueError for wrong changes."""
         return dataclasses.replace(self, sat_args=self.sat_args.changed(own), world_args=self.world_args.changed(world))
 
     def trial(self, num_envs: int, envs: Sequence[int] = ()) -> TrialDraw:

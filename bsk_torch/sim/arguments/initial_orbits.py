@@ -15,7 +15,7 @@ from bsk_torch.sim.dyn import hub
 from bsk_torch.vec3 import Vec3
 
 LOWEST_PERIAPSIS, HIGHEST_APOAPSIS = 6.35e6, 1e9
-"""Bounds of the radii of initial orbits, m: the Earth's polar radius is 6.357e6, and the Moon, which is left out, at 4e8."""
+"""Bounds of the radii of initial orbits, m: the Earth's polar radius is 6.357e6, and the Moon, which is not modeled, at 4e8."""
 
 DENSEST_AIR = 10.0
 """Largest density, kg/m^3, at an initial position."""
@@ -37,7 +37,7 @@ def check_orbits(values: Mapping[str, Any], on_arc: bool) -> None:
         top = top_radius(*(float(values[name].max()) for name in names))
         if lowest < top:
             raise ValueError(
-                f"sat_args: an orbit comes down to {lowest / 1e3:.0f} km from the Earth's centre, but drag is felt below "
+                f"sat_args: an orbit comes down to {lowest / 1e3:.0f} km from the Earth's center, but drag is felt below "
                 f"{top / 1e3:.6g} km (by {', '.join(names)}) and the orbit is computed without it; pass "
                 "orbit='integrated' to the environment, or leave drag out by world_args={'baseDensity': 0.0}, as communication "
                 "along lines of sight needs"
@@ -55,7 +55,7 @@ def _lowest_periapsis(values: Mapping[str, Any], r: Vec3, v: Vec3) -> float:
     bound = (radius > 0.0) & (a > 0.0)
     if not bool(bound.all()):
         raise ValueError(
-            f"sat_args: {given} no orbit around the Earth: {_first(radius, ~bound) / 1e3:g} km from its centre at "
+            f"sat_args: {given} no orbit around the Earth: {_first(radius, ~bound) / 1e3:g} km from its center at "
             f"{_first(speed2.sqrt(), ~bound):g} m/s, with mu={_first(mu, ~bound):g} m^3/s^2; an orbit's energy is negative"
         )
     periapsis = periapsis_radius(r, v)
@@ -63,7 +63,7 @@ def _lowest_periapsis(values: Mapping[str, Any], r: Vec3, v: Vec3) -> float:
     if bool(wrong.any()):
         low, high = _first(periapsis, wrong), _first(2.0 * a - periapsis, wrong)
         raise ValueError(
-            f"sat_args: {given} an orbit from {low / 1e3:.6g} to {high / 1e3:.6g} km from the Earth's centre; allowed are "
+            f"sat_args: {given} an orbit from {low / 1e3:.6g} to {high / 1e3:.6g} km from the Earth's center; allowed are "
             f"{LOWEST_PERIAPSIS / 1e3:g} km, its surface, to {HIGHEST_APOAPSIS / 1e3:g} km (oe: a(1 - e) and a(1 + e); rN "
             "and vN: not parallel)"
         )

@@ -77,7 +77,7 @@ def unknown(title: str, name: str, known: Iterable[str]) -> str:
 
 
 def is_function(value: object) -> bool:
-    """Return whether a value is a function of the user, which is called for each episode."""
+    """Return whether a value is a user function, called for each episode."""
     return callable(value) and not isinstance(value, Distribution)
 
 
@@ -110,7 +110,7 @@ def expand(given: Mapping[str, object] | Callable[[], Mapping[str, object]] | No
 
 
 class Given(dict[str, Any]):
-    """Arguments that were given; reading another one returns its default. Wrong names raise KeyError."""
+    """Given arguments; reading another one returns its default. Wrong names raise KeyError."""
 
     def __init__(self, given: Mapping[str, object], defaults: Mapping[str, object], title: str) -> None:
         """Keep the ``given`` arguments alongside the ``defaults`` of all; ``title`` is what the user calls the dictionary."""

@@ -1,4 +1,4 @@
-"""Conversion of ``sat_args`` and ``world_args`` to tensors, which are drawn at each reset.
+"""Conversion of ``sat_args`` and ``world_args`` to tensors, drawn at each reset.
 
 A value may be a constant, a distribution of :mod:`bsk_torch.rand`, or a callable without arguments. Constants become tensors
 with leading dimension 1, the others with one row for each environment being reset.
@@ -175,7 +175,7 @@ class Arguments:
         return merged
 
     def _look(self) -> None:
-        """Find out which arguments are equal for all satellites, and which are asked of functions; forget constants."""
+        """Find out which arguments are equal for all satellites, and asked of functions; forget constants."""
         self._constants: dict[str, Any] = {}
         apart = {name for of_envs in self._of_envs for name in of_envs}
         self._asked = [
@@ -209,7 +209,7 @@ class Arguments:
     # -- changes ------------------------------------------------------------------------------------------------------
 
     def changed(self, changes: Iterable[tuple[int, str, Any, Sequence[int] | None]]) -> Arguments:
-        """Return arguments with other values; these are kept as they are.
+        """Return arguments with other values; these remain unchanged.
 
         Args:
             changes: Index of a satellite within the type, name, value, and the environments that get it; None for all.
@@ -291,7 +291,7 @@ class Arguments:
         """Return the values of all arguments for the n environments of ``key``: [1, ...] if all are equal, else [n * S, ...].
 
         Arguments that are ``known`` already are not drawn again. ``answers`` are those of the user's functions for each
-        environment; unless given, the functions are called now.
+        environment; by default, the functions are called now.
         """
         known = known or {}
         answers = self._asked_alone(key, known) if answers is None else answers
@@ -347,7 +347,7 @@ class Arguments:
         return kept.expand(len(rows), *kept.shape[1:]) if arg.name in self._changed and isinstance(kept, Tensor) else kept
 
     def _drawn_each(self, arg: Arg, key: Key, answers: Sequence[Answers]) -> Any:
-        """Return the values of an argument that was given for each satellite, [n * S, ...]."""
+        """Return the values of an argument given for each satellite, [n * S, ...]."""
         if is_fixed(arg):
             raise ValueError(f"{self.title}: {arg.name} must be the same for all satellites of a type")
         if self.is_random(arg.name):

@@ -18,7 +18,7 @@ Class = TypeVar("Class", bound=type)
 
 
 class Home(NamedTuple):
-    """Where models of a kind are listed: the attribute, the kind in words, an example, and how composed classes are called."""
+    """Where models of a kind are listed: the attribute, the kind in messages, an example, and the name of composed classes."""
 
     attribute: str
     kind: str
@@ -37,7 +37,7 @@ def compose(given: object, base: Class, owner: str = "") -> Class:
     """Return the class that a model class, or a tuple or list of them, stands for.
 
     Members of the first of several classes win. Duplicates, and classes of which others are subclasses, are left out; ``base``
-    comes last. A single class that is left stands for itself.
+    comes last. A single remaining class is used directly.
 
     Args:
         given: What the user wrote.

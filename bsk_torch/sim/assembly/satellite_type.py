@@ -59,7 +59,7 @@ class SimulationOptions:
         orbit: ``"arc"``, ``"integrated"``, or None for the default of the dynamics model.
         backend: ``"compiled"`` or ``"eager"``.
         compat: ``"bsk_rl"`` for bsk_rl's errors.
-        replan: Whether windows and eclipses follow manoeuvres.
+        replan: Whether windows and eclipses follow maneuvers.
     """
 
     device: torch.device
@@ -213,7 +213,7 @@ def satellite_type(
         usage: How the environment uses them.
         num_envs: Number of environments of the batch for which the type is made.
         world_type: World model; None for what the dynamics model requires.
-        ticks: Ticks of users' components that types of the same environment have made, which are used again; see
+        ticks: Ticks of users' components made by types of the same environment, for reuse; see
             :mod:`bsk_torch.codegen.kept`.
 
     Raises:

@@ -1,4 +1,4 @@
-"""Forces of components of one's own on the spacecraft, such as low thrust."""
+"""Forces of custom components on the spacecraft, such as low thrust."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ def add_force(bus: Bus, force_N: Vec3) -> None:
 
     The hub integrates ``v' = a(r, t) + F_N / m`` with the sum ``external_force_N`` of all that components have added. They run
     before it: ``before="hub"``, or in an earlier slot. The orbit must be integrated in the tick; where it is solved in advance, a
-    component that adds a force is refused by a TypeError. Look-ahead, that is windows and eclipses to come, does not know of it.
+    component that adds a force raises a TypeError. Look-ahead (predicted windows and eclipses) does not include the force.
     """
     bus.external_force_N = bus.external_force_N + force_N if bus.has("external_force_N") else force_N
 

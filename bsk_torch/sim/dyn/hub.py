@@ -35,7 +35,7 @@ STABLE_TURN = 2.0 * math.sqrt(2.0)
 
 
 def box_inertia(mass: Tensor, width: Tensor, depth: Tensor, height: Tensor) -> Tensor:
-    """Return the principal inertia [n, 3], kg m^2, about the centre of a uniform box of the given mass, kg, and sides, m.
+    """Return the principal inertia [n, 3], kg m^2, about the center of a uniform box of the given mass, kg, and sides, m.
 
     ``I = m / 12 (w^2 + d^2, d^2 + h^2, w^2 + h^2)``, with width w, depth d and height h, in the order in which bsk_rl sets it.
     """
@@ -120,7 +120,7 @@ def _prepare(args: Values) -> dict[str, Tensor]:
 
 
 EffectorStates = list[tuple[Any, ...]]
-"""State of each effector: a tuple of its fields, as they stand on the bus."""
+"""State of each effector: a tuple of its fields on the bus."""
 
 
 def _leaves(states: EffectorStates) -> State:
@@ -258,7 +258,7 @@ def translate_and_rotate(bus: Bus, degree: int) -> None:
 
 
 def move(bus: Bus) -> None:
-    """Advance the spacecraft by one tick; its orbit, too, unless that was solved in advance."""
+    """Advance the spacecraft by one tick; its orbit, too, unless solved in advance."""
     if bus.gravity_degree is None:
         rotate(bus)
     else:

@@ -23,7 +23,7 @@ def refer_to_past_hill(bus: Bus) -> None:
     """Write the Hill frame of the last tick as the reference where a command to point along it has just cleared the reference.
 
     In Basilisk the flight software writes the reference for the first time a tick after the command, and the spacecraft has the
-    attitude zero until then. A reference that is written has a rate: that of the orbit.
+    attitude zero until then. A written reference has a rate: that of the orbit.
     """
     if not bus.has("omega_RN_N"):  # wheels turn the spacecraft, not the reference
         return
@@ -65,11 +65,11 @@ class RSODynModel(EclipseDynModel):
     """A spacecraft with points on its surface that others inspect; see :class:`bsk_torch.scene.SphericalRSO`.
 
     An environment has exactly one satellite with this model. It may fly without actuators (:class:`bsk_torch.sim.fsw.FSWModel`),
-    with an attitude that is imposed, or with any other flight software.
+    with an imposed attitude, or with any other flight software.
     """
 
     components: ClassVar[tuple[Component, ...]] = (RSO, PAST_REFERENCE)
-    orbit: ClassVar[str] = "integrated"  # as Basilisk does, whose ticks of 5 s are millimetres an hour off the true orbit
+    orbit: ClassVar[str] = "integrated"  # as Basilisk does, whose ticks of 5 s are millimeters an hour off the true orbit
 
 
 class RSOInspectorDynModel(ContinuousImagingDynModel):

@@ -54,7 +54,7 @@ class DynamicsModel(Model):
 
     @observable
     def r_BN_N(now: Now) -> Vec3:
-        """Position ``r_BN_N`` of the satellite relative to the Earth's centre, [N, 3] m in N."""
+        """Position ``r_BN_N`` of the satellite relative to the Earth's center, [N, 3] m in N."""
         return now.r_BN_N
 
     @observable

@@ -1,7 +1,7 @@
 """The instrument that takes images, a store of partitions, and the transmitter that empties them packet by packet.
 
 Basilisk's simpleInstrument, spaceToGroundTransmitter and partitionedStorageUnit as bsk_rl's point imaging connects them, bit by
-bit: these modules subtract times that have been rounded to doubles of seconds, and whether a packet is complete after a tick may
+bit: these modules subtract times rounded to doubles of seconds, and whether a packet is complete after a tick may
 hang on the last digit. How many partitions there are depends on the arguments, so transmitter and store are made to fit.
 """
 
@@ -72,8 +72,8 @@ def _starts_with_data(given: Mapping[str, Any]) -> bool:
 def take_images(bus: Bus) -> None:
     """Write the data rate of the instrument, bit/s, at which an image takes one tick: ``image / h`` where the command is 1.
 
-    The flight software wrote the command one tick ago. One that is not taken back goes on: an image in every tick. So it does
-    under flight software that commands no instrument, as with Basilisk's devices that get no command.
+    The flight software wrote the command one tick ago. A command that is not withdrawn persists, with an image in every tick. The
+    same holds for flight software that commands no instrument, as with Basilisk's devices that get no command.
     """
     rate = bus.instrument_baud / bus.h
     bus.instrument_rate = rate * bus.instrument_command if bus.has("instrument_command") else rate
@@ -125,7 +125,7 @@ def _send(bus: Bus, source: Tensor, now: Tensor) -> tuple[Tensor, Tensor, Tensor
     ``dt``, the time since the transmitter last ran::
 
         packet              its level   station     rate    packet after            partition after
-        under way           L > 0       yes         B       goes on, from p         the same
+        under way           L > 0       yes         B       continues from p        the same
         under way           L > 0       no          0       0                       the same
         under way           L <= 0      yes         0       starts in M, or 0       M, if it holds anything
         under way           L <= 0      no          0       0                       M, if it holds anything
@@ -133,7 +133,7 @@ def _send(bus: Bus, source: Tensor, now: Tensor) -> tuple[Tensor, Tensor, Tensor
         none or complete                no          0       0                       M
 
     M is the first of the partitions that hold most. A packet starts, from p = 0, if M holds a whole one, ``L_M >= -P``; if not,
-    rate and packet are 0. It then goes on to ``p + B dt``, or to -L where the partition holds less than ``-B dt``. So where a
+    rate and packet are 0. It then continues to ``p + B dt``, or to -L where the partition holds less than ``-B dt``. So where a
     partition has run dry on the way, the next packet may start in the same tick, but nothing is sent in it.
     """
     levels, size, zero = bus.partitions, bus.packet_size, torch.zeros_like(bus.packet)

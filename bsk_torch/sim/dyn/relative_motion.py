@@ -74,7 +74,7 @@ class ConjunctionDynModel(DynamicsModel):
 
     Distances are those at the start of a step and after its ticks; with ``conjunction_check_rate`` only after as many ticks as
     take that time, with ``conjunction_exact`` also between ticks, where the relative motion is taken for uniform. Of two
-    satellites, the later one of the list says how they are looked at. A collision ends the step of all satellites in that tick,
+    satellites, the settings of the later one in the list apply. A collision ends the step of all satellites in that tick,
     and both die. Each pair collides once in an episode.
 
     An episode that begins in collision has a first step of zero length, which ends with the deaths.
@@ -94,10 +94,10 @@ class ConjunctionDynModel(DynamicsModel):
 
 
 class MaxRangeDynModel(DynamicsModel):
-    """A satellite that is lost where its distance from its chief is ``max_range_radius`` or more.
+    """A satellite lost where its distance from its chief is ``max_range_radius`` or more.
 
-    Distances are those at the start of a step and after each of its ticks. A satellite that is lost ends the step of all
-    satellites in that tick, and dies, with ``enforce_range_on_chief`` together with the chief. It is lost once in an episode.
+    Distances are those at the start of a step and after each of its ticks. A lost satellite ends the step of all satellites in
+    that tick, and dies, with ``enforce_range_on_chief`` together with the chief. It is lost once in an episode.
     """
 
     components: ClassVar[tuple[Component, ...]] = (MAX_RANGE,)

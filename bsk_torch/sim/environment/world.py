@@ -35,7 +35,7 @@ DEFAULT_STATIONS: tuple[dict[str, Any], ...] = tuple(
         ("Hawaii", 19.8968, -155.5828, 9.0),
     )
 )
-"""Ground stations of bsk_rl: latitude and longitude in degrees, elevation in metres."""
+"""Ground stations of bsk_rl: latitude and longitude in degrees, elevation in meters."""
 
 
 def station_arrays(args: Values) -> dict[str, Tensor]:
@@ -62,7 +62,7 @@ def station_names(stations: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
 
 
 def station_places(tables: PlaceTables) -> dict[str, Places]:
-    """Return the ground stations as a kind of places; they stand at the same points in all environments."""
+    """Return the ground stations as a kind of places, at the same points in all environments."""
     arrays, device = station_arrays(tables.world), tables.arguments.device
     r_LP_P = arrays["station_positions_P"].view(1, 3, -1).mT.contiguous().to(device)
     advice = "add stations to world_args['groundStationsData'], lower gsMinimumElevation"
@@ -106,7 +106,7 @@ def cast_shadow(bus: Bus) -> None:
 STATION_ARGS = (
     Arg("groundStationsData", DEFAULT_STATIONS, "deg, m", "list of dictionaries lat, long, elev, name", "stations"),
     Arg(
-        "groundLocationPlanetRadius", R_EARTH, "m", "radius of the sphere that stations stand on", low=1e-9, high=1e9, shared=True
+        "groundLocationPlanetRadius", R_EARTH, "m", "radius of the sphere on which stations lie", low=1e-9, high=1e9, shared=True
     ),
     Arg("gsMinimumElevation", math.radians(10.0), "rad", "least elevation", low=-math.pi / 2, high=math.pi / 2, shared=True),
     Arg("gsMaximumRange", -1.0, "m", "longest range; no limit where negative", shared=True, endless=True),
@@ -114,7 +114,7 @@ STATION_ARGS = (
 
 
 def ground_stations(count: int) -> Component:
-    """Return the component for ``count`` stations, a number that is fixed when the tick is built."""
+    """Return the component for ``count`` stations, a number fixed when the tick is built."""
     widths = {"station_positions_P": 3 * count, "station_sin_elevations": count, "station_ranges": count}
     return Component(
         slot="ground_stations",

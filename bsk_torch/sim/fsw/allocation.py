@@ -19,7 +19,7 @@ Commands = tuple[Any, ...]
 
 
 def held_commands(bus: Bus) -> Commands:
-    """Return the commands to the actuators as they stand: those of the last tick, before a law has written others."""
+    """Return the current commands to the actuators: those of the last tick, until a law writes others."""
     return tuple(getattr(bus, name) for name in bus.allocation.commands)
 
 

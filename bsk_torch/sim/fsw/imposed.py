@@ -16,7 +16,7 @@ from bsk_torch.vec3 import Vec3, only
 def impose(bus: Bus) -> None:
     """Set the attitude to the reference that the flight software wrote one tick ago.
 
-    ``sigma_BN = sigma_RN`` and ``omega_BN_B = [RN] omega_RN_N``, as they are: a reference of length above one is not switched.
+    ``sigma_BN = sigma_RN`` and ``omega_BN_B = [RN] omega_RN_N``, unchanged: a reference of length above one is not switched.
     """
     bus.sigma_BN, bus.omega_BN_B = bus.sigma_RN, mrp_to_dcm(bus.sigma_RN) @ bus.omega_RN_N
 

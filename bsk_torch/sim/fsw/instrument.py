@@ -28,7 +28,7 @@ def command_scan(bus: Bus) -> None:
 
 
 def command_image(bus: Bus) -> None:
-    """Record for one tick, the first that is permitted; ``image_taken`` keeps others from following until a new task.
+    """Record for one tick, the first permitted one; ``image_taken`` prevents others until a new task.
 
     Outside of location pointing the last command stays: if it is that of an image, the instrument takes one in every tick.
     """

@@ -1,6 +1,6 @@
-"""Impulsive manoeuvres: the tank, and the change of velocity that the spacecraft takes at the beginning of a tick.
+"""Impulsive maneuvers: the tank, and the change of velocity that the spacecraft takes at the beginning of a tick.
 
-A manoeuvre is commanded at the end of a tick, at time T. The state message of that tick keeps the velocity before it, as in
+A maneuver is commanded at the end of a tick, at time T. The state message of that tick keeps the velocity before it, as in
 Basilisk, so the change waits in ``delta_v_N`` until the next tick begins, from whose start on the orbit is the new one.
 """
 
@@ -41,8 +41,8 @@ TANK = Component(
         ),
     ),
     state=(
-        Field("dv_available", 1, "m/s", "sum of the changes of velocity that are left", exact=True, limit=MOST_FUEL),
-        Field("thrust_count", 1, "-", "manoeuvres since reset", exact=True),
+        Field("dv_available", 1, "m/s", "remaining velocity change", exact=True, limit=MOST_FUEL),
+        Field("thrust_count", 1, "-", "maneuvers since reset", exact=True),
         vec("delta_v_N", "m/s", "change of velocity with which the next tick begins", exact=True),
     ),
     initial=lambda args: {
@@ -55,12 +55,12 @@ TANK = Component(
 
 
 class Burn(NamedTuple):
-    """Manoeuvres of N satellites as the tank allows them.
+    """Maneuvers of N satellites as the tank allows them.
 
     Attributes:
         dv_N: Change of velocity in N, [N, 3] m/s.
         left: What is left in the tank, [N] m/s.
-        clipped: Where the tank was not good for all that was asked, [N].
+        clipped: Whether the request exceeded the tank, [N].
     """
 
     dv_N: Tensor
@@ -69,7 +69,7 @@ class Burn(NamedTuple):
 
 
 def burn(dv_N: Tensor, available: Tensor) -> Burn:
-    """Return the manoeuvres ``dv_N`` [N, 3] m/s with tanks that are good for ``available`` [N] m/s.
+    """Return the maneuvers ``dv_N`` [N, 3] m/s with tanks that are good for ``available`` [N] m/s.
 
     ``dv <- dv min(1, available / |dv|)`` and ``left = available - |dv|``.
     """

@@ -54,7 +54,7 @@ class FSWModel(Model):
 
     @classmethod
     def all_commands(cls) -> dict[str, Command]:
-        """Commands of the class and its bases; every mode is a command of its own name too."""
+        """Commands of the class and its bases; every mode is also a command of the same name."""
         table = {name: Command((name,)) for name in cls.all_modes()}
         return table | {name: c for base in reversed(cls.__mro__) for name, c in vars(base).get("commands", {}).items()}
 
@@ -114,7 +114,7 @@ class ImagingFSWModel(BasicFSWModel):
 
 
 class ContinuousImagingFSWModel(ImagingFSWModel):
-    """Scans along the ground track: the instrument records while it points at the Earth's centre."""
+    """Scans along the ground track: the instrument records while it points at the Earth's center."""
 
     components: ClassVar[tuple[Component, ...]] = (target.EARTH_CENTRE_TARGET, instrument.SCANNING_CONTROLLER)
     modes: ClassVar[dict[str, Mode | None]] = {
@@ -130,8 +130,8 @@ class SteeringImagerFSWModel(SteeringFSWModel, ImagingFSWModel):
 class MagicOrbitalManeuverFSWModel(FSWModel):
     """Changes the velocity at once, by as much as the tank is good for; composed with other flight software.
 
-    ``Simulator.thrust(rows, dv_N)`` commands a manoeuvre, and actions such as ``act.ImpulsiveThrust`` call it. The satellite dies
-    with its last fuel, at the time of the manoeuvre, which is carried out nevertheless. Fuel has no mass.
+    ``Simulator.thrust(rows, dv_N)`` commands a maneuver, and actions such as ``act.ImpulsiveThrust`` call it. The satellite dies
+    with its last fuel, at the time of the maneuver, which is still executed. Fuel has no mass.
     """
 
     components: ClassVar[tuple[Component, ...]] = (manoeuvre.TANK,)
@@ -143,7 +143,7 @@ class MagicOrbitalManeuverFSWModel(FSWModel):
 
     @observable
     def thrust_count(now: Now) -> Tensor:
-        """Number of manoeuvres since reset, those of no change of velocity included, [N]."""
+        """Number of maneuvers since reset, those of no change of velocity included, [N]."""
         return now.thrust_count
 
     @vital

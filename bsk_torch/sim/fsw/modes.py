@@ -1,7 +1,7 @@
 """Flight modes as a table: what each one switches on, and what entering it resets.
 
 What can be switched on are the ``flags`` that the components of a satellite's models declare. Every command first switches all of
-them off and sets the fields that components list in ``resets``: those of location pointing, and of the reference that is imposed.
+them off and sets the fields that components list in ``resets``: those of location pointing, and of the imposed reference.
 The rest persists, as in Basilisk: torque, thruster and instrument commands, the transmitter's packet, the integral of the control
 law.
 """

@@ -54,7 +54,7 @@ HOLD_INERTIAL = "hold_inertial"
 class InertialHoldFSWModel(FSWModel):
     """Adds the command ``hold_inertial`` to any flight software: control about N itself, at rest.
 
-    A manoeuvre leaves the spacecraft so, as in Basilisk. Actions of manoeuvres bring it along.
+    A maneuver leaves the spacecraft so, as in Basilisk. Actions of maneuvers bring it along.
     """
 
     modes: ClassVar[dict[str, Mode | None]] = {HOLD_INERTIAL: Mode(("control_on",))}

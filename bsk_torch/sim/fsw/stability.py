@@ -25,7 +25,7 @@ from bsk_torch.sim.dyn.hub import BODY, body_inertia
 from bsk_torch.sim.dyn.wheels import MAX_SPEED, SPIN_INERTIA
 
 SUGGESTED = {"P": (0.4, 1), "K": (0.08, 2), "Ki": (0.05, 2)}
-"""Gains that are suggested: ``P h / J``, ``K h^2 / J`` and, of an integral, ``Ki h^2 / J``, with the smallest moment of inertia
+"""Suggested gains: ``P h / J``, ``K h^2 / J`` and, of an integral, ``Ki h^2 / J``, with the smallest moment of inertia
 J; about those of bsk_rl's satellite in ticks of 1 s."""
 
 GROWTH = 1.001

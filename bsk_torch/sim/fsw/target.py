@@ -1,4 +1,4 @@
-"""Targets of the instrument: a place on the ground that the agent chooses, or the Earth's centre. Basilisk's groundLocation.
+"""Targets of the instrument: a place on the ground that the agent chooses, or the Earth's center. Basilisk's groundLocation.
 
 Targets are modules of the world, so the flight software reads their position and access of one tick ago.
 """
@@ -80,7 +80,7 @@ IMAGE_TARGET = Component(
             "groundLocationPlanetRadius",
             R_EARTH,
             "m",
-            "radius of the sphere that the target stands on at first",
+            "radius of the sphere on which the target initially lies",
             low=1e-9,
             high=1e9,
         ),

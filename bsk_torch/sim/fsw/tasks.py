@@ -1,4 +1,4 @@
-"""Names by which bsk_rl's programs define flight software, which here is made of components and modes: they say what to write."""
+"""Names in bsk_rl programs that define flight software, built here from components and modes; errors suggest replacements."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ class Task:
     """bsk_rl's base class of tasks; deriving from it raises TypeError."""
 
     def __init_subclass__(cls, **options: Any) -> None:
-        """Refuse the class."""
+        """Raise TypeError."""
         raise TypeError(f"{cls.__qualname__} is a task of bsk_rl, which is never run here; {ADVICE}")
 
 

@@ -105,8 +105,8 @@ class _Limits(NamedTuple):
     """Bounds over all points.
 
     Attributes:
-        reach2: Square of the longest distance from the spacecraft's centre at which a point may be seen, m^2.
-        radius: Largest distance of a point from the centre, m.
+        reach2: Square of the longest distance from the spacecraft's center at which a point may be seen, m^2.
+        radius: Largest distance of a point from the center, m.
         light: Least illumination in which a point may be lit.
     """
 
@@ -160,11 +160,11 @@ def _look(
 def _free(points: Sequence[Point], limits: _Limits, at: _Moment, BN: Any, rho2: Any) -> tuple[Any, ...]:
     """Return 1 for points with a free line of sight to the inspector.
 
-    The line lies within ``max(|rho|, radius)`` of the spacecraft's centre; where all of that is outside of the Earth's equatorial
+    The line lies within ``max(|rho|, radius)`` of the spacecraft's center; where all of that is outside of the Earth's equatorial
     radius nothing needs to be computed: stretching does not bring anything nearer.
     """
     r2, one = at.r_BN_N.dot(at.r_BN_N), torch.ones_like(rho2)
-    slack = torch.sqrt(r2) - (R_EARTH + 1.0)  # a metre, far more than rounding
+    slack = torch.sqrt(r2) - (R_EARTH + 1.0)  # a meter, far more than rounding
     clear = (slack > limits.radius) & (slack * torch.abs(slack) > rho2)
 
     def tested() -> tuple[Any, ...]:

@@ -86,7 +86,7 @@ def sunlit(point: Point, s_B: Vec3, illumination: Any) -> Any:
 
     Args:
         point: The point.
-        s_B: Unit vector from the Earth's centre to the Sun, in B.
+        s_B: Unit vector from the Earth's center to the Sun, in B.
         illumination: Visible fraction f of the Sun.
     """
     return (point.n_B.dot(s_B) >= point.sun) & (illumination >= point.light)
@@ -111,7 +111,7 @@ def in_view(point: Point, r_BN_B: Vec3, inspector_B: Vec3, pole_B: Vec3) -> Any:
 
     Args:
         point: The point.
-        r_BN_B: Position of the spacecraft relative to the Earth's centre, m in B.
+        r_BN_B: Position of the spacecraft relative to the Earth's center, m in B.
         inspector_B: Stretched position of the inspector, m in B.
         pole_B: Unit vector along the Earth's axis, in B.
     """

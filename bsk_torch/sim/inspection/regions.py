@@ -1,6 +1,6 @@
 """Which points of a spacecraft belong to which region of it, and how many of those are inspected.
 
-A point belongs to the region whose centre is the nearest, the first of several. The same function of a point is a tick of a
+A point belongs to the region whose center is the nearest, the first of several. The same function of a point is a tick of a
 kernel, and runs on tensors under the eager back end.
 """
 
@@ -36,7 +36,7 @@ def known_regions(inspected: Tensor, r_PB_B: Tensor, centers: Tensor, compiled: 
     Args:
         inspected: 1 for inspected points, else 0, [N, P] float64.
         r_PB_B: Positions of the points, [P, 3] or [N, P, 3] m.
-        centers: Centres of the regions in the same axes, [R, 3] or [N, R, 3] m.
+        centers: Centers of the regions in the same axes, [R, 3] or [N, R, 3] m.
         compiled: Whether to use a kernel, on the CPU.
     """
     run = _run_kernel if compiled and inspected.device.type == "cpu" else _run_tensors
@@ -45,7 +45,7 @@ def known_regions(inspected: Tensor, r_PB_B: Tensor, centers: Tensor, compiled: 
 
 
 def nearest(point: Vec3, centers: Sequence[Vec3], squares: Sequence[Any]) -> Any:
-    """Return the index of the centre that is nearest to a point, as a number: that of the smallest ``|c|^2 - 2 p . c``."""
+    """Return the index of the center that is nearest to a point, as a number: that of the smallest ``|c|^2 - 2 p . c``."""
     least = squares[0] - 2.0 * point.dot(centers[0])
     index = torch.zeros_like(least)
     for k, (center, square) in enumerate(zip(centers[1:], squares[1:], strict=True), 1):
@@ -58,7 +58,7 @@ def nearest(point: Vec3, centers: Sequence[Vec3], squares: Sequence[Any]) -> Any
 def _run_tensors(inspected: Tensor, r_PB_B: Tensor, centers: Tensor) -> tuple[Tensor, Tensor]:
     """Return how many points of each region are inspected, and how many there are, [N, R] each.
 
-    Centre by centre: all distances at once, [N, P, R], and their ``argmin`` take longer.
+    Center by center: all distances at once, [N, P, R], and their ``argmin`` take longer.
     """
     each = [Vec3(*center.unsqueeze(-1).unbind(1)) for center in centers.unbind(1)]
     region = nearest(Vec3(*r_PB_B.unbind(-1)), each, [center.dot(center) for center in each]).long()

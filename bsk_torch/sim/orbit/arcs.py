@@ -1,11 +1,11 @@
 """Arcs: positions of satellites, computed ahead of the simulation in batched passes.
 
-Above the modelled atmosphere an orbit does not depend on actions until the next manoeuvre, so it is solved in advance, and a
-polynomial through positions a minute apart serves every tick. Of satellites that manoeuvre it is solved again from there on; see
+Above the modeled atmosphere an orbit does not depend on actions until the next maneuver, so it is solved in advance, and a
+polynomial through positions a minute apart serves every tick. Of satellites that maneuver it is solved again from there on; see
 :mod:`bsk_torch.sim.orbit.restartable`.
 
 Two arcs are kept for each satellite. The *flown* arc is the one that Basilisk integrates at the simulation's rate. The *planned*
-arc is the one that bsk_rl looks ahead on, a Runge-Kutta propagation in steps of 30 s; its truncation error, metres per orbit, is
+arc is the one that bsk_rl looks ahead on, a Runge-Kutta propagation in steps of 30 s; its truncation error, meters per orbit, is
 reproduced by adding the error of one such step to the equations of motion. Of the planned arc only the end is kept, which is
 what look-ahead still has to search.
 """
@@ -29,13 +29,13 @@ from bsk_torch.sim.orbit.solution import Solution, Solver
 from bsk_torch.sim.state import StateTable
 
 PLANNED_SEGMENTS = 5
-"""Number of hours of the planned arc that are kept."""
+"""Number of stored hours of the planned arc."""
 
 
 def follow_arc(bus: Bus) -> None:
     """Interpolate position and velocity at the end of the tick: ``r_BN_N = p(s)`` and ``v_BN_N = p'(s) / NODE_SPACING``.
 
-    ``p`` is the polynomial through neighbouring nodes of the arc, m in N, and ``s`` the time since the last one in units of their
+    ``p`` is the polynomial through neighboring nodes of the arc, m in N, and ``s`` the time since the last one in units of their
     spacing; see :mod:`bsk_torch.astro.interpolate`.
     """
     path, s = coefficients([node.r_BN_N for node in bus.arc]), bus.arc_tau * (1.0 / NODE_SPACING)
@@ -108,7 +108,7 @@ class Arcs(StateTable):
 
     @property
     def begun(self) -> Tensor | float:
-        """Time at which the present orbit began, [N] s or a number: zero, or that of the last manoeuvre."""
+        """Time at which the present orbit began, [N] s or a number: zero, or that of the last maneuver."""
         return 0.0
 
     @property
@@ -123,7 +123,7 @@ class Arcs(StateTable):
 
     @property
     def planned_from(self) -> Tensor:
-        """Time of the first planned sample that is kept, [N]."""
+        """Time of the first stored planned sample, [N]."""
         return self.end - (self.planned.shape[1] - 1) * PLAN_STEP
 
     @property

@@ -21,7 +21,7 @@ from bsk_torch.sim.orbit.grid import LEAD_NODES, NODE_SPACING
 from bsk_torch.vec3 import Vec3, select
 
 MULTISTEP_STEP = NODE_SPACING / 2.0
-"""Step, s, of the multistep method: two for each node that is kept."""
+"""Step, s, of the multistep method: two for each stored node."""
 
 MULTISTEP_ORDER = 12
 """Accelerations that the multistep method remembers."""

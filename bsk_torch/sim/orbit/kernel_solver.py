@@ -86,7 +86,7 @@ class KernelSolver:
         return written
 
     def _start(self, r: Tensor, v: Tensor, around: Samples, flown: Tensor) -> Tensor:
-        """Fill the first positions; the state with which the flown arc goes on."""
+        """Fill the first positions; return the state from which the flown arc continues."""
         n, ticks = len(r), len(self.schedule)
         state = torch.zeros(flown_arc.START_STATE, n, dtype=torch.float64)
         state[:3], state[3:6] = r.mT, v.mT

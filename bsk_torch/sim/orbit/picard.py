@@ -95,7 +95,7 @@ def defects(state: Tensor, stretch: Tensor, growth: Tensor) -> Tensor:
 
 
 class Kernels(NamedTuple):
-    """The heavy parts as they are, or compiled."""
+    """The expensive parts, compiled or not."""
 
     relax: Callable[..., Tensor]
     lacking: Callable[..., Tensor]

@@ -1,6 +1,6 @@
 """Kernels of the planned arc, on which bsk_rl looks ahead, each satellite by itself.
 
-It differs from the flown arc by metres: the difference is integrated with the error of bsk_rl's Runge-Kutta steps as its forcing.
+It differs from the flown arc by meters: the difference is integrated with the error of bsk_rl's Runge-Kutta steps as its forcing.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from bsk_torch.sim.orbit.step_error import step_defect
 from bsk_torch.vec3 import Vec3
 
 DIFFERENCE_STEP = 2.0 * NODE_SPACING
-"""Step, s, of the difference between the arcs: of metres, it needs four digits."""
+"""Step, s, of the difference between the arcs: of meters, it needs four digits."""
 
 PLANNED_STATE = 12
 """Planes: position and velocity relative to the flown arc, and the error rates of both at the last node."""

@@ -1,4 +1,4 @@
-"""Arcs of satellites that manoeuvre: solved again from the time of a manoeuvre on, for the rows that thrust, an hour at first.
+"""Arcs of satellites that maneuver: solved again from the time of a maneuver on, for the rows that thrust, an hour at first.
 
 Each row has its own beginning, which need be no whole hour, and is solved as far as runs and queries need: the end of the tables
 is room that may be empty yet.
@@ -19,10 +19,10 @@ from bsk_torch.vec3 import Vec3
 
 
 class RestartableArcs(Arcs):
-    """Arcs of satellites that manoeuvre; see :class:`~bsk_torch.sim.orbit.arcs.Arcs`.
+    """Arcs of satellites that maneuver; see :class:`~bsk_torch.sim.orbit.arcs.Arcs`.
 
-    ``epoch`` [N] is the time, s since reset, at which the present orbit began, and ``solved`` [N] that of the last node that is
-    known; what the tables hold behind it has no meaning.
+    ``epoch`` [N] is the time, s since reset, at which the current orbit began, and ``solved`` [N] the time of the last
+    known node; later table entries are undefined.
     """
 
     epoch: Tensor
@@ -45,7 +45,7 @@ class RestartableArcs(Arcs):
 
     @property
     def end(self) -> Tensor:
-        """Time of the last node that is known, [N]."""
+        """Time of the last known node, [N]."""
         return self.solved
 
     @property
@@ -121,7 +121,7 @@ class RestartableArcs(Arcs):
     def state_at(self, rows: Tensor, time: Tensor) -> tuple[Tensor, Tensor]:
         """Return flown position, m, and velocity, m/s, in N, [n, 3], of ``rows`` [n] at ``time`` [n] s.
 
-        Better than the derivative of the polynomial through positions, which is good to 5e-8 m/s, that is millimetres after some
+        Better than the derivative of the polynomial through positions, which is good to 5e-8 m/s, that is millimeters after some
         orbits: the accelerations a_j at the nodes around are integrated. With the node k before, steps of h and
         ``a(s) = sum_n c_n s^n`` through them::
 

@@ -11,7 +11,7 @@ from bsk_torch.codegen.kernel import Samples
 
 
 class Solution(NamedTuple):
-    """Positions in N, m, and what is needed to go on from the arcs' ends, [n, T].
+    """Positions in N, m, and the values needed to continue from the arcs' ends, [n, T].
 
     Those of the flown arc lie a minute apart, those of the planned arc 30 s.
     """
@@ -22,7 +22,7 @@ class Solution(NamedTuple):
 
 
 class Solver(Protocol):
-    """Solves arcs of n satellites; ``tail`` is the number T of values from which it goes on."""
+    """Solves arcs of n satellites; ``tail`` is the number T of values needed to continue."""
 
     device: torch.device
     tail: int

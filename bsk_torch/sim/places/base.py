@@ -1,6 +1,6 @@
 """Interface of kinds of places: points that satellites may see, on the ground or in orbit.
 
-A kind says where its places are at a time and what a clear view of them needs. Models declare kinds: a component by its
+A kind defines the positions of its places over time and the conditions for a clear view. Models declare kinds: a component by its
 ``places``, a scenario by its method ``place_kinds``; both are called with :class:`PlaceTables` when a simulation is built. The
 name of a kind is a type of opportunities.
 """
@@ -156,7 +156,7 @@ class DrawnPlaces(Places):
         Args:
             tables: Tables of the simulation.
             clearances: Conditions of a clear view, such as ``AboveElevation`` or ``WithinRange``.
-            exists: Name of the draw that says which places exist, [num_envs, P], 1 or 0; all of them unless given.
+            exists: Name of the draw that marks existing places, [num_envs, P], 1 or 0 (default: all exist).
             advice: See :class:`Places`.
             names: See :class:`Places`.
         """

@@ -19,7 +19,7 @@ SLACK = 1e-5
 
 @dataclass(frozen=True)
 class AboveElevation:
-    """The satellite stands above a minimum elevation over the place; ``sin_min_elevation`` is its sine."""
+    """The satellite is above a minimum elevation over the place; ``sin_min_elevation`` is its sine."""
 
     sin_min_elevation: float
 
@@ -79,7 +79,7 @@ class ClearOfEarth:
 
 @dataclass(frozen=True)
 class Lit:
-    """The Sun shines on the place: at least the fraction ``visible`` of its diameter stands above the Earth's limb there.
+    """The Sun shines on the place: at least the fraction ``visible`` of its diameter is above the Earth's limb there.
 
     0 is the edge of the umbra, 1 that of the penumbra; at 0.5 half of the Sun's disc is visible. On the ground, the Sun is above
     the horizon.

@@ -1,4 +1,4 @@
-"""Places in orbit, without attitude or tick: debris, satellites of others, a catalogue to look at."""
+"""Places in orbit, without attitude or tick: debris, satellites of others, a catalog to look at."""
 
 from __future__ import annotations
 

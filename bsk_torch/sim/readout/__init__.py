@@ -1,1 +1,1 @@
-"""Quantities that are read from a simulation at a decision boundary."""
+"""Quantities read from a simulation at a decision boundary."""

@@ -1,4 +1,4 @@
-"""Checks of the model classes that users define: what the package would never use is refused at the definition."""
+"""Checks of user-defined model classes: members that would never be used raise an error at the definition."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ SIMILAR = 0.85
 
 
 def check_model(cls: type, base: type) -> None:
-    """Refuse a class of models with definitions that would never be used.
+    """Raise an error for a class of models with definitions that would never be used.
 
     Args:
         cls: The class that is being defined.

@@ -41,7 +41,7 @@ class Model:
     components: ClassVar[tuple[Component, ...]] = ()
 
     def __init_subclass__(cls, **options: object) -> None:
-        """Refuse definitions that would never be used, by a TypeError with advice."""
+        """Raise TypeError, with advice, for definitions that would never be used."""
         super().__init_subclass__(**options)
         check_model(cls, Model)
 

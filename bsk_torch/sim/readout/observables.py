@@ -1,6 +1,6 @@
 """Observables: quantities of satellites at a decision boundary, computed for all environments in one call.
 
-An :func:`observable` is a property of a model that is written on planes, as the tick is. Those that an environment reads at every
+An :func:`observable` is a property of a model written on planes, as the tick is. Those that an environment reads at every
 step are computed together, by one kernel where there is one; any of them can be read at any time.
 """
 
@@ -155,12 +155,12 @@ class Observer:
         self._version = -1  # of the state from which values were read
 
     def want(self, functions: Iterable[Function]) -> None:
-        """Add functions to those that are read at every step, which one kernel then computes together."""
+        """Add functions to those read at every step, which one kernel then computes together."""
         self.wanted, self._kernel = tuple(dict.fromkeys((*self.wanted, *functions))), None
         self._values = {}
 
     def _forget_the_past(self) -> None:
-        """Drop the values that were read before the state changed."""
+        """Drop the values read before the state changed."""
         self._values, self._now, self._version = {}, None, self.state.version
 
     def read(self, function: Function) -> Tensor:

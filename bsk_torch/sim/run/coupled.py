@@ -44,15 +44,15 @@ class Dependencies:
 
     Attributes:
         depends_on: For each type, the type that it follows by slot.
-        order: The types, those that are followed before those that follow them, and those whose events end steps first.
+        order: The types, those followed before those that follow them, and those whose events end steps first.
     """
 
     def __init__(self, simulators: Sequence[Simulator]) -> None:
-        """Find the satellites that are followed."""
+        """Find the followed satellites."""
         self.simulators = simulators
         self.depends_on = [{name: self._owner(name) for name in simulator.followed} for simulator in simulators]
         depth: dict[int, int] = {}
-        while len(depth) < len(simulators):  # FleetBuilder has built those that are followed first, so there are no circles
+        while len(depth) < len(simulators):  # FleetBuilder has built those followed first, so there are no circles
             for k, others in enumerate(self.depends_on):
                 if k not in depth and all(other in depth for other in others.values()):
                     depth[k] = 1 + max((depth[other] for other in others.values()), default=0)

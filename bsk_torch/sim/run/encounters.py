@@ -30,7 +30,7 @@ NEVER = 2**62
 """Number of a tick that does not come."""
 
 AT_ONCE = 1 << 18
-"""Distances that are computed in one go: few enough to stay in a processor's cache."""
+"""Distances computed in one go: few enough to stay in a processor's cache."""
 
 AT_REST = 1e-300
 """Square of a distance, m^2, below which two satellites do not move relative to each other within a tick."""
@@ -162,7 +162,7 @@ def first_ticks(pieces: Iterator[tuple[Tensor, Vec3, Vec3]], limits: Limits, las
         pieces: Ticks [T] of a piece of the run, and the relative positions [n, P, T], m, one tick before each and at it; the tick
             before the start is the start itself.
         limits: The conditions.
-        last: Last tick that is looked at, [n]; negative for none.
+        last: Last tick looked at, [n]; negative for none.
     """
     first = torch.full_like(limits.every, NEVER)
     for ticks, before, now in pieces:

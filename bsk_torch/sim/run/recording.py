@@ -166,7 +166,7 @@ class Recording:
         self._add(envs, number, values)
 
     def _recorded(self, ticks: Tensor) -> Tensor:
-        """Return the ticks that are recorded; for others :data:`NO_TICK`."""
+        """Return the recorded ticks; for others :data:`NO_TICK`."""
         return torch.where(ticks % self.every == 0, ticks, NO_TICK)
 
     def _blank(self, n: int, ticks: int) -> Tensor:
@@ -206,7 +206,7 @@ class Recording:
         return data
 
     def of(self, env: int, episode: int | None = None) -> TensorDict:
-        """Return the records of one episode; the last one of an environment that was recorded, unless its number is given.
+        """Return the records of one episode of an environment (default: the last recorded one).
 
         Raises:
             KeyError: If nothing of it has been recorded.
@@ -275,7 +275,7 @@ class Recording:
         self.stop()
 
     def __repr__(self) -> str:
-        """Say what is recorded."""
+        """Return a description of the recording."""
         named = f"{list(self.fields)} of {', '.join(self.satellites)}"
         return f"Recording({named}, every={self.every}, {len(self.envs)} environments)"
 

@@ -77,7 +77,7 @@ class Runner(Protocol):
         Args:
             state: Fields of the components [C, N] float64, which change.
             counts: Number of ticks [N].
-            tracks: Samples of quantities that are known in advance.
+            tracks: Samples of quantities known in advance.
             expected_ticks: Probable number of ticks [N], where stops make it differ from ``counts``; a matter of speed only.
             shared: Uniform parameters [C, 1] float64.
             own: Parameters of each row [C, N] float64.
@@ -87,7 +87,7 @@ class Runner(Protocol):
             nanoseconds: Length of a tick.
             lockstep: Rows of an episode, which end together in the tick in which the first of them stops.
             written: Room for the fields that each tick records, [N, K, C].
-            present: Rows that run, [N]; all unless given.
+            present: Rows that run, [N] (default: all).
 
         Returns:
             Number of ticks that each row has run, [N]; of rows that are not present, that of their episode, or ``counts``.

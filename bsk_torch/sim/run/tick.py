@@ -1,4 +1,4 @@
-"""One simulated tick of one satellite type: the function that is compiled.
+"""One simulated tick of one satellite type: the function to compile.
 
 Inside a tick every quantity is a plane, one number of every environment. The same source runs on tensors [n], eagerly or through
 inductor, and on symbolic planes, which become one loop in C++ (:mod:`bsk_torch.codegen`).
@@ -126,7 +126,7 @@ class Tick:
     def advance(self, inputs: Inputs, named: bool = False) -> tuple[list[Any], Any]:
         """Return the planes of the state at the end of the tick, and the mask of rows that end their run with it, or None.
 
-        A MissingMessageError of a component says which one it is, if ``named``.
+        A MissingMessageError names its component, if ``named``.
         """
         bus = self.bus(inputs)
         update = _update_named if named else _update

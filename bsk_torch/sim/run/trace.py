@@ -1,7 +1,7 @@
 """Traces: fields of satellites at every tick of a run, for what depends on several satellites at the same time.
 
 Satellites of each type run in a separate kernel. A component that ``records`` fields leaves a trace of them; one that
-``follows`` another satellite reads that one's trace, tick by tick, so the satellite which is followed runs first. What depends on
+``follows`` another satellite reads that one's trace, tick by tick, so the followed satellite runs first. What depends on
 the motion of several satellites, such as the distance between them, is computed from their traces after a run.
 """
 
@@ -72,7 +72,7 @@ class Trace(NamedTuple):
 
     def samples(self, h_ns: int, owner: Tensor) -> Samples:
         """Return the trace as samples of :func:`trace_track` for rows that follow the rows ``owner`` [n] of the trace."""
-        # records are looked up half a tick after their time, where no rounding of time moves them to a neighbour
+        # records are looked up half a tick after their time, where no rounding of time moves them to a neighbor
         return Samples(self.table, (self.start.double() - 0.5) * (h_ns * NANO), owner)
 
 

@@ -28,7 +28,7 @@ from bsk_torch.viz.figures.world import pieces, world_map
 __all__ = ["ConstellationEpisode", "constellation_figure"]
 
 TAIL = 900.0
-"""Seconds of flight that are drawn bold before the moment that the map shows."""
+"""Seconds of flight drawn bold before the moment that the map shows."""
 
 MAP_HEIGHT, ROW_HEIGHT, ALL_ROWS = 4.35, 0.27, (1.2, 9.0)
 """Heights of the map and of a satellite's row, and least and most of all rows together, inches."""
@@ -47,7 +47,7 @@ TASKS = {
     "desat": "#dccff0",
     "drift": "#eceef1",
 }
-"""Colours of tasks, so light that images stand out."""
+"""Colors of tasks, so light that images stand out."""
 
 OTHER_TASKS = ("#cfe8ef", "#ecd9c6", "#f3cdd9", "#dfe3c4")
 
@@ -145,7 +145,7 @@ class ConstellationEpisode:
 
     @property
     def colors(self) -> list[str]:
-        """Colour of each satellite."""
+        """Color of each satellite."""
         return [PALETTE[k % len(PALETTE)] for k in self.group]
 
     def group_name(self, group: int) -> str:
@@ -174,7 +174,7 @@ class ConstellationEpisode:
 
     @property
     def paid(self) -> Tensor:
-        """Mask of images that were rewarded, [I]."""
+        """Mask of rewarded images, [I]."""
         return torch.ones(len(self.image_times), dtype=torch.bool) if self.image_paid is None else self.image_paid
 
     @property
@@ -247,7 +247,7 @@ def _track(panel: Axes, episode: ConstellationEpisode, k: int, color: str, now: 
 
 
 def _images_on_map(panel: Axes, episode: ConstellationEpisode) -> None:
-    """Dots in the satellite's colour, hollow for images without reward."""
+    """Dots in the satellite's color, hollow for images without reward."""
     for rows, paid in ((~episode.paid, False), (episode.paid, True)):
         colors = [episode.colors[k] for k in episode.image_satellite[rows].tolist()]
         face, edge, width = (colors, "white", 0.5) if paid else ("white", colors, 1.0)
@@ -290,7 +290,7 @@ def _satellites(panel: Axes, episode: ConstellationEpisode) -> None:
 
 
 def _world_legend(episode: ConstellationEpisode) -> list[Artist]:
-    """Groups, unless there are so many that colours repeat, and markers that are on the map."""
+    """Groups, unless there are so many that colors repeat, and markers that are on the map."""
     groups = sorted(set(episode.group))
     lines = [Line2D([], [], color=PALETTE[g % len(PALETTE)], linewidth=2.2, label=episode.group_name(g)) for g in groups]
     markers = [
@@ -342,7 +342,7 @@ def _tasks(panel: Axes, episode: ConstellationEpisode) -> list[Artist]:
 
 
 def _images_over_time(panel: Axes, episode: ConstellationEpisode) -> None:
-    """A tick for every image, short and grey for those without reward."""
+    """A tick for every image, short and gray for those without reward."""
     for rows, paid in ((~episode.paid, False), (episode.paid, True)):
         who, hours = episode.image_satellite[rows].tolist(), (episode.image_times[rows] / HOUR).tolist()
         low = BAR[0] if paid else 0.5 * sum(BAR)

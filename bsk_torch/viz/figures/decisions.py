@@ -20,10 +20,10 @@ OUTCOMES = {
     UNPAID: (PALETTE[1], "imaged, no reward"),
     LOST: (PALETTE[3], "not imaged (downwards)"),
 }
-"""Colour and name of the outcome of an imaging decision."""
+"""Color and name of the outcome of an imaging decision."""
 
 MODES = tuple(color for color in PALETTE if color not in {color for color, _ in OUTCOMES.values()})
-"""Colours of what else is done."""
+"""Colors of what else is done."""
 
 NAME_HEIGHT = 0.14
 """Height of a line's name, fraction of the panel's."""
@@ -33,7 +33,7 @@ QUANTITIES = {
     "wheel_speeds_fraction": "fastest wheel",
     "storage_level_fraction": "data store",
 }
-"""Resources that are drawn where the satellite has them, and what they are called."""
+"""Resources drawn where the satellite has them, and what they are called."""
 
 
 def decisions(panel: Axes, episode: ImagingEpisode, span: tuple[float, float]) -> list[Artist]:

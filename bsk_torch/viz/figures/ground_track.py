@@ -25,13 +25,13 @@ from bsk_torch.viz.recorders.track import ground
 __all__ = ["ground_track", "record_imaging_episode"]
 
 CLOSE_UP = 600.0
-"""Seconds of flight that are drawn large."""
+"""Seconds of flight drawn large."""
 
 SHOULDER = 30.0
 """Seconds of these before the first image and after the last."""
 
 KM = R_EARTH / 1e3
-"""Kilometres on the ground for a radian at the Earth's centre."""
+"""Kilometers on the ground for a radian at the Earth's center."""
 
 HEIGHTS = 4.35, 2.0, 1.6
 """Heights of the panels, inches."""
@@ -61,7 +61,7 @@ LEGEND: dict[str, Any] = dict(
 )
 
 DAY = LinearSegmentedColormap.from_list("day", ("#b9d3ee", PALETTE[0], "#12305a"))
-"""Colours of the track from start to end."""
+"""Colors of the track from start to end."""
 
 
 def ground_track(episode: ImagingEpisode, path: Path, title: str = "") -> Path:

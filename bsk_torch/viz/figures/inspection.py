@@ -39,13 +39,13 @@ NEAR = 0.9
 """Part of the time that inspectors spend within the projections of what is near."""
 
 SMALL, LARGE = 18.0, 90.0
-"""Areas of the marks of the smallest and the largest manoeuvre, square points."""
+"""Areas of the marks of the smallest and the largest maneuver, square points."""
 
 COLORS = "viridis"
-"""Colours of points by time."""
+"""Colors of points by time."""
 
 LIT, BLANK = "#9aa3af", "#ffffff"
-"""Colours of points that were lit but not inspected, and of those that were never lit."""
+"""Colors of points that were lit but not inspected, and of those that were never lit."""
 
 DARK = 0.5
 """Visible fraction of the Sun below which the RSO is shown in the dark."""
@@ -61,7 +61,7 @@ class InspectionEpisode:
         rho_H: Positions of the inspectors in the RSO's Hill frame then, m [I, K, 3]: radial, along the track, orbit normal.
         illumination: Fraction of the Sun that the RSO sees then, [K].
         decisions: Times at which steps began and ended, ascending, [B].
-        fuel: Changes of velocity that the tanks were good for then, before any manoeuvre, m/s [I, B].
+        fuel: Changes of velocity that the tanks were good for then, before any maneuver, m/s [I, B].
         points: Directions of the points in the RSO's axes, [P, 3].
         lit_at: End of the step in which each was first lit, infinite for never, [P].
         inspected_at: End of the step in which each was first inspected, infinite for never, [P].
@@ -98,17 +98,17 @@ class InspectionEpisode:
 
     @property
     def colors(self) -> list[str]:
-        """Colour of each inspector."""
+        """Color of each inspector."""
         return [PALETTE[k % len(PALETTE)] for k in range(len(self.names))]
 
     @property
     def spent(self) -> Tensor:
-        """Manoeuvre of each inspector at the beginning of each step, m/s [I, B - 1]."""
+        """Maneuver of each inspector at the beginning of each step, m/s [I, B - 1]."""
         return -self.fuel.diff()
 
     @property
     def outcome(self) -> str:
-        """What was inspected, when it was complete, what it took, and who died, in words."""
+        """Summary of an inspection as text: points, completion, costs and deaths."""
         known, lit = (int(torch.isfinite(at).sum()) for at in (self.inspected_at, self.lit_at))
         done = f"{known} of {lit} lit points inspected"
         end = f", complete after {self.completed / HOUR:.1f} h" if isfinite(self.completed) else ""
@@ -125,8 +125,8 @@ class InspectionEpisode:
 def inspection_figure(episode: InspectionEpisode, path: Path, title: str = "") -> Path:
     """Draw an episode to the file ``path``, .png or .svg, with headline ``title`` unless that is empty.
 
-    From above: the paths about the RSO in projections of its Hill frame, as a whole and near it, with manoeuvres; a map of its
-    points, coloured by the time when they were inspected, and the numbers of lit and inspected points and the fuel over time.
+    From above: the paths about the RSO in projections of its Hill frame, as a whole and near it, with maneuvers; a map of its
+    points, colored by the time when they were inspected, and the numbers of lit and inspected points and the fuel over time.
     """
     figure = Figure(figsize=(10.0, sum(HEIGHTS) + 1.0), dpi=140, layout="constrained", facecolor="white")
     above, below = figure.subfigures(2, 1, height_ratios=HEIGHTS)  # type: ignore[misc]
@@ -154,7 +154,7 @@ def inspection_figure(episode: InspectionEpisode, path: Path, title: str = "") -
 
 
 def draw_paths(panel: Axes, episode: InspectionEpisode, x: int, y: int, near: bool) -> None:
-    """Draw the paths about the RSO, with manoeuvres, into a panel.
+    """Draw the paths about the RSO, with maneuvers, into a panel.
 
     Args:
         panel: The panel.
@@ -248,7 +248,7 @@ def _fuel(panel: Axes, episode: InspectionEpisode) -> None:
     """What the tanks are good for."""
     hours = (episode.decisions / HOUR).tolist()
     for k, color in enumerate(episode.colors):
-        # manoeuvres are made at the beginning of a step
+        # maneuvers are made at the beginning of a step
         panel.step(hours, episode.fuel[k].tolist(), where="pre", color=color, linewidth=1.6)
         if isfinite(death := float(episode.deaths[k])):
             where = int(torch.searchsorted(episode.decisions, episode.deaths[k]).clamp(max=len(hours) - 1))

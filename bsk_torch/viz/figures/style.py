@@ -16,10 +16,10 @@ from matplotlib.lines import Line2D
 from bsk_torch.files import write_file
 
 PALETTE = ("#2f6db3", "#e8a628", "#2f9e72", "#c1476b", "#7b62b8", "#5aa9c9", "#8c6d4f", "#6b7280")
-"""Colours that stay apart in print and for the colour-blind."""
+"""Colors that stay apart in print and for the color-blind."""
 
 INK, FAINT = "#333a45", "#d9dde3"
-"""Colours of text, and of lines that only guide the eye."""
+"""Colors of text, and of lines that only guide the eye."""
 
 
 def panels(heights: Sequence[float], width: float = 10.0) -> tuple[Figure, list[Axes]]:
@@ -51,7 +51,7 @@ def caption(panel: Axes, text: str) -> None:
 
 
 def name_lines(panel: Axes, lines: Mapping[str, tuple[float, str]], height: float) -> None:
-    """Names at the right of lines that end at given heights, in the lines' colours; a name has ``height`` of the panel's."""
+    """Names at the right of lines that end at given heights, in the lines' colors; a name has ``height`` of the panel's."""
     bottom, top = panel.get_ylim()
     finite = {name: (end, color) for name, (end, color) in lines.items() if isfinite(end)}
     ends = spread([end for end, _ in finite.values()], height * (top - bottom))
@@ -60,7 +60,7 @@ def name_lines(panel: Axes, lines: Mapping[str, tuple[float, str]], height: floa
 
 
 def spread(heights: Sequence[float], gap: float) -> list[float]:
-    """Heights moved up or down in their order until neighbours are at least ``gap`` apart."""
+    """Heights moved up or down in their order until neighbors are at least ``gap`` apart."""
     order = sorted(range(len(heights)), key=heights.__getitem__)
     moved = list(heights)
     for _ in range(100):

@@ -116,7 +116,7 @@ def mark(axes: Sequence[Axes], hour: float, text: str, row: int = 0) -> None:
 
 
 def mode_color(action: int) -> str:
-    """Colour of an entry of the ``action_spec``."""
+    """Color of an entry of the ``action_spec``."""
     return PALETTE[action % len(PALETTE)]
 
 

@@ -15,7 +15,7 @@ from torch import Tensor
 from bsk_torch.viz.figures.style import FAINT
 
 GROUND, COAST = "#eceff3", "#b4bcc8"
-"""Colours of land and of its coasts."""
+"""Colors of land and of its coasts."""
 
 
 @functools.cache

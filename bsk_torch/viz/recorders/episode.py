@@ -20,7 +20,7 @@ QUANTITIES = {
     "storage_level_fraction": "data store",
     "wheel_speeds_fraction": "wheel speeds",
 }
-"""Properties of the dynamics that are drawn where the satellite has them, and what they are called."""
+"""Properties of the dynamics drawn where the satellite has them, and what they are called."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,7 +59,7 @@ class Episode:
 
 
 def first_row(env: Tasking) -> Tensor:
-    """True for row 0 of an environment, which is recorded, [N]."""
+    """True for the recorded row 0 of an environment, [N]."""
     return torch.arange(env.batch_size[0], device=env.device) == 0
 
 
@@ -76,7 +76,7 @@ class Recorder:
         self.passes: set[tuple[float, float]] = set()
 
     def look(self) -> dict[str, Tensor]:
-        """Return the quantities that are recorded at a boundary."""
+        """Return the quantities recorded at a boundary."""
         dynamics = self.satellite.dynamics
         there = {name: getattr(dynamics, name)[0] for name in QUANTITIES if hasattr(type(dynamics), name)}
         return {"times": self.simulator.sim_time[0], **{name: value.reshape(-1) for name, value in there.items()}}

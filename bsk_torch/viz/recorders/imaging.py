@@ -53,7 +53,7 @@ class ImagingEpisode(TrackEpisode):
 
     @property
     def reach(self) -> float:
-        """Angle, rad, at the Earth's centre between the satellite and the farthest target that it can image.
+        """Angle, rad, at the Earth's center between the satellite and the farthest target that it can image.
 
         ``acos(q cos e) - e`` at elevation e, with q the Earth's radius over the satellite's.
         """

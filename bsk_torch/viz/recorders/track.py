@@ -90,7 +90,7 @@ def between(simulator: Simulator, times: Tensor, r_N: Tensor, v_N: Tensor, row: 
         times: Seconds since reset, [T].
         r_N: Position in N then, [T, 3] m.
         v_N: Velocity in N then, [T, 3] m/s.
-        row: From which of the T times to go on, [M].
+        row: From which of the T times to continue, [M].
         elapsed: For how long, [M] s.
     """
     arcs = Arcs(len(times), segments_for(float(elapsed.max()) + SAMPLE), simulator.arcs.solver)

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from bsk_torch.env.base import Tasking
 
 MOST = 16
-"""Episodes that are drawn unless others are asked for; more would take seconds and fill the memory."""
+"""Default maximum number of drawn episodes; more would take seconds and fill the memory."""
 
 LEAST_HEIGHT, USUAL_HEIGHT = 120, 480
 """Pixels."""
@@ -41,7 +41,7 @@ def chosen(env: Tasking, rows: int | Sequence[int] | None) -> list[int]:
     n = env.batch_size[0]
     if rows is None and n > MOST:
         raise ValueError(
-            f"rows=None draws every environment, and num_envs={n} is more than the {MOST} that are drawn unless asked for; "
+            f"rows=None draws every environment, and num_envs={n} is more than the {MOST} drawn by default; "
             "choose some, such as rows=0 or rows=[0, 1]"
         )
     wanted = list(range(n)) if rows is None else [rows] if isinstance(rows, int) else list(rows)

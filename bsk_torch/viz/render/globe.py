@@ -15,7 +15,7 @@ from bsk_torch.viz.figures.world import land
 from bsk_torch.viz.render.moment import Array, Moment
 
 SEA, LAND, COAST, MESH = "#cfe0f0", "#f1ecdf", "#a9a292", "#b9cde1"
-"""Colours of the Earth by day, and of the graticule."""
+"""Colors of the Earth by day, and of the graticule."""
 
 NIGHT = 0.58, 0.62, 0.72
 """Factors on red, green and blue by night."""
@@ -24,7 +24,7 @@ TWILIGHT = 0.1
 """Sine of the Sun's elevation at which it is day, and of its depression below the horizon at which it is night."""
 
 MAP_WIDTH = 2880
-"""Pixels around the equator of the map that is wrapped around the globe: eight in a degree."""
+"""Pixels around the equator of the map wrapped around the globe: eight in a degree."""
 
 MESH_WIDTH = 30
 """Degrees between the lines of the graticule."""
@@ -40,7 +40,7 @@ class Camera(NamedTuple):
     """An eye infinitely far away.
 
     Attributes:
-        axes: Right, up and towards the eye, rows in N, [3, 3].
+        axes: Right, up and toward the eye, rows in N, [3, 3].
         radius: Of the Earth, pixels.
         centre: Of the Earth in both directions, pixels.
     """

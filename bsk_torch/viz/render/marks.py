@@ -25,13 +25,13 @@ COLORS = {
     "idle": PALETTE[7],
     DEAD: "#14171c",
 }
-"""Colours of what satellites do."""
+"""Colors of what satellites do."""
 
 OTHER = PALETTE[6]
-"""Colour of whatever else they do."""
+"""Color of whatever else they do."""
 
 NEW, DONE = "#3f4856", "#12b76a"
-"""Colours of targets, and of those that have been imaged."""
+"""Colors of targets, and of imaged targets."""
 
 TRIANGLE = 3
 """Sides of the marks of ground stations."""
@@ -43,7 +43,7 @@ FRESH, FAINT = 235, 70
 """Opacity of the orbit right behind a satellite, and of the rest, of 255."""
 
 NAMED = 16
-"""Satellites of an episode up to which names are written beside them."""
+"""Maximum number of satellites with names."""
 
 
 EDGE = 0.88
@@ -84,12 +84,12 @@ def font(size: float) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
 
 
 def color_of(mode: str) -> str:
-    """Colour of what a satellite does."""
+    """Color of what a satellite does."""
     return COLORS.get(mode, OTHER)
 
 
 def shade(color: str, opacity: int) -> tuple[int, ...]:
-    """A colour with an opacity of 0 to 255."""
+    """A color with an opacity of 0 to 255."""
     return (*ImageColor.getrgb(color)[:3], opacity)
 
 
@@ -152,7 +152,7 @@ def _satellites(pen: Pen, moment: Moment) -> None:
 
 
 def write_names(pen: Pen, moment: Moment) -> None:
-    """Names beside the satellites of a constellation that is not too large."""
+    """Names next to the satellites of a small constellation."""
     pixels, there = pen.eye.seen(moment.r_N)
     if 1 < len(pixels) <= NAMED:
         for at, seen, name in zip(pixels.tolist(), there.tolist(), moment.names, strict=True):

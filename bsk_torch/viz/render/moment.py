@@ -159,7 +159,7 @@ def _stations(simulators: Iterable[Simulator]) -> Tensor:
 
 
 def _targets(env: Tasking, row: int, modes: list[str]) -> tuple[Tensor, Tensor, Tensor]:
-    """Positions of the targets [T, 3], which have been imaged [T], and where each satellite looks [S, 3]."""
+    """Positions of the targets [T, 3], whether they have been imaged [T], and where each satellite looks [S, 3]."""
     nowhere = torch.full((env.fleet.size, 3), torch.nan, dtype=torch.float64)
     scenario: Any = env.scenario
     if not hasattr(scenario, "most_targets"):

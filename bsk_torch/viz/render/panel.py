@@ -9,7 +9,7 @@ from bsk_torch.viz.render.marks import DONE, NEW, TRIANGLE, Pen, color_of
 from bsk_torch.viz.render.moment import LOW, Moment
 
 SOFT = PALETTE[7]
-"""Colour of text that explains."""
+"""Color of text that explains."""
 
 
 class _Column:
@@ -47,7 +47,7 @@ class _Column:
 
 
 def write_panel(pen: Pen, moment: Moment, left: float, width: float) -> None:
-    """Write all that is known of a moment into a column of pixels."""
+    """Write all known of a moment into a column of pixels."""
     margin, several = 12.0 * pen.unit, len(moment.names) > 1
     column = _Column(pen, left + 0.5 * margin, width - 1.5 * margin)
     column.text(f"{len(moment.names)} satellites" if several else moment.names[0], 17.0)

@@ -20,7 +20,7 @@ Columns = Mapping[str, Sequence[float]]
 """Columns of a CSV file by name."""
 
 FRESH, TRAINING, PAPER = PALETTE[0], "#8fa6c2", PALETTE[3]
-"""Colours of fresh episodes, of those of the training, and of what the paper says."""
+"""Colors of fresh episodes, of those of the training, and of what the paper says."""
 
 MARGIN, AFTER = 0.08, 1.015
 """Free part of the ordinate above and below what is drawn, and length of the abscissa in that of the training."""
@@ -39,14 +39,14 @@ class Mark:
 
 @dataclass(frozen=True)
 class Measure:
-    """A column of the logs that is followed over training.
+    """A column of the logs followed over training.
 
     Attributes:
         name: The column.
         title: What it is called.
         about: What it is, in a sentence without its full stop.
         figure: Number of the paper's figure of it.
-        mark: What the paper says of it; source: section 4.2 of the paper, in words.
+        mark: The paper's value and its source, from the text of section 4.2.
         fraction: Whether it is a fraction, shown in percent from 0 to 100.
     """
 

@@ -36,7 +36,7 @@ PAPER_SPEED = "The paper reports 103,000 steps and 165.5 simulated days per core
 
 
 class Chosen(NamedTuple):
-    """An episode of a report: why it is shown ("best"), its number among those that were played, and what happened."""
+    """An episode of a report: why it is shown ("best"), its number among the played ones, and its record."""
 
     why: str
     number: int
@@ -80,7 +80,7 @@ class RunData:
 
 
 class Shown(NamedTuple):
-    """A picture on the page: its address with everything in it, what it shows in a sentence, what stands in for it, its name."""
+    """A figure on the page: its data URL, its caption, its alternative text, its name."""
 
     source: str
     caption: str
@@ -178,7 +178,7 @@ def _pictures(chosen: Chosen) -> list[Shown]:
         return [
             picture(
                 partial(inspection_figure, episode),
-                "Paths about the RSO with manoeuvres, its points and when they were inspected, and points and fuel over time.",
+                "Paths about the RSO with maneuvers, its points and when they were inspected, and points and fuel over time.",
                 f"Paths about an RSO and a map of its points {words}.",
             )
         ]
@@ -190,12 +190,12 @@ def _pictures(chosen: Chosen) -> list[Shown]:
     return [
         picture(
             partial(track_map, episode),
-            "Where the satellite flew: coloured by mode, thick where a reward was earned, shaded in eclipse.",
+            "Where the satellite flew: colored by mode, thick where a reward was earned, shaded in eclipse.",
             f"World map with the ground track {words}.",
         ),
         picture(
             partial(timeline, episode),
-            "What the satellite did and what became of its resources, with eclipses in grey and station passes in green.",
+            "What the satellite did and what became of its resources, with eclipses in gray and station passes in green.",
             f"Modes and resources over time {words}.",
         ),
     ]
@@ -250,7 +250,7 @@ def _row(result: Mapping[str, Any], mortal: bool) -> dict[str, str]:
 
 
 def survival(result: Mapping[str, Any]) -> str:
-    """The share of episodes that a policy survived, with its interval where that is known."""
+    """The share of episodes survived by a policy, with its interval if known."""
     if not _number(result.get("survival")):
         return ""
     limits = " to ".join(f"{limit:.1%}" for limit in result.get("survival_interval", ()))

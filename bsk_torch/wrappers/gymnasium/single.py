@@ -38,7 +38,7 @@ class GymEnv(EpisodeView, gymnasium.Env[Any, Any]):
     """One episode at a time, as ``gymnasium.Env``.
 
     The action space is Discrete, a Box where actions are real numbers, or for hybrid actions a Dict of both, ``values`` and
-    ``choice``; of real numbers, None or ``NO_ACTION`` in all of them goes on with the task, and there is no ``action_mask``.
+    ``choice``; of real numbers, None or ``NO_ACTION`` in all of them continues the task, and there is no ``action_mask``.
 
     ``info`` has ``action_mask`` ([n] int8, 1 for legal actions), ``duration`` (of the step, s; also under bsk_rl's name
     ``d_ts``), ``requires_retasking`` (bool), and the counters of satellite and rewarder, such as ``imaged`` and ``missed`` of

@@ -78,7 +78,7 @@ class GymVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
             output: ``"numpy"``, or ``"torch"`` for tensors on the core's device and in its dtype; ``final_obs`` is then batched.
             render_mode: ``"rgb_array"`` for pictures by :meth:`render`, which need the extra ``viz``.
             metrics: Function of :attr:`core` that returns numbers [N] by name, called when episodes end: ``info["metrics"]`` has
-                those of the episodes that have ended in this step, zeros for the others (``info["_metrics"]`` says which).
+                those of the episodes that have ended in this step, zeros for the others (marked in ``info["_metrics"]``).
             **options: Arguments for the preset or function, such as ``time_limit=600.0``.
         """
         if output not in OUTPUTS:
@@ -118,7 +118,7 @@ class GymVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         Args:
             seed: One seed for the batch, whose environments differ by their index, or one for each environment, where None keeps
                 the present seed. None for the next episodes of the present seeds.
-            options: ``{"reset_mask": mask}`` with booleans [N] leaves the other environments as they are; ``{"state": state}``
+            options: ``{"reset_mask": mask}`` with booleans [N] leaves the other environments unchanged; ``{"state": state}``
                 starts from a state of ``core.get_state()``.
         """
         options = check_options(options, ("reset_mask", "state"))

@@ -13,7 +13,7 @@ SAMPLES_PER_CELL = 16
 """Samples of a cell, the unit of the coarse screen, which compares only the middle one with all places."""
 
 CLASSIFIED_SAMPLES = SAMPLES_PER_CELL + 2
-"""Samples that are classified for each cell: its own and two more, so that each triple of neighbours is complete in some cell."""
+"""Samples classified for each cell: its own and two more, so that each triple of neighbors is complete in some cell."""
 
 RISE, SET, SHORT_PASS, ABOVE_LIMIT = 1, 2, 4, 8
 """Bits of an event code; ``ABOVE_LIMIT`` is set at the first and last sample of a search only."""

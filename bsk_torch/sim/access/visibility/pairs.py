@@ -1,4 +1,4 @@
-"""Pairs of a satellite and a place on the ground, and the searches that are made for each of them."""
+"""Pairs of a satellite and a place on the ground, and the searches made for each of them."""
 
 from __future__ import annotations
 
