@@ -33,7 +33,7 @@ SHOWN = 5
 def without_autograd() -> Iterator[None]:
     """A context, or a decorator, without gradients and outside of torch's inference mode.
 
-    State that is made in inference mode could never be written into outside of it.
+    State created in inference mode could never be written into outside of it.
     """
     if torch.is_inference_mode_enabled():
         with torch.inference_mode(False), torch.no_grad():
@@ -44,7 +44,7 @@ def without_autograd() -> Iterator[None]:
 
 
 def owned(value: Tensor) -> Tensor:
-    """Return the tensor, or a copy of one that was made in torch's inference mode, which can be written into."""
+    """Return the tensor, or a writable copy if it was created in inference mode."""
     if not value.is_inference():
         return value
     with without_autograd():

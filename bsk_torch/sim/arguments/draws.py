@@ -134,7 +134,7 @@ class TypeArguments:
         return values
 
     def _check(self, values: dict[str, Any], replaced: bool) -> None:
-        """Check what values mean together; ``replaced`` says whether arguments of some satellites are."""
+        """Check what values mean together; ``replaced``: whether arguments of some satellites are replaced."""
         for part in self.parts:
             part.check(values)
         self._check_tick(values, replaced)
