@@ -267,6 +267,18 @@ def pretrained() -> str:
     return f"{table(['preset', 'command', 'decisions', 'wall time', 'return', 'survival'], rows)}\n\n{note}\n"
 
 
+def pretrained_short() -> str:
+    """Return what the policies of the package reach, and how long their training took."""
+    makings = json.loads((ROOT / "bsk_torch" / "rl" / "policies" / "policies.json").read_text())
+    rows = []
+    for preset, made_by in makings.items():
+        score = made_by["score"]
+        reached = f"{score['return']:.2f} ± {score['half_width']:.2f}"
+        cells = [whole(made_by["frames"]), f"{made_by['seconds'] / 60.0:.0f} min", reached, f"{score['survival']:.1%}"]
+        rows.append([f"[{preset}](../api/presets.md)", *cells])
+    return f"{table(['preset', 'decisions in training', 'time', 'return', 'survival'], rows)}\n"
+
+
 def inspections(*names: str) -> str:
     """Return what rules and trained policies reach in the presets of inspection."""
     rows, commands = [], []
@@ -466,6 +478,7 @@ TABLES = {
     "flights": flights,
     "failures": failures,
     "pretrained": pretrained,
+    "pretrained_short": pretrained_short,
     "inspections": inspections,
     "planners": planners,
     "suites": suites,

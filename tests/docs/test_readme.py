@@ -43,7 +43,10 @@ def test_figures_are_those_that_were_measured():
         r"satellites are simulated ([\d,]+) times .* satellites ([\d,]+) times; a single satellite ([\d.]+) times", text
     )
     assert quoted.groups() == (f"{ratios['4096']:,.0f}", f"{ratios['imaging-1k-1024']:,.0f}", f"{ratios['1']:.1f}")
+    page = " ".join((ROOT / "docs" / "index.md").read_text().split())
+    assert f"[{ratios['4096']:,.0f} times]" in page
     flown = result("flight_nadir_scan")["summary"]
     episodes, decisions = re.search(r"flew (\d+) episodes on Basilisk itself and chose .* of ([\d,]+) decisions", text).groups()
     for side in ("bsk_torch", "basilisk"):
         assert f"{flown[side]['decisions'][0] * int(episodes):,.0f}" == decisions
+    assert f"[{decisions} of {decisions}]" in page
