@@ -68,6 +68,7 @@ path = learning_curve(read_log(folder / LOG), Path("curve.png"), levels, "NadirS
 # .. code-block:: text
 #
 #     bsk-torch train NadirScan-v1 --frames 262144 num_envs=256 rollout=32 evaluate_every=0 --out runs/scan
+#
 # which also evaluates and plots. To continue the run, use ``bsk-torch train runs/scan --resume frames=3000000``. A full training
 # of three million decisions takes a few minutes.
 #

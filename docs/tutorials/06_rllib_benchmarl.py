@@ -97,23 +97,28 @@ path = draw(record(experiment.policy, alone, seed=4), "ippo.png", "IPPO of Bench
 #     python -m venv .venv-rllib
 #     .venv-rllib/bin/pip install -e . 'ray[rllib]==2.60.0'
 #     .venv-rllib/bin/python examples/ppo_rllib.py
+#
 # RLlib steps batches of episodes through Gymnasium's vector entry point, and expects the mask of legal actions next to the
 # observation. A wrapper adds it:
 #
 # .. literalinclude:: /../examples/ppo_rllib.py
 #     :pyobject: MaskedObservations
+#
 # RLlib's environment is one batched simulation:
 #
 # .. literalinclude:: /../examples/ppo_rllib.py
 #     :pyobject: make_vector
+#
 # Register it under a name, and select it with the entry point. The network is RLlib's module for masked actions:
 #
 # .. literalinclude:: /../examples/ppo_rllib.py
 #     :pyobject: make_algorithm
+#
 # Wrap the trained module as a policy for ``evaluate``:
 #
 # .. literalinclude:: /../examples/ppo_rllib.py
 #     :pyobject: as_policy
+#
 # RLlib stores episodes as Python objects, one decision after the other, and discounts per decision. For several agents with
 # different clocks, RLlib needs connectors; :ref:`sphx_glr_gallery_bsk_rl_async_multiagent_training.py` uses a mask instead.
 # Next steps

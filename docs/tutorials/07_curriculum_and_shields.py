@@ -105,6 +105,7 @@ panel.grid(axis="y", alpha=0.3)
 # - ``env.set_sat_args(arguments, envs=ended)`` sets the environments that use the new values. Large batches prepare their next
 #   episodes in advance; the prepared episodes of ``ended`` are discarded.
 # - ``env.maybe_reset`` starts the next episodes.
+#
 # Distributions can be changed in the same way, for all environments at once. From the next episodes on, these satellites start
 # with 20 to 40 % of charge:
 env.set_sat_args({"storedCharge_Init": rand.Uniform(0.2 * CAPACITY, 0.4 * CAPACITY)})

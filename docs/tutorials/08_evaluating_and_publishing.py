@@ -130,6 +130,7 @@ bsk_torch_command("report", str(folder), "--episodes", SHOWN)
 #
 # .. image:: /../benchmarks/results/report.png
 #    :alt: Return, survival, collected data and buffer level over training, with the paper's values marked
+#
 # Load a policy file
 # ------------------
 #

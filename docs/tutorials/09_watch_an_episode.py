@@ -100,6 +100,7 @@ film(env, pretrained("NadirScan-v1"), "scanning.webp", seed=7, frames=FRAMES)
 #
 #     env = gymnasium.make("bsk_torch/NadirScan-v1", render_mode="rgb_array")
 #     env = RecordVideo(env, "videos", episode_trigger=lambda episode: episode == 0)
+#
 # For figures of a whole episode instead of a film, use ``record`` and ``draw``; see :ref:`tutorial-scanning`.
 #
 # Next steps

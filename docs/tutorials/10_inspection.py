@@ -150,6 +150,7 @@ path = learning_curve(read_log(folder / LOG), Path("curve.png"), {}, "RSOInspect
 #
 #     bsk-torch train RSOInspection-v1 --minutes 10 options.actions=waypoints num_envs=256 rollout=16 \
 #         'hidden=[128,128]' gamma=0.9999 epochs=4 minibatch=1024 learning_rate=1e-3 entropy=0.01 evaluate_every=50000
+#
 # Next steps
 # ----------
 #

@@ -129,6 +129,7 @@ figure.tight_layout()
 # .. code-block:: text
 #
 #     bsk-torch eval plan:rollout --preset AEOS-v1 --plan base=hasty --plan horizon=240 --plan budget=8 --seeds 0:8
+#
 # Next steps
 # ----------
 #
