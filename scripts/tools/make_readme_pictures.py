@@ -5,7 +5,7 @@
 They are written to docs/_static/readme, those of guides to docs/_static/how_to; all of them unless some are named. The film and
 the thumbnails show the pretrained policies; the plot shows ``benchmarks/results/vs_basilisk.json`` and
 ``vs_basilisk_imaging.json``; the pictures of guides are those that the blocks of code of these pages draw. Needs the
-extras ``viz`` and ``cities``.
+extras ``viz``, ``video`` and ``cities``.
 """
 
 from __future__ import annotations
@@ -42,6 +42,9 @@ RESULTS = ROOT / "benchmarks" / "results"
 
 FILM_HEIGHT, FILM_STEP, FILM_TIME, FRAME_MS = 400, 20.0, 2400.0, 90
 """Pixels from top to bottom, simulated seconds between two frames and in all, and milliseconds that a frame is shown."""
+
+VIDEO_HEIGHT, VIDEO = 720, ["-crf", "27", "-movflags", "+faststart"]
+"""Height of the film of the site, pixels, and how ffmpeg packs it: as browsers play it, and from the start."""
 
 COLORS = 64
 """Colours of the film."""
@@ -81,17 +84,32 @@ def played(preset: str, seed: int, **options: Any) -> Iterator[Tasking]:
         yield env
 
 
-def film(folder: Path) -> Path:
-    """Write ``film.gif``: twelve satellites in the environment Constellation-v1, with 1,000 targets."""
+def film(folder: Path) -> list[Path]:
+    """Write ``film.gif``, and for the site larger as ``film.mp4`` and its middle as ``film.jpg``.
+
+    It shows twelve satellites in the environment Constellation-v1, with 1,000 targets.
+    """
+    from imageio_ffmpeg import write_frames  # moviepy brings it
+
     frames: list[Image.Image] = []
+    large: list[Any] = []
     for env in played("Constellation-v1", FILM_SEED, n_targets=1000, max_step_duration=FILM_STEP, time_limit=FILM_TIME):
         while float(env.fleet.sim_time[0]) >= FILM_STEP * len(frames):  # steps also end with tasks
             frames.append(Image.fromarray(env.render(0, FILM_HEIGHT).numpy()))
+            large.append(env.render(0, VIDEO_HEIGHT).numpy())
+    video, poster = folder / "film.mp4", folder / "film.jpg"
+    height, width, _ = large[0].shape
+    writer = write_frames(str(video), (width, height), fps=1000.0 / FRAME_MS, codec="libx264", quality=None, output_params=VIDEO)
+    writer.send(None)
+    for shot in large:
+        writer.send(shot)
+    writer.close()
+    Image.fromarray(large[len(large) // 2]).save(poster, quality=85)
     palette = frames[len(frames) // 2].quantize(COLORS, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)
     flat = [frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames]
     path = folder / "film.gif"
     flat[0].save(path, save_all=True, append_images=flat[1:], duration=FRAME_MS, loop=0, optimize=True)
-    return path
+    return [path, video, poster]
 
 
 def thumbnails(folder: Path) -> list[Path]:

@@ -1,6 +1,7 @@
 """Frames show what there is, and drawing them changes nothing."""
 
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,9 +14,12 @@ from tensordict import TensorDict
 import bsk_torch
 from bsk_torch.astro.frames import lla_to_fixed
 from bsk_torch.constants import R_EARTH
+from bsk_torch.rl.policies.shared_policy import shared_baseline
+from bsk_torch.viz.recorders.inspection import rewarder_of
+from bsk_torch.viz.render.closeup import INSPECTED, LIT, look_closely
 from bsk_torch.viz.render.frames import MOST, picture
 from bsk_torch.viz.render.globe import LAND, NIGHT, SEA, Camera, camera, globe
-from bsk_torch.viz.render.marks import DONE, color_of
+from bsk_torch.viz.render.marks import DONE, NEW, color_of
 from bsk_torch.viz.render.moment import DEAD, look, revolution
 from tests.wrappers.constellations import EMPTY, FULL, trio
 
@@ -295,3 +299,84 @@ def test_imaged_targets_are_drawn_in_their_colour():
     greens = [after[int(y), int(x)] for x, y in pixels[central]]
     near = [np.abs(green.astype(int) - color(DONE)).max() < 40 for green in greens]
     assert np.mean(near) > 0.8  # the others lie below orbits and satellites
+
+
+def test_the_dead_are_shown_with_their_cause():
+    env = trio(charges=(FULL, EMPTY, FULL), num_envs=2)
+    td = env.reset()
+    assert look(env, 0).causes == ["", "", ""]
+    td["agents", "action"] = torch.zeros(2, 3, dtype=torch.int64)
+    env.step(td)
+    assert look(env, 0).causes == ["", "battery", ""]
+
+
+def test_targets_are_drawn_larger_the_more_they_are_worth():
+    env = constellation(num_envs=1)
+    env.reset()
+    moment = look(env, 0)
+    priority = env.scenario.priority[0]
+    assert np.allclose(moment.worth, (priority / priority.max())[env.scenario.available[0]].numpy())
+    dark = np.array([int(NEW[k : k + 2], 16) for k in (1, 3, 5)])
+    drawn = [
+        int(
+            (np.abs(picture(replace(moment, worth=np.full_like(moment.worth, worth)), 480).astype(int) - dark).sum(-1) < 60).sum()
+        )
+        for worth in (0.0, 1.0)
+    ]
+    assert drawn[1] > 2 * drawn[0]
+
+
+# -- inspections ------------------------------------------------------------------------------------------------------
+
+
+def inspection(steps=0):
+    env = bsk_torch.make("MultiInspection-v1", num_envs=2, seed=4, actions="waypoints", time_limit=20_000.0)
+    policy = shared_baseline("survey", env)
+    td = env.reset()
+    for _ in range(steps):
+        td = env.step(policy(td))["next"]
+    return env
+
+
+def test_an_inspection_is_seen_from_nearby():
+    env = inspection(6)
+    moment = look(env, 1)
+    close = look_closely(env, 1, moment)
+    assert [moment.names[k] for k in close.inspectors] == ["Inspector1", "Inspector2", "Inspector3"]
+    assert moment.names[close.rso] == "RSO"
+    reward = rewarder_of(env)
+    assert (close.known == INSPECTED).sum() == int(reward.inspected[1].sum()) > 0
+    assert (close.known >= LIT).sum() == int((reward.inspected | reward.illuminated)[1].sum())
+    away = np.linalg.norm(moment.r_N[close.inspectors] - moment.r_N[close.rso], axis=-1)
+    assert np.allclose(np.linalg.norm(close.rho_H, axis=-1), away)
+    assert np.array_equal(close.fuel, env.satellites[1].fsw.dv_available.view(2, 3)[1].numpy())
+    assert np.allclose(np.linalg.norm(close.normals_H, axis=-1), 1.0)
+    assert np.isclose(np.linalg.norm(close.sun_H), 1.0)
+
+
+def test_inspectors_drift_where_it_is_drawn():
+    """The linear motion is off by the square of distance over radius, the eccentricity, and the flattening of the Earth."""
+    env = bsk_torch.make("RSOInspection-v1", num_envs=1, seed=4, actions="thrust", time_limit=20_000.0)
+    td = env.reset()
+    before = look_closely(env, 0, look(env, 0))
+    td["chief", "action"] = torch.zeros(1, 1, dtype=torch.int64)
+    td["inspector", "action"] = torch.tensor([[[0.0, 0.0, 0.0, 1000.0]]])
+    after = env.step(td)["next"]
+    close = look_closely(env, 0, look(env, 0))
+    chief = env.satellites[0].dynamics
+    rate = float(torch.linalg.cross(chief.r_BN_N, chief.v_BN_N).norm() / chief.r_BN_N.square().sum())
+    where = float(after["duration"]) * rate / np.pi * (before.drifts_H.shape[1] - 1)  # samples since then
+    drawn = [np.interp(where, np.arange(before.drifts_H.shape[1]), axis) for axis in before.drifts_H[0].T]
+    assert np.allclose(before.drifts_H[:, 0], before.rho_H)
+    assert np.linalg.norm(close.rho_H[0] - drawn) < 0.01 * np.linalg.norm(close.rho_H[0])
+    assert np.linalg.norm(close.rho_H[0] - before.rho_H[0]) > 30.0
+
+
+def test_pictures_of_inspections_show_what_has_been_inspected():
+    env = inspection()
+    before = env.render(0).int()
+    env = inspection(6)
+    after = env.render(0).int()
+    assert before.shape == after.shape == (480, 640, 3)
+    green = [((shot[:, :480] - torch.tensor(color(DONE))).abs().sum(-1) < 30).sum() for shot in (before, after)]
+    assert int(green[1]) > int(green[0]) + 100

@@ -31,7 +31,7 @@ NAME_HEIGHT = 0.14
 QUANTITIES = {
     "battery_charge_fraction": "battery",
     "wheel_speeds_fraction": "fastest wheel",
-    "storage_level_fraction": "data store",
+    "storage_level_fraction": "data buffer",
 }
 """Resources drawn where the satellite has them, and what they are called."""
 

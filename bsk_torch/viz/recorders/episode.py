@@ -17,7 +17,7 @@ __all__ = ["Episode", "record_episode"]
 
 QUANTITIES = {
     "battery_charge_fraction": "battery",
-    "storage_level_fraction": "data store",
+    "storage_level_fraction": "data buffer",
     "wheel_speeds_fraction": "wheel speeds",
 }
 """Properties of the dynamics drawn where the satellite has them, and what they are called."""

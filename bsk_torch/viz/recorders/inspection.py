@@ -9,21 +9,24 @@ from torch import Tensor
 from bsk_torch.astro.relative import rv2HN
 from bsk_torch.data import ComposedReward, RSOInspectionReward
 from bsk_torch.env import ConstellationTasking
+from bsk_torch.env.base import Tasking
 from bsk_torch.env.rollout import play_episodes
 from bsk_torch.scene import RSOPoints
 from bsk_torch.viz.figures.inspection import InspectionEpisode
 from bsk_torch.viz.recorders.episode import first_row
 
-__all__ = ["InspectionRecorder", "inspects", "record_inspection"]
+__all__ = ["InspectionRecorder", "inspects", "record_inspection", "rewarder_of"]
 
 
-def inspects(env: ConstellationTasking) -> bool:
+def inspects(env: Tasking) -> bool:
     """Return whether the satellites of an environment are rewarded for inspecting points of an RSO."""
-    return isinstance(env.scenario, RSOPoints) and any(isinstance(part, RSOInspectionReward) for part in _parts(env))
+    return isinstance(env.scenario, RSOPoints) and rewarder_of(env) is not None
 
 
-def _parts(env: ConstellationTasking) -> list[object]:
-    return list(env.rewarder.rewarders) if isinstance(env.rewarder, ComposedReward) else [env.rewarder]
+def rewarder_of(env: Tasking) -> RSOInspectionReward | None:
+    """Return what pays for inspected points, alone or among other rewarders; None for other problems."""
+    parts = env.rewarder.rewarders if isinstance(env.rewarder, ComposedReward) else [env.rewarder]
+    return next((part for part in parts if isinstance(part, RSOInspectionReward)), None)
 
 
 class InspectionRecorder:
@@ -31,11 +34,10 @@ class InspectionRecorder:
 
     def __init__(self, env: ConstellationTasking) -> None:
         """Record ``env``, from its next reset on; ValueError for one without an inspection."""
-        if not inspects(env):
+        rewarder = rewarder_of(env)
+        if rewarder is None or not isinstance(env.scenario, RSOPoints):
             raise ValueError(f"env has the scenario {env.scenario!r}; an inspection needs RSOPoints and an RSOInspectionReward")
-        assert isinstance(env.scenario, RSOPoints)
-        self.env, self.fleet, self.scenario = env, env.fleet, env.scenario
-        self.rewarder = next(part for part in _parts(env) if isinstance(part, RSOInspectionReward))
+        self.env, self.fleet, self.scenario, self.rewarder = env, env.fleet, env.scenario, rewarder
         self.decisions: list[float] = []
         self.fuel: list[Tensor] = []
         self.lit_at = torch.full((self.scenario.n_points,), torch.inf, dtype=torch.float64)

@@ -10,10 +10,11 @@ import torch
 from PIL import Image, ImageDraw
 from torch import Tensor
 
+from bsk_torch.viz.render.closeup import CloseUp, body, draw_closeup, look_closely, write_closeup_names
 from bsk_torch.viz.render.globe import camera, globe
 from bsk_torch.viz.render.marks import Pen, draw_marks, write_names
 from bsk_torch.viz.render.moment import Array, Moment, look
-from bsk_torch.viz.render.panel import write_panel
+from bsk_torch.viz.render.panel import write_inspection_panel, write_panel
 
 if TYPE_CHECKING:
     from bsk_torch.env.base import Tasking
@@ -32,8 +33,13 @@ def frames(env: Tasking, rows: int | Sequence[int] | None = None, height: int = 
     """Pictures of the present of some episodes; see :meth:`bsk_torch.env.base.Tasking.render`."""
     if not isinstance(height, int) or height < LEAST_HEIGHT or height % 2:
         raise ValueError(f"height={height!r} must be an even number of pixels, at least {LEAST_HEIGHT}")
-    shots = torch.from_numpy(np.stack([picture(look(env, row), height) for row in chosen(env, rows)])).to(env.device)
+    shots = torch.from_numpy(np.stack([_shot(env, row, height) for row in chosen(env, rows)])).to(env.device)
     return shots[0] if isinstance(rows, int) else shots
+
+
+def _shot(env: Tasking, row: int, height: int) -> Array:
+    moment = look(env, row)
+    return picture(moment, height, look_closely(env, row, moment))
 
 
 def chosen(env: Tasking, rows: int | Sequence[int] | None) -> list[int]:
@@ -53,16 +59,25 @@ def chosen(env: Tasking, rows: int | Sequence[int] | None) -> list[int]:
     return wanted
 
 
-def picture(moment: Moment, height: int) -> Array:
-    """A frame, [height, 4/3 height, 3] uint8."""
+def picture(moment: Moment, height: int, close: CloseUp | None = None) -> Array:
+    """A frame, [height, 4/3 height, 3] uint8: the globe, or an inspection from nearby."""
     width, unit, eye = 2 * round(2 * height / 3), height / USUAL_HEIGHT, camera(moment, height)
     frame = Image.new("RGB", (width, height), "white")
-    frame.paste(Image.fromarray(globe(eye, moment, height)))
     marks = Image.new("RGBA", (SMOOTH * width, SMOOTH * height))
-    draw_marks(Pen(ImageDraw.Draw(marks), eye.enlarged(SMOOTH), SMOOTH * unit), moment)
+    large, pen = Pen(ImageDraw.Draw(marks), eye.enlarged(SMOOTH), SMOOTH * unit), Pen(ImageDraw.Draw(frame), eye, unit)
+    if close is None:
+        frame.paste(Image.fromarray(globe(eye, moment, height)))
+        draw_marks(large, moment)
+    else:
+        sphere, corner = body(close, height)
+        frame.paste(sphere, corner, sphere)
+        draw_closeup(large, moment, close)
     marks = marks.reduce(SMOOTH)
     frame.paste(marks, mask=marks)
-    pen = Pen(ImageDraw.Draw(frame), eye, unit)
-    write_names(pen, moment)
-    write_panel(pen, moment, left=height, width=width - height)
+    if close is None:
+        write_names(pen, moment)
+        write_panel(pen, moment, left=height, width=width - height)
+    else:
+        write_closeup_names(pen, moment, close)
+        write_inspection_panel(pen, moment, close, left=height, width=width - height)
     return np.asarray(frame)

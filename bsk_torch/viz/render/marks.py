@@ -33,6 +33,9 @@ OTHER = PALETTE[6]
 NEW, DONE = "#3f4856", "#12b76a"
 """Colors of targets, and of imaged targets."""
 
+LEAST, MOST = 0.6, 1.5
+"""Sizes of targets of no priority and of the largest one, over the usual size."""
+
 TRIANGLE = 3
 """Sides of the marks of ground stations."""
 
@@ -105,9 +108,11 @@ def draw_marks(pen: Pen, moment: Moment) -> None:
 def _targets(pen: Pen, moment: Moment) -> None:
     pixels, there = pen.eye.seen(moment.targets_P @ moment.PN)
     size = 0.8 + 1.4 * min(1.0, (300 / max(1, len(pixels))) ** 0.5)
-    for rows, color, larger in ((~moment.imaged, NEW, 0.0), (moment.imaged, DONE, 0.8)):
-        for at in pixels[rows & there].tolist():
-            pen.circle(at, size + larger, fill=shade(color, 255))
+    radius = np.where(moment.imaged, size + 0.8, size * (LEAST + (MOST - LEAST) * moment.worth))
+    for rows, color in ((~moment.imaged, NEW), (moment.imaged, DONE)):
+        drawn = rows & there
+        for at, wide in zip(pixels[drawn].tolist(), radius[drawn].tolist(), strict=True):
+            pen.circle(at, wide, fill=shade(color, 255))
 
 
 def _stations(pen: Pen, moment: Moment) -> None:

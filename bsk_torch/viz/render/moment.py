@@ -27,6 +27,17 @@ DEAD = "dead"
 IMAGING = "image"
 """Mode in which a satellite looks at the target that it has chosen last."""
 
+CAUSES = {
+    "battery_valid": "battery",
+    "rw_speeds_valid": "wheel speeds",
+    "data_storage_valid": "full buffer",
+    "altitude_valid": "altitude",
+    "fuel_remaining": "no fuel",
+    "conjunction_valid": "collision",
+    "range_valid": "out of range",
+}
+"""What a failed check of aliveness is called."""
+
 NONE = -1
 """Target of a satellite that looks at none."""
 
@@ -46,6 +57,7 @@ class Moment:
     Attributes:
         names: Name of each satellite.
         modes: What each is doing: the command of its flight software, or :data:`DEAD`.
+        causes: Why each has died: the checks that fail, such as "battery"; empty for the living.
         r_N: Positions, [S, 3].
         orbits_N: One osculating revolution of each from there backwards, [S, M, 3].
         sun_N: Direction to the Sun, [3].
@@ -53,6 +65,7 @@ class Moment:
         stations_P: Ground stations, [K, 3].
         targets_P: The targets that can be chosen now or have been imaged, [T, 3].
         imaged: Which of them have been imaged, [T].
+        worth: Priority of each over the largest, [T].
         aims_P: Target that each satellite looks at, [S, 3]; not a number where there is none.
         links: Who has told whom after the last step, [S, S].
         levels: Resources by name, 0 to 1; of several satellites the worst, see :data:`LOW`.
@@ -64,6 +77,7 @@ class Moment:
 
     names: list[str]
     modes: list[str]
+    causes: list[str]
     r_N: Array
     orbits_N: Array
     sun_N: Array
@@ -71,6 +85,7 @@ class Moment:
     stations_P: Array
     targets_P: Array
     imaged: Array
+    worth: Array
     aims_P: Array
     links: Array
     levels: dict[str, float]
@@ -86,25 +101,27 @@ def look(env: Tasking, row: int) -> Moment:
     fleet = env.fleet
     shown = torch.nonzero(env.present[row].cpu()).squeeze(-1)
     kind, number = fleet.place_of(fleet.names[int(shown[0])])
-    modes, world = _modes(env, row), fleet.simulators[kind].world
+    modes, causes, world = _modes(env, row), _causes(env, row), fleet.simulators[kind].world
     first = row * fleet.simulators[kind].count + number
-    r_LP_P, imaged, aims_P = _targets(env, row, modes)
-    r_N, v_N = (_of(env, row, name) for name in ("r_BN_N", "v_BN_N"))
+    r_LP_P, imaged, worth, aims_P = _targets(env, row, modes)
+    r_N, v_N = (of_satellites(env, row, name) for name in ("r_BN_N", "v_BN_N"))
     links = torch.zeros(fleet.size, fleet.size, dtype=torch.bool)
     if env.links is not None and bool(fleet.ticks[row]):
         links = env.links[row]
     return Moment(
         names=[fleet.names[k] for k in shown.tolist()],
         modes=[modes[k] for k in shown.tolist()],
-        r_N=_array(r_N),
-        orbits_N=_array(revolution(r_N, v_N)),
-        sun_N=_array(world.sun_direction_N[first]),
-        PN=_array(world.PN[first]),
-        stations_P=_array(_stations(fleet.simulators)),
-        targets_P=_array(r_LP_P),
-        imaged=_array(imaged),
-        aims_P=_array(aims_P[shown]),
-        links=_array(links[shown][:, shown]),
+        causes=[causes[k] for k in shown.tolist()],
+        r_N=array(r_N),
+        orbits_N=array(revolution(r_N, v_N)),
+        sun_N=array(world.sun_direction_N[first]),
+        PN=array(world.PN[first]),
+        stations_P=array(_stations(fleet.simulators)),
+        targets_P=array(r_LP_P),
+        imaged=array(imaged),
+        worth=array(worth),
+        aims_P=array(aims_P[shown]),
+        links=array(links[shown][:, shown]),
         levels=_levels(env, row),
         time=float(fleet.sim_time[row]),
         limit=float(env.time_limit[row]),
@@ -113,13 +130,14 @@ def look(env: Tasking, row: int) -> Moment:
     )
 
 
-def _array(value: Tensor) -> Array:
+def array(value: Tensor) -> Array:
+    """The numbers of a tensor."""
     return value.cpu().numpy()
 
 
-def _of(env: Tasking, row: int, name: str) -> Tensor:
-    """A property of the dynamics for each satellite that is present, [S, ...]; not a number for those without it."""
-    return env.fleet.each(lambda part: getattr(part.dynamics, name), missing=math.nan)[row][env.present[row]]
+def of_satellites(env: Tasking, row: int, name: str, model: str = "dynamics") -> Tensor:
+    """A property of dynamics or ``fsw`` for each satellite that is present, [S, ...]; not a number for those without it."""
+    return env.fleet.each(lambda part: getattr(getattr(part, model), name), missing=math.nan)[row][env.present[row]]
 
 
 def revolution(r_N: Tensor, v_N: Tensor) -> Tensor:
@@ -143,6 +161,19 @@ def _modes(env: Tasking, row: int) -> list[str]:
     return [modes[column] for column in range(env.fleet.size)]
 
 
+def _causes(env: Tasking, row: int) -> list[str]:
+    """The checks that a dead satellite fails, for each satellite of the fleet."""
+    causes = [""] * env.fleet.size
+    for satellite in env.satellites:
+        simulator, first = satellite.simulator, row * satellite.simulator.count
+        mine = slice(first, first + simulator.count)
+        failed = {name: (~passed[mine]).tolist() for name, passed in satellite.aliveness().items()}
+        for k, (column, dead) in enumerate(zip(simulator.columns, satellite.task.dead[mine].tolist(), strict=True)):
+            if dead:
+                causes[column] = ", ".join(CAUSES.get(name, name) for name, column_failed in failed.items() if column_failed[k])
+    return causes
+
+
 def command_of(simulator: Simulator, mode: str) -> str:
     """Return the name of the command that enters a mode: ``"desat"`` for ``"desat_nadir"``, and mostly the mode's own."""
     wider = (name for name, command in simulator.type.commands.items() if mode in command.modes and len(command.modes) > 1)
@@ -158,19 +189,20 @@ def _stations(simulators: Iterable[Simulator]) -> Tensor:
     return torch.empty(0, 3, dtype=torch.float64)
 
 
-def _targets(env: Tasking, row: int, modes: list[str]) -> tuple[Tensor, Tensor, Tensor]:
-    """Positions of the targets [T, 3], whether they have been imaged [T], and where each satellite looks [S, 3]."""
+def _targets(env: Tasking, row: int, modes: list[str]) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Positions of the targets [T, 3], which have been imaged [T], relative priorities [T], and where satellites look [S, 3]."""
     nowhere = torch.full((env.fleet.size, 3), torch.nan, dtype=torch.float64)
     scenario: Any = env.scenario
     if not hasattr(scenario, "most_targets"):
-        return torch.empty(0, 3, dtype=torch.float64), torch.zeros(0, dtype=torch.bool), nowhere
+        return torch.empty(0, 3, dtype=torch.float64), torch.zeros(0, dtype=torch.bool), torch.empty(0), nowhere
     r_LP_P, available = scenario.r_LP_P[row].cpu(), scenario.available[row].cpu()
     imaged = env.rewarder.imaged[row].cpu() if hasattr(env.rewarder, "imaged") else torch.zeros_like(available)
     target = env.fleet.each(lambda part: getattr(part, "latest_target", none(part)))[row].cpu()
     looks = torch.tensor([mode == IMAGING for mode in modes]) & (target >= 0)
     aims = torch.where(looks.unsqueeze(-1), r_LP_P[target.clamp(min=0)], nowhere)
     shown = available | imaged
-    return r_LP_P[shown], imaged[shown], aims
+    priority = scenario.priority[row].cpu()
+    return r_LP_P[shown], imaged[shown], (priority / priority.max().clamp(min=1e-12))[shown].clamp(min=0.0), aims
 
 
 def none(part: SatelliteGroup) -> Tensor:
@@ -183,7 +215,7 @@ def _levels(env: Tasking, row: int) -> dict[str, float]:
     for name, title in QUANTITIES.items():
         there = [part for part in env.fleet.satellites if hasattr(type(part.dynamics), name)]
         if there:
-            values = _of(env, row, name)
+            values = of_satellites(env, row, name)
             values = values[torch.isfinite(values)].abs()
             levels[title] = float(values.min() if title == LOW else values.max())
     return levels

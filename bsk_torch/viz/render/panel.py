@@ -2,14 +2,23 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
+from collections.abc import Iterable
+
+import numpy as np
 
 from bsk_torch.viz.figures.style import FAINT, INK, PALETTE
-from bsk_torch.viz.render.marks import DONE, NEW, TRIANGLE, Pen, color_of
+from bsk_torch.viz.render.closeup import INSPECTED, LIT, POINT_COLORS, UNLIT, CloseUp
+from bsk_torch.viz.render.marks import DONE, NEW, TRIANGLE, Pen, color_of, shade
 from bsk_torch.viz.render.moment import LOW, Moment
 
 SOFT = PALETTE[7]
 """Color of text that explains."""
+
+
+LISTED = 4
+"""Inspectors up to which the fuel of each is written."""
 
 
 class _Column:
@@ -30,13 +39,24 @@ class _Column:
         self.pen.text((self.left + self.width, self.y), value, 12.0, anchor="rm")
         self.gap(18.0)
 
-    def entry(self, color: str, name: str, value: str = "", sides: int = 0) -> None:
+    def entry(self, color: str, name: str, value: str = "", sides: int = 0, outlined: bool = False) -> None:
         unit = self.pen.unit
         at = self.left + 5.0 * unit, self.y
-        self.pen.mark(at, 4.5, color, sides)
+        if outlined:
+            self.pen.circle(at, 4.5, fill=color, outline=INK)
+        else:
+            self.pen.mark(at, 4.5, color, sides)
         self.pen.text((self.left + 16.0 * unit, self.y), name, 13.0, anchor="lm")
         self.pen.text((self.left + self.width, self.y), value, 13.0, anchor="rm")
         self.gap(19.0)
+
+    def note(self, color: str, name: str) -> None:
+        """What a line means."""
+        unit = self.pen.unit
+        start, end = np.array([self.left, self.y]), np.array([self.left + 11.0 * unit, self.y])
+        self.pen.line(start, end, 2.0, shade(color, 255))
+        self.pen.text((self.left + 16.0 * unit, self.y), name, 12.0, anchor="lm")
+        self.gap(18.0)
 
     def bar(self, share: float) -> None:
         box = [self.left, self.y - 4.0 * self.pen.unit, self.left + self.width, self.y + 3.0 * self.pen.unit]
@@ -53,22 +73,59 @@ def write_panel(pen: Pen, moment: Moment, left: float, width: float) -> None:
     column.text(f"{len(moment.names)} satellites" if several else moment.names[0], 17.0)
     column.text(_clock(moment), 13.0, SOFT)
     column.gap(8.0)
-    for mode, number in sorted(Counter(moment.modes).items()):
-        column.entry(color_of(mode), mode.replace("_", " "), str(number) if several else "")
-    column.gap(8.0)
+    _activities(column, moment, range(len(moment.names)))
     for name, share in moment.levels.items():
         column.pair(f"{name}, {'min' if name == LOW else 'max'}" if several else name, f"{share:.0%}")
         column.bar(share)
+    _totals(column, moment)
+    if len(moment.targets_P):
+        column.entry(DONE, "imaged target")
+        column.entry(NEW, "target, by priority" if np.ptp(moment.worth) > 0.0 else "target")
+    if len(moment.stations_P):
+        column.entry(INK, "ground station", sides=TRIANGLE)
+
+
+def write_inspection_panel(pen: Pen, moment: Moment, close: CloseUp, left: float, width: float) -> None:
+    """Write what is known of an inspection into a column of pixels: inspectors, points, fuel, return and counts."""
+    margin = 12.0 * pen.unit
+    column = _Column(pen, left + 0.5 * margin, width - 1.5 * margin)
+    column.text(f"inspection of {moment.names[close.rso]}", 15.0)
+    column.text(_clock(moment), 13.0, SOFT)
+    column.gap(8.0)
+    _activities(column, moment, close.inspectors)
+    counted = np.bincount(close.known, minlength=len(POINT_COLORS))
+    column.pair("inspected", f"{counted[INSPECTED]} of {len(close.known)}")
+    column.bar(counted[INSPECTED] / len(close.known))
+    for kind, name in ((INSPECTED, "inspected"), (LIT, "lit, not inspected"), (UNLIT, "not lit yet")):
+        column.entry(POINT_COLORS[kind], name, str(counted[kind]), outlined=True)
+    column.gap(8.0)
+    tanks = [(k, fuel) for k, fuel in zip(close.inspectors, close.fuel.tolist(), strict=True) if math.isfinite(fuel)]
+    if len(tanks) <= LISTED:
+        for k, fuel in tanks:
+            column.pair("fuel" if len(tanks) == 1 else f"{moment.names[k]}, fuel", f"{fuel:.1f} m/s")
+    _totals(column, moment)
+    if math.isfinite(close.reach):
+        column.note(DONE, f"reach, {close.reach:,.0f} m")
+    column.note(SOFT, "drift, half an orbit")
+
+
+def _activities(column: _Column, moment: Moment, satellites: Iterable[int]) -> None:
+    """What some satellites do, with why the dead have died."""
+    several = len(moment.names) > 1
+    done = Counter((moment.modes[k], moment.causes[k]) for k in satellites)
+    for (mode, cause), number in sorted(done.items()):
+        name = mode.replace("_", " ") + (f": {cause}" if cause else "")
+        column.entry(color_of(mode), name, str(number) if several else "")
+    column.gap(8.0)
+
+
+def _totals(column: _Column, moment: Moment) -> None:
+    """The return and what is counted."""
     column.gap(4.0)
     column.pair("return", f"{moment.total:.3f}")
     for name, count in moment.counts.items():
         column.pair(name, str(count))
     column.gap(8.0)
-    if len(moment.targets_P):
-        column.entry(DONE, "imaged target")
-        column.entry(NEW, "target")
-    if len(moment.stations_P):
-        column.entry(INK, "ground station", sides=TRIANGLE)
 
 
 def _clock(moment: Moment) -> str:

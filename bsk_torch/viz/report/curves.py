@@ -84,7 +84,7 @@ MEASURES = (
     Measure(
         "fill",
         "Data store at the end",
-        "The filled share of the data store at the end of an episode",
+        "The filled share of the data buffer at the end of an episode",
         5,
         Mark("paper: downlinks better from 17 M steps on", frames=17e6),
         fraction=True,
