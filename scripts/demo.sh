@@ -12,7 +12,7 @@ if [[ ! -x .venv/bin/bsk-torch ]]; then
     echo "1/2 installing into .venv: a few minutes, most of it downloads of torch"
     [[ -x .venv/bin/python ]] || "$python" -m venv .venv
     .venv/bin/python -m pip install --quiet torch==2.13.0
-    .venv/bin/python -m pip install --quiet --constraint constraints.txt --editable '.[viz]'
+    .venv/bin/python -m pip install --quiet --constraint constraints.txt --editable '.[viz,video,sb3]'
     echo "installed in $((SECONDS / 60)) min $((SECONDS % 60)) s"
 fi
 SECONDS=0
