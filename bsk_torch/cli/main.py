@@ -303,7 +303,7 @@ def bench(
 
 @command(app, "arguments", "bsk-torch args NadirScan-v1", name="args")
 def show_arguments(preset: Preset) -> None:
-    """Show every argument of a preset's satellite and world, with its default, unit and meaning."""
+    """Show every argument of a preset's satellites and world: its value there, its default and its meaning."""
 
 
 @command(app, "schedule", "bsk-torch schedule\nbsk-torch schedule NadirScan-v1", name="schedule")

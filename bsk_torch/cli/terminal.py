@@ -147,7 +147,11 @@ def line_width() -> int:
 
 
 def print_table(
-    rows: Sequence[Mapping[str, str]], title: str = "", expendable: Sequence[str] = (), left: Sequence[str] = ()
+    rows: Sequence[Mapping[str, str]],
+    title: str = "",
+    expendable: Sequence[str] = (),
+    left: Sequence[str] = (),
+    whole: Sequence[str] = (),
 ) -> None:
     """Print a table that fits the terminal.
 
@@ -156,22 +160,25 @@ def print_table(
         title: Headline.
         expendable: Columns to leave out where the terminal is too narrow, the first one first. A line below names them.
         left: Columns with text, which is aligned at the left.
+        whole: Columns whose cells are never broken.
     """
     console, columns = Console(width=line_width()), list(rows[0])
     order = [name for name in expendable if name in columns]
     dropped: list[str] = []
-    while order and _needed(console, _table(rows, columns, title, left)) > console.width:
+    while order and _needed(console, _table(rows, columns, title, left, whole)) > console.width:
         dropped.append(order.pop(0))
         columns.remove(dropped[-1])
-    console.print(_table(rows, columns, title, left))
+    console.print(_table(rows, columns, title, left, whole))
     if dropped:
         console.print(Text(f"not shown in {console.width} columns: {', '.join(dropped)}"))
 
 
-def _table(rows: Sequence[Mapping[str, str]], columns: Sequence[str], title: str, left: Sequence[str]) -> Table:
+def _table(
+    rows: Sequence[Mapping[str, str]], columns: Sequence[str], title: str, left: Sequence[str], whole: Sequence[str]
+) -> Table:
     table = Table(title=Text(title) if title else None, title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
     for name in columns:
-        table.add_column(name, justify="left" if name in left else "right", overflow="fold")
+        table.add_column(name, justify="left" if name in left else "right", overflow="fold", no_wrap=name in whole)
     for row in rows:
         table.add_row(*(Text(row[name]) for name in columns))
     return table

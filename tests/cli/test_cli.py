@@ -11,10 +11,17 @@ def test_list_names_the_presets(run):
     assert "AEOS-v1  " in output
 
 
-def test_args_prints_units_and_meaning(run):
-    output = run("args", "NadirScan-v1").output
-    assert "batteryStorageCapacity" in output
-    assert "world_args" in output
+@pytest.mark.parametrize("columns", [80, 100])
+def test_args_shows_values_of_the_preset_before_defaults(run, monkeypatch, columns):
+    monkeypatch.setenv("COLUMNS", str(columns))
+    lines = run("args", "NadirScan-v1").output.splitlines()
+    assert max(map(len, lines)) <= columns
+    assert [line.strip() for line in lines if line.strip() in ("sat_args", "world_args")] == ["sat_args", "world_args"]
+    cells = {line.split()[0]: line.split() for line in lines if line.split()}
+    assert cells["panelArea"][1:4] == ["0.25", "1", "area"]
+    assert cells["batteryStorageCapacity"][1:3] == ["720000", "288000"]
+    assert cells["basePowerDraw"][1:3] == ["-10", "0"]
+    assert cells["mass"][1:] == ["330", "hub", "mass", "(kg)"]
 
 
 def test_args_of_constellations_are_those_of_their_first_type(run):

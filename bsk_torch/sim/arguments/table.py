@@ -29,12 +29,13 @@ class ArgumentTable(dict[str, Any]):
 
     def __repr__(self) -> str:
         """Return one line for each argument."""
-        lines = [(arg.name, _short(self[arg.name]), arg.unit, arg.doc) for arg in self.rows.values()]
+        lines = [(arg.name, short(self[arg.name]), arg.unit, arg.doc) for arg in self.rows.values()]
         widths = [max((len(line[k]) for line in lines), default=0) for k in range(3)]
         return "\n".join("  ".join((*(text.ljust(w) for text, w in zip(line, widths, strict=False)), line[3])) for line in lines)
 
 
-def _short(value: Any) -> str:
+def short(value: Any) -> str:
+    """Return a value as tables show it: ground stations by their number."""
     if isinstance(value, tuple) and value and isinstance(value[0], dict):
         return f"{len(value)} stations"
     return f"{value:g}" if isinstance(value, float) else str(value)
