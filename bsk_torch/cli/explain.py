@@ -162,7 +162,7 @@ def draw_failure(env: Tasking, failure: Failure, actions: Tensor, path: Path) ->
     cause = failure.cause.replace("_valid", "")
     marks = [(failure.died, f"died: {cause}")]
     if failure.last_chance is not None:
-        rescue = "" if failure.rescue is None else f": {rescued(env, failure)} saves it"
+        rescue = "" if failure.rescue is None else f": a rescue begins with {rescued(env, failure)}"
         marks.append((failure.last_chance.time, f"last chance{rescue}"))
     figure.timeline(episode, path, f"Seed {failure.seed}, {FATES[failure.outcome]}", marks)
 
