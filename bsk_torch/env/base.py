@@ -38,7 +38,7 @@ from bsk_torch.sats.satellite import Satellite
 from bsk_torch.scene.base import Scenario
 from bsk_torch.sim.assembly.satellite_type import whole_nanoseconds
 from bsk_torch.sim.fleet import Fleet
-from bsk_torch.sim.state import without_autograd
+from bsk_torch.sim.state import outside_inference
 
 __all__ = ["ResetNeededError", "StepResult", "Tasking", "TimeLimit"]
 
@@ -72,7 +72,7 @@ class Tasking(Present, MadeOfArguments):
     links: Tensor | None = None
     """Communication after the last step by sender and receiver, [N, S, S]; None where satellites never communicate."""
 
-    @without_autograd()
+    @outside_inference
     def _build(
         self,
         satellites: Sequence[Satellite],

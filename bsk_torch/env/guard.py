@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import enum
 import threading
-from contextlib import AbstractContextManager
 from types import TracebackType
 
 import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 
-from bsk_torch.sim.state import SHOWN, StateTable, without_autograd
+from bsk_torch.sim.state import SHOWN, StateTable
 
 
 class ResetNeededError(RuntimeError):
@@ -48,7 +47,7 @@ class EpisodeGuard:
         self.state, self.all_begun, self.interrupted, self.origin = state, False, False, Origin.DRAWN
         self._changing: Tensor | None = None
         self._lock, self._inside = threading.RLock(), ""
-        self._modes: list[AbstractContextManager[None]] = []
+        self._outer_modes: list[tuple[bool, torch.inference_mode | None]] = []
 
     # -- calls --------------------------------------------------------------------------------------------------------
 
@@ -60,8 +59,11 @@ class EpisodeGuard:
                 "same time: give each thread its own environment, or let one wait for the other with a threading.Lock"
             )
         self._inside = threading.current_thread().name
-        self._modes.append(without_autograd())
-        self._modes[-1].__enter__()
+        grad, left = torch.is_grad_enabled(), torch.inference_mode(False) if torch.is_inference_mode_enabled() else None
+        if left is not None:
+            left.__enter__()
+        self._outer_modes.append((grad, left))
+        torch.set_grad_enabled(False)
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         """Leave; after an ``error``, episodes that were being changed have not begun."""
@@ -70,7 +72,10 @@ class EpisodeGuard:
             if error is not None and changing is not None:
                 self._interrupt(changing, error)
         finally:
-            self._modes.pop().__exit__(None, None, None)
+            grad, left = self._outer_modes.pop()
+            torch.set_grad_enabled(grad)
+            if left is not None:
+                left.__exit__(None, None, None)
             self._lock.release()
 
     def change(self, envs: Tensor) -> None:

@@ -9,10 +9,10 @@ cover every declared tensor; all other values must be derived from the state.
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+import functools
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from typing import Any, TypeVar
+from typing import Any, ParamSpec, TypeVar
 
 import torch
 from tensordict import TensorDict, TensorDictBase
@@ -22,6 +22,9 @@ from bsk_torch._checks import no_gradient
 
 Table = TypeVar("Table", bound="StateTable")
 
+Parameters = ParamSpec("Parameters")
+Result = TypeVar("Result")
+
 FINITE = 1e30
 """Bound of a field whose numbers may be any but NaN and infinities; they are finite in float32, too."""
 
@@ -29,25 +32,24 @@ SHOWN = 5
 """Number of wrong rows that a message lists."""
 
 
-@contextmanager
-def without_autograd() -> Iterator[None]:
-    """A context, or a decorator, without gradients and outside of torch's inference mode.
+def outside_inference(function: Callable[Parameters, Result]) -> Callable[Parameters, Result]:
+    """Decorate a function that creates state to leave inference mode, whose tensors could never be written into outside of it."""
 
-    State created in inference mode could never be written into outside of it.
-    """
-    if torch.is_inference_mode_enabled():
+    @functools.wraps(function)
+    def outside(*args: Parameters.args, **kwargs: Parameters.kwargs) -> Result:
+        if not torch.is_inference_mode_enabled():
+            return function(*args, **kwargs)
         with torch.inference_mode(False), torch.no_grad():
-            yield
-    else:
-        with torch.no_grad():
-            yield
+            return function(*args, **kwargs)
+
+    return outside
 
 
 def owned(value: Tensor) -> Tensor:
     """Return the tensor, or a writable copy if it was created in inference mode."""
     if not value.is_inference():
         return value
-    with without_autograd():
+    with torch.inference_mode(False):
         return value.clone()
 
 

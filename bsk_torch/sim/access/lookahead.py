@@ -20,7 +20,7 @@ from bsk_torch.sim.orbit.grid import ARC_SEGMENT, PLAN_STEP
 from bsk_torch.sim.orbit.restartable import RestartableArcs
 from bsk_torch.sim.orbit.solution import Solver
 from bsk_torch.sim.places import Places
-from bsk_torch.sim.state import StateTable, without_autograd
+from bsk_torch.sim.state import StateTable, outside_inference
 
 MARGIN = SEARCH_STEP * (SEARCHES - 1) + 2.0 * PLAN_STEP
 """Seconds that arcs reach beyond the requested time: the range of the search for eclipses."""
@@ -171,7 +171,7 @@ class LookAhead(StateTable):
 
     # -- time ---------------------------------------------------------------------------------------------------------
 
-    @without_autograd()
+    @outside_inference
     def reach(self, time: Tensor, now: Tensor) -> None:
         """Make every arc of look-ahead cover ``time`` [N] s; ``now`` [N] s is the present.
 
@@ -208,7 +208,7 @@ class LookAhead(StateTable):
             arcs.extend(rows)
             self.eclipses.lengthen(rows)
 
-    @without_autograd()
+    @outside_inference
     def grow_to(self, length: float) -> None:
         """Make every arc at least ``length`` s long."""
         while self.arcs.length < length:
@@ -277,7 +277,7 @@ class LookAhead(StateTable):
 
     # -- queries ------------------------------------------------------------------------------------------------------
 
-    @without_autograd()
+    @outside_inference
     def next_eclipse(self, time: Tensor) -> tuple[Tensor, Tensor]:
         """Return the next start and end of an eclipse after ``time`` [N], [N] s since reset; see :meth:`EclipseTable.query`."""
         needs = self.eclipses.needs(time)
@@ -289,7 +289,7 @@ class LookAhead(StateTable):
             self.reach(needs, time)
         return self.eclipses.query(time)
 
-    @without_autograd()
+    @outside_inference
     def next_windows(
         self,
         kind: str,
@@ -357,7 +357,7 @@ class LookAhead(StateTable):
             if len(rows):
                 self._search_further(rows, time)
 
-    @without_autograd()
+    @outside_inference
     def generate_until(self, until: Tensor, now: Tensor) -> bool:
         """Let queries see all windows that open before ``until`` [N] s: whole segments are added, of all kinds of places.
 
