@@ -15,6 +15,8 @@ To benchmark a policy trained on a full preset::
     bsk-torch bench examples.mappo_benchmarl:entrant,runs/relay_mappo.pt hasty --presets RelayConstellation-v1
 """
 
+# sphinx_gallery_thumbnail_path = "_static/readme/RelayConstellation-v1.png"
+
 from __future__ import annotations
 
 import argparse

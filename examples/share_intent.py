@@ -13,6 +13,8 @@ Based on "Intent Sharing for Emergent Collaboration in Autonomous Earth Observin
 coordination is that targets reported as imaged by another satellite are no longer observed.
 """
 
+# sphinx_gallery_thumbnail_path = "_static/readme/Constellation-v1.png"
+
 from __future__ import annotations
 
 import argparse

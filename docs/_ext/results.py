@@ -430,22 +430,41 @@ def quantity(value: float) -> str:
 
 
 def suites(name: str) -> str:
-    """Return what policies reach in a suite, by preset."""
+    """Return what policies reach in a suite, in a table for each preset."""
     content = load(name)
-    rows, most = [], max(row["episodes"] for row in content["rows"])
+    most = max(row["episodes"] for row in content["rows"])
+    presets: dict[str, list[list[str]]] = {}
     for row in content["rows"]:
-        marked = code(row["policy"]) + ("" if row["episodes"] == most else f" ({row['episodes']} episodes)")
-        behind = f"{row['behind']:.3f} ± {row['behind_half']:.3f}" if row["behind"] else "-"
-        pairs = ("score", "score_half"), ("value", "half")
-        score, value = ("-" if row[key] is None else f"{row[key]:.3f} ± {row[half]:.3f}" for key, half in pairs)
-        spent = f"{row['milliseconds']:.3f}", "-" if row["simulated"] is None else whole(row["simulated"])
-        cells = [score, value, behind, f"{row['survival']:.1%}", *spent, certificate(row["basilisk"])]
-        rows.append([code(row["preset"]), marked, *cells])
-    head = ["preset", "policy", "score", "return", "behind the best", "survival", "ms / decision", "simulated s / decision"]
-    head.append("same on Basilisk")
+        marked = entrant(row["policy"]) + ("" if row["episodes"] == most else f" ({row['episodes']} episodes)")
+        behind = with_half(row["behind"], row["behind_half"]) if row["behind"] else "-"
+        score, value = with_half(row["score"], row["score_half"]), with_half(row["value"], row["half"])
+        spent = digits_of(row["milliseconds"]), "-" if row["simulated"] is None else whole(row["simulated"])
+        cells = [marked, score, value, behind, f"{row['survival']:.1%}", *spent, certificate(row["basilisk"])]
+        presets.setdefault(row["preset"], []).append(cells)
+    head = ["policy", "score", "return", "behind the best", "survival", "ms", "simulated s", "on Basilisk"]
+    tables = [f"### {preset}\n\n{table(head, rows)}" for preset, rows in presets.items()]
     versions = f"bsk_torch {content['bsk_torch']}, torch {content['torch']}"
     made_by = f"{versions}, {most:,} episodes of each task unless said otherwise, one thread."
-    return f"{table(head, rows)}\n\n{made_by}\n"
+    return "\n\n".join([*tables, made_by]) + "\n"
+
+
+def entrant(policy: str) -> str:
+    """Return the name of a policy, with the options of a planner after it."""
+    name, *options = policy.split(",")
+    return code(name) + "".join(f" {option}" for option in options)
+
+
+def with_half(value: float | None, half: float) -> str:
+    """Return a value with half of its interval, in the digits that matter; a dash for none."""
+    if value is None:
+        return "-"
+    count = 3 if abs(value) < 10.0 else 1
+    return f"{value:.{count}f} ±\u00a0{half:.{count}f}"
+
+
+def digits_of(value: float) -> str:
+    """Return milliseconds in three digits."""
+    return f"{value:.3f}" if value < 1.0 else f"{value:.1f}" if value < 100.0 else whole(value)
 
 
 def certificate(flown: Mapping[str, Any] | None) -> str:

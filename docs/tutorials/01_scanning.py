@@ -11,6 +11,8 @@ empty, its wheels must not reach their maximum speed, and data that exceed its b
 three minutes.
 """
 
+# sphinx_gallery_thumbnail_path = "_static/readme/NadirScan-v1.png"
+
 # %%
 # Result
 # ------

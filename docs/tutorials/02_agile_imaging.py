@@ -11,6 +11,8 @@ and windows, the times at which the satellite is high enough above the target's 
 means skipping others.
 """
 
+# sphinx_gallery_thumbnail_path = "_static/readme/AEOS-v1.png"
+
 # %%
 # Result
 # ------

@@ -10,6 +10,8 @@ If two satellites image the same target, one image is wasted. Each satellite kno
 others, and skips these targets.
 """
 
+# sphinx_gallery_thumbnail_path = "_static/readme/Constellation-v1.png"
+
 # %%
 # Result
 # ------

@@ -10,6 +10,8 @@ Run ``pip install 'bsk_torch[sb3]'`` first. Other Stable-Baselines3 algorithms f
 MaskablePPO also uses the mask of legal actions.
 """
 
+# sphinx_gallery_thumbnail_path = "_static/readme/AEOSPower-v1.png"
+
 # %%
 # Result
 # ------

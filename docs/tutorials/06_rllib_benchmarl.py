@@ -10,6 +10,8 @@ Install BenchMARL without its dependencies, because it declares an older TorchRL
 RLlib requires an older Gymnasium and therefore a separate virtual environment; its part of this page is shown but not executed.
 """
 
+# sphinx_gallery_thumbnail_path = "_static/readme/RelayConstellation-v1.png"
+
 # %%
 # Result
 # ------

@@ -9,6 +9,8 @@ Make films of episodes: frames of the globe with satellites, targets and activit
 A frame shows the current moment of one episode. No display is needed.
 """
 
+# sphinx_gallery_thumbnail_path = "_static/readme/CloudyAEOS-v1.png"
+
 # %%
 # Result
 # ------

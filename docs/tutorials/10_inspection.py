@@ -11,6 +11,8 @@ away, with fuel for 10 m/s. To inspect a point, it must be closer than 250 m and
 Sun within 60 degrees.
 """
 
+# sphinx_gallery_thumbnail_path = "_static/readme/RSOInspection-v1.png"
+
 # %%
 # Result
 # ------

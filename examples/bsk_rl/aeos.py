@@ -13,6 +13,8 @@ The problems of bsk_rl's page "Agile Earth-Observing Satellite Environment". Com
 ``AEOS-v1`` and ``AEOSPower-v1`` are similar, with other parameters.
 """
 
+# sphinx_gallery_thumbnail_path = "_static/readme/AEOS-v1.png"
+
 from __future__ import annotations
 
 import argparse

@@ -12,6 +12,8 @@ The problem of bsk_rl's page "Cloud Environment". Comments mark lines that diffe
 with attributes; here, an attribute is a table [N, T] of all targets of all environments.
 """
 
+# sphinx_gallery_thumbnail_path = "_static/readme/CloudyAEOS-v1.png"
+
 from __future__ import annotations
 
 import argparse

@@ -14,6 +14,8 @@ of all targets. Its case of single images is ``data.CloudFreeImageReward``; its 
 ``bsk-torch train --network attention``.
 """
 
+# sphinx_gallery_thumbnail_path = "_static/readme/AEOSConstellation-v1.png"
+
 from __future__ import annotations
 
 import argparse

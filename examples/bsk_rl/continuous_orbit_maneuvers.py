@@ -13,6 +13,8 @@ In bsk_rl, station passes and eclipses remain those of the first orbit; here, th
 bsk_rl's behavior).
 """
 
+# sphinx_gallery_thumbnail_path = "_static/readme/MultiInspection-v1.png"
+
 from __future__ import annotations
 
 import argparse

@@ -12,6 +12,8 @@ The problem of bsk_rl's page "RSO Inspection". Comments mark lines that differ f
 problem of bsk_rl's benchmark, without the steering law.
 """
 
+# sphinx_gallery_thumbnail_path = "_static/readme/RSOInspection-v1.png"
+
 from __future__ import annotations
 
 import argparse

@@ -11,6 +11,8 @@ On the command line::
 The satellites of bsk_rl's page "Satellite Configuration". Comments mark lines that differ from it.
 """
 
+# sphinx_gallery_thumbnail_path = "_static/readme/AEOSPower-v1.png"
+
 from __future__ import annotations
 
 import argparse

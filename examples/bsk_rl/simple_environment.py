@@ -11,6 +11,8 @@ On the command line::
 The problem of bsk_rl's page "Getting Started". Comments mark lines that differ from it.
 """
 
+# sphinx_gallery_thumbnail_path = "_static/readme/NadirScan-v1.png"
+
 from __future__ import annotations
 
 import argparse

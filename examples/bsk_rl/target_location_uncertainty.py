@@ -13,6 +13,8 @@ an object with an area updated by the environment after each step; here, areas a
 rewarder.
 """
 
+# sphinx_gallery_thumbnail_path = "_static/readme/AEOSCity-v1.png"
+
 from __future__ import annotations
 
 import argparse

@@ -152,7 +152,9 @@ class Losing(Training):
 def test_a_lost_process_stops_a_run_that_can_be_resumed(by_several, tmp_path):
     whole, policy = by_several
     out = tmp_path / "run"
-    with pytest.raises(RuntimeError, match=r"has failed or was lost \(.*\); resume from the last checkpoint with: bsk-torch train .*run --resume"):
+    with pytest.raises(
+        RuntimeError, match=r"has failed or was lost \(.*\); resume from the last checkpoint with: bsk-torch train .*run --resume"
+    ):
         Losing(SEVERAL, out).run()
     assert not multiprocessing.active_children()
     assert weights(resume(out)).equal(weights(policy))
@@ -178,7 +180,9 @@ def test_a_lost_actor_of_ray_stops_a_run_that_can_be_resumed(by_several, tmp_pat
     """Actors of Ray collect what processes of this machine do, so that the policies are the same."""
     _, policy = by_several
     out = tmp_path / "run"
-    with pytest.raises(RuntimeError, match=r"has failed or was lost \(.*\); resume from the last checkpoint with: bsk-torch train .*run --resume"):
+    with pytest.raises(
+        RuntimeError, match=r"has failed or was lost \(.*\); resume from the last checkpoint with: bsk-torch train .*run --resume"
+    ):
         LosingActor(dataclasses.replace(SEVERAL, collector="ray"), out).run()
     assert read_log(out / LOG)["frames"][-1] < SEVERAL.frames
     assert weights(resume(out)).equal(weights(policy))

@@ -19,8 +19,8 @@ __all__ = ["record_episode", "timeline"]
 
 HOUR = 3600.0
 
-GREYS, DASHES = (INK, "#6b7280", "#9aa3af"), ("-", (0, (5, 1.5)), (0, (1.5, 1)))
-"""Looks of several lines in a panel, such as of wheels: colours are those of modes."""
+GRAYS, DASHES = (INK, "#6b7280", "#9aa3af"), ("-", (0, (5, 1.5)), (0, (1.5, 1)))
+"""Looks of several lines in a panel, such as of wheels: colors are those of modes."""
 
 NIGHT, PASS = "#3b4252", "#2f9e72"
 
@@ -86,7 +86,7 @@ def _modes(panel: Axes, episode: Episode) -> None:
 def _series(panel: Axes, episode: Episode, name: str) -> None:
     hours, columns = (episode.times / HOUR).tolist(), episode.series[name].mT.tolist()
     for k, column in enumerate(columns):
-        panel.plot(hours, column, color=GREYS[k % len(GREYS)], linestyle=DASHES[k % len(DASHES)], linewidth=1.5)
+        panel.plot(hours, column, color=GRAYS[k % len(GRAYS)], linestyle=DASHES[k % len(DASHES)], linewidth=1.5)
     if len(columns) == 1:
         panel.fill_between(hours, columns[0], color=INK, alpha=0.12, linewidth=0)
     panel.set_ylim(0.0 if len(columns) == 1 else -1.05, 1.05)

@@ -25,7 +25,7 @@ UNLIT, LIT, INSPECTED = range(3)
 """What is known of a point: it has not been lit yet, it has, or it has been inspected while it was lit."""
 
 POINT_COLORS = "#ffffff", PALETTE[1], DONE
-"""Colours of points by what is known of them."""
+"""Colors of points by what is known of them."""
 
 AHEAD, SAMPLES = 0.5, 61
 """Part of a revolution for which the drift of inspectors is shown, and points of its line."""
@@ -43,7 +43,7 @@ BODY, USUAL = 66.0, 480
 """Radius of the enlarged RSO, in pixels of a frame of so many lines."""
 
 DAY, NIGHT, TWILIGHT = (222, 226, 232), (92, 98, 110), 0.1
-"""Colours of the RSO in sunlight and in the dark, and the sine of the Sun's height at which one becomes the other."""
+"""Colors of the RSO in sunlight and in the dark, and the sine of the Sun's height at which one becomes the other."""
 
 DARK = 0.5
 """Visible fraction of the Sun below which the RSO is in the dark."""
@@ -57,7 +57,7 @@ class CloseUp:
         rso: Number of the RSO among the satellites of the moment.
         inspectors: Numbers of the inspectors there, [I].
         rho_H: Positions of the inspectors, m [I, 3].
-        drifts_H: Positions during half a revolution without manoeuvres, m [I, M, 3].
+        drifts_H: Positions during half a revolution without maneuvers, m [I, M, 3].
         normals_H: Directions of the points, [P, 3].
         known: What is known of each, :data:`UNLIT`, :data:`LIT` or :data:`INSPECTED`, [P].
         sun_H: Direction to the Sun, [3].
@@ -178,7 +178,7 @@ SHORT = 0.15
 
 
 def view() -> Array:
-    """Right, up and towards the eye, rows in the Hill frame, [3, 3]; away from the Earth is up."""
+    """Right, up and toward the eye, rows in the Hill frame, [3, 3]; away from the Earth is up."""
     towards = np.array(EYE_H) / np.linalg.norm(EYE_H)
     right = np.cross(-EARTH_H, towards)
     right = right / np.linalg.norm(right)
