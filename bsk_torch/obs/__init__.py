@@ -24,12 +24,12 @@ _LACKING = {
     "RSOTargetProperties": "satellites as targets, which are not simulated yet; obs.OpportunityProperties observes places on the "
     "ground",
 }
-"""Observations of bsk_rl that are not here yet."""
+"""Observations of bsk_rl not supported yet."""
 
 if not TYPE_CHECKING:
 
     def __getattr__(name: str) -> object:
-        """Say of an observation of bsk_rl that it is not here yet."""
+        """Raise an error for an observation of bsk_rl not supported yet."""
         if name in _LACKING:
             raise AttributeError(f"obs.{name} of bsk_rl is not part of bsk_torch yet: {_LACKING[name]}")
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

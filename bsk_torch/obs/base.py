@@ -43,7 +43,7 @@ UNUSED = {
     "reset_during_sim_init": MEMORY,
     "reset_post_sim_init": MEMORY,
 }
-"""Names that are no hooks of observations, those of bsk_rl among them, and what to write instead."""
+"""Names that are not hooks of observations, including bsk_rl's, and their replacements."""
 
 Values = dict[str, Any]
 """Observed quantities by name: tensors [N] or [N, width], or dictionaries of them."""
@@ -56,7 +56,7 @@ class Observation:
 
     Attributes:
         name: Name of the entry in the observation.
-        unique_name: The same with a number where several entries of the satellite have it, as in ``target_2``.
+        unique_name: The name, numbered if several entries of the satellite share it, as in ``target_2``.
         satellite: The satellites, once an environment has been built.
         simulator: Their simulation.
     """
@@ -66,7 +66,7 @@ class Observation:
     unique_name: str
 
     def __init__(self, name: str) -> None:
-        """Name the entry; ValueError for a name that is no string."""
+        """Name the entry; ValueError unless the name is a string."""
         self.name = text("name", name)
 
     def __init_subclass__(cls, **options: object) -> None:
@@ -82,35 +82,35 @@ class Observation:
     def link_satellite(self, satellite: BoundSatellite) -> None:
         """Prepare for a satellite; called once when an environment is built.
 
-        Overriding methods call ``super().link_satellite(satellite)`` first, and raise ValueError for a satellite that cannot be
-        observed in this way.
+        Overriding methods call ``super().link_satellite(satellite)`` first, and raise ValueError for a satellite without the
+        observed quantities.
         """
         self.satellite, self.simulator = satellite, satellite.simulator
 
     @property
     def functions(self) -> list[UserFunction]:
-        """Functions of users that the observation calls; an environment tries them when it is built."""
+        """User functions called by the observation; an environment tries them when it is built."""
         return []
 
     def observables(self) -> list[Any]:
-        """Return functions of observables that :meth:`get_obs` reads, so that one kernel computes them together.
+        """Return functions of observables read by :meth:`get_obs`, for computation in one kernel.
 
-        See :mod:`bsk_torch.sim.readout.observables`. Observables that are not listed are computed one by one.
+        See :mod:`bsk_torch.sim.readout.observables`. Observables not listed are computed one by one.
         """
         return []
 
     def get_obs(self) -> Tensor | Values:
-        """Return the present observation: a tensor [N] or [N, ...], or a dictionary of them by name, which may be nested.
+        """Return the current observation: a tensor [N] or [N, ...], or a (possibly nested) dictionary of them by name.
 
-        NumPy arrays may take the place of tensors. A subclass of this class may also be written for one satellite, as in bsk_rl:
-        it is then called for one environment after the other, which is slow, with arrays and numbers of that environment.
+        NumPy arrays may replace tensors. A subclass of this class may also be written for one satellite, as in bsk_rl. It is then
+        called once per environment, which is slow, with arrays and numbers of that environment.
         """
         raise NotImplementedError(f"{type(self).__name__} must implement get_obs()")
 
     def get_vector(self) -> Tensor:
-        """Return the present observation as one vector [N, width], the leaves of :meth:`get_obs` side by side.
+        """Return the current observation as one vector [N, width], the concatenated leaves of :meth:`get_obs`.
 
-        A class may define a faster way alongside its ``get_obs``; a subclass that overrides only ``get_obs`` gets this one again.
+        A class may define a faster version for its ``get_obs``; a subclass that overrides only ``get_obs`` uses this one again.
         """
         return side_by_side(self.name, self.get_obs(), self.simulator.state.rows)
 
@@ -126,7 +126,7 @@ def flatten(values: Values, count: int | None = None, prefix: str = "") -> Itera
     """Yield the leaves in order, as dotted names and tensors [N, width].
 
     Raises:
-        TypeError: For a leaf that is no tensor [N] or [N, ...], with N = ``count`` if given.
+        TypeError: For a leaf that is not a tensor [N] or [N, ...], with N = ``count`` if given.
     """
     for name, value in values.items():
         path = f"{prefix}{name}"
@@ -145,7 +145,7 @@ def link(entry: object, satellite: BoundSatellite) -> None:
     """Link an observation to a satellite.
 
     Raises:
-        ValueError: For an entry that is no observation.
+        ValueError: For an entry that is not an observation.
         TypeError: For an entry whose ``link_satellite`` does not call that of its base class.
     """
     if not isinstance(entry, Observation):
@@ -156,7 +156,7 @@ def link(entry: object, satellite: BoundSatellite) -> None:
 
 
 class Reader:
-    """Reads an observation, by name or as a vector; one of a user's class is called for all satellites, or for each.
+    """Reads an observation, by name or as a vector; a user's class is called for all satellites, or for each.
 
     Attributes:
         entry: The observation.
@@ -168,7 +168,7 @@ class Reader:
         # get_vector() belongs to the get_obs() of the same class: a subclass that overrides only the latter does not use it
         self._has_vector = defined_first(entry, "get_vector", "get_obs") == "get_vector"
         self._compared = is_ours(type(entry)) or not self._has_vector
-        # a class that overrides the get_obs() of another one may call that for all satellites, so it is not mapped
+        # a class that overrides another get_obs() may call it for all satellites, so it is not mapped
         owners = [cls for cls in type(entry).__mro__ if "get_obs" in vars(cls)]
         mapped = not is_ours(owners[0]) and owners[1:] == [Observation]
         self._function = UserFunction(f"{type(entry).__name__}.get_obs()", ADVICE) if mapped else None
@@ -197,7 +197,7 @@ class Reader:
         """Return the observation as a vector, [N, width].
 
         Raises:
-            TypeError: At the first call, for a vector of a user's class that has not the width of its named observations.
+            TypeError: At the first call, if the vector of a user's class and its named observations differ in width.
         """
         if not self._has_vector:
             return self._flat()
@@ -222,7 +222,7 @@ class ObservationBuilder:
         """Link every entry to the satellite.
 
         Raises:
-            ValueError: For an empty spec or an entry that is no observation.
+            ValueError: For an empty spec or an entry that is not an observation.
             TypeError: For an entry whose ``link_satellite`` does not call that of its base class.
         """
         if not spec:
@@ -239,12 +239,12 @@ class ObservationBuilder:
 
     @property
     def functions(self) -> list[UserFunction]:
-        """Functions of users that entries call, and entries of users' classes."""
+        """User functions called by entries, and entries of users' classes."""
         return [function for reader in self._readers for function in reader.functions]
 
     @property
     def observables(self) -> list[Any]:
-        """Functions of the observables that entries read."""
+        """Functions of the observables read by entries."""
         return [function for entry in self.entries for function in entry.observables()]
 
     def get_dict(self) -> Values:
@@ -257,12 +257,12 @@ class ObservationBuilder:
         return values
 
     def get_vector(self, dtype: torch.dtype) -> Tensor:
-        """Return all observations side by side, [N, width]."""
+        """Return all observations, concatenated, [N, width]."""
         return torch.cat([reader.vector() for reader in self._readers], -1).to(dtype)
 
     @staticmethod
     def vector(values: Values, dtype: torch.dtype) -> Tensor:
-        """Return named observations side by side, [N, width]."""
+        """Return named observations, concatenated, [N, width]."""
         return torch.cat([value for _, value in flatten(values)], -1).to(dtype)
 
     @staticmethod

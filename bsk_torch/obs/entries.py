@@ -17,14 +17,14 @@ Norm = float | Tensor
 
 
 def parse_entries(entries: Iterable[dict[str, Any]], allowed: set[str], title: str) -> tuple[dict[str, Any], ...]:
-    """Return copies of the dictionaries that a user has given, in which ``norm`` and ``name`` are set.
+    """Return copies of a user's dictionaries, with ``norm`` and ``name`` set.
 
-    As in bsk_rl, ``fn`` comes before ``prop``, which then only names the property. Names are ``name``; else ``prop``, or
+    As in bsk_rl, ``fn`` takes precedence over ``prop``, which is then just the label. Names are ``name``; else ``prop``, or
     ``prop_0`` and so on for a function without one, with ``_normd`` where a norm divides it.
 
     Raises:
-        ValueError: For unknown keys, neither ``prop`` nor ``fn``, a norm that is no number or is zero, or equal names.
-        TypeError: For an entry that is no dictionary, or a ``fn`` that is no function.
+        ValueError: For unknown keys, missing ``prop`` and ``fn``, a norm that is zero or not a number, or equal names.
+        TypeError: For an entry that is not a dictionary, or a ``fn`` that is not a function.
     """
     parsed = tuple(_parsed(entry, number, allowed, title) for number, entry in enumerate(entries))
     names = [entry["name"] for entry in parsed]
@@ -50,7 +50,7 @@ def _parsed(entry: object, number: int, allowed: set[str], title: str) -> dict[s
 
 
 def parse_norm(norm: object, title: str) -> Norm:
-    """Return a norm as a number or a tensor; 1 for None. ValueError for one that is no number, or zero."""
+    """Return a norm as a number or a tensor; 1 for None. ValueError unless it is a nonzero number."""
     no_gradient(title, norm)
     try:
         table = torch.as_tensor(1.0 if norm is None else norm, dtype=torch.float64)
@@ -74,7 +74,7 @@ def scaled(value: Tensor, norm: Norm) -> Tensor:
 
 
 def is_own(function: Callable[..., object]) -> bool:
-    """Return whether a function belongs to this package, and so takes all satellites at once; partial ones too."""
+    """Return whether a function, or a partial of one, belongs to this package and so takes all satellites at once."""
     while isinstance(function, functools.partial):
         function = function.func
     return str(getattr(function, "__module__", "")).startswith(OWN_PACKAGE)

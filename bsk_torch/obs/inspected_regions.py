@@ -1,4 +1,4 @@
-"""What a satellite knows of the inspection of an RSO, region by region."""
+"""Knowledge of a satellite about the inspection of an RSO, by region."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ FRAMES = ("chief_hill", "chief_body")
 def rso_imaged_regions(
     servicer: SatelliteLike, chief: SatelliteLike, region_centers: Any = AXES, frame: str = "chief_hill"
 ) -> Numbers:
-    """Return the fraction of the points of each region of the chief that the servicer knows to be inspected, [N, R].
+    """Return the fraction of points in each region of the chief known by the servicer to be inspected, [N, R].
 
     A point belongs to the region whose center is the nearest to its position in the chief's body axes, the first of several;
     regions without points give 0. Centers in ``"chief_hill"`` turn with the chief's Hill frame, so points change regions where
     the chief's body does not turn with it. What has been communicated counts, see :class:`bsk_torch.data.RSOInspectionReward`.
 
     Args:
-        servicer: The satellite that observes.
+        servicer: The observing satellite.
         chief: The RSO.
         region_centers: Centers [R, 3] in the axes of ``frame``, of points at a distance of about 1; both directions of each axis
             by default.

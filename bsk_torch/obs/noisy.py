@@ -23,24 +23,24 @@ Noise = float | Distribution | Mapping[str, float | Distribution]
 """Standard deviation of normal noise, or a distribution, of all numbers observed or by name."""
 
 STREAM = 0x1E3779B97F4A7C15
-"""Odd number by which ticks change the seed, so that every decision has separate random numbers."""
+"""Odd number multiplied by ticks to change the seed, so that every decision has separate random numbers."""
 
 SEED_BITS = 2**63 - 1
 
 MOST_NOISE = 1e30
-"""Standard deviations are below it, so that noise is finite in float32."""
+"""Upper limit of standard deviations, so that noise is finite in float32."""
 
 OWNER = "noise_env"
-"""Memory that keeps the environment's index under which an episode has begun: copies of the episode share its noise."""
+"""Memory of the environment's index at the start of an episode: copies of the episode share its noise."""
 
 
 class Noisy(Observation):
-    """An observation with noise, as imperfect sensors and navigation give.
+    """An observation with noise, as from imperfect sensors and navigation.
 
-    Noise is added to what the observation gives, after division by its norms. It follows from the environment's seed, index and
-    episode, the satellite, the time and the name of the observation: it is new at every decision, the same whenever one decision
-    is observed, and does not depend on the batch. Rewards, flight software and action masks see the true state;
-    ``noisy.observation.get_obs()`` is what would be observed without noise.
+    Noise is added to the observation after division by its norms. It depends only on the environment's seed, index and episode,
+    the satellite, the time and the name of the observation. It differs between decisions, is the same whenever one decision is
+    observed again, and does not depend on the batch. Rewards, flight software and action masks use the true state;
+    ``noisy.observation.get_obs()`` is the observation without noise.
 
     Attributes:
         observation: The observation without noise.
@@ -52,12 +52,12 @@ class Noisy(Observation):
         Args:
             observation: Any observation, such as ``obs.SatProperties(...)``.
             noise: Noise of each decision: the standard deviation of normal noise, a distribution of :mod:`bsk_torch.rand`, or a
-                dictionary of these by the names of properties; properties that it does not name have none.
+                dictionary of these by the names of properties; other properties have no noise.
             bias: Noise drawn once for each episode, likewise.
             name: Name of the entry (default: that of the observation).
 
         Raises:
-            ValueError: For something that is no observation, no noise, or a negative standard deviation.
+            ValueError: For an invalid observation or noise, or a negative standard deviation.
         """
         if not isinstance(observation, Observation):
             raise ValueError(f"obs.Noisy({observation!r}): it must be an observation; write obs.Time(), with parentheses")
@@ -69,7 +69,7 @@ class Noisy(Observation):
         self._plans: list[list[tuple[Distribution, list[int]]]] | None = None
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Noisy:
-        """Return a copy with a copy of the observation; every environment makes one."""
+        """Return a copy, including the observation; every environment makes one."""
         made = copy.copy(self)
         made.observation = copy.deepcopy(self.observation, memo)
         return made
@@ -109,7 +109,7 @@ class Noisy(Observation):
     # -- random numbers -----------------------------------------------------------------------------------------------
 
     def _noise(self, leaves: list[tuple[str, Tensor]]) -> Tensor:
-        """Return the noise of the observed numbers side by side, [N, width]."""
+        """Return the noise of the concatenated observed numbers, [N, width]."""
         if self._plans is None:
             columns = _columns(leaves, getattr(self.observation, "exact", ()))
             self._plans = [_plan(part, columns, self.name) for part, _ in self._parts]
@@ -131,7 +131,7 @@ class Noisy(Observation):
         return noise
 
     def _own(self, envs: Tensor) -> None:
-        """Keep the index of the environments ``envs`` [n], whose episodes have begun."""
+        """Store the index of the environments ``envs`` [n], whose episodes have begun."""
         state, memory = self.simulator.state, self.simulator.memory
         rows = state.rows_of(envs)
         memory[OWNER] = memory[OWNER].index_copy(0, rows, state.of_env(self.satellite.fleet.env_ids)[rows])
@@ -143,12 +143,12 @@ class Noisy(Observation):
         return replace(key, env_id=self.simulator.memory[OWNER].cpu())
 
     def _now(self, key: Key) -> Key:
-        """Return a key of the present time."""
+        """Return a key of the current time."""
         return replace(key, seed=(key.seed ^ (self.simulator.ticks.cpu() + 1) * STREAM) & SEED_BITS)
 
 
 def _parse(noise: object, title: str) -> dict[str | None, Distribution]:
-    """Return distributions by name, under None for all numbers; those without noise are left out."""
+    """Return distributions by name, or under None for all numbers, without those that have no noise."""
     given = dict(noise) if isinstance(noise, Mapping) else {None: noise}
     found: dict[str | None, Distribution] = {}
     for name, value in given.items():
@@ -181,7 +181,7 @@ def _plan(
     """Return each distribution with the columns that it is drawn for.
 
     Raises:
-        ValueError: For a name that no observed quantity has.
+        ValueError: For a name that is not observed.
     """
     plan = []
     for name, distribution in part.items():
@@ -197,7 +197,7 @@ def _draw(distribution: Distribution, key: Key, count: int) -> Tensor:
     """Draw ``count`` numbers for each row of the key, [n, count].
 
     Raises:
-        ValueError: For a distribution that gives another number.
+        ValueError: For a distribution that returns another number of values.
     """
     if dataclasses.is_dataclass(distribution) and getattr(distribution, "size", 0) is None and not _is_wide(distribution):
         if isinstance(distribution, Choice):

@@ -34,7 +34,7 @@ def _relative(name: str) -> Preset:
 
 
 def priority(satellite: BoundSatellite, targets: Opportunities) -> Tensor:
-    """Return the present priority of each target, [N, n]."""
+    """Return the current priority of each target, [N, n]."""
     return satellite.simulator.look_up(satellite.scenario.priority, targets.place)
 
 
@@ -61,25 +61,25 @@ PRESETS: dict[str, Preset] = {
     "target_angle": _relative_geometry(3),
     "target_angle_rate": _relative_geometry(4),
 }
-"""Properties of opportunities, the values that ``prop`` may have."""
+"""Properties of opportunities: the allowed values of ``prop``."""
 
 NEEDS = {
     "r_LB_H": ("r_BN_P", "v_BN_P"),
     "target_angle": SATELLITE_PROPERTIES,
     "target_angle_rate": SATELLITE_PROPERTIES,
 }
-"""Properties of the satellite that presets read, by preset."""
+"""Properties of the satellite read by presets, by preset."""
 
 ONLY_TARGETS = ("priority",)
-"""Presets that ground stations do not have."""
+"""Presets not available for ground stations."""
 
 
 class OpportunityProperties(Observation):
-    """Properties of the n opportunities that close next; the i-th target is the one that action i of ``act.Image`` images.
+    """Properties of the n opportunities that close next; action i of ``act.Image`` images the i-th target.
 
     Each argument is a dictionary with ``prop`` (see :data:`PRESETS`) or ``fn`` (function of the satellite and its
     :class:`~bsk_torch.sats.access.Opportunities` that returns [N, n] or [N, n, width]), and optionally ``norm`` (divisor; None
-    for 1) and ``name``. With ``fn``, ``prop`` is only a name. If there are fewer opportunities, the last one is repeated.
+    for 1) and ``name``. With ``fn``, ``prop`` is just the label. If there are fewer opportunities, the last one is repeated.
 
     bsk_rl's functions of a satellite and an opportunity work unchanged: ``opp["object"].priority``, ``opp["window"][0]``. A
     function that cannot be called for all opportunities at once is called for each, which is slow and logged.
@@ -100,10 +100,10 @@ class OpportunityProperties(Observation):
         Args:
             *entries: Properties of each opportunity; see the class.
             n_ahead_observe: Number of opportunities n.
-            type: ``"target"``, ``"ground_station"``, or another kind of places that scenario or models declare.
+            type: ``"target"``, ``"ground_station"``, or another kind of places declared by the scenario or models.
             name: Name of the observation (default: that of the type).
             as_set: Whether to return ``rows`` [N, n, features] and ``mask`` [N, n] (1, or 0 for repetitions) instead of named
-                numbers, for policies that treat all opportunities alike.
+                numbers, for permutation-invariant policies.
 
         Raises:
             ValueError: For unknown keys or presets, equal names, or fewer than one opportunity.
@@ -119,7 +119,7 @@ class OpportunityProperties(Observation):
                 raise ValueError(f"prop={entry['prop']!r} is a property of targets; opportunities of type {type!r} have none")
         self.n_ahead_observe = whole("n_ahead_observe", n_ahead_observe, 1)
         self.entries, self.type, self.as_set = parsed, text("type", type), switch("as_set", as_set)
-        self.exact = ("mask",) if as_set else ()  # what obs.Noisy leaves alone
+        self.exact = ("mask",) if as_set else ()  # not changed by obs.Noisy
         titles = (f"{entry['name']!r} of {self.name!r}" for entry in parsed)
         self._functions = [
             UserFunction(title, ADVICE) if "fn" in entry and not is_own(entry["fn"]) else None
@@ -145,7 +145,7 @@ class OpportunityProperties(Observation):
         places = access.kinds[self.type]
         if not isinstance(places, FixedPlaces) and any(entry.get("prop") == "target_angle_rate" for entry in self.entries):
             raise ValueError(
-                f"{self.name!r} observes target_angle_rate, which holds for places that rest on the Earth; places of type "
+                f"{self.name!r} observes target_angle_rate, only defined for places fixed on the Earth; places of type "
                 f"{self.type!r} move"
             )
         for name in self._needs():
@@ -155,7 +155,7 @@ class OpportunityProperties(Observation):
             access.expect(self.n_ahead_observe, places.count)
 
     def _needs(self) -> list[str]:
-        """Return names of the properties of the satellite that the entries read."""
+        """Return names of the satellite properties read by the entries."""
         props = (entry["prop"] for entry in self.entries if "fn" not in entry)
         return [name for prop in props for name in NEEDS.get(prop, ())]
 
@@ -166,7 +166,7 @@ class OpportunityProperties(Observation):
         return [prop.function for prop in known if isinstance(prop, observable)]
 
     def _columns(self) -> tuple[dict[str, Tensor], Tensor]:
-        """Return properties by name, [N, n] or [N, n, width], and which opportunities do not repeat the last one, [N, n] bool."""
+        """Return properties by name, [N, n] or [N, n, width], and whether opportunities are not repetitions, [N, n] bool."""
         opportunities = self.satellite.find_next_opportunities(self.n_ahead_observe, self.type)
         columns = {}
         for entry, function in zip(self.entries, self._functions, strict=True):
@@ -192,7 +192,7 @@ class OpportunityProperties(Observation):
 
     @staticmethod
     def _rows(columns: dict[str, Tensor]) -> Tensor:
-        """Put all columns side by side, [N, n, features]."""
+        """Concatenate all columns, [N, n, features]."""
         return torch.cat([column.unsqueeze(-1) if column.ndim == 2 else column for column in columns.values()], -1)
 
     def get_obs(self) -> Values:

@@ -1,8 +1,8 @@
-"""Observations of a satellite relative to another one of its episode, and the functions that they observe.
+"""Observations of a satellite relative to another one of its episode, and the observed functions.
 
 D is the deputy, the observing satellite; C is the chief. Names denote the quantity and the axes: N inertial, C and D of
 the two bodies, Hc and Hd of their Hill frames (radial, along the track, orbit normal), Hs of the Hill frame of the Earth's orbit
-about the Sun. Velocities are those that an observer in the named frame sees: in a rotating frame F they are
+about the Sun. Velocities are relative to the named frame; in a rotating frame F they are
 ``[FN] (v_D - v_C - omega_FN x (r_D - r_C))`` (Schaub and Junkins, sections 1.3 and 14.2). Attitudes are MRPs with a length of at
 most one.
 
@@ -217,7 +217,7 @@ def h_Hs(deputy: SatelliteLike, chief: SatelliteLike) -> Numbers:
 def eccentricity_Hs(deputy: SatelliteLike, chief: SatelliteLike) -> Numbers:
     """Return the chief's eccentricity vector ``[HsN] (v_C x h_C / mu - r_C / |r_C|)``, [N, 3]; for Hs see :func:`r_Hs`.
 
-    ``mu`` is that of the Earth, whatever ``sat_args`` convert elements with.
+    ``mu`` is the Earth's, regardless of the value used by ``sat_args`` to convert elements.
     """
     r_C, v_C = states(chief)
     return _as(_sun_hill(deputy) @ (v_C.cross(r_C.cross(v_C)) / MU_EARTH - r_C.unit()), deputy)
@@ -233,7 +233,7 @@ FUNCTIONS: dict[str, RelativeFunction] = {
         *(sun_hat_Hc, r_Hs, h_Hs, eccentricity_Hs, rso_imaged_regions),
     )
 }
-"""Functions of deputy and chief that ``prop`` names."""
+"""Functions of deputy and chief, the allowed values of ``prop``."""
 
 
 class RelativeProperties(Observation):
@@ -241,7 +241,7 @@ class RelativeProperties(Observation):
 
     Each argument is a dictionary with ``prop`` (name of a function of this module, one of :data:`FUNCTIONS`) or ``fn`` (function
     of deputy and chief that returns [N] or [N, width]), and optionally ``norm`` (divisor; None for 1) and ``name``, which is
-    ``prop`` by default, with ``_normd`` where a norm divides. With ``fn``, ``prop`` is only a name.
+    ``prop`` by default, with ``_normd`` where a norm divides. With ``fn``, ``prop`` is just the label.
 
     The chief may be any satellite, the deputy itself included. Functions see it as
     :class:`~bsk_torch.sats.others.OtherSatellite`; they may also be written for one deputy and one chief, as in bsk_rl, and are
@@ -264,7 +264,7 @@ class RelativeProperties(Observation):
         self.entries = parse_entries(entries, {"prop", "fn", "norm", "name"}, "obs.RelativeProperties")
         for entry in self.entries:
             if "fn" not in entry and entry["prop"] not in FUNCTIONS:
-                raise ValueError(f"prop={entry['prop']!r} is no relative property; {nearest(str(entry['prop']), FUNCTIONS)}")
+                raise ValueError(f"prop={entry['prop']!r} is not a relative property; {nearest(str(entry['prop']), FUNCTIONS)}")
         self._calls = [entry["fn"] if "fn" in entry else FUNCTIONS[entry["prop"]] for entry in self.entries]
 
     def link_satellite(self, satellite: BoundSatellite) -> None:
@@ -273,7 +273,7 @@ class RelativeProperties(Observation):
         places = satellite.fleet.places
         if self.chief_name not in places:
             raise ValueError(
-                f"obs.RelativeProperties: chief_name={self.chief_name!r} is no satellite of the environment; "
+                f"obs.RelativeProperties: chief_name={self.chief_name!r} is not a satellite of the environment; "
                 f"{nearest(self.chief_name, places)}"
             )
         titles = (f"{entry['name']!r} of {self.name!r}" for entry in self.entries)
@@ -281,15 +281,15 @@ class RelativeProperties(Observation):
 
     @property
     def chief(self) -> Any:
-        """The chief, row by row alongside the satellite."""
+        """The chief, aligned with the rows of the satellite."""
         return self.satellite.others[self.chief_name]
 
     @property
     def functions(self) -> list[UserFunction]:
         """See :attr:`Observation.functions`.
 
-        None if the chief is of the deputy's type: trials simulate one satellite of each type, which would be its own chief, and
-        say nothing about functions of two. Those are tried at the first reset.
+        None if the chief is of the deputy's type: trials simulate one satellite of each type, which would be its own chief and
+        cannot test functions of two satellites. These are tried at the first reset.
         """
         if self.satellite.fleet.place_of(self.chief_name)[0] == self.satellite.type_index:
             return []

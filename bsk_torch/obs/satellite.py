@@ -24,13 +24,13 @@ if TYPE_CHECKING:
 
 
 class SatProperties(Observation):
-    """Properties of the dynamics or flight-software model, those that a user's model adds included.
+    """Properties of the dynamics or flight-software model, including those added by a user's model.
 
     Each argument is a dictionary with ``prop`` (name of the property) or ``fn`` (function of the satellite that returns [N] or
     [N, width]), and optionally ``module`` (``"dynamics"`` or ``"fsw"``), ``norm`` (divisor; None for 1) and ``name``. With
-    ``fn``, ``prop`` is only a name.
+    ``fn``, ``prop`` is just the label.
 
-    Functions, and properties that a user's model adds, may be written for one satellite as in bsk_rl: with NumPy, returning a
+    Functions, and properties added by a user's model, may be written for one satellite as in bsk_rl, with NumPy, returning a
     number or an array. If they cannot be called for all satellites at once, they are called for each, which is slow and logged.
     See :class:`bsk_torch.sats.user_function.UserFunction`.
     """
@@ -53,7 +53,7 @@ class SatProperties(Observation):
         return [function for function in self._functions if function is not None]
 
     def _function(self, entry: dict[str, Any], module: object) -> UserFunction | None:
-        """Return the user's function or property that an entry calls; None for those of the package."""
+        """Return the user's function or property called by an entry; None for those of the package."""
         title = f"{entry['name']!r} of {self.name!r}"
         if module is None:
             return None if is_own(entry["fn"]) else UserFunction(title, ADVICE)
@@ -82,7 +82,7 @@ class SatProperties(Observation):
         raise ValueError(f"prop={entry['prop']!r} is not a property of {self.satellite.name}; {advice}")
 
     def _read(self, entry: dict[str, Any], module: object, function: UserFunction | None) -> Callable[[], Any]:
-        """Return what reads an entry: the column of an observable, a property, or a function, of the user or of the package."""
+        """Return the reader of an entry: the column of an observable, a property, or a function, of the user or the package."""
         if function is not None:
             return partial(self._call, entry, module, function)
         if module is None:
@@ -149,7 +149,7 @@ class Eclipse(Observation):
     """
 
     def __init__(self, norm: float | None = 1.0, name: str = "eclipse") -> None:
-        """Observe eclipses; ``norm`` is the divisor, s, or None for the period of the satellite's present orbit."""
+        """Observe eclipses; ``norm`` is the divisor, s, or None for the period of the satellite's current orbit."""
         super().__init__(name)
         self.norm = None if norm is None else parse_norm(norm, "obs.Eclipse: norm")
 

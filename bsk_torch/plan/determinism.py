@@ -48,7 +48,7 @@ def _compare(found: list[TensorDictBase], words: str) -> None:
         if not (_same(value[0], value[1]) and _same(value, second[key])):
             name = key if isinstance(key, str) else ".".join(key)
             raise ValueError(
-                f"the environment cannot be copied: {words} {name!r}. Planning needs functions with the same results for the same "
+                f"the environment cannot be copied: {words} {name!r}. Planning needs functions that repeat their results for an "
                 "episode: draw random numbers from a key of bsk_torch.rand or, at reset, from the seeded global generators of "
                 "NumPy or Python, and declare values kept within an episode (fleet.memory.declare)"
             )

@@ -135,7 +135,7 @@ class Fleet:
     def place_of(self, name: str) -> tuple[int, int]:
         """Return the type of a satellite and its number within the type; KeyError for an unknown name, with the nearest one."""
         if name not in self.places:
-            raise KeyError(f"{name!r} is no satellite of the environment; {nearest(str(name), self.places)}")
+            raise KeyError(f"{name!r} is not a satellite of the environment; {nearest(str(name), self.places)}")
         return self.places[name]
 
     # -- reading ------------------------------------------------------------------------------------------------------

@@ -159,7 +159,7 @@ class TestHillFrame:
             "'nadir' is not a command of the flight software; did you mean 'nadir_point'",
         ),
         (lambda: act.ImpulsiveThrust(fsw_action=3), "fsw_action"),
-        (lambda: act.ImpulsiveThrustHill("B"), "chief_name='B' is no satellite of the environment"),
+        (lambda: act.ImpulsiveThrustHill("B"), "chief_name='B' is not a satellite of the environment"),
         (lambda: act.ImpulsiveThrustHill(3), "chief_name"),
         (lambda: act.AttitudeSetpoint(control_period=0.0), "control_period=0.0 must be"),
     ],

@@ -304,7 +304,7 @@ def test_wrong_arguments(given, words):
 
 
 def test_wrong_satellites():
-    with pytest.raises(ValueError, match="chief_name='B' is no satellite of the environment"):
+    with pytest.raises(ValueError, match="chief_name='B' is not a satellite of the environment"):
         make(HillWaypoint("B"))
     with pytest.raises(ValueError, match="chief_name='D2' has the same type as its deputies"):
         make(HillWaypoint("D2"), ("D1", "D2"))

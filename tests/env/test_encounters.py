@@ -320,7 +320,7 @@ def test_bsk_rl_books_a_collision_on_the_satellite_before_the_later_one(compat, 
 @pytest.mark.parametrize(
     ("args", "message"),
     [
-        (dict(chief_name="RS0"), "sat_args of A: chief_name='RS0' is no satellite of the environment; did you mean 'RSO'"),
+        (dict(chief_name="RS0"), "sat_args of A: chief_name='RS0' is not a satellite of the environment; did you mean 'RSO'"),
         (dict(chief_name=3), "chief_name=3"),
         (dict(conjunction_radius=0.0), "conjunction_radius=0 m is not allowed"),
         (dict(conjunction_radius=-2.0), "conjunction_radius=-2 m is not allowed"),

@@ -205,7 +205,7 @@ def test_partial_steps_leave_the_others_relative_states():
 @pytest.mark.parametrize(
     ("entries", "error", "message"),
     [
-        ((dict(prop="r_DC_H"),), ValueError, "prop='r_DC_H' is no relative property; did you mean"),
+        ((dict(prop="r_DC_H"),), ValueError, "prop='r_DC_H' is not a relative property; did you mean"),
         ((dict(prop="r_DC_N", module="dynamics"),), ValueError, r"unknown keys \['module'\]"),
         ((dict(norm=2.0),), ValueError, "needs 'prop' or 'fn'"),
         ((dict(prop="r_DC_N", norm=0.0),), ValueError, "norm of"),
@@ -220,7 +220,7 @@ def test_wrong_entries_are_refused_at_construction(entries, error, message):
 
 
 def test_an_unknown_chief_is_refused_when_the_environment_is_built():
-    with pytest.raises(ValueError, match="chief_name='RS0' is no satellite of the environment; did you mean 'RSO'"):
+    with pytest.raises(ValueError, match="chief_name='RS0' is not a satellite of the environment; did you mean 'RSO'"):
         make(dict(prop="r_DC_N"), chief_name="RS0")
     with pytest.raises(ValueError, match="chief_name"):
         obs.RelativeProperties(dict(prop="r_DC_N"), chief_name=None)

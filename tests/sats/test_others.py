@@ -84,7 +84,7 @@ def test_one_satellite_sees_one(env):
 
 @pytest.mark.parametrize("look", ["satellites[0].others", "satellites[1].one(0).others"])
 def test_an_unknown_name_is_answered_with_the_nearest(env, look):
-    with pytest.raises(KeyError, match="'RS0' is no satellite of the environment; did you mean 'RSO'"):
+    with pytest.raises(KeyError, match="'RS0' is not a satellite of the environment; did you mean 'RSO'"):
         eval(f"env.{look}", {"env": env})["RS0"]
     with pytest.raises(KeyError, match="did you mean 'RSO'"):
         env.fleet.satellite("rs0")

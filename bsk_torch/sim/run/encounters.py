@@ -87,7 +87,7 @@ def find_pairs(
             logger.warning("%s has dyn.MaxRangeDynModel and chief_name=None: its range is not looked at", name)
         elif chief not in names:
             raise ValueError(
-                f"sat_args of {name}: chief_name={chief!r} is no satellite of the environment; {nearest(str(chief), names)}"
+                f"sat_args of {name}: chief_name={chief!r} is not a satellite of the environment; {nearest(str(chief), names)}"
             )
     may_collide = [k for k, model in enumerate(models) if issubclass(model, ConjunctionDynModel)]
     if as_bsk_rl:

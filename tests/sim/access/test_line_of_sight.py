@@ -301,6 +301,6 @@ def test_arcs_that_have_moved_on_are_an_error():
     step(fleet, 20000)
     for simulator in fleet.simulators:
         simulator.lookahead.reach(simulator.sim_time + 10800.0, simulator.sim_time)
-    with pytest.raises(RuntimeError, match="before anything looks ahead"):
+    with pytest.raises(RuntimeError, match="before looking ahead"):
         visible_pairs(fleet, torch.ones(2, dtype=torch.bool))
     assert not visible_pairs(fleet, torch.zeros(2, dtype=torch.bool)).any()

@@ -155,6 +155,6 @@ def test_what_cannot_be_recorded():
         env.record("sigma_BN", every=0)
     with pytest.raises(IndexError, match=r"rows has indices \[3\]; they must be a list of numbers from 0 to 2"):
         env.record("sigma_BN", rows=[3])
-    with pytest.raises(KeyError, match="'Scanner' is no satellite of the environment; did you mean 'Scanner1'"):
+    with pytest.raises(KeyError, match="'Scanner' is not a satellite of the environment; did you mean 'Scanner1'"):
         env.record("sigma_BN", satellites="Scanner")
     assert not env.fleet.recordings
