@@ -20,7 +20,7 @@ Environment = TypeVar("Environment", bound="MadeOfArguments")
 
 
 class MadeOfArguments(Snapshots):
-    """Part of an environment: the arguments that it is made of, how they change, and how others are made of them."""
+    """Part of an environment: its arguments, their changes, and the construction of similar environments."""
 
     _arguments: dict[str, Any]
     """Arguments of the constructor by name."""
@@ -32,10 +32,10 @@ class MadeOfArguments(Snapshots):
     """Trial episodes, where no functions of users are called as they show."""
 
     def set_sat_args(self, args: object, envs: object = None) -> None:
-        """Change arguments of satellites; episodes that begin after this call have the new ones, present ones keep theirs.
+        """Change arguments of satellites for episodes started after this call; current episodes keep their values.
 
-        Values are those that ``sat_args`` accepts, ``rand.per_env`` for a value of each environment among them; where its tensor
-        is written into, set it again, since episodes may have been prepared. Nothing is recompiled for arguments drawn from the
+        Values are as in ``sat_args``, including ``rand.per_env`` for one value per environment. After editing its tensor in
+        place, set it again, since the next episodes may already be prepared. Nothing is recompiled for arguments drawn from the
         start (a distribution, ``rand.per_env``, a callable), or that only set initial conditions. If a parameter of the tick was
         a constant, the tick is rebuilt once, and states saved before no longer fit.
 
@@ -104,7 +104,7 @@ class MadeOfArguments(Snapshots):
     # -- environments of the same make --------------------------------------------------------------------------------
 
     def like(self: Environment, num_envs: int, env_ids: Sequence[int] | Tensor | None = None) -> Environment:
-        """Return another environment of the same make, with other episodes, under seed 0 and without logs.
+        """Return another environment of the same kind, with other episodes, seed 0 and no logs.
 
         Episodes can be copied from one to the other by :meth:`restore`. Types of satellites are shared, so that nothing
         is traced or compiled.

@@ -1,4 +1,4 @@
-"""Base of all environments: what they are built of, their specs, reset and step."""
+"""Base of all environments: construction, specs, reset and step."""
 
 from __future__ import annotations
 
@@ -49,11 +49,11 @@ class StepResult(NamedTuple):
     """Outcome of a step of N episodes with S satellites each.
 
     Attributes:
-        duration: How long it took, [N] s.
-        reward: Rewards of the satellites, failure penalties included, [N, S]; zero where the step did not take place.
+        duration: Length of the step, [N] s.
+        reward: Rewards of the satellites, including failure penalties, [N, S]; zero for episodes without a step.
         terminated: Episodes that have ended, [N].
-        truncated: Episodes that were cut, [N].
-        removed: Satellites that were not present or had left before the step, [N, S].
+        truncated: Truncated episodes, [N].
+        removed: Satellites absent or removed before the step, [N, S].
     """
 
     duration: Tensor
@@ -70,7 +70,7 @@ class Tasking(Present, MadeOfArguments):
     _has_frame_skip = True
 
     links: Tensor | None = None
-    """Communication after the last step by sender and receiver, [N, S, S]; None where satellites never communicate."""
+    """Communication after the last step by sender and receiver, [N, S, S]; None if satellites never communicate."""
 
     @outside_inference
     def _build(
@@ -130,7 +130,7 @@ class Tasking(Present, MadeOfArguments):
     # -- construction -------------------------------------------------------------------------------------------------
 
     def _next_fleet(self) -> Fleet:
-        """Return a fleet for the next episodes; it searches as far ahead for windows as actions and observations need."""
+        """Return a fleet for the next episodes, with windows as far ahead as actions and observations need."""
         fleet = self.builder.make_fleet(self.num_envs, [simulator.type for simulator in self.fleet.simulators])
         for simulator, present in zip(fleet.simulators, self.fleet.simulators, strict=True):
             if simulator.lookahead.access is not None and present.lookahead.access is not None:
@@ -175,7 +175,7 @@ class Tasking(Present, MadeOfArguments):
             self.guard.check_begun("reset() of some environments", others)
             if set_state and tensordict is not None and "state" in tensordict:
                 self.restore(tensordict["state"], envs)
-                # TorchRL keeps the entry and writes into it at partial resets, which must not reach what the caller has saved
+                # TorchRL keeps the entry and writes into it at partial resets, which must not change the caller's saved state
                 tensordict["state"] = tensordict["state"].clone()
             elif len(envs):
                 self._begin(envs)
@@ -224,7 +224,7 @@ class Tasking(Present, MadeOfArguments):
         return outcome
 
     def _proven(self, outputs: TensorDict) -> TensorDict:
-        """Return the outputs of a step; FloatingPointError if it is the first of a restored state, and numbers are not finite."""
+        """Return the outputs of a step; FloatingPointError for NaN or infinity in the first step of a restored state."""
         if self.guard.origin is Origin.RESTORED:
             self.check_finite()
             check_numbers(outputs)
@@ -242,7 +242,7 @@ class Tasking(Present, MadeOfArguments):
         return StepResult(duration, reward, terminated, truncated, removed)
 
     def _over(self, dead: Tensor) -> tuple[Tensor, Tensor]:
-        """Return which episodes have ended, and which were cut, [N] each, by who has died, [N, S]."""
+        """Return which episodes have ended, and which were truncated, [N] each, given the dead satellites, [N, S]."""
         ended = dead if self.agents_stay else dead | checked.terminated(self.rewarder)
         cut, present = checked.truncated(self.rewarder), self.fleet.present
         if present is not None:
@@ -257,7 +257,7 @@ class Tasking(Present, MadeOfArguments):
         return False
 
     def _all_agents_ended(self, ended: Tensor) -> Tensor:
-        """Return the episodes that end when the satellites ``ended`` [N, S] have, [N]; where any has, unless overridden."""
+        """Return the episodes that end with the satellites ``ended`` [N, S], [N] (default: if any has ended)."""
         return ended.any(1)
 
     def _outputs(self, result: StepResult | None, **parts: Tensor) -> TensorDict:
@@ -278,7 +278,7 @@ class Tasking(Present, MadeOfArguments):
         return TensorDict(parts, shape, device=self.device)
 
     def observe(self) -> TensorDict:
-        """Return what the present episodes show, as ``reset`` does; rewards and durations of a step are not repeated.
+        """Return the observations of the current episodes, as ``reset`` does, without rewards and durations of a step.
 
         Raises:
             ResetNeededError: For an episode that has not begun.
@@ -291,7 +291,7 @@ class Tasking(Present, MadeOfArguments):
 
 
 def composed(rewarder: GlobalReward | Iterable[GlobalReward] | None) -> GlobalReward:
-    """Return a copy of the rewarder, or of the sum of several; TypeError for anything else."""
+    """Return a copy of the rewarder, or of a sum of several; TypeError for anything else."""
     if rewarder is None:
         return NoReward()
     several = isinstance(rewarder, Iterable) and not isinstance(rewarder, type | str)

@@ -37,16 +37,16 @@ class ConstellationTasking(Tasking):
     ``action_mask``, ``reward`` [N, A, 1], ``mask`` [N, A] (False for agents that are not present or have left),
     ``requires_retasking`` and ``duration`` [N, A, 1]; ``done``, ``terminated``, ``truncated`` and ``duration`` are at the root.
 
-    The last action of a space continues the task; for real numbers, which have no ``action_mask``, ``NO_ACTION`` in all of
-    them does. Under ``joint=True`` with satellites of real numbers, ``action`` has an entry for each satellite by its name.
-    ``action_mask`` allows nothing else to the busy and the dead; an action that
-    a busy satellite is given all the same becomes its task at once, one that a dead satellite is given is ignored.
+    The last action of a space continues the task; for real numbers, which have no ``action_mask``, ``NO_ACTION`` in all of them
+    does. Under ``joint=True`` with satellites of real numbers, ``action`` has an entry for each satellite by its name. By
+    ``action_mask``, busy and dead satellites may only continue. Another action for a busy satellite nevertheless replaces its
+    task at once, and one for a dead satellite is ignored.
 
-    A dead satellite gets the penalty and a last observation, and leaves: its tasks end no step any more, ``mask`` is False, its
-    observations and rewards are zero. The episode ends when all agents are dead, or with the time limit.
+    A dead satellite receives the penalty and a last observation, and leaves: its tasks no longer end steps, ``mask`` is False,
+    and its observations and rewards are zero. The episode ends when all agents are dead, or at the time limit.
 
-    With ``population=(low, high)``, or a scenario that draws who is present, some satellites take no part in some episodes:
-    :attr:`present` [N, S] tells which do. The others look like satellites that have left, but are not dead: they run no ticks.
+    With ``population=(low, high)``, or a scenario that draws the present satellites, some satellites are absent from some
+    episodes; see :attr:`present` [N, S]. Absent satellites look like removed ones, but are not dead, and run no ticks.
     """
 
     options: ConstellationOptions
@@ -64,10 +64,10 @@ class ConstellationTasking(Tasking):
         """Build the environment and check its arguments; nothing is simulated before the first reset.
 
         Args:
-            satellites: The satellites, each with a unique name. Those that differ in nothing but their names and arguments
-                are of one type and are simulated together.
-            scenario: Task of the satellites; None for none.
-            rewarder: Value of their data, the sum of several if there are several; None for zero.
+            satellites: The satellites, each with a unique name. Satellites that differ only in their names and arguments form one
+                type and are simulated together.
+            scenario: Task of the satellites, or None.
+            rewarder: Value of their data, or several rewarders to sum; None for zero.
             communicator: Exchange of data between satellites (default: none).
             sat_arg_randomizer: Draws arguments of all satellites together: a formation of :mod:`bsk_torch.formations`, or a
                 function of the list of satellites, called for each episode, that returns ``{satellite: {argument: value}}``.
@@ -202,7 +202,7 @@ class ConstellationTasking(Tasking):
         return self.play(given, moves)
 
     def play(self, given: Sequence[Any], moves: Tensor) -> TensorDict:
-        """Carry out the actions of each group where ``moves`` [N] is true; return the entries of ``next``."""
+        """Execute the actions of each group where ``moves`` [N] is true; return the entries of ``next``."""
         with self.guard:
             self.guard.check_begun("step()")
             actions, mine = self._decoded(given, moves)
@@ -229,7 +229,7 @@ class ConstellationTasking(Tasking):
         return flags[:, group.members].any(-1)
 
     def _remove(self, duration: Tensor) -> None:
-        """Remove the agents that have lost a satellite; their tasks end no step any more.
+        """Remove the agents that have lost a satellite; their tasks no longer end steps.
 
         bsk_rl lists its agents once at every time, so those that die in a step of no ``duration`` [N] s stay for another one.
         """
@@ -241,7 +241,7 @@ class ConstellationTasking(Tasking):
             members = group.members.flatten()
             removed[:, members] = removed[:, members] | gone.flatten(1)
         left = removed & ~self.state.removed
-        if not bool(left.any()):  # what has been asked of the satellites at this time stays valid
+        if not bool(left.any()):  # values read from the satellites at this time stay valid
             return
         self.state.removed = removed
         for k, satellite in enumerate(self.satellites):

@@ -1,4 +1,4 @@
-"""Episodes of an environment: their seeds, their beginnings, and the next ones, which large batches prepare in bulk."""
+"""Episodes of an environment: seeds, starts, and the next episodes, prepared in bulk by large batches."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from bsk_torch.sim.simulator import Simulator
 from bsk_torch.sim.state import FINITE
 
 SEED_LIMIT = 2**63
-"""Seeds are below it."""
+"""Exclusive upper limit of seeds."""
 
 ENDLESS = 2**31
 """Seconds after which Basilisk's clock stops an episode without limit; the end of the Sun's ephemeris does so before."""
@@ -42,7 +42,7 @@ class EpisodeState(FleetState):
         seed: Seed of its draws, [N].
         limit_ticks: Tick at which it is truncated, [N].
         returns: Sum of the rewards of all satellites so far, [N].
-        begun: Episodes that can be stepped: not before the first reset, nor after a call that did not come to its end, [N].
+        begun: Episodes that can be stepped: False before the first reset and after an interrupted call, [N].
     """
 
     episode: Tensor
@@ -134,7 +134,7 @@ class Episodes(EnvBase):
 
     @property
     def state(self) -> EpisodeState:
-        """Everything that belongs to the present episodes, as live tables; :meth:`get_state` returns a copy."""
+        """State of the current episodes, as live tables; :meth:`get_state` returns a copy."""
         return self.fleet.state  # type: ignore[return-value]
 
     @property
@@ -144,12 +144,12 @@ class Episodes(EnvBase):
 
     @property
     def episode(self) -> Tensor:
-        """Number of the present episode, -1 before the first, [N]."""
+        """Number of the current episode, -1 before the first, [N]."""
         return self.state.episode
 
     @property
     def time_limit(self) -> Tensor:
-        """Time limits of the present episodes, whole ticks, [N] s."""
+        """Time limits of the current episodes, whole ticks, [N] s."""
         return self.state.time_limit
 
     @property
@@ -163,14 +163,14 @@ class Episodes(EnvBase):
         self.state.episode = torch.full_like(self.episode, -1)
 
     def reseed(self, seeds: int | Sequence[int | None], mask: Tensor | None = None) -> None:
-        """Let episodes begin with the first ones of other seeds at their next reset; the present ones are left alone.
+        """Start with the first episodes of other seeds at the next reset; current episodes do not change.
 
         Args:
-            seeds: Seed of all environments, or one for each of the N, where None keeps the present seed.
+            seeds: Seed of all environments, or one for each of the N, where None keeps the current seed.
             mask: Environments to seed, [N] bool (default: all).
 
         Raises:
-            ValueError: For a seed that is no integer from 0 to 2**63 - 1, or a wrong number of them.
+            ValueError: For a seed that is not an integer from 0 to 2**63 - 1, or a wrong number of seeds.
         """
         count = self.num_envs
         several = isinstance(seeds, Sequence | Tensor | np.ndarray) and not isinstance(seeds, str)

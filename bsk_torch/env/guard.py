@@ -1,4 +1,4 @@
-"""Consistency of the episodes of an environment: one thread at a time, and no step from what an interrupted call has left."""
+"""Consistency of the episodes of an environment: one thread at a time, and no step after an interrupted call."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class ResetNeededError(RuntimeError):
 
 
 class Origin(enum.Enum):
-    """Where the numbers of the present episodes come from.
+    """Origin of the numbers of the current episodes.
 
     Each number of a saved state can be right by itself, and no satellite fly with all of them: the first step tells.
     """
@@ -120,7 +120,7 @@ class EpisodeGuard:
         rows = torch.nonzero(~begun if envs is None else envs & ~begun).squeeze(-1).tolist()
         if rows:
             which = "" if len(rows) == len(begun) else f" of environments {rows[:SHOWN]} ({len(rows)} in all)"
-            why = "a step was broken off, which leaves its episodes half done" if self.interrupted else "these have not begun"
+            why = "a step was interrupted, which leaves its episodes incomplete" if self.interrupted else "these have not begun"
             raise ResetNeededError(f"{call} needs running episodes{which}, and {why}; call reset() first")
 
 

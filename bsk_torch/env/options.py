@@ -1,4 +1,4 @@
-"""The options that all environments share: one list, from which constructors take names, defaults and meaning."""
+"""Options shared by all environments: one list of names, defaults and meanings, used by the constructors."""
 
 from __future__ import annotations
 
@@ -26,18 +26,18 @@ Class = TypeVar("Class", bound=type)
 SIM_DTYPES = (torch.float64, torch.float32)
 
 MOST_PENALTY = 1e30
-"""Bound of the penalty of a failure: a sum of some stays finite in float32."""
+"""Bound of the failure penalty, so that a sum of several stays finite in float32."""
 
 ABSENT = {
     "vizard_dir": "there is no Vizard here; env.render() draws pictures, and 'bsk-torch film' makes films",
     "vizard_settings": "there is no Vizard here; env.render() draws pictures, and 'bsk-torch film' makes films",
     "render_mode": "bsk_rl does not use it; env.render() returns pixels",
 }
-"""Options of bsk_rl's environments that mean nothing here unless they are None, and what to use instead."""
+"""Options of bsk_rl's environments accepted only as None, and their replacements."""
 
 
 COMPATIBLE = (None, "bsk_rl")
-"""Simulators whose errors can be repeated."""
+"""Simulators whose errors can be reproduced."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,31 +46,32 @@ class TaskingOptions:
 
     Attributes:
         num_envs: Number of episodes N.
-        world_type: World model, or several, of :mod:`bsk_torch.sim.world`, of which the first wins; None for those that the
-            dynamics models of the satellites require.
+        world_type: World model, or several, of :mod:`bsk_torch.sim.world`, of which the first takes precedence; None for those
+            required by the dynamics models of the satellites.
         world_args: Arguments of the world, like ``sat_args``, also as one callable that returns a dictionary; see
             :meth:`~bsk_torch.env.base.Tasking.default_world_args`.
         sim_rate: Length of a tick, 0.001 to 60 s.
-        max_step_duration: Longest step, s; positive.
-        failure_penalty: Added to the reward of a step at whose end the satellite is dead.
+        max_step_duration: Maximum length of a step, s; positive.
+        failure_penalty: Added to the reward of a step at the end of which the satellite is dead.
         time_limit: Seconds after which an episode is truncated, rounded up to whole ticks; a positive number, a distribution or a
-            callable without arguments. Where it is infinite, the end of the Sun's ephemeris, in 2060, truncates.
+            callable without arguments. If infinite, episodes are truncated at the end of the Sun's ephemeris, in 2060.
         terminate_on_time_limit: Whether the time limit also terminates.
-        device: Where the simulation runs.
+        device: Device of the simulation.
         seed: Seed of all draws, from 0 to 2**63 - 1; None for a random one.
         env_ids: Index of each episode in the draws, from 0 to 2**63 - 1; 0 to N - 1 by default.
-        dtype: Type of observations, rewards and durations, of torch or NumPy; None for the one that the satellites name, or
+        dtype: Type of observations, rewards and durations, of torch or NumPy; None for the type given by the satellites, or
             float32.
         sim_dtype: float64 for parity with Basilisk; float32 for mixed precision: attitude, wheels and flight software in float32,
             orbit, time and accumulators in float64.
         orbit: ``"arc"`` (in advance), ``"integrated"`` (in every tick, with drag), or None for the model's own.
         backend: ``"compiled"``, or ``"eager"`` for debugging.
-        compat: ``"bsk_rl"`` repeats bsk_rl's errors, for comparisons; ``docs/migration.md`` lists them. None for what is true.
-        replan: Whether windows and eclipses that lie ahead follow maneuvers; None for True, or for False with
+        compat: ``"bsk_rl"`` reproduces bsk_rl's errors, listed in ``docs/migration.md``, for comparisons; None for correct
+            results.
+        replan: Whether predicted windows and eclipses follow maneuvers; None for True, or for False with
             ``compat="bsk_rl"``, whose look-ahead stays on the first orbit of an episode.
-        log_level: Level of the package's logger: ``"INFO"`` records what satellites do, see :mod:`bsk_torch.env.log`; None leaves
-            it.
-        log_dir: Path of a file (as in bsk_rl) that gets the records, too.
+        log_level: Level of the package's logger: ``"INFO"`` records satellite events, see :mod:`bsk_torch.env.log`; None leaves
+            it unchanged.
+        log_dir: Path of a file (as in bsk_rl) for the records.
         log_envs: Environments whose satellites are recorded (default: the first one).
     """
 
@@ -96,7 +97,7 @@ class TaskingOptions:
     log_envs: Sequence[int] = (0,)
 
     def __post_init__(self) -> None:
-        """Check values, and translate the type of observations."""
+        """Check values, and convert the type of observations."""
         penalty = number("failure_penalty", self.failure_penalty, -MOST_PENALTY, MOST_PENALTY)
         checked = {
             "num_envs": whole("num_envs", self.num_envs, 1, 2**31 - 1),
@@ -135,10 +136,10 @@ class ConstellationOptions(TaskingOptions):
         meta_agent_groupings: Names of the satellites of agents that command several; their actions are [N, A, M].
         only_retask_idle_meta_agent_members: Whether such agents' actions for busy satellites are ignored.
         group_map: Names of the agents of each group (default: by types of satellites).
-        generate_obs_retasking_only: Whether agents that need no task observe zeros.
-        mask_busy: Whether ``action_mask`` lets busy satellites only continue.
-        population: Smallest and largest number of satellites that are present in an episode. Each number in between is as likely,
-            and so is each choice of satellites. All are present in all episodes by default, or the scenario draws who is
+        generate_obs_retasking_only: Whether agents without need of a task observe zeros.
+        mask_busy: Whether ``action_mask`` allows busy satellites only to continue.
+        population: Minimum and maximum number of present satellites in an episode. All numbers, and all choices of satellites,
+            are equally likely. By default, all are present in all episodes, or the scenario draws the present ones
             (:meth:`bsk_torch.scene.Scenario.present`).
     """
 
@@ -159,7 +160,7 @@ class ConstellationOptions(TaskingOptions):
             raise ValueError("joint=True puts all satellites under one agent; leave meta_agent_groupings and group_map out")
         if self.population is not None:
             if not isinstance(self.population, Sequence) or isinstance(self.population, str) or len(self.population) != 2:
-                raise ValueError(f"population={self.population!r} must be the smallest and the largest number of satellites")
+                raise ValueError(f"population={self.population!r} must be the minimum and maximum number of satellites")
             low = whole("population[0]", self.population[0], 1)
             object.__setattr__(self, "population", (low, whole("population[1]", self.population[1], low)))
 

@@ -1,4 +1,4 @@
-"""What an environment tells about its satellites and its present episodes: numbers, pictures, help."""
+"""Information on satellites and current episodes of an environment: numbers, pictures, help."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from bsk_torch.sim.run.recording import Recording
 
 
 class Present(Episodes):
-    """Part of an environment: what it tells about its satellites and its present episodes."""
+    """Part of an environment: information on its satellites and its current episodes."""
 
     def __getattr__(self, name: str) -> Any:
         """Look up what a module of torch registers; AttributeError with advice for names of Gymnasium's environments."""

@@ -1,4 +1,4 @@
-"""States of environments: saving, restoring, and whether a saved one, or that of another environment, fits."""
+"""States of environments: saving, restoring, and checks of saved states and of other environments."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ MEANING = (
 
 
 class Snapshots(Episodes):
-    """Part of an environment: what saves its present episodes and puts others into their place.
+    """Part of an environment: saves its current episodes and replaces them.
 
     Attributes:
         fingerprint: Numbers that must agree where states are exchanged; see :func:`fingerprint`.
@@ -44,7 +44,7 @@ class Snapshots(Episodes):
     fingerprint: Tensor
 
     def get_state(self) -> TensorDict:
-        """Return a copy of everything that the future depends on, [N, ...]; see :meth:`restore`.
+        """Return a copy of everything that determines the future, [N, ...]; see :meth:`restore`.
 
         Raises:
             ResetNeededError: For an episode that has not begun.
@@ -64,18 +64,18 @@ class Snapshots(Episodes):
         envs: Tensor | Sequence[int] | None = None,
         source: Tensor | Sequence[int] | None = None,
     ) -> None:
-        """Put the episodes ``source`` of a state into the episodes ``envs``; nothing changes if the state does not fit.
+        """Replace the episodes ``envs`` by the episodes ``source`` of a state; nothing changes if the state does not fit.
 
         Args:
             state: A state of :meth:`get_state`, also as nested dictionaries (``state.to_dict()``), or an environment of the same
-                make, whose present episodes are copied directly. Batch sizes may differ. Of a state, which may come from a file
-                from another source, every number used is checked.
-            envs: Episodes of this environment to be replaced, [n] indices (default: all).
+                kind, whose current episodes are copied directly. Batch sizes may differ. Every number used from a state is
+                checked, since it may come from an untrusted file.
+            envs: Episodes of this environment to replace, [n] indices (default: all).
             source: Episodes of the state, [n] indices, which may repeat (default: the same as ``envs``).
 
         Raises:
-            KeyError, TypeError, ValueError: For something that is no state, that another make of environment has saved, or with
-                values that no environment has.
+            KeyError, TypeError, ValueError: For an invalid state, one saved by another kind of environment, or values out of
+                range.
             IndexError: For indices out of range, or of different numbers.
             ResetNeededError: For episodes of another environment that have not begun.
         """

@@ -29,7 +29,7 @@ class SatelliteTasking(Tasking):
     """N independent episodes of one satellite type, as bsk_rl's ``SatelliteTasking`` plays one.
 
     Keys: ``observation``, ``action``, ``action_mask``, ``reward``, ``done``, ``terminated``, ``truncated`` and ``duration``, the
-    seconds that a step took. There is no ``action_mask`` where actions are real numbers.
+    length of a step in s. Continuous actions have no ``action_mask``.
     """
 
     def __init__(
@@ -44,11 +44,11 @@ class SatelliteTasking(Tasking):
         """Build the environment and check its arguments; nothing is simulated before the first reset.
 
         Args:
-            satellite: The satellite, or a list of it alone; the environment works on a copy.
-            scenario: Task of the satellite; None for none.
-            rewarder: Value of its data, the sum of several if there are several; None for zero.
+            satellite: The satellite, or a list containing only it; the environment uses a copy.
+            scenario: Task of the satellite, or None.
+            rewarder: Value of its data, or several rewarders to sum; None for zero.
             communicator: As in :class:`bsk_torch.ConstellationTasking`; one satellite has no partner.
-            sat_arg_randomizer: Draws arguments that belong together: a formation of :mod:`bsk_torch.formations`, or a function of
+            sat_arg_randomizer: Draws related arguments together: a formation of :mod:`bsk_torch.formations`, or a function of
                 the list of the one satellite, called for each episode, that returns ``{satellite: {argument: value}}``.
             **options: ``generate_obs_retasking_only``, which has no effect with one satellite, as in bsk_rl; for the others see
                 :class:`bsk_torch.env.options.TaskingOptions`.
@@ -104,7 +104,7 @@ class SatelliteTasking(Tasking):
         return self.play(messages.given_action(tensordict, "action"), None if partial is None else partial.reshape(-1))
 
     def play(self, action: object, moves: Tensor | None = None) -> TensorDict:
-        """Carry out ``action`` [N] where ``moves`` [N] is true, everywhere if None; return the entries of ``next``.
+        """Execute ``action`` [N] where ``moves`` [N] is true, everywhere if None; return the entries of ``next``.
 
         Continuous actions are [N, A], hybrid ones a tensordict of their parts or [N, A + 1] with the choice behind; among them
         ``NO_ACTION`` continues the current task.

@@ -49,7 +49,7 @@ def check_class(cls: type, base: type, hooks: Sequence[str], unused: Mapping[str
 
     Raises:
         TypeError: For a name in ``unused``; for a public method spelled almost like a hook and callable like it; for a hook of
-        another kind than the base class's, or not callable with the arguments of the hook.
+            another kind than the base class's, or not callable with the arguments of the hook.
     """
     for owner in cls.__mro__:
         if owner is object or (owner is not cls and issubclass(owner, base)):

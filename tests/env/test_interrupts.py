@@ -64,7 +64,7 @@ def test_long_steps_answer_within_a_second():
     assert len(answers) == 6
     for seconds, words in zip(answers[::2], answers[1::2], strict=True):
         assert seconds < SECOND
-        assert "a step was broken off" in words
+        assert "a step was interrupted" in words
         assert "call reset() first" in words
 
 
@@ -162,7 +162,7 @@ def test_an_error_within_a_step_ends_the_episodes_of_the_step(monkeypatch):
             env.step(call.clone())
     assert env.state.begun.tolist() == (~moves).tolist()
     for use in (lambda: env.step(call.clone()), env.get_state, lambda: env.render(rows=0)):
-        with pytest.raises(ResetNeededError, match=r"environments \[0.*a step was broken off"):
+        with pytest.raises(ResetNeededError, match=r"environments \[0.*a step was interrupted"):
             use()
     env.restore(saved, torch.tensor([0, 2]))
     assert torch.equal(env.get_state()["satellites_0", "planes"], saved["satellites_0", "planes"])
