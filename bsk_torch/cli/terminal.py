@@ -38,6 +38,11 @@ def for_shell(path: Path | str) -> str:
     return shlex.quote(str(path))
 
 
+def print_message(text: str) -> None:
+    """Print a message above the activity; the terminal's width breaks it, and files get it in one line."""
+    screen.print(Text(text), soft_wrap=not screen.is_terminal)
+
+
 # -- messages and activities ---------------------------------------------------------------------------------------------------
 
 
@@ -93,7 +98,7 @@ class Activity:
         if self.compiled and not self.quiet:
             kernels = f"{self.compiled} kernel{'s' * (self.compiled > 1)}"
             once = f", once per machine; kept in {self.folder}" if self.folder else ""
-            screen.print(Text(f"compiled {kernels} in {self.seconds:.0f} s{once}"))
+            print_message(f"compiled {kernels} in {self.seconds:.0f} s{once}")
         self.compiled, self.seconds = 0, 0.0
 
 
@@ -123,7 +128,7 @@ class Messages(logging.Handler):
             activity.has_compiled(told["kernel_seconds"], told["folder"])
         counted = {"kernel", "kernel_seconds"} & told.keys() or ("kernel_folder" in told and screen.is_terminal)
         if not counted or logging.getLogger().isEnabledFor(logging.DEBUG):
-            screen.print(Text(self.format(record)))
+            print_message(self.format(record))
 
 
 def set_verbosity(verbose: bool, quiet: bool) -> None:

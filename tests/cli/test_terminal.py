@@ -279,6 +279,12 @@ def test_kernels_are_counted_in_one_line_with_the_total_at_the_end(monkeypatch, 
     assert widest(shown) <= columns
 
 
+def test_messages_are_single_lines_of_files(monkeypatch, capsys):
+    monkeypatch.delenv("COLUMNS", raising=False)
+    terminal.print_message("word " * 50)
+    assert capsys.readouterr().err == "word " * 50 + "\n"
+
+
 # -- a terminal --------------------------------------------------------------------------------------------------------
 
 
