@@ -28,8 +28,8 @@ from bsk_torch import rand
 from bsk_torch.presets.nadir_scan import BATTERY
 from bsk_torch.rl.evaluation.evaluate import evaluate
 from bsk_torch.rl.rules import scan_rule
+from bsk_torch.rl.training import configure
 from bsk_torch.rl.training.config import PPOConfig
-from bsk_torch.rl.training.recipes import configure
 from bsk_torch.rl.training.trainer import Training
 
 PRESET = "NadirScan-v1"

@@ -19,7 +19,7 @@ from bsk_torch.cli.pictures import record
 from bsk_torch.cli.shared import check_writable, environment, environment_options
 from bsk_torch.cli.terminal import fail, working
 from bsk_torch.rl.evaluation.evaluate import FRESH, evaluate
-from bsk_torch.rl.marl.runs import PPO, algorithm_of, configure_run, read_config
+from bsk_torch.rl.marl.runs import PPO, algorithm_of, configure, read_config
 from bsk_torch.rl.policies.files import POLICY, build_policy, check_fits, read_card
 from bsk_torch.rl.policies.shared_policy import shared
 from bsk_torch.rl.training.config import CONFIG, PPOConfig
@@ -168,7 +168,7 @@ def command_of(config: PPOConfig) -> str:
 
 def _changes(config: PPOConfig) -> Iterator[str]:
     """Settings that differ from the recipe's, as the command line takes them."""
-    recipe = configure_run(config.preset, algorithm_of(config), config.network)
+    recipe = configure(config.preset, config.network, algorithm_of(config))
     said = {"preset", "algorithm", "network", "frames", "seed", "options"} | ({"seconds"} if config.frames is None else set())
     for part in fields(config):
         value = getattr(config, part.name)

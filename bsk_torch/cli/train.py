@@ -19,7 +19,7 @@ from bsk_torch.cli.terminal import activity, fail, for_shell, working
 from bsk_torch.env import Tasking
 from bsk_torch.presets import make
 from bsk_torch.rl.evaluation.evaluate import FRESH, Evaluation, evaluate
-from bsk_torch.rl.marl.runs import configure_run, read_config, training_of
+from bsk_torch.rl.marl.runs import configure, read_config, training_of
 from bsk_torch.rl.policies.shared_policy import shared, shared_baselines
 from bsk_torch.rl.training.config import CONFIG, PPOConfig, override
 from bsk_torch.rl.training.lock import FolderLock
@@ -114,7 +114,7 @@ def _check_resumable(folder: Path, config: PPOConfig) -> None:
 
 def _configured(preset: str, algorithm: str | None, network: str | None, changes: list[str], **settings: object) -> PPOConfig:
     try:
-        return override(configure_run(preset, algorithm, network, **settings), changes)
+        return override(configure(preset, network, algorithm, **settings), changes)
     except ValueError as error:
         fail(str(error))
 

@@ -114,12 +114,12 @@ path = draw(episode, "three.png", "three inspectors")
 # %%
 # Train
 # -----
-# With ``actions="waypoints"``, a policy chooses among the 96 transfers, with unsafe ones masked. ``configure_run`` returns the
+# With ``actions="waypoints"``, a policy chooses among the 96 transfers, with unsafe ones masked. ``configure`` returns the
 # settings of a training run. This run is far too short to learn the task and only demonstrates the start:
 import tempfile
 from pathlib import Path
 
-from bsk_torch.rl.marl import configure_run, training_of
+from bsk_torch.rl.marl import configure, training_of
 from bsk_torch.rl.training.log import LOG, read_log
 from bsk_torch.viz.figures.curves import learning_curve
 
@@ -133,7 +133,7 @@ settings = dict(
 )
 options = dict(actions="waypoints", time_limit=SECONDS)
 folder = Path(tempfile.mkdtemp()) / "inspection"
-config = configure_run(
+config = configure(
     "RSOInspection-v1",
     frames=FRAMES,
     seconds=None,

@@ -11,7 +11,7 @@ import torch
 import bsk_torch
 from bsk_torch.rl.networks import AttentionPlan, GRUPlan, MLPPlan
 from bsk_torch.rl.policies import pretrained
-from bsk_torch.rl.training.trainer import train
+from bsk_torch.rl.training import train
 from tests.env.default_dtype import CASES, Made
 from tests.rl.test_training import TINY, weights
 from tests.support.nightly import by_night

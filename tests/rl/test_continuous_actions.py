@@ -16,8 +16,8 @@ from bsk_torch.rl.policies.files import check_fits, load_policy, read_card
 from bsk_torch.rl.policies.shared_policy import shared, shared_baselines
 from bsk_torch.rl.rules.continuous import bounds_of, spread
 from bsk_torch.rl.rules.shield import SafeRule, shield
+from bsk_torch.rl.training import resume, train
 from bsk_torch.rl.training.config import PPOConfig
-from bsk_torch.rl.training.trainer import resume, train
 from bsk_torch.sim import dyn, fsw
 from bsk_torch.viz.episodes import draw, record
 from tests.act.test_continuous import START, Choose, kind

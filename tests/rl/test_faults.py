@@ -16,9 +16,10 @@ from torch._inductor import config
 
 from bsk_torch.codegen import build
 from bsk_torch.rl.policies.files import POLICY, load_policy
+from bsk_torch.rl.training import resume, train
 from bsk_torch.rl.training.config import CONFIG, PPOConfig
 from bsk_torch.rl.training.log import EVALUATIONS, LOG, read_log
-from bsk_torch.rl.training.trainer import CHECKPOINT, Training, resume, train
+from bsk_torch.rl.training.trainer import CHECKPOINT, Training
 
 pytestmark = pytest.mark.compiled
 

@@ -11,7 +11,7 @@ from tensordict import TensorDict
 
 import bsk_torch
 from bsk_torch.presets import PRESETS
-from bsk_torch.rl.marl.runs import configure_run, training_of
+from bsk_torch.rl.marl.runs import configure, training_of
 from tests.support.choices import legal_actions
 
 pytestmark = pytest.mark.compiled
@@ -84,7 +84,7 @@ def config_of(name, collector, frames):
     few |= {"learning_rate_schedule": "constant", "entropy_schedule": "constant"}  # others depend on the number of frames
     options = OPTIONS.get(name, {}) | {"time_limit": 1800.0}
     many = {"collector": collector, "workers": 2}
-    return configure_run(name, network="mlp" if name == "NadirScan-v1" else None, frames=frames, options=options, **few, **many)
+    return configure(name, network="mlp" if name == "NadirScan-v1" else None, frames=frames, options=options, **few, **many)
 
 
 def weights(policy):

@@ -7,14 +7,13 @@ from torchrl.modules import ValueOperator
 
 import bsk_torch
 from bsk_torch.rl.evaluation.evaluate import evaluate
-from bsk_torch.rl.marl.runs import configure_run
+from bsk_torch.rl.marl.runs import configure
 from bsk_torch.rl.networks.normaliser import OWN
 from bsk_torch.rl.policies.files import load_policy
 from bsk_torch.rl.rules.baselines import Columns, ScanRule, random_policy
+from bsk_torch.rl.training import train
 from bsk_torch.rl.training.advantages import estimate_advantages
 from bsk_torch.rl.training.config import PPOConfig
-from bsk_torch.rl.training.recipes import configure
-from bsk_torch.rl.training.trainer import train
 
 FLOAT32_SUMS = dict(atol=5e-5, rtol=1e-5)
 """A dozen numbers of order one, each good to 1e-7 of the largest, multiplied and added up in float32 in another order."""
@@ -134,13 +133,13 @@ def test_recipes_can_be_changed():
 
 
 def test_recipes_of_constellations_have_options_of_the_environment():
-    config = configure_run("MultiInspection-v1", frames=10, options={"n_inspectors": 2})
+    config = configure("MultiInspection-v1", frames=10, options={"n_inspectors": 2})
     assert (config.num_envs, config.gamma, config.frames) == (128, 0.99999, 10)
     assert config.options == {"actions": "waypoints", "n_inspectors": 2}
-    assert configure_run("RSOInspection-v1", options={"actions": "thrust"}).options == {"actions": "thrust"}
-    assert configure_run("RSOInspection-v1").options == {"actions": "waypoints"}  # the recipe itself stays as it is
-    assert configure_run("Constellation-v1").options == {"as_set": True}
-    relayed = configure_run("RelayConstellation-v1")
+    assert configure("RSOInspection-v1", options={"actions": "thrust"}).options == {"actions": "thrust"}
+    assert configure("RSOInspection-v1").options == {"actions": "waypoints"}  # the recipe itself stays as it is
+    assert configure("Constellation-v1").options == {"as_set": True}
+    relayed = configure("RelayConstellation-v1")
     assert (relayed.imitate, relayed.gamma, relayed.options) == ("nearest", 0.999, {"as_set": True})
 
 

@@ -14,10 +14,11 @@ import torch
 
 from bsk_torch.rl.policies.checksummed import load_checksummed, save_checksummed
 from bsk_torch.rl.policies.files import POLICY, load_policy
+from bsk_torch.rl.training import resume, train
 from bsk_torch.rl.training.config import CONFIG, PPOConfig, load_config
 from bsk_torch.rl.training.lock import LOCK, FolderInUseError, FolderLock
 from bsk_torch.rl.training.log import EVALUATIONS, LOG, CsvLog, read_log
-from bsk_torch.rl.training.trainer import CHECKPOINT, Training, check_folder, resume, train
+from bsk_torch.rl.training.trainer import CHECKPOINT, Training, check_folder
 
 pytestmark = pytest.mark.compiled
 

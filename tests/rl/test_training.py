@@ -11,11 +11,12 @@ import torch
 
 import bsk_torch
 from bsk_torch.rl.policies.files import POLICY, load_policy
+from bsk_torch.rl.training import resume, train
 from bsk_torch.rl.training.collect import make_collector, prepared, start_worker
 from bsk_torch.rl.training.config import CONFIG, PPOConfig, load_config
 from bsk_torch.rl.training.episodes import RecentEpisodes
 from bsk_torch.rl.training.log import COLUMNS, EVALUATED, EVALUATIONS, LOG, read_log
-from bsk_torch.rl.training.trainer import CHECKPOINT, Training, resume, train
+from bsk_torch.rl.training.trainer import CHECKPOINT, Training
 
 pytestmark = pytest.mark.compiled
 

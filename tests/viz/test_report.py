@@ -18,8 +18,8 @@ from bsk_torch.cli import app
 from bsk_torch.cli.report import command_of, extremes
 from bsk_torch.rl.networks.plans import MLPPlan
 from bsk_torch.rl.policies.files import save_policy
+from bsk_torch.rl.training import configure
 from bsk_torch.rl.training.config import PPOConfig, save_config
-from bsk_torch.rl.training.recipes import configure
 from bsk_torch.viz.figures.track_map import decision_of, runs, track_map, within
 from bsk_torch.viz.figures.world import pieces
 from bsk_torch.viz.recorders.track import record_track

@@ -166,10 +166,15 @@ def team_advantages(team: TensorDictBase, critic: ValueOperator, gamma: float, l
 
 
 def group_plan(config: MAPPOConfig, view: SatelliteTasking) -> Plan:
-    """Return how networks of a group are built: those of the configuration where it chooses among targets, else ``"mlp"``."""
+    """Return how networks of a group are built: with attention where it chooses among targets of a set, else ``"mlp"``."""
     try:
         image_actions(view)
     except ValueError:
+        return MLPPlan.of(view, config.hidden)
+    if view.satellite.obs_type is not dict:
+        logger.info(
+            "%s observes targets in one vector: no attention; as_set=True and obs_type=dict make a set", view.satellite.name
+        )
         return MLPPlan.of(view, config.hidden)
     return AttentionPlan.of(view, config.hidden)
 

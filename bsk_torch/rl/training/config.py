@@ -363,7 +363,10 @@ def load_config(path: Path, kind: type[Config]) -> Config:
     if missing:
         logger.warning("%s does not say %s; the default applies", path, ", ".join(missing))
     try:
-        return _to_object(OmegaConf.merge(OmegaConf.structured(kind), settings))
+        defaults = OmegaConf.structured(kind)
+        if isinstance(settings.get("options"), dict):
+            defaults["options"] = {}  # those of the file are all that there are
+        return _to_object(OmegaConf.merge(defaults, settings))
     except OmegaConfBaseException as error:
         raise ValueError(f"{path} is no configuration of this version: {str(error).splitlines()[0]}") from error
     except ValueError as error:

@@ -2,12 +2,7 @@
 
 from __future__ import annotations
 
-from inspect import signature
 from typing import Any
-
-from bsk_torch.presets import PRESETS
-from bsk_torch.rl.networks.plans import check_network
-from bsk_torch.rl.training.config import PPOConfig
 
 TAUGHT: dict[str, Any] = dict(imitate="hasty", imitation=0.2)
 """What the rule ``hasty`` does is learned in a minute, and a good start."""
@@ -68,26 +63,6 @@ RECIPES: dict[str, dict[str, dict[str, Any]]] = {
     "MultiInspection-v1": CREW,
 }
 """Settings that differ from the defaults of :class:`PPOConfig` or :class:`MAPPOConfig`, by environment and network."""
-
-
-def configure(preset: str, network: str = "mlp", **changes: Any) -> PPOConfig:
-    """Configuration of a training, with the recipe for the environment where there is one.
-
-    Args:
-        preset: Name of the environment.
-        network: ``"mlp"``, or ``"attention"`` for environments whose targets can be observed as a set.
-        **changes: Fields of :class:`PPOConfig` that differ from the recipe.
-
-    Raises:
-        ValueError: For an unknown network, or one that does not fit the environment.
-    """
-    check_network(network)
-    recipe, options = recipe_of(preset, network, changes.pop("options", {}))
-    if network == "attention":
-        if preset in PRESETS and "as_set" not in signature(PRESETS[preset]).parameters:
-            raise ValueError(f"network='attention' does not fit {preset}, which observes no set of targets; use network='mlp'")
-        options = {"as_set": True} | options
-    return PPOConfig(preset, network=network, options=options, **(recipe | changes))
 
 
 def recipe_of(preset: str, network: str, options: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:

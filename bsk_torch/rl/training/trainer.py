@@ -26,7 +26,7 @@ from bsk_torch.rl.networks.plans import MEMORY
 from bsk_torch.rl.policies.checksummed import load_checksummed, save_checksummed
 from bsk_torch.rl.policies.files import POLICY, plain
 from bsk_torch.rl.training.collect import bookmarks, check_collector, make_collector, merged, update_weights
-from bsk_torch.rl.training.config import CONFIG, PPOConfig, load_config, save_config
+from bsk_torch.rl.training.config import CONFIG, PPOConfig, save_config
 from bsk_torch.rl.training.episodes import RecentEpisodes
 from bsk_torch.rl.training.lock import LOCK, FolderLock
 from bsk_torch.rl.training.log import RunLog, check_loggers
@@ -389,17 +389,3 @@ def read_checkpoint(out: Path, config: PPOConfig) -> dict[str, Any] | None:
         if saved.get(name) != here:
             raise ValueError(f"the checkpoint in {str(out)!r} has {name}={saved.get(name)!r}, and cannot be resumed as {here!r}")
     return saved
-
-
-def train(config: PPOConfig, out: Path) -> TensorDictModuleBase:
-    """Train a policy and leave it in folder ``out`` alongside its logs and configuration.
-
-    Returns:
-        The policy: writes ``action`` into a tensordict with ``observation`` and ``action_mask``.
-    """
-    return Training(config, out).run()
-
-
-def resume(out: Path, kind: type[PPOConfig] = PPOConfig, run: type[Training] = Training) -> TensorDictModuleBase:
-    """Resume the run in folder ``out`` after an interruption or the end of its budget."""
-    return run(load_config(out / CONFIG, kind), out, resume=True).run()
