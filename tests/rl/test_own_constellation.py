@@ -68,7 +68,7 @@ def test_own_constellations_are_trained_and_resumed(preset, tmp_path):
 
 
 def test_constellations_are_trained_by_the_same_functions(tmp_path):
-    options = dict(time_limit=300.0, n_satellites=2, n_targets=500)
+    options = dict(time_limit=300.0, n_satellites=3, n_targets=500)
     config = configure("Constellation-v1", network="attention", options=options, **FEW)
     assert isinstance(config, MAPPOConfig)
     train(config, tmp_path / "run")

@@ -363,9 +363,8 @@ def load_config(path: Path, kind: type[Config]) -> Config:
     if missing:
         logger.warning("%s does not say %s; the default applies", path, ", ".join(missing))
     try:
-        defaults = OmegaConf.structured(kind)
-        if isinstance(settings.get("options"), dict):
-            defaults["options"] = {}  # those of the file are all that there are
+        complete = isinstance(settings.get("options"), dict)  # then defaults add no option
+        defaults = OmegaConf.structured(kind(options={}) if complete else kind)
         return _to_object(OmegaConf.merge(defaults, settings))
     except OmegaConfBaseException as error:
         raise ValueError(f"{path} is no configuration of this version: {str(error).splitlines()[0]}") from error
