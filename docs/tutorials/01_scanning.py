@@ -11,13 +11,12 @@ empty, its wheels must not reach their maximum speed, and data that exceed its b
 three minutes.
 """
 
-# sphinx_gallery_thumbnail_path = "_static/readme/NadirScan-v1.png"
-
 # %%
 # Result
 # ------
 #
 # One episode with the pretrained policy:
+# sphinx_gallery_thumbnail_path = "_static/readme/NadirScan-v1.png"
 import torch
 
 import bsk_torch

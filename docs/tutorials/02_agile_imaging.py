@@ -11,13 +11,12 @@ and windows, the times at which the satellite is high enough above the target's 
 means skipping others.
 """
 
-# sphinx_gallery_thumbnail_path = "_static/readme/AEOS-v1.png"
-
 # %%
 # Result
 # ------
 #
 # One orbit with the pretrained policy, among 1,000 targets:
+# sphinx_gallery_thumbnail_path = "_static/readme/AEOS-v1.png"
 import torch
 
 import bsk_torch

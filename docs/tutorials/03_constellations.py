@@ -10,14 +10,13 @@ If two satellites image the same target, one image is wasted. Each satellite kno
 others, and skips these targets.
 """
 
-# sphinx_gallery_thumbnail_path = "_static/readme/Constellation-v1.png"
-
 # %%
 # Result
 # ------
 #
 # Twelve satellites in three planes for one orbit, with the pretrained policy. It was trained with a single satellite; ``shared``
 # applies it to all of them:
+# sphinx_gallery_thumbnail_path = "_static/readme/Constellation-v1.png"
 import torch
 
 import bsk_torch

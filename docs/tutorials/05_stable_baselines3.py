@@ -10,14 +10,13 @@ Run ``pip install 'bsk_torch[sb3]'`` first. Other Stable-Baselines3 algorithms f
 MaskablePPO also uses the mask of legal actions.
 """
 
-# sphinx_gallery_thumbnail_path = "_static/readme/AEOSPower-v1.png"
-
 # %%
 # Result
 # ------
 #
 # ``SB3VecEnv`` wraps the batched environment as a ``VecEnv``, given its name and the number of episodes. ``VecMonitor`` records
 # the returns of episodes, and ``VecNormalize`` standardizes observations.
+# sphinx_gallery_thumbnail_path = "_static/readme/AEOSPower-v1.png"
 import time
 
 import torch

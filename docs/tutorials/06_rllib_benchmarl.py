@@ -10,14 +10,13 @@ Install BenchMARL without its dependencies, because it declares an older TorchRL
 RLlib requires an older Gymnasium and therefore a separate virtual environment; its part of this page is shown but not executed.
 """
 
-# sphinx_gallery_thumbnail_path = "_static/readme/RelayConstellation-v1.png"
-
 # %%
 # Result
 # ------
 #
 # Three satellites in one plane learn to share 1,000 targets in half a minute. ``ConstellationTask`` converts a preset to a
 # BenchMARL task; everything else is BenchMARL's standard configuration.
+# sphinx_gallery_thumbnail_path = "_static/readme/RelayConstellation-v1.png"
 import tempfile
 
 import torch

@@ -9,13 +9,12 @@ Make films of episodes: frames of the globe with satellites, targets and activit
 A frame shows the current moment of one episode. No display is needed.
 """
 
-# sphinx_gallery_thumbnail_path = "_static/readme/CloudyAEOS-v1.png"
-
 # %%
 # Result
 # ------
 #
 # An imaging satellite with the pretrained policy, one frame per decision:
+# sphinx_gallery_thumbnail_path = "_static/readme/CloudyAEOS-v1.png"
 import torch
 from PIL import Image
 from torchrl.envs.utils import step_mdp

@@ -11,14 +11,13 @@ away, with fuel for 10 m/s. To inspect a point, it must be closer than 250 m and
 Sun within 60 degrees.
 """
 
-# sphinx_gallery_thumbnail_path = "_static/readme/RSOInspection-v1.png"
-
 # %%
 # Result
 # ------
 #
 # One inspector flies from waypoint to waypoint by a rule: of 96 transfers, it takes the one that reveals the most points, minus
 # costs of fuel and time.
+# sphinx_gallery_thumbnail_path = "_static/readme/RSOInspection-v1.png"
 import torch
 
 import bsk_torch

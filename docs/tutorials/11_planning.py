@@ -10,13 +10,12 @@ The task is agile imaging: one orbit with 3000 targets on Earth. A satellite obs
 other; slews take most of the time.
 """
 
-# sphinx_gallery_thumbnail_path = "_static/readme/AEOSCity-v1.png"
-
 # %%
 # Result
 # ------
 #
 # The same episodes with random actions, a rule, the pretrained policy, and a planner:
+# sphinx_gallery_thumbnail_path = "_static/readme/AEOSCity-v1.png"
 import time
 
 import torch
