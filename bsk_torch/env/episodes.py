@@ -96,7 +96,7 @@ class Episodes(EnvBase):
 
     Attributes:
         builder: Makes fleets and draws episodes.
-        fleet: The satellites of the present episodes.
+        fleet: The satellites of the current episodes.
         satellites: The satellites of each type.
         pool: The next episodes, where preparing them in bulk pays.
         names: Name of every satellite.

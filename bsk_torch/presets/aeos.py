@@ -1,4 +1,4 @@
-"""AEOS-v1, AEOSCity-v1 and CloudyAEOS-v1: agile Earth observation, the choice which of the next 32 targets to image.
+"""AEOS-v1, AEOSCity-v1 and CloudyAEOS-v1: agile Earth observation, choosing among the next 32 targets.
 
 AEOS-v1 is the task ``aeos_single`` of bsk_rl's benchmark suite: power and storage do not limit the satellite, only time does. The
 targets of AEOSCity-v1 are cities. In CloudyAEOS-v1 clouds cover targets; only a forecast of them is observed.
@@ -57,10 +57,10 @@ SPEED = 7616.5
 """Norm of velocities, m/s."""
 
 SOON = 300.0
-"""Norm of the times of windows, and longest step, s."""
+"""Norm of the times of windows, and maximum step, s."""
 
 AHEAD = 32
-"""Number of targets observed and can be chosen."""
+"""Number of observed targets to choose from."""
 
 SATELLITE = (
     dict(prop="omega_BH_H", norm=0.03),
@@ -96,7 +96,7 @@ class AgileSatellite(sats.ImagingSatellite):
 
 
 class AgileSetSatellite(AgileSatellite):
-    """The same, with targets as a set, for policies that treat all of them alike."""
+    """The same, with targets as a set, for permutation-invariant policies."""
 
     observation_spec = (obs.SatProperties(*SATELLITE), targets_ahead(as_set=True), obs.Time())
 
@@ -164,11 +164,11 @@ def cloud_forecast(satellite: sats.BoundSatellite, targets: sats.Opportunities) 
 
 
 CLOUDS = dict(fn=cloud_forecast, name="cloud_forecast")
-"""Property of targets that CloudyAEOS-v1 observes alongside :data:`TARGET`."""
+"""Target property observed by CloudyAEOS-v1 in addition to :data:`TARGET`."""
 
 
 class CloudySatellite(AgileSatellite):
-    """Observes the forecast of clouds, too."""
+    """Also observes the cloud forecast."""
 
     observation_spec = (obs.SatProperties(*SATELLITE), targets_ahead(CLOUDS), obs.Time())
 
@@ -180,6 +180,6 @@ class CloudySetSatellite(AgileSatellite):
 
 
 def cloudy_aeos(*, n_targets: int | tuple[int, int] = 1000, as_set: bool = False, **options: object) -> SatelliteTasking:
-    """Return CloudyAEOS-v1: only images without clouds pay; see :func:`aeos`."""
+    """Return CloudyAEOS-v1: only images without clouds are rewarded; see :func:`aeos`."""
     clouds = dict(scenario=scene.CloudyTargets(scene.UniformTargets(n_targets)), rewarder=data.CloudFreeImageReward())
     return agile_environment((CloudySatellite, CloudySetSatellite), agile_args(), as_set, clouds | options)

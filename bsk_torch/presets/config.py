@@ -52,7 +52,7 @@ def make_env(name: str, options: Mapping[str, object] | None = None, **arguments
 
 
 def register(group: str = "env", name: str = "bsk_torch") -> None:
-    """Put :class:`PresetEnvConfig` into Hydra's store, alongside TorchRL's own; ImportError without Hydra."""
+    """Add :class:`PresetEnvConfig` to Hydra's store of TorchRL configurations; ImportError without Hydra."""
     try:
         from hydra.core.config_store import ConfigStore
     except ImportError as error:

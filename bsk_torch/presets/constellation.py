@@ -42,7 +42,7 @@ from bsk_torch.presets.aeos import ALTITUDE, ORBIT, SATELLITE, SOON, TARGET, Agi
 from bsk_torch.sim import dyn, fsw
 
 CHOICES = 16
-"""Number of targets that an imager of Constellation-v1 and RelayConstellation-v1 observes and can choose."""
+"""Number of observed targets of an imager in Constellation-v1 and RelayConstellation-v1."""
 
 RELAY_ALTITUDE = 2500.0
 """Altitude of the relays, km: the Earth is between two relays half an orbit apart, but each sees low imagers on its own side."""
@@ -89,7 +89,7 @@ class BroadcastingSetImager(BroadcastingImager):
 
 
 class Relay(sats.Satellite):
-    """Passes on knowledge of images, and has to keep its battery charged."""
+    """Relays knowledge of images, and must keep its battery charged."""
 
     observation_spec: ClassVar[Sequence[obs.Observation]] = (
         obs.SatProperties(dict(prop="battery_charge_fraction"), dict(prop="r_BN_P", norm=R_EARTH)),
@@ -106,7 +106,7 @@ class Relay(sats.Satellite):
 
 
 class BroadcastInSight(comm.BroadcastCommunication, comm.LOSCommunication):
-    """Broadcasts that satellites in line of sight receive."""
+    """Broadcasts received by satellites with a line of sight."""
 
 
 def steady_args() -> dict[str, Any]:
@@ -115,7 +115,7 @@ def steady_args() -> dict[str, Any]:
 
 
 def defaults() -> dict[str, Any]:
-    """Return the arguments that all environments of this module share."""
+    """Return the arguments shared by all environments of this module."""
     return dict(
         rewarder=data.UniqueImageReward(),
         time_limit=3 * ORBIT,

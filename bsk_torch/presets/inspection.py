@@ -1,4 +1,4 @@
-"""RSOInspection-v1 and MultiInspection-v1: fly about a spacecraft, by changes of velocity, until its surface is inspected.
+"""RSOInspection-v1 and MultiInspection-v1: fly around a spacecraft by velocity changes until its surface is inspected.
 
 RSOInspection-v1 is the task ``rso_inspection`` of bsk_rl's benchmark suite; MultiInspection-v1, this package's own, is the same
 for three inspectors that must not collide.
@@ -73,7 +73,7 @@ ORBIT = 5700.0
 """Length of an orbit for norms and time limits, s."""
 
 FUEL, LONGEST_THRUST = 10.0, 1.0
-"""What a full tank is good for, and the largest change of velocity at once, m/s."""
+"""Velocity change in a full tank, and the maximum of a single maneuver, m/s."""
 
 REGIONS = 32
 """Regions observed in addition to the six of bsk_rl, and directions of waypoints."""
@@ -164,7 +164,7 @@ class Chief(sats.Satellite):
 
 
 class Inspector(sats.Satellite):
-    """Flies about the RSO."""
+    """Flies around the RSO."""
 
     observation_spec: ClassVar[Sequence[obs.Observation]] = (
         obs.SatProperties(dict(prop="dv_available", norm=FUEL)),
@@ -191,7 +191,7 @@ class Inspector(sats.Satellite):
 
 
 class WaypointInspector(Inspector):
-    """Flies about the RSO from waypoint to waypoint."""
+    """Flies around the RSO from waypoint to waypoint."""
 
     action_spec: ClassVar[Sequence[Any]] = (
         act.HillWaypoint(
@@ -207,7 +207,7 @@ class WaypointInspector(Inspector):
 
 
 ACTIONS: dict[str, type[Inspector]] = {"thrust": Inspector, "waypoints": WaypointInspector}
-"""Inspectors by what their actions are."""
+"""Inspectors by kind of action."""
 
 
 @cache
@@ -234,12 +234,12 @@ def __getattr__(name: str) -> type[Inspector]:
 
 
 def fuel(satellite: sats.BoundSatellite) -> Tensor:
-    """Return what the tanks are good for, m/s, [N]."""
+    """Return the velocity change left in the tanks, m/s, [N]."""
     return satellite.fsw.dv_available
 
 
 def inspector_args() -> dict[str, Any]:
-    """Return the arguments of inspectors but for their orbits."""
+    """Return the arguments of inspectors except their orbits."""
     return dict(
         imageAttErrorRequirement=1.0,
         instrumentBaudRate=1.0,

@@ -42,7 +42,7 @@ ORBIT = 5700.0
 """Length of an orbit for norms and time limits, s."""
 
 CAPACITY = 5000 * 8e6
-"""Capacity of the store, bit."""
+"""Capacity of the data buffer, bit."""
 
 BATTERY = 200 * 3600.0
 """Capacity of the battery, W s."""
@@ -94,7 +94,7 @@ class ScanningSatellite(sats.AccessSatellite):
 
 
 def scanning_args() -> dict[str, Any]:
-    """Return the arguments of the paper, distributions of random ones included."""
+    """Return the arguments of the paper, with distributions for random ones."""
     return dict(
         dataStorageCapacity=CAPACITY,
         storageInit=rand.Uniform(0.0, 0.8 * CAPACITY),

@@ -1,4 +1,4 @@
-"""Steps that all wrappers share: build the batched environment, check options, start episodes, render."""
+"""Operations shared by all wrappers: build the batched environment, check options, start episodes, render."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def begin(core: Tasking, mask: Tensor, seen: TensorDictBase | None = None, state
 
 
 def read_values(where: str, given: object, satellite: SatelliteGroup, rows: tuple[int, ...] = ()) -> Tensor:
-    """Return actions of real numbers, [*rows, A], or hybrid ones with the choice behind, [*rows, A + 1].
+    """Return continuous actions, [*rows, A], or hybrid actions with the choice last, [*rows, A + 1].
 
     Args:
         where: Name of the argument, for messages.

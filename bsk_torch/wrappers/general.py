@@ -97,7 +97,7 @@ class GymJointEnv(EpisodeView, gymnasium.Env[tuple[Any, ...], Sequence[Any]]):
         return self._observation(seen), float(seen["reward"]), terminated, truncated, self._info(seen)
 
     def render(self) -> np.ndarray | None:
-        """Return a picture of the present state, [480, 640, 3] uint8; see :meth:`bsk_torch.env.base.Tasking.render`."""
+        """Return a picture of the current state, [480, 640, 3] uint8; see :meth:`bsk_torch.env.base.Tasking.render`."""
         pictures = snapshots(self.core, self.render_mode)
         return pictures[0] if pictures else None
 

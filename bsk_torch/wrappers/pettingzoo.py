@@ -46,7 +46,7 @@ Steps = tuple[dict[str, Any], dict[str, float], dict[str, bool], dict[str, bool]
 """Observations, rewards, terminations, truncations and infos by agent."""
 
 COMMON = "__common__"
-"""Key of the info that all agents share, as in bsk_rl."""
+"""Key of the info shared by all agents, as in bsk_rl."""
 
 
 class Seat(NamedTuple):
@@ -174,7 +174,7 @@ class PettingZooEnv(EpisodeView, ParallelEnv[str, Any, Any]):
         return {agent: self._observation(seen, agent) for agent in self.agents}, self._infos(seen, self.agents)
 
     def step(self, actions: Mapping[str, object]) -> Steps:
-        """Carry out ``actions`` until the first satellite has finished its task.
+        """Execute ``actions`` until the first satellite finishes its task.
 
         Raises:
             ResetNeeded: Before the first reset.
@@ -200,7 +200,7 @@ class PettingZooEnv(EpisodeView, ParallelEnv[str, Any, Any]):
         )
 
     def render(self) -> np.ndarray | None:
-        """Return a picture of the present state, [480, 640, 3] uint8; see :meth:`bsk_torch.env.base.Tasking.render`."""
+        """Return a picture of the current state, [480, 640, 3] uint8; see :meth:`bsk_torch.env.base.Tasking.render`."""
         pictures = snapshots(self.core, self.render_mode)
         return pictures[0] if pictures else None
 

@@ -125,7 +125,7 @@ class SB3VecEnv(VecEnv):
     # -- episodes -----------------------------------------------------------------------------------------------------
 
     def seed(self, seed: int | None = None) -> Sequence[int | None]:
-        """Begin at the next reset with the first episodes of ``seed``, a random one if None; they differ by their index."""
+        """Start with the first episodes of ``seed`` at the next reset (random if None); they differ by their index."""
         self._seeds = [super().seed(seed)[0]] * self.num_envs
         return self._seeds
 
@@ -151,7 +151,7 @@ class SB3VecEnv(VecEnv):
         self._actions = actions
 
     def step_wait(self) -> VecEnvStepReturn:
-        """Carry out the stored actions; ValueError or TypeError for actions outside the space, before any state changes."""
+        """Execute the stored actions; ValueError or TypeError for actions outside the space, before any state changes."""
         if self._actions is None:
             raise RuntimeError("step_wait() needs actions; call step_async(actions) first, or step(actions)")
         actions, self._actions = self._actions, None
@@ -169,7 +169,7 @@ class SB3VecEnv(VecEnv):
         return self._observed(observation), reward.astype(np.float32), ended, infos
 
     def _warn_of_masks(self, actions: np.ndarray) -> None:
-        """Warn once of actions [N] that masks forbid, which are carried out all the same."""
+        """Warn once about masked actions [N], which are executed nevertheless."""
         if self._legal is None or np.shape(actions) != (self.num_envs,):
             return
         rows, chosen = np.arange(self.num_envs), np.asarray(actions)
@@ -195,7 +195,7 @@ class SB3VecEnv(VecEnv):
         return {name: leaf if leaf.ndim > batch_dims else leaf[..., np.newaxis] for name, leaf in leaves}
 
     def close(self) -> None:
-        """Nothing but the views has to be closed."""
+        """Close the views; nothing else needs closing."""
         self.vector.close()
 
     # -- calls of single environments ---------------------------------------------------------------------------------
@@ -205,7 +205,7 @@ class SB3VecEnv(VecEnv):
         return self.vector.action_masks()
 
     def get_images(self) -> Sequence[np.ndarray | None]:
-        """Return a picture of the present state of each episode, [480, 640, 3] uint8; None without render mode."""
+        """Return a picture of the current state of each episode, [480, 640, 3] uint8; None without render mode."""
         return self.vector.render() or [None] * self.num_envs
 
     def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:

@@ -1,4 +1,4 @@
-"""Settings of trainings, which come from recipes, files and the command line."""
+"""Settings of training runs, from recipes, files and the command line."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ LEAST_NUMBERS = {
     "checkpoint_every": 0,
     "workers": 1,
 }
-"""Settings that are whole numbers, and the least value of each."""
+"""Integer settings, and their minimum values."""
 
 MOST = 2**62
 """Largest whole number of a setting, so that those computed from it fit into 64 bits."""
@@ -70,16 +70,16 @@ INTERVALS = {
     "gradient_norm": "(0, inf)",
     "imitation": "(0, 1]",
 }
-"""Settings that are real numbers, and the interval in which each must lie."""
+"""Real-valued settings, and their allowed intervals."""
 
 WIDEST = 65_536
-"""Largest width of a hidden layer."""
+"""Maximum width of a hidden layer."""
 
 LONGEST, DEEPEST = 1_000_000, 20
-"""Characters of files with settings, and levels of what is nested in them, at most."""
+"""Maximum number of characters and of nesting levels in settings files."""
 
 RESERVED = {"num_envs": "num_envs", "seed": "seed", "env_ids": "num_envs"}
-"""Arguments of the environment that are no options, and the settings that they follow from."""
+"""Arguments of the environment that are not options, and the settings that determine them."""
 
 
 @dataclass(frozen=True)

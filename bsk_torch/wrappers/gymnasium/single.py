@@ -93,7 +93,7 @@ class GymEnv(EpisodeView, gymnasium.Env[Any, Any]):
         return self._observation(seen), self._info(seen)
 
     def step(self, action: object) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-        """Carry out ``action`` until it ends, or an event, the time limit or ``max_step_duration`` ends the step.
+        """Execute ``action`` until it ends, or an event, the time limit or ``max_step_duration`` ends the step.
 
         Raises:
             ResetNeeded: If no episode is running.
@@ -112,7 +112,7 @@ class GymEnv(EpisodeView, gymnasium.Env[Any, Any]):
         return self._observation(seen), float(seen["reward"]), terminated, truncated, self._info(seen)
 
     def render(self) -> np.ndarray | None:
-        """Return a picture of the present state, [480, 640, 3] uint8; see :meth:`bsk_torch.env.base.Tasking.render`."""
+        """Return a picture of the current state, [480, 640, 3] uint8; see :meth:`bsk_torch.env.base.Tasking.render`."""
         pictures = snapshots(self.core, self.render_mode)
         return pictures[0] if pictures else None
 
