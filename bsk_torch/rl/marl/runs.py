@@ -28,7 +28,7 @@ ALGORITHMS = (PPO, *LOSSES)
 def is_constellation(preset: str, options: Mapping[str, Any] | None = None) -> bool:
     """Return whether a preset has many satellites; False for a name that is not one of the presets.
 
-    A preset whose function does not say what it returns is made, with ``options``.
+    A preset whose function does not name what it returns is made, with ``options``.
     """
     if preset not in PRESETS:
         return False
@@ -102,5 +102,5 @@ def train(config: PPOConfig, out: Path) -> TensorDictModuleBase:
 
 
 def resume(out: Path) -> TensorDictModuleBase:
-    """Go on with the run in folder ``out``, which an interruption or the end of its budget has left."""
+    """Resume the run in folder ``out``, which an interruption or the end of its budget has left."""
     return training_of(read_config(out), out, resume=True).run()
