@@ -21,7 +21,7 @@ from bsk_torch.basilisk import certify as certified
 from bsk_torch.cli.planned import PREFIX, named_planner
 from bsk_torch.cli.policies import PRETRAINED, NamedPolicy, named_policy
 from bsk_torch.cli.shared import check_writable
-from bsk_torch.cli.terminal import fail, print_table, screen, working
+from bsk_torch.cli.terminal import fail, print_message, print_table, working
 from bsk_torch.env import Tasking
 from bsk_torch.env.rollout import Policy
 from bsk_torch.files import write_file
@@ -97,9 +97,9 @@ def check_certifiable(tasks: Sequence[Task], certify: int, episodes: int) -> Non
     if missing := lacking():
         fail(f"--certify {certify}: {missing}")
     if warning := absent_data(os.environ.get("BSK_SUPPORT_DATA_CACHE")):
-        screen.print(warning)
+        print_message(warning)
     if left := [task.preset for task in tasks if task not in flown]:
-        screen.print(f"not flown on Basilisk, as only {names} can be: {', '.join(left)}")
+        print_message(f"not flown on Basilisk, as only {names} can be: {', '.join(left)}")
 
 
 def entrant_of(name: str) -> Entrant:

@@ -12,7 +12,7 @@ from bsk_torch.cli.planned import PREFIX, NamedPlanner, named_planner
 from bsk_torch.cli.policies import NamedPolicy, named_policy
 from bsk_torch.cli.results import print_results, save_episodes, save_results
 from bsk_torch.cli.shared import check_writable, environment_options, seed_range
-from bsk_torch.cli.terminal import fail, working
+from bsk_torch.cli.terminal import activity, fail, working
 from bsk_torch.env import Tasking
 from bsk_torch.rl.evaluation.evaluate import evaluate
 from bsk_torch.rl.marl.runs import is_constellation
@@ -72,6 +72,7 @@ def evaluate_policy(
     for k, (other, one) in enumerate(actors.items(), 1):
         with working(f"evaluating {other}, policy {k} of {len(actors)}"):
             results[other] = evaluate(one, env, seeds=episodes)
+    activity.report()
     print_results(results, f"{named.preset}, {len(episodes)} episodes, seeds {seeds}", chosen if len(results) > 1 else None)
     if out is not None:
         save_results(results, out, chosen)

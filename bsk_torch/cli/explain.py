@@ -16,7 +16,7 @@ from torch import Tensor
 
 from bsk_torch.cli.policies import named_policy
 from bsk_torch.cli.shared import check_picture, check_writable, environment_options, extra, made, seed_range
-from bsk_torch.cli.terminal import fail, print_table, working
+from bsk_torch.cli.terminal import activity, fail, print_table, working
 from bsk_torch.env import SatelliteTasking, Tasking
 from bsk_torch.files import write_file
 from bsk_torch.rl.evaluation.counterfactual import LOST, OPEN, SAVED, check_searchable
@@ -72,6 +72,7 @@ def explain_failures(
                 figures["starts"] = survivable(env, begun)
     except ValueError as error:
         fail(f"failures in {named.preset} cannot be explained: {error}")
+    activity.report()
     if failures:
         print_table([cells(failure) for failure in failures], expendable=EXPENDABLE, left=("cause", "action then"))
     typer.echo("\n".join(told(figures)))
