@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from bsk_torch import act, comm, data, formations, obs, rand, sats, scene
     from bsk_torch.env import NO_ACTION, ConstellationTasking, GeneralSatelliteTasking, SatelliteTasking
     from bsk_torch.presets import make
+    from bsk_torch.rl.policies.shared_policy import rule
     from bsk_torch.sim import dyn, fsw
 
 __version__ = "0.2.0"
@@ -32,6 +33,7 @@ __all__ = [
     "make",
     "obs",
     "rand",
+    "rule",
     "sats",
     "scene",
 ]
@@ -44,6 +46,7 @@ _HOMES = {
     "dyn": "bsk_torch.sim",
     "fsw": "bsk_torch.sim",
     "make": "bsk_torch.presets",
+    "rule": "bsk_torch.rl.policies.shared_policy",
 }
 """Modules of the names that are no modules of the package."""
 

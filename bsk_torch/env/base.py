@@ -127,6 +127,18 @@ class Tasking(Present, MadeOfArguments):
         self._show_arguments()
         self.set_seed(options.seed)
 
+    def __repr__(self) -> str:
+        """Return the number of environments, and what the satellites of each type observe and do."""
+        if "satellites" not in self.__dict__:  # in an error while it is built
+            return f"{type(self).__name__}()"
+        lines = [f"{type(self).__name__}: {self.num_envs} environments on {self.device}, scenario {type(self.scenario).__name__}"]
+        for satellite in self.satellites:
+            names = ", ".join(satellite.names[:3]) + (f" and {len(satellite.names) - 3} more" if len(satellite.names) > 3 else "")
+            seen, actions = satellite.observation_description, satellite.action_description
+            shown = ", ".join(actions[:6]) + (", ..." if len(actions) > 6 else "")
+            lines.append(f"  {names} ({type(satellite).__name__}): {len(seen)} observed, {len(actions)} actions ({shown})")
+        return "\n".join(lines)
+
     # -- construction -------------------------------------------------------------------------------------------------
 
     def _next_fleet(self) -> Fleet:

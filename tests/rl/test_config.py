@@ -42,7 +42,6 @@ def test_changes_are_read_in_their_types():
         ("collector=mutli", "did you mean 'multi'"),
         ("epochs=0", "at least 1"),
         ("checkpoint_every=-1", "not be negative"),
-        ("patience=3", "needs evaluate_every"),
         ("patience=0", "at least 1"),
         ("frames=0", "frames=0 must be at least 1"),
         ("seconds=0", r"seconds=0.0 must lie in \(0, inf\)"),
@@ -189,3 +188,9 @@ def test_bytes_that_are_no_text_are_refused(tmp_path):
 def test_logs_are_not_kept(tmp_path):
     save_config(PPOConfig(options={"log_dir": "x", "as_set": True}), tmp_path / "config.yaml")
     assert load_config(tmp_path / "config.yaml", PPOConfig).options == {"as_set": True}
+
+
+def test_patience_needs_evaluations():
+    with pytest.raises(ValueError, match="patience=3 needs evaluate_every"):
+        PPOConfig(patience=3, evaluate_every=0)
+    assert PPOConfig(patience=3).evaluate_every

@@ -37,7 +37,7 @@ from bsk_torch.rl.policies.shared_policy import member_views, of_groups, shared
 from bsk_torch.rl.rules.continuous import Bounds
 from bsk_torch.rl.rules.targets import image_actions
 from bsk_torch.rl.training.advantages import estimate_advantages
-from bsk_torch.rl.training.config import PPOConfig
+from bsk_torch.rl.training.config import EVALUATE_EVERY, PPOConfig
 from bsk_torch.rl.training.imitation import TAUGHT, imitation_loss, taught_actions
 from bsk_torch.rl.training.ppo import REPORTED, Learner, there
 from bsk_torch.rl.training.trainer import VALIDATION, Training
@@ -81,6 +81,10 @@ class MAPPOConfig(PPOConfig):
     checkpoint_every: int = 50_000
     options: dict[str, Any] = dataclasses.field(default_factory=lambda: {"as_set": True})
     algorithm: str = "mappo"
+
+    def _default_interval(self) -> int:
+        """See :meth:`PPOConfig._default_interval`; a step of a constellation takes longer."""
+        return min(EVALUATE_EVERY // 5, super()._default_interval())
 
     def __post_init__(self) -> None:
         """Raise the errors of :class:`PPOConfig`, and ValueError for unknown algorithms and networks."""

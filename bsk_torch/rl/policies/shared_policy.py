@@ -16,6 +16,7 @@ from bsk_torch.env import NO_ACTION, ConstellationTasking, SatelliteTasking, Tas
 from bsk_torch.env.agents import AGENTS, Group
 from bsk_torch.env.satellite_group import SatelliteGroup
 from bsk_torch.rl.rules.baselines import BASELINES, random_policy
+from bsk_torch.sim.arguments.values import nearest
 
 TRAINED_WITH = "make it with the options that the policy was trained with, which read_card(file)['options'] lists"
 """What to do about a policy that reads what an environment does not have."""
@@ -196,9 +197,40 @@ def baseline(name: str, env: Tasking, seed: int = 0) -> TensorDictModuleBase:
     return of_groups(found)
 
 
-def shared_baseline(name: str, env: Tasking, seed: int = 0) -> TensorDictModuleBase:
-    """Return one of the ``BASELINES`` for every satellite; see :func:`baseline`, also for errors."""
+def rule(name: str, env: Tasking, seed: int = 0) -> TensorDictModuleBase:
+    """Return a rule, or random actions, as a policy for every satellite of ``env``: a single one or a constellation.
+
+    ==================  ==================================================================================================
+    name                what the satellite must have
+    ==================  ==================================================================================================
+    ``random``          legal actions with equal probability; real numbers need finite bounds
+    ``rule``            the observations and actions of ``NadirScan-v1``
+    ``greedy``          ``act.Image``, and ``priority`` of the targets in ``obs.OpportunityProperties``
+    ``nearest``         ``act.Image``, and targets in ``obs.OpportunityProperties``
+    ``hasty``           likewise, with ``priority``, ``target_angle``, ``opportunity_open`` and ``opportunity_close``
+    ``drift``,          the observations and actions of ``RSOInspection-v1`` and ``MultiInspection-v1``
+    ``circumnavigate``,
+    ``survey``
+    ==================  ==================================================================================================
+
+    Groups of a constellation that the rule does not fit act at random, alongside one that it does fit.
+
+    Args:
+        name: One of ``bsk_torch.rl.rules.baselines.BASELINES``.
+        env: The environment in which the policy will act.
+        seed: Seed of random actions.
+
+    Raises:
+        KeyError: If the rule reads an observation that no group has; the message names it.
+        ValueError: For an unknown name, or actions that the rule cannot choose.
+    """
+    if name not in BASELINES:
+        raise ValueError(f"name={name!r} is not a rule; {nearest(name, BASELINES)}")
     return shared(baseline(name, env, seed), env)
+
+
+shared_baseline = rule
+"""Former name of :func:`rule`."""
 
 
 def shared_baselines(env: Tasking, seed: int = 0) -> dict[str, TensorDictModuleBase]:
@@ -206,5 +238,5 @@ def shared_baselines(env: Tasking, seed: int = 0) -> dict[str, TensorDictModuleB
     fitting = {}
     for name in BASELINES:
         with suppress(KeyError, ValueError):  # a rule for other observations or actions
-            fitting[name] = shared_baseline(name, env, seed)
+            fitting[name] = rule(name, env, seed)
     return fitting

@@ -35,6 +35,9 @@ SCHEDULES: dict[str, Callable[[float], float]] = {
 }
 """Remaining fraction of a setting, by the used fraction of the budget."""
 
+EVALUATE_EVERY, LEAST_INTERVAL = 250_000, 5_000
+"""Decisions between two evaluations unless a training says otherwise, and the least number of them."""
+
 CONFIG = "config.yaml"
 """File of the configuration in the folder of a run."""
 
@@ -111,7 +114,9 @@ class PPOConfig:
         imitate: Rule that the policy learns to imitate first, such as ``"hasty"``; None for none.
         imitation: Part of the budget in which it does.
         stagger: Whether the first episodes are cut at random, so that batches mix early and late decisions from the start.
-        evaluate_every: Decisions between two evaluations on fresh episodes; 0 for none before the end.
+        evaluate_every: Decisions between two evaluations on unseen episodes, by which the best policy is kept; 0 for none before
+            the end. None for the least of :data:`EVALUATE_EVERY` and an eighth of ``frames``, or for 0 if that would be less than
+            :data:`LEAST_INTERVAL`.
         evaluate_episodes: Episodes of each.
         patience: Evaluations without a better return after which training stops; None for never.
         checkpoint_every: Decisions between two checkpoints; 0 for one at the end only.
@@ -144,7 +149,7 @@ class PPOConfig:
     imitate: str | None = None
     imitation: float = 0.25
     stagger: bool = True
-    evaluate_every: int = 0
+    evaluate_every: int | None = None
     evaluate_episodes: int = 256
     patience: int | None = None
     checkpoint_every: int = 250_000
@@ -160,6 +165,8 @@ class PPOConfig:
             if isinstance(given, str) or not isinstance(given, Iterable):
                 raise ValueError(f"{name}={given!r} must be a list")
             object.__setattr__(self, name, tuple(given))
+        if self.evaluate_every is None:
+            object.__setattr__(self, "evaluate_every", self._default_interval())
         check_network(str(self.network))
         if self.imitate is not None:
             check_teacher(self.imitate)
@@ -182,6 +189,13 @@ class PPOConfig:
             raise ValueError(f"num_envs={self.num_envs} cannot be shared out evenly among workers={self.workers}")
         if self.patience is not None and not self.evaluate_every:
             raise ValueError(f"patience={self.patience} needs evaluate_every")
+
+    def _default_interval(self) -> int:
+        """Decisions between two evaluations where ``evaluate_every`` is None."""
+        if not isinstance(self.frames, int):
+            return EVALUATE_EVERY
+        interval = min(EVALUATE_EVERY, self.frames // 8)
+        return interval if interval >= LEAST_INTERVAL else 0
 
     def _check_options(self) -> None:
         if not isinstance(self.options, Mapping):
