@@ -86,7 +86,7 @@ def test_every_setting_is_checked(name):
     for value in (float("nan"), -1, "wide", (0.5,), object()):
         with pytest.raises(ValueError, match=name):
             PPOConfig(**{name: value})
-    if name not in ("seconds", "frames", "patience", "imitate"):
+    if name not in ("seconds", "frames", "patience", "imitate", "evaluate_every"):
         with pytest.raises(ValueError, match=name):
             PPOConfig(**{name: None})
 

@@ -204,9 +204,13 @@ class Training:
                 logger.info("stopped %s", "by the user" if stop.is_set() else "early: the return has not grown any more")
                 return
 
-    def _due(self, every: int) -> bool:
+    def _due(self, every: int | None) -> bool:
         """Whether a multiple of ``every`` frames has been passed in the last iteration."""
-        return every > 0 and self.progress.frames // every > (self.progress.frames - self.config.batch) // every
+        return (
+            every is not None
+            and every > 0
+            and self.progress.frames // every > (self.progress.frames - self.config.batch) // every
+        )
 
     def _warm_up(self) -> None:
         """Compile before the clock starts."""
