@@ -28,7 +28,7 @@ ALGORITHMS = (PPO, *LOSSES)
 def is_constellation(preset: str, options: Mapping[str, Any] | None = None) -> bool:
     """Return whether a preset has many satellites; False for a name that is not one of the presets.
 
-    A preset whose function does not name what it returns is made, with ``options``.
+    A preset without a return annotation is built with ``options`` to find its class.
     """
     if preset not in PRESETS:
         return False
