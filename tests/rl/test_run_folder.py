@@ -249,7 +249,7 @@ def test_a_link_for_a_lock_is_not_followed(half, tmp_path):
 def test_what_cannot_be_a_folder_is_refused_at_once(tmp_path, name):
     (tmp_path / "file").touch()
     (tmp_path / "link").symlink_to(tmp_path / "nowhere")
-    with pytest.raises(OSError, match="no folder"):
+    with pytest.raises(OSError, match="not a folder"):
         check_folder(tmp_path / name)
 
 
