@@ -37,6 +37,10 @@ class TrackEpisode(Episode):
     track: Tensor
     stations: Tensor
 
+    def columns(self) -> dict[str, Tensor]:
+        """See :meth:`Episode.columns`; with the positions ``r_BN_P``."""
+        return super().columns() | {"r_BN_P": self.r_BN_P}
+
 
 def ground(r_P: Tensor) -> tuple[Tensor, Tensor]:
     """Longitude and latitude, degrees, below Earth-fixed positions [..., 3]."""
