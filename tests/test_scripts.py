@@ -86,6 +86,12 @@ STARTS: dict[str, list[Start]] = {
         ),
     ],
     "benchmarks/memory.py": [Start("--batch 4 --steps 40 --warm-up 1", r"\| scan \| 40 \| [\d,.]+ \|")],
+    "benchmarks/own_environments.py": [
+        Start(
+            "--only Frugal-v1 --seeds 1 --episodes 2 --frames 32 --settings num_envs=2 rollout=8",
+            r"\| Frugal-v1 \| 17,100 \| truncates \| [-\d.e]+ \| .* \(\w+\) \| [-\d.e]+ \| [01] of 1 \|",
+        ),
+    ],
     "benchmarks/planners.py": [
         Start(
             "--presets NadirScan-v1 --episodes 2 --time-limit 300 --budget 3",

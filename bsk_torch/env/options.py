@@ -55,7 +55,11 @@ class TaskingOptions:
         failure_penalty: Added to the reward of a step at the end of which the satellite is dead.
         time_limit: Seconds after which an episode is truncated, rounded up to whole ticks; a positive number, a distribution or a
             callable without arguments. If infinite, episodes are truncated at the end of the Sun's ephemeris, in 2060.
-        terminate_on_time_limit: Whether the time limit also terminates.
+        terminate_on_time_limit: Whether the time limit also terminates: True for a task that is over at the limit, False for a
+            sample of one that continues. Learners that follow ``terminated``, such as TorchRL's and Stable-Baselines3's, add the
+            value of the last state to the return where it is False. No decision is ever made in that state, so choose True for
+            them unless the policy must prepare for what follows. PPO and MAPPO of this package learn the return that ends at the
+            limit in both cases; see ``beyond_limit`` of :class:`~bsk_torch.rl.training.config.PPOConfig`.
         device: Device of the simulation.
         seed: Seed of all draws, from 0 to 2**63 - 1; None for a random one.
         env_ids: Index of each episode in the draws, from 0 to 2**63 - 1; 0 to N - 1 by default.

@@ -8,7 +8,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 import bsk_torch
 from bsk_torch.rl.networks.attention import LEAST
 from bsk_torch.rl.networks.normaliser import MASK, OWN, ROWS, FeatureNormaliser, symlog
-from bsk_torch.rl.networks.plans import AttentionPlan, MLPPlan
+from bsk_torch.rl.networks.plans import CLOCKS, AttentionPlan, MLPPlan
 from bsk_torch.rl.policies.files import load_policy, save_policy
 
 N, K, F, D = 6, 5, 4, 3
@@ -34,7 +34,7 @@ def logits(networks, seen):
 
 
 def value(networks, seen):
-    return networks.critic.module(*seen)
+    return networks.critic.module(*seen, torch.zeros(*seen[0].shape[:-1], CLOCKS))
 
 
 # Float32 sums over K tokens in another order: a few units in the last place of numbers of order one.

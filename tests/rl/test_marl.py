@@ -15,7 +15,9 @@ from bsk_torch.rl.marl.mappo import ALIVE, ConstellationCritic, MAPPOConfig, MAP
 from bsk_torch.rl.networks.normaliser import MASK, OWN, ROWS
 from bsk_torch.rl.policies.shared_policy import SharedPolicy, member_view, shared, shared_baseline
 from bsk_torch.rl.rules.baselines import BASELINES
+from bsk_torch.rl.training.advantages import FINAL
 from bsk_torch.rl.training.collect import make_collector
+from tests.support.values import Unscaled
 
 WORLD = {"as_set": True, "n_targets": 2000, "n_satellites": 3, "n_planes": 1, "phasing": 0, "time_limit": 900.0}
 
@@ -106,7 +108,7 @@ def decisions(n, steps, satellites, deaths):
         # what follows a step is what the next one sees, unless the episode ends
         over, now = done[:, :-1].view(n, -1, *[1] * (after.ndim - 2)), agents["seen", name]
         now[:, 1:] = torch.where(over, now[:, 1:], after[:, :-1])
-    following = TensorDict({"agents": following, "done": done, "terminated": done, "truncated": done}, [n, steps])
+    following = TensorDict({"agents": following, "done": done, "terminated": done, "truncated": done, FINAL: done}, [n, steps])
     return TensorDict({"agents": agents, "next": following}, [n, steps], names=[None, "time"])
 
 
@@ -128,7 +130,7 @@ def brute_force(reward, seconds, removed, value, following, gamma, lmbda):
 def test_values_are_discounted_by_elapsed_time_and_end_with_death(sees_all):
     gamma, lmbda, judge = 0.99, 0.9, critic(sees_all)
     team = team_batch(decisions(2, 9, 3, deaths=[(0, 1, 2), (1, 5, 0)]))
-    team_advantages(team, judge, gamma, lmbda)
+    team_advantages(team, judge, gamma, lmbda, Unscaled())
     with torch.no_grad():
         value, following = (judge(x.select("seen"))["state_value"].squeeze(-1) for x in (team, team["next"]))
     for episode, satellite in torch.cartesian_prod(torch.arange(2), torch.arange(3)).tolist():
@@ -143,7 +145,7 @@ def test_values_are_discounted_by_elapsed_time_and_end_with_death(sees_all):
 
 def test_advantages_are_standardised_over_decisions():
     team = team_batch(decisions(4, 30, 3, deaths=[(2, 8, 1)]))
-    team_advantages(team, critic(), 0.99, 0.9)
+    team_advantages(team, critic(), 0.99, 0.9, Unscaled())
     chosen = team["advantage"][team["decides"]]
     assert float(chosen.mean()) == pytest.approx(0.0, abs=1e-5)
     assert float(chosen.std()) == pytest.approx(1.0, abs=1e-4)
@@ -153,7 +155,7 @@ def test_a_death_is_no_decision_of_the_others():
     one, other = (team_batch(decisions(1, 9, 3, deaths=deaths)) for deaths in ([], [(0, 5, 0)]))
     judge = critic(sees_all=False)
     for team in (one, other):
-        team_advantages(team, judge, 0.99, 0.9)
+        team_advantages(team, judge, 0.99, 0.9, Unscaled())
     assert torch.equal(one["value_target"][:, :, 1:], other["value_target"][:, :, 1:])
     assert not torch.equal(one["value_target"][:, :, 0], other["value_target"][:, :, 0])
 
@@ -186,7 +188,7 @@ def learned(request, tmp_path_factory):
     report = training.learner.learn(batch)
     team = team_batch(batch)
     learner = training.learner.groups["agents"]
-    team_advantages(team, learner.critic, config.gamma, learner.lmbda)
+    team_advantages(team, learner.critic, config.gamma, learner.lmbda, learner.value_norm)
     return learner, team, report
 
 

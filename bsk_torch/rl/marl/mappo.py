@@ -23,6 +23,7 @@ from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModule, TensorDictModuleBase
 from torch import Tensor
 from torchrl.modules import MaskedCategorical, ProbabilisticActor, ValueOperator
+from torchrl.modules.value_norm import ValueNorm
 from torchrl.objectives import IPPOLoss, MAPPOLoss
 from torchrl.objectives.value import MultiAgentGAE
 
@@ -30,13 +31,14 @@ from bsk_torch.env import ConstellationTasking, SatelliteTasking
 from bsk_torch.env.agents import AGENTS
 from bsk_torch.rl.evaluation.evaluate import Evaluation, evaluate
 from bsk_torch.rl.marl.networks import ConstellationCritic, DecidingOnly
-from bsk_torch.rl.networks.plans import AttentionPlan, MLPPlan, Plan, real_actor
+from bsk_torch.rl.networks.normaliser import CLOCK
+from bsk_torch.rl.networks.plans import CLOCKS, AttentionPlan, Clocked, MLPPlan, Plan, real_actor
 from bsk_torch.rl.networks.precision import float32_weights
 from bsk_torch.rl.policies.files import save_policy
 from bsk_torch.rl.policies.shared_policy import member_views, of_groups, shared
 from bsk_torch.rl.rules.continuous import Bounds
 from bsk_torch.rl.rules.targets import image_actions
-from bsk_torch.rl.training.advantages import estimate_advantages
+from bsk_torch.rl.training.advantages import FINAL, estimate_advantages, final, standardize
 from bsk_torch.rl.training.config import EVALUATE_EVERY, PPOConfig
 from bsk_torch.rl.training.imitation import TAUGHT, imitation_loss, taught_actions
 from bsk_torch.rl.training.ppo import REPORTED, Learner, there
@@ -118,7 +120,8 @@ def team_batch(batch: TensorDictBase, group: str = AGENTS, others: Sequence[str]
 
     ``decides`` [N, T, S] marks satellites that had to decide; the others could only take the first action, and did. Under
     ``next``, ``done`` [N, T, 1] is the end of the episode, ``removed`` [N, T, S, 1] that of a satellite, by death or with the
-    episode, and ``satellite_terminated`` [N, T, S, 1] an end after which nothing is expected. What the ``others``, further
+    episode, and ``satellite_terminated`` [N, T, S, 1] an end after which nothing is expected: a death, or what
+    :func:`~bsk_torch.rl.training.advantages.final` found, which is under ``next`` of ``batch``. What the ``others``, further
     groups, see is at ``("seen", "others", name)``. Real numbers as actions have ``bounds``, and no mask.
     """
     agents, following = batch[group], batch["next", group]
@@ -134,7 +137,7 @@ def team_batch(batch: TensorDictBase, group: str = AGENTS, others: Sequence[str]
             "duration": following["duration"],
             "done": batch["next", "done"],
             "removed": batch["next", "done"].unsqueeze(-2) | ~following["mask"].unsqueeze(-1),
-            "satellite_terminated": batch["next", "terminated"].unsqueeze(-2) | ~following["mask"].unsqueeze(-1),
+            "satellite_terminated": batch["next", FINAL].unsqueeze(-2) | ~following["mask"].unsqueeze(-1),
         },
     }
     return TensorDict(parts, batch.batch_size, names=[None, "time"], device=batch.device)
@@ -149,24 +152,34 @@ def _seen(situations: TensorDictBase, group: str, others: Sequence[str] = ()) ->
     return TensorDict(parts, situations.batch_size)
 
 
-def team_advantages(team: TensorDictBase, critic: ValueOperator, gamma: float, lmbda: float, reward_time: str = "end") -> None:
+def team_advantages(
+    team: TensorDictBase, critic: ValueOperator, gamma: float, lmbda: float, value_norm: ValueNorm, reward_time: str = "end"
+) -> None:
     """Write ``advantage`` and ``value_target`` [N, T, S, 1] of each satellite in semi-Markov time.
 
-    Nothing is expected after a satellite's death. Advantages are standardized over decisions; those of satellites that did not
-    decide have no meaning.
+    Nothing is expected after a satellite's death. Both are standardized over decisions; those of satellites that did not decide
+    have no meaning.
 
     Args:
         team: A batch by :func:`team_batch`.
         critic: Computes values of observations, at the root and under ``next``.
         gamma: Discount per second.
         lmbda: Decay of the estimator, per step.
+        value_norm: Running mean and deviation of value targets, in which the critic gives values.
         reward_time: See :func:`~bsk_torch.rl.training.advantages.timed`.
     """
     estimate_advantages(
-        team, critic, gamma, lmbda, reward_time, estimator=MultiAgentGAE, done="removed", terminated="satellite_terminated"
+        team,
+        critic,
+        gamma,
+        lmbda,
+        reward_time,
+        estimator=MultiAgentGAE,
+        done="removed",
+        terminated="satellite_terminated",
+        value_norm=value_norm,
     )
-    deviation, mean = torch.std_mean(team["advantage"][team[DECIDES]])
-    team["advantage"] = (team["advantage"] - mean) / deviation.clamp(min=1e-4)
+    standardize(team, value_norm, team[DECIDES])
 
 
 def group_plan(config: MAPPOConfig, view: SatelliteTasking) -> Plan:
@@ -203,11 +216,12 @@ class GroupLearner(Learner):
         plans = {name: group_plan(config, view) for name, view in views.items() if sees_all and name != group}
         self.others = list(plans)
         sizes = [observed_sizes(plan) for plan in plans.values()]
+        n_own, n_features = observed_sizes(self.plan)
         with float32_weights():
-            judge = ConstellationCritic(*observed_sizes(self.plan), CRITIC_WIDTH, sees_all, sizes)
+            judge = Clocked(ConstellationCritic(n_own + CLOCKS, n_features, CRITIC_WIDTH, sees_all, sizes))
         keys = list(self.networks.normaliser.out_keys)
         parts = [("seen", "others", name, part) for name, plan in plans.items() for part in observed_parts(plan)]
-        self.critic = ValueOperator(judge, in_keys=[*keys, ALIVE, *parts]).to(env.device)
+        self.critic = ValueOperator(judge, in_keys=[*keys, ALIVE, *parts, CLOCK]).to(env.device)
         self.bounds: Bounds = getattr(self.plan, "bounds", ())
         acting = DecidingOnly(self.networks.actor[0].module)
         if self.bounds:
@@ -249,8 +263,9 @@ class GroupLearner(Learner):
 
     def normalise(self, batch: TensorDictBase) -> None:
         """Write what is ``seen`` into the situations of a batch [N, T]."""
-        for situations in (batch[self.group], batch["next", self.group]):
-            self.networks.normaliser(situations)
+        for situations in (batch, batch["next"]):
+            agents = self.networks.normaliser(situations[self.group])
+            agents[CLOCK] = self.clock(situations).unsqueeze(-2).expand(*agents.batch_size, -1)
 
     def update_normaliser(self, batch: TensorDictBase) -> None:
         """Take the situations of a batch [N, T] in which a satellite decided into account."""
@@ -267,7 +282,7 @@ class GroupLearner(Learner):
         decisions = int(team[DECIDES].sum())
         if decisions < 2:
             return {"decisions": 0}
-        team_advantages(team, self.critic, self.config.gamma, self.lmbda, self.config.reward_time)
+        team_advantages(team, self.critic, self.config.gamma, self.lmbda, self.value_norm, self.config.reward_time)
         keys = there(LEARNED_FROM, team)
         if self.imitates:
             team[TAUGHT] = taught_actions(self.teacher, _asked(batch[self.group], team))
@@ -367,6 +382,7 @@ class MAPPOLearner:
 
     def learn(self, batch: TensorDictBase) -> dict[str, float]:
         """Several passes over a batch [N, T] for each group; means over all decisions of what the losses report."""
+        batch["next", FINAL] = final(batch, self.config.beyond_limit)
         for group in self.groups.values():  # critics observe all groups
             group.normalise(batch)
         reports = [group.learn(batch) for group in self.groups.values()]

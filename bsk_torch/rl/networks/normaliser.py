@@ -13,6 +13,9 @@ from torch import Tensor, nn
 OWN, ROWS, MASK = ("seen", "own"), ("seen", "rows"), ("seen", "mask")
 """Keys of normalized observations: the satellite's own [..., D], rows of targets [..., K, F], and a mask of rows [..., K]."""
 
+CLOCK = ("seen", "clock")
+"""Key of the time that is left, [..., 2], which only critics see; see :class:`~bsk_torch.rl.training.collect.Clock`."""
+
 FLOOR = 1e-4
 """Least deviation divided by."""
 

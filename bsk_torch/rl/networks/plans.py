@@ -9,7 +9,7 @@ from typing import Any, cast
 import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModule, TensorDictModuleBase, TensorDictSequential
-from torch import nn
+from torch import Tensor, nn
 from torchrl.data import Composite
 from torchrl.modules import MLP, GRUModule, MaskedCategorical, ProbabilisticActor, TanhNormal, ValueOperator
 
@@ -17,7 +17,7 @@ from bsk_torch.env import SatelliteTasking
 from bsk_torch.env.action_forms import form
 from bsk_torch.rl.networks.attention import Encoder, SetActor, SetCritic
 from bsk_torch.rl.networks.continuous import NormalParameters, squashed
-from bsk_torch.rl.networks.normaliser import MASK, OWN, ROWS, ObservationNormaliser, SetNormaliser, VectorNormaliser
+from bsk_torch.rl.networks.normaliser import CLOCK, MASK, OWN, ROWS, ObservationNormaliser, SetNormaliser, VectorNormaliser
 from bsk_torch.rl.networks.precision import float32_weights
 from bsk_torch.rl.rules.continuous import Bounds, bounds_of
 from bsk_torch.rl.rules.targets import image_actions
@@ -34,6 +34,9 @@ INITIAL_LOGITS = 0.01
 
 HEAD = 32
 """Width of an attention head."""
+
+CLOCKS = 2
+"""Numbers of the clock that critics see."""
 
 
 @dataclass(frozen=True)
@@ -103,10 +106,12 @@ class MLPPlan:
     @float32_weights()
     def build(self) -> Networks:
         """Fresh networks."""
-        actor, critic = (self._layers(n) for n in (self.n_outputs, 1))
+        actor = self._layers(self.n_observed, self.n_outputs)
         self._calm(cast(nn.Linear, actor[-1]))
-        acting = _actor(actor, [OWN], self.bounds)
-        return Networks(VectorNormaliser(self.n_observed), acting, ValueOperator(critic, in_keys=[OWN]))
+        return Networks(VectorNormaliser(self.n_observed), _actor(actor, [OWN], self.bounds), self._critic())
+
+    def _critic(self) -> ValueOperator:
+        return ValueOperator(Clocked(self._layers(self.n_observed + CLOCKS, 1)), in_keys=[OWN, CLOCK])
 
     def _calm(self, last: nn.Linear) -> None:
         """Let an actor begin nearly uniform, or with real numbers near the middle of their bounds."""
@@ -115,8 +120,8 @@ class MLPPlan:
             if self.bounds:
                 last.bias.zero_()
 
-    def _layers(self, n_out: int) -> MLP:
-        return MLP(in_features=self.n_observed, out_features=n_out, num_cells=list(self.hidden), activation_class=nn.Tanh)
+    def _layers(self, n_in: int, n_out: int) -> MLP:
+        return MLP(in_features=n_in, out_features=n_out, num_cells=list(self.hidden), activation_class=nn.Tanh)
 
 
 @dataclass(frozen=True)
@@ -141,7 +146,21 @@ class GRUPlan(MLPPlan):
         self._calm(head)
         parts = [TensorDictModule(layers, [OWN], ["embedded"]), unit, _parameters(head, ["remembered"], self.bounds)]
         actor = _distributed(TensorDictSequential(*parts), self.bounds)
-        return Networks(VectorNormaliser(self.n_observed), actor, ValueOperator(self._layers(1), in_keys=[OWN]))
+        return Networks(VectorNormaliser(self.n_observed), actor, self._critic())
+
+
+class Clocked(nn.Module):
+    """A critic that sees the clock as further numbers of the satellite itself."""
+
+    def __init__(self, network: nn.Module) -> None:
+        """``network`` takes what a satellite sees of itself, [..., D], first."""
+        super().__init__()
+        self.network = network
+
+    def forward(self, own: Tensor, *others: Tensor) -> Tensor:
+        """Values [..., 1] by what is seen, of which the clock [..., 2] is the last."""
+        *others_seen, clock = others
+        return self.network(torch.cat([own, clock], -1), *others_seen)
 
 
 class Recall(TensorDictModuleBase):
@@ -210,14 +229,14 @@ class AttentionPlan:
     def build(self) -> Networks:
         """Fresh networks."""
         width, keys = self.hidden[0], [OWN, ROWS, MASK]
-        actor = SetActor(self._encoder(len(self.hidden)), width, self.n_actions, range(*self.images), INITIAL_LOGITS)
-        critic = SetCritic(self._encoder(0), width)
+        actor = SetActor(self._encoder(self.n_own, len(self.hidden)), width, self.n_actions, range(*self.images), INITIAL_LOGITS)
+        critic = Clocked(SetCritic(self._encoder(self.n_own + CLOCKS, 0), width))
         normaliser = SetNormaliser(self.set_key, self.own_keys, self.n_own, self.n_features)
-        return Networks(normaliser, _actor(actor, keys), ValueOperator(critic, in_keys=keys))
+        return Networks(normaliser, _actor(actor, keys), ValueOperator(critic, in_keys=[*keys, CLOCK]))
 
-    def _encoder(self, blocks: int) -> Encoder:
+    def _encoder(self, n_own: int, blocks: int) -> Encoder:
         width = self.hidden[0]
-        return Encoder(self.n_own, self.n_features, width, width // HEAD, blocks)
+        return Encoder(n_own, self.n_features, width, width // HEAD, blocks)
 
 
 Plan = MLPPlan | GRUPlan | AttentionPlan

@@ -6,6 +6,10 @@ With a discount gamma per second and a step of t seconds, the value of a state i
 
 where r is the reward of the step and V' the value of the next state: the reward is discounted over its interval, as bsk_rl's
 ``TimeDiscountedGAE`` does. If rewards come at the start of their steps, as in TorchRL, it is V = E[r + gamma^t V'].
+
+Where an episode ends at its time limit, V' is that of a state in which no decision is ever made, so that no reward corrects it.
+With a discount that looks far beyond the limit, the policy then maximizes what the critic imagines. Returns therefore end with
+the episode, as they are reported, unless ``beyond_limit`` asks for V'; see :func:`final`.
 """
 
 from __future__ import annotations
@@ -13,11 +17,45 @@ from __future__ import annotations
 import torch
 from tensordict import TensorDictBase
 from torch import Tensor
-from torchrl.modules import ValueOperator
+from torchrl.modules import PopArtValueNorm, ValueOperator
+from torchrl.modules.value_norm import ValueNorm
 from torchrl.objectives.value import GAE
 
 CHUNK = 2048
 """Decisions whose values are computed at once: attention over more would leave the processor's cache."""
+
+CUT = "cut"
+"""Key, under ``next``, of ends [N, T, 1] that training makes, not the environment; none without it."""
+
+FINAL = "final"
+"""Key, under ``next``, of ends after which nothing is expected; see :func:`final`."""
+
+LEAST_ADVANTAGE, LEAST_VALUE = 1e-9, 1e-12
+"""Least divisors of advantages and of values. Before the first reward, values are that small and give no
+advantage; rewards of 1e-6 already do."""
+
+MEMORY_OF_VALUES = 0.9
+"""Share of the running mean and variance of value targets that is left after another batch."""
+
+
+def final(batch: TensorDictBase, beyond_limit: bool) -> Tensor:
+    """Return after which steps of a batch [N, T] nothing is expected, [N, T, 1].
+
+    Args:
+        batch: Decisions, with the flags ``done``, ``terminated`` and, unless none was cut, :data:`CUT` under ``next``.
+        beyond_limit: Whether only ``terminated`` episodes are over. False: those that the environment truncates are over, too;
+            those that training cuts are not.
+    """
+    following = batch["next"]
+    if beyond_limit:
+        return following["terminated"]
+    cut = following.get(CUT, None)
+    return following["done"] if cut is None else following["done"] & ~cut
+
+
+def make_value_norm() -> PopArtValueNorm:
+    """Return a running mean and deviation of value targets, in which critics give their values; so rewards may have any scale."""
+    return PopArtValueNorm(shape=1, beta=MEMORY_OF_VALUES, epsilon=LEAST_VALUE**2).double()
 
 
 def timed(reward: Tensor, seconds: Tensor, gamma: float, reward_time: str) -> Tensor:
@@ -35,6 +73,7 @@ def estimate_advantages(
     estimator: type[GAE] = GAE,
     done: str = "done",
     terminated: str = "terminated",
+    value_norm: ValueNorm | None = None,
 ) -> None:
     """Write ``advantage`` and ``value_target`` of a batch [N, T] in semi-Markov time.
 
@@ -50,17 +89,36 @@ def estimate_advantages(
         estimator: TorchRL's estimator: ``GAE``, or ``MultiAgentGAE`` for batches [N, T, S] of satellites.
         done: Key, under ``next``, of ends after which another episode begins.
         terminated: Key, under ``next``, of ends after which nothing is expected.
+        value_norm: The values of ``critic`` are deviations from a mean that it knows; None for values without a unit.
     """
     reward, seconds = batch["next", "reward"], batch["next", "duration"]
     discount = torch.tensor(gamma, dtype=torch.float64, device=reward.device)
     advantages = estimator(gamma=discount, lmbda=lmbda, value_network=None, device=reward.device)
     advantages.set_keys(steps_to_next_obs=("next", "duration"), done=done, terminated=terminated)
     judged = batch.select("next").clone(recurse=False)
-    judged["state_value"], judged["next", "state_value"] = values(batch, critic)
+    judged["state_value"], judged["next", "state_value"] = (
+        found if value_norm is None else value_norm.denormalize(found.double()).to(found.dtype) for found in values(batch, critic)
+    )
     judged["next", "reward"] = timed(reward, seconds, gamma, reward_time)
     advantages(judged)
     for key in ("advantage", "value_target"):
         batch[key] = judged[key].to(reward.dtype)
+
+
+def standardize(batch: TensorDictBase, value_norm: ValueNorm, counts: Tensor | None = None) -> None:
+    """Express ``advantage`` and ``value_target`` [..., 1] of a batch in deviations, so that learning does not see their scale.
+
+    Args:
+        batch: What :func:`estimate_advantages` returned.
+        value_norm: Running mean and deviation of targets, which takes those of the batch into account first.
+        counts: Decisions to learn from, [...]; None for all.
+    """
+    advantage, target = batch["advantage"], batch["value_target"].double()
+    chosen = (advantage, target) if counts is None else (advantage[counts], target[counts])
+    deviation, mean = torch.std_mean(chosen[0])
+    batch["advantage"] = (advantage - mean) / deviation.clamp(min=LEAST_ADVANTAGE)
+    value_norm.update(chosen[1])
+    batch["value_target"] = value_norm.normalize(target).to(advantage.dtype)
 
 
 @torch.no_grad()

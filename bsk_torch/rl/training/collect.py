@@ -15,13 +15,14 @@ from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 from torchrl.collectors import BaseCollector, Collector, MultiSyncCollector
-from torchrl.data import Unbounded
+from torchrl.data import Categorical, Composite, Unbounded
 from torchrl.envs import Compose, InitTracker, TensorDictPrimer, Transform, TransformedEnv
 from torchrl.weight_update import SharedMemWeightSyncScheme, WeightSyncScheme
 
 from bsk_torch.env.base import Tasking
 from bsk_torch.rand import Key
-from bsk_torch.rl.networks.plans import INIT, MEMORY
+from bsk_torch.rl.networks.plans import CLOCKS, INIT, MEMORY
+from bsk_torch.rl.training.advantages import CUT
 from bsk_torch.rl.training.config import PPOConfig
 
 SHORTEST = 0.02
@@ -34,10 +35,45 @@ ENDLESS = 2**62
 """More decisions than are ever collected: Ray's collector does not accept -1."""
 
 
+HOUR = 3600.0
+"""Unit of the time limit on the clock, s."""
+
+CLOCK = "clock"
+"""Key of what :class:`Clock` writes."""
+
+
+class Clock(Transform):
+    """Writes how much of each episode is left, for critics: satellites need not observe it.
+
+    ``clock`` [N, 2] is the fraction of the time limit that is left, from 1 to 0, and the logarithm to base 10 of the limit in
+    hours; 1 and 0 without a limit. Returns that end at the limit depend on the time left. A critic that does not see it
+    attributes them to what changes along the episode, such as the level of the data buffer.
+    """
+
+    def transform_observation_spec(self, observation_spec: Composite) -> Composite:
+        """Add ``clock``."""
+        shape, device = observation_spec.shape, observation_spec.device
+        return observation_spec.set(CLOCK, Unbounded((*shape, CLOCKS), device=device, dtype=torch.float32))
+
+    def _read(self, situations: TensorDictBase) -> TensorDictBase:
+        env = _environment(self)
+        limit = env.time_limit
+        left = (1.0 - env.fleet.sim_time / limit).clamp(min=0.0)
+        size = torch.where(limit.isinf(), 0.0, (limit / HOUR).log10())
+        return situations.set(CLOCK, torch.stack([left, size], -1).float())
+
+    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
+        return self._read(next_tensordict)
+
+    def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
+        return self._read(tensordict_reset)
+
+
 class Stagger(Transform):
     """Truncates the first episode of every environment at a random time, so that batches mix early and late decisions.
 
-    Without it all episodes of a batch start together, and a batch has nothing but early decisions, or late ones.
+    Without it all episodes of a batch start together, and a batch has nothing but early decisions, or late ones. The key ``cut``
+    [N, 1] marks its own ends.
     """
 
     def __init__(self, env: Tasking) -> None:
@@ -47,12 +83,21 @@ class Stagger(Transform):
         drawn = key.named("stagger").uniform(1).squeeze(-1)
         self.fraction = (SHORTEST + (1.0 - SHORTEST) * drawn).to(env.device)
 
+    def transform_observation_spec(self, observation_spec: Composite) -> Composite:
+        """Add ``cut``."""
+        shape, device = observation_spec.shape, observation_spec.device
+        return observation_spec.set(CUT, Categorical(2, shape=(*shape, 1), device=device, dtype=torch.bool))
+
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         env = _environment(self)
-        cut = (env.episode == 0) & (env.fleet.sim_time >= self.fraction * env.time_limit)
+        late = (env.episode == 0) & (env.fleet.sim_time >= self.fraction * env.time_limit)
+        cut = late.unsqueeze(-1) & ~next_tensordict["done"]
         for key in ("truncated", "done"):
-            next_tensordict[key] = next_tensordict[key] | cut.unsqueeze(-1)
-        return next_tensordict
+            next_tensordict[key] = next_tensordict[key] | cut
+        return next_tensordict.set(CUT, cut)
+
+    def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
+        return tensordict_reset.set(CUT, torch.zeros_like(tensordict_reset["done"]))
 
 
 def _environment(transform: Transform) -> Any:
@@ -115,7 +160,7 @@ class Bookmark(Transform):
 
 def prepared(env: Tasking, config: PPOConfig, saved: Mapping[str, Any] | None) -> TransformedEnv:
     """An environment for a collector, which can resume it; recurrent policies start episodes with an empty memory."""
-    transforms: list[Transform] = [Stagger(env)] if config.stagger else []
+    transforms: list[Transform] = [Clock(), *([Stagger(env)] if config.stagger else [])]
     if config.network == "gru":
         memory = Unbounded((1, config.hidden[-1]), dtype=torch.float32, device=env.device)
         transforms += [InitTracker(), TensorDictPrimer({MEMORY: memory}, default_value=0.0, expand_specs=True)]

@@ -105,12 +105,15 @@ class PPOConfig:
         reward_time: ``"end"``: rewards are discounted over the interval that they were earned in, as bsk_rl does; ``"start"``:
             they count in full, as TorchRL does.
         lmbda: Decay of the advantage estimator, per decision.
+        beyond_limit: Whether an episode that is truncated counts as one that continues: the value of its last state is added to
+            its return, and the policy prepares for what follows the limit. Choose ``gamma`` such that 1 / (1 - gamma), in
+            seconds, is shorter than the limit, and do not observe the time. False: returns end with the episode, as reported.
         clip: Largest change of an action's probability, as a ratio's distance from one.
         entropy: Weight of the entropy at the start.
         entropy_schedule: How it falls, as the learning rate does.
         epochs: Passes over a batch.
         minibatch: Decisions in a gradient step.
-        gradient_norm: Gradients are scaled down to this norm.
+        gradient_norm: Gradients of the actor, and those of the critic, are scaled down to this norm.
         imitate: Rule that the policy learns to imitate first, such as ``"hasty"``; None for none.
         imitation: Part of the budget in which it does.
         stagger: Whether the first episodes are cut at random, so that batches mix early and late decisions from the start.
@@ -140,6 +143,7 @@ class PPOConfig:
     gamma: float = 0.99999
     reward_time: str = "end"
     lmbda: float = 0.95
+    beyond_limit: bool = False
     clip: float = 0.2
     entropy: float = 0.01
     entropy_schedule: str = "linear"
@@ -178,8 +182,9 @@ class PPOConfig:
             _check_within(name, getattr(self, name), interval, optional=name == "seconds")
         for width in self.hidden:
             _check_whole("hidden", width, 1, WIDEST)
-        if not isinstance(self.stagger, bool):
-            raise ValueError(f"stagger={self.stagger!r} must be True or False")
+        for name in ("stagger", "beyond_limit"):
+            if not isinstance(getattr(self, name), bool):
+                raise ValueError(f"{name}={getattr(self, name)!r} must be True or False")
         for seed in (self.seed, self.seed + FRESH):
             if seed in SUITE_SEEDS:
                 raise ValueError(f"seed={self.seed}: episodes of seed {seed} belong to suites, in which policies are compared")

@@ -18,9 +18,10 @@ from torchrl.modules import set_recurrent_mode
 from torchrl.objectives import ClipPPOLoss
 
 from bsk_torch.env import SatelliteTasking
+from bsk_torch.rl.networks.normaliser import CLOCK
 from bsk_torch.rl.networks.plans import INIT, MEMORY, NORMALISER, PLANS, Networks, Plan
 from bsk_torch.rl.policies.files import save_policy
-from bsk_torch.rl.training.advantages import estimate_advantages
+from bsk_torch.rl.training.advantages import FINAL, estimate_advantages, final, make_value_norm, standardize
 from bsk_torch.rl.training.config import SCHEDULES, PPOConfig
 from bsk_torch.rl.training.imitation import TAUGHT, find_teacher, imitation_loss, taught_actions
 
@@ -38,7 +39,10 @@ def there(keys: Iterable[str], batch: TensorDictBase) -> list[str]:
 
 
 class Learner:
-    """Actor, critic and their optimizer."""
+    """Actor, critic and their optimizer.
+
+    The critic sees the clock, unless values look beyond the time limit, where what it shows has never been seen.
+    """
 
     def __init__(self, config: PPOConfig, env: SatelliteTasking) -> None:
         """Fresh networks for an environment; ValueError if it does not fit them."""
@@ -53,6 +57,7 @@ class Learner:
             normalize_advantage=True,
             loss_critic_type="l2",
         )
+        self.value_norm = make_value_norm().to(env.device)
         self.teacher = self.make_teacher(env)
         self.imitates = False
         self.optimiser = torch.optim.Adam(self.loss.parameters(), config.learning_rate, eps=1e-5)
@@ -115,8 +120,8 @@ class Learner:
         self.loss.entropy_coeff.fill_(config.entropy * SCHEDULES[config.entropy_schedule](fraction))
 
     def state_dict(self) -> dict[str, Any]:
-        """Networks, normalizer and optimizer."""
-        return {name: getattr(self, name).state_dict() for name in ("loss", "optimiser")} | {
+        """Networks, normalizers and optimizer."""
+        return {name: getattr(self, name).state_dict() for name in ("loss", "optimiser", "value_norm")} | {
             NORMALISER: self.networks.normaliser.state_dict()
         }
 
@@ -129,13 +134,29 @@ class Learner:
                 if isinstance(value, Tensor) and value.ndim and value.shape != weight.shape:
                     raise ValueError(f"{name} has shape {tuple(value.shape)}, its weight {tuple(weight.shape)}")
         self.networks.normaliser.load_state_dict(state[NORMALISER])
+        self.value_norm.load_state_dict(state["value_norm"])
+
+    def clock(self, situations: TensorDictBase) -> Tensor:
+        """Return the clock of ``situations``, [..., 2], as the critic sees it; zeros if it does not."""
+        return situations["clock"] * (not self.config.beyond_limit)
 
     def learn(self, batch: TensorDictBase) -> dict[str, float]:
         """Several passes over a batch [N, T]; means of the reported entries of the loss."""
         config = self.config
         for situations in (batch, batch["next"]):
             self.networks.normaliser(situations)
-        estimate_advantages(batch, self.networks.critic, config.gamma, config.lmbda, config.reward_time)
+            situations[CLOCK] = self.clock(situations)
+        batch["next", FINAL] = final(batch, config.beyond_limit)
+        estimate_advantages(
+            batch,
+            self.networks.critic,
+            config.gamma,
+            config.lmbda,
+            config.reward_time,
+            terminated=FINAL,
+            value_norm=self.value_norm,
+        )
+        standardize(batch, self.value_norm)
         self.buffer.empty()
         keys = [*there(LEARNED_FROM, batch), *((MEMORY, INIT) if self.recurrent else ())]
         if self.imitates:
@@ -156,7 +177,9 @@ class Learner:
         acting = self.imitation_loss(sample) if self.imitates else losses["loss_objective"] + losses["loss_entropy"]
         self.optimiser.zero_grad()
         (acting + losses["loss_critic"]).backward()
-        nn.utils.clip_grad_norm_(self.loss.parameters(), self.config.gradient_norm)
+        # clipped one by one, so that errors of values do not slow the actor
+        for part in (self.loss.actor_network_params, self.loss.critic_network_params):
+            nn.utils.clip_grad_norm_(part.parameters(), self.config.gradient_norm)
         self.optimiser.step()
         return torch.stack([losses[name].detach().mean().float() for name in REPORTED])
 

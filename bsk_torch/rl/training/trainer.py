@@ -25,6 +25,7 @@ from bsk_torch.rl.evaluation.evaluate import Evaluation, evaluate
 from bsk_torch.rl.networks.plans import MEMORY
 from bsk_torch.rl.policies.checksummed import load_checksummed, save_checksummed
 from bsk_torch.rl.policies.files import POLICY, plain
+from bsk_torch.rl.training.advice import hardships
 from bsk_torch.rl.training.collect import bookmarks, check_collector, make_collector, merged, update_weights
 from bsk_torch.rl.training.config import CONFIG, PPOConfig, save_config
 from bsk_torch.rl.training.episodes import RecentEpisodes
@@ -222,6 +223,9 @@ class Training:
     def _learn(self, batch: TensorDictBase) -> dict[str, float]:
         """Learn from a batch [N, T]; a row of the log."""
         begin = time.perf_counter()
+        if self.iteration == 0:
+            for hardship in hardships(self.config, self.env, self.rewards(batch), batch["next", "duration"].squeeze(-1)):
+                logger.warning(hardship)
         self.recent.add(self.rewards(batch), batch["next", "done"].squeeze(-1), self.survived(batch), self.fill(batch))
         self.days += float(batch["next", "duration"].double().sum()) / DAY
         self.learner.anneal(self.progress.fraction)
