@@ -32,7 +32,8 @@ test_basilisk() {
     # bsk-rl pins an old pytest, which it does not need to run
     .venv-basilisk/bin/python -m pip install -q --no-deps "pytest==$(sed -n 's/^pytest==//p' constraints.txt)" pytest-xdist execnet
     BSK_TORCH_STRICT_TESTS=1 .venv-basilisk/bin/python -m pytest -m "basilisk or coastlines" \
-        tests/test_scripts.py tests/basilisk/test_fly_on_basilisk.py tests/basilisk/test_certificate.py tests/cli/test_bench.py
+        tests/test_scripts.py tests/basilisk/test_fly_on_basilisk.py tests/basilisk/test_certificate.py tests/basilisk/test_differential.py \
+        tests/cli/test_bench.py
 }
 
 test_rllib() {
