@@ -33,6 +33,7 @@ test_basilisk() {
     .venv-basilisk/bin/python -m pip install -q --no-deps "pytest==$(sed -n 's/^pytest==//p' constraints.txt)" pytest-xdist execnet
     BSK_TORCH_STRICT_TESTS=1 .venv-basilisk/bin/python -m pytest -m "basilisk or coastlines" \
         tests/test_scripts.py tests/basilisk/test_fly_on_basilisk.py tests/basilisk/test_certificate.py tests/basilisk/test_differential.py \
+        tests/basilisk/test_drop_in.py \
         tests/cli/test_bench.py
 }
 

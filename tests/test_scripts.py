@@ -214,11 +214,15 @@ ELSEWHERE = {
     "examples/share_intent.py": "tests/test_clients.py",
     "scripts/docs.sh": "tests/docs/test_site.py",
     "scripts/test.sh": ".ci/run",
+    "scripts/validation/upstream.py": "tests/bsk_rl/test_upstream.py",
+    "scripts/validation/differential.py": "tests/basilisk/test_differential.py",
     "scripts/tools/try_newest.sh": "tests/packaging/test_packages.py",
     "scripts/tools/docs_stamp.py": "tests/docs/test_stamp.py",
     "scripts/tools/check_prose.py": "tests/test_prose.py",
     "scripts/tools/publish_docs.py": "tests/docs/test_site.py",
     "tests/basilisk/recorders/record_arguments.py": "tests/test_scripts.py",
+    "tests/basilisk/recorders/record_drop_in.py": "tests/basilisk/test_drop_in.py",
+    "tests/basilisk/recorders/record_bsk_rl.py": "tests/basilisk/test_drop_in.py",
     **{f"tests/basilisk/recorders/{script}.py": "tests/test_scripts.py" for script in RECORDED},
 }
 """Scripts that other tests start, and where."""

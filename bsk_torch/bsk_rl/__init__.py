@@ -1,1 +1,15 @@
-"""bsk_rl for one episode at a time, on the simulation of bsk_torch: the modules and names of bsk_rl 1.3.8."""
+"""bsk_rl on bsk_torch: the modules and names of bsk_rl 1.3.8, for one episode at a time.
+
+Replace ``bsk_rl`` by ``bsk_torch.bsk_rl`` in a program's imports, and it runs on bsk_torch's simulation, with the episodes that
+bsk_rl plays under the same seeds. ``docs/migration.md`` says what differs, and how to play thousands of episodes at once.
+"""
+
+import gymnasium
+
+from bsk_torch.bsk_rl.gym import NO_ACTION, ConstellationTasking, GeneralSatelliteTasking, SatelliteTasking
+
+__all__ = ["NO_ACTION", "ConstellationTasking", "GeneralSatelliteTasking", "SatelliteTasking"]
+
+for _made in (GeneralSatelliteTasking, SatelliteTasking, ConstellationTasking):
+    gymnasium.registry.pop(f"{_made.__name__}-v1", None)  # bsk_torch's own view of that name
+    gymnasium.register(id=f"{_made.__name__}-v1", entry_point=f"bsk_torch.bsk_rl.gym:{_made.__name__}")

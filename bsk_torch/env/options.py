@@ -67,7 +67,8 @@ class TaskingOptions:
             float32.
         sim_dtype: float64 for parity with Basilisk; float32 for mixed precision: attitude, wheels and flight software in float32,
             orbit, time and accumulators in float64.
-        orbit: ``"arc"`` (in advance), ``"integrated"`` (in every tick, with drag), or None for the model's own.
+        orbit: ``"arc"`` (in advance), ``"integrated"`` (in every tick, with drag), ``"free"`` (likewise, also for satellites that
+            are at rest, fall or leave; windows and eclipses cannot be predicted), or None for the model's own.
         backend: ``"compiled"``, or ``"eager"`` for debugging.
         compat: ``"bsk_rl"`` reproduces bsk_rl's errors, listed in ``docs/migration.md``, for comparisons; None for correct
             results.

@@ -107,6 +107,7 @@ class Simulator:
             horizon=horizon,
             segment=usage.segment,
             as_bsk_rl=satellite_type.as_bsk_rl,
+            blind=self.orbit == "free",
             manoeuvres=Manoeuvres(self.has_tank and (options.replan or self.orbit == "arc"), self.has_tank and options.replan),
         )
         self.state.add("lookahead", self.lookahead)

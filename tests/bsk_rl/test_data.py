@@ -113,7 +113,7 @@ def test_a_resource_is_paid_by_its_change():
     satellites, scenario = fleet(2), UniformNadirScanning()
 
     class Weight:
-        weight_vector = []  # noqa: RUF012
+        weight_vector = []
 
     satellites[0].observation_builder.observation_spec = [Weight(), object()]
     weights = iter([0.5, 0.25])

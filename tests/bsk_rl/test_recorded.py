@@ -216,23 +216,7 @@ def test_an_orbit_may_be_given_by_position_and_velocity():
     flown.extend_to(period)
     assert 10e3 < np.linalg.norm(flown.r_BN_N(period) - r) < 100e3  # the Earth's oblateness
     for wrong in ({"rN": r}, {"rN": r, "vN": v, "oe": 1.0, "mu": 1.0}, {}):
-        with pytest.raises(ValueError, match="give the orbit"):
+        with pytest.raises(ValueError, match="an orbit is given by"):
             orbital.TrajectorySimulator(RECORDED["epoch"], **wrong)
-    with pytest.raises(ValueError, match="must be positive"):
+    with pytest.raises(ValueError, match=r"dt=0\.0 must be 30\.0"):
         orbital.TrajectorySimulator(RECORDED["epoch"], rN=r, vN=v, dt=0.0)
-
-
-@pytest.mark.parametrize("dt", [7.0, 60.0, 500.0])
-def test_orbits_ahead_may_be_asked_for_in_other_steps(dt):
-    elements = orbital.ClassicElements(**RECORDED["trajectory"]["elements"])
-    usual, other = (orbital.TrajectorySimulator(RECORDED["epoch"], oe=elements, mu=3.98600436e14, dt=step) for step in (30.0, dt))
-    for flown in (usual, other):
-        flown.extend_to(4_000.0)
-        flown.extend_to(10_500.0)
-    assert other.sim_time == dt * (10_500.0 // dt)
-    shared = np.arange(0.0, 10_501.0, np.lcm(30, int(dt)))
-    shared = shared[shared <= other.sim_time]
-    for name in ("r_BN_N", "r_BP_P"):
-        wanted = getattr(usual, name)(shared)
-        np.testing.assert_allclose(getattr(other, name)(shared), wanted, rtol=0.0, atol=200.0)  # the error of the steps of 30 s
-    assert usual.next_eclipse(100.0) == pytest.approx(other.next_eclipse(100.0), abs=dt + 30.0)

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterable
-from typing import Any, NoReturn
+from typing import Any
 
 from bsk_torch.bsk_rl.data.base import Data, DataStore, GlobalReward
-from bsk_torch.bsk_rl.scene.later import raise_for
+from bsk_torch.bsk_rl.later import not_yet
 from bsk_torch.bsk_rl.scene.scenario import Scenario
 
 __all__ = ["ComposedData", "ComposedDataStore", "ComposedReward"]
@@ -199,6 +199,4 @@ class ComposedReward(GlobalReward):
         return any(rewarder.is_terminated(satellite) for rewarder in self.rewarders)
 
 
-def __getattr__(name: str) -> NoReturn:
-    """Raise ImportError for names of bsk_rl that are not here yet, AttributeError for others."""
-    raise_for(name, __name__)
+__getattr__ = not_yet(__name__)

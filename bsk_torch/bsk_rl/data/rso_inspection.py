@@ -151,7 +151,9 @@ class RSOInspectionReward(GlobalReward):
         """Let the stores of inspectors read the scenario."""
         super().reset_post_sim_init()
         for inspector in self.scenario.inspectors:
-            inspector.data_store.scenario = self.scenario
+            for store in getattr(inspector.data_store, "data_stores", (inspector.data_store,)):
+                if isinstance(store, RSOInspectionDataStore):
+                    store.scenario = self.scenario
 
     def initial_data(self, satellite: Any) -> RSOInspectionData:
         """Return all points as neither inspected nor lit, for inspectors."""

@@ -1,10 +1,5 @@
 """At the place of ``bsk_rl.scene.rso_targets``; its names are not in bsk_torch yet."""
 
-from typing import NoReturn
+from bsk_torch.bsk_rl.later import not_yet
 
-from bsk_torch.bsk_rl.scene.later import raise_for
-
-
-def __getattr__(name: str) -> NoReturn:
-    """Raise ImportError for names of bsk_rl, AttributeError for others."""
-    raise_for(name, __name__)
+__getattr__ = not_yet(__name__)

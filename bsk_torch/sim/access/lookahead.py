@@ -10,6 +10,7 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from bsk_torch.codegen.kernel import Samples
+from bsk_torch.constants import MU_EARTH
 from bsk_torch.sim.access.eclipses import SEARCH_STEP, SEARCHES, EclipseTable
 from bsk_torch.sim.access.visibility.backend import Visibility
 from bsk_torch.sim.access.visibility.planned import PlannedOrbits
@@ -73,6 +74,7 @@ class LookAhead(StateTable):
         segment: float,
         as_bsk_rl: bool,
         manoeuvres: Manoeuvres = NONE,
+        blind: bool = False,
     ) -> None:
         """Make room for ``count`` satellites in each of ``num_envs`` episodes.
 
@@ -86,8 +88,10 @@ class LookAhead(StateTable):
             segment: Seconds by which windows are extended.
             as_bsk_rl: See :class:`~bsk_torch.sim.access.windows.AccessWindows`.
             manoeuvres: Objects that follow maneuvers.
+            blind: Whether the satellites may be on no orbit, so that queries raise a RuntimeError.
         """
         super().__init__(num_envs, count, solver.device)
+        self.blind = blind
         kept = max(PLANNED_SEGMENTS, segments_for(segment) + PLANNED_SEGMENTS - 1)
         spans = max(segments_for(horizon + MARGIN), segments_for(segment + BEFORE_SEARCH + BEHIND_SEARCH) + 1)
         size = num_envs, spans, solver, kept, count
@@ -116,6 +120,8 @@ class LookAhead(StateTable):
             v_N: Velocity at time zero, [n, 3] m/s.
             duration: Seconds for which windows are generated, [n].
         """
+        if self.blind:
+            v_N = _circling(r_N, v_N)
         while self.arcs.length < float(duration.max()) + BEHIND_SEARCH:
             self.grow()
         for part in torch.split(torch.arange(len(rows), device=self.device), self._rows_at_once(rows)):
@@ -280,6 +286,7 @@ class LookAhead(StateTable):
     @outside_inference
     def next_eclipse(self, time: Tensor) -> tuple[Tensor, Tensor]:
         """Return the next start and end of an eclipse after ``time`` [N], [N] s since reset; see :meth:`EclipseTable.query`."""
+        self._check_sight()
         needs = self.eclipses.needs(time)
         if self.arcs.restarts:  # an hour after the other, until both are found
             while bool((short := self.eclipses.unknown(time) & (self.arcs.end < needs)).any()):
@@ -319,6 +326,7 @@ class LookAhead(StateTable):
             RuntimeError: Where a window is needed, there is none within the look-ahead, and there must be one.
         """
         assert self.access is not None
+        self._check_sight()
         access = self.access
         wanted = torch.full(time.shape, width, dtype=torch.int64, device=self.device) if count is None else count
         if self.arcs.restarts:
@@ -364,6 +372,7 @@ class LookAhead(StateTable):
         ``now`` [N] s is the present. Rows that see so far already are left alone. Return whether any sees more than before.
         """
         assert self.access is not None
+        self._check_sight()
         access = self.access
         self.search_visible(now)
         steps = torch.ceil((until - access.until) / access.segment).clamp(min=0.0)
@@ -376,6 +385,11 @@ class LookAhead(StateTable):
         self.eclipses.sample_to(end)
         return True
 
+    def _check_sight(self) -> None:
+        """Raise RuntimeError for satellites that may be on no orbit."""
+        if self.blind:
+            raise RuntimeError("orbit='free' predicts nothing: windows and eclipses need orbit='arc' or orbit='integrated'")
+
     def _raise_nothing_in_view(self, kind: str, envs: list[int]) -> NoReturn:
         access: Any = self.access
         seconds, advice = MAX_SEGMENTS * access.segment, access.kinds[kind].advice
@@ -383,3 +397,14 @@ class LookAhead(StateTable):
             f"no {kind} comes into view of environments {list(dict.fromkeys(envs))[:5]} within {seconds:g} s; {advice}, "
             "or build the satellite with may_see_nothing=True"
         )
+
+
+def _circling(r_N: Tensor, v_N: Tensor) -> Tensor:
+    """Return velocities, [n, 3] m/s in N, of circular orbits through positions, [n, 3] m, near the directions of ``v_N``.
+
+    Arcs of satellites that may be on no orbit are solved with these: they serve for the Sun and the Earth only.
+    """
+    along = torch.linalg.cross(torch.linalg.cross(r_N, v_N), r_N)
+    axis = torch.eye(3, dtype=r_N.dtype, device=r_N.device)[r_N.abs().argmin(-1)]
+    along = torch.where(along.norm(dim=-1, keepdim=True) > 1.0, along, torch.linalg.cross(r_N, axis))
+    return along / along.norm(dim=-1, keepdim=True) * torch.sqrt(MU_EARTH / r_N.norm(dim=-1, keepdim=True))

@@ -66,7 +66,7 @@ class TypeArguments:
         world_args: Arguments of the world.
         parts: Components of world and satellites, which check them, in the order of a tick.
         h_ns: Length of a tick, ns.
-        on_arc: Whether orbits are solved in advance.
+        orbit: How orbits are computed: ``"arc"``, ``"integrated"`` or ``"free"``.
         controlled: Whether actions may switch attitude control on, so that its gains matter.
         randomize: Draws arguments that replace those of some satellites.
         taken: Names of what the scenario draws.
@@ -76,7 +76,7 @@ class TypeArguments:
     world_args: Arguments
     parts: tuple[Component, ...]
     h_ns: int
-    on_arc: bool
+    orbit: str
     controlled: bool
     randomize: Callable[[Key], Overrides]
     taken: frozenset[str]
@@ -138,7 +138,7 @@ class TypeArguments:
         for part in self.parts:
             part.check(values)
         self._check_tick(values, replaced)
-        check_orbits(values, on_arc=self.on_arc)
+        check_orbits(values, self.orbit)
 
     def check_per_env(self, env_ids: Tensor) -> None:
         """Check the values of ``rand.per_env`` in all environments, [n] indices in draws, with those of the first for the rest.

@@ -21,19 +21,27 @@ DENSEST_AIR = 10.0
 """Largest density, kg/m^3, at an initial position."""
 
 
-def check_orbits(values: Mapping[str, Any], on_arc: bool) -> None:
-    """Check the initial orbits of drawn arguments; ``on_arc``: whether they are computed in advance, without drag.
+def check_orbits(values: Mapping[str, Any], orbit: str) -> None:
+    """Check the initial orbits of drawn arguments.
+
+    Args:
+        values: The arguments.
+        orbit: ``"arc"`` for orbits solved in advance, without drag; ``"integrated"``; or ``"free"`` for satellites that
+            may be at rest, fall, or leave.
 
     Raises:
         ValueError: For positions and velocities that are no orbit around the Earth, or one for which the other way of computing
             orbits is needed.
     """
     r, v = (Vec3.of(x) for x in hub.initial_orbit(values))
+    if orbit == "free":
+        _check_start(values, r)
+        return
     lowest = _lowest_periapsis(values, r, v)
     if "baseDensity" not in values:
         return
     names = ("planetRadius", "baseDensity", "scaleHeight")
-    if on_arc:
+    if orbit == "arc":
         top = top_radius(*(float(values[name].max()) for name in names))
         if lowest < top:
             raise ValueError(
@@ -44,6 +52,18 @@ def check_orbits(values: Mapping[str, Any], on_arc: bool) -> None:
             )
     elif not bool((exponential_density(r, *(values[name] for name in names)) <= DENSEST_AIR).all()):
         raise ValueError(f"world_args: by {', '.join(names)} the air has more than {DENSEST_AIR:g} kg/m^3 at an initial position")
+
+
+def _check_start(values: Mapping[str, Any], r: Vec3) -> None:
+    """Raise ValueError for an initial position, m, below the surface or too far away."""
+    radius = r.norm()
+    wrong = ~((radius >= LOWEST_PERIAPSIS) & (radius <= HIGHEST_APOAPSIS))
+    if bool(wrong.any()):
+        given = "rN is" if values["oe"] is None else "oe is a position"
+        raise ValueError(
+            f"sat_args: {given} {_first(radius, wrong) / 1e3:.6g} km from the Earth's center; allowed are "
+            f"{LOWEST_PERIAPSIS / 1e3:g} km, its surface, to {HIGHEST_APOAPSIS / 1e3:g} km"
+        )
 
 
 def _lowest_periapsis(values: Mapping[str, Any], r: Vec3, v: Vec3) -> float:

@@ -41,7 +41,7 @@ Ticks = Kept[tuple[Tick, Runners]]
 TICKS: Ticks = Kept(32)
 """Ticks of components of the package that the process has made last: there are fewer presets."""
 
-ORBITS = ("arc", "integrated")
+ORBITS = ("arc", "integrated", "free")
 
 SHORTEST_TICK, LONGEST_TICK = 1e-3, 60.0
 """Bounds of the length of a tick, s. With shorter ones a step of minutes takes millions of ticks; longer ones than a minute would
@@ -56,7 +56,7 @@ class SimulationOptions:
         device: Device of all tensors.
         dtype: Type of attitude, wheels and flight software; everything is stored, and the rest computed, in float64.
         sim_rate: Length of a tick, s.
-        orbit: ``"arc"``, ``"integrated"``, or None for the default of the dynamics model.
+        orbit: ``"arc"``, ``"integrated"``, ``"free"``, or None for the default of the dynamics model.
         backend: ``"compiled"`` or ``"eager"``.
         compat: ``"bsk_rl"`` for bsk_rl's errors.
         replan: Whether windows and eclipses follow maneuvers.
@@ -109,7 +109,7 @@ class SatelliteType:
         commands: Commands of the flight software by name.
         has_tank: Whether the satellites can change their velocity.
         h_ns: Length of a tick, ns.
-        orbit: ``"arc"`` or ``"integrated"``.
+        orbit: ``"arc"``, ``"integrated"`` or ``"free"``.
         gravity_degree: Degree of the Earth's field.
         options: How they are simulated.
         usage: How the environment uses them.
@@ -239,7 +239,7 @@ def satellite_type(
     flags = dict.fromkeys(flag for part in known for flag in part.flags)
     on = [[float(flag in (mode.on or ())) for mode in modes.values()] for flag in flags]
     drawing = TypeArguments(
-        arguments[1], arguments[0], parts, h_ns, on_arc, usage.controlled, usage.randomize, frozenset(usage.drawn)
+        arguments[1], arguments[0], parts, h_ns, orbit, usage.controlled, usage.randomize, frozenset(usage.drawn)
     )
     trial = drawing.trial(num_envs)
     running = _running(parts, dyn_type.schedule, on_arc, usage.recorded)

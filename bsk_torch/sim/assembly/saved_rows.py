@@ -37,7 +37,7 @@ def check_saved(satellite_type: SatelliteType, saved: SatelliteState, path: str)
     on_host = {name: value.cpu() for name, value in values.items()} | saved.constants
     for part in arguments.parts:
         part.check(on_host)
-    check_orbits(on_host, on_arc=arguments.on_arc)
+    check_orbits(on_host, arguments.orbit)
     own = satellite_type.tick.own.rows(merge(on_host, arguments.parts, "prepare"), saved.rows).to(saved.device).mT
     wrong = ~torch.isclose(saved.parameters.mT, own, rtol=CLOSE, atol=0.0, equal_nan=True)
     saved.refuse(f"{path}parameters", saved.parameters.mT, wrong, "it does not follow from the arguments of the satellite")

@@ -21,6 +21,10 @@ def _facet_areas(args: Values) -> dict[str, Tensor]:
     return {"facet_areas": areas, "facet_offsets": offsets, "drag_coefficient": args["dragCoeff"]}
 
 
+AT_REST = 1e-30
+"""Square of a speed, m^2/s^2, below which there is no flow."""
+
+
 def drag(bus: Bus, v_BN_B: Vec3) -> tuple[Vec3, Vec3]:
     """Return the drag force, N, and its torque, N m, in B for the velocity v_BN_B, m/s.
 
@@ -29,7 +33,7 @@ def drag(bus: Bus, v_BN_B: Vec3) -> tuple[Vec3, Vec3]:
     both, and the sign of v^_i tells on which side it sits. Both x facets sit at +height/2, as bsk_rl builds them.
     """
     speed2 = v_BN_B.dot(v_BN_B)
-    flow = v_BN_B / torch.sqrt(speed2)
+    flow = v_BN_B / torch.sqrt(torch.clamp(speed2, min=AT_REST))
     x_side, y_side, z_side, panel = bus.facet_areas
     x_at, y_at, z_at, panel_at = bus.facet_offsets
     facing_x, facing_y, facing_z = torch.abs(flow.x), torch.abs(flow.y), torch.abs(flow.z)

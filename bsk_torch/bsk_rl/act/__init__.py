@@ -1,0 +1,42 @@
+"""Actions of bsk_rl."""
+
+from bsk_torch.bsk_rl.act.actions import Action
+from bsk_torch.bsk_rl.act.continuous_actions import (
+    AttitudeSetpoint,
+    ContinuousAction,
+    ImpulsiveThrust,
+    ImpulsiveThrustHill,
+)
+from bsk_torch.bsk_rl.act.discrete_actions import (
+    Broadcast,
+    Charge,
+    Desat,
+    DiscreteAction,
+    DiscreteFSWAction,
+    Downlink,
+    Drift,
+    Image,
+    NadirPoint,
+    Scan,
+)
+from bsk_torch.bsk_rl.later import not_yet
+
+__all__ = [
+    "Action",
+    "AttitudeSetpoint",
+    "Broadcast",
+    "Charge",
+    "ContinuousAction",
+    "Desat",
+    "DiscreteAction",
+    "DiscreteFSWAction",
+    "Downlink",
+    "Drift",
+    "Image",
+    "ImpulsiveThrust",
+    "ImpulsiveThrustHill",
+    "NadirPoint",
+    "Scan",
+]
+
+__getattr__ = not_yet(__name__)

@@ -1,0 +1,105 @@
+"""Actions of one satellite, and how they are chosen."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from copy import deepcopy
+from typing import Any, ClassVar
+
+from bsk_torch.bsk_rl.utils.functional import Resetable
+
+__all__ = ["Action", "ActionBuilder", "select_action_builder"]
+
+
+def select_action_builder(satellite: Any) -> ActionBuilder:
+    """Return the builder of a satellite's actions; NotImplementedError for actions of several kinds."""
+    kinds = {entry.builder_type for entry in satellite.action_spec}
+    if len(kinds) != 1:
+        raise NotImplementedError("Heterogenous action builders not supported.")
+    return kinds.pop()(satellite)
+
+
+class ActionBuilder(ABC, Resetable):
+    """Chooses among the actions of a satellite.
+
+    Attributes:
+        action_spec: The actions, copies of those of the satellite's class.
+    """
+
+    def __init__(self, satellite: Any) -> None:
+        """Copy and link the actions of a satellite."""
+        self.satellite = satellite
+        self.simulator: Any = None
+        self.action_spec: Any = deepcopy(list(satellite.action_spec))
+        for entry in self.action_spec:
+            entry.link_satellite(satellite)
+
+    def reset_overwrite_previous(self) -> None:
+        """Pass the hook on."""
+        for entry in self.action_spec:
+            entry.reset_overwrite_previous()
+
+    def reset_pre_sim_init(self) -> None:
+        """Pass the hook on."""
+        for entry in self.action_spec:
+            entry.reset_pre_sim_init()
+
+    def reset_during_sim_init(self) -> None:
+        """Pass the hook on."""
+        for entry in self.action_spec:
+            entry.reset_during_sim_init()
+
+    def reset_post_sim_init(self) -> None:
+        """Link the simulation, and pass the hook on."""
+        self.simulator = self.satellite.simulator
+        for entry in self.action_spec:
+            entry.link_simulator(self.simulator)
+            entry.reset_post_sim_init()
+
+    @property
+    @abstractmethod
+    def action_space(self) -> Any:
+        """Space of the actions."""
+
+    @property
+    @abstractmethod
+    def action_description(self) -> Any:
+        """Names of the actions."""
+
+    @abstractmethod
+    def set_action(self, action: Any) -> None:
+        """Begin an action."""
+
+
+class Action(ABC, Resetable):
+    """An action. Subclasses define :meth:`set_action`.
+
+    Attributes:
+        satellite: The satellite that acts.
+        simulator: The simulation of the episode.
+    """
+
+    builder_type: ClassVar[type[ActionBuilder]]
+    satellite: Any
+    simulator: Any
+
+    def __init__(self, name: str = "act") -> None:
+        """Name the action."""
+        self.name = name
+
+    @property
+    def may_hold_attitude(self) -> bool:
+        """Whether the action may command an attitude set-point; those of users' classes may."""
+        return not type(self).__module__.startswith(__name__.partition(".")[0] + ".")
+
+    def link_satellite(self, satellite: Any) -> None:
+        """Take the satellite."""
+        self.satellite = satellite
+
+    def link_simulator(self, simulator: Any) -> None:
+        """Take the simulation of the episode."""
+        self.simulator = simulator
+
+    @abstractmethod
+    def set_action(self, action: Any) -> Any:
+        """Begin the action."""

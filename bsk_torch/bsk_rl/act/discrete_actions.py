@@ -1,0 +1,227 @@
+"""Actions that are chosen by a number."""
+
+from __future__ import annotations
+
+import logging
+from abc import abstractmethod
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+
+from bsk_torch.bsk_rl.act.actions import Action, ActionBuilder
+
+__all__ = [
+    "Broadcast",
+    "Charge",
+    "Desat",
+    "DiscreteAction",
+    "DiscreteActionBuilder",
+    "DiscreteFSWAction",
+    "Downlink",
+    "Drift",
+    "Image",
+    "NadirPoint",
+    "Scan",
+]
+
+logger = logging.getLogger(__name__)
+
+LONGEST = 1e9
+"""Duration of actions without one, s."""
+
+
+class DiscreteActionBuilder(ActionBuilder):
+    """Chooses an action by its number among all.
+
+    Attributes:
+        prev_action_key: What the last action returned; None at the start of an episode.
+    """
+
+    def __init__(self, satellite: Any) -> None:
+        """See :class:`ActionBuilder`."""
+        super().__init__(satellite)
+        self.prev_action_key: Any = None
+
+    def reset_post_sim_init(self) -> None:
+        """See :meth:`ActionBuilder.reset_post_sim_init`; there is no last action."""
+        super().reset_post_sim_init()
+        self.prev_action_key = None
+
+    @property
+    def action_space(self) -> spaces.Discrete:
+        """See :attr:`ActionBuilder.action_space`."""
+        return spaces.Discrete(sum(entry.n_actions for entry in self.action_spec))
+
+    @property
+    def action_description(self) -> list[str]:
+        """See :attr:`ActionBuilder.action_description`."""
+        return [
+            entry.name if entry.n_actions == 1 else f"{entry.name}_{k}"
+            for entry in self.action_spec
+            for k in range(entry.n_actions)
+        ]
+
+    def set_action(self, action: Any) -> None:
+        """Begin the action of a number, or what some action makes of another value; ValueError where none does."""
+        self.satellite.disable_timed_terminal_event()
+        if not np.issubdtype(type(action), np.integer):
+            self._override(action)
+            return
+        first = 0
+        for entry in self.action_spec:
+            if first + entry.n_actions > action:
+                self.prev_action_key = entry.set_action(action - first, prev_action_key=self.prev_action_key)
+                return
+            first += entry.n_actions
+        raise ValueError(f"Action index {action} out of range.")
+
+    def _override(self, action: Any) -> None:
+        logger.warning("Action '%s' is not an integer. Will attempt to use compatible set_action_override method.", action)
+        for entry in self.action_spec:
+            try:
+                self.prev_action_key = entry.set_action_override(action, prev_action_key=self.prev_action_key)
+            except (AttributeError, TypeError):
+                continue
+            return
+        raise ValueError(f"Action '{action}' is not an integer and no compatible set_action_override method found.")
+
+
+class DiscreteAction(Action):
+    """One or several actions that are chosen by a number.
+
+    Subclasses may define ``set_action_override(action, prev_action_key)`` for actions that are no numbers.
+    """
+
+    builder_type = DiscreteActionBuilder
+
+    def __init__(self, name: str = "discrete_act", n_actions: int = 1) -> None:
+        """Stand for ``n_actions`` actions."""
+        super().__init__(name=name)
+        self.n_actions = n_actions
+
+    @abstractmethod
+    def set_action(self, action: int, prev_action_key: Any = None) -> Any:
+        """Begin the action of a number among these; return a key that tells it from others."""
+
+
+class DiscreteFSWAction(DiscreteAction):
+    """Calls a command of the flight software, for some time."""
+
+    def __init__(self, fsw_action: str, name: str | None = None, duration: float | None = None, reset_task: bool = False) -> None:
+        """Call a command.
+
+        Args:
+            fsw_action: Name of the method of the flight software, such as ``"action_charge"``.
+            name: Name of the action; that of the method unless given.
+            duration: Seconds until the action ends; None for 1e9 s.
+            reset_task: Whether a repeated action calls the command again.
+        """
+        super().__init__(name=fsw_action if name is None else name)
+        self.fsw_action, self.reset_task = fsw_action, reset_task
+        self.duration = LONGEST if duration is None else duration
+
+    def set_action(self, action: int, prev_action_key: Any = None) -> Any:
+        """See :meth:`DiscreteAction.set_action`."""
+        assert action == 0
+        self.satellite.logger.info("%s tasked for %s seconds", self.name, self.duration)
+        self.satellite.update_timed_terminal_event(self.simulator.sim_time + self.duration, info=f"for {self.fsw_action}")
+        if self.reset_task or prev_action_key != self.fsw_action:
+            getattr(self.satellite.fsw, self.fsw_action)()
+        return self.fsw_action
+
+
+class Charge(DiscreteFSWAction):
+    """Points the solar panel at the Sun."""
+
+    def __init__(self, name: str | None = None, duration: float | None = None) -> None:
+        """See :class:`DiscreteFSWAction`."""
+        super().__init__("action_charge", name, duration)
+
+
+class Drift(DiscreteFSWAction):
+    """Switches attitude control off."""
+
+    def __init__(self, name: str | None = None, duration: float | None = None) -> None:
+        """See :class:`DiscreteFSWAction`."""
+        super().__init__("action_drift", name, duration)
+
+
+class NadirPoint(DiscreteFSWAction):
+    """Aligns the body with the Hill frame."""
+
+    def __init__(self, name: str | None = None, duration: float | None = None) -> None:
+        """See :class:`DiscreteFSWAction`."""
+        super().__init__("action_nadir_point", name, duration)
+
+
+class Desat(DiscreteFSWAction):
+    """Desaturates the wheels with thrusters."""
+
+    def __init__(self, name: str | None = None, duration: float | None = None) -> None:
+        """See :class:`DiscreteFSWAction`."""
+        super().__init__("action_desat", name, duration, reset_task=True)
+
+
+class Downlink(DiscreteFSWAction):
+    """Transmits data to ground stations in view."""
+
+    def __init__(self, name: str | None = None, duration: float | None = None) -> None:
+        """See :class:`DiscreteFSWAction`."""
+        super().__init__("action_downlink", name, duration)
+
+
+class Scan(DiscreteFSWAction):
+    """Records the ground below."""
+
+    def __init__(self, name: str | None = None, duration: float | None = None) -> None:
+        """See :class:`DiscreteFSWAction`."""
+        super().__init__("action_nadir_scan", name, duration)
+
+
+class Image(DiscreteAction):
+    """Images the target of one of the next opportunities."""
+
+    def __init__(self, n_ahead_image: int, max_duration: float | None = None, name: str = "action_image") -> None:
+        """Choose among ``n_ahead_image`` opportunities; an action lasts at most ``max_duration`` s."""
+        super().__init__(name=name, n_actions=n_ahead_image)
+        self.max_duration = max_duration
+
+    def image(self, target: Any, prev_action_key: Any = None) -> Any:
+        """Image a target, by its index, id, or itself; the same one again continues its task."""
+        found = self.satellite.parse_target_selection(target)
+        begin = self.satellite.enable_target_window if found.id == prev_action_key else self.satellite.task_target_for_imaging
+        begin(found, max_duration=self.max_duration)
+        return found.id
+
+    def set_action(self, action: int, prev_action_key: Any = None) -> Any:
+        """See :meth:`DiscreteAction.set_action`."""
+        self.satellite.logger.info("target index %s tasked", action)
+        return self.image(action, prev_action_key)
+
+    def set_action_override(self, action: Any, prev_action_key: Any = None) -> Any:
+        """Image a target, or that of an id."""
+        return self.image(action, prev_action_key)
+
+
+class Broadcast(DiscreteAction):
+    """Lets the satellite share what it knows, under a communication method that asks for it."""
+
+    broadcast_pending: bool
+
+    def __init__(self, name: str = "action_broadcast", duration: float | None = None) -> None:
+        """Last ``duration`` s; None for 1e9 s."""
+        super().__init__(name=name)
+        self.duration = LONGEST if duration is None else duration
+
+    def reset_post_sim_init(self) -> None:
+        """See :meth:`Action.reset_post_sim_init`; nothing is to be shared."""
+        super().reset_post_sim_init()
+        self.broadcast_pending = False
+
+    def set_action(self, action: int, prev_action_key: Any = None) -> Any:
+        """See :meth:`DiscreteAction.set_action`."""
+        assert action == 0
+        self.broadcast_pending = True
+        self.satellite.update_timed_terminal_event(self.simulator.sim_time + self.duration, info="for broadcast")
+        return self.name

@@ -1,0 +1,5 @@
+"""Log levels and messages."""
+
+from bsk_torch.bsk_rl.basilisk.architecture import bskLogging, messaging
+
+__all__ = ["bskLogging", "messaging"]

@@ -1,0 +1,38 @@
+"""Names of bsk_rl that bsk_torch does not have yet: reading one raises ImportError, which says what there is instead."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+SPACE_TO_SPACE = (
+    "imaging other satellites is not in bsk_torch yet. Their surfaces can be inspected: scene.SphericalRSO with "
+    "data.RSOInspectionReward"
+)
+MIXED = "several scenarios in one environment are not in bsk_torch yet. Satellites of several types can share one scenario"
+
+ABSENT: dict[str, str] = {
+    name: advice
+    for advice, names in (
+        (
+            SPACE_TO_SPACE,
+            "CandidateSnapshot ImageRSO RSOImageData RSOImageRecord RSOImageReward RSOImageStore RSOPriorityEvent RSOTarget "
+            "RSOTargetCatalog RSOTargetDynModel RSOTargetProperties RSOTargets SpaceToSpaceImagingDynModel "
+            "SpaceToSpaceImagingFSWModel candidate_snapshot illumination_factor target_geometry target_properties",
+        ),
+        (MIXED, "MixedData MixedDataStore MixedReward MixedScenario"),
+    )
+    for name in names.split()
+}
+"""Advice for each name."""
+
+
+def not_yet(module: str) -> Callable[[str], Any]:
+    """Return the ``__getattr__`` of a module: ImportError for a name that is to come, AttributeError for others."""
+
+    def read(name: str) -> Any:
+        if name in ABSENT:
+            raise ImportError(f"{module}.{name}: {ABSENT[name]}", name=module)
+        raise AttributeError(f"module {module!r} has no attribute {name!r}")
+
+    return read

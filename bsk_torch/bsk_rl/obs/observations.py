@@ -1,0 +1,341 @@
+"""Observations of one satellite, and how they are put together."""
+
+from __future__ import annotations
+
+import logging
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from copy import deepcopy
+from functools import cached_property
+from typing import Any, ClassVar
+
+import numpy as np
+from gymnasium import spaces
+
+from bsk_torch.bsk_rl.utils.functional import Resetable, vectorize_nested_dict
+from bsk_torch.bsk_rl.utils.orbital import rv2HN
+
+__all__ = [
+    "Eclipse",
+    "Observation",
+    "ObservationBuilder",
+    "OpportunityProperties",
+    "ResourceRewardWeight",
+    "SatProperties",
+    "Time",
+    "nested_obs_to_space",
+]
+
+logger = logging.getLogger(__name__)
+
+LARGEST = 1e16
+"""Bound of the numbers of observation spaces, as in bsk_rl."""
+
+Entry = dict[str, Any]
+"""An observed quantity: ``prop``, ``fn``, ``norm``, ``name``, ``module``."""
+
+
+def nested_obs_to_space(obs_dict: Any, dtype: Any) -> spaces.Space[Any]:
+    """Return the space of an observation; TypeError for what is no array, number, list or dictionary of such."""
+    if isinstance(obs_dict, dict):
+        return spaces.Dict({name: nested_obs_to_space(part, dtype) for name, part in obs_dict.items()})
+    if isinstance(obs_dict, list):
+        shape: tuple[int, ...] = (len(obs_dict),)
+    elif isinstance(obs_dict, np.ndarray):
+        shape = obs_dict.shape
+    elif isinstance(obs_dict, float | int | np.number):
+        shape = (1,)
+    else:
+        raise TypeError(f"Cannot convert {obs_dict} to gym space.")
+    return spaces.Box(low=-LARGEST, high=LARGEST, shape=shape, dtype=dtype)
+
+
+def checked_entries(entries: tuple[Entry, ...], keys: tuple[str, ...]) -> None:
+    """Raise ValueError for an unknown key of an entry; give entries without one a norm."""
+    for entry in entries:
+        for key in entry:
+            if key not in keys:
+                raise ValueError(f"Invalid property key: {key}; valid are {list(keys)}")
+        entry.setdefault("norm", 1.0)
+
+
+def name_entry(entry: Entry, name: str) -> None:
+    """Name an entry, unless it has a name; a normalized one says so."""
+    entry.setdefault("name", name if entry["norm"] == 1.0 else f"{name}_normd")
+
+
+class ObservationBuilder(Resetable):
+    """Puts the observations of a satellite together.
+
+    Attributes:
+        obs_type: ``np.ndarray``, ``list`` or ``dict``; it may be set at any time.
+        dtype: Type of vectors.
+        observation_spec: The observations, copies of those of the satellite's class.
+    """
+
+    def __init__(self, satellite: Any, obs_type: type = np.ndarray, dtype: Any = np.float64) -> None:
+        """Copy and link the observations of a satellite; those of the same name get numbers."""
+        self.obs_type, self.dtype, self.satellite = obs_type, dtype, satellite
+        self.simulator: Any = None
+        self.obs_dict_cache: dict[str, Any] | None = None
+        self.obs_cache_time = 0.0
+        self.observation_spec = deepcopy(list(satellite.observation_spec))
+        known: dict[str, int] = {}
+        for entry in self.observation_spec:
+            known[entry.name] = known.get(entry.name, 0) + 1
+            if known[entry.name] > 1:
+                entry.name += f"_{known[entry.name]}"
+            entry.link_satellite(satellite)
+
+    def reset_overwrite_previous(self) -> None:
+        """Pass the hook on."""
+        for entry in self.observation_spec:
+            entry.reset_overwrite_previous()
+
+    def reset_pre_sim_init(self) -> None:
+        """Pass the hook on."""
+        for entry in self.observation_spec:
+            entry.reset_pre_sim_init()
+
+    def reset_during_sim_init(self) -> None:
+        """Pass the hook on."""
+        for entry in self.observation_spec:
+            entry.reset_during_sim_init()
+
+    def reset_post_sim_init(self) -> None:
+        """Link the simulation, and pass the hook on."""
+        self.simulator, self.obs_dict_cache = self.satellite.simulator, None
+        for entry in self.observation_spec:
+            entry.link_simulator(self.simulator)
+            entry.reset_post_sim_init()
+
+    def obs_dict(self) -> dict[str, Any]:
+        """Return the observations by name; they are made once for every time."""
+        if self.obs_dict_cache is None or self.simulator.sim_time != self.obs_cache_time:
+            self.obs_dict_cache = {}
+            for entry in self.observation_spec:
+                value = entry.get_obs()
+                self.obs_dict_cache[entry.name] = value.astype(self.dtype) if isinstance(value, np.ndarray) else value
+            self.obs_cache_time = self.simulator.sim_time
+        return deepcopy(self.obs_dict_cache)
+
+    def obs_ndarray(self) -> Any:
+        """Return the observations as one vector."""
+        return vectorize_nested_dict(self.obs_dict())[1]
+
+    def obs_array_keys(self) -> list[str]:
+        """Return the names of the entries of :meth:`obs_ndarray`."""
+        return vectorize_nested_dict(self.obs_dict())[0]
+
+    def obs_list(self) -> list[Any]:
+        """Return the observations as a list of numbers."""
+        return list(self.obs_ndarray())
+
+    def get_obs(self) -> Any:
+        """Return the observations in the form of ``obs_type``; ValueError for an unknown one."""
+        forms: dict[Any, Callable[[], Any]] = {dict: self.obs_dict, np.ndarray: self.obs_ndarray, list: self.obs_list}
+        if self.obs_type not in forms:
+            raise ValueError(f"Invalid observation type: {self.obs_type}; valid are dict, np.ndarray and list")
+        return forms[self.obs_type]()
+
+    @cached_property
+    def observation_space(self) -> spaces.Space[Any]:
+        """Space of the observations."""
+        return nested_obs_to_space(self.get_obs(), dtype=self.dtype)
+
+    @cached_property
+    def observation_description(self) -> list[str]:
+        """Names of the entries of the vector."""
+        return self.obs_array_keys()
+
+
+class Observation(ABC, Resetable):
+    """Part of an observation. Subclasses define :meth:`get_obs`.
+
+    Attributes:
+        satellite: The satellite that observes.
+        simulator: The simulation of the episode.
+    """
+
+    satellite: Any
+    simulator: Any
+
+    def __init__(self, name: str = "obs") -> None:
+        """Name the observation."""
+        self.name = name
+
+    def link_satellite(self, satellite: Any) -> None:
+        """Take the satellite."""
+        self.satellite = satellite
+
+    def link_simulator(self, simulator: Any) -> None:
+        """Take the simulation of the episode."""
+        self.simulator = simulator
+
+    @abstractmethod
+    def get_obs(self) -> Any:
+        """Return the observation of the present."""
+
+
+class SatProperties(Observation):
+    """Properties of the satellite's models, and functions of the satellite."""
+
+    def __init__(self, *obs_properties: Entry, name: str = "sat_props") -> None:
+        """Observe quantities.
+
+        Args:
+            *obs_properties: Dictionaries with ``prop``, the name of a property; ``module``, ``"dynamics"`` or ``"fsw"``, found
+                unless given; ``norm``, a divisor; ``name``; and ``fn``, a function of the satellite in place of a property.
+            name: Name of the observation.
+        """
+        super().__init__(name=name)
+        checked_entries(obs_properties, ("prop", "module", "norm", "name", "fn"))
+        for entry in obs_properties:
+            if "name" not in entry:
+                name_entry(entry, entry["prop"])
+        self.obs_properties = obs_properties
+
+    @property
+    def property_names(self) -> list[str]:
+        """Names of the properties of models."""
+        return [entry["prop"] for entry in self.obs_properties if "fn" not in entry]
+
+    def reset_post_sim_init(self) -> None:
+        """Find the models that have the properties; AttributeError where none has."""
+        for entry in self.obs_properties:
+            if "module" not in entry and "fn" not in entry:
+                for module in ("dynamics", "fsw"):
+                    if hasattr(getattr(self.satellite, module), entry["prop"]):
+                        entry["module"] = module
+                        break
+                else:
+                    raise AttributeError(f"Property {entry['prop']} not found")
+
+    def get_obs(self) -> dict[str, Any]:
+        """See :meth:`Observation.get_obs`."""
+        found = {}
+        for entry in self.obs_properties:
+            if "fn" in entry:
+                value = entry["fn"](self.satellite)
+            else:
+                value = getattr(getattr(self.satellite, entry["module"]), entry["prop"])
+            found[entry["name"]] = (np.array(value) if isinstance(value, list) else value) / entry["norm"]
+        return found
+
+
+class Time(Observation):
+    """Time since reset, or until the time limit."""
+
+    def __init__(self, norm: float | None = None, name: str = "time", observe_time_remaining: bool = False) -> None:
+        """Observe time in units of ``norm`` s; None for the time limit."""
+        super().__init__(name=name)
+        self.norm, self.return_time_remaining = norm, observe_time_remaining
+
+    def reset_post_sim_init(self) -> None:
+        """Find the unit."""
+        self._norm = self.simulator.time_limit if self.norm is None else self.norm
+
+    def get_obs(self) -> float:
+        """See :meth:`Observation.get_obs`."""
+        now = self.simulator.sim_time
+        return (self.simulator.time_limit - now if self.return_time_remaining else now) / self._norm
+
+
+def _target_angle(satellite: Any, opportunity: Any) -> Any:
+    line_P = opportunity["r_LP_P"] - satellite.dynamics.r_BN_P
+    return np.arccos(np.dot(line_P / np.linalg.norm(line_P), satellite.fsw.c_hat_P))
+
+
+def _target_angle_rate(satellite: Any, opportunity: Any) -> Any:
+    model = satellite.dynamics
+    line_P = opportunity["object"].r_LP_P - model.r_BN_P
+    return np.linalg.norm(model.omega_BP_P - np.cross(model.v_BN_P, line_P) / np.linalg.norm(line_P) ** 2)
+
+
+def _r_LB_H(satellite: Any, opportunity: Any) -> Any:
+    model = satellite.dynamics
+    line_N = satellite.simulator.world.PN.T @ opportunity["object"].r_LP_P - model.r_BN_N
+    return rv2HN(model.r_BN_N, model.v_BN_N) @ line_N
+
+
+class OpportunityProperties(Observation):
+    """Properties of the next opportunities."""
+
+    _fn_map: ClassVar[dict[str, Callable[[Any, Any], Any]]] = {
+        "priority": lambda sat, opp: opp["object"].priority,
+        "r_LP_P": lambda sat, opp: opp["r_LP_P"],
+        "r_LB_H": _r_LB_H,
+        "opportunity_open": lambda sat, opp: opp["window"][0] - sat.simulator.sim_time,
+        "opportunity_mid": lambda sat, opp: sum(opp["window"]) / 2 - sat.simulator.sim_time,
+        "opportunity_close": lambda sat, opp: opp["window"][1] - sat.simulator.sim_time,
+        "target_angle": _target_angle,
+        "target_angle_rate": _target_angle_rate,
+    }
+
+    def __init__(self, *target_properties: Entry, n_ahead_observe: int, type: str = "target", name: str | None = None) -> None:
+        """Observe the next opportunities.
+
+        Args:
+            *target_properties: Dictionaries with ``prop``, one of bsk_rl's names, or ``fn``, a function of satellite and
+                opportunity; ``norm``, a divisor; and ``name``.
+            n_ahead_observe: Number of opportunities.
+            type: Type of opportunities.
+            name: Name of the observation; that of the type unless given.
+        """
+        super().__init__(name=type if name is None else name)
+        self.type, self.target_properties, self.n_ahead_observe = type, target_properties, int(n_ahead_observe)
+        checked_entries(target_properties, ("fn", "norm", "name", "prop"))
+        for k, entry in enumerate(target_properties):
+            if "fn" not in entry:
+                if entry.get("prop") not in self._fn_map:
+                    raise ValueError(
+                        f"Property prop={entry.get('prop')} is not predefined and no `fn` was provided; "
+                        f"predefined are {list(self._fn_map)}"
+                    )
+                entry["fn"] = self._fn_map[entry["prop"]]
+            elif entry.get("prop") in self._fn_map:
+                logger.warning("Ignoring default function for `%s` when `fn` is provided.", entry["prop"])
+            name_entry(entry, entry.get("prop", f"prop_{k}"))
+
+    def get_obs(self) -> dict[str, Any]:
+        """See :meth:`Observation.get_obs`."""
+        found = self.satellite.find_next_opportunities(n=self.n_ahead_observe, types=self.type, pad=True)
+        return {
+            f"{self.name}_{k}": {
+                entry["name"]: entry["fn"](self.satellite, opportunity) / entry["norm"] for entry in self.target_properties
+            }
+            for k, opportunity in enumerate(found)
+        }
+
+
+class Eclipse(Observation):
+    """Times until the next eclipse starts, and until the next one ends."""
+
+    def __init__(self, norm: float = 1.0, name: str = "eclipse") -> None:
+        """Observe both in units of ``norm`` s."""
+        super().__init__(name=name)
+        self.norm = norm
+
+    def get_obs(self) -> list[float]:
+        """See :meth:`Observation.get_obs`."""
+        now = self.simulator.sim_time
+        return [(time - now) / self.norm for time in self.satellite.trajectory.next_eclipse(now)]
+
+
+class ResourceRewardWeight(Observation):
+    """Weights of all :class:`~bsk_torch.bsk_rl.data.ResourceReward`, in their order."""
+
+    weight_vector: list[float]
+
+    def __init__(self, name: str = "resource_reward_weight", norm: Any = 1.0) -> None:
+        """Observe them in units of ``norm``, a number or a vector."""
+        super().__init__(name=name)
+        self.norm = norm
+
+    def reset_overwrite_previous(self) -> None:
+        """Forget the weights of the last episode; rewarders append theirs."""
+        self.weight_vector = []
+
+    def get_obs(self) -> Any:
+        """See :meth:`Observation.get_obs`."""
+        return np.array(self.weight_vector) / self.norm

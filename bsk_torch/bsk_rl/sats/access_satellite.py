@@ -1,0 +1,419 @@
+"""Satellites that see places on the ground: windows of access, and the imaging of targets.
+
+Windows are found by the search of bsk_rl: places near the predicted orbit, sampled every 30 s, and roots and minima of the
+elevation by Brent's methods. So they are the windows of bsk_rl, including those that it loses.
+"""
+
+from __future__ import annotations
+
+import bisect
+import logging
+import math
+from collections.abc import Callable, Sequence
+from typing import Any, ClassVar
+
+import numpy as np
+
+from bsk_torch.bsk_rl.sats.satellite import SatAct, Satellite, SatObs
+from bsk_torch.bsk_rl.scene.targets import Target
+from bsk_torch.bsk_rl.sim.simulator import Simulator
+from bsk_torch.bsk_rl.sim.trajectory import Interpolator
+from bsk_torch.bsk_rl.utils.functional import valid_func_name
+from bsk_torch.sim import dyn, fsw
+
+__all__ = ["AccessSatellite", "ImagingSatellite", "SatAct", "SatObs"]
+
+logger = logging.getLogger(__name__)
+
+Opportunity = dict[str, Any]
+Window = tuple[float, float]
+Filter = Callable[[Opportunity], Any]
+
+SHORTEST = 0.1
+"""Seconds that a window within the search must last."""
+
+NEAR = 1.1
+"""Factor of the slant range over a flat Earth within which samples are near a place."""
+
+ENDLESS = 1e9
+"""Seconds of a task without a limit."""
+
+
+def elevation_error(position: Interpolator, place: Sequence[float], least: float) -> Callable[[float], float]:
+    """Return the function of time that gives the least elevation minus the elevation of a satellite seen from a place, rad."""
+    x, y, z = (float(c) for c in place)
+    radius = math.sqrt(x * x + y * y + z * z)
+
+    def error(t: float) -> float:
+        rx, ry, rz = position.at(t)
+        dx, dy, dz = rx - x, ry - y, rz - z
+        cosine = (x * dx + y * dy + z * dz) / (radius * math.sqrt(dx * dx + dy * dy + dz * dz))
+        return least - (0.5 * math.pi - math.acos(min(1.0, max(-1.0, cosine))))
+
+    return error
+
+
+class AccessSatellite(Satellite):
+    """Adds windows of access to places.
+
+    Attributes:
+        opportunities: All windows that have been found, by their time of closing.
+        window_calculation_time: Time up to which windows have been searched, s.
+        locations_for_access_checking: The places.
+    """
+
+    def __init__(
+        self,
+        *args: Any,
+        generation_duration: float = 600.0,
+        initial_generation_duration: float | None = None,
+        max_generation_duration_beyond_initial: float = float("inf"),
+        **kwargs: Any,
+    ) -> None:
+        """Search windows at reset for ``initial_generation_duration`` s, and further by ``generation_duration`` s.
+
+        Args:
+            *args: See :class:`Satellite`.
+            generation_duration: Seconds by which the search goes on where a query needs more.
+            initial_generation_duration: Seconds searched at reset; None for the time limit, or nothing without one.
+            max_generation_duration_beyond_initial: Seconds beyond which queries stop to search.
+            **kwargs: See :class:`Satellite`.
+        """
+        super().__init__(*args, **kwargs)
+        self.generation_duration = generation_duration
+        self.initial_generation_duration: Any = initial_generation_duration
+        self.max_generation_duration_beyond_initial = max_generation_duration_beyond_initial
+        self.access_filter_functions: list[Filter] = []
+
+    def reset_overwrite_previous(self) -> None:
+        """Forget places and windows of the last episode."""
+        super().reset_overwrite_previous()
+        self.opportunities: list[Opportunity] = []
+        self.window_calculation_time: float = 0.0
+        self.locations_for_access_checking: list[dict[str, Any]] = []
+
+    def set_dynamics(self, dyn_rate: float) -> Any:
+        """See :meth:`Satellite.set_dynamics`; ground stations are places."""
+        made = super().set_dynamics(dyn_rate)
+        if issubclass(self.dyn_type, dyn.GroundStationDynModel):
+            for station in self.simulator.world.groundStations:
+                self.add_location_for_access_checking(
+                    station.ModelTag, station.r_LP_P_Init.flatten(), station.minimumElevation, "ground_station"
+                )
+        return made
+
+    def add_location_for_access_checking(
+        self, object: Any, r_LP_P: Any, min_elev: float, type: str, start_time: float = 0.0
+    ) -> None:
+        """Add a place, which counts in later searches.
+
+        Args:
+            object: What the place is.
+            r_LP_P: Its position, m, Earth-fixed.
+            min_elev: Least elevation, rad.
+            type: Type of its opportunities.
+            start_time: Time from which on it is searched, s.
+        """
+        place = {"r_LP_P": r_LP_P, "min_elev": min_elev, "type": type, "object": object, "start_time": start_time}
+        self.locations_for_access_checking.append({type: object, **place})
+
+    def reset_post_sim_init(self) -> None:
+        """Search the first windows."""
+        super().reset_post_sim_init()
+        if self.initial_generation_duration is None:
+            limit = self.simulator.time_limit
+            self.initial_generation_duration = 0 if limit == float("inf") else limit
+        self.calculate_additional_windows(self.initial_generation_duration)
+
+    # -- search -------------------------------------------------------------------------------------------------------
+
+    def calculate_additional_windows(self, duration: float) -> None:
+        """Search windows for ``duration`` s more, rounded up to whole times of ``generation_duration``."""
+        if duration <= 0:
+            return
+        start = self.window_calculation_time
+        end = start + max(duration, self.trajectory.dt * 2, self.generation_duration)
+        end = self.generation_duration * np.ceil(end / self.generation_duration)
+        self.logger.info("Finding opportunity windows from %.2f to %.2f seconds", start, end)
+        self.trajectory.extend_to(end)
+        self.window_calculation_time = end
+        if self.locations_for_access_checking:
+            self._search(start, end)
+
+    def _search(self, start: float, end: float) -> None:
+        """Search windows over all places between two times, s."""
+        track = self.trajectory.r_BP_P
+        span = (track.x >= start - 1e-9) & (track.x <= end + 1e-9)
+        times, positions = track.x[span], track.y[span]
+        highest = np.max(np.linalg.norm(positions, axis=-1))
+        for place, near in zip(self.locations_for_access_checking, self._near(positions, highest), strict=True):
+            first = max(int(np.searchsorted(times, place["start_time"], side="right")) - 1, 0)
+            bounds = times[first], times[-1]
+            for candidate in _groups(near[first:], times[first:]):
+                for window in _windows(track, place, candidate, bounds):
+                    self._add_window(place["object"], window, place["type"], place["r_LP_P"], times[first])
+
+    def _near(self, positions: Any, highest: float) -> Any:
+        """Return which samples [n] are near each place [P], [P, n]."""
+        places = self.locations_for_access_checking
+        r = np.array([place["r_LP_P"] for place in places], dtype=float).reshape(-1, 3)
+        sines = np.sin(np.array([place["min_elev"] for place in places], dtype=float))
+        reach = NEAR * (highest - np.linalg.norm(r, axis=-1)) / sines
+        near = np.empty((len(places), len(positions)), dtype=bool)
+        for some in range(0, len(places), 256):  # tables of a few megabytes
+            part = slice(some, some + 256)
+            near[part] = np.linalg.norm(positions - r[part, None], axis=-1) < reach[part, None]
+        return near
+
+    def _add_window(self, object: Any, new_window: Window, type: str, r_LP_P: Any, merge_time: float | None = None) -> None:
+        """Add a window, joined to one of the same object that ends where it begins."""
+        if merge_time is None or new_window[0] == merge_time:
+            for k, known in enumerate(self.opportunities):
+                if known["type"] == type and known["object"] == object and known["window"][1] == new_window[0]:
+                    del self.opportunities[k]
+                    known["window"] = (known["window"][0], new_window[1])
+                    bisect.insort(self.opportunities, known, key=_closing)
+                    return
+        window = {"object": object, "window": new_window, "type": type, "r_LP_P": r_LP_P}
+        bisect.insort(self.opportunities, window, key=_closing)
+
+    # -- queries ------------------------------------------------------------------------------------------------------
+
+    @property
+    def upcoming_opportunities(self) -> list[Opportunity]:
+        """Windows that have not closed, by their time of closing."""
+        first = bisect.bisect_left(self.opportunities, self.simulator.sim_time + 1e-12, key=_closing)
+        return self.opportunities[first:]
+
+    def _accepts(self, types: str | Sequence[str] | None, filter: Any) -> Filter:
+        """Return the function that says whether a window counts in a query."""
+        kinds = [types] if isinstance(types, str) else types
+        if isinstance(filter, list):
+            keeps: Filter = lambda opportunity: opportunity["object"] not in filter  # noqa: E731
+        else:
+            keeps = filter or self.default_access_filter
+        return lambda opportunity: (kinds is None or opportunity["type"] in kinds) and keeps(opportunity)
+
+    def opportunities_dict(self, types: str | Sequence[str] | None = None, filter: Any = None) -> dict[Any, list[Window]]:
+        """Return all windows by object; ``filter`` is a function of an opportunity, or a list of objects to leave out."""
+        return _by_object(self.opportunities, self._accepts(types, filter))
+
+    def upcoming_opportunities_dict(
+        self, types: str | Sequence[str] | None = None, filter: Any = None
+    ) -> dict[Any, list[Window]]:
+        """Return the windows that have not closed by object."""
+        return _by_object(self.upcoming_opportunities, self._accepts(types, filter))
+
+    def next_opportunities_dict(
+        self, types: str | Sequence[str] | None = None, filter: Any = None, min_needed: int | None = None
+    ) -> dict[Any, Window]:
+        """Return the next window of every object; of the first ``min_needed`` objects, if given."""
+        accepts, found = self._accepts(types, filter), dict[Any, Window]()
+        for opportunity in self.upcoming_opportunities:
+            if accepts(opportunity):
+                found.setdefault(opportunity["object"], opportunity["window"])
+            if min_needed is not None and len(found) >= min_needed:
+                break
+        return found
+
+    def find_next_opportunities(
+        self,
+        n: int,
+        pad: bool = True,
+        max_lookahead: int = 100,
+        types: str | Sequence[str] | None = None,
+        filter: Any = None,
+    ) -> list[Opportunity]:
+        """Return the ``n`` windows that close next; the last is repeated where there are fewer.
+
+        Raises:
+            RuntimeError: If there is none, or too few without ``pad``.
+        """
+        if n == 0:
+            return []
+        accepts, found = self._accepts(types, filter), list[Opportunity]()
+        for _ in range(max_lookahead):
+            found = []
+            for opportunity in self.upcoming_opportunities:
+                if accepts(opportunity):
+                    found.append(opportunity)
+                if len(found) >= n:
+                    return found
+            searched = self.initial_generation_duration + self.max_generation_duration_beyond_initial
+            if self.window_calculation_time >= searched:
+                break
+            self.calculate_additional_windows(self.generation_duration)
+        if not (pad and found):
+            raise RuntimeError("No opportunities found! Use add_location_for_access_checking to add locations.")
+        self.logger.info("Only %d opportunities found, padding to %d.", len(found), n)
+        return found + [found[-1]] * (n - len(found))
+
+    # -- filters ------------------------------------------------------------------------------------------------------
+
+    def add_access_filter(
+        self, access_filter_fn: Filter, types: str | Sequence[str] | None = None, prepend: bool = False
+    ) -> None:
+        """Let only windows count for which a function of an opportunity is true, of some types or of all."""
+        kinds = [types] if isinstance(types, str) else types
+
+        def keeps(opportunity: Opportunity) -> Any:
+            return (kinds is not None and opportunity["type"] not in kinds) or access_filter_fn(opportunity)
+
+        self.access_filter_functions.insert(0 if prepend else len(self.access_filter_functions), keeps)
+
+    def get_access_filter(self) -> Any:
+        """Raise DeprecationWarning, as bsk_rl does."""
+        raise DeprecationWarning("get_access_filter is deprecated. Use add_access_filter and default_access_filter instead.")
+
+    @property
+    def default_access_filter(self) -> Filter:
+        """Whether a window passes all filters."""
+        return lambda opportunity: all(keeps(opportunity) for keeps in self.access_filter_functions)
+
+
+def _closing(opportunity: Opportunity) -> float:
+    return opportunity["window"][1]
+
+
+def _by_object(opportunities: Sequence[Opportunity], accepts: Filter) -> dict[Any, list[Window]]:
+    found: dict[Any, list[Window]] = {}
+    for opportunity in opportunities:
+        if accepts(opportunity):
+            found.setdefault(opportunity["object"], []).append(opportunity["window"])
+    return found
+
+
+def _groups(near: Any, times: Any) -> list[Window]:
+    """Return the spans of time of neighbouring near samples, widened by a sample on both sides."""
+    indices = np.flatnonzero(near)
+    if not len(indices):
+        return []
+    last = len(times) - 1
+    breaks = np.flatnonzero(np.diff(indices) != 1)
+    starts, ends = indices[np.r_[0, breaks + 1]], indices[np.r_[breaks, len(indices) - 1]]
+    return [(times[max(0, a - 1)], times[min(last, b + 1)]) for a, b in zip(starts.tolist(), ends.tolist(), strict=True)]
+
+
+def _windows(track: Interpolator, place: dict[str, Any], candidate: Window, bounds: Window) -> list[Window]:
+    """Return the windows over a place within a candidate span; those that reach a bound of the search are cut there."""
+    from scipy.optimize import minimize_scalar, root_scalar
+
+    error = elevation_error(track, place["r_LP_P"], place["min_elev"])
+    at_start, at_end = error(candidate[0]), error(candidate[1])
+    if at_start < 0 and at_end < 0:
+        logger.warning("initial_generation_duration is shorter than the maximum window length; some windows may be neglected.")
+        return []
+    if at_start < 0 or at_end < 0:
+        crossing = root_scalar(error, bracket=candidate).root
+        if candidate[0] == bounds[0]:
+            return [(bounds[0], crossing)]
+        return [(crossing, bounds[1])] if candidate[1] == bounds[1] else []
+    highest = minimize_scalar(error, bracket=candidate, tol=1e-4)
+    if highest.fun < 0:
+        opens = root_scalar(error, bracket=(candidate[0], highest.x)).root
+        closes = root_scalar(error, bracket=(highest.x, candidate[1])).root
+        if closes - opens > SHORTEST:
+            return [(opens, closes)]
+    return []
+
+
+class ImagingSatellite(AccessSatellite):
+    """Adds the imaging of targets.
+
+    Attributes:
+        imaged: Images of the episode.
+        missed: Windows that have closed without one.
+        latest_target: Target of the last task.
+        target_types: Types of opportunities that can be imaged.
+    """
+
+    buffer_name: ClassVar[str] = "image_buffer"
+    dyn_type: ClassVar[Any] = dyn.ImagingDynModel
+    fsw_type: ClassVar[Any] = fsw.ImagingFSWModel
+
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        """See :class:`AccessSatellite`."""
+        super().__init__(*args, **kwargs)
+        self.target_types: str | Sequence[str] = "target"
+        self.latest_target: Any = None
+
+    @property
+    def known_targets(self) -> Any:
+        """Targets that the satellite knows of."""
+        try:
+            return self.data_store.data.known
+        except AttributeError:
+            return []
+
+    def reset_overwrite_previous(self) -> None:
+        """See :meth:`AccessSatellite.reset_overwrite_previous`; counters start at zero."""
+        super().reset_overwrite_previous()
+        self._image_event_name: str | None = None
+        self.imaged = self.missed = 0
+
+    def reset_pre_sim_init(self) -> None:
+        """See :meth:`AccessSatellite.reset_pre_sim_init`; images go to one partition of the store."""
+        super().reset_pre_sim_init()
+        self.sat_args["bufferNames"] = [self.buffer_name]
+        self.sat_args["transmitterNumBuffers"] = 1
+
+    def parse_target_selection(self, target_query: Any) -> Any:
+        """Return the target of the k-th next opportunity, or that of an id, or the target itself.
+
+        Raises:
+            ValueError: For an unknown id.
+            TypeError: For anything else.
+        """
+        if np.issubdtype(type(target_query), np.integer):
+            return self.find_next_opportunities(n=target_query + 1, types=self.target_types)[-1]["object"]
+        if isinstance(target_query, Target):
+            return target_query
+        if isinstance(target_query, str):
+            for target in self.known_targets:
+                if target.id == target_query:
+                    return target
+            raise ValueError(f"Target {target_query} is not a known target")
+        raise TypeError(f"target_query={target_query!r} must be an index, a Target or its id")
+
+    def task_target_for_imaging(self, target: Any, max_duration: float | None = None) -> None:
+        """Image a target, for at most ``max_duration`` s."""
+        self.logger.info("%s tasked for imaging", target)
+        self.fsw.action_image(target.r_LP_P, self.buffer_name)
+        self.enable_target_window(target, max_duration=max_duration)
+        self.draw_imaging_line(target)
+        self.latest_target = target
+
+    def enable_target_window(self, target: Any, max_duration: float | None = None) -> None:
+        """Let the task end with the image, with the target's window, or after ``max_duration`` s."""
+        self._update_image_event(target)
+        window = next(found["window"] for found in self.upcoming_opportunities if found["object"] == target)
+
+        def over(simulator: Simulator) -> None:
+            if np.isclose(simulator.sim_time, window[1], atol=1e-9):
+                self.missed += 1
+            self.remove_imaging_line()
+
+        until = min(window[1], self.simulator.sim_time + (ENDLESS if max_duration is None else max_duration))
+        self.update_timed_terminal_event(until, info=f"for {target} window", extra_actions=over)
+
+    def _update_image_event(self, target: Any) -> None:
+        self._disable_image_event()
+        self._image_event_name = valid_func_name(f"image_{self.name}_{target.id}")
+
+        def taken(simulator: Simulator) -> None:
+            self.logger.info("imaged %s", target)
+            self.imaged += 1
+            self.requires_retasking = True
+            self.remove_imaging_line()
+
+        self.simulator.add_image_event(self._image_event_name, self, taken, bool(self.variable_interval))
+
+    def _disable_image_event(self) -> None:
+        if self._image_event_name in self.simulator.eventMap:
+            self.simulator.delete_event(str(self._image_event_name))
+
+    def draw_imaging_line(self, target: Any, **_: Any) -> None:
+        """Do nothing: pictures for Vizard are not made."""
+
+    def remove_imaging_line(self, **_: Any) -> None:
+        """Do nothing, likewise."""

@@ -1,0 +1,216 @@
+"""The simulation under an episode: satellites of the core with the values that the episode has drawn."""
+
+from __future__ import annotations
+
+import functools
+import inspect
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from bsk_torch.act.base import Action as CoreAction
+from bsk_torch.astro.atmosphere import top_radius
+from bsk_torch.astro.orbit import periapsis_radius
+from bsk_torch.bsk_rl.sim.trajectory import initial_state
+from bsk_torch.constants import MU_EARTH
+from bsk_torch.env.assembly.fleets import FleetBuilder
+from bsk_torch.env.options import TaskingOptions
+from bsk_torch.rand import first_key
+from bsk_torch.sats.bound import BoundSatellite
+from bsk_torch.sats.fleet import SatelliteFleet
+from bsk_torch.sats.satellite import Satellite as CoreSatellite
+from bsk_torch.scene.base import Scenario as CoreScenario
+from bsk_torch.sim.arguments.initial_orbits import LOWEST_PERIAPSIS
+from bsk_torch.sim.arguments.table import ArgumentTable
+from bsk_torch.sim.arguments.values import is_fixed
+from bsk_torch.sim.assembly.composition import compose
+from bsk_torch.sim.component import Arg
+from bsk_torch.sim.dyn.models import DynamicsModel
+from bsk_torch.sim.fsw.models import FSWModel, MagicOrbitalManeuverFSWModel
+from bsk_torch.sim.fsw.setpoint import AttitudeSetpointFSWModel, InertialHoldFSWModel
+from bsk_torch.sim.readout.observables import observable
+from bsk_torch.sim.world import WorldModel
+from bsk_torch.vec3 import Vec3
+
+BUILT_FOR = ("transmitterNumBuffers", "storageInit")
+"""Arguments for which partitions are built, in addition to those that are the same for all environments of the core."""
+
+WORLD_ONLY = ("utc_init",)
+"""Arguments that bsk_rl repeats among those of satellites."""
+
+
+def described_type(dyn_type: type[DynamicsModel], fsw_type: type[FSWModel], holds: bool) -> type[CoreSatellite]:
+    """Return the core's satellite class for two models; with ``holds`` its flight software follows set-points, too."""
+    added = [AttitudeSetpointFSWModel] if holds else []
+    if issubclass(fsw_type, MagicOrbitalManeuverFSWModel):
+        added.append(InertialHoldFSWModel)  # type: ignore[arg-type]
+    return _described(dyn_type, compose((fsw_type, *added), FSWModel) if added else fsw_type)  # type: ignore[arg-type]  # mypy: as above
+
+
+@functools.cache
+def _described(dyn_type: type[DynamicsModel], fsw_type: type[FSWModel]) -> type[CoreSatellite]:
+    return type("Described", (CoreSatellite,), {"dyn_type": dyn_type, "fsw_type": fsw_type, "action_spec": (Anything(),)})
+
+
+class Anything(CoreAction):
+    """Stands for actions of the user, which may command anything."""
+
+    def __init__(self) -> None:
+        """Name it."""
+        super().__init__("anything")
+
+
+class Simulated(BoundSatellite):
+    """The satellites of one type, without observations and actions of the core."""
+
+
+class Engine:
+    """Builds the simulation of an environment's episodes, and starts each of them.
+
+    What has been built is used again as long as the next episode has the same structure: the same models, the same arguments
+    that are None, the same stations.
+
+    Attributes:
+        fleet: The simulation of the present episode.
+    """
+
+    fleet: SatelliteFleet
+
+    def __init__(self, backend: str = "compiled", orbit: str | None = None) -> None:
+        """Build with a back end; ``orbit`` is ``"arc"``, ``"integrated"``, or None for what each episode needs."""
+        self.backend, self.orbit = backend, orbit
+        self._key: Any = None
+        self._values: list[dict[str, Any]] = []
+        self._world: dict[str, Any] = {}
+        self._limit = float("inf")
+
+    def begin(
+        self,
+        satellites: Sequence[Any],
+        world_type: type[WorldModel],
+        world_args: Mapping[str, Any],
+        sim_rate: float,
+        time_limit: float,
+    ) -> SatelliteFleet:
+        """Start an episode with the drawn arguments of satellites and world; return its simulation.
+
+        Raises:
+            ValueError: For arguments that are not allowed.
+        """
+        self._values = [_own_values(satellite) for satellite in satellites]
+        self._world, self._limit = dict(world_args), float(time_limit)
+        types = [described_type(s.dyn_type, s.fsw_type, s.holds_attitudes) for s in satellites]
+        orbit = self.orbit or _needed_orbit(self._values, self._world)
+        key = self._structure(satellites, types, world_type, sim_rate, orbit)
+        if key != self._key:
+            self._key = None
+            self._build(satellites, types, world_type, sim_rate, orbit)
+            self._key = key
+        fleet = self.fleet
+        self._builder.draw_and_start(fleet, fleet.all_envs, first_key(1))
+        for begin in fleet.beginnings:
+            begin(fleet.all_envs)
+        fleet.since = fleet.ticks
+        return fleet
+
+    def _structure(self, satellites: Sequence[Any], types: Sequence[type[CoreSatellite]], *others: Any) -> Any:
+        """Return what decides whether a simulation that has been built can be used again."""
+        each = [
+            (s.name, t, s.variable_interval, _given(t.default_sat_args(), values))
+            for s, t, values in zip(satellites, types, self._values, strict=True)
+        ]
+        return repr([(name, id(t), interval, sorted(given.items(), key=str)) for name, t, interval, given in each]), repr(
+            (sorted(_given(others[0].default_world_args(), self._world).items(), key=str), *others)
+        )
+
+    def _build(
+        self, satellites: Sequence[Any], types: Sequence[type[CoreSatellite]], world_type: Any, sim_rate: float, orbit: str | None
+    ) -> None:
+        described = [
+            made(s.name, self._sources(made.default_sat_args(), k), variable_interval=bool(s.variable_interval))
+            for k, (s, made) in enumerate(zip(satellites, types, strict=True))
+        ]
+        options = TaskingOptions(
+            num_envs=1,
+            world_type=world_type,
+            world_args=self._sources(world_type.default_world_args(), None),
+            sim_rate=sim_rate,
+            time_limit=lambda: self._limit,
+            orbit=orbit,
+            backend=self.backend,
+            compat="bsk_rl",
+        )
+        self._builder = FleetBuilder(described, CoreScenario(), options, None, torch.device("cpu"))
+        self.fleet = fleet = self._builder.make_fleet(1)
+        parts = enumerate(fleet.simulators)
+        fleet.satellites = tuple(Simulated.of(self._builder.satellites[s.columns[0]], fleet, k) for k, s in parts)
+        for k, part in enumerate(fleet.satellites):
+            names = [name for column in fleet.simulators[k].columns for name in satellites[column].observed_properties]
+            models = (type(part.dynamics), type(part.fsw))
+            members = (inspect.getattr_static(model, name, None) for model in models for name in names)
+            functions = [member.function for member in members if isinstance(member, observable)]
+            part.simulator.observer.want((*functions, *part.dynamics.vitals(), *part.fsw.vitals()))
+
+    def _sources(self, table: ArgumentTable, k: int | None) -> dict[str, Any]:
+        """Return arguments by name: those that decide what is built as they are, others as functions of the episode."""
+        values = self._world if k is None else self._values[k]
+        given = _given(table, values)
+        return {name: given[name] if name in given else self._reader(k, name) for name in table.rows if name in values}
+
+    def _reader(self, k: int | None, name: str) -> Callable[[], Any]:
+        return lambda: (self._world if k is None else self._values[k])[name]
+
+
+def _own_values(satellite: Any) -> dict[str, Any]:
+    """Return the arguments of a satellite as the core takes them: with the state at time zero in place of elements."""
+    values = {name: value for name, value in satellite.sat_args.items() if name not in WORLD_ONLY}
+    values["rN"], values["vN"] = initial_state(values["rN"], values["vN"], values["oe"], values["mu"])
+    values["oe"] = None
+    if "storageInit" in values and not 0 <= values["storageInit"] <= values["dataStorageCapacity"]:
+        satellite.logger.warning(
+            "storageInit=%s is outside of [0, %s]; it is set to 0", values["storageInit"], values["dataStorageCapacity"]
+        )
+        values["storageInit"] = 0
+    return values
+
+
+def _given(table: ArgumentTable, values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the values that decide what is built."""
+    return {name: values[name] for name, arg in table.rows.items() if name in values and _decides(arg, values[name])}
+
+
+def _decides(arg: Arg, value: Any) -> bool:
+    return value is None or is_fixed(arg) or arg.name in BUILT_FOR
+
+
+# -- orbits ----------------------------------------------------------------------------------------------------------------------
+
+
+def is_orbit(r: Vec3, v: Vec3) -> bool:
+    """Return whether a position, m, and a velocity, m/s, are an orbit around the Earth that does not end on its surface."""
+    inverse = float(2.0 / r.norm() - v.dot(v) / MU_EARTH)
+    return inverse > 0.0 and float(r.cross(v).norm()) > 0.0 and float(periapsis_radius(r, v)) >= LOWEST_PERIAPSIS
+
+
+def _needed_orbit(values: Sequence[Mapping[str, Any]], world: Mapping[str, Any]) -> str | None:
+    """Return how orbits must be computed: freely where one is none, in every tick where one meets the atmosphere."""
+    drag = {"planetRadius", "baseDensity", "scaleHeight"} <= world.keys()
+    top = top_radius(*(float(world[name]) for name in ("planetRadius", "baseDensity", "scaleHeight"))) if drag else 0.0
+    needed = None
+    for own in values:
+        r, v = (Vec3.of(torch.from_numpy(np.asarray(own[name], dtype=float))) for name in ("rN", "vN"))
+        if not is_orbit(r, v):
+            return "free"
+        if float(periapsis_radius(r, v)) < top:
+            needed = "integrated"
+    return needed
+
+
+def row_mask(fleet: SatelliteFleet, part: int, row: int) -> Tensor:
+    """Return a mask of the rows of one type that holds for one of them."""
+    mask = torch.zeros(fleet.simulators[part].state.rows, dtype=torch.bool)
+    mask[row] = True
+    return mask

@@ -1,0 +1,223 @@
+"""The simulation of an episode: its clock, its events, and runs to the next of them."""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+
+from bsk_torch.bsk_rl.sim.engine import Engine, row_mask
+from bsk_torch.bsk_rl.sim.views import WorldView
+from bsk_torch.comm.los import visible_pairs
+from bsk_torch.constants import NANO
+from bsk_torch.env.episodes import whole_limit
+from bsk_torch.sats.fleet import SatelliteFleet
+from bsk_torch.sim.assembly.satellite_type import whole_nanoseconds
+from bsk_torch.sim.dyn.events import DISARMED
+
+logger = logging.getLogger(__name__)
+
+LATEST = 2**31
+"""Latest time of an episode, s."""
+
+LONGEST_RUN = 1 << 40
+"""Most ticks of one run."""
+
+
+@dataclass
+class Event:
+    """Something that happens at a time, or when an image has been taken.
+
+    Attributes:
+        tick: First tick at which it happens; None for an image.
+        effect: Called with the simulator when it happens.
+        terminal: Whether it ends the step.
+        eventActive: Whether it is waiting.
+        image_of: Satellite whose image it waits for.
+    """
+
+    tick: int | None
+    effect: Callable[[Simulator], Any] | None
+    terminal: bool
+    eventActive: bool = True
+    image_of: Any = None
+
+
+class Simulator:
+    """Simulation of the satellites of an episode; it is made anew by every reset of an environment.
+
+    Attributes:
+        satellites: The satellites, in their order.
+        sim_rate: Length of a tick, s.
+        max_step_duration: Longest run, s.
+        time_limit: End of the episode, s.
+        world: Sun, Earth and ground stations.
+        fleet: The core's simulation, with one environment.
+        eventMap: Events by name.
+    """
+
+    def __init__(
+        self,
+        satellites: Sequence[Any],
+        world_type: Any,
+        world_args: Mapping[str, Any],
+        sim_rate: float = 1.0,
+        max_step_duration: float = 600.0,
+        time_limit: float = float("inf"),
+        engine: Engine | None = None,
+    ) -> None:
+        """Start the episode; its satellites have drawn their arguments."""
+        self.satellites, self.sim_rate, self.max_step_duration = list(satellites), sim_rate, max_step_duration
+        self.time_limit, self.logger, self.world_args = time_limit, logger, dict(world_args)
+        self.eventMap: dict[str, Event] = {}
+        self._at: int | None = None
+        self.engine = engine or Engine()
+        self.fleet: SatelliteFleet = self.engine.begin(self.satellites, world_type, self.world_args, sim_rate, time_limit)
+        self._every = torch.ones(1, dtype=torch.bool)
+        self._h_ns = self.fleet.simulators[0].h_ns
+        et = self.fleet.simulators[0].lookahead.flight.et[:1]
+        self._limit_ticks = whole_limit(torch.tensor([min(time_limit, LATEST)], dtype=torch.float64), et, self._h_ns)[0]
+        self._now = 0
+        places = {column: (k, row) for k, s in enumerate(self.fleet.simulators) for row, column in enumerate(s.columns)}
+        for column, satellite in enumerate(self.satellites):
+            satellite.core_row = places[column]
+            satellite.set_simulator(self)
+        self.world = WorldView(self)
+        self.dynamics_list: dict[str, Any] = {}
+        self.fsw_list: dict[str, Any] = {}
+        for satellite in self.satellites:
+            self.dynamics_list[satellite.name] = satellite.set_dynamics(sim_rate)
+            self.fsw_list[satellite.name] = satellite.set_fsw(sim_rate)
+
+    def finish_init(self) -> None:
+        """Finish a reset; nothing is left to do."""
+
+    # -- reading ------------------------------------------------------------------------------------------------------
+
+    @property
+    def sim_time_ns(self) -> int:
+        """Time since reset, ns."""
+        return (self._now if self._at is None else self._at) * self._h_ns
+
+    @property
+    def sim_time(self) -> float:
+        """Time since reset, s."""
+        return self.sim_time_ns * NANO
+
+    def get_satellite(self, name: str) -> Any:
+        """Return the satellite of a name; ValueError where there is none."""
+        for satellite in self.satellites:
+            if satellite.name == name:
+                return satellite
+        raise ValueError(f"no satellite is called {name!r}; there are {[satellite.name for satellite in self.satellites]}")
+
+    def visible_pairs(self) -> list[tuple[int, int]]:
+        """Return the pairs of satellites, by their positions, that have seen each other since the last run began."""
+        seen = visible_pairs(self.fleet, self._every)[0]
+        return [(i, j) for i, j in torch.nonzero(seen).tolist() if i < j]
+
+    # -- events -------------------------------------------------------------------------------------------------------
+
+    def tick_at(self, seconds: float) -> int:
+        """Return the first tick at or after a time, s."""
+        if not seconds < LONGEST_RUN * NANO * self._h_ns:
+            return LONGEST_RUN
+        return math.ceil(whole_nanoseconds(seconds) / self._h_ns)
+
+    def add_timed_event(self, name: str, seconds: float, effect: Callable[[Simulator], Any] | None, terminal: bool) -> None:
+        """Let something happen at the first tick at or after ``seconds``; an event of the same name is replaced."""
+        self.eventMap[name] = Event(self.tick_at(seconds), effect, terminal)
+
+    def add_image_event(self, name: str, satellite: Any, effect: Callable[[Simulator], Any] | None, terminal: bool) -> None:
+        """Let something happen when the first partition of a satellite's store grows."""
+        self.eventMap[name] = Event(None, effect, terminal, image_of=satellite)
+        part, row = satellite.core_row
+        self._arm(satellite, float(self.fleet.satellites[part].dynamics.partition_levels[row, 0]))
+
+    def _arm(self, satellite: Any, level: float) -> None:
+        part, row = satellite.core_row
+        simulator = self.fleet.simulators[part]
+        mask = row_mask(self.fleet, part, row)
+        simulator.write("image_level", mask, torch.full(mask.shape, level, dtype=torch.float64))
+
+    def createNewEvent(
+        self,
+        eventName: str,
+        eventRate: int = 0,
+        eventActive: bool = False,
+        conditionList: Any = None,
+        actionList: Any = None,
+        conditionTime: int | None = None,
+        conditionFunction: Any = None,
+        actionFunction: Callable[[Simulator], Any] | None = None,
+        terminal: bool = False,
+        **_: object,
+    ) -> None:
+        """Add an event at a time, as Basilisk does; an existing one of the same name stays.
+
+        Raises:
+            NotImplementedError: For a condition, which would have to be evaluated in every tick.
+        """
+        if conditionTime is None or conditionList or conditionFunction is not None or actionList:
+            raise NotImplementedError(
+                f"createNewEvent({eventName!r}): the simulation stops for times only: give conditionTime= and actionFunction=. "
+                "A condition on the state that ends steps is a Component with stops=True: docs/how_to/own_component.md"
+            )
+        if eventName not in self.eventMap:
+            self.eventMap[eventName] = Event(math.ceil(conditionTime / self._h_ns), actionFunction, terminal, eventActive)
+
+    def setEventActivity(self, eventName: str, activityCommand: bool) -> None:
+        """Switch an event on or off."""
+        self.eventMap[eventName].eventActive = bool(activityCommand)
+
+    def delete_event(self, event_name: str) -> None:
+        """Remove an event; KeyError for an unknown one."""
+        event = self.eventMap.pop(event_name)
+        if event.image_of is not None and event.eventActive:
+            self._arm(event.image_of, DISARMED)
+
+    # -- running ------------------------------------------------------------------------------------------------------
+
+    def run(self) -> None:
+        """Run to the first event that ends the step, for ``max_step_duration``, or to the time limit."""
+        fleet, start = self.fleet, self._now
+        fleet.since = torch.tensor([start])
+        last = int(self._limit_ticks)
+        until = min(start + self.tick_at(self.max_step_duration), last)
+        timed = [event for event in self.eventMap.values() if event.eventActive and event.tick is not None]
+        for event in timed:
+            if event.terminal and event.tick is not None:
+                until = min(until, max(event.tick, start + 1))
+        if until <= start:
+            return
+        result = fleet.run(self._every, self._limit_ticks, torch.tensor([until]))
+        self._now = start + int(result.ticks[0])
+        self._fire(result.events)
+        for part in fleet.satellites:
+            part.memory.touch()
+
+    def _fire(self, images: Sequence[Any]) -> None:
+        """Let the events of the run happen, in the order of their ticks; at the time limit the clock stops before any does."""
+        reached = self._now - (self._now >= int(self._limit_ticks))
+        due = []
+        for name, event in self.eventMap.items():
+            if not event.eventActive:
+                continue
+            if event.tick is not None and event.tick <= reached:
+                due.append((event.tick, name, event))
+            elif event.image_of is not None:
+                part, row = event.image_of.core_row
+                if images[part] is not None and bool(images[part][row]):
+                    due.append((self._now, name, event))
+        for tick, _, event in sorted(due, key=lambda entry: entry[0]):
+            event.eventActive = False
+            self._at = tick
+            try:
+                if event.effect is not None:
+                    event.effect(self)
+            finally:
+                self._at = None

@@ -1,0 +1,208 @@
+"""Where a satellite will be, as bsk_rl predicts it: positions every 30 s, splines through them, and eclipses."""
+
+from __future__ import annotations
+
+import logging
+import math
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from bsk_torch.astro.ephemeris import earth_orientation
+from bsk_torch.astro.orbit import Elements, elements_to_rv
+from bsk_torch.codegen.kernel import Samples
+from bsk_torch.constants import MU_EARTH
+from bsk_torch.sim.access.visibility.backend import make_visibility
+from bsk_torch.sim.access.visibility.planned import PlannedOrbits
+from bsk_torch.sim.arguments.values import convert
+from bsk_torch.sim.environment.world import EPHEMERIS
+from bsk_torch.sim.orbit.arcs import Arcs, segments_for
+from bsk_torch.sim.orbit.grid import PLAN_STEP
+from bsk_torch.sim.orbit.solvers import make_solver
+
+logger = logging.getLogger(__name__)
+
+Vector = NDArray[np.float64]
+
+SEARCH_STEP = 6000.0
+"""Seconds by which a search for eclipses goes further after each failure."""
+
+ALL_HOURS = 1 << 30
+"""More hours of the predicted orbit than any episode has: all of them are kept."""
+
+NOT_FOUND = 1.0, 1.0
+"""Answer of a search for eclipses that fails, s."""
+
+
+def initial_state(rN: Any, vN: Any, oe: Any, mu: float) -> tuple[Vector, Vector]:
+    """Return position, m, and velocity, m/s, in N from either of bsk_rl's two forms.
+
+    Raises:
+        ValueError: Unless exactly one of ``oe`` and the pair ``rN``, ``vN`` is given.
+    """
+    if oe is None and rN is not None and vN is not None:
+        return np.array(rN, dtype=float).reshape(3), np.array(vN, dtype=float).reshape(3)
+    if oe is None or rN is not None or vN is not None:
+        raise ValueError("an orbit is given by oe, or by rN and vN with oe=None; exactly one of the two")
+    values = (torch.tensor(float(getattr(oe, name)), dtype=torch.float64) for name in ("a", "e", "i", "Omega", "omega", "f"))
+    r, v = elements_to_rv(Elements(*values), torch.tensor(float(mu), dtype=torch.float64))
+    return r.stack().numpy(), v.stack().numpy()
+
+
+class Interpolator:
+    """Cubic spline through positions, with the samples that it goes through.
+
+    Attributes:
+        x: Times of the samples, [n] s.
+        y: Positions there, [n, 3] m.
+    """
+
+    def __init__(self, x: Vector, y: Vector) -> None:
+        """Fit the spline."""
+        from scipy.interpolate import CubicSpline
+
+        self.x, self.y = x, y
+        self._spline = CubicSpline(x, y)
+        self._rows: list[list[float]] | None = None
+
+    def __call__(self, t: Any) -> Vector:
+        """Return positions at times [...], [..., 3] m."""
+        return np.asarray(self._spline(t), dtype=np.float64)
+
+    def at(self, t: float) -> tuple[float, float, float]:
+        """Return the position at one time as plain numbers, which is several times as fast as an array."""
+        if self._rows is None:
+            c = self._spline.c  # [4, n - 1, 3]
+            self._rows = np.concatenate([c[..., axis] for axis in range(3)]).T.tolist()
+        k = min(max(int((t - self.x[0]) / PLAN_STEP), 0), len(self._rows) - 1)
+        s = t - (self.x[0] + k * PLAN_STEP)
+        a3, a2, a1, a0, b3, b2, b1, b0, c3, c2, c1, c0 = self._rows[k]
+        return ((a3 * s + a2) * s + a1) * s + a0, ((b3 * s + b2) * s + b1) * s + b0, ((c3 * s + c2) * s + c1) * s + c0
+
+
+class TrajectorySimulator:
+    """Prediction of an orbit without drag and manoeuvres, extended as it is needed; bsk_rl's class of this name.
+
+    Attributes:
+        dt: Seconds between samples.
+        rN_init, vN_init: Position, m, and velocity, m/s, at time zero.
+    """
+
+    def __init__(
+        self,
+        utc_init: Any,
+        rN: Any = None,
+        vN: Any = None,
+        oe: Any = None,
+        mu: float = MU_EARTH,
+        dt: float = PLAN_STEP,
+        backend: str = "compiled",
+    ) -> None:
+        """Start at ``utc_init`` from elements or a state; nothing is computed yet.
+
+        Raises:
+            ValueError: For an orbit that is given twice or not at all, or another ``dt`` than 30 s.
+        """
+        if dt != PLAN_STEP:
+            raise ValueError(f"dt={dt} must be {PLAN_STEP}: bsk_torch predicts orbits with bsk_rl's default step only")
+        self.utc_init, self.dt = utc_init, dt
+        self.rN_init, self.vN_init = initial_state(rN, vN, oe, mu)
+        self._backend, self._arcs, self._samples = backend, None, 1
+        self._until = 0.0
+        self._starts: list[float] = []
+        self._ends: list[float] = []
+        self._splines: dict[str, Interpolator] = {}
+        self._dark: list[bool] = []
+
+    _arcs: Arcs | None
+
+    # -- the orbit ----------------------------------------------------------------------------------------------------
+
+    @property
+    def arcs(self) -> Arcs:
+        """The predicted orbit, hour by hour."""
+        if self._arcs is None:
+            self._visibility = make_visibility(self._backend, torch.device("cpu"))
+            solver = make_solver(1.0, self._backend, torch.device("cpu"))
+            self._arcs = Arcs(1, segments_for(self._samples * PLAN_STEP), solver, ALL_HOURS)
+            et = convert(EPHEMERIS.args[0], [self.utc_init], 1).reshape(1)
+            state = (torch.from_numpy(x).unsqueeze(0) for x in (self.rN_init, self.vN_init))
+            self._arcs.solve(torch.zeros(1, dtype=torch.int64), et, *state)
+        return self._arcs
+
+    def extend_to(self, t: float) -> None:
+        """Predict up to the last sample at or before ``t`` s."""
+        wanted = 1 + math.floor(t / PLAN_STEP + 1e-9)
+        if wanted <= self._samples:
+            return
+        self._samples = wanted
+        while self.arcs.length < (wanted - 1) * PLAN_STEP:
+            self.arcs.grow()
+        self._splines = {}
+
+    @property
+    def sim_time(self) -> float:
+        """Time of the last sample, s."""
+        return (self._samples - 1) * PLAN_STEP
+
+    @property
+    def times(self) -> Vector:
+        """Times of the samples, [n] s."""
+        return PLAN_STEP * np.arange(self._samples, dtype=np.float64)
+
+    def _positions_N(self) -> Tensor:
+        return self.arcs.planned[0, : self._samples]
+
+    @property
+    def r_BN_N(self) -> Interpolator:
+        """Positions in N, m."""
+        return self._spline("N")
+
+    @property
+    def r_BP_P(self) -> Interpolator:
+        """Positions in the Earth-fixed frame, m."""
+        return self._spline("P")
+
+    def _spline(self, frame: str) -> Interpolator:
+        if frame not in self._splines:
+            if self._samples < 4:
+                self.extend_to(3 * PLAN_STEP)
+            r = self._positions_N()
+            if frame == "P":
+                times = torch.arange(self._samples, dtype=torch.float64) * PLAN_STEP
+                r = (earth_orientation(self.arcs.et + times) @ r.unsqueeze(-1)).squeeze(-1)
+            self._splines[frame] = Interpolator(self.times, r.numpy())
+        return self._splines[frame]
+
+    # -- eclipses -----------------------------------------------------------------------------------------------------
+
+    def next_eclipse(self, t: float, max_tries: int = 2) -> tuple[float, float]:
+        """Return when the next eclipse starts, and when the next one ends, s; not always the same eclipse.
+
+        Transitions are those between samples. A search that fails ``max_tries`` times returns one second, as in bsk_rl.
+        """
+        for k in range(max_tries + 1):
+            starts, ends = ([time for time in known if time > t] for known in (self._starts, self._ends))
+            if starts and ends:
+                return min(starts), min(ends)
+            self._search(t + k * SEARCH_STEP)
+        logger.warning("no eclipse starts and ends within %.1f s", self._until - t)
+        return NOT_FOUND
+
+    def _search(self, until: float) -> None:
+        """Note the transitions between the samples after those of the last search."""
+        self.extend_to(until + PLAN_STEP)
+        missing = self._samples - len(self._dark)
+        if missing > 0:
+            arcs, zero = self.arcs, torch.zeros(1, dtype=torch.float64)
+            orbits = PlannedOrbits(Samples(arcs.planned, zero - 0.5 * PLAN_STEP), Samples(arcs.ephemeris, zero))
+            start = zero + len(self._dark) * PLAN_STEP
+            self._dark += self._visibility.umbra(orbits, start, missing)[0].tolist()
+        first = math.floor(self._until / PLAN_STEP + 1e-9) + 1
+        for k in range(first, self._samples - 1):  # a sample's shadow is that of the position one step before
+            if self._dark[k] != self._dark[k - 1]:
+                (self._starts if self._dark[k] else self._ends).append(k * PLAN_STEP)
+        self._until = until

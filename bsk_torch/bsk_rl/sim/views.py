@@ -1,0 +1,348 @@
+"""Models of one satellite, and the world, as a program of bsk_rl reads them: arrays and numbers of the present.
+
+Properties of the core's models are evaluated by the core; those that a user's class defines run with the view as ``self``. Of
+Basilisk's modules and messages, those that programs usually read are imitated (:mod:`bsk_torch.bsk_rl.sim.messages`); reading
+another one raises AttributeError with advice.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import torch
+
+from bsk_torch.bsk_rl.sim import messages
+from bsk_torch.bsk_rl.sim.engine import row_mask
+from bsk_torch.sim.environment.world import station_arrays, station_names
+from bsk_torch.sim.fsw.setpoint import ATTITUDE_MRP, HOLD_INERTIAL
+from bsk_torch.sim.names import nearest
+from bsk_torch.sim.readout.observables import observable
+
+if TYPE_CHECKING:
+    from bsk_torch.bsk_rl.sim.simulator import Simulator
+
+CORE = "bsk_torch.sim."
+"""Modules of the classes whose members are evaluated by the core."""
+
+
+def of_row(value: Any, row: int) -> Any:
+    """Return one row of a tensor [N, ...] as a Python number or a new NumPy array."""
+    if not isinstance(value, torch.Tensor):
+        return value
+    mine = value[row]
+    return mine.item() if mine.ndim == 0 else mine.numpy().copy()
+
+
+class ModelView:
+    """A dynamics or flight-software model of one satellite, or the world around it.
+
+    ``isinstance`` is true for the classes of the model. Attributes that a program sets are kept until the next reset.
+    """
+
+    def __init__(self, whole: Any, row: int) -> None:
+        """View row number ``row`` of a model of the core."""
+        own = self.__dict__
+        own["_whole"], own["_row"] = whole, row
+
+    @property  # type: ignore[misc]
+    def __class__(self) -> Any:
+        """The class of the model, so that ``isinstance`` is true for it and its bases."""
+        return type(self.__dict__["_whole"])
+
+    def __repr__(self) -> str:
+        """Name the class."""
+        return f"<{type(self._whole).__name__}>"
+
+    def __getattr__(self, name: str) -> Any:
+        """Return an attribute as the satellite has it; AttributeError, with advice, where there is none."""
+        whole = self.__dict__["_whole"]
+        if name.startswith("__"):
+            raise AttributeError(name)
+        for owner in type(whole).__mro__:
+            if name in vars(owner):
+                return self._member(name, vars(owner)[name], owner)
+        raise AttributeError(self._advice(name))
+
+    def _advice(self, name: str) -> str:
+        known = messages.advice(name) or nearest(name, self._names())
+        return f"{type(self._whole).__name__} has no attribute {name!r}; {known}"
+
+    def _names(self) -> list[str]:
+        """Return the names that programs may read."""
+        return [name for name in dir(self._whole) if not name.startswith("_")]
+
+    def _member(self, name: str, member: Any, owner: type) -> Any:
+        ours = owner.__module__.startswith(CORE)
+        if isinstance(member, property | cached_property):
+            if ours or isinstance(member, observable):
+                value = getattr(self._whole, name)
+                return (lambda: of_row(value(), self._row)) if callable(value) else of_row(value, self._row)
+            function: Any = member.fget if isinstance(member, property) else member.func
+            return function(self)
+        if not callable(member) or isinstance(member, staticmethod | classmethod | type):
+            return getattr(self._whole, name)
+        if not ours:
+            return member.__get__(self)
+        return lambda *args, **options: of_row(getattr(self._whole, name)(*args, **options), self._row)
+
+    # -- what every model has -----------------------------------------------------------------------------------------
+
+    @property
+    def simulator(self) -> Simulator:
+        """The simulation of the episode."""
+        return self.satellite.simulator
+
+    @property
+    def world(self) -> WorldView:
+        """Sun, Earth and ground stations."""
+        return self.simulator.world
+
+    @property
+    def dynamics(self) -> Any:
+        """The dynamics model of the satellite."""
+        return self.satellite.dynamics
+
+    @property
+    def fsw(self) -> Any:
+        """The flight-software model of the satellite."""
+        return self.satellite.fsw
+
+    def is_alive(self, log_failure: bool = False) -> bool:
+        """Return whether every aliveness check holds; failures are logged on request."""
+        failed = [name for name in self._whole.checks() if not getattr(self, name)()]
+        if failed and log_failure:
+            self.satellite.logger.warning("failed %s", ", ".join(failed))
+        return not failed
+
+    def reset_during_sim_init(self) -> None:
+        """Do nothing; the hook of bsk_rl's models is overridden by nothing here."""
+
+    def reset_post_sim_init(self) -> None:
+        """Do nothing, likewise."""
+
+
+class SatelliteModelView(ModelView):
+    """A model of one satellite."""
+
+    def __init__(self, satellite: Any, whole: Any, row: int) -> None:
+        """View the model of a satellite."""
+        super().__init__(whole, row)
+        self.__dict__["satellite"] = satellite
+
+    satellite: Any
+
+    @property
+    def logger(self) -> Any:
+        """Logger of the satellite."""
+        return self.satellite.logger
+
+
+class DynamicsView(SatelliteModelView):
+    """The dynamics model of a satellite; Basilisk's usual modules are attributes."""
+
+    def __getattr__(self, name: str) -> Any:
+        """Return a property of the model, a module of Basilisk, or an argument of the satellite that Basilisk keeps."""
+        if name in messages.MODULES and messages.MODULES[name].exists(self):
+            return messages.MODULES[name](self)
+        return super().__getattr__(name)
+
+    @property
+    def dyn_rate(self) -> float:
+        """Length of a tick, s."""
+        return self.simulator.sim_rate
+
+    @property
+    def mu(self) -> float:
+        """Gravitational parameter of the orbital elements, m^3/s^2."""
+        return self.satellite.sat_args["mu"]
+
+    @property
+    def min_orbital_radius(self) -> float:
+        """Least distance from the Earth's centre that the satellite survives, m."""
+        return self.satellite.sat_args["min_orbital_radius"]
+
+    @property
+    def conjunctions(self) -> list[Any]:
+        """Satellites with which this one has collided."""
+        return self._listed("conjunctions")
+
+    @property
+    def out_of_ranges(self) -> list[Any]:
+        """Satellites from which this one was too far away."""
+        return self._listed("out_of_ranges")
+
+    def _listed(self, name: str) -> list[Any]:
+        if not hasattr(type(self._whole), name):
+            raise AttributeError(self._advice(name))
+        flags = getattr(self._whole, name)[self._row].tolist()
+        return [satellite for satellite, flag in zip(self.simulator.satellites, flags, strict=True) if flag]
+
+    def _elements_at_start(self) -> Any:
+        """Return the orbital elements as they were when they were first read in the episode, as in bsk_rl."""
+        if "_oe" not in self.__dict__:
+            found = self._whole.elements
+            self.__dict__["_oe"] = {
+                name: float(getattr(found, name)[self._row]) for name in ("a", "e", "i", "Omega", "omega", "f")
+            }
+        return self.__dict__["_oe"]
+
+    @property
+    def semi_major_axis(self) -> float:
+        """Semi-major axis, m, of the first moment at which an element was read."""
+        return self._elements_at_start()["a"]
+
+    @property
+    def eccentricity(self) -> float:
+        """Eccentricity, likewise."""
+        return self._elements_at_start()["e"]
+
+    @property
+    def inclination(self) -> float:
+        """Inclination, rad, likewise."""
+        return self._elements_at_start()["i"]
+
+    @property
+    def ascending_node(self) -> float:
+        """Right ascension of the ascending node, rad, likewise."""
+        return self._elements_at_start()["Omega"]
+
+    @property
+    def argument_of_periapsis(self) -> float:
+        """Argument of periapsis, rad, likewise."""
+        return self._elements_at_start()["omega"]
+
+    @property
+    def true_anomaly(self) -> float:
+        """True anomaly, rad, likewise."""
+        return self._elements_at_start()["f"]
+
+    def is_alive(self, log_failure: bool = False) -> bool:
+        """See :meth:`ModelView.is_alive`; deputies may take their chief with them."""
+        part, row = self.satellite.core_row
+        taken = self.simulator.fleet.encounters.checks_of_deputies(part)
+        return super().is_alive(log_failure) and all(bool(valid[row]) for valid in taken.values())
+
+
+class FlightSoftwareView(SatelliteModelView):
+    """The flight-software model of a satellite; its commands are methods ``action_...``."""
+
+    def __getattr__(self, name: str) -> Any:
+        """Return a command of the model, or another attribute."""
+        command = name.removeprefix("action_")
+        if name.startswith("action_") and command in self._core.type.commands:
+            return lambda: self.enter(command)
+        if name in messages.GUIDANCE:
+            return messages.GUIDANCE[name](self)
+        return super().__getattr__(name)
+
+    def _names(self) -> list[str]:
+        """See :meth:`ModelView._names`; commands are methods."""
+        return [*(f"action_{command}" for command in self._core.type.commands), *super()._names()]
+
+    @property
+    def fsw_rate(self) -> float:
+        """Length of a tick, s."""
+        return self.simulator.sim_rate
+
+    @property
+    def _core(self) -> Any:
+        return self.simulator.fleet.simulators[self.satellite.core_row[0]]
+
+    @property
+    def _rows(self) -> torch.Tensor:
+        return row_mask(self.simulator.fleet, *self.satellite.core_row)
+
+    def enter(self, command: str) -> None:
+        """Enter the mode that a command means now."""
+        core = self._core
+        if command not in core.type.commands:
+            core.check_command(command)
+        core.command(self._rows, core.mode_index(command))
+
+    def write(self, name: str, value: Any) -> None:
+        """Set a field of the simulation for this satellite."""
+        rows = self._rows
+        self._core.write(name, rows, torch.as_tensor(np.atleast_1d(np.asarray(value, dtype=float))).expand(len(rows), -1))
+
+    def action_image(self, r_LP_P: Any, data_name: str = "") -> None:
+        """Point the instrument at a place, m in Earth-fixed axes, and take one image of it."""
+        self.enter("image")
+        self.write("r_LP_P", r_LP_P)
+
+    def action_attitude_mrp(self, sigma_RN: Any) -> None:
+        """Turn to an attitude relative to N, an MRP."""
+        self.enter(ATTITUDE_MRP)
+        self.write("sigma_RN", sigma_RN)
+
+    def action_impulsive_thrust(self, dv_N: Any) -> None:
+        """Change the velocity at once, m/s in N; the attitude reference becomes that of N."""
+        self.enter(HOLD_INERTIAL)
+        rows = self._rows
+        dv = torch.as_tensor(np.asarray(dv_N, dtype=float)).reshape(1, 3)
+        self._core.thrust(rows, dv.expand(len(rows), 3))
+
+    def is_alive(self, log_failure: bool = False) -> bool:
+        """See :meth:`ModelView.is_alive`."""
+        return super().is_alive(log_failure)
+
+
+class Station:
+    """A ground station, as bsk_rl's world lists it.
+
+    Attributes:
+        ModelTag: Its name.
+        r_LP_P_Init: Its place, m, Earth-fixed.
+        minimumElevation: Least elevation, rad.
+        maximumRange: Longest range, m; no limit if negative.
+    """
+
+    def __init__(self, name: str, r_LP_P: Any, sine: float, reach: float) -> None:
+        """Keep the numbers of a station."""
+        self.ModelTag, self.r_LP_P_Init = name, np.asarray(r_LP_P, dtype=float)
+        self.minimumElevation, self.maximumRange = float(np.arcsin(sine)), reach
+
+
+class WorldView(ModelView):
+    """Sun, Earth and ground stations of the episode, with Basilisk's messages of the Sun and the Earth."""
+
+    sun_index, body_index = 0, 1
+
+    def __init__(self, simulator: Simulator) -> None:
+        """View the world of a simulation."""
+        super().__init__(simulator.fleet.simulators[0].world, 0)
+        self.__dict__["_simulator"] = simulator
+
+    @property
+    def simulator(self) -> Simulator:
+        """The simulation of the episode."""
+        return self.__dict__["_simulator"]
+
+    @property
+    def gravFactory(self) -> Any:
+        """Basilisk's factory of gravity bodies, with the messages of Sun and Earth."""
+        return messages.GravityFactory(self)
+
+    @property
+    def ephemConverter(self) -> Any:
+        """Basilisk's converter of ephemerides, with the same messages."""
+        return messages.Ephemerides(self)
+
+    @cached_property
+    def groundStations(self) -> list[Station]:
+        """The ground stations."""
+        args = dict(self.simulator.world_args)
+        stations = args.get("groundStationsData")
+        if not stations:
+            return []
+        names = ("groundLocationPlanetRadius", "gsMinimumElevation", "gsMaximumRange")
+        arrays = station_arrays(
+            {"groundStationsData": stations, **{name: torch.tensor(float(args[name]), dtype=torch.float64) for name in names}}
+        )
+        positions = arrays["station_positions_P"].view(3, -1).T.numpy()
+        numbers = (arrays[name].reshape(-1).tolist() for name in ("station_sin_elevations", "station_ranges"))
+        return [Station(*each) for each in zip(station_names(stations), positions, *numbers, strict=True)]
+
+
+__all__ = ["DynamicsView", "FlightSoftwareView", "ModelView", "Station", "WorldView", "observable"]

@@ -1,0 +1,172 @@
+"""Programs of bsk_rl, written for a package whose name is given: ``bsk_rl`` on Basilisk, or ``bsk_torch.bsk_rl``."""
+
+import importlib
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+
+STEPS = 12
+
+
+def load(root: str) -> SimpleNamespace:
+    """Return the modules of a package by name."""
+    names = ("act", "comm", "data", "obs", "sats", "scene", "sim.dyn", "sim.fsw", "utils.orbital", "scene.targets")
+    package = importlib.import_module(root)
+    found = {name.rpartition(".")[2]: importlib.import_module(f"{root}.{name}") for name in names}
+    return SimpleNamespace(root=package, **found)
+
+
+def scanning(b: Any) -> Any:
+    """Return a scanner with ground stations, eclipses and a property of the user's."""
+
+    class Model(b.dyn.ContinuousImagingDynModel, b.dyn.GroundStationDynModel):
+        @property
+        def sun_angle(self):
+            world = self.simulator.world
+            sun = world.gravFactory.spiceObject.planetStateOutMsgs[world.sun_index].read().PositionVector
+            return np.arccos(np.dot(self.BN.T @ [0, 0, 1], np.array(sun) / np.linalg.norm(sun)))
+
+    class Scanner(b.sats.AccessSatellite):
+        observation_spec = [
+            b.obs.SatProperties(
+                dict(prop="storage_level_fraction"),
+                dict(prop="battery_charge_fraction"),
+                dict(prop="wheel_speeds_fraction"),
+                dict(prop="r_BN_P", norm=7e6),
+                dict(prop="sun_angle"),
+                dict(prop="late", fn=lambda satellite: satellite.simulator.sim_time > 300.0),
+            ),
+            b.obs.Eclipse(norm=5700.0),
+            b.obs.Time(),
+            b.obs.OpportunityProperties(dict(prop="opportunity_open", norm=5700.0), type="ground_station", n_ahead_observe=2),
+        ]
+        action_spec = [b.act.Scan(duration=180.0), b.act.Charge(duration=120.0), b.act.Downlink(), b.act.Desat(duration=60.0)]
+        dyn_type = Model
+        fsw_type = b.fsw.ContinuousImagingFSWModel
+
+    args = dict(storageInit=1000.0, maxWheelSpeed=6000.0, instrumentBaudRate=1e6, dataStorageCapacity=1e10)
+    return b.root.SatelliteTasking(
+        satellite=Scanner("Scanner", args),
+        scenario=b.scene.UniformNadirScanning(),
+        rewarder=b.data.ScanningTimeReward(),
+        time_limit=lambda: np.random.uniform(1000.0, 2000.0),
+        max_step_duration=300.0,
+    )
+
+
+def imaging(b: Any) -> Any:
+    """Return two imagers that share what they know, a scenario of the user's, and a rewarder that counts."""
+
+    class Counting(b.data.UniqueImageReward):
+        def __init__(self):
+            super().__init__(lambda priority: 10.0 * priority)
+            self.calls = 0
+
+        def calculate_reward(self, new_data_dict):
+            self.calls += 1
+            return {name: value + self.calls for name, value in super().calculate_reward(new_data_dict).items()}
+
+    class Scattered(b.scene.UniformTargets):
+        episodes = 0
+
+        def regenerate_targets(self):
+            self.episodes += 1
+            x = np.random.normal(size=(self.n_targets, 3))
+            x *= 6378136.6 / np.linalg.norm(x, axis=1, keepdims=True)
+            self.targets = [b.targets.Target(f"t{k}", r, np.random.rand() + self.episodes) for k, r in enumerate(x)]
+
+    class Imager(b.sats.ImagingSatellite):
+        observation_spec = [
+            b.obs.SatProperties(dict(prop="c_hat_P"), dict(prop="r_BN_P", norm=7e6)),
+            b.obs.OpportunityProperties(
+                dict(prop="priority"),
+                dict(prop="r_LB_H", norm=1e6),
+                dict(prop="opportunity_close", norm=300.0),
+                dict(prop="target_angle"),
+                dict(prop="target_angle_rate", norm=0.01),
+                dict(name="length", fn=lambda sat, opp: opp["window"][1] - opp["window"][0], norm=300.0),
+                n_ahead_observe=3,
+            ),
+        ]
+        action_spec = [b.act.Image(n_ahead_image=5), b.act.Charge(duration=60.0)]
+        fsw_type = b.fsw.ImagingFSWModel
+
+    args = dict(imageAttErrorRequirement=0.05, imageRateErrorRequirement=0.05, u_max=0.5)
+    return b.root.GeneralSatelliteTasking(
+        satellites=[Imager(name, dict(args), generation_duration=300.0) for name in ("EO", "EO")],
+        scenario=Scattered((600, 700)),
+        rewarder=(Counting(), b.data.ResourceReward(resource_fn=lambda sat: sat.dynamics.battery_charge, reward_weight=1e-3)),
+        communicator=b.comm.FreeCommunication(),
+        sat_arg_randomizer=b.orbital.walker_delta_args(n_planes=1),
+        time_limit=4000.0,
+    )
+
+
+def constellation(b: Any) -> Any:
+    """Return agents that leave one another, one of them thrusting."""
+
+    class Chief(b.sats.Satellite):
+        observation_spec = [b.obs.SatProperties(dict(prop="sigma_BN"), dict(prop="omega_BH_H", norm=0.01))]
+        action_spec = [b.act.Drift(duration=200.0), b.act.NadirPoint(duration=150.0)]
+        dyn_type = b.dyn.DynamicsModel
+        fsw_type = b.fsw.FSWModel
+
+    class Deputy(b.sats.Satellite):
+        observation_spec = [
+            b.obs.RelativeProperties(dict(prop="r_DC_Hc", norm=1e3), dict(prop="v_DC_Hc"), chief_name="Chief"),
+            b.obs.SatProperties(dict(prop="dv_available", norm=10.0)),
+        ]
+        action_spec = [b.act.ImpulsiveThrustHill(chief_name="Chief", max_dv=2.0, max_drift_duration=300.0)]
+        dyn_type = (b.dyn.MaxRangeDynModel, b.dyn.BasicDynamicsModel)
+        fsw_type = (b.fsw.BasicFSWModel, b.fsw.MagicOrbitalManeuverFSWModel)
+
+    orbit = b.orbital.random_circular_orbit(i=30.0, alt=600.0, Omega=10.0, f=20.0)
+    start = {"Deputy": lambda: np.array([200.0, *np.random.uniform(-50.0, 50.0, 2), 0.0, 0.0, 0.0])}
+    return b.root.ConstellationTasking(
+        satellites=[
+            Chief("Chief"),
+            Deputy("Deputy", dict(dv_available_init=30.0, chief_name="Chief", max_range_radius=3000.0)),
+        ],
+        rewarder=b.data.ResourceReward(
+            resource_fn=lambda sat: sat.fsw.dv_available if isinstance(sat.fsw, b.fsw.MagicOrbitalManeuverFSWModel) else 0.0,
+            reward_weight=1.0,
+        ),
+        sat_arg_randomizer=b.orbital.relative_to_chief("Chief", orbit, start),
+        time_limit=3000.0,
+        failure_penalty=-5.0,
+    )
+
+
+PROGRAMS = {"scanning": scanning, "imaging": imaging, "constellation": constellation}
+"""Programs by name."""
+
+
+def plain(value: Any) -> Any:
+    """Return results as JSON has them: numbers, lists and dictionaries."""
+    if isinstance(value, dict):
+        return {str(name): plain(part) for name, part in value.items()}
+    if isinstance(value, list | tuple | np.ndarray):
+        return [plain(part) for part in value]
+    return value.item() if isinstance(value, np.generic) else value
+
+
+def chosen(name: str, rng: np.random.Generator) -> Any:
+    """Return the next action of a program."""
+    if name == "scanning":
+        return int(rng.integers(4))
+    if name == "imaging":
+        return [int(action) for action in rng.integers(6, size=2)]
+    thrust = np.array([*rng.uniform(-1.0, 1.0, 3), rng.uniform(50.0, 250.0)])
+    return {"Chief": int(rng.integers(2)), "Deputy": thrust}
+
+
+def play(name: str, root: str, seeds: tuple[int, ...] = (3, 4)) -> list[Any]:
+    """Return what the episodes of a program show: the results of resets and steps."""
+    env, shown = PROGRAMS[name](load(root)), []
+    for seed in seeds:
+        rng = np.random.default_rng(seed)
+        shown.append(plain(env.reset(seed=seed)))
+        for _ in range(STEPS):
+            shown.append(plain(env.step(chosen(name, rng))))
+    return shown

@@ -1,0 +1,167 @@
+"""Programs of bsk_rl play the episodes here that bsk_rl plays on Basilisk under the same seeds."""
+
+import json
+from pathlib import Path
+
+import gymnasium
+import numpy as np
+import pytest
+
+from bsk_torch.bsk_rl import ConstellationTasking, SatelliteTasking, act, data, obs, sats, scene
+from bsk_torch.bsk_rl.basilisk.architecture import bskLogging, messaging
+from bsk_torch.bsk_rl.basilisk.utilities import macros
+from bsk_torch.bsk_rl.sim import dyn, fsw
+from tests.bsk_rl import programs
+
+RECORDED = Path(__file__).parent / "data"
+
+TOLERANCE = 1e-6
+"""Largest difference of a result: predicted orbits differ by up to 0.2 m, which is 1e-7 of distances to targets."""
+
+
+def leaves(value, path=()):
+    """Yield the numbers of a result with their places."""
+    if isinstance(value, dict | list):
+        for name, part in value.items() if isinstance(value, dict) else enumerate(value):
+            yield from leaves(part, (*path, name))
+    else:
+        yield path, value
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize("name", programs.PROGRAMS)
+def test_a_seed_gives_the_episode_of_bsk_rl(name):
+    wanted = dict(leaves(json.loads((RECORDED / f"{name}.json").read_text())))
+    found = dict(leaves(json.loads(json.dumps(programs.play(name, "bsk_torch.bsk_rl")))))
+    assert found.keys() == wanted.keys()
+    assert len(wanted) > 400
+    for path, value in wanted.items():
+        assert found[path] == pytest.approx(value, abs=TOLERANCE), path
+
+
+class Drifter(sats.Satellite):
+    observation_spec = [obs.SatProperties(dict(prop="r_BN_N")), obs.Time()]
+    action_spec = [act.Drift(duration=60.0), act.Charge(duration=30.0)]
+    dyn_type = (dyn.ConjunctionDynModel, dyn.BasicDynamicsModel)
+    fsw_type = fsw.BasicFSWModel
+
+
+@pytest.fixture(scope="module")
+def env():
+    made = SatelliteTasking(Drifter("Drifter"), time_limit=100.0, backend="eager")
+    made.reset(seed=0)
+    return made
+
+
+def test_attributes_can_be_set_and_read(env):
+    env.satellite.mine = 3
+    env.reset(seed=1)
+    assert env.satellite.mine == 3
+    env.satellite.variable_interval, env.max_step_duration = False, 20.0
+    env.reset(seed=1)
+    assert env.step(0)[4]["d_ts"] == 20.0
+    env.satellite.variable_interval, env.max_step_duration = True, 1e9
+    env.satellite.observation_builder.obs_type = dict
+    assert set(env.satellite.get_obs()) == {"sat_props", "time"}
+    env.satellite.observation_builder.obs_type = np.ndarray
+
+
+def test_models_are_instances_of_their_classes(env):
+    assert isinstance(env.satellite.dynamics, dyn.BasicDynamicsModel)
+    assert isinstance(env.satellite.fsw, fsw.BasicFSWModel)
+    assert not isinstance(env.satellite.fsw, fsw.ImagingFSWModel)
+
+
+def test_steps_after_the_end_take_no_time(env):
+    env.reset(seed=0)
+    while not env.step(0)[3]:
+        pass
+    assert env.step(1)[4]["d_ts"] == 0.0
+
+
+def test_a_battery_can_be_emptied_by_its_message(env):
+    env.reset(seed=0)
+    model = env.satellite.dynamics
+    model.powerMonitor.batPowerOutMsg.write(messaging.PowerStorageStatusMsgPayload(storageLevel=0.0))
+    assert not model.battery_valid()
+    assert not env.satellite.is_alive()
+    assert env.satellite.time_of_death == 0.0
+    with pytest.raises(TypeError, match="follows from the simulation"):
+        model.scObject.scStateOutMsg.write(None)
+
+
+@pytest.mark.parametrize(
+    ("read", "message"),
+    [
+        (lambda sat: sat.dynamics.rwFactory, "write a Component"),
+        (lambda sat: sat.dynamics.scObject.gravField, "known are"),
+        (lambda sat: sat.fsw.action_charg, "did you mean"),
+        (lambda sat: setattr(sat.dynamics.solarPanel, "nHat_B", 1), "cannot be set"),
+    ],
+)
+def test_what_basilisk_has_and_the_simulation_lacks_says_what_to_write(env, read, message):
+    with pytest.raises(AttributeError, match=message):
+        read(env.satellite)
+
+
+def test_conditions_of_events_are_rejected_with_advice(env):
+    with pytest.raises(NotImplementedError, match="conditionTime"):
+        env.simulator.createNewEvent("mine", conditionFunction=lambda sim: True)
+    env.reset(seed=0)
+    seen = []
+    env.simulator.createNewEvent(
+        "mine", 0, True, conditionTime=macros.sec2nano(7.0), actionFunction=lambda sim: seen.append(sim.sim_time), terminal=True
+    )
+    assert env.step(0)[4]["d_ts"] == 7.0
+    assert seen == [7.0]
+
+
+def test_satellites_at_rest_fall_and_meet():
+    args = [dict(rN=[1e8 + 30.0, 0, 0], vN=[-1.0, 0, 0], oe=None), dict(rN=[1e8, 0, 0], vN=[0, 0, 0], oe=None)]
+    made = ConstellationTasking([Drifter("A", args[0]), Drifter("B", args[1])], time_limit=50.0, backend="eager")
+    made.reset(seed=0)
+    terminated = made.step({"A": 0, "B": 0})[2]
+    a, b = made.satellites
+    assert a.dynamics.conjunctions == [b]
+    assert terminated == {"A": True, "B": True}
+    assert made.agents == []
+
+
+def test_ids_of_gymnasium_are_those_of_bsk_rl():
+    made = gymnasium.make("SatelliteTasking-v1", satellite=Drifter("D"), time_limit=60.0, backend="eager")
+    assert isinstance(made.unwrapped, SatelliteTasking)
+    assert made.observation_space == gymnasium.spaces.Box(-1e16, 1e16, (4,), dtype=np.float64)
+
+
+@pytest.mark.parametrize("module", ["scene", "data", "act", "obs", "sim.dyn", "sim.fsw"])
+def test_names_that_are_to_come_say_so(module):
+    names = {"scene": "RSOTargets", "data": "MixedReward", "act": "ImageRSO", "obs": "RSOTargetProperties",
+             "sim.dyn": "RSOTargetDynModel", "sim.fsw": "SpaceToSpaceImagingFSWModel"}  # fmt: skip
+    with pytest.raises(ImportError, match="not in bsk_torch yet"):
+        exec(f"from bsk_torch.bsk_rl.{module} import {names[module]}")
+
+
+def test_films_for_vizard_raise():
+    with pytest.raises(NotImplementedError, match="bsk-torch film"):
+        SatelliteTasking(Drifter("D"), vizard_dir="/tmp/x")
+
+
+def test_log_levels_are_those_of_the_simulation():
+    before = bskLogging.getDefaultLogLevel()
+    bskLogging.setDefaultLogLevel(bskLogging.BSK_ERROR)
+    assert bskLogging.getDefaultLogLevel() == bskLogging.BSK_ERROR
+    bskLogging.setDefaultLogLevel(before)
+    with pytest.raises(ValueError, match="level=9"):
+        bskLogging.setDefaultLogLevel(9)
+
+
+def test_a_reward_of_some_satellites_is_enough():
+    class Half(data.NoReward):
+        def calculate_reward(self, new_data_dict):
+            return {"B": 1.0}
+
+    made = ConstellationTasking([Drifter("A"), Drifter("B")], scene.UniformTargets(0), Half(), time_limit=50.0, backend="eager")
+    made.reset(seed=0)
+    _, reward, *_, info = made.step({"A": 0, "B": 0})
+    assert reward == {"A": 0.0, "B": 1.0}
+    assert set(info) == {"A", "B", "__common__"}
