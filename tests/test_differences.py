@@ -1,4 +1,4 @@
-"""Rows of docs/migration.md, "What differs", that no other test shows."""
+"""Rows of docs/migration_reference.md, "What differs", that no other test shows."""
 
 from __future__ import annotations
 

@@ -34,6 +34,7 @@ class Start(NamedTuple):
 
 
 STARTS: dict[str, list[Start]] = {
+    "benchmarks/drop_in.py": [Start("--episodes 1 --limit 120", r"scanning bsk_torch\.bsk_rl: \d.* s per episode")],
     "benchmarks/bounds.py": [
         Start(
             "--only AEOS-v1/1000 NadirScan-v1 --episodes 1 --iterations 2 --time-limit 900",

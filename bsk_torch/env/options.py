@@ -70,8 +70,8 @@ class TaskingOptions:
         orbit: ``"arc"`` (in advance), ``"integrated"`` (in every tick, with drag), ``"free"`` (likewise, also for satellites that
             are at rest, fall or leave; windows and eclipses cannot be predicted), or None for the model's own.
         backend: ``"compiled"``, or ``"eager"`` for debugging.
-        compat: ``"bsk_rl"`` reproduces bsk_rl's errors, listed in ``docs/migration.md``, for comparisons; None for correct
-            results.
+        compat: ``"bsk_rl"`` reproduces bsk_rl's errors, listed in ``docs/migration_reference.md``, for comparisons; None for
+            correct results.
         replan: Whether predicted windows and eclipses follow maneuvers; None for True, or for False with
             ``compat="bsk_rl"``, whose look-ahead stays on the first orbit of an episode.
         log_level: Level of the package's logger: ``"INFO"`` records satellite events, see :mod:`bsk_torch.env.log`; None leaves

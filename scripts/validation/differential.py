@@ -7,7 +7,7 @@ Usage::
 
 Each seed draws one problem: satellites, world, scenario, rewards, options and actions; ``--steps`` bounds the number of actions.
 Both sides get the same values, bsk_torch with ``compat="bsk_rl"``. Basilisk also flies a twin, which starts 1e-12 away: where the
-twin parts from its original, the comparison ends ("chaos"). "explained" is a difference that docs/migration.md describes.
+twin parts from its original, the comparison ends ("chaos"). "explained" is a difference in docs/migration_reference.md.
 Ends with status 1 if a case is "different". Needs the extra ``basilisk``; see ``tests/basilisk/recorders/recording.py``.
 """
 

@@ -209,7 +209,7 @@ def text(window: Any) -> str:
 
 
 def explained(case: Case, here: Flight, there: Flight, finding: Finding) -> Finding:
-    """Add the row of docs/migration.md that a finding follows from, if any."""
+    """Add the row of docs/migration_reference.md that a finding follows from, if any."""
     for reason, applies in REASONS.items():
         if applies(case, here, there, finding):
             return Finding(finding.step, finding.quantity, finding.here, finding.there, reason)
@@ -231,4 +231,4 @@ def near_tick(case: Case, here: Flight, there: Flight, finding: Finding) -> bool
 REASONS = {
     "window times: a window ends within milliseconds of a tick": near_tick,
 }
-"""Rows of docs/migration.md, "Differences", and when they explain a finding."""
+"""Rows of docs/migration_reference.md, "Differences", and when they explain a finding."""

@@ -1,4 +1,4 @@
-"""Passes over the ground that bsk_rl's own search loses on circular orbits: docs/migration.md says so.
+"""Passes over the ground that bsk_rl's own search loses on circular orbits: docs/migration_reference.md says so.
 
 It takes the times at which a satellite is near a place, and maximises the elevation from both ends of them on. Where they last
 longer than 0.38 revolutions, the maximiser's bracket ends nearer to the next pass than to this one, and converges elsewhere.
