@@ -100,6 +100,7 @@ class GeneralSatelliteTasking(gymnasium.Env[Any, Any], Generic[SatObs, SatAct]):
         *,
         backend: str = "compiled",
         orbit: str | None = None,
+        num_envs: int = 1,
     ) -> None:
         """Put an environment together; nothing is simulated before the first reset.
 
@@ -125,7 +126,13 @@ class GeneralSatelliteTasking(gymnasium.Env[Any, Any], Generic[SatObs, SatAct]):
             render_mode: Not used, as in bsk_rl.
             backend: ``"compiled"``, or ``"eager"`` for machines without a compiler; not in bsk_rl.
             orbit: ``"integrated"`` integrates orbits in every tick even where they can be solved in advance; not in bsk_rl.
+            num_envs: 1; environments of ``bsk_torch`` itself play several episodes at once.
         """
+        if num_envs != 1:
+            raise ValueError(
+                f"num_envs={num_envs!r}: bsk_torch.bsk_rl plays one episode at a time. Import {type(self).__name__} from bsk_torch "
+                "for a batch; docs/migration_fast.md lists what to change"
+            )
         self.seed: int | None = None
         self._configure_logging(log_level, log_dir)
         if vizard_dir is not None:
