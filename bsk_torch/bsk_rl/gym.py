@@ -130,8 +130,8 @@ class GeneralSatelliteTasking(gymnasium.Env[Any, Any], Generic[SatObs, SatAct]):
         """
         if num_envs != 1:
             raise ValueError(
-                f"num_envs={num_envs!r}: bsk_torch.bsk_rl plays one episode at a time. Import {type(self).__name__} from bsk_torch "
-                "for a batch; docs/migration_fast.md lists what to change"
+                f"num_envs={num_envs!r}: bsk_torch.bsk_rl plays one episode at a time. Import {type(self).__name__} from "
+                "bsk_torch for a batch; docs/migration_fast.md lists what to change"
             )
         self.seed: int | None = None
         self._configure_logging(log_level, log_dir)

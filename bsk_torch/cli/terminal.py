@@ -8,6 +8,7 @@ from __future__ import annotations
 import logging
 import os
 import shlex
+import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -16,6 +17,7 @@ from typing import NoReturn
 import typer
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
+from rich.file_proxy import FileProxy
 from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 from rich.text import Text
@@ -39,8 +41,11 @@ def for_shell(path: Path | str) -> str:
 
 
 def print_message(text: str) -> None:
-    """Print a message above the activity; the terminal's width breaks it, and files get it in one line."""
-    screen.print(Text(text), soft_wrap=not screen.is_terminal)
+    """Print a message above the activity or the training; the terminal's width breaks it, and files get it in one line."""
+    if isinstance(sys.stderr, FileProxy):  # a bar is shown, of this console or of the training's, which prints above it
+        print(text, file=sys.stderr)
+    else:
+        screen.print(Text(text), soft_wrap=not screen.is_terminal)
 
 
 # -- messages and activities ---------------------------------------------------------------------------------------------------

@@ -78,7 +78,6 @@ print(
 # with a shield; ``--out`` and ``--episodes-out`` save the numbers. Here is
 # ``bsk-torch eval pretrained --preset NadirScan-v1 --seeds 0:200 --shield safe``:
 from bsk_torch.cli import app
-from bsk_torch.cli.shared import console
 
 SEEDS, SHOWN = "0:200", "8"
 LIMIT = []  # or another length of episodes: ["--time-limit", "5700"]
@@ -89,7 +88,6 @@ def bsk_torch_command(*arguments):
     app(arguments, standalone_mode=False)
 
 
-console.width = 120
 bsk_torch_command(
     "eval",
     "pretrained",

@@ -35,7 +35,7 @@ def thrust(env, *rows, dtype=torch.float64):
     satellites, every = env.satellite, torch.ones(len(rows), dtype=torch.bool)
     action = satellites.actions.checked(action, every)
     decision = decide(satellites, action, every)
-    command(satellites, action, every, decision)
+    command(satellites, action, every, decision, every)
     return env.simulator.read("delta_v_N"), decision.duration
 
 

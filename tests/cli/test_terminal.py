@@ -80,10 +80,11 @@ def test_help_fits_and_ends_with_examples(run, columns, command):
 @pytest.mark.parametrize("command", COMMANDS)
 def test_examples_are_of_their_command_and_have_options_that_exist(command):
     known = {name for parameter in COMMANDS[command].params for name in (*parameter.opts, *parameter.secondary_opts)}
-    for example in COMMANDS[command].epilog.splitlines()[2:]:
-        if example.startswith("bsk-torch"):
-            assert example.split()[1] == command
-            assert {word for word in example.split() if word.startswith("--")} <= known
+    examples = [line for line in COMMANDS[command].epilog.splitlines()[2:] if line.startswith("bsk-torch")]
+    assert examples
+    for example in examples:
+        assert example.split()[1] == command
+        assert {word for word in example.split() if word.startswith("--")} <= known
 
 
 @pytest.mark.parametrize("command", COMMANDS)
@@ -338,8 +339,10 @@ def test_a_training_fits_the_terminal(columns, tmp_path):
     assert code == 0, written
     lines, reached = drawn(written)
     assert reached <= columns
-    assert [line.split()[0] for line in lines if line][:2] == ["training", "last"]
-    assert lines[0].count("━") >= 30
+    at = next(number for number, line in enumerate(lines) if line.startswith("training"))
+    assert " ".join(lines[:at]).startswith("failure_penalty=-1 is "), "the warning stands above the bar"
+    assert lines[at].count("━") >= 30
+    assert lines[at + 1].startswith("last ")
     assert "nan" not in written
     assert "waiting for the first episodes to end" in written
     assert "100%" in written

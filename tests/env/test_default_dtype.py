@@ -74,6 +74,7 @@ def digest(tensor):
 )
 def test_episodes_are_the_same_under_every_default_type(played, dtype, cases):
     expected, found = played("float32", cases), played(dtype, cases)
+    assert cases
     for case in cases:
         made = found[case].get("made", {})
         assert not made, f"{case}: tensors of the default type are made in {made}"
@@ -110,6 +111,7 @@ def test_weights_are_float32_and_do_not_depend_on_it(default, plan):
     torch.set_default_dtype(torch.float32)
     torch.manual_seed(3)
     known = plan.build()
+    assert all(part.state_dict() for part in parts)
     for one, other in zip(parts, [known.normaliser, known.actor, known.critic], strict=True):
         for (name, mine), theirs in zip(one.state_dict().items(), other.state_dict().values(), strict=True):
             assert mine.dtype == theirs.dtype, name

@@ -33,8 +33,8 @@ def is_random(value):
 
 
 IDIOMS = [
-    ('gym.make("SatelliteTasking-v1", satellite=Flyer("S"), **eager)', made),
-    ('gym.make("GeneralSatelliteTasking-v1", satellites=[Flyer("A"), Flyer("B")], **eager)', made),
+    ('gym.make("bsk_torch/SatelliteTasking-v1", satellite=Flyer("S"), **eager)', made),
+    ('gym.make("bsk_torch/GeneralSatelliteTasking-v1", satellites=[Flyer("A"), Flyer("B")], **eager)', made),
     ("bsk_rl.NO_ACTION", lambda value: value == 2**31 - 1),
     ("bsk_rl.GeneralSatelliteTasking([Flyer('A'), Flyer('B')], **eager)", lambda env: env.joint),
     ("unpack_config(SatelliteTasking)(dict(satellite=Flyer('S'), **eager))", made),
@@ -84,7 +84,7 @@ IMPORTS = [
 def names():
     from bsk_torch.wrappers.pettingzoo import parallel_env
 
-    env = run('gym.make("SatelliteTasking-v1", satellite=Flyer("S"), **eager)', gym=gymnasium, Flyer=Flyer, eager=EAGER)
+    env = run('gym.make("bsk_torch/SatelliteTasking-v1", satellite=Flyer("S"), **eager)', gym=gymnasium, Flyer=Flyer, eager=EAGER)
     env.reset(seed=1)
     env.step(0)
     crew = parallel_env(trio(backend="eager"))

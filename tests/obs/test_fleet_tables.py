@@ -76,6 +76,7 @@ def test_each_satellite_observes_its_row(num_envs):
         for group in env.group_map:
             td[group, "action"] = torch.zeros_like(td[group, "action_mask"][..., 0], dtype=torch.int64)
         td = env.step(td)["next"]
+    assert set(env.group_map) == {"short", "long"}
     for group, numbers in (("short", (0, 2)), ("long", (1,))):
         seen = td[group, "observation"]
         for k, number in enumerate(numbers):

@@ -86,8 +86,8 @@ def test_callables_are_asked_for_each_target():
         ((rand.Uniform(),), r"r_LP_P=Uniform\(.*\) must be positions \[T, 3\] or rand.per_env; scene.UniformTargets draws"),
         (
             ([X, [6378.1366, 0, 0]],),
-            r"r_LP_P of target 1 is \[6378.1366, 0.0, 0.0\]: its distance from the Earth's centre is 6378.14 m \(km\? then "
-            r"multiply by 1000\); positions are Earth-fixed, in metres, at least 6.3e\+06 m",
+            r"r_LP_P of target 1 is \[6378.1366, 0.0, 0.0\]: its distance from the Earth's center is 6378.14 m \(km\? then "
+            r"multiply by 1000\); positions are Earth-fixed, in meters, at least 6.3e\+06 m",
         ),
         ((rand.per_env([[X], [X, [0, 0, 1e6]]]),), r"r_LP_P of target 1 of environment 1 is .* is 1e\+06 m; positions"),
         (([X, [math.nan, 0, 7e6]],), r"r_LP_P of target 1 is \[nan, 0.0, 7000000.0\]: .* is nan m; positions"),

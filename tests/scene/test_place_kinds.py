@@ -176,7 +176,7 @@ def test_components_bring_places_too():
         (
             lambda tables: {"ground_station": OrbitingPlaces(tables, "debris", [Lit()])},
             ValueError,
-            "'ground_station', a name that is taken",
+            "'ground_station', a name already in use",
         ),
         (lambda tables: {"debris": OrbitingPlaces(tables, "debris", [])}, ValueError, "'debris' without clearances"),
     ],

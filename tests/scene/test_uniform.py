@@ -202,10 +202,10 @@ def test_wrong_priorities_that_only_a_draw_shows():
 
 def test_wrong_radius():
     with pytest.raises(
-        ValueError, match=r"radius=6378: the distance from the Earth's centre is 6378 m \(km\? then multiply by 1000"
+        ValueError, match=r"radius=6378: the distance from the Earth's center is 6378 m \(km\? then multiply by 1000"
     ):
         scene.UniformTargets(3, radius=6378)
-    with pytest.raises(ValueError, match=r"radius=5000000.0: the distance from the Earth's centre is 5e\+06 m; positions are"):
+    with pytest.raises(ValueError, match=r"radius=5000000.0: the distance from the Earth's center is 5e\+06 m; positions are"):
         scene.UniformTargets(3, radius=5e6)
 
 

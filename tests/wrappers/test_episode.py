@@ -57,7 +57,7 @@ def test_satellites_of_one_type_are_told_apart(crew):
 
 
 def test_an_unknown_satellite_is_answered_with_the_nearest(crew):
-    with pytest.raises(ValueError, match=r"no satellite is called 'S10'; did you mean 'S1' or 'S0'\?"):
+    with pytest.raises(ValueError, match=r"no satellite is called 'S10'; did you mean 'S0' or 'S1'\?"):
         crew.get_satellite("S10")
 
 

@@ -77,7 +77,7 @@ def test_the_first_death_ends_the_episode():
 
 BAD = [
     ((0, 0), ValueError, "action has 2 entries; it must have 3"),
-    ((0, 2, 0), ValueError, "action of 'S1' is 2; it must be one of 0: action_charge, 1: action_nadir_scan, None: go on"),
+    ((0, 2, 0), ValueError, "action of 'S1' is 2; it must be one of 0: action_charge, 1: action_nadir_scan, None: continue"),
     ((0, 0, 0.5), TypeError, "action of 'S2' is 0.5"),
 ]
 

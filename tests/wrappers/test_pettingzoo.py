@@ -247,7 +247,7 @@ def test_an_agent_leaves_with_its_first_satellite():
 
 BAD = [
     ({"S3": 0}, ValueError, r"agent 'S3' is not in possible_agents; did you mean 'S"),
-    ({"S0": 3}, ValueError, r"actions\['S0'\] is 3; it must be one of 0: action_nadir_scan, .*, 2: action_desat, None: go on"),
+    ({"S0": 3}, ValueError, r"actions\['S0'\] is 3; it must be one of 0: action_nadir_scan, .*, 2: action_desat, None: continue"),
     ({"S0": -1}, ValueError, r"actions\['S0'\] is -1"),
     ({"S0": 0.5}, TypeError, r"actions\['S0'\] is 0.5; it must be an integer"),
     ({"S0": "action_scan"}, TypeError, r"actions\['S0'\] is 'action_scan'"),

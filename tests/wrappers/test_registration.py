@@ -21,7 +21,7 @@ def problem(**options):
     return dict(scenario=scene.UniformTargets(40), rewarder=data.UniqueImageReward(), time_limit=90.0, backend="eager") | options
 
 
-@pytest.mark.parametrize("env_id", ["SatelliteTasking-v1", "bsk_torch/SatelliteTasking-v1"])
+@pytest.mark.parametrize("env_id", ["bsk_torch/SatelliteTasking-v1"])
 def test_one_satellite_of_ones_own(env_id):
     env = gymnasium.make(env_id, satellite=Imager("EO1"), **problem())
     observation, info = env.reset(seed=1)
@@ -40,7 +40,7 @@ def test_a_vector_of_ones_own():
 
 
 def test_all_satellites_under_one_agent():
-    env = gymnasium.make("GeneralSatelliteTasking-v1", satellites=[Imager("A"), Imager("B")], **problem())
+    env = gymnasium.make("bsk_torch/GeneralSatelliteTasking-v1", satellites=[Imager("A"), Imager("B")], **problem())
     observations, _ = env.reset(seed=1)
     assert env.observation_space.contains(observations)
     *_, info = env.step((0, 1))

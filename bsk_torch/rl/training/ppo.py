@@ -137,8 +137,14 @@ class Learner:
         self.value_norm.load_state_dict(state["value_norm"])
 
     def clock(self, situations: TensorDictBase) -> Tensor:
-        """Return the clock of ``situations``, [..., 2], as the critic sees it; zeros if it does not."""
-        return situations["clock"] * (not self.config.beyond_limit)
+        """Return the clock of ``situations``, [..., 2], as the critic sees it.
+
+        Zeros where values look beyond the time limit, and for situations collected without the transform ``Clock``.
+        """
+        clock = situations.get("clock", None)
+        if clock is None or self.config.beyond_limit:
+            return torch.zeros(*situations.batch_size, 2, dtype=torch.float32, device=situations.device)
+        return clock
 
     def learn(self, batch: TensorDictBase) -> dict[str, float]:
         """Several passes over a batch [N, T]; means of the reported entries of the loss."""

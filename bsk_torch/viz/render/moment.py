@@ -194,7 +194,12 @@ def _targets(env: Tasking, row: int, modes: list[str]) -> tuple[Tensor, Tensor, 
     nowhere = torch.full((env.fleet.size, 3), torch.nan, dtype=torch.float64)
     scenario: Any = env.scenario
     if not hasattr(scenario, "most_targets"):
-        return torch.empty(0, 3, dtype=torch.float64), torch.zeros(0, dtype=torch.bool), torch.empty(0), nowhere
+        return (
+            torch.empty(0, 3, dtype=torch.float64),
+            torch.zeros(0, dtype=torch.bool),
+            torch.empty(0, dtype=torch.float64),
+            nowhere,
+        )
     r_LP_P, available = scenario.r_LP_P[row].cpu(), scenario.available[row].cpu()
     imaged = env.rewarder.imaged[row].cpu() if hasattr(env.rewarder, "imaged") else torch.zeros_like(available)
     target = env.fleet.each(lambda part: getattr(part, "latest_target", none(part)))[row].cpu()
