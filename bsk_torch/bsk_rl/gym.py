@@ -145,8 +145,9 @@ class GeneralSatelliteTasking(gymnasium.Env[Any, Any], Generic[SatObs, SatAct]):
         self.satellites: list[Satellite] = deepcopy(given)
         self.dtype = dtype
         _rename_duplicates(self.satellites)
-        if dtype is not None:
-            for satellite in self.satellites:
+        for satellite in self.satellites:
+            satellite.backend = backend
+            if dtype is not None:
                 satellite.observation_builder.dtype = dtype
         self.sat_arg_randomizer: Any = sat_arg_randomizer or (lambda satellites: {})
         if world_type is not None:
@@ -176,6 +177,7 @@ class GeneralSatelliteTasking(gymnasium.Env[Any, Any], Generic[SatObs, SatAct]):
         root.setLevel(log_level.upper() if isinstance(log_level, str) else log_level)
         for handler in [handler for handler in root.handlers if any(isinstance(f, ContextFilter) for f in handler.filters)]:
             root.removeHandler(handler)
+            handler.close()
         handlers: list[logging.Handler] = [logging.StreamHandler()]
         if log_dir is not None:
             handlers.append(logging.FileHandler(log_dir))
@@ -426,7 +428,7 @@ class ConstellationTasking(GeneralSatelliteTasking[SatObs, SatAct], ParallelEnv[
         """
         super().__init__(*args, **kwargs)
         self.only_retask_idle_meta_agent_members = only_retask_idle_meta_agent_members
-        groups = {} if meta_agent_groupings is None else meta_agent_groupings
+        groups = dict(meta_agent_groupings or {})
         grouped = {name for members in groups.values() for name in members}
         for satellite in self.satellites:
             if satellite.name not in grouped:

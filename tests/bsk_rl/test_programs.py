@@ -1,6 +1,10 @@
 """Programs of bsk_rl play the episodes here that bsk_rl plays on Basilisk under the same seeds."""
 
 import json
+import logging
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import gymnasium
@@ -114,6 +118,59 @@ def test_conditions_of_events_are_rejected_with_advice(env):
     )
     assert env.step(0)[4]["d_ts"] == 7.0
     assert seen == [7.0]
+
+
+def test_mixed_kinds_of_actions_are_named():
+    class Mixed(Drifter):
+        action_spec = [act.Drift(), act.AttitudeSetpoint()]
+
+    with pytest.raises(NotImplementedError, match=r"Mixed.action_spec mixes .*Continuous.*Discrete"):
+        Mixed("M")
+
+
+def test_a_duration_that_is_no_number_is_an_error(env):
+    env.reset(seed=0)
+    with pytest.raises(ValueError, match="nan s; check the durations"):
+        env.satellite.update_timed_terminal_event(float("nan"))
+
+
+def test_groups_of_agents_are_left_as_they_were_given():
+    groups = {"pair": ["A", "B"]}
+    made = ConstellationTasking([Drifter(name) for name in "ABC"], backend="eager", meta_agent_groupings=groups)
+    assert made.possible_agents == ["pair", "C"]
+    assert groups == {"pair": ["A", "B"]}
+
+
+def test_the_log_file_of_an_earlier_environment_is_closed(tmp_path):
+    SatelliteTasking(Drifter("Drifter"), backend="eager", log_dir=str(tmp_path / "log"))
+    root = logging.getLogger("bsk_torch.bsk_rl")
+    first = next(handler for handler in root.handlers if isinstance(handler, logging.FileHandler))
+    SatelliteTasking(Drifter("Drifter"), backend="eager")
+    assert first not in root.handlers
+    assert first.stream is None or first.stream.closed
+
+
+IMAGER = """
+from bsk_torch.bsk_rl import SatelliteTasking, act, data, obs, sats, scene
+from bsk_torch.bsk_rl.sim import dyn, fsw
+
+class Imager(sats.ImagingSatellite):
+    observation_spec = [obs.OpportunityProperties(dict(prop="priority"), n_ahead_observe=2), obs.Eclipse()]
+    action_spec = [act.Image(n_ahead_image=2)]
+    dyn_type, fsw_type = dyn.ImagingDynModel, fsw.ImagingFSWModel
+
+env = SatelliteTasking(Imager("I"), scene.UniformTargets(500), data.UniqueImageReward(), time_limit=600.0, backend="eager")
+env.reset(seed=1)
+print(env.step(0)[0].shape)
+"""
+
+
+def test_the_eager_back_end_needs_no_compiler(tmp_path):
+    """Orbits are predicted without one as well."""
+    environment = os.environ | {"CXX": "/bin/false", "BSK_TORCH_CACHE": str(tmp_path / "kernels")}
+    shown = subprocess.run([sys.executable, "-c", IMAGER], env=environment, capture_output=True, text=True, check=False)
+    assert shown.stdout == "(4,)\n", shown.stderr
+    assert not (tmp_path / "kernels").exists()
 
 
 def test_satellites_at_rest_fall_and_meet():

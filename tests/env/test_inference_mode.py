@@ -1,4 +1,4 @@
-"""What is made and called in torch's inference mode goes on outside of it, and the other way round."""
+"""Objects made and called in torch's inference mode also work outside of it, and the other way round."""
 
 import pickle
 

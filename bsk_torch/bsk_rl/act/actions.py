@@ -12,10 +12,13 @@ __all__ = ["Action", "ActionBuilder", "select_action_builder"]
 
 
 def select_action_builder(satellite: Any) -> ActionBuilder:
-    """Return the builder of a satellite's actions; NotImplementedError for actions of several kinds."""
+    """Return the builder of a satellite's actions; NotImplementedError for actions of several kinds, as in bsk_rl."""
     kinds = {entry.builder_type for entry in satellite.action_spec}
     if len(kinds) != 1:
-        raise NotImplementedError("Heterogenous action builders not supported.")
+        raise NotImplementedError(
+            f"{type(satellite).__name__}.action_spec mixes actions of {sorted(kind.__name__ for kind in kinds)}: give it "
+            "discrete actions alone, or one continuous action"
+        )
     return kinds.pop()(satellite)
 
 

@@ -74,7 +74,7 @@ class AccessSatellite(Satellite):
 
         Args:
             *args: See :class:`Satellite`.
-            generation_duration: Seconds by which the search goes on where a query needs more.
+            generation_duration: Seconds by which the search is extended where a query needs more.
             initial_generation_duration: Seconds searched at reset; None for the time limit, or nothing without one.
             max_generation_duration_beyond_initial: Seconds beyond which queries stop to search.
             **kwargs: See :class:`Satellite`.

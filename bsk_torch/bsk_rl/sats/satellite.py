@@ -40,6 +40,7 @@ class Satellite(Resetable):
         data_store: Data that the satellite has collected.
         requires_retasking: Whether its task is over.
         time_of_death: Time at which it was found dead, s; None while it is alive.
+        backend: Back end of the environment, which also predicts the orbit.
     """
 
     dyn_type: ClassVar[Any]
@@ -54,6 +55,7 @@ class Satellite(Resetable):
     requires_retasking: bool
     trajectory: TrajectorySimulator
     sat_args: dict[str, Any]
+    backend: str = "compiled"
     core_row: tuple[int, int]
     """Type of the satellite in the core's simulation, and its row there."""
 
@@ -163,7 +165,7 @@ class Satellite(Resetable):
         """Prepare for the simulation; the arguments have been drawn."""
         args = self.sat_args
         state = {name: args[name] for name in ("rN", "vN", "oe", "mu")}
-        self.trajectory = TrajectorySimulator(args["utc_init"], **state)
+        self.trajectory = TrajectorySimulator(args["utc_init"], **state, backend=self.backend)
         self.observation_builder.reset_pre_sim_init()
         self.action_builder.reset_pre_sim_init()
 

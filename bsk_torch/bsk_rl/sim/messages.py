@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 if TYPE_CHECKING:
-    from bsk_torch.bsk_rl.sim.views import DynamicsView, FlightSoftwareView, WorldView
+    from bsk_torch.bsk_rl.sim.views import DynamicsView, WorldView
 
 COMPONENT = (
     "parts of a spacecraft are components here: write a Component and list it in components= of a model "
@@ -175,9 +175,6 @@ MODULES: dict[str, Module] = {
     "transmitter": Module({"nodeBaudRate": _argument("transmitterBaudRate")}, "storage_level"),
 }
 """Modules of a satellite's dynamics by name."""
-
-GUIDANCE: dict[str, Callable[[FlightSoftwareView], Any]] = {}
-"""Messages of a satellite's flight software by name: none can be read between ticks."""
 
 
 class PlanetState(NamedTuple):

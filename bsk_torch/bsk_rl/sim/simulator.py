@@ -48,7 +48,7 @@ class Event:
 
 
 class Simulator:
-    """Simulation of the satellites of an episode; it is made anew by every reset of an environment.
+    """Simulation of the satellites of an episode; every reset of an environment makes a new one.
 
     Attributes:
         satellites: The satellites, in their order.
@@ -123,7 +123,9 @@ class Simulator:
     # -- events -------------------------------------------------------------------------------------------------------
 
     def tick_at(self, seconds: float) -> int:
-        """Return the first tick at or after a time, s."""
+        """Return the first tick at or after a time, s; ValueError for NaN."""
+        if math.isnan(seconds):
+            raise ValueError("a task or a step ends at nan s; check the durations of actions and max_step_duration")
         if not seconds < LONGEST_RUN * NANO * self._h_ns:
             return LONGEST_RUN
         return math.ceil(whole_nanoseconds(seconds) / self._h_ns)
@@ -155,9 +157,11 @@ class Simulator:
         conditionFunction: Any = None,
         actionFunction: Callable[[Simulator], Any] | None = None,
         terminal: bool = False,
-        **_: object,
+        exactRateMatch: bool = True,
     ) -> None:
-        """Add an event at a time, as Basilisk does; an existing one of the same name stays.
+        """Add an event at a time, ns, as Basilisk does; an existing one of the same name stays.
+
+        ``eventRate`` and ``exactRateMatch`` matter to conditions only, in Basilisk as well.
 
         Raises:
             NotImplementedError: For a condition, which would have to be evaluated in every tick.

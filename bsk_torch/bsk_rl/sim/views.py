@@ -233,8 +233,6 @@ class FlightSoftwareView(SatelliteModelView):
         command = name.removeprefix("action_")
         if name.startswith("action_") and command in self._core.type.commands:
             return lambda: self.enter(command)
-        if name in messages.GUIDANCE:
-            return messages.GUIDANCE[name](self)
         return super().__getattr__(name)
 
     def _names(self) -> list[str]:
@@ -282,10 +280,6 @@ class FlightSoftwareView(SatelliteModelView):
         rows = self._rows
         dv = torch.as_tensor(np.asarray(dv_N, dtype=float)).reshape(1, 3)
         self._core.thrust(rows, dv.expand(len(rows), 3))
-
-    def is_alive(self, log_failure: bool = False) -> bool:
-        """See :meth:`ModelView.is_alive`."""
-        return super().is_alive(log_failure)
 
 
 class Station:
