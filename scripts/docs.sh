@@ -21,7 +21,7 @@ esac
 [ -x .venv/bin/python ] || "$python" -m venv .venv
 # torch first and by exact version: an open range may bring gigabytes of CUDA packages
 .venv/bin/python -m pip install -q "torch==$(sed -n 's/^torch==//p' constraints.txt)"
-.venv/bin/python -m pip install -q -c constraints.txt -e ".[train,tensorboard,viz,video,sb3,cities,plan,docs]"
+.venv/bin/python -m pip install -q -c constraints.txt -e ".[tensorboard,viz,video,sb3,cities,docs]"
 .venv/bin/python -m pip install -q --no-deps benchmarl==1.5.2  # a page of the reference; pip would take an older TorchRL with it
 
 .venv/bin/python -m sphinx -b html -W --keep-going -q docs docs/_build/html

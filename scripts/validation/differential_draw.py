@@ -632,19 +632,10 @@ def fleet_case(draw: Draw, seed: int, steps: int, family: str) -> Case:
     )
 
 
-def setpoint_case(draw: Draw, seed: int, steps: int, family: str) -> Case:
-    """One satellite that turns to attitudes."""
-    orbit = draw.orbit()
-    env = env_options(draw, orbit.period)
-    role = draw.one("basic", "passive", "scan")
-    one = craft(draw, "Sat0", role, orbit, (), env["sim_rate"])
-    one = replace(
-        one,
-        actions=(Part("AttitudeSetpoint", (), dict(control_period=draw.duration(env["sim_rate"])) if draw.chance(0.7) else {}),),
-    )
-    env["integrated"] = orbit.perigee < DRAG_ALTITUDE
+def single_case(draw: Draw, seed: int, steps: int, family: str, one: Craft, env: dict[str, Any], scans: bool) -> Case:
+    """One satellite that scans the ground, or has no task."""
     scenario, rewarder = Part("Scenario"), Part("NoReward")
-    if role == "scan":
+    if scans:
         scenario, rewarder = Part("UniformNadirScanning"), Part("ScanningTimeReward")
     return Case(
         seed,
@@ -659,6 +650,20 @@ def setpoint_case(draw: Draw, seed: int, steps: int, family: str) -> Case:
         None,
         *actions_of(draw, steps, 1, True),
     )
+
+
+def setpoint_case(draw: Draw, seed: int, steps: int, family: str) -> Case:
+    """One satellite that turns to attitudes."""
+    orbit = draw.orbit()
+    env = env_options(draw, orbit.period)
+    role = draw.one("basic", "passive", "scan")
+    one = craft(draw, "Sat0", role, orbit, (), env["sim_rate"])
+    one = replace(
+        one,
+        actions=(Part("AttitudeSetpoint", (), dict(control_period=draw.duration(env["sim_rate"])) if draw.chance(0.7) else {}),),
+    )
+    env["integrated"] = orbit.perigee < DRAG_ALTITUDE
+    return single_case(draw, seed, steps, family, one, env, role == "scan")
 
 
 def thrust_case(draw: Draw, seed: int, steps: int, family: str) -> Case:
@@ -683,22 +688,7 @@ def thrust_case(draw: Draw, seed: int, steps: int, family: str) -> Case:
         observations=(*one.observations, Part("SatProperties", (dict(prop="dv_available", norm=100.0),), dict(name="fuel"))),
     )
     env["integrated"] = orbit.perigee < DRAG_ALTITUDE + 200e3 or draw.chance(0.5)
-    scenario, rewarder = Part("Scenario"), Part("NoReward")
-    if role == "scan":
-        scenario, rewarder = Part("UniformNadirScanning"), Part("ScanningTimeReward")
-    return Case(
-        seed,
-        family,
-        "single",
-        (one,),
-        world_args(draw, [one]),
-        env,
-        scenario,
-        np.zeros((0, 4)),
-        (rewarder,),
-        None,
-        *actions_of(draw, steps, 1, True),
-    )
+    return single_case(draw, seed, steps, family, one, env, role == "scan")
 
 
 def beside(draw: Draw, chief: Orbit, distance: float, speed: float) -> Orbit:

@@ -270,7 +270,6 @@ def test_no_constellation_images_more_than_the_bound():
 
 
 def test_no_policy_scans_more_than_the_bound():
-    pytest.importorskip("scipy")
     env = presets.nadir_scan(num_envs=16)
     env.set_seed(SEED)
     env.reset()
@@ -284,7 +283,6 @@ def test_no_policy_scans_more_than_the_bound():
 
 
 def test_schedules_are_flown_and_pay_what_they_can():
-    pytest.importorskip("scipy")
     env = presets.aeos(num_envs=4, time_limit=HALF_ORBIT, n_targets=1000)
     env.set_seed(SEED)
     env.reset()
@@ -321,7 +319,6 @@ def scanning(**args: Any) -> Tensor:
 
 
 def test_less_of_a_resource_lowers_the_bound_of_scanning():
-    pytest.importorskip("scipy")
     battery = 200 * 3600.0
     plenty = scanning(storedCharge_Init=battery, storageInit=0.0)
     assert float(plenty) == pytest.approx(0.2, abs=1e-6)  # one of the five orbits that pay 1

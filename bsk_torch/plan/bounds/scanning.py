@@ -95,10 +95,8 @@ def scanning_bound(env: SatelliteTasking, *, interval: float = 60.0) -> Scanning
 
     Raises:
         ValueError: For a task that the bound does not cover, before anything is computed; for an interval below a tick.
-        ImportError: Without scipy; ``pip install 'bsk_torch[plan]'`` brings it.
     """
     check_scanning(env)
-    _linprog()
     h = env.simulator.h
     ticks = int(number("interval", interval, h, unit="s") / h)
     rows = torch.arange(len(env.env_ids))
@@ -108,14 +106,6 @@ def scanning_bound(env: SatelliteTasking, *, interval: float = 60.0) -> Scanning
         torch.tensor([part[0] for part in parts], dtype=torch.float64),
         *(torch.stack(c) for c in list(zip(*parts, strict=True))[1:]),
     )
-
-
-def _linprog() -> Any:
-    try:
-        from scipy.optimize import linprog
-    except ImportError as error:
-        raise ImportError("bounds by linear programs need scipy: pip install 'bsk_torch[plan]'") from error
-    return linprog
 
 
 def sunlight(env: SatelliteTasking, row: Tensor, ticks: Tensor) -> tuple[Tensor, Tensor]:
@@ -201,6 +191,7 @@ def _solve(
     """Solve the program in units of seconds, and of capacities of battery and store."""
     import numpy as np
     from scipy import sparse
+    from scipy.optimize import linprog
 
     k, battery = len(length), args["batteryStorageCapacity"]
     store = args["dataStorageCapacity"] if math.isfinite(args["dataStorageCapacity"]) else 1e15
@@ -224,7 +215,7 @@ def _solve(
     limits = np.concatenate([length.numpy(), first * level, -first * level, energy])
     bounds = [*((0.0, float(t)) for t in length), *((0.0, float(t)) for t in view), *[(0.0, 1.0)] * (2 * k)]
     cost = np.concatenate([-np.ones(k), np.zeros(3 * k)])
-    found = _linprog()(cost, A_ub=unequal, b_ub=limits, bounds=bounds, method="highs")
+    found = linprog(cost, A_ub=unequal, b_ub=limits, bounds=bounds, method="highs")
     if found.status == 2:  # no plan keeps the battery charged: dying, which pays nothing at most, is the best that there is
         zeros = torch.zeros(k, dtype=torch.float64)
         return 0.0, zeros, zeros, zeros, zeros

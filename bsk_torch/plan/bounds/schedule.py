@@ -74,7 +74,6 @@ def milp_schedule(env: SatelliteTasking, *, envelope: Envelope | None = None, se
 
     Raises:
         ValueError: For a task that the bound of imaging does not cover either, for a time that is not positive.
-        ImportError: Without scipy; ``pip install 'bsk_torch[plan]'`` brings it.
     """
     envelope = (envelope or Envelope.load()).expected
     check_task(env, envelope)
@@ -93,12 +92,9 @@ def _program(
 ) -> tuple[Tensor, Tensor]:
     """Return targets and ticks of one episode's schedule, in order."""
     import numpy as np
+    from scipy import sparse
+    from scipy.optimize import Bounds, LinearConstraint, milp
 
-    try:
-        from scipy import sparse
-        from scipy.optimize import Bounds, LinearConstraint, milp
-    except ImportError as error:
-        raise ImportError("schedules by mixed-integer programs need scipy: pip install 'bsk_torch[plan]'") from error
     mine = (every.row == row) & (paid[every.target] > 0.0)
     target, first, last = every.target[mine], every.first[mine].double(), every.last[mine].double()
     n = len(target)

@@ -38,8 +38,8 @@ ENDLESS = 2**62
 HOUR = 3600.0
 """Unit of the time limit on the clock, s."""
 
-CLOCK = "clock"
-"""Key of what :class:`Clock` writes."""
+COLLECTED_CLOCK = "clock"
+"""Key of what :class:`Clock` writes; critics read it at :data:`~bsk_torch.rl.networks.normaliser.CLOCK`."""
 
 
 class Clock(Transform):
@@ -53,14 +53,14 @@ class Clock(Transform):
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         """Add ``clock``."""
         shape, device = observation_spec.shape, observation_spec.device
-        return observation_spec.set(CLOCK, Unbounded((*shape, CLOCKS), device=device, dtype=torch.float32))
+        return observation_spec.set(COLLECTED_CLOCK, Unbounded((*shape, CLOCKS), device=device, dtype=torch.float32))
 
     def _read(self, situations: TensorDictBase) -> TensorDictBase:
         env = _environment(self)
         limit = env.time_limit
         left = (1.0 - env.fleet.sim_time / limit).clamp(min=0.0)
         size = torch.where(limit.isinf(), 0.0, (limit / HOUR).log10())
-        return situations.set(CLOCK, torch.stack([left, size], -1).float())
+        return situations.set(COLLECTED_CLOCK, torch.stack([left, size], -1).float())
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         return self._read(next_tensordict)

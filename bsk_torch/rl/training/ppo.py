@@ -22,6 +22,7 @@ from bsk_torch.rl.networks.normaliser import CLOCK
 from bsk_torch.rl.networks.plans import INIT, MEMORY, NORMALISER, PLANS, Networks, Plan
 from bsk_torch.rl.policies.files import save_policy
 from bsk_torch.rl.training.advantages import FINAL, estimate_advantages, final, make_value_norm, standardize
+from bsk_torch.rl.training.collect import COLLECTED_CLOCK
 from bsk_torch.rl.training.config import SCHEDULES, PPOConfig
 from bsk_torch.rl.training.imitation import TAUGHT, find_teacher, imitation_loss, taught_actions
 
@@ -141,7 +142,7 @@ class Learner:
 
         Zeros where values look beyond the time limit, and for situations collected without the transform ``Clock``.
         """
-        clock = situations.get("clock", None)
+        clock = situations.get(COLLECTED_CLOCK, None)
         if clock is None or self.config.beyond_limit:
             return torch.zeros(*situations.batch_size, 2, dtype=torch.float32, device=situations.device)
         return clock
