@@ -11,5 +11,10 @@ from bsk_torch.bsk_rl.gym import NO_ACTION, ConstellationTasking, GeneralSatelli
 __all__ = ["NO_ACTION", "ConstellationTasking", "GeneralSatelliteTasking", "SatelliteTasking"]
 
 for _made in (GeneralSatelliteTasking, SatelliteTasking, ConstellationTasking):
+    _place = f"bsk_torch.bsk_rl.gym:{_made.__name__}"
     gymnasium.registry.pop(f"{_made.__name__}-v1", None)  # bsk_torch's own view of that name
-    gymnasium.register(id=f"{_made.__name__}-v1", entry_point=f"bsk_torch.bsk_rl.gym:{_made.__name__}")
+    gymnasium.register(
+        id=f"{_made.__name__}-v1",
+        entry_point=_place,
+        vector_entry_point="bsk_torch.bsk_rl.vector:reject_agents" if _made is ConstellationTasking else _place,
+    )

@@ -12,6 +12,7 @@ from typing import Any, ClassVar, Generic, TypeVar
 import gymnasium
 import numpy as np
 from gymnasium import spaces
+from gymnasium.vector import AutoresetMode
 from pettingzoo import ParallelEnv
 
 from bsk_torch.bsk_rl.comm.communication import CommunicationMethod, NoCommunication
@@ -76,6 +77,18 @@ class GeneralSatelliteTasking(gymnasium.Env[Any, Any], Generic[SatObs, SatAct]):
     metadata: ClassVar[dict[str, Any]] = {"render_modes": []}  # type: ignore[misc]
     simulator: Simulator
 
+    def __new__(
+        cls, *args: Any, num_envs: int | None = None, autoreset_mode: AutoresetMode | str | None = None, **kwargs: Any
+    ) -> Any:
+        """Return an environment, or with ``num_envs`` the vector form, :mod:`bsk_torch.bsk_rl.vector`."""
+        if num_envs is None:
+            if autoreset_mode is not None:
+                raise ValueError(f"autoreset_mode={autoreset_mode!r} is of the vector form; give num_envs, too")
+            return super().__new__(cls)
+        from bsk_torch.bsk_rl.vector import vector_form  # which puts environments of this module together
+
+        return vector_form(cls, num_envs, autoreset_mode, args, kwargs)
+
     def __init__(
         self,
         satellites: Satellite | Sequence[Satellite],
@@ -100,7 +113,8 @@ class GeneralSatelliteTasking(gymnasium.Env[Any, Any], Generic[SatObs, SatAct]):
         *,
         backend: str = "compiled",
         orbit: str | None = None,
-        num_envs: int = 1,
+        num_envs: int | None = None,
+        autoreset_mode: AutoresetMode | str | None = None,
     ) -> None:
         """Put an environment together; nothing is simulated before the first reset.
 
@@ -126,13 +140,10 @@ class GeneralSatelliteTasking(gymnasium.Env[Any, Any], Generic[SatObs, SatAct]):
             render_mode: Not used, as in bsk_rl.
             backend: ``"compiled"``, or ``"eager"`` for machines without a compiler; not in bsk_rl.
             orbit: ``"integrated"`` integrates orbits in every tick even where they can be solved in advance; not in bsk_rl.
-            num_envs: 1; environments of ``bsk_torch`` itself play several episodes at once.
+            num_envs: Number of environments of the vector form; None for a single environment; not in bsk_rl.
+            autoreset_mode: When environments of the vector form start their next episode: in the next step (None), or as
+                :class:`gymnasium.vector.AutoresetMode` says.
         """
-        if num_envs != 1:
-            raise ValueError(
-                f"num_envs={num_envs!r}: bsk_torch.bsk_rl plays one episode at a time. Import {type(self).__name__} from "
-                "bsk_torch for a batch; docs/migration_fast.md lists what to change"
-            )
         self.seed: int | None = None
         self._configure_logging(log_level, log_dir)
         if vizard_dir is not None:

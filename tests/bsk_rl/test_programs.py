@@ -203,11 +203,6 @@ def test_films_for_vizard_raise():
         SatelliteTasking(Drifter("D"), vizard_dir="/tmp/x")
 
 
-def test_several_episodes_at_once_are_those_of_the_core():
-    with pytest.raises(ValueError, match="Import SatelliteTasking from bsk_torch for"):
-        SatelliteTasking(Drifter("D"), num_envs=8)
-
-
 def test_log_levels_are_those_of_the_simulation():
     before = bskLogging.getDefaultLogLevel()
     bskLogging.setDefaultLogLevel(bskLogging.BSK_ERROR)

@@ -1,0 +1,321 @@
+"""Vector forms of bsk_rl's environments: N episodes of one program, under Gymnasium's vector interface or by agent.
+
+``SatelliteTasking(..., num_envs=N)`` returns :class:`EpisodesVectorEnv`, ``ConstellationTasking(..., num_envs=N)``
+:class:`AgentsVectorEnv`. Both step N environments of :mod:`bsk_torch.bsk_rl.gym` one after another.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from typing import Any, NoReturn
+
+import gymnasium
+import numpy as np
+from gymnasium import spaces
+from gymnasium.error import ResetNeeded
+from gymnasium.vector import AutoresetMode, SyncVectorEnv
+from gymnasium.vector.utils import batch_space, concatenate, create_empty_array, iterate
+
+from bsk_torch._checks import whole
+from bsk_torch.bsk_rl.gym import ConstellationTasking, GeneralSatelliteTasking
+from bsk_torch.bsk_rl.utils.logging_config import ContextFilter
+from bsk_torch.wrappers.gymnasium.vector import parse_mode
+
+__all__ = ["AgentsVectorEnv", "Alone", "EpisodesVectorEnv", "vector_form"]
+
+logger = logging.getLogger(__name__)
+
+ByAgent = dict[Any, Any]
+"""Arrays [N, ...] by agent."""
+
+FASTER = "docs/migration_fast.md lists what to change for one batched simulation, which is many times as fast"
+
+AGENT_MODES = (AutoresetMode.NEXT_STEP, AutoresetMode.DISABLED)
+"""Autoreset modes of :class:`AgentsVectorEnv`."""
+
+
+def vector_form(
+    make: type[GeneralSatelliteTasking[Any, Any]],
+    num_envs: int,
+    autoreset_mode: AutoresetMode | str | None,
+    args: Sequence[Any],
+    kwargs: Mapping[str, Any],
+) -> EpisodesVectorEnv | AgentsVectorEnv:
+    """Return N environments of a class as one.
+
+    Args:
+        make: Class of the environments.
+        num_envs: Number of environments N.
+        autoreset_mode: See :class:`gymnasium.vector.AutoresetMode`; None for ``NEXT_STEP``.
+        args: Arguments of each environment.
+        kwargs: Keyword arguments of each environment.
+    """
+    count = whole("num_envs", num_envs, 1)
+    envs = [make(*args, **kwargs) for _ in range(count)]
+    logger.info("%s: %d episodes side by side, each as a single one under its seed; %s", make.__name__, count, FASTER)
+    vector = AgentsVectorEnv if issubclass(make, ConstellationTasking) else EpisodesVectorEnv
+    return vector(envs, autoreset_mode=AutoresetMode.NEXT_STEP if autoreset_mode is None else autoreset_mode)
+
+
+def reject_agents(num_envs: int, **_: object) -> NoReturn:
+    """Raise Error for ``gymnasium.make_vec`` of agents, which Gymnasium's vector interface does not have."""
+    raise gymnasium.error.Error(
+        "ConstellationTasking has several agents, which gymnasium.make_vec cannot return. Arrays by agent are "
+        f"bsk_torch.bsk_rl.ConstellationTasking(satellites=[...], ..., num_envs={num_envs})"
+    )
+
+
+class Alone(gymnasium.Wrapper[Any, Any, Any, Any]):
+    """One of several environments in a process, with separate draws of NumPy's global generator.
+
+    An environment seeds the generator at reset and draws from it during the episode. Here every environment has the generator's
+    state to itself, and the caller's state is left as it was.
+    """
+
+    def __init__(self, env: GeneralSatelliteTasking[Any, Any]) -> None:
+        """Wrap an environment, and reset it once to know its spaces."""
+        super().__init__(env)
+        self._draws = np.random.get_state()
+        with self.alone():
+            _ = env.observation_space if not isinstance(env, ConstellationTasking) else env.observation_spaces
+
+    @contextmanager
+    def alone(self) -> Iterator[Any]:
+        """Let this environment have NumPy's global generator and the clock of the log; yield the environment."""
+        before = np.random.get_state()
+        np.random.set_state(self._draws)
+        for handler in logging.getLogger(GeneralSatelliteTasking.__module__.rpartition(".")[0]).handlers:
+            for context in (own for own in handler.filters if isinstance(own, ContextFilter)):
+                context.env = self.unwrapped
+        try:
+            yield self.env
+        finally:
+            self._draws = np.random.get_state()
+            np.random.set_state(before)
+
+    def reset(self, *, seed: int | None = None, options: Any = None) -> tuple[Any, dict[str, Any]]:
+        """Start an episode.
+
+        Args:
+            seed: Seed of the episode; None draws it from Gymnasium's generator of the environment, which the last given seed has
+                seeded.
+            options: Not used, as in bsk_rl.
+        """
+        drawn = int(self.unwrapped.np_random.integers(2**32)) if seed is None else seed
+        with self.alone() as env:
+            return env.reset(seed=drawn, options=options)
+
+    def step(self, action: Any) -> Any:
+        """See :meth:`GeneralSatelliteTasking.step`."""
+        with self.alone() as env:
+            return env.step(action)
+
+
+class EpisodesVectorEnv(SyncVectorEnv):
+    """N environments side by side, as ``gymnasium.vector.VectorEnv``.
+
+    With ``reset(seed=s)``, environment i plays the episode of a single environment with seed ``s + i``, to the last bit; later
+    episodes draw their seeds from ``env.np_random``, so that the first seed decides all of them.
+
+    Attributes:
+        envs: The environments, each in :class:`Alone`.
+    """
+
+    def __init__(
+        self, envs: Sequence[GeneralSatelliteTasking[Any, Any]], autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP
+    ) -> None:
+        """Put environments of the same spaces together."""
+        alone = [Alone(env) for env in envs]
+        super().__init__([lambda one=one: one for one in alone], autoreset_mode=parse_mode(autoreset_mode))  # type: ignore[misc]
+
+    def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
+        """Return an attribute of every environment, or the results of a method."""
+        return called(self.envs, name, *args, **kwargs)
+
+
+def called(envs: Sequence[Any], name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
+    """Return an attribute of every environment, or the results of a method; each has its own draws."""
+    found = []
+    for one in envs:
+        with one.alone() as env:
+            value = getattr(env, name)
+            found.append(value(*args, **kwargs) if callable(value) else value)
+    return tuple(found)
+
+
+# -- agents ----------------------------------------------------------------------------------------------------------------------
+
+
+class AgentsVectorEnv:
+    """N constellations side by side: PettingZoo's parallel interface, with arrays of all environments by agent.
+
+    Actions, observations, rewards, terminations, truncations and infos are dictionaries by agent, of arrays [N, ...]. Entries of
+    agents that have left an environment are zero; ``infos[agent]["present"]`` [N] says where an agent was part of the step. With
+    ``reset(seed=s)``, environment i plays the episode of a single environment with seed ``s + i``.
+
+    An episode is over when its agents have left, or are all terminated or truncated.
+
+    Attributes:
+        envs: The environments, each in :class:`Alone`.
+        num_envs: Their number N.
+        possible_agents: All agents.
+        observation_spaces, action_spaces: Spaces of all environments by agent.
+        single_observation_spaces, single_action_spaces: Spaces of one environment by agent.
+    """
+
+    def __init__(
+        self, envs: Sequence[ConstellationTasking[Any, Any]], autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP
+    ) -> None:
+        """Put environments of the same agents together.
+
+        Args:
+            envs: The environments.
+            autoreset_mode: When an environment starts its next episode: in the step after the end, which ignores its actions
+                (``NEXT_STEP``), or in ``reset(options={"reset_mask": ended})`` (``DISABLED``).
+
+        Raises:
+            ValueError: For another mode.
+        """
+        self.autoreset_mode = parse_mode(autoreset_mode)
+        if self.autoreset_mode not in AGENT_MODES:
+            names = [mode.value for mode in AGENT_MODES]
+            raise ValueError(f"autoreset_mode={self.autoreset_mode.value!r} must be one of {names} for agents")
+        self.metadata = {"autoreset_mode": self.autoreset_mode, "name": "constellation"}
+        self.envs = [Alone(env) for env in envs]
+        self.num_envs = len(self.envs)
+        first = self.envs[0].env
+        self.possible_agents: list[Any] = list(first.possible_agents)
+        self.single_observation_spaces = {agent: first.observation_space(agent) for agent in self.possible_agents}
+        self.single_action_spaces = {agent: first.action_space(agent) for agent in self.possible_agents}
+        self.observation_spaces = {a: batch_space(space, self.num_envs) for a, space in self.single_observation_spaces.items()}
+        self.action_spaces = {agent: batch_space(space, self.num_envs) for agent, space in self.single_action_spaces.items()}
+        self._over = np.zeros(self.num_envs, dtype=bool)
+        self._last: list[ByAgent] | None = None
+
+    def observation_space(self, agent: Any) -> spaces.Space[Any]:
+        """Space of an agent's observations in all environments."""
+        return self.observation_spaces[agent]
+
+    def action_space(self, agent: Any) -> spaces.Space[Any]:
+        """Space of an agent's actions in all environments."""
+        return self.action_spaces[agent]
+
+    @property
+    def agents(self) -> list[list[Any]]:
+        """Agents that are left in each environment."""
+        return [one.env.agents for one in self.envs]
+
+    def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
+        """Return an attribute of every environment, or the results of a method."""
+        return called(self.envs, name, *args, **kwargs)
+
+    def get_attr(self, name: str) -> tuple[Any, ...]:
+        """Return an attribute of every environment."""
+        return self.call(name)
+
+    def set_attr(self, name: str, values: Any) -> None:
+        """Set an attribute: to one value everywhere, or to those of a list [N]; ValueError for a list of another length."""
+        each = values if isinstance(values, list | tuple) else [values] * self.num_envs
+        if len(each) != self.num_envs:
+            raise ValueError(f"values has {len(each)} entries; it must have {self.num_envs}, one per environment")
+        for one, value in zip(self.envs, each, strict=True):
+            setattr(one.env, name, value)
+
+    def close(self) -> None:
+        """Close every environment."""
+        for one in self.envs:
+            one.close()
+
+    # -- reset and step -----------------------------------------------------------------------------------------------
+
+    def reset(
+        self, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[ByAgent, ByAgent]:
+        """Start episodes; return observations and infos.
+
+        Args:
+            seed: Seed of environment 0, which the others count up; or a seed for each. None draws seeds.
+            options: ``{"reset_mask": mask}`` with booleans [N] leaves the other environments as they are.
+        """
+        mask = np.asarray((options or {}).get("reset_mask", np.ones(self.num_envs)), dtype=bool)
+        if mask.shape != (self.num_envs,) or not mask.any():
+            raise ValueError(
+                f"options['reset_mask'] has shape {mask.shape}; it must be [{self.num_envs}], with an entry that is true"
+            )
+        if self._last is None and not mask.all():
+            raise ResetNeeded("the first reset() must start all environments; leave out options['reset_mask']")
+        first = None if seed is None else [seed + i for i in range(self.num_envs)] if isinstance(seed, int) else list(seed)
+        if first is not None and len(first) != self.num_envs:
+            raise ValueError(f"seed has {len(first)} entries; it must have {self.num_envs}, one per environment")
+        found = list(self._last or [{}] * self.num_envs)
+        for k in np.flatnonzero(mask):
+            found[k] = self._begin(k, None if first is None else first[k])
+        return self._outputs(found)[0], self._outputs(found)[-1]
+
+    def _begin(self, k: int, seed: int | None = None) -> ByAgent:
+        """Start the next episode of an environment."""
+        observations, infos = self.envs[k].reset(seed=seed)
+        self._over[k] = False
+        return {agent: (observations[agent], 0.0, False, False, infos[agent]) for agent in observations}
+
+    def step(self, actions: Mapping[Any, Any]) -> tuple[ByAgent, ByAgent, ByAgent, ByAgent, ByAgent]:
+        """Carry out the actions [N, ...] of agents, by agent; those of agents that are left out, or have left, are not used.
+
+        Raises:
+            ResetNeeded: If no episode is running, or one is over that does not start by itself.
+            KeyError: For an agent that there is not.
+            ValueError: For actions of another number.
+        """
+        if self._last is None or (self.autoreset_mode is AutoresetMode.DISABLED and self._over.any()):
+            raise ResetNeeded("step() needs running episodes; call reset(), with options={'reset_mask': ended} for some of them")
+        for agent, each in actions.items():
+            if agent not in self.action_spaces:
+                raise KeyError(f"{agent!r} is not an agent; agents are {self.possible_agents}")
+            if len(each) != self.num_envs:
+                raise ValueError(f"actions[{agent!r}] has {len(each)} entries; it must have {self.num_envs}, one per environment")
+        found = [
+            self._begin(k) if self._over[k] else self._move(k, {agent: each[k] for agent, each in actions.items()})
+            for k in range(self.num_envs)
+        ]
+        return self._outputs(found)
+
+    def _move(self, k: int, actions: ByAgent) -> ByAgent:
+        """Step one environment with the actions of its agents that are left."""
+        one = self.envs[k]
+        before = one.env.agents
+        results = one.step({agent: action for agent, action in actions.items() if agent in before})
+        found = {agent: tuple(part[agent] for part in results) for agent in before}
+        self._over[k] = not one.env.agents or all(found[agent][2] or found[agent][3] for agent in one.env.agents)
+        return found
+
+    def _outputs(self, found: list[ByAgent]) -> tuple[ByAgent, ByAgent, ByAgent, ByAgent, ByAgent]:
+        """Return arrays by agent of what each environment has given for its agents."""
+        self._last = found
+        observations, infos = {}, {}
+        columns: list[ByAgent] = [{}, {}, {}]
+        for agent, space in self.single_observation_spaces.items():
+            each = [results.get(agent) for results in found]
+            none = next(iter(iterate(batch_space(space, 1), create_empty_array(space, 1))))
+            observations[agent] = concatenate(
+                space, [none if one is None else one[0] for one in each], create_empty_array(space, self.num_envs)
+            )
+            for column, kind, place in zip(columns, (float, bool, bool), (1, 2, 3), strict=True):
+                column[agent] = np.array([0 if one is None else one[place] for one in each], dtype=kind)
+            present = {"present": np.array([one is not None for one in each])}
+            infos[agent] = stacked([{} if one is None else one[4] for one in each]) | present
+        return observations, columns[0], columns[1], columns[2], infos
+
+
+def stacked(infos: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Return infos of environments as arrays [N] by name, zero where one is missing; nested ones as nested dictionaries."""
+    found: dict[str, Any] = {}
+    for name in dict.fromkeys(name for info in infos for name in info):
+        values = [info.get(name) for info in infos]
+        if any(isinstance(value, Mapping) for value in values):
+            found[name] = stacked([value or {} for value in values])
+        else:
+            some = next(value for value in values if value is not None)
+            found[name] = np.array([type(some)() if value is None else value for value in values])
+    return found
