@@ -53,7 +53,7 @@ def vector_form(
         kwargs: Keyword arguments of each environment.
     """
     count = whole("num_envs", num_envs, 1)
-    envs = [make(*args, **kwargs) for _ in range(count)]
+    envs: list[Any] = [make(*args, **kwargs) for _ in range(count)]
     logger.info("%s: %d episodes side by side, each as a single one under its seed; %s", make.__name__, count, FASTER)
     vector = AgentsVectorEnv if issubclass(make, ConstellationTasking) else EpisodesVectorEnv
     return vector(envs, autoreset_mode=AutoresetMode.NEXT_STEP if autoreset_mode is None else autoreset_mode)
@@ -73,6 +73,9 @@ class Alone(gymnasium.Wrapper[Any, Any, Any, Any]):
     An environment seeds the generator at reset and draws from it during the episode. Here every environment has the generator's
     state to itself, and the caller's state is left as it was.
     """
+
+    env: Any
+    """The environment, of :mod:`bsk_torch.bsk_rl.gym`."""
 
     def __init__(self, env: GeneralSatelliteTasking[Any, Any]) -> None:
         """Wrap an environment, and reset it once to know its spaces."""
@@ -242,7 +245,8 @@ class AgentsVectorEnv:
         mask = np.asarray((options or {}).get("reset_mask", np.ones(self.num_envs)), dtype=bool)
         if mask.shape != (self.num_envs,) or not mask.any():
             raise ValueError(
-                f"options['reset_mask'] has shape {mask.shape}; it must be [{self.num_envs}], with an entry that is true"
+                f"options['reset_mask'] has shape {mask.shape} and {mask.sum()} entries that are true; "
+                f"it must have shape [{self.num_envs}] and at least one"
             )
         if self._last is None and not mask.all():
             raise ResetNeeded("the first reset() must start all environments; leave out options['reset_mask']")
@@ -250,7 +254,7 @@ class AgentsVectorEnv:
         if first is not None and len(first) != self.num_envs:
             raise ValueError(f"seed has {len(first)} entries; it must have {self.num_envs}, one per environment")
         found = list(self._last or [{}] * self.num_envs)
-        for k in np.flatnonzero(mask):
+        for k in np.flatnonzero(mask).tolist():
             found[k] = self._begin(k, None if first is None else first[k])
         return self._outputs(found)[0], self._outputs(found)[-1]
 
@@ -298,9 +302,8 @@ class AgentsVectorEnv:
         for agent, space in self.single_observation_spaces.items():
             each = [results.get(agent) for results in found]
             none = next(iter(iterate(batch_space(space, 1), create_empty_array(space, 1))))
-            observations[agent] = concatenate(
-                space, [none if one is None else one[0] for one in each], create_empty_array(space, self.num_envs)
-            )
+            rows: Any = create_empty_array(space, self.num_envs)
+            observations[agent] = concatenate(space, [none if one is None else one[0] for one in each], rows)
             for column, kind, place in zip(columns, (float, bool, bool), (1, 2, 3), strict=True):
                 column[agent] = np.array([0 if one is None else one[place] for one in each], dtype=kind)
             present = {"present": np.array([one is not None for one in each])}

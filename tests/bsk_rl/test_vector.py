@@ -93,7 +93,8 @@ def test_the_next_step_begins_the_next_episode_whose_seed_follows_from_the_first
     assert ended.any(0).all()
     row = int(np.flatnonzero(ended[:, 0])[0]) + 1
     assert first[row][1][0] == 0.0
-    assert not (first[row][2][0] or first[row][3][0])
+    assert not first[row][2][0]
+    assert not first[row][3][0]
     follower = single()
     follower.reset(seed=SEED)
     later = int(follower.np_random.integers(2**32))
