@@ -19,7 +19,7 @@ QUICK = bool(os.environ.get("BSK_TORCH_DOCS_QUICK"))
 
 project = "bsk_torch"
 author = "the authors of bsk_torch"
-copyright = "the authors of bsk_torch, MIT licence"
+copyright = "the authors of bsk_torch, MIT license"
 version = release = bsk_torch.__version__
 
 extensions = [

@@ -1,6 +1,6 @@
-"""Forms of actions at the border of an environment: their numbers, real numbers, or both; specs, and how they are read.
+"""Actions as passed to an environment: discrete, continuous or hybrid; their specs, and conversion to tensors.
 
-Actions of one satellite are a number, A real numbers, or the A + 1 columns of a hybrid action, whose last one is the choice.
+The action of one satellite is an integer, A real numbers, or A + 1 columns for a hybrid action, of which the last is the choice.
 """
 
 from __future__ import annotations
@@ -32,14 +32,14 @@ class _Kept(type(BoundedContinuous)):  # type: ignore[misc]
 
 
 class OpenBox(BoundedContinuous, metaclass=_Kept):
-    """Real numbers of which some have infinite bounds.
+    """Spec of real numbers, some with infinite bounds.
 
-    ``rand`` draws as Gymnasium's ``Box.sample`` does: uniformly between finite bounds, beyond one finite bound by an exponential
-    distribution of mean one, and without bounds by a standard normal one.
+    ``rand`` draws as Gymnasium's ``Box.sample`` does: uniformly between finite bounds, from an exponential distribution of mean
+    one beyond a single finite bound, and from a standard normal distribution without bounds.
     """
 
     def rand(self, shape: Sequence[int] | torch.Size | None = None) -> Tensor:
-        """Return random values, [*shape, *self.shape]; every one is finite."""
+        """Return finite random values, [*shape, *self.shape]."""
         low, high = (side.expand(*(shape or ()), *self.shape) for side in self.space)
         below, above = torch.isinf(low), torch.isinf(high)
         uniform = torch.rand(low.shape, dtype=self.dtype, device=self.device)
@@ -70,7 +70,7 @@ def box(low: Tensor, high: Tensor, shape: Sequence[int], dtype: torch.dtype) -> 
 
 
 def form(satellite: SatelliteGroup) -> ContinuousBuilder | None:
-    """Return the builder of a satellite's actions where they have real numbers; None where they are numbers of actions."""
+    """Return the builder of a satellite's actions if they are continuous or hybrid; None if they are discrete."""
     actions = satellite.actions
     return actions if isinstance(actions, ContinuousBuilder) else None
 
@@ -88,7 +88,7 @@ def action_spec(satellite: SatelliteGroup, shape: Sequence[int], dtype: torch.dt
 
 
 def mask_size(satellite: SatelliteGroup, extra: int = 0) -> int:
-    """Return the length of a satellite's ``action_mask``, 0 where there is nothing to choose."""
+    """Return the length of a satellite's ``action_mask``; 0 for continuous actions."""
     n = satellite.actions.n_actions
     return n + extra if n else 0
 
@@ -102,15 +102,15 @@ def read(title: str, given: object, satellite: SatelliteGroup, shape: Sequence[i
     """Return the actions of satellites of one type, [*shape] int64, or [*shape, A] or [*shape, A + 1] of a floating type.
 
     Args:
-        title: What the user calls them, for messages.
+        title: Name of the actions in messages.
         given: Tensor, or for a hybrid action its parts in a tensordict or mapping.
         satellite: The satellite.
         shape: Leading dimensions.
-        each: What they are, for messages.
+        each: Meaning of the dimensions, for messages.
 
     Raises:
-        TypeError: For another type.
-        ValueError: For another shape, or actions that require a gradient.
+        TypeError: For a wrong type.
+        ValueError: For a wrong shape, or actions that require a gradient.
     """
     builder = form(satellite)
     if builder is not None:
@@ -163,10 +163,10 @@ def _joined(title: str, given: Any, builder: ContinuousBuilder, shape: tuple[int
 
 
 def acts(action: Tensor, satellite: SatelliteGroup, extra: int = 0) -> Tensor:
-    """Return where actions [...], [..., A] or [..., A + 1] are new tasks, and do not continue the current one.
+    """Return which actions [...], [..., A] or [..., A + 1] are new tasks instead of continuing the current one.
 
     ``NO_ACTION`` continues the task, in all numbers of a continuous action (within 1 of it, because single precision cannot
-    represent it) or as the choice of a hybrid one; so do ``extra`` actions, or choices, beyond the satellite's.
+    represent it) or as the choice of a hybrid one. So do the ``extra`` actions or choices after those of the satellite.
     """
     builder, n = form(satellite), satellite.actions.n_actions
     if builder is None:

@@ -1,4 +1,4 @@
-"""Agents of a constellation: the satellites that each one commands, and groups of agents that share tensors."""
+"""Agents of a constellation: the satellites commanded by each agent, and groups of agents that share tensors."""
 
 from __future__ import annotations
 
@@ -13,23 +13,23 @@ from torch import Tensor
 from bsk_torch.sim.arguments.values import nearest
 
 AGENTS = "agents"
-"""Name of the group where there is only one."""
+"""Name of the only group."""
 
 ROOT = ("observation", "action", "action_mask", "reward", "done", "terminated", "truncated", "duration", "counts", "state")
-"""Names that groups cannot have."""
+"""Names not allowed for groups."""
 
 
 @dataclass(frozen=True)
 class Group:
-    """A agents that are alike: each decides for M satellites, the m-th of which is of type ``types[m]``.
+    """A agents with equal spaces: each commands M satellites, the m-th of which is of type ``types[m]``.
 
     Attributes:
         name: Key of the group.
         agents: Names of the agents.
-        members: Numbers of their satellites among all, [A, M].
-        types: Type of each member, M of them.
-        within: Numbers of the members within their types, M tensors [A].
-        whole: Whether the members are all satellites of their types in order, M of them.
+        members: Indices of their satellites among all, [A, M].
+        types: Type of each of the M members.
+        within: Indices of the members within their types, M tensors [A].
+        whole: For each of the M members, whether they are all satellites of their type, in order.
     """
 
     name: str
@@ -45,15 +45,15 @@ class Group:
 
     @property
     def is_meta(self) -> bool:
-        """Whether agents decide for several satellites."""
+        """Whether each agent commands several satellites."""
         return len(self.types) > 1
 
 
 def agents_of(names: Sequence[str], groupings: Mapping[str, Sequence[str]] | None) -> dict[str, list[str]]:
-    """Return the satellites of every agent, those of ``groupings`` first, then every other satellite on its own.
+    """Return the satellites of every agent: first those of ``groupings``, then one agent for each other satellite.
 
     Raises:
-        ValueError: For an agent without satellites, or with one that is unknown or another agent's.
+        ValueError: For an agent without satellites, an unknown satellite, or a satellite of two agents.
     """
     agents: dict[str, list[str]] = {}
     taken: dict[str, str] = {}
@@ -91,17 +91,17 @@ def make_groups(
     titles: Sequence[str],
     group_map: Mapping[str, Sequence[str]] | None = None,
 ) -> list[Group]:
-    """Return the groups of agents that are alike.
+    """Return the groups of agents with equal spaces.
 
     Args:
         agents: Satellites of each agent.
         names: Names of all satellites.
-        types: Numbers of the satellites of each type.
-        titles: What each type is called.
+        types: Indices of the satellites of each type.
+        titles: Name of each type.
         group_map: Agents of each group (default: by type).
 
     Raises:
-        ValueError: For a ``group_map`` that names unknown agents, does not hold each once, or puts unlike ones together.
+        ValueError: For a ``group_map`` with unknown, missing or repeated agents, or with different agents in one group.
     """
     place = {names[column]: (t, k) for t, columns in enumerate(types) for k, column in enumerate(columns)}
     signature = {agent: tuple(place[member][0] for member in members) for agent, members in agents.items()}
@@ -138,7 +138,7 @@ def named(kinds: Mapping[tuple[int, ...], list[str]], titles: Sequence[str]) -> 
 
 
 def check_map(group_map: Mapping[str, Sequence[str]], signature: Mapping[str, tuple[int, ...]]) -> None:
-    """Raise ValueError for a map that does not put each agent into one group with agents like it."""
+    """Raise ValueError unless the map assigns each agent to one group of agents with equal spaces."""
     listed = [agent for agents in group_map.values() for agent in agents]
     for agent in listed:
         if agent not in signature:

@@ -1,4 +1,4 @@
-"""Arguments of satellites and of the world that change between the episodes of an environment."""
+"""Changes of satellite and world arguments between episodes."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class MadeOfArguments(Snapshots):
     """Changes of arguments since then."""
 
     _trial: Trial | None
-    """Trial episodes, where no functions of users are called as they show."""
+    """Trial episodes; None if they determine how functions of users are called."""
 
     def set_sat_args(self, args: object, envs: object = None) -> None:
         """Change arguments of satellites for episodes started after this call; current episodes keep their values.
@@ -40,13 +40,14 @@ class MadeOfArguments(Snapshots):
         a constant, the tick is rebuilt once, and states saved before no longer fit.
 
         Args:
-            args: New values by name of the argument, for all satellites; or, by name of the satellite, such dictionaries; or a
-                function that returns a dictionary.
-            envs: Indices of the environments that get them, [n], or a mask [N] (default: all).
+            args: New values by name of the argument, for all satellites; a dictionary of such dictionaries by name of the
+                satellite; or a function that returns a dictionary.
+            envs: Indices of the environments to change, [n], or a mask [N] (default: all).
 
         Raises:
             KeyError: For an unknown argument.
-            ValueError: For a value that is not allowed, an argument that decides what is built, or an unknown satellite.
+            ValueError: For a value that is not allowed, an argument that determines the structure of the simulation, or an
+                unknown satellite.
         """
         rows, ids = episodes(envs, len(self.env_ids), self.env_ids)
         self._change(of_satellites(args, self.names, ids), rows)
@@ -56,11 +57,11 @@ class MadeOfArguments(Snapshots):
 
         Args:
             args: New values by name, or a function that returns a dictionary.
-            envs: Indices of the environments that get them, [n], or a mask [N] (default: all).
+            envs: Indices of the environments to change, [n], or a mask [N] (default: all).
 
         Raises:
             KeyError: For an unknown argument.
-            ValueError: For a value that is not allowed, or an argument that decides what is built.
+            ValueError: For a value that is not allowed, or an argument that determines the structure of the simulation.
         """
         rows, ids = episodes(envs, len(self.env_ids), self.env_ids)
         changes = of_world(args, ids)
@@ -68,7 +69,7 @@ class MadeOfArguments(Snapshots):
         self._change(changes, rows)
 
     def _change(self, changes: Sequence[Change], rows: Tensor | None = None) -> None:
-        """Make changes of arguments in ``rows`` [n] of the batch, or in all; nothing changes where one of them is wrong."""
+        """Change arguments in ``rows`` [n] of the batch, or in all; if one change is invalid, nothing changes."""
         types = changed([simulator.type for simulator in self.fleet.simulators], changes, self.env_ids)
         self.fleet.change(types)
         if self.pool is not None:
@@ -77,7 +78,7 @@ class MadeOfArguments(Snapshots):
         self.fingerprint = fingerprint(self.fleet)
 
     def _show_arguments(self) -> None:
-        """Let users read and set arguments in the dictionaries that bsk_rl has."""
+        """Provide bsk_rl's dictionaries, in which users read and set arguments."""
         for simulator, satellite in zip(self.fleet.simulators, self.satellites, strict=True):
             satellite.sat_args_generator = LiveArguments(  # type: ignore[assignment]  # of the description: Given
                 functools.partial(_sat_args_of, simulator),
@@ -94,7 +95,7 @@ class MadeOfArguments(Snapshots):
 
     @property
     def world_args_generator(self) -> LiveArguments:
-        """Values of all arguments of the world; setting one is :meth:`set_world_args`."""
+        """Values of all arguments of the world; setting one calls :meth:`set_world_args`."""
         return LiveArguments(
             lambda: [simulator.type.arguments.world_args for simulator in self.fleet.simulators],
             self.set_world_args,
@@ -104,18 +105,17 @@ class MadeOfArguments(Snapshots):
     # -- environments of the same make --------------------------------------------------------------------------------
 
     def like(self: Environment, num_envs: int, env_ids: Sequence[int] | Tensor | None = None) -> Environment:
-        """Return another environment of the same kind, with other episodes, seed 0 and no logs.
+        """Return another environment of the same kind, with separate episodes, seed 0 and no logs.
 
-        Episodes can be copied from one to the other by :meth:`restore`. Types of satellites are shared, so that nothing
-        is traced or compiled.
+        Use :meth:`restore` to copy episodes from one to the other. Satellite types are shared, so nothing is traced or compiled.
 
         Args:
             num_envs: Number of its episodes.
             env_ids: Their indices in draws (default: 0 to ``num_envs`` - 1).
 
         Raises:
-            ValueError: For a wrong argument, and where arguments of :func:`bsk_torch.rand.per_env` have too few rows.
-            MemoryError: If so many do not fit into memory.
+            ValueError: For an invalid argument, or if arguments of :func:`bsk_torch.rand.per_env` have too few rows.
+            MemoryError: If the episodes do not fit into memory.
         """
         kept = {name: value for name, value in self._arguments.items() if name not in ("log_level", "log_dir", "log_envs")}
         with taking_over(Made([simulator.type for simulator in self.fleet.simulators], self._trial)):

@@ -64,7 +64,7 @@ class StepResult(NamedTuple):
 
 
 class Tasking(Present, MadeOfArguments):
-    """N independent episodes with S satellites each. Subclasses define agents: their actions, observations and rewards."""
+    """N independent episodes with S satellites each. Subclasses define the agents and their actions, observations and rewards."""
 
     _supports_set_state = True
     _has_frame_skip = True
@@ -128,7 +128,7 @@ class Tasking(Present, MadeOfArguments):
         self.set_seed(options.seed)
 
     def __repr__(self) -> str:
-        """Return the number of environments, and what the satellites of each type observe and do."""
+        """Return the number of environments, and the observations and actions of each type of satellite."""
         if "satellites" not in self.__dict__:  # in an error while it is built
             return f"{type(self).__name__}()"
         lines = [f"{type(self).__name__}: {self.num_envs} environments on {self.device}, scenario {type(self.scenario).__name__}"]
@@ -197,13 +197,13 @@ class Tasking(Present, MadeOfArguments):
     # -- step ---------------------------------------------------------------------------------------------------------
 
     def _advance(self, actions: Sequence[Tensor], acts: Sequence[Tensor], moves: Tensor, all_act: bool = False) -> StepResult:
-        """One decision of every episode: command, fly, score, communicate, judge.
+        """Execute one decision in every episode: command, run, reward, communicate, determine the outcome.
 
         Args:
             actions: Actions of each type, [N * count].
-            acts: Where they count, [N * count]; other satellites continue their tasks.
+            acts: Satellites that execute them, [N * count]; others continue their tasks.
             moves: Episodes that take part, [N].
-            all_act: Whether all actions count.
+            all_act: Whether all satellites execute their actions.
         """
         fleet, removed = self.fleet, self.state.removed
         start = fleet.since = fleet.ticks

@@ -1,4 +1,4 @@
-"""Changes of ``sat_args`` and ``world_args`` between episodes: who gets what, and the views that users write into."""
+"""Changes of ``sat_args`` and ``world_args`` between episodes, and the dictionaries in which users set them."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from bsk_torch.sim.assembly.satellite_type import SatelliteType
 from bsk_torch.sim.names import nearest
 
 WORLD = None
-"""In place of the number of a satellite: the world."""
+"""Stands for the world instead of the index of a satellite."""
 
 
 class Change(NamedTuple):
     """A new value of one argument.
 
     Attributes:
-        satellite: Number of the satellite; None for the world.
-        name: The argument.
-        value: The value, as it is given in ``sat_args`` or ``world_args``.
-        envs: Indices of the episodes that get it, as the draws count them; None for all.
+        satellite: Index of the satellite; None for the world.
+        name: Name of the argument.
+        value: The value, as given in ``sat_args`` or ``world_args``.
+        envs: Indices of the changed episodes in the draws; None for all.
     """
 
     satellite: int | None
@@ -35,10 +35,10 @@ class Change(NamedTuple):
 
 
 def of_satellites(args: Any, names: Sequence[str], envs: tuple[int, ...] | None) -> list[Change]:
-    """Return the changes that ``args`` means: arguments of all satellites, or by name of the satellite.
+    """Return the changes specified by ``args``: arguments of all satellites, or dictionaries by name of the satellite.
 
     Raises:
-        ValueError: For names of satellites alongside names of arguments.
+        ValueError: For a mixture of satellite names and argument names.
     """
     if not (isinstance(args, Mapping) and any(name in names for name in args)):
         given = expand(args, "sat_args")
@@ -51,16 +51,16 @@ def of_satellites(args: Any, names: Sequence[str], envs: tuple[int, ...] | None)
 
 
 def of_world(args: Any, envs: tuple[int, ...] | None) -> list[Change]:
-    """Return the changes of ``world_args`` that ``args`` means."""
+    """Return the changes of ``world_args`` specified by ``args``."""
     return [Change(WORLD, name, value, envs) for name, value in expand(args, "world_args").items()]
 
 
 def episodes(envs: object, num_envs: int, env_ids: Tensor) -> tuple[Tensor | None, tuple[int, ...] | None]:
-    """Return the rows of ``envs``, indices or a mask [N], and their indices in the draws; None twice for all.
+    """Return the rows of ``envs``, indices or a mask [N], and their indices in the draws; twice None for all.
 
     Raises:
         IndexError: For indices out of range.
-        ValueError: For rows that share their draws with others.
+        ValueError: For rows with the same ``env_ids`` as rows not in ``envs``.
     """
     if envs is None:
         return None, None
@@ -80,7 +80,7 @@ def episodes(envs: object, num_envs: int, env_ids: Tensor) -> tuple[Tensor | Non
 
 
 def remembered(old: Sequence[Change], new: Sequence[Change]) -> list[Change]:
-    """Return the changes that still mean something once the ``new`` ones are made."""
+    """Return the earlier changes that remain in effect after the ``new`` ones."""
     kept = list(old)
     for change in new:
         left, known = [], False
@@ -100,12 +100,12 @@ def remembered(old: Sequence[Change], new: Sequence[Change]) -> list[Change]:
 
 
 def changed(types: Sequence[SatelliteType], changes: Sequence[Change], env_ids: Tensor) -> list[SatelliteType]:
-    """Return the types of satellites with changes of their arguments, which trial draws check.
+    """Return the types of satellites with changed arguments, checked by trial draws.
 
     ``env_ids`` are the indices of the environments in draws, [N].
 
     Raises:
-        KeyError, ValueError: For wrong changes.
+        KeyError, ValueError: For invalid changes.
     """
     new = []
     for satellite_type in types:
@@ -119,10 +119,10 @@ def changed(types: Sequence[SatelliteType], changes: Sequence[Change], env_ids: 
 
 
 class LiveArguments(MutableMapping[str, Any]):
-    """Given and default values by name; setting one changes it from the next reset on."""
+    """Given and default values by name; a change takes effect at the next reset."""
 
     def __init__(self, arguments: Callable[[], Sequence[Arguments]], write: Callable[[dict[str, Any]], None], title: str) -> None:
-        """Show ``arguments``, of which each name is looked up in the first one that has it; ``write`` sets values."""
+        """Look up names in ``arguments``, in order of precedence; ``write`` sets values."""
         self._arguments, self._write, self._title = arguments, write, title
 
     def _table(self) -> dict[str, Any]:
@@ -142,7 +142,7 @@ class LiveArguments(MutableMapping[str, Any]):
 
     def __delitem__(self, name: str) -> None:
         """Raise TypeError: every argument has a value."""
-        raise TypeError(f"{self._title}[{name!r}] cannot be deleted; set it to the value that it should have")
+        raise TypeError(f"{self._title}[{name!r}] cannot be deleted; set it to another value instead")
 
     def __iter__(self) -> Iterator[str]:
         """Iterate over the names."""

@@ -37,10 +37,10 @@ class ConstellationTasking(Tasking):
     ``action_mask``, ``reward`` [N, A, 1], ``mask`` [N, A] (False for agents that are not present or have left),
     ``requires_retasking`` and ``duration`` [N, A, 1]; ``done``, ``terminated``, ``truncated`` and ``duration`` are at the root.
 
-    The last action of a space continues the task; for real numbers, which have no ``action_mask``, ``NO_ACTION`` in all of them
-    does. Under ``joint=True`` with satellites of real numbers, ``action`` has an entry for each satellite by its name. By
-    ``action_mask``, busy and dead satellites may only continue. Another action for a busy satellite nevertheless replaces its
-    task at once, and one for a dead satellite is ignored.
+    The last action of a discrete space continues the task, as does a continuous action filled with ``NO_ACTION``. Continuous
+    actions have no ``action_mask``. With ``joint=True`` and continuous actions, ``action`` has an entry for each satellite by
+    name. By ``action_mask``, busy and dead satellites may only continue. Another action for a busy satellite nevertheless
+    replaces its task at once, and one for a dead satellite is ignored.
 
     A dead satellite receives the penalty and a last observation, and leaves: its tasks no longer end steps, ``mask`` is False,
     and its observations and rewards are zero. The episode ends when all agents are dead, or at the time limit.
@@ -144,7 +144,7 @@ class ConstellationTasking(Tasking):
         return () if self.joint else (len(group.agents),)
 
     def _sizes(self, group: Group) -> list[int]:
-        """Return the number of actions of each member, including the one that continues the task; 0 where there is no choice."""
+        """Return the number of actions of each member, including the one that continues the task; 0 for continuous actions."""
         return [mask_size(self.satellites[t], 1) for t in group.types]
 
     def _observed(self, group: Group, trial: list[Values], shape: tuple[int, ...]) -> dict[str, Any]:
@@ -181,7 +181,7 @@ class ConstellationTasking(Tasking):
         return MultiCategorical(sizes, shape=(*shape, len(sizes)), dtype=torch.int64)
 
     def _by_name(self, group: Group) -> bool:
-        """Whether the action of a joint agent has an entry for each satellite by its name: where some are real numbers."""
+        """Whether the action of a joint agent has an entry for each satellite by name, because some actions are continuous."""
         return self.joint and any(form(self.satellites[t]) is not None for t in group.types)
 
     def _names_of(self, group: Group) -> list[str]:
@@ -225,13 +225,13 @@ class ConstellationTasking(Tasking):
         return torch.stack([gone.all(1) for gone in over], 1).all(1)
 
     def _by_agent(self, group: Group, flags: Tensor) -> Tensor:
-        """Return the agents [N, A] that have a member whose flag [N, S] is set."""
+        """Return the agents [N, A] with at least one member whose flag [N, S] is set."""
         return flags[:, group.members].any(-1)
 
     def _remove(self, duration: Tensor) -> None:
         """Remove the agents that have lost a satellite; their tasks no longer end steps.
 
-        bsk_rl lists its agents once at every time, so those that die in a step of no ``duration`` [N] s stay for another one.
+        bsk_rl lists its agents once for each time, so agents that die in a step of zero ``duration`` [N] s stay for another step.
         """
         dead, removed = self.dead, self.state.removed.clone()
         if self.options.compat == "bsk_rl":
@@ -248,7 +248,7 @@ class ConstellationTasking(Tasking):
             cancel(satellite, self.fleet.rows_of(k, left))
 
     def _decoded(self, given: Sequence[Any], moves: Tensor) -> tuple[list[Tensor], list[Tensor]]:
-        """Return the actions [N * count, ...] of each type, and masks of those that take effect."""
+        """Return the actions [N * count, ...] of each type, and masks of the actions that take effect."""
         idle = self.requires_retasking
         members: list[list[tuple[Tensor, Tensor, Tensor]]] = [[] for _ in self.satellites]
         for group, action in zip(self.groups, given, strict=True):
@@ -267,7 +267,7 @@ class ConstellationTasking(Tasking):
         return checked, rows
 
     def _of_type(self, k: int, parts: Sequence[tuple[Tensor, Tensor, Tensor]]) -> tuple[Tensor, Tensor]:
-        """Return the actions [N, count, ...] of a type, and where they are new tasks, from those of its satellites."""
+        """Return the actions [N, count, ...] of a type, and which of them are new tasks, from the actions of its satellites."""
         n, count, first = self.fleet.num_envs, self.fleet.simulators[k].count, parts[0][1]
         dtype = functools.reduce(torch.promote_types, [mine.dtype for _, mine, _ in parts])
         action = torch.zeros(n, count, *first.shape[2:], dtype=dtype, device=self.device)
@@ -277,7 +277,7 @@ class ConstellationTasking(Tasking):
         return action, counts
 
     def _checked(self, group: Group, action: Any) -> list[Tensor]:
-        """Return the actions [N, A, ...] of each member of the agents of a group; TypeError or ValueError for wrong ones."""
+        """Return the actions [N, A, ...] of each member of the agents of a group; TypeError or ValueError for invalid ones."""
         what = "action" if self.joint else f"({group.name!r}, 'action')"
         members, shape = [self.satellites[t] for t in group.types], (*self.batch_size, *self._agents_shape(group))
         if self._by_name(group):
@@ -293,7 +293,7 @@ class ConstellationTasking(Tasking):
         return [read(what, action, members[0], shape)]
 
     def _warn_of_idle(self, acts: Sequence[Tensor], moves: Tensor) -> None:
-        """Log once that satellites without a task received none, as in bsk_rl; their last mode continues."""
+        """Log once that satellites without a task received no action, as in bsk_rl; their last mode continues."""
         if self._warned:
             return
         asked = moves.unsqueeze(-1) & ~self.state.removed
@@ -320,7 +320,7 @@ class ConstellationTasking(Tasking):
         if result is not None and not self.joint:
             self._remove(
                 result.duration
-            )  # only now: look-ahead is not extended for those that have left, but they have a last observation
+            )  # only now: look-ahead is not extended for agents that have left, but they receive a last observation
         legal = [satellite.action_mask() for satellite in self.satellites]
         for group in self.groups:
             leaves = self._group_outputs(group, seen, legal, hidden)
@@ -364,7 +364,7 @@ class ConstellationTasking(Tasking):
         Args:
             group: The agents.
             wanted: Members that need a task, [N, A, M].
-            removed: Satellites that were not present or had left before the step, [N, S].
+            removed: Satellites absent or removed before the step, [N, S].
         """
         if self.joint:
             absent = torch.zeros_like(wanted) if self.fleet.present is None else ~self.fleet.present[:, group.members]

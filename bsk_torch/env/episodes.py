@@ -31,7 +31,7 @@ SEED_LIMIT = 2**63
 """Exclusive upper limit of seeds."""
 
 ENDLESS = 2**31
-"""Seconds after which Basilisk's clock stops an episode without limit; the end of the Sun's ephemeris does so before."""
+"""Seconds after which Basilisk's clock stops an episode without limit; the Sun's ephemeris ends earlier."""
 
 
 class EpisodeState(FleetState):
@@ -55,15 +55,15 @@ class EpisodeState(FleetState):
 class EpisodePool:
     """The next episode of every environment, in a second fleet.
 
-    Solving orbits and windows for a few rows costs as much as for dozens, and in a large batch a few rows end at every step. So
-    when a prepared episode is missing, all used ones are refilled at once. Draws do not depend on when they are made:
-    an episode is the same, bit for bit, with and without a pool.
+    Solving orbits and windows for a few rows costs as much as for dozens, and in a large batch a few rows end at every step.
+    Therefore, when a prepared episode is missing, all used ones are replaced at once. Draws do not depend on when they are made,
+    so episodes are bit-identical with and without a pool.
     """
 
     def __init__(self, unset: Tensor, make: Callable[[], Fleet], start: Callable[[Fleet, Tensor, Key], None]) -> None:
-        """Keep episodes in a fleet that ``make`` returns; ``start(fleet, envs, key)`` begins those of a key in it.
+        """Keep episodes in a fleet returned by ``make``; ``start(fleet, envs, key)`` starts the episodes of a key in it.
 
-        ``unset`` [N] stands for the seeds and numbers of episodes before the first are prepared.
+        ``unset`` [N] stands for seeds and episode numbers before the first episodes are prepared.
         """
         self._make, self.start = make, start
         self.seed, self.episode, self.filled = unset, unset.clone(), torch.zeros_like(unset, dtype=torch.bool)
@@ -74,13 +74,13 @@ class EpisodePool:
         return self._make()
 
     def change(self, types: Sequence[SatelliteType], envs: Tensor | None) -> None:
-        """Take types of satellites whose arguments have changed; drop the episodes prepared for ``envs`` [n], or all of them."""
+        """Use satellite types with changed arguments; drop the episodes prepared for ``envs`` [n], or all of them."""
         if "fleet" in self.__dict__:
             self.fleet.change(types)
         self.filled[slice(None) if envs is None else envs.to(self.filled.device)] = False
 
     def fill(self, envs: Tensor, seeds: Tensor, env_ids: Tensor, episodes: Tensor) -> None:
-        """Let ``envs`` [n] hold their ``episodes`` [N] of ``seeds`` [N]; if any lacks it, all stale rows are refilled."""
+        """Prepare ``episodes`` [N] of ``seeds`` [N] in ``envs`` [n]; if any of these is missing, all stale rows are prepared."""
         stale = ~self.filled | (self.seed != seeds) | (self.episode != episodes)
         if not bool(stale[envs].any()):
             return
@@ -95,16 +95,16 @@ class Episodes(EnvBase):
     """Part of an environment: N episodes, their seeds, and how they begin.
 
     Attributes:
-        builder: Makes fleets and draws episodes.
+        builder: Creates fleets and draws episodes.
         fleet: The satellites of the current episodes.
         satellites: The satellites of each type.
-        pool: The next episodes, where preparing them in bulk pays.
+        pool: The next episodes, if the batch is large enough to prepare them in bulk.
         names: Name of every satellite.
         env_ids: Index of each episode in the draws, [N].
         scenario: Task of the satellites.
         rewarder: Value of their data.
         guard: Tracks which episodes can be stepped.
-        log: Records of what satellites do, if any.
+        log: Log of satellite events, if enabled.
     """
 
     builder: FleetBuilder
@@ -211,15 +211,15 @@ class Episodes(EnvBase):
         self._show(envs)
 
     def _show(self, envs: Tensor) -> None:
-        """Show the episodes ``envs`` [n], which have begun or been restored, to recordings."""
+        """Pass the episodes ``envs`` [n], which have begun or been restored, to recordings."""
         for recording in self.fleet.recordings:
             recording.begin(envs)
 
 
 def whole_limit(limit: Tensor, et: Tensor, h_ns: int) -> tuple[Tensor, Tensor]:
-    """Return time limits [n] s as numbers of ticks of ``h_ns`` nanoseconds, and as the seconds that these take.
+    """Return time limits [n] s as numbers of ticks of ``h_ns`` nanoseconds, and the duration of these ticks in seconds.
 
-    Episodes without limit, which begin at ET ``et`` [n] s, end with the ephemeris.
+    Episodes without limit end with the ephemeris; they begin at ET ``et`` [n] s.
     """
     seconds = torch.where(torch.isfinite(limit), limit, torch.clamp(coverage()[1] - et, max=ENDLESS))
     ticks = torch.ceil(torch.floor(seconds * 1e9 + 0.5) / h_ns)
@@ -227,7 +227,7 @@ def whole_limit(limit: Tensor, et: Tensor, h_ns: int) -> tuple[Tensor, Tensor]:
 
 
 def read_env_ids(given: Any, n: int) -> Tensor:
-    """Return the index of each episode in draws, [n] int64, 0 to n - 1 by default; ValueError for what are no such indices."""
+    """Return the index of each episode in draws, [n] int64 (default: 0 to n - 1); ValueError for invalid indices."""
     if given is None:
         return torch.arange(n)
     table = given if isinstance(given, Tensor) else np.asarray(given) if isinstance(given, np.ndarray | Sequence) else None

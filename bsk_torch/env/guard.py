@@ -14,13 +14,13 @@ from bsk_torch.sim.state import SHOWN, StateTable
 
 
 class ResetNeededError(RuntimeError):
-    """A call needs running episodes, and there are none."""
+    """Raised by a call that needs running episodes when there are none."""
 
 
 class Origin(enum.Enum):
     """Origin of the numbers of the current episodes.
 
-    Each number of a saved state can be right by itself, and no satellite fly with all of them: the first step tells.
+    Each number of a saved state may be valid by itself while the combination is not; the first step shows this.
     """
 
     DRAWN = enum.auto()
@@ -29,17 +29,18 @@ class Origin(enum.Enum):
 
 
 class EpisodeGuard:
-    """A context that one thread may enter, also several times; RuntimeError for a second thread meanwhile, which does not wait.
+    """A reentrant context for one thread; a second thread gets a RuntimeError instead of waiting.
 
-    A step changes hundreds of tensors one after the other, so calls of two threads at once would mix two episodes' numbers, and a
-    call that an error ends leaves the episodes that it was changing without a meaning: they must be reset. Inside, gradients are
-    not recorded (:func:`bsk_torch._checks.no_gradient` rejects values that need them) and torch's inference mode is left.
+    A step changes hundreds of tensors one after the other. Simultaneous calls by two threads would therefore mix the numbers of
+    two episodes, and a call interrupted by an error leaves the episodes it was changing inconsistent: they must be reset. Inside,
+    gradients are not recorded (:func:`bsk_torch._checks.no_gradient` rejects values that need them), and torch's inference mode
+    is disabled.
 
     Attributes:
         state: Table with the field ``begun``: episodes that can be stepped, [N].
-        all_begun: Whether all of them can.
-        interrupted: Whether some cannot because a call on them was interrupted.
-        origin: Where the numbers of the episodes come from.
+        all_begun: Whether all episodes can be stepped.
+        interrupted: Whether some cannot be stepped because of an interrupted call.
+        origin: Origin of the numbers of the episodes.
     """
 
     def __init__(self, state: StateTable) -> None:
@@ -66,7 +67,7 @@ class EpisodeGuard:
         torch.set_grad_enabled(False)
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        """Leave; after an ``error``, episodes that were being changed have not begun."""
+        """Leave; after an ``error``, mark the episodes being changed as not begun."""
         try:
             changing, self._changing = self._changing, None
             if error is not None and changing is not None:
@@ -79,23 +80,23 @@ class EpisodeGuard:
             self._lock.release()
 
     def change(self, envs: Tensor) -> None:
-        """Note that the present call changes the episodes of the mask ``envs`` [N] from now on."""
+        """Mark the episodes ``envs``, a mask [N], as being changed by the current call."""
         self._changing = envs
 
     def replace(self) -> Tensor:
-        """Note that the present call replaces episodes, as :meth:`begin` will say; return the mask of those that have begun."""
+        """Mark all episodes as being replaced, until :meth:`begin`; return the mask of those that have begun."""
         begun = self.state["begun"]
         self._changing, self.all_begun = torch.zeros_like(begun), False
         return begun
 
     def begin(self, envs: Tensor, others: Tensor) -> None:
-        """Note that the episodes ``envs`` [n] can be stepped, in addition to the mask of ``others`` [N]."""
+        """Mark the episodes ``envs`` [n] as ready to be stepped, in addition to ``others``, a mask [N]."""
         self.state["begun"] = others.index_fill(0, envs, True)
         self.all_begun = bool(self.state["begun"].all())
         self.interrupted = self.interrupted and not self.all_begun
 
     def _interrupt(self, changing: Tensor, error: BaseException) -> None:
-        # an error concerns the episodes of the call; Ctrl-C may come while tables of all episodes are rearranged
+        # an error affects only the episodes of the call; Ctrl-C may interrupt the rearrangement of the tables of all episodes
         half = changing if isinstance(error, Exception) else torch.ones_like(changing)
         self.state["begun"] = self.state["begun"] & ~half
         self.all_begun, self.interrupted = False, self.interrupted or bool(half.any())
@@ -105,11 +106,11 @@ class EpisodeGuard:
     # -- checks -------------------------------------------------------------------------------------------------------
 
     def check_begun(self, call: str, envs: Tensor | None = None) -> None:
-        """Check that episodes have begun; ``call`` is what the user called, for the message.
+        """Check that episodes have begun.
 
         Args:
-            call: Name of the method.
-            envs: Mask [N] of the episodes that it is about (default: all).
+            call: Name of the method called by the user, for the message.
+            envs: Mask [N] of the episodes to check (default: all).
 
         Raises:
             ResetNeededError: For episodes that have not begun, or whose last step was interrupted.

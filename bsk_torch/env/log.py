@@ -1,8 +1,9 @@
-"""What satellites do in chosen environments, as records of :mod:`logging`: decisions, images, deaths, rewards, ends.
+"""Log of satellite events in selected environments: decisions, images, deaths, rewards and ends of episodes.
 
-The logger of a satellite is ``bsk_torch.sats.<name>``, that of an environment ``bsk_torch.env``. Records have the attributes
-``env`` (row), ``episode``, ``sim_time`` (s since reset), ``satellite`` (None for an environment) and ``event``, one of
-:data:`EVENTS`, and those that the functions below name. Nothing is read from the simulation where the level is not enabled.
+The logger of a satellite is ``bsk_torch.sats.<name>``; the logger of the environments is ``bsk_torch.env``. Records have the
+attributes ``env`` (row), ``episode``, ``sim_time`` (s since reset), ``satellite`` (None for an environment) and ``event``, one of
+:data:`EVENTS`, and the attributes listed at the methods of :class:`StepLog`. If the level is disabled, nothing is read from the
+simulation.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ Fields = dict[str, Any]
 
 
 class SimulationFormatter(logging.Formatter):
-    """One line for each record: wall clock, logger, level, time since reset, environment and satellite, message."""
+    """Formats each record as one line: wall clock, logger, level, time since reset, environment and satellite, message."""
 
     def format(self, record: logging.LogRecord) -> str:
         """Return the line."""
@@ -47,14 +48,14 @@ class SimulationFormatter(logging.Formatter):
 
 
 def configure(level: int | str | None, file: str | Path | None) -> None:
-    """Set the package's logger up.
+    """Set up the package's logger.
 
-    A level shows records on standard error unless the program has its own handlers. A file gets the records, too; it is
-    appended to. As in bsk_rl, the level is WARNING where only a file is given.
+    With a level, records are also shown on standard error, unless the program has its own handlers. With a file, records are
+    appended to it. As in bsk_rl, the level is WARNING if only a file is given.
 
     Args:
-        level: Level of the logger ``bsk_torch``, such as ``"INFO"``; None leaves it.
-        file: Path of the file, ``log_dir`` of an environment; None for none.
+        level: Level of the logger ``bsk_torch``, such as ``"INFO"``; None leaves it unchanged.
+        file: Path of the file (``log_dir`` of an environment), or None.
 
     Raises:
         ValueError: For an unknown level, or a folder instead of a file.
@@ -78,7 +79,7 @@ def configure(level: int | str | None, file: str | Path | None) -> None:
 
 
 def read_level(level: int | str) -> int | str:
-    """Return a level as :mod:`logging` takes it; ValueError for an unknown one."""
+    """Return a level in the form used by :mod:`logging`; ValueError for an unknown one."""
     names = logging.getLevelNamesMapping() if hasattr(logging, "getLevelNamesMapping") else logging._nameToLevel
     wrong = level.upper() not in names if isinstance(level, str) else not isinstance(level, int) or isinstance(level, bool)
     if wrong:
@@ -97,7 +98,7 @@ class StepLog:
     def __init__(
         self, fleet: SatelliteFleet, satellites: Sequence[SatelliteGroup], scenario: Scenario, envs: Sequence[int]
     ) -> None:
-        """Check the rows; ValueError for one that does not exist."""
+        """Check the rows ``envs``; ValueError for an invalid one."""
         if isinstance(envs, str) or not isinstance(envs, Sequence):
             raise ValueError(f"log_envs={envs!r} must be a list of environments, such as [0]")
         for env in envs:
@@ -121,7 +122,7 @@ class StepLog:
             self._env(env, "began", "episode %d of seed %d begins", episode, seed, fields={"seed": seed})
 
     def decided(self, acts: Sequence[Tensor]) -> None:
-        """Record entered decisions, where ``acts`` [N * count] of each type: ``action``, ``target``, ``ends``.
+        """Record decisions of the satellites ``acts`` [N * count] of each type: ``action``, ``target``, ``ends``.
 
         A continuous ``action`` is a list of its values.
         """
@@ -144,10 +145,12 @@ class StepLog:
         return [{**satellite.counts(), "dead": satellite.task.dead} for satellite in self.satellites]
 
     def after(self, old: Sequence[Mapping[str, Tensor]], result: object, moves: Tensor) -> None:
-        """Record what has happened in a step of the episodes ``moves`` [N].
+        """Record the events of a step of the episodes ``moves`` [N].
 
-        ``took`` has ``target``; ``counted`` ``counter`` and ``count``; ``died`` ``checks``; ``legal`` ``action_mask``; ``step``
-        ``duration`` and ``reward``, of all satellites; ``ended`` ``terminated`` and ``truncated``.
+        Attributes by event: ``took`` has ``target``; ``counted`` has ``counter`` and ``count``; ``died`` has ``checks``;
+            ``legal``
+        has ``action_mask``; ``step`` has ``duration`` and ``reward``, summed over satellites; ``ended`` has ``terminated`` and
+        ``truncated``.
         """
         flown = [env for env in self.envs if bool(moves[env])]
         for k, satellite in enumerate(self.satellites):
@@ -231,6 +234,6 @@ class StepLog:
         return hasattr(satellite, "latest_target") and getattr(entry, "n_negative_actions", 0) > 0
 
     def _target(self, satellite: SatelliteGroup, env: int, row: int) -> str | None:
-        """Return the name of the target that a satellite has chosen last."""
+        """Return the name of the target last chosen by a satellite."""
         target = int(cast(BoundImagingSatellite, satellite).latest_target[row])
         return None if target < 0 else cast(TargetScenario, self.scenario).names(env)[target]

@@ -1,4 +1,4 @@
-"""What to write here in place of Gymnasium's ways to use an environment: the advice of errors, in one place."""
+"""Error messages with replacements for Gymnasium's methods and attributes."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ ATTRIBUTES = {
     "sim_rate": "read env.options.sim_rate",
     "possible_agents": "env.agents names all agents; the PettingZoo view has possible_agents",
 }
-"""Attributes that bsk_rl's environments have as Gymnasium's or PettingZoo's, and what to read here."""
+"""Gymnasium's and PettingZoo's attributes of bsk_rl's environments, and their replacements."""
 
 RESET = {
     "seed": "env.set_seed(seed), then env.reset(): the next episodes are then the first of that seed; GymEnv.reset takes a seed",
     "options": "env.reset() without it; env.reset(TensorDict({'state': state}, env.batch_size), set_state=True) restores a state",
 }
-"""Arguments of Gymnasium's ``reset``, and what to write here."""
+"""Arguments of Gymnasium's ``reset``, and their replacements."""
 
 
 def no_attribute(kind: str, name: str) -> AttributeError:
@@ -38,14 +38,14 @@ def no_attribute(kind: str, name: str) -> AttributeError:
 
 
 def check_reset(kind: str, arguments: dict[str, Any]) -> None:
-    """Raise TypeError for arguments that ``reset`` of an environment of the class ``kind`` does not take."""
+    """Raise TypeError for arguments not accepted by ``reset`` of the class ``kind``."""
     for name in arguments:
         advice = f"write {RESET[name]}" if name in RESET else "it takes a tensordict and set_state"
         raise TypeError(f"{kind}.reset({name}=...) is not an argument of TorchRL's reset; {advice}")
 
 
 def given_action(tensordict: TensorDictBase, *key: str) -> Any:
-    """Return the entry of a tensordict that is an action, a tensor or its parts; KeyError where it is missing."""
+    """Return the action in a tensordict, a tensor or its parts; KeyError if it is missing."""
     action = tensordict.get(key if len(key) > 1 else key[0], None)
     if action is None:
         name = ", ".join(map(repr, key))
@@ -57,7 +57,10 @@ def given_action(tensordict: TensorDictBase, *key: str) -> Any:
 
 
 def check_call(kind: str, key: str, tensordict: object) -> None:
-    """Raise TypeError unless ``step`` or ``reset`` of the class ``kind`` was given a tensordict; ``key`` is the action's."""
+    """Raise TypeError unless the argument of ``step`` or ``reset`` is a tensordict.
+
+    ``kind`` is the class of the environment, and ``key`` the key of the action, for the message.
+    """
     if not isinstance(tensordict, TensorDictBase):
         raise TypeError(
             f"{kind} is an environment of TorchRL, whose step and reset take a tensordict, not {tensordict!r}: "

@@ -1,4 +1,4 @@
-"""The action that continues the current task, and the helpers for it that bsk_rl has."""
+"""The action that continues the current task, with bsk_rl's helpers for it."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ import torch
 from torch import Tensor
 
 NO_ACTION = 2**31 - 1
-"""Action of a satellite that continues its task, as bsk_rl's; the last action of every space means the same."""
+"""Action that continues a satellite's task, as in bsk_rl; the last action of every space does the same."""
 
 CLOSE = 1.0
-"""Distance from ``NO_ACTION`` within which a floating-point number counts as it; float32 has none that is equal."""
+"""Distance from ``NO_ACTION`` within which a floating-point number is treated as equal, since float32 cannot represent it."""
 
 
 def is_no_action(action: object) -> bool:
-    """Return whether an action only continues the task: None, ``NO_ACTION``, or a sequence or array that holds nothing else.
+    """Return whether an action only continues the task: None, ``NO_ACTION``, or a sequence or array of ``NO_ACTION`` only.
 
-    Floating-point numbers count within 1 of ``NO_ACTION``. An empty array is an action, and so is all that holds no numbers.
+    Floating-point numbers within 1 of ``NO_ACTION`` count as equal. Empty arrays and non-numeric values are actions.
     """
     if action is None:
         return True
@@ -43,9 +43,9 @@ def no_action_like(action: Any) -> Any:
 
 
 def no_action_keep_indices(actions: Sequence[object], n_observations: int) -> tuple[list[int], list[int]]:
-    """Return the actions of an episode that do not only continue a task, and the observations belonging to them.
+    """Return the actions of an episode without those that only continue a task, and the corresponding observations.
 
-    The observations are those at which the remaining actions were chosen, and the last one, so that its duration is kept.
+    These are the observations from which the remaining actions were chosen, and the last one, so that its duration is kept.
     """
     kept = [k for k, action in enumerate(actions) if not is_no_action(action)]
     return kept, [*kept, n_observations - 1]

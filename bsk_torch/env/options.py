@@ -67,13 +67,14 @@ class TaskingOptions:
             float32.
         sim_dtype: float64 for parity with Basilisk; float32 for mixed precision: attitude, wheels and flight software in float32,
             orbit, time and accumulators in float64.
-        orbit: ``"arc"`` (in advance), ``"integrated"`` (in every tick, with drag), ``"free"`` (likewise, also for satellites that
-            are at rest, fall or leave; windows and eclipses cannot be predicted), or None for the model's own.
+        orbit: ``"arc"`` (solved in advance), ``"integrated"`` (integrated in every tick, with drag), ``"free"`` (also integrated,
+            for satellites at rest, falling or escaping, without prediction of windows and eclipses), or None for the default of
+            the dynamics model.
         backend: ``"compiled"``, or ``"eager"`` for debugging.
         compat: ``"bsk_rl"`` reproduces bsk_rl's errors, listed in ``docs/migration_reference.md``, for comparisons; None for
             correct results.
-        replan: Whether predicted windows and eclipses follow maneuvers; None for True, or for False with
-            ``compat="bsk_rl"``, whose look-ahead stays on the first orbit of an episode.
+        replan: Whether windows and eclipses are predicted again after maneuvers; None means True, or False with
+            ``compat="bsk_rl"``, whose look-ahead uses the initial orbit of an episode.
         log_level: Level of the package's logger: ``"INFO"`` records satellite events, see :mod:`bsk_torch.env.log`; None leaves
             it unchanged.
         log_dir: Path of a file (as in bsk_rl) for the records.
@@ -141,7 +142,7 @@ class ConstellationOptions(TaskingOptions):
         meta_agent_groupings: Names of the satellites of agents that command several; their actions are [N, A, M].
         only_retask_idle_meta_agent_members: Whether such agents' actions for busy satellites are ignored.
         group_map: Names of the agents of each group (default: by types of satellites).
-        generate_obs_retasking_only: Whether agents without need of a task observe zeros.
+        generate_obs_retasking_only: Whether agents that do not need a task observe zeros.
         mask_busy: Whether ``action_mask`` allows busy satellites only to continue.
         population: Minimum and maximum number of present satellites in an episode. All numbers, and all choices of satellites,
             are equally likely. By default, all are present in all episodes, or the scenario draws the present ones
@@ -171,21 +172,21 @@ class ConstellationOptions(TaskingOptions):
 
 
 def parse(kind: type[TaskingOptions], given: Mapping[str, Any]) -> Any:
-    """Return the options of a kind; TypeError for an unknown name."""
+    """Return the options of the class ``kind``; TypeError for an unknown name."""
     known = [option.name for option in fields(kind)]
     given = {name: value for name, value in given.items() if name not in ABSENT or value is not None}
     for name in given:
         if name in ABSENT:
             raise TypeError(f"{name}={given[name]!r} is an option of bsk_rl's environments: {ABSENT[name]}")
         if name not in known:
-            raise TypeError(  # TorchRL's GymEnv tries arguments, and reads whether they were expected in these words
+            raise TypeError(  # TorchRL's GymEnv tries arguments, and recognizes rejected ones by this wording
                 f"unexpected keyword argument {name!r}: {name}= is not an option of the environment; {nearest(name, known)}"
             )
     return kind(**given)
 
 
 def takes(kind: type[TaskingOptions]) -> Callable[[Class], Class]:
-    """Return a decorator of environments whose signature then lists the options of a kind in place of ``**options``."""
+    """Return a decorator that lists the options of the class ``kind`` in an environment's signature, instead of ``**options``."""
     keywords = [
         inspect.Parameter(option.name, inspect.Parameter.KEYWORD_ONLY, default=option.default, annotation=option.type)
         for option in fields(kind)

@@ -24,14 +24,14 @@ class Present(Episodes):
     """Part of an environment: information on its satellites and its current episodes."""
 
     def __getattr__(self, name: str) -> Any:
-        """Look up what a module of torch registers; AttributeError with advice for names of Gymnasium's environments."""
+        """Look up attributes registered by torch modules; AttributeError with advice for names of Gymnasium's environments."""
         if name in messages.ATTRIBUTES:
             raise messages.no_attribute(type(self).__name__, name)
         return super().__getattr__(name)
 
     @property
     def present(self) -> Tensor:
-        """Satellites that take part in the present episodes, from their beginning to death or end, [N, S] bool."""
+        """Satellites taking part in the current episodes, from the start to their death or the end, [N, S] bool."""
         present = self.fleet.present
         return torch.ones_like(self.state.removed) if present is None else present
 
@@ -42,12 +42,12 @@ class Present(Episodes):
 
     @property
     def requires_retasking(self) -> Tensor:
-        """Satellites that have no task left, [N, S] bool."""
+        """Satellites without a task, [N, S] bool."""
         return self.fleet.joined([satellite.task.requires_retasking for satellite in self.satellites])
 
     @property
     def truncated_by_time(self) -> Tensor:
-        """Episodes whose time is up, [N]."""
+        """Episodes at their time limit, [N]."""
         return self.fleet.ticks >= self.state.limit_ticks
 
     def counts(self) -> dict[str, Tensor]:
@@ -63,22 +63,22 @@ class Present(Episodes):
         every: int = 1,
         satellites: str | Sequence[str] | None = None,
     ) -> Recording:
-        """Record fields of the state at the ticks of all steps from now on, until ``stop()`` of what is returned, or its context.
+        """Record fields of the state at every tick from now on, until ``stop()`` of the recording or the end of its context.
 
-        The future of the episodes is not changed, and rows that are not recorded run as ever; see
-        :mod:`bsk_torch.sim.run.recording`. Episodes that begin meanwhile are recorded, too.
+        Recording does not change the episodes, and rows that are not recorded run as before; see
+        :mod:`bsk_torch.sim.run.recording`. Episodes that begin later are also recorded.
 
         Args:
-            fields: Names of fields, such as ``("sigma_BN", "omega_BN_B")``; ``env.simulator.state.layout.fields`` has them all.
-            rows: Environments, or one (default: all).
-            every: Ticks from one record to the next, counted from the beginning of an episode.
-            satellites: Names of satellites, or one (default: all).
+            fields: Names of fields, such as ``("sigma_BN", "omega_BN_B")``, listed by ``env.simulator.state.layout.fields``.
+            rows: Environments, or one environment (default: all).
+            every: Ticks from one record to the next, counted from the start of an episode.
+            satellites: Names of satellites, or one name (default: all).
 
         Raises:
-            IndexError: For a row that does not exist.
-            KeyError: For a satellite that does not exist.
+            IndexError: For a row out of range.
+            KeyError: For an unknown satellite.
             ResetNeededError: For episodes that have not begun.
-            ValueError: For no fields, an unknown one, or a wrong number of ticks.
+            ValueError: For an empty or unknown list of fields, or an invalid number of ticks.
         """
         fields = (fields,) if isinstance(fields, str) else tuple(fields)
         if not fields:
@@ -92,14 +92,14 @@ class Present(Episodes):
             return Recording(self.fleet, fields, envs, every, names)
 
     def render(self, rows: int | Sequence[int] | None = None, height: int = 480) -> Tensor:
-        """Draw the present: the Earth, the satellites and their tasks; the future of the episodes is not changed.
+        """Draw the current state: the Earth, the satellites and their tasks. Rendering does not change the episodes.
 
-        TorchRL's ``PixelRenderTransform`` calls it, with ``rows=0`` for a video of one environment of many. It resets the
-        environment to learn the shape of pictures: read ``env.observation_spec`` before a rollout.
+        TorchRL's ``PixelRenderTransform`` calls this method; with ``rows=0``, it records one environment of a batch. It resets
+        the environment to determine the shape of pictures, so read ``env.observation_spec`` before a rollout.
 
         Args:
-            rows: Environment to draw, or several; None for all, if they are 16 at most.
-            height: Pixels from top to bottom, an even number from 120 on; there are 4/3 as many from left to right.
+            rows: Environment to draw, or several; None for all, at most 16.
+            height: Height in pixels, an even number of at least 120; the width is 4/3 of it.
 
         Returns:
             Pixels [len(rows), height, width, 3], or [height, width, 3] of a single environment; uint8.
@@ -107,26 +107,26 @@ class Present(Episodes):
         Raises:
             ModuleNotFoundError: Without the extra ``viz``.
             ResetNeededError: For episodes that have not begun.
-            ValueError: For a wrong argument.
+            ValueError: For an invalid argument.
         """
         with self.guard:
             return pictures().frames(self, rows, height)
 
     def default_sat_args(self) -> ArgumentTable:
-        """Return every argument that ``sat_args`` accepts, with default, unit and meaning; print it to read it."""
+        """Return every argument accepted in ``sat_args``, with default, unit and meaning; print the result to read it."""
         return self.builder.satellites[0].default_sat_args()
 
     def default_world_args(self) -> ArgumentTable:
-        """Return every argument that ``world_args`` accepts, with default, unit and meaning; print it to read it."""
+        """Return every argument accepted in ``world_args``, with default, unit and meaning; print the result to read it."""
         return self.builder.default_world_args()
 
     @property
     def bytes_per_env(self) -> int:
-        """Bytes of one environment's state, its prepared next episode included; the windows found add a little."""
+        """Bytes of one environment's state, including its prepared next episode; windows found later add a little."""
         return (self.state.nbytes + (self.pool.fleet.state.nbytes if self.pool else 0)) // self.num_envs
 
     def check_finite(self) -> None:
-        """Check the fields of all satellites; FloatingPointError that names environment, field and tick."""
+        """Check the fields of all satellites; FloatingPointError with environment, field and tick for NaN or infinity."""
         for satellite in self.satellites:
             state = satellite.simulator.state
             for name in state.layout.fields:
@@ -141,7 +141,7 @@ class Present(Episodes):
 
 
 def pictures() -> Any:
-    """Return the module that draws; ModuleNotFoundError without the extra ``viz``."""
+    """Return the module for drawing; ModuleNotFoundError without the extra ``viz``."""
     try:
         return import_module("bsk_torch.viz.render.frames")
     except ModuleNotFoundError as error:

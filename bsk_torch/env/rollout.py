@@ -1,4 +1,4 @@
-"""Playing episodes to their ends, of one satellite or of many."""
+"""Play whole episodes, with one satellite or several."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from torchrl.envs import EnvBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
 
 LONGEST = 1_000_000
-"""Number of steps after which a rollout that has not ended raises."""
+"""Number of steps after which an unfinished rollout raises an error."""
 
 Policy = Callable[[TensorDictBase], TensorDictBase]
 """Writes actions into a tensordict [N] with observations and action masks, and returns it."""
@@ -31,21 +31,21 @@ def play_episodes(
     playing: Tensor | None = None,
     max_steps: int = LONGEST,
 ) -> Iterator[tuple[Tensor, TensorDictBase]]:
-    """Step N episodes until each has ended; an episode that has ended is not stepped any more.
+    """Step N episodes until each has ended; ended episodes are not stepped further.
 
-    Entries that the policy writes under ``next``, such as the hidden state of a recurrent policy, are given back to it at the
-    next step. Nothing else is carried from one step to the next.
+    Entries written by the policy under ``next``, such as the hidden state of a recurrent policy, are passed to it at the next
+    step. Nothing else is carried over between steps.
 
     Args:
         env: The environment, N episodes.
         policy: Chooses actions.
-        start: The tensordict that ``env.reset`` or ``step_mdp`` has returned; ``env.reset()`` is called unless it is given.
+        start: Tensordict returned by ``env.reset`` or ``step_mdp`` (default: call ``env.reset()``).
         playing: Episodes to play, [N] booleans (default: all that have not ended at ``start``).
-        max_steps: Largest number of steps.
+        max_steps: Maximum number of steps.
 
     Yields:
-        For every step the episodes that took it, [N] booleans, and the tensordict of ``env.step``: what the policy read and wrote
-        at its root, and what followed under ``next``.
+        For every step, the episodes that took it, [N] booleans, and the tensordict of ``env.step``, with the inputs and outputs
+        of the policy at its root and the results under ``next``.
 
     Raises:
         RuntimeError: If an episode has not ended after ``max_steps`` steps.

@@ -42,7 +42,7 @@ class SatelliteGroup(BoundSatellite):
         self.simulator.observer.want((*self.observations.observables, *self.dynamics.vitals(), *self.fsw.vitals()))
 
     def user_functions(self) -> list[UserFunction]:
-        """Return the functions of users that observations and satellites call."""
+        """Return the user functions called by observations and satellites."""
         return [*self.observations.functions, *self.functions]
 
     def action_mask(self) -> Tensor:
@@ -55,13 +55,13 @@ class SatelliteGroup(BoundSatellite):
 
 
 def died(satellites: BoundSatellite) -> Tensor:
-    """Return the satellites that fail a check now, [N]; those that are not present are not checked."""
+    """Return the satellites that fail a check now, [N]; absent satellites are not checked."""
     failed, present = ~satellites.is_alive(), satellites.simulator.present
     return failed if present is None else failed & present
 
 
 def begin_tasks(satellites: BoundSatellite, envs: Tensor) -> None:
-    """Note which satellites are dead or need no task in the episodes ``envs`` [n], which begin."""
+    """Record which satellites are dead or need no task in the episodes ``envs`` [n], which begin."""
     task, present = satellites.task, satellites.simulator.present
     rows = task.rows_of(envs)
     task.dead = task.dead.index_copy(0, rows, died(satellites)[rows])
@@ -70,7 +70,7 @@ def begin_tasks(satellites: BoundSatellite, envs: Tensor) -> None:
 
 
 def decide(satellites: SatelliteGroup, action: Tensor, acts: Tensor) -> Decision:
-    """Return the commands of ``action`` [N] where ``acts`` [N] is true; nothing changes yet."""
+    """Return the commands of ``action`` [N] where ``acts`` [N] is true, without executing them."""
     return satellites.actions.decide(action, satellites.task.previous_action, acts)
 
 
@@ -79,7 +79,7 @@ def command(
 ) -> None:
     """Begin ``action`` [N] where ``acts`` [N] is true (``all_act``: everywhere); other satellites continue their tasks.
 
-    As in bsk_rl, a dead satellite of ``moves`` [N] no longer requires a task, unless the one that it is given ends.
+    As in bsk_rl, a dead satellite of ``moves`` [N] no longer requires a task, unless its new task ends.
     """
     task, simulator = satellites.task, satellites.simulator
     simulator.command(decision.retask & acts, decision.mode)
@@ -108,7 +108,7 @@ def soonest(ticks: Tensor, count: int) -> Tensor:
 
 
 def first_task_end(groups: Sequence[SatelliteGroup], ticks: Tensor) -> Tensor:
-    """Return the first tick at which a task that ends steps is over, at most ``ticks`` [N], [N]."""
+    """Return the first tick at which a task ends and with it the step, at most ``ticks`` [N], [N]."""
     for satellites in groups:
         if satellites.variable_interval:
             ticks = torch.minimum(ticks, soonest(satellites.task.ends, satellites.simulator.count))
@@ -127,9 +127,9 @@ def settle(satellites: SatelliteGroup, event: Tensor | None, moves: Tensor, last
 
     Args:
         satellites: The satellites of one type.
-        event: Where an event happened that ends the action, [N]; None where there are no such events.
+        event: Rows in which an event ended the action, [N]; None without such events.
         moves: Rows that took part, [N].
-        last: Rows whose episode has reached its limit, [N]: the clock stops there before a task's end is evaluated.
+        last: Rows whose episode has reached its limit, [N]. The clock stops there before the end of a task is evaluated.
     """
     task, state = satellites.task, satellites.simulator.state
     fired = (task.ends <= state.ticks - last.long()) & moves
@@ -147,7 +147,7 @@ def settle(satellites: SatelliteGroup, event: Tensor | None, moves: Tensor, last
 
 
 def cancel(satellites: SatelliteGroup, rows: Tensor) -> None:
-    """Cancel the tasks of ``rows`` [N], a mask: their events end no step any more."""
+    """Cancel the tasks of ``rows``, a mask [N]; their events no longer end steps."""
     task, state = satellites.task, satellites.simulator.state
     task.ends, task.expected = (torch.where(rows, NEVER, ticks) for ticks in (task.ends, task.expected))
     task.requires_retasking = task.requires_retasking & ~rows
@@ -156,7 +156,7 @@ def cancel(satellites: SatelliteGroup, rows: Tensor) -> None:
 
 
 def groups_of(satellites: Sequence[Satellite], fleet: SatelliteFleet) -> tuple[SatelliteGroup, ...]:
-    """Make and return the satellites of each type of a fleet from the descriptions of all, by their number in an episode."""
+    """Create the satellites of each type of a fleet from the descriptions of all, by their index in an episode."""
     groups = tuple(SatelliteGroup.of(satellites[s.columns[0]], fleet, k) for k, s in enumerate(fleet.simulators))
     fleet.satellites = groups
     return groups

@@ -24,7 +24,7 @@ FORMAT = 4
 """Format of saved states: 4 has planned positions every 30 s; 2 and 3 were those of development versions of release 0.2."""
 
 MADE_BY = "made_by"
-"""Key of a saved state under which :func:`fingerprint` stands, for each episode."""
+"""Key of the :func:`fingerprint` of each episode in a saved state."""
 
 MEANING = (
     "format of the state",
@@ -76,7 +76,7 @@ class Snapshots(Episodes):
         Raises:
             KeyError, TypeError, ValueError: For an invalid state, one saved by another kind of environment, or values out of
                 range.
-            IndexError: For indices out of range, or of different numbers.
+            IndexError: For indices out of range, or different numbers of indices.
             ResetNeededError: For episodes of another environment that have not begun.
         """
         with self.guard, state.guard if isinstance(state, Snapshots) else contextlib.nullcontext():
@@ -100,7 +100,7 @@ class Snapshots(Episodes):
                 self.guard.origin = Origin.RESTORED
 
     def _fitting(self, state: Any, envs: Any, source: Any) -> tuple[FleetState, Tensor, Tensor]:
-        """Return the checked tables of a state, and the indices [n] of episodes to be replaced and of those that replace them."""
+        """Return the checked tables of a state, and the indices [n] of the replaced episodes and of their replacements."""
         other: Any
         if isinstance(state, Snapshots):
             check_fingerprint(self.fingerprint, state.fingerprint.unsqueeze(0))
@@ -122,7 +122,7 @@ class Snapshots(Episodes):
         return used, envs, rows
 
     def _longer_than(self, other: StateTable) -> bool:
-        """Whether arcs of a saved state must grow, which writes into its tensors."""
+        """Whether arcs of a saved state must be extended, which writes into its tensors."""
         lengths = ((s.lookahead.arcs.length, lookahead_of(other, k).arcs.length) for k, s in enumerate(self.fleet.simulators))
         return any(mine > theirs for mine, theirs in lengths)
 
@@ -138,7 +138,7 @@ class Snapshots(Episodes):
 
 
 def fingerprint(fleet: SatelliteFleet) -> Tensor:
-    """Return the numbers that must agree where states are exchanged: see :data:`MEANING`, [4] int64."""
+    """Return the numbers that must agree to exchange states, [4] int64; see :data:`MEANING`."""
     make, use = hashlib.blake2b(digest_size=7), hashlib.blake2b(digest_size=7)
     for simulator, satellite in zip(fleet.simulators, fleet.satellites, strict=True):
         tick, lookahead = simulator.tick, simulator.lookahead
@@ -157,7 +157,7 @@ def over_saved(fleet: Fleet, mine: Tensor, state: Mapping[str, Any] | TensorDict
     """Return the tables of a saved state for a fleet whose fingerprint is ``mine``; :func:`check_values` checks their rows.
 
     Raises:
-        KeyError, TypeError, ValueError: For something that is no state, or that of another make of environment.
+        KeyError, TypeError, ValueError: For an invalid state, or a state of another kind of environment.
     """
     if not isinstance(state, Mapping | TensorDictBase):
         raise TypeError(
@@ -180,7 +180,7 @@ def check_values(fleet: Fleet, saved: StateTable) -> None:
     """Check all rows of saved tables.
 
     Raises:
-        ValueError: For a value that no environment of this make has, or an episode that has not begun.
+        ValueError: For a value impossible in this kind of environment, or an episode that has not begun.
     """
     saved.refuse("begun", saved["begun"], ~saved["begun"], "such episodes cannot continue")
     saved.check()
@@ -209,7 +209,7 @@ def lookahead_of(state: StateTable, part: int) -> LookAhead:
 
 
 def check_fingerprint(mine: Tensor, theirs: Tensor) -> None:
-    """Raise ValueError that names the difference of two environments; ``theirs`` is [n, 4], or narrower in old formats."""
+    """Raise ValueError naming the difference of two environments; ``theirs`` is [n, 4], or narrower in old formats."""
     for part, meaning in enumerate(MEANING):
         other = [int(value) for value in theirs[:, part] if value != mine[part]]
         if other:
@@ -218,7 +218,7 @@ def check_fingerprint(mine: Tensor, theirs: Tensor) -> None:
 
 
 def rows_of(name: str, rows: Any, count: int, device: torch.device) -> Tensor:
-    """Return the indices of episodes that a caller gives as ``name``, [n] int64.
+    """Return the indices of episodes given in the argument ``name``, [n] int64.
 
     Raises:
         IndexError: For anything but a list of indices from 0 to ``count`` - 1.

@@ -94,7 +94,7 @@ class SatelliteTasking(Tasking):
 
     @property
     def requires_retasking(self) -> Tensor:
-        """Whether the satellite has no task left, [N]."""
+        """Whether the satellite needs a task, [N]."""
         return self.satellite.task.requires_retasking
 
     # -- step ---------------------------------------------------------------------------------------------------------
@@ -106,7 +106,7 @@ class SatelliteTasking(Tasking):
     def play(self, action: object, moves: Tensor | None = None) -> TensorDict:
         """Execute ``action`` [N] where ``moves`` [N] is true, everywhere if None; return the entries of ``next``.
 
-        Continuous actions are [N, A], hybrid ones a tensordict of their parts or [N, A + 1] with the choice behind; among them
+        Continuous actions are [N, A]; hybrid ones are a tensordict of their parts, or [N, A + 1] with the choice last.
         ``NO_ACTION`` continues the current task.
         """
         action = read("action", action, self.satellite, self.batch_size, ", one per environment")

@@ -8,11 +8,11 @@ from pathlib import Path
 import torch
 
 ROOM = 1.5
-"""Ratio of the memory that a batch may take at most to that of its tensors: the first reset and growing arcs copy some."""
+"""Ratio of the peak memory of a batch to the memory of its tensors: the first reset and growing arcs copy some tensors."""
 
 
 def existing_device(device: torch.device | str) -> torch.device:
-    """Return the device of that name; ValueError where this machine has none."""
+    """Return the device of that name; ValueError if this machine does not have it."""
     cuda = torch.cuda.device_count() if torch.cuda.is_available() else 0
     there = ["cpu", *(f"cuda:{k}" for k in range(cuda))]
     try:
@@ -25,7 +25,7 @@ def existing_device(device: torch.device | str) -> torch.device:
 
 
 def available_memory(device: torch.device) -> int | None:
-    """Return the available memory of a device in bytes; None where the system does not report it."""
+    """Return the available memory of a device in bytes; None if the system does not report it."""
     if device.type == "cuda":
         return torch.cuda.mem_get_info(device)[0] + torch.cuda.memory_reserved(device) - torch.cuda.memory_allocated(device)
     try:
@@ -40,7 +40,7 @@ def available_memory(device: torch.device) -> int | None:
 
 
 def check_memory(device: torch.device, num_envs: int, each: int) -> None:
-    """Raise MemoryError if a batch whose environments take ``each`` bytes will not fit into the device's memory."""
+    """Raise MemoryError if a batch with ``each`` bytes per environment does not fit into the device's memory."""
     there = available_memory(device)
     fits = 0 if there is None else int(there / (ROOM * each))
     if there is not None and num_envs > fits:

@@ -45,17 +45,17 @@ SAMPLE = 1024
 
 
 class FleetBuilder:
-    """Makes the fleets of an environment, draws episodes for them, and starts them.
+    """Creates the fleets of an environment, draws their episodes, and starts them.
 
     Attributes:
         satellites: The user's satellites.
         names: Their names.
-        types: Positions of the satellites of each type.
-        pairs: Satellites whose distance from each other ends steps.
-        world_type: World model of the options; None where it follows from the satellites.
-        scenario: The scenario, a copy of the user's.
+        types: Indices of the satellites of each type.
+        pairs: Pairs of satellites whose distance can end steps.
+        world_type: World model given in the options; None if it follows from the satellites.
+        scenario: A copy of the user's scenario.
         options: Options of the environment.
-        randomizer: Draws arguments of all satellites together, if any.
+        randomizer: Draws arguments of all satellites together; None without ``sat_arg_randomizer``.
     """
 
     def __init__(
@@ -98,7 +98,7 @@ class FleetBuilder:
 
     @functools.cached_property
     def satellite_types(self) -> Sequence[SatelliteType]:
-        """What simulations of the satellites of each type share."""
+        """Data shared by the simulations of each type of satellite."""
         if self._made is not None:
             return self._made
         types: dict[int, SatelliteType] = {}
@@ -113,7 +113,7 @@ class FleetBuilder:
 
         Args:
             n: Number of episodes.
-            types: Types of the satellites, where arguments have changed since they were made.
+            types: Types of the satellites, if arguments have changed since their construction.
             trial: Whether to simulate one satellite of each type only.
         """
         # the trial's arcs shall be as long as those of the batch: see check_memory
@@ -137,16 +137,16 @@ class FleetBuilder:
         return SatelliteFleet(each, names, self.scenario.draw_checked, places, pairs, as_bsk_rl, varies)
 
     def _scenario_draw(self, n: int) -> dict[str, Tensor]:
-        """Return draws of the scenario for ``n`` environments, which show its names and shapes."""
+        """Return trial draws of the scenario for ``n`` environments, which determine its names and shapes."""
         if n not in self._scenario_draws:
             self._scenario_draws[n] = self.scenario.draw_checked(first_key(n))
         return self._scenario_draws[n]
 
     def _leaders_first(self) -> Iterator[tuple[int, dict[str, int]]]:
-        """Yield the types of satellites, each behind those that it follows, with the type that it follows by slot.
+        """Yield the types of satellites in order of dependence, each with the types that it follows, by slot.
 
         Raises:
-            ValueError: Where not exactly one satellite has the slot that a component follows, or types follow each other.
+            ValueError: Unless exactly one satellite has the slot followed by a component, or if types follow each other.
         """
         parts = [
             [*s.dyn_type.all_components(), *s.fsw_type.all_components()] for s in (self.satellites[c[0]] for c in self.types)
@@ -207,14 +207,14 @@ class FleetBuilder:
 
     @property
     def calls_user(self) -> bool:
-        """Whether drawing an episode calls a function of the user; such functions are called only for episodes that begin now."""
+        """Whether drawing an episode calls a user function; these are called only for episodes that begin now."""
         given = [value for satellite in self.satellites for value in satellite.sat_args_generator.values()]
         calls = any(map(is_function, [*given, *self.world_args.values()]))
         return calls or self._calls_others
 
     @property
     def _calls_others(self) -> bool:
-        """Whether functions of the user give anything but single arguments."""
+        """Whether user functions return anything other than single arguments."""
         randomizes = self.randomizer is not None and self.randomizer.calls_user
         return is_function(self.options.time_limit) or randomizes or self.scenario.calls_user
 
@@ -240,10 +240,10 @@ class FleetBuilder:
         return convert(LIMIT, [drawn_once(LIMIT, each, key, row) for row, each in enumerate(values)], len(key))
 
     def ask(self, fleet: Fleet, key: Key) -> list[Answers]:
-        """Return what the functions of the user return for each of the key's environments; none if there are no functions.
+        """Return the results of the user functions for each of the key's environments; empty without such functions.
 
-        They share one stream of random numbers, and are called in bsk_rl's order: time limit, world, randomizer, satellites,
-        scenario.
+        The functions share one stream of random numbers. They are called in bsk_rl's order: time limit, world, randomizer,
+        satellites, scenario.
         """
         if not (fleet.calls_user or self._calls_others):
             return []
@@ -263,14 +263,14 @@ class FleetBuilder:
 
     @property
     def varies(self) -> bool:
-        """Whether some satellites are not present in some episodes."""
+        """Whether satellites may be absent from episodes."""
         return self.population is not None or self.scenario.varies_population
 
     def draw_present(self, fleet: Fleet, key: Key, answers: Sequence[Answers]) -> Tensor | None:
-        """Return which satellites are present in the episodes of the key's environments, [n, S]; None where all are in all.
+        """Return which satellites are present in the episodes of the key's environments, [n, S]; None if all always are.
 
         Raises:
-            ValueError: For an episode without satellites, or without one that others follow.
+            ValueError: For an episode without satellites, or without a satellite that others follow.
         """
         if not fleet.varies:
             return None
@@ -310,7 +310,7 @@ class FleetBuilder:
 
 
 def _may_control(satellite: Satellite) -> bool:
-    """Return whether an action of the satellite may switch attitude control on; those of users' classes may."""
+    """Return whether an action of the satellite may switch attitude control on; assumed for actions of user classes."""
     modes, commands = satellite.fsw_type.all_modes(), satellite.fsw_type.all_commands()
     for entry in satellite.action_spec:
         if isinstance(entry, ContinuousAction):
@@ -324,14 +324,14 @@ def _may_control(satellite: Satellite) -> bool:
 
 
 def constant(value: Any) -> Any:
-    """Return the value of an argument that is the same in all episodes, which a function may give together with others."""
+    """Return the value of an argument that is constant over episodes; a function may return it together with others."""
     return value.trial if isinstance(value, Member) else value
 
 
 def check_population(population: tuple[int, int], names: Sequence[str], scenario: Scenario) -> None:
-    """Raise ValueError for more satellites than there are, or where the scenario says who is present."""
+    """Raise ValueError for a maximum above the number of satellites, or if the scenario draws the present ones."""
     if population[1] > len(names):
-        raise ValueError(f"population={population}: there are {len(names)} satellites, so at most so many can be present")
+        raise ValueError(f"population={population}: at most {len(names)} satellites can be present")
     if scenario.varies_population:
         raise ValueError(
             f"population={population}: {type(scenario).__name__}.present(key, names) draws who is present; leave one of them out"
@@ -339,7 +339,7 @@ def check_population(population: tuple[int, int], names: Sequence[str], scenario
 
 
 def between(key: Key, low: int, high: int, size: int) -> Tensor:
-    """Return which of ``size`` satellites are present, [n, size]: ``low`` to ``high``, each number and each choice as likely."""
+    """Return which of ``size`` satellites are present, [n, size]: ``low`` to ``high``; all numbers and choices equally likely."""
     drawn = key.uniform(1 + size)
     number = low + torch.floor(drawn[:, :1] * (high - low + 1)).long()
     return drawn[:, 1:].argsort(dim=1, stable=True).argsort(dim=1) < number

@@ -16,7 +16,7 @@ from bsk_torch.sim.arguments.sources import Answers
 from bsk_torch.sim.arguments.values import nearest, numbers
 
 Draws = dict[str, tuple[Sequence[int], Tensor]]
-"""By argument: the satellites [c] that it is set for, and its values [n, c, ...]."""
+"""By argument: the satellites [c] for which it is set, and its values [n, c, ...]."""
 
 
 class Randomizer:
@@ -25,7 +25,7 @@ class Randomizer:
     def __init__(
         self, given: Formation | Callable[[list[Satellite]], Mapping[Any, object]], satellites: Sequence[Satellite]
     ) -> None:
-        """Check the names of the ``satellites`` with the formation, which may raise."""
+        """Check the names of the ``satellites``; the formation may raise an error."""
         self.given, self.satellites = given, list(satellites)
         self.names = [satellite.name for satellite in satellites]
         if isinstance(given, Formation):
@@ -33,11 +33,11 @@ class Randomizer:
 
     @property
     def calls_user(self) -> bool:
-        """Whether a function of the user's is called; such functions are called only for episodes that begin now."""
+        """Whether a user function is called; these are called only for episodes that begin now."""
         return not isinstance(self.given, Formation)
 
     def __call__(self, key: Key, answers: Sequence[Answers] | None = None) -> Draws:
-        """Return the drawn arguments by name; ``answers`` of the user's function were asked before, or it is called now."""
+        """Return the drawn arguments by name, from the ``answers`` of an earlier call of the user function or from a call now."""
         if isinstance(self.given, Formation):
             return self.given.draw_checked(key, self.names)
         if answers:
@@ -46,7 +46,7 @@ class Randomizer:
             return self._stacked([self.ask() for _ in rows])
 
     def ask(self) -> dict[tuple[str, int], Any]:
-        """Return the values of the user's function for one episode, by argument and satellite."""
+        """Return the values of the user function for one episode, by argument and satellite."""
         answer = cast(Callable[[list[Satellite]], object], self.given)(self.satellites)
         if not isinstance(answer, Mapping):
             raise TypeError(f"sat_arg_randomizer returned {answer!r}; it must return {{satellite: {{argument: value}}}}")
@@ -78,7 +78,7 @@ class Randomizer:
 
 
 def make_randomizer(given: object, satellites: Sequence[Satellite]) -> Randomizer | None:
-    """Return the sampler of a ``sat_arg_randomizer``; TypeError where it is neither a formation nor a function."""
+    """Return the sampler of a ``sat_arg_randomizer``; TypeError unless it is a formation or a function."""
     if given is None:
         return None
     if not isinstance(given, Formation) and not callable(given):

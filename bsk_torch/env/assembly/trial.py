@@ -1,4 +1,4 @@
-"""Trial episodes before an environment is built: shapes of observations, and how functions of users are called."""
+"""Trial episodes that determine the shapes of observations and how user functions are called, before an environment is built."""
 
 from __future__ import annotations
 
@@ -28,17 +28,17 @@ from bsk_torch.sim.assembly.satellite_type import SatelliteType
 from bsk_torch.sim.component import MissingMessageError
 
 BATCHES = (5, 7, 11, 13, 17, 19)
-"""Environments of the second trial: the first number that is no other dimension of what is observed."""
+"""Number of environments in the second trial: a number that differs from all other dimensions of observations."""
 
 
 class Trial(NamedTuple):
-    """What trial episodes show.
+    """Results of trial episodes.
 
     Attributes:
         values: Observations of one environment, for each type of satellite.
-        functions: Functions of users of each type, tried with one environment.
-        batched: The same functions, tried with several; empty if there are none, or only one environment.
-        nbytes: Bytes of an environment's state.
+        functions: User functions of each type, tried with one environment.
+        batched: The same functions, tried with several environments; empty without functions, or for a single environment.
+        nbytes: Size of an environment's state in bytes.
     """
 
     values: list[Values]
@@ -47,10 +47,10 @@ class Trial(NamedTuple):
     nbytes: int
 
     def decide(self, satellites: Sequence[SatelliteGroup]) -> None:
-        """Let the functions of an environment's satellites be called as the trials show.
+        """Set how the user functions of an environment's satellites are called, based on the trials.
 
         Raises:
-            TypeError: For a function whose result for one environment depends on others.
+            TypeError: For a function whose result for one environment depends on other environments.
         """
         for satellite, alone, together in zip(satellites, self.functions, self.batched or self.functions, strict=True):
             for function, one, several in zip(satellite.user_functions(), alone, together, strict=True):
@@ -58,11 +58,11 @@ class Trial(NamedTuple):
 
 
 class Made(NamedTuple):
-    """What an environment takes over from another one of the same make.
+    """Parts that an environment takes over from another one of the same kind.
 
     Attributes:
         types: Types of satellites.
-        trial: Trial episodes, where no functions of users are called as they show.
+        trial: Trial episodes; None if they determine how user functions are called.
     """
 
     types: Sequence[SatelliteType]
@@ -74,7 +74,7 @@ _made: ContextVar[Made | None] = ContextVar("made", default=None)
 
 @contextlib.contextmanager
 def taking_over(made: Made) -> Iterator[None]:
-    """Return a context in which the next environment that is constructed takes parts over: constructors are the user's."""
+    """Return a context in which the next constructed environment takes over parts; users' constructors have no such argument."""
     token = _made.set(made)
     try:
         yield
@@ -83,7 +83,7 @@ def taking_over(made: Made) -> Iterator[None]:
 
 
 def taken_over() -> Made | None:
-    """Return what an environment under construction takes over, if anything, once."""
+    """Return the parts that the environment under construction takes over, once; None if there are none."""
     made = _made.get()
     _made.set(None)
     return made
@@ -93,7 +93,7 @@ class TrialFleet:
     """A fleet of ``n`` environments with one satellite of each type, in its first episodes."""
 
     def __init__(self, builder: FleetBuilder, n: int) -> None:
-        """Make the satellites, which are not linked with anything yet."""
+        """Create the satellites, not yet linked."""
         self.builder, self.fleet = builder, builder.make_fleet(n, trial=True)
         first = first_key(n)
         self.drawn = builder.draw(self.fleet, replace(first, env_id=first.env_id % builder.options.num_envs))
@@ -101,7 +101,7 @@ class TrialFleet:
         self.scenario: Scenario = copy.copy(builder.scenario)
 
     def start(self, rewarder: GlobalReward, communicator: CommunicationMethod) -> list[list[UserFunction]]:
-        """Start the episodes; return the functions of users of each type, which keep their results from now on."""
+        """Start the episodes; return the user functions of each type, which keep their results from now on."""
         self.rewarder = copy.copy(rewarder)
         link(self.fleet, self.scenario, self.rewarder)
         copy.copy(communicator).attach(self.fleet)  # it may declare what satellites observe
@@ -113,7 +113,7 @@ class TrialFleet:
         return functions
 
     def observe(self) -> list[Values]:
-        """Return the observations of each type; TypeError for one that reads a field which the satellite's models lack."""
+        """Return the observations of each type; TypeError for one that reads a field missing in the satellite's models."""
         return [_observed(satellite) for satellite in self.satellites]
 
     def spread(self) -> None:
@@ -124,7 +124,7 @@ class TrialFleet:
             state.touch()
 
     def score(self) -> None:
-        """Call hooks of rewarder and satellites once, for a step that takes no time; TypeError for results of wrong shapes."""
+        """Call hooks of rewarder and satellites once, for a step of zero duration; TypeError for results of wrong shapes."""
         rewarder = self.rewarder
         log = checked.log(rewarder)
         checked.reward(rewarder, log, checked.log(rewarder))
@@ -135,7 +135,7 @@ class TrialFleet:
             satellite.action_mask()
 
     def become(self, other: SatelliteFleet) -> None:
-        """Put the first environment of another fleet into the place of the first."""
+        """Replace the first environment by the first environment of another fleet."""
         first = self.fleet.all_envs[:1]
         self.fleet.state.copy_rows(first, other.state, first)
         self.scenario.begin_episodes(first)
@@ -151,12 +151,12 @@ def _observed(satellite: SatelliteGroup) -> Values:
 
 
 def check_room(builder: FleetBuilder, nbytes: int) -> None:
-    """Raise MemoryError if a batch whose environments take ``nbytes`` bytes, twice with prepared episodes, does not fit."""
+    """Raise MemoryError if a batch with ``nbytes`` bytes per environment, twice that with prepared episodes, does not fit."""
     check_memory(builder.device, builder.options.num_envs, nbytes * (2 if builder.pool_pays else 1))
 
 
 def try_out(builder: FleetBuilder, rewarder: GlobalReward, communicator: CommunicationMethod) -> Trial:
-    """Observe a trial episode, from whose shapes specs are made; try functions of users with one and with several environments.
+    """Observe a trial episode, whose shapes determine the specs; try user functions with one and with several environments.
 
     Raises:
         MemoryError: If the batch will not fit into memory.

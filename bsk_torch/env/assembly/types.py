@@ -1,4 +1,4 @@
-"""Grouping of satellites by type, so that one simulation can hold those of a type."""
+"""Grouping of satellites by type; one simulation holds all satellites of a type."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from bsk_torch.sim.component import Component
 from bsk_torch.sim.world import WorldModel
 
 OWN = ("name", "sat_args_generator")
-"""Attributes in which satellites of one type may differ."""
+"""Attributes that may differ between satellites of one type."""
 
 
 def check_names(satellites: Sequence[Satellite]) -> list[str]:
-    """Return the names of the satellites; ValueError for none, too many, or names that are not unique identifiers."""
+    """Return the names of the satellites; ValueError for none or too many satellites, or invalid or repeated names."""
     if not satellites:
         raise ValueError("satellites is empty; an environment needs at least one satellite")
     if len(satellites) > MOST_SATELLITES:
@@ -35,7 +35,7 @@ def check_names(satellites: Sequence[Satellite]) -> list[str]:
 
 
 def same_type(a: Satellite, b: Satellite) -> bool:
-    """Return whether two satellites differ in nothing but their names and the values of arguments that may differ."""
+    """Return whether two satellites differ only in their names and the values of variable arguments."""
     if type(a) is not type(b):
         return False
     options, others = ({n: v for n, v in vars(x).items() if n not in OWN} for x in (a, b))
@@ -52,7 +52,7 @@ def same_type(a: Satellite, b: Satellite) -> bool:
 
 
 def grouped(satellites: Sequence[Satellite]) -> list[list[int]]:
-    """Return the numbers of the satellites of each type, in the order in which types appear."""
+    """Return the indices of the satellites of each type, in order of first appearance."""
     types: list[list[int]] = []
     for k, satellite in enumerate(satellites):
         mine = next((columns for columns in types if same_type(satellites[columns[0]], satellite)), None)
@@ -64,7 +64,7 @@ def grouped(satellites: Sequence[Satellite]) -> list[list[int]]:
 
 
 def world_components(satellite: Satellite, world_type: type[WorldModel] | None = None) -> tuple[Component, ...]:
-    """Return the components of a satellite's world: those of ``world_type``, or those that its models need."""
+    """Return the components of a satellite's world: those of ``world_type``, or those required by its models."""
     return components_of_world(satellite.dyn_type, world_type)
 
 
@@ -74,7 +74,7 @@ def world_arguments(satellite: Satellite, world_type: type[WorldModel] | None = 
 
 
 def check_world(world_args: Iterable[str], known: Iterable[Iterable[str]]) -> None:
-    """Raise KeyError for an argument that the world of no satellite has."""
+    """Raise KeyError for an argument unknown to the worlds of all satellites."""
     names = {name for group in known for name in group}
     for name in world_args:
         if name not in names:
