@@ -22,7 +22,7 @@ import bsk_torch
 from bsk_torch.plan.bounds import imaging_bound, scanning_bound
 from bsk_torch.rl.evaluation import evaluate
 from bsk_torch.rl.policies import makings, pretrained
-from bsk_torch.rl.policies.shared_policy import shared, shared_baseline
+from bsk_torch.rl.policies.shared_policy import shared
 from bsk_torch.rl.rules.baselines import BASELINES
 
 BATTERY, STORE, SPEED = 100 * 160.0 * 3600.0, 100 * 100 * 8e6, 10 * 1500.0
@@ -65,7 +65,7 @@ def players(env: Any, sets: Any, preset: str, rules: tuple[str, ...]) -> list[tu
     """Name, environment and policy of all that fly; trained ones see targets as a set."""
     team = not hasattr(env, "satellite")
     found: list[tuple[str, Any, Any]] = [
-        (name, env, shared_baseline(name, env) if team else BASELINES[name](env, 0)) for name in rules
+        (name, env, bsk_torch.rule(name, env) if team else BASELINES[name](env, 0)) for name in rules
     ]
     if preset in makings():
         found.append(("trained", sets, shared(pretrained(preset), sets) if team else pretrained(preset)))

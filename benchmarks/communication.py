@@ -22,7 +22,6 @@ from bsk_torch import comm
 from bsk_torch.plan.bounds.windows import openings
 from bsk_torch.rl.evaluation.evaluate import evaluate
 from bsk_torch.rl.evaluation.statistics import confidence
-from bsk_torch.rl.policies.shared_policy import shared_baseline
 from bsk_torch.sats import ImagingSatellite
 
 METHODS: dict[str, Callable[[], comm.CommunicationMethod]] = {
@@ -64,7 +63,7 @@ def play(preset: str, rule: str, method: str, options: Any) -> tuple[Tensor, Ten
         env.set_seed(options.seed)
         env.reset()
         seen.append(in_view(env))
-        returns.append(evaluate(shared_baseline(rule, env), env, seed=options.seed).returns)
+        returns.append(evaluate(bsk_torch.rule(rule, env), env, seed=options.seed).returns)
     return torch.cat(returns), torch.cat(seen)
 
 

@@ -21,7 +21,7 @@ from bsk_torch.env import Tasking
 from bsk_torch.plan import planner
 from bsk_torch.rl.evaluation import Estimate, Evaluation, evaluate
 from bsk_torch.rl.policies import pretrained, pretrained_file, read_card
-from bsk_torch.rl.policies.shared_policy import shared, shared_baseline
+from bsk_torch.rl.policies.shared_policy import shared
 
 
 class Case(NamedTuple):
@@ -56,7 +56,7 @@ def policies(env: Tasking, preset: str, budget: int) -> dict[str, TensorDictModu
     case, trained = CASES[preset], shared(pretrained(preset), env)
     options: dict[str, Any] = {"horizon": case.horizon, "gamma": case.gamma}
     return {
-        case.rule: shared_baseline(case.rule, env),
+        case.rule: bsk_torch.rule(case.rule, env),
         "trained": trained,
         f"rollout over {case.rule}": planner("rollout", env, base=case.rule, budget=min(budget, 8), **options),
         "rollout over trained": planner("rollout", env, base=trained, budget=min(budget, 8), **options),

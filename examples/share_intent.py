@@ -27,10 +27,11 @@ from typing import Any
 import torch
 from tensordict.nn import TensorDictModuleBase
 
+import bsk_torch
 from bsk_torch import comm
 from bsk_torch.presets import make
 from bsk_torch.rl.evaluation import FRESH, Evaluation, evaluate
-from bsk_torch.rl.marl import MAPPOConfig, MAPPOTraining, SharedPolicy, shared_baseline
+from bsk_torch.rl.marl import MAPPOConfig, MAPPOTraining, SharedPolicy
 from bsk_torch.rl.policies import load_policy
 
 SHARING: dict[str, comm.CommunicationMethod] = {
@@ -156,7 +157,7 @@ def main() -> None:
             "Constellation-v1", num_envs=options.episodes, **world, **constellation
         )
         flown = {"trained alone": SharedPolicy(trained)} | {
-            rule: shared_baseline(rule, env, options.seed) for rule in options.rules
+            rule: bsk_torch.rule(rule, env, options.seed) for rule in options.rules
         }
         for who, policy in flown.items():
             result = evaluate(policy, env, seed=options.seed + FRESH)

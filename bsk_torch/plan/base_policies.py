@@ -10,7 +10,7 @@ from tensordict.nn import TensorDictModuleBase
 
 from bsk_torch.env import Tasking
 from bsk_torch.rl.policies.files import build_policy, check_fits, read_card
-from bsk_torch.rl.policies.shared_policy import shared, shared_baseline
+from bsk_torch.rl.policies.shared_policy import rule, shared
 from bsk_torch.rl.rules.baselines import BASELINES
 from bsk_torch.sim.arguments.values import nearest
 
@@ -38,13 +38,13 @@ def base_of(base: Base, env: Tasking) -> TensorDictModuleBase:
     if base is None:
         for name in USUAL:
             with suppress(KeyError, ValueError):
-                return shared_baseline(name, env)
+                return rule(name, env)
         raise ValueError("base=None: none of the rules fits the environment; give a policy")
     if not isinstance(base, str | Path):
         raise TypeError(f"base={base!r} must be a policy, the name of a rule, or the file of a policy")
     if base in BASELINES:
         try:
-            return shared_baseline(str(base), env)
+            return rule(str(base), env)
         except (KeyError, ValueError) as error:
             raise ValueError(f"base={base!r} does not fit the environment: {error.args[0]}") from error
     try:

@@ -108,14 +108,13 @@ mine = TensorDictModule(decide, in_keys=["observation"], out_keys=["action"])
 
 # %%
 # ``evaluate`` plays one full episode in each environment. With the same ``seed``, every policy gets the same episodes, so gains
-# can be compared by episode. ``BASELINES`` contains random actions and a more careful rule.
+# can be compared by episode. ``bsk_torch.rule`` makes random actions and a more careful rule.
 from bsk_torch.rl.evaluation import evaluate
-from bsk_torch.rl.rules import BASELINES
 
 policies = {
     "mine": mine,
-    "random": BASELINES["random"](env, 0),
-    "rule": BASELINES["rule"](env, 0),
+    "random": bsk_torch.rule("random", env),
+    "rule": bsk_torch.rule("rule", env),
     "trained": pretrained("NadirScan-v1"),
 }
 results = {name: evaluate(policy, env, seed=1) for name, policy in policies.items()}

@@ -21,7 +21,7 @@ import torch
 
 import bsk_torch
 from bsk_torch import comm
-from bsk_torch.rl.marl import shared, shared_baseline
+from bsk_torch.rl.marl import shared
 from bsk_torch.rl.policies import pretrained
 from bsk_torch.viz.episodes import draw, record
 
@@ -82,7 +82,7 @@ print(
 # ``comm.LOSCommunication``, which links satellites with a line of sight. ``env.links[n, s, r]`` is True if ``s`` sent its
 # knowledge to ``r`` in the last step. ``env.rewarder.known[n, s, t]`` is True if satellite ``s`` knows that target ``t`` has
 # been imaged.
-rule = shared_baseline("hasty", env, 0)
+rule = bsk_torch.rule("hasty", env)
 for _ in range(40):
     td = env.step(rule(td))["next"]
 told = [f"EO{s + 1} -> EO{r + 1}" for s, r in env.links[first].nonzero().tolist()]
@@ -106,7 +106,7 @@ for name, communicator in METHODS.items():
     env = bsk_torch.make(
         "Constellation-v1", num_envs=EPISODES, communicator=communicator, **world
     )
-    results[name] = evaluate(shared_baseline("nearest", env, 0), env, seed=1)
+    results[name] = evaluate(bsk_torch.rule("nearest", env), env, seed=1)
 
 for name, result in results.items():
     images, wasted = (

@@ -21,8 +21,8 @@ import tempfile
 
 import torch
 
+import bsk_torch
 from bsk_torch.rl.evaluation import comparison_table, evaluate
-from bsk_torch.rl.marl import shared_baseline
 
 # import this first: it makes BenchMARL compatible with newer versions of TorchRL
 from bsk_torch.rl.marl.benchmarl import ConstellationTask
@@ -67,14 +67,13 @@ experiment.run()
 # The experiment's policy writes the actions of all agents into a tensordict, so it can be evaluated like any other policy:
 results = {"IPPO": evaluate(experiment.policy, env, seed=1), "untrained": untrained}
 results |= {
-    name: evaluate(shared_baseline(name, env, 0), env, seed=1)
+    name: evaluate(bsk_torch.rule(name, env), env, seed=1)
     for name in ("random", "nearest")
 }
 print(comparison_table(results))
 
 # %%
 # An episode of the trained constellation:
-import bsk_torch
 from bsk_torch.viz.episodes import draw, record
 
 alone = bsk_torch.make("Constellation-v1", num_envs=1, **world)

@@ -120,7 +120,7 @@ print(f"charge from {share.min():.0%} to {share.max():.0%}")
 # ``forbid`` build masks from names. Combine masks with ``&``.
 from bsk_torch.act import allow_only, forbid
 from bsk_torch.rl.evaluation import evaluate
-from bsk_torch.rl.rules import BASELINES, RULES, shielded
+from bsk_torch.rl.rules import RULES, shielded
 
 
 def careful(see, actions):
@@ -136,7 +136,7 @@ def careful(see, actions):
 
 
 env = bsk_torch.make("NadirScan-v1", num_envs=EPISODES)
-policy = BASELINES["random"](env, 0)
+policy = bsk_torch.rule("random", env)
 players = {
     "random": policy,
     "careful": shielded(policy, careful, env),

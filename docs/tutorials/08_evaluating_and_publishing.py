@@ -21,7 +21,6 @@ import torch
 import bsk_torch
 from bsk_torch.rl.evaluation import evaluate
 from bsk_torch.rl.policies import pretrained
-from bsk_torch.rl.rules import BASELINES
 
 EPISODES = 512
 FRAMES = 65_536
@@ -31,7 +30,7 @@ torch.set_num_threads(1)
 env = bsk_torch.make(
     "NadirScan-v1", num_envs=EPISODES, env_ids=[0] * EPISODES, time_limit=SECONDS
 )
-players = {"trained": pretrained("NadirScan-v1"), "rule": BASELINES["rule"](env, 0)}
+players = {"trained": pretrained("NadirScan-v1"), "rule": bsk_torch.rule("rule", env)}
 results = {
     name: evaluate(player, env, seeds=range(EPISODES))
     for name, player in players.items()

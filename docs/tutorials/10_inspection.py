@@ -21,7 +21,6 @@ Sun within 60 degrees.
 import torch
 
 import bsk_torch
-from bsk_torch.rl.marl import shared_baseline
 from bsk_torch.viz.episodes import draw, record
 
 EPISODES = 64
@@ -32,7 +31,7 @@ torch.set_num_threads(1)
 env = bsk_torch.make(
     "RSOInspection-v1", num_envs=1, actions="waypoints", time_limit=SECONDS
 )
-episode = record(shared_baseline("survey", env), env, seed=2)
+episode = record(bsk_torch.rule("survey", env), env, seed=2)
 path = draw(episode, "inspection.png", "survey by waypoints")
 print(episode.outcome)
 
@@ -80,7 +79,7 @@ from bsk_torch.rl.evaluation import evaluate
 
 env = bsk_torch.make("RSOInspection-v1", num_envs=EPISODES, time_limit=SECONDS)
 for rule in ("drift", "circumnavigate", "survey"):
-    result = evaluate(shared_baseline(rule, env), env, seed=1)
+    result = evaluate(bsk_torch.rule(rule, env), env, seed=1)
     complete, points = (
         env.rewarder.bonus_reward_yielded.double().mean(),
         env.rewarder.inspected.sum(1).double().mean(),
@@ -96,7 +95,7 @@ for rule in ("drift", "circumnavigate", "survey"):
 # Near a circular orbit, relative motion follows the Clohessy-Wiltshire equations. Seen from the RSO, an orbit with the same
 # period is an ellipse twice as long as it is high. Since the RSO's orbit is not quite circular, small corrections are needed:
 env = bsk_torch.make("RSOInspection-v1", num_envs=1, time_limit=min(SECONDS, 17_100.0))
-episode = record(shared_baseline("circumnavigate", env), env, seed=6)
+episode = record(bsk_torch.rule("circumnavigate", env), env, seed=6)
 path = draw(episode, "circumnavigation.png", "natural motion")
 
 # %%
@@ -107,7 +106,7 @@ path = draw(episode, "circumnavigation.png", "natural motion")
 env = bsk_torch.make(
     "MultiInspection-v1", num_envs=1, actions="waypoints", time_limit=SECONDS
 )
-episode = record(shared_baseline("survey", env), env, seed=4)
+episode = record(bsk_torch.rule("survey", env), env, seed=4)
 path = draw(episode, "three.png", "three inspectors")
 
 # %%

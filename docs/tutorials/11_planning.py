@@ -26,7 +26,6 @@ from bsk_torch.plan import Rollout
 from bsk_torch.plan.bounds import ScheduledPolicy, imaging_bound, milp_schedule
 from bsk_torch.rl.evaluation import evaluate
 from bsk_torch.rl.policies import pretrained
-from bsk_torch.rl.policies.shared_policy import shared_baseline
 
 EPISODES = 8
 SECONDS = 5700.0
@@ -51,8 +50,8 @@ def fly(name, policy, before=0.0):
     )
 
 
-fly("random", shared_baseline("random", env))
-fly("hasty", shared_baseline("hasty", env))
+fly("random", bsk_torch.rule("random", env))
+fly("hasty", bsk_torch.rule("hasty", env))
 fly("trained", pretrained("AEOS-v1"))
 fly("planner", Rollout(env, "hasty", horizon=240.0, budget=8, gamma=0.997))
 
@@ -99,7 +98,7 @@ schedule = milp_schedule(env, seconds=LIMIT)
 seconds = time.process_time() - begun
 fly(
     "schedule",
-    ScheduledPolicy(env, schedule, shared_baseline("hasty", env)),
+    ScheduledPolicy(env, schedule, bsk_torch.rule("hasty", env)),
     before=seconds,
 )
 

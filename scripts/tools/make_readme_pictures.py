@@ -26,12 +26,13 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from PIL import Image
 
+import bsk_torch
 from bsk_torch import make
 from bsk_torch.env import Tasking
 from bsk_torch.env.rollout import play_episodes
 from bsk_torch.presets import PRESETS
 from bsk_torch.rl.policies import pretrained, pretrained_file, read_card
-from bsk_torch.rl.policies.shared_policy import shared, shared_baseline
+from bsk_torch.rl.policies.shared_policy import shared
 from bsk_torch.viz.figures.inspection import draw_paths
 from bsk_torch.viz.figures.style import save
 from bsk_torch.viz.recorders.inspection import record_inspection
@@ -141,7 +142,7 @@ def thumbnail(preset: str, path: Path) -> Path:
 def paths_thumbnail(preset: str, path: Path) -> Path:
     """Write a thumbnail of an inspection: the paths near the RSO."""
     env = make(preset, num_envs=1, actions="waypoints")
-    episode = record_inspection(shared_baseline(INSPECTION, env), env, seed=INSPECTION_SEED)
+    episode = record_inspection(bsk_torch.rule(INSPECTION, env), env, seed=INSPECTION_SEED)
     figure = Figure(figsize=(2.0, 2.0), dpi=2 * THUMBNAIL, facecolor="white")
     panel = figure.add_axes((0.0, 0.0, 1.0, 1.0))
     draw_paths(panel, episode, 1, 0, near=True)

@@ -13,7 +13,6 @@ from bsk_torch.plan.branches import carried
 from bsk_torch.rl.evaluation.evaluate import SIMULATED, evaluate, start_episodes
 from bsk_torch.rl.networks.plans import PLANS
 from bsk_torch.rl.policies import pretrained_file
-from bsk_torch.rl.policies.shared_policy import shared_baseline
 from tests.plan.conftest import ENDLESS, same, scanning
 
 pytestmark = pytest.mark.compiled
@@ -41,7 +40,7 @@ def test_agents_are_improved_one_after_the_other(crew):
 
 def test_flights_after_planning_are_those_without_it(crew):
     """Copying may solve orbits further ahead; where satellites fly, and what they see, stays the same, bit for bit."""
-    base, seen = shared_baseline("greedy", crew), []
+    base, seen = bsk_torch.rule("greedy", crew), []
     for plans in (False, True):
         crew.set_seed(2)
         now = crew.reset()
@@ -55,7 +54,7 @@ def test_flights_after_planning_are_those_without_it(crew):
 
 
 def test_a_crew_with_a_planner_is_no_worse_than_its_base(crew):
-    plain = evaluate(shared_baseline("greedy", crew), crew, seeds=[0, 1])
+    plain = evaluate(bsk_torch.rule("greedy", crew), crew, seeds=[0, 1])
     planned = evaluate(Rollout(crew, "greedy", budget=4, **ENDLESS), crew, seeds=[0, 1])
     assert bool((planned.returns >= plain.returns - 1e-12).all())
     assert float(planned.returns.sum()) > float(plain.returns.sum())
@@ -81,7 +80,7 @@ def inspection():
 
 
 def test_samples_that_are_drawn_again_about_the_best_improve_on_the_base(inspection):
-    plain = evaluate(shared_baseline("drift", inspection), inspection, seeds=[0, 1])
+    plain = evaluate(bsk_torch.rule("drift", inspection), inspection, seeds=[0, 1])
     planner = CrossEntropy(inspection, "drift", horizon=math.inf, budget=32, iterations=2)
     planned = evaluate(planner, inspection, seeds=[0, 1])
     assert bool((planned.returns >= plain.returns - 1e-9).all())

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 import torch
 
+import bsk_torch
 from bsk_torch.plan import PLANNERS, BeamSearch, Rollout, TreeSearch, planner
 from bsk_torch.rl.evaluation.evaluate import SIMULATED, evaluate
-from bsk_torch.rl.policies.shared_policy import shared_baseline
 from tests.plan.conftest import ENDLESS, always, same, scanning
 
 pytestmark = pytest.mark.compiled
@@ -49,7 +49,7 @@ def test_decisions_do_not_depend_on_other_rows(name, env):
 @pytest.mark.parametrize("base", ["rule", "random"])
 def test_looking_to_the_end_is_never_worse_than_the_base(name, base, env):
     seeds = range(3)
-    plain = evaluate(always(1) if base == "random" else shared_baseline(base, env), env, seeds=seeds)
+    plain = evaluate(always(1) if base == "random" else bsk_torch.rule(base, env), env, seeds=seeds)
     planned = evaluate(
         planner(name, env, base=always(1) if base == "random" else base, **ENDLESS, **SMALL[name]), env, seeds=seeds
     )

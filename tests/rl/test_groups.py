@@ -11,7 +11,7 @@ import bsk_torch
 from bsk_torch.rl.marl import MAPPOConfig, MAPPOTraining
 from bsk_torch.rl.marl.networks import ConstellationCritic
 from bsk_torch.rl.policies import check_fits, load_policy, read_card
-from bsk_torch.rl.policies.shared_policy import GroupPolicies, for_each_group, member_views, shared, shared_baseline
+from bsk_torch.rl.policies.shared_policy import GroupPolicies, for_each_group, member_views, shared
 from bsk_torch.rl.rules.baselines import RandomPolicy
 from bsk_torch.rl.training.collect import make_collector
 
@@ -61,20 +61,20 @@ def test_every_group_is_seen_as_its_satellites_see_it(env):
 
 
 def test_groups_that_a_rule_does_not_fit_act_at_random(env):
-    policies = shared_baseline("greedy", env).policies
+    policies = bsk_torch.rule("greedy", env).policies
     assert not isinstance(policies[IMAGER], RandomPolicy)
     assert isinstance(policies[RELAY], RandomPolicy)
 
 
 def test_a_rule_that_fits_no_group_is_refused(env):
     with pytest.raises(KeyError, match="storage_level_fraction"):
-        shared_baseline("rule", env)
+        bsk_torch.rule("rule", env)
 
 
 def test_each_group_is_changed_with_its_own_view(env):
     seen = []
     changed = for_each_group(
-        lambda one, view: seen.append(view.satellite.actions.n_actions) or one, shared_baseline("random", env), env
+        lambda one, view: seen.append(view.satellite.actions.n_actions) or one, bsk_torch.rule("random", env), env
     )
     assert seen == [17, 3]
     assert list(changed.policies) == [IMAGER, RELAY]

@@ -13,7 +13,7 @@ from bsk_torch import comm
 from bsk_torch.rl.evaluation.evaluate import evaluate
 from bsk_torch.rl.marl.mappo import ALIVE, ConstellationCritic, MAPPOConfig, MAPPOTraining, team_advantages, team_batch
 from bsk_torch.rl.networks.normaliser import MASK, OWN, ROWS
-from bsk_torch.rl.policies.shared_policy import SharedPolicy, member_view, shared, shared_baseline
+from bsk_torch.rl.policies.shared_policy import SharedPolicy, member_view, shared
 from bsk_torch.rl.rules.baselines import BASELINES
 from bsk_torch.rl.training.advantages import FINAL
 from bsk_torch.rl.training.collect import make_collector
@@ -54,7 +54,7 @@ def test_steps_after_which_nobody_needs_a_task(name):
     now = env.reset()
     going_on = now["agents", "action_mask"].shape[-1] - 1
     now["agents", "action_mask"] = (torch.arange(going_on + 1) == going_on).expand(2, 3, -1)
-    assert bool((shared_baseline(name, env)(now)["agents", "action"] == going_on).all())
+    assert bool((bsk_torch.rule(name, env)(now)["agents", "action"] == going_on).all())
 
 
 def test_one_policy_for_unlike_satellites_is_refused():
@@ -74,7 +74,7 @@ def test_rules_earn_the_same_in_a_constellation_of_one_as_alone(name):
     alone = bsk_torch.make("AEOS-v1", **world)
     crew = bsk_torch.make("AEOSConstellation-v1", n_satellites=1, sat_arg_randomizer=None, **world)
     expected = evaluate(BASELINES[name](alone, 0), alone, seed=3)
-    found = evaluate(shared_baseline(name, crew), crew, seed=3)
+    found = evaluate(bsk_torch.rule(name, crew), crew, seed=3)
     assert float(expected.returns.min()) > 0.0
     assert torch.equal(found.returns, expected.returns)
     assert torch.equal(found.decisions, expected.decisions)
@@ -247,7 +247,7 @@ def test_configurations_that_do_not_work(changes, message):
 def test_evaluation_adds_up_the_team_and_repeats_itself():
     world = WORLD | {"communicator": comm.FreeCommunication()}
     env = bsk_torch.make("Constellation-v1", num_envs=3, seed=0, **world)
-    first, again = (evaluate(shared_baseline("hasty", env), env, seed=5) for _ in range(2))
+    first, again = (evaluate(bsk_torch.rule("hasty", env), env, seed=5) for _ in range(2))
     assert torch.equal(first.returns, again.returns)
     assert torch.equal(first.seconds, torch.full((3,), 900.0, dtype=torch.float64))
     assert first.survival == 1.0

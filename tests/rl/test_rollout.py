@@ -8,7 +8,6 @@ from tensordict import TensorDict
 
 import bsk_torch
 from bsk_torch.env.rollout import play_episodes
-from bsk_torch.rl.policies.shared_policy import shared_baseline
 
 N = 3
 
@@ -75,7 +74,7 @@ def test_constellations_are_played_like_single_satellites():
     options = dict(n_satellites=3, n_planes=1, phasing=0, n_targets=500, time_limit=600.0, as_set=True)
     env = bsk_torch.make("Constellation-v1", num_envs=2, seed=0, **options)
     earned = torch.zeros(2, dtype=torch.float64)
-    for playing, step in play_episodes(env, shared_baseline("greedy", env)):
+    for playing, step in play_episodes(env, bsk_torch.rule("greedy", env)):
         earned += torch.where(playing, step["next", "agents", "reward"].double().sum((1, 2)), 0.0)
     assert bool(env.fleet.sim_time.eq(600.0).all())
     assert float(earned.max()) > 0.0

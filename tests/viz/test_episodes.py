@@ -5,7 +5,6 @@ import torch
 from tensordict.nn import TensorDictModule
 
 import bsk_torch
-from bsk_torch.rl.marl import shared_baseline
 from bsk_torch.rl.rules import BASELINES
 from bsk_torch.viz.episodes import draw, record
 from bsk_torch.viz.figures.constellation import ConstellationEpisode
@@ -22,7 +21,7 @@ SHORT = dict(num_envs=1, time_limit=60.0, backend="eager")
         (lambda: bsk_torch.make("AEOS-v1", n_targets=300, **SHORT), BASELINES["nearest"], ImagingEpisode),
         (
             lambda: bsk_torch.make("Constellation-v1", n_satellites=3, n_targets=300, **SHORT),
-            lambda env, seed: shared_baseline("nearest", env, seed),
+            lambda env, seed: bsk_torch.rule("nearest", env, seed),
             ConstellationEpisode,
         ),
     ],

@@ -14,7 +14,6 @@ from tensordict import TensorDict
 import bsk_torch
 from bsk_torch.astro.frames import lla_to_fixed
 from bsk_torch.constants import R_EARTH
-from bsk_torch.rl.policies.shared_policy import shared_baseline
 from bsk_torch.viz.recorders.inspection import rewarder_of
 from bsk_torch.viz.render.closeup import INSPECTED, LIT, look_closely
 from bsk_torch.viz.render.frames import MOST, picture
@@ -331,7 +330,7 @@ def test_targets_are_drawn_larger_the_more_they_are_worth():
 
 def inspection(steps=0):
     env = bsk_torch.make("MultiInspection-v1", num_envs=2, seed=4, actions="waypoints", time_limit=20_000.0)
-    policy = shared_baseline("survey", env)
+    policy = bsk_torch.rule("survey", env)
     td = env.reset()
     for _ in range(steps):
         td = env.step(policy(td))["next"]

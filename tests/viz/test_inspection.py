@@ -13,7 +13,6 @@ from matplotlib.figure import Figure
 from tensordict.nn import TensorDictModule, TensorDictSequential
 
 import bsk_torch
-from bsk_torch.rl.marl import shared_baseline
 from bsk_torch.viz.episodes import draw, record
 from bsk_torch.viz.figures import inspection as pictures
 from bsk_torch.viz.figures.constellation import ConstellationEpisode
@@ -199,7 +198,7 @@ def test_recording_changes_nothing():
 def test_rules_of_the_preset_are_recorded_and_drawn(tmp_path):
     """Manoeuvres are those of the rule; the tank of ten metres per second shows them."""
     env = bsk_torch.make("RSOInspection-v1", num_envs=1, time_limit=1300.0, backend="eager")
-    episode = record(shared_baseline("circumnavigate", env), env, seed=1)
+    episode = record(bsk_torch.rule("circumnavigate", env), env, seed=1)
     assert type(episode) is pictures.InspectionEpisode
     assert episode.decisions.tolist()[:2] == [0.0, 600.0]
     assert float(episode.decisions[-1]) == float(episode.times[-1]) == float(env.fleet.sim_time[0])

@@ -3,7 +3,7 @@
 import bsk_torch.rl.training  # noqa: F401  - first: it offers configure() and train() of this package, too
 from bsk_torch.rl.marl.mappo import MAPPOConfig, MAPPOTraining
 from bsk_torch.rl.marl.runs import ALGORITHMS, configure, read_config, training_of
-from bsk_torch.rl.policies.shared_policy import SharedPolicy, member_view, shared, shared_baseline, shared_baselines
+from bsk_torch.rl.policies.shared_policy import SharedPolicy, member_view, shared, shared_baselines
 
 __all__ = [
     "ALGORITHMS",
@@ -14,7 +14,6 @@ __all__ = [
     "member_view",
     "read_config",
     "shared",
-    "shared_baseline",
     "shared_baselines",
     "training_of",
 ]

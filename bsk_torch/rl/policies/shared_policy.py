@@ -229,10 +229,6 @@ def rule(name: str, env: Tasking, seed: int = 0) -> TensorDictModuleBase:
     return shared(baseline(name, env, seed), env)
 
 
-shared_baseline = rule
-"""Former name of :func:`rule`."""
-
-
 def shared_baselines(env: Tasking, seed: int = 0) -> dict[str, TensorDictModuleBase]:
     """Return the ``BASELINES`` that fit an environment, for every satellite, by name; see :func:`baseline`."""
     fitting = {}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import cycle
@@ -24,6 +24,7 @@ from torch import Tensor
 from bsk_torch.viz.figures.style import FAINT, INK, PALETTE, caption, dot, headline, save, tidy
 from bsk_torch.viz.figures.timeline import HOUR, plain, spacing
 from bsk_torch.viz.figures.world import pieces, world_map
+from bsk_torch.viz.table import Columns, Tabular, Tasks, satellite_columns
 
 __all__ = ["ConstellationEpisode", "constellation_figure"]
 
@@ -61,7 +62,7 @@ HALO = [patheffects.withStroke(linewidth=2.2, foreground="white")]
 
 
 @dataclass(frozen=True, kw_only=True)
-class ConstellationEpisode:
+class ConstellationEpisode(Tabular):
     """One episode of S satellites, as plain tensors on the CPU; angles in degrees, times in seconds since the reset.
 
     Attributes:
@@ -85,6 +86,10 @@ class ConstellationEpisode:
         task_names: Names of tasks, such as "image", "charge" and "drift"; a prefix ``action_`` is dropped.
         deaths: When each satellite died, infinite for survivors, [S]; None: all survived. Tracks, tasks and
             contacts are drawn until then.
+        rewards: Reward of each satellite's agent in the steps between ``times``, [S, K - 1]; nan for further satellites of the
+            same agent.
+        series: Quantities of the satellites at ``times`` by name, [S, K, width]; nan where a satellite has no such quantity.
+        actions: Actions of real numbers in the steps between ``times``, [S, K - 1, A]; nan for none. None without such actions.
     """
 
     names: Sequence[str]
@@ -106,6 +111,9 @@ class ConstellationEpisode:
     task_kind: Tensor = field(default_factory=NO_INDEX)
     task_names: Sequence[str] = ()
     deaths: Tensor | None = None
+    rewards: Tensor | None = None
+    series: Mapping[str, Tensor] = field(default_factory=dict)
+    actions: Tensor | None = None
 
     def __post_init__(self) -> None:
         """ValueError for tensors whose shapes or numbers do not fit each other."""
@@ -116,9 +124,16 @@ class ConstellationEpisode:
             len(self.target_latitude),
             len(self.task_kind),
         )
-        needed = {"latitude": (s, k), "longitude": (s, k), "groups": (s,), "links": (k, s, s), "deaths": (s,)}
+        needed = {
+            "latitude": (s, k),
+            "longitude": (s, k),
+            "groups": (s,),
+            "links": (k, s, s),
+            "deaths": (s,),
+            "rewards": (s, k - 1),
+        }
         needed |= dict.fromkeys(("image_satellite", "image_latitude", "image_longitude", "image_paid"), (images,))
-        needed |= {"target_longitude": (targets,), "task_satellite": (tasks,), "task_spans": (tasks, 2)}
+        needed |= {"target_longitude": (targets,), "task_satellite": (tasks,), "task_spans": (tasks, 2), "rewards": (s, k - 1)}
         for name, shape in needed.items():
             value = getattr(self, name)
             if value is not None and tuple(value.shape) != shape:
@@ -171,6 +186,20 @@ class ConstellationEpisode:
         images, dead = len(self.image_times), int(self.died.sum())
         survived = f", {dead} of {self.size} satellites died" if dead else ""
         return f"{images} image{'s' * (images != 1)} by {self.size} satellite{'s' * (self.size != 1)}{survived}"
+
+    def to_numpy(self) -> Columns:
+        """Return the episode as a table: a row for each satellite at each decision boundary of any of them, in the order of time.
+
+        ``time`` is in seconds since reset and ``satellite`` the name. ``action`` is the task on which the satellite works from
+        then on, empty without one, and ``decided`` whether it began there. ``reward`` is that of the step that begins there, nan
+        in the last one. ``latitude`` and ``longitude`` are in degrees. Quantities of several numbers have a column for each.
+        """
+        numbers = {"reward": self.rewards, "action": self.actions, **self.series}
+        numbers |= {"latitude": self.latitude, "longitude": self.longitude}
+        there = {name: values for name, values in numbers.items() if values is not None}
+        deaths = torch.full((self.size,), torch.inf) if self.deaths is None else self.deaths
+        tasks = Tasks(self.task_satellite, self.task_spans, self.task_kind, self.task_names)
+        return satellite_columns(self.names, self.times, deaths, tasks, there)
 
     @property
     def paid(self) -> Tensor:

@@ -20,6 +20,7 @@ from torch import Tensor
 
 from bsk_torch.viz.figures.style import FAINT, INK, PALETTE, caption, dot, headline, label, save, tidy
 from bsk_torch.viz.figures.timeline import HOUR, NIGHT, spacing
+from bsk_torch.viz.table import Columns, Tabular, Tasks, satellite_columns
 
 __all__ = ["InspectionEpisode", "inspection_figure"]
 
@@ -52,7 +53,7 @@ DARK = 0.5
 
 
 @dataclass(frozen=True, kw_only=True)
-class InspectionEpisode:
+class InspectionEpisode(Tabular):
     """One episode of I inspectors and an RSO with P points, as plain tensors on the CPU; times in seconds since the reset.
 
     Attributes:
@@ -68,6 +69,9 @@ class InspectionEpisode:
         deaths: When each inspector died, infinite for survivors, [I]. Paths are drawn until then.
         completed: When the inspection was complete, infinite for never.
         reach: Largest distance, m, from which points are inspected; infinite without a limit.
+        rewards: Reward of each inspector in the steps, [I, B - 1]; None if it was not noted.
+        actions: Actions of real numbers in the steps, [I, B - 1, A]; nan for none. None without such actions.
+        tasks: Tasks of the inspectors; None if they were not noted.
     """
 
     names: Sequence[str]
@@ -82,6 +86,9 @@ class InspectionEpisode:
     deaths: Tensor
     completed: float
     reach: float
+    rewards: Tensor | None = None
+    actions: Tensor | None = None
+    tasks: Tasks | None = None
 
     def __post_init__(self) -> None:
         """ValueError for tensors whose shapes do not fit each other."""
@@ -115,6 +122,31 @@ class InspectionEpisode:
         dead = int(torch.isfinite(self.deaths).sum())
         died = "" if not dead else ", died" if len(self.names) == 1 else f", {dead} of {len(self.names)} died"
         return f"{done}{end}, {float(self.spent.sum()):.2f} m/s{died}"
+
+    def to_numpy(self) -> Columns:
+        """Return the episode as a table: a row for each inspector at each decision boundary, in the order of time.
+
+        ``time`` is in seconds since reset and ``satellite`` the name. ``action`` is the task from then on, empty without one, and
+        ``decided`` whether it began there; ``action_0`` and so on are its numbers. ``reward`` is that of the step that begins
+        there. ``rho_H_0`` to ``rho_H_2`` are the position in the RSO's Hill frame, m, ``fuel`` is in m/s, ``illumination`` the
+        fraction of the Sun that the RSO sees, and ``lit`` and ``inspected`` count its points. Numbers that belong to a step are
+        nan in the last rows.
+        """
+        everyone = torch.ones(len(self.names), 1, dtype=torch.float64)
+        at = torch.searchsorted(self.times, self.decisions).clamp(max=len(self.times) - 1)
+        lit, inspected = ((when.unsqueeze(1) <= self.decisions).sum(0) for when in (self.lit_at, self.inspected_at))
+        numbers = {
+            "reward": self.rewards,
+            "action": self.actions,
+            "rho_H": self.rho_H[:, at],
+            "fuel": self.fuel,
+            "illumination": everyone * self.illumination[at],
+            "lit": everyone * lit,
+            "inspected": everyone * inspected,
+        }
+        there = {name: values for name, values in numbers.items() if values is not None}
+        tasks = self.tasks or Tasks(torch.empty(0), torch.empty(0, 2), torch.empty(0), [])
+        return satellite_columns(self.names, self.decisions, self.deaths, tasks, there)
 
     def extent(self, near: bool) -> float:
         """Return the largest coordinate of the paths while inspectors lived, or for :data:`NEAR` of that time."""

@@ -5,18 +5,16 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import torch
-from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
 from bsk_torch.astro.frames import fixed_to_lla
-from bsk_torch.env import NO_ACTION, ConstellationTasking
-from bsk_torch.env.action_forms import acts, form, read
-from bsk_torch.env.agents import Group
+from bsk_torch.env import ConstellationTasking
 from bsk_torch.env.rollout import play_episodes
-from bsk_torch.env.satellite_group import SatelliteGroup
+from bsk_torch.sats.fleet import SatelliteFleet
 from bsk_torch.viz.figures.constellation import ConstellationEpisode
-from bsk_torch.viz.recorders.episode import first_row
+from bsk_torch.viz.recorders.decisions import DecisionLog
+from bsk_torch.viz.recorders.episode import QUANTITIES, first_row
 
 __all__ = ["ConstellationRecorder", "record_constellation"]
 
@@ -33,14 +31,6 @@ class Image(NamedTuple):
     paid: bool
 
 
-class Task(NamedTuple):
-    """A task: which satellite began it when, and what it was, by its name."""
-
-    satellite: int
-    begin: float
-    name: str
-
-
 class ConstellationRecorder:
     """Notes what episode 0 of an environment shows at every decision boundary, without changing what comes next."""
 
@@ -51,14 +41,16 @@ class ConstellationRecorder:
         self.places: list[Tensor] = []
         self.links: list[Tensor] = []
         self.images: list[Image] = []
-        self.tasks: list[Task] = []
+        self.log = DecisionLog(env)
+        self.series: dict[str, list[Tensor]] = {}
         self.deaths = torch.full((self.fleet.size,), torch.inf, dtype=torch.float64)
-        self.total = 0.0
 
     def look(self) -> None:
         """Record positions and active links."""
         self.times.append(float(self.fleet.sim_time[0]))
         self.places.append(self.fleet.each(lambda part: part.dynamics.r_BN_P)[0].cpu())
+        for name, values in quantities(self.fleet).items():
+            self.series.setdefault(name, []).append(values)
         links = self.env.links
         none = torch.zeros(self.fleet.size, self.fleet.size, dtype=torch.bool)
         self.links.append(none if links is None or len(self.times) == 1 else links[0].cpu())
@@ -72,11 +64,10 @@ class ConstellationRecorder:
         start = self.env.reset()
         self.look()
         for _, step in play_episodes(self.env, policy, start, first_row(self.env)):
-            self._note_tasks(step)
+            self.log.note(step, self.times[-1], self.removed)
             before = self.counted
             self.look()
             self._note_images(before)
-            self.total += sum(float(step["next", group.name, "reward"][0].sum()) for group in self.env.groups)
 
     def _counts(self) -> tuple[Tensor, Tensor]:
         """Images and images without reward of each satellite, [S] each."""
@@ -90,27 +81,6 @@ class ConstellationRecorder:
         target = self.fleet.each(lambda part: part.latest_target, missing=-1)[0]
         for k in torch.nonzero(images > 0).flatten().tolist():
             self.images.append(Image(self.times[-1], k, int(target[k]), not bool(again[k])))
-
-    def _note_tasks(self, step: TensorDictBase) -> None:
-        """Note the tasks that began with a step."""
-        for group in self.env.groups:
-            first = self.env.satellites[group.types[0]]
-            if form(first) is not None:
-                self._note_real(group, first, step[group.name, "action"][0])
-                continue
-            action = step[group.name, "action"][0].view(len(group.agents), -1)
-            for row, members in zip(action.tolist(), group.members.tolist(), strict=True):
-                for number, satellite, kind in zip(row, members, group.types, strict=True):
-                    actions = self.env.satellites[kind].actions
-                    if number not in (actions.n_actions, NO_ACTION) and not bool(self.removed[satellite]):
-                        self.tasks.append(Task(satellite, self.times[-1], actions.entries[actions.entry_of(number)].name))
-
-    def _note_real(self, group: Group, satellite: SatelliteGroup, action: Tensor) -> None:
-        """Note the tasks of agents whose actions are real numbers."""
-        given = read("action", action, satellite, (len(group.agents),))
-        for number, new in zip(group.members[:, 0].tolist(), acts(given, satellite, 1).tolist(), strict=True):
-            if new and not bool(self.removed[number]):
-                self.tasks.append(Task(number, self.times[-1], satellite.actions.entries[0].name))
 
     def _planes(self) -> Tensor | None:
         """Orbital plane of each satellite, [S]; None where orbits were not given as elements."""
@@ -134,7 +104,7 @@ class ConstellationRecorder:
         else:
             there = torch.zeros(0, dtype=torch.bool)
         where = fixed_to_lla(targets)
-        names = list(dict.fromkeys(task.name for task in self.tasks))
+        tasks = self.log.tasks_of(shown.tolist(), self.times[-1])
         return ConstellationEpisode(
             names=[self.fleet.names[k] for k in shown.tolist()],
             times=torch.tensor(self.times, dtype=torch.float64),
@@ -149,21 +119,36 @@ class ConstellationRecorder:
             image_paid=torch.tensor([image.paid for image in self.images], dtype=torch.bool),
             target_latitude=torch.rad2deg(where[0])[there],
             target_longitude=torch.rad2deg(where[1])[there],
-            task_satellite=number[torch.tensor([task.satellite for task in self.tasks], dtype=torch.int64)],
-            task_spans=self._spans(),
-            task_kind=torch.tensor([names.index(task.name) for task in self.tasks], dtype=torch.int64),
-            task_names=names,
+            task_satellite=tasks.satellite,
+            task_spans=tasks.spans,
+            task_kind=tasks.kind,
+            task_names=tasks.names,
             deaths=self.deaths[shown],
+            rewards=torch.stack(self.log.rewards, 1)[shown],
+            series={name: torch.stack(values, 1)[shown] for name, values in self.series.items()},
+            actions=torch.stack(self.log.numbers, 1)[shown] if self.log.width else None,
         )
 
-    def _spans(self) -> Tensor:
-        """Begin and end of every task, [M, 2]: it ends with the satellite's next one, or with the episode."""
-        until = dict.fromkeys(range(self.fleet.size), self.times[-1])
-        spans = []
-        for task in reversed(self.tasks):
-            spans.append([task.begin, until[task.satellite]])
-            until[task.satellite] = task.begin
-        return torch.tensor(spans[::-1], dtype=torch.float64).reshape(-1, 2)
+
+def quantities(fleet: SatelliteFleet) -> dict[str, Tensor]:
+    """Return the :data:`QUANTITIES` of all satellites of episode 0 that have them, [S, width] each, nan for those that do not."""
+    found = {}
+    for name in QUANTITIES:
+        parts = [part for part in fleet.satellites if hasattr(type(part.dynamics), name)]
+        values = {id(part): _matrix(getattr(part.dynamics, name)) for part in parts}
+        if values:
+            width = max(value.shape[1] for value in values.values())
+            wide = [
+                torch.nn.functional.pad(value, (0, width - value.shape[1]), value=torch.nan)
+                for value in (values.get(id(part), _matrix(part.dynamics.r_BN_P)[:, :0]) for part in fleet.satellites)
+            ]
+            found[name] = fleet.joined(wide)[0].cpu()
+    return found
+
+
+def _matrix(value: Tensor) -> Tensor:
+    """Return a quantity of rows, [R] or [R, width], as [R, width]."""
+    return value.double().reshape(len(value), -1)
 
 
 def record_constellation(policy: TensorDictModuleBase, env: ConstellationTasking, *, seed: int) -> ConstellationEpisode:

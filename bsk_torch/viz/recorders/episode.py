@@ -2,23 +2,18 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Iterable
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
 from bsk_torch.env import SatelliteTasking, Tasking
 from bsk_torch.env.rollout import Policy, play_episodes
-from bsk_torch.files import write_file
 from bsk_torch.sats import BoundAccessSatellite
+from bsk_torch.viz.table import Columns, Tabular, number_columns
 
 __all__ = ["Episode", "record_episode"]
 
@@ -31,7 +26,7 @@ QUANTITIES = {
 
 
 @dataclass(frozen=True, kw_only=True)
-class Episode:
+class Episode(Tabular):
     """One recorded episode of T decisions; times are seconds since reset.
 
     Attributes:
@@ -68,32 +63,18 @@ class Episode:
         """Return the quantities at the boundaries by name, [T + 1, width] each."""
         return dict(self.series)
 
-    def to_numpy(self) -> dict[str, NDArray[Any]]:
+    def to_numpy(self) -> Columns:
         """Return the episode as a table: columns by name, [T + 1] each, a row for each decision boundary.
 
         ``time`` is in seconds since reset; ``action`` and ``reward`` belong to the decision that begins there, empty and nan in
         the last row. Quantities of several numbers have a column for each, such as ``wheel_speeds_fraction_0``.
         """
-        table: dict[str, NDArray[Any]] = {
+        decisions: Columns = {
             "time": self.times.double().numpy(),
             "action": np.array([*(self.names[k] for k in self.actions.tolist()), ""]),
             "reward": np.append(self.rewards.double().numpy(), np.nan),
         }
-        for name, values in self.columns().items():
-            numbers = values.double().numpy()
-            parts = {name: numbers[:, 0]} if numbers.shape[1] == 1 else {f"{name}_{k}": part for k, part in enumerate(numbers.T)}
-            table |= parts
-        return table
-
-    def to_csv(self, path: Path | str) -> Path:
-        """Write the table of :meth:`to_numpy` to a file with a header, and return its path."""
-        table = self.to_numpy()
-        text = io.StringIO()
-        lines = csv.writer(text, lineterminator="\n")
-        lines.writerow(table)
-        lines.writerows(zip(*(column.tolist() for column in table.values()), strict=True))
-        write_file(Path(path), text.getvalue())
-        return Path(path)
+        return decisions | number_columns(self.columns())
 
 
 def first_row(env: Tasking) -> Tensor:

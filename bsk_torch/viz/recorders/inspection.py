@@ -13,6 +13,7 @@ from bsk_torch.env.base import Tasking
 from bsk_torch.env.rollout import play_episodes
 from bsk_torch.scene import RSOPoints
 from bsk_torch.viz.figures.inspection import InspectionEpisode
+from bsk_torch.viz.recorders.decisions import DecisionLog
 from bsk_torch.viz.recorders.episode import first_row
 
 __all__ = ["InspectionRecorder", "inspects", "record_inspection", "rewarder_of"]
@@ -38,7 +39,7 @@ class InspectionRecorder:
         if rewarder is None or not isinstance(env.scenario, RSOPoints):
             raise ValueError(f"env has the scenario {env.scenario!r}; an inspection needs RSOPoints and an RSOInspectionReward")
         self.env, self.fleet, self.scenario, self.rewarder = env, env.fleet, env.scenario, rewarder
-        self.decisions: list[float] = []
+        self.log, self.decisions = DecisionLog(env), list[float]()
         self.fuel: list[Tensor] = []
         self.lit_at = torch.full((self.scenario.n_points,), torch.inf, dtype=torch.float64)
         self.inspected_at = self.lit_at.clone()
@@ -50,7 +51,8 @@ class InspectionRecorder:
         start = self.env.reset()
         self.look()
         with self.env.record(("r_BN_N", "illumination"), rows=0) as recording:
-            for _ in play_episodes(self.env, policy, start, first_row(self.env)):
+            for _, step in play_episodes(self.env, policy, start, first_row(self.env)):
+                self.log.note(step, self.decisions[-1], self.removed)
                 self.look()
         self.flight = recording.of(0, 0)
 
@@ -72,6 +74,7 @@ class InspectionRecorder:
         self.lit_at = self._noted(self.lit_at, self.rewarder.illuminated[0], now)
         self.inspected_at = self._noted(self.inspected_at, self.rewarder.inspected[0], now)
         self.deaths = self._noted(self.deaths, self.env.dead[0], now)
+        self.removed = self.fleet.state.removed[0].clone()
 
     def _fuel(self, k: int) -> Tensor:
         """What the tanks of the inspectors of a type are good for, m/s [count]; zero where they have none."""
@@ -103,6 +106,9 @@ class InspectionRecorder:
             deaths=self.deaths[columns],
             completed=completed if completed == completed else torch.inf,
             reach=max(reach),
+            rewards=torch.stack(self.log.rewards, 1)[columns],
+            actions=torch.stack(self.log.numbers, 1)[columns] if self.log.width else None,
+            tasks=self.log.tasks_of(columns, self.decisions[-1]),
         )
 
 
