@@ -78,16 +78,22 @@ class GeneralSatelliteTasking(gymnasium.Env[Any, Any], Generic[SatObs, SatAct]):
     simulator: Simulator
 
     def __new__(
-        cls, *args: Any, num_envs: int | None = None, autoreset_mode: AutoresetMode | str | None = None, **kwargs: Any
+        cls,
+        *args: Any,
+        num_envs: int | None = None,
+        vectorize: str | None = None,
+        autoreset_mode: AutoresetMode | str | None = None,
+        **kwargs: Any,
     ) -> Any:
         """Return an environment, or with ``num_envs`` the vector form, :mod:`bsk_torch.bsk_rl.vector`."""
         if num_envs is None:
-            if autoreset_mode is not None:
-                raise ValueError(f"autoreset_mode={autoreset_mode!r} is of the vector form; give num_envs, too")
+            for name, value in (("vectorize", vectorize), ("autoreset_mode", autoreset_mode)):
+                if value is not None:
+                    raise ValueError(f"{name}={value!r} belongs to the vector form; give num_envs, too")
             return super().__new__(cls)
         from bsk_torch.bsk_rl.vector import vector_form  # which puts environments of this module together
 
-        return vector_form(cls, num_envs, autoreset_mode, args, kwargs)
+        return vector_form(cls, num_envs, "auto" if vectorize is None else vectorize, autoreset_mode, args, kwargs)
 
     def __init__(
         self,
@@ -114,6 +120,7 @@ class GeneralSatelliteTasking(gymnasium.Env[Any, Any], Generic[SatObs, SatAct]):
         backend: str = "compiled",
         orbit: str | None = None,
         num_envs: int | None = None,
+        vectorize: str | None = None,
         autoreset_mode: AutoresetMode | str | None = None,
     ) -> None:
         """Put an environment together; nothing is simulated before the first reset.
@@ -141,6 +148,8 @@ class GeneralSatelliteTasking(gymnasium.Env[Any, Any], Generic[SatObs, SatAct]):
             backend: ``"compiled"``, or ``"eager"`` for machines without a compiler; not in bsk_rl.
             orbit: ``"integrated"`` integrates orbits in every tick even where they can be solved in advance; not in bsk_rl.
             num_envs: Number of environments of the vector form; None for a single environment; not in bsk_rl.
+            vectorize: How the vector form simulates: ``"batched"`` for all episodes in one simulation, with draws of bsk_torch;
+                ``"episodes"`` for N simulations with bsk_rl's draws; None for the first where no class is custom.
             autoreset_mode: When environments of the vector form start their next episode: in the next step (None), or as
                 :class:`gymnasium.vector.AutoresetMode` says.
         """

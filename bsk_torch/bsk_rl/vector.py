@@ -1,11 +1,13 @@
 """Vector forms of bsk_rl's environments: N episodes of one program, under Gymnasium's vector interface or by agent.
 
-``SatelliteTasking(..., num_envs=N)`` returns :class:`EpisodesVectorEnv`, ``ConstellationTasking(..., num_envs=N)``
-:class:`AgentsVectorEnv`. Both step N environments of :mod:`bsk_torch.bsk_rl.gym` one after another.
+``SatelliteTasking(..., num_envs=N)`` returns a :class:`~bsk_torch.bsk_rl.batch.BatchedVectorEnv` of one simulation if the program
+has no classes of the user's, else :class:`EpisodesVectorEnv`; ``ConstellationTasking(..., num_envs=N)`` returns
+:class:`AgentsVectorEnv`. The latter two step N environments of :mod:`bsk_torch.bsk_rl.gym` one after another.
 """
 
 from __future__ import annotations
 
+import inspect
 import logging
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -19,6 +21,7 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from gymnasium.vector.utils import batch_space, concatenate, create_empty_array, iterate
 
 from bsk_torch._checks import whole
+from bsk_torch.bsk_rl.batch import BatchedVectorEnv, NotBatchedError, batched_core
 from bsk_torch.bsk_rl.gym import ConstellationTasking, GeneralSatelliteTasking
 from bsk_torch.bsk_rl.utils.logging_config import ContextFilter
 from bsk_torch.wrappers.gymnasium.vector import parse_mode
@@ -30,7 +33,10 @@ logger = logging.getLogger(__name__)
 ByAgent = dict[Any, Any]
 """Arrays [N, ...] by agent."""
 
-FASTER = "docs/migration_fast.md lists what to change for one batched simulation, which is many times as fast"
+FASTER = "docs/migration_fast.md lists what to change for one simulation of all"
+
+FORMS = ("auto", "batched", "episodes")
+"""Ways to simulate several episodes."""
 
 AGENT_MODES = (AutoresetMode.NEXT_STEP, AutoresetMode.DISABLED)
 """Autoreset modes of :class:`AgentsVectorEnv`."""
@@ -39,24 +45,53 @@ AGENT_MODES = (AutoresetMode.NEXT_STEP, AutoresetMode.DISABLED)
 def vector_form(
     make: type[GeneralSatelliteTasking[Any, Any]],
     num_envs: int,
+    vectorize: str,
     autoreset_mode: AutoresetMode | str | None,
     args: Sequence[Any],
     kwargs: Mapping[str, Any],
-) -> EpisodesVectorEnv | AgentsVectorEnv:
-    """Return N environments of a class as one.
+) -> EpisodesVectorEnv | AgentsVectorEnv | BatchedVectorEnv:
+    """Return N environments of a class as one; a record of the log says how they are simulated.
 
     Args:
         make: Class of the environments.
         num_envs: Number of environments N.
+        vectorize: ``"batched"`` for one simulation of all, ``"episodes"`` for N of them, ``"auto"`` for the first if possible.
         autoreset_mode: See :class:`gymnasium.vector.AutoresetMode`; None for ``NEXT_STEP``.
         args: Arguments of each environment.
         kwargs: Keyword arguments of each environment.
+
+    Raises:
+        NotBatchedError: With ``vectorize="batched"``, for a program that cannot be one simulation.
+        ValueError: For an argument that is not allowed.
     """
+    if vectorize not in FORMS:
+        raise ValueError(f"vectorize={vectorize!r} must be one of {list(FORMS)}")
     count = whole("num_envs", num_envs, 1)
-    envs: list[Any] = [make(*args, **kwargs) for _ in range(count)]
-    logger.info("%s: %d episodes side by side, each as a single one under its seed; %s", make.__name__, count, FASTER)
+    mode = AutoresetMode.NEXT_STEP if autoreset_mode is None else parse_mode(autoreset_mode)
+    first: Any = make(*args, **kwargs)
+    why = "vectorize='episodes'"
+    if vectorize != "episodes":
+        try:
+            core = batched_core(first, given_to(args, kwargs), count)
+        except NotBatchedError as error:
+            if vectorize == "batched":
+                raise
+            why = str(error)
+        else:
+            logger.info("%s: %d episodes in one simulation, with draws of bsk_torch", make.__name__, count)
+            return BatchedVectorEnv(core, autoreset_mode=mode)
+    envs: list[Any] = [first, *(make(*args, **kwargs) for _ in range(count - 1))]
+    if count > 1:
+        logger.warning("%s: %d simulations side by side, which is slow: %s. %s", make.__name__, count, why, FASTER)
     vector = AgentsVectorEnv if issubclass(make, ConstellationTasking) else EpisodesVectorEnv
-    return vector(envs, autoreset_mode=AutoresetMode.NEXT_STEP if autoreset_mode is None else autoreset_mode)
+    return vector(envs, autoreset_mode=mode)
+
+
+def given_to(args: Sequence[Any], kwargs: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the arguments of an environment by name, without those that are not given."""
+    named = {"satellites" if name == "satellite" else name: value for name, value in kwargs.items()}
+    bound = inspect.signature(GeneralSatelliteTasking.__init__).bind_partial(None, *args, **named)
+    return {name: value for name, value in bound.arguments.items() if name != "self"}
 
 
 def reject_agents(num_envs: int, **_: object) -> NoReturn:

@@ -36,6 +36,8 @@ class Noisy(sats.Satellite):
 
 
 def single(**options):
+    if "num_envs" in options:
+        options = {"vectorize": "episodes", **options}
     return SatelliteTasking(Noisy("Noisy"), time_limit=lambda: np.random.uniform(90.0, 200.0), backend="eager", **options)
 
 

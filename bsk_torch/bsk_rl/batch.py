@@ -1,0 +1,298 @@
+"""One batched simulation for N episodes of a program of bsk_rl whose classes are those of the package.
+
+:func:`batched_core` writes the program for :mod:`bsk_torch`: satellites whose classes only set specifications, and
+bsk_rl's own observations, actions, scenarios and rewarders have counterparts there. Functions of users are called for each
+episode, unless they work on tensors. What has no counterpart raises :class:`NotBatchedError`, which says why.
+"""
+
+from __future__ import annotations
+
+from abc import ABC
+from collections.abc import Callable, Mapping
+from functools import partial
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from gymnasium import spaces
+from gymnasium.vector.utils import batch_space
+from torch import Tensor
+
+from bsk_torch import act, data, obs, rand, scene
+from bsk_torch import sats as core_sats
+from bsk_torch.bsk_rl import act as their_act
+from bsk_torch.bsk_rl import data as their_data
+from bsk_torch.bsk_rl import obs as their_obs
+from bsk_torch.bsk_rl import sats as their_sats
+from bsk_torch.bsk_rl import scene as their_scene
+from bsk_torch.bsk_rl.data.composition import ComposedReward
+from bsk_torch.bsk_rl.data.resource_data import nothing
+from bsk_torch.bsk_rl.data.unique_image_data import whole_priority
+from bsk_torch.bsk_rl.defaults import world_defaults
+from bsk_torch.bsk_rl.gym import SatelliteTasking
+from bsk_torch.bsk_rl.obs.observations import LARGEST
+from bsk_torch.bsk_rl.scene.targets import uniform_priority
+from bsk_torch.bsk_rl.utils import orbital
+from bsk_torch.env import SatelliteTasking as Core
+from bsk_torch.sim.places import TARGET_KIND
+from bsk_torch.wrappers.gymnasium import GymVectorEnv
+
+__all__ = ["BatchedVectorEnv", "NotBatchedError", "batched_core"]
+
+
+class NotBatchedError(TypeError):
+    """A program that cannot be one batched simulation; the message says why."""
+
+
+class Stock(NamedTuple):
+    """A class of bsk_rl's that has a counterpart in the core."""
+
+    core: Callable[..., Any]
+    """The counterpart."""
+    arguments: dict[str, str]
+    """Its arguments, and the attributes of an object of bsk_rl's class that hold them."""
+    state: str = ""
+    """Further attributes of such an object, which no argument has set."""
+
+
+COMMAND = {"name": "name", "duration": "duration"}
+ACTIONS: dict[type, Stock] = {
+    **{getattr(their_act, name): Stock(getattr(act, name), COMMAND, "fsw_action reset_task")
+       for name in ("Charge", "Drift", "NadirPoint", "Desat", "Downlink", "Scan")},
+    their_act.DiscreteFSWAction: Stock(
+        act.DiscreteFSWAction, {**COMMAND, "fsw_action": "fsw_action", "reset_task": "reset_task"}
+    ),
+    their_act.Image: Stock(act.Image, {"n_ahead_image": "n_actions", "max_duration": "max_duration", "name": "name"}),
+    their_act.AttitudeSetpoint: Stock(act.AttitudeSetpoint, {"name": "name", "control_period": "control_period"}),
+}  # fmt: skip
+"""Actions; all have a satellite, and the number of their actions."""
+
+OBSERVATIONS: dict[type, Stock] = {
+    their_obs.SatProperties: Stock(obs.SatProperties, {"name": "name"}, "obs_properties"),
+    their_obs.Time: Stock(obs.Time, {"norm": "norm", "name": "name", "observe_time_remaining": "return_time_remaining"}),
+    their_obs.Eclipse: Stock(obs.Eclipse, {"norm": "norm", "name": "name"}),
+    their_obs.ResourceRewardWeight: Stock(obs.ResourceRewardWeight, {"norm": "norm", "name": "name"}),
+    their_obs.OpportunityProperties: Stock(
+        obs.OpportunityProperties, {"n_ahead_observe": "n_ahead_observe", "type": "type", "name": "name"}, "target_properties"
+    ),
+}
+"""Observations."""
+
+TARGETS = {"n_targets": "_n_targets", "priority_distribution": "priority_distribution", "radius": "radius"}
+SCENARIOS: dict[type, Stock] = {
+    their_scene.Scenario: Stock(scene.Scenario, {}),
+    their_scene.UniformNadirScanning: Stock(scene.UniformNadirScanning, {"value_per_second": "value_per_second"}),
+    their_scene.UniformTargets: Stock(scene.UniformTargets, TARGETS),
+    their_scene.CityTargets: Stock(
+        scene.CityTargets, {**TARGETS, "n_select_from": "n_select_from", "location_offset": "location_offset"}
+    ),
+}
+"""Scenarios."""
+
+
+def of_each(function: Callable[[float], float], values: Tensor) -> Tensor:
+    """Return the results of a function of one number for each of ``values``."""
+    return torch.tensor([float(function(value)) for value in values.flatten().tolist()], dtype=values.dtype).view_as(values)
+
+
+class NothingHidden(data.UniqueImageReward):
+    """Pays for first images, and hides no targets: in bsk_rl, several rewarders together hide none."""
+
+    def selectable(self) -> Tensor:
+        """See :meth:`bsk_torch.data.ImageReward.selectable`."""
+        return self.scenario.available.unsqueeze(1).expand_as(self.known)
+
+
+REWARDERS: dict[type, Stock] = {
+    their_data.NoReward: Stock(data.NoReward, {}),
+    their_data.ScanningTimeReward: Stock(data.ScanningTimeReward, {"reward_fn": "_reward_fn"}),
+    their_data.UniqueImageReward: Stock(data.UniqueImageReward, {"reward_fn": "reward_fn"}),
+    their_data.ResourceReward: Stock(data.ResourceReward, {"reward_weight": "_reward_weight", "resource_fn": "resource_fn"}),
+}
+"""Rewarders."""
+
+LINKS = "satellite satellites scenario simulator n_actions data_type data_store_kwargs"
+"""Attributes of all objects that no argument has set."""
+
+STANDARD = (uniform_priority, whole_priority, nothing)
+"""Functions that stand for an argument that is not given: the counterparts have defaults of the same meaning."""
+
+DRAWS: dict[Any, Any] = {getattr(orbital, name): getattr(rand, name) for name in
+                         ("random_orbit", "random_circular_orbit", "random_epoch", "random_unit_vector")}  # fmt: skip
+"""Functions of bsk_rl's that draw, and the core's distributions."""
+
+BODY = {"observation_spec", "action_spec", "dyn_type", "fsw_type"}
+"""Attributes that a satellite class may set."""
+
+SATELLITES: dict[type, type[core_sats.Satellite]] = {
+    their_sats.Satellite: core_sats.Satellite,
+    their_sats.AccessSatellite: core_sats.AccessSatellite,
+    their_sats.ImagingSatellite: core_sats.ImagingSatellite,
+}
+"""Classes of satellites."""
+
+GENERATION = ("generation_duration", "initial_generation_duration", "max_generation_duration_beyond_initial")
+"""Arguments of access satellites."""
+
+IGNORED = {
+    "__abstractmethods__", "__annotate_func__", "__annotations__", "__dict__", "__doc__", "__firstlineno__", "__module__",
+    "__orig_bases__", "__parameters__", "__qualname__", "__slotnames__", "__static_attributes__", "__weakref__", "_abc_impl",
+}  # fmt: skip
+"""Attributes of classes that no user has written."""
+
+SATELLITE_STATE = (
+    "_name", "_timed_terminal_event_name", "access_filter_functions", "action_builder", "backend", "dyn_type", "fsw_type",
+    "latest_target", "logger", "observation_builder", "sat_args_generator", "target_types", "variable_interval", *GENERATION,
+)  # fmt: skip
+"""Attributes of satellites before their first episode."""
+
+WITHOUT = ("communicator", "sat_arg_randomizer")
+"""Arguments of environments that have no counterpart for a single satellite."""
+
+PASSED = (
+    "world_type", "sim_rate", "max_step_duration", "failure_penalty", "time_limit", "terminate_on_time_limit",
+    "generate_obs_retasking_only", "backend", "orbit", "log_dir",
+)  # fmt: skip
+"""Arguments of environments that the core takes as they are."""
+
+
+def counterpart(given: Any, table: Mapping[type, Stock], *entries: Any) -> Any:
+    """Return the core's counterpart of an object, made with ``entries`` before its arguments.
+
+    Raises:
+        NotBatchedError: For an object of another class, or one with attributes that its class does not know.
+    """
+    title, stock = type(given).__name__, table.get(type(given))
+    if stock is None:
+        raise NotBatchedError(f"{title} is a class of yours, for one episode")
+    known = {*stock.arguments.values(), *stock.state.split(), *LINKS.split()}
+    if unknown := sorted(set(vars(given)) - known):
+        raise NotBatchedError(f"{title} has attributes that are no arguments of it: {', '.join(unknown)}")
+    values = {}
+    for name, attribute in stock.arguments.items():
+        value = getattr(given, attribute)
+        if callable(value) and value in STANDARD:
+            continue
+        values[name] = partial(of_each, value) if name == "reward_fn" and value is not None else value
+    return stock.core(*entries, **values)
+
+
+def _entries(given: Any) -> list[dict[str, Any]]:
+    """Return the observed quantities of an observation as the core takes them."""
+    if isinstance(given, their_obs.SatProperties):
+        return [{name: value for name, value in entry.items() if name != "module"} for entry in given.obs_properties]
+    if isinstance(given, their_obs.OpportunityProperties):
+        presets: Mapping[Any, Any] = their_obs.OpportunityProperties._fn_map
+        unused = [{"fn"} if entry["fn"] is presets.get(entry.get("prop")) else set() for entry in given.target_properties]
+        return [{k: v for k, v in e.items() if k not in names} for e, names in zip(given.target_properties, unused, strict=True)]
+    return []
+
+
+def given_arguments(values: Mapping[str, Any], defaults: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the arguments whose values differ from their defaults, as the core takes them."""
+    return {name: DRAWS.get(value, value) if callable(value) else value
+            for name, value in values.items() if not _same(value, defaults.get(name))}  # fmt: skip
+
+
+def _same(value: Any, default: Any) -> bool:
+    if value is default:
+        return True
+    return not callable(value) and type(value) is type(default) and bool(np.all(value == default))
+
+
+def check_satellite(given: Any) -> None:
+    """Raise NotBatchedError for a satellite with code of the user's, or changes that the core's satellites do not know."""
+    for kind in type(given).__mro__:
+        if kind.__module__.startswith("bsk_torch.") or kind in (object, ABC):
+            continue
+        if added := sorted(set(vars(kind)) - BODY - IGNORED):
+            raise NotBatchedError(f"{kind.__name__} has code of yours, for one episode: {', '.join(added)}")
+    if added := sorted(set(vars(given)) - set(SATELLITE_STATE)):
+        raise NotBatchedError(f"satellite {given.name} has attributes that are no arguments of it: {', '.join(added)}")
+    if given.observation_builder.obs_type is not np.ndarray:
+        raise NotBatchedError(f"obs_type={given.observation_builder.obs_type!r}; vectors can be batched")
+    if getattr(given, "access_filter_functions", ()) or getattr(given, "target_types", TARGET_KIND) != TARGET_KIND:
+        raise NotBatchedError(f"satellite {given.name} has access filters, or looks for other types than {TARGET_KIND!r}")
+
+
+def core_satellite(given: Any) -> core_sats.Satellite:
+    """Return the core's counterpart of a satellite; NotBatchedError for one that has none."""
+    check_satellite(given)
+    sat_args = given_arguments(given.sat_args_generator, type(given).default_sat_args())
+    if "utc_init" in sat_args:
+        raise NotBatchedError("utc_init is among sat_args; write it among world_args")
+    builder = given.observation_builder
+    body = {
+        "observation_spec": [counterpart(entry, OBSERVATIONS, *_entries(entry)) for entry in builder.observation_spec],
+        "action_spec": [counterpart(entry, ACTIONS) for entry in given.action_builder.action_spec],
+        "dyn_type": given.dyn_type,
+        "fsw_type": given.fsw_type,
+    }
+    base = next(kind for kind in type(given).__mro__ if kind in SATELLITES)
+    made = type(type(given).__name__, (SATELLITES[base],), body)
+    options = {name: getattr(given, name) for name in GENERATION if hasattr(given, name)}
+    return made(given.name, sat_args, variable_interval=bool(given.variable_interval), dtype=builder.dtype, **options)
+
+
+def batched_core(env: SatelliteTasking[Any, Any], arguments: Mapping[str, Any], num_envs: int) -> Core:
+    """Return the core's environment of N episodes of a program.
+
+    Args:
+        env: A single environment of the program, before its first reset.
+        arguments: The arguments that it was made of, by name.
+        num_envs: Number of episodes N.
+
+    Raises:
+        NotBatchedError: For a program that cannot be batched.
+    """
+    if type(env) is not SatelliteTasking:
+        raise NotBatchedError(f"{type(env).__name__} is not bsk_rl's SatelliteTasking; bsk_torch.ConstellationTasking is batched")
+    if without := [name for name in WITHOUT if arguments.get(name) is not None]:
+        raise NotBatchedError(f"{without[0]} has no counterpart for a single satellite")
+    several = type(env.rewarder) is ComposedReward
+    parts = env.rewarder.rewarders if several else [env.rewarder]
+    table = {**REWARDERS, their_data.UniqueImageReward: REWARDERS[their_data.UniqueImageReward]._replace(core=NothingHidden)}
+    try:
+        rewarders = [counterpart(part, table if several else REWARDERS) for part in parts]
+        return Core(
+            satellite=core_satellite(env.satellite),
+            scenario=counterpart(env.scenario, SCENARIOS),
+            rewarder=rewarders if several else rewarders[0],
+            world_args=given_arguments(env.world_args_generator, world_defaults(env.world_type)),
+            num_envs=num_envs,
+            compat="bsk_rl",
+            **{name: arguments[name] for name in PASSED if name in arguments},
+        )
+    except (TypeError, ValueError, AttributeError, KeyError) as error:
+        if isinstance(error, NotBatchedError):
+            raise
+        raise NotBatchedError(f"bsk_torch rejects it: {type(error).__name__}: {error}") from error
+
+
+class BatchedVectorEnv(GymVectorEnv):
+    """N episodes of a program of bsk_rl in one simulation, as ``gymnasium.vector.VectorEnv``.
+
+    Observations, rewards and durations are those of single environments in the same state, to rounding. Draws are those of
+    :mod:`bsk_torch`: a seed gives other episodes, of the same distribution. ``info`` also has ``action_mask``.
+    """
+
+    def _make_spaces(self) -> None:
+        super()._make_spaces()
+        one = self.single_observation_space
+        self.single_observation_space = spaces.Box(-LARGEST, LARGEST, one.shape, one.dtype)  # type: ignore[arg-type]
+        self.observation_space = batch_space(self.single_observation_space, self.num_envs)
+
+    def get_attr(self, name: str) -> tuple[Any, ...]:
+        """Return an attribute of every episode: ``satellite``, or ``simulator``; read-only views.
+
+        AttributeError for others.
+        """
+        views = [self.core.satellite.one(row) for row in range(self.num_envs)]
+        if name == "satellite":
+            return tuple(views)
+        if name == "simulator":
+            return tuple(view.simulator for view in views)
+        raise AttributeError(
+            f"{name!r}: episodes in one simulation have 'satellite' and 'simulator'. vectorize='episodes' makes environments "
+            "with all attributes and methods; env.core has those of all episodes together"
+        )
