@@ -1,4 +1,4 @@
-"""Rewarders, which score the data that satellites collect."""
+"""Rewarders, which compute rewards for the data collected by satellites."""
 
 from bsk_torch.data.base import GlobalReward, NoReward
 from bsk_torch.data.clouds import CloudFreeImageReward

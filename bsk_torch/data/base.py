@@ -45,14 +45,14 @@ UNUSED = {
     "reset_during_sim_init": MEMORY,
     "reset_post_sim_init": MEMORY,
 }
-"""Names that are no hooks of rewarders, those of bsk_rl among them, and what to write instead."""
+"""Names that are not hooks of rewarders, including bsk_rl's, and their replacements."""
 
 
 MARKS = ("data_store_type", "datastore_type", "data_type", "create_data_store", "initial_data")
-"""Names that only rewarders in bsk_rl's form define."""
+"""Names defined only by rewarders in bsk_rl's form."""
 
 SINGLE_ARGUMENTS = {"calculate_reward": (1, 2), "is_terminated": (1, 0), "is_truncated": (1, 0)}
-"""Methods that have other arguments in bsk_rl's form: their number there and here, without ``self``."""
+"""Methods with different arguments in bsk_rl's form: the number of arguments there and here, without ``self``."""
 
 
 def is_single_form(body: Mapping[str, Any]) -> bool:
@@ -95,16 +95,17 @@ class RewarderType(ABCMeta):
 
 
 class GlobalReward(metaclass=RewarderType):
-    """Base of rewarders, which score a step by the logs of the satellites before and after it.
+    """Base class of rewarders, which compute rewards from logs read before and after a step.
 
-    Subclasses define :meth:`calculate_reward`, and :meth:`read_log` for what it needs; the other hooks are optional. N is the
-    number of episodes, S that of satellites in each; :meth:`bsk_torch.sim.fleet.Fleet.each` reads a property of all satellites.
+    Subclasses define :meth:`calculate_reward`, and :meth:`read_log` to read the values it needs; the other hooks are optional. N
+    is the number of episodes, S the number of satellites in each. :meth:`bsk_torch.sim.fleet.Fleet.each` reads a property of all
+    satellites.
 
-    A subclass may also be in bsk_rl's form: ``data_store_type``, ``calculate_reward(new_data_dict)`` and so on; see
-    :mod:`bsk_torch.data.single`. It runs for each environment, which is slow.
+    A subclass may also be in bsk_rl's form, with ``data_store_type`` and ``calculate_reward(new_data_dict)``; see
+    :mod:`bsk_torch.data.single`. Such a subclass is called once per environment, which is slow.
 
     Attributes:
-        single: Base of subclasses in bsk_rl's form.
+        single: Base class of subclasses in bsk_rl's form.
         scenario: The scenario, once an environment has been built.
         fleet: The satellites, once an environment has been built.
     """
@@ -117,28 +118,28 @@ class GlobalReward(metaclass=RewarderType):
     """Field of the state with :attr:`cum_reward`; see :mod:`bsk_torch.data.totals`."""
 
     def __init_subclass__(cls, **options: object) -> None:
-        """Refuse definitions that no environment would use; TypeError says what to write instead."""
+        """Raise TypeError, suggesting a replacement, for definitions that no environment would use."""
         super().__init_subclass__(**options)
         check_class(cls, GlobalReward, HOOKS, UNUSED)
 
     def link(self, scenario: Scenario, fleet: SatelliteFleet) -> None:
         """Prepare for a scenario and its satellites; called once when an environment is built.
 
-        Overriding methods call ``super().link(scenario, fleet)`` first, and raise ValueError for a scenario or satellites that do
-        not fit.
+        Overriding methods call ``super().link(scenario, fleet)`` first, and raise ValueError for an unsuitable scenario or
+        satellites.
         """
         self.scenario, self.fleet = scenario, fleet
 
     @property
     def memory(self) -> StateTable:
-        """Tensors [N, ...] that are reset with every episode; ``memory.declare(name, initial, *shape)`` in ``link`` adds one."""
+        """Tensors [N, ...] reset with every episode; ``memory.declare(name, initial, *shape)`` in ``link`` adds one."""
         return self.fleet.memory
 
     @property
     def cum_reward(self) -> dict[str, Tensor]:
-        """Reward of each satellite in the present episodes so far, without failure penalties: [N] float64 by its name.
+        """Total reward of each satellite in the current episodes, without failure penalties: [N] float64 by name.
 
-        AttributeError for a rewarder that belongs to no environment.
+        AttributeError for a rewarder outside an environment.
         """
         if not hasattr(self, "total_name"):
             raise AttributeError("cum_reward is read from the rewarder of an environment: env.rewarder.cum_reward")
@@ -146,11 +147,11 @@ class GlobalReward(metaclass=RewarderType):
 
     @property
     def step_duration(self) -> Tensor:
-        """Time that the present step has taken, [N] s; for :meth:`calculate_reward`."""
+        """Duration of the current step, [N] s; for :meth:`calculate_reward`."""
         return (self.fleet.ticks - self.fleet.since).double() * self.fleet.h
 
     def read_log(self) -> Log:
-        """Return the present log, read at every decision boundary; tensors [N, S, ...] by name."""
+        """Return the log of the current state, read at every decision: tensors [N, S, ...] by name."""
         return {}
 
     def calculate_reward(self, before: Log, after: Log) -> Tensor:
@@ -158,14 +159,14 @@ class GlobalReward(metaclass=RewarderType):
         raise NotImplementedError(f"{type(self).__name__} must implement calculate_reward(before, after)")
 
     def share(self, links: Tensor) -> None:
-        """Spread knowledge of collected data after a step.
+        """Share knowledge of collected data after a step.
 
         Args:
-            links: Whether a satellite (second dimension) sends its knowledge to another one (third dimension), [N, S, S] bool.
+            links: Links by episode, sender and receiver, [N, S, S] bool.
         """
 
     def counts(self) -> dict[str, Tensor]:
-        """Return counters of the present episodes by name, [N, S] int64 each; environments put them under ``counts``."""
+        """Return counters of the current episodes by name, [N, S] int64 each; environments return them under ``counts``."""
         return {}
 
     def is_terminated(self) -> Tensor:

@@ -1,7 +1,8 @@
-"""Calls of a rewarder's hooks that check what they return.
+"""Calls of a rewarder's hooks with checks of their results.
 
-Environments and :class:`~bsk_torch.data.ComposedReward` call hooks in this way only, so a tensor of a wrong shape is an error
-that names the hook, and is not broadcast to a wrong reward. The checks read shapes and dtypes, never values.
+Environments and :class:`~bsk_torch.data.ComposedReward` call hooks only through these functions. A tensor of a wrong shape
+therefore raises an error naming the hook, instead of being broadcast to a wrong reward. The checks read shapes and dtypes, but no
+values.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ def link(rewarder: GlobalReward, scenario: Scenario, fleet: SatelliteFleet) -> N
 
 
 def log(rewarder: GlobalReward) -> Log:
-    """Return the present log; TypeError unless it is a dictionary of tensors [N, S, ...]."""
+    """Return the log of the current state; TypeError unless it is a dictionary of tensors [N, S, ...]."""
     found, shape = rewarder.read_log(), rewarder.fleet.shape
     if not isinstance(found, dict):
         raise TypeError(f"{type(rewarder).__name__}.read_log() returns {found!r}; it must return a dictionary of tensors")
@@ -42,7 +43,7 @@ def reward(rewarder: GlobalReward, before: Log, after: Log) -> Tensor:
     """Return the reward of a step, [N, S].
 
     Raises:
-        TypeError: For another shape, or for a dtype that is not floating-point.
+        TypeError: For a wrong shape, or a dtype that is not floating-point.
         ValueError: For a reward that requires a gradient.
     """
     with torch.enable_grad():  # so that a reward that depends on parameters can be told
@@ -53,21 +54,21 @@ def reward(rewarder: GlobalReward, before: Log, after: Log) -> Tensor:
 
 
 def terminated(rewarder: GlobalReward) -> Tensor:
-    """Return the satellites whose episode the rewarder terminates, [N, S] bool; TypeError for another shape or dtype."""
+    """Return the satellites whose episode the rewarder terminates, [N, S] bool; TypeError for a wrong shape or dtype."""
     found = rewarder.is_terminated()
     check_tensor(f"{type(rewarder).__name__}.is_terminated()", found, rewarder.fleet.shape, torch.bool)
     return found
 
 
 def truncated(rewarder: GlobalReward) -> Tensor:
-    """Return the satellites whose episode the rewarder truncates, [N, S] bool; TypeError for another shape or dtype."""
+    """Return the satellites whose episode the rewarder truncates, [N, S] bool; TypeError for a wrong shape or dtype."""
     found = rewarder.is_truncated()
     check_tensor(f"{type(rewarder).__name__}.is_truncated()", found, rewarder.fleet.shape, torch.bool)
     return found
 
 
 def share(rewarder: GlobalReward, links: Tensor) -> None:
-    """Spread knowledge along ``links`` [N, S, S] bool; TypeError if the hook returns something, which would be lost."""
+    """Share knowledge along ``links`` [N, S, S] bool; TypeError if the hook returns a value, which would be lost."""
     if rewarder.share(links) is not None:  # type: ignore[func-returns-value]
         raise TypeError(f"{type(rewarder).__name__}.share(links) must return None; keep what it computes in fleet.memory")
 
@@ -76,8 +77,8 @@ def counts(rewarder: GlobalReward, taken: Collection[str] = ()) -> dict[str, Ten
     """Return the counters of a rewarder, [N, S] int64 each.
 
     Raises:
-        TypeError: For a counter of another shape or dtype.
-        ValueError: For a counter whose name is already ``taken`` by the satellites.
+        TypeError: For a counter with a wrong shape or dtype.
+        ValueError: For a counter with a name already ``taken`` by the satellites.
     """
     found, shape = rewarder.counts(), rewarder.fleet.shape
     for name, value in found.items():

@@ -18,19 +18,19 @@ if TYPE_CHECKING:
 
 
 class CloudFreeImageReward(UniqueImageReward):
-    """Pays for the first image of every target if the true cloud cover is at most ``threshold``.
+    """Reward for the first image of every target, given if the true cloud cover is at most ``threshold``.
 
-    The true cover is not observable before the image; the target is hidden afterwards in either case. The counter ``covered``
-    [N, S] is the number of images that show clouds.
+    The true cover is not observable before the image. The target is hidden afterwards, whether or not the image was clear. The
+    counter ``covered`` [N, S] is the number of cloudy images.
     """
 
     scenario: CloudyTargets
 
     def __init__(self, threshold: float = 0.7, reward_fn: Callable[[Tensor], Tensor] = identity) -> None:
-        """Pay for images of clear targets.
+        """Reward images of clear targets.
 
         Args:
-            threshold: Largest cloud cover that pays, a fraction of the sky.
+            threshold: Maximum cloud cover of rewarded images, a fraction of the sky.
             reward_fn: Function from priorities [N, S] to rewards [N, S].
 
         Raises:

@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 class ComposedReward(GlobalReward):
     """The sum of several rewards.
 
-    Attributes of its parts can be read from the sum, such as ``imaged`` of a :class:`~bsk_torch.data.UniqueImageReward`, if only
-    one part has them.
+    Attributes that only one part has can be read from the sum, such as ``imaged`` of a
+    :class:`~bsk_torch.data.UniqueImageReward`.
 
     Attributes:
         rewarders: The parts.
@@ -41,13 +41,13 @@ class ComposedReward(GlobalReward):
         self.terms: dict[str, Tensor] = {}
 
     def __copy__(self) -> ComposedReward:
-        """Return a copy whose parts are copies; every environment makes one."""
+        """Return a copy, including the parts; every environment makes one."""
         new = type(self).__new__(type(self))
         new.__dict__ |= self.__dict__ | {"rewarders": tuple(map(copy.copy, self.rewarders)), "terms": {}}
         return new
 
     def __getattr__(self, name: str) -> Any:
-        """Return an attribute that only a part has; AttributeError if none has it, or several have different ones."""
+        """Return an attribute of a part; AttributeError if no part has it, or several parts with different values."""
         found = [getattr(rewarder, name) for rewarder in self.__dict__.get("rewarders", ()) if hasattr(rewarder, name)]
         if not found:
             raise AttributeError(f"neither {type(self).__name__} nor one of its rewarders has {name!r}")
@@ -56,7 +56,7 @@ class ComposedReward(GlobalReward):
         return found[0]
 
     def __setattr__(self, name: str, value: object) -> None:
-        """Set an attribute of the sum; AttributeError for one of a part, which would not change."""
+        """Set an attribute of the sum; AttributeError for attributes of parts, which would not change."""
         parts = self.__dict__.get("rewarders", ())
         of_part = any(name in vars(part) or isinstance(getattr(type(part), name, None), property) for part in parts)
         of_part = of_part and not hasattr(type(self), name)
@@ -89,7 +89,7 @@ class ComposedReward(GlobalReward):
 
     @property
     def resource_weights(self) -> tuple[Tensor, ...]:
-        """Present weights of the resource rewards among the parts, [N] each."""
+        """Current weights of the resource rewards among the parts, [N] each."""
         return tuple(weight for part in self.rewarders for weight in getattr(part, "resource_weights", ()))
 
     def share(self, links: Tensor) -> None:
@@ -98,7 +98,7 @@ class ComposedReward(GlobalReward):
             checked.share(part, links)
 
     def counts(self) -> dict[str, Tensor]:
-        """See :meth:`GlobalReward.counts`; names that several parts use are numbered."""
+        """See :meth:`GlobalReward.counts`; names used by several parts are numbered."""
         pairs = [pair for part in self.rewarders for pair in checked.counts(part).items()]
         return dict(zip(_numbered(name for name, _ in pairs), (count for _, count in pairs), strict=True))
 
@@ -112,7 +112,7 @@ class ComposedReward(GlobalReward):
 
 
 def _numbered(names: Iterable[str]) -> list[str]:
-    """Return names of which repeated ones have a number, as in ``NoReward_2``."""
+    """Return the names with numbers appended to repeated ones, as in ``NoReward_2``."""
     found: list[str] = []
     for name in names:
         unique, number = name, 1

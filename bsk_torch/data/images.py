@@ -20,10 +20,10 @@ if TYPE_CHECKING:
 
 
 class ImageReward(GlobalReward):
-    """Base of rewards for images, which finds the imaged targets and hides targets that need no image any more.
+    """Base class of rewards for images, which determines the imaged targets and hides targets that need no further image.
 
-    Subclasses define :meth:`selectable` and :meth:`value`. A satellite has taken an image if its store has grown over a step; the
-    image shows the target that was chosen last. So a step counts at most one image of a satellite, as in bsk_rl.
+    Subclasses define :meth:`selectable` and :meth:`value`. A satellite has taken an image if the data in its buffer has grown
+    over a step; the image shows the target chosen last. A step therefore counts at most one image per satellite, as in bsk_rl.
     """
 
     scenario: TargetScenario
@@ -34,7 +34,7 @@ class ImageReward(GlobalReward):
         check_class(cls, ImageReward, ("selectable", "value"), {})
 
     def link(self, scenario: Scenario, fleet: SatelliteFleet) -> None:
-        """See :meth:`GlobalReward.link`; ValueError without targets, or without a satellite that images them."""
+        """See :meth:`GlobalReward.link`; ValueError without targets, or without a satellite that can image them."""
         super().link(scenario, fleet)
         if not hasattr(scenario, "most_targets"):
             raise ValueError(
@@ -61,10 +61,10 @@ class ImageReward(GlobalReward):
         raise NotImplementedError(f"{type(self).__name__} must implement selectable()")
 
     def value(self, target: Tensor, taken: Tensor) -> Tensor:
-        """Return the reward of each satellite and note its image; called once for every step.
+        """Return the reward of each satellite and record its image; called once for every step.
 
         Args:
-            target: Index of the target that the satellite has chosen last, [N, S] int64; 0 where there is none.
+            target: Index of the target last chosen by the satellite, [N, S] int64; 0 without one.
             taken: Whether the satellite has taken an image of it in the step, [N, S] bool.
 
         Returns:
@@ -83,7 +83,7 @@ class ImageReward(GlobalReward):
         return self.value(target.clamp(min=0), taken)
 
     def taken_by_any(self, target: Tensor, taken: Tensor, targets: int) -> Tensor:
-        """Return the targets that at least one satellite has imaged in the step, [N, T] bool with T = ``targets``."""
+        """Return the targets imaged by at least one satellite in the step, [N, T] bool with T = ``targets``."""
         none = torch.zeros(len(target), targets + 1, dtype=torch.bool, device=target.device)
         return none.scatter(1, torch.where(taken, target, targets), True)[:, :targets]
 
@@ -94,16 +94,16 @@ def identity(priority: Tensor) -> Tensor:
 
 
 class UniqueImageReward(ImageReward):
-    """Pays for the first image of every target, and hides targets from satellites that know of an image.
+    """Reward for the first image of every target; satellites no longer see targets that they know to be imaged.
 
-    reward = reward_fn(priority) / k for an image of a target that had none before the step, where k satellites took one in the
-    same step; later images pay nothing, whether or not the satellite knew of the first. A satellite knows of its own images and
-    of those that communication tells it (:mod:`bsk_torch.comm`). The counter ``duplicates`` [N, S] is the number of images that
-    paid nothing.
+    The reward is reward_fn(priority) / k for an image of a target not imaged before the step, where k is the number of satellites
+    imaging it in the same step. Later images earn nothing, whether or not the satellite knew of the first. A satellite knows its
+    own images and those received by communication (:mod:`bsk_torch.comm`). The counter ``duplicates`` [N, S] is the number of
+    images without a reward.
     """
 
     def __init__(self, reward_fn: Callable[[Tensor], Tensor] = identity) -> None:
-        """Pay ``reward_fn`` of priorities [N, S], which returns [N, S]."""
+        """Reward images by ``reward_fn``, a function from priorities [N, S] to rewards [N, S]."""
         if not callable(reward_fn):
             raise TypeError(f"reward_fn={reward_fn!r} must be a function of priorities")
         self.reward_fn = reward_fn
@@ -123,28 +123,28 @@ class UniqueImageReward(ImageReward):
 
     @property
     def known(self) -> Tensor:
-        """Targets of whose images each satellite knows, [N, S, T] bool."""
+        """Targets known by each satellite to be imaged, [N, S, T] bool."""
         return self.memory["known_images"] if self.fleet.size > 1 else self.imaged.unsqueeze(1)
 
     @property
     def data(self) -> UniqueImages:
-        """What all satellites together have collected, for people to read."""
+        """Data collected by all satellites together, in readable form."""
         return UniqueImages(self.imaged, self.scenario.drawn("target_exists").bool(), self.memory["duplicates"].sum(1))
 
     def data_of(self, row: int) -> UniqueImageData:
-        """Return what has been collected in environment ``row``, with Python sets of targets as bsk_rl's ``rewarder.data``."""
+        """Return the data collected in environment ``row``, with Python sets of targets as in bsk_rl's ``rewarder.data``."""
         imaged = [self.scenario.target_object(row, k) for k in torch.nonzero(self.imaged[row]).squeeze(-1).tolist()]
         return UniqueImageData(imaged, int(self.data.duplicates[row]), self.scenario.target_objects(row))
 
     def store_of_one(self, part: int, row: int) -> Known:
-        """Return what the satellite of a row [N * count] of type number ``part`` knows, in the form of :meth:`data_of`."""
+        """Return the knowledge of the satellite in a row [N * count] of type number ``part``, in the form of :meth:`data_of`."""
         env = row // len(self.fleet.columns[part])
         known, duplicates = (self.fleet.rows_of(part, table)[row] for table in (self.known, self.memory["duplicates"]))
         imaged = [self.scenario.target_object(env, k) for k in torch.nonzero(known).squeeze(-1).tolist()]
         return Known(UniqueImageData(imaged, int(duplicates), self.scenario.target_objects(env)))
 
     def store_of(self, part: int) -> Known:
-        """Return what the satellites of type number ``part`` know, [N * count, ...]; it is their ``data_store``."""
+        """Return the knowledge of the satellites of type number ``part``, [N * count, ...], their ``data_store``."""
         exists = self.scenario.drawn("target_exists").bool().unsqueeze(1).expand_as(self.known)
         tables = self.known, exists, self.memory["duplicates"]
         return Known(UniqueImages(*(self.fleet.rows_of(part, table) for table in tables)))
@@ -173,7 +173,7 @@ class UniqueImageReward(ImageReward):
 
     @staticmethod
     def sharers(target: Tensor, pays: Tensor) -> Tensor:
-        """Return how many satellites have imaged the target of each one in this step, at least 1, [N, S]."""
+        """Return how many satellites have imaged each satellite's target in this step, at least 1, [N, S]."""
         same = (target.unsqueeze(2) == target.unsqueeze(1)) & pays.unsqueeze(1)
         return same.sum(2).clamp(min=1)
 
@@ -187,7 +187,7 @@ class UniqueImageReward(ImageReward):
         most = int(disputed.sum(1).max())
         if not most:
             return
-        # few targets are known to some satellites and not to all: the product is taken over these only
+        # few targets are known to some satellites but not to all; the product covers only these
         slot = torch.where(disputed, torch.cumsum(disputed, 1) - 1, most)
         number = torch.arange(known.shape[2], device=known.device).expand_as(slot)
         column = torch.zeros_like(number[:, : most + 1]).scatter(1, slot, number)[:, :most].unsqueeze(1)

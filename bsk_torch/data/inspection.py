@@ -20,18 +20,18 @@ if TYPE_CHECKING:
     from bsk_torch.scene.base import Scenario
 
 KINDS = ("inspected", "illuminated")
-"""What is known of a point."""
+"""Flags known of a point."""
 
 NEVER = -1.0
-"""Time of a completion that has not come, s."""
+"""Time of completion of an incomplete inspection, s."""
 
 
 class RSOInspectionData(NamedTuple):
-    """What is known of the points of RSOs, of the whole crew [N, P] or of the satellites of one type [N * count, P].
+    """Knowledge of the points of RSOs, of all satellites together [N, P] or of the satellites of one type [N * count, P].
 
     Attributes:
-        inspected: Points that have been inspected, bool.
-        illuminated: Points that have been lit, bool.
+        inspected: Inspected points, bool.
+        illuminated: Points lit at any time, bool.
     """
 
     inspected: Tensor
@@ -39,13 +39,13 @@ class RSOInspectionData(NamedTuple):
 
 
 class InspectionStore(NamedTuple):
-    """A store of data, as bsk_rl's ``satellite.data_store``: ``data`` is what it holds."""
+    """A data store, like bsk_rl's ``satellite.data_store``: ``data`` is its content."""
 
     data: RSOInspectionData
 
 
 class _Found(NamedTuple):
-    """Points of a step: episodes that took part [N], and points [N, S, P] that satellites inspected, or saw lit."""
+    """Points of a step: episodes that took part [N], and points [N, S, P] inspected, or seen lit, by satellites."""
 
     moved: Tensor
     inspected: Tensor
@@ -53,27 +53,26 @@ class _Found(NamedTuple):
 
 
 class RSOInspectionReward(GlobalReward):
-    """Pays for every point of an RSO that is inspected for the first time, and for completing the inspection.
+    """Reward for the first inspection of every point of an RSO, and for completing the inspection.
 
-    A satellite that inspects k of the P points that had not been inspected before the step gets
-    ``inspection_reward_scale * k / P``; two that inspect the same point in one step are both paid, as in bsk_rl. Inspecting takes
-    an inspector whose instrument records, see :mod:`bsk_torch.sim.inspection.flags`, of a :class:`scene.RSOPoints` scenario.
+    A satellite that inspects k of the P points not inspected before the step receives ``inspection_reward_scale * k / P``. If two
+    satellites inspect the same point in one step, both are rewarded, as in bsk_rl. The scenario must be a
+    :class:`scene.RSOPoints`. For the conditions of an inspection, see :mod:`bsk_torch.sim.inspection.flags`.
 
-    The inspection is complete at the end of the first step at which enough is known, and enough of that inspected::
+    The inspection is complete at the end of the first step in which enough points have been lit, and enough of these inspected::
 
         lit >= min_illuminated_for_completion * P, or sim_time > min_time_for_completion
         inspected >= completion_threshold * lit
 
-    with the numbers of points that were lit, and inspected, at any time in the episode. Every satellite of the environment, the
-    RSO included, then gets ``completion_bonus``, once. At least one point must have been lit; bsk_rl pays for none, which
-    ``compat="bsk_rl"`` repeats.
+    where ``lit`` and ``inspected`` are the numbers of points lit and inspected at any time in the episode. Every satellite of the
+    environment, including the RSO, then receives ``completion_bonus``, once. At least one point must have been lit; bsk_rl also
+    gives the bonus for none, which ``compat="bsk_rl"`` reproduces.
 
-    Points that were in view or lit at time zero do not count: the RSO has no attitude before its first command is carried out. In
-    bsk_rl its attitude is zero in the first two records of an episode, which count as inspected, and by a test that rounding
-    decides also as lit; ``compat="bsk_rl"`` repeats that.
+    Points in view or lit at time zero do not count, because the RSO has no attitude before the execution of its first command. In
+    bsk_rl, its attitude is zero in the first two records of an episode. Points seen then count as inspected and, depending on
+    rounding, also as lit; ``compat="bsk_rl"`` reproduces this.
 
-    Satellites that have died go on inspecting, as in bsk_rl: their points earn no reward any more, and they count for
-    completion.
+    Dead satellites continue to inspect, as in bsk_rl: their points earn no reward, but count toward completion.
     """
 
     def __init__(
@@ -90,10 +89,11 @@ class RSOInspectionReward(GlobalReward):
         Args:
             inspection_reward_scale: Reward for inspecting all points.
             completion_bonus: Reward of each satellite for completing the inspection.
-            completion_threshold: Inspected points that complete it, as a fraction of those that have been lit.
-            min_illuminated_for_completion: Points that must have been lit before, as a fraction of all ...
-            min_time_for_completion: ... unless this time has passed, s.
-            terminate_on_completion: Whether the episode ends with it.
+            completion_threshold: Fraction of the lit points to inspect for completion.
+            min_illuminated_for_completion: Fraction of all points that must have been lit for completion before
+                ``min_time_for_completion``.
+            min_time_for_completion: Time after which the inspection can be complete regardless of the number of lit points, s.
+            terminate_on_completion: Whether completion terminates the episode.
         """
         self.inspection_reward_scale = number("inspection_reward_scale", inspection_reward_scale)
         self.completion_bonus = number("completion_bonus", completion_bonus)
@@ -122,7 +122,7 @@ class RSOInspectionReward(GlobalReward):
     # -- what a step shows --------------------------------------------------------------------------------------------
 
     def _look(self, flight: Flight) -> None:
-        """Note the points of the episodes of a flight."""
+        """Record the points of the episodes of a flight."""
         fleet, scenario = self.fleet, self._points
         found = self._found
         if found is None:
@@ -156,13 +156,13 @@ class RSOInspectionReward(GlobalReward):
         return Records(chief, episodes, inspectors, pairs, *of_pairs)
 
     def _first_records(self, flight: Flight) -> tuple[Tensor, Tensor]:
-        """Return the first record in which points may be inspected, and lit, [n] each."""
+        """Return the first record in which points may be inspected, and the first in which they may be lit, [n] each."""
         begins, zero = flight.since == 0, torch.zeros_like(flight.since)
         simulator = self.fleet.simulators[0]
         if not simulator.type.as_bsk_rl:
             first = torch.where(begins, 1, zero)
             return first, first
-        # by this difference bsk_rl recognises the first step of an episode; rounding makes some of them fail
+        # bsk_rl recognizes the first step of an episode by this difference, which rounding sometimes makes fail
         time, n = (flight.ticks * simulator.h_ns).double() * NANO, flight.ticks.double()
         return zero, torch.where(begins & (time - simulator.h * n == 0.0), 2, zero)
 
@@ -170,17 +170,17 @@ class RSOInspectionReward(GlobalReward):
 
     @property
     def inspected(self) -> Tensor:
-        """Points that have been inspected in the present episodes, [N, P] bool."""
+        """Points inspected in the current episodes, [N, P] bool."""
         return self.memory["inspected_points"]
 
     @property
     def illuminated(self) -> Tensor:
-        """Points that have been lit in the present episodes, whether or not observed, [N, P] bool."""
+        """Points lit in the current episodes, whether or not observed, [N, P] bool."""
         return self.memory["illuminated_points"]
 
     @property
     def known(self) -> RSOInspectionData:
-        """What each satellite knows, by itself and by communication, [N, S, P] each."""
+        """Knowledge of each satellite, including knowledge received by communication, [N, S, P] each."""
         return RSOInspectionData(*(self.memory[f"known_{kind}"] for kind in KINDS))
 
     @property
@@ -194,11 +194,11 @@ class RSOInspectionReward(GlobalReward):
         return self.memory["inspection_bonus_time"] != NEVER
 
     def store_of(self, part: int) -> InspectionStore:
-        """Return what the satellites of type number ``part`` know, [N * count, P]; it is their ``data_store``."""
+        """Return the knowledge of the satellites of type number ``part``, [N * count, P], their ``data_store``."""
         return InspectionStore(RSOInspectionData(*(self.fleet.rows_of(part, table) for table in self.known)))
 
     def store_of_one(self, part: int, row: int) -> InspectionStore:
-        """Return what the satellite of a row [N * count] of type number ``part`` knows, [P] each."""
+        """Return the knowledge of the satellite in a row [N * count] of type number ``part``, [P] each."""
         return InspectionStore(RSOInspectionData(*(table[row] for table in self.store_of(part).data)))
 
     def share(self, links: Tensor) -> None:
@@ -210,14 +210,14 @@ class RSOInspectionReward(GlobalReward):
     # -- reward -------------------------------------------------------------------------------------------------------
 
     def read_log(self) -> Log:
-        """See :meth:`GlobalReward.read_log`; the records of a run take its place."""
+        """See :meth:`GlobalReward.read_log`; empty, because the records of a run are used instead."""
         return {}
 
     def calculate_reward(self, before: Log, after: Log) -> Tensor:
         """See :meth:`GlobalReward.calculate_reward`."""
         found, self._found = self._found, None
         fleet, memory = self.fleet, self.memory
-        if found is None:  # a trial without a run
+        if found is None:  # a trial, without a run
             return torch.zeros(fleet.num_envs, fleet.size, dtype=torch.float64, device=fleet.device)
         new = (found.inspected & ~self.inspected.unsqueeze(1)).sum(2).double()
         for kind, points in zip(KINDS, (found.inspected, found.illuminated), strict=True):
@@ -229,7 +229,7 @@ class RSOInspectionReward(GlobalReward):
         return reward + self.completion_bonus * completed.double().unsqueeze(1)
 
     def _completed(self) -> Tensor:
-        """Return where the conditions of completion hold, [N]."""
+        """Return the episodes in which the conditions of completion hold, [N]."""
         inspected, lit = (points.sum(1).double() for points in (self.inspected, self.illuminated))
         enough = (lit >= self.min_illuminated_for_completion * self._points.n_points) | (
             self.fleet.sim_time > self.min_time_for_completion

@@ -25,27 +25,27 @@ ADVICE = (
 )
 
 MEMORY = "resource_weight"
-"""Beginning of the names of memory that holds drawn weights."""
+"""Prefix of the memory names of drawn weights."""
 
 Weight = float | Distribution | Callable[[], float]
 
 
 class ResourceReward(GlobalReward):
-    """Pays for the growth of a resource and charges for its use: reward = reward_weight * (resource_after - resource_before)."""
+    """Reward proportional to the change of a resource: reward_weight * (resource_after - resource_before)."""
 
     def __init__(self, reward_weight: Weight = 1.0, resource_fn: object = None) -> None:
-        """Pay for a resource.
+        """Reward a resource.
 
         Args:
-            reward_weight: Reward for one unit of the resource: a number, or what is drawn for each environment in every episode:
-                a distribution of :mod:`bsk_torch.rand`, or a function without arguments, before which NumPy's global generator
-                is seeded.
+            reward_weight: Reward for one unit of the resource: a number, or a value drawn for each environment and episode from a
+                distribution of :mod:`bsk_torch.rand` or by a function without arguments. NumPy's global generator is seeded
+                before each call of the function.
             resource_fn: Function that returns the resource of the satellites of a type, [N], such as
-                ``lambda sat: sat.dynamics.battery_charge_fraction``. One that insists on one satellite is called for each, which
-                is slow.
+                ``lambda sat: sat.dynamics.battery_charge_fraction``. A function that only works for a single satellite is called
+                once per satellite, which is slow.
 
         Raises:
-            TypeError: For a ``resource_fn`` that is no function.
+            TypeError: If ``resource_fn`` is not a function.
             ValueError: For a weight that is neither a finite number, a distribution nor a function.
         """
         if not callable(resource_fn):
@@ -68,7 +68,7 @@ class ResourceReward(GlobalReward):
 
     @property
     def reward_weight(self) -> Any:
-        """Present weight of each environment, [N] float64; what has been given before an environment is built."""
+        """Current weight of each environment, [N] float64; the argument itself before an environment is built."""
         if not hasattr(self, "fleet"):
             return self.weight
         fleet = self.fleet
@@ -84,7 +84,7 @@ class ResourceReward(GlobalReward):
 
     @property
     def resource_weights(self) -> tuple[Tensor, ...]:
-        """The present weight, which :class:`bsk_torch.obs.ResourceRewardWeight` observes."""
+        """The current weight, observed by :class:`bsk_torch.obs.ResourceRewardWeight`."""
         return (self.reward_weight,)
 
     def read_log(self) -> Log:

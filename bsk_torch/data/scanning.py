@@ -19,23 +19,23 @@ if TYPE_CHECKING:
 
 
 class ScanningTimeReward(GlobalReward):
-    """Pays for the time spent recording: the growth of the store over a step, divided by the instrument's data rate.
+    """Reward for the time spent recording: the growth of the data buffer over a step, divided by the instrument's data rate.
 
-    reward = reward_fn(max(0, level_after - level_before) / instrumentBaudRate), with levels in bit and the rate in bit/s. A step
-    in which the store shrinks pays nothing, as in bsk_rl; nor does an instrument of rate 0, which gives no data.
+    The reward is reward_fn(max(0, level_after - level_before) / instrumentBaudRate), with levels in bit and the rate in bit/s. As
+    in bsk_rl, a step in which the level falls earns nothing. An instrument of rate 0 also earns nothing.
     """
 
     scenario: UniformNadirScanning
 
     def __init__(self, reward_fn: Callable[[Tensor], Tensor] | None = None) -> None:
-        """Pay ``reward_fn`` of seconds [N, S], which returns [N, S]; None multiplies by the scenario's ``value_per_second``.
+        """Reward recording by ``reward_fn``, a function from seconds [N, S] to rewards [N, S].
 
-        ValueError for what is no function.
+        None multiplies by the scenario's ``value_per_second``. ValueError for anything else.
         """
         self.reward_fn = None if reward_fn is None else function("reward_fn", reward_fn, "seconds")
 
     def link(self, scenario: Scenario, fleet: SatelliteFleet) -> None:
-        """See :meth:`GlobalReward.link`; ValueError without a value per second, or without a store."""
+        """See :meth:`GlobalReward.link`; ValueError without a value per second, or without a data buffer."""
         super().link(scenario, fleet)
         if self.reward_fn is None and not hasattr(scenario, "value_per_second"):
             raise ValueError(
@@ -54,7 +54,7 @@ class ScanningTimeReward(GlobalReward):
             part.simulator.observer.want([level.function] if isinstance(level, observable) else [])
 
     def read_log(self) -> Log:
-        """See :meth:`GlobalReward.read_log`; data in the store, bit."""
+        """See :meth:`GlobalReward.read_log`; data in the buffer, bit."""
         return {"storage_level": self.fleet.each(lambda satellite: satellite.dynamics.storage_level)}
 
     def calculate_reward(self, before: Log, after: Log) -> Tensor:

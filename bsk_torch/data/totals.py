@@ -1,4 +1,4 @@
-"""Rewards of the present episodes so far, which rewarders have as ``cum_reward``."""
+"""Total rewards of the current episodes, the ``cum_reward`` of rewarders."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from bsk_torch.sats.fleet import SatelliteFleet
 from bsk_torch.sim.state import FINITE
 
 NAME = "cum_reward"
-"""Field of the state with the sums of the whole, [N, S]; those of parts are numbered."""
+"""Field of the state with the sums of a rewarder, [N, S]; the fields of its parts are numbered."""
 
 
 def declare(rewarder: GlobalReward, fleet: SatelliteFleet) -> None:

@@ -1,4 +1,4 @@
-"""What is known of the images of targets: tensors of all environments, and the objects of one that bsk_rl's programs read."""
+"""Knowledge of imaged targets: tensors of all environments, and objects of one environment in bsk_rl's form."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ class UniqueImages(NamedTuple):
     """Image knowledge, shared by all satellites [N, ...] or per satellite of one type [N * count, ...].
 
     Attributes:
-        imaged: Targets that have been imaged, as far as is known, [N, T] bool.
-        known: Targets that exist, [N, T] bool.
-        duplicates: Images that paid nothing, [N] int64.
+        imaged: Targets known to be imaged, [N, T] bool.
+        known: Existing targets, [N, T] bool.
+        duplicates: Number of images without a reward, [N] int64.
     """
 
     imaged: Tensor
@@ -29,9 +29,9 @@ class UniqueImageData(Data):
     """Images of targets of one environment, in bsk_rl's form.
 
     Attributes:
-        imaged: Set of targets that are known to have been imaged.
-        duplicates: Number of repeated images; merging adds the targets that both have imaged, as in bsk_rl.
-        known: Set of targets that are known to exist.
+        imaged: Set of targets known to be imaged.
+        duplicates: Number of repeated images; merging adds the targets imaged in both units, as in bsk_rl.
+        known: Set of targets known to exist.
     """
 
     def __init__(
@@ -44,13 +44,13 @@ class UniqueImageData(Data):
         self.known = set(() if known is None else known)
 
     def __add__(self, other: UniqueImageData) -> UniqueImageData:
-        """Return both together."""
+        """Return the merged data."""
         imaged = self.imaged | other.imaged
         overlap = len(self.imaged) + len(other.imaged) - len(imaged)
         return type(self)(imaged=imaged, duplicates=self.duplicates + other.duplicates + overlap, known=self.known | other.known)
 
 
 class Known(NamedTuple):
-    """A store of data, as bsk_rl's ``satellite.data_store``: ``data`` is what it holds."""
+    """A data store, like bsk_rl's ``satellite.data_store``: ``data`` is its content."""
 
     data: UniqueImages | UniqueImageData

@@ -38,7 +38,7 @@ UNUSED = {
     "begin_episodes": "define reset(rows)",
     "finish_step": "define after_step(sim_time)",
 }
-"""Names that are no hooks of scenarios, those of bsk_rl among them, and what to write instead."""
+"""Names that are not hooks of scenarios, including bsk_rl's, and their replacements."""
 
 
 def _same(one: Any, other: Any) -> bool:
@@ -47,7 +47,7 @@ def _same(one: Any, other: Any) -> bool:
 
 
 def target_places(tables: PlaceTables) -> dict[str, Places]:
-    """Return the targets that a scenario draws as a kind of places, for satellites with a minimum elevation of targets."""
+    """Return a scenario's drawn targets as a kind of places, for satellites with a minimum elevation of targets."""
     drawn, arguments = tables.drawn, tables.arguments
     if TARGETS not in drawn or "imageTargetMinimumElevation" not in arguments:
         return {}
@@ -62,13 +62,12 @@ def target_places(tables: PlaceTables) -> dict[str, Places]:
 
 
 class Scenario:
-    """The task of the satellites. The base class has none.
+    """The task of the satellites. The base class defines no task.
 
-    Episodes differ by what :meth:`draw` returns and by the time, and by nothing else. Environments prepare, save and restore
-    episodes by these values, so a scenario must not keep values of episodes in its own attributes: put them into
-    ``self.fleet.memory``, a :class:`bsk_torch.sim.state.StateTable`, which is reset, saved and restored with the episodes. Public
-    attributes that hold a tensor must not change between steps; names of caches, which can be recomputed at any time, begin with
-    an underscore.
+    Episodes differ only in the values returned by :meth:`draw` and in time. Environments prepare, save and restore episodes from
+    these values, so a scenario must not store values of episodes in its attributes. Keep them in ``self.fleet.memory``, a
+    :class:`bsk_torch.sim.state.StateTable`, which is reset, saved and restored with the episodes. Public tensor attributes must
+    not change between steps. Names of caches, which can be recomputed at any time, begin with an underscore.
 
     N is the number of environments.
 
@@ -99,8 +98,8 @@ class Scenario:
     def draw(self, key: Key) -> dict[str, Tensor]:
         """Draw the values that differ between episodes.
 
-        Use random numbers of ``key.named("...")`` only; see :class:`bsk_torch.rand.Key`. Every call returns the same names. The
-        environment keeps the values with leading dimension N, once for all satellites of an episode.
+        Use random numbers of ``key.named("...")`` only; see :class:`bsk_torch.rand.Key`. Every call must return the same names.
+        The environment stores the values with leading dimension N, once for all satellites of an episode.
 
         Args:
             key: Key of the n environments whose episodes begin.
@@ -112,40 +111,39 @@ class Scenario:
         return {}
 
     def place_kinds(self, tables: PlaceTables) -> Mapping[str, Places]:
-        """Return the places of the scenario that satellites may see, by kind; the names are types of opportunities.
+        """Return the scenario's places visible to satellites, by kind; the names are types of opportunities.
 
-        Called once for every simulation, before :meth:`link`. Unless overridden, what :meth:`draw` returns as ``target_r_LP_P``
-        are targets; overriding methods add ``super().place_kinds(tables)``.
+        Called once for every simulation, before :meth:`link`. By default, the drawn values ``target_r_LP_P`` are targets;
+        overriding methods add ``super().place_kinds(tables)``.
 
         Args:
-            tables: What places may read. Draws change at resets, so read ``tables.drawn[name]`` only when positions are
+            tables: Tables that places may read. Draws change at resets, so read ``tables.drawn[name]`` only when positions are
                 requested.
         """
         return target_places(tables)
 
     def present(self, key: Key, names: Sequence[str]) -> Tensor:
-        """Draw which satellites take part in each episode; all do in all unless a subclass defines this.
+        """Draw which satellites take part in each episode (default: all of them).
 
-        A satellite that is not present is neither dead nor alive: it runs no ticks and communicates with no other, its agent's
-        ``mask`` is False, its observations and rewards are zero. Use random numbers of ``key.named("...")`` only, as in
-        :meth:`draw`.
+        An absent satellite is neither dead nor alive: it runs no ticks and does not communicate, its agent's ``mask`` is False,
+        and its observations and rewards are zero. Use random numbers of ``key.named("...")`` only, as in :meth:`draw`.
 
         Args:
             key: Key of the n environments whose episodes begin.
             names: Names of the S satellites of the environment.
 
         Returns:
-            Satellites that take part, [n, S] bool on the CPU, at least one in each episode.
+            Present satellites, [n, S] bool on the CPU, at least one in each episode.
         """
         return torch.ones(len(key), len(names), dtype=torch.bool)
 
     def validate_satellite_names(self, satellites: Sequence[Satellite]) -> None:
-        """Raise ValueError for satellites whose names do not fit; called first when an environment is built, as in bsk_rl."""
+        """Raise ValueError for unsuitable names of satellites; called first when an environment is built, as in bsk_rl."""
 
     def link(self, fleet: SatelliteFleet) -> None:
         """Prepare for the satellites of an environment; called once when it is built.
 
-        Overriding methods call ``super().link(fleet)`` first, and raise ValueError for satellites that do not fit.
+        Overriding methods call ``super().link(fleet)`` first, and raise ValueError for unsuitable satellites.
         """
         self.fleet = fleet
 
@@ -153,15 +151,15 @@ class Scenario:
         """React to new drawn values; called at the reset of the episodes ``rows``, indices [n], and when a state is restored."""
 
     def after_step(self, sim_time: Tensor) -> None:
-        """Move on to ``sim_time`` [N] s; called after the reward of a step and before its communication and observation."""
+        """Advance to ``sim_time`` [N] s; called after the reward of a step and before communication and observation."""
 
     @property
     def memory(self) -> StateTable:
-        """Tensors [N, ...] that are reset with every episode; ``memory.declare(name, initial, *shape)`` in ``link`` adds one."""
+        """Tensors [N, ...] reset with every episode; ``memory.declare(name, initial, *shape)`` in ``link`` adds one."""
         return self.fleet.memory
 
     def drawn(self, name: str) -> Tensor:
-        """Return a value that :meth:`draw` gave for the present episodes, [N, ...].
+        """Return a value drawn by :meth:`draw` for the current episodes, [N, ...].
 
         Raises:
             KeyError: If ``draw`` returns no value of this name.
@@ -171,7 +169,7 @@ class Scenario:
     def _bounds(self) -> dict[str, tuple[float, float]]:
         """Return the minimum and maximum of the values returned by :meth:`draw`, by name, for restored states.
 
-        Values of users' scenarios have no bounds: they are not checked.
+        Values of users' scenarios have no bounds and are not checked.
         """
         return {}
 
@@ -193,8 +191,8 @@ class Scenario:
 
         Raises:
             TypeError: If NumPy's global generator was used though ``calls_user`` is False.
-            ValueError: If names or shapes differ from those of the first call: values of other episodes would be left behind; for
-                a value that requires a gradient.
+            ValueError: If names or shapes differ from those of the first call, which would leave values of other episodes in
+                place; or for a value that requires a gradient.
         """
         values = self._drawn_from_key("draw(key)", lambda: self.draw(key))
         form = {name: value.shape[1:] for name, value in values.items()}
@@ -228,7 +226,7 @@ class Scenario:
         return present
 
     def _drawn_from_key(self, call: str, draw: Callable[[], Drawn]) -> Drawn:
-        """Return what a hook draws.
+        """Return the values drawn by a hook.
 
         Raises:
             TypeError: If it has used NumPy's global generator though ``calls_user`` is False.
@@ -246,31 +244,31 @@ class Scenario:
         return values
 
     def begin_episodes(self, rows: Tensor) -> None:
-        """Call :meth:`reset` and update what subclasses of the package derive from drawn values; not to be overridden."""
+        """Call :meth:`reset` and update values derived from drawn values; not to be overridden."""
         self._forget_draws()
         self._forget_time()
         self.reset(rows)
         self._keep_time()
 
     def finish_step(self, sim_time: Tensor) -> None:
-        """Call :meth:`after_step` and update what depends on time; not to be overridden.
+        """Call :meth:`after_step` and update values that depend on time; not to be overridden.
 
         Raises:
-            TypeError: If a public attribute that holds a tensor has changed: values of episodes belong into ``fleet.memory``.
+            TypeError: If a public tensor attribute has changed; values of episodes belong in ``fleet.memory``.
         """
         self._forget_time()
         self.after_step(sim_time)
         self._keep_time()
         self.__dict__.setdefault("_guard", ChangeGuard()).check(self, FLEET_MEMORY)
 
-    # The package's scenarios keep values that follow from draws and time. Their hooks update them, but an override of a hook need
-    # not call super(), so the two methods above do not rely on that.
+    # The package's scenarios keep values derived from draws and time. Their hooks update them, but the two methods above do not
+    # rely on this, because an override of a hook need not call super().
 
     def _forget_draws(self) -> None:
-        """Drop values that follow from drawn ones."""
+        """Drop values derived from drawn ones."""
 
     def _forget_time(self) -> None:
         """Drop values that depend on time."""
 
     def _keep_time(self) -> None:
-        """Compute the values that hold until the end of the next step, unless a hook has done so."""
+        """Compute the values valid until the end of the next step, unless a hook has done so."""

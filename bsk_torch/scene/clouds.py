@@ -1,4 +1,4 @@
-"""Targets under clouds, of which only a forecast can be observed."""
+"""Targets under clouds, with an observable forecast of the cloud cover."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ if TYPE_CHECKING:
 
 
 class CloudyTargets(TargetScenario):
-    """Targets of another scenario, each under clouds with a true cover, which is hidden, and a forecast of it.
+    """Targets of another scenario, each with a hidden true cloud cover and a forecast of it.
 
-    An image is not random: the rewarder compares the true cover with a threshold. The defaults are those of bsk_rl's cloud
-    examples::
+    The outcome of an image is not random: the rewarder compares the true cover with a threshold. The defaults are those of
+    bsk_rl's cloud examples::
 
         cover    = min(x, 1),  x uniform in [0, 1.348)          (mean of x: 0.674, the Earth's average; 26 % of covers are 1)
         forecast = clamp(cover + sigma n, 0, 1),  n standard normal,  sigma uniform in [0.01, 0.05)
@@ -40,7 +40,7 @@ class CloudyTargets(TargetScenario):
 
         Args:
             targets: Scenario that draws positions and priorities of the targets.
-            cover: True fraction of the sky over a target that clouds cover, clamped to [0, 1].
+            cover: True fraction of the sky covered by clouds over a target, clamped to [0, 1].
             forecast_sigma: Standard deviation of the forecast.
             largest_forecast: Targets with a higher forecast cannot be selected; None for no limit.
         """
@@ -77,7 +77,7 @@ class CloudyTargets(TargetScenario):
         return self.targets.names(row)
 
     def place_kinds(self, tables: PlaceTables) -> Mapping[str, Places]:
-        """See :meth:`Scenario.place_kinds`; those of the other scenario."""
+        """See :meth:`Scenario.place_kinds`; the places of the other scenario."""
         return self.targets.place_kinds(tables)
 
     def draw(self, key: Key) -> dict[str, Tensor]:
@@ -105,7 +105,7 @@ class CloudyTargets(TargetScenario):
 
     @property
     def cloud_cover(self) -> Tensor:
-        """True cover, [N, T] in [0, 1]: for rewards, not for observations."""
+        """True cover, [N, T] in [0, 1]; for rewards, not for observations."""
         return self.drawn("cloud_cover")
 
     @property

@@ -1,4 +1,4 @@
-"""Arguments of target scenarios, checked and drawn: numbers of targets, one number for each target, and positions."""
+"""Checks and draws of the arguments of target scenarios: numbers of targets, one number per target, and positions."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ Count = int | tuple[int, int]
 """A number of targets, or a range of it with an exclusive end."""
 
 MOST_TARGETS = 10**7
-"""Bound of the number of targets: every episode keeps all of them."""
+"""Upper bound of the number of targets, since every episode stores all of them."""
 
 MIN_RADIUS = 6.3e6
 """Minimum distance of a target from the Earth's center, m; the poles are at 6.357e6."""
 
 MAX_RADIUS_IN_KM = 1e7
-"""A distance that is below the minimum in m, but between it and this in km, was probably given in km by mistake."""
+"""A distance below the minimum in m, but between the minimum and this value in km, was probably given in km by mistake."""
 
 
 def count_range(what: str, count: Count) -> tuple[int, int]:
@@ -55,14 +55,14 @@ def count_range(what: str, count: Count) -> tuple[int, int]:
 
 
 def columns_for(end: int) -> int:
-    """Return the number of columns for fewer than ``end`` targets: one, of padding, where there are none at all."""
+    """Return the number of columns for fewer than ``end`` targets, at least one column of padding."""
     return max(1, end - 1)
 
 
 def draw_exists(key: Key, low: int, end: int) -> Tensor:
-    """Draw the number of targets uniformly from ``low`` to ``end - 1``; return 1.0 for so many first columns, 0.0 for the others.
+    """Draw the number of targets uniformly from ``low`` to ``end - 1``; return 1.0 for the columns of targets, 0.0 for padding.
 
-    The shape is [n, T], or [1, T] if the range holds only one number, with T of :func:`columns_for`.
+    The shape is [n, T], or [1, T] if the range contains a single number, with T from :func:`columns_for`.
     """
     columns = torch.arange(columns_for(end))
     if end == low + 1:
@@ -71,7 +71,7 @@ def draw_exists(key: Key, low: int, end: int) -> Tensor:
 
 
 def calls_user(*values: object) -> bool:
-    """Return whether one of the values is a callable of the user."""
+    """Return whether one of the values is a user function."""
     return any(callable(value) and not isinstance(value, Distribution) for value in values)
 
 
@@ -141,7 +141,7 @@ def draw_numbers(
 
 
 def check_numbers(what: str, value: Any, count: int, **bounds: Any) -> None:
-    """Raise the errors of :func:`draw_numbers` for the first episode, without calling functions of the user."""
+    """Raise the errors of :func:`draw_numbers` for the first episode, without calling user functions."""
     if not calls_user(value):
         draw_numbers(what, value, first_key(1), count, **bounds)
 
@@ -156,7 +156,7 @@ def check_radius(what: str, radius: float) -> float:
 
 
 def check_positions(r_LP_P: Tensor, of: str = "") -> None:
-    """Raise ValueError for the first of the positions [T, 3] m that no target can have; ``of`` completes the message."""
+    """Raise ValueError for the first invalid position of [T, 3] m; ``of`` completes the message."""
     distance = r_LP_P.norm(dim=-1)
     bad = torch.nonzero(~((distance >= MIN_RADIUS) & distance.isfinite()))
     if len(bad):
@@ -165,7 +165,7 @@ def check_positions(r_LP_P: Tensor, of: str = "") -> None:
 
 
 def _inside(distance: Tensor) -> str:
-    """Return the fault of a distance from the Earth's center, m; an empty string if there is none."""
+    """Return the error in a distance from the Earth's center, m; an empty string for a valid distance."""
     meant = " (km? then multiply by 1000)" if MIN_RADIUS <= 1000.0 * float(distance) <= MAX_RADIUS_IN_KM else ""
     if distance.isfinite() and float(distance) >= MIN_RADIUS:
         return ""

@@ -14,7 +14,7 @@ from bsk_torch.scene.targets import TargetScenario
 
 
 class Targets(TargetScenario):
-    """Targets at given positions, the same in all episodes; either for all environments, or for each environment its own."""
+    """Targets at given positions, the same in all episodes, for all environments or for each environment separately."""
 
     def __init__(self, r_LP_P: object, priority: object = 1.0, names: Sequence[str] | None = None) -> None:
         """ValueError for a wrong argument.
@@ -24,7 +24,7 @@ class Targets(TargetScenario):
                 as a tensor [N, T, 3] or as a list of N lists that may differ in length.
             priority: Priority of each target: a number, T numbers, a distribution, a callable without arguments called for each
                 target, or ``rand.per_env`` with a number for each environment or for each of its targets.
-            names: Names of the T columns; ``"tgt-0"`` and so on by default.
+            names: Names of the T columns (default: ``"tgt-0"`` and so on).
         """
         self.per_env = isinstance(r_LP_P, PerEnv)
         tables = _tables(r_LP_P)
@@ -63,7 +63,7 @@ class Targets(TargetScenario):
 
 
 def _tables(r_LP_P: object) -> list[Tensor]:
-    """Return the lists of positions, [T, 3] each: one for all environments, or one for each."""
+    """Return the lists of positions, [T, 3] each: a single list for all environments, or one per environment."""
     if isinstance(r_LP_P, PerEnv):
         if not len(r_LP_P.values):
             raise ValueError("r_LP_P=rand.per_env([]) is empty; it needs a list of targets for each environment")

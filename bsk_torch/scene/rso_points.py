@@ -1,4 +1,4 @@
-"""Points on the surface of a resident space object (RSO), which other satellites inspect."""
+"""Points on the surface of a resident space object (RSO), to be inspected by other satellites."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from bsk_torch.sim.hooks import check_class, note_slow
 from bsk_torch.sim.inspection.points import point_columns
 
 DRAWN = "rso_points"
-"""Drawn value with the numbers of the points, [N, P, 10], where they differ between episodes."""
+"""Drawn value with the numbers of the points, [N, P, 10], if they differ between episodes."""
 
 ADVICE = "write points_are_fixed = True into the class if the points are the same in all episodes, and it is called once"
 
@@ -39,10 +39,10 @@ class RSOPoint:
     Attributes:
         r_PB_B: Position in body axes, m.
         n_B: Normal of the surface in body axes, of any length.
-        theta_max: Largest angle between the normal and the direction of the inspector, rad; no limit if it is not positive.
-        range_max: Longest distance of the inspector, m; no limit if it is not positive.
-        theta_solar_max: Largest angle between the normal and the direction of the Sun, rad; no limit if it is negative.
-        min_illumination_factor: Least visible fraction of the Sun; no limit if it is not positive.
+        theta_max: Maximum angle between the normal and the direction to the inspector, rad; no limit unless positive.
+        range_max: Maximum distance of the inspector, m; no limit unless positive.
+        theta_solar_max: Maximum angle between the normal and the direction to the Sun, rad; no limit if negative.
+        min_illumination_factor: Minimum visible fraction of the Sun; no limit unless positive.
     """
 
     r_PB_B: Any
@@ -53,7 +53,7 @@ class RSOPoint:
     min_illumination_factor: float
 
     def numbers(self, title: str) -> list[float]:
-        """Return the ten numbers of the point; ValueError that begins with ``title`` for what is none."""
+        """Return the ten numbers of the point; ValueError, with a message starting with ``title``, for invalid ones."""
         r_PB_B, n_B = (_vector(f"{title}.{name}", getattr(self, name)) for name in ("r_PB_B", "n_B"))
         if max(map(abs, n_B)) == 0.0:
             raise ValueError(f"{title}.n_B is zero; it must be a direction")
@@ -73,21 +73,21 @@ def _vector(title: str, value: object) -> list[float]:
 
 
 class RSOPoints(Scenario):
-    """Points on the surface of the one satellite with a :class:`~bsk_torch.sim.dyn.RSODynModel`.
+    """Points on the surface of the only satellite with a :class:`~bsk_torch.sim.dyn.RSODynModel`.
 
-    The satellites with a :class:`~bsk_torch.sim.dyn.RSOInspectorDynModel` inspect them, see
-    :class:`bsk_torch.data.RSOInspectionReward`. A subclass defines :meth:`generate_points`.
+    Satellites with a :class:`~bsk_torch.sim.dyn.RSOInspectorDynModel` inspect them; see
+    :class:`bsk_torch.data.RSOInspectionReward`. Subclasses define :meth:`generate_points`.
 
-    A point is *seen* by an inspector within its range and within the cone ``theta_max`` about its normal, if the Earth leaves the
-    line of sight free. It is *lit* where the Sun, as seen from the Earth's center, stands within ``theta_solar_max`` of its
-    normal, and the RSO is not deeper in the Earth's shadow than ``min_illumination_factor`` says. The RSO itself hides nothing
-    beyond these cones.
+    A point is *seen* by an inspector within its range and within the cone ``theta_max`` about its normal, if the Earth does not
+    block the line of sight. It is *lit* if the direction from the Earth's center to the Sun is within ``theta_solar_max`` of its
+    normal, and the visible fraction of the Sun at the RSO is at least ``min_illumination_factor``. Apart from these cones, the
+    RSO does not hide its points.
 
     Attributes:
-        points_are_fixed: Whether :meth:`generate_points` makes the same points in all episodes; it is then called once, when an
-            environment is built, else for each episode, which is slow.
-        rso_column: Number of the RSO among the satellites of an episode.
-        inspector_columns: Numbers of the inspectors, [I].
+        points_are_fixed: Whether :meth:`generate_points` returns the same points in all episodes. If so, it is called once, when
+            an environment is built; otherwise for each episode, which is slow.
+        rso_column: Index of the RSO among the satellites of an episode.
+        inspector_columns: Indices of the inspectors, [I].
     """
 
     points_are_fixed: ClassVar[bool] = False
@@ -98,7 +98,7 @@ class RSOPoints(Scenario):
     _count: int | None = None
 
     def __init_subclass__(cls, **options: object) -> None:
-        """See :meth:`Scenario.__init_subclass__`; points of a subclass's own differ between episodes unless it says otherwise."""
+        """See :meth:`Scenario.__init_subclass__`; by default, custom points differ between episodes."""
         super().__init_subclass__(**options)
         check_class(cls, RSOPoints, ("generate_points",), {})
         if "generate_points" in vars(cls) and "points_are_fixed" not in vars(cls):
@@ -107,14 +107,14 @@ class RSOPoints(Scenario):
     # -- points -------------------------------------------------------------------------------------------------------
 
     def generate_points(self) -> list[RSOPoint]:
-        """Return the points of an episode, equally many in all of them; the hook of bsk_rl.
+        """Return the points of an episode, with the same number in all episodes; bsk_rl's hook.
 
-        NumPy's global generator has its own stream for each environment and episode.
+        NumPy's global generator has a separate stream for each environment and episode.
         """
         raise NotImplementedError(f"{type(self).__name__} must implement generate_points()")
 
     def _numbers(self) -> list[list[float]]:
-        """Return the numbers of the points that :meth:`generate_points` makes, [P, 10]."""
+        """Return the numbers of the points generated by :meth:`generate_points`, [P, 10]."""
         title = f"{type(self).__name__}.generate_points()"
         made = self.generate_points()
         if not isinstance(made, Iterable) or isinstance(made, str):
@@ -133,7 +133,7 @@ class RSOPoints(Scenario):
         return not self.points_are_fixed
 
     def draw(self, key: Key) -> dict[str, Tensor]:
-        """See :meth:`Scenario.draw`; the numbers of points that differ between episodes."""
+        """See :meth:`Scenario.draw`; the numbers of the points, if they differ between episodes."""
         if self.points_are_fixed:
             return {}
         note_slow(f"{type(self).__name__}.generate_points()", ADVICE)
@@ -150,7 +150,7 @@ class RSOPoints(Scenario):
 
     @property
     def _table(self) -> Tensor:
-        """Numbers of the points, [P, 10], or [N, P, 10] where they differ between episodes."""
+        """Numbers of the points, [P, 10], or [N, P, 10] if they differ between episodes."""
         if not self.points_are_fixed:
             return self.drawn(DRAWN)
         if self._fixed is None:
@@ -164,24 +164,24 @@ class RSOPoints(Scenario):
 
     @property
     def r_PB_B(self) -> Tensor:
-        """Positions of the points in body axes, [P, 3] m, or [N, P, 3] where they differ between episodes."""
+        """Positions of the points in body axes, [P, 3] m, or [N, P, 3] if they differ between episodes."""
         return self._table[..., :3]
 
     @property
     def columns(self) -> Tensor:
-        """Points as :func:`bsk_torch.sim.inspection.flags.find_flags` takes them, [10, P] or [10, N, P]."""
+        """Points in the form expected by :func:`bsk_torch.sim.inspection.flags.find_flags`, [10, P] or [10, N, P]."""
         table = self._table
         return point_columns(table[..., :3], table[..., 3:6], *table[..., 6:].unbind(-1))
 
     @property
     def rso_points(self) -> list[RSOPoint]:
-        """The points; AttributeError where they differ between episodes: :meth:`points_of` returns those of one."""
+        """The points; AttributeError if they differ between episodes (use :meth:`points_of`)."""
         if not self.points_are_fixed:
             raise AttributeError("the points differ between episodes; scenario.points_of(env) returns those of an environment")
         return self.points_of(0)
 
     def points_of(self, env: int) -> list[RSOPoint]:
-        """Return the points of the present episode of environment ``env``."""
+        """Return the points of the current episode of environment ``env``."""
         table = self._table if self.points_are_fixed else self._table[env]
         return [RSOPoint(np.array(row[:3]), np.array(row[3:6]), *row[6:]) for row in table.tolist()]
 
@@ -191,7 +191,7 @@ class RSOPoints(Scenario):
         """See :meth:`Scenario.validate_satellite_names`.
 
         Raises:
-            ValueError: Unless there are one RSO, and at least one inspector with the flight software for it.
+            ValueError: Unless there is one RSO, and at least one inspector with the required flight software.
         """
         rsos, inspectors = (
             [s.name for s in satellites if issubclass(s.dyn_type, model)] for model in (RSODynModel, RSOInspectorDynModel)
@@ -243,7 +243,7 @@ def _names(satellites: Sequence[Satellite]) -> list[str]:
 
 
 class SphericalRSO(RSOPoints):
-    """Points spread evenly over a sphere, along Fibonacci's spiral; their normals point outwards."""
+    """Points spread evenly over a sphere along a Fibonacci spiral, with normals pointing outward."""
 
     points_are_fixed = True
 
@@ -261,11 +261,10 @@ class SphericalRSO(RSOPoints):
         Args:
             n_points: Number of points.
             radius: Radius of the sphere, m.
-            theta_max: Largest angle between a point's normal and the direction of the inspector, rad; no limit if it is not
-                positive.
-            range_max: Longest distance between a point and the inspector, m; no limit if it is not positive.
-            theta_solar_max: Largest angle between a point's normal and the direction of the Sun, rad; no limit if it is negative.
-            min_illumination_factor: Least visible fraction of the Sun; no limit if it is not positive.
+            theta_max: Maximum angle between a point's normal and the direction to the inspector, rad; no limit unless positive.
+            range_max: Maximum distance between a point and the inspector, m; no limit unless positive.
+            theta_solar_max: Maximum angle between a point's normal and the direction to the Sun, rad; no limit if negative.
+            min_illumination_factor: Minimum visible fraction of the Sun; no limit unless positive.
         """
         self.number_of_points = whole("n_points", n_points, 1, 100_000)
         self.radius = number("radius", radius, 0.0, FARTHEST, unit="m", above=True)

@@ -1,4 +1,4 @@
-"""Scanning at the nadir."""
+"""Nadir scanning."""
 
 from __future__ import annotations
 
@@ -10,5 +10,5 @@ class UniformNadirScanning(Scenario):
     """Recorded data have the same value everywhere: ``value_per_second`` for every second of recording."""
 
     def __init__(self, value_per_second: float = 1.0) -> None:
-        """Value of one second of recorded data; ValueError for what is no finite number."""
+        """Set the value of one second of recorded data; ValueError unless it is a finite number."""
         self.value_per_second = number("value_per_second", value_per_second)

@@ -1,4 +1,4 @@
-"""A target as an object, which bsk_rl's users write and people read; environments hold tensors instead."""
+"""A target as an object, for bsk_rl's programs and for reading; environments store targets as tensors."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ from bsk_torch._checks import number, text
 
 
 class Target:
-    """A point on the ground and its worth.
+    """A point on the ground with a priority.
 
-    Further attributes may be set. Those that are numbers, or arrays of numbers of one shape, are drawn values of the episodes:
-    see :meth:`bsk_torch.scene.TargetScenario.target_attribute`.
+    Further attributes may be set. Numbers, and arrays of numbers of equal shape, become drawn values of the episodes; see
+    :meth:`bsk_torch.scene.TargetScenario.target_attribute`.
 
     Attributes:
         name: Name, which need not be unique.
         r_LP_P: Earth-fixed position, [3] m.
-        priority: Worth.
+        priority: Value of an image.
     """
 
     def __init__(self, name: str, r_LP_P: Sequence[float] | np.ndarray, priority: float) -> None:
-        """See the attributes; ValueError for a position or a priority that is not made of finite numbers."""
+        """See the attributes; ValueError unless position and priority are finite numbers."""
         try:
             self.r_LP_P = np.asarray(r_LP_P, dtype=float)
         except (TypeError, ValueError, OverflowError) as error:
@@ -32,14 +32,14 @@ class Target:
         self.name, self.priority = text("name", name), number("priority", priority)
 
     _place: tuple[int, int] | None = None
-    """Environment and index, of targets of an environment, by which they are compared."""
+    """Environment and index of a target in an environment, used for comparison."""
 
     def __eq__(self, other: object) -> bool:
-        """Whether both are the same target of the same environment; targets of no environment are compared by identity."""
+        """Whether both are the same target of the same environment; other targets are compared by identity."""
         return self is other if self._place is None else getattr(other, "_place", None) == self._place
 
     def __hash__(self) -> int:
-        """Agree with equality."""
+        """Return a hash consistent with equality."""
         return id(self) if self._place is None else hash(self._place)
 
     @property

@@ -27,13 +27,13 @@ from bsk_torch.sim.hooks import check_class, overrides
 
 
 class UniformTargets(TargetScenario):
-    """Targets drawn uniformly by area from a sphere, in every episode, as bsk_rl's ``UniformTargets``.
+    """Targets drawn uniformly by area from a sphere in every episode, as in bsk_rl's ``UniformTargets``.
 
-    Subclasses define :meth:`places` for other layouts; or, as in bsk_rl and slower, :meth:`regenerate_targets`.
+    For other layouts, subclasses define :meth:`places`, or bsk_rl's :meth:`regenerate_targets`, which is slower.
 
     Attributes:
         targets: In :meth:`regenerate_targets`, the targets of one environment.
-        n_targets: In :meth:`regenerate_targets`, their number by the argument of this name.
+        n_targets: In :meth:`regenerate_targets`, the drawn number of targets.
     """
 
     _old_hooks = ("regenerate_targets",)
@@ -51,8 +51,8 @@ class UniformTargets(TargetScenario):
 
         Args:
             n_targets: Number of targets, or a range (low, high) from which the number is drawn in each episode. ``high`` is
-                exclusive, as in bsk_rl's draws (its documentation says inclusive). Where there are none, satellites that look for
-                some raise RuntimeError as in bsk_rl, unless they are built with ``may_see_nothing=True``.
+                exclusive, as in bsk_rl's code (its documentation describes it as inclusive). Without targets, satellites that
+                look for targets raise RuntimeError as in bsk_rl, unless they are built with ``may_see_nothing=True``.
             priority_distribution: Priority of each target: a number, a distribution, or a callable without arguments
                 called for each target; None for uniform in [0, 1).
             radius: Distance of the targets from the Earth's center, m.
@@ -70,7 +70,7 @@ class UniformTargets(TargetScenario):
 
     @property
     def _regenerates(self) -> bool:
-        """Whether a subclass makes targets in bsk_rl's way."""
+        """Whether a subclass defines bsk_rl's hook."""
         return overrides(self, UniformTargets, "regenerate_targets")
 
     def draw(self, key: Key) -> dict[str, Tensor]:
@@ -88,17 +88,17 @@ class UniformTargets(TargetScenario):
         return {**self.places(key), "target_priority": priority * exists, "target_exists": exists}
 
     def places(self, key: Key) -> dict[str, Tensor]:
-        """Draw positions: return ``target_r_LP_P`` [n or 1, T, 3] m, and further values to be kept with them, by name."""
+        """Draw positions: return ``target_r_LP_P`` [n or 1, T, 3] m, and optionally further values of the targets, by name."""
         u = key.named("target_r_LP_P").uniform(2 * self.most_targets)
         return {"target_r_LP_P": self.radius * on_sphere(u.view(len(key), -1, 2))}
 
     def regenerate_targets(self) -> None:
-        """Fill ``self.targets`` with a :class:`Target` each, for one environment; the hook of bsk_rl.
+        """Set ``self.targets`` to the :class:`Target` objects of one environment; bsk_rl's hook.
 
-        A subclass that defines it is called for each environment at its reset, on a copy of the scenario that has ``n_targets``,
-        ``radius`` and ``priority_distribution``; NumPy's global generator then has its own stream for each environment and
-        episode. ``super().regenerate_targets()`` makes the targets that the base class would draw. Attributes of targets that are
-        numbers become drawn values: see :meth:`target_attribute`.
+        If a subclass defines this method, it is called at the reset of each environment, on a copy of the scenario with
+        ``n_targets``, ``radius`` and ``priority_distribution``. NumPy's global generator then has a separate stream for each
+        environment and episode. ``super().regenerate_targets()`` generates the targets of the base class. Numeric attributes of
+        targets become drawn values; see :meth:`target_attribute`.
         """
         if self.regenerated_key is None:
             raise RuntimeError("regenerate_targets() is called by environments only, for each of them at its reset")

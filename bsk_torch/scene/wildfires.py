@@ -1,4 +1,4 @@
-"""Wildfires: targets that appear, grow and vanish."""
+"""Wildfires: targets that appear, grow and disappear."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from bsk_torch.scene.uniform import UniformTargets
 from bsk_torch.sim.state import FINITE
 
 Region = tuple[float, float, float, float]
-"""Southern, northern, western and eastern edge, degrees; west is larger than east if the region crosses 180 degrees."""
+"""Southern, northern, western and eastern edges, degrees; west is larger than east if the region crosses 180 degrees."""
 
 WORLD: Region = (-90.0, 90.0, -180.0, 180.0)
 
@@ -30,7 +30,7 @@ FIRE_BOUNDS: dict[str, dict[str, Any]] = {
 
 
 class Wildfires(ChangingTargets, UniformTargets):
-    """Fires that break out at random places and times, gain priority as they grow, and vanish when they have burnt out.
+    """Fires that break out at random places and times, gain priority as they grow, and disappear when they have burnt out.
 
     A fire spreads as an ellipse whose axes grow linearly (Van Wagner, "A simple fire-growth model", Forestry Chronicle 45, 1969),
     from one of its foci (Alexander, "Estimating the length-to-breadth ratio of elliptical forest fire patterns", 1985): with the
@@ -55,9 +55,9 @@ class Wildfires(ChangingTargets, UniformTargets):
         """ValueError for a wrong argument. Numbers are drawn for each fire in each episode; see :class:`UniformTargets`.
 
         Args:
-            n_fires: Number of fires in an episode, or a range of it with an exclusive end.
+            n_fires: Number of fires in an episode, or a range with an exclusive end.
             priority_distribution: Weight: priority of a fire of ``full_area``.
-            ignition: Time at which a fire breaks out, s since reset; negative for fires that burn at the reset.
+            ignition: Time at which a fire breaks out, s since reset; negative for fires already burning at the reset.
             rate_of_spread: Speed of the head of a fire, m/s.
             burning_time: Time from the outbreak of a fire to its end, s.
             length_to_breadth: Ratio of the axes of the burnt area, at least 1.
@@ -101,7 +101,7 @@ class Wildfires(ChangingTargets, UniformTargets):
         return {"target_r_LP_P": self.radius * place}
 
     def burnt_area(self, time: Tensor) -> Tensor:
-        """Return the area that each fire has burnt at ``time`` [N] s since reset, [N, T] m^2; see the formula of the class."""
+        """Return the burnt area of each fire at ``time`` [N] s since reset, [N, T] m^2, by the formula of the class."""
         age = time.unsqueeze(-1) - self.drawn("fire_ignition")
         age = torch.minimum(age.clamp(min=0.0), self.drawn("fire_burning_time"))
         eccentricity = math.sqrt(1.0 - self.length_to_breadth**-2)
@@ -117,7 +117,7 @@ class Wildfires(ChangingTargets, UniformTargets):
 
 
 def _region_table(regions: Sequence[Region]) -> Tensor:
-    """Return relative area, sines of southern and northern latitude, western edge and width, rad, of each region; [5, R]."""
+    """Return the relative area, sines of southern and northern latitude, western edge and width (rad) of each region, [5, R]."""
     rows = []
     if isinstance(regions, str) or not isinstance(regions, Sequence):
         raise ValueError(f"regions={regions!r} must be a list of (south, north, west, east), or None for everywhere")
