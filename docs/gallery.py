@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import logging
+import os
 import shlex
 import shutil
 import tempfile
 import warnings
 from pathlib import Path
 from typing import Any
+
+WIDEST = 84
+"""Characters in a line of output that a page shows."""
 
 PICTURES = {".png", ".webp"}
 """Endings of the files that scripts write to be shown."""
@@ -59,9 +63,10 @@ def arguments(gallery_conf: dict[str, Any], script_vars: dict[str, Any]) -> list
 
 
 def keep_quiet() -> None:
-    """Keep what TorchRL says of itself out of the pages: they show all that goes to the standard streams."""
+    """Keep messages of TorchRL out of the pages, which show all output, and make tables fit them."""
     from torchrl import logger
 
+    os.environ["COLUMNS"] = str(WIDEST)
     logger.setLevel(logging.WARNING)
     warnings.filterwarnings("ignore", module="torchrl", category=FutureWarning)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import importlib
 import inspect
 import math
@@ -109,6 +110,28 @@ def argument(function: Any, name: str) -> str:
     return " ".join(text) or "-"
 
 
+# -- options of environments ---------------------------------------------------------------------------------------------------
+
+
+def environment_options() -> str:
+    """Return the options of all environments, then those of constellations, each with default and meaning."""
+    from bsk_torch.env.options import ConstellationOptions, TaskingOptions
+
+    parts, seen = [], set[str]()
+    for title, kind in {"All environments": TaskingOptions, "Constellations": ConstellationOptions}.items():
+        added = [field for field in dataclasses.fields(kind) if field.name not in seen]
+        seen |= {field.name for field in added}
+        rows = [[code(field.name), code(repr(field.default)), roles(argument(kind, field.name))] for field in added]
+        target = f"```{{py:class}} {kind.__module__}.{kind.__name__}\n:no-typesetting:\n```"  # where links of docstrings lead
+        parts += [f"## {title}", target, table(["option", "default", "meaning"], rows)]
+    return "\n\n".join(parts) + "\n"
+
+
+def roles(text: str) -> str:
+    """Return a docstring's text with its roles as Markdown has them."""
+    return re.sub(r":(class|func|meth|mod|attr|data):(?=`)", r"{py:\1}", text)
+
+
 # -- arguments and the tick ----------------------------------------------------------------------------------------------------
 
 
@@ -172,6 +195,7 @@ def schedule() -> str:
 TABLES = {
     "commands": commands,
     "presets": presets,
+    "environment_options": environment_options,
     "arguments": arguments,
     "schedule": schedule,
 }

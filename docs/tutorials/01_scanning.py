@@ -16,13 +16,13 @@ three minutes.
 # ------
 #
 # One episode with the pretrained policy:
-# sphinx_gallery_thumbnail_path = "_static/readme/NadirScan-v1.png"
 import torch
 
 import bsk_torch
 from bsk_torch.rl.policies import pretrained
 from bsk_torch.viz.episodes import draw, record
 
+# sphinx_gallery_thumbnail_path = "_static/readme/NadirScan-v1.png"
 EPISODES = 256
 SECONDS = 28_500.0
 
@@ -35,6 +35,7 @@ path = draw(episode, "trained.png", "trained policy")
 # The bar at the top shows the decisions. The panels below show the battery, the data buffer and the three wheels. In the gray
 # bands (eclipses), the solar panel produces no power. The green bands are passes over a ground station, the only times at which
 # the satellite can downlink data. The policy scans most of the time, charges when necessary, and waits for passes to downlink.
+#
 # Batched episodes
 # ----------------
 #
@@ -81,6 +82,7 @@ print("reward  ", td["reward"][:4].flatten().tolist())
 # The reward is the time spent recording, as a fraction of the episode's 28,500 s: an episode that always records returns 1. The
 # instrument records only while it points at the ground, so a scan that starts with a slew earns less than 180 / 28,500 = 0.0063,
 # and a full buffer earns nothing. If the satellite dies, the reward is -1 and the episode is ``terminated``.
+#
 # Write a policy by hand
 # ----------------------
 #
@@ -158,5 +160,3 @@ print(observation.shape, f"{reward:.5f}", terminated, truncated, info)
 # - :ref:`tutorial-imaging`: choose among targets, and build your own environment.
 # - :ref:`tutorial-torchrl`: train a policy for this satellite.
 # - :ref:`tutorial-evaluating`: evaluate and publish a policy.
-#
-# sphinx_gallery_thumbnail_number = 1

@@ -16,13 +16,13 @@ means skipping others.
 # ------
 #
 # One orbit with the pretrained policy, among 1,000 targets:
-# sphinx_gallery_thumbnail_path = "_static/readme/AEOS-v1.png"
 import torch
 
 import bsk_torch
 from bsk_torch.rl.policies import pretrained
 from bsk_torch.viz.episodes import draw, record
 
+# sphinx_gallery_thumbnail_path = "_static/readme/AEOS-v1.png"
 EPISODES = 128
 ORBIT = 5700.0
 
@@ -217,5 +217,3 @@ print("seconds", rollout["next", "duration"].squeeze(-1).tolist())
 # - :ref:`tutorial-constellations`: let many satellites share the targets.
 # - :ref:`tutorial-sb3`: train with action masks.
 # - :ref:`tutorial-curriculum`: change the environment during training.
-#
-# sphinx_gallery_thumbnail_number = 1

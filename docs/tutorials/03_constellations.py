@@ -16,7 +16,6 @@ others, and skips these targets.
 #
 # Twelve satellites in three planes for one orbit, with the pretrained policy. It was trained with a single satellite; ``shared``
 # applies it to all of them:
-# sphinx_gallery_thumbnail_path = "_static/readme/Constellation-v1.png"
 import torch
 
 import bsk_torch
@@ -25,6 +24,7 @@ from bsk_torch.rl.marl import shared
 from bsk_torch.rl.policies import pretrained
 from bsk_torch.viz.episodes import draw, record
 
+# sphinx_gallery_thumbnail_path = "_static/readme/Constellation-v1.png"
 SATELLITES, TARGETS = 12, 3000
 EPISODES = 8
 SECONDS = 5700.0
@@ -114,7 +114,8 @@ for name, result in results.items():
     )
     gain = result.gain_over(results["none"])
     print(
-        f"{name:14} return {result.mean_return}, {images:4.0f} images, {wasted:3.0f} in vain, gain {gain}"
+        f"{name:14} return {result.mean_return}, {images:4.0f} images,",
+        f"{wasted:3.0f} duplicates, gain {gain}",
     )
 
 # %%
@@ -171,5 +172,3 @@ print({agent: round(float(reward), 3) for agent, reward in rewards.items()})
 # - :ref:`tutorial-marl`: train constellations with BenchMARL.
 # - :ref:`tutorial-evaluating`: evaluate and publish a policy.
 # - :ref:`tutorial-film`: watch a constellation.
-#
-# sphinx_gallery_thumbnail_number = 1

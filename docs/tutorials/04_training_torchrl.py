@@ -26,6 +26,7 @@ import bsk_torch
 from bsk_torch.rl.evaluation import compare, comparison_table
 from bsk_torch.rl.training import Training, configure
 
+# sphinx_gallery_thumbnail_number = 1
 NUM_ENVS, ROLLOUT = 256, 32
 FRAMES = 32 * NUM_ENVS * ROLLOUT
 LOOP_FRAMES = 32 * NUM_ENVS * ROLLOUT
@@ -67,7 +68,8 @@ path = learning_curve(read_log(folder / LOG), Path("curve.png"), levels, "NadirS
 #
 # .. code-block:: text
 #
-#     bsk-torch train NadirScan-v1 --frames 262144 num_envs=256 rollout=32 evaluate_every=0 --out runs/scan
+#     bsk-torch train NadirScan-v1 --frames 262144 --out runs/scan \
+#         num_envs=256 rollout=32 evaluate_every=0
 #
 # which also evaluates and plots. To continue the run, use ``bsk-torch train runs/scan --resume frames=3000000``. A full training
 # of three million decisions takes a few minutes.
@@ -202,5 +204,3 @@ print(comparison_table(compare({"by hand": actor}, judge, seed=0)))
 # - :ref:`tutorial-sb3`: the same task with Stable-Baselines3.
 # - :ref:`tutorial-curriculum`: increase the difficulty during training, and mask dangerous actions.
 # - :ref:`tutorial-evaluating`: evaluate and publish policies.
-#
-# sphinx_gallery_thumbnail_number = 1

@@ -16,7 +16,6 @@ MaskablePPO also uses the mask of legal actions.
 #
 # ``SB3VecEnv`` wraps the batched environment as a ``VecEnv``, given its name and the number of episodes. ``VecMonitor`` records
 # the returns of episodes, and ``VecNormalize`` standardizes observations.
-# sphinx_gallery_thumbnail_path = "_static/readme/AEOSPower-v1.png"
 import time
 
 import torch
@@ -26,6 +25,7 @@ from stable_baselines3.common.vec_env import VecMonitor, VecNormalize
 
 from bsk_torch.wrappers.stable_baselines3 import SB3VecEnv
 
+# sphinx_gallery_thumbnail_path = "_static/readme/AEOSPower-v1.png"
 NUM_ENVS, ROLLOUT = 256, 32
 STEPS = 60 * NUM_ENVS * ROLLOUT
 EPISODES = 128
@@ -139,5 +139,3 @@ print(type(env.core).__name__, env.core.satellite.action_description)
 # - :ref:`sphx_glr_gallery_ppo_sb3.py`: a complete program with options, logged metrics, and a saved model.
 # - :ref:`tutorial-marl`: RLlib and BenchMARL.
 # - :ref:`tutorial-evaluating`: evaluate and publish a policy.
-#
-# sphinx_gallery_thumbnail_number = 1

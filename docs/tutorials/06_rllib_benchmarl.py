@@ -16,7 +16,6 @@ RLlib requires an older Gymnasium and therefore a separate virtual environment; 
 #
 # Three satellites in one plane learn to share 1,000 targets in half a minute. ``ConstellationTask`` converts a preset to a
 # BenchMARL task; everything else is BenchMARL's standard configuration.
-# sphinx_gallery_thumbnail_path = "_static/readme/RelayConstellation-v1.png"
 import tempfile
 
 import torch
@@ -32,6 +31,7 @@ from benchmarl.algorithms import IppoConfig
 from benchmarl.experiment import Experiment, ExperimentConfig
 from benchmarl.models.mlp import MlpConfig
 
+# sphinx_gallery_thumbnail_path = "_static/readme/RelayConstellation-v1.png"
 ITERATIONS = 20
 NUM_ENVS, ROLLOUT = 64, 32
 EPISODES = 64
@@ -121,11 +121,10 @@ path = draw(record(experiment.policy, alone, seed=4), "ippo.png", "IPPO of Bench
 #
 # RLlib stores episodes as Python objects, one decision after the other, and discounts per decision. For several agents with
 # different clocks, RLlib needs connectors; :ref:`sphx_glr_gallery_bsk_rl_async_multiagent_training.py` uses a mask instead.
+#
 # Next steps
 # ----------
 #
 # - :ref:`sphx_glr_gallery_mappo_benchmarl.py` and :ref:`sphx_glr_gallery_ppo_rllib.py`: both as programs with options.
 # - :ref:`tutorial-constellations`: groups, masks and communication.
 # - :ref:`tutorial-evaluating`: evaluate and publish policies.
-#
-# sphinx_gallery_thumbnail_number = 1

@@ -23,6 +23,7 @@ from torchrl.envs.utils import step_mdp
 import bsk_torch
 from bsk_torch import rand
 
+# sphinx_gallery_thumbnail_number = 1
 NUM_ENVS = 128
 STEPS = 1000
 EPISODES = 256
@@ -45,7 +46,7 @@ env = bsk_torch.make(
 
 
 def harder(ended, survived):
-    """Change the levels of the episodes that have ended [N], and what follows from the levels."""
+    """Change the levels of the ended episodes [N], and the arguments that depend on them."""
     level.add_(torch.where(ended, torch.where(survived, 0.1, -0.2), 0.0)).clamp_(
         0.0, 1.0
     )
@@ -124,7 +125,7 @@ from bsk_torch.rl.rules import RULES, shielded
 
 
 def careful(see, actions):
-    """Charge when the battery is low, slow the wheels when they are fast, and do not scan when the store is full."""
+    """Charge at a low level, slow down fast wheels, and do not scan with a full buffer."""
     low = see["battery_charge_fraction"] < 0.1
     fast = ~low & (see.all("wheel_speeds_fraction").abs().amax(-1) > 0.6)
     full = see["storage_level_fraction"] > 0.95
@@ -146,7 +147,8 @@ results = {name: evaluate(player, env, seed=2) for name, player in players.items
 for name, result in results.items():
     low, high = result.survival_interval
     print(
-        f"{name:8} return {result.mean_return}, survival {result.survival:6.1%} ({low:.1%} to {high:.1%})"
+        f"{name:8} return {result.mean_return},",
+        f"survival {result.survival:6.1%} ({low:.1%} to {high:.1%})",
     )
 
 # %%
@@ -199,5 +201,3 @@ for fraction, mask in zip(
 # - :ref:`sphx_glr_gallery_curriculum.py`: the curriculum as a program with options.
 # - :ref:`sphx_glr_gallery_bsk_rl_training_with_shield.py`: BSK-RL's problem, trained with masks and with replaced actions.
 # - :ref:`tutorial-evaluating`: compare policies with and without a shield.
-#
-# sphinx_gallery_thumbnail_number = 1

@@ -14,7 +14,6 @@ A frame shows the current moment of one episode. No display is needed.
 # ------
 #
 # An imaging satellite with the pretrained policy, one frame per decision:
-# sphinx_gallery_thumbnail_path = "_static/readme/CloudyAEOS-v1.png"
 import torch
 from PIL import Image
 from torchrl.envs.utils import step_mdp
@@ -22,6 +21,7 @@ from torchrl.envs.utils import step_mdp
 import bsk_torch
 from bsk_torch.rl.policies import pretrained
 
+# sphinx_gallery_thumbnail_path = "_static/readme/CloudyAEOS-v1.png"
 FRAMES = 60
 MEMBERS = 6
 
@@ -29,7 +29,7 @@ torch.set_num_threads(1)
 
 
 def film(env, policy, path, seed, frames):
-    """Play the first episode of ``seed`` in row 0, and write a film with a picture after each decision."""
+    """Film the first episode of ``seed`` in row 0, with one frame per decision."""
     env.set_seed(seed)
     td = env.reset()
     pictures = [env.render(rows=0)]
@@ -47,7 +47,7 @@ def film(env, policy, path, seed, frames):
         method=2,
     )
     print(
-        f"{len(pictures)} pictures of {float(env.fleet.sim_time[0]) / 60:.0f} minutes of flight"
+        f"{len(pictures)} frames, {float(env.fleet.sim_time[0]) / 60:.0f} minutes of flight"
     )
 
 
@@ -109,5 +109,3 @@ film(env, pretrained("NadirScan-v1"), "scanning.webp", seed=7, frames=FRAMES)
 #
 # - :ref:`tutorial-evaluating`: evaluate a policy.
 # - :ref:`examples`: programs to copy.
-#
-# sphinx_gallery_thumbnail_number = 1

@@ -17,12 +17,12 @@ Sun within 60 degrees.
 #
 # One inspector flies from waypoint to waypoint by a rule: of 96 transfers, it takes the one that reveals the most points, minus
 # costs of fuel and time.
-# sphinx_gallery_thumbnail_path = "_static/readme/RSOInspection-v1.png"
 import torch
 
 import bsk_torch
 from bsk_torch.viz.episodes import draw, record
 
+# sphinx_gallery_thumbnail_path = "_static/readme/RSOInspection-v1.png"
 EPISODES = 64
 SECONDS = 57_000.0
 FRAMES, NUM_ENVS = 8_192, 64
@@ -86,7 +86,8 @@ for rule in ("drift", "circumnavigate", "survey"):
     )
     spent = 10.0 - env.satellites[1].fsw.dv_available.mean()
     print(
-        f"{rule:15} return {result.mean_return}, {points:3.0f} points, {complete:4.0%} complete, {spent:.1f} m/s"
+        f"{rule:15} return {result.mean_return}, {points:3.0f} points,",
+        f"{complete:4.0%} complete, {spent:.1f} m/s",
     )
 
 # %%
@@ -148,8 +149,9 @@ path = learning_curve(read_log(folder / LOG), Path("curve.png"), {}, "RSOInspect
 #
 # .. code-block:: text
 #
-#     bsk-torch train RSOInspection-v1 --minutes 10 options.actions=waypoints num_envs=256 rollout=16 \
-#         'hidden=[128,128]' gamma=0.9999 epochs=4 minibatch=1024 learning_rate=1e-3 entropy=0.01 evaluate_every=50000
+#     bsk-torch train RSOInspection-v1 --minutes 10 options.actions=waypoints \
+#         num_envs=256 rollout=16 'hidden=[128,128]' gamma=0.9999 epochs=4 \
+#         minibatch=1024 learning_rate=1e-3 entropy=0.01 evaluate_every=50000
 #
 # Next steps
 # ----------
@@ -157,5 +159,3 @@ path = learning_curve(read_log(folder / LOG), Path("curve.png"), {}, "RSOInspect
 # - :ref:`tutorial-constellations`: groups of agents, and shared knowledge.
 # - :ref:`tutorial-evaluating`: evaluate and publish policies.
 # - :ref:`tutorial-torchrl`: parts of a training loop.
-#
-# sphinx_gallery_thumbnail_number = 1

@@ -15,7 +15,6 @@ other; slews take most of the time.
 # ------
 #
 # The same episodes with random actions, a rule, the pretrained policy, and a planner:
-# sphinx_gallery_thumbnail_path = "_static/readme/AEOSCity-v1.png"
 import time
 
 import torch
@@ -27,6 +26,7 @@ from bsk_torch.plan.bounds import ScheduledPolicy, imaging_bound, milp_schedule
 from bsk_torch.rl.evaluation import evaluate
 from bsk_torch.rl.policies import pretrained
 
+# sphinx_gallery_thumbnail_path = "_static/readme/AEOSCity-v1.png"
 EPISODES = 8
 SECONDS = 5700.0
 TARGETS = 3000
@@ -41,7 +41,7 @@ results, spent = {}, {}
 
 
 def fly(name, policy, before=0.0):
-    """Fly the episodes; ``before`` are seconds of computation that came before the flights."""
+    """Play the episodes; ``before`` is the computation time before them, s."""
     begun = time.process_time()
     results[name] = evaluate(policy, env, seed=SEED)
     spent[name] = (before + time.process_time() - begun) / EPISODES
@@ -63,7 +63,8 @@ fly("planner", Rollout(env, "hasty", horizon=240.0, budget=8, gamma=0.997))
 # continues with the rule, for 240 s in total. It then takes the action with the highest return in the true episode, and repeats
 # this for the next decision. A planner is a policy like any other. It reports the simulated seconds of flight per decision:
 print(
-    f"{float(results['planner'].simulated_per_decision):,.0f} simulated seconds for each decision"
+    f"{float(results['planner'].simulated_per_decision):,.0f}",
+    "simulated seconds per decision",
 )
 print("gain over the rule", results["planner"].gain_over(results["hasty"]))
 
@@ -128,7 +129,8 @@ figure.tight_layout()
 #
 # .. code-block:: text
 #
-#     bsk-torch eval plan:rollout --preset AEOS-v1 --plan base=hasty --plan horizon=240 --plan budget=8 --seeds 0:8
+#     bsk-torch eval plan:rollout --preset AEOS-v1 --seeds 0:8 \
+#         --plan base=hasty --plan horizon=240 --plan budget=8
 #
 # Next steps
 # ----------
@@ -136,5 +138,3 @@ figure.tight_layout()
 # - :ref:`tutorial-imaging`: the task and its rules.
 # - :ref:`tutorial-evaluating`: evaluate and publish policies.
 # - :doc:`/how_to/plan`: tree search, value networks, and planners for continuous actions.
-#
-# sphinx_gallery_thumbnail_number = 1

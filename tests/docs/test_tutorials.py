@@ -86,9 +86,11 @@ def test_structure(name):
     """A label, a title, the result first, where to go next, and a thumbnail."""
     source = (FOLDER / name).read_text()
     assert re.match(r'"""\n\.\. _tutorial-[a-z0-9]+:\n\n[^\n]+\n=+\n\n', source)
-    headings = re.findall(r"^# ([^\n]+)\n# -{3,}$", source, re.MULTILINE)
+    before, headings = zip(*re.findall(r"^(.*)\n# ([^\n]+)\n# -{3,}$", source, re.MULTILINE), strict=True)
     assert (headings[0], headings[-1]) == ("Result", "Next steps")
-    assert "# sphinx_gallery_thumbnail_number = " in source
+    assert {*before} <= {"# %%", "#"}  # a heading after text without a blank line is text
+    [(above, _)] = re.findall(r"^(.*)\n(# sphinx_gallery_thumbnail_\w+ = .+)$", source, re.MULTILINE)
+    assert not above.startswith("#")  # in a cell of text it would be shown
 
 
 def test_links_between_tutorials_lead_somewhere():
