@@ -13,6 +13,7 @@ from bsk_torch._listed import register_listed as _register_listed
 if TYPE_CHECKING:
     from bsk_torch import act, comm, data, formations, obs, rand, sats, scene
     from bsk_torch.env import NO_ACTION, ConstellationTasking, GeneralSatelliteTasking, SatelliteTasking
+    from bsk_torch.env.per_environment import per_environment
     from bsk_torch.presets import make
     from bsk_torch.rl.policies.shared_policy import rule
     from bsk_torch.sim import dyn, fsw
@@ -32,6 +33,7 @@ __all__ = [
     "fsw",
     "make",
     "obs",
+    "per_environment",
     "rand",
     "rule",
     "sats",
@@ -46,6 +48,7 @@ _HOMES = {
     "dyn": "bsk_torch.sim",
     "fsw": "bsk_torch.sim",
     "make": "bsk_torch.presets",
+    "per_environment": "bsk_torch.env.per_environment",
     "rule": "bsk_torch.rl.policies.shared_policy",
 }
 """Modules of the names that are no modules of the package."""

@@ -157,8 +157,9 @@ LATER = "is not in bsk_torch yet: "
 RSO = LATER + "imaging other satellites. Their surfaces can be inspected: scene.SphericalRSO"
 MIXED = LATER + "several scenarios in one environment. Satellites of several types can share one scenario"
 STORES = (
-    "is not needed: rewarders keep tensors of all episodes (env.rewarder.imaged, .known, .cum_reward). One's own are subclasses "
-    "of data.GlobalReward with read_log() and calculate_reward(before, after), or have their own data.DataStore as in bsk_rl"
+    "is not needed: rewarders keep tensors of all episodes (env.rewarder.imaged, .known, .cum_reward). Others derive from "
+    "data.GlobalReward and define read_log() and calculate_reward(before, after). For one episode it is in "
+    "bsk_torch.bsk_rl.data; bsk_torch.per_environment(rewarder) runs rewarders of that package"
 )
 BUILDERS = "is not needed: environments build actions and observations from action_spec and observation_spec"
 TYPES = "is a type for annotations of bsk_rl: write torch.Tensor"
@@ -176,7 +177,8 @@ GROUPS: dict[str, str] = {
     "RSOPriorityEvent RSOTarget RSOTargetCatalog RSOTargets RSOTargetDynModel SpaceToSpaceImagingDynModel "
     "SpaceToSpaceImagingFSWModel CandidateSnapshot target_geometry candidate_snapshot illumination_factor",
     MIXED: "MixedData MixedDataStore MixedReward MixedScenario",
-    STORES: "LogStateType ComposedData ComposedDataStore ResourceData ResourceDataStore RSOInspectionDataStore",
+    STORES: "LogStateType ComposedData ComposedDataStore ResourceData ResourceDataStore RSOInspectionDataStore Data DataStore "
+    "NoData NoDataStore ScanningTime ScanningTimeStore UniqueImageStore",
     BUILDERS: "select_action_builder ActionBuilder ContinuousActionBuilder DiscreteActionBuilder ObservationBuilder "
     "nested_obs_to_space",
     TYPES: "SatObs SatAct MultiSatObs MultiSatAct SatArgRandomizer",

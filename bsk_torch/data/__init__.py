@@ -5,29 +5,22 @@ from bsk_torch.data.clouds import CloudFreeImageReward
 from bsk_torch.data.composed import ComposedReward
 from bsk_torch.data.images import ImageReward, UniqueImageReward
 from bsk_torch.data.inspection import RSOInspectionData, RSOInspectionReward
+from bsk_torch.data.mapped import PerEnvironmentReward
 from bsk_torch.data.resources import ResourceReward
 from bsk_torch.data.scanning import ScanningTimeReward
-from bsk_torch.data.single import NoData, NoDataStore, ScanningTime, ScanningTimeStore, UniqueImageStore
-from bsk_torch.data.store import Data, DataStore
 from bsk_torch.data.unique_images import UniqueImageData
 
 __all__ = [
     "CloudFreeImageReward",
     "ComposedReward",
-    "Data",
-    "DataStore",
     "GlobalReward",
     "ImageReward",
-    "NoData",
-    "NoDataStore",
     "NoReward",
+    "PerEnvironmentReward",
     "RSOInspectionData",
     "RSOInspectionReward",
     "ResourceReward",
-    "ScanningTime",
     "ScanningTimeReward",
-    "ScanningTimeStore",
     "UniqueImageData",
     "UniqueImageReward",
-    "UniqueImageStore",
 ]

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import inspect
-from abc import ABCMeta
-from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Any, ClassVar
+from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
 
-from bsk_torch.data.store import Data, DataStore  # noqa: F401  bsk_rl has them in this module, too
 from bsk_torch.sim.hooks import check_class
 
 if TYPE_CHECKING:
@@ -49,19 +47,27 @@ UNUSED = {
 
 
 MARKS = ("data_store_type", "datastore_type", "data_type", "create_data_store", "initial_data")
-"""Names defined only by rewarders in bsk_rl's form."""
+"""Names defined only by rewarders of one episode."""
 
-SINGLE_ARGUMENTS = {"calculate_reward": (1, 2), "is_terminated": (1, 0), "is_truncated": (1, 0)}
-"""Methods with different arguments in bsk_rl's form: the number of arguments there and here, without ``self``."""
+ONE_ARGUMENT = {"calculate_reward": 2, "is_terminated": 0, "is_truncated": 0}
+"""Methods that have one argument in rewarders of one episode, with their number of arguments here."""
 
 
-def is_single_form(body: Mapping[str, Any]) -> bool:
-    """Return whether the body of a class is in bsk_rl's form: rewards of one environment, from data of each satellite."""
-    return any(name in body for name in MARKS) or any(
-        takes(body[name], theirs) and not takes(body[name], ours)
-        for name, (theirs, ours) in SINGLE_ARGUMENTS.items()
-        if inspect.isfunction(body.get(name))
-    )
+def reject_one_episode(cls: type) -> None:
+    """Raise TypeError for a class that is written for one episode, as bsk_rl's rewarders."""
+    body = vars(cls)
+    marks = [name for name in MARKS if name in body]
+    marks += [
+        name
+        for name, count in ONE_ARGUMENT.items()
+        if inspect.isfunction(body.get(name)) and takes(body[name], 1) and not takes(body[name], count)
+    ]
+    if marks:
+        raise TypeError(
+            f"{cls.__name__} defines {', '.join(marks)} for one episode, as bsk_rl's rewarders do. Derive it from a class of "
+            f"bsk_torch.bsk_rl.data and give environments bsk_torch.per_environment({cls.__name__}()), which calls it for each; "
+            "or, to be fast, define read_log() and calculate_reward(before, after) on tensors of all environments"
+        )
 
 
 def takes(function: Callable[..., object], count: int) -> bool:
@@ -73,44 +79,20 @@ def takes(function: Callable[..., object], count: int) -> bool:
     return True
 
 
-class RewarderType(ABCMeta):
-    """Class of rewarders. Those whose body is in bsk_rl's form derive from bases of that form, which run per environment."""
-
-    def __new__(cls, name: str, bases: tuple[type, ...], body: dict[str, Any], **options: object) -> RewarderType:
-        """Make a class; TypeError for one in bsk_rl's form whose base has no counterpart there."""
-        if is_single_form(body):
-            bases = tuple(cls._single(name, base) for base in bases)
-        return super().__new__(cls, name, bases, body, **options)
-
-    @staticmethod
-    def _single(name: str, base: type) -> type:
-        if not isinstance(base, RewarderType) or getattr(base, "is_single", False):
-            return base
-        if (found := vars(base).get("single")) is None:
-            raise TypeError(
-                f"{name} is in bsk_rl's form, for which {base.__name__} has no counterpart; derive from data.GlobalReward, "
-                "NoReward, ScanningTimeReward or UniqueImageReward, or define read_log() and calculate_reward(before, after)"
-            )
-        return found
-
-
-class GlobalReward(metaclass=RewarderType):
+class GlobalReward:
     """Base class of rewarders, which compute rewards from logs read before and after a step.
 
     Subclasses define :meth:`calculate_reward`, and :meth:`read_log` to read the values it needs; the other hooks are optional. N
     is the number of episodes, S the number of satellites in each. :meth:`bsk_torch.sim.fleet.Fleet.each` reads a property of all
     satellites.
 
-    A subclass may also be in bsk_rl's form, with ``data_store_type`` and ``calculate_reward(new_data_dict)``; see
-    :mod:`bsk_torch.data.single`. Such a subclass is called once per environment, which is slow.
+    Rewarders of one episode, such as bsk_rl's, need :func:`bsk_torch.per_environment`.
 
     Attributes:
-        single: Base class of subclasses in bsk_rl's form.
         scenario: The scenario, once an environment has been built.
         fleet: The satellites, once an environment has been built.
     """
 
-    single: ClassVar[type | None] = None
     scenario: Scenario
     fleet: SatelliteFleet
 
@@ -120,6 +102,7 @@ class GlobalReward(metaclass=RewarderType):
     def __init_subclass__(cls, **options: object) -> None:
         """Raise TypeError, suggesting a replacement, for definitions that no environment would use."""
         super().__init_subclass__(**options)
+        reject_one_episode(cls)
         check_class(cls, GlobalReward, HOOKS, UNUSED)
 
     def link(self, scenario: Scenario, fleet: SatelliteFleet) -> None:

@@ -11,8 +11,6 @@ from torch import Tensor
 
 from bsk_torch.data import checked
 from bsk_torch.data.base import GlobalReward, Log
-from bsk_torch.data.mapped import for_batch
-from bsk_torch.data.single import SingleReward
 
 if TYPE_CHECKING:
     from bsk_torch.sats.fleet import SatelliteFleet
@@ -37,7 +35,7 @@ class ComposedReward(GlobalReward):
         for rewarder in rewarders:
             if not isinstance(rewarder, GlobalReward):
                 raise ValueError(f"rewarders holds {rewarder!r}, which is no rewarder; write data.NoReward(), with parentheses")
-        self.rewarders: Sequence[GlobalReward] = tuple(for_batch(r) if isinstance(r, SingleReward) else r for r in rewarders)
+        self.rewarders: Sequence[GlobalReward] = tuple(rewarders)
         self.terms: dict[str, Tensor] = {}
 
     def __copy__(self) -> ComposedReward:

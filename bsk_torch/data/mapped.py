@@ -1,4 +1,4 @@
-"""Rewarders in bsk_rl's form, run for each environment of a batch."""
+"""Rewarders of one episode, such as bsk_rl's, run for each environment of a batch."""
 
 from __future__ import annotations
 
@@ -10,43 +10,29 @@ import torch
 from torch import Tensor
 
 from bsk_torch.data.base import GlobalReward, Log
-from bsk_torch.data.record import Record, SingleScenario, StoringSatellite
-from bsk_torch.data.single import SingleReward
+from bsk_torch.data.record import OneReward, Record, SingleScenario, StoringSatellite
 from bsk_torch.sats.bound_access import BoundAccessSatellite
-from bsk_torch.sim.hooks import note_slow
 from bsk_torch.sim.object_table import ObjectTable
 
 if TYPE_CHECKING:
     from bsk_torch.sats.fleet import SatelliteFleet
     from bsk_torch.scene.base import Scenario
 
-ADVICE = (
-    "keep tensors of all environments in rewarder.memory, and define read_log() and calculate_reward(before, after), or derive "
-    "from data.ImageReward and define selectable() and value(target, taken)"
-)
 
-
-def for_batch(rewarder: GlobalReward) -> GlobalReward:
-    """Return a copy of a rewarder for a batch of environments; one in bsk_rl's form is run for each of them."""
-    return MappedReward(rewarder) if isinstance(rewarder, SingleReward) else copy.copy(rewarder)
-
-
-class MappedReward(GlobalReward):
-    """Runs a rewarder in bsk_rl's form for each environment, with separate stores for each.
+class PerEnvironmentReward(GlobalReward):
+    """Runs a rewarder of one episode for each environment, with separate stores for each; see :func:`bsk_torch.per_environment`.
 
     Attributes:
-        given: The user's rewarder; every episode begins with a deep copy of it.
+        given: The rewarder of one episode; every episode begins with a deep copy of it.
         records: Rewarder and stores of each environment, part of the state.
     """
 
-    given: SingleReward
+    given: OneReward
     records: ObjectTable
 
-    def __init__(self, given: SingleReward) -> None:
+    def __init__(self, given: OneReward) -> None:
         """Run copies of ``given``."""
-        given.find_types()
         self.given = given
-        note_slow(f"rewarder {type(given).__name__}", ADVICE)
 
     def link(self, scenario: Scenario, fleet: SatelliteFleet) -> None:
         """See :meth:`GlobalReward.link`."""
@@ -128,8 +114,6 @@ class MappedReward(GlobalReward):
         return self._flags("is_truncated")
 
     def _flags(self, hook: str) -> Tensor:
-        if getattr(type(self.given), hook) is getattr(SingleReward, hook):
-            return getattr(super(), hook)()
         found = [[bool(getattr(r.rewarder, hook)(satellite)) for satellite in r.satellites] for r in self._all()]
         return torch.tensor(found, device=self.fleet.device)
 

@@ -1,4 +1,4 @@
-"""What a rewarder in bsk_rl's form keeps of one environment, and how that is saved."""
+"""What a rewarder of one episode keeps of its environment, and how that is saved."""
 
 from __future__ import annotations
 
@@ -7,16 +7,62 @@ import io
 import pickle
 from collections.abc import Callable, Mapping
 from types import FunctionType
-from typing import Any
+from typing import Any, Protocol
 
 from torch import Tensor
 
 from bsk_torch.data.pickled import Pickler, Unpickler, modules_of
-from bsk_torch.data.single import HideImaged, SingleReward
 from bsk_torch.sats.one import OneSatellite, OneScenario, OneView
 from bsk_torch.sats.one_access import OneAccessSatellite
 
 Filter = Callable[[Mapping[str, Any]], Any]
+
+
+class OneReward(Protocol):
+    """A rewarder of one episode: its hooks are those of ``bsk_torch.bsk_rl.data.GlobalReward``."""
+
+    data: Any
+    data_type: Any
+    data_store_type: Any
+
+    def link_scenario(self, scenario: Any) -> None:
+        """Keep the scenario."""
+
+    def reset_overwrite_previous(self) -> None:
+        """Forget the last episode."""
+
+    def reset_pre_sim_init(self) -> None:
+        """Prepare for the episode."""
+
+    def reset_during_sim_init(self) -> None:
+        """Prepare for the episode, once satellites have their stores."""
+
+    def reset_post_sim_init(self) -> None:
+        """Prepare for the episode, last."""
+
+    def create_data_store(self, satellite: Any) -> None:
+        """Give a satellite its store."""
+
+    def reward(self, new_data_dict: dict[str, Any]) -> dict[str, float]:
+        """Return the reward of a step by name of satellite."""
+
+    def is_terminated(self, satellite: Any) -> bool:
+        """Return whether the episode terminates for a satellite."""
+
+    def is_truncated(self, satellite: Any) -> bool:
+        """Return whether the episode is truncated for a satellite."""
+
+
+class HideImaged:
+    """Access filter that hides the targets that a store has imaged."""
+
+    def __init__(self, store: Any) -> None:
+        """Hide the targets in ``store.data.imaged``."""
+        self.store = store
+
+    def __call__(self, opportunity: Mapping[str, Any]) -> bool:
+        """Return whether an opportunity remains."""
+        return opportunity["type"] != "target" or opportunity["object"] not in self.store.data.imaged
 
 
 class StoringSatellite:
@@ -77,7 +123,7 @@ class Only:
 
 
 class SingleScenario(OneScenario):
-    """The scenario in one environment, as rewarders in bsk_rl's form read it."""
+    """The scenario in one environment, as rewarders of one episode read it."""
 
     def __init__(self, whole: object, env: int, num_envs: int, satellites: list[StoringSatellite]) -> None:
         """View environment ``env`` of a scenario."""
@@ -93,7 +139,7 @@ class SingleScenario(OneScenario):
 
 
 class Record:
-    """A rewarder in bsk_rl's form, and the satellites with their stores, of one environment.
+    """A rewarder of one episode, and the satellites with their stores, of one environment.
 
     Attributes:
         rewarder: Copy of the user's rewarder.
@@ -102,7 +148,7 @@ class Record:
         steps: Steps that have been scored.
     """
 
-    def __init__(self, rewarder: SingleReward, satellites: list[StoringSatellite], scenario: SingleScenario) -> None:
+    def __init__(self, rewarder: OneReward, satellites: list[StoringSatellite], scenario: SingleScenario) -> None:
         """Put the parts together; see :meth:`begin`."""
         self.rewarder, self.satellites, self.scenario, self.steps = rewarder, satellites, scenario, 0
 
@@ -143,7 +189,7 @@ class Record:
 
     # -- saving -------------------------------------------------------------------------------------------------------
 
-    def dump(self, given: SingleReward) -> bytes:
+    def dump(self, given: OneReward) -> bytes:
         """Return all that may have changed since :meth:`begin`, as bytes; none before the first step.
 
         Raises:
@@ -162,7 +208,7 @@ class Record:
             ) from error
         return file.getvalue()
 
-    def load(self, given: SingleReward, saved: bytes) -> None:
+    def load(self, given: OneReward, saved: bytes) -> None:
         """Take over what :meth:`dump` returned; UnpicklingError for bytes that hold more than plain data and own classes."""
         objects = {name: value for value, name in self._named(given)}
 
@@ -176,13 +222,13 @@ class Record:
         for satellite, attributes in zip(self.satellites, own, strict=True):
             satellite.__dict__.update(attributes)
 
-    def _named(self, given: SingleReward) -> list[tuple[Any, str]]:
+    def _named(self, given: OneReward) -> list[tuple[Any, str]]:
         """Return the objects that are not saved but found again, with their names."""
         named: list[tuple[Any, str]] = [(self.rewarder, "rewarder"), (self.scenario, "scenario")]
         named += [(satellite, f"satellite {k}") for k, satellite in enumerate(self.satellites)]
         return named + [(value, f"argument {name}") for name, value in vars(given).items() if isinstance(value, FunctionType)]
 
-    def _name_of(self, given: SingleReward) -> Callable[[Any], Any]:
+    def _name_of(self, given: OneReward) -> Callable[[Any], Any]:
         """Return the function that names objects which are not saved; targets have their numbers."""
         names = {id(value): name for value, name in self._named(given)}
 
@@ -198,6 +244,6 @@ class Record:
         return name_of
 
 
-def _modules(given: SingleReward) -> set[str]:
+def _modules(given: OneReward) -> set[str]:
     """Return the modules whose classes a rewarder's data may be made of: its own, and those of its stores and data."""
     return modules_of(type(given), given.data_store_type, given.data_type)

@@ -7,7 +7,6 @@ from typing import NamedTuple
 
 from torch import Tensor
 
-from bsk_torch.data.store import Data
 from bsk_torch.scene.target import Target
 
 
@@ -25,12 +24,12 @@ class UniqueImages(NamedTuple):
     duplicates: Tensor
 
 
-class UniqueImageData(Data):
-    """Images of targets of one environment, in bsk_rl's form.
+class UniqueImageData:
+    """Images of targets of one environment, to be read.
 
     Attributes:
         imaged: Set of targets known to be imaged.
-        duplicates: Number of repeated images; merging adds the targets imaged in both units, as in bsk_rl.
+        duplicates: Number of repeated images.
         known: Set of targets known to exist.
     """
 
@@ -42,12 +41,6 @@ class UniqueImageData(Data):
         self.imaged = set(given)
         self.duplicates = duplicates + len(given) - len(self.imaged)
         self.known = set(() if known is None else known)
-
-    def __add__(self, other: UniqueImageData) -> UniqueImageData:
-        """Return the merged data."""
-        imaged = self.imaged | other.imaged
-        overlap = len(self.imaged) + len(other.imaged) - len(imaged)
-        return type(self)(imaged=imaged, duplicates=self.duplicates + other.duplicates + overlap, known=self.known | other.known)
 
 
 class Known(NamedTuple):

@@ -18,7 +18,6 @@ from bsk_torch.comm import CommunicationMethod, NoCommunication
 from bsk_torch.data import checked, totals
 from bsk_torch.data.base import GlobalReward, NoReward
 from bsk_torch.data.composed import ComposedReward
-from bsk_torch.data.mapped import for_batch
 from bsk_torch.env import messages
 from bsk_torch.env.arguments import MadeOfArguments
 from bsk_torch.env.assembly.devices import existing_device
@@ -310,5 +309,7 @@ def composed(rewarder: GlobalReward | Iterable[GlobalReward] | None) -> GlobalRe
     listed: list[Any] = list(rewarder) if several else [rewarder]  # type: ignore[arg-type]
     for part in listed:
         if not isinstance(part, GlobalReward):
+            if hasattr(part, "create_data_store") and not isinstance(part, type):
+                raise TypeError(f"rewarder={part!r} is for one episode; bsk_torch.per_environment(rewarder) runs it for each")
             raise TypeError(f"rewarder={part!r} must be a rewarder, made with parentheses, such as data.UniqueImageReward()")
-    return ComposedReward(*map(copy.copy, listed)) if several else for_batch(listed[0])
+    return ComposedReward(*map(copy.copy, listed)) if several else copy.copy(listed[0])

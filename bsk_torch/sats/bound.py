@@ -92,8 +92,8 @@ class BoundSatellite(Satellite):
         store_of = getattr(self.rewarder, "store_of", None)
         if store_of is None:
             raise AttributeError(
-                f"{type(self.rewarder).__name__} keeps no data of satellites; data.UniqueImageReward does, and rewarders in "
-                "bsk_rl's form with a data_store_type"
+                f"{type(self.rewarder).__name__} keeps no data of satellites; data.UniqueImageReward does, and "
+                "per_environment(...) of rewarders of one episode"
             )
         return store_of(self.type_index)
 

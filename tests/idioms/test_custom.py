@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import bsk_torch
-from bsk_torch import data, rand, scene
+from bsk_torch import rand, scene
 
 from .runner import Idiom, run, title
 
@@ -15,30 +15,9 @@ pytestmark = pytest.mark.compiled
 POINT = np.array([7e6, 0.0, 0.0])
 
 
-class MyData(data.Data):
-    def __init__(self, n=0):
-        self.n = n
-
-    def __add__(self, other):
-        return MyData(self.n + other.n)
-
-
-class MyStore(data.DataStore):
-    data_type = MyData
-
-
 class Sites(scene.UniformTargets):
     def regenerate_targets(self):
         self.targets = [scene.Target(f"site-{k}", POINT, np.random.rand()) for k in range(self.n_targets)]
-
-
-def in_form(cls: type) -> bool:
-    """Whether a class is one of bsk_rl's form, which environments run."""
-    return issubclass(cls, data.GlobalReward) and cls.is_single
-
-
-def is_rewarder(made: object) -> bool:
-    return isinstance(made, data.GlobalReward)
 
 
 def drawn(scenario, name):
@@ -55,17 +34,6 @@ IDIOMS: list[Idiom] = [
         "type('T', (scene.UniformTargets,), {'regenerate_targets': lambda self: super(T0, self).regenerate_targets()})",
         lambda cls: cls(3),
     ),
-    ("type('D', (data.base.Data,), {'__add__': lambda self, other: self})()", lambda d: d + d is d),
-    ("MyStore(None, initial_data=MyData(3)).data.n", lambda n: n == 3),
-    ("type('R', (data.GlobalReward,), dict(data_store_type=MyStore))", in_form),
-    ("type('R', (data.base.GlobalReward,), dict(datastore_type=MyStore))", lambda cls: cls().data_type is MyData),
-    ("type('R', (data.UniqueImageReward,), dict(calculate_reward=lambda self, new_data_dict: {}))", in_form),
-    ("type('R', (data.UniqueImageReward,), dict(is_truncated=lambda self, satellite: False))", in_form),
-    ("type('R', (data.UniqueImageReward,), dict(initial_data=lambda self, satellite: None))(reward_fn=min)", is_rewarder),
-    ("type('R', (data.NoReward,), dict(create_data_store=lambda self, satellite: None))()", is_rewarder),
-    ("type('R', (data.ScanningTimeReward,), dict(data_type=MyData, reset_pre_sim_init=lambda self: None))()", is_rewarder),
-    ("data.UniqueImageData(imaged={1, 2}, known={1, 2, 3}) + data.UniqueImageData(imaged={2})", lambda d: d.duplicates == 1),
-    ("data.UniqueImageStore.data_type", lambda kind: kind is data.UniqueImageData),
     (
         "type('C', (comm.CommunicationMethod,), {'communication_pairs': lambda self: [(self.satellites[0],) * 2]})",
         lambda cls: cls(min_period=60.0).min_period == 60.0,
@@ -93,7 +61,7 @@ def env():
 @pytest.mark.parametrize("idiom", IDIOMS, ids=title)
 def test_idiom(idiom: Idiom, env):
     line, check = idiom
-    names = dict(POINT=POINT, Sites=Sites, MyData=MyData, MyStore=MyStore, T0=T0, env=env)
+    names = dict(POINT=POINT, Sites=Sites, T0=T0, env=env)
     result = check(run(line, **names))
     assert result is None or result is not False
 

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from typing import Any
 
 from bsk_torch.bsk_rl.data.base import Data, DataStore, GlobalReward
 from bsk_torch.bsk_rl.scene.targets import Target
 from bsk_torch.bsk_rl.utils import vizard
+from bsk_torch.data.record import HideImaged
 
 __all__ = ["UniqueImageData", "UniqueImageReward", "UniqueImageStore"]
 
@@ -89,12 +90,7 @@ class UniqueImageReward(GlobalReward):
     def create_data_store(self, satellite: Any) -> None:
         """Give a satellite its store, and hide from it the targets that the store has imaged."""
         super().create_data_store(satellite)
-        data_store = satellite.data_store
-
-        def unique_target_filter(opportunity: Mapping[str, Any]) -> bool:
-            return opportunity["type"] != "target" or opportunity["object"] not in data_store.data.imaged
-
-        satellite.add_access_filter(unique_target_filter)
+        satellite.add_access_filter(HideImaged(satellite.data_store))
 
     def calculate_reward(self, new_data_dict: dict[str, UniqueImageData]) -> dict[str, float]:
         """See :meth:`GlobalReward.calculate_reward`."""

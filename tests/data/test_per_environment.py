@@ -1,4 +1,4 @@
-"""Data, stores and rewarders in bsk_rl's form, run for each environment."""
+"""Rewarders of one episode, with data and stores, run for each environment."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import io
 import math
 import pickle
 from collections import deque
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,7 +13,10 @@ import torch
 from tensordict import TensorDict
 
 import bsk_torch
-from bsk_torch import ConstellationTasking, act, comm, data, obs, rand, scene
+from bsk_torch import ConstellationTasking, act, comm, data, obs, per_environment, rand, scene
+from bsk_torch.bsk_rl import data as one
+from bsk_torch.bsk_rl.data.base import Data, DataStore
+from bsk_torch.bsk_rl.data.unique_image_data import UniqueImageData, UniqueImageStore
 from bsk_torch.data.pickled import Pickler, Unpickler, modules_of
 from bsk_torch.presets.nadir_scan import ScanningSatellite, scanning_args
 
@@ -33,7 +35,7 @@ class CloudTargets(scene.UniformTargets):
             target.true_cloud_cover = np.clip(np.random.uniform(0.0, 1.348), 0.0, 1.0)
 
 
-class CloudData(data.UniqueImageData):
+class CloudData(UniqueImageData):
     def __init__(self, imaged=None, duplicates=0, known=None, covered=None, free=None):
         super().__init__(imaged=imaged, duplicates=duplicates, known=known)
         self.cloud_covered, self.cloud_free = list(set(covered or [])), list(set(free or []))
@@ -44,7 +46,7 @@ class CloudData(data.UniqueImageData):
         return self.__class__(both.imaged, both.duplicates, both.known, covered, free)
 
 
-class CloudStore(data.UniqueImageStore):
+class CloudStore(UniqueImageStore):
     data_type = CloudData
 
     def compare_log_states(self, old_state, new_state):
@@ -53,8 +55,8 @@ class CloudStore(data.UniqueImageStore):
         return CloudData(imaged=imaged, covered=split[True], free=split[False])
 
 
-class CloudRewarder(data.UniqueImageReward):
-    datastore_type = CloudStore
+class CloudRewarder(one.UniqueImageReward):
+    data_store_type = CloudStore
 
     def calculate_reward(self, new_data_dict):
         reward = {}
@@ -98,7 +100,7 @@ def play(env, steps=6, resume=False):
 
 @pytest.fixture(scope="module")
 def clouds():
-    env = imaging(CloudRewarder(linear))
+    env = imaging(per_environment(CloudRewarder(linear)))
     return env, *play(env)
 
 
@@ -118,12 +120,12 @@ def test_rewards_are_those_of_the_batched_form(clouds):
 
 def test_environments_do_not_depend_on_the_batch(clouds):
     _, rewards, _ = clouds
-    alone = imaging(CloudRewarder(linear), num_envs=1, env_ids=[1])
+    alone = imaging(per_environment(CloudRewarder(linear)), num_envs=1, env_ids=[1])
     assert torch.allclose(play(alone)[0], rewards[1:2])
 
 
 def test_one_environment_begins_anew(clouds):
-    env = imaging(CloudRewarder(linear))
+    env = imaging(per_environment(CloudRewarder(linear)))
     play(env, 3)
     before = [found.imaged for found in env.rewarder.data]
     env.reset(TensorDict({"_reset": torch.tensor([[False], [True], [False]])}, [N]))
@@ -133,7 +135,8 @@ def test_one_environment_begins_anew(clouds):
 
 def test_saved_episodes_go_on(clouds):
     """Stores are saved and restored with the state, into other environments and other rows."""
-    env, other = imaging(CloudRewarder(linear)), imaging(CloudRewarder(linear), num_envs=2, seed=9)
+    env = imaging(per_environment(CloudRewarder(linear)))
+    other = imaging(per_environment(CloudRewarder(linear)), num_envs=2, seed=9)
     _, rewards, _ = clouds
     play(env, 3)
     saved = env.get_state()
@@ -146,24 +149,24 @@ def test_saved_episodes_go_on(clouds):
 
 
 def test_stores_that_cannot_be_saved_are_named():
-    class Kept(data.UniqueImageReward):
+    class Kept(one.UniqueImageReward):
         def create_data_store(self, satellite):
             super().create_data_store(satellite)
             satellite.add_access_filter(lambda opportunity: True)
 
-    env = imaging(Kept())
+    env = imaging(per_environment(Kept()))
     play(env, 1)
     with pytest.raises(TypeError, match=r"Kept or its stores keep values that cannot be saved .* objects of a class"):
         env.get_state()
 
 
 def test_filters_of_stores_hide_opportunities():
-    class Some(data.UniqueImageReward):
+    class Some(one.UniqueImageReward):
         def create_data_store(self, satellite):
             super().create_data_store(satellite)
             satellite.add_access_filter(lambda opportunity: opportunity["object"].true_cloud_cover < 0.2, types="target")
 
-    env = imaging(Some(), time_limit=300.0)
+    env = imaging(per_environment(Some()), time_limit=300.0)
     env.reset()
     allowed = env.satellite.allowed("target")
     assert torch.equal(allowed, env.scenario.target_attribute("true_cloud_cover") < 0.2)
@@ -172,7 +175,7 @@ def test_filters_of_stores_hide_opportunities():
 # -- several satellites --------------------------------------------------------------------------------------------------------
 
 
-class Visits(data.Data):
+class Visits(Data):
     def __init__(self, names=()):
         self.names = set(names)
 
@@ -180,7 +183,7 @@ class Visits(data.Data):
         return Visits(self.names | other.names)
 
 
-class VisitStore(data.DataStore):
+class VisitStore(DataStore):
     data_type = Visits
 
     def get_log_state(self):
@@ -191,7 +194,7 @@ class VisitStore(data.DataStore):
         return Visits([f"{self.satellite.name} at {new_state:g}"])
 
 
-class VisitReward(data.GlobalReward):
+class VisitReward(one.GlobalReward):
     data_store_type = VisitStore
     limit = 99
 
@@ -231,7 +234,7 @@ class Ring(comm.CommunicationMethod):
 
 
 def test_data_take_one_hop_in_a_step():
-    env = crew(VisitReward(), Ring())
+    env = crew(per_environment(VisitReward()), Ring())
     env.reset()
     assert (step(env)["agents", "reward"] == 4.0).all()
     stores = env.satellites[0].data_store
@@ -243,7 +246,7 @@ def test_data_take_one_hop_in_a_step():
 
 
 def test_all_get_the_sum_where_all_are_linked():
-    env = crew(VisitReward(), comm.FreeCommunication())
+    env = crew(per_environment(VisitReward()), comm.FreeCommunication())
     env.reset()
     step(env)
     assert [len(store.data.names) for store in env.satellites[0].data_store] == [6] * 6
@@ -253,36 +256,37 @@ def test_episodes_end_by_the_rewarder():
     class Short(VisitReward):
         limit = 2
 
-    env = crew(Short())
+    env = crew(per_environment(Short()))
     env.reset()
     assert step(env)["terminated"].all()
 
 
 def test_a_part_of_a_sum():
-    env = crew([VisitReward(), VisitReward()])
+    env = crew([per_environment(VisitReward()), per_environment(VisitReward())])
     env.reset()
     assert (step(env)["agents", "reward"] == 8.0).all()
     assert [len(part.data) for part in env.rewarder.rewarders] == [2, 2]
 
 
-class HalfTime(data.ScanningTimeReward):
+class HalfTime(one.ScanningTimeReward):
     def calculate_reward(self, new_data_dict):
         return {name: 0.5 * value for name, value in super().calculate_reward(new_data_dict).items()}
 
 
 def test_base_classes_reward_as_the_batched_ones():
     """Growth of the store over the rate of the instrument, never less than nothing."""
-    rewarder = HalfTime()
-    rewarder.link_scenario(SimpleNamespace(value_per_second=3.0))
-    rewarder.reset_overwrite_previous()
-    satellite = SimpleNamespace(name="A", dynamics=SimpleNamespace(storage_level=100.0, instrument_baud=10.0))
-    rewarder.create_data_store(satellite)
-    satellite.data_store.update_from_logs()
-    for level, expected in ((140.0, 6.0), (20.0, 0.0)):
-        satellite.dynamics.storage_level = level
-        assert rewarder.reward({"A": satellite.data_store.update_from_logs()}) == {"A": expected}
-    assert rewarder.cum_reward == {"A": 6.0}
-    assert rewarder.data.scanning_time == 4.0
+
+    def scan(rewarder):
+        made = ScanningSatellite("S", scanning_args() | dict(oe=rand.random_orbit(), storageInit=0.0))
+        env = bsk_torch.SatelliteTasking(made, scene.UniformNadirScanning(3.0), rewarder, num_envs=2, seed=1, time_limit=1000.0)
+        env.reset()
+        choices = torch.tensor([[0, 1], [0, 0], [2, 0], [0, 3]])
+        steps = [env.step(TensorDict({"action": choice}, [2]))["next", "reward"].squeeze(-1) for choice in choices]
+        return torch.stack(steps)
+
+    found, expected = scan(per_environment(HalfTime())), scan(data.ScanningTimeReward())
+    assert (expected > 0.0).sum() >= 3
+    assert torch.allclose(found, 0.5 * expected)
 
 
 def test_observations_read_the_store_of_each_satellite():
@@ -290,7 +294,9 @@ def test_observations_read_the_store_of_each_satellite():
         observation_spec = (obs.SatProperties(dict(fn=lambda sat: len(sat.data_store.data.names), name="visits")),)
 
     fixed = dict(num_envs=2, time_limit=60.0, seed=1, backend="eager")
-    env = ConstellationTasking([Observer("A", scanning_args())], scene.UniformNadirScanning(), VisitReward(), **fixed)
+    env = ConstellationTasking(
+        [Observer("A", scanning_args())], scene.UniformNadirScanning(), per_environment(VisitReward()), **fixed
+    )
     assert (env.reset()["agents", "observation"] == 1.0).all()
     assert (step(env)["agents", "observation"] == 2.0).all()
 
@@ -304,45 +310,49 @@ class Wrong(VisitReward):
 
 
 def test_rewards_that_are_missing_are_named():
-    env = crew(Wrong())
+    env = crew(per_environment(Wrong()))
     env.reset()
     with pytest.raises(TypeError, match=r"Wrong.calculate_reward\(new_data_dict\) returns .* for each of \['S0', 'S1', 'S2'\]"):
         step(env)
 
 
 @pytest.mark.parametrize(
-    ("base", "members", "words"),
+    ("base", "members", "marks"),
     [
-        (data.CloudFreeImageReward, dict(data_store_type=CloudStore), "CloudFreeImageReward has no counterpart; derive from"),
-        (
-            data.GlobalReward,
-            dict(data_store_type=VisitStore, read_log=lambda self: {}),
-            "either that or tensors .* with read_log",
-        ),
-        (
-            data.GlobalReward,
-            dict(data_store_type=VisitStore, calc_reward=lambda self, new: {}),
-            "did you mean 'calculate_reward'",
-        ),
-        (
-            data.UniqueImageReward,
-            dict(is_truncated=lambda self, sat: False, compare_log_states=lambda self, a, b: 0),
-            "define it in the data.DataStore",
-        ),
+        (data.GlobalReward, dict(data_store_type=VisitStore), "data_store_type"),
+        (data.GlobalReward, dict(calculate_reward=lambda self, new_data_dict: {}), "calculate_reward"),
+        (data.UniqueImageReward, dict(is_truncated=lambda self, satellite: False), "is_truncated"),
+        (data.UniqueImageReward, dict(initial_data=lambda self, satellite: None), "initial_data"),
+        (data.NoReward, dict(create_data_store=lambda self, satellite: None), "create_data_store"),
     ],
 )
-def test_forms_cannot_be_mixed(base, members, words):
+def test_classes_for_one_episode_are_rejected_where_they_are_defined(base, members, marks):
+    words = rf"Mine defines {marks} for one episode.*bsk_torch.bsk_rl.data.*per_environment\(Mine\(\)\).*calculate_reward\(before"
     with pytest.raises(TypeError, match=words):
         type("Mine", (base,), members)
 
 
-def test_a_rewarder_without_a_store_is_refused():
-    class Storeless(data.GlobalReward):
-        def calculate_reward(self, new_data_dict):
-            return {}
+def test_a_rewarder_of_one_episode_needs_the_adapter():
+    with pytest.raises(TypeError, match=r"is for one episode; bsk_torch\.per_environment\(rewarder\)"):
+        crew(VisitReward())
 
-    with pytest.raises(TypeError, match="Storeless must set data_store_type"):
-        Storeless()
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        (data.NoReward(), "NoReward rewards all environments at once"),
+        (VisitReward, "made with parentheses"),
+        (3.0, r"per_environment\(3.0\)"),
+    ],
+)
+def test_what_the_adapter_does_not_take(given, words):
+    with pytest.raises(TypeError, match=words):
+        per_environment(given)
+
+
+def test_names_of_one_episode_say_where_they_are():
+    with pytest.raises(ImportError, match=r"bsk_torch\.bsk_rl\.data; bsk_torch\.per_environment"):
+        from bsk_torch.data.base import DataStore  # noqa: F401
 
 
 class Evil:

@@ -1,0 +1,38 @@
+"""The adapter of what is written for one episode: it is called for each environment of a batch."""
+
+from __future__ import annotations
+
+import copy
+from typing import Any
+
+from bsk_torch.data.base import GlobalReward
+from bsk_torch.data.mapped import PerEnvironmentReward
+
+
+def per_environment(given: Any) -> Any:
+    """Return what runs code for one episode in each environment of a batch.
+
+    A rewarder, an object with the hooks of ``bsk_torch.bsk_rl.data.GlobalReward``, becomes a rewarder of the batch. Every episode
+    begins with a deep copy of it; its stores are saved and restored with the episodes. ``satellite`` in its hooks is a view of
+    one satellite, :class:`bsk_torch.sats.one.OneSatellite`, and ``rewarder.rewarder_of(row)`` the copy of an environment.
+
+    Its time is that of the Python code times the number of environments, in every step: see ``docs/migration_fast.md``.
+
+    Args:
+        given: The rewarder.
+
+    Raises:
+        TypeError: For anything else.
+
+    Example:
+        >>> from bsk_torch.bsk_rl.data import NoReward
+        >>> rewarder = per_environment(NoReward())
+    """
+    if hasattr(given, "create_data_store") and not isinstance(given, type):
+        return PerEnvironmentReward(copy.copy(given))
+    if isinstance(given, GlobalReward):
+        raise TypeError(f"{type(given).__name__} rewards all environments at once; give it to the environment as it is")
+    raise TypeError(
+        f"per_environment({given!r}): give it a rewarder of one episode, an object of a class of bsk_torch.bsk_rl.data, made "
+        "with parentheses"
+    )
