@@ -111,6 +111,9 @@ REWARDERS: dict[type, Stock] = {
 }
 """Rewarders."""
 
+SUMMED = {**REWARDERS, their_data.UniqueImageReward: REWARDERS[their_data.UniqueImageReward]._replace(core=NothingHidden)}
+"""Rewarders of which there are several."""
+
 LINKS = "satellite satellites scenario simulator n_actions data_type data_store_kwargs"
 """Attributes of all objects that no argument has set."""
 
@@ -164,7 +167,8 @@ def counterpart(given: Any, table: Mapping[type, Stock], *entries: Any) -> Any:
     """
     title, stock = type(given).__name__, table.get(type(given))
     if stock is None:
-        raise NotBatchedError(f"{title} is a class of yours, for one episode")
+        adapter = "; in bsk_torch, per_environment(rewarder) runs it" if table in (REWARDERS, SUMMED) else ""
+        raise NotBatchedError(f"{title} is a custom class, for one episode{adapter}")
     known = {*stock.arguments.values(), *stock.state.split(), *LINKS.split()}
     if unknown := sorted(set(vars(given)) - known):
         raise NotBatchedError(f"{title} has attributes that are no arguments of it: {', '.join(unknown)}")
@@ -206,7 +210,7 @@ def check_satellite(given: Any) -> None:
         if kind.__module__.startswith("bsk_torch.") or kind in (object, ABC):
             continue
         if added := sorted(set(vars(kind)) - BODY - IGNORED):
-            raise NotBatchedError(f"{kind.__name__} has code of yours, for one episode: {', '.join(added)}")
+            raise NotBatchedError(f"{kind.__name__} has custom code, for one episode: {', '.join(added)}")
     if added := sorted(set(vars(given)) - set(SATELLITE_STATE)):
         raise NotBatchedError(f"satellite {given.name} has attributes that are no arguments of it: {', '.join(added)}")
     if given.observation_builder.obs_type is not np.ndarray:
@@ -251,9 +255,8 @@ def batched_core(env: SatelliteTasking[Any, Any], arguments: Mapping[str, Any], 
         raise NotBatchedError(f"{without[0]} has no counterpart for a single satellite")
     several = type(env.rewarder) is ComposedReward
     parts = env.rewarder.rewarders if several else [env.rewarder]
-    table = {**REWARDERS, their_data.UniqueImageReward: REWARDERS[their_data.UniqueImageReward]._replace(core=NothingHidden)}
     try:
-        rewarders = [counterpart(part, table if several else REWARDERS) for part in parts]
+        rewarders = [counterpart(part, SUMMED if several else REWARDERS) for part in parts]
         return Core(
             satellite=core_satellite(env.satellite),
             scenario=counterpart(env.scenario, SCENARIOS),

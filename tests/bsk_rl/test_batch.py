@@ -206,11 +206,14 @@ def changed():
 
 
 REJECTED = {
-    "a rewarder of the user's": (dict(rewarder=Paying()), "Paying is a class of yours"),
-    "a hook of a satellite": (dict(satellite=Talking("S", SCAN_ARGS)), "Talking has code of yours, for one episode: reset_post"),
+    "a rewarder of the user's": (
+        dict(rewarder=Paying()),
+        "Paying is a custom class, for one episode; in bsk_torch, per_environment",
+    ),
+    "a hook of a satellite": (dict(satellite=Talking("S", SCAN_ARGS)), "Talking has custom code, for one episode: reset_post"),
     "an attribute of a satellite": (dict(satellite=changed()), "attributes that are no arguments of it: mine"),
     "named observations": (dict(satellite=Scanner("S", SCAN_ARGS, obs_type=dict)), "obs_type=<class 'dict'>"),
-    "a scenario of the user's": (dict(scenario=Copied([], [])), "Copied is a class of yours"),
+    "a scenario of the user's": (dict(scenario=Copied([], [])), "Copied is a custom class"),
     "arguments by a function": (dict(sat_arg_randomizer=lambda satellites: {}), "sat_arg_randomizer has no counterpart"),
     "communication": (dict(communicator=comm.FreeCommunication()), "communicator has no counterpart"),
     "an epoch of the satellite": (dict(satellite=Scanner("S", SCAN_ARGS | WORLD)), "write it among world_args"),
@@ -237,7 +240,7 @@ def test_otherwise_environments_are_put_side_by_side_with_a_warning(caplog):
             Named("Named", SCAN_ARGS), scene.UniformNadirScanning(), Paying(), time_limit=100.0, backend="eager", num_envs=2
         )
     assert isinstance(made, EpisodesVectorEnv)
-    assert "2 simulations side by side, which is slow: Paying is a class of yours" in caplog.text
+    assert "2 simulations side by side, which is slow: Paying is a custom class, for one episode" in caplog.text
     assert "migration_fast.md" in caplog.text
 
 
