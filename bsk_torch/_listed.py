@@ -1,4 +1,4 @@
-"""The presets, with a line about each, and what Gymnasium has to know of them; read without torch.
+"""The presets, each with one line about its task and its Gymnasium entry points; read without torch.
 
 ``import bsk_torch`` registers these environments, and ``bsk-torch list`` and ``--help`` read them, before torch is imported.
 """
@@ -27,14 +27,14 @@ class Listed(NamedTuple):
 
 
 LISTED: dict[str, Listed] = {
-    "NadirScan-v1": Listed(ONE, "record the ground below; keep battery, wheels and data store within limits"),
+    "NadirScan-v1": Listed(ONE, "record the ground below; keep battery, wheels and data buffer within limits"),
     "AEOS-v1": Listed(ONE, "choose which of the next 32 targets to image, of 100 to 9,999"),
-    "AEOSPower-v1": Listed(ONE, "AEOS-v1 with a small battery and store, and weak wheels"),
+    "AEOSPower-v1": Listed(ONE, "AEOS-v1 with a small battery and data buffer, and weak wheels"),
     "AEOSCity-v1": Listed(ONE, "AEOS-v1 with cities as targets (extra: cities)"),
-    "CloudyAEOS-v1": Listed(ONE, "AEOS-v1 under clouds, of which only a forecast is observed"),
+    "CloudyAEOS-v1": Listed(ONE, "AEOS-v1 under clouds, observed only as a forecast"),
     "Constellation-v1": Listed(MANY, "12 imagers that communicate along lines of sight"),
-    "AEOSConstellation-v1": Listed(MANY, "three imagers in one plane that share all they know every minute"),
-    "RelayConstellation-v1": Listed(MANY, "four low imagers, two high relays; to broadcast is an action"),
+    "AEOSConstellation-v1": Listed(MANY, "three imagers in one plane that share all knowledge once a minute"),
+    "RelayConstellation-v1": Listed(MANY, "four low imagers, two high relays; broadcasting is an action"),
     "RSOInspection-v1": Listed(MANY, "fly around a spacecraft until its surface is inspected"),
     "MultiInspection-v1": Listed(MANY, "the same with three inspectors that must not collide"),
 }

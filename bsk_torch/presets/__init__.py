@@ -1,18 +1,18 @@
-"""Named, versioned environments; the module of each states its decision process.
+"""Named, versioned environments; each module documents its decision process.
 
 =========================  ==========================  ==================================================================
 name                       module                      task
 =========================  ==========================  ==================================================================
-``NadirScan-v1``           ``presets.nadir_scan``      record the ground below; manage battery, wheels and storage
+``NadirScan-v1``           ``presets.nadir_scan``      record the ground below; manage battery, wheels and data buffer
 ``AEOS-v1``                ``presets.aeos``            choose which of the next 32 targets to image
 ``AEOSCity-v1``            ``presets.aeos``            the same, with cities as targets
-``CloudyAEOS-v1``          ``presets.aeos``            the same, with clouds of which only a forecast is observed
-``AEOSPower-v1``           ``presets.aeos_power``      the same, with a small battery, weak wheels and little storage
-``AEOSConstellation-v1``   ``presets.constellation``   three imagers in one plane that share everything once a minute
-``Constellation-v1``       ``presets.constellation``   a Walker constellation of imagers that talk in line of sight
-``RelayConstellation-v1``  ``presets.constellation``   low imagers, and high relays that pass on what was imaged
-``RSOInspection-v1``       ``presets.inspection``      fly about a spacecraft until its surface has been inspected
-``MultiInspection-v1``     ``presets.inspection``      the same for three inspectors that must not collide
+``CloudyAEOS-v1``          ``presets.aeos``            the same under clouds, observed only as a forecast
+``AEOSPower-v1``           ``presets.aeos_power``      the same, with a small battery and data buffer, and weak wheels
+``AEOSConstellation-v1``   ``presets.constellation``   three imagers in one plane that share all knowledge once a minute
+``Constellation-v1``       ``presets.constellation``   12 imagers that communicate along lines of sight
+``RelayConstellation-v1``  ``presets.constellation``   four low imagers, two high relays; broadcasting is an action
+``RSOInspection-v1``       ``presets.inspection``      fly around a spacecraft until its surface is inspected
+``MultiInspection-v1``     ``presets.inspection``      the same with three inspectors that must not collide
 =========================  ==========================  ==================================================================
 """
 

@@ -100,7 +100,7 @@ def index() -> str:
     """Return the page that lists the modules."""
     text = [title("Modules"), "Every public name of the package, from its docstrings.\n"]
     for section, group in sections().items():
-        text += [title(section, "-"), listing([(f":doc:`{m.name} <{m.name}>`", m.summary) for m in group])]
+        text += [title(section, "-"), listing([(f":doc:`{m.name} <{m.name}>`", m.summary) for m in group], "40 60")]
         text += [toctree([m.name for m in group])]
     return "\n".join(text)
 
@@ -168,9 +168,9 @@ def title(text: str, line: str = "=") -> str:
     return f"{text}\n{line * len(text)}\n"
 
 
-def listing(rows: list[tuple[str, str]]) -> str:
-    """Return a table of two columns."""
-    lines = [".. list-table::", "   :widths: 30 70", "   :class: summary", ""]
+def listing(rows: list[tuple[str, str]], widths: str = "30 70") -> str:
+    """Return a table of two columns, with their shares of the width."""
+    lines = [".. list-table::", f"   :widths: {widths}", "   :class: summary", ""]
     for left, right in rows:
         lines += [f"   * - {left}", f"     - {right}"]
     return "\n".join([*lines, ""])

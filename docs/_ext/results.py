@@ -84,7 +84,7 @@ INSPECTIONS = {
 def vs_basilisk(name: str) -> str:
     """Return rates here and on Basilisk."""
     rows, cases = [], INSPECTIONS if name == "inspection" else CASES
-    for row in load(name)["rows"]:
+    for row in load(name)["rows"] if name == "inspection" else sorted(load(name)["rows"], key=by_size):
         words = cases.get(row["case"], f"{row['case']} satellites")
         decisions = [whole(row["decision_rate"])] if "decision_rate" in row else []
         low, high = digits(row["ratio_low"]), digits(row["ratio_high"])
@@ -92,8 +92,14 @@ def vs_basilisk(name: str) -> str:
             [words, whole(row["rate"]), *decisions, whole(row["basilisk_rate"]), digits(row["ratio"]), f"{low} to {high}"]
         )
     decided = ["decisions per core-s"] if "decision_rate" in load(name)["rows"][0] else []
-    head = ["case", "simulated s per core-s", *decided, "bsk_rl on Basilisk", "ratio", "smallest to largest"]
+    head = ["case", "simulated s per core-s", *decided, "bsk_rl on Basilisk", "ratio", "range of the ratio"]
     return with_command(name, head, rows)
+
+
+def by_size(row: Mapping[str, Any]) -> tuple[int, str]:
+    """Return the number of satellites of a case of ``vs_basilisk.py``, and its name, by which cases are sorted."""
+    counts = [int(word) for word in row["case"].split("-") if word.isdigit()]
+    return (counts or [1])[0], row["case"]
 
 
 def constellations(name: str) -> str:
@@ -258,12 +264,12 @@ def pretrained() -> str:
     for preset, made_by in makings.items():
         score = made_by["score"]
         minutes, seconds = divmod(round(made_by["seconds"]), 60)
-        reached = f"{score['return']:.3f} +- {score['half_width']:.3f}"
+        reached = f"{score['return']:.3f} ±\u00a0{score['half_width']:.3f}"
         time = f"{minutes} min {seconds} s"
         rows.append([code(preset), code(made_by["command"]), whole(made_by["frames"]), time, reached, f"{score['survival']:.1%}"])
     machines = sorted({entry["machine"] for entry in makings.values()})
     episodes = {entry["score"]["episodes"] for entry in makings.values()}
-    note = f"Returns of {', '.join(map(str, episodes))} fresh episodes. Trained on: {'; '.join(machines)}."
+    note = f"Returns of {', '.join(map(str, episodes))} unseen episodes. Trained on: {'; '.join(machines)}."
     return f"{table(['preset', 'command', 'decisions', 'wall time', 'return', 'survival'], rows)}\n\n{note}\n"
 
 
@@ -280,14 +286,15 @@ def pretrained_short() -> str:
 
 
 def inspections(*names: str) -> str:
-    """Return what rules and trained policies reach in the presets of inspection."""
-    rows, commands = [], []
+    """Return the results of rules and trained policies in the presets of inspection, a table for each preset."""
+    head = ["policy, actions", "complete", "hours", "fuel, m/s", "inspected", "lit", "inspectors died", "collisions"]
+    parts = []
     for name in names:
+        rows, [preset] = [], {row["preset"] for row in load(name)["rows"]}
         for row in load(name)["rows"]:
             share, low, high = (100.0 * value for value in (row["complete"], *row["complete_interval"]))
             rows.append(
                 [
-                    code(row["preset"]),
                     f"{player(row)}, {row['actions']}",
                     f"{share:.1f} % ({low:.1f} to {high:.1f})",
                     f"{row['hours']:.2f}" if share else "-",
@@ -296,13 +303,12 @@ def inspections(*names: str) -> str:
                     f"{row['lit']:.1f}",
                     f"{100.0 * row['died']:.1f} %",
                     str(row["collisions"]),
-                    f"{row['value']:.3f} +- {row['half']:.3f}",
-                    f"{row['gain']:+.3f} +- {row['gain_half']:.3f}" if "gain" in row else "-",
+                    f"{row['value']:.3f} ±\u00a0{row['half']:.3f}",
+                    f"{row['gain']:+.3f} ±\u00a0{row['gain_half']:.3f}" if "gain" in row else "-",
                 ]
             )
-        commands.append(made(name))
-    head = ["preset", "policy, actions", "complete", "hours", "fuel, m/s", "inspected", "lit", "inspectors died", "collisions"]
-    return f"{table([*head, 'return', 'gain over survey'], rows)}\n\n{chr(10).join(commands)}"
+        parts += [f"### {preset}", table([*head, "return", "gain over survey"], rows), made(name)]
+    return "\n\n".join(parts)
 
 
 def player(row: Mapping[str, Any]) -> str:
@@ -472,7 +478,7 @@ def certificate(flown: Mapping[str, Any] | None) -> str:
     if flown is None:
         return "-"
     how = ", replayed" if flown["decided"] == "in bsk_torch" else ""
-    return f"{flown['same']} of {flown['episodes']}{how}; {flown['largest_difference']:.0e}"
+    return f"{flown['same']} of {flown['episodes']}{how}; {short(flown['largest_difference'])}".replace("e-", "e\u2011")
 
 
 TABLES = {

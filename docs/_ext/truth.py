@@ -16,7 +16,7 @@ QUANTITIES = {
     "omega": ("body rate", "rad/s"),
     "wheel_speed": ("wheel speed", "rad/s"),
     "battery": ("battery", "J"),
-    "storage": ("store", "bit"),
+    "storage": ("data buffer", "bit"),
     "illumination": ("illumination", "1"),
     "observation": ("observations", "their units"),
     "window": ("access windows", "s"),
