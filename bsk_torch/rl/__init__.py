@@ -1,1 +1,1 @@
-"""Learning recipes on TorchRL's own parts, evaluation, and baselines to compare with."""
+"""Training with TorchRL components, evaluation, and baselines."""

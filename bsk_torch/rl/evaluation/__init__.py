@@ -1,4 +1,4 @@
-"""Evaluation of policies, and the study of their failures."""
+"""Evaluation of policies and analysis of their failures."""
 
 from bsk_torch.rl.evaluation.comparison import compare, comparison_table
 from bsk_torch.rl.evaluation.evaluate import FRESH, Evaluation, evaluate, start_episodes

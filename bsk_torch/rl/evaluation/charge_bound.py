@@ -1,7 +1,7 @@
-"""Lower bound on the charge that a satellite needs, whatever its actions: with less it cannot be saved.
+"""Lower bound on the charge that a satellite needs to survive, regardless of its actions.
 
-The bound supposes that the panel faces the Sun at every moment, that nothing but the base load and idle wheels draws power, and
-that turning is free. Sunlight is what the simulation will see along the orbit, which no action changes.
+The bound assumes that the panel always faces the Sun, that only the base load and idle wheels draw power, and that turning is
+free. Sunlight is computed along the orbit, which does not depend on actions.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from bsk_torch.sim.orbit.grid import NODE_SPACING
 from bsk_torch.vec3 import Vec3
 
 SINKS = ("instrumentPowerDraw", "transmitterPowerDraw", "thrusterPowerDraw")
-"""Power of what actions may switch on, W; negative where it draws."""
+"""Power of devices switched on by actions, W; negative for consumption."""
 
 NEEDED = (
     *SINKS,
@@ -33,14 +33,14 @@ NEEDED = (
     "rwMechToElecEfficiency",
     "batteryStorageCapacity",
 )
-"""Arguments that the bound follows from."""
+"""Arguments that determine the bound."""
 
 CHUNK = 512
-"""Ticks whose sunlight is computed at once."""
+"""Number of ticks for which sunlight is computed at once."""
 
 
 def check_bounded(env: SatelliteTasking) -> None:
-    """ValueError where the bound would not hold: for satellites without its arguments, or whose wheels give power back."""
+    """Raise ValueError if the bound does not hold: for satellites without its arguments, or with wheels that return power."""
     missing = [name for name in NEEDED if name not in env.satellite.sat_args]
     if missing:
         raise ValueError(f"the bound on the charge needs a satellite with the arguments {missing}, such as NadirScan-v1's")
@@ -49,10 +49,10 @@ def check_bounded(env: SatelliteTasking) -> None:
 
 
 def sunlight(env: SatelliteTasking, rows: Tensor, ticks: Tensor) -> tuple[Tensor, Tensor]:
-    """Illuminated fraction of the Sun and its flux, W/m^2, in ``rows`` [n] at the end of ``ticks`` [T], [n, T] each.
+    """Return the illuminated fraction of the Sun and its flux, W/m^2, in ``rows`` [n] at the end of ``ticks`` [T], [n, T] each.
 
-    The episodes must have just begun, and their orbits must be solved in advance. As in a tick, the shadow is that of the
-    position one tick ago.
+    The episodes must have just begun, and their orbits must be solved in advance. As in a tick, the shadow is computed for the
+    position of the previous tick.
     """
     parts = [_sunlight(env, rows, part) for part in ticks.split(CHUNK)]
     lit, flux = (torch.cat(columns, 1) for columns in zip(*parts, strict=True))
@@ -75,7 +75,7 @@ def _sunlight(env: SatelliteTasking, rows: Tensor, ticks: Tensor) -> tuple[Tenso
 
 
 def most_power(env: SatelliteTasking, rows: Tensor) -> Tensor:
-    """The most power, W, that can go into the battery in tick 1, 2, ... of ``rows`` [n], whose episodes have just begun, [n, T].
+    """Return the maximum power into the battery, W, in ticks 1, 2, ... of ``rows`` [n], whose episodes have just begun, [n, T].
 
     ValueError from :func:`check_bounded`, and for episodes whose orbits are not solved to the end at reset.
     """
@@ -93,7 +93,7 @@ def most_power(env: SatelliteTasking, rows: Tensor) -> Tensor:
 
 
 def longest_action(env: SatelliteTasking) -> int:
-    """Ticks of the longest action; ValueError where actions have no fixed durations."""
+    """Return the ticks of the longest action; ValueError for actions without fixed durations."""
     table = env.satellite.actions.table()
     if not bool(torch.isfinite(table.duration).all()):
         raise ValueError("the actions of this satellite have no fixed durations, which the search for failures needs")
@@ -101,14 +101,14 @@ def longest_action(env: SatelliteTasking) -> int:
 
 
 def least_charge(gain: Tensor, longest: int) -> Tensor:
-    """Charge, W s, at tick 0, 1, ... that a satellite must exceed, or it dies for certain; -infinity for no need, [N, T + 1].
+    """Return the charge, W s, that a satellite must exceed at tick 0, 1, ... to survive; -infinity for none, [N, T + 1].
 
-    A satellite dies if its battery is empty at the end of an action. An empty battery stays empty while even the most that can
-    come in is not positive; where that lasts for ``longest`` ticks, or to the end of the episode, an action ends meanwhile. So
-    some charge is needed at the first of these ticks, and before them what is lost until then.
+    A satellite dies if its battery is empty at the end of an action. An empty battery stays empty while the maximum gain is not
+    positive. If this lasts for ``longest`` ticks, or to the end of the episode, an action ends during this time. Therefore,
+    charge is needed at the first of these ticks, and earlier ticks need the losses until then in addition.
 
     Args:
-        gain: The most that can go into the battery in each tick, [N, T] W s.
+        gain: Maximum gain of charge in each tick, [N, T] W s.
         longest: Ticks of the longest action.
     """
     n, last = gain.shape

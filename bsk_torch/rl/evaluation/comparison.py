@@ -1,4 +1,4 @@
-"""A policy alongside random actions and the rules, in the same fresh episodes."""
+"""Comparison of policies with random actions and rules in the same unseen episodes."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from bsk_torch.rl.policies.shared_policy import shared_baselines
 
 
 def compare(policies: Mapping[str, TensorDictModuleBase], env: Tasking, seed: int) -> dict[str, Evaluation]:
-    """Evaluate policies trained with ``seed``, and every baseline that fits, in the same fresh episodes.
+    """Evaluate policies trained with ``seed``, and every applicable baseline, in the same unseen episodes.
 
     Args:
         policies: Policies by name; see :func:`~bsk_torch.rl.evaluation.evaluate.evaluate`.
-        env: The environment: one episode in each of its rows.
-        seed: Seed of the training; the episodes are those of ``seed`` + :data:`FRESH`.
+        env: The environment, which plays one episode in each row.
+        seed: Seed of the training; evaluation uses the episodes of ``seed`` + :data:`FRESH`.
 
     Returns:
         Results by name, the given policies first.
@@ -29,7 +29,7 @@ def compare(policies: Mapping[str, TensorDictModuleBase], env: Tasking, seed: in
 def comparison_table(results: Mapping[str, Evaluation]) -> str:
     """Return a Markdown table of returns with 95 % confidence intervals, survival and mean counts.
 
-    The gain is that of the first policy over each of the others in the same episodes.
+    The table lists the gain of the first policy over each of the others in the same episodes.
     """
     first = next(iter(results.values()))
     counted = list(first.counts)

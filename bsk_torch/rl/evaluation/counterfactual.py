@@ -1,7 +1,7 @@
-"""Searches for actions that would have saved a satellite, and proofs that there are none.
+"""Search for actions that would have saved a satellite, and for proofs that none exist.
 
-The actions found are flown from the start of the episode. An episode is called lost if that is proven: every sequence of
-actions has been tried until death, or until the charge was below the bound of :mod:`bsk_torch.rl.evaluation.charge_bound`.
+Actions are verified by playing them from the start of the episode. An episode counts as lost only with a proof: every sequence of
+actions was tried until death, or until the charge fell below the bound of :mod:`bsk_torch.rl.evaluation.charge_bound`.
 """
 
 from __future__ import annotations
@@ -20,16 +20,16 @@ from bsk_torch.rl.evaluation.replay import OVER, fly, script
 from bsk_torch.sim.arguments.values import nearest
 
 MARGIN = 1.0
-"""Charge, W s, by which a satellite must lie below the bound to be called lost: far more than rounding in five orbits."""
+"""Margin below the bound, W s, at which a satellite counts as lost: far more than rounding in five orbits."""
 
 SAVED, LOST, OPEN = "saved", "lost", "open"
 
 LEAST_DEMANDING = 4
-"""Number of the plan that desaturates ten times and then charges forever."""
+"""Index of the plan that desaturates ten times and then charges to the end."""
 
 
 class Counterfactual(NamedTuple):
-    """Whether each of n episodes has been saved, [n], by which actions [n, T], and their return [n]; the best of all plans."""
+    """For n episodes, the best plan: whether it saves the episode [n], its actions [n, T], and its return [n]."""
 
     saved: Tensor
     actions: Tensor
@@ -40,9 +40,9 @@ class Verdict(NamedTuple):
     """Result of an exhaustive search.
 
     Attributes:
-        outcome: :data:`SAVED`, :data:`LOST`, or :data:`OPEN` where the search was given up.
-        actions: Actions from the start that survive, [T], if any were found; the last one is repeated.
-        states: Number of states reached.
+        outcome: :data:`SAVED`, :data:`LOST`, or :data:`OPEN` for an aborted search.
+        actions: Surviving actions from the start, [T], of which the last is repeated; None if none were found.
+        states: Number of visited states.
     """
 
     outcome: str
@@ -51,7 +51,7 @@ class Verdict(NamedTuple):
 
 
 def check_searchable(env: SatelliteTasking) -> None:
-    """Raise ValueError if failures in the environment cannot be explained: without the actions, arguments or orbits it takes."""
+    """Raise ValueError for environments without the actions, arguments or orbits needed to explain failures."""
     for name in ("action_charge", "action_desat"):
         action_number(env, name)
     check_bounded(env)
@@ -62,7 +62,7 @@ def check_searchable(env: SatelliteTasking) -> None:
 
 
 def action_number(env: SatelliteTasking, name: str) -> int:
-    """Number of an action; ValueError, with the nearest name, where there is none."""
+    """Return the index of an action; ValueError, with the nearest name, for an unknown one."""
     names = env.satellite.action_description
     if name not in names:
         raise ValueError(f"rescues need an action {name!r}; {nearest(name, names)}")
@@ -70,9 +70,9 @@ def action_number(env: SatelliteTasking, name: str) -> int:
 
 
 def candidate_plans(env: SatelliteTasking, n_random: int = 32, length: int = 40, seed: int = 0) -> Tensor:
-    """Sequences of actions worth trying, [P, 1 + length], at least 30 long, of which the last action, to charge, is forever.
+    """Return candidate sequences of actions, [P, 1 + length], at least 30 long; the last action, charging, is repeated.
 
-    To charge at once, after some desaturation or something else, with some desaturation after a while; and random runs.
+    They charge at once, after some desaturation or another action, or with some desaturation in between; others are random.
     """
     charge, desat = action_number(env, "action_charge"), action_number(env, "action_desat")
     n = env.satellite.actions.n_actions
@@ -87,7 +87,7 @@ def candidate_plans(env: SatelliteTasking, n_random: int = 32, length: int = 40,
 
 
 def _random_runs(n: int, charge: int, count: int, length: int, seed: int) -> list[list[int]]:
-    """Random sequences of one to eight of each action, of which charging is as likely as three others."""
+    """Return random sequences of runs of one to eight equal actions; charging is three times as likely as other actions."""
     generator = torch.Generator().manual_seed(seed)
     weight = torch.ones(n, dtype=torch.float32).index_fill(0, torch.tensor([charge]), 3.0)
     runs = []
@@ -98,7 +98,7 @@ def _random_runs(n: int, charge: int, count: int, length: int, seed: int) -> lis
 
 
 def spliced(actions: Tensor, kept: Tensor, plans: Tensor) -> Tensor:
-    """The first ``kept`` [n] of the actions [n, T], then those of a plan [n, L], whose last one is repeated; [n, T + L]."""
+    """Return the first ``kept`` [n] of the actions [n, T], followed by a plan [n, L] whose last action is repeated, [n, T + L]."""
     column = torch.arange(actions.shape[1] + plans.shape[1])
     first = actions[:, column.clamp(max=actions.shape[1] - 1)]
     after = (column - kept.unsqueeze(1)).clamp(0, plans.shape[1] - 1)
@@ -106,7 +106,7 @@ def spliced(actions: Tensor, kept: Tensor, plans: Tensor) -> Tensor:
 
 
 def try_plans(env: SatelliteTasking, seeds: Tensor, actions: Tensor, kept: Tensor, plans: Tensor) -> Counterfactual:
-    """Fly the first ``kept`` [n] of the actions [n, T] of the episodes of ``seeds`` [n], and then every plan [P, L]."""
+    """Play the first ``kept`` [n] of the actions [n, T] in the episodes of ``seeds`` [n], then each plan of [P, L]."""
     n, p = len(seeds), len(plans)
     every = torch.arange(n).repeat_interleave(p)
     whole = spliced(actions[every], kept[every], plans.repeat(n, 1))
@@ -116,10 +116,10 @@ def try_plans(env: SatelliteTasking, seeds: Tensor, actions: Tensor, kept: Tenso
 
 
 def last_chance(env: SatelliteTasking, seeds: Tensor, actions: Tensor, plans: Tensor) -> tuple[Tensor, Counterfactual]:
-    """Number of the last decision [n] from which a plan still saves each of the episodes that ``actions`` [n, T] failed.
+    """Return the index of the last decision [n] from which a plan saves each episode failed by ``actions`` [n, T].
 
-    By bisection: an episode that can be saved at a decision can be saved at those before. The number is :data:`OVER` where no
-    plan saves the episode from its start. The rescue is that from the last such decision.
+    The search bisects, because an episode that can be saved at one decision can be saved at every earlier one. The index is
+    :data:`OVER` if no plan saves the episode from its start. The returned rescue starts at the last such decision.
     """
     best = try_plans(env, seeds, actions, torch.zeros_like(seeds), plans)
     low = torch.where(best.saved, 0, OVER)
@@ -141,10 +141,11 @@ def last_chance(env: SatelliteTasking, seeds: Tensor, actions: Tensor, plans: Te
 
 
 def exhaust(env: SatelliteTasking, seed: int, actions: Tensor, kept: int, bound: bool = True) -> Verdict:
-    """Try all that can be done after the first ``kept`` of the actions [T] of the episode of ``seed``.
+    """Try all possible actions after the first ``kept`` of the actions [T] in the episode of ``seed``.
 
-    Breadth first: all actions from all states, without those that die or, with ``bound``, have less charge than it says is
-    needed. The states are held in the environment's rows; once there are too many, only permanent charging is tried from each.
+    Breadth-first search: all actions from all states, without states in which the satellite is dead or, with ``bound``, has less
+    charge than needed. The states are kept in the environment's rows. If there are too many, only permanent charging is tried
+    from each.
     """
     rows = torch.arange(len(env.env_ids), device=env.device)
     now = start_episodes(env, [seed])
@@ -170,20 +171,20 @@ def exhaust(env: SatelliteTasking, seed: int, actions: Tensor, kept: int, bound:
 
 
 def _hopeful(env: SatelliteTasking, need: Tensor, rows: Tensor) -> Tensor:
-    """Return those of ``rows`` that are alive and have more charge than the bound ``need`` [T + 1]."""
+    """Return the ``rows`` that are alive and have more charge than the bound ``need`` [T + 1]."""
     charge = env.satellite.dynamics.battery_charge[rows]
     return rows[~env.dead[rows] & (charge > need[env.simulator.ticks[rows]] - MARGIN)]
 
 
 def _put(env: SatelliteTasking, sources: Tensor) -> None:
-    """Put copies of the rows ``sources`` [m] into the first m rows."""
+    """Copy the rows ``sources`` [m] to the first m rows."""
     size = len(env.env_ids)
     index = torch.nn.functional.pad(sources, (0, size - len(sources)))
     env.reset(TensorDict({"state": env.get_state()[index]}, [size]), set_state=True)
 
 
 def _charged(env: SatelliteTasking, now: TensorDictBase, living: Tensor, paths: Tensor, states: int) -> Verdict:
-    """Whether any of the rows ``living`` survives if it charges forever from ``now`` on."""
+    """Return whether any of the rows ``living`` survives by charging from ``now`` to the end."""
     rows, charge = torch.arange(len(env.env_ids), device=env.device), action_number(env, "action_charge")
     for _ in play_episodes(env, script(torch.full_like(rows, charge).unsqueeze(1)), now, torch.isin(rows, living)):
         pass

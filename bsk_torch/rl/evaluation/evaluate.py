@@ -1,4 +1,4 @@
-"""Evaluation of policies in fresh episodes, the same for every policy."""
+"""Evaluation of policies in unseen episodes, the same for every policy."""
 
 from __future__ import annotations
 
@@ -20,26 +20,26 @@ from bsk_torch.rl.policies.shared_policy import TRAINED_WITH, check_reads
 from bsk_torch.rl.rules.baselines import LOT
 
 FRESH = 1_000_003
-"""Added to the seed of training to get the seed of evaluation, whose episodes are new to the policy."""
+"""Added to the training seed to obtain the evaluation seed, whose episodes the policy has not seen."""
 
 SUITE_SEEDS = range(2**60, 2**60 + 2**20)
 """Seeds of the episodes of suites (:mod:`bsk_torch.rl.evaluation.suite`), not allowed in training."""
 
 SHARE = "shared(policy, env) lets a policy of one satellite decide for those of a constellation"
-"""What to do about a policy that reads what a constellation shows for its groups only."""
+"""Advice for a single-satellite policy in a constellation, whose observations are under the names of its groups."""
 
 SIMULATED = "simulated_seconds"
-"""Key under which planners write what they have simulated for a decision, [N] s."""
+"""Key under which planners write the simulated time of a decision, [N] s."""
 
 
 @dataclass(frozen=True)
 class Evaluation:
     """Results of n episodes, each a tensor [n].
 
-    ``returns`` are sums of rewards (float64), ``collected`` the same without the penalty for dying, ``decisions`` and ``seconds``
-    the lengths, ``deaths`` says for every aliveness check whether it failed at the end, ``counts`` is what the environment has
-    counted, such as ``imaged``, and ``fill`` the level of the store at the end, a fraction; None without a store. ``simulated``
-    are seconds that a planner has simulated for all decisions of the episode; None for policies that do not plan.
+    ``returns`` are sums of rewards (float64), ``collected`` the same without failure penalties, and ``decisions`` and ``seconds``
+    the lengths. ``deaths`` contains for each aliveness check whether it failed at the end, and ``counts`` the counters of the
+    environment, such as ``imaged``. ``fill`` is the fill level of the data buffer at the end, as a fraction; None without a
+    buffer. ``simulated`` is the time simulated by a planner for all decisions of the episode, s; None for other policies.
     """
 
     returns: Tensor
@@ -54,7 +54,7 @@ class Evaluation:
 
     @classmethod
     def joined(cls, parts: Sequence[Evaluation]) -> Evaluation:
-        """The episodes of all ``parts``, in order."""
+        """Return the episodes of all ``parts``, in order."""
         return cls(**{part.name: _joined([getattr(p, part.name) for p in parts]) for part in fields(cls)})
 
     @property
@@ -63,12 +63,12 @@ class Evaluation:
         return confidence(self.returns)
 
     def gain_over(self, other: Evaluation) -> Estimate:
-        """Mean difference of the returns to those of ``other`` in the same episodes, with its 95 % confidence interval."""
+        """Return the mean difference from the returns of ``other`` in the same episodes, with its 95 % confidence interval."""
         return confidence(self.returns - other.returns)
 
     @property
     def survival(self) -> float:
-        """Fraction of episodes that the satellite survived."""
+        """Fraction of episodes survived by the satellite."""
         return mean(self.survived)
 
     @property
@@ -78,17 +78,17 @@ class Evaluation:
 
     @property
     def simulated_per_decision(self) -> float | None:
-        """Mean of the seconds that a planner has simulated for a decision; None for policies that do not plan."""
+        """Mean time simulated by a planner for a decision, s; None for other policies."""
         return None if self.simulated is None else float(self.simulated.sum() / self.decisions.sum())
 
     @property
     def causes(self) -> dict[str, int]:
-        """Number of deaths by the aliveness check that failed, without those that never failed."""
+        """Number of deaths by failed aliveness check, without checks that never failed."""
         counts = {name: int(failed.sum()) for name, failed in self.deaths.items()}
         return {name: count for name, count in counts.items() if count}
 
     def summary(self, others: Mapping[str, Evaluation] | None = None) -> dict[str, Any]:
-        """Plain numbers for a file, all of them means or counts; with the paired gain over each of the ``others`` by name."""
+        """Return means and counts as plain numbers, with the paired gain over each of the ``others`` by name."""
         return {
             "episodes": len(self.returns),
             "return": asdict(self.mean_return),
@@ -107,24 +107,24 @@ class Evaluation:
 def evaluate(
     policy: TensorDictModuleBase, env: Tasking, *, seed: int | None = None, seeds: Sequence[int] | None = None
 ) -> Evaluation:
-    """Play fresh episodes to their ends, with the most probable actions, and sum up each of them.
+    """Play whole episodes with the most probable actions, and return the results of each.
 
-    Give ``seed`` or ``seeds``; the same ones give every policy the same episodes.
+    Pass either ``seed`` or ``seeds``. With the same seeds, every policy plays the same episodes.
 
     Args:
-        policy: Writes the actions of one satellite, or of all agents of a constellation, into what the environment returns.
-            Entries that it writes under ``next``, such as a recurrent state, are given back to it at the next decision.
-        env: The environment, of one satellite or of many; its episodes are reset.
-        seed: One episode in each of the environment's N rows: those that start after ``env.set_seed(seed)``.
-        seeds: One episode for each seed, N at a time: those that ``gymnasium.make(...).reset(seed=...)`` starts. The environment
-            needs ``env_ids=[0] * N`` for that.
+        policy: Writes the actions of one satellite, or of all agents of a constellation, into the environment's tensordict.
+            Entries written under ``next``, such as a recurrent state, are passed to the policy at the next decision.
+        env: The environment, with one satellite or several; its episodes are reset.
+        seed: Play one episode in each of the environment's N rows: the episodes started after ``env.set_seed(seed)``.
+        seeds: Play one episode for each seed, N at a time: the episodes started by ``gymnasium.make(...).reset(seed=...)``. The
+            environment must have ``env_ids=[0] * N``.
 
     Returns:
-        Results of the episodes. Those of a constellation are sums over its satellites; ``survived`` is True if all survived.
+        Results of the episodes. In a constellation, they are sums over its satellites; ``survived`` is True if all survived.
 
     Raises:
-        ValueError: Without seeds, with both kinds of them, with ``seeds`` where the environment has other ``env_ids``, or for a
-            policy that reads observations which the environment does not have.
+        ValueError: For no seeds, both ``seed`` and ``seeds``, ``seeds`` in an environment with other ``env_ids``, or a policy
+            that reads observations missing in the environment.
     """
     check_reads(policy, env.observation_spec, TRAINED_WITH if isinstance(env, SatelliteTasking) else SHARE)
     if (seed is None) == (seeds is None) or (seeds is not None and len(seeds) == 0):
@@ -138,9 +138,9 @@ def evaluate(
 
 
 def start_episodes(env: Tasking, seeds: Sequence[int]) -> TensorDictBase:
-    """Start the first episode of each of n seeds, at most N, in the first n rows, and that of the last seed in the others.
+    """Start the first episode of each of n seeds, at most N, in the first n rows; other rows play the last seed's episode.
 
-    They are the episodes that ``reset(seed=...)`` starts in one Gymnasium environment; ValueError unless ``env_ids`` are all 0.
+    They are the episodes started by ``reset(seed=...)`` in one Gymnasium environment. ValueError unless all ``env_ids`` are 0.
     """
     n = env.batch_size[0]
     if bool(env.env_ids.any()):
@@ -150,7 +150,7 @@ def start_episodes(env: Tasking, seeds: Sequence[int]) -> TensorDictBase:
 
 
 def _evaluated(policy: TensorDictModuleBase, env: Tasking, start: TensorDictBase, n: int) -> Evaluation:
-    """Results of the first ``n`` rows, played from ``start`` to their ends."""
+    """Play the first ``n`` rows from ``start`` to their ends, and return their results."""
     player = with_lots(policy, env) if LOT in policy.in_keys else policy
     rows = torch.arange(env.batch_size[0], device=env.device) < n
     decisions = torch.zeros_like(rows, dtype=torch.int64)
@@ -175,7 +175,7 @@ def _evaluated(policy: TensorDictModuleBase, env: Tasking, start: TensorDictBase
 
 
 def with_lots(policy: Policy, env: Tasking) -> Policy:
-    """The policy with :data:`LOT` at each decision: a uniform number that depends on the episode and not on its row."""
+    """Return the policy with a :data:`LOT` at each decision, a uniform number that depends on the episode but not on its row."""
     steps = itertools.count()
 
     def draw(tensordict: TensorDictBase) -> TensorDictBase:
@@ -187,7 +187,7 @@ def with_lots(policy: Policy, env: Tasking) -> Policy:
 
 
 def _asked(env: Tasking, step: TensorDictBase) -> Tensor:
-    """Number of agents that had to decide in each episode, [N]."""
+    """Return the number of deciding agents in each episode, [N]."""
     if not isinstance(env, ConstellationTasking):
         return torch.ones(env.batch_size, dtype=torch.int64, device=env.device)
     keys: list[Any] = ["requires_retasking"] if env.joint else [(group, "requires_retasking") for group in env.group_map]
@@ -195,7 +195,7 @@ def _asked(env: Tasking, step: TensorDictBase) -> Tensor:
 
 
 def _failed_checks(env: Tasking) -> dict[str, Tensor]:
-    """Satellites that are present and fail an aliveness check, [N, S] booleans, by the name of the check."""
+    """Return the present satellites that fail each aliveness check, [N, S] booleans by the name of the check."""
     checks = [part.aliveness() for part in env.fleet.satellites]
     passed = [torch.ones_like(rows[0], dtype=torch.bool) for rows in ([*alive.values()] for alive in checks)]
     names = dict.fromkeys(name for alive in checks for name in alive)
@@ -206,12 +206,12 @@ def _failed_checks(env: Tasking) -> dict[str, Tensor]:
 
 
 def _of_team(each: Tensor) -> Tensor:
-    """Values [N, 1] of one satellite without their second dimension; sums of those of many, [N, S]."""
+    """Return values [N, S] summed over the satellites, [N]."""
     return each.squeeze(1) if each.shape[1] == 1 else each.sum(1)
 
 
 def _joined(values: list[Any]) -> Any:
-    """Tensors, or tensors by name, one after the other; None stays None."""
+    """Return the concatenation of tensors, or of tensors by name; None for None."""
     if isinstance(values[0], dict):
         return {name: _joined([value[name] for value in values]) for name in values[0]}
     return None if values[0] is None else torch.cat(values)

@@ -31,9 +31,9 @@ logger = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class Moment:
-    """A decision of an episode: its number and time, s, what was done, and in which state.
+    """A decision of an episode: its index, time (s), action and state.
 
-    ``charge`` is a fraction of the capacity, ``wheel_rpm`` the speed of the fastest wheel, ``dark`` the time to sunlight, s.
+    ``charge`` is a fraction of the capacity, ``wheel_rpm`` the speed of the fastest wheel, and ``dark`` the time to sunlight, s.
     """
 
     decision: int
@@ -46,18 +46,18 @@ class Moment:
 
 @dataclass(frozen=True)
 class Failure:
-    """An episode in which the satellite died, and whether it could have lived.
+    """An episode in which the satellite died, and whether it could have been saved.
 
     Attributes:
-        seed: Of the episode.
-        cause: Aliveness checks that failed.
+        seed: Seed of the episode.
+        cause: Failed aliveness checks.
         died: Time of death, s.
-        outcome: From the start: :data:`SAVED`, :data:`LOST` or :data:`OPEN`.
+        outcome: Outcome of the search from the start: :data:`SAVED`, :data:`LOST` or :data:`OPEN`.
         start: The first decision.
-        last_chance: The last decision at which it could still be saved, if any.
-        lost_from: Number of the first decision that is proven to be too late; after the policy's last one that is death itself.
-        best_return: Largest return of the rescues flown.
-        rescue: The actions of the latest of them, from the start; the last one is repeated.
+        last_chance: The last decision at which it could still be saved; None if there is none.
+        lost_from: Index of the first decision proven to be too late; the number of decisions if only death itself is too late.
+        best_return: Largest return of the verified rescues.
+        rescue: Actions of the latest rescue, from the start; the last one is repeated.
     """
 
     seed: int
@@ -74,19 +74,19 @@ class Failure:
 def explain(
     policy: TensorDictModuleBase, env: SatelliteTasking, seeds: Tensor, tell: Callable[[str], object] = logger.info
 ) -> tuple[Flown, list[Failure]]:
-    """Fly the episodes of ``seeds`` [n] with a policy, and find out whether those that it failed could have been survived.
+    """Play the episodes of ``seeds`` [n] with a policy, and search for actions that would have avoided its failures.
 
     Args:
         policy: Chooses actions.
         env: The environment.
-        seeds: Of the episodes.
-        tell: Is called with what is done next.
+        seeds: Seeds of the episodes.
+        tell: Called with a description of each stage of the search.
 
     Returns:
-        What was flown, and the failures in the order of the seeds.
+        The played episodes, and the failures in the order of the seeds.
 
     Raises:
-        ValueError: For satellites whose actions are real numbers.
+        ValueError: For satellites with continuous actions.
     """
     if form(env.satellite) is not None:
         raise ValueError(f"failures are explained by other numbered actions; those of {env.satellite.name} are real numbers")
@@ -107,7 +107,7 @@ def explain(
 
 
 def can_be_saved(env: SatelliteTasking, seeds: Tensor) -> Tensor:
-    """Whether a plan survives the episodes of ``seeds`` [n] from their starts, [n]; the least demanding plan first."""
+    """Return whether a plan survives each episode of ``seeds`` [n] from its start, [n]; the least demanding plan is first."""
     plans = candidate_plans(env)
     saved = fly(env, seeds, plans[LEAST_DEMANDING].expand(len(seeds), -1)).survived
     left = torch.nonzero(~saved).squeeze(-1)
@@ -118,7 +118,7 @@ def can_be_saved(env: SatelliteTasking, seeds: Tensor) -> Tensor:
 
 
 def _failure(env: SatelliteTasking, flown: Flown, seed: int, row: int, last: int, rescue: Counterfactual) -> Failure:
-    """Explain row ``row`` of the failures; ``last`` is the last decision from which a plan saves it, if any."""
+    """Explain row ``row`` of the failures; ``last`` is the last decision from which a plan saves it, or OVER."""
     actions, decisions = flown.actions[row], int((flown.actions[row] != OVER).sum())
     found = rescue.actions[row] if last > OVER else None
     returns = [float(rescue.returns[row])] if last > OVER else []
@@ -147,7 +147,7 @@ def _failure(env: SatelliteTasking, flown: Flown, seed: int, row: int, last: int
 
 
 def trimmed(actions: list[int]) -> list[int]:
-    """The actions without repetitions of the last one."""
+    """Return the actions without trailing repetitions of the last one."""
     while len(actions) > 1 and actions[-1] == actions[-2]:
         actions = actions[:-1]
     return actions

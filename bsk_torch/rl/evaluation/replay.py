@@ -1,4 +1,4 @@
-"""Flights of many episodes, chosen by their seeds: by a policy, or by lists of actions."""
+"""Play many episodes, given by their seeds, with a policy or with lists of actions."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from bsk_torch.env.rollout import Policy, play_episodes
 from bsk_torch.rl.evaluation.evaluate import start_episodes
 
 OVER = -1
-"""Stands for no action, where an episode has ended."""
+"""Stands for no action after the end of an episode."""
 
 NOTED = {"charge_fraction": "battery_charge_fraction", "wheel_speeds": "wheel_speeds"}
-"""Recorded properties of the dynamics, by their names in the record."""
+"""Recorded properties of the dynamics model, by their names in the record."""
 
 
 class Flown(NamedTuple):
-    """Episodes flown to their ends, n of them.
+    """n whole episodes.
 
     Attributes:
-        survived: Whether the satellite lives, [n].
+        survived: Whether the satellite survived, [n].
         returns: Sum of rewards, [n].
-        actions: Number of each action, :data:`OVER` after the end, [n, T].
+        actions: Index of each action, :data:`OVER` after the end, [n, T].
         series: Series of :func:`look` by name, [n, T + 1, ...].
         deaths: Whether each aliveness check failed at the end, [n] by name.
     """
@@ -46,19 +46,19 @@ def look(env: SatelliteTasking) -> dict[str, Tensor]:
 
 
 def fly(env: SatelliteTasking, seeds: Tensor, player: Policy | Tensor, notes: bool = False) -> Flown:
-    """Fly the episodes of ``seeds`` [n], however many, to their ends.
+    """Play the episodes of any number of ``seeds`` [n] to their ends.
 
     Args:
-        env: The environment, N episodes at once.
+        env: The environment, with N episodes at once.
         seeds: See :func:`~bsk_torch.rl.evaluation.evaluate.start_episodes`.
         player: A policy, or actions [n, T], of which the last is repeated.
-        notes: Whether the series of :func:`look` are recorded.
+        notes: Whether to record the series of :func:`look`.
     """
     return _joined([_fly(env, seeds, rows, player, notes) for rows in torch.arange(len(seeds)).split(len(env.env_ids))])
 
 
 def _fly(env: SatelliteTasking, seeds: Tensor, numbers: Tensor, player: Policy | Tensor, notes: bool) -> Flown:
-    """The episodes ``numbers`` [m] among those of ``seeds`` [n], at most as many as there are rows."""
+    """Play the episodes ``numbers`` [m] of those of ``seeds`` [n], at most as many as there are rows."""
     m, spare = len(numbers), len(env.env_ids) - len(numbers)
     policy = script(player[torch.nn.functional.pad(numbers, (0, spare))]) if isinstance(player, Tensor) else player
     start = start_episodes(env, seeds[numbers].tolist())
@@ -76,13 +76,13 @@ def _fly(env: SatelliteTasking, seeds: Tensor, numbers: Tensor, player: Policy |
 
 
 def script(actions: Tensor) -> Policy:
-    """A policy that takes the actions [N, T] one after the other, and repeats the last one."""
+    """Return a policy that takes the actions [N, T] one after the other, and repeats the last one."""
     steps = itertools.chain(range(actions.shape[1]), itertools.repeat(-1))
     return lambda tensordict: tensordict.set("action", actions[:, next(steps)])
 
 
 def _joined(parts: list[Flown]) -> Flown:
-    """The episodes of all parts, filled up at their ends."""
+    """Return the episodes of all parts, padded at their ends."""
 
     def long(tables: list[Tensor], fill: float) -> Tensor:
         width = max(table.shape[1] for table in tables)

@@ -16,17 +16,18 @@ class Estimate:
     half_width: float
 
     def __str__(self) -> str:
-        """Mean and half width, to three decimals."""
+        """Return mean and half width with three decimals."""
         return f"{self.mean:.3f} ± {self.half_width:.3f}"
 
 
 def mean(samples: Tensor) -> float:
-    """Mean of numbers or booleans, in float64."""
+    """Return the mean of numbers or booleans, in float64."""
     return float(samples.double().mean())
 
 
 def student_quantile(probability: float, freedom: int) -> float:
-    """Quantile of Student's t distribution, by its expansion about the normal one; good to 1e-3 from six degrees on.
+    """Return a quantile of Student's t distribution, by its expansion about the normal one; accurate to 1e-3 for six degrees
+    or more.
 
     Source: Abramowitz and Stegun, equation 26.7.5.
     """
@@ -38,7 +39,7 @@ def student_quantile(probability: float, freedom: int) -> float:
 
 
 def confidence(samples: Tensor, level: float = 0.95) -> Estimate:
-    """Mean of independent ``samples`` [n] with Student's confidence interval; the interval is infinite for one sample."""
+    """Return the mean of independent ``samples`` [n] with Student's confidence interval, which is infinite for one sample."""
     n = len(samples)
     if n < 2:
         return Estimate(mean(samples), float("inf"))
@@ -46,7 +47,7 @@ def confidence(samples: Tensor, level: float = 0.95) -> Estimate:
 
 
 def wilson(successes: int, trials: int, level: float = 0.95) -> tuple[float, float]:
-    """Confidence interval of a probability, sensible near 0 and 1 too.
+    """Return Wilson's confidence interval of a probability, which remains valid near 0 and 1.
 
     Source: E. B. Wilson, "Probable inference, the law of succession, and statistical inference", J. Am. Stat. Assoc. 22 (1927).
     """

@@ -1,7 +1,7 @@
-"""Suites of tasks with frozen episodes, in which policies of any library are compared.
+"""Suites of tasks with fixed episodes, for comparing policies from any library.
 
-A task of a suite is a preset with its options and the seeds of its episodes. They never change: a suite that needs another task,
-or a preset whose decision process changes, gets a new name.
+A task of a suite is a preset with its options and the seeds of its episodes. Tasks never change: a suite with another task, or a
+preset with a changed decision process, gets a new name.
 """
 
 from __future__ import annotations
@@ -41,20 +41,20 @@ __all__ = [
 ]
 
 EPISODES = 1024
-"""Episodes of each task."""
+"""Number of episodes of each task."""
 
 VIEWS = ("as_set", "shielded", "actions")
-"""Options of presets that change only how a policy observes and acts; each policy may choose them."""
+"""Options of presets that change only the observations and actions of a policy; each policy may choose them."""
 
 
 @dataclass(frozen=True)
 class Task:
-    """A preset and its frozen episodes.
+    """A preset and its fixed episodes.
 
     Attributes:
         preset: Name of the environment.
-        first_seed: Seed of the first episode; the others follow.
-        at_once: Episodes played side by side, so that they fit into memory. Results do not depend on it.
+        first_seed: Seed of the first episode; the seeds of the others follow.
+        at_once: Number of episodes played at once, limited by memory. Results do not depend on it.
         options: Arguments of the environment that differ from the preset's.
     """
 
@@ -64,13 +64,13 @@ class Task:
     options: Mapping[str, Any] = field(default_factory=dict)
 
     def seeds(self, episodes: int = EPISODES) -> range:
-        """Seeds of the first ``episodes``; ValueError for none, or more than there are."""
+        """Return the seeds of the first ``episodes``; ValueError for a number out of range."""
         if not 1 <= episodes <= EPISODES:
             raise ValueError(f"episodes={episodes} must lie in [1, {EPISODES}]")
         return range(self.first_seed, self.first_seed + episodes)
 
     def environment(self, episodes: int = EPISODES, **views: object) -> Tasking:
-        """Return environments for the episodes; ``views`` are those options in :data:`VIEWS` that differ from the preset's.
+        """Return an environment for the episodes; ``views`` are changed options of :data:`VIEWS`.
 
         Raises:
             ValueError: For options that would change the task, and values rejected by the preset.
@@ -83,7 +83,7 @@ class Task:
 
 
 MANY, CLOSE = 512, 128
-"""Episodes side by side, and of spacecraft that inspect one another, which need more memory."""
+"""Number of episodes played at once, and the same for inspections, which need more memory."""
 
 SUITES: dict[str, tuple[Task, ...]] = {
     "v1": tuple(
@@ -104,14 +104,14 @@ SUITES: dict[str, tuple[Task, ...]] = {
         )
     ),
 }
-"""Tasks by the name of the suite."""
+"""Tasks by name of the suite."""
 
 
 def tasks_of(suite: str, presets: str | None = None) -> tuple[Task, ...]:
-    """Tasks of a suite, or those of some ``presets``, separated by commas.
+    """Return the tasks of a suite, or only those of ``presets``, a list separated by commas.
 
     Raises:
-        ValueError: For an unknown suite or preset; the message names the nearest.
+        ValueError: For an unknown suite or preset; the message contains the nearest name.
     """
     if suite not in SUITES:
         raise ValueError(f"suite={suite!r} is not a suite; {nearest(suite, SUITES)}")
@@ -126,17 +126,17 @@ def tasks_of(suite: str, presets: str | None = None) -> tuple[Task, ...]:
 
 
 Entrant = Callable[[str, Callable[..., Tasking]], tuple[Tasking, Policy] | None]
-"""Enters a policy: function of a preset's name and of what makes its environment, ``make(**views)``, to that environment and a
-policy for it, which writes the actions into what the environment returns; None for presets that it has no policy for."""
+"""Enters a policy: a function of a preset's name and of a function that makes its environment, ``make(**views)``. It returns this
+environment and a policy, which writes actions into the environment's tensordict; or None for presets without a policy."""
 
 
 @dataclass(frozen=True)
 class Score:
-    """What a policy reached in a task.
+    """Result of a policy in a task.
 
     Attributes:
         evaluation: Results of the episodes.
-        seconds: Computation of the policy for one decision of one satellite, s, in batches of the task's size.
+        seconds: Computation time of the policy per decision of one satellite, s, in batches of the task's size.
     """
 
     evaluation: Evaluation
@@ -144,17 +144,17 @@ class Score:
 
 
 class Timed(TensorDictModuleBase):
-    """A policy, and the time that it takes."""
+    """A policy with a measurement of its computation time."""
 
     def __init__(self, policy: Policy) -> None:
-        """Time ``policy``, which need not be a module of tensordict."""
+        """Time ``policy``, which need not be a tensordict module."""
         super().__init__()
         self.policy, self.seconds = policy, 0.0
         self.in_keys = list(getattr(policy, "in_keys", []))
         self.out_keys = list(getattr(policy, "out_keys", []))
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Write what the policy writes."""
+        """Apply the policy."""
         start = time.perf_counter()
         tensordict = self.policy(tensordict)
         self.seconds += time.perf_counter() - start
@@ -162,7 +162,7 @@ class Timed(TensorDictModuleBase):
 
 
 def enter(task: Task, entrant: Entrant, episodes: int = EPISODES, **options: object) -> tuple[Tasking, Policy] | None:
-    """Return the environment for the first ``episodes`` of a task and the policy that ``entrant`` enters; None where it has none.
+    """Return the environment for the first ``episodes`` of a task and the policy of ``entrant``; None without a policy.
 
     Args:
         task: The task.
@@ -171,7 +171,7 @@ def enter(task: Task, entrant: Entrant, episodes: int = EPISODES, **options: obj
         **options: ``backend`` and ``device`` of the environment.
 
     Raises:
-        TypeError, ValueError: If the entrant returns something else, or an environment of another task.
+        TypeError, ValueError: If the entrant returns anything else, or an environment of another task.
     """
     made: list[Tasking] = []
 
@@ -191,7 +191,7 @@ def enter(task: Task, entrant: Entrant, episodes: int = EPISODES, **options: obj
 
 
 def play(task: Task, entrant: Entrant, episodes: int = EPISODES, **options: object) -> Score | None:
-    """Play the first ``episodes`` of a task with the policy that ``entrant`` enters; see :func:`enter`, also for errors."""
+    """Play the first ``episodes`` of a task with the policy of ``entrant``; see :func:`enter` for arguments and errors."""
     entered = enter(task, entrant, episodes, **options)
     if entered is None:
         return None
@@ -204,28 +204,28 @@ def play(task: Task, entrant: Entrant, episodes: int = EPISODES, **options: obje
 
 @cache
 def references(suite: str) -> dict[str, dict[str, Any]]:
-    """Returns between which those of a suite are normalized, by preset: ``low`` and ``high``, each with its mean and its source.
+    """Return the reference returns of a suite by preset: ``low`` and ``high``, each with its mean and its source.
 
-    ``low`` is the policy that acts at random; ``high`` the best of the package's rules and policies when the suite was made. They
-    are means over all frozen episodes, and belong to the suite as its episodes do.
+    ``low`` is the random policy, and ``high`` the best of the package's rules and policies when the suite was created. They are
+    means over all episodes, and are as fixed as the episodes.
     """
     return json.loads((Path(__file__).parent / "suites" / f"{suite}.json").read_text())
 
 
 def normalised(evaluation: Evaluation, reference: Mapping[str, Any]) -> Estimate:
-    """Return, 0 for random actions and 1 for the reference, with its 95 % confidence interval, in which the two are fixed."""
+    """Return the score, 0 for random actions and 1 for the reference, with its 95 % interval; the references count as exact."""
     low, high = reference["low"]["return"], reference["high"]["return"]
     return confidence((evaluation.returns - low) / (high - low))
 
 
 def ranking(returns: Mapping[str, Sequence[float]]) -> tuple[str, dict[str, Estimate]]:
-    """Return the best policy, and its mean paired gain over each with the 95 % confidence interval, in ascending order.
+    """Return the best policy, and its mean paired gain over each policy with the 95 % confidence interval, in ascending order.
 
-    *Best* is the highest mean among the policies that played the most episodes of a task. One that played fewer, the first of
-    them, is compared in these, and may stand before the best.
+    *Best* is the policy with the highest mean among those that played the most episodes of a task. A policy that played fewer
+    episodes, the first ones, is compared in these, and can rank before the best.
 
     Args:
-        returns: Returns of the first episodes of a task by policy, in the order of their seeds.
+        returns: Returns of the first episodes of a task by policy, in the order of the seeds.
     """
     played = {name: torch.as_tensor(values, dtype=torch.float64) for name, values in returns.items()}
     most = max(len(values) for values in played.values())

@@ -1,7 +1,7 @@
-"""Networks for a set of targets: the order of the rows does not matter, nor does padding.
+"""Networks for a set of targets, independent of the order of the rows and of padding.
 
-The satellite's own features and every target become tokens that attend to each other. A target's token gives the value of its
-image, and the satellite's token gives the values of the other actions and of the state.
+The satellite's features and every target are tokens that attend to each other. A target's token yields the logit of its image,
+and the satellite's token the logits of the other actions and the value of the state.
 """
 
 from __future__ import annotations
@@ -11,14 +11,14 @@ from torch import Tensor, nn
 from torch.nn.functional import relu, scaled_dot_product_attention
 
 LEAST = -1e4
-"""Logit of images of padding: finite, because there may be nothing else to choose from."""
+"""Logit of images of padding; finite, because there may be no other choice."""
 
 
 class Block(nn.Module):
-    """Self-attention and a feed-forward layer, both with a residual connection and a norm in front (Xiong et al. 2020)."""
+    """Self-attention and a feed-forward layer, both with a residual connection and pre-normalization (Xiong et al. 2020)."""
 
     def __init__(self, width: int, heads: int) -> None:
-        """Work on tokens of ``width`` features, a multiple of the number of heads."""
+        """Build for tokens of ``width`` features, a multiple of the number of heads."""
         super().__init__()
         self.heads = heads
         self.norm, self.queries_keys_values, self.joined = (
@@ -29,7 +29,7 @@ class Block(nn.Module):
         self.forward_norm, self.wide, self.narrow = nn.LayerNorm(width), nn.Linear(width, width), nn.Linear(width, width)
 
     def forward(self, tokens: Tensor, exists: Tensor) -> Tensor:
-        """Tokens [B, T, W] that have attended to those that exist, by ``exists`` [B, T] booleans."""
+        """Return the tokens [B, T, W] after attention to the existing ones, ``exists`` [B, T] booleans."""
         parts = self.queries_keys_values(self.norm(tokens)).unflatten(-1, (3, self.heads, -1))
         query, key, value = parts.permute(2, 0, 3, 1, 4)
         attended = scaled_dot_product_attention(query, key, value, attn_mask=exists[:, None, None, :])
@@ -38,7 +38,7 @@ class Block(nn.Module):
 
 
 class Encoder(nn.Module):
-    """Tokens of the satellite, first, and of every target."""
+    """Computes the tokens of the satellite, which is first, and of every target."""
 
     def __init__(self, n_own: int, n_features: int, width: int, heads: int, blocks: int) -> None:
         """Expect ``n_own`` numbers of the satellite and ``n_features`` of each target."""
@@ -49,7 +49,7 @@ class Encoder(nn.Module):
         self.norm = nn.LayerNorm(width)
 
     def forward(self, own: Tensor, rows: Tensor, mask: Tensor) -> Tensor:
-        """Tokens [B, 1 + K, W] of ``own`` [B, D] and ``rows`` [B, K, F], of which those in ``mask`` [B, K] exist."""
+        """Return the tokens [B, 1 + K, W] of ``own`` [B, D] and ``rows`` [B, K, F], with existing rows ``mask`` [B, K]."""
         targets = self.mix(relu(self.row(rows) + self.context(own).unsqueeze(-2)))
         tokens = torch.cat([self.own(own).unsqueeze(-2), targets], -2)
         exists = torch.cat([torch.ones_like(mask[:, :1]), mask], -1)
@@ -59,10 +59,13 @@ class Encoder(nn.Module):
 
 
 class SetActor(nn.Module):
-    """Logits of all actions: images by the tokens of their targets, the others by that of the satellite."""
+    """Computes the logits of all actions: of images from the tokens of their targets, of others from the satellite's token."""
 
     def __init__(self, encoder: Encoder, width: int, n_actions: int, images: range, scale: float) -> None:
-        """Of ``n_actions`` actions, ``images`` are those of the first targets; initial logits are of the order of ``scale``."""
+        """Build for ``n_actions`` actions, of which ``images`` image the first targets.
+
+        Initial logits are of the order of ``scale``.
+        """
         super().__init__()
         self.encoder, self.first, self.n_images = encoder, images.start, len(images)
         others = n_actions - len(images)
@@ -74,7 +77,7 @@ class SetActor(nn.Module):
                 layer.bias.zero_()
 
     def forward(self, own: Tensor, rows: Tensor, mask: Tensor) -> Tensor:
-        """Logits [..., A]; see :meth:`Encoder.forward` for the arguments, which may have any leading dimensions."""
+        """Return logits [..., A]; for the arguments, with any leading dimensions, see :meth:`Encoder.forward`."""
         batch = own.shape[:-1]
         own, rows, mask = own.flatten(0, -2), rows.flatten(0, -3), mask.flatten(0, -2)
         tokens = self.encoder(own, rows, mask)
@@ -86,16 +89,16 @@ class SetActor(nn.Module):
 
 
 class SetCritic(nn.Module):
-    """Value of a situation, by the satellite's token and the mean of the targets' tokens."""
+    """Computes the value of a state from the satellite's token and the mean of the targets' tokens."""
 
     def __init__(self, encoder: Encoder, width: int) -> None:
-        """Judge what ``encoder`` makes of a situation."""
+        """Build on the tokens of ``encoder``."""
         super().__init__()
         self.encoder = encoder
         self.value = nn.Sequential(nn.Linear(2 * width, width), nn.ReLU(), nn.Linear(width, 1))
 
     def forward(self, own: Tensor, rows: Tensor, mask: Tensor) -> Tensor:
-        """Value [..., 1]; arguments as those of :meth:`SetActor.forward`."""
+        """Return the value [..., 1]; arguments as for :meth:`SetActor.forward`."""
         batch = own.shape[:-1]
         own, rows, mask = own.flatten(0, -2), rows.flatten(0, -3), mask.flatten(0, -2)
         tokens = self.encoder(own, rows, mask)

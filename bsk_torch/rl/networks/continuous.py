@@ -1,4 +1,4 @@
-"""Networks of policies whose actions are real numbers."""
+"""Networks for continuous actions."""
 
 from __future__ import annotations
 
@@ -11,29 +11,29 @@ from torch import Tensor, nn
 from bsk_torch.rl.rules.continuous import Bounds
 
 INITIAL_SCALE = 0.5
-"""Deviation of actions at the start, before they are squashed into their bounds."""
+"""Initial standard deviation of actions, before they are squashed into their bounds."""
 
 SCALES = (0.01, 2.0)
-"""Least and largest deviation."""
+"""Minimum and maximum standard deviation."""
 
 
 class NormalParameters(nn.Module):
-    """Means and deviations of normal distributions by a network; the deviations do not depend on the situation."""
+    """Computes means and standard deviations of normal distributions; the deviations do not depend on the observation."""
 
     def __init__(self, network: nn.Module, width: int) -> None:
-        """``network`` gives the ``width`` means."""
+        """Use ``network`` for the ``width`` means."""
         super().__init__()
         self.network = network
         self.log_scale = nn.Parameter(torch.full((width,), math.log(INITIAL_SCALE), dtype=torch.float32))
 
     def forward(self, *seen: Tensor) -> tuple[Tensor, Tensor]:
-        """Means and deviations, [..., A] each."""
+        """Return means and standard deviations, [..., A] each."""
         loc = self.network(*seen)
         low, high = map(math.log, SCALES)
         return loc, self.log_scale.clamp(low, high).exp().expand_as(loc)
 
 
 def squashed(bounds: Bounds) -> dict[str, Any]:
-    """Return the arguments of TorchRL's ``TanhNormal`` alongside mean and deviation."""
+    """Return the arguments of TorchRL's ``TanhNormal`` other than mean and deviation."""
     low, high = torch.tensor(bounds, dtype=torch.float32).unbind(-1)
     return {"low": low, "high": high}

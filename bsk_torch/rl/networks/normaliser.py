@@ -1,4 +1,4 @@
-"""Normalization of observations to zero mean and unit deviation, without outliers."""
+"""Normalization of observations to zero mean and unit standard deviation, with bounded outliers."""
 
 from __future__ import annotations
 
@@ -11,20 +11,20 @@ from tensordict.nn import TensorDictModuleBase
 from torch import Tensor, nn
 
 OWN, ROWS, MASK = ("seen", "own"), ("seen", "rows"), ("seen", "mask")
-"""Keys of normalized observations: the satellite's own [..., D], rows of targets [..., K, F], and a mask of rows [..., K]."""
+"""Keys of normalized observations: the satellite [..., D], rows of targets [..., K, F], and a mask of rows [..., K]."""
 
 CLOCK = ("seen", "clock")
-"""Key of the time that is left, [..., 2], which only critics see; see :class:`~bsk_torch.rl.training.collect.Clock`."""
+"""Key of the remaining time, [..., 2], observed only by critics; see :class:`~bsk_torch.rl.training.collect.Clock`."""
 
 FLOOR = 1e-4
-"""Least deviation divided by."""
+"""Minimum standard deviation used as a divisor."""
 
 LARGEST = 10.0
-"""Bound of normalized observations, in deviations."""
+"""Bound of normalized observations, in standard deviations."""
 
 
 def symlog(x: Tensor) -> Tensor:
-    """sign(x) log(1 + abs(x)): small numbers unchanged, large ones by magnitude (Hafner et al. 2023, arXiv:2301.04104)."""
+    """Return sign(x) log(1 + abs(x)), which compresses large numbers (Hafner et al. 2023, arXiv:2301.04104)."""
     return torch.sign(x) * torch.log1p(x.abs())
 
 
@@ -32,7 +32,7 @@ class FeatureNormaliser(nn.Module):
     """Standardizes features, after :func:`symlog`, with running mean and variance."""
 
     def __init__(self, width: int) -> None:
-        """Start without samples of ``width`` features; until the first update these are only compressed."""
+        """Start without samples of ``width`` features; before the first update, features are only compressed."""
         super().__init__()
         self.register_buffer("count", torch.zeros((), dtype=torch.float64))
         self.register_buffer("mean", torch.zeros(width, dtype=torch.float64))
@@ -44,7 +44,7 @@ class FeatureNormaliser(nn.Module):
 
     @torch.no_grad()
     def update(self, x: Tensor, mask: Tensor | None = None) -> None:
-        """Take samples x [..., F] into account, those where ``mask`` [...] is true unless it is None.
+        """Include the samples x [..., F] in mean and variance, or only those in ``mask`` [...].
 
         Moments of two parts are merged as in Chan, Golub and LeVeque, "Algorithms for computing the sample variance" (1983).
         """
@@ -59,7 +59,7 @@ class FeatureNormaliser(nn.Module):
         self.count += len(samples)
 
     def forward(self, x: Tensor) -> Tensor:
-        """Features [..., F], standardized."""
+        """Return the standardized features, [..., F]."""
         deviation = self.variance.sqrt().clamp(min=FLOOR)
         z = (symlog(x) - self.mean.to(x.dtype)) / deviation.to(x.dtype)
         return z.clamp(-LARGEST, LARGEST)
@@ -70,7 +70,7 @@ class ObservationNormaliser(TensorDictModuleBase, ABC):
 
     @abstractmethod
     def update(self, tensordict: TensorDictBase) -> None:
-        """Take the observations of a batch into account."""
+        """Include the observations of a batch in mean and variance."""
 
 
 class VectorNormaliser(ObservationNormaliser):
@@ -95,7 +95,7 @@ class SetNormaliser(ObservationNormaliser):
     """Normalizer of an observation with one set: its rows share mean and deviation, all other parts are concatenated."""
 
     def __init__(self, set_key: NestedKey, own_keys: Sequence[NestedKey], n_own: int, n_features: int) -> None:
-        """Look for ``rows`` and ``mask`` under ``set_key``, with ``n_features`` columns, and for ``n_own`` numbers elsewhere."""
+        """Expect ``rows`` and ``mask`` under ``set_key``, with ``n_features`` columns, and ``n_own`` other numbers."""
         super().__init__()
         self.rows_key, self.mask_key = (*set_key, "rows"), (*set_key, "mask")
         self.own_keys = own_keys
@@ -103,7 +103,7 @@ class SetNormaliser(ObservationNormaliser):
         self.own, self.rows = FeatureNormaliser(n_own), FeatureNormaliser(n_features)
 
     def _join(self, tensordict: TensorDictBase) -> Tensor:
-        """Return the observations alongside the set, [..., D]."""
+        """Return the observations other than the set, [..., D]."""
         batch = tensordict.batch_size
         return torch.cat([tensordict[key].reshape(*batch, -1) for key in self.own_keys], -1)
 

@@ -1,4 +1,4 @@
-"""Actors and critics, built from the sizes of observations and actions: masked categorical, or normal within bounds."""
+"""Actors and critics built from the sizes of observations and actions, with masked categorical or bounded normal distributions."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from bsk_torch.rl.rules.targets import image_actions
 from bsk_torch.sim.arguments.values import nearest
 
 NORMALISER, ACTOR = "sight", "actor"
-"""Keys of weights in files of policies and in checkpoints, as in release 0.1."""
+"""Keys of weights in policy files and checkpoints, as in release 0.1."""
 
 MEMORY, INIT = "memory", "is_init"
 """Keys of the hidden state of a recurrent policy, and of the first step of an episode."""
@@ -36,7 +36,7 @@ HEAD = 32
 """Width of an attention head."""
 
 CLOCKS = 2
-"""Numbers of the clock that critics see."""
+"""Number of values of the clock observed by critics."""
 
 
 @dataclass(frozen=True)
@@ -49,29 +49,29 @@ class Networks:
 
     @property
     def policy(self) -> TensorDictSequential:
-        """Writes ``action`` into a tensordict with ``observation`` and ``action_mask``.
+        """Module that writes ``action`` into a tensordict with ``observation`` and ``action_mask``.
 
-        One with a memory also writes ``("next", "memory")``, which it wants to find as ``memory`` at the next decision:
-        ``step_mdp`` sees to that.
+        A recurrent policy also writes ``("next", "memory")`` and reads it as ``memory`` at the next decision; ``step_mdp`` moves
+        it there.
         """
         unit = self.unit
         return TensorDictSequential(*([] if unit is None else [Recall(unit.gru.hidden_size)]), self.normaliser, self.actor)
 
     @property
     def unit(self) -> GRUModule | None:
-        """Recurrent unit of the actor; None if it has none."""
+        """Recurrent unit of the actor; None for other networks."""
         return next((part for part in self.actor.modules() if isinstance(part, GRUModule)), None)
 
     def to(self, device: torch.device | str) -> Networks:
-        """The networks, moved to a device."""
+        """Return the networks on a device."""
         return Networks(self.normaliser.to(device), self.actor.to(device), self.critic.to(device))
 
     def policy_state(self) -> dict[str, Any]:
-        """Weights of the normalizer and of the actor, as files of policies hold them."""
+        """Return the weights of the normalizer and the actor, as saved in policy files."""
         return {NORMALISER: self.normaliser.state_dict(), ACTOR: self.actor.state_dict()}
 
     def load_policy_state(self, state: Mapping[str, object]) -> None:
-        """Load what :meth:`policy_state` has returned; RuntimeError if it does not fit."""
+        """Load the result of :meth:`policy_state`; RuntimeError if it does not fit."""
         self.normaliser.load_state_dict(state[NORMALISER])
         self.actor.load_state_dict(state[ACTOR])
 
@@ -80,7 +80,7 @@ class Networks:
 class MLPPlan:
     """Sizes of plain networks for observation vectors.
 
-    Where actions are real numbers, these have ``bounds``, and ``n_actions`` is 0.
+    Continuous actions have ``bounds``, and ``n_actions`` is 0.
     """
 
     n_observed: int
@@ -90,7 +90,7 @@ class MLPPlan:
 
     @classmethod
     def of(cls, env: SatelliteTasking, hidden: Sequence[int]) -> MLPPlan:
-        """For an environment; ValueError unless it observes one vector, and for real actions without finite bounds."""
+        """Return the plan for an environment; ValueError unless it observes one vector, or for actions with infinite bounds."""
         spec = env.observation_spec["observation"]
         if isinstance(spec, Composite):
             raise ValueError(
@@ -114,7 +114,7 @@ class MLPPlan:
         return ValueOperator(Clocked(self._layers(self.n_observed + CLOCKS, 1)), in_keys=[OWN, CLOCK])
 
     def _calm(self, last: nn.Linear) -> None:
-        """Let an actor begin nearly uniform, or with real numbers near the middle of their bounds."""
+        """Initialize an actor to be nearly uniform, or with continuous actions near the middle of their bounds."""
         with torch.no_grad():
             last.weight.mul_(INITIAL_LOGITS)
             if self.bounds:
@@ -126,13 +126,13 @@ class MLPPlan:
 
 @dataclass(frozen=True)
 class GRUPlan(MLPPlan):
-    """Sizes of networks whose actor remembers what it saw: its last hidden layer is a gated recurrent unit.
+    """Sizes of networks with a recurrent actor: its last hidden layer is a gated recurrent unit.
 
-    The critic, which is only needed to learn, judges what is seen now.
+    The critic, used only in training, depends on the current observation only.
     """
 
     def __post_init__(self) -> None:
-        """ValueError without a layer before the unit."""
+        """Raise ValueError without a layer before the unit."""
         if len(self.hidden) < 2:
             raise ValueError(f"hidden={self.hidden}: network='gru' needs a layer before its unit, such as (64, 64)")
 
@@ -150,31 +150,31 @@ class GRUPlan(MLPPlan):
 
 
 class Clocked(nn.Module):
-    """A critic that sees the clock as further numbers of the satellite itself."""
+    """A critic that receives the clock as additional features of the satellite."""
 
     def __init__(self, network: nn.Module) -> None:
-        """``network`` takes what a satellite sees of itself, [..., D], first."""
+        """Wrap ``network``, whose first input is the satellite's features, [..., D]."""
         super().__init__()
         self.network = network
 
     def forward(self, own: Tensor, *others: Tensor) -> Tensor:
-        """Values [..., 1] by what is seen, of which the clock [..., 2] is the last."""
+        """Return values [..., 1] of the inputs, of which the last is the clock [..., 2]."""
         *others_seen, clock = others
         return self.network(torch.cat([own, clock], -1), *others_seen)
 
 
 class Recall(TensorDictModuleBase):
-    """Clears the memory of a recurrent policy at the start of an episode: if there is none, or ``is_init`` is True."""
+    """Clears the memory of a recurrent policy at the start of an episode, when it is missing or ``is_init`` is True."""
 
     def __init__(self, width: int) -> None:
-        """The memory has ``width`` numbers."""
+        """Set the size of the memory."""
         super().__init__()
         self.width = width
         self.in_keys: list[str] = []
         self.out_keys = [MEMORY, INIT]
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Write what is missing."""
+        """Write the initial memory where needed."""
         shape, on = tensordict.batch_size, {"device": tensordict.device}
         if MEMORY not in tensordict.keys():  # noqa: SIM118  - a tensordict
             tensordict[MEMORY] = torch.zeros(*shape, 1, self.width, dtype=torch.float32, **on)
@@ -185,9 +185,9 @@ class Recall(TensorDictModuleBase):
 
 @dataclass(frozen=True)
 class AttentionPlan:
-    """Sizes of attention networks for observations with one set of targets, and where to find that set.
+    """Sizes of attention networks for observations with one set of targets, and the keys of this set.
 
-    ``images`` are the first and the end of the actions that image the targets of the first rows.
+    ``images`` are the first and the exclusive end of the actions that image the targets of the first rows.
     """
 
     set_key: tuple[str, ...]
@@ -200,7 +200,7 @@ class AttentionPlan:
 
     @classmethod
     def of(cls, env: SatelliteTasking, hidden: Sequence[int]) -> AttentionPlan:
-        """For an environment; ValueError unless it observes one set, of at least as many targets as can be chosen."""
+        """Return the plan for an environment; ValueError unless it observes one set that includes all targets to choose from."""
         if form(env.satellite) is not None:
             raise ValueError(
                 f"network='attention' chooses targets; the actions of {env.satellite.name} are real numbers: use 'mlp'"
@@ -221,7 +221,7 @@ class AttentionPlan:
         return cls(sets[0], tuple(own), sum(own.values()), n_features, n_actions, (images.start, images.stop), tuple(hidden))
 
     def __post_init__(self) -> None:
-        """ValueError for widths that cannot be shared out among heads."""
+        """Raise ValueError for widths that cannot be divided among heads."""
         if not self.hidden or len(set(self.hidden)) > 1 or self.hidden[0] % HEAD:
             raise ValueError(f"hidden={self.hidden}: blocks of attention need equal widths, multiples of {HEAD}")
 
@@ -250,13 +250,13 @@ PLANS: dict[str, type[MLPPlan] | type[GRUPlan] | type[AttentionPlan]] = {
 
 
 def check_network(network: str) -> None:
-    """ValueError, with the nearest name, unless ``network`` is one of :data:`PLANS`."""
+    """Raise ValueError, with the nearest name, unless ``network`` is one of :data:`PLANS`."""
     if network not in PLANS:
         raise ValueError(f"network={network!r} must be one of {sorted(PLANS)}; {nearest(network, PLANS)}")
 
 
 def _leaves(env: SatelliteTasking) -> dict[tuple[str, ...], torch.Size]:
-    """Shapes of the parts of a nested observation, by key; empty for a vector."""
+    """Return the shapes of the parts of a nested observation by key; empty for a vector."""
     spec = env.observation_spec["observation"]
     if not isinstance(spec, Composite):
         return {}
@@ -265,7 +265,7 @@ def _leaves(env: SatelliteTasking) -> dict[tuple[str, ...], torch.Size]:
 
 
 def _actor(network: nn.Module, in_keys: list[Any], bounds: Bounds = ()) -> ProbabilisticActor:
-    """Distribution of actions, by a network that gives logits [..., A] or means [..., A]."""
+    """Return the distribution of actions from a network for logits [..., A] or means [..., A]."""
     return _distributed(_parameters(network, in_keys, bounds), bounds)
 
 
@@ -277,7 +277,7 @@ def _parameters(network: nn.Module, in_keys: list[Any], bounds: Bounds) -> Tenso
 
 
 def _distributed(module: TensorDictModuleBase, bounds: Bounds = ()) -> ProbabilisticActor:
-    """Categorical distribution over the legal actions, or a normal one squashed into bounds, by what a module writes."""
+    """Return an actor with a categorical distribution over the legal actions, or a normal one squashed into bounds."""
     if bounds:
         return real_actor(module, bounds)
     return ProbabilisticActor(
@@ -290,7 +290,7 @@ def _distributed(module: TensorDictModuleBase, bounds: Bounds = ()) -> Probabili
 
 
 def real_actor(module: TensorDictModuleBase, bounds: Bounds) -> ProbabilisticActor:
-    """Distribution of real numbers within bounds, by a module that writes ``loc`` and ``scale``, [..., A] each."""
+    """Return an actor for bounded continuous actions from a module that writes ``loc`` and ``scale``, [..., A] each."""
     return ProbabilisticActor(
         module,
         in_keys=["loc", "scale"],
