@@ -98,7 +98,7 @@ def _random_runs(n: int, charge: int, count: int, length: int, seed: int) -> lis
 
 
 def spliced(actions: Tensor, kept: Tensor, plans: Tensor) -> Tensor:
-    """Return the first ``kept`` [n] of the actions [n, T], followed by a plan [n, L] whose last action is repeated, [n, T + L]."""
+    """Return the first ``kept`` [n] of the actions [n, T], then a plan [n, L] whose last action is repeated, [n, T + L]."""
     column = torch.arange(actions.shape[1] + plans.shape[1])
     first = actions[:, column.clamp(max=actions.shape[1] - 1)]
     after = (column - kept.unsqueeze(1)).clamp(0, plans.shape[1] - 1)

@@ -26,8 +26,9 @@ def mean(samples: Tensor) -> float:
 
 
 def student_quantile(probability: float, freedom: int) -> float:
-    """Return a quantile of Student's t distribution, by its expansion about the normal one; accurate to 1e-3 for six degrees
-    or more.
+    """Return a quantile of Student's t distribution, by its expansion about the normal one.
+
+    It is accurate to 1e-3 for six degrees of freedom or more.
 
     Source: Abramowitz and Stegun, equation 26.7.5.
     """

@@ -1,4 +1,4 @@
-"""Actors and critics built from the sizes of observations and actions, with masked categorical or bounded normal distributions."""
+"""Actors and critics for given sizes of observations and actions, with masked categorical or bounded normal distributions."""
 
 from __future__ import annotations
 
