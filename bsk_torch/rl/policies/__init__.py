@@ -1,4 +1,4 @@
-"""Policies in files, and those that come with the package."""
+"""Policy files and pretrained policies."""
 
 from bsk_torch.rl.policies.files import build_policy, check_fits, load_policy, read_card, save_policy
 from bsk_torch.rl.policies.pretrained import makings, pretrained, pretrained_file

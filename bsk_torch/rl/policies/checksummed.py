@@ -1,7 +1,7 @@
-"""Files of policies and checkpoints: torch's format, followed by a checksum, so that damage does not go unnoticed.
+"""Policy and checkpoint files: torch's format followed by a checksum, which detects damage.
 
-The checksum is the SHA-256 of all that precedes it. It tells damage, not origin: whoever makes a file can also compute its
-checksum. Nothing that a file contains is executed; torch reads tensors and plain values only.
+The checksum is the SHA-256 of all preceding bytes. It detects damage but does not prove the origin, since anyone can compute it.
+Nothing in a file is executed; torch reads only tensors and plain values.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ from bsk_torch.files import write_file
 logger = logging.getLogger(__name__)
 
 CHECKSUM_MARK = b"\nbsk_torch SHA-256:"
-"""Precedes the checksum, which ends the file; ``torch.load`` reads such files, too, without checking it."""
+"""Marks the checksum at the end of a file. ``torch.load`` also reads such files, without checking it."""
 
 RECORD, VERSION = "archive/bsk_torch_format", b"2"
-"""Part of the archive in files that end with a checksum, and its content. Files of release 0.1 have neither."""
+"""Entry of the archive in files with a checksum, and its content. Files of release 0.1 have neither."""
 
 
 def save_checksummed(path: Path, entries: Mapping[str, object]) -> None:
@@ -38,15 +38,15 @@ def save_checksummed(path: Path, entries: Mapping[str, object]) -> None:
 
 
 def load_checksummed(path: Path, what: str, device: torch.device | str = "cpu") -> dict[str, Any]:
-    """Return what :func:`save_checksummed` has written, or ``torch.save`` in release 0.1, whose files lack a checksum: a warning.
+    """Read a file of :func:`save_checksummed`; files of release 0.1, which lack a checksum, are read with a warning.
 
     Args:
         path: The file.
-        what: Its kind in messages, such as ``"policy"``.
-        device: Where tensors go.
+        what: Kind of the file in messages, such as ``"policy"``.
+        device: Device of the tensors.
 
     Raises:
-        ValueError: For a damaged file, truncated or of another kind; the message names it.
+        ValueError: For a damaged or truncated file, or one of another kind; the message names it.
     """
     content = path.read_bytes()
     body = len(content) - len(CHECKSUM_MARK) - hashlib.sha256().digest_size
@@ -66,14 +66,14 @@ def load_checksummed(path: Path, what: str, device: torch.device | str = "cpu") 
 
 
 def _loaded(path: Path, content: bytes, what: str, device: torch.device | str) -> tuple[bytes | None, Any]:
-    """Return the :data:`RECORD` of a file, if it has one, and what it holds."""
+    """Return the :data:`RECORD` of a file, None without one, and its entries."""
     try:
-        with zipfile.ZipFile(io.BytesIO(content)) as archive:  # torch does not compare what its archives know of their parts
+        with zipfile.ZipFile(io.BytesIO(content)) as archive:  # torch does not check the checksums of archive entries
             damaged = archive.testzip()
             version = archive.read(RECORD) if RECORD in archive.namelist() else None
         if damaged is not None:
             raise zipfile.BadZipFile(f"{damaged} is damaged")
         return version, torch.load(io.BytesIO(content), weights_only=True, map_location=device)
-    except Exception as error:  # bytes of others may raise anything within the reader
+    except Exception as error:  # untrusted bytes may raise any exception within the reader
         reason = str(error).partition("\n")[0].partition(". ")[0]  # torch says much more
         raise ValueError(f"{str(path)!r} is no file of a {what}: {reason}") from error

@@ -1,4 +1,4 @@
-"""Policies in files: weights, what they are built from, and for which environment they were made."""
+"""Policy files: weights, the plan of the networks, and the environment used for training."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from bsk_torch.rl.policies.shared_policy import member_views, of_groups
 logger = logging.getLogger(__name__)
 
 POLICY = "policy.pt"
-"""File of the policy in the folder of a run."""
+"""Name of the policy file in a run folder."""
 
 CARD = {"bsk_torch", "preset", "options"}
 """Entries of such a file in addition to :data:`NETWORK`, or :data:`GROUPS` for several groups of satellites."""
@@ -30,10 +30,10 @@ NETWORK = {"network", "plan", NORMALISER, ACTOR}
 """Entries that describe the networks of one group."""
 
 SAME_EPISODES = ("0.1.0", "0.2.0")
-"""Releases whose presets give the same actions the same results: a policy trained with one is as good with the others."""
+"""Releases with equal preset results: a policy trained with one performs equally with the others."""
 
 LOGS = ("log_level", "log_dir", "log_envs")
-"""Options that are neither kept in files nor taken from them: whoever makes a file must not choose where others write."""
+"""Options neither written to files nor read from them, so that a file cannot choose where its reader writes."""
 
 GROUPS = "groups"
 """Entry with a dictionary like :data:`NETWORK` for each of several groups, by name."""
@@ -46,14 +46,14 @@ def save_policy(
     preset: str,
     options: Mapping[str, object],
 ) -> None:
-    """Write what :func:`load_policy` needs, and for which environment the policy was made.
+    """Write a policy for :func:`load_policy`, with the environment used for training.
 
     Args:
         path: The file.
-        plan: How the networks are built; of several groups of satellites, by name.
-        networks: The networks; likewise.
+        plan: Plan of the networks; for several groups of satellites, plans by name.
+        networks: The networks; for several groups, by name.
         preset: Name of the environment.
-        options: Arguments of the environment that differ from the preset's; only plain values are kept.
+        options: Changed options of the environment; only plain values are saved.
     """
     card = {"bsk_torch": __version__, "preset": preset, "options": plain(options)}
     if isinstance(plan, Mapping):
@@ -70,17 +70,17 @@ def _described(plan: Plan, networks: Networks) -> dict[str, Any]:
     kind = next(name for name, known in PLANS.items() if type(plan) is known)
     described = dataclasses.asdict(plan)
     if not described.get("bounds", True):
-        del described["bounds"]  # as files have been, where actions are numbers of actions
+        del described["bounds"]  # files of discrete actions remain as they were before
     return {"network": kind, "plan": described} | networks.policy_state()
 
 
 def networks_of(card: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
-    """Return the entries :data:`NETWORK` of each group; the only one is called as in environments that name none."""
+    """Return the entries :data:`NETWORK` of each group; a single group has the default name."""
     return card.get(GROUPS, {AGENTS: card})
 
 
 def plain(options: Mapping[str, object]) -> dict[str, Any]:
-    """The options that are numbers, words, or lists of them; machines, backends and logs are no part of the problem."""
+    """Return the options that are numbers, strings, or lists of these; not devices, back ends and logs."""
     simple = (bool, int, float, str)
     return {
         name: value
@@ -91,15 +91,15 @@ def plain(options: Mapping[str, object]) -> dict[str, Any]:
 
 
 def read_card(path: Path | str, device: torch.device | str = "cpu") -> dict[str, Any]:
-    """Read the file of a policy, or that of a run's folder: ``preset``, ``options``, ``network``, ``plan`` and weights.
+    """Read a policy file, given by its path or its run folder: ``preset``, ``options``, ``network``, ``plan`` and weights.
 
-    The last three are under ``groups`` and the name of a group if there are several groups of satellites.
+    With several groups of satellites, the last three are under ``groups`` and the name of the group.
 
     Files of release 0.1, which have no checksum, are read with a warning.
 
     Raises:
         ValueError: For a damaged file, or one that is not a policy of this package; the message names it.
-        FileNotFoundError: Where there is none.
+        FileNotFoundError: If the file does not exist.
     """
     path = Path(path)
     path = path / POLICY if path.is_dir() else path
@@ -125,7 +125,7 @@ def _is_card(card: Mapping[str, object]) -> bool:
 
 
 def _is_network(part: object) -> bool:
-    """Return whether something has the entries :data:`NETWORK`; weights that are not finite are none."""
+    """Return whether an object has the entries :data:`NETWORK` with finite weights."""
     if not isinstance(part, dict) or NETWORK - part.keys() or not isinstance(part["network"], str):
         return False
     states = [part[NORMALISER], part[ACTOR]]
@@ -139,7 +139,7 @@ def _is_weight(value: object) -> bool:
 
 
 def check_fits(card: Mapping[str, Any], env: Tasking, preset: str | None = None) -> None:
-    """ValueError, naming both sides, unless the policy of ``card`` sees and does what there is in ``env``, a ``preset``."""
+    """Raise ValueError, naming both sides, unless the observations and actions of ``card`` fit ``env``, a ``preset``."""
     parts, views, where = networks_of(card), member_views(env), preset or "this environment"
     trained = " ".join([card["preset"], *(f"{name}={value!r}" for name, value in card["options"].items())])
     if len(parts) == len(views) == 1:
@@ -165,14 +165,14 @@ def _listed(value: object) -> Any:
 
 
 def load_policy(path: Path | str, device: torch.device | str = "cpu") -> TensorDictModuleBase:
-    """The policy of a file or of a run's folder; see :func:`read_card` for errors, and :func:`build_policy`."""
+    """Return the policy of a file or run folder, as :func:`build_policy` does; for errors, see :func:`read_card`."""
     return build_policy(read_card(path, device), device)
 
 
 def build_policy(card: Mapping[str, object], device: torch.device | str = "cpu") -> TensorDictModuleBase:
-    """The policy of a card; ValueError if its weights do not fit its plan.
+    """Return the policy of a card; ValueError if its weights do not fit its plan.
 
-    It is one for one satellite, or :class:`~bsk_torch.rl.policies.shared_policy.GroupPolicies` of several groups.
+    The result is a policy for one satellite, or :class:`~bsk_torch.rl.policies.shared_policy.GroupPolicies` for several groups.
     """
     policies = {}
     for group, part in networks_of(card).items():
@@ -186,7 +186,7 @@ def build_policy(card: Mapping[str, object], device: torch.device | str = "cpu")
 
 
 def _built(part: Mapping[str, Any]) -> Networks:
-    """Return fresh networks by the plan of a file; ValueError before they are made if its weights have other shapes."""
+    """Return new networks by the plan of a file; ValueError before they are built if its weights have other shapes."""
     plan = PLANS[part["network"]](**part["plan"])
     with torch.device("meta"):  # takes no memory, whatever the plan asks for
         planned = plan.build().policy_state()

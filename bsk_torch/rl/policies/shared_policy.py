@@ -1,4 +1,4 @@
-"""Policies of constellations: one for all satellites of a group, each of which decides by what it observes itself."""
+"""Policies for constellations: one policy for all satellites of a group, each acting on its own observations."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ from bsk_torch.rl.rules.baselines import BASELINES, random_policy
 from bsk_torch.sim.arguments.values import nearest
 
 TRAINED_WITH = "make it with the options that the policy was trained with, which read_card(file)['options'] lists"
-"""What to do about a policy that reads what an environment does not have."""
+"""Advice for a policy that reads observations missing in the environment."""
 
 
 @dataclass(frozen=True)
 class MemberView:
-    """The attributes of an environment of one satellite, for one satellite of a constellation."""
+    """Attributes of a single-satellite environment, for one satellite of a constellation."""
 
     satellite: SatelliteGroup
     observation_spec: Composite
@@ -32,9 +32,9 @@ class MemberView:
 
 
 def member_views(env: Tasking) -> dict[str, SatelliteTasking]:
-    """Return a constellation as the satellites of each group meet it, by the names of the groups.
+    """Return views of a constellation for one satellite of each group, by the names of the groups.
 
-    Networks and rules are built for these. An environment of one satellite is returned itself, as the only group.
+    Networks and rules are built for these views. A single-satellite environment is itself the view of its only group.
 
     Raises:
         ValueError: Unless every satellite of a constellation is a separate agent.
@@ -57,10 +57,10 @@ def _view(env: ConstellationTasking, group: Group) -> SatelliteTasking:
 
 
 def member_view(env: Tasking) -> SatelliteTasking:
-    """Return an environment as one of its satellites meets it, where all of them are alike; see :func:`member_views`.
+    """Return the view for one satellite of an environment with a single group; see :func:`member_views`.
 
     Raises:
-        ValueError: Unless the satellites of a constellation are alike, and each is a separate agent.
+        ValueError: Unless the satellites of a constellation form one group, and each is a separate agent.
     """
     views = member_views(env)
     if len(views) > 1:
@@ -69,7 +69,7 @@ def member_view(env: Tasking) -> SatelliteTasking:
 
 
 def check_reads(policy: object, spec: Composite, hint: str = TRAINED_WITH) -> None:
-    """ValueError, which ends with ``hint``, for observations that a policy reads by their names and ``spec`` does not have."""
+    """Raise ValueError, ending with ``hint``, if a policy reads observations by name that are missing in ``spec``."""
     known = {_path(key) for key in spec.keys(include_nested=True)}
     for path in (_path(key) for key in getattr(policy, "in_keys", ())):
         if "observation" in path and path not in known:
@@ -86,9 +86,9 @@ class SharedPolicy(TensorDictModuleBase):
     def __init__(self, policy: TensorDictModuleBase, group: str = AGENTS) -> None:
         """Wrap ``policy``, which writes ``action`` into tensordicts [B] with ``observation`` and ``action_mask``.
 
-        Policies whose actions are real numbers, [B, A], find no mask; satellites that need no task get ``NO_ACTION``.
+        For continuous actions, [B, A], there is no mask; satellites that need no task get ``NO_ACTION``.
 
-        The actions of the ``group``, [N, S], and their log-probabilities if the policy returns these, are ``out_keys``.
+        ``out_keys`` are the actions of the ``group``, [N, S], and their log-probabilities if the policy returns these.
         """
         super().__init__()
         self.policy, self.group = policy, group
@@ -117,7 +117,7 @@ class SharedPolicy(TensorDictModuleBase):
         return tensordict if self.log_prob_key is None else tensordict.set(self.log_prob_key, log_prob)
 
     def _write_real(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Write actions of real numbers, [N, S, A]; all satellites are asked, for those that decide."""
+        """Write continuous actions, [N, S, A]; the policy acts for all satellites, and its actions are used for deciding ones."""
         agents = tensordict[self.group]
         decides = agents["requires_retasking"].squeeze(-1)
         decided = self.policy(agents.select("observation").flatten())
@@ -143,16 +143,16 @@ class GroupPolicies(TensorDictSequential):
 
 
 def of_groups(policies: Mapping[str, TensorDictModuleBase]) -> TensorDictModuleBase:
-    """Return the policy of the only group, which is one for one satellite, or :class:`GroupPolicies` of several."""
+    """Return the single-satellite policy of the only group, or :class:`GroupPolicies` for several groups."""
     return next(iter(policies.values())) if len(policies) == 1 else GroupPolicies(policies)
 
 
 def shared(policy: TensorDictModuleBase, env: Tasking) -> TensorDictModuleBase:
-    """Return a policy as it acts in ``env``.
+    """Return a policy for all satellites of ``env``.
 
-    That is itself for one satellite, :class:`SharedPolicy` in a constellation of satellites that are alike, and itself where it
-    is a :class:`GroupPolicies`. ValueError for policies of other groups, of one satellite in a constellation of unlike ones, or
-    that read observations which the environment does not have.
+    The result is the policy itself for one satellite or for a :class:`GroupPolicies`, and a :class:`SharedPolicy` in a
+    constellation with one group. ValueError for policies of other groups, a single-satellite policy in a constellation of several
+    groups, or a policy that reads observations missing in the environment.
     """
     views = member_views(env)
     if isinstance(policy, GroupPolicies):
@@ -168,7 +168,7 @@ def shared(policy: TensorDictModuleBase, env: Tasking) -> TensorDictModuleBase:
 def for_each_group(
     change: Callable[[TensorDictModuleBase, SatelliteTasking], TensorDictModuleBase], policy: TensorDictModuleBase, env: Tasking
 ) -> TensorDictModuleBase:
-    """Return ``change`` of a policy and of what it is for in ``env``, or of each of :class:`GroupPolicies`."""
+    """Return ``change(policy, view)`` for the view of ``env``, or for each policy of :class:`GroupPolicies`."""
     if not isinstance(policy, GroupPolicies):
         return change(policy, member_view(env))
     views = member_views(env)
@@ -178,10 +178,10 @@ def for_each_group(
 def baseline(name: str, env: Tasking, seed: int = 0) -> TensorDictModuleBase:
     """Return one of the ``BASELINES`` for one satellite of ``env``, or for one of each group.
 
-    Groups that the rule does not fit, such as relays where it is about targets, act at random, alongside one that it does fit.
+    If the rule applies to some groups only, the others act at random, such as relays with a rule for imaging.
 
     Raises:
-        KeyError, ValueError: If the rule fits no group, or there is none of that name.
+        KeyError, ValueError: If the rule applies to no group, or for an unknown name.
     """
     rule, views = BASELINES[name], member_views(env)
     found: dict[str, TensorDictModuleBase] = {}
@@ -198,10 +198,10 @@ def baseline(name: str, env: Tasking, seed: int = 0) -> TensorDictModuleBase:
 
 
 def rule(name: str, env: Tasking, seed: int = 0) -> TensorDictModuleBase:
-    """Return a rule, or random actions, as a policy for every satellite of ``env``: a single one or a constellation.
+    """Return a rule or the random policy for all satellites of ``env``, a single one or a constellation.
 
     ==================  ==================================================================================================
-    name                what the satellite must have
+    name                requirements
     ==================  ==================================================================================================
     ``random``          legal actions with equal probability; real numbers need finite bounds
     ``rule``            the observations and actions of ``NadirScan-v1``
@@ -213,7 +213,7 @@ def rule(name: str, env: Tasking, seed: int = 0) -> TensorDictModuleBase:
     ``survey``          the same
     ==================  ==================================================================================================
 
-    Groups of a constellation that the rule does not fit act at random, alongside one that it does fit.
+    If the rule applies to some groups of a constellation only, the others act at random.
 
     Args:
         name: One of ``bsk_torch.rl.rules.baselines.BASELINES``.
@@ -221,8 +221,8 @@ def rule(name: str, env: Tasking, seed: int = 0) -> TensorDictModuleBase:
         seed: Seed of random actions.
 
     Raises:
-        KeyError: If the rule reads an observation that no group has; the message names it.
-        ValueError: For an unknown name, or actions that the rule cannot choose.
+        KeyError: If the rule reads an observation missing in all groups; the message names it.
+        ValueError: For an unknown name, or unsuitable actions.
     """
     if name not in BASELINES:
         raise ValueError(f"name={name!r} is not a rule; {nearest(name, BASELINES)}")
@@ -230,7 +230,7 @@ def rule(name: str, env: Tasking, seed: int = 0) -> TensorDictModuleBase:
 
 
 def shared_baselines(env: Tasking, seed: int = 0) -> dict[str, TensorDictModuleBase]:
-    """Return the ``BASELINES`` that fit an environment, for every satellite, by name; see :func:`baseline`."""
+    """Return the applicable ``BASELINES`` for all satellites of an environment, by name; see :func:`baseline`."""
     fitting = {}
     for name in BASELINES:
         with suppress(KeyError, ValueError):  # a rule for other observations or actions

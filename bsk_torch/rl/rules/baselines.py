@@ -1,4 +1,4 @@
-"""Policies that learn nothing: random actions, and rules written by hand."""
+"""Baselines: the random policy and hand-written rules."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from bsk_torch.rl.rules.inspection import inspection_rule
 from bsk_torch.rl.rules.observation_columns import Columns
 
 LOT = "lot"
-"""Key of uniform numbers, [N] each, by which evaluation decides what policies do at random, whatever the batch."""
+"""Key of uniform numbers [N], written by evaluations so that random actions do not depend on the batch."""
 
 
 class RandomPolicy(TensorDictModuleBase):
-    """Legal actions with equal probability, using the random numbers in the tensordict if it has any."""
+    """Chooses legal actions with equal probability, using the random numbers in the tensordict if present."""
 
     in_keys: ClassVar[list[str]] = ["action_mask", LOT]
     out_keys: ClassVar[list[str]] = ["action"]
@@ -33,7 +33,7 @@ class RandomPolicy(TensorDictModuleBase):
         self.generator = generator
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Write ``action``, chosen among those of ``action_mask`` [..., A]."""
+        """Write ``action``, chosen from ``action_mask`` [..., A]."""
         mask, lot = tensordict["action_mask"], tensordict.get(LOT, None)
         if lot is None:
             lot = torch.rand(mask.shape[:-1], dtype=torch.float64, device=mask.device, generator=self.generator)
@@ -43,7 +43,7 @@ class RandomPolicy(TensorDictModuleBase):
 
 
 class RandomNumbers(TensorDictModuleBase):
-    """Real numbers that are uniform within their bounds, by lots as :class:`RandomPolicy` draws them."""
+    """Draws continuous actions uniformly within their bounds, with the random numbers of :class:`RandomPolicy`."""
 
     in_keys: ClassVar[list[str]] = [LOT]
     out_keys: ClassVar[list[str]] = ["action"]
@@ -63,7 +63,7 @@ class RandomNumbers(TensorDictModuleBase):
 
 
 def random_policy(env: SatelliteTasking, seed: int) -> RandomPolicy | RandomNumbers:
-    """Legal actions with equal probability; ValueError for real numbers without finite bounds."""
+    """Return the random policy for an environment; ValueError for continuous actions with infinite bounds."""
     generator = torch.Generator(env.device).manual_seed(seed)
     bounds = bounds_of(env)
     return RandomNumbers(bounds, generator) if bounds else RandomPolicy(generator)
@@ -71,17 +71,17 @@ def random_policy(env: SatelliteTasking, seed: int) -> RandomPolicy | RandomNumb
 
 @dataclass(frozen=True)
 class ScanRule:
-    """Scan, unless something is more urgent. Fractions of capacity or of the largest speed.
+    """Scans unless another action is more urgent. Thresholds are fractions of the capacity or the maximum speed.
 
-    The defaults lie among the best of eighty random choices, each tried on twenty episodes of NadirScan-v1.
+    The defaults are among the best of eighty random choices, each evaluated in twenty episodes of NadirScan-v1.
 
     Args:
-        fast: Wheel speed from which momentum is dumped.
-        low: Battery charge below which the panel is turned to the Sun.
+        fast: Wheel speed above which the wheels are desaturated.
+        low: Battery charge below which the satellite charges.
         enough: Charge up to which charging continues once the panel faces the Sun.
-        facing: Angle, fraction of half a turn, within which it does.
-        worth: Data level from which a pass is used for downlink.
-        full: Data level from which scanning would be in vain.
+        facing: Angle between panel normal and Sun below which the panel faces the Sun, as a fraction of half a turn.
+        worth: Buffer level above which a pass is used for downlink.
+        full: Buffer level above which scanning is useless.
     """
 
     fast: float = 0.75
@@ -92,7 +92,7 @@ class ScanRule:
     full: float = 0.97
 
     def decide(self, observation: Tensor, description: Sequence[str], actions: Sequence[str]) -> Tensor:
-        """Actions [N] for ``observation`` [N, F], whose entries are named by ``description``."""
+        """Return actions [N] for ``observation`` [N, F], whose entries are named by ``description``."""
         see = Columns(observation, description)
         wish = torch.full_like(see["storage_level_fraction"], actions.index("action_nadir_scan"), dtype=torch.int64)
         for name, wanted in self.wishes(see).items():
@@ -113,7 +113,7 @@ class ScanRule:
 
 
 def scan_rule(env: SatelliteTasking, seed: int = 0) -> TensorDictModule:
-    """:class:`ScanRule` for presets that observe and act like NadirScan-v1; KeyError or ValueError for others."""
+    """Return a :class:`ScanRule` for observations and actions like those of NadirScan-v1; else KeyError or ValueError."""
     description, actions = env.satellite.observation_description, env.satellite.action_description
     ScanRule().decide(torch.zeros(1, len(description), dtype=torch.float64), description, actions)
     return TensorDictModule(
@@ -131,4 +131,4 @@ BASELINES: dict[str, Callable[[SatelliteTasking, int], TensorDictModuleBase]] = 
     "circumnavigate": inspection_rule("circumnavigate"),
     "survey": inspection_rule("survey"),
 }
-"""Baselines by name: functions of the environment and a seed, which raise KeyError or ValueError where they do not fit."""
+"""Baselines by name: functions of the environment and a seed, which raise KeyError or ValueError if they do not apply."""

@@ -1,4 +1,4 @@
-"""Actions of real numbers: their bounds, and random ones."""
+"""Bounds of continuous actions, and random continuous actions."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from bsk_torch.env import SatelliteTasking
 from bsk_torch.env.action_forms import form
 
 Bounds = tuple[tuple[float, float], ...]
-"""Lowest and highest value of each number of an action; empty where actions are chosen by their numbers."""
+"""Minimum and maximum of each number of a continuous action; empty for discrete actions."""
 
 
 def bounds_of(env: SatelliteTasking) -> Bounds:
     """Return the bounds of the actions of an environment.
 
     Raises:
-        ValueError: For bounds that are infinite, between which nothing can be drawn, and for hybrid actions.
+        ValueError: For infinite bounds, between which no action can be drawn, and for hybrid actions.
     """
     builder = form(env.satellite)
     if builder is None:
@@ -42,9 +42,9 @@ def bounds_of(env: SatelliteTasking) -> Bounds:
 
 
 def spread(lot: Tensor, bounds: Bounds) -> Tensor:
-    """Return actions [..., A] that are uniform within their bounds, by uniform numbers [...] of float64, one for each action.
+    """Return actions [..., A] uniform within their bounds, computed from one uniform float64 number per action, [...].
 
-    Each number of an action takes its own binary digits of the lot.
+    Each number of an action uses separate binary digits of the uniform number.
     """
     values, digits = [], 2.0 ** (48 // len(bounds))
     for low, high in bounds:

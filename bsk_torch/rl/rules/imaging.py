@@ -1,4 +1,4 @@
-"""Rules for satellites that image targets, by the order of the targets in view."""
+"""Rules for imaging satellites, which rank the targets in view."""
 
 from __future__ import annotations
 
@@ -13,33 +13,33 @@ from bsk_torch.env import SatelliteTasking
 from bsk_torch.rl.rules.targets import Observation, TargetReader, image_actions, read
 
 LEVEL, OPENS = "sat_props.storage_level_fraction", "ground_station.ground_station_0.opportunity_open_normd"
-"""Paths of the observed level of the store, and of the time to the next pass."""
+"""Paths of the observed buffer level and of the time to the next pass."""
 
 FULL = 0.95
-"""Data level, fraction of the store, from which a pass is used for downlink."""
+"""Buffer level, as a fraction, above which a pass is used for downlink."""
 
 SLEW = 58.0
-"""Seconds in which the agile satellites of the presets turn by one radian; the time grows as the root of the angle."""
+"""Time for a turn of one radian by the agile satellites of the presets, s; it grows with the square root of the angle."""
 
 PATIENCE = 25.0
-"""Seconds of waiting that make an image e times less attractive."""
+"""Waiting time that divides the value of an image by e, s."""
 
 Worth = Callable[[TargetReader, Observation], Tensor]
-"""Values of targets [N, n]; the largest is imaged first."""
+"""Function for the values of targets [N, n]; the target with the largest value is imaged first."""
 
 
 def by_priority(see: TargetReader, observation: Observation) -> Tensor:
-    """The most valuable target first."""
+    """Rank targets by priority."""
     return see.read(observation, "priority")
 
 
 def by_closing(see: TargetReader, observation: Observation) -> Tensor:
-    """The target whose window closes next first: targets are observed in this order."""
+    """Rank targets by the end of their windows, the order in which they are observed."""
     return -torch.arange(see.n, dtype=torch.float32, device=observation.device).expand(*observation.shape[:1], -1)
 
 
 def by_discounted_priority(see: TargetReader, observation: Observation) -> Tensor:
-    """Priority, discounted by the time that the image will take; targets that will be gone by then come last."""
+    """Rank targets by priority discounted over the time needed for the image; unreachable targets come last."""
     angle, opens, closes = (see.read(observation, name) for name in ("target_angle", "opportunity_open", "opportunity_close"))
     seconds = torch.maximum(opens, SLEW * angle.clamp(min=0.0).sqrt())
     return see.read(observation, "priority") * torch.exp(-seconds / PATIENCE) - (seconds > closes).to(opens.dtype)
@@ -47,9 +47,9 @@ def by_discounted_priority(see: TargetReader, observation: Observation) -> Tenso
 
 @dataclass(frozen=True)
 class ImagingRule:
-    """Images the most preferred of the existing, legal targets; otherwise takes a legal action.
+    """Images the highest-ranked of the existing, legal targets; without one, takes another legal action.
 
-    Satellites that can downlink empty a full store where a station is in view; they have to observe :data:`LEVEL` and
+    Satellites with a downlink action empty a full buffer when a station is in view. They must observe :data:`LEVEL` and
     :data:`OPENS`.
     """
 
@@ -61,14 +61,14 @@ class ImagingRule:
 
     @classmethod
     def of(cls, env: SatelliteTasking, worth: Worth) -> ImagingRule:
-        """For an environment; ValueError or KeyError where it has no targets, or does not show what is needed."""
+        """Return the rule for an environment; ValueError or KeyError without targets or the required observations."""
         satellite = env.satellite
         see = TargetReader.of(env)
         images = image_actions(env)[: see.n]
         return cls(see, images, worth, satellite.observation_description, satellite.action_description)
 
     def decide(self, observation: Observation, action_mask: Tensor) -> Tensor:
-        """Actions [N], by what is observed and which actions are legal [N, A]."""
+        """Return actions [N] for an observation and the legal actions [N, A]."""
         legal = action_mask[:, self.images.start : self.images.stop]
         n = legal.shape[1]
         wanted = legal & self.see.exist(observation)[:, :n]
@@ -83,7 +83,7 @@ class ImagingRule:
 
 
 def imaging_rule(worth: Worth) -> Callable[[SatelliteTasking, int], TensorDictModule]:
-    """:class:`ImagingRule` as a function of the environment and a seed; KeyError or ValueError where it does not fit."""
+    """Return a function from environment and seed to an :class:`ImagingRule`; it raises KeyError or ValueError if unsuitable."""
 
     def make(env: SatelliteTasking, seed: int = 0) -> TensorDictModule:
         rule = ImagingRule.of(env, worth)

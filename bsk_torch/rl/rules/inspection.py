@@ -1,7 +1,7 @@
-"""Rules for inspectors that fly about another spacecraft: drift, natural-motion circumnavigation, and fly-around by waypoints.
+"""Rules for inspectors of another spacecraft: drift, natural-motion circumnavigation, and a survey by waypoints.
 
-They decide by what inspectors of :mod:`bsk_torch.presets.inspection` observe, and return changes of velocity and drifts, or the
-transfers of a :class:`bsk_torch.act.HillWaypoint`, whichever the satellites take.
+They use the observations of :mod:`bsk_torch.presets.inspection`, and return velocity changes and drifts, or transfers of a
+:class:`bsk_torch.act.HillWaypoint`, depending on the action of the satellites.
 """
 
 from __future__ import annotations
@@ -24,33 +24,33 @@ from bsk_torch.presets.inspection import NEAR, SLOW
 from bsk_torch.rl.rules.observation_columns import Columns
 
 MEAN_MOTION = 1.04e-3
-"""Mean motion, rad/s, of the orbits of the presets, which is not observed; it differs by up to 6 percent from those drawn."""
+"""Mean motion of the orbits of the presets, rad/s. It is not observed; drawn orbits differ by up to 6 percent."""
 
 SAMPLES = 12
-"""Moments of a transfer at which it is evaluated."""
+"""Number of times at which a transfer is evaluated."""
 
 VIEW = math.radians(12.0), math.radians(45.0)
-"""Angles between the center of a region and the inspector up to which all of its points are in view, and from which none is."""
+"""Angles between the center of a region and the inspector below which all of its points are in view, and above which none is."""
 
 LIGHT = math.radians(42.0), math.radians(78.0)
-"""Angles between the center of a region and the Sun, likewise."""
+"""Corresponding angles between the center of a region and the Sun."""
 
 SHADOW = math.cos(math.radians(115.0))
-"""Cosine of the angle between zenith and Sun beyond which the RSO is in the Earth's shadow."""
+"""Cosine of the angle between zenith and Sun below which the RSO is in the Earth's shadow."""
 
 CLOSE, FAR, REACH = 15.0, 900.0, 250.0
-"""Smallest and largest distance on a transfer, and largest from which points are inspected, m."""
+"""Minimum and maximum distance on a transfer, and maximum distance for inspection, m."""
 
 POINT, FUEL, TIME = 0.03, 0.1, 2e-5
-"""Worth of a region of three points, of 1 m/s and of 1 s."""
+"""Value of a region of three points, and costs of 1 m/s and of 1 s."""
 
 DRIFT = 600.0
-"""Seconds between two decisions of the rules that hardly thrust."""
+"""Time between two decisions of rules that hardly thrust, s."""
 
 
 @dataclass(frozen=True)
 class Seen:
-    """What N inspectors observe.
+    """Observations of N inspectors.
 
     Attributes:
         rho: Position in the Hill frame of the RSO, [N, 3] m.
@@ -68,7 +68,7 @@ class Seen:
 
     @staticmethod
     def of(observation: Tensor, description: Sequence[str]) -> Seen:
-        """Read an observation [N, F]; KeyError where something is not observed."""
+        """Read an observation [N, F]; KeyError for a missing entry."""
         see = Columns(observation.double(), description)
         known = see.all("imaged_regions")
         centers = torch.as_tensor(fibonacci_sphere(known.shape[-1])).to(known.device)
@@ -82,20 +82,20 @@ class Seen:
 
 
 def sun_at(sun: Tensor, angle: Tensor) -> Tensor:
-    """Return the direction of the Sun [..., 3] when the Hill frame has turned by ``angle`` [...] rad about the orbit normal."""
+    """Return the direction of the Sun [..., 3] after the Hill frame has rotated by ``angle`` [...] rad about the orbit normal."""
     s, c = torch.sin(angle), torch.cos(angle)
     x, y, z = sun.unbind(-1)
     return torch.stack(torch.broadcast_tensors(c * x + s * y, c * y - s * x, z), -1)
 
 
 def new_regions(seen: Seen, ahead: Transfers) -> Tensor:
-    """Return about how many regions transfers would show that are not inspected yet, [N, D, K].
+    """Return the approximate number of uninspected regions revealed by transfers, [N, D, K].
 
-    A region counts as far as its points are in view and lit at the best moment of the transfer: wholly up to the first of the
-    angles :data:`VIEW` and :data:`LIGHT` from its center to the inspector and to the Sun, not at all from the second one on.
+    A region counts by the fraction of its points in view and lit at the best time of the transfer: fully below the first of the
+    angles :data:`VIEW` and :data:`LIGHT` between its center and the inspector or the Sun, and not at all above the second.
     """
     best = torch.zeros(*ahead.cost.shape, len(seen.centers), dtype=ahead.cost.dtype, device=ahead.cost.device)
-    for k in range(ahead.samples):  # few, and each a batch: all at once would take that many times the memory
+    for k in range(ahead.samples):  # a loop over few times, since computing all at once would need that many times the memory
         position = ahead.position(k)
         distance = torch.linalg.vector_norm(position, dim=-1, keepdim=True)
         sun = sun_at(seen.sun[:, None], seen.n[:, None] * ahead.motion.time[k])
@@ -106,17 +106,17 @@ def new_regions(seen: Seen, ahead: Transfers) -> Tensor:
 
 
 def part(cosine: Tensor, angles: tuple[float, float]) -> Tensor:
-    """Return 1 for cosines of angles up to the first of two, rad, 0 from the second on, and values between them in between."""
+    """Return 1 for cosines of angles below the first of two, rad, 0 above the second, and values in between between them."""
     high, low = math.cos(angles[0]), math.cos(angles[1])
     return ((cosine - low) / (high - low)).clamp(0.0, 1.0)
 
 
 def survey_worth(seen: Seen, ahead: Transfers, max_dv: float) -> Tensor:
-    """Return the worth of transfers, [N, D, K]: what they show, less fuel and time; those that are not safe come last."""
+    """Return the values of transfers, [N, D, K]: revealed regions minus costs of fuel and time; unsafe transfers come last."""
     nearest, farthest = ahead.distances()
     worth = POINT * new_regions(seen, ahead) - FUEL * ahead.cost - TIME * ahead.motion.time[-1]
     unsafe = (nearest < CLOSE) | (farthest > FAR) | (ahead.cost > max_dv)
-    # where none is safe, back from where it is too far
+    # if none is safe, return from too far away
     return torch.where(unsafe, -1e3 - farthest, worth)
 
 
@@ -125,8 +125,8 @@ class InspectionRule:
     """A rule for the inspectors of an environment.
 
     Attributes:
-        entry: Their action.
-        description: Names of what they observe.
+        entry: Action of the inspectors.
+        description: Names of the observed values.
     """
 
     entry: HillWaypoint | ImpulsiveThrustHill
@@ -134,14 +134,14 @@ class InspectionRule:
 
     @classmethod
     def of(cls, env: SatelliteTasking) -> InspectionRule:
-        """For an environment; ValueError where its satellites do not fly about another one."""
+        """Return the rule for an environment; ValueError unless its satellites inspect another one."""
         entry = env.satellite.action_spec[0]
         if not isinstance(entry, HillWaypoint | ImpulsiveThrustHill):
             raise ValueError(f"rules of inspection need a HillWaypoint or ImpulsiveThrustHill; the action is {entry!r}")
         return cls(entry, env.satellite.observation_description)
 
     def survey(self, observation: Tensor, action_mask: Tensor | None = None) -> Tensor:
-        """Fly to the waypoint on the way to which the most is inspected, less fuel and time."""
+        """Choose the transfer with the highest value; see :func:`survey_worth`."""
         seen = Seen.of(observation, self.description)
         way = self.entry if isinstance(self.entry, HillWaypoint) else WAYPOINTS
         most = torch.full_like(seen.n, self.entry.max_dv)
@@ -156,7 +156,7 @@ class InspectionRule:
         return torch.cat([ahead.manoeuvre(best), duration.unsqueeze(1)], 1)
 
     def circumnavigate(self, observation: Tensor) -> Tensor:
-        """Stop the drift along the track, and fly around the RSO without further maneuvers."""
+        """Stop the along-track drift, and fly around the RSO without further maneuvers."""
         seen = Seen.of(observation, self.description)
         dv = circumnavigation(seen.rho, seen.n) - seen.velocity
         dv[:, 2] = 0.0
@@ -169,11 +169,11 @@ class InspectionRule:
 
 
 WAYPOINTS = HillWaypoint("RSO")
-"""The transfers among which the survey chooses where satellites take changes of velocity."""
+"""Transfers considered by the survey for satellites with velocity changes as actions."""
 
 
 def inspection_rule(name: str) -> Callable[[SatelliteTasking, int], TensorDictModule]:
-    """A rule as a function of the environment and a seed; KeyError or ValueError where it does not fit."""
+    """Return a function from environment and seed to a rule, with KeyError or ValueError if it does not apply."""
 
     def make(env: SatelliteTasking, seed: int = 0) -> TensorDictModule:
         rule = InspectionRule.of(env)

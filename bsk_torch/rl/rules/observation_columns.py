@@ -1,4 +1,4 @@
-"""Observed numbers by name."""
+"""Access to observed values by name."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from bsk_torch.sim.arguments.values import nearest
 
 
 class Columns:
-    """Observed numbers by the end of their names."""
+    """Observed values by the end of their names."""
 
     def __init__(self, observation: Tensor | TensorDictBase, description: Sequence[str]) -> None:
-        """Look into ``observation``: a vector [..., F] with the entries ``description``, or a tensordict with these parts."""
+        """Read ``observation``, a vector [..., F] with the entries ``description``, or a tensordict with these parts."""
         self.observation, self.description = observation, description
 
     def all(self, name: str) -> Tensor:
-        """Entries named ``name`` or ``name[k]``, [..., width]; KeyError where there is none."""
+        """Return the entries named ``name`` or ``name[k]``, [..., width]; KeyError if there is none."""
         found = [k for k, entry in enumerate(self.description) if _last(entry) == name]
         if not found:
             raise KeyError(f"{name!r} is not observed; {nearest(name, map(_last, self.description))}")
@@ -30,12 +30,12 @@ class Columns:
         return torch.cat([part.unsqueeze(-1) if part.ndim == seen.ndim else part.flatten(seen.ndim) for part in parts], -1)
 
     def __getitem__(self, name: str) -> Tensor:
-        """The first entry of that name, [...]."""
+        """Return the first entry of that name, [...]."""
         return self.all(name)[..., 0]
 
 
 def _path(entry: str) -> tuple[str, ...]:
-    """Key of the part of a nested observation that an entry of its vector belongs to."""
+    """Return the key of the part of a nested observation to which an entry of its vector belongs."""
     return tuple(entry.split("[")[0].split("."))
 
 

@@ -1,6 +1,6 @@
-"""Shields: rules that take dangerous actions away before a policy chooses, in training and after it.
+"""Shields: rules that remove dangerous actions before a policy chooses, during and after training.
 
-Source: M. Alshiekh et al., "Safe reinforcement learning via shielding", AAAI 2018; of spacecraft, A. Harris and H. Schaub,
+Source: M. Alshiekh et al., "Safe reinforcement learning via shielding", AAAI 2018; for spacecraft, A. Harris and H. Schaub,
 "Spacecraft command and control with safety guarantees using shielded deep reinforcement learning", AIAA SciTech 2020.
 """
 
@@ -21,20 +21,20 @@ from bsk_torch.rl.rules.baselines import Columns
 from bsk_torch.sim.arguments.values import nearest
 
 Rule = Callable[[Columns, Sequence[str]], Tensor]
-"""Function of the observed columns and the names of the actions to a mask of allowed actions, [N, A] booleans."""
+"""Function from the observed columns and the names of the actions to a mask of allowed actions, [N, A] booleans."""
 
 
 @dataclass(frozen=True)
 class SafeRule:
-    """Dump momentum when a wheel is fast, charge when the battery is nearly empty, else do anything.
+    """Allows only desaturation with a fast wheel, only charging with a nearly empty battery, and otherwise all actions.
 
     For satellites that observe ``wheel_speeds_fraction`` and ``battery_charge_fraction`` and can desaturate and charge. The
-    defaults were found by trying on NadirScan-v1, with a trained policy, random actions, and scanning forever: with less charge
-    or faster wheels (which take more power) more of these die, and with more charge the trained policy earns less.
+    defaults were found empirically in NadirScan-v1, with a trained policy, random actions, and permanent scanning. With less
+    charge or faster wheels (which need more power), more satellites die; with more charge, the trained policy earns less.
 
     Args:
-        low: Battery charge, fraction of its capacity, below which only charging is allowed.
-        fast: Wheel speed, fraction of the largest, above which only desaturation is.
+        low: Battery charge, as a fraction of the capacity, below which only charging is allowed.
+        fast: Wheel speed, as a fraction of the maximum, above which only desaturation is allowed.
     """
 
     low: float = 0.06
@@ -52,11 +52,11 @@ RULES: dict[str, Rule] = {"safe": SafeRule()}
 
 
 def shield(rule: Rule, env: SatelliteTasking) -> TensorDictModule:
-    """Narrows ``action_mask`` to what ``rule`` allows; where that leaves nothing, to what it was.
+    """Return a module that restricts ``action_mask`` to the actions allowed by ``rule``, unless none would be left.
 
     Raises:
-        KeyError: For an observation that the environment does not have.
-        ValueError: For an action that it does not have, or a rule that gives no mask of the actions.
+        KeyError: For an observation missing in the environment.
+        ValueError: For an action missing in the environment, or a rule that does not return a mask of the actions.
     """
     description, actions = env.satellite.observation_description, env.satellite.action_description
 
@@ -76,15 +76,15 @@ def shield(rule: Rule, env: SatelliteTasking) -> TensorDictModule:
 
 
 def shielded(policy: TensorDictModuleBase, rule: Rule, env: SatelliteTasking) -> TensorDictSequential:
-    """The policy behind a :func:`shield`: it learns and acts as if forbidden actions were illegal."""
+    """Return the policy with a :func:`shield`: it learns and acts as if forbidden actions were illegal."""
     return TensorDictSequential(shield(rule, env), policy)
 
 
 def find_rule(name: str) -> Rule:
-    """One of :data:`RULES` by name, or a function of the user's, ``"package.module:function"``.
+    """Return one of :data:`RULES` by name, or a user function, ``"package.module:function"``.
 
     Raises:
-        ValueError: Where there is no such rule; the message names the nearest.
+        ValueError: For an unknown rule; the message contains the nearest name.
     """
     module, colon, function = name.partition(":")
     if not colon:

@@ -15,14 +15,14 @@ from bsk_torch.obs import OpportunityProperties
 from bsk_torch.sim.arguments.values import nearest
 
 WIDTHS = {"r_LP_P": 3, "r_LB_H": 3}
-"""Number of columns of the properties of targets that have more than one."""
+"""Number of columns of target properties with more than one."""
 
 Observation = Any
 """A vector [N, F], or a tensordict with its parts."""
 
 
 def image_actions(env: SatelliteTasking) -> range:
-    """Numbers of the actions that image the next targets; ValueError where there are none."""
+    """Return the indices of the actions that image the next targets; ValueError if there are none."""
     first = 0
     for entry in env.satellite.actions.entries if form(env.satellite) is None else ():
         if isinstance(entry, Image):
@@ -32,10 +32,10 @@ def image_actions(env: SatelliteTasking) -> range:
 
 
 def read(observation: Observation, description: Sequence[str], path: str) -> Tensor:
-    """An observed number, [N], by its path, such as ``"sat_props.storage_level_fraction"``; KeyError where it is not observed.
+    """Return an observed value, [N], by its path, such as ``"sat_props.storage_level_fraction"``; KeyError if it is missing.
 
     Args:
-        observation: What is observed.
+        observation: The observation.
         description: Paths of all entries of the vector.
         path: Names of the nested parts, joined by dots.
     """
@@ -47,10 +47,10 @@ def read(observation: Observation, description: Sequence[str], path: str) -> Ten
 
 
 class TargetReader:
-    """Reads properties of the next n targets out of observations."""
+    """Reads properties of the next n targets from observations."""
 
     def __init__(self, entry: OpportunityProperties, description: Sequence[str]) -> None:
-        """Read what ``entry`` has written into observations whose vector has the entries ``description``."""
+        """Read the columns of ``entry`` in observations whose vector has the entries ``description``."""
         self.entry, self.name, self.n = entry, entry.name, entry.n_ahead_observe
         self.column: dict[str, int] = {}
         self.norm: dict[str, float] = {}
@@ -67,7 +67,7 @@ class TargetReader:
 
     @classmethod
     def of(cls, env: SatelliteTasking) -> TargetReader:
-        """For an environment; ValueError where no targets are observed, or nested and not as a set."""
+        """Return the reader for an environment; ValueError if no targets are observed, or nested but not as a set."""
         satellite = env.satellite
         for entry in satellite.observations.entries:
             if isinstance(entry, OpportunityProperties) and entry.type == "target":
@@ -77,20 +77,20 @@ class TargetReader:
         raise ValueError(f"{satellite.name} observes no targets")
 
     def rows(self, observation: Observation) -> Tensor:
-        """All properties of the targets, [N, n, F], over their norms."""
+        """Return all properties of the targets, [N, n, F], divided by their norms."""
         if isinstance(observation, Tensor):
             return observation[..., self._rows].unflatten(-1, (self.n, -1))
         return observation[self.name, "rows"]
 
     def exist(self, observation: Observation) -> Tensor:
-        """Return a mask of targets [N, n]; all are true if padding, which repeats the last one, is not marked."""
+        """Return a mask of existing targets [N, n]; all True if padding, which repeats the last target, is not marked."""
         if not self.entry.as_set:
             return torch.ones_like(self.rows(observation)[..., 0], dtype=torch.bool)
         mask = observation[..., self._mask] if isinstance(observation, Tensor) else observation[self.name, "mask"]
         return mask.bool()
 
     def read(self, observation: Observation, prop: str) -> Tensor:
-        """A property of the targets, [N, n] in its own unit; KeyError where it is not observed."""
+        """Return a property of the targets, [N, n] in its unit; KeyError if it is not observed."""
         if prop not in self.column:
             raise KeyError(f"{prop!r} of targets is not observed; {nearest(prop, self.column)}")
         return self.rows(observation)[..., self.column[prop]] * self.norm[prop]
