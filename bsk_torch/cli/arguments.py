@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from bsk_torch.cli.shared import made
-from bsk_torch.cli.terminal import print_table
 from bsk_torch.sim.arguments.table import ArgumentTable, short
+from bsk_torch.tables import print_table
 
 COLUMNS = ("argument", "in this preset", "default", "meaning")
 

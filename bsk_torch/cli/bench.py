@@ -21,7 +21,7 @@ from bsk_torch.basilisk import certify as certified
 from bsk_torch.cli.planned import PREFIX, named_planner
 from bsk_torch.cli.policies import PRETRAINED, NamedPolicy, named_policy
 from bsk_torch.cli.shared import check_writable
-from bsk_torch.cli.terminal import fail, print_message, print_table, working
+from bsk_torch.cli.terminal import fail, print_message, working
 from bsk_torch.env import Tasking
 from bsk_torch.env.rollout import Policy
 from bsk_torch.files import write_file
@@ -31,6 +31,7 @@ from bsk_torch.rl.policies.pretrained import makings
 from bsk_torch.rl.policies.shared_policy import baseline, shared
 from bsk_torch.rl.rules.baselines import BASELINES
 from bsk_torch.sim.arguments.values import nearest
+from bsk_torch.tables import print_table
 
 FORMAT = 1
 """Version of the layout of the JSON file."""

@@ -10,11 +10,11 @@ from tensordict.nn import TensorDictModuleBase
 
 from bsk_torch.cli.planned import PREFIX, NamedPlanner, named_planner
 from bsk_torch.cli.policies import NamedPolicy, named_policy
-from bsk_torch.cli.results import print_results, save_episodes, save_results
 from bsk_torch.cli.shared import check_writable, environment_options, seed_range
 from bsk_torch.cli.terminal import activity, fail, working
 from bsk_torch.env import Tasking
 from bsk_torch.rl.evaluation.evaluate import evaluate
+from bsk_torch.rl.evaluation.results import print_results, save_episodes, save_results
 from bsk_torch.rl.marl.runs import is_constellation
 from bsk_torch.rl.policies.shared_policy import for_each_group, shared, shared_baselines
 from bsk_torch.rl.rules.shield import find_rule, shielded

@@ -16,13 +16,14 @@ from torch import Tensor
 
 from bsk_torch.cli.policies import named_policy
 from bsk_torch.cli.shared import check_picture, check_writable, environment_options, extra, made, seed_range
-from bsk_torch.cli.terminal import activity, fail, print_table, working
+from bsk_torch.cli.terminal import activity, fail, working
 from bsk_torch.env import SatelliteTasking, Tasking
 from bsk_torch.files import write_file
 from bsk_torch.rl.evaluation.counterfactual import LOST, OPEN, SAVED, check_searchable
 from bsk_torch.rl.evaluation.failures import Failure, Moment, can_be_saved, explain
 from bsk_torch.rl.evaluation.replay import Flown, script
 from bsk_torch.rl.evaluation.statistics import confidence
+from bsk_torch.tables import print_table
 
 LOST_AFTER = "lost after"
 """Column with the number of decisions from the last chance to the first that is proven to be too late."""

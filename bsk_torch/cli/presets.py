@@ -11,7 +11,7 @@ from rich.table import Table
 from rich.text import Text
 
 from bsk_torch._listed import LISTED, MANY
-from bsk_torch.cli.terminal import line_width, print_table
+from bsk_torch.tables import line_width, print_table
 
 
 def list_presets(long: bool) -> None:

@@ -19,6 +19,7 @@ from bsk_torch.cli.pictures import record
 from bsk_torch.cli.shared import check_writable, environment, environment_options
 from bsk_torch.cli.terminal import fail, working
 from bsk_torch.rl.evaluation.evaluate import FRESH, evaluate
+from bsk_torch.rl.evaluation.results import EVALUATION
 from bsk_torch.rl.marl.runs import PPO, algorithm_of, configure, read_config
 from bsk_torch.rl.policies.files import POLICY, build_policy, check_fits, read_card
 from bsk_torch.rl.policies.shared_policy import shared
@@ -28,8 +29,8 @@ from bsk_torch.rl.training.log import EVALUATIONS, LOG, read_log
 if TYPE_CHECKING:
     from torch import Tensor
 
-RESULTS, REPORT = "evaluation.json", "report.html"
-"""Files of the final evaluation, which the command line adds to a run's logs, and of the report."""
+REPORT = "report.html"
+"""File of the report."""
 
 FLAGS = {"backend": "compiled", "device": "cpu", "time_limit": None}
 """Options of the environment that are flags of the command line, with their defaults."""
@@ -43,7 +44,7 @@ def report(run: Path, episodes: int, threads: int, backend: str, device: str) ->
     torch.set_num_threads(threads)
     pages, config = _pages(), run_config(run)
     card, log, evaluations = run_card(run, device), _columns(run / LOG), _columns(run / EVALUATIONS)
-    results = _results(run / RESULTS)
+    results = _results(run / EVALUATION)
     check_writable(run / REPORT)
     options = config.options | environment_options(backend, device, None)
     shown = _episodes(config, card, options, episodes, device)

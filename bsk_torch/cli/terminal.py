@@ -1,4 +1,4 @@
-"""What commands print: errors, messages, what takes long, the compilation of kernels, and tables that fit the terminal.
+"""What commands print aside from results: errors, messages, what takes long, and the compilation of kernels.
 
 Results alone go to the standard output; all else goes to the standard error.
 """
@@ -6,24 +6,18 @@ Results alone go to the standard output; all else goes to the standard error.
 from __future__ import annotations
 
 import logging
-import os
 import shlex
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import NoReturn
 
 import typer
-from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.file_proxy import FileProxy
 from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
-from rich.table import Table
 from rich.text import Text
-
-WIDE = 240
-"""Characters in a line of files and pipes, which have no width."""
 
 screen = Console(stderr=True)
 """Where messages and activities are shown."""
@@ -145,55 +139,3 @@ def set_verbosity(verbose: bool, quiet: bool) -> None:
     logging.basicConfig(level=level, format="%(message)s", handlers=[Messages()])
     for name in ("matplotlib", "PIL"):
         logging.getLogger(name).setLevel(logging.WARNING)
-
-
-# -- tables --------------------------------------------------------------------------------------------------------------------
-
-
-def line_width() -> int:
-    """Return the characters that a line of results may have: those of the terminal, or of the variable COLUMNS."""
-    console = Console()
-    return console.width if console.is_terminal or os.environ.get("COLUMNS") else WIDE
-
-
-def print_table(
-    rows: Sequence[Mapping[str, str]],
-    title: str = "",
-    expendable: Sequence[str] = (),
-    left: Sequence[str] = (),
-    whole: Sequence[str] = (),
-) -> None:
-    """Print a table that fits the terminal.
-
-    Args:
-        rows: Cells by column, the same columns in each row.
-        title: Headline.
-        expendable: Columns to leave out where the terminal is too narrow, the first one first. A line below names them.
-        left: Columns with text, which is aligned at the left.
-        whole: Columns whose cells are never broken.
-    """
-    console, columns = Console(width=line_width()), list(rows[0])
-    order = [name for name in expendable if name in columns]
-    dropped: list[str] = []
-    while order and _needed(console, _table(rows, columns, title, left, whole)) > console.width:
-        dropped.append(order.pop(0))
-        columns.remove(dropped[-1])
-    console.print(_table(rows, columns, title, left, whole))
-    if dropped:
-        console.print(Text(f"not shown in {console.width} columns: {', '.join(dropped)}"))
-
-
-def _table(
-    rows: Sequence[Mapping[str, str]], columns: Sequence[str], title: str, left: Sequence[str], whole: Sequence[str]
-) -> Table:
-    table = Table(title=Text(title) if title else None, title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
-    for name in columns:
-        table.add_column(name, justify="left" if name in left else "right", overflow="fold", no_wrap=name in whole)
-    for row in rows:
-        table.add_row(*(Text(row[name]) for name in columns))
-    return table
-
-
-def _needed(console: Console, table: Table) -> int:
-    """Return the characters of the longest line of a table that breaks none."""
-    return console.measure(table, options=console.options.update(max_width=10 * WIDE)).maximum

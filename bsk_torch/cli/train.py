@@ -13,13 +13,13 @@ import torch
 import typer
 
 from bsk_torch.cli.pictures import draw_episode, record
-from bsk_torch.cli.results import print_results, save_results
 from bsk_torch.cli.shared import environment, environment_options
-from bsk_torch.cli.terminal import activity, fail, for_shell, working
+from bsk_torch.cli.terminal import activity, fail, working
 from bsk_torch.env import Tasking
 from bsk_torch.presets import make
 from bsk_torch.rl.evaluation.evaluate import FRESH, Evaluation, evaluate
-from bsk_torch.rl.marl.runs import configure, read_config, training_of
+from bsk_torch.rl.evaluation.results import EVALUATION, print_results, save_results
+from bsk_torch.rl.marl.runs import TRAINED, configure, read_config, told, training_of
 from bsk_torch.rl.policies.shared_policy import shared, shared_baselines
 from bsk_torch.rl.training.config import CONFIG, PPOConfig, override
 from bsk_torch.rl.training.lock import FolderLock
@@ -150,16 +150,16 @@ def _run(
     results = dict(baselines) | ({} if resume else {"untrained": _evaluated("untrained", shared(run.policy, env), env, seed)})
     activity.report()
     policy = shared(run.run(bar=not activity.quiet), env)
-    results["trained"] = _evaluated("trained", policy, env, seed)
-    print_results(results, f"{config.preset}, {env.batch_size[0]} unseen episodes", "trained")
-    save_results(results, folder / "evaluation.json", "trained")
+    results[TRAINED] = _evaluated(TRAINED, policy, env, seed)
+    print_results(results, f"{config.preset}, {env.batch_size[0]} unseen episodes", TRAINED)
+    save_results(results, folder / EVALUATION, TRAINED)
     if find_spec("matplotlib") is None:
         typer.echo("no pictures were drawn: they need matplotlib; pip install 'bsk_torch[viz]'")
     else:
         with working("drawing"):
             _draw(policy, results, config, folder)
-    typer.echo(f"results: {folder}\nnext: bsk-torch report {for_shell(folder)}")
-    return results["trained"], run.interrupted
+    typer.echo(told(config, folder))
+    return results[TRAINED], run.interrupted
 
 
 def _evaluated(name: str, policy: TensorDictModuleBase, env: Tasking, seed: int) -> Evaluation:

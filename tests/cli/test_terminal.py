@@ -21,10 +21,10 @@ from typer.main import get_command
 
 from bsk_torch._listed import LISTED, MANY
 from bsk_torch.cli import app, main, terminal
-from bsk_torch.cli.results import print_results
 from bsk_torch.env import ConstellationTasking
 from bsk_torch.presets import PRESETS
 from bsk_torch.rl.evaluation.evaluate import Evaluation
+from bsk_torch.rl.evaluation.results import print_results
 from bsk_torch.rl.rules.baselines import BASELINES
 from bsk_torch.rl.training import progress
 from bsk_torch.rl.training.config import PPOConfig

@@ -113,7 +113,7 @@ def settings(**changes):
 
 class TestPPO:
     def test_it_learns_and_its_file_is_read(self, tmp_path):
-        policy = train(settings(), tmp_path / "run")
+        policy = train(settings(), tmp_path / "run", episodes=0)
         env = turner(16)
         baselines = shared_baselines(env)
         assert list(baselines) == ["random"]
@@ -129,15 +129,15 @@ class TestPPO:
             check_fits(card, SatelliteTasking(Other("A"), rewarder=Aim(), backend="eager"))
 
     def test_a_policy_with_a_memory_learns(self, tmp_path):
-        train(settings(network="gru", hidden=(8, 8), frames=1024), tmp_path / "run")
+        train(settings(network="gru", hidden=(8, 8), frames=1024), tmp_path / "run", episodes=0)
         assert (tmp_path / "run" / "policy.pt").exists()
 
     def test_a_run_goes_on(self, tmp_path):
-        train(settings(frames=1024), tmp_path / "run")
+        train(settings(frames=1024), tmp_path / "run", episodes=0)
         before = load_policy(tmp_path / "run")
         config = (tmp_path / "run" / "config.yaml").read_text()
         (tmp_path / "run" / "config.yaml").write_text(config.replace("frames: 1024", "frames: 2048"))
-        after = resume(tmp_path / "run")
+        after = resume(tmp_path / "run", episodes=0)
         states = [list(policy.parameters()) for policy in (before, after)]
         assert any(not torch.equal(a, b) for a, b in zip(*states, strict=True))
 

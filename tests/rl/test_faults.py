@@ -63,9 +63,9 @@ def same(one, other):
 def go_on(out, config=SMALL):
     """Train in a folder, or go on with the run in it, as users would."""
     if (out / CONFIG).is_file():
-        resume(out)
+        resume(out, episodes=0)
     else:
-        train(config, out)
+        train(config, out, episodes=0)
 
 
 @pytest.fixture(scope="module")
@@ -166,7 +166,7 @@ def test_a_read_only_folder_stops_a_training_that_can_be_resumed(whole, tmp_path
     with pytest.raises(OSError, match=r"cannot be written: Read-only file system: '.*checkpoint\.pt'"):
         ReadOnly(SMALL, tmp_path / "run").run()
     with pytest.raises(OSError, match=r"cannot be written: Read-only file system: '.*config\.yaml'"):
-        resume(tmp_path / "run")
+        resume(tmp_path / "run", episodes=0)
     monkeypatch.undo()
     go_on(tmp_path / "run")
     assert same(tmp_path / "run", whole[0])
@@ -178,15 +178,15 @@ def test_a_read_only_folder_stops_a_training_that_can_be_resumed(whole, tmp_path
 @pytest.mark.nightly
 def test_a_compiler_that_disappears_stops_a_training_that_can_be_resumed(whole, tmp_path, monkeypatch):
     out = tmp_path / "run"
-    train(dataclasses.replace(SMALL, frames=24), out)
+    train(dataclasses.replace(SMALL, frames=24), out, episodes=0)
     (out / CONFIG).write_bytes((whole[0] / CONFIG).read_bytes())
     monkeypatch.setattr(build, "LOADED", {})
     monkeypatch.setenv("BSK_TORCH_CACHE", str(tmp_path / "cache"))
     before = {path.name: path.read_bytes() for path in out.iterdir()}
     missing = config.patch({"cpp.cxx": (None, "/missing/c++")})
     with missing, pytest.raises(RuntimeError, match=r"needs a C\+\+ compiler, but /missing/c\+\+ does not run here"):
-        resume(out)
+        resume(out, episodes=0)
     assert {path.name: path.read_bytes() for path in out.iterdir()} == before
     monkeypatch.undo()
-    resume(out)
+    resume(out, episodes=0)
     assert read_log(out / LOG)["frames"][-1] == SMALL.frames

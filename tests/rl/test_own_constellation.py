@@ -60,24 +60,24 @@ def preset(monkeypatch):
 def test_own_constellations_are_trained_and_resumed(preset, tmp_path):
     config = configure(preset, **FEW)
     assert isinstance(config, MAPPOConfig)  # although own() does not say what it returns
-    policy = train(config, tmp_path / "run")
+    policy = train(config, tmp_path / "run", episodes=0)
     env = bsk_torch.make(preset, num_envs=2, seed=1)
     td = env.rollout(4, shared(policy, env))
     assert torch.isfinite(td["next", "imager", "reward"]).all()
-    assert resume(tmp_path / "run") is not None
+    assert resume(tmp_path / "run", episodes=0) is not None
 
 
 def test_constellations_are_trained_by_the_same_functions(tmp_path):
     options = dict(time_limit=300.0, n_satellites=3, n_targets=500)
     config = configure("Constellation-v1", network="attention", options=options, **FEW)
     assert isinstance(config, MAPPOConfig)
-    train(config, tmp_path / "run")
+    train(config, tmp_path / "run", episodes=0)
     assert (tmp_path / "run" / "policy.pt").is_file()
 
 
 def test_the_wrong_kind_of_settings_is_told(tmp_path):
     with pytest.raises(ValueError, match="Constellation-v1 has many satellites, and is trained by a MAPPOConfig; configure"):
-        train(PPOConfig("Constellation-v1", **FEW), tmp_path / "run")
+        train(PPOConfig("Constellation-v1", **FEW), tmp_path / "run", episodes=0)
     with pytest.raises(ValueError, match="NadirScan-v1 has one satellite"):
-        train(MAPPOConfig("NadirScan-v1", options={}, **FEW), tmp_path / "run")
+        train(MAPPOConfig("NadirScan-v1", options={}, **FEW), tmp_path / "run", episodes=0)
     assert not (tmp_path / "run").exists()

@@ -168,7 +168,7 @@ def test_a_short_training_beats_random_choice_of_targets(tmp_path, network):
     config = configure(
         "AEOS-v1", network, options=world, frames=8192, seconds=None, num_envs=16, rollout=32, minibatch=128, epochs=2
     )  # fmt: skip
-    train(config, tmp_path)
+    train(config, tmp_path, episodes=0)
     env = bsk_torch.make("AEOS-v1", num_envs=64, seed=0, **config.options)
     trained = evaluate(load_policy(tmp_path / "policy.pt"), env, seed=7)
     random = evaluate(random_policy(env, 0), env, seed=7)

@@ -53,7 +53,7 @@ def contents(folder):
 def whole(tmp_path_factory):
     """Folder of a run that nothing has interrupted."""
     out = tmp_path_factory.mktemp("whole")
-    train(SMALL, out)
+    train(SMALL, out, episodes=0)
     return out
 
 
@@ -61,7 +61,7 @@ def whole(tmp_path_factory):
 def stopped(tmp_path_factory):
     """Folder of a run that has used a third of what :data:`SMALL` has, in a way that does not depend on the budget."""
     out = tmp_path_factory.mktemp("stopped")
-    train(HALF, out)
+    train(HALF, out, episodes=0)
     return out
 
 
@@ -112,7 +112,7 @@ def test_damaged_files_are_named_and_left(half, name, damage):
     (half / name).write_bytes(damage((half / name).read_bytes()))
     before = contents(half)
     with pytest.raises(ValueError, match=name.replace(".", r"\.")):
-        resume(half)
+        resume(half, episodes=0)
     assert contents(half) == before
 
 
@@ -136,7 +136,7 @@ def test_checkpoints_of_others_are_refused(whole, tmp_path, crafted):
     save_checksummed(tmp_path / CHECKPOINT, load_checksummed(whole / CHECKPOINT, "checkpoint") | crafted)
     before = contents(tmp_path)
     with pytest.raises(ValueError, match="checkpoint"):
-        resume(tmp_path)
+        resume(tmp_path, episodes=0)
     assert contents(tmp_path) == before
 
 
@@ -146,13 +146,13 @@ def test_moments_of_another_shape_are_refused(whole, tmp_path):
     (tmp_path / CONFIG).write_bytes((whole / CONFIG).read_bytes())
     save_checksummed(tmp_path / CHECKPOINT, saved)
     with pytest.raises(ValueError, match=r"exp_avg has shape \(7, 7\)"):
-        resume(tmp_path)
+        resume(tmp_path, episodes=0)
 
 
 def test_a_run_without_a_checkpoint_begins_again(whole, tmp_path):
     for name in (CONFIG, LOG, EVALUATIONS, POLICY):  # what a run leaves that was killed before its first checkpoint
         (tmp_path / name).write_bytes((whole / name).read_bytes())
-    assert weights(resume(tmp_path)).equal(weights(load_policy(whole)))
+    assert weights(resume(tmp_path, episodes=0)).equal(weights(load_policy(whole)))
     assert read_log(tmp_path / LOG)["frames"] == [24, 48, 72]
 
 
@@ -210,7 +210,7 @@ def end(child):
 def test_a_folder_in_use_is_refused_and_the_other_process_named(half, other):
     child = other(half)
     before = contents(half)
-    for begin in (resume, lambda out: train(SMALL, out)):
+    for begin in (resume, lambda out: train(SMALL, out, episodes=0)):
         with pytest.raises(FolderInUseError, match=rf"half' is in use by process {child} on {os.uname().nodename} since "):
             begin(half)
     assert contents(half) == before
@@ -219,20 +219,20 @@ def test_a_folder_in_use_is_refused_and_the_other_process_named(half, other):
 def test_the_lock_of_a_dead_process_is_taken_over_and_its_leftovers_swept(half, other):
     end(other(half))
     assert {LOCK, f".{POLICY}.0123456789abcdef.part"} <= set(contents(half))
-    resume(half)
+    resume(half, episodes=0)
     assert set(contents(half)) == {POLICY, LOG, EVALUATIONS, CONFIG, CHECKPOINT}
 
 
 def test_a_run_may_begin_where_one_was_killed_before_it_began(tmp_path, other):
     end(other(tmp_path))
-    train(HALF, tmp_path)
+    train(HALF, tmp_path, episodes=0)
     assert set(contents(tmp_path)) == {POLICY, LOG, EVALUATIONS, CONFIG, CHECKPOINT}
 
 
 def test_one_process_may_not_train_twice_in_a_folder(tmp_path):
     first = Training(HALF, tmp_path / "run")
     with pytest.raises(FolderInUseError, match=f"process {os.getpid()} "):
-        resume(tmp_path / "run")
+        resume(tmp_path / "run", episodes=0)
     first.run()
     assert LOCK not in contents(tmp_path / "run")
 
@@ -241,7 +241,7 @@ def test_a_link_for_a_lock_is_not_followed(half, tmp_path):
     (tmp_path / "precious").write_text("precious")
     (half / LOCK).symlink_to(tmp_path / "precious")
     with pytest.raises(OSError, match="symbolic link"):
-        resume(half)
+        resume(half, episodes=0)
     assert (tmp_path / "precious").read_text() == "precious"
 
 
@@ -330,6 +330,6 @@ def test_a_logger_that_fails_stops_nothing(whole, tmp_path, monkeypatch, caplog)
 
     monkeypatch.setattr("bsk_torch.rl.training.log._service", lambda name, out: Failing())
     monkeypatch.setattr("bsk_torch.rl.training.log.find_spec", lambda name: object())
-    policy = train(dataclasses.replace(SMALL, loggers=("csv", "wandb")), tmp_path / "run")
+    policy = train(dataclasses.replace(SMALL, loggers=("csv", "wandb")), tmp_path / "run", episodes=0)
     assert weights(policy).equal(weights(load_policy(whole)))
     assert caplog.text.count("the logger wandb fails") == 1

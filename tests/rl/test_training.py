@@ -65,7 +65,7 @@ def same_logs(one, other, columns=SAME, name=LOG):
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
     out = tmp_path_factory.mktemp("run")
-    return out, train(TINY, out)
+    return out, train(TINY, out, episodes=0)
 
 
 def test_a_run_leaves_all_its_files(run):
@@ -104,9 +104,9 @@ def test_a_folder_with_something_in_it_is_left_alone(run):
 
 def test_a_resumed_run_remembers_what_its_policy_remembered(tmp_path):
     config = dataclasses.replace(TINY, network="gru", hidden=(8, 6), evaluate_every=0)
-    whole = train(config, tmp_path / "whole")
+    whole = train(config, tmp_path / "whole", episodes=0)
     Interrupted(config, tmp_path / "broken").run()
-    assert weights(resume(tmp_path / "broken")).equal(weights(whole))
+    assert weights(resume(tmp_path / "broken", episodes=0)).equal(weights(whole))
 
 
 def test_a_resumed_run_is_the_uninterrupted_one(run, tmp_path):
@@ -116,7 +116,7 @@ def test_a_resumed_run_is_the_uninterrupted_one(run, tmp_path):
     assert broken.interrupted
     assert read_log(tmp_path / "broken" / LOG)["frames"] == [24, 48]
     load_policy(tmp_path / "broken" / POLICY)  # whoever stops has a policy, too
-    again = resume(tmp_path / "broken")
+    again = resume(tmp_path / "broken", episodes=0)
     assert same_logs(out, tmp_path / "broken")
     assert same_logs(out, tmp_path / "broken", ("frames", "return", "survival", "fill"), EVALUATIONS)
     assert weights(again).equal(weights(policy))
@@ -129,14 +129,14 @@ SEVERAL = dataclasses.replace(TINY, collector="multi", workers=2, evaluate_every
 def by_several(tmp_path_factory):
     """Folder of a run of two processes, and its policy."""
     out = tmp_path_factory.mktemp("several") / "whole"
-    return out, train(SEVERAL, out)
+    return out, train(SEVERAL, out, episodes=0)
 
 
 def test_several_processes_collect_and_go_on_as_one_would(by_several, tmp_path):
     out, policy = by_several
     assert read_log(out / LOG)["frames"] == [24, 48, 72, 96]
     Interrupted(SEVERAL, tmp_path / "broken").run()
-    assert weights(resume(tmp_path / "broken")).equal(weights(policy))
+    assert weights(resume(tmp_path / "broken", episodes=0)).equal(weights(policy))
 
 
 class Losing(Training):
@@ -158,7 +158,7 @@ def test_a_lost_process_stops_a_run_that_can_be_resumed(by_several, tmp_path):
     ):
         Losing(SEVERAL, out).run()
     assert not multiprocessing.active_children()
-    assert weights(resume(out)).equal(weights(policy))
+    assert weights(resume(out, episodes=0)).equal(weights(policy))
     assert same_logs(out, whole)
     assert {path.name for path in out.iterdir()} == {path.name for path in whole.iterdir()}
 
@@ -186,7 +186,7 @@ def test_a_lost_actor_of_ray_stops_a_run_that_can_be_resumed(by_several, tmp_pat
     ):
         LosingActor(dataclasses.replace(SEVERAL, collector="ray"), out).run()
     assert read_log(out / LOG)["frames"][-1] < SEVERAL.frames
-    assert weights(resume(out)).equal(weights(policy))
+    assert weights(resume(out, episodes=0)).equal(weights(policy))
 
 
 def test_processes_share_out_the_episodes_of_one(tmp_path):
@@ -212,7 +212,7 @@ def test_checkpoints_of_something_else_are_refused(run, tmp_path, change, messag
     (tmp_path / CONFIG).write_text((out / CONFIG).read_text())
     torch.save(torch.load(out / CHECKPOINT, weights_only=True) | change, tmp_path / CHECKPOINT)
     with pytest.raises(ValueError, match=message):
-        resume(tmp_path)
+        resume(tmp_path, episodes=0)
 
 
 def test_resuming_needs_a_checkpoint(tmp_path):
@@ -226,20 +226,20 @@ def test_resuming_needs_a_checkpoint(tmp_path):
 
 def test_training_stops_when_the_return_does_not_grow(tmp_path):
     config = dataclasses.replace(TINY, frames=2400, evaluate_every=24, patience=2, learning_rate=0.0)
-    train(config, tmp_path / "stopped")
+    train(config, tmp_path / "stopped", episodes=0)
     assert len(read_log(tmp_path / "stopped" / EVALUATIONS)["return"]) == 3  # the first is the best, two do not beat it
     assert (tmp_path / "stopped" / CHECKPOINT).exists()
 
 
 def test_evaluations_do_not_change_what_is_learned(run, tmp_path):
     out, _ = run
-    train(dataclasses.replace(TINY, evaluate_every=0), tmp_path / "unseen")
+    train(dataclasses.replace(TINY, evaluate_every=0), tmp_path / "unseen", episodes=0)
     assert same_logs(out, tmp_path / "unseen")
 
 
 def test_tensorboard_gets_what_the_files_get(tmp_path):
     events = pytest.importorskip("tensorboard.backend.event_processing.event_accumulator")
-    train(dataclasses.replace(TINY, loggers=("csv", "tensorboard")), tmp_path / "run")
+    train(dataclasses.replace(TINY, loggers=("csv", "tensorboard")), tmp_path / "run", episodes=0)
     folder = next(path for path in (tmp_path / "run").rglob("events*")).parent
     told = events.EventAccumulator(str(folder))
     told.Reload()

@@ -3,16 +3,24 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Mapping
+import shlex
+import sys
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
 from tensordict.nn import TensorDictModuleBase
 
+from bsk_torch._listed import LISTED
 from bsk_torch.env import ConstellationTasking
 from bsk_torch.presets import PRESETS, make
+from bsk_torch.rl.evaluation.comparison import compare
+from bsk_torch.rl.evaluation.evaluate import FRESH, evaluate
+from bsk_torch.rl.evaluation.results import EVALUATION, print_results, save_results
 from bsk_torch.rl.marl.mappo import LOSSES, MAPPOConfig, MAPPOTraining
 from bsk_torch.rl.networks.plans import check_network
+from bsk_torch.rl.policies.files import LOGS, plain
+from bsk_torch.rl.policies.shared_policy import shared
 from bsk_torch.rl.training.config import CONFIG, PPOConfig, load_config, read_settings
 from bsk_torch.rl.training.recipes import recipe_of
 from bsk_torch.rl.training.trainer import Training
@@ -23,6 +31,12 @@ PPO = "ppo"
 
 ALGORITHMS = (PPO, *LOSSES)
 """Algorithms by which policies are trained."""
+
+COMPARED = 256
+"""Unseen episodes of the comparison at the end of a training, unless it says otherwise."""
+
+TRAINED = "trained"
+"""Name of the trained policy in that comparison."""
 
 
 def is_constellation(preset: str, options: Mapping[str, Any] | None = None) -> bool:
@@ -84,23 +98,67 @@ def training_of(config: PPOConfig, out: Path, resume: bool = False) -> Training:
     return (MAPPOTraining if isinstance(config, MAPPOConfig) else Training)(config, out, resume)
 
 
-def train(config: PPOConfig, out: Path) -> TensorDictModuleBase:
-    """Train a policy and leave it in folder ``out`` alongside its logs and configuration.
+def train(config: PPOConfig, out: Path, *, episodes: int = COMPARED, quiet: bool = False) -> TensorDictModuleBase:
+    """Train a policy, compare it with random actions, rules and the untrained policy, and leave all of it in folder ``out``.
+
+    Training ends with a table of unseen episodes, the folder and the next command on the standard output; ``evaluation.json`` in
+    the folder has the numbers.
+
+    Args:
+        config: What to train and how.
+        out: The folder of the run; it must not hold anything yet.
+        episodes: Number of unseen episodes of the comparison; 0 for no comparison.
+        quiet: Show neither the progress bar nor the table. Warnings are logged as always.
 
     Returns:
         The policy: writes ``action`` into a tensordict with ``observation`` and ``action_mask``. For a constellation it is the
         policy of one satellite, or a ``GroupPolicies``; :func:`~bsk_torch.rl.marl.shared` applies it to all satellites.
 
     Raises:
-        ValueError: For an environment that the algorithm of the configuration does not train.
+        ValueError: For an environment that the algorithm of the configuration does not train, or negative ``episodes``.
     """
     many = is_constellation(config.preset, config.options)
     if config.preset in PRESETS and many != isinstance(config, MAPPOConfig):
         has, kind = ("many satellites", "MAPPOConfig") if many else ("one satellite", "PPOConfig")
         raise ValueError(f"{config.preset} has {has}, and is trained by a {kind}; configure({config.preset!r}, ...) makes it")
-    return training_of(config, out).run()
+    _check_episodes(episodes)
+    return _completed(training_of(config, out), episodes, quiet, ("untrained",))
 
 
-def resume(out: Path) -> TensorDictModuleBase:
-    """Resume the run in folder ``out``, which an interruption or the end of its budget has left."""
-    return training_of(read_config(out), out, resume=True).run()
+def resume(out: Path, *, episodes: int = COMPARED, quiet: bool = False) -> TensorDictModuleBase:
+    """Resume the run in folder ``out``, which an interruption or the end of its budget has left; see :func:`train`."""
+    _check_episodes(episodes)
+    return _completed(training_of(read_config(out), out, resume=True), episodes, quiet)
+
+
+def _check_episodes(episodes: int) -> None:
+    if episodes < 0:
+        raise ValueError(f"episodes={episodes} must be at least 0; 0 compares nothing")
+
+
+def _completed(run: Training, episodes: int, quiet: bool, before: Collection[str] = ()) -> TensorDictModuleBase:
+    """Train, compare the policy in as many unseen ``episodes``, under the name of ``before`` also as it is now, and tell."""
+    if not episodes:
+        return run.run(bar=not quiet)
+    config = run.config
+    env = make(config.preset, num_envs=episodes, **config.options)
+    results = {name: evaluate(shared(run.policy, env), env, seed=config.seed + FRESH) for name in before}
+    policy = run.run(bar=not quiet)
+    found = compare({TRAINED: shared(policy, env)}, env, config.seed)
+    results = {name: found[name] for name in found if name != TRAINED} | results | {TRAINED: found[TRAINED]}
+    save_results(results, run.out / EVALUATION, TRAINED)
+    if not quiet:
+        print_results(results, f"{config.preset}, {episodes} unseen episodes", TRAINED)
+        sys.stdout.write(f"{told(config, run.out)}\n")
+    return policy
+
+
+def told(config: PPOConfig, folder: Path) -> str:
+    """Return where the results of a run are, and what to do next.
+
+    That is the command for a report, or a call where only the user's program has the preset or parts of the environment.
+    """
+    objects = config.options.keys() - plain(config.options).keys() - {"backend", "device", *LOGS}
+    report = config.preset in LISTED and not objects
+    call = f"bsk-torch report {shlex.quote(str(folder))}" if report else f"bsk_torch.rl.policies.load_policy({str(folder)!r})"
+    return f"results: {folder}\nnext: {call}"

@@ -1,4 +1,4 @@
-"""Results of evaluations: on the screen and in files."""
+"""Results of evaluations: tables on the screen, JSON and CSV files."""
 
 from __future__ import annotations
 
@@ -10,10 +10,13 @@ from pathlib import Path
 
 import torch
 
-from bsk_torch.cli.terminal import print_table
 from bsk_torch.files import write_file
 from bsk_torch.rl.evaluation.evaluate import Evaluation
 from bsk_torch.rl.evaluation.statistics import Estimate, mean
+from bsk_torch.tables import print_table
+
+EVALUATION = "evaluation.json"
+"""File of a run folder with the results of the final comparison."""
 
 
 def print_results(results: Mapping[str, Evaluation], title: str, chosen: str | None = None) -> None:
