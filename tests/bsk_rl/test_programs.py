@@ -94,6 +94,56 @@ def test_a_battery_can_be_emptied_by_its_message(env):
         model.scObject.scStateOutMsg.write(None)
 
 
+def test_vectors_that_are_lists_in_bsk_rl_are_lists(env):
+    env.reset(seed=0)
+    model = env.satellite.dynamics
+    state = model.r_BN_N + model.v_BN_N
+    assert len(json.loads(json.dumps(state))) == 6
+    assert all(isinstance(vector, list) for vector in (model.sigma_BN, model.omega_BN_B))
+    assert isinstance(model.r_BN_P, np.ndarray)
+
+
+def test_arguments_that_models_keep_can_be_read(env):
+    env.reset(seed=0)
+    model, world = env.satellite.dynamics, env.simulator.world
+    assert model.maxWheelSpeed == env.satellite.sat_args["maxWheelSpeed"]
+    assert (model.mu, env.satellite.fsw.desatAttitude) == (3.98600436e14, "sun")
+    assert model.conjunction_radius == 10.0
+    assert not hasattr(model, "max_range_radius")
+    assert not hasattr(world, "gsMinimumElevation")
+    with pytest.raises(AttributeError, match="give it in sat_args"):
+        model.maxWheelSpeed = 3.0
+
+
+def test_the_shadow_factor_is_read_from_its_message():
+    class Long(Drifter):
+        action_spec = [act.Drift(duration=600.0)]
+
+    night = SatelliteTasking(Long("D"), time_limit=12000.0, backend="eager")
+    night.reset(seed=3)
+    factors, expected = [], []
+    for _ in range(10):
+        night.step(0)
+        model, world = night.satellite.dynamics, night.simulator.world
+        factors.append(world.eclipseObject.eclipseOutMsgs[model.eclipse_index].read().shadowFactor)
+        sun = np.array(world.gravFactory.spiceObject.planetStateOutMsgs[world.sun_index].read().PositionVector)
+        sun /= np.linalg.norm(sun)
+        place = np.array(model.r_BN_N)
+        along = place @ sun
+        expected.append(not (along < 0.0 and np.linalg.norm(place - along * sun) < 6.378e6))  # a cylinder of shadow
+    assert factors == [float(lit) for lit in expected]
+    assert {0.0, 1.0} == set(factors)
+
+
+def test_satellites_may_be_beyond_the_moon():
+    far = SatelliteTasking(
+        Drifter("D", dict(oe=None, rN=[2.4e9, 0.0, 0.0], vN=[0.0, 400.0, 0.0])), time_limit=60.0, backend="eager"
+    )
+    far.reset(seed=0)
+    far.step(0)
+    assert far.satellite.dynamics.r_BN_N == pytest.approx([2.4e9, 24000.0, 0.0], abs=0.2)  # drawn by the wheels by 1e-7 m/s^2
+
+
 @pytest.mark.parametrize(
     ("read", "message"),
     [
@@ -198,9 +248,11 @@ def test_names_that_are_to_come_say_so(module):
         exec(f"from bsk_torch.bsk_rl.{module} import {names[module]}")
 
 
-def test_films_for_vizard_raise():
-    with pytest.raises(NotImplementedError, match="bsk-torch film"):
-        SatelliteTasking(Drifter("D"), vizard_dir="/tmp/x")
+def test_programs_that_ask_for_films_for_vizard_run_without(caplog):
+    asked = SatelliteTasking(Drifter("D"), vizard_dir="/tmp/x", vizard_settings={"showLocationLabels": 0}, backend="eager")
+    assert "'bsk-torch film' makes films" in caplog.text
+    asked.reset(seed=1)
+    assert asked.step(0)[4]["d_ts"] == 60.0
 
 
 def test_log_levels_are_those_of_the_simulation():

@@ -9,6 +9,7 @@ import gymnasium
 import numpy as np
 import pytest
 
+from bsk_torch.bsk_rl.basilisk.utilities import RigidBodyKinematics
 from bsk_torch.bsk_rl.utils import attitude, functional, logging_config, orbital, rllib, vizard
 from bsk_torch.bsk_rl.utils.actuator_primitives import balancedHR16Triad, idealMonarc1Octet
 from bsk_torch.bsk_rl.utils.rllib import callbacks, discounting
@@ -122,6 +123,41 @@ def test_the_deprecated_altitude_of_an_orbit_still_counts(caplog):
     oe = orbital.random_orbit(alt=600, r_body=6400, e=0.3)
     assert (oe.a, oe.e, oe.omega) == (7e6, 0, 0)
     assert "random_circular_orbit" in caplog.text
+
+
+def test_attitudes_are_converted_as_in_the_textbook():
+    """Schaub and Junkins, Analytical Mechanics of Space Systems, example 3.2: (30, -45, 60) degrees of the sequence 3-2-1."""
+    angles = np.radians([30.0, -45.0, 60.0])
+    BN = [[0.612372, 0.353553, 0.707107], [-0.780330, 0.126826, 0.612372], [0.126826, -0.926777, 0.353553]]
+    np.testing.assert_allclose(RigidBodyKinematics.euler3212C(angles), BN, atol=1e-6)
+    np.testing.assert_allclose(RigidBodyKinematics.C2Euler321(BN), angles, atol=1e-5)
+    np.testing.assert_allclose(RigidBodyKinematics.MRP2C(RigidBodyKinematics.C2MRP(BN)), BN, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    "name", ["EP", "MRP", "PRV", "Gibbs", *(f"Euler{sequence}" for sequence in RigidBodyKinematics.SEQUENCES)]
+)
+def test_representations_of_an_attitude_convert_back(name):
+    q = np.array([0.8, 0.2, -0.4, 0.4])
+    back = getattr(RigidBodyKinematics, f"{name.replace('Gibbs', 'gibbs').replace('Euler', 'euler')}2C")
+    found = getattr(RigidBodyKinematics, f"C2{name}")(RigidBodyKinematics.EP2C(q))
+    np.testing.assert_allclose(back(found), RigidBodyKinematics.EP2C(q), atol=1e-12)
+
+
+def test_attitudes_compose_and_turn():
+    first, second = np.array([0.1, 0.2, -0.3]), np.array([-0.4, 0.1, 0.2])
+    total = RigidBodyKinematics.addMRP(first, second)
+    np.testing.assert_allclose(
+        RigidBodyKinematics.MRP2C(total), RigidBodyKinematics.MRP2C(second) @ RigidBodyKinematics.MRP2C(first), atol=1e-14
+    )
+    np.testing.assert_allclose(RigidBodyKinematics.subMRP(total, first), second, atol=1e-14)
+    np.testing.assert_allclose(RigidBodyKinematics.MRPswitch([2.0, 0.0, 0.0], 1), [-0.5, 0.0, 0.0])
+    rate, h = np.array([0.01, -0.02, 0.03]), 1e-6
+    moved = (RigidBodyKinematics.C2MRP(RigidBodyKinematics.PRV2C(rate * h) @ RigidBodyKinematics.MRP2C(first)) - first) / h
+    np.testing.assert_allclose(RigidBodyKinematics.dMRP(first, rate), moved, atol=1e-8)
+    np.testing.assert_allclose(RigidBodyKinematics.dMRP2Omega(first, RigidBodyKinematics.dMRP(first, rate)), rate, atol=1e-15)
+    with pytest.raises(AttributeError, match="did you mean 'MRP2EP'"):
+        RigidBodyKinematics.MRP2Q  # noqa: B018  - reading is what is tried
 
 
 def test_constants_have_the_units_of_basilisk():

@@ -23,7 +23,7 @@ from bsk_torch.sats.bound import BoundSatellite
 from bsk_torch.sats.fleet import SatelliteFleet
 from bsk_torch.sats.satellite import Satellite as CoreSatellite
 from bsk_torch.scene.base import Scenario as CoreScenario
-from bsk_torch.sim.arguments.initial_orbits import LOWEST_PERIAPSIS
+from bsk_torch.sim.arguments.initial_orbits import HIGHEST_APOAPSIS, LOWEST_PERIAPSIS
 from bsk_torch.sim.arguments.table import ArgumentTable
 from bsk_torch.sim.arguments.values import is_fixed
 from bsk_torch.sim.assembly.composition import compose
@@ -190,9 +190,12 @@ def _decides(arg: Arg, value: Any) -> bool:
 
 
 def is_orbit(r: Vec3, v: Vec3) -> bool:
-    """Return whether a position, m, and a velocity, m/s, are an orbit around the Earth that does not end on its surface."""
+    """Return whether a position, m, and a velocity, m/s, are an orbit that can be solved in advance: near the Earth, above it."""
     inverse = float(2.0 / r.norm() - v.dot(v) / MU_EARTH)
-    return inverse > 0.0 and float(r.cross(v).norm()) > 0.0 and float(periapsis_radius(r, v)) >= LOWEST_PERIAPSIS
+    if inverse <= 0.0 or float(r.cross(v).norm()) == 0.0:
+        return False
+    periapsis = float(periapsis_radius(r, v))
+    return periapsis >= LOWEST_PERIAPSIS and 2.0 / inverse - periapsis <= HIGHEST_APOAPSIS
 
 
 def _needed_orbit(values: Sequence[Mapping[str, Any]], world: Mapping[str, Any]) -> str | None:

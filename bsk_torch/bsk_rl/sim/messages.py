@@ -40,7 +40,6 @@ ABSENT = [
     "thrusterDump",
     "extForceTorqueObject",
     "dragEffector",
-    "eclipseObject",
     "densityModel",
     "wheelSinkList",
     "powerSinkList",
@@ -54,6 +53,25 @@ ABSENT = [
     "attRefMsg",
 ]
 """Attributes of Basilisk's objects that there are no counterparts of."""
+
+
+KEPT = (
+    "maxWheelSpeed",
+    "conjunction_radius",
+    "max_range_radius",
+    "chief_name",
+    "storageUnitValidCheck",
+    "desatAttitude",
+    "mu",
+    "min_orbital_radius",
+    "groundLocationPlanetRadius",
+    "gsMinimumElevation",
+    "gsMaximumRange",
+)
+"""Arguments that models of bsk_rl keep as attributes of the same name."""
+
+LISTS = ("r_BN_N", "v_BN_N", "sigma_BN", "omega_BN_B")
+"""Properties that are lists in bsk_rl, which adds them as such; other vectors are arrays."""
 
 
 def advice(name: str) -> str:
@@ -223,3 +241,19 @@ class Ephemerides:
         """Messages of the Sun and of the Earth."""
         sun = Message(lambda: {"r_BdyZero_N": self.world.r_SN_N.tolist(), "v_BdyZero_N": self.world.v_SN_N.tolist()})
         return [sun, Message(lambda: {"r_BdyZero_N": [0.0] * 3, "v_BdyZero_N": [0.0] * 3})]
+
+
+class Eclipses:
+    """Basilisk's ``eclipseObject``: ``eclipseOutMsgs[dynamics.eclipse_index].read().shadowFactor``, 1 in full sunlight."""
+
+    def __init__(self, world: WorldView) -> None:
+        """Read a world."""
+        self.world = world
+
+    @property
+    def eclipseOutMsgs(self) -> list[Message]:
+        """Messages of all satellites in their order."""
+        return [self._of(*satellite.core_row) for satellite in self.world.simulator.satellites]
+
+    def _of(self, part: int, row: int) -> Message:
+        return Message(lambda: {"shadowFactor": float(self.world.simulator.fleet.simulators[part].read("illumination")[row])})

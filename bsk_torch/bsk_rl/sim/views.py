@@ -65,6 +65,12 @@ class ModelView:
                 return self._member(name, vars(owner)[name], owner)
         raise AttributeError(self._advice(name))
 
+    def __setattr__(self, name: str, value: object) -> None:
+        """Set an attribute of the program's; AttributeError, with advice, for one that the simulation would not follow."""
+        if name in messages.KEPT and name not in self.__dict__:
+            raise AttributeError(f"{name} of a model cannot be set during an episode: give it in sat_args or world_args")
+        super().__setattr__(name, value)
+
     def _advice(self, name: str) -> str:
         known = messages.advice(name) or nearest(name, self._names())
         return f"{type(self._whole).__name__} has no attribute {name!r}; {known}"
@@ -78,7 +84,10 @@ class ModelView:
         if isinstance(member, property | cached_property):
             if ours or isinstance(member, observable):
                 value = getattr(self._whole, name)
-                return (lambda: of_row(value(), self._row)) if callable(value) else of_row(value, self._row)
+                if callable(value):
+                    return lambda: of_row(value(), self._row)
+                mine = of_row(value, self._row)
+                return mine.tolist() if name in messages.LISTS else mine
             function: Any = member.fget if isinstance(member, property) else member.func
             return function(self)
         if not callable(member) or isinstance(member, staticmethod | classmethod | type):
@@ -124,7 +133,7 @@ class ModelView:
 
 
 class SatelliteModelView(ModelView):
-    """A model of one satellite."""
+    """A model of one satellite; arguments that bsk_rl's model keeps are attributes."""
 
     def __init__(self, satellite: Any, whole: Any, row: int) -> None:
         """View the model of a satellite."""
@@ -132,6 +141,16 @@ class SatelliteModelView(ModelView):
         self.__dict__["satellite"] = satellite
 
     satellite: Any
+
+    def __getattr__(self, name: str) -> Any:
+        """Return an argument that bsk_rl's model keeps, or another attribute."""
+        if name in messages.KEPT and name in self._arguments():
+            return self.satellite.sat_args[name]
+        return super().__getattr__(name)
+
+    def _arguments(self) -> Any:
+        """Return the names of the model's arguments."""
+        return {arg.name for component in type(self._whole).all_components() for arg in component.args}
 
     @property
     def logger(self) -> Any:
@@ -154,14 +173,9 @@ class DynamicsView(SatelliteModelView):
         return self.simulator.sim_rate
 
     @property
-    def mu(self) -> float:
-        """Gravitational parameter of the orbital elements, m^3/s^2."""
-        return self.satellite.sat_args["mu"]
-
-    @property
-    def min_orbital_radius(self) -> float:
-        """Least distance from the Earth's centre that the satellite survives, m."""
-        return self.satellite.sat_args["min_orbital_radius"]
+    def eclipse_index(self) -> int:
+        """Number of the satellite's message in ``world.eclipseObject.eclipseOutMsgs``."""
+        return self.simulator.satellites.index(self.satellite)
 
     @property
     def conjunctions(self) -> list[Any]:
@@ -312,6 +326,18 @@ class WorldView(ModelView):
     def simulator(self) -> Simulator:
         """The simulation of the episode."""
         return self.__dict__["_simulator"]
+
+    def __getattr__(self, name: str) -> Any:
+        """Return an argument that bsk_rl's world keeps, or another attribute."""
+        args = self.simulator.world_args
+        return args[name] if name in messages.KEPT and name in args else super().__getattr__(name)
+
+    @property
+    def eclipseObject(self) -> Any:
+        """Basilisk's eclipse module, with the satellites' messages; AttributeError in a world without eclipses."""
+        if all(component.slot != "eclipse" for component in type(self._whole).all_components()):
+            raise AttributeError(self._advice("eclipseObject"))
+        return messages.Eclipses(self)
 
     @property
     def gravFactory(self) -> Any:

@@ -17,6 +17,9 @@ from bsk_torch.vec3 import Vec3
 LOWEST_PERIAPSIS, HIGHEST_APOAPSIS = 6.35e6, 1e9
 """Bounds of the radii of initial orbits, m: the Earth's polar radius is 6.357e6, and the Moon, which is not modeled, at 4e8."""
 
+FARTHEST = 1e12
+"""Largest initial distance from the Earth's center of a satellite that is not in orbit, m."""
+
 DENSEST_AIR = 10.0
 """Largest density, kg/m^3, at an initial position."""
 
@@ -57,12 +60,12 @@ def check_orbits(values: Mapping[str, Any], orbit: str) -> None:
 def _check_start(values: Mapping[str, Any], r: Vec3) -> None:
     """Raise ValueError for an initial position, m, below the surface or too far away."""
     radius = r.norm()
-    wrong = ~((radius >= LOWEST_PERIAPSIS) & (radius <= HIGHEST_APOAPSIS))
+    wrong = ~((radius >= LOWEST_PERIAPSIS) & (radius <= FARTHEST))
     if bool(wrong.any()):
         given = "rN is" if values["oe"] is None else "oe is a position"
         raise ValueError(
             f"sat_args: {given} {_first(radius, wrong) / 1e3:.6g} km from the Earth's center; allowed are "
-            f"{LOWEST_PERIAPSIS / 1e3:g} km, its surface, to {HIGHEST_APOAPSIS / 1e3:g} km"
+            f"{LOWEST_PERIAPSIS / 1e3:g} km, its surface, to {FARTHEST / 1e3:g} km"
         )
 
 

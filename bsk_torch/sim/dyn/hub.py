@@ -276,7 +276,7 @@ HUB = Component(
         Arg("sigma_init", Uniform(0.0, 1.0, 3), "-", "initial attitude, MRP of B relative to N", "vector", -1e6, 1e6),
         Arg("omega_init", Uniform(-1e-4, 1e-4, 3), "rad/s", "initial body rate in B", "vector", -1e3, 1e3),
         Arg("oe", random_orbit(), "m, -, rad", "initial orbit as elements a, e, i, Omega, omega, f", kind="orbit"),
-        Arg("rN", None, "m", "initial position, instead of oe", "vector", -1e9, 1e9),
+        Arg("rN", None, "m", "initial position, instead of oe", "vector", -1e12, 1e12),
         Arg("vN", None, "m/s", "initial velocity, instead of oe", "vector", -1e6, 1e6),
         Arg("mu", MU_EARTH, "m^3/s^2", "gravitational parameter that converts oe", low=1.0, high=1e20),
         Arg("min_orbital_radius", 6578136.6, "m", "a spacecraft at or below this radius dies", low=0.0),

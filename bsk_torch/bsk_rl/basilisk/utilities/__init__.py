@@ -1,5 +1,5 @@
-"""Units and orbital elements."""
+"""Units, orbital elements and attitudes."""
 
-from bsk_torch.bsk_rl.basilisk.utilities import macros, orbitalMotion
+from bsk_torch.bsk_rl.basilisk.utilities import RigidBodyKinematics, macros, orbitalMotion
 
-__all__ = ["macros", "orbitalMotion"]
+__all__ = ["RigidBodyKinematics", "macros", "orbitalMotion"]
