@@ -143,19 +143,24 @@ def _angles(sequence: str) -> tuple[Convert, Convert]:
 SEQUENCES = ["".join(s) for s in itertools.product("123", repeat=3) if s[0] != s[1] != s[2]]
 """The twelve sequences of Euler angles."""
 
-TO_EP: dict[str, Convert] = {"EP": np.array, "C": C2EP, "MRP": MRP2EP, "PRV": _PRV2EP, "gibbs": _gibbs2EP} | {
-    f"euler{sequence}": _angles(sequence)[0] for sequence in SEQUENCES
-}
+
+def _gibbs(q: ArrayLike) -> np.ndarray:
+    scalar, *vector = np.asarray(q, dtype=float)
+    return np.asarray(vector) / scalar
+
+
+def _as_array(q: ArrayLike) -> np.ndarray:
+    return np.array(q, dtype=float)
+
+
+TO_EP: dict[str, Convert] = {"EP": _as_array, "C": C2EP, "MRP": MRP2EP, "PRV": _PRV2EP, "gibbs": _gibbs2EP}
 """Conversions to Euler parameters by the first name in ``A2B``."""
 
-FROM_EP: dict[str, Convert] = {
-    "EP": np.array,
-    "C": EP2C,
-    "MRP": EP2MRP,
-    "PRV": _EP2PRV,
-    "Gibbs": lambda q: np.asarray(q)[1:] / np.asarray(q)[0],
-} | {f"Euler{sequence}": _angles(sequence)[1] for sequence in SEQUENCES}
+FROM_EP: dict[str, Convert] = {"EP": _as_array, "C": EP2C, "MRP": EP2MRP, "PRV": _EP2PRV, "Gibbs": _gibbs}
 """Conversions from Euler parameters by the second name in ``A2B``."""
+
+for _sequence in SEQUENCES:
+    TO_EP[f"euler{_sequence}"], FROM_EP[f"Euler{_sequence}"] = _angles(_sequence)
 
 CONVERSIONS = {f"{a}2{b}": (TO_EP[a], FROM_EP[b]) for a in TO_EP for b in FROM_EP if a.lower() != b.lower()}
 
