@@ -136,12 +136,11 @@ def test_the_shadow_factor_is_read_from_its_message():
 
 
 def test_satellites_may_be_beyond_the_moon():
-    far = SatelliteTasking(
-        Drifter("D", dict(oe=None, rN=[2.4e9, 0.0, 0.0], vN=[0.0, 400.0, 0.0])), time_limit=60.0, backend="eager"
-    )
+    start = dict(oe=None, rN=[2.4e9, 0.0, 0.0], vN=[0.0, 400.0, 0.0])
+    far = SatelliteTasking(Drifter("D", start), time_limit=60.0, backend="eager")
     far.reset(seed=0)
     far.step(0)
-    assert far.satellite.dynamics.r_BN_N == pytest.approx([2.4e9, 24000.0, 0.0], abs=0.2)  # drawn by the wheels by 1e-7 m/s^2
+    assert far.satellite.dynamics.r_BN_N == pytest.approx([2.4e9, 24000.0, 0.0], abs=0.5)  # it falls by 0.12 m
 
 
 @pytest.mark.parametrize(
