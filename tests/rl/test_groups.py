@@ -158,7 +158,7 @@ def collected(request, tmp_path_factory):
 
 
 def weights(group):
-    return [part.detach().clone() for part in group.loss.parameters()]
+    return [part.detach().clone() for network in (group.acting, group.critic) for part in network.parameters()]
 
 
 @pytest.mark.compiled

@@ -24,7 +24,6 @@ from tensordict.nn import TensorDictModule, TensorDictModuleBase
 from torch import Tensor
 from torchrl.modules import MaskedCategorical, ProbabilisticActor, ValueOperator
 from torchrl.modules.value_norm import ValueNorm
-from torchrl.objectives import IPPOLoss, MAPPOLoss
 from torchrl.objectives.value import MultiAgentGAE
 
 from bsk_torch.env import ConstellationTasking, SatelliteTasking
@@ -40,8 +39,8 @@ from bsk_torch.rl.rules.continuous import Bounds
 from bsk_torch.rl.rules.targets import image_actions
 from bsk_torch.rl.training.advantages import FINAL, estimate_advantages, final, standardize
 from bsk_torch.rl.training.config import EVALUATE_EVERY, PPOConfig
-from bsk_torch.rl.training.imitation import TAUGHT, imitation_loss, taught_actions
-from bsk_torch.rl.training.ppo import REPORTED, Learner, there
+from bsk_torch.rl.training.imitation import TAUGHT, taught_actions
+from bsk_torch.rl.training.ppo import REPORTED, Learner, averages, there
 from bsk_torch.rl.training.trainer import VALIDATION, Training
 from bsk_torch.sim.arguments.values import nearest
 
@@ -56,8 +55,8 @@ CRITIC_WIDTH = 32
 LEARNED_FROM = ("seen", DECIDES, "action_mask", "action", "action_log_prob", "advantage", "value_target")
 """Keys of a batch that gradient steps need."""
 
-LOSSES: dict[str, type[MAPPOLoss]] = {"mappo": MAPPOLoss, "ippo": IPPOLoss}
-"""Algorithms by name."""
+CRITICS = ("mappo", "ippo")
+"""Algorithms, by what their critics observe: all satellites, or the one that is judged."""
 
 
 @dataclass(frozen=True)
@@ -91,8 +90,8 @@ class MAPPOConfig(PPOConfig):
     def __post_init__(self) -> None:
         """Raise the errors of :class:`PPOConfig`, and ValueError for unknown algorithms and networks."""
         super().__post_init__()
-        if self.algorithm not in LOSSES:
-            raise ValueError(f"algorithm={self.algorithm!r} must be one of {sorted(LOSSES)}; {nearest(self.algorithm, LOSSES)}")
+        if self.algorithm not in CRITICS:
+            raise ValueError(f"algorithm={self.algorithm!r} must be one of {sorted(CRITICS)}; {nearest(self.algorithm, CRITICS)}")
         if self.network != "attention":
             raise ValueError(f"network={self.network!r}: constellations learn with 'attention'")
 
@@ -221,7 +220,7 @@ class GroupLearner(Learner):
             judge = Clocked(ConstellationCritic(n_own + CLOCKS, n_features, CRITIC_WIDTH, sees_all, sizes))
         keys = list(self.networks.normaliser.out_keys)
         parts = [("seen", "others", name, part) for name, plan in plans.items() for part in observed_parts(plan)]
-        self.critic = ValueOperator(judge, in_keys=[*keys, ALIVE, *parts, CLOCK]).to(env.device)
+        critic = ValueOperator(judge, in_keys=[*keys, ALIVE, *parts, CLOCK]).to(env.device)
         self.bounds: Bounds = getattr(self.plan, "bounds", ())
         acting = DecidingOnly(self.networks.actor[0].module)
         if self.bounds:
@@ -233,17 +232,7 @@ class GroupLearner(Learner):
                 distribution_class=MaskedCategorical,
                 return_log_prob=True,
             )
-        self.loss = LOSSES[config.algorithm](
-            actor,
-            self.critic,
-            clip_epsilon=config.clip,
-            entropy_coeff=config.entropy,
-            normalize_advantage=False,
-            loss_critic_type="l2",
-        )
-        self.loss.loss_mask_key = DECIDES
-        self.acting = actor
-        self.optimiser = torch.optim.Adam(self.loss.parameters(), config.learning_rate, eps=1e-5)
+        self._learn_by(actor, critic)
 
     def make_plan(self, env: SatelliteTasking) -> Plan:
         """See :meth:`Learner.make_plan`."""
@@ -257,9 +246,9 @@ class GroupLearner(Learner):
             logger.warning("%s; these satellites learn by themselves", error)
             return None
 
-    def imitation_loss(self, sample: TensorDictBase) -> Tensor:
-        """See :meth:`Learner.imitation_loss`."""
-        return imitation_loss(self.acting, sample, sample[DECIDES])
+    def counts(self, sample: TensorDictBase) -> Tensor:
+        """See :meth:`Learner.counts`: those of satellites that decided."""
+        return sample[DECIDES]
 
     def normalise(self, batch: TensorDictBase) -> None:
         """Write what is ``seen`` into the situations of a batch [N, T]."""
@@ -287,18 +276,9 @@ class GroupLearner(Learner):
         if self.imitates:
             team[TAUGHT] = taught_actions(self.teacher, _asked(batch[self.group], team))
             keys = [*keys, TAUGHT]
-        self.buffer.empty()
-        self.buffer.extend(team.select(*keys).reshape(-1))
-        steps = self.config.epochs * (self.config.batch // self._minibatch)
-        samples = (self.buffer.sample() for _ in range(steps))
+        samples = self._samples(team.select(*keys).reshape(-1))
         reports = [self._descend(sample) for sample in samples if bool(sample[DECIDES].any())]
-        if not reports:
-            return {"decisions": 0}
-        report = dict(zip(REPORTED, torch.stack(reports).mean(0).tolist(), strict=True))
-        share = float(team[DECIDES].float().mean())
-        return (
-            report | {name: report[name] / share for name in ("entropy", "kl_approx", "clip_fraction")} | {"decisions": decisions}
-        )
+        return averages(reports) | {"decisions": decisions} if reports else {"decisions": 0}
 
 
 def _asked(agents: TensorDictBase, team: TensorDictBase) -> TensorDict:

@@ -17,7 +17,7 @@ from bsk_torch.presets import PRESETS, make
 from bsk_torch.rl.evaluation.comparison import compare
 from bsk_torch.rl.evaluation.evaluate import FRESH, evaluate
 from bsk_torch.rl.evaluation.results import EVALUATION, print_results, save_results
-from bsk_torch.rl.marl.mappo import LOSSES, MAPPOConfig, MAPPOTraining
+from bsk_torch.rl.marl.mappo import CRITICS, MAPPOConfig, MAPPOTraining
 from bsk_torch.rl.networks.plans import check_network
 from bsk_torch.rl.policies.files import LOGS, plain
 from bsk_torch.rl.policies.shared_policy import shared
@@ -29,7 +29,7 @@ from bsk_torch.sim.arguments.values import nearest
 PPO = "ppo"
 """Algorithm for one satellite."""
 
-ALGORITHMS = (PPO, *LOSSES)
+ALGORITHMS = (PPO, *CRITICS)
 """Algorithms by which policies are trained."""
 
 COMPARED = 256
@@ -70,7 +70,7 @@ def configure(preset: str, network: str | None = None, algorithm: str | None = N
     if algorithm not in ALGORITHMS:
         raise ValueError(f"algorithm={algorithm!r} must be one of {', '.join(ALGORITHMS)}; {nearest(algorithm, ALGORITHMS)}")
     if many == (algorithm == PPO):
-        has, fitting = ("many satellites", " or ".join(LOSSES)) if many else ("one satellite", PPO)
+        has, fitting = ("many satellites", " or ".join(CRITICS)) if many else ("one satellite", PPO)
         raise ValueError(f"algorithm={algorithm!r} does not train {preset}, which has {has}; use {fitting}")
     recipe, options = recipe_of(preset, network, changes.pop("options", {}))
     has_sets = preset not in PRESETS or "as_set" in inspect.signature(PRESETS[preset]).parameters

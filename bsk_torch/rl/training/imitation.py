@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import torch
 from tensordict import TensorDictBase
-from tensordict.nn import ProbabilisticTensorDictSequential, TensorDictModuleBase
+from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
 from bsk_torch.env import SatelliteTasking
 from bsk_torch.env.action_forms import form
 from bsk_torch.rl.rules.baselines import BASELINES
+from bsk_torch.rl.training.loss import log_probabilities, log_probability
 from bsk_torch.sim.arguments.values import nearest
 
 TEACHERS = tuple(name for name in BASELINES if name != "random")
@@ -49,7 +50,10 @@ def taught_actions(teacher: TensorDictModuleBase, situations: TensorDictBase) ->
     return teacher(asked)["action"].view(situations.batch_size)
 
 
-def imitation_loss(actor: ProbabilisticTensorDictSequential, sample: TensorDictBase, counts: Tensor | None = None) -> Tensor:
-    """Return the mean negative log-probability of what was taught, over all decisions or those that ``counts`` marks."""
-    surprise = -actor.get_dist(sample).log_prob(sample[TAUGHT])
+def imitation_loss(sample: TensorDictBase, counts: Tensor | None = None) -> Tensor:
+    """Return the mean negative log-probability of what was taught, over all decisions or those that ``counts`` marks.
+
+    ``sample`` has the actor's logits [..., A], ``action_mask`` [..., A] and :data:`TAUGHT` [...].
+    """
+    surprise = -log_probability(log_probabilities(sample["logits"], sample["action_mask"]), sample[TAUGHT])
     return surprise.mean() if counts is None else surprise[counts].mean()

@@ -5,17 +5,16 @@ See :mod:`~bsk_torch.rl.training.advantages` for the returns of decisions that l
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
 import torch
 from tensordict import TensorDictBase
-from tensordict.nn import TensorDictModuleBase
+from tensordict.nn import ProbabilisticTensorDictSequential, TensorDictModuleBase
 from torch import Tensor, nn
-from torchrl.data import LazyTensorStorage, ReplayBuffer, SamplerWithoutReplacement
 from torchrl.modules import set_recurrent_mode
-from torchrl.objectives import ClipPPOLoss
 
 from bsk_torch.env import SatelliteTasking
 from bsk_torch.rl.networks.normaliser import CLOCK
@@ -25,9 +24,13 @@ from bsk_torch.rl.training.advantages import FINAL, estimate_advantages, final, 
 from bsk_torch.rl.training.collect import COLLECTED_CLOCK
 from bsk_torch.rl.training.config import SCHEDULES, PPOConfig
 from bsk_torch.rl.training.imitation import TAUGHT, find_teacher, imitation_loss, taught_actions
+from bsk_torch.rl.training.loss import Terms, clipped_loss
 
 REPORTED = ("entropy", "kl_approx", "clip_fraction", "explained_variance", "loss_critic")
-"""Logged entries of the loss."""
+"""Logged terms of the loss."""
+
+LEARNED = ("acting", "critic", "optimiser", "value_norm")
+"""Attributes of a learner that checkpoints keep."""
 
 LEARNED_FROM = ("seen", "action_mask", "action", "action_log_prob", "advantage", "value_target")
 """Keys of a batch that gradient steps need; real numbers as actions have no mask."""
@@ -37,6 +40,11 @@ def there(keys: Iterable[str], batch: TensorDictBase) -> list[str]:
     """Return the keys without ``"action_mask"`` where a batch has none."""
     masked = "action_mask" in batch.keys()  # noqa: SIM118  - a tensordict
     return [key for key in keys if masked or key != "action_mask"]
+
+
+def averages(reports: Sequence[Tensor]) -> dict[str, float]:
+    """Return means over gradient steps of the terms of the loss, [R] each, by name."""
+    return dict(zip(Terms._fields, torch.stack(list(reports)).mean(0).tolist(), strict=True))
 
 
 class Learner:
@@ -50,24 +58,18 @@ class Learner:
         self.config = config
         self.plan = self.make_plan(env)
         self.networks: Networks = self.plan.build().to(env.device)
-        self.loss = ClipPPOLoss(
-            self.networks.actor,
-            self.networks.critic,
-            clip_epsilon=config.clip,
-            entropy_coeff=config.entropy,
-            normalize_advantage=True,
-            loss_critic_type="l2",
-        )
+        self.entropy_coefficient = config.entropy
         self.value_norm = make_value_norm().to(env.device)
         self.teacher = self.make_teacher(env)
         self.imitates = False
-        self.optimiser = torch.optim.Adam(self.loss.parameters(), config.learning_rate, eps=1e-5)
         self.recurrent = self.networks.unit is not None
-        self.buffer = ReplayBuffer(
-            storage=LazyTensorStorage(config.batch // self._length, device=env.device),
-            sampler=SamplerWithoutReplacement(),
-            batch_size=self._minibatch // self._length,
-        )
+        self._learn_by(self.networks.actor, self.networks.critic)
+
+    def _learn_by(self, actor: ProbabilisticTensorDictSequential, critic: TensorDictModuleBase) -> None:
+        """Begin to learn the weights of an actor and a critic."""
+        self.acting, self.critic = actor, critic
+        self.weights = [list(part.parameters()) for part in (actor, critic)]
+        self.optimiser = torch.optim.Adam(chain(*self.weights), self.config.learning_rate, eps=1e-5, fused=True)
 
     def make_plan(self, env: SatelliteTasking) -> Plan:
         """Return how the networks for an environment are built; ValueError if it does not fit them."""
@@ -92,11 +94,6 @@ class Learner:
         return float(self.optimiser.param_groups[0]["lr"])
 
     @property
-    def entropy_coefficient(self) -> float:
-        """Present weight of the entropy."""
-        return float(self.loss.entropy_coeff)
-
-    @property
     def policy(self) -> TensorDictModuleBase:
         """The present policy; it continues to learn during training."""
         return self.networks.policy
@@ -118,24 +115,21 @@ class Learner:
         config = self.config
         self.imitates = self.teacher is not None and fraction < config.imitation
         self.optimiser.param_groups[0]["lr"] = config.learning_rate * SCHEDULES[config.learning_rate_schedule](fraction)
-        self.loss.entropy_coeff.fill_(config.entropy * SCHEDULES[config.entropy_schedule](fraction))
+        self.entropy_coefficient = config.entropy * SCHEDULES[config.entropy_schedule](fraction)
 
     def state_dict(self) -> dict[str, Any]:
         """Networks, normalizers and optimizer."""
-        return {name: getattr(self, name).state_dict() for name in ("loss", "optimiser", "value_norm")} | {
-            NORMALISER: self.networks.normaliser.state_dict()
-        }
+        return {name: getattr(self, name).state_dict() for name in LEARNED} | {NORMALISER: self.networks.normaliser.state_dict()}
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
         """Restore what :meth:`state_dict` returned; RuntimeError, ValueError or KeyError if it does not fit."""
-        self.loss.load_state_dict(state["loss"])
-        self.optimiser.load_state_dict(state["optimiser"])
+        for name in LEARNED:
+            getattr(self, name).load_state_dict(state[name])
         for weight, moments in self.optimiser.state.items():  # the optimizer itself does not look at shapes
             for name, value in moments.items():
                 if isinstance(value, Tensor) and value.ndim and value.shape != weight.shape:
                     raise ValueError(f"{name} has shape {tuple(value.shape)}, its weight {tuple(weight.shape)}")
         self.networks.normaliser.load_state_dict(state[NORMALISER])
-        self.value_norm.load_state_dict(state["value_norm"])
 
     def clock(self, situations: TensorDictBase) -> Tensor:
         """Return the clock of ``situations``, [..., 2], as the critic sees it.
@@ -148,7 +142,7 @@ class Learner:
         return clock
 
     def learn(self, batch: TensorDictBase) -> dict[str, float]:
-        """Several passes over a batch [N, T]; means of the reported entries of the loss."""
+        """Several passes over a batch [N, T]; means of the terms of the loss."""
         config = self.config
         for situations in (batch, batch["next"]):
             self.networks.normaliser(situations)
@@ -156,7 +150,7 @@ class Learner:
         batch["next", FINAL] = final(batch, config.beyond_limit)
         estimate_advantages(
             batch,
-            self.networks.critic,
+            self.critic,
             config.gamma,
             config.lmbda,
             config.reward_time,
@@ -164,32 +158,39 @@ class Learner:
             value_norm=self.value_norm,
         )
         standardize(batch, self.value_norm)
-        self.buffer.empty()
         keys = [*there(LEARNED_FROM, batch), *((MEMORY, INIT) if self.recurrent else ())]
         if self.imitates:
             batch[TAUGHT] = taught_actions(self.teacher, batch)
             keys.append(TAUGHT)
         learned = batch.select(*keys)
-        self.buffer.extend(learned if self.recurrent else learned.reshape(-1))
-        steps = config.epochs * (config.batch // self._minibatch)
         with set_recurrent_mode(self.recurrent):
-            reports = [self._descend(self.buffer.sample()) for _ in range(steps)]
+            reports = [self._descend(sample) for sample in self._samples(learned if self.recurrent else learned.reshape(-1))]
         self.networks.normaliser.update(batch)  # afterwards: networks learn from what they saw when they decided
-        means = torch.stack(reports).mean(0)
-        return dict(zip(REPORTED, means.tolist(), strict=True))
+        return averages(reports)
+
+    def _samples(self, learned: TensorDictBase) -> Iterator[TensorDictBase]:
+        """Yield the samples of all gradient steps: every pass visits each decision once, in random order."""
+        size = self._minibatch // self._length
+        count = len(learned) // size
+        for _ in range(self.config.epochs):
+            order = torch.randperm(len(learned))[: count * size].to(learned.device)
+            for rows in order.view(count, size):
+                yield learned[rows]
+
+    def counts(self, sample: TensorDictBase) -> Tensor | None:
+        """Return which decisions of a sample count; None for all."""
+        return None
 
     def _descend(self, sample: TensorDictBase) -> Tensor:
-        """Take a gradient step; return the reported entries of the loss, [R]."""
-        losses = self.loss(sample)
-        acting = self.imitation_loss(sample) if self.imitates else losses["loss_objective"] + losses["loss_entropy"]
+        """Take a gradient step; return the terms of the loss, [R]."""
+        counts = self.counts(sample)
+        terms = clipped_loss(self.acting, self.critic, sample, self.config.clip, counts)
+        played = terms.objective - self.entropy_coefficient * terms.entropy
+        acting = imitation_loss(sample, counts) if self.imitates else played
         self.optimiser.zero_grad()
-        (acting + losses["loss_critic"]).backward()
+        (acting + terms.loss_critic).backward()
         # clipped one by one, so that errors of values do not slow the actor
-        for part in (self.loss.actor_network_params, self.loss.critic_network_params):
-            nn.utils.clip_grad_norm_(part.parameters(), self.config.gradient_norm)
+        for weights in self.weights:
+            nn.utils.clip_grad_norm_(weights, self.config.gradient_norm)
         self.optimiser.step()
-        return torch.stack([losses[name].detach().mean().float() for name in REPORTED])
-
-    def imitation_loss(self, sample: TensorDictBase) -> Tensor:
-        """See :func:`~bsk_torch.rl.training.imitation.imitation_loss`."""
-        return imitation_loss(self.networks.actor, sample)
+        return torch.stack([value.detach() for value in terms])
