@@ -5,6 +5,7 @@ from __future__ import annotations
 import signal
 import time
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from functools import partial
 from importlib.util import find_spec
 from multiprocessing import parent_process
@@ -225,6 +226,57 @@ def make_collector(
     from torchrl.collectors.distributed import RayCollector
 
     return RayCollector(starts, actor, sync=True, num_collectors=count, collector_kwargs=each, **common)
+
+
+class Batches:
+    """The batches of a collector, the next of which may be collected while one is learned from.
+
+    With ``config.ahead`` the weights are sent and the next batch begins when one is taken. Its decisions are therefore by the
+    policy before the update that learns from the batch taken, exactly one update old in every iteration. Nothing depends on
+    how fast either side is.
+    """
+
+    def __init__(
+        self, collector: BaseCollector, ahead: bool, renew: Callable[[], object], begun: TensorDictBase | None = None
+    ) -> None:
+        """Prepare the first batch.
+
+        Args:
+            collector: Collects.
+            ahead: Whether it collects while a batch is learned from. Its policy must then be a copy: other processes share the
+                memory of the weights, and would act by every gradient step.
+            renew: Copies the present weights into that policy.
+            begun: What :meth:`newest` returned, to resume from it.
+        """
+        self.collector, self.ahead, self.renew, self._iterator = collector, ahead, renew, iter(collector)
+        self._thread = ThreadPoolExecutor(1, "collect")
+        self._next: Future[TensorDictBase] = Future()
+        if begun is not None:
+            self._next.set_result(begun)
+        elif self.ahead:
+            self._next = self._thread.submit(self._collect)
+
+    def _collect(self) -> TensorDictBase:
+        return merged(next(self._iterator))
+
+    def take(self) -> TensorDictBase:
+        """Return a batch [N, T], and begin the next with the present weights if batches are collected ahead."""
+        if not self.ahead:
+            update_weights(self.collector)
+            return self._collect()
+        batch = self._next.result()
+        self.renew()
+        update_weights(self.collector)
+        self._next = self._thread.submit(self._collect)
+        return batch
+
+    def newest(self, taken: TensorDictBase) -> TensorDictBase:
+        """Return the batch that was collected last, when it is complete: the one after ``taken``, or that itself."""
+        return self._next.result() if self.ahead else taken
+
+    def close(self) -> None:
+        """Wait for a batch that is being collected; it is dropped."""
+        self._thread.shutdown()
 
 
 def merged(batch: TensorDictBase) -> TensorDictBase:

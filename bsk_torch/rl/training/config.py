@@ -127,6 +127,8 @@ class PPOConfig:
         collector: ``"single"`` process, ``"multi"`` for TorchRL's MultiSyncCollector on this machine, ``"ray"`` for its
             RayCollector on a cluster.
         workers: Processes of the last two; episodes and decisions are shared out among them.
+        ahead: Whether these collect the next batch while one is learned from, so that no core waits. Every batch is then by a
+            policy that is exactly one update old; results do not depend on speed, and resume bit for bit.
         options: Arguments of the environment that differ from the preset's.
     """
 
@@ -160,6 +162,7 @@ class PPOConfig:
     loggers: tuple[str, ...] = ("csv",)
     collector: str = "single"
     workers: int = 2
+    ahead: bool = False
     options: dict[str, Any] = dataclasses.field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -182,7 +185,7 @@ class PPOConfig:
             _check_within(name, getattr(self, name), interval, optional=name == "seconds")
         for width in self.hidden:
             _check_whole("hidden", width, 1, WIDEST)
-        for name in ("stagger", "beyond_limit"):
+        for name in ("stagger", "beyond_limit", "ahead"):
             if not isinstance(getattr(self, name), bool):
                 raise ValueError(f"{name}={getattr(self, name)!r} must be True or False")
         for seed in (self.seed, self.seed + FRESH):
@@ -192,6 +195,8 @@ class PPOConfig:
         self._check_names()
         if self.collector != "single" and self.num_envs % self.workers:
             raise ValueError(f"num_envs={self.num_envs} cannot be shared out evenly among workers={self.workers}")
+        if self.ahead and self.collector == "single":
+            raise ValueError("ahead=True collects in other processes: it needs collector='multi' or 'ray'")
         if self.patience is not None and not self.evaluate_every:
             raise ValueError(f"patience={self.patience} needs evaluate_every")
 

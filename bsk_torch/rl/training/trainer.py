@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from tensordict import TensorDictBase
+from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
@@ -26,7 +26,7 @@ from bsk_torch.rl.networks.plans import MEMORY
 from bsk_torch.rl.policies.checksummed import load_checksummed, save_checksummed
 from bsk_torch.rl.policies.files import POLICY, plain
 from bsk_torch.rl.training.advice import hardships
-from bsk_torch.rl.training.collect import bookmarks, check_collector, make_collector, merged, update_weights
+from bsk_torch.rl.training.collect import Batches, bookmarks, check_collector, make_collector
 from bsk_torch.rl.training.config import CONFIG, PPOConfig, save_config
 from bsk_torch.rl.training.episodes import RecentEpisodes
 from bsk_torch.rl.training.lock import LOCK, FolderLock
@@ -39,7 +39,7 @@ logger = logging.getLogger(__name__)
 CHECKPOINT = "checkpoint.pt"
 """File of a run folder to resume from."""
 
-FIXED = ("preset", "algorithm", "network", "hidden", "num_envs", "collector", "workers", "seed", "options")
+FIXED = ("preset", "algorithm", "network", "hidden", "num_envs", "collector", "workers", "ahead", "seed", "options")
 """Settings that must not change when a run is resumed, because its checkpoint depends on them."""
 
 VALIDATION = 2_000_003
@@ -85,6 +85,7 @@ class Training:
             self.learner = self.make_learner()
             self.progress, self.recent = Progress(config), RecentEpisodes(config.num_envs, self.env.failure_penalty)
             self.marks: list[Any] | None = None
+            self.begun: TensorDictBase | None = None
             self.interrupted = False
             if saved is not None:
                 self._restore(saved)
@@ -151,10 +152,12 @@ class Training:
 
     def _train(self, shown: bool) -> None:
         self._warm_up()
+        actor = copy.deepcopy(self.actor) if self.config.ahead else self.actor
         with self._collecting():
-            collector = make_collector(self.config, self.env, self.actor, self.marks)
+            collector = make_collector(self.config, self.env, actor, self.marks)
         if self.marks is not None:
             torch.set_rng_state(self.generator)
+        batches = Batches(collector, self.config.ahead, lambda: actor.load_state_dict(self.actor.state_dict()), self.begun)
         try:
             with (
                 RunLog(self.out, self.config.loggers, self.progress.frames) as log,
@@ -163,9 +166,10 @@ class Training:
                 unbroken(),
             ):
                 self.progress.start()
-                self._loop(iter(collector), collector, log, bar, stop)
+                self._loop(batches, log, bar, stop)
                 self.interrupted = stop.is_set()
         finally:
+            batches.close()
             shut_down(collector)
 
     @contextmanager
@@ -182,25 +186,21 @@ class Training:
                 f"resume from the last checkpoint with: bsk-torch train {shlex.quote(str(self.out))} --resume"
             ) from error
 
-    def _loop(
-        self, batches: Iterator[TensorDictBase], collector: object, log: RunLog, bar: TrainingBar, stop: threading.Event
-    ) -> None:
+    def _loop(self, batches: Batches, log: RunLog, bar: TrainingBar, stop: threading.Event) -> None:
         while self.progress.fraction < 1.0:
             begin = time.perf_counter()
             with self._collecting():
-                batch = merged(next(batches))
+                batch = batches.take()
             row = {"iteration": self.iteration, "collect_seconds": time.perf_counter() - begin} | self._learn(batch)
             self.iteration += 1
             log.iteration(row)
             bar.show(self.progress, row, len(self.recent.ended))
-            with self._collecting():
-                update_weights(collector)
             if self._due(self.config.evaluate_every) or (self.config.evaluate_every and self.progress.fraction >= 1.0):
                 log.evaluated(self._judge())
             enough = self.config.patience is not None and self.best["waited"] >= self.config.patience
             last = stop.is_set() or enough or self.progress.fraction >= 1.0
             if last or self._due(self.config.checkpoint_every):
-                self._save(collector, batch, last)
+                self._save(batches, batch, last)
             if stop.is_set() or enough:
                 logger.info("stopped %s", "by the user" if stop.is_set() else "early: the return has not grown any more")
                 return
@@ -292,15 +292,17 @@ class Training:
 
     # -- checkpoints --------------------------------------------------------------------------------------------------
 
-    def _save(self, collector: Any, batch: TensorDictBase, last: bool) -> None:
+    def _save(self, batches: Batches, batch: TensorDictBase, last: bool) -> None:
         """Write a checkpoint from which a run continues bit for bit; it may fail unless it is the ``last`` one."""
         with self._collecting():
-            marks = bookmarks(collector, batch)
+            newest = batches.newest(batch)
+            marks = bookmarks(batches.collector, newest)
         kept = {
             "bsk_torch": __version__,
             **fixed(self.config),
             "learner": self.learner.state_dict(),
             "collected": marks,
+            "begun": newest.state_dict() if self.config.ahead else None,
             "generator": torch.get_rng_state(),
             "recent": self.recent.state_dict(),
             "progress": (self.progress.frames, self.progress.seconds, self.days, self.iteration),
@@ -327,6 +329,8 @@ class Training:
             self.progress.frames, self.progress.before, self.days, self.iteration = saved["progress"]
             self.marks, self.generator, self.best = saved["collected"], saved["generator"], saved["best"]
             torch.Generator().set_state(self.generator)
+            if self.config.ahead:
+                self.begun = TensorDict().load_state_dict(saved["begun"]).refine_names(..., "time")
             first = torch.zeros(1, dtype=torch.long)
             for mark in self.marks:  # which the collector restores in full
                 self.env.restore(mark["state"], first, first)
