@@ -2,12 +2,12 @@
 
 Usage:
     python benchmarks/own_environments.py [--seconds 90] [--frames 0] [--seeds 3] [--episodes 256] [--only NAME ...]
-        [--settings NAME=VALUE ...] [--out FILE.json]
+        [--settings NAME=VALUE ...] [--out FILE.json] [--figure FILE.png]
 
 Three environments as the how-to guides build them, see :data:`ENVIRONMENTS`: their rewards differ by a factor of a million, their
 episodes in length, in what is observed, and in whether the time limit truncates or terminates. Each is trained by
 ``configure(name)`` for the same time with several seeds, and compared with random actions and every constant action in the same
-fresh episodes. ``--settings beyond_limit=true`` shows what a setting does.
+fresh episodes. ``--figure`` draws the evaluations during training. ``--settings beyond_limit=true`` shows what a setting does.
 """
 
 from __future__ import annotations
@@ -28,6 +28,7 @@ from bsk_torch.presets import PRESETS
 from bsk_torch.rl.evaluation.evaluate import evaluate
 from bsk_torch.rl.policies.shared_policy import shared_baselines
 from bsk_torch.rl.training import configure, override
+from bsk_torch.rl.training.log import EVALUATIONS, read_log
 from bsk_torch.rl.training.trainer import Training
 
 ORBIT = 5700.0
@@ -179,16 +180,17 @@ def measure(name: str, options: Any) -> dict[str, Any]:
         for k in range(env.satellite.actions.n_actions)
     }
     best = max(constants, key=constants.__getitem__)
-    trained, half_widths, frames = [], [], []
+    trained, half_widths, curves = [], [], []
     for seed in range(options.seeds):
         config = configure(name, seed=seed, options=dict(world), **harness.budget(options))
         with tempfile.TemporaryDirectory() as folder:
             training = Training(override(config, options.settings), Path(folder) / "run")
             result = evaluate(training.run(), env, seed=JUDGED).mean_return
+            log = read_log(training.out / EVALUATIONS)
         trained.append(result.mean)
         half_widths.append(result.half_width)
-        frames.append(training.progress.frames)
-    found = {"random": random.mean, "constants": constants, "trained": trained, "half_widths": half_widths, "frames": frames}
+        curves.append({"frames": log["frames"], "return": log["return"]})
+    found = {"random": random.mean, "constants": constants, "trained": trained, "half_widths": half_widths, "curves": curves}
     return found | {
         "name": name,
         "limit": float(env.time_limit.max()),
@@ -199,11 +201,29 @@ def measure(name: str, options: Any) -> dict[str, Any]:
     }
 
 
+def draw(rows: list[dict[str, Any]], path: Path) -> None:
+    """Draw returns of evaluations over decisions, with those of random and constant actions."""
+    from bsk_torch.viz.figures import style
+
+    figure, panels = style.panels([2.0] * len(rows))
+    for panel, row in zip(panels, rows, strict=True):
+        for k, curve in enumerate(row["curves"]):
+            thousands = [frames / 1e3 for frames in curve["frames"]]
+            panel.plot(thousands, curve["return"], ".-", color=style.PALETTE[0], label=None if k else "trained, by seed")
+        panel.axhline(max(row["constants"].values()), color=style.PALETTE[1], label="best constant action")
+        panel.axhline(row["random"], color="0.5", linestyle="--", label="random actions")
+        style.label(panel, f"return in {row['name']}")
+    panels[0].legend(fontsize=7, loc="lower right", frameon=False)
+    panels[-1].set_xlabel("decisions learned from, thousands")
+    style.save(figure, path)
+
+
 def main() -> None:
     """Train, compare, and print a table."""
     parsed = harness.parser(__doc__, seconds=90.0, frames=0, seeds=3, episodes=256)
     parsed.add_argument("--only", nargs="+", choices=ENVIRONMENTS, default=list(ENVIRONMENTS), metavar="NAME")
     parsed.add_argument("--settings", nargs="+", default=[], metavar="NAME=VALUE", help="settings that differ from the defaults")
+    parsed.add_argument("--figure", type=Path, metavar="FILE.png", help="needs the extra viz")
     parsed.add_argument("--backend", choices=("compiled", "eager"), default="compiled")
     options, described = harness.begin(parsed)
     PRESETS.update(ENVIRONMENTS)
@@ -219,6 +239,8 @@ def main() -> None:
     }
     print(harness.table(columns, rows))
     harness.write(options, described, rows=rows)
+    if options.figure:
+        draw(rows, options.figure)
 
 
 if __name__ == "__main__":
