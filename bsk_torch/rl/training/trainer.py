@@ -330,7 +330,7 @@ class Training:
             self.marks, self.generator, self.best = saved["collected"], saved["generator"], saved["best"]
             torch.Generator().set_state(self.generator)
             if self.config.ahead:
-                self.begun = TensorDict().load_state_dict(saved["begun"]).refine_names(..., "time")
+                self.begun = TensorDict().load_state_dict(saved["begun"], strict=False).refine_names(..., "time")
             first = torch.zeros(1, dtype=torch.long)
             for mark in self.marks:  # which the collector restores in full
                 self.env.restore(mark["state"], first, first)
