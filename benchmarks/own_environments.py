@@ -189,7 +189,7 @@ def measure(name: str, options: Any) -> dict[str, Any]:
             log = read_log(training.out / EVALUATIONS)
         trained.append(result.mean)
         half_widths.append(result.half_width)
-        curves.append({"frames": log["frames"], "return": log["return"]})
+        curves.append({name: log.get(name, []) for name in ("frames", "return")})
     found = {"random": random.mean, "constants": constants, "trained": trained, "half_widths": half_widths, "curves": curves}
     return found | {
         "name": name,
