@@ -1,4 +1,4 @@
-"""Planners, policies that fly copies of the present episodes before they decide, and bounds on what they can reach."""
+"""Planners, policies that simulate copies of the current episodes before each decision, and bounds on returns."""
 
 from bsk_torch.plan.base_policies import base_of
 from bsk_torch.plan.beam import BeamSearch

@@ -1,4 +1,4 @@
-"""Table of the agents of an environment: one satellite and the agents of a constellation look alike to planners."""
+"""Table of the agents of an environment, a common interface for planners to single satellites and constellations."""
 
 from __future__ import annotations
 
@@ -15,23 +15,23 @@ from bsk_torch.rl.policies.shared_policy import member_views
 from bsk_torch.rl.rules.continuous import Bounds, bounds_of
 
 NO_AGENT = -1
-"""Number of the agent where none decides."""
+"""Index used when no agent decides."""
 
 
 class AgentTable:
-    """The S agents of each episode, in the order of their groups; an environment of one satellite has one.
+    """The S agents of each episode, in the order of their groups; a single-satellite environment has one.
 
     Attributes:
-        groups: Names of the groups; None stands for the root, in an environment of one satellite.
+        groups: Names of the groups; None for the root, in a single-satellite environment.
         sizes: Number of agents of each group.
-        n_actions: Number of actions that agents of each group choose from, 0 for real numbers.
-        bounds: Bounds of the real numbers of each group.
+        n_actions: Number of discrete actions of each group, 0 for continuous actions.
+        bounds: Bounds of the continuous actions of each group.
         most_actions: Largest number of actions A.
-        most_numbers: Largest number of real numbers W.
+        most_numbers: Largest length of a continuous action W.
     """
 
     def __init__(self, env: Tasking) -> None:
-        """ValueError for environments whose satellites are not separate agents, and for actions without finite bounds."""
+        """Read the agents of an environment; ValueError unless satellites are separate agents and bounds are finite."""
         views = member_views(env)
         self.groups: list[str | None] = list(views) if isinstance(env, ConstellationTasking) else [None]
         self.sizes = [len(env.group_map[name]) for name in views] if isinstance(env, ConstellationTasking) else [1]
@@ -53,7 +53,7 @@ class AgentTable:
     # -- reading ------------------------------------------------------------------------------------------------------
 
     def deciding(self, td: TensorDictBase) -> Tensor:
-        """Return who needs a task in episodes that have not ended, [N, S]."""
+        """Return the agents that need a task in episodes that have not ended, [N, S]."""
         alive = ~td["done"]
         if self.groups == [None]:
             return alive.clone()
@@ -61,7 +61,7 @@ class AgentTable:
         return torch.cat(parts, 1) & alive
 
     def legal(self, td: TensorDictBase) -> Tensor:
-        """Return the legal actions of every agent, [N, S, A]; none for real numbers."""
+        """Return the legal actions of every agent, [N, S, A]; all False for continuous actions."""
         parts = []
         for group, size, n in zip(self.groups, self.sizes, self.n_actions, strict=True):
             if n and group is None:
@@ -74,7 +74,7 @@ class AgentTable:
         return torch.cat(parts, 1)
 
     def chosen(self, td: TensorDictBase) -> Tensor:
-        """Return the numbers of the actions in ``td``, [N, S]; 0 for real numbers."""
+        """Return the discrete actions in ``td``, [N, S]; 0 for continuous actions."""
         parts = []
         for group, size, real in zip(self.groups, self.sizes, self.real, strict=True):
             action = self._action(td, group)
@@ -82,7 +82,7 @@ class AgentTable:
         return torch.cat(parts, 1)
 
     def numbers(self, td: TensorDictBase) -> Tensor:
-        """Return the real numbers of the actions in ``td``, [N, S, W]; 0 where there are fewer, or none."""
+        """Return the continuous actions in ``td``, [N, S, W], padded with 0; 0 for discrete actions."""
         parts = []
         for group, size, real in zip(self.groups, self.sizes, self.real, strict=True):
             if real:
@@ -94,7 +94,7 @@ class AgentTable:
 
     @staticmethod
     def at(table: Tensor, slot: Tensor) -> Tensor:
-        """Return the entries of a table [n, S, ...] of one agent in each row, ``slot`` [n]; those of the first for NO_AGENT."""
+        """Return the entries of a table [n, S, ...] for one agent per row, ``slot`` [n]; NO_AGENT selects the first agent."""
         return table[torch.arange(len(slot), device=slot.device), slot.clamp(min=0)]
 
     def _action(self, td: TensorDictBase, group: str | None) -> Tensor:
@@ -103,16 +103,16 @@ class AgentTable:
     # -- writing ------------------------------------------------------------------------------------------------------
 
     def actions(self, td: TensorDictBase) -> TensorDict:
-        """Return the actions in ``td`` alone, as copies."""
+        """Return copies of the actions in ``td``."""
         parts: dict[Any, Any] = {}
         for group in self.groups:
             parts |= {"action": td["action"].clone()} if group is None else {(group, "action"): td[group, "action"].clone()}
         return TensorDict(parts, td.batch_size, device=td.device)
 
     def put(self, td: TensorDictBase, slot: Tensor, value: Tensor, where: Tensor | None = None) -> None:
-        """Let the agent ``slot`` [N] of each row act by ``value``, numbers of actions [N] or real numbers [N, W].
+        """Write the action ``value`` of the agent ``slot`` [N] of each row, discrete [N] or continuous [N, W].
 
-        Nothing changes in rows where ``where`` [N] is false, or the slot is NO_AGENT.
+        Rows where ``where`` [N] is false, or the slot is NO_AGENT, remain unchanged.
         """
         for group, first, size, bounds in zip(self.groups, self.first, self.sizes, self.bounds, strict=True):
             old = self._action(td, group)
@@ -127,13 +127,13 @@ class AgentTable:
             td.set("action" if group is None else (group, "action"), new.squeeze(1) if group is None else new)
 
     def play(self, env: Tasking, td: TensorDictBase, moves: Tensor) -> TensorDictBase:
-        """Carry out the actions in ``td`` where ``moves`` [N] is true; return what follows."""
+        """Execute the actions in ``td`` where ``moves`` [N] is true; return the entries of ``next``."""
         if self.groups == [None]:
             return env.play(td["action"], moves)
         return env.play([td[group, "action"] for group in self.groups], moves)
 
     def neutral(self, td: TensorDictBase) -> None:
-        """Write the first legal action of everybody, or the real numbers nearest to zero."""
+        """Write the first legal action of every agent, or the continuous action nearest to zero."""
         for group, bounds in zip(self.groups, self.bounds, strict=True):
             at = td if group is None else td[group]
             if bounds:

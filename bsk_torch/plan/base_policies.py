@@ -15,23 +15,23 @@ from bsk_torch.rl.rules.baselines import BASELINES
 from bsk_torch.sim.arguments.values import nearest
 
 Base: TypeAlias = "TensorDictModuleBase | str | Path | None"
-"""A policy of all agents, its name, or its file; None for the first of :data:`USUAL` that fits."""
+"""A policy for all agents, its name, or its file; None for the first applicable rule of :data:`USUAL`."""
 
 USUAL = ("hasty", "rule", "survey", "drift", "random")
 """Rules, the best first."""
 
 
 def base_of(base: Base, env: Tasking) -> TensorDictModuleBase:
-    """Return the base policy of a planner, as it acts in ``env``.
+    """Return the base policy of a planner for all agents of ``env``.
 
     Args:
-        base: One of the ``BASELINES``, such as ``"hasty"``; the folder of a run, or a policy's file, that fits the environment;
-            a module that writes the actions of all agents; or None for the first rule of :data:`USUAL` that fits.
+        base: One of the ``BASELINES``, such as ``"hasty"``; a run folder or policy file for this environment; a module that
+            writes the actions of all agents; or None for the first applicable rule of :data:`USUAL`.
         env: The environment.
 
     Raises:
-        TypeError: For something else.
-        ValueError: For a name that is unknown, or a policy that does not fit.
+        TypeError: For anything else.
+        ValueError: For an unknown name, or a policy for another environment.
     """
     if isinstance(base, TensorDictModuleBase):
         return base

@@ -1,8 +1,9 @@
-"""Beam search: the best few sequences of actions, each judged by the base policy that flies on after it.
+"""Beam search over sequences of actions, each evaluated by continuing with the base policy.
 
-Source: the beam search of scheduling with the pilot method as its judge: S. Voss, A. Fink, C. Duin, "Looking ahead with the pilot
-method", Annals of Operations Research 136, 2005. As all sequences are judged over the same time, those whose actions take longer
-are comparable with others.
+Source: beam search of scheduling, evaluated by the pilot method: S. Voss, A. Fink, C. Duin, "Looking ahead with the pilot
+    method",
+Annals of Operations Research 136, 2005. All sequences are evaluated over the same time, so actions of different durations are
+comparable.
 """
 
 from __future__ import annotations
@@ -24,23 +25,23 @@ from bsk_torch.plan.tree_state import StateSummary
 
 
 class Beam:
-    """The sequences of R roots, at most W of each.
+    """The sequences of R roots, at most W for each.
 
     Attributes:
-        node: What :class:`~bsk_torch.plan.tree_state.StateSummary` has noted of their ends, [R, W].
-        place: Rows of the store in which their states are, [R, W]; those of extensions lie behind them.
-        valid: Which sequences there are, [R, W].
+        node: :class:`~bsk_torch.plan.tree_state.StateSummary` of their last states, [R, W].
+        place: Rows of the storing environment with their states, [R, W], followed by the rows of extensions.
+        valid: Existing sequences, [R, W].
         gained: Return of their steps, [R, W].
-        elapsed: Seconds that these took, [R, W].
-        path: Actions, [R, W, depth]; -1 behind the last one.
-        q: Best return of sequences that begin with an action, that of the base policy after them included, [R, A].
+        elapsed: Duration of these steps, [R, W] s.
+        path: Actions, [R, W, depth]; -1 after the last one.
+        q: Best return of the sequences starting with each action, including the base policy's return after them, [R, A].
         best_path: Actions of the best sequence, [R, depth].
-        best_worth: Its return, [R].
-        simulated: Simulated seconds, [R].
+        best_worth: Return of the best sequence, [R].
+        simulated: Simulated time, [R] s.
     """
 
     def __init__(self, root: TensorDictBase, width: int, share: int, depth: int, n_actions: int) -> None:
-        """Begin with ``root`` [R]; room for ``share`` extensions of each."""
+        """Start with ``root`` [R], with space for ``share`` extensions of each."""
         roots, device = len(root), root.device
         every = torch.arange(roots, device=device)
         self.share = share
@@ -54,21 +55,21 @@ class Beam:
         self.simulated = torch.zeros_like(self.best_worth)
 
     def number(self, r: Tensor) -> Tensor:
-        """Return the number of each extension [J] among those of its root ``r`` [J], which is in ascending order."""
+        """Return the index of each extension [J] among those of its root ``r`` [J], in ascending order."""
         first = torch.searchsorted(r, r)
         return torch.arange(len(r), device=r.device) - first
 
     def extend(
         self, level: int, edge: tuple[Tensor, Tensor, Tensor], number: Tensor, flown: Flown, discounting: Discounting
     ) -> tuple[Tensor, Tensor]:
-        """Continue with the best extensions; return their rows in the store, [k], and their current rows, [k].
+        """Continue with the best extensions; return their new and their current rows in the storing environment, [k] each.
 
         Args:
-            level: Actions of the sequences before.
+            level: Number of actions of the sequences before the extension.
             edge: Root, sequence and action of each extension, [J].
             number: See :meth:`number`.
-            flown: Their flights, [J].
-            discounting: How rewards are added up.
+            flown: Simulated branches, [J].
+            discounting: Discounting of rewards.
         """
         r, b, action = edge
         weight, none = discounting.after(self.elapsed[r, b]), torch.zeros_like(flown.rest)
@@ -97,17 +98,17 @@ class Beam:
         return self.place[self.valid], child[self.valid]
 
     def _table(self, r: Tensor, number: Tensor, value: Tensor) -> Tensor:
-        """Return values [J] of extensions as a table [R, share]; minus infinity where there is none."""
+        """Return values [J] of extensions as a table [R, share], padded with minus infinity."""
         table = torch.full((len(self.q), self.share), -torch.inf, dtype=torch.float64, device=r.device)
         table[r, number] = value
         return table
 
 
 class BeamSearch(Planner):
-    """Extends the best ``width`` sequences of actions by one action after the other, and takes the first action of the best.
+    """Planner that extends the best ``width`` sequences of actions step by step, and takes the first action of the best one.
 
-    A sequence is worth what it earns and what the base policy earns after it, up to the horizon. With ``depth=1`` this is
-    :class:`~bsk_torch.plan.Rollout`. The base policy's own action is kept unless another one is better.
+    The value of a sequence is its return plus the return of the base policy after it, up to the horizon. With ``depth=1``, this
+    is :class:`~bsk_torch.plan.Rollout`. The base policy's action is kept unless another one is better.
     """
 
     name: ClassVar[str] = "beam"
@@ -129,12 +130,12 @@ class BeamSearch(Planner):
         Args:
             env: The environment in which the planner acts.
             base: The base policy.
-            horizon: Seconds that branches last.
-            budget: Branches flown for a decision of one agent, an equal share of them in each depth, at least ``depth``:
-                the extensions that the prior prefers.
+            horizon: Length of branches, s.
+            budget: Number of branches simulated for a decision of one agent, divided equally among the depths, at least
+                ``depth``. The prior selects the extensions.
             width: Number of extended sequences.
-            depth: Length of the longest sequences, actions.
-            prior: Policy of all agents that selects the actions to try (default: the base policy).
+            depth: Maximum number of actions in a sequence.
+            prior: Policy for all agents that selects the actions to try (default: the base policy).
             **options: Further arguments of :class:`~bsk_torch.plan.planner.Planner`.
         """
         self.width, self.depth = whole("width", width, 1), whole("depth", depth, 1)
@@ -195,7 +196,7 @@ class BeamSearch(Planner):
         return jobs._replace(first=None, limit=None, carried=kept, judged=self._judged(beam.elapsed[r, b]))
 
     def _tried(self, beam: Beam, share: int) -> Tensor:
-        """Return the extensions to try, [R, W, A]: at most ``share`` of each root; those of the base policy first."""
+        """Return the extensions to try, [R, W, A], at most ``share`` per root, including those of the base policy."""
         legal, prior = beam.node["legal"] & beam.valid.unsqueeze(-1), beam.node["prior"]
         own = torch.nn.functional.one_hot(beam.node["mine"], legal.shape[-1]).bool()
         weight = torch.where(own, 1.0 + prior, prior).masked_fill(~legal, -1.0).flatten(1)

@@ -1,4 +1,4 @@
-"""Flights of copied episodes: the model of all planners is the environment itself, with other rows."""
+"""Simulation of branches, copies of episodes in another environment of the same kind; the model of all planners."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from bsk_torch.rl.networks.plans import MEMORY
 from bsk_torch.rl.rules.baselines import LOT
 
 Value = Callable[[TensorDictBase], TensorDictBase]
-"""Writes ``state_value`` [n, 1] into tensordicts [n] with observations: the discounted return that is to come."""
+"""Module that writes ``state_value`` [n, 1], the discounted future return, into tensordicts [n] with observations."""
 
 
 Watch = Callable[[TensorDictBase], TensorDictBase]
-"""Looks at observations [M], and returns what is to be known of them, [M]."""
+"""Function from observations [M] to the values to record, [M]."""
 
 
 @dataclass(frozen=True)
@@ -32,36 +32,36 @@ class Discounting:
 
     Attributes:
         gamma: Discount per second.
-        at_end: Whether the reward of a step comes at its end; else at its start.
+        at_end: Whether the reward of a step counts at its end; otherwise at its start.
     """
 
     gamma: float = 1.0
     at_end: bool = True
 
     def after(self, seconds: Tensor) -> Tensor:
-        """Return gamma^t after t seconds, of float64."""
+        """Return gamma^t after t seconds, float64."""
         return torch.full_like(seconds, self.gamma) ** seconds
 
     def before(self, reward: Tensor, seconds: Tensor, rest: Tensor) -> Tensor:
-        """Return G = gamma^t (r + G'), or r + gamma^t G', of a step of t seconds with the reward r before a return G'."""
+        """Return G = gamma^t (r + G'), or r + gamma^t G', for a step of t seconds with reward r, followed by a return G'."""
         factor = self.after(seconds)
         return factor * (reward + rest) if self.at_end else reward + factor * rest
 
 
 class Jobs(NamedTuple):
-    """Branches to be flown, J of them.
+    """J branches to simulate.
 
     Attributes:
-        rows: Rows of the environment that holds the states from which they begin, [J].
+        rows: Rows of the environment with the initial states, [J].
         env_ids: Indices of the episodes in draws, [J].
         slot: Agent whose actions are given, [J]; see :data:`bsk_torch.plan.agent_table.NO_AGENT`.
-        plan: Its first D actions: numbers of actions [J, D], or real numbers [J, D, W]. The base policy decides after them, and
-            in place of those that are illegal when their time comes, negative, or NaN.
-        first: Actions of all agents in the first step, [J]; those of the base policy if None.
-        limit: Ticks since reset at which branches are cut off, [J]; None for the ends of episodes.
-        carried: What the base policy remembers, [J]; None for nothing.
-        judged: Seconds after which the value network judges, 0 for the end of the first step, [J]; None for the jobs' limits, up
-            to which all rewards count.
+        plan: First D actions of the agent, discrete [J, D] or continuous [J, D, W]. The base policy decides after them, and
+            instead of actions that are illegal at their time, negative, or NaN.
+        first: Actions of all agents in the first step, [J]; None for those of the base policy.
+        limit: Ticks since reset at which branches are cut, [J]; None for the ends of episodes.
+        carried: Memory of the base policy, [J]; None for none.
+        judged: Time after which the value network evaluates the state, s, [J]; 0 for the end of the first step. None to count
+            all rewards up to the limit.
         decided: Branches that take the actions ``first``, [J] (default: all).
     """
 
@@ -77,16 +77,16 @@ class Jobs(NamedTuple):
 
 
 class Flown(NamedTuple):
-    """What the branches have come to, J of them.
+    """Results of J branches.
 
     Attributes:
         reward: Reward of the first step, [J].
-        seconds: How long it took, [J].
-        done: Whether the episode, or the time to look ahead, ended with it, [J].
-        rest: Return of what follows, discounted to the end of the first step, [J].
-        simulated: Simulated seconds, [J].
-        seen: What ``watch`` returned after the first step, [J]; None without it.
-        acted: The D first actions of the agent, [J, D, W], and how many of them it took, [J]; None unless they are real numbers.
+        seconds: Duration of the first step, [J] s.
+        done: Whether the episode or the look-ahead ended with the first step, [J].
+        rest: Return after the first step, discounted to its end, [J].
+        simulated: Simulated time, [J] s.
+        seen: Result of ``watch`` after the first step, [J]; None without it.
+        acted: For continuous actions, the first D actions of the agent, [J, D, W], and the number of executed ones, [J].
     """
 
     reward: Tensor
@@ -115,11 +115,11 @@ class Flown(NamedTuple):
 
 
 class Branches:
-    """Rows in which copies of episodes are flown: a given action or a few, then the base policy to the end of the look-ahead.
+    """Simulates copies of episodes: one or several given actions, then the base policy to the end of the look-ahead.
 
     Attributes:
-        model: The environment of the copies, M rows.
-        discounting: How rewards are added up.
+        model: The environment of the copies, with M rows.
+        discounting: Discounting of rewards.
     """
 
     def __init__(
@@ -131,7 +131,7 @@ class Branches:
         discounting: Discounting,
         value: Value | None,
     ) -> None:
-        """Make the rows; ``value`` judges where branches end that are cut after some seconds."""
+        """Create the rows; ``value`` evaluates the last states of branches cut after some time."""
         self.slots, self.base, self.discounting, self.value = slots, base, discounting, value
         self.model = env.like(rows)
         self.every = torch.arange(rows, device=env.device)
@@ -143,13 +143,13 @@ class Branches:
         keep: tuple[Tasking, Tensor] | None = None,
         watch: Watch | None = None,
     ) -> Flown:
-        """Fly branches, M at a time; no result depends on others.
+        """Simulate branches, M at a time; results are independent of each other.
 
         Args:
-            source: Environment that holds their states.
+            source: Environment with their initial states.
             jobs: The branches.
-            keep: Environment, and rows [J] of it, that get the states after the first step.
-            watch: Looks at the observations after the first step, [M].
+            keep: Environment, and its rows [J], for the states after the first step.
+            watch: Function of the observations after the first step, [M].
         """
         parts = [
             self._fly(source, jobs, index, keep, watch)
@@ -159,7 +159,9 @@ class Branches:
 
     def _fly(self, source: Tasking, jobs: Jobs, index: Tensor, keep: Any, watch: Any) -> Flown:
         model, slots, m = self.model, self.slots, len(index)
-        job = torch.nn.functional.pad(index, (0, len(self.every) - m), value=int(index[0]))  # spare rows repeat a job, unflown
+        job = torch.nn.functional.pad(
+            index, (0, len(self.every) - m), value=int(index[0])
+        )  # spare rows repeat a job, unsimulated
         flying = self.every < m
         model.restore(source, self.every, jobs.rows[job])
         if jobs.limit is not None:
@@ -220,7 +222,7 @@ class Branches:
         return decide(self.base, now)
 
     def _draw_lots(self, now: TensorDictBase, env_ids: Tensor) -> None:
-        """Draw what the base policy does at random: it follows from the episode and the time."""
+        """Draw the random numbers of the base policy, determined by episode and time."""
         if LOT in self.base.in_keys:
             key = present_key(self.model, self.every, env_ids, "lot of a branch")
             now[LOT] = key.uniform(1).squeeze(1).to(self.model.device)
@@ -244,7 +246,7 @@ class Branches:
         return legal.gather(1, action.clamp(min=0).unsqueeze(1)).squeeze(1) & (action >= 0)
 
     def _step(self, now: TensorDictBase, flying: Tensor) -> tuple[TensorDictBase, Tensor, Tensor]:
-        """Step the rows ``flying`` [M]; return what follows, their rewards, of all satellites together, and seconds."""
+        """Step the rows ``flying`` [M]; return the next tensordict, rewards summed over satellites, and durations."""
         model = self.model
         returns, ticks = model.returns, model.fleet.ticks
         following = self.slots.play(model, now, flying)
@@ -259,7 +261,7 @@ class Branches:
 
 
 def carried(td: TensorDictBase, base: TensorDictModuleBase, env: Tasking) -> TensorDictBase:
-    """Return what the base policy reads that is neither observed nor drawn: what it remembers, [N]."""
+    """Return the memory of the base policy, [N]: inputs that are neither observed nor drawn."""
     observed = set(env.observation_spec.keys(True, True)) | {LOT}
     known = set(td.keys(True, True))
     keys = [key for key in base.in_keys if key in known and key not in observed and not _is_part(key, observed)]

@@ -1,7 +1,7 @@
-"""The cross-entropy method for actions of real numbers.
+"""The cross-entropy method for continuous actions.
 
-Sources: R. Y. Rubinstein, D. P. Kroese, "The Cross-Entropy Method", Springer 2004; for planning with a model and the best sample
-kept, C. Pinneri et al., "Sample-efficient cross-entropy method for real-time planning", CoRL 2020.
+Sources: R. Y. Rubinstein, D. P. Kroese, "The Cross-Entropy Method", Springer 2004; for planning with a model, keeping the best
+sample, C. Pinneri et al., "Sample-efficient cross-entropy method for real-time planning", CoRL 2020.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from bsk_torch.plan.resampling import present_key
 
 
 class CrossEntropy(Planner):
-    """Draws sequences of actions, flies them in copies, and draws again about the best of them.
+    """Planner that draws sequences of actions, simulates them in copies, and resamples around the best of them.
 
-    A sequence is an agent's next ``depth`` actions; the base policy decides after them. The first normal distribution lies about
-    the base policy's own actions, whose sequence is one of the samples: without a better one, they are kept. Samples beyond the
-    bounds of actions are put on them.
+    A sequence consists of an agent's next ``depth`` actions; the base policy decides after them. The first normal distribution is
+    centered on the base policy's actions. Their sequence is one of the samples, and is kept unless another one is better. Samples
+    outside the bounds are clamped.
     """
 
     name: ClassVar[str] = "cem"
@@ -51,13 +51,13 @@ class CrossEntropy(Planner):
         Args:
             env: The environment in which the planner acts.
             base: The base policy.
-            horizon: Seconds that branches last.
-            budget: Sequences flown for a decision of one agent, at least two in each iteration.
-            iterations: Number of distributions drawn from.
-            depth: Actions of a sequence.
-            elites: Fraction of the samples from which the next distribution follows.
-            spread: Standard deviation of the first distribution, over half the width of the bounds.
-            smoothing: Weight of the last distribution in the next one.
+            horizon: Length of branches, s.
+            budget: Number of sequences simulated for a decision of one agent, at least two per iteration.
+            iterations: Number of successive distributions.
+            depth: Number of actions in a sequence.
+            elites: Fraction of the samples that determines the next distribution.
+            spread: Standard deviation of the first distribution, divided by half the width of the bounds.
+            smoothing: Weight of the previous distribution in the next one.
             gamma: Discount per second.
             **options: Further arguments of :class:`~bsk_torch.plan.planner.Planner`.
         """
@@ -114,7 +114,7 @@ class CrossEntropy(Planner):
             best_return = torch.where(better, top[:, 0], best_return)
             best = torch.where(better.view(-1, 1, 1), elite[:, 0], best)
             own = own & ~better
-            elite = torch.cat([elite, best.unsqueeze(1)], 1)  # the best so far stays one of them
+            elite = torch.cat([elite, best.unsqueeze(1)], 1)  # the best sample so far remains among the samples
             mix = self.smoothing
             plan = mix * plan + (1.0 - mix) * elite.mean(1)
             deviation = mix * deviation + (1.0 - mix) * elite.std(1, correction=0)
@@ -123,7 +123,7 @@ class CrossEntropy(Planner):
         return action, simulated
 
     def _cached_plans(self, plan: Tensor) -> PlanCache:
-        """Return the rest of earlier plans; ``plan`` [n, D, W] shows the shape."""
+        """Return the remainders of earlier plans, in the shape of ``plan`` [n, D, W]."""
         found = self._made.get("plans")
         if found is None:
             self._made["plans"] = found = PlanCache(self.env.num_envs, torch.full_like(plan[0], torch.nan))
@@ -132,7 +132,7 @@ class CrossEntropy(Planner):
     def _flown(
         self, td: TensorDictBase, memory: TensorDictBase, rows: Tensor, slot: Tensor, plans: Tensor
     ) -> tuple[Tensor, Tensor, Tensor]:
-        """Fly ``plans`` [n, P, D, W] of agents ``slot`` [n] in ``rows`` [n]; NaN stands for what the base policy does.
+        """Simulate ``plans`` [n, P, D, W] of agents ``slot`` [n] in ``rows`` [n]; NaN stands for the base policy's action.
 
         Returns:
             Returns [n, P], simulated seconds [n], and the actions taken in the first future, [n, P, D, W].

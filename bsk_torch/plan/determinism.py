@@ -1,4 +1,4 @@
-"""Check of determinism: whether equal states have equal futures, so that episodes can be copied."""
+"""Check that equal states have equal futures, so that episodes can be copied."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ STEPS = 2
 
 
 def check_copyable(env: Tasking, slots: AgentTable) -> None:
-    """Check that equal seeds begin equal episodes, and that equal states have equal futures.
+    """Check that equal seeds start equal episodes, and that equal states have equal futures.
 
-    Two rows begin the same episode twice, and take the same decisions twice, in a separate environment.
+    In a separate environment, two rows start the same episode twice and execute the same decisions twice.
 
     Raises:
-        TypeError: For something that is no environment of this package.
-        ValueError: Where anything differs; the message names it. Then a function of the user draws at random without a seed, or
-            keeps values that are no part of the state.
+        TypeError: For an object that is not an environment of this package.
+        ValueError: If anything differs; the message names it. The cause is a user function that draws random numbers without a
+            seed, or keeps values outside the state.
     """
     twins = env.like(2, env_ids=[0, 0])
     begun = []

@@ -14,11 +14,11 @@ from bsk_torch.plan.search import TreeSearch
 from bsk_torch.sim.arguments.values import nearest
 
 PLANNERS: dict[str, type[Planner]] = {kind.name: kind for kind in (Rollout, BeamSearch, TreeSearch, CrossEntropy)}
-"""Planners by the names that they have on the command line."""
+"""Planners by their names on the command line."""
 
 
 def find_planner(name: str) -> type[Planner]:
-    """Return one of :data:`PLANNERS`; ValueError, with the nearest name, where there is none."""
+    """Return one of :data:`PLANNERS`; ValueError, with the nearest name, for an unknown name."""
     if name not in PLANNERS:
         raise ValueError(f"planner={name!r} must be one of {sorted(PLANNERS)}; {nearest(str(name), PLANNERS)}")
     return PLANNERS[name]
@@ -39,12 +39,12 @@ def planner(name: str, env: Tasking, **options: Any) -> Planner:
 
     Args:
         name: One of :data:`PLANNERS`.
-        env: The environment in which it acts.
-        **options: Its arguments, such as ``base="hasty"`` and ``horizon=240.0``.
+        env: The environment in which the planner acts.
+        **options: Arguments of the planner, such as ``base="hasty"`` and ``horizon=240.0``.
 
     Raises:
-        TypeError: For an argument that it does not have, with the nearest name; and those of the planner.
-        ValueError: For an unknown name, likewise; and those of the planner.
+        TypeError: For an unknown argument, with the nearest name; or from the planner.
+        ValueError: For an unknown planner, with the nearest name; or from the planner.
     """
     kind, known = find_planner(name), options_of(name)
     for option in options:

@@ -1,4 +1,4 @@
-"""What all planners have in common: they are policies, and improve the decisions of a base policy, agent by agent."""
+"""Base class of planners, policies that improve the decisions of a base policy, agent by agent."""
 
 from __future__ import annotations
 
@@ -26,34 +26,37 @@ ROWS = 512
 """Default number of copies simulated at once."""
 
 REWARD_TIMES = ("end", "start")
-"""When the reward of a step comes, in returns."""
+"""Times at which the reward of a step counts in returns."""
 
 ENDLESS = 2**62
-"""Tick at which no branch is cut off."""
+"""Tick beyond the end of all branches."""
 
 
 class Planner(TensorDictModuleBase):
     """Improves the decisions of a base policy by simulating copies of the current episodes. Subclasses select the branches.
 
-    A planner belongs to one environment, whose present episodes it copies; it writes the actions of all agents into what
-    ``reset`` or ``step`` of that environment has returned, and ``simulated_seconds`` [N] next to it: what it has simulated for
-    the decision, in seconds of flight. The environment itself is not touched, and no decision depends on other rows.
+    A planner belongs to one environment, whose current episodes it copies. It writes the actions of all agents into the
+    tensordict returned by ``reset`` or ``step`` of this environment, and ``simulated_seconds`` [N], the simulated time of flight
+    for the decision. The environment itself is left unchanged, and decisions do not depend on other rows.
 
-    In a constellation agents that decide at the same time are improved one after the other, in the order of the groups: in the
-    branches of an agent those before it act as has been decided, and all others by the base policy (one agent at a time:
-    Bertsekas, "Multiagent rollout algorithms and reinforcement learning", 2019). Rewards are those of all satellites together.
+    In a constellation, agents deciding at the same time are improved one after the other, in the order of the groups. In the
+    branches of an agent, the agents before it take the actions already decided, and all others follow the base policy (Bertsekas,
+    "Multiagent rollout algorithms and reinforcement learning", 2019). Rewards are summed over all satellites.
 
-    By default copies have the draws of the true episode, those that lie ahead included: a planner that is as good as a prophet
-    where observations are noisy or something is hidden, such as clouds. Where all is known, as in most presets, that makes no
-    difference. With ``futures`` each decision is planned in so many resampled futures, and means decide: copies get
-    separate seeds, from which noise follows, and ``redraw`` draws hidden parts of the state.
+    By default, copies have the draws of the true episode, including future ones: if observations are noisy or part of the state
+        is
+    hidden, such as clouds, the planner has perfect information. In fully observed presets (most of them), this makes no
+    difference. With ``futures``, each decision is planned in several resampled futures and averaged over them: copies get
+    separate seeds,
+        which
+    determine the noise, and ``redraw`` draws hidden parts of the state.
     """
 
     name: ClassVar[str]
-    """Name on the command line, behind ``plan:``."""
+    """Name on the command line, after ``plan:``."""
 
     real: ClassVar[bool] = False
-    """Whether it plans real numbers, not numbers of actions."""
+    """Whether the planner is for continuous actions."""
 
     in_keys: list[Any]
     out_keys: list[Any]
@@ -77,21 +80,20 @@ class Planner(TensorDictModuleBase):
         Args:
             env: The environment in which the planner acts.
             base: The base policy; see :func:`bsk_torch.plan.base_of`.
-            horizon: Seconds from the decision on that branches last; infinity for the rest of the episode. They end there,
-                also in the middle of a task, so all branches are compared over the same time.
+            horizon: Length of branches from the decision, s; infinity for the rest of the episode. Branches are cut there, even
+                during a task, so all branches are compared over the same time.
             gamma: Discount per second; 1 for sums of rewards.
             reward_time: When the reward of a step counts: at its ``"end"`` or its ``"start"``.
-            value: A module that writes ``state_value`` [n, 1] for observations [n], in place of what lies beyond; branches then
-                end with the first step that reaches the horizon.
+            value: A module that writes ``state_value`` [n, 1] for observations [n], used instead of rewards beyond the horizon;
+                branches then end with the first step that reaches it.
             futures: Number of futures drawn for each decision; None for the true one.
             redraw: Redraws hidden parts of the state, such as :func:`bsk_torch.plan.redraw_clouds`.
-            seed: Seed of the futures and of samples.
-            rows: Copies flown at once: memory and speed depend on it, results do not.
+            seed: Seed of futures and samples.
+            rows: Number of copies simulated at once, which affects memory and speed but not results.
 
         Raises:
-            TypeError: For something that is no environment, or a base that is no policy.
-            ValueError: For another wrong argument, an environment that cannot be copied, and actions that the planner cannot
-                choose among.
+            TypeError: If ``env`` is not an environment, or ``base`` is not a policy.
+            ValueError: For other invalid arguments, an environment that cannot be copied, or unsuitable actions.
         """
         super().__init__()
         self.horizon = number("horizon", horizon, 0.0, unit="s", above=True, finite=False)
@@ -117,7 +119,7 @@ class Planner(TensorDictModuleBase):
             raise ValueError(f"value= judges observations of one satellite; the environment has {slots.size}")
         policy = base_of(base, env)
         check_copyable(env, slots)
-        self._outside = (env, slots)  # no submodules: an environment is not a part of its policy
+        self._outside = (env, slots)  # not a submodule: an environment is not part of its policy
         self.base, self._value = policy, value
         self._discounting = Discounting(gamma, reward_time == "end")
         self._made: dict[str, Any] = {}
@@ -127,7 +129,7 @@ class Planner(TensorDictModuleBase):
         self.out_keys = [*policy.out_keys, SIMULATED]
 
     def _check_actions(self, env: Tasking, slots: AgentTable) -> None:
-        """ValueError unless some agent has a choice of the planner's kind."""
+        """Raise ValueError unless some agent has actions of the planner's kind."""
         titles = ", ".join(dict.fromkeys(slots.titles))
         if any(real and n for real, n in zip(slots.real, slots.n_actions, strict=True)):
             raise ValueError(
@@ -152,7 +154,7 @@ class Planner(TensorDictModuleBase):
 
     @property
     def branches(self) -> Branches:
-        """Copies of episodes; made at the first decision, and again where arguments of the environment have changed."""
+        """Copies of episodes, created at the first decision, and again after changes of the environment's arguments."""
         found = self._made.get("branches")
         if found is None or not torch.equal(found.model.fingerprint, self.env.fingerprint):
             found = Branches(self.env, self.slots, self.base, self._rows(), self._discounting, self._value)
@@ -160,18 +162,18 @@ class Planner(TensorDictModuleBase):
         return found
 
     def _store(self, least: int) -> Tasking:
-        """Return an environment that keeps states, in at least so many rows."""
+        """Return an environment for storing states, with at least ``least`` rows."""
         store = self._made.get("store")
         if store is None or store.num_envs < least or not torch.equal(store.fingerprint, self.env.fingerprint):
             self._made["store"] = store = self.env.like(least)
         return store
 
     def _rows(self) -> int:
-        """Number of copies flown at once."""
+        """Number of copies simulated at once."""
         return min(self._most_rows, self.env.num_envs * (self.futures or 1) * self._branching())
 
     def _branching(self) -> int:
-        """Return the largest number of branches of one episode flown together."""
+        """Return the largest number of branches of one episode simulated together."""
         raise NotImplementedError(f"{type(self).__name__} must implement _branching()")
 
     @torch.no_grad()
@@ -179,7 +181,7 @@ class Planner(TensorDictModuleBase):
         """Write the actions, and ``simulated_seconds``.
 
         Raises:
-            ValueError: For a tensordict that is not of the planner's environment: one of another batch size.
+            ValueError: For a tensordict of another batch size than the planner's environment.
         """
         env, slots = self.env, self.slots
         if tensordict.batch_size != env.batch_size:
@@ -221,7 +223,7 @@ class Planner(TensorDictModuleBase):
         return self.futures or 1
 
     def _limit(self, rows: Tensor) -> Tensor | None:
-        """Return the ticks at which branches of episodes ``rows`` [n] are cut off; None where a value network judges the rest."""
+        """Return the ticks at which branches of episodes ``rows`` [n] are cut; None with a value network."""
         if self._value is not None:
             return None
         if math.isinf(self.horizon):
@@ -229,11 +231,11 @@ class Planner(TensorDictModuleBase):
         return self.env.fleet.ticks[rows] + max(1, round(self.horizon / self.env.fleet.h))
 
     def _judged(self, elapsed: Tensor) -> Tensor | None:
-        """Return seconds after which the value network judges branches that begin after ``elapsed`` [J]; None without one."""
+        """Return the time until the value network evaluates branches starting after ``elapsed`` [J] s; None without one."""
         return None if self._value is None else (self.horizon - elapsed).clamp(min=0.0)
 
     def _plant(self, store: Tasking, places: Tensor, rows: Tensor) -> None:
-        """Copy episodes ``rows`` [n] into the rows ``places`` [n * futures] of another environment, each in every future."""
+        """Copy episodes ``rows`` [n] into the rows ``places`` [n * futures] of another environment, once per future."""
         each = rows.repeat_interleave(self._copies)
         store.restore(self.env, places, each)
         if self.futures is not None:
@@ -243,11 +245,11 @@ class Planner(TensorDictModuleBase):
             reseed_copies(store, places, lots, key, self._redraw)
 
     def _jobs(self, td: TensorDictBase, memory: TensorDictBase, real: Tensor, slot: Tensor, plan: Tensor, rows: Tensor) -> Jobs:
-        """Return branches from the present of episodes.
+        """Return branches from the current states of episodes.
 
         Args:
             td: See :meth:`_improved`.
-            memory: Likewise.
+            memory: See :meth:`_improved`.
             real: Episodes of the environment, [J].
             slot: Agents, [J].
             plan: Their actions, [J, D] or [J, D, W].
@@ -260,16 +262,16 @@ class Planner(TensorDictModuleBase):
     def _no_worse(
         self, td: TensorDictBase, memory: TensorDictBase, rows: Tensor, slot: Tensor, action: Tensor, worth: Tensor, plan: Tensor
     ) -> tuple[Tensor, Tensor]:
-        """Return actions that are no worse than the rest of the last plan, [n], and simulated seconds [n].
+        """Return actions at least as good as the remainder of the last plan, [n], and simulated seconds [n].
 
         Args:
             td: See :meth:`_improved`.
             memory: Likewise.
             rows: Likewise.
             slot: Likewise.
-            action: The best actions that have been found, [n].
+            action: The best actions found, [n].
             worth: Their returns, [n].
-            plan: Sequences that have these returns, [n, D]; -1 where the base policy decides.
+            plan: Sequences with these returns, [n, D]; -1 for decisions of the base policy.
         """
         found = self._made.get("plans")
         if found is None:
@@ -295,10 +297,10 @@ class Planner(TensorDictModuleBase):
     # -- decisions ----------------------------------------------------------------------------------------------------
 
     def _preferred(self, q: Tensor, mine: Tensor) -> Tensor:
-        """Return the best action, [n]: that of the base policy, ``mine`` [n], unless another one is better.
+        """Return the best action, [n]: the base policy's action ``mine`` [n] unless another one is better.
 
         Args:
-            q: Returns [n * futures, A]; minus infinity for actions that have not been tried.
+            q: Returns [n * futures, A]; minus infinity for untried actions.
             mine: Actions of the base policy.
         """
         mean = q.view(len(mine), self._copies, -1).mean(1)

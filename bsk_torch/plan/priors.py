@@ -1,4 +1,4 @@
-"""Which actions a policy would rather take: probabilities of networks, and the order in which rules choose."""
+"""Prior probabilities of actions, from the probabilities of networks or the ranking of rules."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ DECAY = 0.5
 
 
 class Prior:
-    """Probabilities of the legal actions of one agent in each row, by a policy.
+    """Probabilities of the legal actions of one agent in each row, from a policy.
 
-    Those of a network are its own. A rule, or any other policy that respects masks, is asked again and again, each time without
-    the actions that it has named: its k-th choice gets a probability in proportion to :data:`DECAY` to the power k, and
-    those that it has not named get that of the next one. Of rules that do not look at the mask, only the first choice counts.
+    Networks provide probabilities directly. A rule, or any other policy that respects masks, is queried repeatedly, each time
+    without the actions already chosen. Its k-th choice gets a probability proportional to :data:`DECAY` to the power k, and each
+    action not chosen that of the next one. For rules that ignore the mask, only the first choice counts.
     """
 
     def __init__(self, policy: TensorDictModuleBase, slots: AgentTable, ranked: int = RANKED) -> None:
-        """Ask ``policy``, of all agents, for at most ``ranked`` choices."""
+        """Query ``policy``, for all agents, for at most ``ranked`` choices."""
         self.policy, self.slots, self.ranked = policy, slots, ranked
 
     def __call__(self, td: TensorDictBase, slot: Tensor, legal: Tensor) -> Tensor:
-        """Return probabilities [n, A] of the ``legal`` actions [n, A] of the agents ``slot`` [n]; zero where none is legal."""
+        """Return probabilities [n, A] of the ``legal`` actions [n, A] of the agents ``slot`` [n]; zero if none is legal."""
         asked = td.clone(recurse=False)
         decided = decide(self.policy, asked)
         if self.slots.groups == [None] and "logits" in decided.keys():  # noqa: SIM118  - a tensordict
@@ -56,7 +56,7 @@ class Prior:
         return weight / weight.sum(1, keepdim=True).clamp(min=1e-300)
 
     def _mask(self, td: TensorDictBase, slot: Tensor, left: Tensor) -> None:
-        """Let the agents ``slot`` find the mask ``left`` [n, A], or their own one where nothing is left."""
+        """Write the mask ``left`` [n, A] of the agents ``slot``, or the original mask if no action is left."""
         some = left.any(1)
         for group, first, size, n in zip(
             self.slots.groups, self.slots.first, self.slots.sizes, self.slots.n_actions, strict=True

@@ -1,4 +1,4 @@
-"""Resampling of hidden states and random numbers of planners; all draws follow from keys of the episodes."""
+"""Resampling of hidden states, and random numbers of planners; all draws are determined by keys of the episodes."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from bsk_torch.scene import CloudyTargets
 from bsk_torch.scene.draws import draw_numbers
 
 Redraw = Callable[[Tasking, Tensor, Key], None]
-"""Redraws what the planner cannot observe: ``redraw(env, envs, key)`` writes into rows ``envs`` [n] of the state of ``env``."""
+"""Function that redraws hidden quantities: ``redraw(env, envs, key)`` writes into rows ``envs`` [n] of the state of ``env``."""
 
 
 def present_key(env: Tasking, rows: Tensor, env_ids: Tensor, name: str) -> Key:
-    """Return the key of the present moment of episodes: another one at every time, and the same in every batch.
+    """Return the key of the current time of episodes, which differs at every time and is the same in every batch.
 
     Args:
         env: The environment, or a model of it.
-        rows: Its rows, [n].
+        rows: Rows of the environment, [n].
         env_ids: Indices of their episodes in draws, [n].
-        name: What is drawn.
+        name: Name of the draw.
     """
     state, ticks = env.state, env.fleet.ticks
     seed = (state.seed[rows] ^ (ticks[rows] + 1) * STREAM) & SEED_BITS
@@ -32,9 +32,9 @@ def present_key(env: Tasking, rows: Tensor, env_ids: Tensor, name: str) -> Key:
 
 
 def reseed_copies(env: Tasking, rows: Tensor, lots: Tensor, key: Key, redraw: Redraw | None) -> None:
-    """Give copied episodes, the ``rows`` [n] of a model, seeds by ``lots`` [n] in [0, 1), and redraw hidden states.
+    """Set the seeds of copied episodes, the ``rows`` [n] of a model, from ``lots`` [n] in [0, 1), and redraw hidden states.
 
-    ``key`` [n] has the indices of the episodes.
+    ``key`` [n] contains the indices of the episodes.
     """
     seeds = (lots * 2.0**53).long()
     env.state.seed = env.state.seed.index_copy(0, rows, seeds.to(env.device))
@@ -45,9 +45,9 @@ def reseed_copies(env: Tasking, rows: Tensor, lots: Tensor, key: Key, redraw: Re
 def redraw_clouds(env: Tasking, envs: Tensor, key: Key, candidates: int = 64) -> None:
     """Redraw the true cloud cover over all targets, given its forecast: a :data:`Redraw` for ``scene.CloudyTargets``.
 
-    Of ``candidates`` covers from the scenario's distribution one is chosen with a probability that is proportional to the
-    likelihood of the forecast (sampling, importance resampling: Rubin 1987). Forecasts of 0 and 1 are clamped: their likelihoods
-    are those of everything beyond.
+    One of ``candidates`` covers from the scenario's distribution is chosen with a probability proportional to the likelihood of
+    the forecast (sampling-importance resampling, Rubin 1987). Forecasts of 0 and 1 are clamped, so their likelihood is that of
+    all values beyond.
 
     Raises:
         ValueError: For a scenario without clouds.
@@ -58,7 +58,7 @@ def redraw_clouds(env: Tasking, envs: Tensor, key: Key, candidates: int = 64) ->
     forecast, sigma = scenario.cloud_forecast[envs], scenario.cloud_forecast_sigma[envs].clamp(min=1e-6)
     best = torch.full_like(forecast, -torch.inf)
     chosen = forecast
-    for k in range(candidates):  # one after the other: all at once would need candidates times the memory
+    for k in range(candidates):  # in a loop, because all at once would need ``candidates`` times the memory
         cover = draw_numbers("cover", scenario.cover, key.named(f"redrawn cover {k}"), scenario.most_targets)
         cover = cover.clamp(0.0, 1.0).to(forecast.device)
         z = (forecast - cover) / sigma

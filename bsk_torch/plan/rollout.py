@@ -1,7 +1,7 @@
-"""Rollout: try every action, let the base policy fly on, and take the best.
+"""Rollout: try every action, continue with the base policy, and take the best action.
 
 Source: D. P. Bertsekas, J. N. Tsitsiklis, C. Wu, "Rollout algorithms for combinatorial optimization", J. Heuristics 3, 1997. With
-a model that is exact, and a horizon to the end of the episode, the improved policy is never worse than its base.
+an exact model and a horizon at the end of the episode, the planner is never worse than its base policy.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from bsk_torch.plan.priors import Prior
 
 
 class Rollout(Planner):
-    """Flies each action in a copy, the base policy after it, and takes the action with the best return.
+    """Planner that simulates each action in a copy, followed by the base policy, and takes the action with the best return.
 
-    The base policy's own action is kept unless another one is better.
+    The base policy's action is kept unless another one is better.
     """
 
     name: ClassVar[str] = "rollout"
@@ -35,8 +35,8 @@ class Rollout(Planner):
         Args:
             env: The environment in which the planner acts.
             base: The base policy.
-            horizon: Seconds that branches last.
-            budget: Actions tried for a decision, those preferred by the base policy; None for all legal actions.
+            horizon: Length of branches, s.
+            budget: Number of actions tried for a decision, in the order of the base policy's preference; None for all legal ones.
             **options: Further arguments of :class:`~bsk_torch.plan.planner.Planner`.
         """
         self.budget = None if budget is None else whole("budget", budget, 1)
@@ -72,7 +72,7 @@ class Rollout(Planner):
     def _flown(
         self, td: TensorDictBase, memory: TensorDictBase, rows: Tensor, slot: Tensor, tried: Tensor
     ) -> tuple[Tensor, Tensor]:
-        """Return returns and simulated seconds of branches [J]: ``tried`` [J, 2] has numbers among ``rows`` and actions."""
+        """Return returns and simulated seconds of branches [J]; ``tried`` [J, 2] has indices into ``rows`` and actions."""
         which, action = tried.unbind(1)
         if self.futures is None:
             source, places, each = self.env, rows[which], which

@@ -1,4 +1,4 @@
-"""The planner that grows trees of copied states."""
+"""Planner with trees of copied states."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ from bsk_torch.plan.tree import Leaves, Trees
 from bsk_torch.plan.tree_state import StateSummary
 
 LONGEST = 64
-"""Actions of a sequence remembered until the next decision."""
+"""Number of actions of a sequence kept until the next decision."""
 
 
 class TreeSearch(Planner):
-    """Monte-Carlo tree search: see :mod:`bsk_torch.plan.tree`.
+    """Planner by Monte Carlo tree search; see :mod:`bsk_torch.plan.tree`.
 
-    Each flight follows an edge for the first time. What is behind it is worth what the base policy earns from there to the
-    horizon, or what a value network says. With the base policy as judge, and one future, returns are exact: the largest one
-    counts, and the base policy's own action is kept unless another one is better; with enough budget, all sequences of actions
-    up to the horizon are tried. Otherwise returns are averaged, and the most visited action is taken.
+    Each simulation follows one edge for the first time. The new node is evaluated by the return of the base policy up to the
+    horizon, or by a value network. With the base policy and a single future, returns are exact. The search then maximizes over
+    returns, and keeps the base policy's action unless another one is better; with enough budget, it tries all sequences of
+    actions up to the horizon. Otherwise, returns are averaged, and the most visited action is taken.
     """
 
     name: ClassVar[str] = "mcts"
@@ -51,12 +51,13 @@ class TreeSearch(Planner):
         Args:
             env: The environment in which the planner acts.
             base: The base policy.
-            horizon: Seconds from the decision on in which returns count; with ``value``, from which on nodes are not extended.
-            budget: Flights for a decision of one agent, and nodes of its tree.
-            actions: Actions that each node tries, the most probable ones; None for all that are legal.
-            leaves: Flights at once in each tree.
+            horizon: Time from the decision in which returns count, s; with ``value``, the time beyond which nodes are not
+                extended.
+            budget: Number of simulations for a decision of one agent, and of nodes in its tree.
+            actions: Number of actions tried at each node, the most probable ones; None for all legal actions.
+            leaves: Number of simultaneous simulations in each tree.
             exploration: Weight of the prior.
-            prior: Policy of all agents that gives the probabilities (default: the base policy).
+            prior: Policy for all agents that provides the probabilities (default: the base policy).
             **options: Further arguments of :class:`~bsk_torch.plan.planner.Planner`.
         """
         self.budget, self.leaves = whole("budget", budget, 1), whole("leaves", leaves, 1)
@@ -70,7 +71,7 @@ class TreeSearch(Planner):
         return min(self.leaves, self.budget)
 
     def _judged(self, elapsed: Tensor) -> Tensor | None:
-        """See :meth:`Planner._judged`: at once."""
+        """See :meth:`Planner._judged`; immediately."""
         return None if self._value is None else torch.zeros_like(elapsed)
 
     def _improved(self, td: TensorDictBase, memory: TensorDictBase, rows: Tensor, slot: Tensor) -> tuple[Tensor, Tensor]:
@@ -111,14 +112,14 @@ class TreeSearch(Planner):
         return Leaves(zero, mine, torch.ones_like(mine, dtype=torch.bool))
 
     def _selected(self, trees: Trees) -> Leaves:
-        """Return an edge of each tree that has budget left."""
+        """Return an edge of each tree with remaining budget."""
         waiting = trees.waiting.flatten(1).sum(1)
         return trees.select(trees.count + waiting <= self.budget)
 
     def _grown(
         self, trees: Trees, wave: list[Leaves], store: Tasking, td: TensorDictBase, memory: TensorDictBase, real: Tensor
     ) -> list[tuple[Tensor, Tensor]]:
-        """Fly a wave of leaves, those of the roots with the actions in ``td``, and let the trees grow; return seconds by tree."""
+        """Simulate a wave of leaves, at the roots with the actions in ``td``, and extend the trees; return seconds per tree."""
         most, flights = self.budget + 1, []
         each = [torch.nonzero(leaves.found).squeeze(1) for leaves in wave]
         number = torch.stack([leaves.found.long() for leaves in wave]).cumsum(0) - 1
@@ -150,7 +151,7 @@ class TreeSearch(Planner):
         return jobs._replace(carried=kept if len(kept.keys()) else None, decided=node == 0)
 
     def _by_visits(self, trees: Trees, q: Tensor) -> Tensor:
-        """Return visits and, for those that are equal, returns, as numbers that can be compared, [R, A]."""
+        """Return numbers that order actions by visits and, for equal visits, by returns, [R, A]."""
         tried = torch.isfinite(q)
         low, high = q.masked_fill(~tried, torch.inf).amin(1, keepdim=True), q.amax(1, keepdim=True)
         tie = torch.where(high > low, (q - low) / (high - low).clamp(min=1e-300), 0.0).clamp(max=1.0) * 0.5

@@ -1,9 +1,9 @@
-"""Monte-Carlo tree search over copies of episodes, with the bias of a policy; trees of a batch are tensors [R, nodes, A].
+"""Monte Carlo tree search over copies of episodes, guided by a policy prior; trees of a batch are tensors [R, nodes, A].
 
-Sources: C. D. Rosin, "Multi-armed bandits with episode context", Annals of Mathematics and AI 61, 2011 (the rule of selection);
-D. Silver et al., "Mastering the game of Go without human knowledge", Nature 550, 2017. Returns of a node lie between the least
-and the largest that its actions have had, as in J. Schrittwieser et al., "Mastering Atari, Go, chess and shogi by planning with
-a learned model", Nature 588, 2020.
+Sources: C. D. Rosin, "Multi-armed bandits with episode context", Annals of Mathematics and AI 61, 2011 (selection rule);
+D. Silver et al., "Mastering the game of Go without human knowledge", Nature 550, 2017. Returns are normalized between the minimum
+and maximum of the node's actions, as in J. Schrittwieser et al., "Mastering Atari, Go, chess and shogi by planning with a learned
+model", Nature 588, 2020.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ from torch import Tensor
 from bsk_torch.plan.branches import Discounting, Flown
 
 NONE = -1
-"""Number of a node that is not there."""
+"""Index of a missing node."""
 
 
 class Leaves(NamedTuple):
-    """Edges [R] that are to be followed for the first time: their nodes and actions, and where there is one."""
+    """Edges [R] to follow for the first time: their nodes and actions, and whether they exist."""
 
     node: Tensor
     action: Tensor
@@ -29,29 +29,29 @@ class Leaves(NamedTuple):
 
 
 class Trees:
-    """R trees of at most K nodes, each of which chooses among A actions.
+    """R trees of at most K nodes with A actions each.
 
     Attributes:
-        known: What :class:`~bsk_torch.plan.tree_state.StateSummary` has noted of every node, [R, K].
-        child: Node behind an edge, :data:`NONE` before it is followed, [R, K, A].
-        visits: Number of flights that have passed an edge, [R, K, A].
-        total: Sum of their returns from the node on, [R, K, A].
-        best: Largest of them, [R, K, A].
-        waiting: Edges that are being followed for the first time, [R, K, A].
-        reward: Reward of the step behind an edge, [R, K, A].
-        seconds: How long it takes, [R, K, A].
-        parent: Node before, [R, K].
-        by: Action that leads there, [R, K].
-        leaf: Return from the node on when it was found, [R, K].
+        known: :class:`~bsk_torch.plan.tree_state.StateSummary` of every node, [R, K].
+        child: Child node of an edge, :data:`NONE` before the edge is followed, [R, K, A].
+        visits: Number of simulations through an edge, [R, K, A].
+        total: Sum of their returns from the node, [R, K, A].
+        best: Maximum of these returns, [R, K, A].
+        waiting: Edges being followed for the first time, [R, K, A].
+        reward: Reward of the step of an edge, [R, K, A].
+        seconds: Duration of this step, [R, K, A].
+        parent: Parent node, [R, K].
+        by: Action from the parent, [R, K].
+        leaf: Initial estimate of the return from the node, [R, K].
         elapsed: Time since the root, [R, K] s.
-        solved: Nodes below which everything has been tried, [R, K].
+        solved: Exhausted nodes, below which all actions have been tried, [R, K].
         count: Number of nodes, [R].
     """
 
     def __init__(self, root: TensorDictBase, most: int, discounting: Discounting, exact: bool, exploration: float) -> None:
-        """Begin trees with ``root`` [R] of at most ``most`` nodes.
+        """Create trees with ``root`` [R] and at most ``most`` nodes.
 
-        With ``exact`` returns the largest one counts, else the mean; ``exploration`` weighs the prior.
+        With ``exact`` returns, the maximum counts, otherwise the mean. ``exploration`` is the weight of the prior.
         """
         self.discounting, self.exact, self.exploration = discounting, exact, exploration
         legal = root["legal"]
@@ -73,16 +73,16 @@ class Trees:
     # -- selection ----------------------------------------------------------------------------------------------------
 
     def open(self, node: Tensor) -> Tensor:
-        """Return the actions of ``node`` [R] that lead to something that has not been tried, [R, A]."""
+        """Return the actions of ``node`` [R] that lead to untried actions or are untried themselves, [R, A]."""
         child = self._at(self.child, node)
         solved = self.solved.gather(1, child.clamp(min=0).flatten(1)).view_as(child)
         return self._at(self.known["legal"], node) & ~self._at(self.waiting, node) & ~(solved & (child != NONE))
 
     def score(self, node: Tensor) -> Tensor:
-        """Return q + c p sqrt(n) / (1 + n_a) of the actions of ``node`` [R], [R, A]; minus infinity for those not open.
+        """Return q + c p sqrt(n) / (1 + n_a) for the actions of ``node`` [R], [R, A]; minus infinity for closed ones.
 
-        q is the return between the least, 0, and the largest, 1, of the node's; actions that have not been tried have that of
-        the node when it was found.
+        q is the return, normalized between the minimum (0) and maximum (1) of the node. Untried actions have the initial estimate
+        of the node.
         """
         visits, prior = self._at(self.visits, node), self._at(self.known["prior"], node)
         q = self._at(self.best, node) if self.exact else self._at(self.total, node) / visits.clamp(min=1)
@@ -95,13 +95,13 @@ class Trees:
         return (q + bonus).masked_fill(~self.open(node), -torch.inf)
 
     def select(self, wanted: Tensor) -> Leaves:
-        """Walk from the roots to edges that have not been followed, in the trees ``wanted`` [R], and count their visits."""
+        """Select an edge not yet followed in each of the trees ``wanted`` [R], and count visits along the paths to them."""
         node = torch.zeros_like(self.count)
         walking, found = wanted & ~self.solved[:, 0], torch.zeros_like(wanted)
         at, action = node.clone(), node.clone()
         while bool(walking.any()):
             score, a = self.score(node).max(1)
-            walking = walking & (score > -torch.inf)  # all that is open below is being followed already
+            walking = walking & (score > -torch.inf)  # all open actions below are already being followed
             following = self.child[self.every, node, a]
             new = walking & (following == NONE)
             at, action, found = torch.where(new, node, at), torch.where(new, a, action), found | new
@@ -112,7 +112,7 @@ class Trees:
         return Leaves(at, action, found)
 
     def _visit(self, rows: Tensor, node: Tensor, action: Tensor) -> None:
-        """Count a visit of edges [J] and of all before them."""
+        """Count a visit of edges [J] and of their ancestors."""
         while len(rows):
             self.visits[rows, node, action] += 1
             up = node != 0
@@ -122,7 +122,7 @@ class Trees:
     # -- growth -------------------------------------------------------------------------------------------------------
 
     def grow(self, leaves: Leaves, rows: Tensor, flown: Flown) -> None:
-        """Add the nodes behind ``leaves``, that have been ``flown`` [J] in the trees ``rows`` [J], and pass returns up."""
+        """Add the simulated nodes of ``leaves``, ``flown`` [J] in the trees ``rows`` [J], and back up their returns."""
         node, action = leaves.node[rows], leaves.action[rows]
         new = self.count[rows]
         assert flown.seen is not None
@@ -137,7 +137,7 @@ class Trees:
         self._pass_up(rows, new, flown.rest)
 
     def _pass_up(self, rows: Tensor, node: Tensor, value: Tensor) -> None:
-        """Add returns ``value`` [J] from ``node`` [J] on to all edges before, and note which nodes are solved."""
+        """Back up returns ``value`` [J] from ``node`` [J] to all ancestors, and mark solved nodes."""
         while len(rows):
             before, action = self.parent[rows, node], self.by[rows, node]
             value = self.discounting.before(self.reward[rows, before, action], self.seconds[rows, before, action], value)
@@ -150,18 +150,18 @@ class Trees:
             rows, node, value = rows[up], before[up], value[up]
 
     def guess_roots(self) -> None:
-        """Take the return of the base policy's action, the first one to be tried, for that of the roots."""
+        """Initialize the estimates of the roots with the return of the base policy's action, which is tried first."""
         own = self.child[:, 0] == 1
         first = self.total[:, 0].masked_fill(~own, 0.0).sum(1) / self.visits[:, 0].masked_fill(~own, 0).sum(1).clamp(min=1)
         self.leaf[:, 0] = self.best[:, 0].masked_fill(~own, -torch.inf).amax(1) if self.exact else first
 
     def returns(self) -> Tensor:
-        """Return those of the actions of the roots, [R, A]; minus infinity for actions that have not been tried."""
+        """Return the returns of the roots' actions, [R, A]; minus infinity for untried actions."""
         mean = self.total[:, 0] / self.visits[:, 0].clamp(min=1)
         return self.best[:, 0] if self.exact else torch.where(torch.isfinite(self.best[:, 0]), mean, -torch.inf)
 
     def plan(self, action: Tensor, depth: int) -> Tensor:
-        """Return the sequences that have the largest returns of actions [R] at the roots, [R, depth]; -1 behind the last."""
+        """Return the sequences with the largest returns that start with actions [R] at the roots, [R, depth], padded with -1."""
         node, steps = self.child[self.every, 0, action], [action]
         for _ in range(depth - 1):
             there = node != NONE

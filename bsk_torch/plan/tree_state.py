@@ -1,4 +1,4 @@
-"""What planners that search a tree record of a state: deciding agents, legal actions, and choices of a policy."""
+"""Summary of a state for tree search: the deciding agent, legal actions, and preferences of a policy."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from bsk_torch.plan.priors import Prior
 
 
 class StateSummary:
-    """Looks at states in which one agent is to choose; the others act by the base policy.
+    """Summarizes states in which one agent chooses and the others follow the base policy.
 
-    Where several agents decide, the first one chooses. Where none does, as after the longest step, the only action is 0, of
-    NO_AGENT: all continue.
+    If several agents decide, the first one chooses. If none does, as after a step of maximum duration, the only action is 0, of
+    NO_AGENT, and all continue.
     """
 
     def __init__(
         self, env: Tasking, slots: AgentTable, base: TensorDictModuleBase, plannable: Tensor, prior: Prior, most: int | None
     ) -> None:
-        """Allow the ``most`` probable actions, or all that are legal; agents that are ``plannable`` [S] choose."""
+        """Allow the ``most`` probable actions, or all legal ones; the agents ``plannable`` [S] choose."""
         self.env, self.slots, self.base, self.plannable, self.prior, self.most = env, slots, base, plannable, prior, most
 
     def __call__(self, td: TensorDictBase) -> TensorDict:
-        """Return ``slot`` [n], ``legal`` [n, A], ``prior`` [n, A], ``mine`` [n] (the base policy's) and ``memory`` [n]."""
+        """Return ``slot`` [n], ``legal`` [n, A], ``prior`` [n, A], ``mine`` [n] (the base policy's action) and ``memory`` [n]."""
         deciding = self.slots.deciding(td) & self.plannable
         return self.of_agent(td, torch.where(deciding.any(1), deciding.long().argmax(1), NO_AGENT))
 
