@@ -159,9 +159,7 @@ class Branches:
 
     def _fly(self, source: Tasking, jobs: Jobs, index: Tensor, keep: Any, watch: Any) -> Flown:
         model, slots, m = self.model, self.slots, len(index)
-        job = torch.nn.functional.pad(
-            index, (0, len(self.every) - m), value=int(index[0])
-        )  # spare rows repeat a job, unsimulated
+        job = torch.nn.functional.pad(index, (0, len(self.every) - m), value=int(index[0]))  # spare rows repeat a job
         flying = self.every < m
         model.restore(source, self.every, jobs.rows[job])
         if jobs.limit is not None:
