@@ -56,8 +56,9 @@ def make(name: str, **options: object) -> Any:
             are merged with the preset's.
 
     Raises:
-        TypeError: For an option that neither the preset nor its environment has; the message names the nearest.
-        ValueError: For an unknown name, likewise; for ``sat_args`` that are no dictionary, and switches that are no booleans.
+        TypeError: For an unknown option; the message contains the nearest one.
+        ValueError: For an unknown name, with the nearest one; for ``sat_args`` that are not a dictionary; for switches that are
+            not booleans.
     """
     if name not in PRESETS:
         raise ValueError(f"name={name!r} is not a preset; {nearest(name, PRESETS)}")

@@ -1,36 +1,36 @@
 """AEOS-v1, AEOSCity-v1 and CloudyAEOS-v1: agile Earth observation, choosing among the next 32 targets.
 
-AEOS-v1 is the task ``aeos_single`` of bsk_rl's benchmark suite: power and storage do not limit the satellite, only time does. The
-targets of AEOSCity-v1 are cities. In CloudyAEOS-v1 clouds cover targets; only a forecast of them is observed.
+AEOS-v1 is the task ``aeos_single`` of bsk_rl's benchmark suite: the satellite is limited by time, not by power or storage. The
+targets of AEOSCity-v1 are cities. In CloudyAEOS-v1, clouds cover targets and are observed only as a forecast.
 
 Observation, 12 + 32 * 8 + 1 = 269 numbers (32 more in CloudyAEOS-v1):
 
 ============================  ==================================================================================
-``omega_BH_H_normd`` (3)      angular velocity relative to the Hill frame, over 0.03 rad/s
+``omega_BH_H_normd`` (3)      angular velocity relative to the Hill frame, divided by 0.03 rad/s
 ``c_hat_H`` (3)               direction of the instrument in the Hill frame
-``r_BN_P_normd`` (3)          position in the Earth-fixed frame, over the radius of the Earth
-``v_BN_P_normd`` (3)          velocity in the Earth-fixed frame, over 7616.5 m/s
+``r_BN_P_normd`` (3)          position in the Earth-fixed frame, divided by the radius of the Earth
+``v_BN_P_normd`` (3)          velocity in the Earth-fixed frame, divided by 7616.5 m/s
 of each target:
 ``priority``                  its reward
-``r_LB_H_normd`` (3)          its position relative to the satellite, in the Hill frame, over 800 km
-``target_angle_normd``        angle between its direction and the instrument, over pi
-``target_angle_rate_normd``   angular rate of the body relative to the line of sight, over 0.03 rad/s
-``opportunity_open_normd``    time until its window opens, over 300 s
-``opportunity_close_normd``   time until its window closes, over 300 s
+``r_LB_H_normd`` (3)          its position relative to the satellite, in the Hill frame, divided by 800 km
+``target_angle_normd``        angle between its direction and the instrument, divided by pi
+``target_angle_rate_normd``   angular rate of the body relative to the line of sight, divided by 0.03 rad/s
+``opportunity_open_normd``    time until its window opens, divided by 300 s
+``opportunity_close_normd``   time until its window closes, divided by 300 s
 ``cloud_forecast``            forecast of the cloud cover (CloudyAEOS-v1)
-``time``                      time since reset, over the time limit
+``time``                      time since reset, divided by the time limit
 ============================  ==================================================================================
 
-Targets are those of the next windows in order of their closing times, excluding imaged targets. With ``as_set=True``
-they are ``rows`` [N, 32, features] with a ``mask`` [N, 32].
+The observed targets are those of the next windows, in order of closing time, without imaged targets. With ``as_set=True``, they
+are ``rows`` [N, 32, features] with a ``mask`` [N, 32].
 
-Actions: 0 to 31, image that target. The step ends with the image, with the end of the window, or after 300 s.
+Actions: 0 to 31 image the corresponding target. The step ends with the image, with the end of the window, or after 300 s.
 
 Reward: the priority of a target for its first image; none in CloudyAEOS-v1 if the cloud cover is above 0.7.
 
-Termination: the time limit of 17 100 s (three orbits).
+Termination: at the time limit of 17,100 s (three orbits).
 
-Random at reset: orbit (800 km, 45 degrees), number, places and priorities of targets (100 to 9999 in AEOS-v1), clouds.
+Random at reset: orbit (800 km, 45 degrees); number (100 to 9,999 in AEOS-v1), positions and priorities of targets; clouds.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ from bsk_torch.env import SatelliteTasking
 from bsk_torch.sim import dyn, fsw
 
 ORBIT = 5700.0
-"""Length of an orbit for norms and time limits, s; episodes last three."""
+"""Duration of an orbit for norms and time limits, s; episodes last three orbits."""
 
 ALTITUDE = 800e3
 """Altitude of the orbit, m."""
@@ -123,7 +123,7 @@ def agile_environment(
     as_set: bool,
     options: dict[str, Any],
 ) -> SatelliteTasking:
-    """Return an environment with the first of two satellites, or the second one for targets ``as_set``; see :func:`aeos`."""
+    """Return an environment with the first of two satellites, or with the second for ``as_set``; see :func:`aeos`."""
     obs_type = options.pop("obs_type", dict if as_set else torch.Tensor)
     satellite = satellites[as_set]("EO1", arguments | options.pop("sat_args", {}), obs_type=obs_type, may_see_nothing=True)
     defaults: dict[str, Any] = dict(

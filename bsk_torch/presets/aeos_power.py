@@ -1,27 +1,29 @@
-"""AEOSPower-v1: agile Earth observation with a small battery, weak wheels and little storage.
+"""AEOSPower-v1: agile Earth observation with a small battery, weak wheels and a small data buffer.
 
-The satellite images, charges, downlinks and desaturates its wheels. As in bsk_rl's shield example, ``action_mask`` leaves out
-actions that a rule calls dangerous; see :func:`shield`.
+The satellite images, charges, downlinks and desaturates its wheels. As in bsk_rl's shield example, ``action_mask`` excludes
+dangerous actions; see :func:`shield`.
 
 Observation, 298 numbers: those of AEOS-v1 (:mod:`bsk_torch.presets.aeos`), and
 
 =============================  ==================================================================================
-``battery_charge_fraction``    charge of the battery over its capacity
-``wheel_speeds_fraction`` (3)  wheel speeds over the largest speed
-``storage_level_fraction``     data in the store over its capacity
+``battery_charge_fraction``    battery charge as a fraction of the capacity
+``wheel_speeds_fraction`` (3)  wheel speeds as fractions of the maximum speed
+``storage_level_fraction``     data in the buffer as a fraction of the capacity
 ``density`` (20)               sum of the priorities of targets whose next window closes within each of the next
-                               20 intervals of 180 s, over 5
-``ground_station`` (2)         time until the next pass over a station opens and closes, over 5700 s
-``eclipse`` (2)                time until the next eclipse begins and ends, over 5700 s
+                               20 intervals of 180 s, divided by 5
+``ground_station`` (2)         time until the next pass over a station opens and closes, divided by 5700 s
+``eclipse`` (2)                time until the next eclipse begins and ends, divided by 5700 s
 =============================  ==================================================================================
 
 Actions: 0 charge, 1 downlink, 2 desaturate the wheels (60 s each), 3 to 34 image one of the next 32 targets.
 
 Reward: the priority of a target for its first image; -10 if the satellite dies.
 
-Termination: battery empty, a wheel at its largest speed, or below 200 km at the end of a step; and the time limit of 17 100 s.
+Termination: at the end of a step with an empty battery, a wheel at its maximum speed, or an altitude below 200 km; and at the
+    time
+limit of 17,100 s.
 
-Random at reset: as in AEOS-v1 with 1000 targets; initial charge and wheel speeds, disturbance torque.
+Random at reset: as in AEOS-v1 with 1,000 targets; initial charge and wheel speeds, disturbance torque.
 """
 
 from __future__ import annotations
@@ -48,10 +50,10 @@ CROWD = 5.0
 """Norm of sums of priorities."""
 
 RESERVE = 0.25
-"""Charge below which the shield allows only charging, fraction of the battery's capacity."""
+"""Charge below which the shield allows only charging, as a fraction of the battery's capacity."""
 
 FAST = 0.7
-"""Wheel speed above which the shield allows only desaturation, fraction of the largest speed."""
+"""Wheel speed above which the shield allows only desaturation, as a fraction of the maximum speed."""
 
 RESOURCES = (
     dict(prop="battery_charge_fraction"),
@@ -70,7 +72,7 @@ class TargetDensity(obs.Observation):
     satellite: BoundAccessSatellite
 
     def __init__(self, name: str = "density") -> None:
-        """Name of the observation."""
+        """Set the name of the observation."""
         super().__init__(name)
 
     def get_obs(self) -> Tensor:
@@ -85,12 +87,12 @@ class TargetDensity(obs.Observation):
 def shield(satellite: BoundSatellite) -> Tensor:
     """Return which actions do not endanger the satellite, [N, n_actions] bool: only charging, only desaturation, or all.
 
-    In sunlight only charging is allowed below the charge (a fraction of the battery)
+    In sunlight, only charging is allowed below the charge (as a fraction of the capacity)
 
         needed = RESERVE + max(0, eclipse_duration - time_until_eclipse) / ORBIT
 
-    whose second term covers an eclipse that begins too soon to charge for it, at one battery per orbit. Otherwise, only
-    desaturation is allowed while a wheel is faster than :data:`FAST`.
+    where the second term covers an eclipse that begins before the battery can be charged for it, at one capacity per orbit.
+    Otherwise, only desaturation is allowed while a wheel is faster than :data:`FAST`.
     """
     start, end = (time - satellite.simulator.sim_time for time in satellite.next_eclipse())
     dark = end < start
@@ -175,7 +177,7 @@ def aeos_power(
     Args:
         n_targets: Number of targets, or its range (the upper end excluded).
         as_set: Whether targets are observed as a set.
-        shielded: Whether ``action_mask`` leaves out actions that :func:`shield` calls dangerous.
+        shielded: Whether ``action_mask`` excludes actions by the rule :func:`shield`.
         **options: See :func:`bsk_torch.presets.aeos.aeos`.
     """
     options = dict(scenario=scene.UniformTargets(n_targets), failure_penalty=-10.0) | options

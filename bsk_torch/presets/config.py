@@ -1,4 +1,4 @@
-"""Presets in configurations of TorchRL's recipes, as ``torchrl.trainers.algorithms.configs`` has them for other libraries.
+"""Presets in configurations of TorchRL's recipes, like those for other libraries in ``torchrl.trainers.algorithms.configs``.
 
 A recipe names a preset in its YAML file::
 
@@ -31,7 +31,7 @@ class PresetEnvConfig:
         name: One of :data:`bsk_torch.presets.PRESETS`.
         num_envs: Number of episodes.
         seed: Seed of all draws; None for a random one.
-        device: Where the simulation runs.
+        device: Device of the simulation.
         backend: ``"compiled"`` or ``"eager"``.
         options: Further arguments of the preset, such as ``time_limit``.
     """

@@ -1,6 +1,6 @@
 """Constellation-v1, AEOSConstellation-v1 and RelayConstellation-v1: constellations that image targets.
 
-AEOSConstellation-v1 is the task ``aeos_constellation`` of bsk_rl's benchmark suite. The others are this package's own.
+AEOSConstellation-v1 is the task ``aeos_constellation`` of bsk_rl's benchmark suite. The other two exist only in this package.
 
 ========================  =============================  ==========================  ==================================
 preset                    Constellation-v1               AEOSConstellation-v1        RelayConstellation-v1
@@ -8,24 +8,25 @@ preset                    Constellation-v1               AEOSConstellation-v1   
 satellites                12 imagers                     3 imagers                   4 imagers, 2 relays
 orbits                    Walker 45:12/3/1, 800 km       one plane, 45 deg, 800 km   imagers 45 deg, 500 km; relays
                                                                                      60 deg, 2500 km
-targets                   5000                           100 to 9999                 500
-communication             in line of sight               all, once a minute          of broadcasts in line of sight
+targets                   5,000                          100 to 9,999                500
+communication             along lines of sight           all, once a minute          broadcasts along lines of sight
 tick                      1 s                            0.5 s                       1 s
 penalty of a death        none                           none                        -1
 ========================  =============================  ==========================  ==================================
 
-Observation of an imager: as in AEOS-v1 (:mod:`bsk_torch.presets.aeos`), of the next 16 targets (32 in AEOSConstellation-v1)
-without those of whose image the satellite knows; 141 numbers (269). Of a relay, 7 numbers: ``battery_charge_fraction``,
-``r_BN_P_normd`` (3, over the radius of the Earth), ``eclipse`` (2, times over 5700 s) and ``time`` (over the time limit).
+Observation of an imager, 141 numbers (269 in AEOSConstellation-v1): as in AEOS-v1 (:mod:`bsk_torch.presets.aeos`), for the next
+16 targets (32), without targets that the satellite knows to be imaged. Observation of a relay, 7 numbers:
+``battery_charge_fraction``, ``r_BN_P_normd`` (3, divided by the radius of the Earth), ``eclipse`` (2, times divided by 5700 s)
+and ``time`` (divided by the time limit).
 
-Actions of an imager: image one of these targets; in RelayConstellation-v1 then broadcast (1 s). Of a relay: 0 charge (300 s),
-1 point at nadir (300 s), 2 broadcast (60 s). The last action of every space continues the present task.
+Actions of an imager: image one of these targets; in RelayConstellation-v1, the next action is to broadcast (1 s). Actions of a
+relay: 0 charge (300 s), 1 point at nadir (300 s), 2 broadcast (60 s). The last action of every space continues the current task.
 
 Reward: the priority of a target for its first image, shared by satellites that take it in the same step.
 
-Termination: the time limit of 17 100 s (three orbits of AEOS-v1); a satellite with an empty battery dies and leaves.
+Termination: at the time limit of 17,100 s (three orbits of AEOS-v1). A satellite with an empty battery dies and leaves.
 
-Random at reset: orbits' common node and phase, number, places and priorities of targets.
+Random at reset: common node and phase of the orbits; number, positions and priorities of targets.
 """
 
 from __future__ import annotations
@@ -45,7 +46,7 @@ CHOICES = 16
 """Number of observed targets of an imager in Constellation-v1 and RelayConstellation-v1."""
 
 RELAY_ALTITUDE = 2500.0
-"""Altitude of the relays, km: the Earth is between two relays half an orbit apart, but each sees low imagers on its own side."""
+"""Altitude of the relays, km. The Earth blocks two relays half an orbit apart, but each sees low imagers on its side."""
 
 
 def choices(as_set: bool = False) -> obs.OpportunityProperties:
@@ -54,11 +55,11 @@ def choices(as_set: bool = False) -> obs.OpportunityProperties:
 
 
 class LinkedDynModel(dyn.ImagingDynModel, dyn.LOSCommDynModel):
-    """Dynamics of an imager that communicates in line of sight."""
+    """Dynamics of an imager that communicates along lines of sight."""
 
 
 class RelayDynModel(dyn.BasicDynamicsModel, dyn.LOSCommDynModel):
-    """Dynamics of a relay that communicates in line of sight."""
+    """Dynamics of a relay that communicates along lines of sight."""
 
 
 class LinkedImager(sats.ImagingSatellite):
@@ -139,9 +140,9 @@ def constellation(
     Args:
         n_satellites: Number of satellites.
         n_planes: Number of their orbital planes.
-        phasing: Phase between neighboring planes, in units of 360 degrees over the number of satellites; None for 1, or for 0
-            where there is one plane.
-        n_targets: Number of targets that all satellites share, or its range (the upper end excluded).
+        phasing: Phase between neighboring planes, in units of 360 degrees divided by the number of satellites; None for 1, or
+            0 for a single plane.
+        n_targets: Number of targets shared by all satellites, or its range (the upper end excluded).
         as_set: Whether targets are observed as ``rows`` [N, S, 16, features] with a ``mask`` instead of in one vector.
         **options: Arguments of the environment to override, and ``variable_interval`` of the satellites; ``sat_args`` are merged
             with the preset's.
@@ -195,7 +196,7 @@ def relay_constellation(
 
     Args:
         n_imagers: Number of imagers, in one plane.
-        n_relays: Number of relays, in another one.
+        n_relays: Number of relays, in another plane.
         n_targets: Number of targets, or its range (the upper end excluded).
         as_set: Whether imagers observe targets as a set; see :func:`constellation`.
         **options: Arguments of the environment to override; ``sat_args`` are merged with those of the imagers, ``relay_args``

@@ -1,50 +1,52 @@
 """RSOInspection-v1 and MultiInspection-v1: fly around a spacecraft by velocity changes until its surface is inspected.
 
-RSOInspection-v1 is the task ``rso_inspection`` of bsk_rl's benchmark suite; MultiInspection-v1, this package's own, is the same
-for three inspectors that must not collide.
+RSOInspection-v1 is the task ``rso_inspection`` of bsk_rl's benchmark suite. MultiInspection-v1, which exists only in this
+package, is the same task with three inspectors that must not collide.
 
 A resident space object (RSO), a sphere of 1 m with 100 points, flies with its axes along its Hill frame. Inspectors start 250 to
-750 m away. Each has 10 m/s; each decision changes its velocity and drifts, with the instrument pointed at the RSO. A point is
-inspected where it is in view (within 30 degrees of its normal, and 250 m), and lit (the Sun within 60 degrees of its normal).
+750 m away, with fuel for 10 m/s. A decision is a velocity change followed by a drift with the instrument pointed at the RSO. A
+point is inspected if it is in view (within 30 degrees of its normal, and 250 m) and lit (the Sun within 60 degrees of its
+normal).
 
 Observation of an inspector, 61 numbers:
 
 ======================================  ==========================================================================
-``dv_available_normd``                  what the tank is good for, over 10 m/s
+``dv_available_normd``                  remaining delta-v, divided by 10 m/s
 ``resource_reward_weight``              price of 1 m/s
-``r_DC_Hc_normd`` (3)                   position relative to the RSO, in its Hill frame, over 500 m
-``v_DC_Hc_normd`` (3)                   velocity as seen in that frame, over 5 m/s
-``rso_imaged_regions`` (6)              inspected points of each of six regions, a fraction of all of it
-``imaged_regions`` (32)                 the same for 32 regions about directions that are spread evenly, fractions of theirs
+``r_DC_Hc_normd`` (3)                   position relative to the RSO, in its Hill frame, divided by 500 m
+``v_DC_Hc_normd`` (3)                   velocity as seen in that frame, divided by 5 m/s
+``rso_imaged_regions`` (6)              fraction of inspected points in each of six regions
+``imaged_regions`` (32)                 the same for 32 regions around evenly spread directions
 ``sun_hat_Hc`` (3)                      direction of the Sun in the RSO's Hill frame
-``eccentricity_Hs_normd`` (3),          orbit of the RSO, in the Hill frame of the Earth's motion about the Sun: vector of
-``h_Hs_normd`` (3), ``r_Hs_normd`` (3)  eccentricity over 0.04184, angular momentum over 5e10 m^2/s, position over 7e6 m
-``eclipse`` (2)                         time until the next eclipse begins and ends, over 5700 s
-``time``                                time since reset, over the time limit
+``eccentricity_Hs_normd`` (3),          orbit of the RSO, in the Hill frame of the Earth's motion about the Sun: eccentricity
+``h_Hs_normd`` (3), ``r_Hs_normd`` (3)  vector, angular momentum and position, divided by 0.04184, 5e10 m^2/s and 7e6 m
+``eclipse`` (2)                         time until the next eclipse begins and ends, divided by 5700 s
+``time``                                time since reset, divided by the time limit
 ======================================  ==========================================================================
 
-and in MultiInspection-v1, for each of the two other inspectors, 7 more: position (over 500 m) and velocity (over 5 m/s) relative
-to the inspector in the RSO's Hill frame, and whether it is alive.
+In MultiInspection-v1, there are 7 more for each of the two other inspectors: position (divided by 500 m) and velocity (divided by
+5 m/s) relative to the inspector in the RSO's Hill frame, and whether it is alive.
 
-With ``actions="thrust"``, as in bsk_rl, the action of an inspector is a change of velocity in the RSO's Hill frame (radial, along
-the track, normal), at most 1 m/s together, and the time to drift, 10 to 11 400 s. With ``actions="waypoints"`` it is one of 96
-transfers: to the directions of the 32 regions, 60 m from the RSO, in 600, 1200 or 2000 s (:class:`bsk_torch.act.HillWaypoint`).
-The RSO is an agent with one action, 0: point along the Hill frame; its observation is 1.
+With ``actions="thrust"``, as in bsk_rl, the action of an inspector consists of a velocity change of at most 1 m/s in the RSO's
+Hill frame (radial, along-track, normal) and the time to drift, 10 to 11,400 s. With ``actions="waypoints"``, it is one of 96
+transfers: to the directions of the 32 regions, 60 m from the RSO, in 600, 1,200 or 2,000 s (:class:`bsk_torch.act.HillWaypoint`).
+    The RSO is
+an agent with one action, 0: point along the Hill frame; its observation is 1.
 
-Reward of an inspector: inspected points not inspected before, over 100, less 0.1 for each m/s. When 90 % of the
-points that have been lit are inspected, everybody gets 1, the RSO included; at least 40 points must have been lit before, or an
-orbit of 5700 s passed. -1 for who dies.
+Reward of an inspector: the number of newly inspected points divided by 100, minus 0.1 for each m/s. When 90 % of the lit points
+have been inspected, all satellites including the RSO receive 1; this requires that 40 points have been lit or that an orbit of
+5,700 s has passed. The reward of a death is -1.
 
-Termination: the inspection is complete; or all agents have died. Inspectors die 1000 m from the RSO, which then dies, too, with
-an empty tank, and within 4 m of another spacecraft, which dies as well. The time limit of 57 000 s truncates.
+Termination: when the inspection is complete, or all agents have died. Inspectors die at 1,000 m from the RSO (which then also
+dies), with an empty tank, and within 4 m of another spacecraft (which also dies). The time limit of 57,000 s truncates.
 
-Random at reset: orbit of the RSO (500 to 1100 km above a sphere of 6371 km, eccentric), places and velocities (up to 1 m/s) of
-inspectors, epoch, attitudes and wheel speeds of inspectors.
+Random at reset: orbit of the RSO (500 to 1,100 km above a sphere of 6,371 km, eccentric), positions and velocities (up to 1 m/s)
+of inspectors, epoch, attitudes and wheel speeds of inspectors.
 
-Ticks take 5 s. Orbits are solved ahead, ``orbit="arc"``: nearly twice as fast as ``"integrated"``, which is what the models do by
-themselves. After 24 000 s, positions relative to the RSO differ by half a millimeter, and the same points are inspected. Gains of
-the attitude control are stable with these ticks, which those of bsk_rl's benchmark are not; the instrument records at any
-attitude error, in both.
+Ticks last 5 s. Orbits are solved in advance (``orbit="arc"``), which is nearly twice as fast as ``"integrated"``, the default of
+the models. After 24,000 s, positions relative to the RSO differ by half a millimeter, and the same points are inspected. The
+gains of the attitude control are stable with these ticks, unlike those of bsk_rl's benchmark; in both, the instrument records at
+any attitude error.
 """
 
 from __future__ import annotations
@@ -82,16 +84,16 @@ NEAR, SLOW = 500.0, 5.0
 """Norms of relative positions, m, and velocities, m/s."""
 
 BODY_RADIUS, LOWEST, HIGHEST = 6371e3, 500e3, 1100e3
-"""Radius of the sphere from which altitudes count, and bounds of the RSO's altitude, m."""
+"""Radius of the reference sphere of altitudes, and bounds of the RSO's altitude, m."""
 
 
 def one(satellite: sats.BoundSatellite) -> Tensor:
-    """Return 1 for each satellite, [N]: an observation of nothing."""
+    """Return 1 for each satellite, [N], an observation without information."""
     return torch.ones_like(satellite.simulator.sim_time)
 
 
 class EccentricOrbit(rand.Distribution):
-    """Elements [n, 6] of orbits in random orientation between 500 and 1100 km: uniform semi-major axis, then eccentricity.
+    """Elements [n, 6] of randomly oriented orbits between 500 and 1100 km, with uniform semi-major axis, then eccentricity.
 
     The perigee lies above 500 km and the apogee below 1100 km.
     """
@@ -109,7 +111,7 @@ class RelativeState(rand.Distribution):
     """Position, m, and velocity, m/s, in uniform directions of the RSO's Hill frame, with uniform lengths, [n, 6]."""
 
     def __init__(self, nearest: float = 250.0, farthest: float = 750.0, fastest: float = 1.0) -> None:
-        """Bounds of the distance, m, and of the speed, m/s."""
+        """Set the bounds of the distance, m, and of the speed, m/s."""
         self.bounds = (nearest, farthest), (0.0, fastest)
 
     def draw(self, key: rand.Key) -> Tensor:
@@ -122,9 +124,10 @@ class RelativeState(rand.Distribution):
 
 
 class OtherInspectors(obs.Observation):
-    """Position, velocity and life of the other inspectors, in the order of the list from each one on, [N, (I - 1) * 7].
+    """Positions, velocities and aliveness of the other inspectors, in cyclic order after each one, [N, (I - 1) * 7].
 
-    Relative to the inspector, in the RSO's Hill frame and as seen there, over 500 m and 5 m/s; 1 for one that lives, else 0.
+    Positions and velocities are relative to the inspector in the RSO's Hill frame, divided by 500 m and 5 m/s; aliveness is 1 or
+    0.
     """
 
     def __init__(self, n_inspectors: int, name: str = "others") -> None:
@@ -133,7 +136,7 @@ class OtherInspectors(obs.Observation):
         self.n_inspectors = n_inspectors
 
     def get_obs(self) -> Tensor:
-        """See :meth:`bsk_torch.obs.Observation.get_obs`; zeros for inspectors that are not simulated, as in trials."""
+        """See :meth:`bsk_torch.obs.Observation.get_obs`; zeros for inspectors not simulated in trials."""
         satellite, count = self.satellite, self.simulator.state.count
         chief = satellite.others[CHIEF].dynamics
         r_C, v_C = Vec3.of(chief.r_BN_N), Vec3.of(chief.v_BN_N)
@@ -141,7 +144,7 @@ class OtherInspectors(obs.Observation):
         r_N, v_N, alive = satellite.dynamics.r_BN_N, satellite.dynamics.v_BN_N, ~satellite.task.dead & satellite.present
 
         def behind(table: Tensor, k: int) -> Tensor:
-            """Return the rows of the inspectors k places behind."""
+            """Return the rows of the inspectors k places later."""
             return table.view(-1, count, *table.shape[1:]).roll(-k, 1).flatten(0, 1)
 
         parts = []
@@ -274,8 +277,8 @@ def rso_inspection(
     Args:
         n_inspectors: Number of inspectors.
         actions: ``"thrust"`` or ``"waypoints"``.
-        fuel_price: Charge for 1 m/s; a number, a distribution from which each episode's is drawn, such as
-            ``rand.Uniform(0.0, 0.5)``, or a function; the observation has it.
+        fuel_price: Price of 1 m/s, which is observed: a number, a distribution to draw from in each episode, such as
+            ``rand.Uniform(0.0, 0.5)``, or a function.
         sat_args: Arguments of the inspectors that replace those of the preset.
         **options: Arguments of :class:`~bsk_torch.ConstellationTasking` that replace those of the preset.
     """

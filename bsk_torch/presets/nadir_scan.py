@@ -1,26 +1,28 @@
 """NadirScan-v1: the demonstration of the BSK-RL paper (section 4 and appendix).
 
-One satellite records data of the ground below it for five orbits, and has to keep its battery charged, its wheels slow and its
-storage from filling up.
+One satellite records data of the ground below it for five orbits, and must keep its battery charged, its wheels slow and its data
+buffer from filling up.
 
 Observation, 12 numbers:
 
 ======================================  ==========================================================================
-``storage_level_fraction``              data in the store over its capacity
-``battery_charge_fraction``             charge of the battery over its capacity
-``wheel_speeds_fraction`` (3)           wheel speeds over the largest speed
-``instrument_pointing_error_normd``     angle between instrument and nadir, over pi
-``solar_pointing_error_normd``          angle between panel normal and Sun, over pi
-``ground_station`` (2)                  time until the next pass over a station opens and closes, over 5700 s
-``eclipse`` (2)                         time until the next eclipse begins and ends, over 5700 s
-``time``                                time since reset, over the time limit
+``storage_level_fraction``              data in the buffer as a fraction of the capacity
+``battery_charge_fraction``             battery charge as a fraction of the capacity
+``wheel_speeds_fraction`` (3)           wheel speeds as fractions of the maximum speed
+``instrument_pointing_error_normd``     angle between instrument and nadir, divided by pi
+``solar_pointing_error_normd``          angle between panel normal and Sun, divided by pi
+``ground_station`` (2)                  time until the next pass over a station opens and closes, divided by 5700 s
+``eclipse`` (2)                         time until the next eclipse begins and ends, divided by 5700 s
+``time``                                time since reset, divided by the time limit
 ======================================  ==========================================================================
 
 Actions: 0 scan (180 s), 1 charge (120 s), 2 downlink (60 s), 3 desaturate the wheels (60 s).
 
-Reward: seconds of recorded data over the 28 500 s of the episode; -1 if the satellite dies.
+Reward: seconds of recorded data divided by the episode's 28,500 s; -1 if the satellite dies.
 
-Termination: battery empty, a wheel at its largest speed, or below 200 km at the end of a step; and the time limit of 28 500 s.
+Termination: at the end of a step with an empty battery, a wheel at its maximum speed, or an altitude below 200 km; and at the
+    time
+limit of 28,500 s.
 
 Random at reset: orbit, attitude, initial storage, charge and wheel speeds, disturbance torque; see :func:`scanning_args`.
 """

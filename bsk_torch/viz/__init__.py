@@ -1,1 +1,1 @@
-"""Pictures with matplotlib: how learning went, and what a policy does."""
+"""Figures of training runs and of episodes, drawn with matplotlib."""

@@ -39,8 +39,8 @@ def record(policy: TensorDictModuleBase, env: Tasking, *, seed: int) -> Recorded
 def draw(episode: Recorded, path: Path | str, title: str = "") -> Path:
     """Draw a recorded episode to the file ``path``, .png or .svg, and return its path.
 
-    A constellation is drawn on a map with tasks over time, an inspection as paths about the RSO with its points, an imager above
-    its targets, another satellite as modes and resources over time; ``title`` is the headline.
+    A constellation is drawn on a map with tasks over time, an inspection as paths around the RSO with its points, an imager on a
+    map with its targets, and any other satellite as modes and resources over time; ``title`` is the headline.
     """
     path = Path(path)
     if isinstance(episode, ConstellationEpisode):

@@ -29,16 +29,16 @@ from bsk_torch.viz.table import Columns, Tabular, Tasks, satellite_columns
 __all__ = ["ConstellationEpisode", "constellation_figure"]
 
 TAIL = 900.0
-"""Seconds of flight drawn bold before the moment that the map shows."""
+"""Time before that of the map for which tracks are drawn bold, s."""
 
 MAP_HEIGHT, ROW_HEIGHT, ALL_ROWS = 4.35, 0.27, (1.2, 9.0)
-"""Heights of the map and of a satellite's row, and least and most of all rows together, inches."""
+"""Heights of the map and of a satellite's row, and minimum and maximum height of all rows together, inches."""
 
 BAR, STRIP = (-0.36, 0.22), (0.28, 0.39)
 """Positions of tasks and contacts in a row of height 1, from the top down."""
 
 CLOSE = 7.0
-"""Satellites that are fewer degrees apart on the map are named once."""
+"""Angle in degrees on the map below which neighboring satellites share a label."""
 
 TASKS = {
     "image": "#dbe4f0",
@@ -48,7 +48,7 @@ TASKS = {
     "desat": "#dccff0",
     "drift": "#eceef1",
 }
-"""Colors of tasks, so light that images stand out."""
+"""Colors of tasks, light enough for images to stand out."""
 
 OTHER_TASKS = ("#cfe8ef", "#ecd9c6", "#f3cdd9", "#dfe3c4")
 
@@ -68,28 +68,28 @@ class ConstellationEpisode(Tabular):
     Attributes:
         names: Names of the satellites.
         times: Times of the tracks' samples, ascending, [K].
-        latitude: Of the points below the satellites then, [S, K].
-        longitude: As ``latitude``, within 180 degrees.
-        groups: Number of the group, such as the orbital plane, that each belongs to, [S] int64; None: each is its own.
-        group_names: Name of every group; None: "plane 1" and so on, or the satellites' names.
-        links: Which satellites were in contact at the tracks' times, [K, S, S] bool; None where they never are.
+        latitude: Latitudes of the subsatellite points at these times, [S, K].
+        longitude: Longitudes, within 180 degrees, [S, K].
+        groups: Index of the satellite's group, such as its orbital plane, [S] int64; None for separate groups.
+        group_names: Names of the groups; None for "plane 1" and so on, or the satellites' names.
+        links: Satellites in contact at the tracks' times, [K, S, S] bool; None if they never are.
         image_times: Times of all images, [I].
-        image_satellite: Which satellite took each, [I] int64.
-        image_latitude: Where that was, [I].
-        image_longitude: As ``image_latitude``.
-        image_paid: Whether each was rewarded, [I] bool; None: all.
-        target_latitude: Of all targets there were, [T].
-        target_longitude: As ``target_latitude``.
-        task_satellite: Which satellite did each of M tasks, [M] int64.
-        task_spans: When it began and ended, [M, 2].
-        task_kind: What it was, a number of ``task_names``, [M] int64.
+        image_satellite: Satellite of each image, [I] int64.
+        image_latitude: Latitude of each image, [I].
+        image_longitude: Longitude of each image, [I].
+        image_paid: Whether each image was rewarded, [I] bool; None for all.
+        target_latitude: Latitudes of all targets, [T].
+        target_longitude: Longitudes of all targets, [T].
+        task_satellite: Satellite of each of M tasks, [M] int64.
+        task_spans: Start and end of each task, [M, 2].
+        task_kind: Kind of each task, an index into ``task_names``, [M] int64.
         task_names: Names of tasks, such as "image", "charge" and "drift"; a prefix ``action_`` is dropped.
-        deaths: When each satellite died, infinite for survivors, [S]; None: all survived. Tracks, tasks and
-            contacts are drawn until then.
+        deaths: Time of each satellite's death, infinite for survivors, [S]; None if all survived. Tracks, tasks and contacts are
+            drawn until then.
         rewards: Reward of each satellite's agent in the steps between ``times``, [S, K - 1]; nan for further satellites of the
             same agent.
         series: Quantities of the satellites at ``times`` by name, [S, K, width]; nan where a satellite has no such quantity.
-        actions: Actions of real numbers in the steps between ``times``, [S, K - 1, A]; nan for none. None without such actions.
+        actions: Continuous actions in the steps between ``times``, [S, K - 1, A]; nan for none. None without such actions.
     """
 
     names: Sequence[str]
@@ -116,7 +116,7 @@ class ConstellationEpisode(Tabular):
     actions: Tensor | None = None
 
     def __post_init__(self) -> None:
-        """ValueError for tensors whose shapes or numbers do not fit each other."""
+        """Raise ValueError for tensors with inconsistent shapes or indices."""
         s, k, images, targets, tasks = (
             self.size,
             len(self.times),
@@ -171,7 +171,7 @@ class ConstellationEpisode(Tabular):
 
     @property
     def ends(self) -> Tensor:
-        """When each satellite died or the episode ended, [S]."""
+        """Time at which each satellite died or the episode ended, [S]."""
         last = self.times[-1].expand(self.size)
         return last if self.deaths is None else torch.minimum(self.deaths.to(last), last)
 
@@ -182,7 +182,7 @@ class ConstellationEpisode(Tabular):
 
     @property
     def outcome(self) -> str:
-        """Number of images, and of satellites that died, as text."""
+        """Numbers of images and of dead satellites, as text."""
         images, dead = len(self.image_times), int(self.died.sum())
         survived = f", {dead} of {self.size} satellites died" if dead else ""
         return f"{images} image{'s' * (images != 1)} by {self.size} satellite{'s' * (self.size != 1)}{survived}"
@@ -217,7 +217,7 @@ class ConstellationEpisode(Tabular):
 
     @property
     def moment(self) -> int:
-        """The sample that the map shows: the last of those with the most contacts, or the last of all."""
+        """Index of the sample shown on the map: the last with the most contacts, or the last of all."""
         total = self.contacts.sum((-1, -2))
         return len(total) - 1 - int(total.flip(0).argmax())
 

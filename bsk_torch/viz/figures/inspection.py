@@ -1,4 +1,4 @@
-"""Figure of an episode of an inspection: paths about the RSO, its points, and what was known and spent over time."""
+"""Figure of an inspection episode: paths around the RSO, its points, and inspected points and fuel over time."""
 
 from __future__ import annotations
 
@@ -157,15 +157,16 @@ class InspectionEpisode(Tabular):
 def inspection_figure(episode: InspectionEpisode, path: Path, title: str = "") -> Path:
     """Draw an episode to the file ``path``, .png or .svg, with headline ``title`` unless that is empty.
 
-    From above: the paths about the RSO in projections of its Hill frame, as a whole and near it, with maneuvers; a map of its
-    points, colored by the time when they were inspected, and the numbers of lit and inspected points and the fuel over time.
+    From top to bottom: the paths around the RSO in projections of its Hill frame, complete and near the RSO, with maneuvers; a
+        map
+    of its points, colored by the time of inspection; the numbers of lit and inspected points and the fuel over time.
     """
     figure = Figure(figsize=(10.0, sum(HEIGHTS) + 1.0), dpi=140, layout="constrained", facecolor="white")
     above, below = figure.subfigures(2, 1, height_ratios=HEIGHTS)  # type: ignore[misc]
     for panel, (x, y, near) in zip(above.subplots(1, 3), VIEWS, strict=True):
         tidy(panel)
         draw_paths(panel, episode, x, y, near)
-        caption(panel, "near the RSO" if near else "paths about the RSO")
+        caption(panel, "near the RSO" if near else "paths around the RSO")
         panel.set_xlabel(f"{AXES[x]}, m", color=INK, fontsize=9.5)
         panel.set_ylabel(f"{AXES[y]}, m", color=INK, fontsize=9.5, labelpad=0.0)
     left, right = below.subfigures(1, 2)
@@ -186,7 +187,7 @@ def inspection_figure(episode: InspectionEpisode, path: Path, title: str = "") -
 
 
 def draw_paths(panel: Axes, episode: InspectionEpisode, x: int, y: int, near: bool) -> None:
-    """Draw the paths about the RSO, with maneuvers, into a panel.
+    """Draw the paths around the RSO, with maneuvers, into a panel.
 
     Args:
         panel: The panel.

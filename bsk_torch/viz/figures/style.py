@@ -1,4 +1,4 @@
-"""The look that all pictures share. Figures are made without pyplot, so nothing global changes."""
+"""Style shared by all figures. Figures are created without pyplot, so no global state changes."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from matplotlib.lines import Line2D
 from bsk_torch.files import write_file
 
 PALETTE = ("#2f6db3", "#e8a628", "#2f9e72", "#c1476b", "#7b62b8", "#5aa9c9", "#8c6d4f", "#6b7280")
-"""Colors that stay apart in print and for the color-blind."""
+"""Colors that are distinguishable in print and for color-blind readers."""
 
 INK, FAINT = "#333a45", "#d9dde3"
-"""Colors of text, and of lines that only guide the eye."""
+"""Colors of text and of guide lines."""
 
 
 def panels(heights: Sequence[float], width: float = 10.0) -> tuple[Figure, list[Axes]]:
-    """A figure of panels above each other that share the abscissa; ``heights`` in inches."""
+    """Return a figure with stacked panels that share the abscissa, with ``heights`` in inches."""
     figure = Figure(figsize=(width, sum(heights) + 1.2), dpi=140, layout="constrained", facecolor="white")
     axes = figure.subplots(len(heights), 1, sharex=True, squeeze=False, height_ratios=list(heights))[:, 0]
     for panel in axes:
@@ -32,7 +32,7 @@ def panels(heights: Sequence[float], width: float = 10.0) -> tuple[Figure, list[
 
 
 def tidy(panel: Axes) -> None:
-    """Light grid, no box."""
+    """Set a light grid without a box."""
     panel.spines[["top", "right"]].set_visible(False)
     panel.spines[["left", "bottom"]].set_color(FAINT)
     panel.tick_params(colors=INK, labelsize=9, length=3)
@@ -41,7 +41,7 @@ def tidy(panel: Axes) -> None:
 
 
 def label(panel: Axes, text: str) -> None:
-    """Name of the ordinate."""
+    """Label the ordinate."""
     panel.set_ylabel(text, color=INK, fontsize=9.5)
 
 
@@ -51,7 +51,7 @@ def caption(panel: Axes, text: str) -> None:
 
 
 def name_lines(panel: Axes, lines: Mapping[str, tuple[float, str]], height: float) -> None:
-    """Names at the right of lines that end at given heights, in the lines' colors; a name has ``height`` of the panel's."""
+    """Write names next to the right ends of lines, in the lines' colors; ``height`` of a name is a fraction of the panel's."""
     bottom, top = panel.get_ylim()
     finite = {name: (end, color) for name, (end, color) in lines.items() if isfinite(end)}
     ends = spread([end for end, _ in finite.values()], height * (top - bottom))
@@ -60,7 +60,7 @@ def name_lines(panel: Axes, lines: Mapping[str, tuple[float, str]], height: floa
 
 
 def spread(heights: Sequence[float], gap: float) -> list[float]:
-    """Heights moved up or down in their order until neighbors are at least ``gap`` apart."""
+    """Return heights moved apart, in their order, until neighbors differ by at least ``gap``."""
     order = sorted(range(len(heights)), key=heights.__getitem__)
     moved = list(heights)
     for _ in range(100):
@@ -71,19 +71,19 @@ def spread(heights: Sequence[float], gap: float) -> list[float]:
 
 
 def dot(marker: str, face: str, edge: str, name: str) -> Line2D:
-    """Entry of a legend for a marker."""
+    """Return a legend entry for a marker."""
     return Line2D([], [], linestyle="", marker=marker, color=face, markeredgecolor=edge, markersize=6.0, label=name)
 
 
 def headline(figure: Figure, text: str) -> None:
-    """Title at the left of the figure."""
+    """Write the title of the figure, aligned left."""
     figure.suptitle(text, x=0.01, ha="left", color=INK, fontsize=12.5, fontweight="bold")
 
 
 def save(figure: Figure, path: Path) -> Path:
-    """Write a picture in the format that the path's suffix says, .png or .svg, and return the path.
+    """Write a figure in the format of the path's suffix, .png or .svg, and return the path.
 
-    The same figure gives the same file: an SVG has no date, and names of its parts that depend on what is drawn.
+    Equal figures give equal files: an SVG has no date, and ids derived from its content.
     """
     with rc_context({"svg.hashsalt": "bsk_torch"}):
         drawn, kind = BytesIO(), path.suffix.removeprefix(".")

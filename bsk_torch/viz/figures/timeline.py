@@ -1,4 +1,4 @@
-"""Figure of an episode over time: modes, battery, store, wheels, eclipses and station passes."""
+"""Figure of an episode over time: modes, battery, data buffer, wheels, eclipses and station passes."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ def timeline(episode: Episode, path: Path, title: str = "", marks: Sequence[tupl
     """Draw an episode to the file ``path``, .png or .svg.
 
     Args:
-        episode: What to draw.
+        episode: The recorded episode.
         path: The file.
-        title: Headline; none if it is empty.
-        marks: Moments, s since reset, and what to write at each: a line through all panels.
+        title: Headline; no headline if empty.
+        marks: Times, s since reset, with a text for each, drawn as lines through all panels.
 
     Returns:
         The path.

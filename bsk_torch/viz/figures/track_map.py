@@ -29,8 +29,8 @@ SHADE_ALPHA = 0.22
 def track_map(episode: TrackEpisode, path: Path, title: str = "") -> Path:
     """Draw an episode to the file ``path``, .png or .svg, with headline ``title`` unless that is empty.
 
-    The ground track in the colors of the timeline's modes, thick over decisions that earned a reward, on a shade where the
-    satellite is in eclipse, with ground stations, start and end.
+    The ground track has the colors of the timeline's modes. It is thick for decisions that earned a reward and shaded in eclipse.
+    Ground stations, start and end are marked.
     """
     figure = Figure(figsize=(10.0, 5.8 if title else 5.35), dpi=140, layout="constrained", facecolor="white")
     panel = figure.subplots()

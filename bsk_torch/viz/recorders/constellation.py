@@ -1,4 +1,4 @@
-"""One episode of a constellation, recorded to be drawn by :func:`bsk_torch.viz.figures.constellation.constellation_figure`."""
+"""Recorder of one episode of a constellation, for :func:`bsk_torch.viz.figures.constellation.constellation_figure`."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ SAME_PLANE = 1e-6
 
 
 class Image(NamedTuple):
-    """An image: when, by which satellite, of which target, and whether it was rewarded."""
+    """An image: its time, satellite and target, and whether it was rewarded."""
 
     time: float
     satellite: int
@@ -32,7 +32,7 @@ class Image(NamedTuple):
 
 
 class ConstellationRecorder:
-    """Notes what episode 0 of an environment shows at every decision boundary, without changing what comes next."""
+    """Records episode 0 of an environment at every decision, without changing the episode."""
 
     def __init__(self, env: ConstellationTasking) -> None:
         """Record ``env``, from its next reset on."""

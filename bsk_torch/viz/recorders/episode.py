@@ -1,4 +1,4 @@
-"""One episode of a policy, recorded to be drawn."""
+"""Recorder of one episode of a policy."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ QUANTITIES = {
     "storage_level_fraction": "data buffer",
     "wheel_speeds_fraction": "wheel speeds",
 }
-"""Properties of the dynamics drawn where the satellite has them, and what they are called."""
+"""Recorded properties of the dynamics model, if the satellite has them, and their names in figures."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,14 +30,14 @@ class Episode(Tabular):
     """One recorded episode of T decisions; times are seconds since reset.
 
     Attributes:
-        names: What can be done: the entries of the satellite's ``action_spec``.
-        times: Decision boundaries, [T + 1].
-        actions: Which of ``names`` was done between them, [T].
+        names: Names of the entries of the satellite's ``action_spec``.
+        times: Times of the decisions, and of the end, [T + 1].
+        actions: Index into ``names`` of each decision, [T].
         rewards: Reward of each decision, [T].
-        series: Quantities at the boundaries by name, [T + 1, width] each; see :data:`QUANTITIES`.
+        series: Quantities at these times by name, [T + 1, width] each; see :data:`QUANTITIES`.
         eclipses: Start and end of every eclipse, [n, 2].
-        passes: Start and end of all time in view of a ground station, [n, 2].
-        died: Whether the satellite failed.
+        passes: Start and end of every period in view of a ground station, [n, 2].
+        died: Whether the satellite died.
     """
 
     names: list[str]
@@ -56,7 +56,7 @@ class Episode(Tabular):
 
     @property
     def outcome(self) -> str:
-        """How the episode ended, as text."""
+        """Outcome of the episode as text."""
         return f"return {self.total:.3f}, {'died' if self.died else 'survived'}"
 
     def columns(self) -> dict[str, Tensor]:
@@ -83,10 +83,10 @@ def first_row(env: Tasking) -> Tensor:
 
 
 class Recorder:
-    """Notes what row 0 of an environment shows at every decision boundary, without changing what comes next."""
+    """Records row 0 of an environment at every decision, without changing the episode."""
 
     def __init__(self, env: SatelliteTasking) -> None:
-        """Record ``env``, from its next reset on."""
+        """Record ``env``, starting with its next reset."""
         self.env, self.satellite, self.simulator = env, env.satellite, env.simulator
         self.boundaries: list[dict[str, Tensor]] = []
         self.actions: list[int] = []
@@ -101,7 +101,7 @@ class Recorder:
         return {"times": self.simulator.sim_time[0], **{name: value.reshape(-1) for name, value in there.items()}}
 
     def note(self) -> None:
-        """Note the present boundary."""
+        """Record the current state."""
         self.boundaries.append({name: value.clone() for name, value in self.look().items()})
         now = float(self.simulator.sim_time[0])
         start, end = (float(time[0]) for time in self.satellite.next_eclipse())
@@ -141,7 +141,7 @@ class Recorder:
 
 
 def union(intervals: Iterable[tuple[float, float]], last: float) -> Tensor:
-    """Start and end, [n, 2], of what the intervals cover between 0 and ``last``, in ascending order."""
+    """Return start and end, [n, 2], of the union of the intervals between 0 and ``last``, in ascending order."""
     merged: list[list[float]] = []
     for start, end in sorted((max(start, 0.0), min(end, last)) for start, end in intervals):
         if merged and start <= merged[-1][1]:

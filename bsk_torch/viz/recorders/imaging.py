@@ -1,4 +1,4 @@
-"""One episode of a policy that images targets, recorded to be drawn: where the satellite was, and what it imaged from there."""
+"""Recorder of one episode of a policy that images targets, with positions of the satellite and of the imaged targets."""
 
 from __future__ import annotations
 
@@ -32,13 +32,13 @@ class ImagingEpisode(TrackEpisode):
     """A :class:`TrackEpisode` of T decisions with K targets; positions are Earth-fixed, m.
 
     Attributes:
-        r_LP_P: The targets, [K, 3], padding included.
-        exists: Which of them are no padding, [K].
-        priority: The most that each was worth at any decision, [K].
-        chosen: Target of each decision, [T]; :data:`NONE` where something else was done.
-        worth: What the chosen target was worth when it was chosen, [T].
-        imaged: Which decisions led to an image, [T].
-        missed: Which ended because the target's window closed without one, [T].
+        r_LP_P: Positions of the targets, including padding, [K, 3].
+        exists: Targets other than padding, [K].
+        priority: Highest priority of each target at any decision, [K].
+        chosen: Target of each decision, [T]; :data:`NONE` for other actions.
+        worth: Priority of the chosen target at its decision, [T].
+        imaged: Decisions that led to an image, [T].
+        missed: Decisions that ended because the target's window closed without an image, [T].
         least_elevation: Least elevation, rad, of a satellite that images a target.
     """
 

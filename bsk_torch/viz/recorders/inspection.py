@@ -1,4 +1,4 @@
-"""One episode of an inspection, recorded to be drawn by :func:`bsk_torch.viz.figures.inspection.inspection_figure`."""
+"""Recorder of one inspection episode, for :func:`bsk_torch.viz.figures.inspection.inspection_figure`."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ def inspects(env: Tasking) -> bool:
 
 
 def rewarder_of(env: Tasking) -> RSOInspectionReward | None:
-    """Return what pays for inspected points, alone or among other rewarders; None for other problems."""
+    """Return the rewarder for inspected points, alone or among others; None for other problems."""
     parts = env.rewarder.rewarders if isinstance(env.rewarder, ComposedReward) else [env.rewarder]
     return next((part for part in parts if isinstance(part, RSOInspectionReward)), None)
 
 
 class InspectionRecorder:
-    """Notes what episode 0 of an environment shows at every tick and decision boundary, without changing what comes next."""
+    """Records episode 0 of an environment at every tick and decision, without changing the episode."""
 
     def __init__(self, env: ConstellationTasking) -> None:
         """Record ``env``, from its next reset on; ValueError for one without an inspection."""

@@ -1,4 +1,4 @@
-"""One episode of a policy with the track that the satellite flew, recorded to be drawn on a map."""
+"""Recorder of one episode of a policy with the satellite's track, for maps."""
 
 from __future__ import annotations
 
