@@ -251,7 +251,7 @@ def test_programs_that_ask_for_films_for_vizard_run_without(caplog):
     asked = SatelliteTasking(Drifter("D"), vizard_dir="/tmp/x", vizard_settings={"showLocationLabels": 0}, backend="eager")
     assert "'bsk-torch film' makes films" in caplog.text
     asked.reset(seed=1)
-    assert asked.step(0)[4]["d_ts"] == 60.0
+    assert asked.step(0)[4]["d_ts"] == pytest.approx(60.0)
 
 
 def test_log_levels_are_those_of_the_simulation():

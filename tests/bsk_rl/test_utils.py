@@ -156,7 +156,7 @@ def test_attitudes_compose_and_turn():
     moved = (RigidBodyKinematics.C2MRP(RigidBodyKinematics.PRV2C(rate * h) @ RigidBodyKinematics.MRP2C(first)) - first) / h
     np.testing.assert_allclose(RigidBodyKinematics.dMRP(first, rate), moved, atol=1e-8)
     np.testing.assert_allclose(RigidBodyKinematics.dMRP2Omega(first, RigidBodyKinematics.dMRP(first, rate)), rate, atol=1e-15)
-    with pytest.raises(AttributeError, match="did you mean 'MRP2C' or 'MRP2EP'"):
+    with pytest.raises(AttributeError, match="did you mean 'MRP2C'"):
         RigidBodyKinematics.MRP2Q  # noqa: B018  - reading is what is tried
 
 
