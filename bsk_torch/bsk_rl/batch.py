@@ -34,6 +34,7 @@ from bsk_torch.bsk_rl.obs.observations import LARGEST
 from bsk_torch.bsk_rl.scene.targets import uniform_priority
 from bsk_torch.bsk_rl.utils import orbital
 from bsk_torch.env import SatelliteTasking as Core
+from bsk_torch.env.per_environment import per_environment
 from bsk_torch.sim.places import TARGET_KIND
 from bsk_torch.wrappers.gymnasium import GymVectorEnv
 
@@ -117,6 +118,12 @@ SUMMED = {**REWARDERS, their_data.UniqueImageReward: REWARDERS[their_data.Unique
 LINKS = "satellite satellites scenario simulator n_actions data_type data_store_kwargs"
 """Attributes of all objects that no argument has set."""
 
+ADAPTERS: dict[str, Callable[[Any], Any]] = {
+    "reward_fn": lambda function: partial(of_each, function),
+    "resource_fn": lambda function: per_environment(partial(function)),
+}
+"""Functions for one episode among the arguments, and what lets a batch call them."""
+
 STANDARD = (uniform_priority, whole_priority, nothing)
 """Functions that stand for an argument that is not given: the counterparts have defaults of the same meaning."""
 
@@ -172,23 +179,29 @@ def counterpart(given: Any, table: Mapping[type, Stock], *entries: Any) -> Any:
     known = {*stock.arguments.values(), *stock.state.split(), *LINKS.split()}
     if unknown := sorted(set(vars(given)) - known):
         raise NotBatchedError(f"{title} has attributes that are no arguments of it: {', '.join(unknown)}")
-    values = {}
+    values: dict[str, Any] = {}
     for name, attribute in stock.arguments.items():
         value = getattr(given, attribute)
         if callable(value) and value in STANDARD:
             continue
-        values[name] = partial(of_each, value) if name == "reward_fn" and value is not None else value
+        values[name] = ADAPTERS[name](value) if name in ADAPTERS and value is not None else value
     return stock.core(*entries, **values)
+
+
+def _adapted(entry: dict[str, Any]) -> dict[str, Any]:
+    """Return an observed quantity whose function, if it has one, may be called for each episode."""
+    return {**entry, "fn": per_environment(partial(entry["fn"]))} if "fn" in entry else entry
 
 
 def _entries(given: Any) -> list[dict[str, Any]]:
     """Return the observed quantities of an observation as the core takes them."""
     if isinstance(given, their_obs.SatProperties):
-        return [{name: value for name, value in entry.items() if name != "module"} for entry in given.obs_properties]
+        return [_adapted({name: value for name, value in entry.items() if name != "module"}) for entry in given.obs_properties]
     if isinstance(given, their_obs.OpportunityProperties):
         presets: Mapping[Any, Any] = their_obs.OpportunityProperties._fn_map
         unused = [{"fn"} if entry["fn"] is presets.get(entry.get("prop")) else set() for entry in given.target_properties]
-        return [{k: v for k, v in e.items() if k not in names} for e, names in zip(given.target_properties, unused, strict=True)]
+        pairs = zip(given.target_properties, unused, strict=True)
+        return [_adapted({name: value for name, value in entry.items() if name not in names}) for entry, names in pairs]
     return []
 
 

@@ -94,7 +94,9 @@ class ResourceReward(GlobalReward):
     def _resource(self, satellite: BoundSatellite) -> Tensor:
         """Return the resource of the satellites of a type, [N]."""
         simulator = satellite.simulator
-        function = self._functions.setdefault(id(satellite), UserFunction("resource_fn of data.ResourceReward", ADVICE))
+        function = self._functions.setdefault(
+            id(satellite), UserFunction("resource_fn of data.ResourceReward", ADVICE, self.resource_fn)
+        )
         rows = len(simulator.ticks)
         found = function(
             (rows,), simulator.device, lambda: self.resource_fn(satellite), lambda row: self.resource_fn(satellite.one(row))

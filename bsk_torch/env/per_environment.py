@@ -7,10 +7,15 @@ from typing import Any
 
 from bsk_torch.data.base import GlobalReward
 from bsk_torch.data.mapped import PerEnvironmentReward
+from bsk_torch.sats.user_function import adapted
 
 
 def per_environment(given: Any) -> Any:
-    """Return what runs code for one episode in each environment of a batch.
+    """Return what runs code for one episode in each environment of a batch; also a decorator.
+
+    A function of one satellite, in an observation (also ``get_obs``, and properties of models), a resource reward or an access
+    filter, may return numbers and NumPy arrays, and call NumPy. It is called once for all environments if that gives the same,
+    else for one after the other, with a warning in the log.
 
     A rewarder, an object with the hooks of ``bsk_torch.bsk_rl.data.GlobalReward``, becomes a rewarder of the batch. Every episode
     begins with a deep copy of it; its stores are saved and restored with the episodes. ``satellite`` in its hooks is a view of
@@ -19,7 +24,7 @@ def per_environment(given: Any) -> Any:
     Its time is that of the Python code times the number of environments, in every step: see ``docs/migration_fast.md``.
 
     Args:
-        given: The rewarder.
+        given: The rewarder, or the function.
 
     Raises:
         TypeError: For anything else.
@@ -27,12 +32,15 @@ def per_environment(given: Any) -> Any:
     Example:
         >>> from bsk_torch.bsk_rl.data import NoReward
         >>> rewarder = per_environment(NoReward())
+        >>> radius = per_environment(lambda satellite: np.linalg.norm(satellite.dynamics.r_BN_N))
     """
     if hasattr(given, "create_data_store") and not isinstance(given, type):
         return PerEnvironmentReward(copy.copy(given))
+    if callable(given) and not isinstance(given, type | GlobalReward):
+        return adapted(given)
     if isinstance(given, GlobalReward):
         raise TypeError(f"{type(given).__name__} rewards all environments at once; give it to the environment as it is")
     raise TypeError(
-        f"per_environment({given!r}): give it a rewarder of one episode, an object of a class of bsk_torch.bsk_rl.data, made "
-        "with parentheses"
+        f"per_environment({given!r}): give it a function of a satellite, or a rewarder of one episode, an object of a class of "
+        "bsk_torch.bsk_rl.data, made with parentheses"
     )

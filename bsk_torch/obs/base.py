@@ -171,7 +171,7 @@ class Reader:
         # a class that overrides another get_obs() may call it for all satellites, so it is not mapped
         owners = [cls for cls in type(entry).__mro__ if "get_obs" in vars(cls)]
         mapped = not is_ours(owners[0]) and owners[1:] == [Observation]
-        self._function = UserFunction(f"{type(entry).__name__}.get_obs()", ADVICE) if mapped else None
+        self._function = UserFunction(f"{type(entry).__name__}.get_obs()", ADVICE, type(entry).get_obs) if mapped else None
 
     @property
     def functions(self) -> list[UserFunction]:

@@ -122,7 +122,7 @@ class OpportunityProperties(Observation):
         self.exact = ("mask",) if as_set else ()  # not changed by obs.Noisy
         titles = (f"{entry['name']!r} of {self.name!r}" for entry in parsed)
         self._functions = [
-            UserFunction(title, ADVICE) if "fn" in entry and not is_own(entry["fn"]) else None
+            UserFunction(title, ADVICE, entry["fn"]) if "fn" in entry and not is_own(entry["fn"]) else None
             for entry, title in zip(parsed, titles, strict=True)
         ]
 

@@ -277,7 +277,7 @@ class RelativeProperties(Observation):
                 f"{nearest(self.chief_name, places)}"
             )
         titles = (f"{entry['name']!r} of {self.name!r}" for entry in self.entries)
-        self._functions = [None if is_own(c) else UserFunction(t, ADVICE) for c, t in zip(self._calls, titles, strict=True)]
+        self._functions = [None if is_own(c) else UserFunction(t, ADVICE, c) for c, t in zip(self._calls, titles, strict=True)]
 
     @property
     def chief(self) -> Any:

@@ -56,10 +56,11 @@ class SatProperties(Observation):
         """Return the user's function or property called by an entry; None for those of the package."""
         title = f"{entry['name']!r} of {self.name!r}"
         if module is None:
-            return None if is_own(entry["fn"]) else UserFunction(title, ADVICE)
+            return None if is_own(entry["fn"]) else UserFunction(title, ADVICE, entry["fn"])
         owner = next(cls for cls in type(module).__mro__ if entry["prop"] in vars(cls))
-        own = is_ours(owner) or isinstance(vars(owner)[entry["prop"]], observable)
-        return None if own else UserFunction(f"{title}, {owner.__name__}.{entry['prop']},", ADVICE)
+        member = vars(owner)[entry["prop"]]
+        own = is_ours(owner) or isinstance(member, observable)
+        return None if own else UserFunction(f"{title}, {owner.__name__}.{entry['prop']},", ADVICE, member)
 
     def observables(self) -> list[Any]:
         """See :meth:`Observation.observables`."""

@@ -90,7 +90,7 @@ class AccessFilter:
 
     def user_function(self) -> UserFunction:
         """Return the function for a type of opportunities."""
-        return UserFunction(f"the access filter {self.function!r}", ADVICE)
+        return UserFunction(f"the access filter {self.function!r}", ADVICE, self.function)
 
     def __eq__(self, other: object) -> bool:
         """Whether it is the same function for the same types: satellites with equal filters are of one type."""

@@ -7,9 +7,11 @@ is a single number. So a function is tried on all satellites, and compared with 
 
 from __future__ import annotations
 
+import functools
 import logging
 import warnings
 from collections.abc import Callable, Sequence
+from types import FunctionType
 from typing import Any
 
 import numpy as np
@@ -33,22 +35,42 @@ Tree = Any
 """A tensor, or a dictionary of tensors by name, which may be nested."""
 
 
+MARK = "called_per_environment"
+"""Attribute of functions that :func:`adapted` has marked."""
+
+
+def adapted(function: Any) -> Any:
+    """Return a function that may be called for each satellite; it is marked, or, where it takes no attributes, wrapped."""
+    marked = function if isinstance(function, FunctionType) else functools.partial(function)
+    setattr(marked, MARK, True)
+    return marked
+
+
+def is_adapted(function: Any) -> bool:
+    """Return whether a function, a property, or a partial of one has been marked by :func:`adapted`."""
+    if isinstance(function, property | functools.cached_property):
+        return is_adapted(function.fget if isinstance(function, property) else function.func)
+    return hasattr(function, MARK) or (isinstance(function, functools.partial) and is_adapted(function.func))
+
+
 class UserFunction:
     """A function of a user that is called for all N satellites at once, if it gives the same as for each of them.
 
     The first call decides: it compares the result of all with that of the first satellite. If the function fails for a single
-    satellite, it was written for tensors, and only its shape is checked; if it fails for all, or differs, it is mapped.
+    satellite, it was written for tensors, and only its shape is checked. If it fails for all, or differs, it is called for each
+    satellite if it is :func:`adapted`, else rejected with an error.
 
     Attributes:
         title: What the function is, for messages.
+        adapted: Whether it may be called for each satellite.
         mapped: Whether it is called for each satellite; None before the first call.
         why: Why it is mapped.
         results: Results of a trial, kept if :meth:`begin_trial` was called.
     """
 
-    def __init__(self, title: str, advice: str) -> None:
+    def __init__(self, title: str, advice: str, function: object) -> None:
         """Describe a function; ``advice`` says how to write it for all satellites."""
-        self.title, self.advice = title, advice
+        self.title, self.advice, self.adapted = title, advice, is_adapted(function)
         self.mapped: bool | None = None
         self.why = ""
         self.results: list[Tree] | None = None
@@ -65,7 +87,8 @@ class UserFunction:
             one: The call for the satellite of a row.
 
         Raises:
-            TypeError: For a function that can be called neither way, or whose results do not fit.
+            TypeError: For a function that can be called neither way, or only for each satellite without being adapted, or whose
+                results do not fit.
         """
         if self.mapped is None:
             found = self._decide(lead, device, whole, one)
@@ -102,7 +125,14 @@ class UserFunction:
         if failure is None and alike(first_of(batched), first):
             self.mapped = False
             return batched
-        self._map_because(_told(failure) if failure else "it mixes environments if it is called for all of them", lead[0])
+        why = _told(failure) if failure else "it mixes environments if it is called for all of them"
+        if not self.adapted:
+            tables = "" if failure else f"; {TABLES}"
+            raise TypeError(
+                f"{self.title} works for one satellite, but not for all at once ({why.replace(self.title, 'it')}): {self.advice}"
+                f"{tables}. Or let bsk_torch.per_environment(function) call it for one environment after the other, which is slow"
+            ) from failure
+        self._map_because(why, lead[0])
         return self._map(lead, device, one)
 
     def _map(self, lead: Sequence[int], device: torch.device, one: Callable[[int], object]) -> Tree:

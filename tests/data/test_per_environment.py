@@ -291,7 +291,9 @@ def test_base_classes_reward_as_the_batched_ones():
 
 def test_observations_read_the_store_of_each_satellite():
     class Observer(Brief):
-        observation_spec = (obs.SatProperties(dict(fn=lambda sat: len(sat.data_store.data.names), name="visits")),)
+        observation_spec = (
+            obs.SatProperties(dict(fn=per_environment(lambda sat: len(sat.data_store.data.names)), name="visits")),
+        )
 
     fixed = dict(num_envs=2, time_limit=60.0, seed=1, backend="eager")
     env = ConstellationTasking(

@@ -7,13 +7,14 @@ import pytest
 import torch
 from tensordict import TensorDict
 
-from bsk_torch import SatelliteTasking, act, data, obs, rand, sats
+from bsk_torch import SatelliteTasking, act, data, obs, per_environment, rand, sats
 
 
 def elapsed(sat):
     return sat.simulator.sim_time
 
 
+@per_environment
 def squared(sat):
     return np.sum(sat.dynamics.r_BN_N**2)
 
@@ -28,7 +29,8 @@ def make(num_envs=3, rewarder=None, spec=None, **options):
     rewarder = rewarder or (
         data.ResourceReward(reward_weight=lambda: np.random.uniform(1.0, 2.0), resource_fn=elapsed),
         data.ComposedReward(
-            data.NoReward(), data.ResourceReward(rand.Uniform(-2.0, -1.0), lambda sat: np.sum(sat.dynamics.r_BN_N**2))
+            data.NoReward(),
+            data.ResourceReward(rand.Uniform(-2.0, -1.0), squared),
         ),
     )
     given = dict(time_limit=600.0, seed=1, backend="eager", dtype=torch.float64) | options

@@ -30,6 +30,7 @@ NAMES: dict[str, Any] = {
     "fsw": fsw,
     "SatelliteTasking": bsk_torch.SatelliteTasking,
     "ConstellationTasking": bsk_torch.ConstellationTasking,
+    "per_environment": bsk_torch.per_environment,
 }
 """What a bsk_rl program has imported."""
 

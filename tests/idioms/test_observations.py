@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 import torch
 
-from bsk_torch import SatelliteTasking, act, dyn, obs, sats, scene
+from bsk_torch import SatelliteTasking, act, dyn, obs, per_environment, sats, scene
 from tests.idioms.runner import Idiom, run, title
 
 
 class OwnDynModel(dyn.GroundStationDynModel):
     @property
+    @per_environment
     def speed(self):
         return np.linalg.norm(self.v_BN_N)
 
@@ -21,6 +22,7 @@ class OwnDynModel(dyn.GroundStationDynModel):
 class Density(obs.Observation):
     """Written for one satellite, as in bsk_rl."""
 
+    @per_environment
     def get_obs(self):
         return np.array([self.simulator.sim_time, len(self.satellite.find_next_opportunities(n=3, types="target"))])
 
@@ -86,15 +88,17 @@ OBSERVATIONS: list[Idiom] = [
     ),
     ('obs.SatProperties(dict(prop="speed", norm=None))', first("speed", lambda sat: sat.dynamics.speed)),
     (
-        'obs.SatProperties(dict(prop="wheels", fn=lambda sat: np.linalg.norm(sat.dynamics.wheel_speeds), norm=10))',
+        "obs.SatProperties("
+        'dict(prop="wheels", fn=per_environment(lambda sat: np.linalg.norm(sat.dynamics.wheel_speeds)), norm=10))',
         first("wheels_normd", lambda sat: np.linalg.norm(sat.dynamics.wheel_speeds) / 10),
     ),
     (
-        'obs.SatProperties(dict(prop="sun", fn=lambda sat: np.dot(sat.dynamics.r_BN_N, sat.simulator.world.r_SN_N)))',
+        "obs.SatProperties("
+        'dict(prop="sun", fn=per_environment(lambda sat: np.dot(sat.dynamics.r_BN_N, sat.simulator.world.r_SN_N))))',
         first("sun", lambda sat: np.dot(sat.dynamics.r_BN_N, sat.simulator.world.r_SN_N)),
     ),
     (
-        'obs.SatProperties(dict(prop="left", fn=lambda sat: sat.simulator.time_limit - sat.simulator.sim_time))',
+        'obs.SatProperties(dict(prop="left", fn=per_environment(lambda sat: sat.simulator.time_limit - sat.simulator.sim_time)))',
         first("left", lambda sat: 600.0),
     ),
     (
@@ -105,13 +109,15 @@ OBSERVATIONS: list[Idiom] = [
         'obs.SatProperties(dict(prop="list", fn=lambda sat: [sat.dynamics.battery_charge_fraction, 1.0]))',
         first("list", lambda sat: [sat.dynamics.battery_charge_fraction, 1.0]),
     ),
-    ('obs.SatProperties(dict(prop="one", fn=lambda sat: 1))', first("one", lambda sat: 1)),
+    ('obs.SatProperties(dict(prop="one", fn=per_environment(lambda sat: 1)))', first("one", lambda sat: 1)),
     (
-        'obs.SatProperties(dict(fn=lambda s: max(o["object"].priority for o in s.find_next_opportunities(3, types="target"))))',
+        'obs.SatProperties(dict(fn=per_environment(lambda s: max(o["object"].priority for o in '
+        's.find_next_opportunities(3, types="target")))))',
         first("prop_0", lambda sat: max(opp["object"].priority for opp in sat.find_next_opportunities(3, types="target"))),
     ),
     (
-        'obs.SatProperties(dict(prop="pass", fn=lambda sat: len(sat.upcoming_opportunities_dict(types="ground_station"))))',
+        "obs.SatProperties("
+        'dict(prop="pass", fn=per_environment(lambda sat: len(sat.upcoming_opportunities_dict(types="ground_station")))))',
         first("pass", lambda sat: len(sat.upcoming_opportunities_dict(types="ground_station"))),
     ),
     ('Density("density")', first(None, lambda sat: [0.0, 3])),
@@ -125,15 +131,18 @@ OBSERVATIONS: list[Idiom] = [
         each("prop_0_normd", lambda sat, opp: (opp["window"][1] - opp["window"][0]) / 300.0),
     ),
     (
-        'obs.OpportunityProperties(dict(prop="wait", fn=lambda s, o: o["window"][0] - s.simulator.sim_time), n_ahead_observe=3)',
+        "obs.OpportunityProperties("
+        'dict(prop="wait", fn=per_environment(lambda s, o: o["window"][0] - s.simulator.sim_time)), n_ahead_observe=3)',
         each("wait", lambda sat, opp: opp["window"][0]),
     ),
     (
-        'obs.OpportunityProperties(dict(fn=lambda s, o: np.linalg.norm(o["r_LP_P"] - s.dynamics.r_BN_P)), n_ahead_observe=3)',
+        "obs.OpportunityProperties("
+        'dict(fn=per_environment(lambda s, o: np.linalg.norm(o["r_LP_P"] - s.dynamics.r_BN_P))), n_ahead_observe=3)',
         each("prop_0", lambda sat, opp: np.linalg.norm(opp["r_LP_P"] - sat.dynamics.r_BN_P)),
     ),
     (
-        'obs.OpportunityProperties(dict(prop="is", fn=lambda sat, opp: float(opp["type"] == "target")), n_ahead_observe=3)',
+        "obs.OpportunityProperties("
+        'dict(prop="is", fn=per_environment(lambda sat, opp: float(opp["type"] == "target"))), n_ahead_observe=3)',
         each("is", lambda sat, opp: 1.0),
     ),
     (

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from bsk_torch import ConstellationTasking, act, comm, data, obs, sats
+from bsk_torch import ConstellationTasking, act, comm, data, obs, per_environment, sats
 
 
 class Numbered(data.GlobalReward):
@@ -48,6 +48,7 @@ class Tables(obs.Observation):
 class ForOne(obs.Observation):
     """The same, written for one satellite."""
 
+    @per_environment
     def get_obs(self):
         satellite = self.satellite
         known, heard = (satellite.rows_of(satellite.fleet.memory[name]) for name in ("known", "heard"))
@@ -90,6 +91,7 @@ class Whole(obs.Observation):
 
 
 class Number(obs.Observation):
+    @per_environment
     def get_obs(self):
         return float(self.satellite.fleet.memory["known"].numel())
 

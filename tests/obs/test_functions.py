@@ -1,4 +1,4 @@
-"""Functions and properties as bsk_rl's users write them are observed for all environments, each with its own value."""
+"""Functions and properties written for one satellite are observed for all environments, each with its own value."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from bsk_torch import SatelliteTasking, act, dyn, obs, sats, scene
+from bsk_torch import SatelliteTasking, act, dyn, obs, per_environment, sats, scene
 
 
 def unit(sat):
@@ -16,6 +16,7 @@ def unit(sat):
 
 class OwnDynModel(dyn.ImagingDynModel):
     @property
+    @per_environment
     def speed(self):
         return np.linalg.norm(self.v_BN_N)
 
@@ -24,11 +25,13 @@ class OwnDynModel(dyn.ImagingDynModel):
         return self.v_BN_N.norm(dim=-1)
 
     @property
+    @per_environment
     def answer(self):
         return 42
 
 
 class Own(obs.Observation):
+    @per_environment
     def get_obs(self):
         return {"speed": np.linalg.norm(self.satellite.dynamics.v_BN_N), "list": [self.simulator.sim_time, 2.0]}
 
@@ -38,7 +41,7 @@ SPEC = (
         dict(prop="speed"),
         dict(prop="speed_of_all", norm=None),
         dict(prop="answer"),
-        dict(prop="unit", fn=unit),
+        dict(prop="unit", fn=per_environment(unit)),
         dict(fn=lambda sat: sat.dynamics.wheel_speeds_fraction**2, norm=2.0),
         dict(fn=lambda sat: sat.sat_args["wheelSpeeds"], name="speeds", norm=[1.0, 2.0, 4.0]),
         dict(prop="pair", fn=lambda sat: [sat.dynamics.battery_charge_fraction, 1.0]),
@@ -46,9 +49,9 @@ SPEC = (
     ),
     obs.OpportunityProperties(
         dict(fn=lambda sat, opp: opp["object"].priority),
-        dict(prop="wait", fn=lambda sat, opp: opp["window"][0] - sat.simulator.sim_time, norm=100.0),
-        dict(prop="r_LP_P", fn=lambda sat, opp: np.linalg.norm(opp["object"].r_LP_P - sat.dynamics.r_BN_P)),
-        dict(prop="is_target", fn=lambda sat, opp: opp["type"] == "target"),
+        dict(prop="wait", fn=per_environment(lambda sat, opp: opp["window"][0] - sat.simulator.sim_time), norm=100.0),
+        dict(prop="r_LP_P", fn=per_environment(lambda sat, opp: np.linalg.norm(opp["object"].r_LP_P - sat.dynamics.r_BN_P))),
+        dict(prop="is_target", fn=per_environment(lambda sat, opp: opp["type"] == "target")),
         dict(prop="priority"),
         dict(prop="opportunity_open", norm=100.0),
         n_ahead_observe=2,
@@ -59,9 +62,9 @@ SPEC = (
 WRITTEN_FOR_ONE = {"speed", "answer", "unit", "wait_normd", "r_LP_P", "is_target", "Own.get_obs()"}
 
 
-def make(num_envs, spec=SPEC, **options):
+def make(num_envs, spec=SPEC, dyn_type=OwnDynModel, **options):
     satellite = type(
-        "Imager", (sats.ImagingSatellite,), dict(observation_spec=spec, action_spec=(act.Image(2),), dyn_type=OwnDynModel)
+        "Imager", (sats.ImagingSatellite,), dict(observation_spec=spec, action_spec=(act.Image(2),), dyn_type=dyn_type)
     )
     given = dict(time_limit=600.0, seed=1, backend="eager", dtype=torch.float64) | options
     return SatelliteTasking(satellite("A", obs_type=dict), scene.UniformTargets(100), num_envs=num_envs, **given)
@@ -113,6 +116,44 @@ def test_one_note_says_what_is_slow_and_how_to_write_it(caplog):
     assert "mixes environments" in next(note for note in notes if note.startswith("'unit'"))
 
 
+class Unmarked(OwnDynModel):
+    @property
+    def altitude(self):
+        return np.linalg.norm(self.r_BN_N) - 6371e3
+
+
+class Constant(obs.Observation):
+    def get_obs(self):
+        return 42
+
+
+@pytest.mark.parametrize("num_envs", [1, 3])
+@pytest.mark.parametrize(
+    ("entry", "words"),
+    [
+        (obs.SatProperties(dict(prop="unit", fn=lambda sat: np.linalg.norm(sat.dynamics.r_BN_N))), "'unit' of 'sat_props'"),
+        (obs.SatProperties(dict(prop="altitude")), r"'altitude' of 'sat_props', Unmarked\.altitude"),
+        (obs.OpportunityProperties(dict(fn=lambda sat, opp: opp["type"] == "target"), n_ahead_observe=2), "'prop_0' of 'target'"),
+        (Constant("constant"), r"Constant\.get_obs\(\)"),
+    ],
+)
+def test_what_works_for_one_satellite_only_needs_the_adapter(entry, words, num_envs):
+    with pytest.raises(TypeError, match=rf"{words},? works for one satellite.*\[N\b.*per_environment\(function\)"):
+        make(num_envs, (entry,), dyn_type=Unmarked)
+
+
+def test_functions_that_take_no_marks_are_wrapped():
+    wrapped = per_environment(np.linalg.norm)
+    assert wrapped([3.0, 4.0]) == 5.0
+    seen = make(2, (obs.SatProperties(dict(prop="x", fn=per_environment(Radius()))),)).reset()["observation", "sat_props", "x"]
+    assert (seen > 6.5e6).all()
+
+
+class Radius:
+    def __call__(self, sat):
+        return float(np.sqrt((sat.dynamics.r_BN_N**2).sum()))
+
+
 def test_an_environment_alone_observes_the_same(three):
     alone = make(1).reset()["observation"]
     for name in ("speed", "unit", "speeds", "pair"):
@@ -123,12 +164,12 @@ def test_an_environment_alone_observes_the_same(three):
     ("entry", "error", "words"),
     [
         (
-            dict(fn=lambda sat: np.random.normal(), name="x"),
+            dict(fn=per_environment(lambda sat: np.random.normal()), name="x"),
             TypeError,
             r"'x' of 'sat_props' gives different values .* obs\.Noisy",
         ),
         (dict(fn=lambda sat: sat.dynamics.r_BN_N - sat.dynamics.r_BN_N.mean(dim=0), name="x"), TypeError, "mixes environments"),
-        (dict(fn=lambda sat: "far", name="x"), TypeError, "'x' of 'sat_props' is 'far'; it must be a number"),
+        (dict(fn=lambda sat: "far", name="x"), TypeError, "'x' of 'sat_props' .* 'far'; it must be"),
         (dict(fn=lambda sat: sat.dynamics.speedy, name="x"), AttributeError, "no attribute 'speedy'"),
     ],
 )

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from bsk_torch import SatelliteTasking, act, obs, sats, scene
+from bsk_torch import SatelliteTasking, act, obs, per_environment, sats, scene
 
 PLACES = dict(fn=lambda satellite, targets: targets.place.double(), name="place")
 
@@ -21,6 +21,7 @@ class Two(obs.OpportunityProperties):
 class Constant(obs.Observation):
     value = None
 
+    @per_environment
     def get_obs(self):
         return self.value
 

@@ -11,7 +11,7 @@ import pytest
 import torch
 from tensordict import TensorDict
 
-from bsk_torch import ConstellationTasking, act, dyn, fsw, obs, sats
+from bsk_torch import ConstellationTasking, act, dyn, fsw, obs, per_environment, sats
 from bsk_torch.astro.attitude import dcm_to_mrp, mrp_to_dcm
 from bsk_torch.astro.orbit import Elements, elements_to_rv
 from bsk_torch.constants import MU_EARTH
@@ -116,6 +116,7 @@ class Chief(sats.Satellite):
     dyn_type, fsw_type = dyn.DynamicsModel, fsw.FSWModel
 
 
+@per_environment
 def distance_of_one(deputy, chief):
     return np.linalg.norm(deputy.dynamics.r_BN_N - chief.dynamics.r_BN_N)
 

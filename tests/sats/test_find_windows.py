@@ -124,7 +124,6 @@ def test_data_of_one_environment_are_sets_of_targets():
     assert one.imaged == {env.scenario.target_object(0, 5), env.scenario.target_object(0, 6)}
     assert len(other.imaged) == 1
     assert len(one.known) == 30
-    assert (one + one).duplicates == 2  # merging counts what both have, as in bsk_rl
 
 
 def test_rewarders_without_a_store_say_so():

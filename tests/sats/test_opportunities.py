@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from bsk_torch import SatelliteTasking, act, dyn, obs, sats, scene
+from bsk_torch import SatelliteTasking, act, dyn, obs, per_environment, sats, scene
 
 
 class Foggy(scene.UniformTargets):
@@ -125,8 +125,11 @@ def test_filters_of_an_opportunity_are_called_once_where_they_can(satellite, cap
     ("access_filter", "slow"),
     [
         (lambda opp: opp["type"] != "target" or opp["object"].priority > 0.5, False),
-        (lambda opp: opp["type"] != "target" or bool(opp["object"].priority > 0.5), True),
-        (lambda opp: opp["object"] in [3] or opp["type"] != "target" or float(opp["object"].priority) > 0.5, True),
+        (per_environment(lambda opp: opp["type"] != "target" or bool(opp["object"].priority > 0.5)), True),
+        (
+            per_environment(lambda o: o["object"] in [3] or o["type"] != "target" or float(o["object"].priority) > 0.5),
+            True,
+        ),
     ],
 )
 def test_filters_may_tell_types_apart(satellite, access_filter, slow, caplog):
@@ -138,7 +141,7 @@ def test_filters_may_tell_types_apart(satellite, access_filter, slow, caplog):
 
 def test_filters_of_ids_hide_targets(satellite):
     hidden = satellite.find_next_opportunities(1).place[:, 0].tolist()
-    satellite.add_access_filter(lambda opp: opp["object"].id not in hidden, types=["target"])
+    satellite.add_access_filter(per_environment(lambda opp: opp["object"].id not in hidden), types=["target"])
     assert not torch.isin(satellite.find_next_opportunities(3).place, torch.tensor(hidden)).any()
     shown = satellite.find_next_opportunities(3, filter=lambda opp: opp["object"].priority > -1.0)  # in place of the others
     assert shown.place[:, 0].tolist() == hidden
@@ -146,6 +149,12 @@ def test_filters_of_ids_hide_targets(satellite):
     opportunity = satellite.find_next_opportunities(3)
     assert satellite.default_access_filter(opportunity).all()
     assert not satellite.default_access_filter(shown)[:, 0].any()
+
+
+def test_filters_for_one_environment_need_the_adapter(satellite):
+    satellite.add_access_filter(lambda opp: bool(opp["object"].priority > 0.5), types=["target"])
+    with pytest.raises(TypeError, match=r"the access filter .* works for one satellite.*per_environment"):
+        satellite.find_next_opportunities(2)
 
 
 def test_filters_do_not_know_windows(satellite):
