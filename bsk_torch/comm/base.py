@@ -3,25 +3,30 @@
 from __future__ import annotations
 
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, ClassVar, NoReturn
 
 import torch
 from torch import Tensor
 
 from bsk_torch._checks import number
-from bsk_torch.comm.mapped import OneEnvironmentNeededError, listed_pairs
 from bsk_torch.sim.hooks import FLEET_MEMORY, ChangeGuard, check_class, check_linked, check_tensor, overrides
 from bsk_torch.sim.state import FINITE
 
 if TYPE_CHECKING:
     from bsk_torch.sats.fleet import SatelliteFleet
-    from bsk_torch.sats.one import OneSatellite
 
 LAST = "last_communication"
 """Memory name of the time of an episode's last communication, s since reset."""
 
 HOOKS = ("refines", "link", "communication_pairs", "communicate")
 """Members of :class:`CommunicationMethod` that subclasses may define."""
+
+FOR_ONE = (
+    "fleet.each(function) reads a property of all satellites, [N, S, ...]. A method of one episode, which lists pairs of "
+    "satellites, derives from bsk_torch.bsk_rl.comm.CommunicationMethod, and bsk_torch.per_environment(method) runs it for each "
+    "environment"
+)
+"""How to write a method for all environments, and how to run one of one episode."""
 
 UNUSED = {
     "link_satellites": "define link(fleet)",
@@ -57,8 +62,6 @@ class CommunicationMethod:
 
     fleet: SatelliteFleet
     due: Tensor
-    one_environment: list[OneSatellite] | None = None
-    """Satellites of the environment with listed pairs."""
 
     def __init__(self, min_period: float = 0.0) -> None:
         """Communicate at most every ``min_period`` seconds; ValueError if it is negative."""
@@ -96,21 +99,9 @@ class CommunicationMethod:
         raise NotImplementedError(f"{type(self).__name__} must implement communication_pairs()")
 
     @property
-    def satellites(self) -> list[OneSatellite]:
-        """Satellites of one environment, for a ``communication_pairs()`` in bsk_rl's form, which lists (sender, receiver) pairs.
-
-        A method that uses them is called for each environment, which is slow.
-        """
-        if self.one_environment is None:
-            raise OneEnvironmentNeededError(f"{type(self).__name__}.satellites is available only in communication_pairs()")
-        return self.one_environment
-
-    def _pairs(self) -> Tensor:
-        try:
-            pairs: Any = self.communication_pairs()
-        except OneEnvironmentNeededError:
-            pairs = []
-        return listed_pairs(self) if isinstance(pairs, list | tuple) else pairs
+    def satellites(self) -> NoReturn:
+        """Raise AttributeError: methods of one episode need an adapter."""
+        raise AttributeError(f"{type(self).__name__}.satellites: {FOR_ONE}")
 
     def communicate(self, moves: Tensor) -> Tensor:
         """Return the pairs that communicate after a step, in episodes whose last communication was at least ``min_period`` ago.
@@ -126,12 +117,12 @@ class CommunicationMethod:
         """
         time, memory = self.fleet.sim_time, self.fleet.memory
         self.due = moves & (time - memory[LAST] >= self.min_period)
-        pairs, wanted = self._pairs(), (self.fleet.num_envs, self.fleet.size, self.fleet.size)
+        pairs, wanted = self.communication_pairs(), (self.fleet.num_envs, self.fleet.size, self.fleet.size)
         if not isinstance(pairs, Tensor) or pairs.dtype != torch.bool or pairs.shape != wanted:
             given = f"{pairs.dtype} {list(pairs.shape)}" if isinstance(pairs, Tensor) else repr(pairs)
             raise TypeError(
                 f"{type(self).__name__}.communication_pairs() gave {given}; "
-                f"it must give torch.bool {list(wanted)}: episode, sender, receiver"
+                f"it must give torch.bool {list(wanted)}: episode, sender, receiver. {FOR_ONE}"
             )
         memory[LAST] = torch.where(self.due, time, memory[LAST])
         return pairs & self.due.view(-1, 1, 1)

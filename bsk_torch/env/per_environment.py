@@ -5,6 +5,8 @@ from __future__ import annotations
 import copy
 from typing import Any
 
+from bsk_torch.comm.base import CommunicationMethod
+from bsk_torch.comm.mapped import PerEnvironmentCommunication
 from bsk_torch.data.base import GlobalReward
 from bsk_torch.data.mapped import PerEnvironmentReward
 from bsk_torch.sats.user_function import adapted
@@ -21,10 +23,13 @@ def per_environment(given: Any) -> Any:
     begins with a deep copy of it; its stores are saved and restored with the episodes. ``satellite`` in its hooks is a view of
     one satellite, :class:`bsk_torch.sats.one.OneSatellite`, and ``rewarder.rewarder_of(row)`` the copy of an environment.
 
+    A communication method, an object with the hooks of ``bsk_torch.bsk_rl.comm.CommunicationMethod``, becomes one of the batch:
+    its ``communication_pairs()`` is called for each environment, with views in ``self.satellites``; its other hooks are not.
+
     Its time is that of the Python code times the number of environments, in every step: see ``docs/migration_fast.md``.
 
     Args:
-        given: The rewarder, or the function.
+        given: The function, rewarder or communication method.
 
     Raises:
         TypeError: For anything else.
@@ -34,13 +39,15 @@ def per_environment(given: Any) -> Any:
         >>> rewarder = per_environment(NoReward())
         >>> radius = per_environment(lambda satellite: np.linalg.norm(satellite.dynamics.r_BN_N))
     """
+    if hasattr(given, "link_satellites") and hasattr(given, "communication_pairs") and not isinstance(given, type):
+        return PerEnvironmentCommunication(copy.copy(given))
     if hasattr(given, "create_data_store") and not isinstance(given, type):
         return PerEnvironmentReward(copy.copy(given))
-    if callable(given) and not isinstance(given, type | GlobalReward):
+    if callable(given) and not isinstance(given, type | GlobalReward | CommunicationMethod):
         return adapted(given)
-    if isinstance(given, GlobalReward):
-        raise TypeError(f"{type(given).__name__} rewards all environments at once; give it to the environment as it is")
+    if isinstance(given, GlobalReward | CommunicationMethod):
+        raise TypeError(f"{type(given).__name__} runs for all environments at once; give it to the environment as it is")
     raise TypeError(
-        f"per_environment({given!r}): give it a function of a satellite, or a rewarder of one episode, an object of a class of "
-        "bsk_torch.bsk_rl.data, made with parentheses"
+        f"per_environment({given!r}): give it a function of a satellite, or a rewarder or communication method of one "
+        "episode, an object of a class of bsk_torch.bsk_rl.data or .comm, made with parentheses"
     )

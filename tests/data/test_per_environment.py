@@ -14,7 +14,9 @@ from tensordict import TensorDict
 
 import bsk_torch
 from bsk_torch import ConstellationTasking, act, comm, data, obs, per_environment, rand, scene
+from bsk_torch.bsk_rl import comm as one_comm
 from bsk_torch.bsk_rl import data as one
+from bsk_torch.bsk_rl.comm import CommunicationMethod
 from bsk_torch.bsk_rl.data.base import Data, DataStore
 from bsk_torch.bsk_rl.data.unique_image_data import UniqueImageData, UniqueImageStore
 from bsk_torch.data.pickled import Pickler, Unpickler, modules_of
@@ -225,8 +227,8 @@ def step(env):
     return env.step(TensorDict({"agents": action}, shape[:1]))["next"]
 
 
-class Ring(comm.CommunicationMethod):
-    """Each satellite tells the next one, in bsk_rl's form."""
+class Ring(CommunicationMethod):
+    """Each satellite tells the next one."""
 
     def communication_pairs(self):
         satellites = self.satellites
@@ -234,7 +236,7 @@ class Ring(comm.CommunicationMethod):
 
 
 def test_data_take_one_hop_in_a_step():
-    env = crew(per_environment(VisitReward()), Ring())
+    env = crew(per_environment(VisitReward()), per_environment(Ring()))
     env.reset()
     assert (step(env)["agents", "reward"] == 4.0).all()
     stores = env.satellites[0].data_store
@@ -243,6 +245,42 @@ def test_data_take_one_hop_in_a_step():
         assert [store.data.names for store in env_stores] == [mine[0], mine[0] | mine[1], mine[1] | mine[2]]
     assert env.rewarder.data_of(1).names == mine[0] | mine[1] | mine[2]
     assert env.links[0].tolist() == [[False, True, False], [False, False, True], [False, False, False]]
+
+
+def test_methods_of_one_episode_need_the_adapter():
+    with pytest.raises(TypeError, match=r"communicator=.*per_environment\(communicator\)"):
+        crew(data.NoReward(), Ring())
+
+    class Listed(comm.CommunicationMethod):
+        def communication_pairs(self):
+            return [(self.satellites[0], self.satellites[1])]
+
+    env = crew(data.NoReward(), Listed())
+    env.reset()
+    with pytest.raises(AttributeError, match=r"Listed\.satellites: .*bsk_torch\.bsk_rl\.comm.*per_environment\(method\)"):
+        step(env)
+
+
+def test_hooks_of_communication_that_would_not_be_called_are_named():
+    class Counting(Ring):
+        def reset_post_sim_init(self):
+            self.count = 0
+
+    with pytest.raises(TypeError, match=r"Counting\(\)\): reset_post_sim_init would not be called"):
+        per_environment(Counting())
+    with pytest.raises(TypeError, match=r"link_satellites would not be called.*comm\.LOSCommunication"):
+        per_environment(one_comm.LOSCommunication())
+
+
+def test_pairs_of_one_episode_must_be_satellites():
+    class Wrong(Ring):
+        def communication_pairs(self):
+            return [1, 2]
+
+    env = crew(data.NoReward(), per_environment(Wrong()))
+    env.reset()
+    with pytest.raises(TypeError, match=r"Wrong\.communication_pairs\(\) gave \[1, 2\]; it must give \(sender, receiver\)"):
+        step(env)
 
 
 def test_all_get_the_sum_where_all_are_linked():
@@ -342,7 +380,7 @@ def test_a_rewarder_of_one_episode_needs_the_adapter():
 @pytest.mark.parametrize(
     ("given", "words"),
     [
-        (data.NoReward(), "NoReward rewards all environments at once"),
+        (data.NoReward(), "NoReward runs for all environments at once"),
         (VisitReward, "made with parentheses"),
         (3.0, r"per_environment\(3.0\)"),
     ],

@@ -34,10 +34,6 @@ IDIOMS: list[Idiom] = [
         "type('T', (scene.UniformTargets,), {'regenerate_targets': lambda self: super(T0, self).regenerate_targets()})",
         lambda cls: cls(3),
     ),
-    (
-        "type('C', (comm.CommunicationMethod,), {'communication_pairs': lambda self: [(self.satellites[0],) * 2]})",
-        lambda cls: cls(min_period=60.0).min_period == 60.0,
-    ),
     ("env.scenario.target_objects(0)[3].name", lambda name: name == "tgt-3"),
     ("env.rewarder.data.imaged", lambda imaged: not imaged.any()),
     ("len(env.rewarder.data_of(0).known)", lambda count: count == 40),
