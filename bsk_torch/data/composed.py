@@ -68,10 +68,15 @@ class ComposedReward(GlobalReward):
         return _numbered(type(rewarder).__name__ for rewarder in self.rewarders)
 
     def link(self, scenario: Scenario, fleet: SatelliteFleet) -> None:
-        """See :meth:`GlobalReward.link`."""
+        """See :meth:`GlobalReward.link`; under ``compat="bsk_rl"``, parts limit nothing that satellites may choose."""
         super().link(scenario, fleet)
+        looking: list[Any] = [part for part in fleet.satellites if hasattr(part, "access_filters")]
+        before = [list(part.access_filters) for part in looking]
         for rewarder in self.rewarders:
             checked.link(rewarder, scenario, fleet)
+        if fleet.simulators[0].type.as_bsk_rl:
+            for part, filters in zip(looking, before, strict=True):
+                part.access_filters = filters
 
     def read_log(self) -> Log:
         """See :meth:`GlobalReward.read_log`; the logs of all parts, under names such as ``0.storage_level``."""

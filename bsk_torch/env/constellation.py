@@ -339,9 +339,9 @@ class ConstellationTasking(Tasking):
 
     def _group_outputs(self, group: Group, seen: list[Any], legal: list[Tensor], removed: Tensor) -> dict[str, Any]:
         """Return the outputs of the agents of a group by name, [N, A, ...] each."""
-        wants = self.requires_retasking & ~self.state.removed
-        wanted = wants[:, group.members]
-        observation = self._observation(group, seen, self._hidden(group, wanted, removed))
+        idle = self.requires_retasking
+        wanted = (idle & ~self.state.removed)[:, group.members]
+        observation = self._observation(group, seen, self._hidden(group, idle[:, group.members], removed))
         masks = []
         for m, (t, within, size) in enumerate(zip(group.types, group.within, self._sizes(group), strict=True)):
             if not size:
@@ -363,7 +363,7 @@ class ConstellationTasking(Tasking):
 
         Args:
             group: The agents.
-            wanted: Members that need a task, [N, A, M].
+            wanted: Members that need a task, or died without one, [N, A, M].
             removed: Satellites absent or removed before the step, [N, S].
         """
         if self.joint:

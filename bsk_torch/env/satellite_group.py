@@ -147,10 +147,12 @@ def settle(satellites: SatelliteGroup, event: Tensor | None, moves: Tensor, last
 
 
 def cancel(satellites: SatelliteGroup, rows: Tensor) -> None:
-    """Cancel the tasks of ``rows``, a mask [N]; their events no longer end steps."""
+    """Cancel the tasks of ``rows``, a mask [N]; their events no longer end steps.
+
+    As in bsk_rl, satellites whose task has ended by then still require a task.
+    """
     task, state = satellites.task, satellites.simulator.state
     task.ends, task.expected = (torch.where(rows, NEVER, ticks) for ticks in (task.ends, task.expected))
-    task.requires_retasking = task.requires_retasking & ~rows
     if "image_level" in state.layout.fields:
         state.write("image_level", rows, torch.full_like(state.sim_time, DISARMED))
 

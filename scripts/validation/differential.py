@@ -25,7 +25,8 @@ from pathlib import Path
 import torch
 from differential_compare import Verdict, judge
 from differential_draw import FAMILIES, Case, draw_case
-from differential_flight import CORE, NUDGE, REFERENCE, Library, fly
+from differential_flight import CORE, DROP_IN, NUDGE, REFERENCE, Library, fly
+from differential_program import as_program
 
 from bsk_torch.basilisk.certificate import names_kept, quiet
 from bsk_torch.basilisk.support_data import absent_data, lacking
@@ -37,7 +38,9 @@ def arguments(given: list[str] | None) -> argparse.Namespace:
     parser.add_argument("--seeds", default="0:20", help="seeds, as in 0:100 or 7 (default: %(default)s)")
     parser.add_argument("--steps", type=int, default=30, help="largest number of actions (default: %(default)s)")
     parser.add_argument("--families", nargs="+", choices=sorted(FAMILIES), help="only problems of these kinds")
-    parser.add_argument("--library", default=CORE, help="what is compared with bsk_rl (default: %(default)s)")
+    parser.add_argument(
+        "--library", default=CORE, choices=(CORE, DROP_IN), help="what is compared with bsk_rl (default: %(default)s)"
+    )
     parser.add_argument("--backend", default="compiled", choices=("compiled", "eager"), help="(default: %(default)s)")
     parser.add_argument("--out", type=Path, help="file for the results, JSON lines")
     parser.add_argument("--verbose", action="store_true", help="print descriptions, and traces of exceptions")
@@ -48,6 +51,12 @@ def seeds_of(text: str) -> range:
     """Read seeds: "3" or "0:100"."""
     first, _, last = text.partition(":")
     return range(int(first), int(last)) if last else range(int(first), int(first) + 1)
+
+
+def problem(seed: int, steps: int, library: str) -> Case:
+    """Return the problem of a seed for a library."""
+    case = draw_case(seed, steps)
+    return as_program(case) if library == DROP_IN else case
 
 
 def compare(case: Case, here: Library, there: Library, backend: str, verbose: bool = False) -> Verdict:
@@ -80,7 +89,7 @@ def main(given: list[str] | None = None) -> None:
     counts: collections.Counter[str] = collections.Counter()
     print(f"{'seed':>6} {'family':9} {'view':7} {'result':10} {'steps':>5} {'s':>6}  first difference (here, bsk_rl)")
     for seed in seeds_of(options.seeds):
-        case = draw_case(seed, options.steps)
+        case = problem(seed, options.steps, options.library)
         if options.families and case.family not in options.families:
             continue
         if options.verbose:

@@ -24,12 +24,16 @@ TOLERANCES = {
     "storage_level": 0.5,
     "dv_available": 1e-9,
     "reward": 1e-6,
+    "cum_reward": 1e-6,
     "observation": 1e-5,
 }
-"""Largest absolute difference by quantity; observations and rewards may also differ by this part of their value."""
+"""Largest absolute difference by quantity.
 
-WINDOW = 2e-3
-"""Largest difference of windows, s."""
+Rewards may also differ by this part of their value, observations by this part of the length of their vector.
+"""
+
+WINDOW = 2e-3, 1e-7
+"""Largest difference of windows: s, and part of the time since the reset, in which predicted orbits part."""
 
 AMPLIFIED = 1e3
 """How much more than its twin an exact flight may differ: rounding acts in all ticks, a twin is nudged once."""
@@ -122,15 +126,18 @@ def lost(wanted: Record, other: Record) -> str:
     for name, value in wanted.numbers.items():
         if value.shape != other.numbers[name].shape:
             return name
-        scale = tolerance(name) * relative(name, value)
+        scale = tolerance(name) * relative(name, wanted)
         if not np.all(np.abs(value - other.numbers[name]) <= scale, where=np.isfinite(value)):
             return name
     return ""
 
 
-def relative(name: str, value: Array) -> Array:
-    """Scale of the tolerance of each value."""
-    return np.maximum(1.0, np.abs(value)) if name.startswith(("reward", "observation")) else np.ones_like(value)
+def relative(name: str, wanted: Record) -> Array:
+    """Scale of the tolerance of each value of a quantity."""
+    value = wanted.numbers[name]
+    if not name.startswith(("reward", "observation", "cum_reward")):
+        return np.ones_like(value)
+    return np.maximum(1.0, wanted.lengths.get(name, np.abs(value)))
 
 
 def difference(k: int, mine: Record, wanted: Record, other: Record) -> Finding | None:
@@ -165,7 +172,7 @@ def number_difference(k: int, name: str, mine: Record, wanted: Record, other: Re
     a, b, c = (record.numbers[name] for record in (mine, wanted, other))
     if a.shape != b.shape:
         return Finding(k, name, f"shape {a.shape}", f"shape {b.shape}")
-    allowed = tolerance(name) * relative(name, b) + AMPLIFIED * np.abs(b - c)
+    allowed = tolerance(name) * relative(name, wanted) + AMPLIFIED * np.abs(b - c)
     same = (np.abs(a - b) <= allowed) | (a == b) | (np.isnan(a) & np.isnan(b)) | np.isnan(allowed)
     if np.all(same):
         return None
@@ -175,6 +182,7 @@ def number_difference(k: int, name: str, mine: Record, wanted: Record, other: Re
 
 def window_difference(k: int, name: str, mine: list[Any], wanted: list[Any]) -> Finding | None:
     """Return the first window that only one side knows, or None; the order of windows that close together is free."""
+    mine, wanted = seen_by_both(mine, wanted)
     left = list(wanted)
     for window in mine:
         match = next((other for other in left if alike(window, other)), None)
@@ -196,11 +204,16 @@ def window_difference(k: int, name: str, mine: list[Any], wanted: list[Any]) -> 
     return None
 
 
+def seen_by_both(mine: list[Any], wanted: list[Any]) -> tuple[list[Any], list[Any]]:
+    """Return the windows that open and close while both sides look ahead: how far they do shows in what satellites observe."""
+    end = min(max((window[3] for window in windows), default=-np.inf) for windows in (mine, wanted))
+    return tuple([window for window in windows if window[3] < end - WINDOW[0]] for windows in (mine, wanted))  # type: ignore[return-value]
+
+
 def alike(a: Any, b: Any) -> bool:
     """Whether two windows are the same."""
-    return bool(
-        a[0] == b[0] and np.allclose(a[1], b[1], rtol=0, atol=1.0) and abs(a[2] - b[2]) <= WINDOW and abs(a[3] - b[3]) <= WINDOW
-    )
+    same_times = all(abs(a[side] - b[side]) <= WINDOW[0] + WINDOW[1] * abs(b[side]) for side in (2, 3))
+    return bool(a[0] == b[0] and np.allclose(a[1], b[1], rtol=0, atol=1.0) and same_times)
 
 
 def text(window: Any) -> str:

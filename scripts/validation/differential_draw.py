@@ -35,6 +35,13 @@ class Part(NamedTuple):
     options: dict[str, Any] = {}  # noqa: RUF012
 
 
+class Drawn(NamedTuple):
+    """A value that a function draws from NumPy's generator, uniformly between two bounds."""
+
+    low: float
+    high: float
+
+
 @dataclass(frozen=True)
 class Orbit:
     """An orbit: semi-major axis, m, eccentricity, and the four angles i, Omega, omega, f, rad; ``elements`` if given as such."""
@@ -88,9 +95,10 @@ class Craft:
         fsw: Flight-software models, likewise.
         observations: Entries of its ``observation_spec``.
         actions: Entries of its ``action_spec``.
-        orbit: Where it starts.
+        orbit: Where it starts; a function of the library that draws it, or None for the default.
         sat_args: Its other arguments.
         options: Keyword arguments of its constructor.
+        called: The name that it is given, if it is renamed.
     """
 
     name: str
@@ -99,9 +107,10 @@ class Craft:
     fsw: tuple[str, ...]
     observations: tuple[Part, ...]
     actions: tuple[Part, ...]
-    orbit: Orbit
+    orbit: Orbit | Part | None
     sat_args: dict[str, Any]
     options: dict[str, Any] = field(default_factory=dict)
+    called: str = ""
 
     @property
     def choices(self) -> int:
@@ -128,6 +137,9 @@ class Case:
         communicator: Class of the communication method.
         chances: Uniform numbers, one column for each satellite and number of an action, [K, S, 5].
         follows: Whether a satellite is given an action, [K, S]; idle ones are in general.
+        randomizer: Function of the library that draws arguments of all satellites.
+        seeds: Seeds of the episodes, which share the actions.
+        program: Whether draws are left to the library, and all that it returns is compared.
     """
 
     seed: int
@@ -142,6 +154,9 @@ class Case:
     communicator: Part | None
     chances: Array
     follows: NDArray[np.bool_]
+    randomizer: Part | None = None
+    seeds: tuple[int, ...] = (0,)
+    program: bool = False
 
     @property
     def integrated(self) -> bool:

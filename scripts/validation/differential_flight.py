@@ -17,13 +17,16 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-from differential_draw import Case, Craft, Part
+from differential_draw import Case, Craft, Drawn, Part
 
 REFERENCE = "bsk_rl"
 """The library on Basilisk."""
 
 CORE = "bsk_torch"
 """The batched environments of this package, seen through its Gymnasium and PettingZoo views."""
+
+DROP_IN = "bsk_torch.bsk_rl"
+"""The package that is bsk_rl, with the same programs and seeds."""
 
 NUDGE = 1e-12
 """Relative change of where a twin starts: of its attitude, its position, and its true anomaly."""
@@ -43,11 +46,13 @@ class Record:
 
     Attributes:
         numbers: Quantities by name, compared within tolerances.
+        lengths: Lengths of the vectors that the numbers of observations belong to.
         facts: Quantities by name that must be equal.
         windows: Windows that have not closed by satellite: kind, place (rounded to 0.1 m), opening and closing, s.
     """
 
     numbers: dict[str, np.ndarray] = field(default_factory=dict)
+    lengths: dict[str, np.ndarray] = field(default_factory=dict)
     facts: dict[str, Any] = field(default_factory=dict)
     windows: dict[str, list[tuple[str, tuple[float, ...], float, float]]] = field(default_factory=dict)
 
@@ -67,7 +72,7 @@ class Library:
     def __init__(self, name: str) -> None:
         """Find a library by the name of its package."""
         self.name = name
-        for part in ("act", "obs", "sats", "scene", "data", "comm", "sim.dyn", "sim.fsw", "scene.targets"):
+        for part in ("act", "obs", "sats", "scene", "data", "comm", "sim.dyn", "sim.fsw", "scene.targets", "utils.orbital"):
             setattr(self, part.replace(".", "_"), importlib.import_module(f"{name}.{part}"))
         self.root = importlib.import_module(name)
 
@@ -80,6 +85,7 @@ class Library:
     sim_dyn: Any
     sim_fsw: Any
     scene_targets: Any
+    utils_orbital: Any
 
     def environment(self, case: Case, backend: str, **options: Any) -> Any:
         """Return the environment of a case with the interface of bsk_rl's."""
@@ -94,22 +100,75 @@ class Library:
         return view(kind(**options, **orbit, compat="bsk_rl", dtype=np.float64, seed=0, backend=backend))
 
 
+FUNCTIONS = {
+    "height": lambda sat: np.linalg.norm(sat.dynamics.r_BN_N) - 6.4e6,
+    "age": lambda sat: sat.simulator.sim_time,
+    "sun": lambda sat: sun_of(sat.simulator.world) @ sat.dynamics.r_BN_N / np.linalg.norm(sat.dynamics.r_BN_N),
+    "length": lambda sat, opp: opp["window"][1] - opp["window"][0],
+    "squared": lambda priority: priority**2,
+}
+"""Functions of the user's, by the names that cases have for them."""
+
+TYPES = {"dict": dict, "list": list, "float32": np.float32}
+"""Types, likewise."""
+
+
+def sun_of(world: Any) -> Any:
+    """Direction of the Sun in N."""
+    position = np.array(world.gravFactory.spiceObject.planetStateOutMsgs[world.sun_index].read().PositionVector)
+    return position / np.linalg.norm(position)
+
+
+def real(value: Any) -> Any:
+    """Make a value of a description: functions that draw it, functions and types by name, and copies of all else."""
+    if isinstance(value, Drawn):
+        return lambda: np.random.uniform(value.low, value.high)
+    if isinstance(value, dict):
+        named = {"fn": FUNCTIONS, "reward_fn": FUNCTIONS, "obs_type": TYPES, "dtype": TYPES}
+        return {key: named[key][part] if key in named and isinstance(part, str) else real(part) for key, part in value.items()}
+    return copy.deepcopy(value)
+
+
 def parts(module: Any, entries: tuple[Part, ...]) -> list[Any]:
     """Make the objects of a description."""
-    return [getattr(module, part.name)(*copy.deepcopy(part.args), **copy.deepcopy(part.options)) for part in entries]
+    return [getattr(module, part.name)(*map(real, part.args), **real(part.options)) for part in entries]
 
 
-def start_of(craft: Craft, nudge: float) -> dict[str, Any]:
-    """Return the arguments of a satellite, whose start is changed by ``nudge``."""
-    args = copy.deepcopy(craft.sat_args)
-    args["sigma_init"][0] += nudge
-    if "disturbance_vector" in args and args["disturbance_vector"] is not None:
+def arguments_of(library: Library, craft: Craft) -> dict[str, Any]:
+    """Return the arguments of a satellite."""
+    args = real(craft.sat_args)
+    if args.get("disturbance_vector") is not None:
         args["disturbance_vector"] = np.array(args["disturbance_vector"])
+    if craft.orbit is None:
+        return args
+    if isinstance(craft.orbit, Part):
+        name, options = craft.orbit.name, craft.orbit.options
+        return args | dict(oe=lambda: getattr(library.utils_orbital, name)(**options))
     if craft.orbit.elements:
         i, node, perigee, f = craft.orbit.angles
-        return args | dict(oe=SimpleNamespace(a=craft.orbit.a, e=craft.orbit.e, i=i, Omega=node, omega=perigee, f=f + nudge))
+        return args | dict(oe=SimpleNamespace(a=craft.orbit.a, e=craft.orbit.e, i=i, Omega=node, omega=perigee, f=f))
     r, v = craft.orbit.state()
-    return args | dict(oe=None, rN=r * (1.0 + nudge), vN=v)
+    return args | dict(oe=None, rN=r, vN=v)
+
+
+def nudged(base: Any, nudge: float) -> Any:
+    """Return a class of bsk_rl's satellites whose start is changed by a part ``nudge`` once it has been drawn."""
+
+    class Twin(base):
+        """Starts elsewhere."""
+
+        def generate_sat_args(self, **overrides: Any) -> None:
+            """Change attitude and place."""
+            super().generate_sat_args(**overrides)
+            args = self.sat_args
+            args["sigma_init"] = np.add(args["sigma_init"], [nudge, 0.0, 0.0])
+            if args["oe"] is None:
+                args["rN"] = np.array(args["rN"], dtype=float) * (1.0 + nudge)
+            else:
+                args["oe"] = copy.copy(args["oe"])
+                args["oe"].f += nudge
+
+    return Twin
 
 
 def satellite(library: Library, craft: Craft, nudge: float) -> Any:
@@ -120,8 +179,9 @@ def satellite(library: Library, craft: Craft, nudge: float) -> Any:
         dyn_type=tuple(getattr(library.sim_dyn, name) for name in craft.dyn),
         fsw_type=tuple(getattr(library.sim_fsw, name) for name in craft.fsw),
     )
-    kind = type(f"Kind{craft.name}", (getattr(library.sats, craft.base),), attributes)
-    return kind(craft.name, sat_args=start_of(craft, nudge), **copy.deepcopy(craft.options))
+    base = getattr(library.sats, craft.base)
+    kind = type(f"Kind{craft.name}", (nudged(base, nudge) if nudge else base,), attributes)
+    return kind(craft.called or craft.name, sat_args=arguments_of(library, craft), **real(craft.options))
 
 
 def scenario(library: Library, case: Case) -> Any:
@@ -143,9 +203,10 @@ def scenario(library: Library, case: Case) -> Any:
 
 def rewarder(library: Library, part: Part) -> Any:
     """Make a reward."""
+    options = real(part.options)
     if part.name != "ResourceReward":
-        return getattr(library.data, part.name)(**part.options)
-    weight, name = part.options["reward_weight"], part.options["resource"]
+        return getattr(library.data, part.name)(**options)
+    weight, name = options["reward_weight"], options["resource"]
     if name == "dv_available":  # of satellites without a tank, such as an RSO: none
         return library.data.ResourceReward(
             reward_weight=weight, resource_fn=lambda sat: sat.fsw.dv_available if hasattr(sat.fsw, "dv_available") else 0.0
@@ -153,15 +214,24 @@ def rewarder(library: Library, part: Part) -> Any:
     return library.data.ResourceReward(reward_weight=weight, resource_fn=lambda sat: getattr(sat.dynamics, name))
 
 
+def communicator(library: Library, part: Part) -> Any:
+    """Make the communication; that of broadcasts is composed with how they spread."""
+    if not part.name.startswith("Broadcast"):
+        (made,) = parts(library.comm, (part,))
+        return made
+    spread = getattr(library.comm, part.name.removeprefix("Broadcast"))
+    return type(part.name, (library.comm.BroadcastCommunication, spread), {})(**part.options)
+
+
 def build(library: Library, case: Case, nudge: float = 0.0, backend: str = "compiled") -> Any:
     """Make the environment of a case."""
     rewards = [rewarder(library, part) for part in case.rewarders]
-    communicator = {}
-    if case.communicator is not None:
-        (made,) = parts(library.comm, (case.communicator,))
-        communicator["communicator"] = made
     satellites = [satellite(library, craft, nudge) for craft in case.crafts]
-    env = {name: copy.deepcopy(value) for name, value in case.env.items() if name != "integrated"}
+    env = real({name: value for name, value in case.env.items() if name != "integrated"})
+    if case.communicator is not None:
+        env["communicator"] = communicator(library, case.communicator)
+    if case.randomizer is not None:
+        (env["sat_arg_randomizer"],) = parts(library.utils_orbital, (case.randomizer,))
     return library.environment(
         case,
         backend,
@@ -169,7 +239,6 @@ def build(library: Library, case: Case, nudge: float = 0.0, backend: str = "comp
         scenario=scenario(library, case),
         rewarder=rewards[0] if len(rewards) == 1 else tuple(rewards),
         world_args=copy.deepcopy(case.world_args),
-        **communicator,
         **env,
     )
 
@@ -191,25 +260,30 @@ def calm() -> Iterator[None]:
 
 
 def fly(library: Library, case: Case, nudge: float = 0.0, backend: str = "compiled") -> Flight:
-    """Fly a case until its episode ends, or all of its actions are done."""
+    """Fly a case until its episodes end, or all of its actions are done."""
     flight, where = Flight([]), "construction"
+    steps = np.array_split(np.arange(len(case.chances)), len(case.seeds))
     with calm():
         try:
             env = build(library, case, nudge, backend)
-            where = "reset"
-            observation, info = env.reset(seed=0)
-            flight.records.append(seen(case, env, observation, info, whole=True))
-            agents = agents_of(case)
-            for k in range(len(case.chances) if case.view != "agents" or env.agents else 0):
-                where = f"step {k + 1}"
-                actions = {name: member_actions(case, env, flight.records[-1], k, members) for name, members in agents.items()}
-                observation, *outcome, info = env.step(given(case, actions))
-                over = bool(np.any([np.all(list(flag.values())) if isinstance(flag, dict) else flag for flag in outcome[1:]]))
-                over = over or (case.view == "agents" and not env.agents)
-                last = over or k + 1 == len(case.chances)
-                flight.records.append(seen(case, env, observation, info, outcome, whole=last))
-                if over:
-                    break
+            for seed, numbers in zip(case.seeds, steps, strict=True):
+                where = f"reset with seed {seed}"
+                observation, info = env.reset(seed=seed)
+                flight.records.append(seen(case, env, observation, info, whole=True))
+                for k in numbers if case.view != "agents" or env.agents else ():
+                    where = f"step {k + 1}"
+                    last = flight.records[-1]
+                    agents = {
+                        n: own for n, own in agents_of(case).items() if case.program or case.view != "agents" or n in env.agents
+                    }
+                    actions = {name: member_actions(case, env, last, k, own) for name, own in agents.items()}
+                    observation, *outcome, info = env.step(given(case, actions))
+                    over = bool(np.any([np.all(list(f.values())) if isinstance(f, dict) else f for f in outcome[1:]]))
+                    over = over or (case.view == "agents" and not env.agents)
+                    whole = over or k == numbers[-1]
+                    flight.records.append(seen(case, env, observation, info, outcome, whole))
+                    if over:
+                        break
         except Exception as error:  # compared as part of the flight
             flight.error, flight.where = error, where
     return flight
@@ -235,14 +309,21 @@ def member_actions(case: Case, env: Any, last: Record, k: int, members: list[int
         craft, chances = case.crafts[number], case.chances[k, number]
         alone = all(waits)  # no one has a task: without one for all the step would be as long as it may
         acts = case.view == "single" or alone or (case.follows[k, number] if waits[number] else chances[4] < 0.1)
-        actions.append(action_of(craft, chances) if acts else None)
+        one = env.unwrapped.get_satellite(craft.name) if case.program else None
+        actions.append(action_of(craft, chances, one) if acts else None)
     return actions
 
 
-def action_of(craft: Craft, chances: np.ndarray) -> Any:
-    """Return an action of a satellite."""
+def action_of(craft: Craft, chances: np.ndarray, one: Any = None) -> Any:
+    """Return an action of a satellite; in programs, a target or its id now and then."""
     if craft.choices:
-        return int(chances[0] * craft.choices)
+        number = int(chances[0] * craft.choices)
+        ahead = [(part.name, k) for part in craft.actions for k in range(part.options.get("n_ahead_image", 1))]
+        name, k = ahead[number]
+        if one is None or name != "Image" or chances[4] < 0.8:
+            return number
+        target = one.find_next_opportunities(n=k + 1, types="target")[-1]["object"]
+        return target if chances[4] < 0.9 else target.id
     if craft.actions[0].name == "AttitudeSetpoint":
         return 2.0 * chances[:3] - 1.0
     options = craft.actions[0].options
@@ -263,6 +344,51 @@ def given(case: Case, actions: dict[str, list[Any]]) -> Any:
         for name, action in whole.items()
         if action is not None and not (isinstance(action, list) and all(a is None for a in action))
     }
+
+
+def leaves(value: Any) -> Iterator[float]:
+    """Yield the numbers of an observation in their order."""
+    if isinstance(value, dict | list | tuple | np.ndarray):
+        for part in value.values() if isinstance(value, dict) else value:
+            yield from leaves(part)
+    else:
+        yield float(value)
+
+
+def lengths(values: np.ndarray, satellites: list[Any]) -> np.ndarray:
+    """Return the length of the vector that each value of an observation belongs to, by the names of the values."""
+    names = [name.partition("[")[0] for one in satellites for name in one.observation_description]
+    squares: dict[str, float] = {}
+    for name, value in zip(names, values, strict=True):
+        squares[name] = squares.get(name, 0.0) + value**2
+    return np.sqrt([squares[name] for name in names])
+
+
+def flags(value: Any, path: str = "") -> Iterator[tuple[str, Any]]:
+    """Yield what an info holds, but for numbers."""
+    for name, part in value.items():
+        if isinstance(part, dict):
+            yield from flags(part, f"{path}{name}.")
+        else:
+            yield f"{path}{name}", bool(part) if isinstance(part, bool | np.bool_) else type(part).__name__
+
+
+def descriptions(case: Case, raw: Any, info: Any) -> dict[str, Any]:
+    """Return names, spaces, counters and the info of a program, all of which must be equal."""
+    found: dict[str, Any] = {"names": [one.name for one in raw.satellites], "info": dict(flags(info))}
+    for craft in case.crafts:
+        one = raw.get_satellite(craft.name)
+        spaces = [one.action_space, one.observation_space]
+        found[f"{craft.name} spaces"] = str(spaces)
+        if craft.choices:  # that of real numbers raises in bsk_rl
+            found[f"{craft.name} actions"] = one.action_description
+        found[f"{craft.name} observations"] = one.observation_description
+        for name in ("imaged", "missed"):
+            found[f"{craft.name} {name}"] = getattr(one, name, None)
+        known = getattr(one.data_store.data, "known", None)
+        found[f"{craft.name} known"] = None if known is None else len(known)
+        found[f"{craft.name} data"] = type(one.data_store.data).__name__
+    return found
 
 
 def seen(case: Case, env: Any, observation: Any, info: Any, outcome: list[Any] | None = None, whole: bool = False) -> Record:
@@ -290,8 +416,13 @@ def seen(case: Case, env: Any, observation: Any, info: Any, outcome: list[Any] |
     observations = {"": observation} if case.view == "single" else observation
     if case.view == "joint":
         observations = {craft.name: part for craft, part in zip(case.crafts, observation, strict=True)}
+    owners = agents_of(case) if case.view == "agents" else {n: [k] for k, n in enumerate(observations)}
     for name, part in observations.items():
-        record.numbers[f"observation {name}".strip()] = np.asarray(part, dtype=float)
+        key = f"observation {name}".strip()
+        record.numbers[key] = np.array(list(leaves(part)), dtype=float)
+        record.lengths[key] = lengths(record.numbers[key], [raw.get_satellite(case.crafts[k].name) for k in owners[name]])
+    if case.program:
+        record.facts |= descriptions(case, raw, info)
     infos = {case.crafts[0].name: info} if case.view == "single" else info
     for craft in case.crafts:
         mine = infos.get(craft.name) or next(
@@ -305,6 +436,8 @@ def seen(case: Case, env: Any, observation: Any, info: Any, outcome: list[Any] |
         reward, terminated, truncated = outcome
         for name, value in reward.items() if isinstance(reward, dict) else [("", reward)]:
             record.numbers[f"reward {name}".strip()] = np.array(float(value))
+        if case.program:
+            record.numbers["cum_reward"] = np.array(list(leaves(raw.rewarder.cum_reward)))
         for flag, values in (("terminated", terminated), ("truncated", truncated)):
             record.facts[flag] = {n: bool(v) for n, v in values.items()} if isinstance(values, dict) else bool(values)
     if case.view == "agents":

@@ -1,4 +1,4 @@
-"""Passes over the ground that bsk_rl's own search loses on circular orbits: docs/migration_reference.md says so.
+"""Passes over the ground that bsk_rl's own search loses, and which ``compat="bsk_rl"`` loses, too.
 
 It takes the times at which a satellite is near a place, and maximises the elevation from both ends of them on. Where they last
 longer than 0.38 revolutions, the maximiser's bracket ends nearer to the next pass than to this one, and converges elsewhere.
@@ -6,12 +6,14 @@ longer than 0.38 revolutions, the maximiser's bracket ends nearer to the next pa
 
 from __future__ import annotations
 
+import json
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-pytestmark = pytest.mark.basilisk
+from bsk_torch import SatelliteTasking, act, dyn, fsw, obs, sats
 
 RADIUS, MU, SPIN = 6378136.6, 3.986004418e14, 7.2921159e-5
 STEP, DAY = 30.0, 86400.0
@@ -47,6 +49,7 @@ def passes_and_windows(altitude: float, limit: float, seed: int) -> tuple[list[f
     return middles, windows
 
 
+@pytest.mark.basilisk
 @pytest.mark.parametrize(
     ("elevation", "altitude", "least", "most"),
     [(10.0, 800e3, 0.0, 0.0), (10.0, 1500e3, 0.9, 1.0), (20.0, 2000e3, 0.0, 0.0), (20.0, 3300e3, 0.5, 1.0)],
@@ -59,3 +62,52 @@ def test_bsk_rl_loses_passes_of_high_orbits(elevation, altitude, least, most):
         lost += sum(not any(opens <= middle <= closes for opens, closes in windows) for middle in middles)
     assert total > 20
     assert least <= lost / total <= most
+
+
+# -- the same here ------------------------------------------------------------------------------------------------------
+
+RECORDED = json.loads((Path(__file__).parent / "recordings" / "lost_passes.json").read_text())
+
+CLOSE = 5e-3
+"""Largest difference of windows, s."""
+
+
+class Seeing(sats.AccessSatellite):
+    observation_spec = (obs.Time(),)
+    action_spec = (act.Charge(duration=60.0),)
+    dyn_type = dyn.GroundStationDynModel
+    fsw_type = fsw.ImagingFSWModel
+
+
+def windows_here(orbit: dict, compat: str | None, intervals: int = 0) -> list[tuple[str, float, float]]:
+    """Return the windows of a recorded orbit: station, opening and closing, s."""
+    args = dict(rN=orbit["rN"], vN=orbit["vN"], imageTargetMinimumElevation=0.8)
+    env = SatelliteTasking(
+        Seeing("Seeing", args, generation_duration=RECORDED["generation_duration"]),
+        world_args=dict(utc_init=RECORDED["utc_init"]),
+        time_limit=RECORDED["time_limit"],
+        compat=compat,
+        backend="eager",
+        num_envs=1,
+    )
+    env.reset()
+    if intervals:
+        env.satellite.calculate_additional_windows(intervals * RECORDED["generation_duration"])
+    found = env.satellite.one(0).opportunities_dict(types="ground_station")
+    return [(str(station), *window) for station, windows in found.items() for window in windows]
+
+
+@pytest.mark.parametrize("name", RECORDED["orbits"])
+@pytest.mark.parametrize("more", [False, True], ids=["after the reset", "after more intervals"])
+def test_recorded_windows_are_those_under_compat(name, more):
+    orbit = RECORDED["orbits"][name]
+    # bsk_rl also offers a pass of the eccentric orbit twice more, from before the epoch on
+    wanted = sorted(tuple(window) for window in orbit["more" if more else "windows"] if window[1] >= 0.0)
+    found = sorted(windows_here(orbit, "bsk_rl", RECORDED["intervals"] if more else 0))
+    assert [window[0] for window in wanted] == [window[0] for window in found]
+    assert np.allclose([w[1:] for w in found], [w[1:] for w in wanted], rtol=0.0, atol=CLOSE) or not wanted
+
+
+def test_recorded_windows_are_fewer_than_the_passes():
+    lost = [name for name, orbit in RECORDED["orbits"].items() if len(windows_here(orbit, None)) > len(orbit["windows"])]
+    assert lost == ["1300 km", "2500 km", "synchronous"]

@@ -375,6 +375,18 @@ def test_composed_rewards_keep_their_terms():
     assert td["counts", "duplicates"].sum() == 0
 
 
+@pytest.mark.parametrize("compat", [None, "bsk_rl"])
+def test_composed_rewards_lose_their_filter_in_bsk_rl(compat):
+    rewards = data.ComposedReward(data.UniqueImageReward(), data.ResourceReward(0.0, lambda sat: sat.dynamics.storage_level))
+    env = imager(4, rewarder=rewards, compat=compat)
+    env.reset()
+    for _ in range(4):
+        step(env, 1)
+    assert env.rewarder.imaged.any()
+    allowed = env.satellite.allowed("target")  # None: all of them
+    assert allowed is None if compat else torch.equal(allowed, ~env.rewarder.imaged)
+
+
 def test_clouds_hide_what_is_below():
     """Of two equal targets one is overcast: only the clear one pays, and both disappear."""
     clouds = scene.CloudyTargets(scene.UniformTargets(TARGETS), cover=rand.Uniform(0.0, 1.0))

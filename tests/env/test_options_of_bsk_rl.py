@@ -160,3 +160,22 @@ def test_a_constellation_of_one_type_takes_the_same_options():
     assert env.dtype == torch.float64
     with pytest.raises(TypeError, match="vizard_dir"):
         ConstellationTasking((Plain("A"), Plain("B")), vizard_dir="x")
+
+
+# -- ticks that are too long ------------------------------------------------------------------------------------------
+
+
+def test_rates_that_ticks_cannot_resolve_are_flown_as_in_bsk_rl(caplog):
+    class Spinning(sats.Satellite):
+        observation_spec = (obs.SatProperties(dict(prop="omega_BN_B")),)
+        action_spec = (act.Drift(duration=20.0),)
+
+    def make(compat):
+        args = dict(omega_init=[0.0, 0.7, 0.0], wheelSpeeds=[0.0, 0.0, 0.0])
+        return SatelliteTasking(Spinning("Top", args), sim_rate=5.0, backend="eager", num_envs=1, compat=compat)
+
+    with pytest.raises(ValueError, match="rad in a tick of sim_rate=5 s"):
+        make(None)
+    env = make("bsk_rl")
+    assert "rad in a tick of sim_rate=5 s" in caplog.text
+    assert env.reset()["observation"].flatten().tolist() == pytest.approx([0.0, 0.7, 0.0])

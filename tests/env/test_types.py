@@ -107,8 +107,9 @@ def test_values_may_differ(one, other):
         (Ground("A", PLACE), Ground("B", {"oe": ORBIT})),
         (Ground("A"), Ground("B", PLACE)),
         (Ground("A"), Ground("B", initial_generation_duration=100.0)),
+        (Ground("A"), Ground("B", {"transmitterPacketSize": -8.0})),
     ],
-    ids=["class", "subclass", "obs_type", "interval", "constant", "orbit", "default orbit", "generation"],
+    ids=["class", "subclass", "obs_type", "interval", "constant", "orbit", "default orbit", "generation", "packet"],
 )
 def test_of_different_types(one, other):
     assert not same_type(one, other)

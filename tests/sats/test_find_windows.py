@@ -72,6 +72,22 @@ def test_rows_extend_their_own_look_ahead_only():
     assert access.until.tolist() == [float(before[0]), 3000.0]
 
 
+def test_a_query_does_not_see_what_the_last_of_its_hundred_segments_adds():
+    """As in bsk_rl, where the search comes before each of a hundred extensions; the next query sees it."""
+    known = make(num_envs=1, time_limit=12000.0)
+    known.reset()
+    opens = known.satellite.upcoming_opportunities("target").open[0].sort().values
+    opens = opens[torch.isfinite(opens)]
+    count = int((opens < 7000.0).sum())
+    first = 60.0 * (opens[count] // 60.0).item() - 99.0 * 60.0  # so that window ``count`` opens in segment 100
+    seen = int((opens < first + 99.0 * 60.0).sum())
+    satellite = Imager("EO", args(), generation_duration=60.0, initial_generation_duration=first)
+    env = SatelliteTasking(satellite, scene.UniformTargets(300), data.UniqueImageReward(), num_envs=1, seed=3, backend="eager")
+    env.reset()
+    assert env.satellite.find_next_opportunities(seen + 1).found.item() == seen
+    assert env.satellite.find_next_opportunities(seen + 2).found.item() > seen
+
+
 def test_density_of_targets():
     env = make(Dense)
     td = env.reset()

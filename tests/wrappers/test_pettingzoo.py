@@ -168,10 +168,17 @@ def test_the_dead_say_goodbye():
     assert not any(truncations.values())
     assert observations["S1"].any()
     assert env.agents == ["S0", "S2"]
-    assert not infos["S1"]["requires_retasking"]
+    assert infos["S1"]["requires_retasking"]  # its task has ended by then, as in bsk_rl
     results = env.step({"S0": 0, "S2": 0, "S1": 0})  # which nobody hears
     assert all(list(result) == ["S0", "S2"] for result in results)
     assert same(env.state()[5:10], np.zeros(5))
+
+
+def test_those_that_die_as_their_task_ends_are_observed_with_those_that_need_a_task():
+    env, *_ = view(charges=DYING, generate_obs_retasking_only=True)
+    observations, *_ = env.step(dict.fromkeys(env.agents, 0))
+    assert "S1" not in env.agents
+    assert observations["S1"].any()
 
 
 def test_actions_of_the_dead_are_not_looked_at(caplog):

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import bisect
 import logging
-import math
 from collections.abc import Callable, Sequence
 from typing import Any, ClassVar
 
@@ -17,40 +16,19 @@ import numpy as np
 from bsk_torch.bsk_rl.sats.satellite import SatAct, Satellite, SatObs
 from bsk_torch.bsk_rl.scene.targets import Target
 from bsk_torch.bsk_rl.sim.simulator import Simulator
-from bsk_torch.bsk_rl.sim.trajectory import Interpolator
 from bsk_torch.bsk_rl.utils.functional import valid_func_name
 from bsk_torch.sim import dyn, fsw
+from bsk_torch.sim.access.literal_search import Window, elevation_error, near_samples, near_spans, windows_in
 
 __all__ = ["AccessSatellite", "ImagingSatellite", "SatAct", "SatObs"]
 
 logger = logging.getLogger(__name__)
 
 Opportunity = dict[str, Any]
-Window = tuple[float, float]
 Filter = Callable[[Opportunity], Any]
-
-SHORTEST = 0.1
-"""Seconds that a window within the search must last."""
-
-NEAR = 1.1
-"""Factor of the slant range over a flat Earth within which samples are near a place."""
 
 ENDLESS = 1e9
 """Seconds of a task without a limit."""
-
-
-def elevation_error(position: Interpolator, place: Sequence[float], least: float) -> Callable[[float], float]:
-    """Return the function of time that gives the least elevation minus the elevation of a satellite seen from a place, rad."""
-    x, y, z = (float(c) for c in place)
-    radius = math.sqrt(x * x + y * y + z * z)
-
-    def error(t: float) -> float:
-        rx, ry, rz = position.at(t)
-        dx, dy, dz = rx - x, ry - y, rz - z
-        cosine = (x * dx + y * dy + z * dz) / (radius * math.sqrt(dx * dx + dy * dy + dz * dz))
-        return least - (0.5 * math.pi - math.acos(min(1.0, max(-1.0, cosine))))
-
-    return error
 
 
 class AccessSatellite(Satellite):
@@ -142,28 +120,17 @@ class AccessSatellite(Satellite):
 
     def _search(self, start: float, end: float) -> None:
         """Search windows over all places between two times, s."""
-        track = self.trajectory.r_BP_P
+        track, places = self.trajectory.r_BP_P, self.locations_for_access_checking
         span = (track.x >= start - 1e-9) & (track.x <= end + 1e-9)
         times, positions = track.x[span], track.y[span]
-        highest = np.max(np.linalg.norm(positions, axis=-1))
-        for place, near in zip(self.locations_for_access_checking, self._near(positions, highest), strict=True):
+        r_LP_P = np.array([place["r_LP_P"] for place in places], dtype=float).reshape(-1, 3)
+        least = np.array([place["min_elev"] for place in places], dtype=float)
+        for place, near in zip(places, near_samples(positions, r_LP_P, least), strict=True):
             first = max(int(np.searchsorted(times, place["start_time"], side="right")) - 1, 0)
-            bounds = times[first], times[-1]
-            for candidate in _groups(near[first:], times[first:]):
-                for window in _windows(track, place, candidate, bounds):
+            error = elevation_error(track, place["r_LP_P"], place["min_elev"])
+            for candidate in near_spans(near[first:], times[first:]):
+                for window in windows_in(error, candidate, (times[first], times[-1]), logger):
                     self._add_window(place["object"], window, place["type"], place["r_LP_P"], times[first])
-
-    def _near(self, positions: Any, highest: float) -> Any:
-        """Return which samples [n] are near each place [P], [P, n]."""
-        places = self.locations_for_access_checking
-        r = np.array([place["r_LP_P"] for place in places], dtype=float).reshape(-1, 3)
-        sines = np.sin(np.array([place["min_elev"] for place in places], dtype=float))
-        reach = NEAR * (highest - np.linalg.norm(r, axis=-1)) / sines
-        near = np.empty((len(places), len(positions)), dtype=bool)
-        for some in range(0, len(places), 256):  # tables of a few megabytes
-            part = slice(some, some + 256)
-            near[part] = np.linalg.norm(positions - r[part, None], axis=-1) < reach[part, None]
-        return near
 
     def _add_window(self, object: Any, new_window: Window, type: str, r_LP_P: Any, merge_time: float | None = None) -> None:
         """Add a window, joined to one of the same object that ends where it begins."""
@@ -281,40 +248,6 @@ def _by_object(opportunities: Sequence[Opportunity], accepts: Filter) -> dict[An
         if accepts(opportunity):
             found.setdefault(opportunity["object"], []).append(opportunity["window"])
     return found
-
-
-def _groups(near: Any, times: Any) -> list[Window]:
-    """Return the spans of time of neighbouring near samples, widened by a sample on both sides."""
-    indices = np.flatnonzero(near)
-    if not len(indices):
-        return []
-    last = len(times) - 1
-    breaks = np.flatnonzero(np.diff(indices) != 1)
-    starts, ends = indices[np.r_[0, breaks + 1]], indices[np.r_[breaks, len(indices) - 1]]
-    return [(times[max(0, a - 1)], times[min(last, b + 1)]) for a, b in zip(starts.tolist(), ends.tolist(), strict=True)]
-
-
-def _windows(track: Interpolator, place: dict[str, Any], candidate: Window, bounds: Window) -> list[Window]:
-    """Return the windows over a place within a candidate span; those that reach a bound of the search are cut there."""
-    from scipy.optimize import minimize_scalar, root_scalar
-
-    error = elevation_error(track, place["r_LP_P"], place["min_elev"])
-    at_start, at_end = error(candidate[0]), error(candidate[1])
-    if at_start < 0 and at_end < 0:
-        logger.warning("initial_generation_duration is shorter than the maximum window length; some windows may be neglected.")
-        return []
-    if at_start < 0 or at_end < 0:
-        crossing = root_scalar(error, bracket=candidate).root
-        if candidate[0] == bounds[0]:
-            return [(bounds[0], crossing)]
-        return [(crossing, bounds[1])] if candidate[1] == bounds[1] else []
-    highest = minimize_scalar(error, bracket=candidate, tol=1e-4)
-    if highest.fun < 0:
-        opens = root_scalar(error, bracket=(candidate[0], highest.x)).root
-        closes = root_scalar(error, bracket=(highest.x, candidate[1])).root
-        if closes - opens > SHORTEST:
-            return [(opens, closes)]
-    return []
 
 
 class ImagingSatellite(AccessSatellite):

@@ -15,6 +15,7 @@ from bsk_torch.astro.ephemeris import earth_orientation
 from bsk_torch.astro.orbit import Elements, elements_to_rv
 from bsk_torch.codegen.kernel import Samples
 from bsk_torch.constants import MU_EARTH
+from bsk_torch.sim.access.literal_search import Interpolator
 from bsk_torch.sim.access.visibility.backend import make_visibility
 from bsk_torch.sim.access.visibility.planned import PlannedOrbits
 from bsk_torch.sim.arguments.values import convert
@@ -50,37 +51,6 @@ def initial_state(rN: Any, vN: Any, oe: Any, mu: float) -> tuple[Vector, Vector]
     values = (torch.tensor(float(getattr(oe, name)), dtype=torch.float64) for name in ("a", "e", "i", "Omega", "omega", "f"))
     r, v = elements_to_rv(Elements(*values), torch.tensor(float(mu), dtype=torch.float64))
     return r.stack().numpy(), v.stack().numpy()
-
-
-class Interpolator:
-    """Cubic spline through positions, with the samples that it goes through.
-
-    Attributes:
-        x: Times of the samples, [n] s.
-        y: Positions there, [n, 3] m.
-    """
-
-    def __init__(self, x: Vector, y: Vector) -> None:
-        """Fit the spline."""
-        from scipy.interpolate import CubicSpline
-
-        self.x, self.y = x, y
-        self._spline = CubicSpline(x, y)
-        self._rows: list[list[float]] | None = None
-
-    def __call__(self, t: Any) -> Vector:
-        """Return positions at times [...], [..., 3] m."""
-        return np.asarray(self._spline(t), dtype=np.float64)
-
-    def at(self, t: float) -> tuple[float, float, float]:
-        """Return the position at one time as plain numbers, which is several times as fast as an array."""
-        if self._rows is None:
-            c = self._spline.c  # [4, n - 1, 3]
-            self._rows = np.concatenate([c[..., axis] for axis in range(3)]).T.tolist()
-        k = min(max(int((t - self.x[0]) / PLAN_STEP), 0), len(self._rows) - 1)
-        s = t - (self.x[0] + k * PLAN_STEP)
-        a3, a2, a1, a0, b3, b2, b1, b0, c3, c2, c1, c0 = self._rows[k]
-        return ((a3 * s + a2) * s + a1) * s + a0, ((b3 * s + b2) * s + b1) * s + b0, ((c3 * s + c2) * s + c1) * s + c0
 
 
 class TrajectorySimulator:

@@ -7,9 +7,9 @@ from collections.abc import Iterable, Sequence
 
 from bsk_torch.rand import MOST_SATELLITES
 from bsk_torch.sats.satellite import Satellite
-from bsk_torch.sim.arguments.values import alike, nearest
+from bsk_torch.sim.arguments.values import alike, is_fixed, nearest
 from bsk_torch.sim.assembly.composition import world_components as components_of_world
-from bsk_torch.sim.component import Component
+from bsk_torch.sim.component import Arg, Component
 from bsk_torch.sim.world import WorldModel
 
 OWN = ("name", "sat_args_generator")
@@ -44,11 +44,15 @@ def same_type(a: Satellite, b: Satellite) -> bool:
     if a.sat_args_generator is b.sat_args_generator:
         return True
     table = type(a).default_sat_args().rows
-    fixed = [name for name, arg in table.items() if arg.shared or arg.kind in ("constant", "stations")]
-    mine, theirs = a.sat_args_generator, b.sat_args_generator
-    if any((mine.get(name) is None) != (theirs.get(name) is None) for name in ("rN", "vN")):
+    mine, theirs = ({name: x.sat_args_generator.get(name, arg.default) for name, arg in table.items()} for x in (a, b))
+    if any((mine[name] is None) != (theirs[name] is None) for name, arg in table.items() if _is_built(arg)):
         return False
-    return all(alike(mine.get(name, table[name].default), theirs.get(name, table[name].default)) for name in fixed)
+    return all(alike(mine[name], theirs[name]) for name, arg in table.items() if is_fixed(arg))
+
+
+def _is_built(arg: Arg) -> bool:
+    """Return whether None as a value of an argument stands for no value, so that something is not built."""
+    return arg.missing is None and None not in arg.choices and arg.kind != "orbit"
 
 
 def grouped(satellites: Sequence[Satellite]) -> list[list[int]]:

@@ -332,25 +332,33 @@ class LookAhead(StateTable):
         if self.arcs.restarts:
             self._search_certain(kind, time, torch.where(wanted > 0, wanted.clamp(min=width), 0), allowed)
         windows, found = access.next(kind, time, width, allowed)
-        short = rows = torch.nonzero(found < wanted).squeeze(-1)
-        if not len(rows):
+        short = torch.nonzero(found < wanted).squeeze(-1)
+        if not len(short):
             return windows, found
         # a step may have been longer than all searched before it
-        limit = (time if may_see_nothing else torch.maximum(access.until, time)) + MAX_SEGMENTS * access.segment
+        begin = time if may_see_nothing else torch.maximum(access.until, time)
+        limit = begin + MAX_SEGMENTS * access.segment
         limit = limit if last is None else torch.minimum(limit, last)
-        while True:
-            some = None if allowed is None else allowed[rows]
-            rows = access.reveal(kind, rows, time[rows], wanted[rows], limit[rows], some)
-            if not len(rows):
-                break
-            self._search_further(rows, time)
-        self.eclipses.sample_to(access.until)
+        # bsk_rl does not look at what the last segment of a query adds; the next query does
+        looked = limit if may_see_nothing else torch.minimum(limit, begin + (MAX_SEGMENTS - 1) * access.segment)
+        self._reveal(kind, short, time, wanted, looked, allowed)
         more, number = access.next(kind, time, width, allowed, short)
+        self._reveal(kind, short[number < wanted[short]], time, wanted, limit, allowed)
+        self.eclipses.sample_to(access.until)
         windows, found = windows.put(short, more), found.index_copy(0, short, number)
         none = [] if may_see_nothing else torch.nonzero((found == 0) & (wanted > 0)).squeeze(-1).tolist()
         if none:
             self._raise_nothing_in_view(kind, [row // self.count for row in none])
         return windows, found
+
+    def _reveal(self, kind: str, rows: Tensor, time: Tensor, wanted: Tensor, last: Tensor, allowed: Tensor | None) -> None:
+        """Let ``rows`` [m] see as many windows as are ``wanted`` [N], with segments that begin before ``last`` [N] s."""
+        access: Any = self.access
+        while len(rows):
+            some = None if allowed is None else allowed[rows]
+            rows = access.reveal(kind, rows, time[rows], wanted[rows], last[rows], some)
+            if len(rows):
+                self._search_further(rows, time)
 
     def _search_certain(self, kind: str, time: Tensor, wanted: Tensor, allowed: Tensor | None) -> None:
         """Search on, where a maneuver has undone the search, until as many windows as are ``wanted`` [N] are certain.

@@ -70,6 +70,7 @@ class TypeArguments:
         controlled: Whether actions may switch attitude control on, so that its gains matter.
         randomize: Draws arguments that replace those of some satellites.
         taken: Names of what the scenario draws.
+        lenient: Whether values that do not fit the length of a tick are logged only, as Basilisk runs with them.
     """
 
     sat_args: Arguments
@@ -80,6 +81,7 @@ class TypeArguments:
     controlled: bool
     randomize: Callable[[Key], Overrides]
     taken: frozenset[str]
+    lenient: bool = False
     _logged: set[str] = field(default_factory=set)
     """What has been logged about arguments."""
     _fits: dict[str, Arguments] = field(default_factory=dict)
@@ -174,8 +176,10 @@ class TypeArguments:
             try:
                 words = part.check_tick(looked, self.h_ns * NANO)
             except ValueError as error:
-                wrong.append(str(error))
-                continue
+                if not self.lenient:
+                    wrong.append(str(error))
+                    continue
+                words = str(error)
             if not replaced and not any(self.arguments_with(name).is_random(name) for name in looked.seen):
                 self._fits[part.slot] = self.sat_args
             if words and self.is_new(part.slot):

@@ -239,7 +239,15 @@ def satellite_type(
     flags = dict.fromkeys(flag for part in known for flag in part.flags)
     on = [[float(flag in (mode.on or ())) for mode in modes.values()] for flag in flags]
     drawing = TypeArguments(
-        arguments[1], arguments[0], parts, h_ns, orbit, usage.controlled, usage.randomize, frozenset(usage.drawn)
+        arguments[1],
+        arguments[0],
+        parts,
+        h_ns,
+        orbit,
+        usage.controlled,
+        usage.randomize,
+        frozenset(usage.drawn),
+        lenient=options.compat == "bsk_rl",
     )
     trial = drawing.trial(num_envs)
     running = _running(parts, dyn_type.schedule, on_arc, usage.recorded)
