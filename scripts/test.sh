@@ -13,7 +13,8 @@
 #   scripts/test.sh --browser [pytest arguments]    only the tests of pages and reports in Chromium, which is installed with
 #                            apt-get where it is missing; part of --all
 #   scripts/test.sh --nightly [pytest arguments]    only the tests that take long, of the marker nightly, and those of the
-#                            documentation, so that a page which breaks by a change inside of a function is found here
+#                            documentation, so that a page which breaks by a change inside of a function is found here; then, where
+#                            --basilisk or --all has made .venv-basilisk, 40 random problems in bsk_rl on Basilisk and here
 set -euo pipefail
 case "${1:-}" in -h | --help) sed -n '2,/^set/s/^# \{0,1\}//p' "$0"; exit ;; esac
 cd "$(dirname "$0")/.."
@@ -35,6 +36,13 @@ test_basilisk() {
         tests/test_scripts.py tests/basilisk/test_fly_on_basilisk.py tests/basilisk/test_certificate.py tests/basilisk/test_differential.py \
         tests/basilisk/test_drop_in.py \
         tests/cli/test_bench.py
+}
+
+fly_random_problems() {  # other ones every day, of the environments of this package and of the package that is bsk_rl
+    local first=$(($(date +%s) / 86400 * 20))
+    for library in bsk_torch bsk_torch.bsk_rl; do
+        .venv-basilisk/bin/python scripts/validation/differential.py --library "$library" --seeds "$first:$((first + 20))"
+    done
 }
 
 test_rllib() {
@@ -78,7 +86,9 @@ fi
 .venv/bin/lint-imports
 .venv/bin/python -W error -c "import bsk_torch"
 if [ "${1:-}" = --nightly ]; then
-    exec .venv/bin/python -m pytest -m "nightly or pages" "${@:2}"
+    .venv/bin/python -m pytest -m "nightly or pages" "${@:2}"
+    if [ -x .venv-basilisk/bin/python ]; then fly_random_problems; fi
+    exit
 fi
 # files in their order, each by one worker (tests/conftest.py): by number of tests, the longest would come last
 parallel=(-n 2 --dist loadgroup --no-loadscope-reorder)

