@@ -51,7 +51,7 @@ _HOMES = {
     "per_environment": "bsk_torch.env.per_environment",
     "rule": "bsk_torch.rl.policies.shared_policy",
 }
-"""Modules of the names that are no modules of the package."""
+"""Modules of the names that are not modules of the package."""
 
 
 def __getattr__(name: str) -> object:

@@ -1,4 +1,4 @@
-"""Modules and names of bsk_rl: each is found where it is here, or answered with what to write instead.
+"""Modules and names of bsk_rl: each is looked up in bsk_torch, or raises an error with a replacement.
 
 ``MODULES`` lists what bsk_rl 1.3.8 has, with the modules of bsk_torch in which its names are looked up; modules that bsk_torch
 does not have come into being when they are imported. ``ADVICE`` lists names that bsk_torch does not have. Reading one raises
@@ -225,7 +225,7 @@ def lookup(module: str, name: str) -> Any:
     """Return what ``bsk_rl.<module>.<name>`` is here.
 
     Raises:
-        NotInBskTorchError: For a name of bsk_rl that is not here; the message says what to write instead.
+        NotInBskTorchError: For a name of bsk_rl that is not here; the message suggests a replacement.
         AttributeError: For a name that bsk_rl does not have either.
     """
     if f"{module}.{name}".lstrip(".") in MODULES:

@@ -125,7 +125,7 @@ def text(title: str, value: object) -> str:
 
 
 def function(title: str, value: object, what: str) -> Callable[..., Any]:
-    """Return a function of the user; ValueError for what is none; ``what`` says of what it is a function."""
+    """Return a user function; ValueError for what is none; ``what`` says of what it is a function."""
     if callable(value) and not isinstance(value, type):
         return value
     raise ValueError(f"{title}={value!r} must be a function of {what}")

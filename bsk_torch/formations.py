@@ -62,7 +62,7 @@ UNUSED = {
     "reset": "every episode is drawn: define draw(key, names)",
     "__call__": "define draw(key, names)",
 }
-"""Names that are no hooks of formations, and what to write instead."""
+"""Names that are not hooks of formations, and what to write instead."""
 
 
 class Formation:
@@ -503,7 +503,7 @@ class _Relative(Formation):
             *(("deputy_relative_state", name) for name in self.deputy_relative_state),
         ):
             if name not in names:
-                raise ValueError(f"relative_to_chief: {what} has {name!r}, which is no satellite; {nearest(name, names)}")
+                raise ValueError(f"relative_to_chief: {what} has {name!r}, which is not a satellite; {nearest(name, names)}")
         super().check(names)
 
     def draw(self, key: Key, names: Sequence[str]) -> Settings:

@@ -198,7 +198,7 @@ def first_key(n: int) -> Key:
     return Key(zeros, torch.arange(n), zeros)
 
 
-# -- functions of users ----------------------------------------------------------------------------------------------------------
+# -- user functions ----------------------------------------------------------------------------------------------------------
 
 _drawing = False
 """Whether a function of the user's is being called to draw a value."""
@@ -206,7 +206,7 @@ _drawing = False
 
 @contextmanager
 def seeded(key: Key, reseed: bool = False) -> Iterator[Iterator[Key]]:
-    """Seed the global generators of NumPy, ``random`` and torch for functions of the user that draw values with them.
+    """Seed the global generators of NumPy, ``random`` and torch for user functions that draw values with them.
 
     Iterating over the result gives the key of each environment, and seeds the generators from it before; what a function draws
     then depends on nothing but the key. Their states are put back at the end. Where one of these contexts contains another, the
@@ -405,7 +405,7 @@ def random_orbit(
 ) -> Any:
     """Return a distribution of orbital elements, as bsk_rl's.
 
-    Within a function of the user that draws a value, it returns drawn elements instead,
+    Within a user function that draws a value, it returns drawn elements instead,
     :class:`~bsk_torch.astro.elements.ClassicElements`, from NumPy's global generator.
 
     Args:
@@ -474,7 +474,7 @@ class UnitVector(Distribution):
 def random_unit_vector() -> Any:
     """Return a distribution of unit vectors that are uniform over the sphere.
 
-    Within a function of the user that draws a value, it returns a drawn vector [3] instead, from NumPy's global generator.
+    Within a user function that draws a value, it returns a drawn vector [3] instead, from NumPy's global generator.
     """
     if not _drawing:
         return UnitVector()
@@ -511,7 +511,7 @@ class RandomEpoch(Distribution):
 def random_epoch(start: int = 2000, end: int = 2022) -> Any:
     """Return a distribution of epochs in the years ``start`` to ``end - 1``.
 
-    As in bsk_rl, days are at most 27, hours 22, minutes and seconds 58 and milliseconds 998. Within a function of the user
+    As in bsk_rl, days are at most 27, hours 22, minutes and seconds 58 and milliseconds 998. Within a user function
     that draws a value, it returns a drawn epoch instead, from NumPy's global generator. ValueError for an empty range.
     """
     whole("start", start, 1)

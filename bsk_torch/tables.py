@@ -33,7 +33,7 @@ def print_table(
         rows: Cells by column, the same columns in each row.
         title: Headline.
         expendable: Columns to leave out where the terminal is too narrow, the first one first. A line below names them.
-        left: Columns with text, which is aligned at the left.
+        left: Columns with left-aligned text.
         whole: Columns whose cells are never broken.
     """
     console, columns = Console(width=line_width()), list(rows[0])

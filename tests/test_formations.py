@@ -354,11 +354,11 @@ def test_users_formations():
         (lambda: fm.train_args(math.nan), "train_args: spacing=nan must be a number of degrees"),
         (
             lambda: fm.relative_to_chief("Sat_3", CHIEF, {}),
-            "relative_to_chief: chief_name has 'Sat_3', which is no satellite; did you mean 'Sat-3'",
+            "relative_to_chief: chief_name has 'Sat_3', which is not a satellite; did you mean 'Sat-3'",
         ),
         (
             lambda: fm.relative_to_chief("Sat-3", CHIEF, {"Sat-4": [0.0] * 6, "Sat4": [0.0] * 6}),
-            "relative_to_chief: deputy_relative_state has 'Sat4', which is no satellite; did you mean 'Sat-4'",
+            "relative_to_chief: deputy_relative_state has 'Sat4', which is not a satellite; did you mean 'Sat-4'",
         ),
         (
             lambda: fm.relative_to_chief("A", CHIEF, {"A": [0.0] * 6}),

@@ -1,4 +1,4 @@
-"""Orbital elements as an object, and their conversion, for functions of users that work on one orbit at a time."""
+"""Orbital elements as an object, and their conversion, for user functions that work on one orbit at a time."""
 
 from __future__ import annotations
 

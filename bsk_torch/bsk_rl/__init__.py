@@ -1,7 +1,8 @@
 """bsk_rl on bsk_torch: the modules and names of bsk_rl 1.3.8, for one episode at a time.
 
 Replace ``bsk_rl`` by ``bsk_torch.bsk_rl`` in a program's imports, and it runs on bsk_torch's simulation, with the episodes that
-bsk_rl plays under the same seeds. ``docs/migration.md`` says what differs, and how to play thousands of episodes at once.
+bsk_rl plays under the same seeds. ``docs/migration.md`` lists differences, and describes how to play
+thousands of episodes at once.
 """
 
 import gymnasium

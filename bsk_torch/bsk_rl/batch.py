@@ -1,8 +1,8 @@
 """One batched simulation for N episodes of a program of bsk_rl whose classes are those of the package.
 
 :func:`batched_core` writes the program for :mod:`bsk_torch`: satellites whose classes only set specifications, and
-bsk_rl's own observations, actions, scenarios and rewarders have counterparts there. Functions of users are called for each
-episode, unless they work on tensors. What has no counterpart raises :class:`NotBatchedError`, which says why.
+bsk_rl's own observations, actions, scenarios and rewarders have counterparts there. User functions are called for each
+episode, unless they work on tensors. Anything without a counterpart raises :class:`NotBatchedError`.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ __all__ = ["BatchedVectorEnv", "NotBatchedError", "batched_core"]
 
 
 class NotBatchedError(TypeError):
-    """A program that cannot be one batched simulation; the message says why."""
+    """A program that cannot be one batched simulation; the message states the reason."""
 
 
 class Stock(NamedTuple):
@@ -163,7 +163,7 @@ PASSED = (
     "world_type", "sim_rate", "max_step_duration", "failure_penalty", "time_limit", "terminate_on_time_limit",
     "generate_obs_retasking_only", "backend", "orbit", "log_dir",
 )  # fmt: skip
-"""Arguments of environments that the core takes as they are."""
+"""Arguments of environments passed to the core unchanged."""
 
 
 def counterpart(given: Any, table: Mapping[type, Stock], *entries: Any) -> Any:
@@ -178,7 +178,7 @@ def counterpart(given: Any, table: Mapping[type, Stock], *entries: Any) -> Any:
         raise NotBatchedError(f"{title} is a custom class, for one episode{adapter}")
     known = {*stock.arguments.values(), *stock.state.split(), *LINKS.split()}
     if unknown := sorted(set(vars(given)) - known):
-        raise NotBatchedError(f"{title} has attributes that are no arguments of it: {', '.join(unknown)}")
+        raise NotBatchedError(f"{title} has attributes that are not arguments of it: {', '.join(unknown)}")
     values: dict[str, Any] = {}
     for name, attribute in stock.arguments.items():
         value = getattr(given, attribute)
@@ -225,7 +225,7 @@ def check_satellite(given: Any) -> None:
         if added := sorted(set(vars(kind)) - BODY - IGNORED):
             raise NotBatchedError(f"{kind.__name__} has custom code, for one episode: {', '.join(added)}")
     if added := sorted(set(vars(given)) - set(SATELLITE_STATE)):
-        raise NotBatchedError(f"satellite {given.name} has attributes that are no arguments of it: {', '.join(added)}")
+        raise NotBatchedError(f"satellite {given.name} has attributes that are not arguments of it: {', '.join(added)}")
     if given.observation_builder.obs_type is not np.ndarray:
         raise NotBatchedError(f"obs_type={given.observation_builder.obs_type!r}; vectors can be batched")
     if getattr(given, "access_filter_functions", ()) or getattr(given, "target_types", TARGET_KIND) != TARGET_KIND:

@@ -2,7 +2,7 @@
 
 bsk_rl collects arguments from the methods of models by name: those of the tasks of the flight software first, the last task
 before the others, then those of the flight software itself, then those of the dynamics. :data:`DYN`, :data:`FSW`, :data:`TASKS`
-and :data:`WORLD` say which method of which model declares which arguments there; constant values are those of the components
+and :data:`WORLD` list the arguments declared by each method of each model there; constant values are those of the components
 here. Arguments of components that bsk_rl lacks follow behind.
 """
 

@@ -66,9 +66,9 @@ class GeneralSatelliteTasking(gymnasium.Env[Any, Any], Generic[SatObs, SatAct]):
     Attributes:
         satellites: Copies of the given satellites; they live as long as the environment.
         scenario, rewarder, communicator: Copies of those given, likewise.
-        simulator: Simulation of the present episode.
-        world_args: Arguments of the world in the present episode.
-        time_limit: End of the present episode, s.
+        simulator: Simulation of the current episode.
+        world_args: Arguments of the world in the current episode.
+        time_limit: End of the current episode, s.
         max_step_duration: Longest step, s; a change counts from the next reset on.
         latest_step_duration: Duration of the last step, s.
         reward_dict: Rewards of the last step by satellite, without penalties.
@@ -387,7 +387,7 @@ def _world_args(world_type: type[WorldModel], given: Mapping[str, Any]) -> dict[
 
 
 class SatelliteTasking(GeneralSatelliteTasking[SatObs, SatAct]):
-    """One satellite: its observation, action, reward and info as they are, without tuples."""
+    """One satellite: its observation, action, reward and info, without tuples."""
 
     def __init__(self, satellite: Satellite | Sequence[Satellite], *args: Any, **kwargs: Any) -> None:
         """See :class:`GeneralSatelliteTasking`; ValueError for several satellites."""

@@ -1,4 +1,4 @@
-"""Names of bsk_rl that bsk_torch does not have yet: reading one raises ImportError, which says what there is instead."""
+"""Names of bsk_rl that bsk_torch does not have yet: reading one raises ImportError with an alternative."""
 
 from __future__ import annotations
 

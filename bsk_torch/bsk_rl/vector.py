@@ -50,7 +50,7 @@ def vector_form(
     args: Sequence[Any],
     kwargs: Mapping[str, Any],
 ) -> EpisodesVectorEnv | AgentsVectorEnv | BatchedVectorEnv:
-    """Return N environments of a class as one; a record of the log says how they are simulated.
+    """Return N environments of a class as one; a log record describes how they are simulated.
 
     Args:
         make: Class of the environments.
@@ -190,8 +190,8 @@ class AgentsVectorEnv:
     """N constellations side by side: PettingZoo's parallel interface, with arrays of all environments by agent.
 
     Actions, observations, rewards, terminations, truncations and infos are dictionaries by agent, of arrays [N, ...]. Entries of
-    agents that have left an environment are zero; ``infos[agent]["present"]`` [N] says where an agent was part of the step. With
-    ``reset(seed=s)``, environment i plays the episode of a single environment with seed ``s + i``.
+    agents that have left an environment are zero; ``infos[agent]["present"]`` [N] marks the environments in which an agent was
+    part of the step. With ``reset(seed=s)``, environment i plays the episode of a single environment with seed ``s + i``.
 
     An episode is over when its agents have left, or are all terminated or truncated.
 
@@ -242,7 +242,7 @@ class AgentsVectorEnv:
 
     @property
     def agents(self) -> list[list[Any]]:
-        """Agents that are left in each environment."""
+        """Remaining agents of each environment."""
         return [one.env.agents for one in self.envs]
 
     def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
@@ -275,7 +275,7 @@ class AgentsVectorEnv:
 
         Args:
             seed: Seed of environment 0, which the others count up; or a seed for each. None draws seeds.
-            options: ``{"reset_mask": mask}`` with booleans [N] leaves the other environments as they are.
+            options: ``{"reset_mask": mask}`` with booleans [N] leaves the other environments unchanged.
         """
         mask = np.asarray((options or {}).get("reset_mask", np.ones(self.num_envs)), dtype=bool)
         if mask.shape != (self.num_envs,) or not mask.any():

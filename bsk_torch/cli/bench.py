@@ -61,7 +61,7 @@ def bench(
     results = earlier(beside or [], suite)
     for name in entrants:
         if name in results:
-            fail(f"{name!r} is also among the results of --beside; the suite has one row for each policy")
+            fail(f"{name!r} is also in the results of `--beside`; the suite has one row for each policy")
     known = references(suite)
     for name, entrant in entrants.items():
         results[name] = {}

@@ -39,7 +39,7 @@ def publish(
             fail(f"--drop {name}: {str(run)!r} was not trained with that option; {nearest(name, list(card['options']))}")
     options = {name: value for name, value in card["options"].items() if name not in (drop or ())}
     if not (run / LOG).is_file():
-        fail(f"{str(run)!r} has no {LOG}, which says how long the training took")
+        fail(f"{str(run)!r} has no {LOG}, from which the training time is read")
     log, listed = _log(run / LOG), _listed(folder)
     seed, preset = config.seed + FRESH, card["preset"]
     check_writable(folder / f"{preset}.pt" if folder.exists() else None)
@@ -49,7 +49,7 @@ def publish(
         policy = shared(build_policy(card, device), env)
     except ValueError as error:
         fail(str(error))
-    with working(f"playing {episodes} fresh episodes"):
+    with working(f"playing {episodes} unseen episodes"):
         result = evaluate(policy, env, seed=seed)
     folder.mkdir(parents=True, exist_ok=True)
     save_checksummed(folder / f"{preset}.pt", read_card(run) | {"options": options})
@@ -74,7 +74,7 @@ def _log(path: Path) -> dict[str, list[float]]:
     except ValueError as error:
         fail(str(error))
     if not log:
-        fail(f"{str(path)!r} has no rows; it should say how long the training took")
+        fail(f"{str(path)!r} has no rows; the training time is read from it")
     return log
 
 
@@ -93,7 +93,7 @@ def _listed(folder: Path) -> dict[str, Any]:
 
 
 def score(result: Evaluation, seed: int) -> dict[str, float]:
-    """Return the figures of an evaluation that are noted with a policy."""
+    """Return the results of an evaluation to store with a policy."""
     return {
         "episodes": len(result.returns),
         "seed": seed,

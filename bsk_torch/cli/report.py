@@ -130,14 +130,14 @@ def _facts(card: dict[str, Any]) -> dict[str, str]:
 def _episodes(
     config: PPOConfig, card: dict[str, Any], options: dict[str, Any], episodes: int, device: str
 ) -> Iterator[tuple[str, int, Any]]:
-    """Yield the reason, the number and the recording of the best, the median and the worst of fresh episodes."""
+    """Yield the reason, the number and the recording of the best, the median and the worst of unseen episodes."""
     env = environment(config.preset, episodes, options)
     try:
         check_fits(card, env, config.preset)
         policy = shared(build_policy(card, device), env)
     except ValueError as error:
         fail(str(error))
-    with working(f"playing {episodes} fresh episodes"):
+    with working(f"playing {episodes} unseen episodes"):
         returns = evaluate(policy, env, seed=config.seed + FRESH).returns
     for why, number in extremes(returns).items():
         with working(f"playing the {why} episode again"):

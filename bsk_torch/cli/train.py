@@ -89,7 +89,7 @@ def train(
 
 
 def _is_given(context: typer.Context, name: str) -> bool:
-    """Return whether the command line says a parameter."""
+    """Return whether a parameter was given on the command line."""
     source = context.get_parameter_source(name)
     return source is not None and source.name == "COMMANDLINE"
 
@@ -104,7 +104,7 @@ def _check(folders: Iterable[Path]) -> None:
 
 
 def _check_resumable(folder: Path, config: PPOConfig) -> None:
-    """End the program before anything is done if the run in a folder cannot go on, or another process works there."""
+    """End the program immediately if the run in a folder cannot be resumed, or another process works there."""
     FolderLock(folder).release()
     try:
         read_checkpoint(folder, config)
@@ -137,7 +137,7 @@ def _run(
     seed: int,
     resume: bool,
 ) -> tuple[Evaluation, bool]:
-    """Train, compare with ``baselines`` in the fresh episodes of ``seed``, draw, and keep all in ``folder``.
+    """Train, compare with ``baselines`` in unseen episodes of ``seed``, draw, and keep all in ``folder``.
 
     Returns:
         Results of the trained policy, and whether the user interrupted the training.

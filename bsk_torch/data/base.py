@@ -54,7 +54,7 @@ ONE_ARGUMENT = {"calculate_reward": 2, "is_terminated": 0, "is_truncated": 0}
 
 
 def reject_one_episode(cls: type) -> None:
-    """Raise TypeError for a class that is written for one episode, as bsk_rl's rewarders."""
+    """Raise TypeError for a class written for one episode, like bsk_rl's rewarders."""
     body = vars(cls)
     marks = [name for name in MARKS if name in body]
     marks += [

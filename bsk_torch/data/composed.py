@@ -34,7 +34,7 @@ class ComposedReward(GlobalReward):
             raise ValueError("rewarders is empty; ComposedReward needs at least one, such as data.UniqueImageReward()")
         for rewarder in rewarders:
             if not isinstance(rewarder, GlobalReward):
-                raise ValueError(f"rewarders holds {rewarder!r}, which is no rewarder; write data.NoReward(), with parentheses")
+                raise ValueError(f"rewarders has {rewarder!r}, which is not a rewarder; write data.NoReward(), with parentheses")
         self.rewarders: Sequence[GlobalReward] = tuple(rewarders)
         self.terms: dict[str, Tensor] = {}
 

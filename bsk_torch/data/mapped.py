@@ -124,7 +124,7 @@ class PerEnvironmentReward(GlobalReward):
         return self.records.of(row).rewarder
 
     def data_of(self, row: int) -> Any:
-        """Return all data that has been collected in environment ``row``."""
+        """Return all data collected in environment ``row``."""
         return self.rewarder_of(row).data
 
     @property

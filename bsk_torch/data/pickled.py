@@ -1,7 +1,7 @@
-"""Python objects of users as bytes in saved states: classes of their own modules and plain data, and nothing else.
+"""User objects as bytes in saved states: only classes of the users' modules and plain data.
 
 A state may come from a file from another source, so reading one must not run code of its choice: names of other
-functions and classes than those below are refused, when they are written and when they are read.
+functions and classes than those below are rejected, both in writing and in reading.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ class Pickler(pickle.Pickler):
         self.modules, self.persistent_id = modules, name_of  # type: ignore[method-assign]
 
     def reducer_override(self, value: object) -> Any:
-        """Return how to make a tensor again; refuse classes that could not be read."""
+        """Return how to rebuild a tensor; reject classes that could not be read."""
         if isinstance(value, Tensor):
             return tensor_of, (value.detach().cpu().numpy(),)
         kind = value if isinstance(value, type) else type(value)

@@ -65,7 +65,7 @@ def agents_of(names: Sequence[str], groupings: Mapping[str, Sequence[str]] | Non
         for member in members:
             if member not in names:
                 raise ValueError(
-                    f"meta_agent_groupings[{agent!r}] has {member!r}, which is no satellite; {nearest(member, names)}"
+                    f"meta_agent_groupings[{agent!r}] has {member!r}, which is not a satellite; {nearest(member, names)}"
                 )
             if member in taken:
                 raise ValueError(f"meta_agent_groupings: satellite {member!r} belongs to {taken[member]!r} and to {agent!r}")
@@ -142,7 +142,7 @@ def check_map(group_map: Mapping[str, Sequence[str]], signature: Mapping[str, tu
     listed = [agent for agents in group_map.values() for agent in agents]
     for agent in listed:
         if agent not in signature:
-            raise ValueError(f"group_map has {agent!r}, which is no agent; {nearest(agent, signature)}")
+            raise ValueError(f"group_map has {agent!r}, which is not an agent; {nearest(agent, signature)}")
     if twice := sorted({agent for agent in listed if listed.count(agent) > 1}):
         raise ValueError(f"group_map has {twice} more than once")
     if missing := [agent for agent in signature if agent not in listed]:

@@ -29,7 +29,7 @@ class MadeOfArguments(Snapshots):
     """Changes of arguments since then."""
 
     _trial: Trial | None
-    """Trial episodes; None if they determine how functions of users are called."""
+    """Trial episodes; None if they determine how user functions are called."""
 
     def set_sat_args(self, args: object, envs: object = None) -> None:
         """Change arguments of satellites for episodes started after this call; current episodes keep their values.
@@ -102,7 +102,7 @@ class MadeOfArguments(Snapshots):
             "world_args_generator",
         )
 
-    # -- environments of the same make --------------------------------------------------------------------------------
+    # -- environments of the same kind --------------------------------------------------------------------------------
 
     def like(self: Environment, num_envs: int, env_ids: Sequence[int] | Tensor | None = None) -> Environment:
         """Return another environment of the same kind, with separate episodes, seed 0 and no logs.

@@ -214,7 +214,7 @@ def check_fingerprint(mine: Tensor, theirs: Tensor) -> None:
         other = [int(value) for value in theirs[:, part] if value != mine[part]]
         if other:
             how = f": {other[0]}, not {int(mine[part])}" if part < 2 else ""
-            raise ValueError(f"state was saved by another make of environment; they differ in the {meaning}{how}")
+            raise ValueError(f"state was saved by another kind of environment; they differ in the {meaning}{how}")
 
 
 def rows_of(name: str, rows: Any, count: int, device: torch.device) -> Tensor:

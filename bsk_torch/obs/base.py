@@ -149,7 +149,7 @@ def link(entry: object, satellite: BoundSatellite) -> None:
         TypeError: For an entry whose ``link_satellite`` does not call that of its base class.
     """
     if not isinstance(entry, Observation):
-        raise ValueError(f"observation_spec holds {entry!r}, which is no observation; write obs.Time(), with parentheses")
+        raise ValueError(f"observation_spec holds {entry!r}, which is not an observation; write obs.Time(), with parentheses")
     entry.link_satellite(satellite)
     if getattr(entry, "satellite", None) is not satellite:
         raise TypeError(f"{type(entry).__name__}.link_satellite(satellite) must call super().link_satellite(satellite)")

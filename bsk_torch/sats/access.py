@@ -100,7 +100,7 @@ class AccessSatellite(Satellite):
             type: The same as ``types``.
 
         Raises:
-            TypeError: For something that is no such function.
+            TypeError: For anything else.
         """
         made = make_filter(access_filter_fn, types if type is None else type)
         self.access_filters.insert(0 if prepend else len(self.access_filters), made)

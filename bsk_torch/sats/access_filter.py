@@ -1,4 +1,4 @@
-"""Filters of opportunities: functions that say which places satellites may choose."""
+"""Filters of opportunities: functions that determine which places satellites may choose."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ ADVICE = (
 )
 
 WINDOWS = (
-    "filters say which places count, whatever the window; satellite.one(row).find_next_opportunities(n, filter=fn) filters "
+    "filters select places, regardless of the window; satellite.one(row).find_next_opportunities(n, filter=fn) filters "
     "windows, and legal_actions() of the satellite forbids actions"
 )
 

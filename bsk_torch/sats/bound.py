@@ -1,4 +1,4 @@
-"""The satellites of one type in an environment: what hooks and functions of users read."""
+"""The satellites of one type in an environment: what hooks and user functions read."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class BoundSatellite(Satellite):
         names: Name of each satellite of an episode that is of this type.
         dynamics, fsw: Their models, of the user's classes.
         memory: Tensors [N, ...] that start with every episode; ``memory.declare(name, initial, *shape)`` adds one.
-        sat_args: Arguments of the present episodes by name, [N, ...] each, float64.
+        sat_args: Arguments of the current episodes by name, [N, ...] each, float64.
         others: The satellites of the episodes by name: ``satellite.others["RSO"].dynamics.r_BN_N`` is [N, 3], with the rows of
             this type. KeyError for an unknown name, with the nearest one. They are there when observations are made, not yet
             when they are linked.
@@ -120,7 +120,7 @@ class BoundSatellite(Satellite):
 
     @property
     def functions(self) -> list[UserFunction]:
-        """Functions of users that the satellites call; an environment tries them when it is built."""
+        """User functions that the satellites call; an environment tries them when it is built."""
         return []
 
     # -- views --------------------------------------------------------------------------------------------------------
@@ -196,7 +196,7 @@ def composed(described: type[Satellite], bound: type[BoundSatellite]) -> type[Bo
 
 
 class Arguments(Mapping[str, Any]):
-    """Arguments of the present episodes by name, looked up when read; a wrong name is answered with the nearest right one."""
+    """Arguments of the current episodes by name, looked up when read; a wrong name is answered with the nearest right one."""
 
     def __init__(self, state: SatelliteState) -> None:
         """Read the arguments of a ``state``."""

@@ -49,7 +49,7 @@ class BoundAccessSatellite(BoundSatellite, AccessSatellite):
     def add_access_filter(
         self, access_filter_fn: Filter, types: str | Collection[str] | None = None, prepend: bool = False, type: str | None = None
     ) -> None:
-        """See :meth:`AccessSatellite.add_access_filter`; queries of the present time are asked again."""
+        """See :meth:`AccessSatellite.add_access_filter`; queries of the current time are asked again."""
         super().add_access_filter(access_filter_fn, types, prepend, type)
         self.memory.touch()
 
@@ -226,7 +226,7 @@ class BoundAccessSatellite(BoundSatellite, AccessSatellite):
     def opportunities(self, type: str | None = None, *, types: str | Collection[str] | None = None) -> Windows:
         """Return all windows of a type that have been computed, sorted by closing time, [N, W]; missing ones close at infinity.
 
-        Those of past intervals are dropped as look-ahead goes on. ``types`` is the same as ``type``.
+        Those of past intervals are dropped as look-ahead advances. ``types`` is the same as ``type``.
         """
         return self._known(self._kind(type, types), torch.full_like(self.simulator.sim_time, -1.0), None)
 
@@ -348,11 +348,11 @@ class BoundAccessSatellite(BoundSatellite, AccessSatellite):
         return found
 
     def upcoming_opportunities_dict(self, *_: object, **__: object) -> NoReturn:
-        """Raise TypeError that says what to write for bsk_rl's dictionary."""
+        """Raise TypeError with a replacement for bsk_rl's dictionary."""
         raise TypeError(_dictionaries("upcoming_opportunities_dict"))
 
     def next_opportunities_dict(self, *_: object, **__: object) -> NoReturn:
-        """Raise TypeError that says what to write for bsk_rl's dictionary."""
+        """Raise TypeError with a replacement for bsk_rl's dictionary."""
         raise TypeError(_dictionaries("next_opportunities_dict"))
 
 

@@ -33,11 +33,11 @@ UNUSED = {
     "reset_during_sim_init": MEMORY,
     "reset_post_sim_init": MEMORY,
 }
-"""Names that are no hooks of satellites, those of bsk_rl among them, and what to write instead."""
+"""Names that are not hooks of satellites, those of bsk_rl among them, and what to write instead."""
 
 
 def check_satellite(cls: type, base: type) -> None:
-    """Refuse a satellite class with definitions that would never be used, by a TypeError with advice."""
+    """Raise TypeError, with advice, for a satellite class with definitions that would never be used."""
     check_class(cls, base, HOOKS, UNUSED)
     for name in vars(cls):
         meant = difflib.get_close_matches(name, SPECS, n=1, cutoff=0.85)

@@ -47,7 +47,7 @@ class ImagingSatellite(AccessSatellite):
 class BoundImagingSatellite(BoundAccessSatellite, ImagingSatellite):
     """The imaging satellites of one type in an environment.
 
-    Counters of the present episodes: ``imaged``, ``missed`` (windows that closed without the image), [N] each.
+    Counters of the current episodes: ``imaged``, ``missed`` (windows that closed without the image), [N] each.
     """
 
     def _join(self, fleet: SatelliteFleet, type_index: int) -> None:

@@ -1,4 +1,4 @@
-"""One satellite of one environment, as a function that was written for bsk_rl sees it.
+"""One satellite of one environment, as seen by a function written for bsk_rl.
 
 In an environment, a satellite stands for all satellites of its type in all episodes, and its properties are tensors [N, ...]. A
 :class:`OneSatellite` is a read-only view of one of those rows: properties of the package are NumPy arrays and Python numbers of
@@ -114,7 +114,7 @@ class OneView:
             return of_row(value, self._row)
 
     def _call(self, name: str) -> Callable[..., Any]:
-        """Return a method of the package that is called for all rows and read at this one."""
+        """Return a method of the package, called for all rows and read at this one."""
 
         def call(*args: object, **options: object) -> Any:
             return of_row(getattr(self._whole, name)(*args, **options), self._row)
@@ -123,7 +123,7 @@ class OneView:
 
 
 class OneArguments(Mapping[str, Any]):
-    """Arguments of the present episode by name: numbers, NumPy arrays, and what is neither."""
+    """Arguments of the current episode by name: numbers, NumPy arrays, and what is neither."""
 
     def __init__(self, whole: Mapping[str, object], row: int) -> None:
         """View row number ``row`` of the arguments [N, ...] of all rows."""
@@ -310,7 +310,7 @@ class OneSatellite(OneView):
 
     @property
     def sat_args(self) -> OneArguments:
-        """Arguments of the present episode."""
+        """Arguments of the current episode."""
         return OneArguments(self._whole.sat_args, self._row)
 
     @property

@@ -29,7 +29,7 @@ class OneOpportunity(dict[str, Any]):
 
 
 Filter = Callable[[OneOpportunity], Any] | list[Any] | None
-"""Function that says whether an opportunity counts, list of objects that do not, or None for the filters of the satellite."""
+"""Function that selects opportunities, list of excluded objects, or None for the filters of the satellite."""
 
 
 class OneAccessSatellite(OneSatellite):
@@ -72,7 +72,7 @@ class OneAccessSatellite(OneSatellite):
 
     @property
     def opportunities(self) -> list[OneOpportunity]:
-        """All opportunities that have been computed; those of past intervals are dropped as look-ahead goes on."""
+        """All computed opportunities; those of past intervals are dropped as look-ahead advances."""
         return self._listed(False)
 
     @property

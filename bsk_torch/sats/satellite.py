@@ -32,7 +32,7 @@ class Satellite:
     """Description of an agent. Subclasses set ``observation_spec``, ``action_spec``, ``dyn_type`` and ``fsw_type``.
 
     An environment makes a :class:`bsk_torch.sats.bound.BoundSatellite` of the same class from it, for all satellites of the type.
-    That is what the hooks of subclasses have as ``self``, and what actions, observations and functions of users get: it has
+    That is what the hooks of subclasses have as ``self``, and what actions, observations and user functions get: it has
     ``simulator``, ``dynamics``, ``fsw``, ``memory``, ``sat_args`` and so on.
 
     ``dyn_type`` and ``fsw_type`` are written as a class of :mod:`bsk_torch.sim.dyn` or :mod:`bsk_torch.sim.fsw`, or as a tuple of
@@ -47,7 +47,7 @@ class Satellite:
     bound_type: ClassVar[type[BoundSatellite]]
 
     def __init_subclass__(cls, **options: object) -> None:
-        """Refuse definitions that no environment would use, by a TypeError with advice."""
+        """Raise TypeError, suggesting a replacement, for definitions that no environment would use."""
         super().__init_subclass__(**options)
         check_satellite(cls, Satellite)
         cls._compose_models()
@@ -140,7 +140,7 @@ class Satellite:
         """Record the events of a run: ``event`` [N] is true where one ended the actions that wait for it."""
 
     def legal_actions(self) -> Tensor | None:
-        """Return which actions are legal now beside their own masks, [N, n_actions]; None for all of them."""
+        """Return which actions are legal now, in addition to the actions' masks, [N, n_actions]; None for all of them."""
         return None
 
     def action_mask(self) -> Tensor:
@@ -148,8 +148,8 @@ class Satellite:
 
         Unless overridden, those that :meth:`legal_actions` and the masks of the actions allow; all of them where none would be.
         """
-        raise RuntimeError(f"{self.name!r} is in no environment; env.satellite.action_mask() is that of the present episodes")
+        raise RuntimeError(f"{self.name!r} is in no environment; env.satellite.action_mask() is that of the current episodes")
 
     def counts(self) -> dict[str, Tensor]:
-        """Return the counters of the present episodes, [N] each, by name."""
+        """Return the counters of the current episodes, [N] each, by name."""
         return {}

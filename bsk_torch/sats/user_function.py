@@ -1,6 +1,6 @@
-"""Functions of users that observe satellites: called once for all of them, or for one after the other where they need that.
+"""User functions that observe satellites: called once for all of them, or for one after the other where they need that.
 
-Functions that were written for bsk_rl expect one satellite. Many work on tensors of all satellites without a change, which is
+Functions written for bsk_rl expect one satellite. Many work on tensors of all satellites without a change, which is
 fast. Some fail, and some give a wrong result without failing: ``np.linalg.norm(satellite.dynamics.r_BN_N)`` of positions [N, 3]
 is a single number. So a function is tried on all satellites, and compared with what it gives for one; see :class:`UserFunction`.
 """
@@ -54,7 +54,7 @@ def is_adapted(function: Any) -> bool:
 
 
 class UserFunction:
-    """A function of a user that is called for all N satellites at once, if it gives the same as for each of them.
+    """A user function, called for all N satellites at once if this gives the same result as separate calls.
 
     The first call decides: it compares the result of all with that of the first satellite. If the function fails for a single
     satellite, it was written for tensors, and only its shape is checked. If it fails for all, or differs, it is called for each
@@ -69,7 +69,7 @@ class UserFunction:
     """
 
     def __init__(self, title: str, advice: str, function: object) -> None:
-        """Describe a function; ``advice`` says how to write it for all satellites."""
+        """Describe a function; ``advice`` describes how to write it for all satellites."""
         self.title, self.advice, self.adapted = title, advice, is_adapted(function)
         self.mapped: bool | None = None
         self.why = ""
@@ -139,7 +139,7 @@ class UserFunction:
         return as_batch(self.title, stacked(self.title, [one(row) for row in range(lead[0])]), lead, device)
 
     def _map_because(self, why: str, rows: int) -> None:
-        """Map the function from now on; a note in the log says so, except on a trial and of a single satellite."""
+        """Map the function from now on; with a note in the log, except on a trial and of a single satellite."""
         self.mapped, self.why = True, why
         if self.results is None and rows > 1:
             logger.warning("%s is called for one environment after the other, which is slow: %s. To call it once for all, %s",
@@ -215,7 +215,7 @@ def alike(a: Tree, b: Tree) -> bool:
 def as_batch(title: str, value: object, lead: Sequence[int], device: torch.device) -> Tree:
     """Return the result for all satellites as tensors [*lead, ...].
 
-    Tensors and NumPy arrays are taken as they are; a list of tensors [*lead] and numbers becomes [*lead, len(list)].
+    Tensors and NumPy arrays are returned unchanged; a list of tensors [*lead] and numbers becomes [*lead, len(list)].
 
     Raises:
         TypeError: For a result without the leading dimensions.
@@ -240,7 +240,7 @@ def stacked(title: str, values: Sequence[Any]) -> Tree:
     """Return the results of several satellites as one tensor [n, ...], float64 unless they are booleans.
 
     Raises:
-        TypeError: For results that are no numbers, or of different shapes.
+        TypeError: For results that are not numbers, or of different shapes.
     """
     if isinstance(values[0], dict):
         return {name: stacked(f"{title}[{name!r}]", [value[name] for value in values]) for name in values[0]}

@@ -89,7 +89,7 @@ class Scenario:
 
     @property
     def calls_user(self) -> bool:
-        """Whether :meth:`draw` or :meth:`present` calls functions of the user, or uses NumPy's global generator.
+        """Whether :meth:`draw` or :meth:`present` calls user functions, or uses NumPy's global generator.
 
         They are then called for one environment at a time, with the generator seeded, and only for episodes that begin now.
         """

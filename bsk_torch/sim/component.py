@@ -97,7 +97,7 @@ class Arg:
     shape: tuple[int | None, ...] | None = None
 
     def __post_init__(self) -> None:
-        """Check the shape; ValueError for one that is no tuple of sizes, or that belongs to another kind."""
+        """Check the shape; ValueError unless it is a tuple of sizes, or if another kind is given."""
         if self.shape is None:
             return
         sizes = self.shape if isinstance(self.shape, tuple) else (0,)

@@ -67,12 +67,12 @@ class Fleet:
         names: Name of every satellite.
         places: Type of each satellite of an episode by name, and its number among those of the type; on a trial, where there is
             one of each type, satellites that are not simulated have the place of that one.
-        state: Everything that belongs to the present episodes: ``time_limit`` [N] s, ``removed`` [N, S] (satellites
+        state: Everything that belongs to the current episodes: ``time_limit`` [N] s, ``removed`` [N, S] (satellites
             that are not present, or have died and left), the tables ``scenario`` (its draws) and ``memory`` (tensors that
             rewarders, communicators and users declare), and the state of each type.
         memory: The table ``memory`` of the state, [N, ...] each.
         scenario_state: The table ``scenario`` of the state, [N, ...] each.
-        since: Ticks since reset at the start of the present step, [N].
+        since: Ticks since reset at the start of the current step, [N].
         varies: Whether some satellites are not present in some episodes; see :attr:`present`.
         env_ids: Index of each episode in draws, [N].
         beginnings: Functions that an environment calls with the episodes [n] that have begun.
@@ -182,7 +182,7 @@ class Fleet:
         return mine.flatten(0, 1)
 
     def key(self) -> Key:
-        """Return the key of random numbers of the present episodes; that of first episodes under seed 0 on a trial."""
+        """Return the key of random numbers of the current episodes; that of first episodes under seed 0 on a trial."""
         none = torch.zeros(self.num_envs, dtype=torch.int64)
         seed, episode = (self.state[name].cpu() if name in self.state else none for name in ("seed", "episode"))
         return Key(seed, self.env_ids.cpu(), episode)
@@ -190,7 +190,7 @@ class Fleet:
     # -- episodes -----------------------------------------------------------------------------------------------------
 
     def ask(self, env: int, answers: Answers, randomize: Callable[[], Any] | None = None) -> None:
-        """Call the functions of the user that give arguments of the environment ``env``, in bsk_rl's order; add their answers.
+        """Call the user functions that give arguments of the environment ``env``, in bsk_rl's order; add their answers.
 
         World first, then ``randomize``, which gives arguments of all satellites, then the satellites in their order.
         """
@@ -205,7 +205,7 @@ class Fleet:
 
     @property
     def calls_user(self) -> bool:
-        """Whether arguments are given by functions of the user."""
+        """Whether arguments are given by user functions."""
         each = (simulator.type.arguments for simulator in self.simulators)
         return any(arguments.world_args.calls_user or arguments.sat_args.calls_user for arguments in each)
 
@@ -221,7 +221,7 @@ class Fleet:
         Args:
             key: Key of the n environments.
             given: Arguments of satellites of all types that replace others: by name, the satellites [c] and values [n, c, ...].
-            answers: What functions of the user returned for each of the environments (see :meth:`ask`); by default, they are
+            answers: What user functions returned for each of the environments (see :meth:`ask`); by default, they are
                 called now.
             scenario: Draws of the scenario, if they have been made.
         """

@@ -78,7 +78,7 @@ class SatelliteState(StateTable):
         ticks: Ticks since reset, [rows].
         mode: Index into the mode table, [rows].
         arguments: Drawn arguments of satellites and world, a table of tensors [rows, ...].
-        constants: Arguments that are no numbers, the same for all rows.
+        constants: Arguments that are not numbers, the same for all rows.
         memory: Declared tensors of satellites' actions, rewarders and users, [rows, ...].
     """
 
@@ -195,7 +195,7 @@ class SatelliteState(StateTable):
         self.arguments.touch()
 
     def argument(self, name: str) -> Any:
-        """Return an argument of the present episodes, [rows] or [rows, width], or a constant; KeyError for an unknown name."""
+        """Return an argument of the current episodes, [rows] or [rows, width], or a constant; KeyError for an unknown name."""
         if name in self.arguments:
             return self.arguments[name]
         if name in self.constants:
@@ -205,11 +205,11 @@ class SatelliteState(StateTable):
 
     @property
     def all_arguments(self) -> dict[str, Any]:
-        """Arguments of the present episodes by name, [rows, ...] each, and the constants."""
+        """Arguments of the current episodes by name, [rows, ...] each, and the constants."""
         return {name: self.arguments[name] for name in self.arguments} | self.constants
 
     def argument_planes(self, names: tuple[str, ...]) -> Tensor:
-        """Return arguments of the present episodes as planes [C, rows]."""
+        """Return arguments of the current episodes as planes [C, rows]."""
         version, planes = self._argument_planes.get(names, (-1, self.planes))
         if version != self.arguments.version:
             planes = torch.cat([self.arguments[name].reshape(self.rows, -1) for name in names], 1).mT.contiguous()

@@ -6,7 +6,7 @@ before of all others. So the world, which runs first, sees the spacecraft where 
 which runs last, commands at t is latched by wheels and thrusters at t + h and acts from there on. Within the environment,
 ``location_target`` and ``ground_stations`` precede ``ephemeris``, since they use the orientation of the Earth of the tick before.
 
-A component runs at the place of its slot. A user's component either takes a slot of the schedule, and so replaces what a base
+A component runs in its slot. A user's component either takes a slot of the schedule, and so replaces what a base
 class has there, or says ``after`` or ``before`` which of these slots it runs. Several after (before) the same slot run in the
 order in which the models list them. A dynamics model with another order sets ``schedule``, for example
 ``schedule = SCHEDULE.moved("wheels", before="hub")``.
@@ -75,7 +75,7 @@ class Schedule(tuple[Slot, ...]):
         if side:
             word = "after" if side > 0 else "before"
             raise ValueError(
-                f"slot={component.slot!r} has {word}={anchor!r}, which is no slot of a tick; {nearest(anchor, self.numbers)}"
+                f"slot={component.slot!r} has {word}={anchor!r}, which is not a slot of a tick; {nearest(anchor, self.numbers)}"
             )
         raise ValueError(
             f"slot={anchor!r} is not in the schedule of a tick: give after= or before= one of its slots, such as "

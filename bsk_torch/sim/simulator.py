@@ -53,11 +53,11 @@ class Simulator:
     """The simulation of the satellites of one type in ``num_envs`` environments, ``count`` of them in each.
 
     Attributes:
-        state: Everything that belongs to the present episodes; satellite k of environment e is row ``e * count + k``.
+        state: Everything that belongs to the current episodes; satellite k of environment e is row ``e * count + k``.
         scenario_state: The scenario's draws, [num_envs, ...] each, shared by the simulations of an environment.
         lookahead: Arcs, eclipses and windows, which are part of the state.
         observer: Properties of the present, computed together.
-        world: Sun, Earth and stations at the present time.
+        world: Sun, Earth and stations at the current time.
         has_tank: Whether the satellites can change their velocity; see :meth:`thrust`.
     """
 
@@ -213,7 +213,7 @@ class Simulator:
             )
 
     def thrust(self, rows: Tensor, dv_N: Tensor) -> None:
-        """Change the velocity of satellites at once, at the present time; what the tank is not good for is left out.
+        """Change the velocity of satellites at once, at the current time; what the tank is not good for is left out.
 
         The message of the present keeps the velocity before the maneuver until the next tick. A second maneuver at the same
         time is added to the first; under ``compat="bsk_rl"`` it replaces it, though both are paid for.
@@ -321,7 +321,7 @@ class Simulator:
         self.state.write(name, rows, value)
 
     def argument(self, name: str) -> Any:
-        """Return an argument of the present episodes, [N] or [N, width], or a constant."""
+        """Return an argument of the current episodes, [N] or [N, width], or a constant."""
         return self.state.argument(name)
 
     def of_env(self, table: Tensor) -> Tensor:

@@ -146,7 +146,7 @@ class StateTable:
             table: The table.
 
         Raises:
-            TypeError: For something that is no table.
+            TypeError: For something that is not a table.
             ValueError: For a name already in use, or a table of other episodes.
         """
         if not isinstance(table, StateTable):
@@ -180,7 +180,7 @@ class StateTable:
         raise AttributeError(f"no field of the state is called {name!r}; declared are {known}")
 
     def __setattr__(self, name: str, value: Any) -> None:
-        """Replace a declared tensor, or set an attribute that is no tensor; AttributeError for another tensor."""
+        """Replace a declared tensor, or set an attribute that is not a tensor; AttributeError for another tensor."""
         if isinstance(value, Tensor) and name not in self.fields:
             raise AttributeError(f"tensor {name!r} is not declared as part of the state; call declare({name!r}, ...) first")
         self.__dict__[name] = owned(value) if isinstance(value, Tensor) else value
@@ -289,7 +289,7 @@ class StateTable:
         table[rows] = widened(new, width, initial)
 
     def taken(self: Table, envs: Tensor) -> Table:
-        """Return a table of the same make that holds copies of the episodes ``envs`` [n]."""
+        """Return a table of the same kind that holds copies of the episodes ``envs`` [n]."""
         return self.over(self._gathered(envs))
 
     def _gathered(self, envs: Tensor) -> dict[str, Any]:
@@ -309,7 +309,7 @@ class StateTable:
         return value if self.count == 1 else value.reshape(self.num_envs, self.count, *value.shape[1:])
 
     def over(self: Table, saved: Mapping[str, Any] | TensorDictBase) -> Table:
-        """Return a table of the same make over saved tensors, which are not copied; :meth:`check` checks their values.
+        """Return a table of the same kind over saved tensors, which are not copied; :meth:`check` checks their values.
 
         Raises:
             KeyError: If a field or a table is missing in ``saved``, or one of them is unknown.

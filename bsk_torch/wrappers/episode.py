@@ -52,7 +52,7 @@ class EpisodeView:
 
     @property
     def time_limit(self) -> float:
-        """Time limit of the present episode, s."""
+        """Time limit of the current episode, s."""
         return float(self.core.time_limit[0])
 
     @property

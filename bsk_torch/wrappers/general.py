@@ -87,7 +87,7 @@ class GymJointEnv(EpisodeView, gymnasium.Env[tuple[Any, ...], Sequence[Any]]):
         Raises:
             ResetNeeded: If no episode is running.
             ValueError: For a wrong number of actions, or one out of range; no state has changed then.
-            TypeError: For an action that is no integer.
+            TypeError: For an action that is not an integer.
         """
         if not self._running:
             raise ResetNeeded("step() needs a running episode; call reset() first")

@@ -60,7 +60,7 @@ class EpisodeDataLogger:
         self.metrics_logger = metrics_logger
 
     def collect(self) -> dict[str, float]:
-        """Return the metrics of the present moment by name."""
+        """Return the metrics of the current moment by name."""
         view = self.env.unwrapped
         found = dict(self.episode_data_callback(view)) if self.episode_data_callback else {}
         if self.satellite_data_callback:
@@ -130,7 +130,7 @@ class EpisodeDataParallelWrapper(EpisodeDataLogger, BaseParallelWrapper):
 
 
 class EpisodeMetrics(Transform):
-    """TorchRL's transform that writes metrics of the present moment into ``("next", "metrics")``, [N, 1] each by name.
+    """TorchRL's transform that writes metrics of the current moment into ``("next", "metrics")``, [N, 1] each by name.
 
     They are computed in every step; at the end of an episode, where ``("next", "done")`` is true, they are those of the episode.
 

@@ -179,7 +179,7 @@ class PettingZooEnv(EpisodeView, ParallelEnv[str, Any, Any]):
         Raises:
             ResetNeeded: Before the first reset.
             ValueError: For an unknown agent, or an action out of range; no state has changed then.
-            TypeError: For an action that is no integer.
+            TypeError: For an action that is not an integer.
         """
         if self._seen is None:
             raise ResetNeeded("step() needs a running episode; call reset() first")

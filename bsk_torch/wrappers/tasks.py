@@ -20,12 +20,12 @@ def read_task(where: str, value: object, satellite: SatelliteGroup, extra: int =
 
     Args:
         where: Name of the argument, for messages.
-        value: An integer, also as an array or tensor without dimensions; or None to continue the present task.
+        value: An integer, also as an array or tensor without dimensions; or None to continue the current task.
         satellite: The satellite, as it lives in the environment.
         extra: Number of actions after the satellite's own that also continue the task.
 
     Raises:
-        TypeError: For a value that is no integer.
+        TypeError: For a value that is not an integer.
         ValueError: For an action out of range.
     """
     n, negative = satellite.actions.n_actions, satellite.actions.n_negative_actions

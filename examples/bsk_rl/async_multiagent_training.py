@@ -88,7 +88,7 @@ class Team:
     def __init__(
         self, env: ConstellationTasking, gamma: float, lmbda: float, rate: float
     ) -> None:
-        """Fresh networks; ``gamma`` is per second, ``lmbda`` per decision of a satellite."""
+        """Build new networks; ``gamma`` is per second, ``lmbda`` per decision of a satellite."""
         width, actions = (
             env.observation_spec[AGENTS, "observation"].shape[-1],
             env.action_spec[AGENTS, "action"].space.n,

@@ -1,6 +1,6 @@
-"""Say whether the documentation has run as it is: its pages, the examples, and the signatures and docstrings of the package.
+"""Check whether the documentation has run in its current form: pages, examples, and signatures and docstrings of the package.
 
-    python scripts/tools/docs_stamp.py            exit with 1 and say what has changed since the documentation last ran
+    python scripts/tools/docs_stamp.py            exit with 1 and list what has changed since the documentation last ran
     python scripts/tools/docs_stamp.py --write    note that it has run; scripts/test.sh --docs does so after its tests
 
 The tests of the marker pages are those of the documentation: blocks of its pages, tutorials, site. ``scripts/test.sh``

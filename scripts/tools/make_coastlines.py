@@ -25,13 +25,13 @@ LAND_FILE = Path(__file__).resolve().parents[2] / "bsk_torch/viz/figures/land_11
 COUNTRIES = "geopandas/datasets/naturalearth_lowres/naturalearth_lowres.{}"
 
 SNAP = 1e-6
-"""Degrees within which neighbours share a border."""
+"""Degrees within which neighbors share a border."""
 
 DIGITS = 2
-"""Decimals of degrees that are kept: a kilometre, where the data are good to tens of them."""
+"""Decimals of degrees that are kept: a kilometer, where the data are good to tens of them."""
 
 SLIVER = 0.02
-"""Smaller areas, degrees^2, are gaps between neighbours or would not be seen."""
+"""Smaller areas, degrees^2, are gaps between neighbors or would not be seen."""
 
 
 def countries(wheel: Path) -> list[shapefile.Shape]:

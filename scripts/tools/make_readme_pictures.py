@@ -48,7 +48,7 @@ VIDEO_HEIGHT, VIDEO = 720, ["-crf", "27", "-movflags", "+faststart"]
 """Height of the film of the site, pixels, and how ffmpeg packs it: as browsers play it, and from the start."""
 
 COLORS = 64
-"""Colours of the film."""
+"""Colors of the film."""
 
 THUMBNAIL, THUMBNAIL_TIME, DAYLIGHT = 200, 1500.0, 0.35
 """Width and height of a thumbnail, pixels; it shows the first decision after so many seconds at which the cosine of the Sun's
@@ -114,7 +114,7 @@ def film(folder: Path) -> list[Path]:
 
 
 def thumbnails(folder: Path) -> list[Path]:
-    """Write ``<preset>.png`` for every preset: the globe, without the panel beside it, or the paths of an inspection."""
+    """Write ``<preset>.png`` for every preset: the globe, without the panel next to it, or the paths of an inspection."""
     return [thumbnail(preset, folder / f"{preset}.png") for preset in PRESETS]
 
 
@@ -205,7 +205,7 @@ def draw_speeds(panel: Axes, rows: list[dict[str, Any]], title: str) -> None:
 
 
 def guides(folder: Path) -> list[Path]:
-    """Write ``<page>.png`` for the guides that have a picture, into the folder ``how_to`` beside the given one."""
+    """Write ``<page>.png`` for the guides that have a picture, into the folder ``how_to`` next to the given one."""
     target = folder.resolve().parent / "how_to"
     target.mkdir(parents=True, exist_ok=True)
     return [guide(page, target / f"{page}.png") for page in GUIDES]

@@ -35,7 +35,7 @@ START = -3684 * DAY  # 1989-11-30 12:00 TDB
 SEGMENT = 16 * DAY
 SEGMENTS = 1604  # to 2060-03-06 12:00 TDB
 TERMS = 18
-QUANTUM = 0.1  # metres
+QUANTUM = 0.1  # m
 NODES = 40
 
 GRAVITY_DEGREE = 10
@@ -134,7 +134,7 @@ def write_gravity(source: Path, path: Path) -> None:
         raise ValueError(f"{source}: {len(rows)} coefficient rows up to degree {GRAVITY_DEGREE}, expected {expected}")
     header = (
         "# GGM03S, Earth gravity from GRACE (Center for Space Research, The University of Texas at Austin): "
-        f"fully normalised coefficients to degree {GRAVITY_DEGREE}, scripts/tools/make_tables.py\n"
+        f"fully normalized coefficients to degree {GRAVITY_DEGREE}, scripts/tools/make_tables.py\n"
     )
     path.write_text(header + "\n".join(["n,m,C,S", *(f"{n},{m},{c!r},{s!r}" for n, m, c, s in rows)]) + "\n", "utf-8")
     print(f"{path}: {path.stat().st_size} bytes, {len(rows)} rows")

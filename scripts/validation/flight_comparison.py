@@ -45,7 +45,7 @@ class Pair:
     """One episode, flown in bsk_torch and in Basilisk.
 
     ``nudged`` is Basilisk once more, from an attitude that is :data:`~bsk_torch.basilisk.flight.NUDGE` away, where the two
-    differ: what it makes of that is no difference between the simulators.
+    differ: its reaction is not a difference between the simulators.
     """
 
     here: Flight

@@ -82,7 +82,7 @@ def recruit(policy: str, preset: str | None, plan: Sequence[str] = ()) -> Flyer:
     """Return the policy that a command line names, with options of a planner.
 
     Raises:
-        ValueError: Where nothing is called so, or a file does not say what this version has to know.
+        ValueError: For an unknown name, or a file without data that this version needs.
     """
     if plan and not policy.startswith(PREFIX):
         raise ValueError(f"--plan {plan[0]} is an option of a planner, such as {PREFIX}rollout; POLICY={policy!r} is none")
@@ -104,7 +104,7 @@ def random_action(seen: TensorDict, seeds: Sequence[int], step: int) -> tuple[Te
 
 
 def planner_pilot(flyer: Flyer, env: SatelliteTasking) -> Pilot:
-    """The decisions of a planner in the present state of ``env``, whose episodes it copies."""
+    """The decisions of a planner in the current state of ``env``, whose episodes it copies."""
     planner = named_planner(flyer.policy, flyer.preset, flyer.plan).build(env)
 
     def decide(seen: TensorDict, seeds: Sequence[int], step: int) -> tuple[Tensor, Tensor]:

@@ -1,4 +1,4 @@
-"""Fly a policy that was trained in bsk_torch on Basilisk itself, driven through bsk_rl, and compare episode by episode.
+"""Fly a policy trained in bsk_torch on Basilisk itself, driven through bsk_rl, and compare episode by episode.
 
     python scripts/validation/fly_on_basilisk.py runs/NadirScan-v1_20261121-200000 --seeds 0:100
     python scripts/validation/fly_on_basilisk.py rule --out flight.json
@@ -43,7 +43,7 @@ BATCH = 256
 
 def arguments(given: list[str] | None = None) -> argparse.Namespace:
     """Parse the command line."""
-    parser = argparse.ArgumentParser(description="Fly a policy that was trained in bsk_torch on Basilisk, and compare.")
+    parser = argparse.ArgumentParser(description="Fly a policy trained in bsk_torch on Basilisk, and compare.")
     parser.add_argument(
         "policy", metavar="POLICY", help="folder of a training, its policy.pt, or a baseline such as 'rule' or 'random'"
     )

@@ -1,4 +1,4 @@
-"""Fly an inspector that was trained in bsk_torch on Basilisk itself, driven through bsk_rl, and compare episode by episode.
+"""Fly an inspector trained in bsk_torch on Basilisk itself, driven through bsk_rl, and compare episode by episode.
 
     python scripts/validation/inspect_on_basilisk.py runs/inspection --seeds 0:8 --out inspection.json
 
@@ -239,7 +239,7 @@ def build_there(env: ConstellationTasking, start: dict[str, Any]) -> Any:
 
 
 def fly_there(env: ConstellationTasking, start: dict[str, Any], pilot: Pilot, seed: int) -> Flight:
-    """Return how an episode went on Basilisk."""
+    """Return the course of an episode on Basilisk."""
     there, navigator = build_there(env, start), Navigator()
     name = names_of(1)[0]
     seen, info = there.reset(seed=0)

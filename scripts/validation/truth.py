@@ -1,9 +1,9 @@
-"""Replay the recordings of Basilisk and write the largest differences, with the bounds of the tests beside them.
+"""Replay the recordings of Basilisk and write the largest differences, together with the bounds of the tests.
 
     python scripts/validation/truth.py --out benchmarks/results/truth.json
     python scripts/validation/truth.py --only nominal shared
 
-Recordings, replays and bounds are those of tests/basilisk, whose README says what each recording holds. Basilisk is not needed.
+Recordings, replays and bounds are those of tests/basilisk, whose README describes each recording. Basilisk is not needed.
 """
 
 from __future__ import annotations

@@ -211,7 +211,7 @@ REJECTED = {
         "Paying is a custom class, for one episode; in bsk_torch, per_environment",
     ),
     "a hook of a satellite": (dict(satellite=Talking("S", SCAN_ARGS)), "Talking has custom code, for one episode: reset_post"),
-    "an attribute of a satellite": (dict(satellite=changed()), "attributes that are no arguments of it: mine"),
+    "an attribute of a satellite": (dict(satellite=changed()), "attributes that are not arguments of it: mine"),
     "named observations": (dict(satellite=Scanner("S", SCAN_ARGS, obs_type=dict)), "obs_type=<class 'dict'>"),
     "a scenario of the user's": (dict(scenario=Copied([], [])), "Copied is a custom class"),
     "arguments by a function": (dict(sat_arg_randomizer=lambda satellites: {}), "sat_arg_randomizer has no counterpart"),

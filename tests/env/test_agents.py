@@ -41,8 +41,8 @@ def test_an_agent_may_be_called_like_a_satellite_that_is_his():
         ({"class": ["A"]}, "meta_agent_groupings: agent 'class' must be a Python identifier"),
         ({"Crew": []}, "meta_agent_groupings['Crew']=[] must be a list of at least one satellite's name"),
         ({"Crew": "A"}, "meta_agent_groupings['Crew']='A' must be a list of at least one satellite's name"),
-        ({"Crew": ["A", "b"]}, "meta_agent_groupings['Crew'] has 'b', which is no satellite; did you mean 'B'?"),
-        ({"Crew": ["Zeppelin"]}, "has 'Zeppelin', which is no satellite; valid names: A, B, C, D, E"),
+        ({"Crew": ["A", "b"]}, "meta_agent_groupings['Crew'] has 'b', which is not a satellite; did you mean 'B'?"),
+        ({"Crew": ["Zeppelin"]}, "has 'Zeppelin', which is not a satellite; valid names: A, B, C, D, E"),
         ({"Crew": ["A"], "Team": ["B", "A"]}, "meta_agent_groupings: satellite 'A' belongs to 'Crew' and to 'Team'"),
         ({"Crew": ["A", "A"]}, "meta_agent_groupings: satellite 'A' belongs to 'Crew' and to 'Crew'"),
         ({"B": ["A", "C"]}, "['B'] are names of satellites that belong to no agent; give agents other names"),
@@ -149,8 +149,8 @@ def test_groups_do_not_hide_other_entries():
 @pytest.mark.parametrize(
     ("group_map", "message"),
     [
-        ({"all": ["A", "F"]}, "group_map has 'F', which is no agent; valid names: A, B, C"),
-        ({"all": ["A", "c"]}, "group_map has 'c', which is no agent; did you mean 'C'?"),
+        ({"all": ["A", "F"]}, "group_map has 'F', which is not an agent; valid names: A, B, C"),
+        ({"all": ["A", "c"]}, "group_map has 'c', which is not an agent; did you mean 'C'?"),
         ({"one": ["A", "B"], "two": ["B", "C"]}, "group_map has ['B'] more than once"),
         ({"one": ["A", "B"]}, "group_map lacks ['C']; every agent needs a group"),
         ({}, "group_map lacks ['A', 'B', 'C']; every agent needs a group"),

@@ -478,7 +478,7 @@ WRONG = {
     "unknown member": (
         lambda: build(imagers(2), meta_agent_groupings={"pair": ["EO0", "EO7"]}),
         ValueError,
-        "'EO7', which is no satellite; did you mean 'EO[01]'",
+        "'EO7', which is not a satellite; did you mean 'EO[01]'",
     ),
     "two agents": (
         lambda: build(imagers(2), meta_agent_groupings={"a": ["EO0"], "b": ["EO0"]}),
@@ -517,7 +517,7 @@ WRONG = {
     "randomizer's satellite": (
         lambda: build(imagers(1), sat_arg_randomizer=lambda satellites: {"EO9": {"mass": 1.0}}),
         ValueError,
-        "'EO9', which is no satellite; did you mean 'EO0'",
+        "'EO9', which is not a satellite; did you mean 'EO0'",
     ),
     "randomizer's argument": (
         lambda: build(imagers(1), sat_arg_randomizer=lambda satellites: {"EO0": {"masss": 1.0}}),

@@ -73,7 +73,7 @@ def test_copies_and_pickles_go_on_alike(options):
 def test_a_state_is_refused_where_look_ahead_differs():
     env, other = make(), make(replan=False)
     env.reset()
-    with pytest.raises(ValueError, match="another make of environment"):
+    with pytest.raises(ValueError, match="another kind of environment"):
         other.restore(env.get_state())
 
 

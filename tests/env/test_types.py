@@ -53,8 +53,8 @@ def renamed(name):
     [
         ([], ValueError, "satellites is empty; an environment needs at least one satellite"),
         ([basic("A")] * 4097, ValueError, "satellites has 4097 entries; at most 4096 are possible"),
-        ([basic("A"), "B"], TypeError, "satellites holds 'B', which is no satellite; write MySatellite('Name'), with paren"),
-        ([Basic], TypeError, "which is no satellite; write MySatellite('Name'), with parentheses"),
+        ([basic("A"), "B"], TypeError, "satellites holds 'B', which is not a satellite; write MySatellite('Name'), with paren"),
+        ([Basic], TypeError, "which is not a satellite; write MySatellite('Name'), with parentheses"),
         (
             [basic("A"), basic("B"), Other("A")],
             ValueError,

@@ -1,4 +1,4 @@
-"""Actions that are chosen by a number."""
+"""Actions chosen by an integer."""
 
 from __future__ import annotations
 
@@ -88,9 +88,9 @@ class DiscreteActionBuilder(ActionBuilder):
 
 
 class DiscreteAction(Action):
-    """One or several actions that are chosen by a number.
+    """One or several actions chosen by an integer.
 
-    Subclasses may define ``set_action_override(action, prev_action_key)`` for actions that are no numbers.
+    Subclasses may define ``set_action_override(action, prev_action_key)`` for actions that are not numbers.
     """
 
     builder_type = DiscreteActionBuilder

@@ -1,4 +1,4 @@
-"""Communication between satellites after a step, at the place of ``bsk_rl.comm``."""
+"""Communication between satellites after a step; counterpart of ``bsk_rl.comm``."""
 
 from bsk_torch.bsk_rl.comm.communication import (
     BroadcastCommunication,

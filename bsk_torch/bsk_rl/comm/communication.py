@@ -1,4 +1,4 @@
-"""Which satellites tell one another what they know, at the place of ``bsk_rl.comm.communication``."""
+"""Which satellites tell one another what they know; counterpart of ``bsk_rl.comm.communication``."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Data that satellites collect, and rewards for it, at the place of ``bsk_rl.data``."""
+"""Data that satellites collect, and rewards for it; counterpart of ``bsk_rl.data``."""
 
 from bsk_torch.bsk_rl.data.base import GlobalReward
 from bsk_torch.bsk_rl.data.nadir_data import ScanningTimeReward

@@ -1,4 +1,4 @@
-"""Bases of data, of what satellites know, and of rewarders, at the place of ``bsk_rl.data.base``."""
+"""Bases of data, of what satellites know, and of rewarders; counterpart of ``bsk_rl.data.base``."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ class GlobalReward(ABC, Resetable):
 
     Attributes:
         scenario: Scenario of the environment.
-        data: All that has been collected in the episode.
+        data: All data collected in the episode.
         cum_reward: Sum of the rewards of each satellite in the episode, by name.
         data_store_kwargs: Further arguments of the stores.
     """

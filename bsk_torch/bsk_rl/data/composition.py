@@ -1,4 +1,4 @@
-"""Several rewarders together, at the place of ``bsk_rl.data.composition``; environments make them of a list or tuple."""
+"""Several rewarders together; counterpart of ``bsk_rl.data.composition``; environments make them of a list or tuple."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Reward for the time of scanning, at the place of ``bsk_rl.data.nadir_data``."""
+"""Reward for the time of scanning; counterpart of ``bsk_rl.data.nadir_data``."""
 
 from __future__ import annotations
 

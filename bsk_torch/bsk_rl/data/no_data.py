@@ -1,4 +1,4 @@
-"""No data and no reward, at the place of ``bsk_rl.data.no_data``."""
+"""No data and no reward; counterpart of ``bsk_rl.data.no_data``."""
 
 from __future__ import annotations
 

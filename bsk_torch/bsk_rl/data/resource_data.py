@@ -1,4 +1,4 @@
-"""Reward for the change of any quantity, at the place of ``bsk_rl.data.resource_data``."""
+"""Reward for the change of any quantity; counterpart of ``bsk_rl.data.resource_data``."""
 
 from __future__ import annotations
 

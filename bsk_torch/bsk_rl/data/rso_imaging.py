@@ -1,4 +1,4 @@
-"""At the place of ``bsk_rl.data.rso_imaging``; its names are not in bsk_torch yet."""
+"""Counterpart of ``bsk_rl.data.rso_imaging``; its names are not in bsk_torch yet."""
 
 from bsk_torch.bsk_rl.later import not_yet
 

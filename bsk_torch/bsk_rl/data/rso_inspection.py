@@ -1,4 +1,4 @@
-"""Reward for inspecting the points of another spacecraft, at the place of ``bsk_rl.data.rso_inspection``."""
+"""Reward for inspecting the points of another spacecraft; counterpart of ``bsk_rl.data.rso_inspection``."""
 
 from __future__ import annotations
 
@@ -100,7 +100,7 @@ class RSOInspectionDataStore(DataStore):
 
 
 class RSOInspectionReward(GlobalReward):
-    """Pays for points that are inspected for the first time, and once for completing the inspection.
+    """Rewards the first inspection of each point, and once the completion of the inspection.
 
     A satellite that inspects k of P points that had not been inspected before the step gets ``inspection_reward_scale * k / P``;
     two that inspect the same point in one step are both paid. The inspection is complete when ``completion_threshold`` of the

@@ -1,4 +1,4 @@
-"""Reward for the first image of each target, at the place of ``bsk_rl.data.unique_image_data``."""
+"""Reward for the first image of each target; counterpart of ``bsk_rl.data.unique_image_data``."""
 
 from __future__ import annotations
 

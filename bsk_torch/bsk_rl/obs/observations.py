@@ -60,7 +60,7 @@ def checked_entries(entries: tuple[Entry, ...], keys: tuple[str, ...]) -> None:
 
 
 def name_entry(entry: Entry, name: str) -> None:
-    """Name an entry, unless it has a name; a normalized one says so."""
+    """Name an entry, unless it has a name; names of normalized ones have a suffix."""
     entry.setdefault("name", name if entry["norm"] == 1.0 else f"{name}_normd")
 
 

@@ -153,7 +153,7 @@ class AccessSatellite(Satellite):
         return self.opportunities[first:]
 
     def _accepts(self, types: str | Sequence[str] | None, filter: Any) -> Filter:
-        """Return the function that says whether a window counts in a query."""
+        """Return the function that determines whether a window counts in a query."""
         kinds = [types] if isinstance(types, str) else types
         if isinstance(filter, list):
             keeps: Filter = lambda opportunity: opportunity["object"] not in filter  # noqa: E731

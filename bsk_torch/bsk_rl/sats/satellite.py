@@ -34,8 +34,8 @@ class Satellite(Resetable):
 
     Attributes:
         sat_args_generator: Arguments of the models as they were given: values, and functions that draw them.
-        sat_args: Arguments of the present episode.
-        simulator, dynamics, fsw: Simulation and models of the present episode.
+        sat_args: Arguments of the current episode.
+        simulator, dynamics, fsw: Simulation and models of the current episode.
         trajectory: Prediction of the orbit.
         data_store: Data that the satellite has collected.
         requires_retasking: Whether its task is over.
@@ -136,7 +136,7 @@ class Satellite(Resetable):
 
     @property
     def observed_properties(self) -> list[str]:
-        """Names of the properties of models that are observed in every step."""
+        """Names of the model properties observed in every step."""
         return [name for entry in self.observation_builder.observation_spec for name in getattr(entry, "property_names", ())]
 
     # -- an episode begins --------------------------------------------------------------------------------------------

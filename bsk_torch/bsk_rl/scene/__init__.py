@@ -1,4 +1,4 @@
-"""Scenarios: what there is for satellites to collect, at the place of ``bsk_rl.scene``."""
+"""Scenarios: what there is for satellites to collect; counterpart of ``bsk_rl.scene``."""
 
 from bsk_torch.bsk_rl.later import not_yet
 from bsk_torch.bsk_rl.scene.rso_points import RSOPoints, SphericalRSO

@@ -1,4 +1,4 @@
-"""Points on the surface of a resident space object (RSO), at the place of ``bsk_rl.scene.rso_points``."""
+"""Points on the surface of a resident space object (RSO); counterpart of ``bsk_rl.scene.rso_points``."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Base of scenarios, and nadir scanning, at the place of ``bsk_rl.scene.scenario``."""
+"""Base of scenarios, and nadir scanning; counterpart of ``bsk_rl.scene.scenario``."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Targets on the ground, at the place of ``bsk_rl.scene.targets``."""
+"""Targets on the ground; counterpart of ``bsk_rl.scene.targets``."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ class UniformTargets(Scenario):
         Args:
             n_targets: Number of targets, or ``(low, high)`` for a number that is drawn: at least ``low`` and less than ``high``.
             priority_distribution: Draws the priority of a target; uniform in [0, 1) unless given.
-            radius: Distance of targets from the Earth's centre, m.
+            radius: Distance of targets from the Earth's center, m.
         """
         self._n_targets = n_targets
         self.priority_distribution = priority_distribution or uniform_priority
@@ -131,7 +131,7 @@ class CityTargets(UniformTargets):
             n_select_from: Number of the most populous cities to draw from; None or ``"all"`` for all.
             location_offset: Length of a random shift away from the city, m.
             priority_distribution: Draws the priority of a target.
-            radius: Distance of targets from the Earth's centre, m.
+            radius: Distance of targets from the Earth's center, m.
         """
         super().__init__(n_targets, priority_distribution, radius)
         self.n_select_from = sys.maxsize if n_select_from in ("all", None) else int(n_select_from)

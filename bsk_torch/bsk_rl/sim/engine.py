@@ -74,7 +74,7 @@ class Engine:
     that are None, the same stations.
 
     Attributes:
-        fleet: The simulation of the present episode.
+        fleet: The simulation of the current episode.
     """
 
     fleet: SatelliteFleet
@@ -155,7 +155,7 @@ class Engine:
             part.simulator.observer.want((*functions, *part.dynamics.vitals(), *part.fsw.vitals()))
 
     def _sources(self, table: ArgumentTable, k: int | None) -> dict[str, Any]:
-        """Return arguments by name: those that decide what is built as they are, others as functions of the episode."""
+        """Return arguments by name: those that determine the structure unchanged, others as functions of the episode."""
         values = self._world if k is None else self._values[k]
         given = _given(table, values)
         return {name: given[name] if name in given else self._reader(k, name) for name in table.rows if name in values}

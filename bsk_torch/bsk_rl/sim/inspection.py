@@ -84,7 +84,7 @@ class Inspection:
             self._found[place] = Found(*(old | flags[0].numpy() for old, flags in zip(self._found[place], new, strict=True)))
 
     def _lit_from(self, flight: Flight) -> Tensor:
-        """Return the first record in which points may be lit, [1]: the third of the episode where bsk_rl recognises its step."""
+        """Return the first record in which points may be lit, [1]: the third of the episode if bsk_rl recognizes its step."""
         simulator, ticks = self.fleet.simulators[0], int(flight.ticks[0])
         recognised = int(flight.since[0]) == 0 and ticks * simulator.h_ns * NANO - simulator.h * ticks == 0.0
         return torch.tensor([2 if recognised else 0])

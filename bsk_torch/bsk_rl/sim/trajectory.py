@@ -54,7 +54,7 @@ def initial_state(rN: Any, vN: Any, oe: Any, mu: float) -> tuple[Vector, Vector]
 
 
 class TrajectorySimulator:
-    """Prediction of an orbit without drag and manoeuvres, extended as it is needed; bsk_rl's class of this name.
+    """Prediction of an orbit without drag and maneuvers, extended when needed; bsk_rl's class of this name.
 
     Attributes:
         dt: Seconds between samples.

@@ -1,4 +1,4 @@
-"""Initial speeds of reaction wheels, at the place of ``bsk_rl.utils.actuator_primitives``."""
+"""Initial speeds of reaction wheels; counterpart of ``bsk_rl.utils.actuator_primitives``."""
 
 from __future__ import annotations
 

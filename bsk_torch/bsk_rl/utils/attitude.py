@@ -1,4 +1,4 @@
-"""Initial attitudes and spins, at the place of ``bsk_rl.utils.attitude``; random ones come from NumPy's global generator."""
+"""Initial attitudes and spins; counterpart of ``bsk_rl.utils.attitude``; random ones come from NumPy's global generator."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def random_tumble(maxSpinRate: float = 0.001) -> tuple[np.ndarray, np.ndarray]:
 def hill_frame_attitude(
     r_N: Iterable[float], v_N: Iterable[float], spin_config: Mapping[str, Any] | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return attitude sigma_BN [3] and rate omega_BN_B [3], rad/s, of a body that is aligned with the Hill frame and spins.
+    """Return attitude sigma_BN [3] and rate omega_BN_B [3], rad/s, of a spinning body aligned with the Hill frame.
 
     Args:
         r_N: Position, m [3].

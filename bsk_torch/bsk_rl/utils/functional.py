@@ -1,4 +1,4 @@
-"""Helpers of classes that are reset with every episode, at the place of ``bsk_rl.utils.functional``."""
+"""Helpers of classes that are reset with every episode; counterpart of ``bsk_rl.utils.functional``."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Resetable:
 
     ``env.reset`` calls the hooks in this order: :meth:`reset_overwrite_previous` before anything is drawn,
     :meth:`reset_pre_sim_init` before and :meth:`reset_during_sim_init` while the simulation is made, and
-    :meth:`reset_post_sim_init` when it stands at time zero.
+    :meth:`reset_post_sim_init` when it is at time zero.
     """
 
     def reset_overwrite_previous(self) -> None:

@@ -1,4 +1,4 @@
-"""Lines of the log, at the place of ``bsk_rl.utils.logging_config``: clock, logger, level, simulated time, satellite, message."""
+"""Lines of the log; counterpart of ``bsk_rl.utils.logging_config``: clock, logger, level, simulated time, satellite, message."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Orbits of one episode, at the place of ``bsk_rl.utils.orbital``; random ones come from NumPy's global generator.
+"""Orbits of one episode; counterpart of ``bsk_rl.utils.orbital``; random ones come from NumPy's global generator.
 
 Angles of arguments are in degrees and lengths in km, as in bsk_rl; elements are in rad and m.
 """
@@ -133,7 +133,7 @@ def walker_delta(
         altitude: Altitude above 6371 km, m.
         inc: Inclination, degrees.
         clustersize: Number of satellites in a cluster.
-        clusterspacing: Angle between neighbours in a cluster, degrees.
+        clusterspacing: Angle between neighbors in a cluster, degrees.
     """
     in_plane = n_spacecraft / n_planes
     spacing = 360.0 / (in_plane / clustersize)

@@ -1,4 +1,4 @@
-"""Vizard's switches, at the place of ``bsk_rl.utils.vizard``: there is no Vizard, so functions that draw in it do nothing."""
+"""Vizard's switches; counterpart of ``bsk_rl.utils.vizard``: there is no Vizard, so functions that draw in it do nothing."""
 
 from __future__ import annotations
 

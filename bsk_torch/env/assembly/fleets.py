@@ -69,7 +69,7 @@ class FleetBuilder:
     ) -> None:
         """Check the names of the satellites, group them by type, and check the world's arguments.
 
-        ``made`` are the types of the satellites, where another environment of the same make has them.
+        ``made`` are the types of the satellites, where another environment of the same kind has them.
         """
         self.names = check_names(satellites)
         self.satellites = [satellite.as_given() for satellite in satellites]

@@ -1,4 +1,4 @@
-"""Arguments drawn for all satellites of an episode together: formations, or functions of the user."""
+"""Arguments drawn for all satellites of an episode together: formations, or user functions."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ class Randomizer:
         name = getattr(who, "name", who)
         if name not in self.names:
             raise ValueError(
-                f"sat_arg_randomizer sets arguments of {name!r}, which is no satellite; {nearest(str(name), self.names)}"
+                f"sat_arg_randomizer sets arguments of {name!r}, which is not a satellite; {nearest(str(name), self.names)}"
             )
         return self.names.index(name)
 

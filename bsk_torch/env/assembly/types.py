@@ -24,7 +24,9 @@ def check_names(satellites: Sequence[Satellite]) -> list[str]:
         raise ValueError(f"satellites has {len(satellites)} entries; at most {MOST_SATELLITES} are possible")
     for satellite in satellites:
         if not isinstance(satellite, Satellite):
-            raise TypeError(f"satellites holds {satellite!r}, which is no satellite; write MySatellite('Name'), with parentheses")
+            raise TypeError(
+                f"satellites holds {satellite!r}, which is not a satellite; write MySatellite('Name'), with parentheses"
+            )
     names = [satellite.name for satellite in satellites]
     for name in names:
         if not name.isidentifier() or keyword.iskeyword(name):

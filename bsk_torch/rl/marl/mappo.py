@@ -206,7 +206,7 @@ class GroupLearner(Learner):
     config: MAPPOConfig
 
     def __init__(self, config: MAPPOConfig, env: ConstellationTasking, group: str) -> None:
-        """Fresh networks for a group of an environment; ValueError if it does not fit them."""
+        """Build new networks for a group of an environment; ValueError if it does not fit them."""
         views = member_views(env)
         super().__init__(config, views[group])
         self.group = group
@@ -301,7 +301,7 @@ class MAPPOLearner:
     recurrent = False
 
     def __init__(self, config: MAPPOConfig, env: ConstellationTasking) -> None:
-        """Fresh networks for an environment; ValueError if it does not fit them."""
+        """Build new networks for an environment; ValueError if it does not fit them."""
         self.config = config
         self.groups = {group: GroupLearner(config, env, group) for group in member_views(env)}
         if config.imitate and all(group.teacher is None for group in self.groups.values()):
@@ -325,7 +325,7 @@ class MAPPOLearner:
 
     @property
     def policy(self) -> TensorDictModuleBase:
-        """The present policy for one satellite, or those of all groups; it continues to learn during training."""
+        """The current policy for one satellite, or those of all groups; it continues to learn during training."""
         return of_groups({name: group.policy for name, group in self.groups.items()})
 
     def policy_state(self) -> dict[str, Any]:

@@ -105,7 +105,7 @@ class MLPPlan:
 
     @float32_weights()
     def build(self) -> Networks:
-        """Fresh networks."""
+        """Return new networks."""
         actor = self._layers(self.n_observed, self.n_outputs)
         self._calm(cast(nn.Linear, actor[-1]))
         return Networks(VectorNormaliser(self.n_observed), _actor(actor, [OWN], self.bounds), self._critic())
@@ -138,7 +138,7 @@ class GRUPlan(MLPPlan):
 
     @float32_weights()
     def build(self) -> Networks:
-        """Fresh networks."""
+        """Return new networks."""
         *before, last = self.hidden
         layers = MLP(self.n_observed, before[-1], num_cells=before[:-1], activation_class=nn.Tanh, activate_last_layer=True)
         unit = GRUModule(before[-1], last, in_keys=["embedded", MEMORY, INIT], out_keys=["remembered", ("next", MEMORY)])
@@ -227,7 +227,7 @@ class AttentionPlan:
 
     @float32_weights()
     def build(self) -> Networks:
-        """Fresh networks."""
+        """Return new networks."""
         width, keys = self.hidden[0], [OWN, ROWS, MASK]
         actor = SetActor(self._encoder(self.n_own, len(self.hidden)), width, self.n_actions, range(*self.images), INITIAL_LOGITS)
         critic = Clocked(SetCritic(self._encoder(self.n_own + CLOCKS, 0), width))

@@ -188,7 +188,7 @@ class SharedWeights(SharedMemWeightSyncScheme):
 
 
 def update_weights(collector: Any) -> None:
-    """Let all processes act by the present policy; RuntimeError if one of them is lost."""
+    """Let all processes act by the current policy; RuntimeError if one of them is lost."""
     for k, process in enumerate(getattr(collector, "procs", ())):
         if not process.is_alive():
             raise RuntimeError(f"process {k} has ended with exit code {process.exitcode}")

@@ -42,7 +42,7 @@ COLUMNS = (
 ``decisions`` are means over the episodes that ended last, ``episodes`` is how many have ended in all."""
 
 EVALUATED = ("frames", "seconds", "return", "return_half_width", "survival", "collected", "fill")
-"""Of a row for each evaluation on fresh episodes, with the half width of the 95 % interval of the return."""
+"""Of a row for each evaluation on unseen episodes, with the half width of the 95 % interval of the return."""
 
 LOG, EVALUATIONS = "log.csv", "evaluations.csv"
 """Files of a run's folder."""
@@ -191,7 +191,7 @@ def _is_number(text: str) -> bool:
 
 
 def read_log(path: Path) -> dict[str, list[float]]:
-    """Columns of a log by name; none where it has no rows. ValueError for a file that is no log."""
+    """Columns of a log by name; none where it has no rows. ValueError for a file that is not a log."""
     header, rows = _read(path)
     if header and not {"frames", "seconds"} <= set(header):
         raise ValueError(f"{str(path)!r} is no log of a training: it has no columns 'frames' and 'seconds'")

@@ -54,7 +54,7 @@ class Learner:
     """
 
     def __init__(self, config: PPOConfig, env: SatelliteTasking) -> None:
-        """Fresh networks for an environment; ValueError if it does not fit them."""
+        """Build new networks for an environment; ValueError if it does not fit them."""
         self.config = config
         self.plan = self.make_plan(env)
         self.networks: Networks = self.plan.build().to(env.device)
@@ -95,7 +95,7 @@ class Learner:
 
     @property
     def policy(self) -> TensorDictModuleBase:
-        """The present policy; it continues to learn during training."""
+        """The current policy; it continues to learn during training."""
         return self.networks.policy
 
     def policy_state(self) -> dict[str, Any]:
@@ -107,7 +107,7 @@ class Learner:
         self.networks.load_policy_state(state)
 
     def save_policy(self, path: Path) -> None:
-        """Write the file of the present policy."""
+        """Write the file of the current policy."""
         save_policy(path, self.plan, self.networks, self.config.preset, self.config.options)
 
     def anneal(self, fraction: float) -> None:

@@ -105,7 +105,7 @@ class Training:
 
     @property
     def policy(self) -> TensorDictModuleBase:
-        """The present policy; it continues to learn during training."""
+        """The current policy; it continues to learn during training."""
         return self.learner.policy
 
     @property
@@ -115,7 +115,7 @@ class Training:
         return self.policy.select_out_keys("action", "action_log_prob", *memory)
 
     def evaluate(self) -> Evaluation:
-        """The present policy in fresh episodes, the same every time."""
+        """The current policy in unseen episodes, the same every time."""
         return evaluate(self.policy, self.judge, seed=self.config.seed + VALIDATION)
 
     def survived(self, batch: TensorDictBase) -> Tensor:
@@ -256,7 +256,7 @@ class Training:
         return self.config.make_env(0, self.config.evaluate_episodes) if self.config.evaluate_every else None
 
     def _judge(self) -> dict[str, float]:
-        """Evaluate the present policy, and keep it if it is the best so far; a row of the log."""
+        """Evaluate the current policy, and keep it if it is the best so far; a row of the log."""
         with torch.random.fork_rng(devices=[]):  # seeding an environment seeds torch
             result = self.evaluate()
         estimate = result.mean_return

@@ -240,13 +240,13 @@ class LookAhead(StateTable):
         return self.flight.restarts
 
     def state_at(self, rows: Tensor, now: Tensor) -> tuple[Tensor, Tensor]:
-        """Return position, m, and velocity, m/s, in N, [n, 3], of ``rows`` [n] in flight at the present time ``now`` [N] s."""
+        """Return position, m, and velocity, m/s, in N, [n, 3], of ``rows`` [n] in flight at the current time ``now`` [N] s."""
         self._reach(self.flight, now + REACH_AROUND, now)
         flight: Any = self.flight
         return flight.state_at(rows, now[rows])
 
     def restart(self, rows: Tensor, now: Tensor, r_N: Tensor, v_N: Tensor) -> None:
-        """Let new orbits of ``rows`` [n] begin at the present time ``now`` [N] s, with r_N, m, and v_N, m/s, [n, 3] in N.
+        """Let new orbits of ``rows`` [n] begin at the current time ``now`` [N] s, with r_N, m, and v_N, m/s, [n, 3] in N.
 
         What lies ahead on the old ones is dropped. Eclipses of the first hour are searched now, windows as queries need them.
         """

@@ -119,7 +119,7 @@ class TypeArguments:
             key: Key of the environments.
             world: Arguments of the world that have been drawn already, such as by a simulation of other satellites.
             given: Arguments that replace those of some satellites.
-            answers: What functions of the user returned for each environment; by default, they are called now.
+            answers: What user functions returned for each environment; by default, they are called now.
 
         Returns:
             Values of satellites and world by name, [1, ...] or [n * count, ...].

@@ -33,8 +33,8 @@ def check_orbits(values: Mapping[str, Any], orbit: str) -> None:
             may be at rest, fall, or leave.
 
     Raises:
-        ValueError: For positions and velocities that are no orbit around the Earth, or one for which the other way of computing
-            orbits is needed.
+        ValueError: For positions and velocities without an orbit around the Earth, or an orbit that needs the other value of
+            ``orbit``.
     """
     r, v = (Vec3.of(x) for x in hub.initial_orbit(values))
     if orbit == "free":
@@ -70,7 +70,7 @@ def _check_start(values: Mapping[str, Any], r: Vec3) -> None:
 
 
 def _lowest_periapsis(values: Mapping[str, Any], r: Vec3, v: Vec3) -> float:
-    """Return the lowest periapsis, m, of initial positions, m, and velocities, m/s; ValueError for one that is no orbit."""
+    """Return the lowest periapsis, m, of initial positions, m, and velocities, m/s; ValueError for others."""
     given = "rN and vN are" if values["oe"] is None else "oe is"
     mu = torch.clamp(values["mu"], max=MU_EARTH)  # observed elements are those under the smaller one
     radius, speed2 = r.norm(), v.dot(v)

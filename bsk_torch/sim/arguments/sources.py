@@ -28,7 +28,7 @@ Functions that share state or NumPy's generator depend on it.
 RANKS = {name: rank for rank, name in enumerate(BSK_RL_ORDER.split())}
 
 Answers = dict[Any, Any]
-"""What the functions of the user returned for one episode: by owner ("world", or the number of the satellite) and argument."""
+"""What the user functions returned for one episode: by owner ("world", or the number of the satellite) and argument."""
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ class ArgumentTable(dict[str, Any]):
         """Collect the arguments of ``components``, with the values of ``overrides`` in place of their defaults.
 
         Raises:
-            KeyError: For an override that is no argument; ``title`` is the name of the dictionary in the message.
+            KeyError: For an override that is not an argument; ``title`` is the name of the dictionary in the message.
         """
         self.rows = {arg.name: arg for component in components for arg in component.args}
         super().__init__({name: arg.default for name, arg in self.rows.items()})

@@ -3,7 +3,7 @@
 A value may be a constant, a distribution of :mod:`bsk_torch.rand`, or a callable without arguments. Constants become tensors
 with leading dimension 1, the others with one row for each environment being reset.
 
-Functions of the user may share state and NumPy's generator, so they are called apart from the rest, in :meth:`Arguments.ask`: all
+User functions may share state and NumPy's generator, so they are called apart from the rest, in :meth:`Arguments.ask`: all
 of one environment before those of the next. :meth:`Arguments.draw` converts their answers, and draws all else in batches.
 """
 
@@ -198,7 +198,7 @@ class Arguments:
 
     @property
     def calls_user(self) -> bool:
-        """Whether a function of the user is called for each episode."""
+        """Whether a user function is called for each episode."""
         return any(self._asked)
 
     def is_random(self, name: str) -> bool:
@@ -301,7 +301,7 @@ class Arguments:
     def draw_per_env(self, key: Key) -> dict[str, Any]:
         """Return the values, [n * S, ...], of the arguments that ``rand.per_env`` gives: the same in all episodes.
 
-        Those that functions of the user give to some satellites or environments are left out.
+        Those that user functions give to some satellites or environments are left out.
         """
         names = [name for name in self.table if self._is_per_env(name)]
         rows = key if self.columns == (0,) else key.of_satellites(torch.tensor(self.columns))

@@ -45,7 +45,7 @@ def compose(given: object, base: Class, owner: str = "") -> Class:
         owner: Name of the class or object that the user gave it to, for messages.
 
     Raises:
-        TypeError: For an entry that is no model of the kind, or classes that Python cannot order.
+        TypeError: For an entry that is not a model of the kind, or classes that Python cannot order.
     """
     parts = tuple(given) if isinstance(given, tuple | list) else (given,)
     for part in parts:

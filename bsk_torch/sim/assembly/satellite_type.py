@@ -1,7 +1,7 @@
 """What all simulations of satellites of one type share: models, arguments, modes, the tick and its kernels.
 
 A :class:`SatelliteType` is made once, by :func:`satellite_type`, and handed to every simulator of such satellites: that of the
-trial episodes of an environment, of its batch, of its prepared episodes, and of other environments of the same make. Nothing of
+trial episodes of an environment, of its batch, of its prepared episodes, and of other environments of the same kind. Nothing of
 it changes; other arguments make another type (:meth:`SatelliteType.changed`).
 """
 

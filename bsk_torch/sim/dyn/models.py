@@ -118,7 +118,7 @@ class DynamicsModel(Model):
 
     @property
     def elements(self) -> Elements:
-        """Osculating elements a (m), e, i, Omega, omega and f (rad) of the present position and velocity, [N] each.
+        """Osculating elements a (m), e, i, Omega, omega and f (rad) of the current position and velocity, [N] each.
 
         See :func:`bsk_torch.astro.orbit.rv_to_elements` for the equations, and for circular and equatorial orbits.
         """

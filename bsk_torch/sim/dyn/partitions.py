@@ -166,7 +166,7 @@ def _changed(levels: Levels, index: Any, change: Tensor) -> Levels:
 
 
 def store(bus: Bus) -> None:
-    """Add the instrument's bits to the partition of the present task, then take the transmitter's from that of its packet.
+    """Add the instrument's bits to the partition of the current task, then take the transmitter's from that of its packet.
 
     ``q = round(rate dt)`` with the length dt of the tick as a difference of two rounded times. Bits of a tick that would overfill
     the store are dropped whole; a partition that holds less than what is sent ends up empty.

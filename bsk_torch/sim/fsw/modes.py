@@ -63,5 +63,5 @@ def mode_table(modes: Mapping[str, Mode], components: Iterable[Component]) -> di
                 )
         for name in mode.resets:
             if name not in fields:
-                raise ValueError(f"mode {title!r} resets {name!r}, which is no field of the state; {nearest(name, fields)}")
+                raise ValueError(f"mode {title!r} resets {name!r}, which is not a field of the state; {nearest(name, fields)}")
     return {title: replace(mode, on=idle) if mode.on is None else mode for title, mode in modes.items()}

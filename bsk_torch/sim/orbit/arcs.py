@@ -108,7 +108,7 @@ class Arcs(StateTable):
 
     @property
     def begun(self) -> Tensor | float:
-        """Time at which the present orbit began, [N] s or a number: zero, or that of the last maneuver."""
+        """Time at which the current orbit began, [N] s or a number: zero, or that of the last maneuver."""
         return 0.0
 
     @property

@@ -50,7 +50,7 @@ class RestartableArcs(Arcs):
 
     @property
     def begun(self) -> Tensor:
-        """Time at which the present orbit began, [N] s."""
+        """Time at which the current orbit began, [N] s."""
         return self.epoch
 
     @property

@@ -56,7 +56,7 @@ UNUSED: dict[str, str] = {
     "default_world_args": DEFAULTS,
     "is_alive": "mark methods that return [N] booleans with dyn.aliveness_checker",
 }
-"""Names that are no hooks of models, those of bsk_rl among them, and what to write instead."""
+"""Names that are not hooks of models, those of bsk_rl among them, and what to write instead."""
 
 LEAST_DEGREE = 2
 """Least degree of the Earth's field: look-ahead and the solvers of arcs are built around its oblateness."""

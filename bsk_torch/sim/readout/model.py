@@ -61,7 +61,7 @@ class Model:
 
     @property
     def world(self) -> World:
-        """Sun, Earth and ground stations at the present time."""
+        """Sun, Earth and ground stations at the current time."""
         return self.simulator.world
 
     def aliveness(self) -> dict[str, Tensor]:

@@ -33,7 +33,7 @@ Function = Callable[["Now"], Any]
 
 
 class Arguments:
-    """Arguments of the present episodes by name, planes or vectors."""
+    """Arguments of the current episodes by name, planes or vectors."""
 
     def __init__(self, read: Callable[[str], object]) -> None:
         """Look arguments up with ``read``."""

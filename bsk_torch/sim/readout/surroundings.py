@@ -1,4 +1,4 @@
-"""Sun, Earth and ground stations at the present time, as users read them."""
+"""Sun, Earth and ground stations at the current time, as users read them."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from bsk_torch.sim.satellite_state import SatelliteState
 
 
 class World:
-    """Sun, Earth and ground stations at the present time of each environment."""
+    """Sun, Earth and ground stations at the current time of each environment."""
 
     def __init__(self, state: SatelliteState, arcs: Arcs, stations: Sequence[Mapping[str, object]] = ()) -> None:
         """Bind the world of satellites on ``arcs`` with ground stations."""

@@ -92,7 +92,7 @@ class Dependencies:
 
 @dataclass
 class Call:
-    """A run of one type that is due, from the present state.
+    """A run of one type that is due, from the current state.
 
     Attributes:
         k: The type.

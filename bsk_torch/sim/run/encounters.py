@@ -78,7 +78,8 @@ def find_pairs(
     """Return the pairs of satellites of the given names, dynamics models and values of ``chief_name``.
 
     Raises:
-        ValueError: For a chief that is no satellite, or an order of satellites in which bsk_rl's steps raise, if it is repeated.
+        ValueError: For a chief that is not a satellite, or an order of satellites in which bsk_rl's steps raise, if it is
+            repeated.
     """
     for name, model, chief in zip(names, models, chiefs, strict=True):
         if not issubclass(model, MaxRangeDynModel):

@@ -26,7 +26,7 @@ NO_TICK = -1
 """Number of a tick that is not recorded."""
 
 KEYS = ("env", "episode", "tick", "time")
-"""Entries of recorded data that are no fields."""
+"""Entries of recorded data other than fields."""
 
 
 class _Chunk(NamedTuple):
@@ -64,7 +64,7 @@ class _Type(NamedTuple):
 
 
 class Recording:
-    """Fields of satellites at ticks of the present episodes and those that follow, until :meth:`stop`.
+    """Fields of satellites at ticks of the current episodes and those that follow, until :meth:`stop`.
 
     Also a context, which stops it. Records are made at ends of ticks whose number since reset is a multiple of ``every``; that
     of tick zero shows an episode's beginning. M is the number of records, S that of recorded satellites.
@@ -93,7 +93,7 @@ class Recording:
         for name in self.fields:
             if name not in known:
                 those = ", ".join(self.satellites)
-                raise ValueError(f"fields has {name!r}, which is no field of the state of {those}; {nearest(name, known)}")
+                raise ValueError(f"fields has {name!r}, which is not a field of the state of {those}; {nearest(name, known)}")
         ends = torch.tensor([known[name] for name in self.fields]).cumsum(0).tolist()
         self._slices = {name: slice(end - known[name], end) for name, end in zip(self.fields, ends, strict=True)}
         self._columns = [fleet.names.index(name) for name in self.satellites]

@@ -1,1 +1,1 @@
-"""Pictures of the present moment of an environment."""
+"""Pictures of the current moment of an environment."""

@@ -20,7 +20,7 @@ Columns = Mapping[str, Sequence[float]]
 """Columns of a CSV file by name."""
 
 FRESH, TRAINING, PAPER = PALETTE[0], "#8fa6c2", PALETTE[3]
-"""Colors of fresh episodes, of those of the training, and of what the paper says."""
+"""Colors of unseen episodes, of those of the training, and of what the paper says."""
 
 MARGIN, AFTER = 0.08, 1.015
 """Free part of the ordinate above and below what is drawn, and length of the abscissa in that of the training."""
@@ -113,7 +113,7 @@ def curve(measure: Measure, log: Columns, evaluations: Columns, path: Path, *, m
     Args:
         measure: What is drawn.
         log: Columns ``frames`` and that of the measure, means over the episodes of the training that ended last.
-        evaluations: The same on fresh episodes, with ``return_half_width``.
+        evaluations: The same on unseen episodes, with ``return_half_width``.
         path: The file to write.
         marked: Whether the paper's mark is drawn.
     """
@@ -135,7 +135,7 @@ def _lines(panel: Axes, measure: Measure, log: Columns, evaluations: Columns) ->
     """Episodes of the training thin, fresh ones thick with their confidence."""
     if measure.name in evaluations:
         frames, values = (np.asarray(evaluations[name], dtype=float) for name in ("frames", measure.name))
-        panel.plot(frames, values, "o-", color=FRESH, linewidth=1.9, markersize=3.2, zorder=3, label="fresh episodes")
+        panel.plot(frames, values, "o-", color=FRESH, linewidth=1.9, markersize=3.2, zorder=3, label="unseen episodes")
         if measure.name == "return":
             half = np.asarray(evaluations["return_half_width"], dtype=float)
             panel.fill_between(frames, values - half, values + half, color=FRESH, alpha=0.2, linewidth=0, zorder=2.5)

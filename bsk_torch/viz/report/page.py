@@ -51,12 +51,12 @@ class RunData:
         name: Of the run, such as its folder.
         preset: Name of the environment.
         log: Columns of the log of training; empty if there is none.
-        evaluations: Columns of the log of evaluations on fresh episodes, likewise.
+        evaluations: Columns of the log of evaluations on unseen episodes, likewise.
         results: Final evaluation: by policy ``return`` (``mean`` and ``half_width``) and, where known, ``survival``,
             ``survival_interval``, ``collected``, ``fill``, ``deaths`` by cause, ``counts`` by name, ``episodes`` (how many) and
             ``gain`` over other policies by name.
         episodes: Episodes to be shown, in this order.
-        played: Number of fresh episodes that these were chosen from.
+        played: Number of unseen episodes that these were chosen from.
         config: Settings by name.
         facts: What else should be noted, by name: versions, machine.
         command: Shell command that makes such a run.

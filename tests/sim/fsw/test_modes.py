@@ -19,7 +19,7 @@ def environment(modes, components=(), backend="eager"):
 
 
 def test_a_field_of_no_component_is_refused():
-    with pytest.raises(ValueError, match=r"mode 'charge' resets 'sun_frash', which is no field of the state; .*'sun_fresh'"):
+    with pytest.raises(ValueError, match=r"mode 'charge' resets 'sun_frash', which is not a field of the state; .*'sun_fresh'"):
         environment({"charge": fsw.Mode(("control_on", "sun_on"), {"sun_frash": 1.0})})
 
 

@@ -147,7 +147,7 @@ def test_what_cannot_be_recorded():
     with pytest.raises(ResetNeededError, match="record\\(\\) needs running episodes"):
         env.record("sigma_BN")
     env.reset()
-    with pytest.raises(ValueError, match="'sigma_B', which is no field of the state of Scanner1; did you mean 'sigma_BN'"):
+    with pytest.raises(ValueError, match="'sigma_B', which is not a field of the state of Scanner1; did you mean 'sigma_BN'"):
         env.record("sigma_B")
     with pytest.raises(ValueError, match="fields=\\(\\)"):
         env.record(())

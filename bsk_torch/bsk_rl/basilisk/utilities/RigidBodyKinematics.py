@@ -32,7 +32,7 @@ def v3Tilde(vector: ArrayLike) -> np.ndarray:
 
 
 def MRPswitch(q: ArrayLike, s2: float) -> np.ndarray:
-    """Return the shadow set of MRPs [3] whose squared norm exceeds ``s2``, others as they are."""
+    """Return the shadow set of MRPs [3] whose squared norm exceeds ``s2``, and others unchanged."""
     sigma = np.asarray(q, dtype=float)
     square = sigma @ sigma
     return -sigma / square if square > s2 else sigma

@@ -1,4 +1,4 @@
-"""Environments for RLlib, at the place of ``bsk_rl.utils.rllib``.
+"""Environments for RLlib; counterpart of ``bsk_rl.utils.rllib``.
 
 Where RLlib is installed, importing this module registers ``"SatelliteTasking-RLlib"`` and ``"ConstellationTasking-RLlib"``: their
 ``env_config`` has the arguments of the environment, ``episode_data_callback`` and ``satellite_data_callback``.

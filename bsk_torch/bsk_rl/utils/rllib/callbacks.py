@@ -1,4 +1,4 @@
-"""Metrics at the end of episodes, at the place of ``bsk_rl.utils.rllib.callbacks``; the wrappers need no Ray."""
+"""Metrics at the end of episodes; counterpart of ``bsk_rl.utils.rllib.callbacks``; the wrappers need no Ray."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ class EpisodeDataLogger:
         self.metrics_logger = metrics_logger
 
     def log_data_on_reset(self) -> None:
-        """Give the metrics of the present moment to the logger, if there is one."""
+        """Give the metrics of the current moment to the logger, if there is one."""
         if self.metrics_logger is None:
             return
         env = self.env.unwrapped

@@ -1,4 +1,4 @@
-"""Value targets of steps of different length, at the place of ``bsk_rl.utils.rllib.discounting``."""
+"""Value targets of steps of different length; counterpart of ``bsk_rl.utils.rllib.discounting``."""
 
 from __future__ import annotations
 
