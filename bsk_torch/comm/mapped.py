@@ -56,7 +56,7 @@ class PerEnvironmentCommunication(CommunicationMethod):
         self.given = given
 
     def communication_pairs(self) -> Tensor:
-        """See :meth:`CommunicationMethod.communication_pairs`; TypeError for pairs that are no satellites."""
+        """See :meth:`CommunicationMethod.communication_pairs`; TypeError for pairs that are not satellites."""
         fleet = self.fleet
         links = torch.zeros(fleet.num_envs, fleet.size, fleet.size, dtype=torch.bool)
         for env in torch.nonzero(self.due).squeeze(-1).tolist():
