@@ -115,6 +115,9 @@ REWARDERS: dict[type, Stock] = {
 SUMMED = {**REWARDERS, their_data.UniqueImageReward: REWARDERS[their_data.UniqueImageReward]._replace(core=NothingHidden)}
 """Rewarders of which there are several."""
 
+ADAPTED = ". vectorize='batched' runs custom rewarders and targets for each episode, and begins every episode with copies of them"
+"""What to write for custom classes that the core can adapt."""
+
 LINKS = "satellite satellites scenario simulator n_actions data_type data_store_kwargs"
 """Attributes of all objects that no argument has set."""
 
@@ -174,8 +177,7 @@ def counterpart(given: Any, table: Mapping[type, Stock], *entries: Any) -> Any:
     """
     title, stock = type(given).__name__, table.get(type(given))
     if stock is None:
-        adapter = "; in bsk_torch, per_environment(rewarder) runs it" if table in (REWARDERS, SUMMED) else ""
-        raise NotBatchedError(f"{title} is a custom class, for one episode{adapter}")
+        raise NotBatchedError(f"{title} is a custom class, for one episode{ADAPTED if table in (REWARDERS, SCENARIOS) else ''}")
     known = {*stock.arguments.values(), *stock.state.split(), *LINKS.split()}
     if unknown := sorted(set(vars(given)) - known):
         raise NotBatchedError(f"{title} has attributes that are not arguments of it: {', '.join(unknown)}")
@@ -251,13 +253,15 @@ def core_satellite(given: Any) -> core_sats.Satellite:
     return made(given.name, sat_args, variable_interval=bool(given.variable_interval), dtype=builder.dtype, **options)
 
 
-def batched_core(env: SatelliteTasking[Any, Any], arguments: Mapping[str, Any], num_envs: int) -> Core:
+def batched_core(env: SatelliteTasking[Any, Any], arguments: Mapping[str, Any], num_envs: int, adapt: bool) -> Core:
     """Return the core's environment of N episodes of a program.
 
     Args:
         env: A single environment of the program, before its first reset.
         arguments: The arguments that it was made of, by name.
         num_envs: Number of episodes N.
+        adapt: Whether :func:`~bsk_torch.per_environment` may run a custom rewarder, or a scenario with custom targets. Every
+            episode then begins with copies of them, so that what they keep from episode to episode is lost.
 
     Raises:
         NotBatchedError: For a program that cannot be batched.
@@ -269,10 +273,16 @@ def batched_core(env: SatelliteTasking[Any, Any], arguments: Mapping[str, Any], 
     several = type(env.rewarder) is ComposedReward
     parts = env.rewarder.rewarders if several else [env.rewarder]
     try:
-        rewarders = [counterpart(part, SUMMED if several else REWARDERS) for part in parts]
+        rewarders = [
+            per_environment(arguments["rewarder"])
+            if adapt and not several and type(part) not in REWARDERS
+            else counterpart(part, SUMMED if several else REWARDERS)
+            for part in parts
+        ]
+        custom = adapt and type(env.scenario) not in SCENARIOS and hasattr(env.scenario, "regenerate_targets")
         return Core(
             satellite=core_satellite(env.satellite),
-            scenario=counterpart(env.scenario, SCENARIOS),
+            scenario=per_environment(arguments["scenario"]) if custom else counterpart(env.scenario, SCENARIOS),
             rewarder=rewarders if several else rewarders[0],
             world_args=given_arguments(env.world_args_generator, world_defaults(env.world_type)),
             num_envs=num_envs,

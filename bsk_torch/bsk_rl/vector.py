@@ -55,7 +55,8 @@ def vector_form(
     Args:
         make: Class of the environments.
         num_envs: Number of environments N.
-        vectorize: ``"batched"`` for one simulation of all, ``"episodes"`` for N of them, ``"auto"`` for the first if possible.
+        vectorize: ``"batched"`` for one simulation of all, also of custom rewarders and custom targets; ``"episodes"`` for N
+            simulations; ``"auto"`` for the first if no class is custom.
         autoreset_mode: See :class:`gymnasium.vector.AutoresetMode`; None for ``NEXT_STEP``.
         args: Arguments of each environment.
         kwargs: Keyword arguments of each environment.
@@ -72,7 +73,7 @@ def vector_form(
     why = "vectorize='episodes'"
     if vectorize != "episodes":
         try:
-            core = batched_core(first, given_to(args, kwargs), count)
+            core = batched_core(first, given_to(args, kwargs), count, adapt=vectorize == "batched")
         except NotBatchedError as error:
             if vectorize == "batched":
                 raise

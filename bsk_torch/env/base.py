@@ -85,7 +85,7 @@ class Tasking(Present, MadeOfArguments):
         EnvBase.__init__(self, device=existing_device(options.device), batch_size=(options.num_envs,))
         for name, value, kind in (("scenario", scenario, Scenario), ("communicator", communicator, CommunicationMethod)):
             if value is not None and not isinstance(value, kind):
-                if name == "communicator" and hasattr(value, "communication_pairs") and not isinstance(value, type):
+                if hasattr(value, "link_satellites") and not isinstance(value, type):
                     raise TypeError(f"{name}={value!r} is for one episode; bsk_torch.per_environment({name}) runs it for each")
                 raise TypeError(f"{name}={value!r} must be a {kind.__name__}, made with parentheses")
         self.options = options

@@ -10,6 +10,8 @@ from bsk_torch.comm.mapped import PerEnvironmentCommunication
 from bsk_torch.data.base import GlobalReward
 from bsk_torch.data.mapped import PerEnvironmentReward
 from bsk_torch.sats.user_function import adapted
+from bsk_torch.scene.base import Scenario
+from bsk_torch.scene.mapped import PerEnvironmentTargets
 
 
 def per_environment(given: Any) -> Any:
@@ -26,10 +28,13 @@ def per_environment(given: Any) -> Any:
     A communication method, an object with the hooks of ``bsk_torch.bsk_rl.comm.CommunicationMethod``, becomes one of the batch:
     its ``communication_pairs()`` is called for each environment, with views in ``self.satellites``; its other hooks are not.
 
+    A scenario whose class derives from ``bsk_torch.bsk_rl.scene.UniformTargets`` becomes one of the batch: a deep copy makes the
+    targets of each episode in ``regenerate_targets()``; its other hooks are not called.
+
     Its time is that of the Python code times the number of environments, in every step: see ``docs/migration_fast.md``.
 
     Args:
-        given: The function, rewarder or communication method.
+        given: The function, rewarder, communication method or scenario.
 
     Raises:
         TypeError: For anything else.
@@ -43,11 +48,13 @@ def per_environment(given: Any) -> Any:
         return PerEnvironmentCommunication(copy.copy(given))
     if hasattr(given, "create_data_store") and not isinstance(given, type):
         return PerEnvironmentReward(copy.copy(given))
+    if hasattr(given, "regenerate_targets") and not isinstance(given, type | Scenario):
+        return PerEnvironmentTargets(copy.copy(given))
     if callable(given) and not isinstance(given, type | GlobalReward | CommunicationMethod):
         return adapted(given)
-    if isinstance(given, GlobalReward | CommunicationMethod):
+    if isinstance(given, GlobalReward | CommunicationMethod | Scenario):
         raise TypeError(f"{type(given).__name__} runs for all environments at once; give it to the environment as it is")
     raise TypeError(
-        f"per_environment({given!r}): give it a function of a satellite, or a rewarder or communication method of one "
-        "episode, an object of a class of bsk_torch.bsk_rl.data or .comm, made with parentheses"
+        f"per_environment({given!r}): give it a function of a satellite, or a rewarder, communication method or scenario "
+        "with targets of one episode, an object of a class of bsk_torch.bsk_rl, made with parentheses"
     )

@@ -38,6 +38,11 @@ def note_slow(title: str, advice: str) -> None:
         logger.warning("%s is in bsk_rl's form: it is called for each environment, which is slow; to be fast, %s", title, advice)
 
 
+def is_of_package(function: object) -> bool:
+    """Return whether a function belongs to this package, and not to a user's module."""
+    return str(getattr(function, "__module__", "")).startswith(__name__.partition(".")[0] + ".")
+
+
 def check_class(cls: type, base: type, hooks: Sequence[str], unused: Mapping[str, str]) -> None:
     """Raise an error for definitions of a subclass that would never be used; call from ``base.__init_subclass__``.
 

@@ -98,6 +98,31 @@ def imaging_alone(*args, **options):
     return imaging(*args, alone=True, **options)
 
 
+class Halved(data.UniqueImageReward):
+    def calculate_reward(self, new_data_dict):
+        return {name: 0.5 * value for name, value in super().calculate_reward(new_data_dict).items()}
+
+
+class Northern(scene.UniformTargets):
+    """Targets of the northern hemisphere."""
+
+    def regenerate_targets(self):
+        super().regenerate_targets()
+        for target in self.targets:
+            target.r_LP_P[2] = abs(target.r_LP_P[2])
+
+
+def customized(satellite=None, scenario=None, **options):
+    """Return a program with a custom rewarder and custom targets."""
+    return SatelliteTasking(
+        satellite or Unweighted("Imager", IMAGE_ARGS, generation_duration=300.0),
+        scenario or Northern((1200, 1300)),
+        Halved(),
+        world_args=WORLD,
+        **{"time_limit": 2000.0, **options},
+    )
+
+
 class Copied(scene.UniformTargets):
     """Targets at given places."""
 
@@ -112,7 +137,7 @@ class Copied(scene.UniformTargets):
 def single_like(vector, k, make):
     """Return a single environment whose episode begins as that of environment ``k`` of a batch."""
     one = vector.get_attr("satellite")[k]
-    kind = {scanning: Scanner, imaging: Imager, imaging_alone: Unweighted}[make]
+    kind = {scanning: Scanner, imaging: Imager, imaging_alone: Unweighted, customized: Unweighted}[make]
     given = SCAN_ARGS if make is scanning else IMAGE_ARGS
     functions = [name for name, value in kind.default_sat_args(**given).items() if callable(value)]
     assert len(functions) >= 5
@@ -127,7 +152,7 @@ def single_like(vector, k, make):
 
 
 @pytest.mark.compiled
-@pytest.mark.parametrize("make", [scanning, imaging, imaging_alone])
+@pytest.mark.parametrize("make", [scanning, imaging, imaging_alone, customized])
 def test_episodes_are_those_of_single_environments_in_the_same_state(make):
     vector = make(num_envs=N, vectorize="batched")
     assert isinstance(vector, BatchedVectorEnv)
@@ -205,15 +230,17 @@ def changed():
     return satellite
 
 
+class Reset(Copied):
+    def reset_post_sim_init(self):
+        self.mine = 3
+
+
 REJECTED = {
-    "a rewarder of the user's": (
-        dict(rewarder=Paying()),
-        "Paying is a custom class, for one episode; in bsk_torch, per_environment",
-    ),
+    "one of several rewarders": (dict(rewarder=(Paying(), data.NoReward())), "Paying is a custom class, for one episode"),
     "a hook of a satellite": (dict(satellite=Talking("S", SCAN_ARGS)), "Talking has custom code, for one episode: reset_post"),
     "an attribute of a satellite": (dict(satellite=changed()), "attributes that are not arguments of it: mine"),
     "named observations": (dict(satellite=Scanner("S", SCAN_ARGS, obs_type=dict)), "obs_type=<class 'dict'>"),
-    "a scenario of the user's": (dict(scenario=Copied([], [])), "Copied is a custom class"),
+    "a hook of a scenario": (dict(scenario=Reset([], [])), "Reset.*: reset_post_sim_init would not be called"),
     "arguments by a function": (dict(sat_arg_randomizer=lambda satellites: {}), "sat_arg_randomizer has no counterpart"),
     "communication": (dict(communicator=comm.FreeCommunication()), "communicator has no counterpart"),
     "an epoch of the satellite": (dict(satellite=Scanner("S", SCAN_ARGS | WORLD)), "write it among world_args"),
@@ -268,3 +295,16 @@ def test_a_way_that_there_is_not_is_rejected():
         scanning(num_envs=2, vectorize="fast")
     with pytest.raises(ValueError, match="give num_envs, too"):
         scanning(vectorize="batched")
+
+
+def test_custom_targets_are_drawn_for_each_episode():
+    vector = customized(num_envs=3, vectorize="batched", backend="eager")
+    vector.reset(seed=SEED)
+    first = vector.core.scenario.r_LP_P.clone()
+    exists = vector.core.scenario.drawn("target_exists").bool()
+    assert (first[..., 2] >= 0.0).all()
+    assert ((exists.sum(1) >= 1200) & (exists.sum(1) < 1300)).all()
+    vector.reset()
+    assert not (vector.core.scenario.r_LP_P[0, :9] == first[0, :9]).any()
+    vector.reset(seed=SEED)
+    assert (vector.core.scenario.r_LP_P == first).all()

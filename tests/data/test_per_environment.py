@@ -16,9 +16,11 @@ import bsk_torch
 from bsk_torch import ConstellationTasking, act, comm, data, obs, per_environment, rand, scene
 from bsk_torch.bsk_rl import comm as one_comm
 from bsk_torch.bsk_rl import data as one
+from bsk_torch.bsk_rl import scene as one_scene
 from bsk_torch.bsk_rl.comm import CommunicationMethod
 from bsk_torch.bsk_rl.data.base import Data, DataStore
 from bsk_torch.bsk_rl.data.unique_image_data import UniqueImageData, UniqueImageStore
+from bsk_torch.bsk_rl.scene.targets import Target
 from bsk_torch.data.pickled import Pickler, Unpickler, modules_of
 from bsk_torch.presets.nadir_scan import ScanningSatellite, scanning_args
 
@@ -393,6 +395,46 @@ def test_what_the_adapter_does_not_take(given, words):
 def test_names_of_one_episode_say_where_they_are():
     with pytest.raises(ImportError, match=r"bsk_torch\.bsk_rl\.data; bsk_torch\.per_environment"):
         from bsk_torch.data.base import DataStore  # noqa: F401
+
+
+class Bands(one_scene.UniformTargets):
+    """Targets on circles of latitude, one of which is drawn for each episode, with the number of the band."""
+
+    def regenerate_targets(self):
+        self.targets, band = [], np.random.randint(1, 5)
+        for k in range(self.n_targets):
+            angle = 2.0 * np.pi * k / self.n_targets
+            place = 6.371e6 * np.array(
+                [np.cos(0.2 * band) * np.cos(angle), np.cos(0.2 * band) * np.sin(angle), np.sin(0.2 * band)]
+            )
+            self.targets.append(Target(f"t{k}", place, 0.5))
+            self.targets[-1].band = float(band)
+
+
+def test_targets_of_one_episode_are_made_for_each_environment():
+    env = imaging(data.UniqueImageReward(), per_environment(Bands(40)), num_envs=12, time_limit=300.0)
+    env.reset()
+    band = env.scenario.target_attribute("band")
+    assert len(set(band[:, 0].tolist())) == 4
+    assert (band == band[:, :1]).all()
+    assert torch.allclose(env.scenario.r_LP_P[..., 2], 6.371e6 * torch.sin(0.2 * band))
+    alone = imaging(data.UniqueImageReward(), per_environment(Bands(40)), num_envs=1, env_ids=[5], time_limit=300.0)
+    alone.reset()
+    assert torch.equal(alone.scenario.r_LP_P[0], env.scenario.r_LP_P[5])
+
+
+def test_scenarios_of_one_episode_need_the_adapter():
+    with pytest.raises(TypeError, match=r"scenario=.* is for one episode; bsk_torch\.per_environment\(scenario\)"):
+        imaging(data.UniqueImageReward(), Bands(40))
+
+    class Moving(Bands):
+        def after_step(self, sim_time):
+            pass
+
+    with pytest.raises(TypeError, match=r"after_step would not be called; regenerate_targets\(\) is"):
+        per_environment(Moving(40))
+    with pytest.raises(TypeError, match="UniformTargets runs for all environments at once"):
+        per_environment(scene.UniformTargets(40))
 
 
 class Evil:
