@@ -99,7 +99,9 @@ def command(app: typer.Typer, module: str, examples: str, name: str | None = Non
         @functools.wraps(declared)
         def start(*, verbose: bool, quiet: bool, **arguments: Any) -> None:
             terminal.set_verbosity(verbose, quiet)
-            getattr(import_module(f"bsk_torch.cli.{module}"), declared.__name__)(**arguments)
+            with terminal.working("starting"):  # importing torch takes seconds
+                work = getattr(import_module(f"bsk_torch.cli.{module}"), declared.__name__)
+            work(**arguments)
 
         signature = inspect.signature(declared, eval_str=True)
         start.__signature__ = signature.replace(parameters=[*signature.parameters.values(), *VERBOSITY])  # type: ignore[attr-defined]

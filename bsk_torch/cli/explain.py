@@ -134,7 +134,8 @@ def told(figures: Mapping[str, Any]) -> Iterator[str]:
     yield f"{died} of {n} episodes end in death: survival {figures['survival']:.1%}"
     if died:
         yield f"could be saved: {figures[SAVED]}; proven lost from the start: {figures[LOST]}; open: {figures[OPEN]}"
-        yield f"survival of the best policy: {best['at_least']:.1%} to {best['at_most']:.1%}"
+        ends = dict.fromkeys(f"{best[end]:.1%}" for end in ("at_least", "at_most"))
+        yield f"survival of the best policy: {' to '.join(ends)}"
     if "starts" in figures:
         first, end = figures["starts"]["seeds"]
         yield f"starts of seeds {first}:{end} that a plan survives: {figures['starts']['survived']} of {end - first}"

@@ -25,9 +25,12 @@ from bsk_torch.cli.declaration import (
     WithoutTypes,
     command,
 )
-from bsk_torch.cli.terminal import activity, fail
+from bsk_torch.cli.terminal import activity, fail, print_message
 
 logger = logging.getLogger(__name__)
+
+INTERRUPTED = 130
+"""Exit status after Ctrl-C, as of shells."""
 
 
 class Commands(WithoutTypes, TyperGroup):
@@ -39,6 +42,10 @@ class Commands(WithoutTypes, TyperGroup):
             return super().invoke(ctx)
         except (typer.Exit, typer.Abort, BrokenPipeError):
             raise
+        except KeyboardInterrupt:
+            activity.show("")
+            print_message("interrupted")
+            raise typer.Exit(INTERRUPTED) from None
         except (OSError, RuntimeError, MemoryError) as error:
             logger.debug("the command failed", exc_info=error)
             fail(described(error))

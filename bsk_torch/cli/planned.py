@@ -63,7 +63,7 @@ def named_planner(name: str, preset: str | None, given: Sequence[str]) -> NamedP
     try:
         find_planner(short)
     except ValueError:
-        fail(f"{name!r} is no planner; there are {', '.join(PREFIX + known for known in PLANNERS)}; {nearest(short, PLANNERS)}")
+        fail(f"{name!r} is not a planner; {nearest(name, [PREFIX + known for known in PLANNERS])}")
     options = dict(_pair(text, short) for text in given)
     base = options.pop("base", None)
     if base is None:

@@ -14,7 +14,7 @@ from bsk_torch.env import Tasking
 from bsk_torch.presets import PRESETS
 from bsk_torch.rl.policies.files import build_policy, check_fits, read_card
 from bsk_torch.rl.policies.pretrained import pretrained_file
-from bsk_torch.rl.policies.shared_policy import baseline
+from bsk_torch.rl.policies.shared_policy import baseline, shared_baselines
 from bsk_torch.rl.rules.baselines import BASELINES
 from bsk_torch.sim.arguments.values import nearest
 
@@ -63,8 +63,9 @@ class NamedPolicy:
         if self.name in BASELINES:
             try:
                 return baseline(self.name, env)
-            except (KeyError, ValueError):
-                fail(f"the policy {self.name!r} does not fit {self.preset}")
+            except (KeyError, ValueError) as error:
+                fitting = ", ".join(shared_baselines(env))
+                fail(f"the policy {self.name!r} does not fit {self.preset}: {error.args[0]}. Baselines that fit: {fitting}")
         try:
             check_fits(self.card, env, self.preset)
             return build_policy(self.card, device)

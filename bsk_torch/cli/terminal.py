@@ -25,7 +25,7 @@ screen = Console(stderr=True)
 
 def fail(message: str) -> NoReturn:
     """Print an error and end the program."""
-    typer.secho(message, err=True, fg="red")
+    screen.print(Text(message, style="red"), soft_wrap=not screen.is_terminal)
     raise typer.Exit(1)
 
 

@@ -14,7 +14,7 @@ import typer
 
 from bsk_torch.cli.pictures import draw_episode, record
 from bsk_torch.cli.shared import environment, environment_options
-from bsk_torch.cli.terminal import activity, fail, working
+from bsk_torch.cli.terminal import activity, fail, for_shell, working
 from bsk_torch.env import Tasking
 from bsk_torch.presets import make
 from bsk_torch.rl.evaluation.evaluate import FRESH, Evaluation, evaluate
@@ -24,7 +24,7 @@ from bsk_torch.rl.policies.shared_policy import shared, shared_baselines
 from bsk_torch.rl.training.config import CONFIG, PPOConfig, override
 from bsk_torch.rl.training.lock import FolderLock
 from bsk_torch.rl.training.log import LOG, read_log
-from bsk_torch.rl.training.trainer import check_folder, read_checkpoint
+from bsk_torch.rl.training.trainer import CHECKPOINT, check_folder, read_checkpoint
 
 if TYPE_CHECKING:
     from tensordict.nn import TensorDictModuleBase
@@ -100,12 +100,14 @@ def _check(folders: Iterable[Path]) -> None:
         for folder in folders:
             check_folder(folder)
     except FileExistsError as error:
-        fail(str(error))
+        fail(f"{error} with: bsk-torch train {for_shell(folder)} --resume" if (folder / CONFIG).is_file() else str(error))
 
 
 def _check_resumable(folder: Path, config: PPOConfig) -> None:
     """End the program immediately if the run in a folder cannot be resumed, or another process works there."""
     FolderLock(folder).release()
+    if not (folder / CHECKPOINT).is_file():
+        return  # the training warns that it begins again
     try:
         read_checkpoint(folder, config)
     except ValueError as error:

@@ -113,12 +113,16 @@ class Present(Episodes):
             return pictures().frames(self, rows, height)
 
     def default_sat_args(self) -> ArgumentTable:
-        """Return every argument accepted in ``sat_args``, with default, unit and meaning; print the result to read it."""
-        return self.builder.satellites[0].default_sat_args()
+        """Return every argument accepted in ``sat_args`` of the first satellite, with its default.
+
+        Print the result to read it: a table that begins with the arguments that differ here from their defaults.
+        """
+        first = next(satellite for satellite in self.satellites if 0 in satellite.simulator.columns)
+        return self.builder.satellites[0].default_sat_args().beside(first.sat_args_generator)
 
     def default_world_args(self) -> ArgumentTable:
-        """Return every argument accepted in ``world_args``, with default, unit and meaning; print the result to read it."""
-        return self.builder.default_world_args()
+        """Return every argument accepted in ``world_args``, with its default; printed as :meth:`default_sat_args`."""
+        return self.builder.default_world_args().beside(self.world_args_generator)
 
     @property
     def bytes_per_env(self) -> int:

@@ -207,3 +207,12 @@ def test_a_missing_compiler_is_named(run, folder, monkeypatch):
     with config.patch({"cpp.cxx": (None, "/missing/c++")}):
         result = run("eval", "random", "--seeds", "0:1", "--time-limit", 60)
     assert refused(result, "needs a C++ compiler")
+
+
+def test_control_c_ends_a_command_with_a_word(run, folder, monkeypatch):
+    def interrupt(*arguments):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("bsk_torch.cli.evaluate.named_policy", interrupt)
+    result = run("eval", "random", "--seeds", "0:1")
+    assert (result.exit_code, result.output) == (130, "interrupted\n")

@@ -90,7 +90,7 @@ def test_one_seed_is_one_episode(run, tmp_path):
     ("arguments", "message"),
     [
         (("rulle",), "did you mean 'rule'?"),
-        (("greedy",), "'greedy' does not fit NadirScan-v1"),
+        (("greedy",), "'greedy' does not fit NadirScan-v1: Scanner1 observes no targets. Baselines that fit: random, rule"),
         (("rule", "--seeds", "0-5"), "--seeds '0-5' must be A:B, such as 0:1000"),
         (("rule", "--seeds", "5:2"), "--seeds '5:2' names no episode"),
         (("rule", "--seeds", "-3"), "--seeds '-3' names no episode"),

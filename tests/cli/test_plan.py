@@ -28,7 +28,7 @@ def test_planners_are_compared_with_the_baselines_that_fit(run, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["plan:rolout"], "'plan:rolout' is no planner"),
+        (["plan:rolout"], "'plan:rolout' is not a planner; did you mean 'plan:rollout'?"),
         (["plan:rollout", "--plan", "horizn=3"], "plan:rollout has no option 'horizn'; did you mean 'horizon'"),
         (["plan:rollout", "--plan", "horizon"], "--plan 'horizon' must be NAME=VALUE"),
         (["plan:rollout", "--plan", "horizon=0"], "horizon=0 must be a number in (0, inf] s"),

@@ -1,5 +1,6 @@
 """What users see in terminals of 80 and 100 columns, and what they do not have to wait for."""
 
+import dataclasses
 import fcntl
 import importlib
 import inspect
@@ -183,10 +184,23 @@ def test_comparisons_lose_columns_by_rank(columns, capsys):
     head = next(line for line in shown.splitlines() if "policy" in line)
     assert all(name in head for name in ("return", "gain of trained", "survival"))
     assert "decisions" not in head
-    assert f"not shown in {columns} columns: decisions, simulated s / decision, fill, collected" in shown
+    shown_without = " ".join(shown.split())
+    assert f"not shown in {columns} columns: 95 % interval, decisions, simulated s / decision, fill, collected" in shown_without
     rows = [line.split()[0] for line in shown.splitlines() if "±" in line]
     assert rows == list(results)
     assert ("deaths" in head) == (columns == 100)
+
+
+def test_eighty_columns_show_what_policies_die_of(monkeypatch, capsys):
+    monkeypatch.setenv("COLUMNS", "80")
+    results = {name: dataclasses.replace(evaluation(), counts={}, simulated=None) for name in ("trained", "random")}
+    died = {"battery_valid": torch.tensor([True, True, True, False])}
+    results["random"] = dataclasses.replace(results["random"], deaths=died)
+    results["trained"] = dataclasses.replace(results["trained"], deaths={"battery_valid": torch.zeros(4, dtype=torch.bool)})
+    print_results(results, "", "trained")
+    shown = capsys.readouterr().out
+    assert "3 battery" in shown
+    assert "not shown in 80 columns: 95 % interval" in shown
 
 
 def test_files_and_pipes_get_all_columns(monkeypatch, capsys):

@@ -86,4 +86,18 @@ def test_a_folder_with_results_is_left_alone(run, tmp_path):
     result = run("train", "NadirScan-v1", "--frames", 20, *SIZES, "--out", tmp_path, *SHORT)
     assert result.exit_code == 1
     assert "is not empty" in result.output
+    assert "--resume" not in result.output
+    (tmp_path / "config.yaml").write_text("preset: NadirScan-v1")
+    result = run("train", "NadirScan-v1", "--frames", 20, *SIZES, "--out", tmp_path, *SHORT)
+    assert result.output.endswith(f"or resume the run in it with: bsk-torch train {tmp_path} --resume\n")
     assert (tmp_path / "policy.pt").read_text() == "precious"
+
+
+def test_a_run_that_was_stopped_before_its_checkpoint_begins_again(run, tmp_path, caplog):
+    run("train", "NadirScan-v1", "--frames", 20, *SIZES, "--out", tmp_path, *SHORT)
+    (tmp_path / "checkpoint.pt").unlink()
+    result = run("train", tmp_path, "--resume", "--episodes", 2)
+    assert result.exit_code == 0, result.output
+    assert [record.getMessage() for record in caplog.records if "begins again" in record.getMessage()] == [
+        f"{tmp_path} holds no checkpoint.pt; the run begins again"
+    ]

@@ -17,7 +17,6 @@ from bsk_torch.env.rollout import play_episodes
 from bsk_torch.rl.evaluation.charge_bound import check_bounded, least_charge, longest_action, most_power
 from bsk_torch.rl.evaluation.evaluate import start_episodes
 from bsk_torch.rl.evaluation.replay import OVER, fly, script
-from bsk_torch.sim.arguments.values import nearest
 
 MARGIN = 1.0
 """Margin below the bound, W s, at which a satellite counts as lost: far more than rounding in five orbits."""
@@ -62,10 +61,11 @@ def check_searchable(env: SatelliteTasking) -> None:
 
 
 def action_number(env: SatelliteTasking, name: str) -> int:
-    """Return the index of an action; ValueError, with the nearest name, for an unknown one."""
+    """Return the index of an action; ValueError if the satellite has no such action."""
     names = env.satellite.action_description
     if name not in names:
-        raise ValueError(f"rescues need an action {name!r}; {nearest(name, names)}")
+        has = ", ".join(entry.name for entry in env.satellite.actions.entries)
+        raise ValueError(f"rescues need an action {name!r}, which the satellite does not have; it has {has}")
     return names.index(name)
 
 

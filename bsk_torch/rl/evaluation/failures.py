@@ -95,7 +95,7 @@ def explain(
     n = len(failed)
     if not n:
         return flown, []
-    tell(f"looking for the last chances in {n} episodes that end in death")
+    tell(f"looking for the last chances in {n} episode{'s' * (n > 1)} that ended in death")
     seeds, actions = seeds[failed], flown.actions[failed]
     noted = fly(env, seeds, actions.clamp(min=0), notes=True)
     last, rescue = last_chance(env, seeds, actions, candidate_plans(env))

@@ -18,6 +18,9 @@ from bsk_torch.tables import print_table
 EVALUATION = "evaluation.json"
 """File of a run folder with the results of the final comparison."""
 
+INTERVAL = "95 % interval"
+"""Column with the confidence interval of the survival, which stands before it."""
+
 
 def print_results(results: Mapping[str, Evaluation], title: str, chosen: str | None = None) -> None:
     """Print a table of all results: the paired gain of the ``chosen`` policy over the others, and causes of death, if any."""
@@ -32,14 +35,14 @@ def print_results(results: Mapping[str, Evaluation], title: str, chosen: str | N
             simulated = results[name].simulated_per_decision
             row["simulated s / decision"] = "" if simulated is None else f"{simulated:,.0f}"
     counts = dict.fromkeys(name for result in results.values() for name in result.counts)
-    expendable = ("decisions", "simulated s / decision", "fill", "collected", *counts, "deaths")
+    expendable = (INTERVAL, "decisions", "simulated s / decision", "fill", "collected", *reversed(counts), "deaths")
     print_table([{"policy": name} | row for name, row in rows.items()], title, expendable, left=("policy",))
 
 
 def _row(result: Evaluation, mortal: bool) -> dict[str, str]:
     """Return the other cells of a policy, by column."""
     low, high = result.survival_interval
-    row = {"survival": f"{result.survival:.1%} ({100.0 * low:.1f}–{high:.1%})"}
+    row = {"survival": f"{result.survival:.1%}", INTERVAL: f"{100.0 * low:.1f}–{high:.1%}"}
     row |= {"collected": f"{mean(result.collected):.3f}"} if mortal else {}
     row |= {} if result.fill is None else {"fill": f"{mean(result.fill):.0%}"}
     row |= {"decisions": f"{mean(result.decisions):.0f}"} | {name: f"{mean(n):.1f}" for name, n in result.counts.items()}

@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bsk_torch import sats
+from bsk_torch import make, rand, sats
 from bsk_torch.rand import Distribution
 from bsk_torch.sim import dyn, fsw, world
 from bsk_torch.sim.arguments.sources import RANKS, in_order
+from bsk_torch.sim.arguments.table import short
 
 RECORDED = json.loads((Path(__file__).parents[1] / "data" / "default_args.json").read_text())
 
@@ -72,3 +73,25 @@ def test_functions_are_called_in_the_order_of_bsk_rl():
             assert in_order(sorted(names)) == names
     assert in_order(["zeta", "mass", "K", "alpha"]) == ["K", "mass", "zeta", "alpha"]
     assert {name for kind in RECORDED.values() for model in kind.values() for name in model} == set(RANKS)
+
+
+def test_an_environment_shows_its_values_before_the_defaults():
+    env = make("NadirScan-v1", num_envs=2, backend="eager")
+    table = env.default_sat_args()
+    assert table["panelArea"] == 1.0  # as the name says
+    lines = str(table).splitlines()
+    assert lines[0].split() == ["argument", "here", "default", "unit", "meaning"]
+    changed = [line.split()[0] for line in lines[1 : len(table.here) + 1]]
+    assert set(changed) == set(table.here) >= {"panelArea", "batteryStorageCapacity", "basePowerDraw", "storageInit"}
+    assert [line.split()[1:3] for line in lines if line.startswith("panelArea")] == [["0.25", "1"]]
+    env.set_sat_args({"panelArea": 0.5})
+    lines = str(env.default_sat_args()).splitlines()
+    assert [line.split()[1:3] for line in lines if line.startswith("panelArea")] == [["0.5", "1"]]
+    assert len(str(type(env.builder.satellites[0]).default_sat_args()).splitlines()) == len(table)  # no environment, no values
+
+
+def test_values_are_shown_without_what_says_nothing():
+    assert short(rand.Uniform(216000.0, 720000.0)) == "Uniform(216000, 720000)"
+    assert short(rand.Normal(0.0, 1e-4, size=3)) == "Normal(0, 0.0001, size=3)"
+    assert short((1.0, 0, -0.5)) == "(1, 0, -0.5)"
+    assert short(None) == "None"
