@@ -25,7 +25,7 @@ LONGEST_AT_RESET = 1e7
 class AccessSatellite(Satellite):
     """Adds access windows; see :mod:`bsk_torch.sim.access.windows`.
 
-    In an environment it has the queries of :class:`bsk_torch.sats.bound_access.BoundAccessSatellite`.
+    In an environment, it has the queries of :class:`bsk_torch.sats.bound_access.BoundAccessSatellite`.
     """
 
     view_type: ClassVar[type[OneSatellite]] = OneAccessSatellite
@@ -96,7 +96,7 @@ class AccessSatellite(Satellite):
                 :class:`~bsk_torch.sats.access_filter.AllPlaces`, or, where it insists on one, for each, which is slow.
             types: Type or types of opportunities that are filtered; ``"target"`` unless given for functions without arguments,
                 and all of them for functions of an opportunity.
-            prepend: Whether the filter comes before the others; the result does not depend on that.
+            prepend: Whether the filter precedes the others; the result does not depend on it.
             type: The same as ``types``.
 
         Raises:

@@ -36,15 +36,15 @@ class BoundSatellite(Satellite):
         type_index: Number of the type in the fleet.
         simulator: Simulation of the satellites.
         task: Their tasks in progress, which are part of the state.
-        names: Name of each satellite of an episode that is of this type.
-        dynamics, fsw: Their models, of the user's classes.
-        memory: Tensors [N, ...] that start with every episode; ``memory.declare(name, initial, *shape)`` adds one.
+        names: Names of the satellites of this type in an episode.
+        dynamics, fsw: Their models, instances of the user's classes.
+        memory: Tensors [N, ...] reset with every episode; ``memory.declare(name, initial, *shape)`` adds one.
         sat_args: Arguments of the current episodes by name, [N, ...] each, float64.
         others: The satellites of the episodes by name: ``satellite.others["RSO"].dynamics.r_BN_N`` is [N, 3], with the rows of
-            this type. KeyError for an unknown name, with the nearest one. They are there when observations are made, not yet
-            when they are linked.
+            this type. KeyError for an unknown name, with the nearest one. Available in observations, but not while they are
+            linked.
         scenario: Scenario of the environment; None until it has been linked.
-        rewarder: Rewarder of the environment, likewise.
+        rewarder: Rewarder of the environment; None until it has been linked.
         action_description: Name of every action.
         observation_description: Name of every entry of the observation vector.
     """
@@ -88,7 +88,7 @@ class BoundSatellite(Satellite):
 
     @property
     def data_store(self) -> Any:
-        """What the satellites know, as the rewarder keeps it, in ``data_store.data``; AttributeError for rewarders without it."""
+        """Knowledge of the satellites, stored by the rewarder, in ``data_store.data``; AttributeError if there is none."""
         store_of = getattr(self.rewarder, "store_of", None)
         if store_of is None:
             raise AttributeError(
@@ -104,7 +104,7 @@ class BoundSatellite(Satellite):
 
     @property
     def removed(self) -> Tensor | None:
-        """Satellites that are absent or have left, [N], for which queries return nothing; None where there can be none."""
+        """Satellites that are absent or have left, [N], for which queries return nothing; None if there can be none."""
         return self.rows_of(self.fleet.state.removed) if self.fleet.size > 1 else None
 
     @property
@@ -126,7 +126,7 @@ class BoundSatellite(Satellite):
     # -- views --------------------------------------------------------------------------------------------------------
 
     def one(self, row: int) -> OneSatellite:
-        """Return a read-only view of the satellite of one row [N], which answers as a satellite of bsk_rl does.
+        """Return a read-only view of the satellite of one row [N], with the interface of bsk_rl's satellites.
 
         Its properties are NumPy arrays and Python numbers; see :mod:`bsk_torch.sats.one`. With one satellite of the type in each
         environment, ``row`` is the number of the environment.
@@ -137,8 +137,8 @@ class BoundSatellite(Satellite):
         """Return a read-only view of one satellite of each environment, whose tensors are [num_envs * times, ...].
 
         Args:
-            number: Its number among those of the type.
-            times: How often each row is repeated.
+            number: Index of the satellite among those of the type.
+            times: Number of repetitions of each row.
         """
         return OtherSatellite(self, number, times)
 
@@ -152,7 +152,7 @@ class BoundSatellite(Satellite):
     def rows_of(self, table: Tensor) -> Tensor:
         """Return the rows [N, ...] of these satellites from a table of all satellites, [environments, S, ...].
 
-        Such tables are those that rewarders and communicators declare with ``fleet.size``: ``fleet.memory[name]``.
+        Such tables are declared by rewarders and communicators with ``fleet.size``: ``fleet.memory[name]``.
         """
         return self.fleet.rows_of(self.type_index, table)
 

@@ -23,10 +23,10 @@ from bsk_torch.sim.places import TARGET_KIND
 
 
 class BoundAccessSatellite(BoundSatellite, AccessSatellite):
-    """The access satellites of one type in an environment: their windows now and in future.
+    """The access satellites of one type in an environment, with their current and future windows.
 
     Attributes:
-        access_windows: Windows of their places, which exist where there are ``opportunity_types``.
+        access_windows: Windows of their places; None without ``opportunity_types``.
     """
 
     access_windows: AccessWindows
@@ -85,22 +85,21 @@ class BoundAccessSatellite(BoundSatellite, AccessSatellite):
     ) -> Opportunities:
         """Return the ``n`` opportunities that close next, including those in progress; the last repeated if fewer.
 
-        Look-ahead is extended where fewer than ``count`` [N] (n unless given) are known. Where none is found within a
-        hundred segments, place 0 opens and closes now with ``may_see_nothing``.
+        If fewer than ``count`` [N] are known, look-ahead is extended. With ``may_see_nothing``, place 0 opens and closes now if
+        none is found within a hundred segments.
 
         Args:
             n: Number of opportunities.
-            type: Type of the opportunities, ``"target"`` unless given.
-            count: Number that each row needs, [N].
-            pad: Whether the last one is repeated where there are fewer.
-            max_lookahead: Number of segments by which look-ahead is extended at most, up to 100.
+            type: Type of the opportunities (default: ``"target"``).
+            count: Number of opportunities needed in each row, [N] (default: ``n``).
+            pad: Whether to repeat the last opportunity if there are fewer.
+            max_lookahead: Maximum number of segments by which look-ahead is extended, up to 100.
             types: The same as ``type``; one type at a time.
-            filter: As for :meth:`add_access_filter`, in place of the filters of the satellite; or indices of places that do not
-                count.
+            filter: Filter to use instead of the satellite's, as for :meth:`add_access_filter`; or indices of excluded places.
 
         Raises:
-            RuntimeError: If none is found within a hundred segments, without ``may_see_nothing``; if fewer than ``n`` are,
-                without ``pad``.
+            RuntimeError: If none is found within a hundred segments, without ``may_see_nothing``; or fewer than ``n``, without
+                ``pad``.
             ValueError: For an unknown type or several, a number of opportunities below 1, or a ``max_lookahead`` above 100.
         """
         kind = self._kind(type, types)
@@ -150,7 +149,7 @@ class BoundAccessSatellite(BoundSatellite, AccessSatellite):
         return opportunities
 
     def positions(self, type: str, place: Tensor) -> Tensor:
-        """Return the present Earth-fixed positions, [N, n, 3] m, of places [N, n] of a type."""
+        """Return the current Earth-fixed positions, [N, n, 3] m, of places [N, n] of a type."""
         rows, now = self.simulator.state.all_rows, self.simulator.sim_time.unsqueeze(-1)
         return self.access_windows.kinds[type].position(rows, place, now)
 
@@ -224,14 +223,14 @@ class BoundAccessSatellite(BoundSatellite, AccessSatellite):
         return self._aims[2]
 
     def opportunities(self, type: str | None = None, *, types: str | Collection[str] | None = None) -> Windows:
-        """Return all windows of a type that have been computed, sorted by closing time, [N, W]; missing ones close at infinity.
+        """Return all computed windows of a type, sorted by closing time, [N, W]; missing ones close at infinity.
 
-        Those of past intervals are dropped as look-ahead advances. ``types`` is the same as ``type``.
+        Windows of past intervals are dropped as look-ahead advances. ``types`` is the same as ``type``.
         """
         return self._known(self._kind(type, types), torch.full_like(self.simulator.sim_time, -1.0), None)
 
     def upcoming_opportunities(self, type: str | None = None, *, types: str | Collection[str] | None = None) -> Windows:
-        """Return the windows as :meth:`opportunities` does, of those that have not closed and that pass the filters."""
+        """Return the windows that have not closed and pass the filters, in the form of :meth:`opportunities`."""
         kind = self._kind(type, types)
         return self._known(kind, self.simulator.sim_time, self.allowed(kind))
 
@@ -259,10 +258,10 @@ class BoundAccessSatellite(BoundSatellite, AccessSatellite):
         return Windows(opens, close, torch.where(there, place, 0))
 
     def find_windows(self, until: float | Tensor, type: str = "target") -> Windows:
-        """Return all windows of ``type`` that have not closed, that open before ``until`` and that pass the filters.
+        """Return all windows of ``type`` that have not closed, open before ``until``, and pass the filters.
 
-        Look-ahead is extended to ``until`` first, by whole segments as bsk_rl's ``calculate_additional_windows`` does, also
-        beyond the time limit. Later queries see as far.
+        Look-ahead is first extended to ``until`` by whole segments, like bsk_rl's ``calculate_additional_windows``, also beyond
+        the time limit. Later queries also see these windows.
 
         Args:
             until: Time, s since reset: one for all, or [N].
@@ -294,7 +293,7 @@ class BoundAccessSatellite(BoundSatellite, AccessSatellite):
     def calculate_additional_windows(self, duration: float | Tensor) -> None:
         """Extend look-ahead by ``duration`` s, one for all or [N], to whole segments and at least one, as in bsk_rl.
 
-        Where it is not positive, nothing changes. :meth:`find_windows` extends to a time instead.
+        Non-positive durations have no effect. :meth:`find_windows` extends look-ahead to a given time instead.
         """
         seconds = torch.as_tensor(duration, dtype=torch.float64, device=self.simulator.device)
         more = torch.where(seconds > 0.0, seconds.clamp(min=self.segment), 0.0)
@@ -307,7 +306,7 @@ class BoundAccessSatellite(BoundSatellite, AccessSatellite):
     def next_opportunities(
         self, type: str | None = None, until: float | Tensor | None = None, *, types: str | Collection[str] | None = None
     ) -> tuple[Tensor, Tensor]:
-        """Return opening and closing time of the next window of every place of a type, [N, P] s each; infinity where none.
+        """Return opening and closing time of the next window of every place of a type, [N, P] s each; infinity if there is none.
 
         Look-ahead is extended to ``until`` (s since reset, one for all or [N]) first; see :meth:`find_windows`.
         """
@@ -332,7 +331,7 @@ class BoundAccessSatellite(BoundSatellite, AccessSatellite):
         types: str | Collection[str] | None = None,
         filter: object = None,
     ) -> dict[int, list[tuple[float, float]]]:
-        """Return the windows (opening and closing time, s) of environment ``env`` by place, for people to read.
+        """Return the windows (opening and closing time, s) of environment ``env`` by place, for reading.
 
         Raises:
             TypeError: For bsk_rl's dictionaries by object, which belong to one environment.

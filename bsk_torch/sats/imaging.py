@@ -25,9 +25,9 @@ NONE = -1
 
 
 class ImagingSatellite(AccessSatellite):
-    """Chooses targets and images them; steps end when the image has been taken or its window closes.
+    """A satellite that images targets; an imaging task ends when the image is taken or the window closes.
 
-    In an environment it is a :class:`BoundImagingSatellite`.
+    In an environment, it is a :class:`BoundImagingSatellite`.
     """
 
     dyn_type: ClassVar[type[DynamicsModel]] = ImagingDynModel
@@ -59,14 +59,14 @@ class BoundImagingSatellite(BoundAccessSatellite, ImagingSatellite):
 
     @property
     def latest_target(self) -> Tensor:
-        """Target that was chosen last, [N]; -1 before the first."""
+        """Target chosen last, [N]; -1 before the first."""
         return self.memory["latest_target"]
 
     @property
     def known_images(self) -> Tensor:
-        """Targets of whose images each satellite knows, [N, T] bool: its own, and those that it was told of.
+        """Targets known by each satellite to be imaged, by itself or by communication, [N, T] bool.
 
-        AttributeError for a rewarder that does not keep them, as :class:`bsk_torch.data.UniqueImageReward` does.
+        AttributeError for rewarders without this knowledge; :class:`bsk_torch.data.UniqueImageReward` has it.
         """
         return self.rows_of(self.rewarder.known)
 
@@ -89,7 +89,7 @@ class BoundImagingSatellite(BoundAccessSatellite, ImagingSatellite):
         return {"imaged": self.imaged, "missed": self.missed}
 
     def window_of(self, target: Tensor) -> tuple[Tensor, Tensor]:
-        """Return opening and closing time of the next known window of a target [N], [N] s each; infinity where none is known."""
+        """Return opening and closing time of the next known window of a target [N], [N] s each; infinity if none is known."""
         windows = self.upcoming_opportunities(self.target_types)
         mine = (windows.place == target.unsqueeze(-1)) & torch.isfinite(windows.close)
         opens, closes = (torch.where(mine, time, torch.inf).amin(1) for time in (windows.open, windows.close))

@@ -24,8 +24,8 @@ class _Opportunities(NamedTuple):
 class Opportunities(_Opportunities):
     """The next opportunities, sorted by closing time.
 
-    Where there are fewer than n, the last one is repeated. Items are those of bsk_rl's opportunities, of all satellites:
-    ``opportunities["object"]``, the targets with ``r_LP_P``, ``priority``, ``id``, ``name`` and what the scenario draws for them
+    If there are fewer than n, the last one is repeated. Items correspond to bsk_rl's opportunities, for all satellites:
+    ``opportunities["object"]``, the targets with ``r_LP_P``, ``priority``, ``id``, ``name`` and values drawn by the scenario
     (:class:`~bsk_torch.sats.objects.TargetObjects`), or an array [N, n] of the names of stations; ``["window"]``, opening and
     closing time, s since reset, [N, n] each; ``["r_LP_P"]``, [N, n, 3] m; ``["type"]``.
 
@@ -34,7 +34,7 @@ class Opportunities(_Opportunities):
         close: Closing time, [N, n] s since reset.
         place: Index of the place among those of its type, [N, n].
         r_LP_P: Earth-fixed positions, [N, n, 3] m.
-        found: Number of opportunities that do not repeat the last one, [N].
+        found: Number of opportunities without repetitions, [N].
         satellite: The satellites.
         type: Type of the opportunities.
     """
@@ -68,5 +68,5 @@ class Opportunities(_Opportunities):
 
     @property
     def mask(self) -> Tensor:
-        """True for those that do not repeat the last one, [N, n]."""
+        """False for repetitions of the last opportunity, [N, n]."""
         return torch.arange(self.place.shape[1], device=self.place.device) < self.found.unsqueeze(-1)

@@ -29,14 +29,14 @@ VECTOR_TYPES = (torch.Tensor, np.ndarray, list)
 
 
 class Satellite:
-    """Description of an agent. Subclasses set ``observation_spec``, ``action_spec``, ``dyn_type`` and ``fsw_type``.
+    """Description of a satellite. Subclasses set ``observation_spec``, ``action_spec``, ``dyn_type`` and ``fsw_type``.
 
-    An environment makes a :class:`bsk_torch.sats.bound.BoundSatellite` of the same class from it, for all satellites of the type.
-    That is what the hooks of subclasses have as ``self``, and what actions, observations and user functions get: it has
-    ``simulator``, ``dynamics``, ``fsw``, ``memory``, ``sat_args`` and so on.
+    From a description, an environment creates a :class:`bsk_torch.sats.bound.BoundSatellite` of the same class, for all
+    satellites of the type, with ``simulator``, ``dynamics``, ``fsw``, ``memory``, ``sat_args`` and other attributes. Hooks of
+    subclasses run on this object, and actions, observations and user functions receive it.
 
-    ``dyn_type`` and ``fsw_type`` are written as a class of :mod:`bsk_torch.sim.dyn` or :mod:`bsk_torch.sim.fsw`, or as a tuple of
-    classes, of which the first wins; they are read as the one class that these stand for.
+    ``dyn_type`` and ``fsw_type`` are a class of :mod:`bsk_torch.sim.dyn` or :mod:`bsk_torch.sim.fsw`, or a tuple of classes in
+    order of precedence; reading them returns the composed class.
     """
 
     observation_spec: ClassVar[Sequence[Any]] = ()
@@ -86,7 +86,7 @@ class Satellite:
 
     @classmethod
     def default_sat_args(cls, **overrides: object) -> ArgumentTable:
-        """Return every argument that ``sat_args`` accepts, with its default or the given value.
+        """Return every argument accepted in ``sat_args``, with its default or the given value.
 
         Raises:
             KeyError: For a value of an unknown argument.
@@ -96,13 +96,13 @@ class Satellite:
 
     @classmethod
     def get_dyn_type(cls) -> type[DynamicsModel]:
-        """Return the dynamics model that ``dyn_type`` stands for."""
+        """Return the dynamics model composed from ``dyn_type``."""
         cls._compose_models()
         return cls.dyn_type
 
     @classmethod
     def get_fsw_type(cls) -> type[FSWModel]:
-        """Return the flight-software model that ``fsw_type`` stands for."""
+        """Return the flight-software model composed from ``fsw_type``."""
         cls._compose_models()
         return cls.fsw_type
 
@@ -137,7 +137,7 @@ class Satellite:
         """Declare memory and the like; called once in an environment, before actions and observations are linked."""
 
     def note_events(self, event: Tensor) -> None:
-        """Record the events of a run: ``event`` [N] is true where one ended the actions that wait for it."""
+        """Record the events of a run; ``event`` [N] is true if an event ended the action waiting for it."""
 
     def legal_actions(self) -> Tensor | None:
         """Return which actions are legal now, in addition to the actions' masks, [N, n_actions]; None for all of them."""
@@ -146,7 +146,8 @@ class Satellite:
     def action_mask(self) -> Tensor:
         """Return which actions are legal now, [N, n_actions] bool.
 
-        Unless overridden, those that :meth:`legal_actions` and the masks of the actions allow; all of them where none would be.
+        By default, the actions allowed by :meth:`legal_actions` and by the masks of the actions, or all actions if none is
+        allowed.
         """
         raise RuntimeError(f"{self.name!r} is in no environment; env.satellite.action_mask() is that of the current episodes")
 

@@ -21,11 +21,11 @@ __all__ = ["AtmosphereWorldModel", "EclipseWorldModel", "GroundStationWorldModel
 class WorldModel(World):
     """Sun and Earth, with the gravity of both.
 
-    Subclasses list their own ``components``; a component replaces the one that a base class has in the same slot. An instance,
-    ``simulator.world``, reads the present of the world, as its methods and properties do.
+    Subclasses list additional ``components``; a component replaces that of a base class in the same slot. The methods and
+    properties of the instance ``simulator.world`` read the current state of the world.
 
-    ``only_where_required`` holds back the components of a class, not of its subclasses, from satellites whose dynamics model does
-    not require the class.
+    With ``only_where_required``, the components of the class (but not those of its subclasses) do not act on satellites whose
+    dynamics model does not require the class.
     """
 
     components: ClassVar[tuple[Component, ...]] = (environment.EARTH_POLE, environment.EPHEMERIS)
@@ -43,7 +43,7 @@ class WorldModel(World):
 
     @classmethod
     def default_world_args(cls, **overrides: Any) -> ArgumentTable:
-        """Return every argument that ``world_args`` accepts, with its default or the given value.
+        """Return every argument accepted in ``world_args``, with its default or the given value.
 
         Raises:
             KeyError: For a value of an unknown argument.
@@ -72,7 +72,7 @@ class AtmosphereWorldModel(WorldModel):
 
 
 class GroundStationWorldModel(WorldModel):
-    """Adds ground stations; satellites see them only where their dynamics model requires them, as in bsk_rl."""
+    """Adds ground stations. As in bsk_rl, satellites see them only if their dynamics model requires them."""
 
     components: ClassVar[tuple[Component, ...]] = (environment.GROUND_STATIONS,)
     only_where_required: ClassVar[bool] = True

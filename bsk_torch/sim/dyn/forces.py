@@ -7,10 +7,11 @@ from bsk_torch.vec3 import Vec3
 
 
 def add_force(bus: Bus, force_N: Vec3) -> None:
-    """Add a force on the spacecraft, N with components in N, to what acts over this tick; it is constant until the tick's end.
+    """Add a force on the spacecraft, in newtons with components in N, constant over this tick.
 
-    The hub integrates ``v' = a(r, t) + F_N / m`` with the sum ``external_force_N`` of all that components have added. They run
-    before it: ``before="hub"``, or in an earlier slot. The orbit must be integrated in the tick; where it is solved in advance, a
+    The hub integrates ``v' = a(r, t) + F_N / m`` with the sum ``external_force_N`` of all added forces. Components that add
+    forces must run before it: ``before="hub"``, or in an earlier slot. The orbit must be integrated; if it is solved in advance,
+        a
     component that adds a force raises a TypeError. Look-ahead (predicted windows and eclipses) does not include the force.
     """
     bus.external_force_N = bus.external_force_N + force_N if bus.has("external_force_N") else force_N

@@ -73,7 +73,7 @@ class RSODynModel(EclipseDynModel):
 
 
 class RSOInspectorDynModel(ContinuousImagingDynModel):
-    """A satellite that inspects an RSO: its instrument records as long as it points there, and data accumulate in its store."""
+    """A satellite that inspects an RSO: its instrument records while it points at the RSO, into the data buffer."""
 
     components: ClassVar[tuple[Component, ...]] = (INSPECTOR,)
     orbit: ClassVar[str] = "integrated"

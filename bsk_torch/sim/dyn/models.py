@@ -25,9 +25,10 @@ from bsk_torch.vec3 import Vec3
 class DynamicsModel(Model):
     """A rigid spacecraft in orbit, without actuators.
 
-    ``requires_world`` are the world models that it needs, with those of the base classes; ``world_components`` are further parts
-    of the world, which replace those of world models in the same slots. ``orbit`` is the default way to compute its orbit:
-    ``"arc"`` in advance, or ``"integrated"`` in every tick. ``schedule`` is the order of a tick, that of bsk_rl by default; see
+    ``requires_world`` lists the required world models, in addition to those of the base classes. ``world_components`` are further
+    components of the world, which replace those of world models in the same slots. ``orbit`` is the default computation of the
+    orbit: ``"arc"`` (in advance) or ``"integrated"`` (in every tick). ``schedule`` is the order of a tick (default: bsk_rl's);
+        see
     :mod:`bsk_torch.sim.schedule`. ``gravity_degree`` is the degree and order of the Earth's field, from 2 to 10.
 
     Frames: N is inertial (J2000 equator), B the body, P fixed to the Earth, H the Hill frame. Vectors ``r``, ``v`` and ``h`` in
@@ -189,7 +190,7 @@ class DisturbanceTorqueDynModel(DynamicsModel):
 
 
 class AtmosphericDragDynModel(DynamicsModel):
-    """Adds drag by an exponential atmosphere, which acts where the orbit is integrated; see :mod:`bsk_torch.sim.dyn.drag`."""
+    """Adds drag by an exponential atmosphere for integrated orbits; see :mod:`bsk_torch.sim.dyn.drag`."""
 
     components: ClassVar[tuple[Component, ...]] = (drag.DRAG,)
     requires_world: ClassVar[tuple[type[world.WorldModel], ...]] = (world.AtmosphereWorldModel,)
@@ -241,7 +242,7 @@ class BasicDynamicsModel(EclipseDynModel, DisturbanceTorqueDynModel, Atmospheric
 
 
 class ImagingDynModel(BasicDynamicsModel):
-    """Adds an instrument that takes images in a tick each, a store of partitions, and a transmitter.
+    """Adds an instrument that takes each image in one tick, a partitioned data buffer, and a transmitter.
 
     A step may end with the image of its task.
     """
@@ -257,27 +258,27 @@ class ImagingDynModel(BasicDynamicsModel):
 
     @observable
     def storage_level(now: Now) -> Tensor:
-        """Data in the store, of all its partitions, [N] bit (Basilisk's ``partitionedStorageUnit``)."""
+        """Data in all partitions of the buffer, [N] bit (Basilisk's ``partitionedStorageUnit``)."""
         return now.storage
 
     @observable
     def storage_level_fraction(now: Now) -> Tensor:
-        """Data over capacity, ``level / dataStorageCapacity``, [N]; 0 without capacity, where the store stays empty."""
+        """Data as a fraction of the capacity, ``level / dataStorageCapacity``, [N]; 0 for a capacity of zero."""
         return now.storage / torch.clamp(now.args.dataStorageCapacity, min=1.0)
 
     @observable
     def partition_levels(now: Now) -> tuple[Tensor, ...]:
-        """Data in every partition of the store, [N, P] bit."""
+        """Data in every partition of the buffer, [N, P] bit."""
         return now.partitions
 
     @property
     def instrument_baud(self) -> Tensor:
-        """Data of one image, [N] bit; where data accumulate, the rate of the instrument, bit/s."""
+        """Data of one image, [N] bit; for a continuous instrument, its data rate, bit/s."""
         return self.simulator.state.argument("instrumentBaudRate")
 
     @vital
     def data_storage_valid(now: Now) -> Tensor:
-        """Whether the store has room, [N]: ``level < C`` or ``|level - C| > 1e-8 + 1e-5 |C|``; True without the check.
+        """Whether the buffer is not full, [N]: ``level < C`` or ``|level - C| > 1e-8 + 1e-5 |C|``; True without the check.
 
         ``C`` is ``dataStorageCapacity``, bit; ``storageUnitValidCheck`` switches the check on, as in bsk_rl.
         """
@@ -287,7 +288,7 @@ class ImagingDynModel(BasicDynamicsModel):
 
 
 class ContinuousImagingDynModel(ImagingDynModel):
-    """An instrument that records as long as it points down: data accumulate at a rate, in a store without partitions."""
+    """Adds an instrument that records continuously while it points down, into a data buffer without partitions."""
 
     components: ClassVar[tuple[Component, ...]] = (
         storage.INSTRUMENT,
@@ -298,12 +299,12 @@ class ContinuousImagingDynModel(ImagingDynModel):
 
     @observable
     def partition_levels(now: Now) -> tuple[Tensor, ...]:
-        """Data in the store as if it were its only partition, [N, 1] bit."""
+        """Data in the buffer as a single partition, [N, 1] bit."""
         return (now.storage,)
 
 
 class GroundStationDynModel(ImagingDynModel):
-    """Adds ground stations, without which the transmitter sends nothing."""
+    """Adds ground stations, which the transmitter needs to send data."""
 
     requires_world: ClassVar[tuple[type[world.WorldModel], ...]] = (world.GroundStationWorldModel,)
 
@@ -328,7 +329,7 @@ class LOSCommDynModel(DynamicsModel):
 
 
 class FullFeaturedDynModel(GroundStationDynModel, LOSCommDynModel):
-    """Ground stations and lines of sight; bsk_rl deprecates it, a tuple of both models in ``dyn_type`` says the same."""
+    """Ground stations and lines of sight; deprecated by bsk_rl in favor of a tuple of both models in ``dyn_type``."""
 
     def __init__(self, simulator: Simulation) -> None:
         """Warn of the deprecation, and bind the model to a simulation."""

@@ -70,21 +70,22 @@ MAX_RANGE = Component(
 
 
 class ConjunctionDynModel(DynamicsModel):
-    """Satellites of this model collide with one another where their distance is at most the sum of their radii.
+    """Satellites with this model collide if their distance is at most the sum of their radii.
 
-    Distances are those at the start of a step and after its ticks; with ``conjunction_check_rate`` only after as many ticks as
-    take that time, with ``conjunction_exact`` also between ticks, where the relative motion is taken for uniform. Of two
-    satellites, the settings of the later one in the list apply. A collision ends the step of all satellites in that tick,
-    and both die. Each pair collides once in an episode.
+    Distances are checked at the start of a step and after its ticks: every tick, or at intervals of ``conjunction_check_rate``;
+        with
+    ``conjunction_exact`` also between ticks, assuming uniform relative motion. For two satellites, the settings of the later one
+    in the list apply. A collision ends the step of all satellites in that tick, and both die. Each pair collides at most once in
+    an episode.
 
-    An episode that begins in collision has a first step of zero length, which ends with the deaths.
+    If an episode begins with a collision, its first step has zero length and ends with the deaths.
     """
 
     components: ClassVar[tuple[Component, ...]] = (CONJUNCTION,)
 
     @property
     def conjunctions(self) -> Tensor:
-        """With which satellites of its episode each one has collided, [N, S] bool, in the order of the environment's list."""
+        """Satellites of the episode with which each one has collided, [N, S] bool, in the order of the environment's list."""
         return self.satellite.fleet.encounters.conjunctions(self.satellite.type_index)
 
     @aliveness_checker
@@ -94,17 +95,18 @@ class ConjunctionDynModel(DynamicsModel):
 
 
 class MaxRangeDynModel(DynamicsModel):
-    """A satellite lost where its distance from its chief is ``max_range_radius`` or more.
+    """A satellite that is lost if its distance from its chief is ``max_range_radius`` or more.
 
-    Distances are those at the start of a step and after each of its ticks. A lost satellite ends the step of all satellites in
-    that tick, and dies, with ``enforce_range_on_chief`` together with the chief. It is lost once in an episode.
+    Distances are checked at the start of a step and after each of its ticks. The loss of a satellite ends the step of all
+    satellites in that tick. The satellite dies, and with ``enforce_range_on_chief`` the chief also dies. A satellite is lost at
+    most once in an episode.
     """
 
     components: ClassVar[tuple[Component, ...]] = (MAX_RANGE,)
 
     @property
     def out_of_ranges(self) -> Tensor:
-        """From which satellite of its episode, its chief, each one was too far away, [N, S] bool."""
+        """The chief from which each satellite was too far away, [N, S] bool by satellite of the episode."""
         return self.satellite.fleet.encounters.out_of_ranges(self.satellite.type_index)
 
     @aliveness_checker

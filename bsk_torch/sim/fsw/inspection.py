@@ -25,7 +25,7 @@ class RSOInspectorFSWModel(ContinuousImagingFSWModel):
     """Points the instrument at the satellite with an :class:`~bsk_torch.sim.dyn.RSODynModel`, and records while it does.
 
     The command is ``action_inspect_rso``, as in ``act.DiscreteFSWAction("action_inspect_rso", duration=300.0)``. The instrument
-    records where the errors of attitude and rate are within ``imageAttErrorRequirement`` and ``imageRateErrorRequirement``; the
+    records while the attitude and rate errors are within ``imageAttErrorRequirement`` and ``imageRateErrorRequirement``. The
     attitude error never exceeds 1 (MRP norm), so a requirement of 1 is always met.
     """
 

@@ -22,14 +22,14 @@ IDLE = "idle"
 
 
 class FSWModel(Model):
-    """Flight software without actuators: drift and nadir pointing, whose attitude is imposed on the spacecraft.
+    """Flight software without actuators: drift and nadir pointing with an imposed attitude.
 
-    The attitude of a tick is the reference of the tick before, at once and exactly. Until a guidance law writes a reference, and
-    while the spacecraft drifts, it is zero: B is N, at rest, whatever ``sigma_init`` and ``omega_init`` say.
+    The attitude of a tick is exactly the reference of the previous tick. Until a guidance law writes a reference, and while the
+    spacecraft drifts, it is zero: B equals N, at rest, regardless of ``sigma_init`` and ``omega_init``.
 
-    ``modes`` maps names to rows of the mode table, ``commands`` maps what actions ask for to modes; both are merged with those
-    of the base classes. None takes the mode of a base class away. ``requires_dyn`` are dynamics models without which the flight
-    software has nothing to command; those of the base classes are required too.
+    ``modes`` maps names to rows of the mode table, and ``commands`` maps commands of actions to modes; both are merged with those
+    of the base classes. None removes a mode of a base class. ``requires_dyn`` lists the required dynamics models, in addition to
+    those of the base classes.
     """
 
     components: ClassVar[tuple[Component, ...]] = (guidance.NAVIGATION, imposed.HILL_REFERENCE, imposed.IMPOSED_ATTITUDE)
@@ -92,7 +92,7 @@ class SteeringFSWModel(BasicFSWModel):
 class ImagingFSWModel(BasicFSWModel):
     """Points the instrument at places on the ground, takes one image of each, and downlinks.
 
-    The mode ``"image"`` looks at the place that the state ``r_LP_P`` [m, Earth-fixed] holds.
+    The mode ``"image"`` points at the place in the state ``r_LP_P`` [m, Earth-fixed].
     """
 
     requires_dyn: ClassVar[tuple[type[DynamicsModel], ...]] = (ImagingDynModel,)
@@ -128,25 +128,25 @@ class SteeringImagerFSWModel(SteeringFSWModel, ImagingFSWModel):
 
 
 class MagicOrbitalManeuverFSWModel(FSWModel):
-    """Changes the velocity at once, by as much as the tank is good for; composed with other flight software.
+    """Changes the velocity impulsively, limited by the remaining delta-v; composed with other flight software.
 
-    ``Simulator.thrust(rows, dv_N)`` commands a maneuver, and actions such as ``act.ImpulsiveThrust`` call it. The satellite dies
-    with its last fuel, at the time of the maneuver, which is still executed. Fuel has no mass.
+    ``Simulator.thrust(rows, dv_N)`` commands a maneuver, and actions such as ``act.ImpulsiveThrust`` call it. A satellite that
+    uses its last fuel dies at the time of the maneuver, which is still executed. Fuel has no mass.
     """
 
     components: ClassVar[tuple[Component, ...]] = (manoeuvre.TANK,)
 
     @observable
     def dv_available(now: Now) -> Tensor:
-        """Sum of the changes of velocity that the tank is still good for, [N] m/s."""
+        """Remaining delta-v, [N] m/s."""
         return now.dv_available
 
     @observable
     def thrust_count(now: Now) -> Tensor:
-        """Number of maneuvers since reset, those of no change of velocity included, [N]."""
+        """Number of maneuvers since reset, including those with zero velocity change, [N]."""
         return now.thrust_count
 
     @vital
     def fuel_remaining(now: Now) -> Tensor:
-        """Whether the tank is good for more than 1e-8 m/s, [N]."""
+        """Whether more than 1e-8 m/s of delta-v remain, [N]."""
         return now.dv_available > manoeuvre.EMPTY

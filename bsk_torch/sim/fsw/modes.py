@@ -17,10 +17,10 @@ from bsk_torch.sim.names import nearest
 
 @dataclass(frozen=True)
 class Mode:
-    """A row of the mode table: ``on`` lists flags, ``resets`` gives state fields and the values they get on entry.
+    """A row of the mode table: ``on`` lists flags, and ``resets`` gives state fields with their values on entry.
 
-    None in place of flags stands for the ``idle_flags`` of all components. A flag that no component of the satellite declares is
-    a ValueError when an environment is built.
+    None instead of flags stands for the ``idle_flags`` of all components. A flag not declared by any component of the satellite
+    raises ValueError when an environment is built.
     """
 
     on: tuple[str, ...] | None = ("control_on",)

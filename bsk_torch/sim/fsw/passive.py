@@ -14,7 +14,7 @@ NO_GUIDANCE = Component(slot="nadir_pointing")
 
 
 class TumblingFSWModel(FSWModel):
-    """A passive satellite: nothing turns it but external torques.
+    """A passive satellite, rotated only by external torques.
 
     Its attitude starts from ``sigma_init`` and ``omega_init`` and follows Euler's equation ``I omega' = L - omega x (I omega)``
     with the principal inertia ``I`` of a uniform box of ``mass``, ``width``, ``depth`` and ``height`` (Schaub and Junkins,

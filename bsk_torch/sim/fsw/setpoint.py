@@ -38,9 +38,9 @@ ATTITUDE_SETPOINT = Component(
 
 
 class AttitudeSetpointFSWModel(FSWModel):
-    """Adds the command ``attitude_mrp`` to any flight software: control about the set-point in the state ``sigma_RN``.
+    """Adds the command ``attitude_mrp`` to any flight software: control to the setpoint in the state ``sigma_RN``.
 
-    :class:`bsk_torch.act.AttitudeSetpoint` brings it along; satellites need not list it.
+    :class:`bsk_torch.act.AttitudeSetpoint` adds it automatically.
     """
 
     components: ClassVar[tuple[Component, ...]] = (ATTITUDE_SETPOINT,)
@@ -52,9 +52,9 @@ HOLD_INERTIAL = "hold_inertial"
 
 
 class InertialHoldFSWModel(FSWModel):
-    """Adds the command ``hold_inertial`` to any flight software: control about N itself, at rest.
+    """Adds the command ``hold_inertial`` to any flight software: control to the attitude of N, at rest.
 
-    A maneuver leaves the spacecraft so, as in Basilisk. Actions of maneuvers bring it along.
+    As in Basilisk, this is the mode after a maneuver. Actions for maneuvers add it automatically.
     """
 
     modes: ClassVar[dict[str, Mode | None]] = {HOLD_INERTIAL: Mode(("control_on",))}

@@ -26,7 +26,7 @@ class Simulation(Protocol):
 
 
 def aliveness_checker(method: Checker) -> Checker:
-    """Mark a method that returns [N] booleans: a satellite for which one is False is dead."""
+    """Mark a method that returns [N] booleans as an aliveness check: satellites for which a check is False are dead."""
     method.is_aliveness_checker = True  # type: ignore[attr-defined]
     return method
 
