@@ -349,6 +349,18 @@ def difficulties(name: str, what: str) -> str:
     return f"{table(['training', *conditions], rows)}\n"
 
 
+def own_environments() -> str:
+    """Return what trainings without settings reach, and random and constant actions."""
+    head = ["environment", "time limit, s", "at the limit", "random actions", "best constant action", "trained, each seed", "decisions"]
+    rows = []
+    for row in load("own_environments")["rows"]:
+        results = zip(row["trained"], row["half_widths"], strict=True)
+        trained = ", ".join(f"{value:.3g} ± {half:.2g}" for value, half in results)
+        decisions = whole(max(row["curves"][0]["frames"]))
+        rows.append([row["name"], whole(row["limit"]), row["ends"], f"{row['random']:.3g}", row["best"], trained, decisions])
+    return with_command("own_environments", head, rows)
+
+
 def clouds(name: str) -> str:
     """Return what policies reach under clouds, by what they see of them."""
     rows = []
@@ -483,6 +495,7 @@ def certificate(flown: Mapping[str, Any] | None) -> str:
 
 TABLES = {
     "difficulties": difficulties,
+    "own_environments": own_environments,
     "clouds": clouds,
     "envelope": envelope,
     "bounds": bounds,
