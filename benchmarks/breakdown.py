@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import signal
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
 from typing import Any
@@ -60,7 +60,7 @@ def part_of(frame: FrameType | None) -> str:
 
 
 @contextmanager
-def sampling() -> Iterator[dict[str, float]]:
+def sampling(part_of: Callable[[FrameType | None], str] = part_of) -> Iterator[dict[str, float]]:
     """CPU seconds of this thread by part, while the context lasts."""
     spent: dict[str, float] = {}
     clock = time.thread_time()

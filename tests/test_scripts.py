@@ -148,6 +148,9 @@ STARTS: dict[str, list[Start]] = {
             r"\| NadirScan-v1 \| rule \| 2 \| - \| [\d.]+ \+- .*\n\| NadirScan-v1 \| random \| 2 \| - \| -[\d.]+ \+-",
         ),
     ],
+    "benchmarks/training_profile.py": [
+        Start("--cases NadirScan-v1:mlp --seconds 0.2 --num-envs 2", r"\| NadirScan-v1:mlp \| all \| [\d,.]+ \| 100.0 \|"),
+    ],
     "benchmarks/vs_basilisk.py": [
         Start(
             "--only 1 gymnasium 64-collector --turns 1 --seconds 0.1 --warm-up 1",

@@ -351,7 +351,15 @@ def difficulties(name: str, what: str) -> str:
 
 def own_environments() -> str:
     """Return what trainings without settings reach, and random and constant actions."""
-    head = ["environment", "time limit, s", "at the limit", "random actions", "best constant action", "trained, each seed", "decisions"]
+    head = [
+        "environment",
+        "time limit, s",
+        "at the limit",
+        "random actions",
+        "best constant action",
+        "trained, each seed",
+        "decisions",
+    ]
     rows = []
     for row in load("own_environments")["rows"]:
         results = zip(row["trained"], row["half_widths"], strict=True)
