@@ -1,4 +1,4 @@
-"""``bsk-torch bench``: policies of any library in the frozen episodes of a suite."""
+"""``bsk-torch bench``: policies from any library in the fixed episodes of a suite."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def bench(
     device: str,
     certify: int,
 ) -> None:
-    """Play the frozen episodes of a suite, the same for every policy, and compare; see :mod:`bsk_torch.cli.main`."""
+    """Compare policies in the fixed episodes of a suite; see :mod:`bsk_torch.cli.main`."""
     torch.set_num_threads(threads)
     check_writable(out)
     try:

@@ -1,4 +1,4 @@
-"""``bsk-torch build-kernels``: compile the kernels of presets for machines that have no compiler."""
+"""``bsk-torch build-kernels``: compile the kernels of presets for machines without a compiler."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ STEPS = 3
 
 
 def build_kernels(presets: list[str] | None, out: Path, isa: str | None, mixed: bool) -> None:
-    """Compile the kernels of presets for machines that have no compiler; see :mod:`bsk_torch.cli.main`."""
+    """Compile the kernels of presets for machines without a compiler; see :mod:`bsk_torch.cli.main`."""
     for preset in presets or ():
         if preset not in PRESETS:
             fail(f"{preset!r} is no preset; they are {', '.join(PRESETS)}")

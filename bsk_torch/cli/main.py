@@ -1,4 +1,4 @@
-"""The commands of ``bsk-torch``, as users see them. Importing this module imports neither torch nor what does the work."""
+"""The commands of ``bsk-torch`` with their options. This module imports neither torch nor the modules that do the work."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ from bsk_torch.cli.terminal import activity, fail, print_message
 logger = logging.getLogger(__name__)
 
 INTERRUPTED = 130
-"""Exit status after Ctrl-C, as of shells."""
+"""Exit status after Ctrl-C, as in shells."""
 
 
 class Commands(WithoutTypes, TyperGroup):
-    """Ends the program with one error, not a traceback, where files, memory or a compiler fail in the middle of a command."""
+    """Ends the program with one error instead of a traceback if files, memory or a compiler fail during a command."""
 
     def invoke(self, ctx: Any) -> Any:
         """Run the command."""
@@ -54,7 +54,7 @@ class Commands(WithoutTypes, TyperGroup):
 
 
 def described(error: BaseException) -> str:
-    """Return the message of an error; that of the system names the file first."""
+    """Return the message of an error; system errors start with the file."""
     if isinstance(error, OSError) and error.strerror and error.filename:
         return f"{str(error.filename)!r}: {error.strerror}"
     return str(error) or type(error).__name__
@@ -81,9 +81,9 @@ def setup(
 
 @command(app, "presets", "bsk-torch list\nbsk-torch list --long", name="list")
 def list_presets(
-    long: Annotated[bool, typer.Option("--long", help="Add what the pretrained policy reaches, and its training.")] = False,
+    long: Annotated[bool, typer.Option("--long", help="Add score and training of the pretrained policies.")] = False,
 ) -> None:
-    """List the environments, with a line about each."""
+    """List the environments with short descriptions."""
 
 
 @command(
@@ -132,7 +132,7 @@ def train(
     ] = None,
     seed: Annotated[int, typer.Option(metavar="N", min=0, help="Seed of networks, actions and episodes.")] = 0,
     seeds: Annotated[
-        int, typer.Option(metavar="N", min=1, help="Number of runs, one after the other, with seeds from --seed on.")
+        int, typer.Option(metavar="N", min=1, help="Number of runs, one after the other, with seeds starting at --seed.")
     ] = 1,
     resume: Annotated[bool, typer.Option("--resume", help="Resume the run in the given folder.")] = False,
     out: Annotated[
@@ -164,7 +164,7 @@ def evaluate_policy(
     seeds: Annotated[str, typer.Option(metavar="A:B", help="Episodes of the seeds A to B - 1, or of a single seed.")] = "0:1000",
     shield: Shield = None,
     plan: Plan = None,
-    baselines: Annotated[bool, typer.Option(help="Compare with the baselines that fit.")] = True,
+    baselines: Annotated[bool, typer.Option(help="Compare with all applicable baselines.")] = True,
     out: Annotated[Path | None, typer.Option(metavar="FILE", help="JSON file for the results.")] = None,
     episodes_out: Annotated[Path | None, typer.Option(metavar="FILE", help="CSV file with a row for each episode.")] = None,
     threads: Threads = 1,
@@ -203,7 +203,7 @@ def film(
     every: Annotated[
         float | None, typer.Option(metavar="S", help="A frame at least every S seconds; default: one for each decision.")
     ] = None,
-    fps: Annotated[float, typer.Option(metavar="N", min=0.1, max=50.0, help="Frames in a second of the film.")] = 5.0,
+    fps: Annotated[float, typer.Option(metavar="N", min=0.1, max=50.0, help="Frames per second.")] = 5.0,
     height: Annotated[int, typer.Option(metavar="N", help="Height of a frame in pixels; the width is 4/3 of it.")] = 480,
     plan: Plan = None,
     threads: Threads = 1,
@@ -232,7 +232,7 @@ def explain_failures(
     ] = "0:2000",
     starts: Annotated[
         str | None,
-        typer.Option(metavar="A:B", help="Seeds of episodes to search for actions that survive them, whatever the policy."),
+        typer.Option(metavar="A:B", help="Seeds of episodes in which to search for surviving actions, regardless of the policy."),
     ] = None,
     num_envs: Annotated[int, typer.Option(metavar="N", min=1, help="Episodes, or states of a search, at once.")] = 1024,
     draw: Annotated[
@@ -246,8 +246,8 @@ def explain_failures(
 ) -> None:
     """Find actions that would have saved each lost satellite, or prove that none exist.
 
-    For each death, the search looks for a rescue from the start of the episode, and then from as late a decision as possible. An
-    episode is called lost only if that is proven.
+    For each death, search for surviving actions from the start of the episode, and then from the latest possible decision. An
+    episode counts as lost only with a proof.
     """
 
 
@@ -283,7 +283,7 @@ def bench(
             show_default=False,
         ),
     ],
-    suite: Annotated[str, typer.Option(metavar="NAME", help="Suite of frozen episodes.")] = "v1",
+    suite: Annotated[str, typer.Option(metavar="NAME", help="Suite of fixed episodes.")] = "v1",
     presets: Annotated[str | None, typer.Option(metavar="NAMES", help="Only some of its presets, separated by commas.")] = None,
     episodes: Annotated[
         int, typer.Option(metavar="N", min=1, max=1024, help="Number of episodes per task (the first N).")
@@ -297,20 +297,20 @@ def bench(
     backend: Backend = "compiled",
     device: Device = "cpu",
     certify: Annotated[
-        int, typer.Option(metavar="N", min=0, help="Fly the first N episodes of each task on Basilisk too, if it is installed.")
+        int, typer.Option(metavar="N", min=0, help="Repeat the first N episodes of each task on Basilisk, if it is installed.")
     ] = 0,
 ) -> None:
-    """Compare policies of any library in the frozen episodes of a suite.
+    """Compare policies from any library in the fixed episodes of a suite.
 
-    Scores are returns, scaled to 0 for random actions and 1 for the best rule or policy of the package when the suite was made. A
-    policy that does not fit a preset has no score there. With --certify, the last column shows how many of the episodes flown on
-    Basilisk have the same decisions and outcome there, and the largest difference of their returns.
+    Scores are returns, scaled to 0 for random actions and 1 for the best rule or policy of the package when the suite was
+    created. Policies have no score for presets to which they do not apply. With --certify, the last column shows how many of the
+    episodes repeated on Basilisk have the same decisions and outcome, and the largest difference of their returns.
     """
 
 
 @command(app, "arguments", "bsk-torch args NadirScan-v1", name="args")
 def show_arguments(preset: Preset) -> None:
-    """Show every argument of a preset's satellites and world: its value there, its default and its meaning."""
+    """Show the arguments of a preset's satellites and world: value in the preset, default and meaning."""
 
 
 @command(app, "schedule", "bsk-torch schedule\nbsk-torch schedule NadirScan-v1", name="schedule")
@@ -337,8 +337,8 @@ def publish(
         list[str] | None,
         typer.Option(
             metavar="NAME",
-            help="Option of the environment for training only, such as n_satellites for a policy that was trained alone and is "
-            "meant for all; repeatable.",
+            help="Option of the environment used only for training, such as n_satellites for a policy trained with one satellite; "
+            "repeatable.",
         ),
     ] = None,
     episodes: Annotated[int, typer.Option(metavar="N", min=4, help="Unseen episodes of the evaluation.")] = 256,
@@ -350,8 +350,8 @@ def publish(
 ) -> None:
     """Add the policy of a run to the pretrained ones, with its training command, time and score.
 
-    The evaluation plays the unseen episodes of seed 1,000,003 + the seed of training, in the environment of the training without
-    the dropped options.
+    The evaluation uses the episodes of seed 1,000,003 + the training seed, in the training environment without the dropped
+    options.
     """
 
 
@@ -364,7 +364,7 @@ def publish(
 def build_kernels(
     presets: Annotated[list[str] | None, typer.Argument(help="Environments; default: all.", show_default=False)] = None,
     out: Annotated[
-        Path, typer.Option(metavar="FOLDER", help="Folder that BSK_TORCH_KERNELS will name on the other machines.")
+        Path, typer.Option(metavar="FOLDER", help="Output folder; set BSK_TORCH_KERNELS to its path on the other machines.")
     ] = Path("kernels"),
     isa: Annotated[
         str | None,
@@ -372,8 +372,8 @@ def build_kernels(
     ] = None,
     mixed: Annotated[bool, typer.Option("--mixed", help="Also for mixed precision (sim_dtype=float32).")] = False,
 ) -> None:
-    """Compile the kernels of presets for machines that have no compiler.
+    """Compile the kernels of presets for machines without a compiler.
 
-    The other machines need the same versions of torch and bsk_torch, processors with the same instructions, and a C library that
-    is not older.
+    The other machines need the same versions of torch and bsk_torch, processors with the same instructions, and a C library at
+    least as new.
     """

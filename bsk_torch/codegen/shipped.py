@@ -1,4 +1,4 @@
-"""Kernels built on one machine for others that have no compiler.
+"""Kernels built on one machine for others without a compiler.
 
 :func:`building` makes every kernel needed within it, for a named set of instructions of x86-64 processors instead of this
 very processor, and puts it into a folder. Where ``BSK_TORCH_KERNELS`` names such folders, :func:`find` looks there first. The
