@@ -337,7 +337,7 @@ def publish(
         list[str] | None,
         typer.Option(
             metavar="NAME",
-            help="Option of the environment used only for training, such as n_satellites for a policy trained with one satellite; "
+            help="Environment option used only for training, such as n_satellites for a policy trained with one satellite; "
             "repeatable.",
         ),
     ] = None,
