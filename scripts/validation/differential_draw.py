@@ -599,6 +599,8 @@ def fleet_case(draw: Draw, seed: int, steps: int, family: str) -> Case:
         craft(draw, f"Sat{k}", role, orbit, mixins, env["sim_rate"])
         for k, (role, orbit) in enumerate(zip(roles, orbits, strict=True))
     ]
+    if task == "image":  # bsk_rl asks all satellites that look for places for their minimum elevation of targets
+        crafts = [replace(one, base="Satellite") if one.dyn[-1] == "BasicDynamicsModel" else one for one in crafts]
     if count > 1 and family != "mixed" and draw.chance(0.5):  # satellites of one type
         crafts = [
             replace(crafts[0], name=other.name, orbit=other.orbit, sat_args=crafts[0].sat_args | body_args(Draw(seed + k)))

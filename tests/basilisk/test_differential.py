@@ -53,7 +53,8 @@ def test_exceptions_must_be_the_same():
     other = flight()
     other.error, other.where = KeyError("mass"), "reset"
     assert judge(case, copy.copy(there), there, there).word == "error"
-    assert judge(case, other, there, there).finding.here == "KeyError: 'mass'"
+    assert judge(case, other, there, there).word == "error"
+    assert judge(as_program(case), other, there, there).finding.here == "KeyError: 'mass'"
 
 
 def test_the_last_result_of_a_seed_counts(tmp_path):

@@ -84,7 +84,7 @@ def candidates(windows: Windows, time: Tensor, until: Tensor, allowed: Tensor | 
     valid = (windows.open < end) & (windows.close >= now) & (end >= now) & torch.isfinite(windows.close)
     if allowed is not None:
         valid = valid & allowed.gather(1, windows.place)
-    is_cut = windows.close > end
+    is_cut = windows.close >= end  # those that bsk_rl ends there, too
     tie_break = torch.where(is_cut, windows.place.to(end.dtype) * TIE_BREAK, 0.0)
     return Candidates(Windows(windows.open, torch.minimum(windows.close, end), windows.place), valid, tie_break)
 

@@ -387,7 +387,7 @@ def naive(row: list[tuple[float, float, int]], time: float, until: float, width:
     for k, (opens, closes, place) in enumerate(row):
         seen = math.isfinite(closes) and opens < until and min(closes, until) >= time + 1e-12
         if seen and (allowed is None or allowed[place]):
-            found.append(Listed(min(closes, until), closes > until, place, k, opens))
+            found.append(Listed(min(closes, until), closes >= until, place, k, opens))
     found.sort(key=lambda w: (w.close, w.cut, w.place if w.cut else w.number))
     return found[:width]
 
