@@ -211,8 +211,12 @@ def rewarder(library: Library, part: Part) -> Any:
         return getattr(library.data, part.name)(**options)
     weight, name = options["reward_weight"], options["resource"]
     if name == "dv_available":  # of satellites without a tank, such as an RSO: none
+
+        def fuel(sat: Any) -> Any:
+            return sat.fsw.dv_available if hasattr(sat.fsw, "dv_available") else 0.0
+
         return library.data.ResourceReward(
-            reward_weight=weight, resource_fn=lambda sat: sat.fsw.dv_available if hasattr(sat.fsw, "dv_available") else 0.0
+            reward_weight=weight, resource_fn=library.root.per_environment(fuel) if library.name == CORE else fuel
         )
     return library.data.ResourceReward(reward_weight=weight, resource_fn=lambda sat: getattr(sat.dynamics, name))
 
