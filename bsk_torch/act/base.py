@@ -237,8 +237,8 @@ class ActionBuilder:
     def _shared_keys(self) -> Tensor | None:
         """Return the key of each action, [n_actions], if several entries give one command; None if keys are action numbers.
 
-        An action that repeats the command of the last one continues it, whatever their durations: as in bsk_rl, the command is
-        the key.
+        An action that repeats the command of the last one continues it, regardless of their durations: as in bsk_rl, the
+        command is the key.
         """
         first: dict[str, int] = {}
         keys = list(range(self.n_actions))
@@ -259,7 +259,7 @@ class ActionBuilder:
         return self.description[int(action)] if action >= 0 else "a target by its index"
 
     def checked(self, action: Tensor, acts: Tensor) -> Tensor:
-        """Return a copy of the actions [N] as int64, with 0 where they are ignored.
+        """Return a copy of the actions [N] as int64, with 0 if they are ignored.
 
         Raises:
             ValueError: For an action out of range where the mask ``acts`` [N] is true.

@@ -107,7 +107,7 @@ class ContinuousBuilder:
         task.declare("action", 0.0, self.width, low=-LARGEST, high=LARGEST)
 
     def checked(self, action: Tensor, acts: Tensor) -> Tensor:
-        """Return actions [N, A] or [N, A + 1] as float64, 0 where they are ignored, and store their dtype in the entry.
+        """Return actions [N, A] or [N, A + 1] as float64, 0 if they are ignored, and store their dtype in the entry.
 
         Raises:
             ValueError: For infinite or NaN values, or an invalid choice, where the mask ``acts`` [N] is true.

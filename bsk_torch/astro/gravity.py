@@ -113,7 +113,7 @@ def _column(m: int, order: int, z: Tensor, rho: Tensor) -> list[Any]:
 
 
 def _sums(m: int, column: list[Any], weights: Mapping[tuple[int, int], Weights]) -> list[tuple[Any, Any]]:
-    """Return, for each axis, the sums over n of the weights of V and of W times the column; None where all weights are zero."""
+    """Return, for each axis, the sums over n of the weights of V and of W times the column; None if all weights are zero."""
     scale = float(math.prod(range(1, 2 * m, 2)))
     pairs = []
     for axis in range(3):

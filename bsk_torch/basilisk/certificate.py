@@ -89,7 +89,7 @@ class Certificate:
 
 
 def certify(task: Task, entrant: Entrant, episodes: int, **options: object) -> Certificate | None:
-    """Fly the first ``episodes`` of a task with the policy that ``entrant`` enters here and on Basilisk; None where it has none.
+    """Fly the first ``episodes`` of a task with the policy that ``entrant`` enters here and on Basilisk; None if it has none.
 
     Both fly by the rules of bsk_rl, ``compat="bsk_rl"``. On Basilisk the policy decides again by what is observed there. The
     actions of planners, recurrent or random policies, and functions without declared inputs are replayed.

@@ -55,7 +55,7 @@ class Flight:
         seconds: Length of the episode, to the nanosecond.
         penalty: What dying has cost.
         deaths: Aliveness checks that failed; empty for a survivor.
-        fill: Data in the store at the end, fraction of its capacity; nan where there is no store.
+        fill: Data in the store at the end, fraction of its capacity; nan if there is no store.
     """
 
     seed: int
@@ -175,7 +175,7 @@ def plain(values: Tensor) -> list[Any]:
 
 
 def epochs_of(env: SatelliteTasking, seeds: Sequence[int]) -> list[str]:
-    """The epochs as they were drawn, which the simulation keeps as numbers only; ValueError where that cannot be repeated."""
+    """The epochs as they were drawn, which the simulation keeps as numbers only; ValueError if that cannot be repeated."""
     given, n = env.simulator.type.arguments.world_args.given["utc_init"], len(seeds)
     if callable(given) and not isinstance(given, Distribution):
         raise ValueError(
@@ -190,7 +190,7 @@ def epochs_of(env: SatelliteTasking, seeds: Sequence[int]) -> list[str]:
 
 
 def targets_of(env: SatelliteTasking, row: int) -> tuple[Array, Array] | None:
-    """Targets of an episode, in their order; None where there are none."""
+    """Targets of an episode, in their order; None if there are none."""
     tables = env.simulator.scenario_state
     if TABLES[0] not in tables:
         return None

@@ -77,7 +77,7 @@ def bits(arguments: dict[str, Any]) -> dict[str, Any]:
 
 
 def environment(problem: Problem, start: Start, satellite: object, scenario: object, rewarder: object) -> SatelliteTasking:
-    """The environment with every initial condition pinned; ValueError where bsk_rl would still draw one."""
+    """The environment with every initial condition pinned; ValueError if bsk_rl would still draw one."""
     env = SatelliteTasking(
         satellite=satellite,
         scenario=scenario,
@@ -171,7 +171,7 @@ def shield(satellite: Any, n_actions: int) -> NDArray[np.bool_]:
 
 
 def fly_there(problem: Problem, start: Start, pilot: Pilot) -> Flight:
-    """The episode in bsk_rl; ValueError where it observes, or may do, something else than bsk_torch."""
+    """The episode in bsk_rl; ValueError if it observes, or may do, something else than bsk_torch."""
     env = BUILDERS[problem.preset](problem, start)
     observation, _ = env.reset(seed=0)
     satellite = env.satellite

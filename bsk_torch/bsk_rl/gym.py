@@ -212,7 +212,7 @@ class GeneralSatelliteTasking(gymnasium.Env[Any, Any], Generic[SatObs, SatAct]):
         return compose(tuple(models), WorldModel)
 
     def get_satellite(self, name: str) -> Satellite:
-        """Return the satellite of a name; ValueError where there is none."""
+        """Return the satellite of a name; ValueError if there is none."""
         for satellite in self.satellites:
             if satellite.name == name:
                 return satellite

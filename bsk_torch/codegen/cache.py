@@ -68,7 +68,7 @@ def check_owner(folder: Path) -> None:
 
 
 def read_trusted(path: Path) -> bytes | None:
-    """Return the content of a library in the cache; None where there is none, or one that others may have put there."""
+    """Return the content of a library in the cache; None if there is none, or one that others may have put there."""
     try:
         file = os.open(path, os.O_RDONLY | sum(getattr(os, flag, 0) for flag in ("O_NOFOLLOW", "O_NONBLOCK", "O_BINARY")))
     except FileNotFoundError:

@@ -78,7 +78,7 @@ def lower(loop: Loop, lockstep: bool = False) -> LoweredLoop:
 
 
 def _require_new_state(loop: Loop) -> None:
-    """Raise ValueError where a loop writes something else than rows of the new state: other values do not outlast a tick."""
+    """Raise ValueError if a loop writes something else than rows of the new state: other values do not outlast a tick."""
     if not set(loop.written) <= set(loop.outputs):
         raise ValueError("a kernel whose rows run in lockstep writes rows of the new state only")
 

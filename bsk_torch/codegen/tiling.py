@@ -25,7 +25,7 @@ def in_blocks(
 
     Args:
         counts: Number of ticks, at most, of each row [n]; copied unless ``expected_ticks`` is None.
-        expected_ticks: Number of ticks to be expected of each row [n], or None where all are alike.
+        expected_ticks: Number of ticks to be expected of each row [n], or None if all are alike.
         mode: Mode of each row [n], if there are any.
         modes: Number of modes.
         width: Rows of a block.

@@ -68,7 +68,7 @@ class ImageReward(GlobalReward):
             taken: Whether the satellite has taken an image of it in the step, [N, S] bool.
 
         Returns:
-            Reward [N, S], zero where no image was taken.
+            Reward [N, S], zero if no image was taken.
         """
         raise NotImplementedError(f"{type(self).__name__} must implement value(target, taken)")
 

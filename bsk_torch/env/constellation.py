@@ -389,7 +389,7 @@ class ConstellationTasking(Tasking):
 
 
 def _blank(leaf: Tensor, hidden: Tensor) -> Tensor:
-    """Return the leaf [N, A, ...] with zeros where it is ``hidden`` [N, A]."""
+    """Return the leaf [N, A, ...] with zeros where ``hidden`` [N, A] is true."""
     return torch.where(hidden.view(*hidden.shape, *[1] * (leaf.ndim - 2)), torch.zeros_like(leaf), leaf)
 
 

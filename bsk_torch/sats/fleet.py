@@ -53,7 +53,7 @@ class SatelliteFleet(Fleet):
         """Return the value of ``read`` for every satellite, [N, S, ...]; ``missing`` for types without such an attribute.
 
         Raises:
-            AttributeError: Where no type has it.
+            AttributeError: If no type has it.
         """
         if len(self.satellites) == 1:
             return self.joined([read(self.satellites[0])])

@@ -77,7 +77,7 @@ class OneView:
         return f"<{type(self._whole).__name__} of row {self._row}>"
 
     def __getattr__(self, name: str) -> Any:
-        """Return an attribute as the row has it; AttributeError where there is none, or none for a single row."""
+        """Return an attribute as the row has it; AttributeError if there is none, or none for a single row."""
         whole = self._whole
         if name.startswith("__"):
             raise AttributeError(name)

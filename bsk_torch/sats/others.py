@@ -58,7 +58,7 @@ class Aligned:
     _take: Take
 
     def __getattr__(self, name: str) -> Any:
-        """Return an attribute, aligned; AttributeError where there is none."""
+        """Return an attribute, aligned; AttributeError if there is none."""
         if name.startswith("__"):
             raise AttributeError(name)
         return aligned(getattr(self._whole, name), self._rows, self._take)

@@ -161,7 +161,7 @@ class Fleet:
 
     @property
     def present(self) -> Tensor | None:
-        """Satellites that take part in their episodes from beginning to death or end, [N, S]; None where all do in all."""
+        """Satellites that take part in their episodes from beginning to death or end, [N, S]; None if all do in all."""
         return self.joined([simulator.state["present"] for simulator in self.simulators]) if self.varies else None
 
     def first_of_each(self, rows: Tensor, count: int) -> Tensor:

@@ -299,7 +299,7 @@ class Simulator:
 
     @property
     def present(self) -> Tensor | None:
-        """Satellites that take part in their episodes, [N]; None where all do in all."""
+        """Satellites that take part in their episodes, [N]; None if all do in all."""
         return self.state["present"] if "present" in self.state.fields else None
 
     @property
@@ -394,7 +394,7 @@ class Simulator:
         return ticks if present is None else torch.where(present, ticks, 0)
 
     def _present_of(self, rows: Tensor | None) -> Tensor | None:
-        """Return which of ``rows`` [n], or all, are present, [n]; None where all always are."""
+        """Return which of ``rows`` [n], or all, are present, [n]; None if all always are."""
         present = self.present
         return present if present is None or rows is None else present[rows]
 

@@ -186,7 +186,7 @@ class StateTable:
         self.__dict__[name] = owned(value) if isinstance(value, Tensor) else value
 
     def __getitem__(self, name: str) -> Tensor:
-        """Return the tensor ``name``; KeyError where it is not declared."""
+        """Return the tensor ``name``; KeyError if it is not declared."""
         if name not in self.fields:
             raise KeyError(f"no field of the state is called {name!r}; declared are {sorted(self.fields)}")
         return self.__dict__[name]
@@ -375,7 +375,7 @@ class StateTable:
             table.check(f"{path}{name}.")
 
     def check_relations(self, path: str) -> None:
-        """Raise ValueError where values of saved rows do not fit together."""
+        """Raise ValueError if values of saved rows do not fit together."""
 
     def refuse(self, name: str, value: Tensor, wrong: Tensor, why: str) -> None:
         """Raise ValueError for a saved tensor [rows, ...] that is ``wrong`` somewhere; the mask has its shape, or is [rows]."""

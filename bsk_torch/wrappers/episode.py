@@ -29,7 +29,7 @@ class EpisodeView:
         return [self.get_satellite(name) for name in self.core.names]
 
     def get_satellite(self, name: str) -> OneSatellite:
-        """Return the satellite of that name; ValueError where there is none."""
+        """Return the satellite of that name; ValueError if there is none."""
         if name not in self.core.names:
             raise ValueError(f"no satellite is called {name!r}; {nearest(str(name), self.core.names)}")
         whole = next(satellite for satellite in self.core.satellites if name in satellite.names)

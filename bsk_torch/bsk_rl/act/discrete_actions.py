@@ -63,7 +63,7 @@ class DiscreteActionBuilder(ActionBuilder):
         ]
 
     def set_action(self, action: Any) -> None:
-        """Begin the action of a number, or what some action makes of another value; ValueError where none does."""
+        """Begin the action of a number, or what some action makes of another value; ValueError if none does."""
         self.satellite.disable_timed_terminal_event()
         if not np.issubdtype(type(action), np.integer):
             self._override(action)

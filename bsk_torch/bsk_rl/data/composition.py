@@ -16,7 +16,7 @@ logger = logging.getLogger(__name__)
 
 
 def _found(parts: Iterable[Any], name: str, kind: str) -> Any:
-    """Return an attribute of the first part that has it; AttributeError where none has."""
+    """Return an attribute of the first part that has it; AttributeError if none has."""
     for part in parts:
         if hasattr(part, name):
             return getattr(part, name)

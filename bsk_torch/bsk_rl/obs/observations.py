@@ -201,7 +201,7 @@ class SatProperties(Observation):
         return [entry["prop"] for entry in self.obs_properties if "fn" not in entry]
 
     def reset_post_sim_init(self) -> None:
-        """Find the models that have the properties; AttributeError where none has."""
+        """Find the models that have the properties; AttributeError if none has."""
         for entry in self.obs_properties:
             if "module" not in entry and "fn" not in entry:
                 for module in ("dynamics", "fsw"):

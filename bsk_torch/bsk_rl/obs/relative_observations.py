@@ -187,7 +187,7 @@ class RelativeProperties(Observation):
         self.rel_properties, self.chief_name = rel_properties, chief_name
 
     def reset_post_sim_init(self) -> None:
-        """Find the chief; ValueError where there is none of its name."""
+        """Find the chief; ValueError if there is none of its name."""
         found = [satellite for satellite in self.satellite.simulator.satellites if satellite.name == self.chief_name]
         if not found:
             raise ValueError(f"Chief satellite {self.chief_name} not found")

@@ -109,7 +109,7 @@ class Simulator:
         return self.sim_time_ns * NANO
 
     def get_satellite(self, name: str) -> Any:
-        """Return the satellite of a name; ValueError where there is none."""
+        """Return the satellite of a name; ValueError if there is none."""
         for satellite in self.satellites:
             if satellite.name == name:
                 return satellite

@@ -115,7 +115,7 @@ class Envelope:
                 that has so many repeat that one.
 
         Raises:
-            ValueError: Where no bin has enough transitions.
+            ValueError: If no bin has enough transitions.
         """
         index = (angle[one_step] / width).long().clamp(0, bins - 1)
         trusted = torch.nonzero(torch.bincount(index, minlength=bins) >= max(1, enough)).flatten()

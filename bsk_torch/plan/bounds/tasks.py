@@ -31,7 +31,7 @@ DISTURBANCE = 0.01
 def agility(satellite: BoundImagingSatellite) -> dict[str, str]:
     """Return the arguments that decide how fast a satellite is, as text by name: numbers to nine digits.
 
-    ValueError where they differ between episodes, or where the flight software has none of them.
+    ValueError if they differ between episodes, or where the flight software has none of them.
     """
     args = satellite.sat_args
     if not issubclass(type(satellite).fsw_type, SteeringImagerFSWModel):

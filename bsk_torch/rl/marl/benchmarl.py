@@ -55,7 +55,7 @@ class ConstellationClass(TaskClass):
     def get_env_fun(
         self, num_envs: int, continuous_actions: bool, seed: int | None, device: torch.device | str
     ) -> Callable[[], EnvBase]:
-        """A function that makes the environment; ValueError where continuous actions are asked for."""
+        """A function that makes the environment; ValueError if continuous actions are asked for."""
         if continuous_actions:
             raise ValueError(f"continuous_actions=True, but the actions of {PRESET[self.name]} are discrete")
         options = copy.deepcopy(self.config["options"])

@@ -78,6 +78,6 @@ class ConstellationCritic(Gist):
 
 
 def mean_where(x: Tensor, mask: Tensor) -> Tensor:
-    """Mean [..., W] of those x [..., K, W] where ``mask`` [..., K] is true; zero where there are none."""
+    """Mean [..., W] of those x [..., K, W] where ``mask`` [..., K] is true; zero if there are none."""
     weight = mask.unsqueeze(-1).to(x.dtype)
     return (x * weight).sum(-2) / weight.sum(-2).clamp(min=1.0)

@@ -53,7 +53,7 @@ class FlownOrbits(NamedTuple):
         max_range: Range of their sensors, [N * count] m; no limit if it is not positive.
         max_speed: Bound of their speeds, [N * count] m/s.
         use_kernels: Whether kernels compute positions.
-        present: Those that take part in their episodes, [N * count]; None where all do. The arcs of the others do not cover the
+        present: Those that take part in their episodes, [N * count]; None if all do. The arcs of the others do not cover the
             searched ticks.
     """
 

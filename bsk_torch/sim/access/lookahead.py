@@ -323,7 +323,7 @@ class LookAhead(StateTable):
                 vain do not add segments again and again.
 
         Raises:
-            RuntimeError: Where a window is needed, there is none within the look-ahead, and there must be one.
+            RuntimeError: If a window is needed, there is none within the look-ahead, and there must be one.
         """
         assert self.access is not None
         self._check_sight()

@@ -52,7 +52,7 @@ class Member:
         return self.ask("the function")[self.name]
 
     def ask(self, title: str) -> dict[str, Any]:
-        """Return the values of a call; ValueError where it sets other arguments than the first one."""
+        """Return the values of a call; ValueError if it sets other arguments than the first one."""
         values = _called(self.function, title)
         if values.keys() != self.names:
             raise ValueError(

@@ -41,7 +41,7 @@ class ArgumentTable(dict[str, Any]):
         return self
 
     def cells(self) -> list[dict[str, str]]:
-        """Return a row for each argument, those of :attr:`here` first; ``default`` is empty where it is the value ``here``."""
+        """Return a row for each argument, those of :attr:`here` first; ``default`` is empty if it is the value ``here``."""
         found = []
         for arg in sorted(self.rows.values(), key=lambda arg: arg.name not in self.here):
             value, default = self.here.get(arg.name, self[arg.name]), self[arg.name] if arg.name in self.here else ""

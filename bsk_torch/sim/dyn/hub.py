@@ -84,7 +84,7 @@ def check_turn(args: Values, H: Tensor, J: Tensor, h: float, cause: str) -> None
         cause: The arguments that turn the body, and the verb, for the message.
 
     Raises:
-        ValueError: Where ticks are too long.
+        ValueError: If ticks are too long.
     """
     turn = h * H.norm(dim=-1) / J.min(-1).values
     row = int(turn.argmax())

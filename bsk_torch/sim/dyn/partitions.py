@@ -34,7 +34,7 @@ Levels = tuple[Tensor, ...]
 
 
 def partition_names(given: Mapping[str, Any]) -> tuple[str, ...]:
-    """Return the names of the partitions that the arguments ask for, in order; ValueError where they do not fit together."""
+    """Return the names of the partitions that the arguments ask for, in order; ValueError if they do not fit together."""
     names, count = given["bufferNames"], given["transmitterNumBuffers"]
     if not isinstance(count, Real) or not 1.0 <= float(count) <= storage.MOST_BUFFERS or not float(count).is_integer():
         raise ValueError(

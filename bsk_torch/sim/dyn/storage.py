@@ -86,7 +86,7 @@ def _packet_size(args: Values) -> dict[str, Tensor]:
 
 
 def initial_store(args: Values) -> dict[str, Tensor]:
-    """Return the level that the store starts with: whole bits, 0 where they are more than the capacity."""
+    """Return the level that the store starts with: whole bits, 0 if they are more than the capacity."""
     level, capacity = torch.trunc(args["storageInit"]), torch.trunc(args["dataStorageCapacity"])
     return {"storage": torch.where(level <= capacity, level, torch.zeros_like(level))}
 

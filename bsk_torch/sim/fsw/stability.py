@@ -109,7 +109,7 @@ def is_stable(law: Law, J: Tensor, h: float, growth: float = 1.0) -> Tensor:
 
 
 def check_gains(args: Values, h: float, law: Law, gains: str, suggested: str) -> str | None:
-    """Return words about a loop that is unstable at the length h of a tick, s, to be logged; None where all are stable.
+    """Return words about a loop that is unstable at the length h of a tick, s, to be logged; None if all are stable.
 
     Args:
         args: Drawn arguments; without those of a body with wheels nothing is checked.
@@ -119,7 +119,7 @@ def check_gains(args: Values, h: float, law: Law, gains: str, suggested: str) ->
         suggested: Stable gains as text, with the names of :data:`SUGGESTED` in braces.
 
     Raises:
-        ValueError: Where nothing keeps the growing rates bounded, so that numbers overflow.
+        ValueError: If nothing keeps the growing rates bounded, so that numbers overflow.
     """
     J = body_inertia(args) - SPIN_INERTIA
     unstable = ~is_stable(law, J, h).all(-1)

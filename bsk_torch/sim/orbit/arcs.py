@@ -162,13 +162,13 @@ class Arcs(StateTable):
         self.flown[rows], self.planned[rows] = flown, torch.cat([planned, new], 1)
 
     def _solved(self, rows: Tensor, *known: Tensor) -> Solution:
-        """Solve the next hour of ``rows`` [n]; FloatingPointError where positions are not finite."""
+        """Solve the next hour of ``rows`` [n]; FloatingPointError if positions are not finite."""
         found = self.solver.extend(*known)
         self._check_finite(rows, found.planned, found.flown)
         return found
 
     def _check_finite(self, rows: Tensor, planned: Tensor, flown: Tensor) -> None:
-        """Raise FloatingPointError where new positions of ``rows`` [n] are not finite."""
+        """Raise FloatingPointError if new positions of ``rows`` [n] are not finite."""
         wrong = ~torch.isfinite(planned).flatten(1).all(1) | ~torch.isfinite(flown[:, -1]).all(1)
         wrong = wrong & (self.et[rows] != 0.0)  # where no episode has begun, there is no orbit yet
         if bool(wrong.any()):

@@ -97,7 +97,7 @@ class Call:
     Attributes:
         k: The type.
         ticks: Most ticks of each row, [n * count].
-        expected: Probable number of them, [n * count]; None where no event is expected.
+        expected: Probable number of them, [n * count]; None if no event is expected.
         may_rewind: Whether the rows may be rewound to where they are now.
         trace: Where it records fields.
         followed: Traces that it reads, by slot.

@@ -72,7 +72,7 @@ def _others(panel: Axes, episode: ImagingEpisode) -> list[Patch]:
 
 
 def _rewards(panel: Axes, episode: ImagingEpisode, limits: tuple[float, float]) -> Line2D:
-    """The sum of rewards on its own axis, with zero where it is within ``limits`` unless rewards were negative."""
+    """The sum of rewards on its own axis, with zero if it is within ``limits`` unless rewards were negative."""
     total = torch.nn.functional.pad(episode.rewards.cumsum(0), (1, 0)).tolist()
     for color, width in (("white", 3.2), (INK, 1.7)):
         panel.step((episode.times / HOUR).tolist(), total, where="post", color=color, linewidth=width)

@@ -77,7 +77,7 @@ class InspectionRecorder:
         self.removed = self.fleet.state.removed[0].clone()
 
     def _fuel(self, k: int) -> Tensor:
-        """What the tanks of the inspectors of a type are good for, m/s [count]; zero where they have none."""
+        """What the tanks of the inspectors of a type are good for, m/s [count]; zero if they have none."""
         simulator = self.fleet.simulators[k]
         if not simulator.has_tank:
             return torch.zeros(simulator.count, dtype=torch.float64)
