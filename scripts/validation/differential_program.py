@@ -142,6 +142,9 @@ def _scenario(draw: Draw, case: Case) -> Part:
         options["priority_distribution"] = Drawn(0.5, 2.0)
     if draw.chance(0.2):
         options["radius"] = 6.3e6
+    if draw.chance(0.3):
+        options |= dict(n_select_from=draw.one(None, 2000, 10000), location_offset=draw.one(0.0, 1e4, 1e5))
+        return Part("CityTargets", (low,), options)
     return Part("UniformTargets", (draw.one(low, (low, 2 * low)),), options)
 
 

@@ -6,9 +6,10 @@ import pickle
 import numpy as np
 import pytest
 
-from bsk_torch.bsk_rl.scene import CityTargets, Scenario, SphericalRSO, UniformTargets
+from bsk_torch.bsk_rl.scene import CityTargets, Scenario, SphericalRSO, UniformTargets, targets
 from bsk_torch.bsk_rl.scene.rso_points import RSOPoint
 from bsk_torch.bsk_rl.scene.targets import Target
+from bsk_torch.bsk_rl.utils.orbital import lla2ecef
 from tests.bsk_rl.fakes import fleet
 
 
@@ -116,3 +117,19 @@ def test_a_scenario_without_rso_warns(caplog):
     scenario.reset_overwrite_previous()
     scenario.reset_pre_sim_init()
     assert "nothing to inspect" in caplog.text
+
+
+def test_cities_are_those_of_bsk_rl_where_it_is_installed(tmp_path, monkeypatch):
+    folder = tmp_path / "bsk_rl" / "_dat" / "simplemaps_worldcities"
+    folder.mkdir(parents=True)
+    (tmp_path / "bsk_rl" / "__init__.py").write_text("raise AssertionError('it is not imported')")
+    rows = "city,lat,lng,iso2", "L'Aquila,42.35,13.39,IT", "Windhoek,-22.57,17.08,NA"
+    (folder / "worldcities.csv").write_text("\n".join(rows))
+    monkeypatch.syspath_prepend(tmp_path)
+    targets.city_places.cache_clear()
+    scenario = CityTargets(2)
+    reset(scenario, [])
+    targets.city_places.cache_clear()
+    places = {target.name: target.r_LP_P for target in scenario.targets}
+    assert places.keys() == {"LAquila, IT", "Windhoek, nan"}
+    assert places["LAquila, IT"] == pytest.approx(lla2ecef(42.35, 13.39, scenario.radius))

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import csv
+import functools
 import logging
 import sys
 from collections.abc import Callable, Iterable
+from importlib.util import find_spec
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -110,11 +114,30 @@ class UniformTargets(Scenario):
             self.targets.append(Target(name=f"tgt-{k}", r_LP_P=r_LP_P, priority=self.priority_distribution()))
 
 
-class CityTargets(UniformTargets):
-    """Targets at different cities, drawn in every episode; the table is :func:`bsk_torch.scene.cities.city_table`.
+@functools.cache
+def city_places() -> list[tuple[str, float, float]]:
+    """Return names such as ``"Denver, US"``, latitudes and longitudes, deg, of all cities, the most populous first.
 
-    Cities are not those of bsk_rl's table, so the same draws lead to other places.
+    Cities are those of bsk_rl's table where bsk_rl is installed; it is not imported. Elsewhere they are those of
+    :func:`bsk_torch.scene.cities.city_table`, at other places.
+
+    Raises:
+        ImportError: Without bsk_rl and the extra ``cities``.
     """
+    spec = find_spec("bsk_rl")
+    for folder in spec.submodule_search_locations or () if spec else ():
+        file = Path(folder) / "_dat" / "simplemaps_worldcities" / "worldcities.csv"
+        if file.exists():
+            with file.open(encoding="utf-8", newline="") as table:  # as pandas reads it there, where Namibia's "NA" is no text
+                rows = [(row["city"], row["iso2"].replace("NA", "nan"), row) for row in csv.DictReader(table)]
+            return [(f"{city}, {country}", float(row["lat"]), float(row["lng"])) for city, country, row in rows]
+    logger.info("cities are those of GeoNames; where bsk_rl is installed, they are those of its table")
+    names, angles = city_table()
+    return [(name, *place) for name, place in zip(names, np.degrees(angles.numpy()).tolist(), strict=True)]
+
+
+class CityTargets(UniformTargets):
+    """Targets at different cities, drawn in every episode; the table is :func:`city_places`."""
 
     def __init__(
         self,
@@ -138,14 +161,14 @@ class CityTargets(UniformTargets):
         self.location_offset = location_offset
 
     def regenerate_targets(self) -> None:
-        """See :meth:`UniformTargets.regenerate_targets`; ImportError without the extra ``cities``."""
-        names, angles = city_table()
+        """See :meth:`UniformTargets.regenerate_targets`; ImportError without a table; see :func:`city_places`."""
+        places = city_places()
         self.targets = []
-        self.n_select_from = min(self.n_select_from, len(names))
+        self.n_select_from = min(self.n_select_from, len(places))
         for k in np.random.choice(self.n_select_from, self.n_targets, replace=False):
-            latitude, longitude = np.degrees(angles[k].numpy())
+            name, latitude, longitude = places[k]
             shift = np.random.normal(size=3)
             shift *= self.location_offset / np.linalg.norm(shift)
             r_LP_P = lla2ecef(latitude, longitude, self.radius) + shift
             r_LP_P *= self.radius / np.linalg.norm(r_LP_P)
-            self.targets.append(Target(name=names[k].replace("'", ""), r_LP_P=r_LP_P, priority=self.priority_distribution()))
+            self.targets.append(Target(name=name.replace("'", ""), r_LP_P=r_LP_P, priority=self.priority_distribution()))
