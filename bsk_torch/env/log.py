@@ -148,9 +148,8 @@ class StepLog:
         """Record the events of a step of the episodes ``moves`` [N].
 
         Attributes by event: ``took`` has ``target``; ``counted`` has ``counter`` and ``count``; ``died`` has ``checks``;
-            ``legal``
-        has ``action_mask``; ``step`` has ``duration`` and ``reward``, summed over satellites; ``ended`` has ``terminated`` and
-        ``truncated``.
+        ``legal`` has ``action_mask``; ``step`` has ``duration`` and ``reward``, summed over satellites; ``ended`` has
+        ``terminated`` and ``truncated``.
         """
         flown = [env for env in self.envs if bool(moves[env])]
         for k, satellite in enumerate(self.satellites):

@@ -1,9 +1,8 @@
 """Beam search over sequences of actions, each evaluated by continuing with the base policy.
 
 Source: beam search of scheduling, evaluated by the pilot method: S. Voss, A. Fink, C. Duin, "Looking ahead with the pilot
-    method",
-Annals of Operations Research 136, 2005. All sequences are evaluated over the same time, so actions of different durations are
-comparable.
+method", Annals of Operations Research 136, 2005. All sequences are evaluated over the same time, so actions of
+different durations are comparable.
 """
 
 from __future__ import annotations

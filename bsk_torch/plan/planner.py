@@ -44,12 +44,9 @@ class Planner(TensorDictModuleBase):
     "Multiagent rollout algorithms and reinforcement learning", 2019). Rewards are summed over all satellites.
 
     By default, copies have the draws of the true episode, including future ones: if observations are noisy or part of the state
-        is
-    hidden, such as clouds, the planner has perfect information. In fully observed presets (most of them), this makes no
+    is hidden, such as clouds, the planner has perfect information. In fully observed presets (most of them), this makes no
     difference. With ``futures``, each decision is planned in several resampled futures and averaged over them: copies get
-    separate seeds,
-        which
-    determine the noise, and ``redraw`` draws hidden parts of the state.
+    separate seeds, which determine the noise, and ``redraw`` draws hidden parts of the state.
     """
 
     name: ClassVar[str]

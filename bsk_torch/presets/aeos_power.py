@@ -20,8 +20,7 @@ Actions: 0 charge, 1 downlink, 2 desaturate the wheels (60 s each), 3 to 34 imag
 Reward: the priority of a target for its first image; -10 if the satellite dies.
 
 Termination: at the end of a step with an empty battery, a wheel at its maximum speed, or an altitude below 200 km; and at the
-    time
-limit of 17,100 s.
+time limit of 17,100 s.
 
 Random at reset: as in AEOS-v1 with 1,000 targets; initial charge and wheel speeds, disturbance torque.
 """

@@ -30,8 +30,7 @@ In MultiInspection-v1, there are 7 more for each of the two other inspectors: po
 With ``actions="thrust"``, as in bsk_rl, the action of an inspector consists of a velocity change of at most 1 m/s in the RSO's
 Hill frame (radial, along-track, normal) and the time to drift, 10 to 11,400 s. With ``actions="waypoints"``, it is one of 96
 transfers: to the directions of the 32 regions, 60 m from the RSO, in 600, 1,200 or 2,000 s (:class:`bsk_torch.act.HillWaypoint`).
-    The RSO is
-an agent with one action, 0: point along the Hill frame; its observation is 1.
+The RSO is an agent with one action, 0: point along the Hill frame; its observation is 1.
 
 Reward of an inspector: the number of newly inspected points divided by 100, minus 0.1 for each m/s. When 90 % of the lit points
 have been inspected, all satellites including the RSO receive 1; this requires that 40 points have been lit or that an orbit of

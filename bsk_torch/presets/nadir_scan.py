@@ -21,8 +21,7 @@ Actions: 0 scan (180 s), 1 charge (120 s), 2 downlink (60 s), 3 desaturate the w
 Reward: seconds of recorded data divided by the episode's 28,500 s; -1 if the satellite dies.
 
 Termination: at the end of a step with an empty battery, a wheel at its maximum speed, or an altitude below 200 km; and at the
-    time
-limit of 28,500 s.
+time limit of 28,500 s.
 
 Random at reset: orbit, attitude, initial storage, charge and wheel speeds, disturbance torque; see :func:`scanning_args`.
 """

@@ -11,8 +11,7 @@ def add_force(bus: Bus, force_N: Vec3) -> None:
 
     The hub integrates ``v' = a(r, t) + F_N / m`` with the sum ``external_force_N`` of all added forces. Components that add
     forces must run before it: ``before="hub"``, or in an earlier slot. The orbit must be integrated; if it is solved in advance,
-        a
-    component that adds a force raises a TypeError. Look-ahead (predicted windows and eclipses) does not include the force.
+    a component that adds a force raises a TypeError. Look-ahead (predicted windows and eclipses) does not include the force.
     """
     bus.external_force_N = bus.external_force_N + force_N if bus.has("external_force_N") else force_N
 

@@ -73,10 +73,9 @@ class ConjunctionDynModel(DynamicsModel):
     """Satellites with this model collide if their distance is at most the sum of their radii.
 
     Distances are checked at the start of a step and after its ticks: every tick, or at intervals of ``conjunction_check_rate``;
-        with
-    ``conjunction_exact`` also between ticks, assuming uniform relative motion. For two satellites, the settings of the later one
-    in the list apply. A collision ends the step of all satellites in that tick, and both die. Each pair collides at most once in
-    an episode.
+    with ``conjunction_exact`` also between ticks, assuming uniform relative motion. For two satellites, the settings of the later
+    one in the list apply. A collision ends the step of all satellites in that tick, and both die. Each pair collides at most once
+    in an episode.
 
     If an episode begins with a collision, its first step has zero length and ends with the deaths.
     """

@@ -158,8 +158,7 @@ def inspection_figure(episode: InspectionEpisode, path: Path, title: str = "") -
     """Draw an episode to the file ``path``, .png or .svg, with headline ``title`` unless that is empty.
 
     From top to bottom: the paths around the RSO in projections of its Hill frame, complete and near the RSO, with maneuvers; a
-        map
-    of its points, colored by the time of inspection; the numbers of lit and inspected points and the fuel over time.
+    map of its points, colored by the time of inspection; the numbers of lit and inspected points and the fuel over time.
     """
     figure = Figure(figsize=(10.0, sum(HEIGHTS) + 1.0), dpi=140, layout="constrained", facecolor="white")
     above, below = figure.subfigures(2, 1, height_ratios=HEIGHTS)  # type: ignore[misc]
