@@ -55,7 +55,7 @@ MultiSatObs = tuple[SatObs, ...]
 MultiSatAct = Iterable[SatAct]
 SatArgRandomizer = Callable[[list[Satellite]], Mapping[Satellite, Mapping[str, Any]]]
 
-VIZARD = "files for Vizard are not written, episodes are the same; 'bsk-torch film' makes films of bsk_torch's environments"
+VIZARD = "files for Vizard are not written; leave the argument out, the episodes are the same. 'bsk-torch film' makes films"
 
 
 class GeneralSatelliteTasking(gymnasium.Env[Any, Any], Generic[SatObs, SatAct]):
@@ -142,8 +142,8 @@ class GeneralSatelliteTasking(gymnasium.Env[Any, Any], Generic[SatObs, SatAct]):
             dtype: Type of observations; that of each satellite unless given.
             log_level: Level of the log.
             log_dir: File that gets the log, too.
-            vizard_dir: Ignored with a warning, since no files for Vizard are written.
-            vizard_settings: Ignored, with a warning where ``vizard_dir`` is not given, as in bsk_rl.
+            vizard_dir: None; raises NotImplementedError otherwise, since no files for Vizard are written.
+            vizard_settings: Ignored without ``vizard_dir``, with a warning, as in bsk_rl.
             render_mode: Not used, as in bsk_rl.
             backend: ``"compiled"``, or ``"eager"`` for machines without a compiler; not in bsk_rl.
             orbit: ``"integrated"`` integrates orbits in every tick even where they can be solved in advance; not in bsk_rl.
@@ -156,8 +156,8 @@ class GeneralSatelliteTasking(gymnasium.Env[Any, Any], Generic[SatObs, SatAct]):
         self.seed: int | None = None
         self._configure_logging(log_level, log_dir)
         if vizard_dir is not None:
-            logger.warning("vizard_dir=%r: %s", vizard_dir, VIZARD)
-        elif vizard_settings is not None:
+            raise NotImplementedError(f"vizard_dir={vizard_dir!r}: {VIZARD}")
+        if vizard_settings is not None:
             logger.warning("Vizard settings provided but Vizard is not enabled. Ignoring settings.")
         given = [satellites] if isinstance(satellites, Satellite) else list(satellites)
         if scenario is not None:

@@ -247,11 +247,9 @@ def test_names_that_are_to_come_say_so(module):
         exec(f"from bsk_torch.bsk_rl.{module} import {names[module]}")
 
 
-def test_programs_that_ask_for_films_for_vizard_run_without(caplog):
-    asked = SatelliteTasking(Drifter("D"), vizard_dir="/tmp/x", vizard_settings={"showLocationLabels": 0}, backend="eager")
-    assert "'bsk-torch film' makes films" in caplog.text
-    asked.reset(seed=1)
-    assert asked.step(0)[4]["d_ts"] == pytest.approx(60.0)
+def test_films_for_vizard_raise():
+    with pytest.raises(NotImplementedError, match=r"leave the argument out.*bsk-torch film"):
+        SatelliteTasking(Drifter("D"), vizard_dir="/tmp/x", vizard_settings={"showLocationLabels": 0}, backend="eager")
 
 
 def test_log_levels_are_those_of_the_simulation():
