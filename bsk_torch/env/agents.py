@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import keyword
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
 
-from bsk_torch.sim.arguments.values import nearest
+from bsk_torch.sim.names import nearest, snake
 
 AGENTS = "agents"
 """Name of the only group."""
@@ -77,11 +76,6 @@ def agents_of(names: Sequence[str], groupings: Mapping[str, Sequence[str]] | Non
             f"meta_agent_groupings: {twice} are names of satellites that belong to no agent; give agents other names"
         )
     return agents | {name: [name] for name in others}
-
-
-def snake(name: str) -> str:
-    """Return the name of a class as the name of a group."""
-    return re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", name).lower()
 
 
 def make_groups(

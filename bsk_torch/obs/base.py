@@ -13,6 +13,7 @@ from bsk_torch._checks import text
 from bsk_torch.sats.one import is_ours
 from bsk_torch.sats.user_function import UserFunction
 from bsk_torch.sim.hooks import check_class, check_tensor, defined_first
+from bsk_torch.sim.names import snake
 
 if TYPE_CHECKING:
     from bsk_torch.sats.bound import BoundSatellite
@@ -65,9 +66,9 @@ class Observation:
     simulator: Simulator
     unique_name: str
 
-    def __init__(self, name: str) -> None:
-        """Name the entry; ValueError unless the name is a string."""
-        self.name = text("name", name)
+    def __init__(self, name: str | None = None) -> None:
+        """Name the entry, by default after its class: ``Latitude()`` is ``latitude``. ValueError unless the name is a string."""
+        self.name = snake(type(self).__name__) if name is None else text("name", name)
 
     def __init_subclass__(cls, **options: object) -> None:
         """Raise TypeError, suggesting a replacement, for definitions that no environment would use."""

@@ -1,8 +1,9 @@
-"""Hints for wrong names that users write."""
+"""Names: hints for wrong ones that users write, and names made of those of classes."""
 
 from __future__ import annotations
 
 import difflib
+import re
 from collections.abc import Iterable
 
 CLOSE, NEAR = 0.5, 0.1
@@ -16,3 +17,8 @@ def nearest(name: str, known: Iterable[str]) -> str:
     least = max(CLOSE, max(ratios.values(), default=0.0) - NEAR)
     close = [by_lower[k] for k in sorted(ratios, key=lambda k: -ratios[k]) if ratios[k] >= least][:3]
     return f"did you mean {' or '.join(map(repr, close))}?" if close else f"valid names: {', '.join(sorted(by_lower.values()))}"
+
+
+def snake(name: str) -> str:
+    """Return the name of a class in lower case with underscores."""
+    return re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", name).lower()

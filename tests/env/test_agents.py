@@ -5,7 +5,8 @@ import re
 import pytest
 import torch
 
-from bsk_torch.env.agents import ROOT, Group, agents_of, check_map, make_groups, named, snake
+from bsk_torch.env.agents import ROOT, Group, agents_of, check_map, make_groups, named
+from bsk_torch.sim.names import snake
 
 NAMES = ["A", "B", "C", "D", "E"]
 TYPES = [[0, 3], [1, 2, 4]]

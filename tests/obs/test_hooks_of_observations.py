@@ -118,3 +118,16 @@ def test_equal_names_are_refused():
     with pytest.raises(ValueError, match=r"several properties called \['r_BN_N_normd'\]; tell them apart by the key 'name'"):
         obs.SatProperties(dict(prop="r_BN_N", norm=2.0), dict(prop="r_BN_N", norm=3.0))
     obs.SatProperties(dict(prop="r_BN_N"), dict(prop="r_BN_N", norm=3.0))
+
+
+def test_observations_are_named_after_their_class():
+    class SunAngle(obs.Observation):
+        def get_obs(self):
+            return self.satellite.dynamics.battery_charge_fraction
+
+    class Plain(sats.Satellite):
+        observation_spec = [SunAngle(), SunAngle(), SunAngle("other")]
+        action_spec = [act.Charge()]
+
+    env = SatelliteTasking(Plain("One"), num_envs=1, backend="eager")
+    assert env.satellite.observation_description == ["sun_angle", "sun_angle_2", "other"]

@@ -110,7 +110,8 @@ def convert(arg: Arg, values: Any, rows: int) -> Any:
         given = numbers(values)
     except (TypeError, ValueError, RuntimeError, OverflowError) as error:
         shown = values[0] if isinstance(values, list) and len(values) == 1 else values
-        raise ValueError(f"{arg.name}={shown!r} must be numeric ({arg.unit}): {error}") from error
+        why = "" if isinstance(shown, str) else f": {error}"
+        raise ValueError(f"{arg.name}={shown!r} must be numeric ({arg.unit}){why}") from error
     return _shaped(arg, given, rows)
 
 
