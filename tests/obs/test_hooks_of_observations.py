@@ -125,9 +125,6 @@ def test_observations_are_named_after_their_class():
         def get_obs(self):
             return self.satellite.dynamics.battery_charge_fraction
 
-    class Plain(sats.Satellite):
-        observation_spec = [SunAngle(), SunAngle(), SunAngle("other")]
-        action_spec = [act.Charge()]
-
-    env = SatelliteTasking(Plain("One"), num_envs=1, backend="eager")
+    attributes = {"observation_spec": [SunAngle(), SunAngle(), SunAngle("other")], "action_spec": [act.Charge()]}
+    env = SatelliteTasking(type("Plain", (sats.Satellite,), attributes)("One"), num_envs=1, backend="eager")
     assert env.satellite.observation_description == ["sun_angle", "sun_angle_2", "other"]
