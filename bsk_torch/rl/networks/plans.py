@@ -15,6 +15,7 @@ from torchrl.modules import MLP, GRUModule, MaskedCategorical, ProbabilisticActo
 
 from bsk_torch.env import SatelliteTasking
 from bsk_torch.env.action_forms import form
+from bsk_torch.rl.networks.activation import Tanh
 from bsk_torch.rl.networks.attention import Encoder, Pointer, SetActor, SetCritic
 from bsk_torch.rl.networks.continuous import NormalParameters, squashed
 from bsk_torch.rl.networks.normaliser import CLOCK, MASK, OWN, ROWS, ObservationNormaliser, SetNormaliser, VectorNormaliser
@@ -121,7 +122,7 @@ class MLPPlan:
                 last.bias.zero_()
 
     def _layers(self, n_in: int, n_out: int) -> MLP:
-        return MLP(in_features=n_in, out_features=n_out, num_cells=list(self.hidden), activation_class=nn.Tanh)
+        return MLP(in_features=n_in, out_features=n_out, num_cells=list(self.hidden), activation_class=Tanh)
 
 
 @dataclass(frozen=True)
@@ -140,7 +141,7 @@ class GRUPlan(MLPPlan):
     def build(self) -> Networks:
         """Return new networks."""
         *before, last = self.hidden
-        layers = MLP(self.n_observed, before[-1], num_cells=before[:-1], activation_class=nn.Tanh, activate_last_layer=True)
+        layers = MLP(self.n_observed, before[-1], num_cells=before[:-1], activation_class=Tanh, activate_last_layer=True)
         unit = GRUModule(before[-1], last, in_keys=["embedded", MEMORY, INIT], out_keys=["remembered", ("next", MEMORY)])
         head = nn.Linear(last, self.n_outputs)
         self._calm(head)
