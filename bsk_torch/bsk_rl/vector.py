@@ -275,7 +275,7 @@ class AgentsVectorEnv:
         """Start episodes; return observations and infos.
 
         Args:
-            seed: Seed of environment 0, which the others count up; or a seed for each. None draws seeds.
+            seed: Seed s of environment 0, with s + i for environment i; or a seed for each. None draws seeds.
             options: ``{"reset_mask": mask}`` with booleans [N] leaves the other environments unchanged.
         """
         mask = np.asarray((options or {}).get("reset_mask", np.ones(self.num_envs)), dtype=bool)
@@ -305,8 +305,8 @@ class AgentsVectorEnv:
 
         Raises:
             ResetNeeded: If no episode is running, or one is over that does not start by itself.
-            KeyError: For an agent that there is not.
-            ValueError: For actions of another number.
+            KeyError: For an unknown agent.
+            ValueError: For a wrong number of actions.
         """
         if self._last is None or (self.autoreset_mode is AutoresetMode.DISABLED and self._over.any()):
             raise ResetNeeded("step() needs running episodes; call reset(), with options={'reset_mask': ended} for some of them")

@@ -53,7 +53,7 @@ print(td)
 # The observation is a vector. ``observation_description`` names its entries:
 names = env.satellite.observation_description
 for name, value in zip(names, td["observation"][0].tolist(), strict=True):
-    print(f"{name:52} {value:7.3f}")
+    print(f"{name:55} {value:7.3f}")
 
 # %%
 # Battery charge, buffer level and wheel speeds are fractions of their limits. The two errors are angles divided by pi: how far

@@ -38,22 +38,22 @@ class ActionBuilder(ABC, Resetable):
             entry.link_satellite(satellite)
 
     def reset_overwrite_previous(self) -> None:
-        """Pass the hook on."""
+        """Call the hook of each action."""
         for entry in self.action_spec:
             entry.reset_overwrite_previous()
 
     def reset_pre_sim_init(self) -> None:
-        """Pass the hook on."""
+        """Call the hook of each action."""
         for entry in self.action_spec:
             entry.reset_pre_sim_init()
 
     def reset_during_sim_init(self) -> None:
-        """Pass the hook on."""
+        """Call the hook of each action."""
         for entry in self.action_spec:
             entry.reset_during_sim_init()
 
     def reset_post_sim_init(self) -> None:
-        """Link the simulation, and pass the hook on."""
+        """Link the simulation and call the hook of each action."""
         self.simulator = self.satellite.simulator
         for entry in self.action_spec:
             entry.link_simulator(self.simulator)
@@ -96,11 +96,11 @@ class Action(ABC, Resetable):
         return not type(self).__module__.startswith(__name__.partition(".")[0] + ".")
 
     def link_satellite(self, satellite: Any) -> None:
-        """Take the satellite."""
+        """Store the satellite."""
         self.satellite = satellite
 
     def link_simulator(self, simulator: Any) -> None:
-        """Take the simulation of the episode."""
+        """Store the simulation of the episode."""
         self.simulator = simulator
 
     @abstractmethod

@@ -14,7 +14,7 @@ __all__ = ["AttitudeSetpoint", "ContinuousAction", "ContinuousActionBuilder", "I
 
 
 class ContinuousActionBuilder(ActionBuilder):
-    """Passes the numbers of an action on to the only entry of the specification."""
+    """Passes the values of an action to the only entry of the specification."""
 
     def __init__(self, satellite: Any) -> None:
         """See :class:`ActionBuilder`; AssertionError for several entries."""
@@ -37,7 +37,7 @@ class ContinuousActionBuilder(ActionBuilder):
 
 
 class ContinuousAction(Action):
-    """An action of real numbers."""
+    """An action given by real numbers."""
 
     builder_type = ContinuousActionBuilder
 
@@ -74,9 +74,9 @@ class ImpulsiveThrust(ContinuousAction):
 
         Args:
             name: Name of the action.
-            max_dv: Longest change of velocity, m/s.
-            max_drift_duration: Longest drift, s.
-            fsw_action: Command of the flight software for the drift.
+            max_dv: Maximum velocity change, m/s.
+            max_drift_duration: Maximum duration of the drift, s.
+            fsw_action: Flight software command during the drift.
         """
         super().__init__(name)
         self.max_dv, self.max_drift_duration, self.fsw_action = max_dv, max_drift_duration, fsw_action
@@ -113,7 +113,7 @@ class ImpulsiveThrust(ContinuousAction):
 
 
 class ImpulsiveThrustHill(ImpulsiveThrust):
-    """As :class:`ImpulsiveThrust`, with the change of velocity in the Hill frame of a chief."""
+    """Like :class:`ImpulsiveThrust`, with the velocity change in the Hill frame of a chief."""
 
     def __init__(self, chief_name: str, *args: Any, **kwargs: Any) -> None:
         """See :class:`ImpulsiveThrust`; ``chief_name`` is the name of the chief."""
@@ -131,7 +131,7 @@ class ImpulsiveThrustHill(ImpulsiveThrust):
 
 
 class AttitudeSetpoint(ContinuousAction):
-    """Turns to an attitude relative to N, an MRP, and holds it."""
+    """Turns to an attitude relative to N, given as an MRP, and holds it."""
 
     def __init__(self, name: str = "attitude_act", control_period: float = 60) -> None:
         """Last ``control_period`` s."""

@@ -32,10 +32,10 @@ LONGEST = 1e9
 
 
 class DiscreteActionBuilder(ActionBuilder):
-    """Chooses an action by its number among all.
+    """Selects an action by its index.
 
     Attributes:
-        prev_action_key: What the last action returned; None at the start of an episode.
+        prev_action_key: Key returned by the last action; None at the start of an episode.
     """
 
     def __init__(self, satellite: Any) -> None:
@@ -63,7 +63,7 @@ class DiscreteActionBuilder(ActionBuilder):
         ]
 
     def set_action(self, action: Any) -> None:
-        """Begin the action of a number, or what some action makes of another value; ValueError if none does."""
+        """Start the action with an index; other values are passed to ``set_action_override``. ValueError if none accepts it."""
         self.satellite.disable_timed_terminal_event()
         if not np.issubdtype(type(action), np.integer):
             self._override(action)
@@ -88,33 +88,33 @@ class DiscreteActionBuilder(ActionBuilder):
 
 
 class DiscreteAction(Action):
-    """One or several actions chosen by an integer.
+    """One or more actions selected by an integer.
 
-    Subclasses may define ``set_action_override(action, prev_action_key)`` for actions that are not numbers.
+    Subclasses may define ``set_action_override(action, prev_action_key)`` for actions that are not integers.
     """
 
     builder_type = DiscreteActionBuilder
 
     def __init__(self, name: str = "discrete_act", n_actions: int = 1) -> None:
-        """Stand for ``n_actions`` actions."""
+        """Initialize the entry, which represents ``n_actions`` actions."""
         super().__init__(name=name)
         self.n_actions = n_actions
 
     @abstractmethod
     def set_action(self, action: int, prev_action_key: Any = None) -> Any:
-        """Begin the action of a number among these; return a key that tells it from others."""
+        """Start the action with an index in this entry; return a key that identifies it."""
 
 
 class DiscreteFSWAction(DiscreteAction):
-    """Calls a command of the flight software, for some time."""
+    """Calls a flight software command and lasts for a fixed time."""
 
     def __init__(self, fsw_action: str, name: str | None = None, duration: float | None = None, reset_task: bool = False) -> None:
-        """Call a command.
+        """Initialize the action.
 
         Args:
-            fsw_action: Name of the method of the flight software, such as ``"action_charge"``.
-            name: Name of the action; that of the method unless given.
-            duration: Seconds until the action ends; None for 1e9 s.
+            fsw_action: Name of the flight software method, such as ``"action_charge"``.
+            name: Name of the action (default: name of the method).
+            duration: Duration of the action, s; None for 1e9 s.
             reset_task: Whether a repeated action calls the command again.
         """
         super().__init__(name=fsw_action if name is None else name)
@@ -140,7 +140,7 @@ class Charge(DiscreteFSWAction):
 
 
 class Drift(DiscreteFSWAction):
-    """Switches attitude control off."""
+    """Turns off attitude control."""
 
     def __init__(self, name: str | None = None, duration: float | None = None) -> None:
         """See :class:`DiscreteFSWAction`."""
@@ -183,12 +183,12 @@ class Image(DiscreteAction):
     """Images the target of one of the next opportunities."""
 
     def __init__(self, n_ahead_image: int, max_duration: float | None = None, name: str = "action_image") -> None:
-        """Choose among ``n_ahead_image`` opportunities; an action lasts at most ``max_duration`` s."""
+        """Initialize actions for the next ``n_ahead_image`` opportunities, each lasting at most ``max_duration`` s."""
         super().__init__(name=name, n_actions=n_ahead_image)
         self.max_duration = max_duration
 
     def image(self, target: Any, prev_action_key: Any = None) -> Any:
-        """Image a target, by its index, id, or itself; the same one again continues its task."""
+        """Image a target, given as an index, an id or the target; repeating the last target continues its task."""
         found = self.satellite.parse_target_selection(target)
         begin = self.satellite.enable_target_window if found.id == prev_action_key else self.satellite.task_target_for_imaging
         begin(found, max_duration=self.max_duration)
@@ -200,17 +200,17 @@ class Image(DiscreteAction):
         return self.image(action, prev_action_key)
 
     def set_action_override(self, action: Any, prev_action_key: Any = None) -> Any:
-        """Image a target, or that of an id."""
+        """Image a target, given as itself or its id."""
         return self.image(action, prev_action_key)
 
 
 class Broadcast(DiscreteAction):
-    """Lets the satellite share what it knows, under a communication method that asks for it."""
+    """Makes the satellite share its data, with a communication method that checks for this action."""
 
     broadcast_pending: bool
 
     def __init__(self, name: str = "action_broadcast", duration: float | None = None) -> None:
-        """Last ``duration`` s; None for 1e9 s."""
+        """Initialize the action, which lasts ``duration`` s; None for 1e9 s."""
         super().__init__(name=name)
         self.duration = LONGEST if duration is None else duration
 

@@ -1,4 +1,4 @@
-"""Which satellites tell one another what they know; counterpart of ``bsk_rl.comm.communication``."""
+"""Communication methods, which select the satellites that exchange data; counterpart of ``bsk_rl.comm.communication``."""
 
 from __future__ import annotations
 
@@ -32,14 +32,18 @@ class CommunicationMethod(ABC, Resetable):
 
     Attributes:
         satellites: Satellites of the environment.
-        min_period: Least time between communications, s.
+        min_period: Minimum time between communications, s.
         last_communication_time: Time of the last one, s.
     """
 
     satellites: list[Any]
 
     def __init__(self, min_period: float = 0.0) -> None:
-        """Take the least time between communications, s."""
+        """Initialize the method.
+
+        Args:
+            min_period: Minimum time between communications, s.
+        """
         self.min_period = min_period
 
     def reset_overwrite_previous(self) -> None:
@@ -47,17 +51,17 @@ class CommunicationMethod(ABC, Resetable):
         self.last_communication_time = 0.0
 
     def link_satellites(self, satellites: list[Any]) -> None:
-        """Keep the satellites of the environment."""
+        """Store the satellites of the environment."""
         self.satellites = satellites
 
     @abstractmethod
     def communication_pairs(self) -> Pairs:
-        """Return the satellites that tell, and those that are told, after a step."""
+        """Return pairs of sending and receiving satellites after a step."""
 
     def communicate(self) -> None:
-        """Let satellites tell one another what they know, unless the last time was too short ago.
+        """Exchange data between satellites, unless the last communication was less than ``min_period`` ago.
 
-        If there are as many pairs as all satellites would make, all of them tell all others, whoever the pairs are.
+        If there are as many pairs as between all satellites, all exchange data, regardless of which the pairs are.
         """
         now = self.satellites[0].simulator.sim_time
         if now - self.last_communication_time < self.min_period:
@@ -87,7 +91,7 @@ class CommunicationMethod(ABC, Resetable):
 
 
 class NoCommunication(CommunicationMethod):
-    """Satellites keep what they know to themselves."""
+    """Satellites do not communicate."""
 
     def communication_pairs(self) -> Pairs:
         """See :meth:`CommunicationMethod.communication_pairs`."""
@@ -95,7 +99,7 @@ class NoCommunication(CommunicationMethod):
 
 
 class FreeCommunication(CommunicationMethod):
-    """All satellites tell all others."""
+    """All satellites exchange data with all others."""
 
     def communication_pairs(self) -> Pairs:
         """See :meth:`CommunicationMethod.communication_pairs`."""
@@ -103,7 +107,7 @@ class FreeCommunication(CommunicationMethod):
 
 
 class LOSCommunication(CommunicationMethod):
-    """Satellites that saw one another at any time of the step, past the Earth, tell one another."""
+    """Satellites exchange data if they had a line of sight to each other, not blocked by the Earth, at any time in the step."""
 
     def link_satellites(self, satellites: list[Any]) -> None:
         """Keep the satellites; TypeError for those without lines of sight."""

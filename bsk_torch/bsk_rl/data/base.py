@@ -37,22 +37,27 @@ class DataStore(ABC):
 
     Attributes:
         satellite: The satellite.
-        data: All that it knows.
-        new_data: What it has collected in the last step.
-        staged_data: What others have told it, before it is added to ``data``.
+        data: All data known to it.
+        new_data: Data collected in the last step.
+        staged_data: Data received from others, before it is added to ``data``.
     """
 
     data_type: type[Data]
 
     def __init__(self, satellite: Any, initial_data: Any = None) -> None:
-        """Take the satellite, and what it knows at the beginning; nothing unless given."""
+        """Initialize the store.
+
+        Args:
+            satellite: The satellite whose data is stored.
+            initial_data: Data known at the start; None for none.
+        """
         self.satellite = satellite
         self.staged_data: list[Any] = []
         self.data: Any = initial_data if initial_data else self.data_type()
         self.new_data: Any = self.data_type()
 
     def get_log_state(self) -> LogStateType:
-        """Return what data is found by: it is compared with that of the step before."""
+        """Return the state from which new data is found, by comparison with the state of the previous step."""
         return None
 
     @abstractmethod
@@ -106,14 +111,14 @@ class GlobalReward(ABC, Resetable):
     scenario: Any
 
     def __init__(self) -> None:
-        """Take the type of data from that of the stores."""
+        """Set the type of data to that of the stores."""
         if not hasattr(type(self), "data_store_type"):
             self.data_store_type = self.datastore_type
         self.data_type: Any = self.data_store_type.data_type
         self.data_store_kwargs: dict[str, Any] = {}
 
     def link_scenario(self, scenario: Scenario) -> None:
-        """Keep the scenario of the environment."""
+        """Store the scenario of the environment."""
         self.scenario = scenario
 
     def reset_overwrite_previous(self) -> None:

@@ -27,7 +27,7 @@ class ComposedData(Data):
     """One unit of each kind of data; its attributes are those of the first that has them."""
 
     def __init__(self, *data: Data) -> None:
-        """Take the units."""
+        """Combine units of data, one of each kind."""
         self.data = data
 
     def __add__(self, other: ComposedData) -> ComposedData:
@@ -115,7 +115,7 @@ class ComposedReward(GlobalReward):
     data_store_type = ComposedDataStore
 
     def __init__(self, *rewarders: GlobalReward) -> None:
-        """Take the rewarders."""
+        """Combine rewarders, whose rewards are added."""
         super().__init__()
         self.rewarders = rewarders
 

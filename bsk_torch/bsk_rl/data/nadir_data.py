@@ -13,7 +13,7 @@ class ScanningTime(Data):
     """Time for which the instrument has recorded, s."""
 
     def __init__(self, scanning_time: float = 0.0) -> None:
-        """Take the time, s."""
+        """Initialize with a time, s."""
         self.scanning_time = scanning_time
 
     def __add__(self, other: ScanningTime) -> ScanningTime:
@@ -22,7 +22,7 @@ class ScanningTime(Data):
 
 
 class ScanningTimeStore(DataStore):
-    """Finds the time of scanning from the data that the store of the satellite has gained."""
+    """Computes the scanning time from the data added to the satellite's data buffer."""
 
     data_type = ScanningTime
 
@@ -31,18 +31,23 @@ class ScanningTimeStore(DataStore):
         return self.satellite.dynamics.storageUnit.storageUnitDataOutMsg.read().storageLevel
 
     def compare_log_states(self, old_state: float, new_state: float) -> ScanningTime:
-        """Return the time in which the instrument records the gain; none where data has been lost."""
+        """Return the time in which the instrument records the added data; zero if the buffer holds less than before."""
         rate = self.satellite.dynamics.instrument.nodeBaudRate
         return ScanningTime((new_state - old_state) / rate if new_state > old_state else 0.0)
 
 
 class ScanningTimeReward(GlobalReward):
-    """Pays for the time of scanning, of a ``scene.UniformNadirScanning`` scenario."""
+    """Rewards scanning time, in a ``scene.UniformNadirScanning`` scenario."""
 
     data_store_type = ScanningTimeStore
 
     def __init__(self, reward_fn: Callable[[float], float] | None = None) -> None:
-        """Take the reward as a function of the time, s; by default it is proportional to it, ``scenario.value_per_second``."""
+        """Initialize the rewarder.
+
+        Args:
+            reward_fn: Reward as a function of the scanning time, s. By default, the time multiplied by the scenario's
+                ``value_per_second``.
+        """
         super().__init__()
         self._reward_fn = reward_fn
 

@@ -19,7 +19,7 @@ class ResourceData(Data):
     """Change of a quantity."""
 
     def __init__(self, resource_accumulated: float = 0.0) -> None:
-        """Take the change."""
+        """Initialize with a change of the quantity."""
         self.resource_accumulated = resource_accumulated
 
     def __add__(self, other: ResourceData) -> ResourceData:
@@ -37,12 +37,18 @@ class ResourceDataStore(DataStore):
     data_type = ResourceData
 
     def __init__(self, *args: Any, resource_fn: Callable[[Any], float] = nothing, **kwargs: Any) -> None:
-        """Take the quantity as a function of the satellite."""
+        """Initialize the store.
+
+        Args:
+            *args: Arguments of :class:`DataStore`.
+            resource_fn: Function of the satellite that returns the quantity.
+            **kwargs: Keyword arguments of :class:`DataStore`.
+        """
         super().__init__(*args, **kwargs)
         self.resource_fn = resource_fn
 
     def get_log_state(self) -> float:
-        """Return the present quantity."""
+        """Return the current quantity."""
         return self.resource_fn(self.satellite)
 
     def compare_log_states(self, prev_state: float, new_state: float) -> ResourceData:

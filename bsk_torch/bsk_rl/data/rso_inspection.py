@@ -123,15 +123,16 @@ class RSOInspectionReward(GlobalReward):
         min_time_for_completion: float = 5700,
         terminate_on_completion: bool = True,
     ) -> None:
-        """Take the numbers; see the class.
+        """Initialize the rewarder.
 
         Args:
             inspection_reward_scale: Reward for inspecting all points.
-            completion_bonus: Reward of each satellite for completing the inspection.
-            completion_threshold: Share of the points that have been lit which must be inspected.
-            min_illuminated_for_completion: Share of all points which must have been lit ...
-            min_time_for_completion: ... unless so many seconds have passed.
-            terminate_on_completion: Whether the episode terminates then.
+            completion_bonus: Reward of each satellite when the inspection is complete.
+            completion_threshold: Fraction of the points lit so far that must be inspected for completion.
+            min_illuminated_for_completion: Fraction of all points that must have been lit for completion before
+                ``min_time_for_completion``.
+            min_time_for_completion: Time after which the previous condition no longer applies, s.
+            terminate_on_completion: Whether the episode terminates on completion.
         """
         super().__init__()
         self.inspection_reward_scale = inspection_reward_scale

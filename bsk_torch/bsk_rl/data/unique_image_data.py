@@ -70,16 +70,20 @@ def whole_priority(priority: float) -> float:
 
 
 class UniqueImageReward(GlobalReward):
-    """Pays for the first image of each target in an episode; satellites that take it in the same step share the reward.
+    """Rewards the first image of each target in an episode; satellites that take it in the same step share the reward.
 
-    Satellites know all targets from the beginning. Those that they know to be imaged, by themselves or by communication, are left
-    out of what they observe and act on.
+    Satellites know all targets from the start. Targets that a satellite knows to be imaged, by itself or through communication,
+    are removed from its observations and actions.
     """
 
     data_store_type = UniqueImageStore
 
     def __init__(self, reward_fn: Callable[[float], float] = whole_priority) -> None:
-        """Take the reward as a function of the priority of a target."""
+        """Initialize the rewarder.
+
+        Args:
+            reward_fn: Reward of a first image as a function of the target's priority.
+        """
         super().__init__()
         self.reward_fn = reward_fn
 

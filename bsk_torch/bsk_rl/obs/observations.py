@@ -165,16 +165,16 @@ class Observation(ABC, Resetable):
         self.name = name
 
     def link_satellite(self, satellite: Any) -> None:
-        """Take the satellite."""
+        """Store the satellite."""
         self.satellite = satellite
 
     def link_simulator(self, simulator: Any) -> None:
-        """Take the simulation of the episode."""
+        """Store the simulation of the episode."""
         self.simulator = simulator
 
     @abstractmethod
     def get_obs(self) -> Any:
-        """Return the observation of the present."""
+        """Return the current observation."""
 
 
 class SatProperties(Observation):

@@ -170,7 +170,7 @@ class Satellite(Resetable):
         self.action_builder.reset_pre_sim_init()
 
     def set_simulator(self, simulator: Simulator) -> None:
-        """Take the simulation of the episode."""
+        """Store the simulation of the episode."""
         self.simulator = simulator
 
     def set_dynamics(self, dyn_rate: float) -> Any:
@@ -272,6 +272,6 @@ class Satellite(Resetable):
         self.simulator.add_timed_event(self._timed_terminal_event_name, t_close, over, bool(self.variable_interval))
 
     def disable_timed_terminal_event(self) -> None:
-        """Take the event of :meth:`update_timed_terminal_event` back."""
+        """Remove the event set by :meth:`update_timed_terminal_event`."""
         if self._timed_terminal_event_name in self.simulator.eventMap:
             self.simulator.delete_event(str(self._timed_terminal_event_name))

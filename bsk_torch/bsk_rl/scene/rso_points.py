@@ -23,15 +23,15 @@ logger = logging.getLogger(__name__)
 
 @dataclass(eq=False)
 class RSOPoint:
-    """A point on the surface of an RSO; points of the same numbers are equal.
+    """A point on the surface of an RSO; points with the same attributes are equal.
 
     Attributes:
         r_PB_B: Position in body axes, m [3].
         n_B: Normal of the surface in body axes, of any length [3].
         theta_max: Largest angle between the normal and the direction of the inspector, rad.
-        range_max: Longest distance of the inspector, m; no limit where it is not positive.
+        range_max: Maximum distance of the inspector, m; no limit unless positive.
         theta_solar_max: Largest angle between the normal and the direction of the Sun, rad.
-        min_illumination_factor: Least visible fraction of the Sun.
+        min_illumination_factor: Minimum visible fraction of the Sun.
     """
 
     r_PB_B: np.ndarray
@@ -47,11 +47,11 @@ class RSOPoint:
         return (*map(float, position), *map(float, normal), *map(float, limits))
 
     def __hash__(self) -> int:
-        """Return the hash of the numbers."""
+        """Return the hash of the attributes."""
         return hash(self._key)
 
     def __eq__(self, other: object) -> bool:
-        """Return whether another point has the same numbers."""
+        """Return whether another point has the same attributes."""
         return isinstance(other, RSOPoint) and self._key == other._key
 
     def __str__(self) -> str:
@@ -110,7 +110,7 @@ class RSOPoints(Scenario):
             self.visualize_rso_point(point)
 
     def reset_post_sim_init(self) -> None:
-        """Begin to observe what is inspected."""
+        """Start to record which points are inspected."""
         simulator = self.rso.simulator
         places = self.rso.core_row, [inspector.core_row for inspector in self.inspectors]
         self.inspection = Inspection(simulator.fleet, *places, self.rso_points)
@@ -140,13 +140,13 @@ class SphericalRSO(RSOPoints):
         theta_solar_max: float = np.radians(60),
         min_illumination_factor: float = 0.1,
     ) -> None:
-        """Take the numbers of the points; see :class:`RSOPoint`.
+        """Initialize the points; see :class:`RSOPoint`.
 
         Args:
             n_points: Number of points.
             radius: Radius of the sphere, m.
             theta_max: Largest angle between a normal and the direction of the inspector, rad.
-            range_max: Longest distance between a point and the inspector, m; no limit where it is not positive.
+            range_max: Maximum distance between a point and the inspector, m; no limit unless positive.
             theta_solar_max: Largest angle between a normal and the direction of the Sun, rad.
             min_illumination_factor: Least visible fraction of the Sun.
         """

@@ -37,8 +37,12 @@ class Scenario(ABC, Resetable):
 
 
 class UniformNadirScanning(Scenario):
-    """Data is worth the same everywhere on the ground; see :class:`~bsk_torch.bsk_rl.data.ScanningTimeReward`."""
+    """Data has the same value everywhere on the ground; see :class:`~bsk_torch.bsk_rl.data.ScanningTimeReward`."""
 
     def __init__(self, value_per_second: float = 1.0) -> None:
-        """Take the reward per second of scanning."""
+        """Initialize the scenario.
+
+        Args:
+            value_per_second: Reward per second of scanning.
+        """
         self.value_per_second = value_per_second

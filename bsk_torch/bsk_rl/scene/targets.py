@@ -28,20 +28,20 @@ class Target:
     """A place on the ground that is worth imaging; two targets are never equal.
 
     Attributes:
-        name: Its name, which others may have, too.
+        name: Name; need not be unique.
         r_LP_P: Earth-fixed position, m [3].
-        priority: Its value.
+        priority: Value of an image of it.
     """
 
     def __init__(self, name: str, r_LP_P: Iterable[float], priority: float) -> None:
-        """Take name, position and priority."""
+        """Initialize the target with a name, a position and a priority."""
         self.name = name
         self.r_LP_P = np.array(r_LP_P)
         self.priority = priority
 
     @property
     def id(self) -> str:
-        """Name that no other target has; copies keep it."""
+        """Unique name, which copies keep."""
         if not hasattr(self, "_id"):
             self._id = f"{self.name}_{id(self)}"
         return self._id
@@ -57,7 +57,7 @@ def uniform_priority() -> float:
 
 
 class UniformTargets(Scenario):
-    """Targets spread evenly over the sphere, drawn in every episode."""
+    """Targets distributed uniformly over a sphere, drawn in every episode."""
 
     def __init__(
         self,
@@ -65,11 +65,11 @@ class UniformTargets(Scenario):
         priority_distribution: Callable[[], float] | None = None,
         radius: float = R_EARTH,
     ) -> None:
-        """Take what targets are drawn from.
+        """Initialize the scenario.
 
         Args:
-            n_targets: Number of targets, or ``(low, high)`` for a number that is drawn: at least ``low`` and less than ``high``.
-            priority_distribution: Draws the priority of a target; uniform in [0, 1) unless given.
+            n_targets: Number of targets, or ``(low, high)`` to draw it from [low, high).
+            priority_distribution: Function that draws the priority of a target (default: uniform in [0, 1)).
             radius: Distance of targets from the Earth's center, m.
         """
         self._n_targets = n_targets
@@ -81,7 +81,7 @@ class UniformTargets(Scenario):
         self.targets: list[Target] = []
 
     def reset_pre_sim_init(self) -> None:
-        """Draw targets, and let satellites look out for them."""
+        """Draw targets and add them to the locations of satellites."""
         n = self._n_targets
         self.n_targets = n if isinstance(n, int) else int(np.random.randint(n[0], n[1]))
         logger.info("Generating %d targets", self.n_targets)
@@ -106,7 +106,7 @@ class UniformTargets(Scenario):
         """Draw a target in Vizard."""
 
     def regenerate_targets(self) -> None:
-        """Write the targets of an episode into ``self.targets``; the hook for others than these."""
+        """Set ``self.targets`` for an episode; subclasses override this method to create other targets."""
         self.targets = []
         for k in range(self.n_targets):
             r_LP_P = np.random.normal(size=3)
@@ -147,13 +147,13 @@ class CityTargets(UniformTargets):
         priority_distribution: Callable[[], float] | None = None,
         radius: float = R_EARTH,
     ) -> None:
-        """Take what targets are drawn from; see :class:`UniformTargets` for the others.
+        """Initialize the scenario; see :class:`UniformTargets`.
 
         Args:
             n_targets: Number of targets.
             n_select_from: Number of the most populous cities to draw from; None or ``"all"`` for all.
             location_offset: Length of a random shift away from the city, m.
-            priority_distribution: Draws the priority of a target.
+            priority_distribution: Function that draws the priority of a target.
             radius: Distance of targets from the Earth's center, m.
         """
         super().__init__(n_targets, priority_distribution, radius)

@@ -44,7 +44,7 @@ class SimFormatter(logging.Formatter):
     """One line for each record, in color unless ``color_output`` is False."""
 
     def __init__(self, *args: Any, color_output: bool = True, **kwargs: Any) -> None:
-        """Take the arguments of :class:`logging.Formatter`."""
+        """Initialize the formatter; ``args`` and ``kwargs`` are those of :class:`logging.Formatter`."""
         super().__init__(*args, **kwargs)
         self.color_output = color_output
         self.satellite_colors: dict[str, str] = {}
@@ -80,7 +80,13 @@ class ContextFilter(logging.Filter):
     """Adds the simulated time of an environment to records, and drops those of other processes."""
 
     def __init__(self, name: str = "", env: Any = None, proc_id: int | None = None) -> None:
-        """Take the environment, and the number of its process."""
+        """Initialize the filter.
+
+        Args:
+            name: As in :class:`logging.Filter`.
+            env: The environment whose time is added.
+            proc_id: ID of the process whose records are kept.
+        """
         super().__init__(name)
         self.env = env
         self.proc_id = proc_id

@@ -26,11 +26,11 @@ class FolderInUseError(RuntimeError):
 class FolderLock:
     """The right to work in a folder, until :meth:`release` or the end of the process, however it ends.
 
-    The operating system keeps the lock, so that no process has it that is dead; the file that one may have left is used again.
+    The operating system releases the lock when a process dies; the file it left is reused.
     """
 
     def __init__(self, folder: Path) -> None:
-        """Take the lock; what a killed process has left half written in the folder is deleted.
+        """Acquire the lock and delete partial files that a killed process left in the folder.
 
         Raises:
             FolderInUseError: If another process has it; the message names the process.

@@ -35,7 +35,7 @@ WITHOUT = {
 
 
 class EpisodeDataLogger:
-    """Gives metrics of an episode to RLlib's logger when the next one begins; base of the two wrappers below.
+    """Passes the metrics of an episode to RLlib's logger when the next episode starts; base of the two wrappers below.
 
     Metrics are those of ``episode_data_callback(env)``, those of ``satellite_data_callback(env, satellite)`` under names such as
     ``EO1/imaged``, and the means of these over the satellites, ``mean/imaged``.
@@ -46,14 +46,19 @@ class EpisodeDataLogger:
     def __init__(
         self, episode_data_callback: EpisodeCallback | None = None, satellite_data_callback: SatelliteCallback | None = None
     ) -> None:
-        """Take the functions; None for no metrics."""
+        """Initialize the logger.
+
+        Args:
+            episode_data_callback: Function of the environment that returns metrics; None for none.
+            satellite_data_callback: Function of the environment and a satellite that returns metrics; None for none.
+        """
         self.episode_data_callback = episode_data_callback or (lambda _: {})
         self.satellite_data_callback = satellite_data_callback or (lambda *_: {})
         self.metrics_logger: Any = None
         self.logs_to_skip = RESETS_OF_RLLIB
 
     def set_metrics_logger(self, metrics_logger: object) -> None:
-        """Let a logger, whose method is ``log_value(name, value, ...)``, get the metrics."""
+        """Set the logger of the metrics, which has a method ``log_value(name, value, ...)``."""
         self.metrics_logger = metrics_logger
 
     def log_data_on_reset(self) -> None:
