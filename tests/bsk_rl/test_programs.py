@@ -11,7 +11,7 @@ import gymnasium
 import numpy as np
 import pytest
 
-from bsk_torch.bsk_rl import ConstellationTasking, SatelliteTasking, act, data, obs, sats, scene
+from bsk_torch.bsk_rl import ConstellationTasking, GeneralSatelliteTasking, SatelliteTasking, act, data, obs, sats, scene
 from bsk_torch.bsk_rl.basilisk.architecture import bskLogging, messaging
 from bsk_torch.bsk_rl.basilisk.utilities import macros
 from bsk_torch.bsk_rl.sim import dyn, fsw
@@ -133,6 +133,35 @@ def test_the_shadow_factor_is_read_from_its_message():
         expected.append(not (along < 0.0 and np.linalg.norm(place - along * sun) < 6.378e6))  # a cylinder of shadow
     assert factors == [float(lit) for lit in expected]
     assert {0.0, 1.0} == set(factors)
+
+
+def test_access_to_a_station_is_read_from_its_messages():
+    class Downlinker(Drifter):
+        dyn_type = dyn.GroundStationDynModel
+
+    fleet = GeneralSatelliteTasking([Drifter("D"), Downlinker("G")], time_limit=60.0, backend="eager")
+    fleet.reset(seed=0)
+    world, place = fleet.simulator.world, fleet.get_satellite("G").dynamics.r_BN_P
+    for station in world.groundStations:
+        (message,) = station.accessOutMsgs
+        found, up = message.read(), station.r_LP_P_Init / np.linalg.norm(station.r_LP_P_Init)
+        assert found.slantRange == pytest.approx(np.linalg.norm(place - station.r_LP_P_Init))
+        assert np.sin(found.elevation) * found.slantRange == pytest.approx(up @ (place - station.r_LP_P_Init))
+        assert found.hasAccess == (found.elevation >= world.gsMinimumElevation)
+
+
+def test_a_target_that_is_not_in_view_cannot_be_imaged():
+    class Imager(sats.ImagingSatellite):
+        observation_spec = [obs.Time()]
+        action_spec = [act.Image(n_ahead_image=1)]
+        dyn_type, fsw_type = dyn.ImagingDynModel, fsw.ImagingFSWModel
+
+    made = SatelliteTasking(satellite=Imager("I"), scenario=scene.UniformTargets(400), time_limit=600.0, backend="eager")
+    made.reset(seed=0)
+    seen = {opportunity["object"] for opportunity in made.satellite.opportunities}
+    unseen = next(target for target in made.scenario.targets if target not in seen)
+    with pytest.raises(ValueError, match="in none of the windows"):
+        made.satellite.enable_target_window(unseen)
 
 
 def test_satellites_may_be_beyond_the_moon():

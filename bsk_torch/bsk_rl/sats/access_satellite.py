@@ -317,9 +317,16 @@ class ImagingSatellite(AccessSatellite):
         self.latest_target = target
 
     def enable_target_window(self, target: Any, max_duration: float | None = None) -> None:
-        """Let the task end with the image, with the target's window, or after ``max_duration`` s."""
+        """Let the task end with the image, with the target's window, or after ``max_duration`` s.
+
+        Raises:
+            ValueError: For a target without an upcoming window.
+        """
+        windows = [found["window"] for found in self.upcoming_opportunities if found["object"] == target]
+        if not windows:
+            raise ValueError(f"{target} is in none of the windows that are known up to {self.window_calculation_time} s")
         self._update_image_event(target)
-        window = next(found["window"] for found in self.upcoming_opportunities if found["object"] == target)
+        window = windows[0]
 
         def over(simulator: Simulator) -> None:
             if np.isclose(simulator.sim_time, window[1], atol=1e-9):

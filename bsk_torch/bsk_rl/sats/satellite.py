@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import keyword
 import logging
+from abc import ABC
 from collections.abc import Callable, Mapping
 from typing import Any, ClassVar, TypeVar
 
@@ -27,7 +28,7 @@ SatObs = TypeVar("SatObs")
 SatAct = TypeVar("SatAct")
 
 
-class Satellite(Resetable):
+class Satellite(ABC, Resetable):
     """An agent of bsk_rl. Subclasses set ``observation_spec``, ``action_spec``, ``dyn_type`` and ``fsw_type``.
 
     Models are classes of :mod:`bsk_torch.sim.dyn` and :mod:`bsk_torch.sim.fsw`, or tuples of them, of which the first wins.

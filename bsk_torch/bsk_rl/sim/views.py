@@ -7,7 +7,7 @@ another one raises AttributeError with advice.
 
 from __future__ import annotations
 
-from functools import cached_property
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,6 +15,7 @@ import torch
 
 from bsk_torch.bsk_rl.sim import messages
 from bsk_torch.bsk_rl.sim.engine import row_mask
+from bsk_torch.sim.dyn import GroundStationDynModel
 from bsk_torch.sim.environment.world import station_arrays, station_names
 from bsk_torch.sim.fsw.setpoint import ATTITUDE_MRP, HOLD_INERTIAL
 from bsk_torch.sim.names import nearest
@@ -306,10 +307,24 @@ class Station:
         maximumRange: Longest range, m; no limit if negative.
     """
 
-    def __init__(self, name: str, r_LP_P: Any, sine: float, reach: float) -> None:
+    def __init__(self, simulator: Simulator, name: str, r_LP_P: Any, sine: float, reach: float) -> None:
         """Keep the numbers of a station."""
         self.ModelTag, self.r_LP_P_Init = name, np.asarray(r_LP_P, dtype=float)
         self.minimumElevation, self.maximumRange = float(np.arcsin(sine)), reach
+        self._simulator = simulator
+
+    @property
+    def accessOutMsgs(self) -> list[messages.Message]:
+        """Messages of the satellites that downlink, in their order: ``hasAccess``, ``slantRange``, m, and ``elevation``, rad."""
+        satellites = self._simulator.satellites
+        return [messages.Message(partial(self._access, s)) for s in satellites if issubclass(s.dyn_type, GroundStationDynModel)]
+
+    def _access(self, satellite: Any) -> dict[str, Any]:
+        line_P = satellite.dynamics.r_BN_P - self.r_LP_P_Init
+        reach = float(np.linalg.norm(line_P))
+        elevation = float(np.arcsin(line_P @ self.r_LP_P_Init / (reach * np.linalg.norm(self.r_LP_P_Init))))
+        sees = elevation >= self.minimumElevation and (self.maximumRange < 0.0 or reach <= self.maximumRange)
+        return {"hasAccess": int(sees), "slantRange": reach, "elevation": elevation}
 
 
 class WorldView(ModelView):
@@ -362,7 +377,7 @@ class WorldView(ModelView):
         )
         positions = arrays["station_positions_P"].view(3, -1).T.numpy()
         numbers = (arrays[name].reshape(-1).tolist() for name in ("station_sin_elevations", "station_ranges"))
-        return [Station(*each) for each in zip(station_names(stations), positions, *numbers, strict=True)]
+        return [Station(self.simulator, *each) for each in zip(station_names(stations), positions, *numbers, strict=True)]
 
 
 __all__ = ["DynamicsView", "FlightSoftwareView", "ModelView", "Station", "WorldView", "observable"]
