@@ -5,6 +5,7 @@ import logging
 import os
 import subprocess
 import sys
+from abc import ABCMeta
 from pathlib import Path
 
 import gymnasium
@@ -68,6 +69,10 @@ def test_attributes_can_be_set_and_read(env):
     env.satellite.observation_builder.obs_type = dict
     assert set(env.satellite.get_obs()) == {"sat_props", "time"}
     env.satellite.observation_builder.obs_type = np.ndarray
+
+
+def test_satellites_are_abstract_base_classes():
+    assert isinstance(sats.Satellite, ABCMeta)
 
 
 def test_models_are_instances_of_their_classes(env):
@@ -279,6 +284,18 @@ def test_names_that_are_to_come_say_so(module):
 def test_films_for_vizard_raise():
     with pytest.raises(NotImplementedError, match=r"leave the argument out.*bsk-torch film"):
         SatelliteTasking(Drifter("D"), vizard_dir="/tmp/x", vizard_settings={"showLocationLabels": 0}, backend="eager")
+
+
+def test_the_command_of_the_guide_replaces_the_package_wherever_it_is_named(tmp_path):
+    guide = Path(__file__).parents[2] / "docs" / "migration.md"
+    (command,) = (line for line in guide.read_text().splitlines() if line.startswith("sed "))
+    program = tmp_path / "program.py"
+    program.write_text(
+        "import bsk_rl\nimport bsk_rl.sim.dyn\nprint(bsk_rl.sim.dyn.BasicDynamicsModel, bsk_rl.SatelliteTasking)\n"
+    )
+    subprocess.run(command.replace("program.py", str(program)), shell=True, check=True)
+    found = subprocess.run([sys.executable, str(program)], capture_output=True, text=True, check=True).stdout
+    assert "bsk_torch.bsk_rl.gym.SatelliteTasking" in found
 
 
 def test_log_levels_are_those_of_the_simulation():
