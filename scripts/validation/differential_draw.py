@@ -595,11 +595,13 @@ def fleet_case(draw: Draw, seed: int, steps: int, family: str) -> Case:
     mixins: tuple[str, ...] = ("LOSCommDynModel",) if lines else ()
     task = draw.one("image", "scan") if family == "mixed" else family
     roles = [task if family != "mixed" or k == 0 else draw.one("image", "scan", "basic", "passive") for k in range(count)]
+    if task == "image":  # bsk_rl asks all satellites that look for places for their minimum elevation of targets
+        roles = ["image" if role == "scan" else role for role in roles]
     crafts = [
         craft(draw, f"Sat{k}", role, orbit, mixins, env["sim_rate"])
         for k, (role, orbit) in enumerate(zip(roles, orbits, strict=True))
     ]
-    if task == "image":  # bsk_rl asks all satellites that look for places for their minimum elevation of targets
+    if task == "image":
         crafts = [replace(one, base="Satellite") if one.dyn[-1] == "BasicDynamicsModel" else one for one in crafts]
     if count > 1 and family != "mixed" and draw.chance(0.5):  # satellites of one type
         crafts = [

@@ -277,6 +277,7 @@ def fly(library: Library, case: Case, nudge: float = 0.0, backend: str = "compil
                 where = f"reset with seed {seed}"
                 observation, info = env.reset(seed=seed)
                 flight.records.append(seen(case, env, observation, info, whole=True))
+                beyond = case.program and case.view != "agents"  # one step after the end, where someone can act
                 for k in numbers if case.view != "agents" or env.agents else ():
                     where = f"step {k + 1}"
                     last = flight.records[-1]
@@ -289,8 +290,9 @@ def fly(library: Library, case: Case, nudge: float = 0.0, backend: str = "compil
                     over = over or (case.view == "agents" and not env.agents)
                     whole = over or k == numbers[-1]
                     flight.records.append(seen(case, env, observation, info, outcome, whole))
-                    if over:
+                    if over and not beyond:
                         break
+                    beyond = beyond and not over
         except Exception as error:  # compared as part of the flight
             flight.error, flight.where = error, where
     return flight

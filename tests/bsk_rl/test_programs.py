@@ -317,3 +317,9 @@ def test_a_reward_of_some_satellites_is_enough():
     _, reward, *_, info = made.step({"A": 0, "B": 0})
     assert reward == {"A": 0.0, "B": 1.0}
     assert set(info) == {"A", "B", "__common__"}
+
+
+def test_a_battery_starts_with_no_more_than_its_capacity():
+    made = SatelliteTasking(Drifter("D", dict(storedCharge_Init=4e5, batteryStorageCapacity=3e5)), backend="eager")
+    made.reset(seed=0)
+    assert made.satellite.dynamics.battery_charge == 3e5

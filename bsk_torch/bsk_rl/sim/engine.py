@@ -174,6 +174,8 @@ def _own_values(satellite: Any) -> dict[str, Any]:
             "storageInit=%s is outside of [0, %s]; it is set to 0", values["storageInit"], values["dataStorageCapacity"]
         )
         values["storageInit"] = 0
+    if "storedCharge_Init" in values:  # what the battery does in its first tick
+        values["storedCharge_Init"] = min(values["storedCharge_Init"], values["batteryStorageCapacity"])
     return values
 
 
