@@ -1,4 +1,4 @@
-"""Bases of data, of what satellites know, and of rewarders; counterpart of ``bsk_rl.data.base``."""
+"""Base classes of data, data stores and rewarders; counterpart of ``bsk_rl.data.base``."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Data(ABC):
 
 
 class DataStore(ABC):
-    """What a satellite has collected and been told in an episode.
+    """Data that a satellite has collected and received in an episode.
 
     Subclasses define :attr:`data_type`, :meth:`get_log_state` and :meth:`compare_log_states`.
 
@@ -76,11 +76,11 @@ class DataStore(ABC):
         return self.new_data
 
     def stage_communicated_data(self, external_data: Any) -> None:
-        """Keep data of another satellite, which is not told to others in the same step."""
+        """Stage data received from another satellite; it is not passed on in the same step."""
         self.staged_data.append(external_data)
 
     def update_with_communicated_data(self) -> None:
-        """Add the data that others have told."""
+        """Add the staged data."""
         for staged in self.staged_data:
             self.data += staged
         self.staged_data = []
@@ -95,7 +95,7 @@ class _StoreAlias:
 
 
 class GlobalReward(ABC, Resetable):
-    """Base of rewarders, which know everything that has been collected.
+    """Base class of rewarders, which hold all data collected by all satellites.
 
     Subclasses define :attr:`data_store_type` and :meth:`calculate_reward`.
 
@@ -127,11 +127,11 @@ class GlobalReward(ABC, Resetable):
         self.cum_reward: dict[str, float] = {}
 
     def initial_data(self, satellite: Any) -> Any:
-        """Return what a satellite knows at the beginning."""
+        """Return the data known to a satellite at the start."""
         return self.data_type()
 
     def create_data_store(self, satellite: Any) -> None:
-        """Give a satellite its store for the episode."""
+        """Create the data store of a satellite for the episode."""
         initial = self.initial_data(satellite)
         satellite.data_store = self.data_store_type(satellite, initial_data=initial, **self.data_store_kwargs)
         self.cum_reward[satellite.name] = 0.0

@@ -1,4 +1,4 @@
-"""Several rewarders together; counterpart of ``bsk_rl.data.composition``; environments make them of a list or tuple."""
+"""Combinations of several rewarders; counterpart of ``bsk_rl.data.composition``. Environments combine a list or tuple."""
 
 from __future__ import annotations
 
@@ -61,12 +61,12 @@ class ComposedDataStore(DataStore):
         initial_data: ComposedData | None = None,
         data_store_kwargs: list[dict[str, Any]] | None = None,
     ) -> None:
-        """Make the stores.
+        """Create the stores.
 
         Args:
             satellite: The satellite.
-            data_store_types: Their types.
-            initial_data: What the satellite knows at the beginning.
+            data_store_types: Types of the stores.
+            initial_data: Data known at the start.
             data_store_kwargs: Further arguments of each store.
         """
         super().__init__(satellite, initial_data)
@@ -81,7 +81,7 @@ class ComposedDataStore(DataStore):
         return _found(self.__dict__.get("data_stores", ()), name, "ComposedDataStore")
 
     def pass_data(self) -> None:
-        """Give each store its unit of the data."""
+        """Pass each store its unit of the data."""
         for store, unit in zip(self.data_stores, self.data.data, strict=False):
             store.data = unit
 
@@ -124,7 +124,7 @@ class ComposedReward(GlobalReward):
         return _found(self.__dict__.get("rewarders", ()), name, "ComposedReward")
 
     def pass_data(self) -> None:
-        """Give each rewarder its unit of the data."""
+        """Pass each rewarder its unit of the data."""
         for rewarder, unit in zip(self.rewarders, self.data.data, strict=False):
             rewarder.data = unit
 

@@ -1,4 +1,4 @@
-"""Reward for the time of scanning; counterpart of ``bsk_rl.data.nadir_data``."""
+"""Reward for scanning time; counterpart of ``bsk_rl.data.nadir_data``."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class ScanningTimeStore(DataStore):
     data_type = ScanningTime
 
     def get_log_state(self) -> float:
-        """Return the level of the satellite's store, bit."""
+        """Return the level of the satellite's data buffer, bit."""
         return self.satellite.dynamics.storageUnit.storageUnitDataOutMsg.read().storageLevel
 
     def compare_log_states(self, old_state: float, new_state: float) -> ScanningTime:

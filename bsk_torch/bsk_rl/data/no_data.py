@@ -10,7 +10,7 @@ __all__ = ["NoData", "NoDataStore", "NoReward"]
 
 
 class NoData(Data):
-    """Nothing."""
+    """Empty data."""
 
     def __add__(self, other: object) -> NoData:
         """Return nothing."""
@@ -18,7 +18,7 @@ class NoData(Data):
 
 
 class NoDataStore(DataStore):
-    """A store of nothing."""
+    """A store without data."""
 
     data_type = NoData
 

@@ -32,7 +32,7 @@ class ResourceData(Data):
 
 
 class ResourceDataStore(DataStore):
-    """Follows a quantity of the satellite."""
+    """Computes the change of a quantity of the satellite in each step."""
 
     data_type = ResourceData
 
@@ -57,16 +57,16 @@ class ResourceDataStore(DataStore):
 
 
 class ResourceReward(GlobalReward):
-    """Pays for the change of a quantity, such as fuel or time: ``reward_weight`` times the change in each step."""
+    """Rewards the change of a quantity, such as fuel or time: ``reward_weight`` times the change in each step."""
 
     data_store_type = ResourceDataStore
 
     def __init__(self, reward_weight: float | Callable[[], float] = 1.0, resource_fn: Callable[[Any], float] = nothing) -> None:
-        """Take weight and quantity.
+        """Initialize the rewarder.
 
         Args:
             reward_weight: Reward per unit of the quantity, or a function that draws it for each episode.
-            resource_fn: The quantity as a function of the satellite.
+            resource_fn: Function of the satellite that returns the quantity.
         """
         super().__init__()
         self._reward_weight = reward_weight
@@ -79,7 +79,7 @@ class ResourceReward(GlobalReward):
         super().reset_pre_sim_init()
 
     def reset_post_sim_init(self) -> None:
-        """Give the weight to the observations ``obs.ResourceRewardWeight`` of the satellites."""
+        """Pass the weight to the observations ``obs.ResourceRewardWeight`` of the satellites."""
         for satellite in self.scenario.satellites:
             for observation in satellite.observation_builder.observation_spec:
                 if hasattr(observation, "weight_vector"):

@@ -36,12 +36,12 @@ class RSOInspectionData(Data):
         point_inspect_status: Mapping[RSOPoint, bool] | None = None,
         point_illuminate_status: Mapping[RSOPoint, bool] | None = None,
     ) -> None:
-        """Take both; empty unless given."""
+        """Initialize with the status of points; empty by default."""
         self.point_inspect_status: Status = dict(point_inspect_status or {})
         self.point_illuminate_status: Status = dict(point_illuminate_status or {})
 
     def __add__(self, other: RSOInspectionData) -> RSOInspectionData:
-        """Return what either knows."""
+        """Return the points inspected, and lit, in either."""
         return RSOInspectionData(
             _either(self.point_inspect_status, other.point_inspect_status),
             _either(self.point_illuminate_status, other.point_illuminate_status),
@@ -67,7 +67,7 @@ def _either(mine: Status, theirs: Status) -> Status:
 
 
 class RSOInspectionDataStore(DataStore):
-    """Takes what an inspector has found in a step from ``scenario.inspection``; the RSO itself finds nothing.
+    """Reads the points inspected in a step from ``scenario.inspection``; the RSO itself inspects none.
 
     Attributes:
         role: ``"inspector"`` or ``"rso"``.
@@ -109,7 +109,7 @@ class RSOInspectionReward(GlobalReward):
 
     Attributes:
         bonus_reward_yielded: Whether the inspection has been completed in the episode.
-        bonus_reward_time: When, s; None before.
+        bonus_reward_time: Time of completion, s; None before.
     """
 
     data_store_type = RSOInspectionDataStore

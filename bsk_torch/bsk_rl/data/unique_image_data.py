@@ -19,29 +19,29 @@ class UniqueImageData(Data):
 
     Attributes:
         imaged: Targets that have been imaged.
-        duplicates: Number of images of targets that had been imaged before; in what satellites know, each exchange counts all
-            that both sides know once more.
+        duplicates: Number of images of targets imaged before; when satellites exchange data, targets imaged in both are counted
+            again.
         known: Targets that are known, imaged or not.
     """
 
     def __init__(
         self, imaged: Iterable[Target] | None = None, duplicates: int = 0, known: Iterable[Target] | None = None
     ) -> None:
-        """Take targets, of which repeated ones are duplicates."""
+        """Initialize with targets; repeated ones are duplicates."""
         listed = list(imaged or ())
         self.imaged = set(listed)
         self.duplicates = duplicates + len(listed) - len(self.imaged)
         self.known = set(known or ())
 
     def __add__(self, other: UniqueImageData) -> UniqueImageData:
-        """Return both together; what both have imaged are duplicates."""
+        """Return the union; targets imaged in both are duplicates."""
         imaged = self.imaged | other.imaged
         both = len(self.imaged) + len(other.imaged) - len(imaged)
         return type(self)(imaged, self.duplicates + other.duplicates + both, self.known | other.known)
 
 
 class UniqueImageStore(DataStore):
-    """Finds images by the first partition of the satellite's store: where it has grown, ``latest_target`` has been imaged."""
+    """Detects images by the first partition of the data buffer: if its level has risen, ``latest_target`` was imaged."""
 
     data_type = UniqueImageData
 
@@ -65,7 +65,7 @@ class UniqueImageStore(DataStore):
 
 
 def whole_priority(priority: float) -> float:
-    """Return the priority itself, the reward of a target unless another is given."""
+    """Return the priority, the default reward of a target."""
     return priority
 
 
@@ -92,7 +92,7 @@ class UniqueImageReward(GlobalReward):
         return self.data_type(known=self.scenario.targets)
 
     def create_data_store(self, satellite: Any) -> None:
-        """Give a satellite its store, and hide from it the targets that the store has imaged."""
+        """Create the data store of a satellite, and hide targets imaged in it from the satellite."""
         super().create_data_store(satellite)
         satellite.add_access_filter(HideImaged(satellite.data_store))
 

@@ -1,4 +1,4 @@
-"""Observations of one satellite, and how they are put together."""
+"""Observations of one satellite, and their builder."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def name_entry(entry: Entry, name: str) -> None:
 
 
 class ObservationBuilder(Resetable):
-    """Puts the observations of a satellite together.
+    """Combines the observations of a satellite.
 
     Attributes:
         obs_type: ``np.ndarray``, ``list`` or ``dict``; it may be set at any time.
@@ -88,29 +88,29 @@ class ObservationBuilder(Resetable):
             entry.link_satellite(satellite)
 
     def reset_overwrite_previous(self) -> None:
-        """Pass the hook on."""
+        """Call the hook of each observation."""
         for entry in self.observation_spec:
             entry.reset_overwrite_previous()
 
     def reset_pre_sim_init(self) -> None:
-        """Pass the hook on."""
+        """Call the hook of each observation."""
         for entry in self.observation_spec:
             entry.reset_pre_sim_init()
 
     def reset_during_sim_init(self) -> None:
-        """Pass the hook on."""
+        """Call the hook of each observation."""
         for entry in self.observation_spec:
             entry.reset_during_sim_init()
 
     def reset_post_sim_init(self) -> None:
-        """Link the simulation, and pass the hook on."""
+        """Link the simulation and call the hook of each observation."""
         self.simulator, self.obs_dict_cache = self.satellite.simulator, None
         for entry in self.observation_spec:
             entry.link_simulator(self.simulator)
             entry.reset_post_sim_init()
 
     def obs_dict(self) -> dict[str, Any]:
-        """Return the observations by name; they are made once for every time."""
+        """Return the observations by name; they are computed once at each time."""
         if self.obs_dict_cache is None or self.simulator.sim_time != self.obs_cache_time:
             self.obs_dict_cache = {}
             for entry in self.observation_spec:
@@ -184,8 +184,9 @@ class SatProperties(Observation):
         """Observe quantities.
 
         Args:
-            *obs_properties: Dictionaries with ``prop``, the name of a property; ``module``, ``"dynamics"`` or ``"fsw"``, found
-                unless given; ``norm``, a divisor; ``name``; and ``fn``, a function of the satellite in place of a property.
+            *obs_properties: Dictionaries with ``prop``, the name of a property; ``module``, ``"dynamics"`` or ``"fsw"``
+                (default: the one that has it); ``norm``, a divisor; ``name``; and ``fn``, a function of the satellite in place
+                of a property.
             name: Name of the observation.
         """
         super().__init__(name=name)
@@ -227,7 +228,7 @@ class Time(Observation):
     """Time since reset, or until the time limit."""
 
     def __init__(self, norm: float | None = None, name: str = "time", observe_time_remaining: bool = False) -> None:
-        """Observe time in units of ``norm`` s; None for the time limit."""
+        """Initialize the observation; time is divided by ``norm`` s, or by the time limit if it is None."""
         super().__init__(name=name)
         self.norm, self.return_time_remaining = norm, observe_time_remaining
 
@@ -312,7 +313,7 @@ class Eclipse(Observation):
     """Times until the next eclipse starts, and until the next one ends."""
 
     def __init__(self, norm: float = 1.0, name: str = "eclipse") -> None:
-        """Observe both in units of ``norm`` s."""
+        """Initialize the observation; both times are divided by ``norm`` s."""
         super().__init__(name=name)
         self.norm = norm
 
@@ -328,7 +329,7 @@ class ResourceRewardWeight(Observation):
     weight_vector: list[float]
 
     def __init__(self, name: str = "resource_reward_weight", norm: Any = 1.0) -> None:
-        """Observe them in units of ``norm``, a number or a vector."""
+        """Initialize the observation; weights are divided by ``norm``, a number or a vector."""
         super().__init__(name=name)
         self.norm = norm
 

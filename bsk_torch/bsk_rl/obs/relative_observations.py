@@ -131,7 +131,7 @@ def rso_omega_BH(_: Any, rso: Any) -> Any:
 
 
 def rso_imaged_regions(servicer: Any, chief: Any, region_centers: Any = AXES, frame: str = "chief_hill") -> Any:
-    """Return which share of the points in each region has been inspected, [n].
+    """Return the fraction of the points in each region that has been inspected, [n].
 
     Args:
         servicer: The inspector.
