@@ -160,7 +160,7 @@ def _run(
     else:
         with working("drawing"):
             _draw(policy, results, config, folder)
-    typer.echo(told(config, folder))
+    typer.echo(told(run))
     return results[TRAINED], run.interrupted
 
 

@@ -7,6 +7,7 @@ import pytest
 import bsk_torch
 from bsk_torch.data import ScanningTimeReward
 from bsk_torch.rl.evaluation import FRESH, evaluate
+from bsk_torch.rl.marl.runs import told, training_of
 from bsk_torch.rl.training import configure, resume, train
 
 OPTIONS = {"backend": "eager", "time_limit": 300.0}
@@ -55,6 +56,13 @@ def test_a_resumed_training_is_compared_without_the_untrained_policy(tmp_path, c
     resume(out, episodes=2)
     assert "untrained" not in capsys.readouterr().out
     assert set(json.loads((out / "evaluation.json").read_text())) == {"random", "rule", "trained"}
+
+
+def test_an_interrupted_training_says_how_to_resume(tmp_path):
+    run = training_of(settings(), tmp_path / "run")
+    assert told(run).endswith(f"next: bsk-torch report {tmp_path / 'run'}")
+    run.interrupted = True
+    assert told(run).endswith(f"next: bsk-torch train {tmp_path / 'run'} --resume, or bsk-torch report {tmp_path / 'run'}")
 
 
 def test_what_only_a_program_can_build_is_loaded_there(tmp_path, capsys):

@@ -149,16 +149,19 @@ def _completed(run: Training, episodes: int, quiet: bool, before: Collection[str
     save_results(results, run.out / EVALUATION, TRAINED)
     if not quiet:
         print_results(results, f"{config.preset}, {episodes} unseen episodes", TRAINED)
-        sys.stdout.write(f"{told(config, run.out)}\n")
+        sys.stdout.write(f"{told(run)}\n")
     return policy
 
 
-def told(config: PPOConfig, folder: Path) -> str:
+def told(run: Training) -> str:
     """Return where the results of a run are, and what to do next.
 
-    That is the command for a report, or a call where only the user's program has the preset or parts of the environment.
+    That is the command for a report, also that for resuming an interrupted run, or a call where only the user's program has the
+    preset or parts of the environment.
     """
+    config, folder = run.config, shlex.quote(str(run.out))
     objects = config.options.keys() - plain(config.options).keys() - {"backend", "device", *LOGS}
-    report = config.preset in LISTED and not objects
-    call = f"bsk-torch report {shlex.quote(str(folder))}" if report else f"bsk_torch.rl.policies.load_policy({str(folder)!r})"
-    return f"results: {folder}\nnext: {call}"
+    if config.preset not in LISTED or objects:
+        return f"results: {run.out}\nnext: bsk_torch.rl.policies.load_policy({str(run.out)!r})"
+    resumed = f"bsk-torch train {folder} --resume, or " if run.interrupted else ""
+    return f"results: {run.out}\nnext: {resumed}bsk-torch report {folder}"
