@@ -43,16 +43,17 @@ def usage(name: str, command: Any) -> str:
 
 def parameter(p: Any) -> list[str]:
     """Return name, default and meaning of an argument or option."""
-    names = p.name.upper() if p.param_type_name == "argument" else ", ".join([*p.opts, *p.secondary_opts])
+    names = [p.name.upper()] if p.param_type_name == "argument" else [*p.opts, *p.secondary_opts]
     default = (
         "required" if p.required else "-" if p.default in (None, (), [], "") or callable(p.default) else code(str(p.default))
     )
-    return [code(names), default, inspect.cleandoc(p.help or "-")]
+    return [", ".join(map(code, names)), default, paragraphs(p.help or "-")]
 
 
 def paragraphs(text: str | None) -> str:
-    """Return the text of a help without its marks of paragraphs."""
-    return inspect.cleandoc(text or "").replace("\b", "").replace("\f", "")
+    """Return the text of a help without its marks of paragraphs, and with options as code."""
+    plain_text = inspect.cleandoc(text or "").replace("\b", "").replace("\f", "")
+    return re.sub(r"(?<![\w`-])--[a-z][a-z-]*", lambda option: code(option[0]), plain_text)
 
 
 # -- presets -------------------------------------------------------------------------------------------------------------------
