@@ -95,7 +95,7 @@ def profile(case: str, seconds: float, num_envs: int) -> list[dict[str, Any]]:
 
 def main() -> None:
     """Measure and print a table."""
-    cases = ["NadirScan-v1:mlp", "AEOS-v1:attention", "AEOS-v1:pointer"]
+    cases = ["NadirScan-v1:mlp", "AEOS-v1:attention"]
     parsed = harness.parser(__doc__, cases=cases, seconds=20.0, num_envs=0)
     options, described = harness.begin(parsed)
     torch.manual_seed(0)

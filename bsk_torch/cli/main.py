@@ -119,8 +119,8 @@ def train(
         str | None,
         typer.Option(
             metavar="NAME",
-            help="'mlp' (default for one satellite), 'gru' (with a memory), 'attention' (for targets observed as a set, and "
-            "for constellations), or 'pointer' (for sets, faster).",
+            help="'mlp' (default for one satellite), 'gru' (with a memory), or 'attention' (for targets observed as a set, and "
+            "for constellations).",
         ),
     ] = None,
     minutes: Annotated[

@@ -119,6 +119,13 @@ def breakdown() -> str:
     return with_command("breakdown", ["satellites", "part of a step", "us per step", "%"], cells)
 
 
+def training_profile() -> str:
+    """Return where the time of a training goes."""
+    rows = load("training_profile")["rows"]
+    cells = [[row["case"], row["phase"], f"{row['us']:.1f}", f"{row['percent']:.1f}"] for row in rows]
+    return with_command("training_profile", ["training", "phase", "us per decision", "%"], cells)
+
+
 def startup() -> str:
     """Return the time until the first step is done."""
     kept = {"nothing": "nothing compiled before", "everything": "everything compiled before"}
@@ -516,6 +523,7 @@ TABLES = {
     "vs_basilisk": vs_basilisk,
     "constellations": constellations,
     "breakdown": breakdown,
+    "training_profile": training_profile,
     "startup": startup,
     "recordings": recordings,
     "resets": resets,

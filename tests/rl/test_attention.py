@@ -8,7 +8,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 import bsk_torch
 from bsk_torch.rl.networks.attention import LEAST
 from bsk_torch.rl.networks.normaliser import MASK, OWN, ROWS, FeatureNormaliser, symlog
-from bsk_torch.rl.networks.plans import CLOCKS, AttentionPlan, MLPPlan, PointerPlan
+from bsk_torch.rl.networks.plans import CLOCKS, AttentionPlan, MLPPlan
 from bsk_torch.rl.policies.files import load_policy, save_policy
 
 N, K, F, D = 6, 5, 4, 3
@@ -16,11 +16,11 @@ OTHERS = 2
 """Actions before the images."""
 
 
-@pytest.fixture(params=[(AttentionPlan, (32, 32)), (PointerPlan, (32,))], ids=["attention", "pointer"])
-def networks(request):
+@pytest.fixture
+def networks():
     torch.manual_seed(0)
-    kind, hidden = request.param
-    return kind(("observation", "target"), (("observation", "time"),), D, F, OTHERS + K, (OTHERS, OTHERS + K), hidden).build()
+    plan = AttentionPlan(("observation", "target"), (("observation", "time"),), D, F, OTHERS + K, (OTHERS, OTHERS + K), (32, 32))
+    return plan.build()
 
 
 @pytest.fixture
@@ -158,15 +158,9 @@ def test_blocks_need_equal_widths_that_heads_divide(hidden):
         AttentionPlan(("observation", "target"), (), D, F, K, (0, K), hidden)
 
 
-def test_only_one_layer_points():
-    with pytest.raises(ValueError, match=r"one layer, such as \(32,\)"):
-        PointerPlan(("observation", "target"), (), D, F, K, (0, K), (32, 32))
-
-
-@pytest.mark.parametrize("kind", [AttentionPlan, PointerPlan])
-def test_a_kept_policy_acts_the_same(kind, tmp_path):
+def test_a_kept_policy_acts_the_same(tmp_path):
     torch.manual_seed(3)
-    plan = kind(("observation", "target"), (("observation", "time"),), 1, F, OTHERS + K, (OTHERS, OTHERS + K), (32,))
+    plan = AttentionPlan(("observation", "target"), (("observation", "time"),), 1, F, OTHERS + K, (OTHERS, OTHERS + K), (32,))
     networks = plan.build()
     situation = TensorDict({
         "observation": {"target": {"rows": 5.0 * torch.randn(40, K, F), "mask": torch.ones(40, K)}, "time": torch.rand(40)},

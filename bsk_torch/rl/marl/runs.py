@@ -18,7 +18,7 @@ from bsk_torch.rl.evaluation.comparison import compare
 from bsk_torch.rl.evaluation.evaluate import FRESH, evaluate
 from bsk_torch.rl.evaluation.results import EVALUATION, print_results, save_results
 from bsk_torch.rl.marl.mappo import CRITICS, MAPPOConfig, MAPPOTraining
-from bsk_torch.rl.networks.plans import OF_SETS, check_network
+from bsk_torch.rl.networks.plans import check_network
 from bsk_torch.rl.policies.files import LOGS, plain
 from bsk_torch.rl.policies.shared_policy import shared
 from bsk_torch.rl.training.config import CONFIG, PPOConfig, load_config, read_settings
@@ -74,9 +74,9 @@ def configure(preset: str, network: str | None = None, algorithm: str | None = N
         raise ValueError(f"algorithm={algorithm!r} does not train {preset}, which has {has}; use {fitting}")
     recipe, options = recipe_of(preset, network, changes.pop("options", {}))
     has_sets = preset not in PRESETS or "as_set" in inspect.signature(PRESETS[preset]).parameters
-    if network in OF_SETS and not has_sets and not many:
-        raise ValueError(f"network={network!r} does not fit {preset}, which observes no set of targets; use network='mlp'")
-    if network in OF_SETS and has_sets:
+    if network == "attention" and not has_sets and not many:
+        raise ValueError(f"network='attention' does not fit {preset}, which observes no set of targets; use network='mlp'")
+    if network == "attention" and has_sets:
         options = {"as_set": True} | options
     settings = {"network": network, "options": options} | recipe | changes
     return MAPPOConfig(preset, algorithm=algorithm, **settings) if many else PPOConfig(preset, **settings)

@@ -58,38 +58,10 @@ class Encoder(nn.Module):
         return self.norm(tokens)
 
 
-class Pointer(nn.Module):
-    """Tokens of the satellite, first, and of every target, which do not attend to each other.
-
-    The satellite's token attends to the targets, and every target's token takes what it has found into account. That is less
-    than half of the operations of an :class:`Encoder` with one block.
-    """
-
-    def __init__(self, n_own: int, n_features: int, width: int, heads: int) -> None:
-        """Expect ``n_own`` numbers of the satellite and ``n_features`` of each target; ``width`` is a multiple of ``heads``."""
-        super().__init__()
-        self.heads = heads
-        self.own, self.context, self.row = nn.Linear(n_own, width), nn.Linear(n_own, width), nn.Linear(n_features, width)
-        self.mix, self.found = nn.Linear(width, width), nn.Linear(width, width)
-        self.norm, self.answer, self.wide = nn.LayerNorm(width), nn.Linear(width, width), nn.Linear(width, width)
-
-    def forward(self, own: Tensor, rows: Tensor, mask: Tensor) -> Tensor:
-        """See :meth:`Encoder.forward`."""
-        targets = self.mix(relu(self.row(rows) + self.context(own).unsqueeze(-2)))
-        satellite = self.own(own)
-        keys = targets.unflatten(-1, (self.heads, -1)).transpose(-2, -3)
-        query = satellite.unflatten(-1, (self.heads, 1, -1))
-        exists = mask[:, None, None, :]
-        weights = (query @ keys.mT * keys.shape[-1] ** -0.5).masked_fill(~exists, LEAST).softmax(-1) * exists
-        satellite = self.norm(satellite + self.found((weights @ keys).flatten(-3)))
-        targets = relu(self.wide(targets) + self.answer(satellite).unsqueeze(-2))
-        return torch.cat([satellite.unsqueeze(-2), targets], -2)
-
-
 class SetActor(nn.Module):
     """Computes the logits of all actions: of images from the tokens of their targets, of others from the satellite's token."""
 
-    def __init__(self, encoder: Encoder | Pointer, width: int, n_actions: int, images: range, scale: float) -> None:
+    def __init__(self, encoder: Encoder, width: int, n_actions: int, images: range, scale: float) -> None:
         """Build for ``n_actions`` actions, of which ``images`` image the first targets.
 
         Initial logits are of the order of ``scale``.

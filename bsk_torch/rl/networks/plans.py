@@ -16,7 +16,7 @@ from torchrl.modules import MLP, GRUModule, MaskedCategorical, ProbabilisticActo
 from bsk_torch.env import SatelliteTasking
 from bsk_torch.env.action_forms import form
 from bsk_torch.rl.networks.activation import Tanh
-from bsk_torch.rl.networks.attention import Encoder, Pointer, SetActor, SetCritic
+from bsk_torch.rl.networks.attention import Encoder, SetActor, SetCritic
 from bsk_torch.rl.networks.continuous import NormalParameters, squashed
 from bsk_torch.rl.networks.normaliser import CLOCK, MASK, OWN, ROWS, ObservationNormaliser, SetNormaliser, VectorNormaliser
 from bsk_torch.rl.networks.precision import float32_weights
@@ -204,19 +204,19 @@ class AttentionPlan:
         """Return the plan for an environment; ValueError unless it observes one set that includes all targets to choose from."""
         if form(env.satellite) is not None:
             raise ValueError(
-                f"networks {OF_SETS} choose targets; the actions of {env.satellite.name} are real numbers: use 'mlp'"
+                f"network='attention' chooses targets; the actions of {env.satellite.name} are real numbers: use 'mlp'"
             )
         leaves = _leaves(env)
         sets = [key[:-1] for key in leaves if key[-1] == "rows" and (*key[:-1], "mask") in leaves]
         if len(sets) != 1:
             raise ValueError(
-                f"networks {OF_SETS} need one observation with as_set=True and the satellite's obs_type=dict; found {len(sets)}"
+                f"network='attention' needs one observation with as_set=True and the satellite's obs_type=dict; found {len(sets)}"
             )
         rows_key = (*sets[0], "rows")
         n_rows, n_features = leaves[rows_key][-2:]
         images = image_actions(env)
         if len(images) > n_rows:
-            raise ValueError(f"networks {OF_SETS}: {len(images)} targets can be chosen, but only {n_rows} are observed")
+            raise ValueError(f"network='attention': {len(images)} targets can be chosen, but only {n_rows} are observed")
         own = {key: shape[1:].numel() for key, shape in leaves.items() if key[:-1] != sets[0]}
         n_actions = env.satellite.actions.n_actions
         return cls(sets[0], tuple(own), sum(own.values()), n_features, n_actions, (images.start, images.stop), tuple(hidden))
@@ -230,49 +230,24 @@ class AttentionPlan:
     def build(self) -> Networks:
         """Return new networks."""
         width, keys = self.hidden[0], [OWN, ROWS, MASK]
-        actor = SetActor(self._acting(), width, self.n_actions, range(*self.images), INITIAL_LOGITS)
+        actor = SetActor(self._encoder(self.n_own, len(self.hidden)), width, self.n_actions, range(*self.images), INITIAL_LOGITS)
         critic = Clocked(SetCritic(self._encoder(self.n_own + CLOCKS, 0), width))
         normaliser = SetNormaliser(self.set_key, self.own_keys, self.n_own, self.n_features)
         return Networks(normaliser, _actor(actor, keys), ValueOperator(critic, in_keys=[*keys, CLOCK]))
-
-    def _acting(self) -> Encoder | Pointer:
-        """Return the actor's encoder."""
-        return self._encoder(self.n_own, len(self.hidden))
 
     def _encoder(self, n_own: int, blocks: int) -> Encoder:
         width = self.hidden[0]
         return Encoder(n_own, self.n_features, width, width // HEAD, blocks)
 
 
-@dataclass(frozen=True)
-class PointerPlan(AttentionPlan):
-    """Sizes of networks in which only the satellite attends to targets; otherwise as :class:`AttentionPlan`."""
+Plan = MLPPlan | GRUPlan | AttentionPlan
 
-    def __post_init__(self) -> None:
-        """ValueError for several layers, and for a width that cannot be shared out among heads."""
-        super().__post_init__()
-        if len(self.hidden) > 1:
-            raise ValueError(f"hidden={self.hidden}: network='pointer' has one layer, such as ({self.hidden[0]},)")
-
-    def _acting(self) -> Pointer:
-        """See :meth:`AttentionPlan._acting`."""
-        width = self.hidden[0]
-        return Pointer(self.n_own, self.n_features, width, width // HEAD)
-
-
-Plan = MLPPlan | GRUPlan | AttentionPlan | PointerPlan
-
-PLANS: dict[str, type[MLPPlan] | type[GRUPlan] | type[AttentionPlan] | type[PointerPlan]] = {
+PLANS: dict[str, type[MLPPlan] | type[GRUPlan] | type[AttentionPlan]] = {
     "mlp": MLPPlan,
     "gru": GRUPlan,
     "attention": AttentionPlan,
-    "pointer": PointerPlan,
 }
 """Kinds of networks by name."""
-
-
-OF_SETS = ("attention", "pointer")
-"""Kinds of networks that observe targets as a set."""
 
 
 def check_network(network: str) -> None:

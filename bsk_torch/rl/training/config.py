@@ -92,7 +92,7 @@ class PPOConfig:
     Args:
         preset: Name of the environment; see :func:`bsk_torch.make`.
         network: ``"mlp"`` for observation vectors, ``"gru"`` for the same with a memory, ``"attention"`` for targets observed as
-            a set, ``"pointer"`` for the same without attention among targets, which takes less than half of the time.
+            a set.
         seconds: Training time after compilation, s; None for no limit.
         frames: Number of decisions; None for no limit. One of the two limits is needed.
         num_envs: Episodes at once.

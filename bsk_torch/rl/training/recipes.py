@@ -9,12 +9,9 @@ TAUGHT: dict[str, Any] = dict(imitate="hasty", imitation=0.2)
 
 COMMON: dict[str, Any] = dict(num_envs=256, rollout=32, minibatch=1024, gamma=0.997, evaluate_every=200_000)
 
-TARGETS: dict[str, Any] = COMMON | TAUGHT | dict(hidden=(64,), learning_rate=1e-3, epochs=2, evaluate_every=100_000)
-
 IMAGING: dict[str, dict[str, Any]] = {
     "mlp": COMMON | dict(hidden=(512, 256), learning_rate=7e-4, epochs=4),
-    "attention": TARGETS,
-    "pointer": TARGETS,
+    "attention": COMMON | TAUGHT | dict(hidden=(64,), learning_rate=1e-3, epochs=2, evaluate_every=100_000),
 }
 """For choosing targets: what counts is decided within minutes, so the future is discounted accordingly."""
 
