@@ -7,8 +7,9 @@ episode, unless they work on tensors. Anything without a counterpart raises :cla
 
 from __future__ import annotations
 
+import inspect
 from abc import ABC
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -18,9 +19,10 @@ from gymnasium import spaces
 from gymnasium.vector.utils import batch_space
 from torch import Tensor
 
-from bsk_torch import act, data, obs, rand, scene
+from bsk_torch import act, comm, data, obs, rand, scene
 from bsk_torch import sats as core_sats
 from bsk_torch.bsk_rl import act as their_act
+from bsk_torch.bsk_rl import comm as their_comm
 from bsk_torch.bsk_rl import data as their_data
 from bsk_torch.bsk_rl import obs as their_obs
 from bsk_torch.bsk_rl import sats as their_sats
@@ -29,11 +31,14 @@ from bsk_torch.bsk_rl.data.composition import ComposedReward
 from bsk_torch.bsk_rl.data.resource_data import nothing
 from bsk_torch.bsk_rl.data.unique_image_data import whole_priority
 from bsk_torch.bsk_rl.defaults import world_defaults
-from bsk_torch.bsk_rl.gym import SatelliteTasking
+from bsk_torch.bsk_rl.gym import ConstellationTasking, GeneralSatelliteTasking, SatelliteTasking
 from bsk_torch.bsk_rl.obs.observations import LARGEST
+from bsk_torch.bsk_rl.obs.relative_observations import PRESETS as RELATIVE
 from bsk_torch.bsk_rl.scene.targets import uniform_priority
 from bsk_torch.bsk_rl.utils import orbital
+from bsk_torch.env import ConstellationTasking as Constellation
 from bsk_torch.env import SatelliteTasking as Core
+from bsk_torch.env.base import Tasking
 from bsk_torch.env.per_environment import per_environment
 from bsk_torch.sim.places import TARGET_KIND
 from bsk_torch.wrappers.gymnasium import GymVectorEnv
@@ -68,6 +73,12 @@ ACTIONS: dict[type, Stock] = {
 }  # fmt: skip
 """Actions; all have a satellite, and the number of their actions."""
 
+COMMUNICATION: dict[type, Stock] = {
+    getattr(their_comm, name): Stock(getattr(comm, name), {"min_period": "min_period"})
+    for name in ("NoCommunication", "FreeCommunication", "LOSCommunication", "LOSMultiCommunication")
+}
+"""Communication methods."""
+
 OBSERVATIONS: dict[type, Stock] = {
     their_obs.SatProperties: Stock(obs.SatProperties, {"name": "name"}, "obs_properties"),
     their_obs.Time: Stock(obs.Time, {"norm": "norm", "name": "name", "observe_time_remaining": "return_time_remaining"}),
@@ -76,6 +87,7 @@ OBSERVATIONS: dict[type, Stock] = {
     their_obs.OpportunityProperties: Stock(
         obs.OpportunityProperties, {"n_ahead_observe": "n_ahead_observe", "type": "type", "name": "name"}, "target_properties"
     ),
+    their_obs.RelativeProperties: Stock(obs.RelativeProperties, {"chief_name": "chief_name", "name": "name"}, "rel_properties"),
 }
 """Observations."""
 
@@ -159,12 +171,15 @@ SATELLITE_STATE = (
 )  # fmt: skip
 """Attributes of satellites before their first episode."""
 
-WITHOUT = ("communicator", "sat_arg_randomizer")
-"""Arguments of environments that have no counterpart for a single satellite."""
+CORES: dict[type, Any] = {SatelliteTasking: Core, ConstellationTasking: Constellation}
+"""Environments of the core by the classes of bsk_rl that have a batched vector form."""
+
+AGENT_ARGUMENTS = ("meta_agent_groupings", "only_retask_idle_meta_agent_members")
+"""Arguments of agents that command several satellites."""
 
 PASSED = (
     "world_type", "sim_rate", "max_step_duration", "failure_penalty", "time_limit", "terminate_on_time_limit",
-    "generate_obs_retasking_only", "backend", "orbit", "log_dir",
+    "generate_obs_retasking_only", "backend", "orbit", "log_dir", "sat_arg_randomizer",
 )  # fmt: skip
 """Arguments of environments passed to the core unchanged."""
 
@@ -199,11 +214,15 @@ def _entries(given: Any) -> list[dict[str, Any]]:
     """Return the observed quantities of an observation as the core takes them."""
     if isinstance(given, their_obs.SatProperties):
         return [_adapted({name: value for name, value in entry.items() if name != "module"}) for entry in given.obs_properties]
-    if isinstance(given, their_obs.OpportunityProperties):
-        presets: Mapping[Any, Any] = their_obs.OpportunityProperties._fn_map
-        unused = [{"fn"} if entry["fn"] is presets.get(entry.get("prop")) else set() for entry in given.target_properties]
-        pairs = zip(given.target_properties, unused, strict=True)
-        return [_adapted({name: value for name, value in entry.items() if name not in names}) for entry, names in pairs]
+    for kind, entries, presets in (
+        (their_obs.OpportunityProperties, "target_properties", their_obs.OpportunityProperties._fn_map),
+        (their_obs.RelativeProperties, "rel_properties", RELATIVE),
+    ):
+        if isinstance(given, kind):
+            each = getattr(given, entries)
+            unused = [{"fn"} if entry["fn"] is presets.get(entry.get("prop")) else set() for entry in each]
+            pairs = zip(each, unused, strict=True)
+            return [_adapted({name: value for name, value in entry.items() if name not in names}) for entry, names in pairs]
     return []
 
 
@@ -253,12 +272,20 @@ def core_satellite(given: Any) -> core_sats.Satellite:
     return made(given.name, sat_args, variable_interval=bool(given.variable_interval), dtype=builder.dtype, **options)
 
 
-def batched_core(env: SatelliteTasking[Any, Any], arguments: Mapping[str, Any], num_envs: int, adapt: bool) -> Core:
+def given_to(args: Sequence[Any], kwargs: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the arguments of an environment by name, without those that are not given."""
+    named = {"satellites" if name == "satellite" else name: value for name, value in kwargs.items()}
+    bound = inspect.signature(GeneralSatelliteTasking.__init__).bind_partial(None, *args, **named)
+    return {name: value for name, value in bound.arguments.items() if name != "self"}
+
+
+def batched_core(env: Any, args: Sequence[Any], kwargs: Mapping[str, Any], num_envs: int, adapt: bool) -> Tasking:
     """Return the core's environment of N episodes of a program.
 
     Args:
         env: A single environment of the program, before its first reset.
-        arguments: The arguments that it was made of, by name.
+        args: The arguments that it was made of.
+        kwargs: The keyword arguments that it was made of.
         num_envs: Number of episodes N.
         adapt: Whether :func:`~bsk_torch.per_environment` may run a custom rewarder, or a scenario with custom targets. Every
             episode then begins with copies of them, so that what they keep from episode to episode is lost.
@@ -266,10 +293,11 @@ def batched_core(env: SatelliteTasking[Any, Any], arguments: Mapping[str, Any], 
     Raises:
         NotBatchedError: For a program that cannot be batched.
     """
-    if type(env) is not SatelliteTasking:
-        raise NotBatchedError(f"{type(env).__name__} is not bsk_rl's SatelliteTasking; bsk_torch.ConstellationTasking is batched")
-    if without := [name for name in WITHOUT if arguments.get(name) is not None]:
-        raise NotBatchedError(f"{without[0]} has no counterpart for a single satellite")
+    if (make := CORES.get(type(env))) is None:
+        raise NotBatchedError(f"{type(env).__name__} has no batched vector form; {[kind.__name__ for kind in CORES]} have")
+    if agents := [name for name in AGENT_ARGUMENTS if name in kwargs]:
+        raise NotBatchedError(f"{agents[0]}: agents of several satellites have no batched vector form")
+    arguments = given_to(args, kwargs)
     several = type(env.rewarder) is ComposedReward
     parts = env.rewarder.rewarders if several else [env.rewarder]
     try:
@@ -279,11 +307,13 @@ def batched_core(env: SatelliteTasking[Any, Any], arguments: Mapping[str, Any], 
             else counterpart(part, SUMMED if several else REWARDERS)
             for part in parts
         ]
+        satellites = [core_satellite(satellite) for satellite in env.satellites]
         custom = adapt and type(env.scenario) not in SCENARIOS and hasattr(env.scenario, "regenerate_targets")
-        return Core(
-            satellite=core_satellite(env.satellite),
-            scenario=per_environment(arguments["scenario"]) if custom else counterpart(env.scenario, SCENARIOS),
-            rewarder=rewarders if several else rewarders[0],
+        return make(
+            satellites if make is Constellation else satellites[0],
+            per_environment(arguments["scenario"]) if custom else counterpart(env.scenario, SCENARIOS),
+            rewarders if several else rewarders[0],
+            counterpart(env.communicator, COMMUNICATION),
             world_args=given_arguments(env.world_args_generator, world_defaults(env.world_type)),
             num_envs=num_envs,
             compat="bsk_rl",

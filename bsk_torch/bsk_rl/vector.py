@@ -1,13 +1,13 @@
 """Vector forms of bsk_rl's environments: N episodes of one program, under Gymnasium's vector interface or by agent.
 
 ``SatelliteTasking(..., num_envs=N)`` returns a :class:`~bsk_torch.bsk_rl.batch.BatchedVectorEnv` of one simulation if the program
-has no classes of the user's, else :class:`EpisodesVectorEnv`; ``ConstellationTasking(..., num_envs=N)`` returns
-:class:`AgentsVectorEnv`. The latter two step N environments of :mod:`bsk_torch.bsk_rl.gym` one after another.
+has no custom classes, else :class:`EpisodesVectorEnv`; ``ConstellationTasking(..., num_envs=N)`` likewise returns a
+:class:`~bsk_torch.bsk_rl.batch_agents.BatchedAgentsVectorEnv`, else :class:`AgentsVectorEnv`. The other two classes step N
+environments of :mod:`bsk_torch.bsk_rl.gym` one after another.
 """
 
 from __future__ import annotations
 
-import inspect
 import logging
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -22,8 +22,11 @@ from gymnasium.vector.utils import batch_space, concatenate, create_empty_array,
 
 from bsk_torch._checks import whole
 from bsk_torch.bsk_rl.batch import BatchedVectorEnv, NotBatchedError, batched_core
+from bsk_torch.bsk_rl.batch_agents import BatchedAgentsVectorEnv
 from bsk_torch.bsk_rl.gym import ConstellationTasking, GeneralSatelliteTasking
 from bsk_torch.bsk_rl.utils.logging_config import ContextFilter
+from bsk_torch.env import ConstellationTasking as Constellation
+from bsk_torch.env.base import Tasking
 from bsk_torch.wrappers.gymnasium.vector import parse_mode
 
 __all__ = ["AgentsVectorEnv", "Alone", "EpisodesVectorEnv", "vector_form"]
@@ -49,7 +52,7 @@ def vector_form(
     autoreset_mode: AutoresetMode | str | None,
     args: Sequence[Any],
     kwargs: Mapping[str, Any],
-) -> EpisodesVectorEnv | AgentsVectorEnv | BatchedVectorEnv:
+) -> EpisodesVectorEnv | AgentsVectorEnv | BatchedVectorEnv | BatchedAgentsVectorEnv:
     """Return N environments of a class as one; a log record describes how they are simulated.
 
     Args:
@@ -73,14 +76,14 @@ def vector_form(
     why = "vectorize='episodes'"
     if vectorize != "episodes":
         try:
-            core = batched_core(first, given_to(args, kwargs), count, adapt=vectorize == "batched")
+            core = batched_core(first, args, kwargs, count, adapt=vectorize == "batched")
         except NotBatchedError as error:
             if vectorize == "batched":
                 raise
             why = str(error)
         else:
             logger.info("%s: %d episodes in one simulation, with draws of bsk_torch", make.__name__, count)
-            return BatchedVectorEnv(core, autoreset_mode=mode)
+            return batched(core, mode)
     envs: list[Any] = [first, *(make(*args, **kwargs) for _ in range(count - 1))]
     if count > 1:
         logger.warning("%s: %d simulations side by side, which is slow: %s. %s", make.__name__, count, why, FASTER)
@@ -88,11 +91,19 @@ def vector_form(
     return vector(envs, autoreset_mode=mode)
 
 
-def given_to(args: Sequence[Any], kwargs: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the arguments of an environment by name, without those that are not given."""
-    named = {"satellites" if name == "satellite" else name: value for name, value in kwargs.items()}
-    bound = inspect.signature(GeneralSatelliteTasking.__init__).bind_partial(None, *args, **named)
-    return {name: value for name, value in bound.arguments.items() if name != "self"}
+def batched(core: Tasking, mode: AutoresetMode) -> BatchedVectorEnv | BatchedAgentsVectorEnv:
+    """Return the vector form of a simulation of N episodes."""
+    if not isinstance(core, Constellation):
+        return BatchedVectorEnv(core, autoreset_mode=mode)
+    check_mode(mode)
+    return BatchedAgentsVectorEnv(core, mode)
+
+
+def check_mode(mode: AutoresetMode) -> None:
+    """Raise ValueError for an autoreset mode that agents do not have."""
+    if mode not in AGENT_MODES:
+        names = [allowed.value for allowed in AGENT_MODES]
+        raise ValueError(f"autoreset_mode={mode.value!r} must be one of {names} for agents")
 
 
 def reject_agents(num_envs: int, **_: object) -> NoReturn:
@@ -218,9 +229,7 @@ class AgentsVectorEnv:
             ValueError: For another mode.
         """
         self.autoreset_mode = parse_mode(autoreset_mode)
-        if self.autoreset_mode not in AGENT_MODES:
-            names = [mode.value for mode in AGENT_MODES]
-            raise ValueError(f"autoreset_mode={self.autoreset_mode.value!r} must be one of {names} for agents")
+        check_mode(self.autoreset_mode)
         self.metadata = {"autoreset_mode": self.autoreset_mode, "name": "constellation"}
         self.envs = [Alone(env) for env in envs]
         self.num_envs = len(self.envs)

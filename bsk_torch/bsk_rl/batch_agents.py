@@ -1,0 +1,200 @@
+"""Constellations of bsk_rl as one batched simulation of N episodes, with arrays by agent."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from gymnasium import spaces
+from gymnasium.error import ResetNeeded
+from gymnasium.vector import AutoresetMode
+from gymnasium.vector.utils import batch_space
+from tensordict import TensorDictBase
+from torch import Tensor
+
+from bsk_torch.bsk_rl.obs.observations import LARGEST
+from bsk_torch.comm.mapped import satellites_of
+from bsk_torch.data import checked
+from bsk_torch.env import NO_ACTION
+from bsk_torch.env import ConstellationTasking as Constellation
+from bsk_torch.wrappers.core import as_numpy, begin
+
+__all__ = ["BatchedAgentsVectorEnv"]
+
+ByAgent = dict[Any, Any]
+"""Arrays [N, ...] by agent."""
+
+
+class Seat(NamedTuple):
+    """Place of an agent: its group and its number there, and the number of its satellite among all."""
+
+    group: str
+    number: int
+    column: int
+
+
+class BatchedAgentsVectorEnv:
+    """N constellations in one simulation, with the methods of :class:`~bsk_torch.bsk_rl.vector.AgentsVectorEnv`.
+
+    Observations, rewards and durations are those of single environments in the same state, to rounding. Draws are those of
+    :mod:`bsk_torch`: a seed gives other episodes, of the same distribution.
+
+    Attributes:
+        core: The simulation, an environment of :mod:`bsk_torch`.
+        num_envs: Number of environments N.
+        possible_agents: All agents.
+        observation_spaces, action_spaces: Spaces of all environments by agent.
+        single_observation_spaces, single_action_spaces: Spaces of one environment by agent.
+    """
+
+    def __init__(self, core: Constellation, autoreset_mode: AutoresetMode = AutoresetMode.NEXT_STEP) -> None:
+        """Wrap a simulation; ``autoreset_mode`` is ``NEXT_STEP`` or ``DISABLED``."""
+        self.core, self.autoreset_mode = core, autoreset_mode
+        self.metadata = {"autoreset_mode": autoreset_mode, "name": "constellation"}
+        self.num_envs = core.batch_size[0]
+        self.possible_agents: list[Any] = list(core.names)
+        self._seats, self.single_observation_spaces, self.single_action_spaces = {}, ByAgent(), ByAgent()
+        for group in core.groups:
+            shape = core.observation_spec[group.name, "observation"].shape[2:]
+            dtype = torch.empty(0, dtype=core.dtype).numpy().dtype
+            for number, agent in enumerate(group.agents):
+                self._seats[agent] = Seat(group.name, number, int(group.members[number, 0]))
+                self.single_observation_spaces[agent] = spaces.Box(-LARGEST, LARGEST, tuple(shape), dtype.type)
+                self.single_action_spaces[agent] = spaces.Discrete(core.satellites[group.types[0]].actions.n_actions)
+        self.observation_spaces = {a: batch_space(self.single_observation_spaces[a], self.num_envs) for a in self.possible_agents}
+        self.action_spaces = {a: batch_space(self.single_action_spaces[a], self.num_envs) for a in self.possible_agents}
+        self._left = torch.zeros(self.num_envs, len(self.possible_agents), dtype=torch.bool)
+        self._over = torch.zeros(self.num_envs, dtype=torch.bool)
+        self._started = False
+
+    def observation_space(self, agent: Any) -> spaces.Space[Any]:
+        """Space of an agent's observations in all environments."""
+        return self.observation_spaces[agent]
+
+    def action_space(self, agent: Any) -> spaces.Space[Any]:
+        """Space of an agent's actions in all environments."""
+        return self.action_spaces[agent]
+
+    @property
+    def agents(self) -> list[list[Any]]:
+        """Remaining agents of each environment."""
+        return [[a for a in self.possible_agents if row[self._seats[a].column]] for row in self._left.tolist()]
+
+    def get_attr(self, name: str) -> tuple[Any, ...]:
+        """Return ``satellites`` of every episode, lists of read-only views; AttributeError for other attributes."""
+        if name != "satellites":
+            raise AttributeError(
+                f"{name!r}: episodes in one simulation have 'satellites'. vectorize='episodes' makes environments with all "
+                "attributes and methods; env.core has those of all episodes together"
+            )
+        return tuple(satellites_of(self.core.fleet, env) for env in range(self.num_envs))
+
+    def close(self) -> None:
+        """Close the simulation."""
+        self.core.close()
+
+    # -- reset and step -----------------------------------------------------------------------------------------------
+
+    def reset(
+        self, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[ByAgent, ByAgent]:
+        """Start episodes; return observations and infos.
+
+        Args:
+            seed: One seed for the batch, whose environments differ by their index, or one for each environment; None for the next
+                episodes of the present seeds.
+            options: ``{"reset_mask": mask}`` with booleans [N] leaves the other environments unchanged.
+        """
+        rows = torch.as_tensor(np.asarray((options or {}).get("reset_mask", np.ones(self.num_envs)), dtype=bool))
+        if rows.shape != (self.num_envs,) or not rows.any():
+            raise ValueError(
+                f"options['reset_mask'] has shape {list(rows.shape)} and {int(rows.sum())} entries that are true; it must have "
+                f"shape [{self.num_envs}] and at least one"
+            )
+        if not self._started and not rows.all():
+            raise ResetNeeded("the first reset() must start all environments; leave out options['reset_mask']")
+        if seed is not None:
+            self.core.reseed(seed, rows)
+        self._begin(rows)
+        return self._observations(self.core.observe(), self._left), self._infos(
+            self._left, torch.zeros(self.num_envs, dtype=torch.float64)
+        )
+
+    def _begin(self, rows: Tensor) -> None:
+        """Start the next episodes of some environments, [N] bool."""
+        begin(self.core, rows)
+        alive = ~self.core.dead & ~self.core.fleet.state.removed
+        self._left, self._over, self._started = torch.where(rows.unsqueeze(-1), alive, self._left), self._over & ~rows, True
+
+    def step(self, actions: Mapping[Any, Any]) -> tuple[ByAgent, ByAgent, ByAgent, ByAgent, ByAgent]:
+        """Carry out the actions [N] of agents, by agent; those of agents that are left out, or have left, are not used.
+
+        Raises:
+            ResetNeeded: If no episode is running, or one is over that does not start by itself.
+            KeyError: For an agent that there is not.
+            ValueError: For actions of another number.
+        """
+        if not self._started or (self.autoreset_mode is AutoresetMode.DISABLED and bool(self._over.any())):
+            raise ResetNeeded("step() needs running episodes; call reset(), with options={'reset_mask': ended} for some of them")
+        given, waiting, before = self._tables(actions), self._over, self._left
+        seen = self.core.play(given, ~waiting)
+        ended, cut = self._ends()
+        moved = before & ~waiting.unsqueeze(-1)
+        left = moved & ~self.core.dead & ~cut.unsqueeze(-1)
+        self._left = torch.where(waiting.unsqueeze(-1), before, left)
+        self._over = ~waiting & (~left | ended | cut.unsqueeze(-1)).all(1)
+        rewards = torch.zeros(moved.shape, dtype=torch.float64)
+        for seat in self._seats.values():
+            rewards[:, seat.column] = seen[seat.group, "reward"][:, seat.number, 0].double()
+        duration = seen["duration"].squeeze(-1).double().masked_fill(waiting, 0.0)
+        if bool(waiting.any()):
+            self._begin(waiting)
+            fresh = self.core.observe()
+            for group in self.core.groups:
+                rows, new = (tree[group.name, "observation"] for tree in (seen, fresh))
+                seen[group.name, "observation"] = torch.where(waiting.view(-1, 1, 1), new, rows)
+        present = torch.where(waiting.unsqueeze(-1), self._left, moved)
+        columns = (rewards * moved, ended & moved, cut.unsqueeze(-1) & moved)
+        return (self._observations(seen, present), *map(self._by_agent, columns), self._infos(present, duration))  # type: ignore[return-value]
+
+    def _tables(self, actions: Mapping[Any, Any]) -> list[Tensor]:
+        """Return the actions of each group, [N, A], which continue the tasks of agents without one."""
+        for agent, each in actions.items():
+            if agent not in self._seats:
+                raise KeyError(f"{agent!r} is not an agent; agents are {self.possible_agents}")
+            if len(each) != self.num_envs:
+                raise ValueError(f"actions[{agent!r}] has {len(each)} entries; it must have {self.num_envs}, one per environment")
+        tables = {group.name: torch.full((self.num_envs, len(group.agents)), NO_ACTION) for group in self.core.groups}
+        for agent, each in actions.items():
+            seat = self._seats[agent]
+            table, acts = tables[seat.group], self._left[:, seat.column] & ~self._over
+            table[:, seat.number] = torch.where(acts, torch.as_tensor(np.asarray(each)), table[:, seat.number])
+        return list(tables.values())
+
+    def _ends(self) -> tuple[Tensor, Tensor]:
+        """Return which satellites are terminated, [N, S], and which episodes are truncated, [N]."""
+        core = self.core
+        cut = core.truncated_by_time | (checked.truncated(core.rewarder) & core.present).any(1)
+        ended = core.dead | (checked.terminated(core.rewarder) & core.present)
+        return (ended | cut.unsqueeze(-1) if core.terminate_on_time_limit else ended), cut
+
+    # -- results -------------------------------------------------------------------------------------------------------
+
+    def _by_agent(self, table: Tensor) -> ByAgent:
+        """Return the columns of a table [N, S] by agent."""
+        return {agent: as_numpy(table[:, seat.column]) for agent, seat in self._seats.items()}
+
+    def _observations(self, seen: TensorDictBase, present: Tensor) -> ByAgent:
+        """Return the observations of agents that are ``present`` [N, S], zero elsewhere."""
+        found = ByAgent()
+        for agent, (group, number, column) in self._seats.items():
+            rows = seen[group, "observation"][:, number]
+            found[agent] = as_numpy(torch.where(present[:, column].unsqueeze(-1), rows, torch.zeros_like(rows)))
+        return found
+
+    def _infos(self, present: Tensor, duration: Tensor) -> ByAgent:
+        idle = self._by_agent(self.core.requires_retasking & present)
+        there, spent = self._by_agent(present), self._by_agent(duration.unsqueeze(-1) * present)
+        return {a: {"requires_retasking": idle[a], "d_ts": spent[a], "present": there[a]} for a in self.possible_agents}
