@@ -169,6 +169,40 @@ def test_a_target_that_is_not_in_view_cannot_be_imaged():
         made.satellite.enable_target_window(unseen)
 
 
+def test_models_of_users_extend_properties_and_count():
+    class Model(dyn.BasicDynamicsModel):
+        def __init__(self, *args, **kwargs):
+            super().__init__(*args, **kwargs)
+            self.readings = []
+
+        @property
+        def wheel_speeds(self):
+            return 2.0 * super().wheel_speeds
+
+        @property
+        def r_BN_N(self):
+            return [*super().r_BN_N, 0.0]
+
+        @property
+        def read(self):
+            self.readings.append(self.simulator.sim_time)
+            return len(self.readings)
+
+    class Counter(Drifter):
+        dyn_type = Model
+        observation_spec = [obs.SatProperties(dict(prop="wheel_speeds"), dict(prop="read"))]
+
+    args = dict(wheelSpeeds=[10.0, 20.0, 30.0])
+    fleet = GeneralSatelliteTasking([Counter("A", args), Counter("B", args)], time_limit=60.0, backend="eager")
+    for _ in range(2):
+        first, second = fleet.reset(seed=0)[0]
+        np.testing.assert_allclose(first[:3], np.array([20.0, 40.0, 60.0]) * np.pi / 30.0)
+        assert first[3] == second[3]
+        assert len(fleet.satellites[0].dynamics.r_BN_N) == 4
+    before = fleet.satellites[0].dynamics.read
+    assert (fleet.satellites[0].dynamics.read, fleet.satellites[1].dynamics.read) == (before + 1, before)
+
+
 def test_satellites_may_be_beyond_the_moon():
     start = dict(oe=None, rN=[2.4e9, 0.0, 0.0], vN=[0.0, 400.0, 0.0])
     far = SatelliteTasking(Drifter("D", start), time_limit=60.0, backend="eager")

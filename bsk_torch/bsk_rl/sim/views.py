@@ -7,6 +7,7 @@ another one raises AttributeError with advice.
 
 from __future__ import annotations
 
+from copy import deepcopy
 from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any
 
@@ -80,15 +81,21 @@ class ModelView:
         """Return the names that programs may read."""
         return [name for name in dir(self._whole) if not name.startswith("_")]
 
+    def _mine(self, name: str, value: Any) -> Any:
+        """Return the satellite's row of a property as bsk_rl has it."""
+        mine = of_row(value, self._row)
+        return mine.tolist() if name in messages.LISTS else mine
+
+    def observed(self, function: Any) -> Any:
+        """Return an observable of the core to a property of the user's that calls the one of its base class."""
+        return self._mine(function.__name__, self._whole.observed(function))
+
     def _member(self, name: str, member: Any, owner: type) -> Any:
         ours = owner.__module__.startswith(CORE)
         if isinstance(member, property | cached_property):
             if ours or isinstance(member, observable):
                 value = getattr(self._whole, name)
-                if callable(value):
-                    return lambda: of_row(value(), self._row)
-                mine = of_row(value, self._row)
-                return mine.tolist() if name in messages.LISTS else mine
+                return (lambda: of_row(value(), self._row)) if callable(value) else self._mine(name, value)
             function: Any = member.fget if isinstance(member, property) else member.func
             return function(self)
         if not callable(member) or isinstance(member, staticmethod | classmethod | type):
@@ -147,6 +154,9 @@ class SatelliteModelView(ModelView):
         """Return an argument that bsk_rl's model keeps, or another attribute."""
         if name in messages.KEPT and name in self._arguments():
             return self.satellite.sat_args[name]
+        if name in vars(self._whole):  # set by __init__ of the user's class, for each satellite and episode in bsk_rl
+            value = self.__dict__[name] = deepcopy(vars(self._whole)[name])
+            return value
         return super().__getattr__(name)
 
     def _arguments(self) -> Any:

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from bsk_torch.sim.component import Component, collect
 from bsk_torch.sim.readout.hooks import check_model
-from bsk_torch.sim.readout.observables import Observer
+from bsk_torch.sim.readout.observables import Function, Observer
 from bsk_torch.sim.readout.surroundings import World
 from bsk_torch.sim.satellite_state import SatelliteState
 
@@ -54,6 +54,10 @@ class Model:
     def all_components(cls) -> tuple[Component, ...]:
         """Return the components of the class and its bases in the order of a tick."""
         return collect(reversed(cls.__mro__))
+
+    def observed(self, function: Function) -> Tensor:
+        """Return what the function of an :class:`~bsk_torch.sim.readout.observables.observable` is now, [N] or [N, 3] float64."""
+        return self.simulator.observer.read(function)
 
     def state(self, name: str) -> Tensor:
         """Return a field of the state, [N] or [N, width]."""

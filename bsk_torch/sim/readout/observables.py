@@ -114,7 +114,7 @@ class observable(property):  # noqa: N801  - a decorator
 
     def __init__(self, function: Function) -> None:
         """Decorate ``function``."""
-        super().__init__(lambda model: model.simulator.observer.read(function))
+        super().__init__(lambda model: model.observed(function))
         self.function, self.__name__ = function, function.__name__
         self.__doc__ = function.__doc__  # otherwise a subclass of property has the docstring of the class
 
@@ -127,7 +127,7 @@ class vital(observable):  # noqa: N801  - a decorator
     def __init__(self, function: Function) -> None:
         """Decorate ``function``; read as an attribute it is a method without arguments."""
         super().__init__(function)
-        property.__init__(self, lambda model: functools.partial(model.simulator.observer.read, function))
+        property.__init__(self, lambda model: functools.partial(model.observed, function))
         self.__doc__ = function.__doc__
 
 
