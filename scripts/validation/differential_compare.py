@@ -247,7 +247,13 @@ def dead_at_once(case: Case, here: Flight, there: Flight, finding: Finding) -> b
     return finding.quantity == "agents" and finding.step > 0 and float(there.records[finding.step].numbers["d_ts"]) == 0.0
 
 
+def before_the_epoch(case: Case, here: Flight, there: Flight, finding: Finding) -> bool:
+    """Whether bsk_rl's search has left the predicted orbit, and found a window that opens before time zero."""
+    return finding.quantity.endswith("window") and finding.there.partition(" ")[2].startswith("-")
+
+
 REASONS = {
+    "passes of satellites in high or eccentric orbits": before_the_epoch,
     "deaths in a step without length": dead_at_once,
     "window times: a window ends within milliseconds of a tick": near_tick,
 }
