@@ -252,7 +252,16 @@ def before_the_epoch(case: Case, here: Flight, there: Flight, finding: Finding) 
     return finding.quantity.endswith("window") and finding.there.partition(" ")[2].startswith("-")
 
 
+def grazing(case: Case, here: Flight, there: Flight, finding: Finding) -> bool:
+    """Whether bsk_rl's search, whose tolerance grows with time, has missed a short window."""
+    if not finding.quantity.endswith("window") or "none alike" in finding.here:
+        return False
+    _, opens, _, closes = finding.here.split()
+    return float(closes) - float(opens) < 2e-4 * float(closes)
+
+
 REASONS = {
+    "windows shorter than about 2e-4 of the time since reset": grazing,
     "passes of satellites in high or eccentric orbits": before_the_epoch,
     "deaths in a step without length": dead_at_once,
     "window times: a window ends within milliseconds of a tick": near_tick,
