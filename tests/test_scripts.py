@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import json
 import os
 import re
 import shutil
@@ -225,6 +226,7 @@ ELSEWHERE = {
     "scripts/tools/check_prose.py": "tests/test_prose.py",
     "scripts/tools/publish_docs.py": "tests/docs/test_site.py",
     "tests/basilisk/recorders/record_arguments.py": "tests/test_scripts.py",
+    "tests/basilisk/recorders/record_lost_passes.py": "tests/test_scripts.py",
     "tests/basilisk/recorders/record_drop_in.py": "tests/basilisk/test_drop_in.py",
     "tests/basilisk/recorders/record_bsk_rl.py": "tests/basilisk/test_drop_in.py",
     **{f"tests/basilisk/recorders/{script}.py": "tests/test_scripts.py" for script in RECORDED},
@@ -299,6 +301,24 @@ def test_tables_of_arguments_and_epochs_can_be_repeated(tmp_path):
     run(tmp_path, "tests/basilisk/recorders/record_arguments.py", "--out", ".")
     for name in ("default_args.json", "epochs.json"):
         assert (tmp_path / name).read_text() == (ROOT / "tests/sim/data" / name).read_text()
+
+
+@pytest.mark.basilisk
+def test_windows_that_bsk_rl_loses_can_be_recorded_again(tmp_path):
+    run(tmp_path, "tests/basilisk/recorders/record_lost_passes.py", "--out", ".")
+    new, old = (
+        json.loads((folder / "lost_passes.json").read_text()) for folder in (tmp_path, ROOT / "tests/basilisk/recordings")
+    )
+    assert new["orbits"].keys() == old["orbits"].keys()
+    for name, before in old["orbits"].items():
+        for part in ("windows", "more"):
+            assert [station for station, *_ in new["orbits"][name][part]] == [station for station, *_ in before[part]]
+            np.testing.assert_allclose(
+                [times for _, *times in new["orbits"][name][part]],
+                [times for _, *times in before[part]],
+                atol=1e-6,
+                err_msg=name,
+            )  # other processors round otherwise
 
 
 # -- completeness -----------------------------------------------------------------------------------------------------

@@ -10,6 +10,7 @@ for what it needs.
 
 from __future__ import annotations
 
+import argparse
 import json
 from pathlib import Path
 from typing import Any
@@ -47,6 +48,9 @@ def windows(satellite: Any) -> list[tuple[str, float, float]]:
 
 def main() -> None:
     """Write the file."""
+    parser = argparse.ArgumentParser(description="Record the windows of satellites that stay near ground stations for long.")
+    parser.add_argument("--out", type=Path, default=Path(__file__).parents[1] / "recordings", help="folder of the file")
+    folder = parser.parse_args().out
     found = {}
     for name, elements in ORBITS.items():
         oe = random_orbit(**elements)
@@ -66,8 +70,7 @@ def main() -> None:
             env.unwrapped.satellite.calculate_additional_windows(SEGMENT)
         found[name] = dict(rN=r.tolist(), vN=v.tolist(), windows=first, more=windows(env.unwrapped.satellite))
     fixed = dict(utc_init=UTC, time_limit=LIMIT, generation_duration=SEGMENT, intervals=MORE)
-    file = Path(__file__).parents[1] / "recordings" / "lost_passes.json"
-    file.write_text(json.dumps(fixed | dict(orbits=found), indent=1) + "\n")
+    (folder / "lost_passes.json").write_text(json.dumps(fixed | dict(orbits=found), indent=1) + "\n")
 
 
 if __name__ == "__main__":
