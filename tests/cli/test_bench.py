@@ -30,7 +30,7 @@ def test_results_of_earlier_runs_stand_beside(run, tmp_path):
     assert list(json.loads((tmp_path / "both.json").read_text())["policies"]) == ["random", "rule"]
     again = run("bench", "random", *TWO, "--beside", out)
     assert again.exit_code == 1
-    assert "'random' is also among the results of --beside" in again.output
+    assert "'random' is also in the results of `--beside`" in again.output
     longer = run("bench", "rule", "--presets", "NadirScan-v1", "--episodes", "3", "--beside", out)
     assert longer.exit_code == 0, longer.output
     assert "random (2 episodes)" in longer.output
