@@ -45,19 +45,13 @@ def test_arc(name):
 
 @pytest.mark.compiled
 def test_eccentric():
-    """An eccentric orbit. bsk_rl loses passes here, and what the agent sees of the next pass and the next eclipse differs.
-
-    Its unbounded maximiser leaves the searched interval: the pass from 9644 to 10862 s is missing from its list. What it knows
-    of the next eclipse depends on how far it has looked for passes.
-    """
+    """An eccentric orbit, on which bsk_rl's maximizer leaves the searched interval: the pass from 9644 to 10862 s is lost."""
     recording = load("eccentric")
     env = environment(recording)
-    check(replay(recording, env, without=(7, 8, 9, 10)), POSITION["arc"])
+    check(replay(recording, env), POSITION["arc"])
     env.reset()
     windows = env.satellite.opportunities("ground_station")
-    assert (windows.open[1] - 9644.10).abs().min() < 0.01
-    seen = recording.arrays["obs"][1]
-    assert (seen[75:101, 7] * 5700.0 + recording.arrays["state"][1][75:101, 0] > 16000.0).all()
+    assert (windows.open[1] > 10862.0).all()
 
 
 @pytest.mark.compiled

@@ -147,6 +147,7 @@ def test_access_to_a_station_is_read_from_its_messages():
     fleet = GeneralSatelliteTasking([Drifter("D"), Downlinker("G")], time_limit=60.0, backend="eager")
     fleet.reset(seed=0)
     world, place = fleet.simulator.world, fleet.get_satellite("G").dynamics.r_BN_P
+    assert world.groundStations
     for station in world.groundStations:
         (message,) = station.accessOutMsgs
         found, up = message.read(), station.r_LP_P_Init / np.linalg.norm(station.r_LP_P_Init)

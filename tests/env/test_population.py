@@ -427,7 +427,7 @@ def test_wrong_populations_are_named() -> None:
         make(Nobody()).reset()
     with pytest.raises(TypeError, match=r"\[1, 7\].*\[1, 2\]"):
         make(Wide()).reset()
-    with pytest.raises(ValueError, match=r"population=\(1, 3\): there are 2 satellites"):
+    with pytest.raises(ValueError, match=r"population=\(1, 3\): at most 2 satellites"):
         make(scene.Scenario(), population=(1, 3))
     for wrong in (3, (2, 1), (0, 1), (1.5, 2), "12"):
         with pytest.raises(ValueError, match="population"):

@@ -76,7 +76,7 @@ def test_own_components_run_after_and_before_slots():
     [
         ({"slot": "batery"}, r"slot='batery' is not in the schedule .* did you mean 'battery'"),
         ({"slot": "heater", "after": "batery"}, r"slot='heater' has after='batery', .* did you mean 'battery'"),
-        ({"slot": "heater", "before": "heater"}, r"slot='heater' has before='heater', which is no slot"),
+        ({"slot": "heater", "before": "heater"}, r"slot='heater' has before='heater', which is not a slot"),
         ({"slot": "heater", "after": "battery", "before": "hub"}, r"after='battery' and before='hub'; give one"),
     ],
 )
@@ -140,7 +140,7 @@ def test_a_dynamics_model_has_another_order():
     printed = tick_lines(env.simulator.tick, env.simulator.type.schedule)
     assert [line.split()[0] for line in printed if "heat that leaves the spacecraft (none)" in line] == ["radiator"]
     other = type("Other", (ScanningSatellite,), {"fsw_type": (RadiatorFSWModel, FSW)})
-    with pytest.raises(ValueError, match="slot='watch' has after='radiator', which is no slot of a tick"):
+    with pytest.raises(ValueError, match="slot='watch' has after='radiator', which is not a slot of a tick"):
         SatelliteTasking(other("A"), backend="eager", time_limit=300.0)
 
 

@@ -145,7 +145,8 @@ class InspectionEpisode(Tabular):
             "inspected": everyone * inspected,
         }
         there = {name: values for name, values in numbers.items() if values is not None}
-        tasks = self.tasks or Tasks(torch.empty(0), torch.empty(0, 2), torch.empty(0), [])
+        nothing = torch.empty(0, dtype=torch.float64)
+        tasks = self.tasks or Tasks(nothing.long(), nothing.view(0, 2), nothing.long(), [])
         return satellite_columns(self.names, self.decisions, self.deaths, tasks, there)
 
     def extent(self, near: bool) -> float:
