@@ -129,19 +129,14 @@ def replay(
     recording: Recording,
     env: SatelliteTasking,
     longest: int | None = None,
-    without: tuple[int, ...] = (),
     check: Check = lambda k, runs, difference: None,
 ) -> Difference:
-    """Play the recorded actions in one batch; rows whose episode has ended are held by partial steps.
-
-    Entries ``without`` of the observation are not compared.
-    """
-    columns = [k for k in range(recording.arrays["obs"][0].shape[1]) if k not in without]
+    """Play the recorded actions in one batch; rows whose episode has ended are held by partial steps."""
     td = env.reset()
     largest = dict.fromkeys((*STATE_COLUMNS, "observation", "reward"), 0.0)
     exact = dict.fromkeys(("end times", "terminated", "truncated", "storage"), True)
     found, everyone = Difference(largest, exact), range(len(recording))
-    compare(recording, env, td["observation"], 0, everyone, largest, exact, columns)
+    compare(recording, env, td["observation"], 0, everyone, largest, exact)
     check(0, everyone, found)
     for k in range(min(max(recording.lengths), longest or 10**9)):
         runs = [i for i, length in enumerate(recording.lengths) if k < length]
@@ -151,7 +146,7 @@ def replay(
         mask = torch.zeros(len(recording), 1, dtype=torch.bool)
         mask[runs] = True
         td = env.step(td.empty().set("action", action).set("_step", mask))["next"]
-        compare(recording, env, td["observation"], k + 1, runs, largest, exact, columns)
+        compare(recording, env, td["observation"], k + 1, runs, largest, exact)
         check(k + 1, runs, found)
         for i in runs:
             reward = abs(float(td["reward"][i]) - recording.arrays["reward"][i][k])
@@ -162,7 +157,7 @@ def replay(
 
 
 def compare(
-    recording: Recording, env: SatelliteTasking, observation: Tensor, k: int, runs: Any, largest: Any, exact: Any, seen: list[int]
+    recording: Recording, env: SatelliteTasking, observation: Tensor, k: int, runs: Any, largest: Any, exact: Any
 ) -> None:
     """Enter the differences at decision boundary k of the episodes ``runs``."""
     state = state_of(env).numpy()
@@ -174,6 +169,6 @@ def compare(
             error = float(np.abs(state[i, columns] - wanted[columns]).max())
             if not error <= largest[name]:
                 largest[name] = error
-        error = float(np.abs(observation[i].numpy() - recording.arrays["obs"][i][k])[seen].max())
+        error = float(np.abs(observation[i].numpy() - recording.arrays["obs"][i][k]).max())
         if not error <= largest["observation"]:
             largest["observation"] = error
