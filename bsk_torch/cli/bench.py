@@ -42,7 +42,7 @@ def bench(
     suite: str,
     presets: str | None,
     episodes: int,
-    beside: list[Path] | None,
+    earlier: list[Path] | None,
     out: Path | None,
     threads: int,
     backend: str,
@@ -58,10 +58,10 @@ def bench(
         fail(str(error))
     check_certifiable(tasks, certify, episodes)
     entrants = {name: entrant_of(name) for name in policies}
-    results = earlier(beside or [], suite)
+    results = read_earlier(earlier or [], suite)
     for name in entrants:
         if name in results:
-            fail(f"{name!r} is also in the results of `--beside`; the suite has one row for each policy")
+            fail(f"{name!r} is also in the results of `--with`; the suite has one row for each policy")
     known = references(suite)
     for name, entrant in entrants.items():
         results[name] = {}
@@ -181,7 +181,7 @@ def told(score: Score, reference: Mapping[str, object] | None) -> dict[str, Any]
     return rated | summary | {"seconds_per_decision": score.seconds, "returns": evaluation.returns.tolist()}
 
 
-def earlier(files: Iterable[Path], suite: str) -> dict[str, dict[str, Any]]:
+def read_earlier(files: Iterable[Path], suite: str) -> dict[str, dict[str, Any]]:
     """Return the results of earlier runs, by policy; ends the program for those of another suite."""
     results: dict[str, dict[str, Any]] = {}
     for path in files:

@@ -288,9 +288,9 @@ def bench(
     episodes: Annotated[
         int, typer.Option(metavar="N", min=1, max=1024, help="Number of episodes per task (the first N).")
     ] = 1024,
-    beside: Annotated[
+    earlier: Annotated[
         list[Path] | None,
-        typer.Option(metavar="FILE", help="JSON file of an earlier run, whose policies are also shown; repeatable."),
+        typer.Option("--with", metavar="FILE", help="JSON file of an earlier run, whose policies are also shown; repeatable."),
     ] = None,
     out: Annotated[Path | None, typer.Option(metavar="FILE", help="JSON file for results and returns of all episodes.")] = None,
     threads: Threads = 1,

@@ -22,21 +22,21 @@ def test_policies_are_compared_in_the_same_episodes(run, tmp_path):
     assert all(name in result.output for name in ("NadirScan-v1, suite v1, 2 of 1024", *kept["policies"]))
 
 
-def test_results_of_earlier_runs_stand_beside(run, tmp_path):
+def test_results_of_earlier_runs_are_added(run, tmp_path):
     out = tmp_path / "random.json"
     assert run("bench", "random", *TWO, "--out", out).exit_code == 0
-    result = run("bench", "rule", *TWO, "--beside", out, "--out", tmp_path / "both.json")
+    result = run("bench", "rule", *TWO, "--with", out, "--out", tmp_path / "both.json")
     assert result.exit_code == 0, result.output
     assert list(json.loads((tmp_path / "both.json").read_text())["policies"]) == ["random", "rule"]
-    again = run("bench", "random", *TWO, "--beside", out)
+    again = run("bench", "random", *TWO, "--with", out)
     assert again.exit_code == 1
-    assert "'random' is also in the results of `--beside`" in again.output
-    longer = run("bench", "rule", "--presets", "NadirScan-v1", "--episodes", "3", "--beside", out)
+    assert "'random' is also in the results of `--with`" in again.output
+    longer = run("bench", "rule", "--presets", "NadirScan-v1", "--episodes", "3", "--with", out)
     assert longer.exit_code == 0, longer.output
     assert "random (2 episodes)" in longer.output
     content = json.loads(out.read_text()) | {"suite": "v0"}
     out.write_text(json.dumps(content))
-    other = run("bench", "rule", *TWO, "--beside", out)
+    other = run("bench", "rule", *TWO, "--with", out)
     assert other.exit_code == 1
     assert "(1, 'v0'); this run has (1, 'v1')" in other.output
 
@@ -69,7 +69,7 @@ def test_a_function_may_enter_a_policy(run, tmp_path, monkeypatch):
         (["nobody:enter"], "nobody:enter cannot be imported"),
         (["json:nothing"], "json:nothing cannot be imported"),
         (["json:__doc__"], "json:__doc__ is no function"),
-        (["random", "--beside", "pyproject.toml"], "'pyproject.toml' is no result of bsk-torch bench"),
+        (["random", "--with", "pyproject.toml"], "'pyproject.toml' is no result of bsk-torch bench"),
         (["survey,actions=waypoint", "--presets", "RSOInspection-v1"], "actions='waypoint' must be one of"),
         (["hasty", *TWO], "no preset among NadirScan-v1 fits hasty"),
     ],
