@@ -76,8 +76,8 @@ class Arg:
     ``kind`` is the form of its values: ``scalar``, ``vector`` (three numbers), ``matrix`` (nine numbers), ``choice``
     (one of ``choices``, kept as its index), ``utc``, ``orbit``, ``stations`` or ``constant`` (kept unchanged). ``shape`` is the
     shape of other values that are numbers, such as ``(4, 3)``; None in it stands for any size, such as ``(None, 3)``: the same
-    for all satellites of a type, and fixed when the environment is built. ``low`` and
-    ``high`` bound every number (inclusive). Numbers must be finite unless infinity means something, such as no limit: where an
+    for all satellites of a type, and fixed when the environment is built. Where it is ``spread``, one number stands for all of
+    the shape. ``low`` and ``high`` bound every number (inclusive). Numbers must be finite unless infinity means something, such as no limit: where an
     argument is ``endless``, or infinite by default. ``whole`` ones have no fraction. ``missing`` stands for None. A ``shared``
     one is the same for all environments.
     """
@@ -95,6 +95,7 @@ class Arg:
     endless: bool = False
     whole: bool = False
     shape: tuple[int | None, ...] | None = None
+    spread: bool = False
 
     def __post_init__(self) -> None:
         """Check the shape; ValueError unless it is a tuple of sizes, or if another kind is given."""
@@ -132,7 +133,8 @@ class Arg:
 class Field:
     """A named quantity of ``width`` numbers: 1 is a plane, 3 is a :class:`Vec3`; others, and ``many``, are tuples of planes.
 
-    ``vectors`` are tuples of :class:`Vec3`, one for every three of the numbers: the axes of four wheels have ``width=12``.
+    ``vectors`` are tuples of :class:`Vec3`, one for every three of the numbers: the axes of four wheels have ``width=12``. Three
+    of them are the rows of a :class:`Mat3` in a ``matrix``, whose width is 9.
     ``exact`` ones are float64 even where attitude and flight software run in float32: orbit, time and accumulators. ``limit`` is
     the largest magnitude in a restored state.
     """
@@ -145,6 +147,7 @@ class Field:
     exact: bool = False
     limit: float = 1e15
     vectors: bool = False
+    matrix: bool = False
 
 
 def vec(name: str, unit: str = "", doc: str = "", exact: bool = False) -> Field:
@@ -199,7 +202,7 @@ def _fits(_: Values, h: float) -> None:
 class Effector:
     """What the hub integrates together with itself over a tick, such as reaction wheels, or what exerts a force or torque on it.
 
-    With the inertia I of the whole spacecraft, the body rate omega and the external torque L, the hub solves::
+    With inertia I and external torque L about the center of mass, and the body rate omega, the hub solves::
 
         (I - sum_i J_i) omega' = L - omega x (I omega) - sum_i loads_i,    y_i' = rates_i
 
@@ -215,7 +218,8 @@ class Effector:
         momentum: ``momentum(bus, omega_BN_B)`` returns the angular momentum about its own axes, N m s: relative to N, or to the
             hub where the rate is None.
         torque: ``torque(bus, stage)`` returns an external torque, N m, in stage 0 to 3 of the Runge-Kutta step; None for none.
-        force: ``force(bus, v_BN_B)`` returns an external force, N, and its torque, N m, where the orbit is integrated.
+        force: ``force(bus, v_BN_B)`` returns an external force, N, and its torque about B, N m, where the orbit is integrated.
+        thrust: ``thrust(bus, stage)`` returns the same for a force of stage 0 to 3, None for none; the orbit must be integrated.
     """
 
     state: tuple[str, ...] = ()
@@ -225,6 +229,7 @@ class Effector:
     momentum: Callable[[Bus, Vec3 | None], Vec3] | None = None
     torque: Callable[[Bus, int], Vec3 | None] | None = None
     force: Callable[[Bus, Vec3], tuple[Vec3, Vec3]] | None = None
+    thrust: Callable[[Bus, int], tuple[Vec3, Vec3] | None] | None = None
 
 
 @dataclass(frozen=True)
@@ -410,9 +415,10 @@ class Layout:
         """Write every field to the bus from the planes of a pack."""
         for name, f in self.fields.items():
             part = tuple(planes[self.slices[name]])
-            if f.vectors:
+            if f.vectors or f.matrix:
                 part = tuple(Vec3(*part[k : k + 3]) for k in range(0, f.width, 3))
-            single = not (f.many or f.vectors)
+            part = Mat3(*part) if f.matrix else part
+            single = not (f.many or f.vectors or f.matrix)
             setattr(bus, name, part[0] if single and f.width == 1 else Vec3(*part) if single and f.width == 3 else part)
 
     @property
@@ -430,7 +436,7 @@ class Layout:
         planes: list[Tensor] = []
         for name, f in self.fields.items():
             value = getattr(bus, name)
-            if f.vectors:
+            if f.vectors or f.matrix:
                 value = [component for vector in value for component in vector]
             planes.extend((value,) if f.width == 1 and not f.many else value)
         return planes

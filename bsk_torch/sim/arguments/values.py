@@ -75,6 +75,8 @@ def _shaped(arg: Arg, values: Tensor, rows: int) -> Tensor:
         values = values.flatten(1)
     if arg.kind == "vector" and values.shape == (rows, 3, 1):
         values = values.squeeze(-1)
+    if arg.spread and values.shape == (rows,) and None not in arg.dims:
+        values = values.reshape(rows, *[1] * len(arg.dims)).expand(rows, *(size or 1 for size in arg.dims))
     if len(values) != rows or not has_shape(values.shape[1:], arg.dims):
         sizes = ["any" if size is None else str(size) for size in arg.dims]
         what = f"numbers of shape [{', '.join(sizes)}]" if len(sizes) > 1 or "any" in sizes else f"{(*sizes, 1)[0]} numbers"
@@ -160,6 +162,12 @@ class Arguments:
         self._of_envs: list[dict[str, dict[int, Any]]] = [{} for _ in self._given]
         self._changed: set[str] = set()
         self._look()
+
+    def of_components(self, components: Iterable[Component], given: Mapping[str, Any] | Sequence[Mapping[str, Any]]) -> Arguments:
+        """Return the arguments that other components of the same slots declare: their shapes and defaults may differ."""
+        components = tuple(components)
+        same = all(self.table.get(arg.name) == arg for component in components for arg in component.args)
+        return self if same else Arguments(components, given, self.title, self.columns)
 
     def _merged(self, given: Mapping[str, Any]) -> dict[str, Any]:
         """Return the values of one satellite, with defaults for those that are not given."""

@@ -231,6 +231,7 @@ def satellite_type(
     arguments = Arguments(around, world_args, "world_args"), Arguments(own, sat_args, "sat_args", usage.columns)
     looked = [Looked(args.given) for args in arguments]
     around, own = (fitted(some, given) for some, given in zip((around, own), looked, strict=True))
+    arguments = arguments[0].of_components(around, world_args), arguments[1].of_components(own, sat_args)
     own = tuple(part for part in own if not (part.mends and options.compat == "bsk_rl"))
     parts = dyn_type.schedule.ordered((*(dataclasses.replace(part, at_start=True) for part in around), *own))
     # a component of the user's own in the slot of another may leave the flags and resets to that one

@@ -10,8 +10,10 @@ from __future__ import annotations
 import functools
 import math
 import operator
+from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -22,7 +24,7 @@ from bsk_torch.astro.gravity import third_body
 from bsk_torch.astro.integrate import State, rk4_step
 from bsk_torch.astro.orbit import Elements, elements_to_rv
 from bsk_torch.constants import MU_EARTH
-from bsk_torch.rand import Uniform, random_orbit
+from bsk_torch.rand import Distribution, Uniform, random_orbit
 from bsk_torch.sim.component import Arg, Bus, Component, Field, Values, vec
 from bsk_torch.sim.dyn.field import called_field, full_field
 from bsk_torch.vec3 import Mat3, Vec3, times
@@ -52,6 +54,7 @@ def initial_orbit(args: Values) -> tuple[Tensor, Tensor]:
 
 
 def _check(args: Values) -> None:
+    _check_tensor(args)
     given = [name for name in ("oe", "rN", "vN") if args[name] is not None]
     if given not in (["oe"], ["rN", "vN"]):
         raise KeyError(f"give the orbit as 'oe', or as both 'rN' and 'vN' with oe=None; given are {given or 'none'}")
@@ -59,14 +62,58 @@ def _check(args: Values) -> None:
         _check_elements(args["oe"])
 
 
+def inertia_tensor(args: Values) -> Tensor:
+    """Return the inertia [n or 1, 3, 3], kg m^2, of the whole spacecraft about its center of mass."""
+    if args["inertia"] is None:
+        return torch.diag_embed(box_inertia(*(args[name] for name in BODY)))
+    return args["inertia"].unflatten(-1, (3, 3))
+
+
 def body_inertia(args: Values) -> Tensor:
-    """Return the principal inertia [n or 1, 3], kg m^2, of the whole spacecraft: see :func:`box_inertia`."""
-    return box_inertia(*(args[name] for name in BODY))
+    """Return the principal moments of inertia [n or 1, 3], kg m^2, of the whole spacecraft about its center of mass.
+
+    Those of a box are about the body axes, see :func:`box_inertia`; those of ``inertia`` are sorted.
+    """
+    if args["inertia"] is None:
+        return box_inertia(*(args[name] for name in BODY))
+    return torch.linalg.eigvalsh(inertia_tensor(args))
 
 
 def described_body(args: Values, row: int) -> str:
     """Return the arguments of the body of a row, for messages."""
+    if args["inertia"] is not None:
+        return f"inertia={shown_tensor(args['inertia'], row)}"
     return ", ".join(f"{name}={args[name][min(row, len(args[name]) - 1)].item():g}" for name in BODY)
+
+
+def shown_tensor(values: Tensor, row: int) -> str:
+    """Return the values of a row as text."""
+    return str([float(f"{x:.5g}") for x in values[min(row, len(values) - 1)].tolist()])
+
+
+INERTIA_SLACK = 1e-9
+"""Part of the largest moment by which an inertia may break symmetry or the triangle inequality: rounding of given numbers."""
+
+
+def _check_tensor(args: Values) -> None:
+    """Check that a given inertia is symmetric and positive, and the triangle inequality unless ``checkInertia`` is False."""
+    if args["inertia"] is None:
+        return
+    tensor = inertia_tensor(args)
+    skew = (tensor - tensor.mT).abs().amax((-2, -1)) > INERTIA_SLACK * tensor.abs().amax((-2, -1))
+    moments = torch.linalg.eigvalsh(tensor)
+    small, middle, large = moments.unbind(-1)
+    broken = (small + middle < large * (1.0 - INERTIA_SLACK)) & (args["checkInertia"] > 0.5)
+    wrong = (
+        (skew, "is not symmetric: entry [i][k] must equal [k][i]"),
+        (small <= 0.0, "has principal moments {}; all must be positive"),
+        (broken, "has principal moments {}, of which the largest exceeds the sum of the others: no body of mass has them. Give an "
+         "inertia about the center of mass, or checkInertia=False for this one"),
+    )  # fmt: skip
+    for mask, what in wrong:
+        if bool(mask.any()):
+            row = int(torch.nonzero(mask)[0])
+            raise ValueError(f"inertia={shown_tensor(args['inertia'], row)} kg m^2 {what.format(shown_tensor(moments, row))}")
 
 
 def check_turn(args: Values, H: Tensor, J: Tensor, h: float, cause: str) -> None:
@@ -98,8 +145,14 @@ def check_turn(args: Values, H: Tensor, J: Tensor, h: float, cause: str) -> None
 
 def _check_spin(args: Values, h: float) -> None:
     """Check that ticks of h s resolve the initial rate of the body; components with momentum check theirs."""
-    inertia = body_inertia(args)
-    check_turn(args, inertia * args["omega_init"], inertia, h, "omega_init turns")
+    check_turn(args, body_momentum(args), body_inertia(args), h, "omega_init turns")
+
+
+def body_momentum(args: Values) -> Tensor:
+    """Return the initial momentum of the spacecraft without the spin of its wheels, [n or 1, 3] N m s in B."""
+    if args["inertia"] is None:
+        return body_inertia(args) * args["omega_init"]
+    return (inertia_tensor(args) @ args["omega_init"].unsqueeze(-1)).squeeze(-1)
 
 
 def _check_elements(oe: Tensor) -> None:
@@ -115,8 +168,37 @@ def _initial(args: Values) -> dict[str, Tensor]:
     return {"r_BN_N": r, "v_BN_N": v, "sigma_BN": sigma.stack(), "omega_BN_B": args["omega_init"]}
 
 
-def _prepare(args: Values) -> dict[str, Tensor]:
+def _initial_of_origin(args: Values) -> dict[str, Tensor]:
+    """Return the initial state where the given orbit is that of the center of mass, and B lies elsewhere."""
+    state = _initial(args)
+    sigma, omega, c = (Vec3.of(values) for values in (state["sigma_BN"], state["omega_BN_B"], args["r_CB_B"]))
+    r, v = lever(sigma, omega, c)
+    return state | {"r_BN_N": state["r_BN_N"] - r.stack(), "v_BN_N": state["v_BN_N"] - v.stack()}
+
+
+def lever(sigma_BN: Vec3, omega_BN_B: Vec3, r_CB_B: Vec3) -> tuple[Vec3, Vec3]:
+    """Return position, m, and velocity, m/s, of the center of mass C relative to B, in N: ``[BN]^T c, [BN]^T (omega x c)``."""
+    NB = mrp_to_dcm(sigma_BN).mT
+    return NB @ r_CB_B, NB @ omega_BN_B.cross(r_CB_B)
+
+
+def _prepare_box(args: Values) -> dict[str, Tensor]:
     return {"inertia_B": body_inertia(args), "mass": args["mass"]}
+
+
+def _prepare_diagonal(args: Values) -> dict[str, Tensor]:
+    tensor = inertia_tensor(args)
+    diagonal = tensor.diagonal(dim1=-2, dim2=-1)
+    if bool((tensor != torch.diag_embed(diagonal)).any()):
+        raise ValueError(
+            f"inertia={shown_tensor(args['inertia'], 0)}: the first satellite of the type has no products of inertia, so none may "
+            "have; give the first one products, too"
+        )
+    return {"inertia_B": diagonal, "mass": args["mass"]}
+
+
+def _prepare_tensor(args: Values) -> dict[str, Tensor]:
+    return {"inertia_B": args["inertia"], "mass": args["mass"]}
 
 
 EffectorStates = list[tuple[Any, ...]]
@@ -149,7 +231,7 @@ def _effector_states(bus: Bus) -> EffectorStates:
 def _attitude_rates(bus: Bus, L_B: Vec3, sigma_BN: Vec3, omega_BN_B: Vec3, states: EffectorStates) -> State:
     """Return the rates of the MRP sigma_BN, 1/s, of the body rate omega_BN, rad/s^2 in B, and of the states of effectors.
 
-    With the inertia I of the whole spacecraft, kg m^2, the external torque L, N m, and for each effector the inertia J that does
+    With inertia I, kg m^2, of the whole spacecraft and external torque L, N m, both about the center of mass, and for each effector the inertia J that does
     not turn with the hub, and the torques l, N m, that the hub exerts on it (Schaub and Junkins, section 4.5)::
 
         sigma' = 1/4 B(sigma) omega
@@ -209,8 +291,17 @@ def rotate(bus: Bus) -> None:
     def rates(stage: int, offset: float, y: State) -> State:
         return _attitude_rates(bus, _torque(bus, stage), y[0], y[1], _regrouped(states, y[2:]))
 
+    for effector in bus.effectors:
+        if effector.thrust:
+            raise TypeError(
+                "thrusters without opposite partners push the orbit, but it was solved in advance, without them; pass "
+                "orbit='integrated' to the environment, or write orbit = 'integrated' in the dynamics model"
+            )
     sigma, omega, *after = rk4_step(rates, (bus.sigma_BN, bus.omega_BN_B, *_leaves(states)), bus.h)
     _finish(bus, sigma, omega, _regrouped(states, tuple(after)))
+    if bus.has("r_CB_B"):  # the orbit solved in advance is that of the center of mass
+        r, v = lever(bus.sigma_BN, bus.omega_BN_B, bus.r_CB_B)
+        bus.r_BN_N, bus.v_BN_N = bus.r_BN_N - r.to(bus.r_BN_N.x.dtype), bus.v_BN_N - v.to(bus.r_BN_N.x.dtype)
 
 
 def gravity(bus: Bus, r: Vec3, offset: float, degree: int) -> Vec3:
@@ -234,23 +325,33 @@ def translate_and_rotate(bus: Bus, degree: int) -> None:
     """Advance orbit, attitude and effectors together by one tick, a Runge-Kutta step, as Basilisk does.
 
     ``r' = v`` and ``v' = a(r, t) + F_N / m + [BN]^T F_B / m`` with the forces F_B, N in B, of effectors, such as drag, and the
-    message ``external_force_N``, F_N, N in N, that components may have written; it is constant over the tick. The rest as in
-    :func:`rotate`, with the torques of these effectors.
+    message ``external_force_N``, F_N, N in N, that components may have written; it is constant over the tick and acts at the
+    center of mass. The rest as in :func:`rotate`, with the torques of these effectors.
+
+    Where the center of mass lies at c = r_CB_B from B, whose position is r, gravity acts there, forces have the torque
+    ``-c x F_B`` in addition, and ``v' = a(r + [BN]^T c, t) + F_N / m + [BN]^T (F_B / m - omega x (omega x c) + c x omega')``.
     """
     constant = bus.external_force_N / bus.mass if bus.has("external_force_N") else None
     bus.force_is_felt = constant is not None
-    states, pushing = _effector_states(bus), [effector.force for effector in bus.effectors if effector.force]
+    states, c = _effector_states(bus), bus.r_CB_B if bus.has("r_CB_B") else None
+    drags, pushes = ([getattr(e, name) for e in bus.effectors if getattr(e, name)] for name in ("force", "thrust"))
 
     def rates(stage: int, offset: float, y: State) -> State:
         r, v, sigma, omega, *rest = y
-        acceleration, torque = gravity(bus, r, offset, degree), _torque(bus, stage)
+        center = r if c is None else r + lever(sigma, omega, c)[0].to(r.x.dtype)
+        acceleration, torque = gravity(bus, center, offset, degree), _torque(bus, stage)
         if constant is not None:
             acceleration = acceleration + constant
-        for push in pushing:
-            BN = mrp_to_dcm(sigma)
-            force, own = push(bus, BN @ v)
-            acceleration, torque = acceleration + BN.mT @ force / bus.mass, torque + own.to(bus.dtype)
-        return (v, acceleration, *_attitude_rates(bus, torque, sigma, omega, _regrouped(states, tuple(rest))))
+        forces = [drag(bus, mrp_to_dcm(sigma) @ v) for drag in drags]
+        forces += [force for push in pushes if (force := push(bus, stage)) is not None]
+        for force, own in forces:
+            acceleration = acceleration + mrp_to_dcm(sigma).mT @ force / bus.mass
+            torque = torque + (own if c is None else own - c.cross(force)).to(bus.dtype)
+        turned = _attitude_rates(bus, torque, sigma, omega, _regrouped(states, tuple(rest)))
+        if c is not None:
+            swing = c.cross(turned[1]) - omega.cross(omega.cross(c))
+            acceleration = acceleration + (mrp_to_dcm(sigma).mT @ swing).to(r.x.dtype)
+        return (v, acceleration, *turned)
 
     start = (bus.r_BN_N, bus.v_BN_N, bus.sigma_BN, bus.omega_BN_B, *_leaves(states))
     bus.r_BN_N, bus.v_BN_N, sigma, omega, *after = rk4_step(rates, start, bus.h)
@@ -265,31 +366,100 @@ def move(bus: Bus) -> None:
         translate_and_rotate(bus, bus.gravity_degree)
 
 
-HUB = Component(
-    slot="hub",
-    update=move,
-    args=(
-        Arg("mass", 330.0, "kg", "hub mass", low=1e-6, high=1e9),
-        Arg("width", 1.38, "m", "side of the hub", low=1e-6, high=1e4),
-        Arg("depth", 1.04, "m", "side of the hub", low=1e-6, high=1e4),
-        Arg("height", 1.58, "m", "side of the hub", low=1e-6, high=1e4),
-        Arg("sigma_init", Uniform(0.0, 1.0, 3), "-", "initial attitude, MRP of B relative to N", "vector", -1e6, 1e6),
-        Arg("omega_init", Uniform(-1e-4, 1e-4, 3), "rad/s", "initial body rate in B", "vector", -1e3, 1e3),
-        Arg("oe", random_orbit(), "m, -, rad", "initial orbit as elements a, e, i, Omega, omega, f", kind="orbit"),
-        Arg("rN", None, "m", "initial position, instead of oe", "vector", -1e12, 1e12),
-        Arg("vN", None, "m/s", "initial velocity, instead of oe", "vector", -1e6, 1e6),
-        Arg("mu", MU_EARTH, "m^3/s^2", "gravitational parameter that converts oe", low=1.0, high=1e20),
-        Arg("min_orbital_radius", 6578136.6, "m", "a spacecraft at or below this radius dies", low=0.0),
+ARGS = (
+    Arg("mass", 330.0, "kg", "hub mass", low=1e-6, high=1e9),
+    Arg("width", 1.38, "m", "side of the hub", low=1e-6, high=1e4),
+    Arg("depth", 1.04, "m", "side of the hub", low=1e-6, high=1e4),
+    Arg("height", 1.58, "m", "side of the hub", low=1e-6, high=1e4),
+    Arg(
+        "inertia",
+        None,
+        "kg m^2",
+        "inertia of the spacecraft about its center of mass, wheels included, in B (3 x 3); None: that of the box",
+        "matrix",
+        -1e12,
+        1e12,
     ),
-    state=(
-        vec("r_BN_N", "m", "position", exact=True),
-        vec("v_BN_N", "m/s", "velocity", exact=True),
-        vec("sigma_BN", "-", "attitude, MRP"),
-        vec("omega_BN_B", "rad/s", "body rate"),
-    ),
-    params=(vec("inertia_B", "kg m^2", "principal inertia of the spacecraft, about the body axes"), Field("mass", 1, "kg")),
-    initial=_initial,
-    prepare=_prepare,
-    check=_check,
-    check_tick=_check_spin,
+    Arg("checkInertia", True, "-", "whether inertia must obey the triangle inequality", "choice", choices=(False, True)),
+    Arg("r_CB_B", (0.0, 0.0, 0.0), "m", "center of mass relative to the origin of B, in B", "vector", -1e3, 1e3),
+    Arg("sigma_init", Uniform(0.0, 1.0, 3), "-", "initial attitude, MRP of B relative to N", "vector", -1e6, 1e6),
+    Arg("omega_init", Uniform(-1e-4, 1e-4, 3), "rad/s", "initial body rate in B", "vector", -1e3, 1e3),
+    Arg("oe", random_orbit(), "m, -, rad", "initial orbit as elements a, e, i, Omega, omega, f", kind="orbit"),
+    Arg("rN", None, "m", "initial position, instead of oe", "vector", -1e12, 1e12),
+    Arg("vN", None, "m/s", "initial velocity, instead of oe", "vector", -1e6, 1e6),
+    Arg("mu", MU_EARTH, "m^3/s^2", "gravitational parameter that converts oe", low=1.0, high=1e20),
+    Arg("min_orbital_radius", 6578136.6, "m", "a spacecraft at or below this radius dies", low=0.0),
 )
+
+
+def _check_no_lever(args: Values) -> None:
+    _check(args)
+    if bool((args["r_CB_B"] != 0.0).any()):
+        raise ValueError(
+            f"r_CB_B={shown_tensor(args['r_CB_B'], int(args['r_CB_B'].norm(dim=-1).argmax()))} m: the first satellite of the type "
+            "has its center of mass at the origin of B, so all must have; give the first one an offset, such as 1e-6 m, too"
+        )
+
+
+@functools.cache
+def hub(inertia: str, lever: bool) -> Component:
+    """Return the component of a hub.
+
+    Args:
+        inertia: ``"box"``, ``"diagonal"`` or ``"tensor"``: what the inertia follows from, and its form.
+        lever: Whether the center of mass may lie off the origin of B.
+    """
+    field = Field("inertia_B", 9, "kg m^2", "inertia of the spacecraft, about its center of mass", matrix=True)
+    diagonal = vec("inertia_B", "kg m^2", "principal inertia of the spacecraft, about the body axes")
+    own = {"box": _prepare_box, "diagonal": _prepare_diagonal, "tensor": _prepare_tensor}[inertia]
+    return Component(
+        slot="hub",
+        update=move,
+        args=ARGS,
+        state=(
+            vec("r_BN_N", "m", "position", exact=True),
+            vec("v_BN_N", "m/s", "velocity", exact=True),
+            vec("sigma_BN", "-", "attitude, MRP"),
+            vec("omega_BN_B", "rad/s", "body rate"),
+        ),
+        params=(
+            field if inertia == "tensor" else diagonal,
+            Field("mass", 1, "kg"),
+            *((vec("r_CB_B", "m", "center of mass"),) if lever else ()),
+        ),
+        initial=_initial_of_origin if lever else _initial,
+        prepare=(lambda args: own(args) | {"r_CB_B": args["r_CB_B"]}) if lever else own,
+        check=_check if lever else _check_no_lever,
+        check_tick=_check_spin,
+        fit=fitted_hub,
+    )
+
+
+def fitted_hub(given: Mapping[str, Any]) -> Component:
+    """Return the hub for the arguments as given: of a tensor with zeros off its diagonal, in all rows, the diagonal is used."""
+    inertia, place = given["inertia"], given["r_CB_B"]
+    return hub("box" if inertia is None else "diagonal" if _is_diagonal(inertia) else "tensor", not _is_zero(place))
+
+
+def given_numbers(value: Any) -> Tensor | None:
+    """Return an argument as given, float64; None for one that is drawn, and for what is no number, which raises when drawn."""
+    if value is None or isinstance(value, Distribution) or callable(value):
+        return None
+    try:
+        return torch.as_tensor(np.asarray(value, dtype=np.float64))
+    except (TypeError, ValueError):
+        return None
+
+
+def _is_zero(value: Any) -> bool:
+    numbers = given_numbers(value)
+    return numbers is not None and not bool(numbers.any())
+
+
+def _is_diagonal(value: Any) -> bool:
+    numbers = given_numbers(value)
+    return numbers is not None and numbers.numel() == 9 and not bool(numbers.flatten()[[1, 2, 3, 5, 6, 7]].any())
+
+
+HUB = hub("box", False)
+"""The hub of a box with its center of mass at the origin of B."""

@@ -18,7 +18,7 @@ from torch import Tensor
 from bsk_torch.constants import RPM
 from bsk_torch.rand import Uniform
 from bsk_torch.sim.component import Arg, Bus, Component, Effector, Field, Values, vec
-from bsk_torch.sim.dyn.hub import body_inertia, check_turn, described_body
+from bsk_torch.sim.dyn.hub import body_inertia, body_momentum, check_turn, described_body
 from bsk_torch.sim.dyn.power import power_arg
 from bsk_torch.vec3 import Vec3
 
@@ -102,7 +102,7 @@ def _check_inertia(args: Values) -> None:
 def _check_spin(args: Values, h: float) -> None:
     """Check that ticks of h s resolve the initial rates of body and wheels; see :func:`bsk_torch.sim.dyn.hub.check_turn`."""
     inertia = body_inertia(args)
-    H = inertia * args["omega_init"] + args["wheelSpeeds"] * (RPM * SPIN_INERTIA)
+    H = body_momentum(args) + args["wheelSpeeds"] * (RPM * SPIN_INERTIA)
     check_turn(args, H, inertia - SPIN_INERTIA, h, "wheelSpeeds and omega_init turn")
 
 
