@@ -104,12 +104,13 @@ def _check_tensor(args: Values) -> None:
     moments = torch.linalg.eigvalsh(tensor)
     small, middle, large = moments.unbind(-1)
     broken = (small + middle < large * (1.0 - INERTIA_SLACK)) & (args["checkInertia"] > 0.5)
+    impossible = "of which the largest exceeds the sum of the others: no body of mass has them"
+    advice = "give an inertia about the center of mass, or checkInertia=False to fly it all the same"
     wrong = (
         (skew, "is not symmetric: entry [i][k] must equal [k][i]"),
         (small <= 0.0, "has principal moments {}; all must be positive"),
-        (broken, "has principal moments {}, of which the largest exceeds the sum of the others: no body of mass has them. Give an "
-         "inertia about the center of mass, or checkInertia=False for this one"),
-    )  # fmt: skip
+        (broken, f"has principal moments {{}}, {impossible}; {advice}"),
+    )
     for mask, what in wrong:
         if bool(mask.any()):
             row = int(torch.nonzero(mask)[0])
@@ -191,8 +192,8 @@ def _prepare_diagonal(args: Values) -> dict[str, Tensor]:
     diagonal = tensor.diagonal(dim1=-2, dim2=-1)
     if bool((tensor != torch.diag_embed(diagonal)).any()):
         raise ValueError(
-            f"inertia={shown_tensor(args['inertia'], 0)}: the first satellite of the type has no products of inertia, so none may "
-            "have; give the first one products, too"
+            f"inertia={shown_tensor(args['inertia'], 0)}: the first satellite of the type has no products of inertia, so none "
+            "may have; give the first one products, too"
         )
     return {"inertia_B": diagonal, "mass": args["mass"]}
 
@@ -231,8 +232,8 @@ def _effector_states(bus: Bus) -> EffectorStates:
 def _attitude_rates(bus: Bus, L_B: Vec3, sigma_BN: Vec3, omega_BN_B: Vec3, states: EffectorStates) -> State:
     """Return the rates of the MRP sigma_BN, 1/s, of the body rate omega_BN, rad/s^2 in B, and of the states of effectors.
 
-    With inertia I, kg m^2, of the whole spacecraft and external torque L, N m, both about the center of mass, and for each effector the inertia J that does
-    not turn with the hub, and the torques l, N m, that the hub exerts on it (Schaub and Junkins, section 4.5)::
+    With inertia I, kg m^2, of the whole spacecraft and external torque L, N m, both about the center of mass, and for each
+    effector the inertia J that does not turn with the hub, and the torques l, N m, that the hub exerts on it (Schaub and Junkins, section 4.5)::
 
         sigma' = 1/4 B(sigma) omega
         (I - sum J) omega' = L - omega x (I omega) - sum l
@@ -395,9 +396,10 @@ ARGS = (
 def _check_no_lever(args: Values) -> None:
     _check(args)
     if bool((args["r_CB_B"] != 0.0).any()):
+        row = int(args["r_CB_B"].norm(dim=-1).argmax())
         raise ValueError(
-            f"r_CB_B={shown_tensor(args['r_CB_B'], int(args['r_CB_B'].norm(dim=-1).argmax()))} m: the first satellite of the type "
-            "has its center of mass at the origin of B, so all must have; give the first one an offset, such as 1e-6 m, too"
+            f"r_CB_B={shown_tensor(args['r_CB_B'], row)} m: the first satellite of the type has its center "
+            "of mass at the origin of B, so all must have; give the first one an offset, such as 1e-6 m, too"
         )
 
 
