@@ -78,8 +78,8 @@ class Arg:
     shape of other values that are numbers, such as ``(4, 3)``; None in it stands for any size, such as ``(None, 3)``: the same
     for all satellites of a type, and fixed when the environment is built. Where it is ``spread``, one number stands for all of
     the shape. ``low`` and ``high`` bound every number (inclusive). Numbers must be finite unless infinity means something, such
-    as no limit: where an argument is ``endless``, or infinite by default. ``whole`` ones have no fraction. ``missing`` stands for None. A ``shared``
-    one is the same for all environments.
+    as no limit: where an argument is ``endless``, or infinite by default. ``whole`` ones have no fraction. ``missing`` stands for
+    None. A ``shared`` one is the same for all environments.
     """
 
     name: str

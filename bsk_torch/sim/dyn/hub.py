@@ -233,7 +233,8 @@ def _attitude_rates(bus: Bus, L_B: Vec3, sigma_BN: Vec3, omega_BN_B: Vec3, state
     """Return the rates of the MRP sigma_BN, 1/s, of the body rate omega_BN, rad/s^2 in B, and of the states of effectors.
 
     With inertia I, kg m^2, of the whole spacecraft and external torque L, N m, both about the center of mass, and for each
-    effector the inertia J that does not turn with the hub, and the torques l, N m, that the hub exerts on it (Schaub and Junkins, section 4.5)::
+    effector the inertia J that does not turn with the hub, and the torques l, N m, that the hub exerts on it (Schaub and
+    Junkins, section 4.5)::
 
         sigma' = 1/4 B(sigma) omega
         (I - sum J) omega' = L - omega x (I omega) - sum l
