@@ -11,6 +11,7 @@ from typer.core import TyperGroup
 
 from bsk_torch import __version__
 from bsk_torch.cli.declaration import (
+    MACHINE,
     Backend,
     Device,
     OfPreset,
@@ -93,6 +94,7 @@ def list_presets(
     bsk-torch train NadirScan-v1 --minutes 3
     bsk-torch train AEOS-v1 --network attention --frames 600000 --out runs/aeos
     bsk-torch train NadirScan-v1 learning_rate=1e-3 'hidden=[128,128]'
+    bsk-torch train NadirScan-v1 --workers auto
     bsk-torch train runs/aeos --resume frames=1200000
     """,
 )
@@ -134,6 +136,15 @@ def train(
     seeds: Annotated[
         int, typer.Option(metavar="N", min=1, help="Number of runs, one after the other, with seeds starting at --seed.")
     ] = 1,
+    workers: Annotated[
+        str | None,
+        typer.Option(
+            metavar="N",
+            help="Number of processes that collect experience, or 'auto' for as many as suit the available cores; default: none "
+            "in addition to the one that learns.",
+            rich_help_panel=MACHINE,
+        ),
+    ] = None,
     resume: Annotated[bool, typer.Option("--resume", help="Resume the run in the given folder.")] = False,
     out: Annotated[
         Path | None, typer.Option(metavar="FOLDER", help="Folder for the results; default: a new one in runs/.")

@@ -21,7 +21,7 @@ from bsk_torch.rl.evaluation.evaluate import FRESH, Evaluation, evaluate
 from bsk_torch.rl.evaluation.results import EVALUATION, print_results, save_results
 from bsk_torch.rl.marl.runs import TRAINED, configure, read_config, told, training_of
 from bsk_torch.rl.policies.shared_policy import shared, shared_baselines
-from bsk_torch.rl.training.config import CONFIG, PPOConfig, override
+from bsk_torch.rl.training.config import AUTO, CONFIG, PPOConfig, override
 from bsk_torch.rl.training.lock import FolderLock
 from bsk_torch.rl.training.log import LOG, read_log
 from bsk_torch.rl.training.trainer import CHECKPOINT, check_folder, read_checkpoint
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 MINUTES = 3.0
 """Training time unless a limit is given."""
 
-OF_NEW_RUNS = ("algorithm", "network", "minutes", "frames", "seed", "seeds", "out", "backend", "device", "time_limit")
+OF_NEW_RUNS = ("algorithm", "network", "minutes", "frames", "seed", "seeds", "workers", "out", "backend", "device", "time_limit")
 """Parameters of the command that new runs take; one that is resumed takes changes as NAME=VALUE."""
 
 
@@ -46,6 +46,7 @@ def train(
     frames: int | None,
     seed: int,
     seeds: int,
+    workers: str | None,
     resume: bool,
     out: Path | None,
     episodes: int,
@@ -73,7 +74,9 @@ def train(
         minutes = MINUTES if minutes is None and frames is None else minutes
         limit = {"frames": frames, "seconds": None if minutes is None else 60.0 * minutes}
         options = environment_options(backend, device, time_limit)
-        config = _configured(preset, algorithm, network, changes or [], seed=seed, options=options, **limit)
+        config = _configured(
+            preset, algorithm, network, [*_several(workers, changes or []), *(changes or [])], seed=seed, options=options, **limit
+        )
         folder = out or Path("runs") / f"{preset}_{datetime.now():%Y%m%d-%H%M%S}"
         runs = {folder / f"seed_{seed + k}" if seeds > 1 else folder: replace(config, seed=seed + k) for k in range(seeds)}
         _check(runs)
@@ -86,6 +89,14 @@ def train(
             break
     if len(trained) > 1:
         print_results(results | trained, f"{config.preset}, {episodes} unseen episodes")
+
+
+def _several(workers: str | None, changes: list[str]) -> list[str]:
+    """Return the settings that stand for the option ``--workers``; several are of this machine unless told otherwise."""
+    if workers is None:
+        return []
+    chosen = workers == AUTO or any(change.startswith("collector=") for change in changes)
+    return [f"workers={workers}", *([] if chosen else ["collector=multi"])]
 
 
 def _is_given(context: typer.Context, name: str) -> bool:
@@ -147,7 +158,7 @@ def _run(
     try:
         with working("building the training"):
             run = training_of(config, folder, resume)
-    except (ValueError, FileNotFoundError, ModuleNotFoundError) as error:
+    except (ValueError, FileNotFoundError, ModuleNotFoundError, ConnectionError) as error:
         fail(str(error))
     results = dict(baselines) | ({} if resume else {"untrained": _evaluated("untrained", shared(run.policy, env), env, seed)})
     activity.report()

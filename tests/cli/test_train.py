@@ -1,11 +1,13 @@
 """``bsk-torch train``."""
 
 import json
+import logging
 
 import pytest
 
 from bsk_torch.rl.training.config import PPOConfig, load_config
 from bsk_torch.rl.training.log import read_log
+from bsk_torch.rl.training.workers import Cores
 
 pytestmark = pytest.mark.compiled
 
@@ -48,6 +50,8 @@ def test_train_with_attention_knows_the_targets_and_draws_them(run, tmp_path):
         (("NadirScan-v1", "learning_rat=1e-3"), "did you mean 'learning_rate'"),
         (("NadirScan-v1", "hidden=[a]"), "could not be converted to Integer"),
         (("NadirScan-v1", "gamma=2"), "must lie in (0, 1]"),
+        (("NadirScan-v1", "--workers", "3"), "num_envs=1024 episodes cannot be shared out evenly among 3 processes"),
+        (("NadirScan-v1", "--workers", "many"), "workers='many' must be a whole number or 'auto'"),
         (("nowhere", "--resume"), "'nowhere' is not a run folder"),
     ],
 )
@@ -65,6 +69,25 @@ def test_without_matplotlib_pictures_are_left_out(run, tmp_path, monkeypatch):
     assert result.output.count("no pictures were drawn: they need matplotlib; pip install 'bsk_torch[viz]'") == 1
     assert (tmp_path / "policy.pt").is_file()
     assert not list(tmp_path.glob("*.png"))
+
+
+def test_the_number_of_processes_is_chosen_and_kept(run, tmp_path, monkeypatch, caplog):
+    caplog.set_level(logging.INFO)
+    monkeypatch.setattr("bsk_torch.rl.training.workers.available_cores", lambda: Cores(2, "2 available cores"))
+    sizes = ["num_envs=64", "rollout=2"]
+    result = run("train", "NadirScan-v1", "--frames", 128, "--workers", "auto", *sizes, "--out", tmp_path, *SHORT)
+    assert result.exit_code == 0, result.output
+    assert "workers=auto: collector=multi workers=2, for 2 available cores" in caplog.text
+    config = load_config(tmp_path / "config.yaml", PPOConfig)
+    assert (config.collector, config.workers) == ("multi", 2)
+    monkeypatch.setattr("bsk_torch.rl.training.workers.available_cores", lambda: Cores(1, "1 available core"))
+    again = run("train", tmp_path, "--resume", "frames=256", *SHORT[4:])
+    assert again.exit_code == 0, again.output
+    assert "workers=2 is more than 1 available core: the processes share them; workers=1 is as fast" in caplog.text
+    assert read_log(tmp_path / "log.csv")["frames"] == [128, 256]
+    refused = run("train", tmp_path, "--resume", "workers=auto", *SHORT[4:])
+    assert refused.exit_code == 1
+    assert "workers=2" in refused.output
 
 
 def test_several_seeds_are_compared(run, tmp_path):

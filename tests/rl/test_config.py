@@ -40,6 +40,8 @@ def test_changes_are_read_in_their_types():
         ("entropy_schedule=lienar", "did you mean 'linear'"),
         ("loggers=[cvs]", "did you mean 'csv'"),
         ("collector=mutli", "did you mean 'multi'"),
+        ("workers=0", "workers=0 must be at least 1"),
+        ("workers=atuo", "workers='atuo' must be a whole number or 'auto'"),
         ("epochs=0", "at least 1"),
         ("checkpoint_every=-1", "not be negative"),
         ("patience=0", "at least 1"),
@@ -92,8 +94,10 @@ def test_every_setting_is_checked(name):
 
 
 def test_episodes_are_shared_out_evenly():
-    with pytest.raises(ValueError, match="evenly"):
+    with pytest.raises(ValueError, match=r"workers=3: num_envs=16 .* evenly among 3 processes; the nearest number is workers=2"):
         PPOConfig(collector="multi", workers=3, num_envs=16)
+    with pytest.raises(ValueError, match=r"workers=32: num_envs=16 .*; the nearest number is workers=16"):
+        PPOConfig(collector="ray", workers=32, num_envs=16)
 
 
 def test_files_give_back_what_was_saved(tmp_path):

@@ -1,10 +1,13 @@
 """Training runs: what they leave behind, how they go on after an interruption, and where experience comes from."""
 
+import contextlib
 import dataclasses
 import importlib
+import itertools
 import multiprocessing
 import os
 import signal
+from pathlib import Path
 
 import pytest
 import torch
@@ -16,7 +19,7 @@ from bsk_torch.rl.training.collect import make_collector, prepared, start_worker
 from bsk_torch.rl.training.config import CONFIG, PPOConfig, load_config
 from bsk_torch.rl.training.episodes import RecentEpisodes
 from bsk_torch.rl.training.log import COLUMNS, EVALUATED, EVALUATIONS, LOG, read_log
-from bsk_torch.rl.training.trainer import CHECKPOINT, Training
+from bsk_torch.rl.training.trainer import CHECKPOINT, RESTARTS, Training
 
 pytestmark = pytest.mark.compiled
 
@@ -140,53 +143,122 @@ def test_several_processes_collect_and_go_on_as_one_would(by_several, tmp_path):
 
 
 class Losing(Training):
-    """Loses a process that collects while it learns from its second batch."""
+    """Loses processes that collect while it learns from the batch number ``when``: ``often`` times in all."""
+
+    when, often = 1, 1
+
+    def _loop(self, batches, *others):
+        self.collector = batches.collector
+        super()._loop(batches, *others)
+
+    def lose(self):
+        lost = multiprocessing.active_children()[0]
+        os.kill(lost.pid, signal.SIGKILL)
+        lost.join()
 
     def _learn(self, batch):
-        if self.iteration == 1:
-            lost = multiprocessing.active_children()[0]
-            os.kill(lost.pid, signal.SIGKILL)
-            lost.join()
+        if self.iteration == self.when and self.often:
+            self.often -= 1
+            self.lose()
         return super()._learn(batch)
 
 
-def test_a_lost_process_stops_a_run_that_can_be_resumed(by_several, tmp_path):
+@pytest.mark.parametrize("when", [0, 2])  # before there is a checkpoint, and after
+def test_a_lost_process_is_replaced_and_changes_nothing(by_several, tmp_path, caplog, when):
+    whole, policy = by_several
+    training = Losing(SEVERAL, tmp_path / "run")
+    training.when = when
+    assert weights(training.run()).equal(weights(policy))
+    assert same_logs(tmp_path / "run", whole)
+    assert {path.name for path in training.out.iterdir()} == {path.name for path in whole.iterdir()}
+    assert (
+        f"of 2 that collects was ended by SIGKILL (usually: memory is full); new processes continue from the last checkpoint, "
+        f"at {24 * when} decisions" in caplog.text
+    )
+    assert not multiprocessing.active_children()
+
+
+def test_lost_processes_are_replaced_while_batches_are_collected_ahead(tmp_path):
+    config = dataclasses.replace(SEVERAL, ahead=True)
+    whole = Training(config, tmp_path / "whole").run()
+    assert weights(Losing(config, tmp_path / "run").run()).equal(weights(whole))
+
+
+def test_processes_that_are_always_lost_stop_a_run_that_can_be_resumed(by_several, tmp_path):
     whole, policy = by_several
     out = tmp_path / "run"
+    training = Losing(SEVERAL, out)
+    training.often = 99
     with pytest.raises(
-        RuntimeError, match=r"has failed or was lost \(.*\); resume from the last checkpoint with: bsk-torch train .*run --resume"
+        RuntimeError,
+        match=r"ended by SIGKILL .*, the 4th loss since .*; resume from the last checkpoint with: bsk-torch train .*run --resume",
     ):
-        Losing(SEVERAL, out).run()
+        training.run()
+    assert training.often == 99 - RESTARTS - 1
     assert not multiprocessing.active_children()
     assert weights(resume(out, episodes=0)).equal(weights(policy))
     assert same_logs(out, whole)
-    assert {path.name for path in out.iterdir()} == {path.name for path in whole.iterdir()}
 
 
-class LosingActor(Training):
-    """Loses an actor of Ray while it learns from its second batch."""
+class Failing(Losing):
+    """Code in a process that collects fails."""
 
-    def _loop(self, batches, collector, *others):
-        self.actors = collector.remote_collectors
-        super()._loop(batches, collector, *others)
+    def lose(self):
+        self.collector.pipes[0].send((None, "nonsense"))
 
-    def _learn(self, batch):
-        if self.iteration == 1:
-            importlib.import_module("ray").kill(self.actors[0])
-        return super()._learn(batch)
+
+def test_code_that_fails_in_a_process_is_not_tried_again(tmp_path):
+    with pytest.raises(RuntimeError, match=r"a process that collects experience has failed \(.*\); resume from"):
+        Failing(SEVERAL, tmp_path / "run").run()
+
+
+class LosingActor(Losing):
+    """Loses an actor of Ray."""
+
+    def lose(self):
+        importlib.import_module("ray").kill(self.collector.remote_collectors[0])
 
 
 @pytest.mark.ray
-def test_a_lost_actor_of_ray_stops_a_run_that_can_be_resumed(by_several, tmp_path):
+def test_a_lost_actor_of_ray_is_replaced_and_changes_nothing(by_several, tmp_path, caplog):
     """Actors of Ray collect what processes of this machine do, so that the policies are the same."""
     _, policy = by_several
-    out = tmp_path / "run"
-    with pytest.raises(
-        RuntimeError, match=r"has failed or was lost \(.*\); resume from the last checkpoint with: bsk-torch train .*run --resume"
-    ):
-        LosingActor(dataclasses.replace(SEVERAL, collector="ray"), out).run()
-    assert read_log(out / LOG)["frames"][-1] < SEVERAL.frames
-    assert weights(resume(out, episodes=0)).equal(weights(policy))
+    assert weights(LosingActor(dataclasses.replace(SEVERAL, collector="ray"), tmp_path / "run").run()).equal(weights(policy))
+    assert "a process of the Ray cluster was lost" in caplog.text
+
+
+class LosingNode(Losing):
+    """Loses a node of a Ray cluster, with all of its processes, as if the machine had lost its power."""
+
+    def lose(self):
+        raylet = self.node.all_processes["raylet"][0].process.pid
+        started = [path.read_text().split() for path in Path(f"/proc/{raylet}/task").glob("*/children")]
+        self.cluster.remove_node(self.node, allow_graceful=False)
+        for pid in itertools.chain(*started):
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(int(pid), signal.SIGKILL)
+
+
+@pytest.mark.ray
+def test_a_run_continues_when_a_node_of_ray_is_lost(by_several, tmp_path, caplog, monkeypatch):
+    """Two nodes of one core each have a process each; then one has both."""
+    ray, utils = importlib.import_module("ray"), importlib.import_module("ray.cluster_utils")
+    whole, policy = by_several
+    cluster = utils.Cluster(initialize_head=True, head_node_args={"num_cpus": 1})
+    try:
+        node = cluster.add_node(num_cpus=1)
+        monkeypatch.setenv("RAY_ADDRESS", cluster.address)
+        training = LosingNode(dataclasses.replace(SEVERAL, collector="ray"), tmp_path / "run")
+        training.cluster, training.node = cluster, node
+        trained = training.run()
+    finally:
+        ray.shutdown()
+        cluster.shutdown()
+    assert training.progress.frames == SEVERAL.frames
+    assert weights(trained).equal(weights(policy))
+    assert same_logs(training.out, whole)
+    assert "new processes continue from the last checkpoint, at 24 decisions" in caplog.text
+    assert "workers=2 is more than the cores of the Ray cluster, 1, which they share" in caplog.text
 
 
 def test_processes_share_out_the_episodes_of_one(tmp_path):
@@ -249,7 +321,7 @@ def test_tensorboard_gets_what_the_files_get(tmp_path):
 
 
 def test_a_missing_ray_is_named_before_anything_is_made(tmp_path, monkeypatch):
-    monkeypatch.setattr("bsk_torch.rl.training.collect.find_spec", lambda name: None)
+    monkeypatch.setattr("bsk_torch.rl.training.cluster.find_spec", lambda name: None)
     with pytest.raises(ModuleNotFoundError, match=r"pip install 'bsk_torch\[ray\]'"):
         Training(dataclasses.replace(TINY, collector="ray"), tmp_path / "run")
     assert not (tmp_path / "run").exists()

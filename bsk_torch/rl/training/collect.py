@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+import logging
 import signal
 import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from functools import partial
-from importlib.util import find_spec
 from multiprocessing import parent_process
 from typing import Any, cast
 
@@ -24,7 +24,10 @@ from bsk_torch.env.base import Tasking
 from bsk_torch.rand import Key
 from bsk_torch.rl.networks.plans import CLOCKS, INIT, MEMORY
 from bsk_torch.rl.training.advantages import CUT
+from bsk_torch.rl.training.cluster import cluster_cores, share_of_core
 from bsk_torch.rl.training.config import PPOConfig
+
+logger = logging.getLogger(__name__)
 
 SHORTEST = 0.02
 """Least fraction of an episode after which it is cut by :class:`Stagger`."""
@@ -195,12 +198,6 @@ def update_weights(collector: Any) -> None:
     collector.update_policy_weights_()
 
 
-def check_collector(name: str) -> None:
-    """ModuleNotFoundError, naming the command that installs it, if Ray is asked for but not installed."""
-    if name == "ray" and find_spec("ray") is None:
-        raise ModuleNotFoundError("collector='ray' needs Ray; pip install 'bsk_torch[ray]'", name="ray")
-
-
 def make_collector(
     config: PPOConfig, env: Tasking, actor: TensorDictModuleBase, saved: Sequence[Mapping[str, Any]] | None
 ) -> BaseCollector:
@@ -214,7 +211,7 @@ def make_collector(
     """
     common: dict[str, Any] = dict(frames_per_batch=config.batch, total_frames=ENDLESS - ENDLESS % config.batch)
     each: dict[str, Any] = dict(auto_register_policy_transforms=False, use_buffers=False)
-    count = 1 if config.collector == "single" else config.workers
+    count = config.processes
     marks: Sequence[Mapping[str, Any] | None] = [None] * count if saved is None else saved
     if config.collector == "single":
         return Collector(prepared(env, config, marks[0]), actor, track_traj_ids=False, **common, **each)
@@ -224,8 +221,14 @@ def make_collector(
         weights: dict[str, WeightSyncScheme] = {"policy": SharedWeights()}
         return MultiSyncCollector(starts, actor, cat_results="stack", weight_sync_schemes=weights, **common, **each)
     from torchrl.collectors.distributed import RayCollector
+    from torchrl.collectors.distributed.ray import DEFAULT_REMOTE_CLASS_CONFIG
 
-    return RayCollector(starts, actor, sync=True, num_collectors=count, collector_kwargs=each, **common)
+    cores = cluster_cores()
+    if count > sum(cores):
+        logger.warning("workers=%d is more than the cores of the Ray cluster, %d, which they share", count, sum(cores))
+    remote = {name: value for name, value in DEFAULT_REMOTE_CLASS_CONFIG.items() if name != "memory"}
+    remote["num_cpus"] = share_of_core(count, cores)
+    return RayCollector(starts, actor, sync=True, num_collectors=count, collector_kwargs=each, remote_configs=remote, **common)
 
 
 class Batches:

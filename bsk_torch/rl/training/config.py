@@ -45,6 +45,9 @@ REWARD_TIMES = ("end", "start")
 LOGGERS = ("csv", "tensorboard", "wandb")
 COLLECTORS = ("single", "multi", "ray")
 
+AUTO = "auto"
+"""Value of ``workers`` for as many processes as suit the machine."""
+
 LEAST_NUMBERS = {
     "frames": 1,
     "num_envs": 1,
@@ -56,7 +59,6 @@ LEAST_NUMBERS = {
     "evaluate_episodes": 1,
     "patience": 1,
     "checkpoint_every": 0,
-    "workers": 1,
 }
 """Integer settings, and their minimum values."""
 
@@ -126,7 +128,8 @@ class PPOConfig:
         loggers: ``"csv"`` (always), ``"tensorboard"``, ``"wandb"``.
         collector: ``"single"`` process, ``"multi"`` for TorchRL's MultiSyncCollector on this machine, ``"ray"`` for its
             RayCollector on a cluster.
-        workers: Processes of the last two; episodes and decisions are shared out among them.
+        workers: Processes of the last two; episodes and decisions are shared out among them. ``"auto"`` chooses the collector and
+            as many processes as suit the available cores and ``num_envs``; the configuration of the run has the number.
         ahead: Whether these collect the next batch while one is learned from, so that no core waits. Every batch is then by a
             policy that is exactly one update old; results do not depend on speed, and resume bit for bit.
         options: Arguments of the environment that differ from the preset's.
@@ -161,7 +164,7 @@ class PPOConfig:
     checkpoint_every: int = 250_000
     loggers: tuple[str, ...] = ("csv",)
     collector: str = "single"
-    workers: int = 2
+    workers: int | str = 2
     ahead: bool = False
     options: dict[str, Any] = dataclasses.field(default_factory=dict)
 
@@ -193,10 +196,8 @@ class PPOConfig:
                 raise ValueError(f"seed={self.seed}: episodes of seed {seed} belong to suites, in which policies are compared")
         self._check_options()
         self._check_names()
-        if self.collector != "single" and self.num_envs % self.workers:
-            raise ValueError(f"num_envs={self.num_envs} cannot be shared out evenly among workers={self.workers}")
-        if self.ahead and self.collector == "single":
-            raise ValueError("ahead=True collects in other processes: it needs collector='multi' or 'ray'")
+        if self.workers != AUTO:
+            self._check_workers()
         if self.patience is not None and not self.evaluate_every:
             raise ValueError(f"patience={self.patience} needs evaluate_every")
 
@@ -206,6 +207,19 @@ class PPOConfig:
             return EVALUATE_EVERY
         interval = min(EVALUATE_EVERY, self.frames // 8)
         return interval if interval >= LEAST_INTERVAL else 0
+
+    def _check_workers(self) -> None:
+        if isinstance(self.workers, str):
+            raise ValueError(f"workers={self.workers!r} must be a whole number or {AUTO!r}")
+        _check_whole("workers", self.workers, 1, MOST)
+        if self.ahead and self.collector == "single":
+            raise ValueError("ahead=True collects in other processes: it needs collector='multi' or 'ray'")
+        if self.num_envs % self.processes:
+            even = [count for count in range(1, self.processes) if self.num_envs % count == 0]
+            raise ValueError(
+                f"workers={self.workers}: num_envs={self.num_envs} episodes cannot be shared out evenly among {self.workers} "
+                f"processes; the nearest number is workers={even[-1]}"
+            )
 
     def _check_options(self) -> None:
         if not isinstance(self.options, Mapping):
@@ -226,6 +240,13 @@ class PPOConfig:
             names = list(allowed.get(name, LOGGERS))
             if value not in names:
                 raise ValueError(f"{name}={value!r} must be one of {names}; {nearest(str(value), names)}")
+
+    @property
+    def processes(self) -> int:
+        """Number of processes that collect; ValueError as long as it is ``"auto"``."""
+        if isinstance(self.workers, str):
+            raise ValueError(f"workers={self.workers!r} has no number yet: with_workers(config) chooses one")
+        return 1 if self.collector == "single" else self.workers
 
     @property
     def batch(self) -> int:

@@ -9,7 +9,7 @@ import shlex
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,7 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
+from torchrl.collectors import BaseCollector
 
 from bsk_torch import __version__
 from bsk_torch.constants import DAY
@@ -26,13 +27,15 @@ from bsk_torch.rl.networks.plans import MEMORY
 from bsk_torch.rl.policies.checksummed import load_checksummed, save_checksummed
 from bsk_torch.rl.policies.files import POLICY, plain
 from bsk_torch.rl.training.advice import hardships
-from bsk_torch.rl.training.collect import Batches, bookmarks, check_collector, make_collector
-from bsk_torch.rl.training.config import CONFIG, PPOConfig, save_config
+from bsk_torch.rl.training.cluster import check_ray, connected
+from bsk_torch.rl.training.collect import Batches, bookmarks, make_collector
+from bsk_torch.rl.training.config import AUTO, CONFIG, PPOConfig, save_config
 from bsk_torch.rl.training.episodes import RecentEpisodes
 from bsk_torch.rl.training.lock import LOCK, FolderLock
 from bsk_torch.rl.training.log import RunLog, check_loggers
 from bsk_torch.rl.training.ppo import REPORTED, Learner
 from bsk_torch.rl.training.progress import Progress, TrainingBar, interruptible, unbroken
+from bsk_torch.rl.training.workers import WorkerLostError, lost_worker, warn_of_few_cores, with_workers
 
 logger = logging.getLogger(__name__)
 
@@ -41,6 +44,9 @@ CHECKPOINT = "checkpoint.pt"
 
 FIXED = ("preset", "algorithm", "network", "hidden", "num_envs", "collector", "workers", "ahead", "seed", "options")
 """Settings that must not change when a run is resumed, because its checkpoint depends on them."""
+
+RESTARTS = 3
+"""Losses of processes since the last checkpoint after which a run ends: what kills them once may do so always."""
 
 VALIDATION = 2_000_003
 """Added to the seed of training to get that of the evaluations by which the best policy is chosen."""
@@ -65,30 +71,25 @@ class Training:
             FileExistsError: If ``out`` is not empty, or no folder.
             FileNotFoundError: If there is no run to resume.
             FolderInUseError: If another process works in ``out``.
+            ConnectionError: If the Ray cluster that the environment names cannot be reached.
             ModuleNotFoundError: If a logger or Ray that the configuration names is not installed.
             OSError: If ``out`` cannot be written to.
             ValueError: If the checkpoint is damaged, of another version, or of other settings that cannot change.
         """
         check_loggers(config.loggers)
-        check_collector(config.collector)
+        if config.collector == "ray":
+            check_ray()
         (check_resumable if resume else check_folder)(out)
-        self.config, self.out, self.days, self.iteration = config, out, 0.0, 0
-        self.best: dict[str, Any] = {"return": float("-inf"), "waited": 0, "networks": None}
+        if resume and config.workers == AUTO:
+            raise ValueError(f"workers={AUTO!r} is for new runs; the run in {str(out)!r} has a number, which cannot change")
+        config = with_workers(config)
+        warn_of_few_cores(config)
+        self.config, self.out = config, out
         with ExitStack() as undo:
             if resume:
                 self.lock = FolderLock(out)
                 undo.callback(self.lock.release)
-            saved = read_checkpoint(out, config) if resume else None
-            torch.manual_seed(config.seed)
-            self.env = config.make_env() if config.collector == "single" else config.make_env(0, 1)
-            self.judge = self._make_judge()
-            self.learner = self.make_learner()
-            self.progress, self.recent = Progress(config), RecentEpisodes(config.num_envs, self.env.failure_penalty)
-            self.marks: list[Any] | None = None
-            self.begun: TensorDictBase | None = None
-            self.interrupted = False
-            if saved is not None:
-                self._restore(saved)
+            self._build(read_checkpoint(out, config) if resume else None)
             if not resume:
                 out.mkdir(parents=True, exist_ok=True)
                 self.lock = FolderLock(out)
@@ -96,6 +97,21 @@ class Training:
                 check_empty(out)  # another process may have come first
             save_config(config, out / CONFIG)
             undo.pop_all()
+
+    def _build(self, saved: dict[str, Any] | None) -> None:
+        """Build environment and networks, and continue from a checkpoint if there is one."""
+        config = self.config
+        self.days, self.iteration, self.interrupted = 0.0, 0, False
+        self.best: dict[str, Any] = {"return": float("-inf"), "waited": 0, "networks": None}
+        torch.manual_seed(config.seed)
+        self.env = config.make_env() if config.collector == "single" else config.make_env(0, 1)
+        self.judge = self._make_judge()
+        self.learner = self.make_learner()
+        self.progress, self.recent = Progress(config), RecentEpisodes(config.num_envs, self.env.failure_penalty)
+        self.marks: list[Any] | None = None
+        self.begun: TensorDictBase | None = None
+        if saved is not None:
+            self._restore(saved)
 
     # -- what differs for constellations ------------------------------------------------------------------------------
 
@@ -141,14 +157,30 @@ class Training:
             bar: Whether to show the progress.
 
         Raises:
-            RuntimeError: If the training diverges, or a process that collects is lost. The run can be resumed.
-            OSError: If the last checkpoint or the policy cannot be written; likewise.
+            RuntimeError: If the training diverges, or processes that collect fail or are lost repeatedly. The run can be resumed.
+            OSError: If the last checkpoint or the policy cannot be written, or the Ray cluster is not reached; likewise.
         """
         try:
-            self._train(bar)
+            with connected() if self.config.collector == "ray" else nullcontext():
+                self._train_despite_losses(bar)
             return self._finish()
         finally:
             self.lock.release()
+
+    def _train_despite_losses(self, bar: bool) -> None:
+        """Train; if a process that collects is lost, resume from the last checkpoint with new processes, with the same result."""
+        losses, checkpoint = 0, -1
+        while True:
+            try:
+                return self._train(bar)
+            except WorkerLostError as loss:
+                saved = read_checkpoint(self.out, self.config)
+                before, checkpoint = checkpoint, 0 if saved is None else saved["progress"][0]
+                losses = losses + 1 if checkpoint == before else 1
+                if losses > RESTARTS:
+                    raise RuntimeError(f"{loss}, the {losses}th loss since the last checkpoint; {resumption(self.out)}") from loss
+                self._build(saved)
+                logger.warning("%s; new processes continue from the last checkpoint, at %d decisions", loss, checkpoint)
 
     def _train(self, shown: bool) -> None:
         self._warm_up()
@@ -173,23 +205,23 @@ class Training:
             shut_down(collector)
 
     @contextmanager
-    def _collecting(self) -> Iterator[None]:
-        """Add to errors in collecting processes how to resume."""
+    def _collecting(self, collector: BaseCollector | None = None) -> Iterator[None]:
+        """Add to errors in collecting processes how to resume; WorkerLostError if one of a ``collector`` was lost."""
         try:
             yield
         except Exception as error:
             if self.config.collector == "single":
                 raise
+            loss = None if collector is None else lost_worker(collector, error)
+            if loss is not None:
+                raise WorkerLostError(loss) from error
             reason = [type(error).__name__, *str(error).strip().splitlines()[:1]][-1]
-            raise RuntimeError(
-                f"a process that collects experience has failed or was lost ({reason}); "
-                f"resume from the last checkpoint with: bsk-torch train {shlex.quote(str(self.out))} --resume"
-            ) from error
+            raise RuntimeError(f"a process that collects experience has failed ({reason}); {resumption(self.out)}") from error
 
     def _loop(self, batches: Batches, log: RunLog, bar: TrainingBar, stop: threading.Event) -> None:
         while self.progress.fraction < 1.0:
             begin = time.perf_counter()
-            with self._collecting():
+            with self._collecting(batches.collector):
                 batch = batches.take()
             row = {"iteration": self.iteration, "collect_seconds": time.perf_counter() - begin} | self._learn(batch)
             self.iteration += 1
@@ -294,7 +326,7 @@ class Training:
 
     def _save(self, batches: Batches, batch: TensorDictBase, last: bool) -> None:
         """Write a checkpoint from which a run continues bit for bit; it may fail unless it is the ``last`` one."""
-        with self._collecting():
+        with self._collecting(batches.collector):
             newest = batches.newest(batch)
             marks = bookmarks(batches.collector, newest)
         kept = {
@@ -342,6 +374,11 @@ class Training:
 def _finite(state: Any) -> bool:
     """Return whether all tensors of nested dictionaries are finite."""
     return all(map(_finite, state.values())) if isinstance(state, dict) else bool(state.isfinite().all())
+
+
+def resumption(out: Path) -> str:
+    """Return how to resume the run in a folder."""
+    return f"resume from the last checkpoint with: bsk-torch train {shlex.quote(str(out))} --resume"
 
 
 def shut_down(collector: Any) -> None:
