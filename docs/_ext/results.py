@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping, Sequence
+import shlex
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -34,6 +35,10 @@ CASES = {
     "imaging-1k-1": "one satellite",
 }
 """Labels of the cases of ``vs_basilisk.py``; others are numbers of satellites."""
+
+
+RECORDED: dict[str, Callable[[float], str]] = {"seconds": "{:.1f}".format, "core_seconds": "{:.1f}".format, "decisions": whole}
+"""Columns of records, and how they are written."""
 
 
 @cache
@@ -124,6 +129,23 @@ def training_profile() -> str:
     rows = load("training_profile")["rows"]
     cells = [[row["case"], row["phase"], f"{row['us']:.1f}", f"{row['percent']:.1f}"] for row in rows]
     return with_command("training_profile", ["training", "phase", "us per decision", "%"], cells)
+
+
+def records() -> str:
+    """Return the times of trainings until they reach thresholds, and the commands that measured them."""
+    rows, commands = [], []
+    for row in load("records")["rows"]:
+        runs, where = row["runs"], row["machine"]
+        times = {key: " / ".join(form(run[key]) if run["reached"] else "-" for run in runs) for key, form in RECORDED.items()}
+        count = f"{sum(run['reached'] for run in runs)} of {len(runs)}"
+        place = f"{where['cores']} cores, {row['processor']}"
+        rows.append(
+            [row["task"], row["threshold"], row["name"], count, *times.values(), place, code(where["commit"]), row["date"]]
+        )
+        if row["command"] not in commands:
+            commands.append(row["command"])
+    head = ["task", "threshold", "trained by", "reached", "wall, s", "core-seconds", "decisions", "machine", "commit", "date"]
+    return "\n\n".join([table(head, rows), *(command([quoted(word) for word in shlex.split(each)]) for each in commands)]) + "\n"
 
 
 def startup() -> str:
@@ -524,6 +546,7 @@ TABLES = {
     "constellations": constellations,
     "breakdown": breakdown,
     "training_profile": training_profile,
+    "records": records,
     "startup": startup,
     "recordings": recordings,
     "resets": resets,

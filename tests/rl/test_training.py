@@ -7,6 +7,7 @@ import itertools
 import multiprocessing
 import os
 import signal
+import time
 from pathlib import Path
 
 import pytest
@@ -307,6 +308,27 @@ def test_evaluations_do_not_change_what_is_learned(run, tmp_path):
     out, _ = run
     train(dataclasses.replace(TINY, evaluate_every=0), tmp_path / "unseen", episodes=0)
     assert same_logs(out, tmp_path / "unseen")
+
+
+def test_a_run_ends_when_it_is_enough_and_waits_without_time_or_chance(run, tmp_path):
+    """What is asked draws random numbers and takes half a second, three times."""
+    asked = []
+
+    def enough():
+        asked.append((training.progress.frames, training.progress.seconds, torch.rand(3)))
+        time.sleep(0.5)
+        return training.progress.frames >= 48
+
+    training = Training(dataclasses.replace(TINY, evaluate_every=0), tmp_path / "run")
+    begin = time.perf_counter()
+    training.run(bar=False, enough=enough)
+    took = time.perf_counter() - begin
+    assert [frames for frames, *_ in asked] == [0, 24, 48]
+    assert training.progress.seconds < took - 1.4
+    columns = ("return", "entropy", "kl", "loss_critic")
+    ours, whole = read_log(tmp_path / "run" / LOG), read_log(run[0] / LOG)
+    for key in columns:
+        torch.testing.assert_close(torch.tensor(ours[key]), torch.tensor(whole[key][:2]), rtol=0, atol=0, equal_nan=True)
 
 
 def test_tensorboard_gets_what_the_files_get(tmp_path):

@@ -30,6 +30,13 @@ class Progress:
         """Start the clock."""
         self.begin = time.perf_counter()
 
+    @contextmanager
+    def paused(self) -> Iterator[None]:
+        """Let the clock stand still."""
+        begin = time.perf_counter()
+        yield
+        self.begin += time.perf_counter() - begin
+
     @property
     def seconds(self) -> float:
         """Training time, s, with that of the part before an interruption."""

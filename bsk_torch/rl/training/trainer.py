@@ -8,7 +8,7 @@ import os
 import shlex
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, nullcontext
 from pathlib import Path
 from typing import Any
@@ -102,6 +102,7 @@ class Training:
         """Build environment and networks, and continue from a checkpoint if there is one."""
         config = self.config
         self.days, self.iteration, self.interrupted = 0.0, 0, False
+        self.enough: Callable[[], bool] | None = None
         self.best: dict[str, Any] = {"return": float("-inf"), "waited": 0, "networks": None}
         torch.manual_seed(config.seed)
         self.env = config.make_env() if config.collector == "single" else config.make_env(0, 1)
@@ -150,16 +151,19 @@ class Training:
 
     # -- running ------------------------------------------------------------------------------------------------------
 
-    def run(self, bar: bool = True) -> TensorDictModuleBase:
+    def run(self, bar: bool = True, enough: Callable[[], bool] | None = None) -> TensorDictModuleBase:
         """Train until the budget is used, patience is at its end, or the user interrupts; the best policy.
 
         Args:
             bar: Whether to show the progress.
+            enough: Called at the start and after each update, while the clock of the budget stands still; training ends when it
+                returns True. Random numbers drawn in it do not change the training.
 
         Raises:
             RuntimeError: If the training diverges, or processes that collect fail or are lost repeatedly. The run can be resumed.
             OSError: If the last checkpoint or the policy cannot be written, or the Ray cluster is not reached; likewise.
         """
+        self.enough = enough
         try:
             with connected() if self.config.collector == "ray" else nullcontext():
                 self._train_despite_losses(bar)
@@ -219,6 +223,8 @@ class Training:
             raise RuntimeError(f"a process that collects experience has failed ({reason}); {resumption(self.out)}") from error
 
     def _loop(self, batches: Batches, log: RunLog, bar: TrainingBar, stop: threading.Event) -> None:
+        if self._reached():
+            return
         while self.progress.fraction < 1.0:
             begin = time.perf_counter()
             with self._collecting(batches.collector):
@@ -229,13 +235,24 @@ class Training:
             bar.show(self.progress, row, len(self.recent.ended))
             if self._due(self.config.evaluate_every) or (self.config.evaluate_every and self.progress.fraction >= 1.0):
                 log.evaluated(self._judge())
-            enough = self.config.patience is not None and self.best["waited"] >= self.config.patience
-            last = stop.is_set() or enough or self.progress.fraction >= 1.0
+            stale = self.config.patience is not None and self.best["waited"] >= self.config.patience
+            if self.enough is not None:
+                batches.newest(batch)  # else it would be collected while the clock stands still
+            reached = self._reached()
+            last = stop.is_set() or stale or reached or self.progress.fraction >= 1.0
             if last or self._due(self.config.checkpoint_every):
                 self._save(batches, batch, last)
-            if stop.is_set() or enough:
-                logger.info("stopped %s", "by the user" if stop.is_set() else "early: the return has not grown any more")
+            if stop.is_set() or stale or reached:
+                early = "early: it is enough" if reached else "early: the return has not grown any more"
+                logger.info("stopped %s", "by the user" if stop.is_set() else early)
                 return
+
+    def _reached(self) -> bool:
+        """Whether the function that watches the run ends it; its time and random numbers do not count."""
+        if self.enough is None:
+            return False
+        with self.progress.paused(), torch.random.fork_rng(devices=[]):
+            return self.enough()
 
     def _due(self, every: int | None) -> bool:
         """Whether a multiple of ``every`` frames has been passed in the last iteration."""
