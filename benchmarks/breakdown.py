@@ -11,14 +11,12 @@ called profile.py: Python's own cProfile would import it.)
 
 from __future__ import annotations
 
-import signal
-import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from types import FrameType
 from typing import Any
 
 import harness
+
+from bsk_torch.rl.training.profile import sampling
 
 RESET = "reset: next episodes and their first observations"
 
@@ -39,9 +37,6 @@ PARTS = {
 }
 """Names of parts by package; the longest that fits a module counts. Others, such as torch, count for their caller."""
 
-INTERVAL = 1e-3
-"""Seconds of CPU time between samples."""
-
 COLUMNS = {"task": "{task}", "batch": "{batch:,}", "part": "{part}", "microseconds per step": "{us:,.1f}", "%": "{percent:.1f}"}
 
 
@@ -59,32 +54,11 @@ def part_of(frame: FrameType | None) -> str:
     return found or "the rest"
 
 
-@contextmanager
-def sampling(part_of: Callable[[FrameType | None], str] = part_of) -> Iterator[dict[str, float]]:
-    """CPU seconds of this thread by part, while the context lasts."""
-    spent: dict[str, float] = {}
-    clock = time.thread_time()
-
-    def sample(_: int, frame: FrameType | None) -> None:
-        nonlocal clock
-        part, now = part_of(frame), time.thread_time()
-        spent[part] = spent.get(part, 0.0) + now - clock
-        clock = time.thread_time()  # without the time of this function
-
-    previous = signal.signal(signal.SIGPROF, sample)
-    signal.setitimer(signal.ITIMER_PROF, INTERVAL, INTERVAL)
-    try:
-        yield spent
-    finally:
-        signal.setitimer(signal.ITIMER_PROF, 0.0)
-        signal.signal(signal.SIGPROF, previous)
-
-
 def shares(task: str, batch: int, seconds: float, warm_up: int) -> list[dict[str, Any]]:
     """Rows of one batch: every part, and their sum."""
     env = harness.make_env(task, batch)
     player, ready = harness.start(lambda: harness.rollout(env), warm_up)
-    with sampling() as spent:
+    with sampling(part_of) as spent:
         turn = harness.play(player, seconds, whole=batch)
     total = sum(spent.values())
     parts = sorted(spent.items(), key=lambda item: -item[1])

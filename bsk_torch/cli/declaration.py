@@ -41,6 +41,27 @@ PolicyOrPlanner = Annotated[
         show_default=False,
     ),
 ]
+Changes = Annotated[
+    list[str] | None,
+    typer.Argument(
+        metavar="NAME=VALUE",
+        help="Settings that differ from the preset's recipe, such as learning_rate=1e-3, evaluate_every=500000, "
+        "collector=multi, or options.n_targets=1000 for the environment: the fields of bsk_torch.rl.training.PPOConfig and, "
+        "for constellations, bsk_torch.rl.marl.MAPPOConfig.",
+        show_default=False,
+    ),
+]
+Algorithm = Annotated[
+    str | None, typer.Option(metavar="NAME", help="'ppo' for one satellite; 'mappo' (default) or 'ippo' for constellations.")
+]
+Network = Annotated[
+    str | None,
+    typer.Option(
+        metavar="NAME",
+        help="'mlp' (default for one satellite), 'gru' (with a memory), or 'attention' (for targets observed as a set, and "
+        "for constellations).",
+    ),
+]
 Run = Annotated[Path, typer.Argument(help="Run folder.", show_default=False)]
 OfPreset = Annotated[str | None, typer.Option(metavar="NAME", help="Environment; default: that of the run, or NadirScan-v1.")]
 Plan = Annotated[

@@ -12,8 +12,11 @@ from typer.core import TyperGroup
 from bsk_torch import __version__
 from bsk_torch.cli.declaration import (
     MACHINE,
+    Algorithm,
     Backend,
+    Changes,
     Device,
+    Network,
     OfPreset,
     Plan,
     Policy,
@@ -103,28 +106,9 @@ def train(
     preset: Annotated[
         str, typer.Argument(help="Environment ('bsk-torch list' names them); with --resume, a run folder.", show_default=False)
     ],
-    changes: Annotated[
-        list[str] | None,
-        typer.Argument(
-            metavar="NAME=VALUE",
-            help="Settings that differ from the preset's recipe, such as learning_rate=1e-3, evaluate_every=500000, "
-            "collector=multi, or options.n_targets=1000 for the environment: the fields of bsk_torch.rl.training.PPOConfig and, "
-            "for constellations, bsk_torch.rl.marl.MAPPOConfig.",
-            show_default=False,
-        ),
-    ] = None,
-    algorithm: Annotated[
-        str | None,
-        typer.Option(metavar="NAME", help="'ppo' for one satellite; 'mappo' (default) or 'ippo' for constellations."),
-    ] = None,
-    network: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAME",
-            help="'mlp' (default for one satellite), 'gru' (with a memory), or 'attention' (for targets observed as a set, and "
-            "for constellations).",
-        ),
-    ] = None,
+    changes: Changes = None,
+    algorithm: Algorithm = None,
+    network: Network = None,
     minutes: Annotated[
         float | None,
         typer.Option(metavar="M", min=0.01, help="Training time, without compilation; default: 3, or no limit with --frames."),
@@ -156,6 +140,30 @@ def train(
     time_limit: TimeLimit = None,
 ) -> None:
     """Train policies with PPO, MAPPO or IPPO, and compare them with random actions and rules in unseen episodes."""
+
+
+@command(
+    app,
+    "profile",
+    """
+    bsk-torch profile NadirScan-v1
+    bsk-torch profile AEOS-v1 --network attention num_envs=512 'hidden=[32]'
+    """,
+)
+def profile(
+    preset: Preset,
+    changes: Changes = None,
+    algorithm: Algorithm = None,
+    network: Network = None,
+    seconds: Annotated[float, typer.Option(metavar="S", min=0.01, help="CPU time to measure, without compilation.")] = 10.0,
+    backend: Backend = "compiled",
+    device: Device = "cpu",
+    time_limit: TimeLimit = None,
+) -> None:
+    """Print where the CPU time of a training goes, decisions per CPU-second, and what to change.
+
+    Nothing is kept. The training is in one process and one thread, without evaluations.
+    """
 
 
 @command(

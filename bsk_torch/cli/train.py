@@ -74,7 +74,7 @@ def train(
         minutes = MINUTES if minutes is None and frames is None else minutes
         limit = {"frames": frames, "seconds": None if minutes is None else 60.0 * minutes}
         options = environment_options(backend, device, time_limit)
-        config = _configured(
+        config = configured(
             preset, algorithm, network, [*_several(workers, changes or []), *(changes or [])], seed=seed, options=options, **limit
         )
         folder = out or Path("runs") / f"{preset}_{datetime.now():%Y%m%d-%H%M%S}"
@@ -125,7 +125,8 @@ def _check_resumable(folder: Path, config: PPOConfig) -> None:
         fail(str(error))
 
 
-def _configured(preset: str, algorithm: str | None, network: str | None, changes: list[str], **settings: object) -> PPOConfig:
+def configured(preset: str, algorithm: str | None, network: str | None, changes: list[str], **settings: object) -> PPOConfig:
+    """Return the configuration that the command line describes; ends the program if it is wrong."""
     try:
         return override(configure(preset, network, algorithm, **settings), changes)
     except ValueError as error:

@@ -40,6 +40,7 @@ MODULES = {
     "explain": "explain",
     "film": "film",
     "list": "presets",
+    "profile": "profile",
     "publish": "publish",
     "report": "report",
     "schedule": "schedule",
