@@ -169,7 +169,9 @@ def test_a_lost_process_is_replaced_and_changes_nothing(by_several, tmp_path, ca
     whole, policy = by_several
     training = Losing(SEVERAL, tmp_path / "run")
     training.when = when
-    assert weights(training.run()).equal(weights(policy))
+    asked = []
+    assert weights(training.run(enough=lambda: asked.append(training.progress.frames) is not None)).equal(weights(policy))
+    assert asked[-1] == SEVERAL.frames  # also after the loss
     assert same_logs(tmp_path / "run", whole)
     assert {path.name for path in training.out.iterdir()} == {path.name for path in whole.iterdir()}
     assert (

@@ -37,7 +37,7 @@ PHASES: dict[str, tuple[str, ...]] = {
     COLLECTING + "networks": ("bsk_torch.rl.networks", "bsk_torch.rl.policies", "torchrl.modules", "tensordict.nn"),
     COLLECTING + "TorchRL": ("torchrl", "tensordict", "bsk_torch.rl.training.collect"),
 }
-"""Phases, each with modules, or functions of modules; the first that is found in the stack counts."""
+"""Phases, each with modules, or functions of modules; the first found in the stack counts."""
 
 OTHER = "the rest"
 """Phase of what belongs to none."""

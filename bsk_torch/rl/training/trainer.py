@@ -85,6 +85,7 @@ class Training:
         config = with_workers(config)
         warn_of_few_cores(config)
         self.config, self.out = config, out
+        self.enough: Callable[[], bool] | None = None
         with ExitStack() as undo:
             if resume:
                 self.lock = FolderLock(out)
@@ -102,7 +103,6 @@ class Training:
         """Build environment and networks, and continue from a checkpoint if there is one."""
         config = self.config
         self.days, self.iteration, self.interrupted = 0.0, 0, False
-        self.enough: Callable[[], bool] | None = None
         self.best: dict[str, Any] = {"return": float("-inf"), "waited": 0, "networks": None}
         torch.manual_seed(config.seed)
         self.env = config.make_env() if config.collector == "single" else config.make_env(0, 1)
