@@ -206,6 +206,7 @@ STARTS: dict[str, list[Start]] = {
 RECORDED = {
     "record_basilisk": "basilisk/recordings/two_seconds",
     "record_constellation": "basilisk/recordings/constellation_untasked",
+    "record_craft": "basilisk/recordings/craft_steering",
     "record_examples": "basilisk/recordings/example_configuration_actions",
     "record_imaging": "basilisk/recordings/imaging_half_second",
     "record_inspection": "basilisk/recordings/inspection_dark",

@@ -164,10 +164,21 @@ class Arguments:
         self._look()
 
     def of_components(self, components: Iterable[Component], given: Mapping[str, Any] | Sequence[Mapping[str, Any]]) -> Arguments:
-        """Return the arguments that other components of the same slots declare: their shapes and defaults may differ."""
+        """Return the arguments that other components of the same slots declare: their shapes and defaults may differ.
+
+        A given value that is the very default of an argument that differs now, from a copy of all defaults, becomes the new one.
+        """
         components = tuple(components)
-        same = all(self.table.get(arg.name) == arg for component in components for arg in component.args)
-        return self if same else Arguments(components, given, self.title, self.columns)
+        other = {arg.name: arg for component in components for arg in component.args}
+        old = {name: arg.default for name, arg in self.table.items() if other.get(name) != arg}
+        if not old:
+            return self
+
+        def wanted(values: Mapping[str, Any]) -> dict[str, Any]:
+            return {name: value for name, value in values.items() if name not in old or value is not old[name]}
+
+        renewed = wanted(given) if isinstance(given, Mapping) else [wanted(values) for values in given]
+        return Arguments(components, renewed, self.title, self.columns)
 
     def _merged(self, given: Mapping[str, Any]) -> dict[str, Any]:
         """Return the values of one satellite, with defaults for those that are not given."""

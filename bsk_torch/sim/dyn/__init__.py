@@ -15,10 +15,12 @@ from bsk_torch.sim.dyn.models import (
     LOSCommDynModel,
 )
 from bsk_torch.sim.dyn.relative_motion import ConjunctionDynModel, MaxRangeDynModel
+from bsk_torch.sim.dyn.wheel_types import WHEEL_TYPES, Wheel, WheelType, pyramid
 from bsk_torch.sim.readout.model import aliveness_checker
 from bsk_torch.sim.readout.observables import Now, observable, vital
 
 __all__ = [
+    "WHEEL_TYPES",
     "AtmosphericDragDynModel",
     "BasicDynamicsModel",
     "ConjunctionDynModel",
@@ -34,8 +36,11 @@ __all__ = [
     "Now",
     "RSODynModel",
     "RSOInspectorDynModel",
+    "Wheel",
+    "WheelType",
     "add_force",
     "aliveness_checker",
     "observable",
+    "pyramid",
     "vital",
 ]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import operator
 import warnings
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import torch
 from torch import Tensor
@@ -219,20 +219,22 @@ class BasicDynamicsModel(EclipseDynModel, DisturbanceTorqueDynModel, Atmospheric
         return now.charge / now.args.batteryStorageCapacity
 
     @observable
-    def wheel_speeds(now: Now) -> Vec3:
-        """Speeds ``Omega`` of the wheels relative to B about their spin axes, [N, 3] rad/s."""
+    def wheel_speeds(now: Now) -> Any:
+        """Speeds ``Omega`` of the wheels relative to B about their spin axes, [N, 3] rad/s; [N, W] of other ``wheels``."""
         return now.Omega_WB_B
 
     @observable
-    def wheel_speeds_fraction(now: Now) -> Vec3:
-        """Wheel speeds ``Omega / Omega_max``, [N, 3], where ``Omega_max`` is ``maxWheelSpeed`` (rpm) in rad/s."""
-        return now.Omega_WB_B / (now.args.maxWheelSpeed * RPM)
+    def wheel_speeds_fraction(now: Now) -> Any:
+        """Wheel speeds ``Omega / Omega_max``, [N, 3] or [N, W], where ``Omega_max`` is ``maxWheelSpeed`` (rpm) in rad/s."""
+        limit = now.args.maxWheelSpeed * RPM
+        return now.Omega_WB_B / limit if isinstance(now.Omega_WB_B, Vec3) else tuple(speed / limit for speed in now.Omega_WB_B)
 
     @vital
     def rw_speeds_valid(now: Now) -> Tensor:
         """Whether ``|Omega_k| < Omega_max`` for each wheel, [N], with ``Omega_max`` from ``maxWheelSpeed`` (rpm)."""
         limit = now.args.maxWheelSpeed * RPM
-        return functools.reduce(operator.and_, [torch.abs(speed) < limit for speed in now.Omega_WB_B])
+        speeds = getattr(now, "Omega_WB_B", (torch.zeros_like(limit),))  # none without wheels
+        return functools.reduce(operator.and_, [torch.abs(speed) < limit for speed in speeds])
 
     @vital
     def battery_valid(now: Now) -> Tensor:

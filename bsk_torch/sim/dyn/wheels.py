@@ -1,4 +1,4 @@
-"""Three reaction wheels on the body axes, and the power that they draw.
+"""Three reaction wheels on the body axes, and the power that wheels draw; others are in :mod:`bsk_torch.sim.dyn.wheel_set`.
 
 Basilisk's reactionWheelStateEffector and ReactionWheelPower. As the wheels' axes are those of B, three speeds, or torques, are
 the components of a vector in B. With the inertia Js of a wheel about its axis, kg m^2, its speed Omega relative to the hub,
@@ -8,18 +8,20 @@ rad/s, and the motor torque u, N m (Schaub and Junkins, section 4.5), the wheels
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import operator
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from bsk_torch.constants import RPM
-from bsk_torch.rand import Uniform
 from bsk_torch.sim.component import Arg, Bus, Component, Effector, Field, Values, vec
 from bsk_torch.sim.dyn.hub import body_inertia, body_momentum, check_turn, described_body
 from bsk_torch.sim.dyn.power import power_arg
+from bsk_torch.sim.dyn.wheel_set import ARGS, described_wheels, free_tensor_moments, wheel_form, wheel_set
 from bsk_torch.vec3 import Vec3
 
 MAX_SPEED = 6000.0 * RPM
@@ -75,12 +77,16 @@ def draw_wheel_power(bus: Bus) -> None:
     """
 
     def need(speed: Tensor, torque: Tensor) -> Tensor:
-        mechanical = speed * torque
-        costs = (mechanical > 0.0) | (bus.wheel_to_battery < 0.0)
-        return torch.where(costs, torch.abs(mechanical) * (1.0 / bus.battery_to_wheel), bus.wheel_to_battery * mechanical)
+        return _needed(speed * torque, bus.wheel_to_battery, bus.battery_to_wheel)
 
     needs: Vec3 = bus.Omega_WB_B.map(need, bus.motor_torque_B)
     bus.power = bus.power - functools.reduce(operator.add, needs) - float(len(needs)) * bus.wheel_base_power
+
+
+def _needed(mechanical: Tensor, returned: Tensor, used: Tensor) -> Tensor:
+    """Return the electrical power, W, for a mechanical one, without that which a wheel always draws."""
+    costs = (mechanical > 0.0) | (returned < 0.0)
+    return torch.where(costs, torch.abs(mechanical) * (1.0 / used), returned * mechanical)
 
 
 AXIAL_INERTIA = Vec3(SPIN_INERTIA, SPIN_INERTIA, SPIN_INERTIA)  # type: ignore[arg-type]  # numbers, which all rows share
@@ -95,7 +101,8 @@ def _check_inertia(args: Values) -> None:
         raise ValueError(
             f"{described_body(args, row)}: a body whose smallest moment of inertia is {smallest[row].item():.3g} kg m^2 cannot "
             f"hold reaction wheels of {SPIN_INERTIA:.3g} kg m^2 each (Honeywell HR16, as in Basilisk): no gains K and P are "
-            "stable. Give a larger body, or models without wheels, dyn.DynamicsModel and fsw.FSWModel"
+            "stable. Give a larger body, smaller wheels, such as wheels=[dyn.Wheel('NanoAvionics_RW0', axis), ...], or models "
+            "without wheels, dyn.DynamicsModel and fsw.FSWModel"
         )
 
 
@@ -106,20 +113,39 @@ def _check_spin(args: Values, h: float) -> None:
     check_turn(args, H, inertia - SPIN_INERTIA, h, "wheelSpeeds and omega_init turn")
 
 
+def free_moments(args: Values) -> Tensor:
+    """Return the moments of inertia [n or 1, 3], kg m^2, of the body without the spin of its wheels.
+
+    Those of a box with bsk_rl's wheels are about the body axes, others principal moments.
+    """
+    return body_inertia(args) - SPIN_INERTIA if args.get("rwJs") is None else free_tensor_moments(args)
+
+
+def largest_momentum(args: Values) -> float:
+    """Return the largest momentum of a wheel at its top speed, N m s; infinite where it has none."""
+    if args.get("rwJs") is None:
+        return SPIN_INERTIA * MAX_SPEED
+    fastest = torch.where(args["rwOmegaMax"] > 0.0, args["rwOmegaMax"], torch.inf) * RPM
+    return float((args["rwJs"] * fastest).max())
+
+
+def fitted_wheels(given: Mapping[str, Any]) -> Component:
+    """Return the component of the wheels that the arguments as given describe."""
+    wheels = described_wheels(given)
+    return WHEELS if wheels is None else wheel_set(wheel_form(given, wheels), wheels)
+
+
 WHEELS = Component(
     slot="wheels",
     update=latch_motor_torque,
-    args=(
-        Arg("wheelSpeeds", Uniform(-1500.0, 1500.0, 3), "rpm", "initial wheel speeds", "vector", -1e6, 1e6),
-        Arg("maxWheelSpeed", float("inf"), "rpm", "a spacecraft with a wheel at or above this speed dies", low=1e-6),
-        Arg("u_max", 0.2, "N m", "largest motor torque; no limit where not positive", endless=True),
-    ),
+    args=ARGS,
     state=(vec("Omega_WB_B", "rad/s"), vec("motor_torque_B", "N m"), vec("motor_torque_command_B", "N m")),
     params=(Field("max_motor_torque", 1, "N m"),),
     initial=_initial,
     prepare=lambda args: {"max_motor_torque": args["u_max"]},
     check=_check_inertia,
     check_tick=_check_spin,
+    fit=fitted_wheels,
     effector=Effector(
         state=("Omega_WB_B",),
         loads=wheel_loads,
@@ -128,17 +154,48 @@ WHEELS = Component(
         momentum=wheel_momentum,
     ),
 )
+"""bsk_rl's three wheels, unless the arguments describe others."""
+
+
+POWER_ARGS = (
+    power_arg("rwBasePower", 0.4, "power that each wheel always draws"),
+    Arg("rwMechToElecEfficiency", 0.0, "-", "share of braking power returned; negative: braking costs too", low=-1e6, high=1.0),
+    Arg("rwElecToMechEfficiency", 0.5, "-", "share of electrical power that accelerates a wheel", low=1e-9, high=1.0),
+)
+
+
+def draw_power_of_wheels(bus: Bus) -> None:
+    """Add the electrical power of the wheels, W, to the balance, as :func:`draw_wheel_power`; each wheel has its numbers."""
+    power = bus.power
+    for k, (speed, torque) in enumerate(zip(bus.Omega_WB_B, bus.motor_torque_B, strict=True)):
+        power = power - (_needed(speed * torque, bus.wheel_to_battery[k], bus.battery_to_wheel[k]) + bus.wheel_base_power[k])
+    bus.power = power
+
+
+@functools.cache
+def wheel_power(count: int) -> Component:
+    """Return the component of the power of ``count`` wheels, each with its numbers; one number stands for all."""
+    if not count:
+        return Component(slot="wheel_power", args=POWER_ARGS)
+    return dataclasses.replace(
+        WHEEL_POWER,
+        update=draw_power_of_wheels,
+        args=tuple(dataclasses.replace(arg, shape=(count,), spread=True) for arg in POWER_ARGS),
+        params=tuple(dataclasses.replace(field, width=count, many=True) for field in WHEEL_POWER.params),
+    )
+
+
+def fitted_power(given: Mapping[str, Any]) -> Component:
+    """Return the component of the power of the wheels that the arguments as given describe."""
+    wheels = described_wheels(given) if "wheels" in given else None
+    return WHEEL_POWER if wheels is None else wheel_power(len(wheels))
+
 
 WHEEL_POWER = Component(
     slot="wheel_power",
     update=draw_wheel_power,
-    args=(
-        power_arg("rwBasePower", 0.4, "power that each wheel always draws"),
-        Arg(
-            "rwMechToElecEfficiency", 0.0, "-", "share of braking power returned; negative: braking costs too", low=-1e6, high=1.0
-        ),
-        Arg("rwElecToMechEfficiency", 0.5, "-", "share of electrical power that accelerates a wheel", low=1e-9, high=1.0),
-    ),
+    args=POWER_ARGS,
+    fit=fitted_power,
     params=(Field("wheel_base_power", 1, "W"), Field("wheel_to_battery"), Field("battery_to_wheel")),
     prepare=lambda args: {
         "wheel_base_power": args["rwBasePower"],

@@ -6,12 +6,17 @@ Basilisk's rwMotorTorque.
 
 from __future__ import annotations
 
+import dataclasses
+import functools
+from collections.abc import Mapping
 from typing import Any
 
 import torch
 from torch import Tensor
 
-from bsk_torch.sim.component import Allocation, Bus, Component
+from bsk_torch.constants import RPM
+from bsk_torch.sim.component import Allocation, Arg, Bus, Component, Field, Values
+from bsk_torch.sim.dyn.wheel_set import along, described_wheels, unit_axes
 from bsk_torch.vec3 import Vec3, select
 
 Commands = tuple[Any, ...]
@@ -42,9 +47,120 @@ def _chosen(where: Tensor, new: Any, old: Any) -> Any:
     return torch.where(where, new, old)
 
 
+def wheel_map(args: Values) -> Tensor:
+    """Return the motor torques [n or 1, N, 3] for a torque of one on the wheels: ``[G]^T ([G] [G]^T)^-1``, of least norm.
+
+    The columns of [G] are the axes of the wheels. Those in a plane, with ``underactuated=True``, give the pseudo-inverse, which
+    takes what lies in the plane.
+    """
+    return torch.linalg.pinv(unit_axes(args).mT, rtol=RANK_TOLERANCE)
+
+
+RANK_TOLERANCE = 1e-9
+"""Share of the largest singular value below which axes are dependent."""
+
+
+def distribute(bus: Bus, torque_B: Vec3, null_motion: bool) -> Commands:
+    """Return the motor torques, of least norm, that together exert a torque on the body, N m in B.
+
+    ``u = -[W] L``, with [W] of :func:`wheel_map`, as Basilisk's rwMotorTorque; and with null motion
+    ``u <- u - k (1 - [W] [G]) (Omega - Omega_0)``, as its rwNullSpace, which brings the wheels to their wanted speeds, as far as
+    that exerts no torque.
+    """
+    u = [-row.dot(torque_B) for row in bus.wheel_map]
+    if null_motion:
+        excess = [speed - wanted for speed, wanted in zip(bus.Omega_WB_B, bus.null_speeds, strict=True)]
+        total = along(list(bus.null_axes_B), excess)
+        u = [old - bus.null_gain * (x - row.dot(total)) for old, x, row in zip(u, excess, bus.wheel_map, strict=True)]
+    return (tuple(u),)
+
+
+def _check_axes(args: Values) -> None:
+    """Check that the axes of the wheels span space, unless they need not."""
+    values = torch.linalg.svdvals(unit_axes(args))
+    rank = (values > RANK_TOLERANCE * values[:, :1]).sum(-1)
+    plain = (rank < 3) & (args["underactuated"] < 0.5)
+    if bool(plain.any()):
+        row = int(torch.nonzero(plain)[0])
+        axes = args["rwAxes_B"][min(row, len(args["rwAxes_B"]) - 1)].tolist()
+        raise ValueError(
+            f"the axes of the wheels, {axes}, span {int(rank[min(row, len(rank) - 1)])} of 3 dimensions, so no torque about the "
+            "others is possible; add a wheel, such as those of dyn.pyramid(0.8), or give underactuated=True to control the rest"
+        )
+
+
+def _check_null_motion(args: Values, h: float) -> str | None:
+    """Return words about null motion that oscillates: above 1, ``k h / J`` makes the loop of a wheel unstable."""
+    ratio = (args["nullSpaceGain"].unsqueeze(-1) * h / args["rwJs"]).max().item()
+    if ratio < 1.0:
+        return None
+    best = 0.3 * args["rwJs"].min().item() / h
+    return (
+        f"nullSpaceGain={args['nullSpaceGain'].max().item():g} N m s is not stable at sim_rate={h:g} s for wheels of "
+        f"{args['rwJs'].min().item():.3g} kg m^2; {best:.2g} is"
+    )
+
+
+ARGS = (
+    Arg("nullSpaceGain", None, "N m s", "gain of null motion of more than three wheels; None: no such motion", low=0.0, high=1e6),
+    Arg("nullSpaceSpeeds", None, "rpm", "wheel speeds wanted by null motion; None: zero", low=-1e6, high=1e6, shape=(None,)),
+    Arg("underactuated", False, "-", "whether the axes of the wheels may lie in a plane", "choice", choices=(False, True)),
+)
+
+
+@functools.cache
+def wheel_allocation(count: int, null_motion: bool) -> Component:
+    """Return the component that distributes torques among ``count`` wheels, with null motion if asked for."""
+    params = [Field("wheel_map", 3 * count, vectors=True)]
+    args = list(ARGS)
+    if null_motion:
+        params += [Field("null_axes_B", 3 * count, vectors=True), Field("null_speeds", count, many=True), Field("null_gain")]
+        args[1] = dataclasses.replace(ARGS[1], default=0.0, shape=(count,), spread=True)
+
+    def prepare(args: Values) -> dict[str, Tensor]:
+        found = {"wheel_map": wheel_map(args).flatten(-2)}
+        if null_motion:
+            found |= {"null_axes_B": unit_axes(args).flatten(-2), "null_gain": args["nullSpaceGain"]}
+            found |= {"null_speeds": args["nullSpaceSpeeds"] * RPM}
+        return found
+
+    return Component(
+        slot="allocation",
+        after="control",
+        args=tuple(args),
+        params=tuple(params),
+        prepare=prepare,
+        check=_check_axes,
+        check_tick=_check_null_motion if null_motion else lambda args, h: None,
+        allocation=Allocation(("motor_torque_command_B",), functools.partial(distribute, null_motion=null_motion)),
+    )
+
+
+def fitted_allocation(given: Mapping[str, Any]) -> Component:
+    """Return the component that distributes torques among the wheels that the arguments as given describe.
+
+    Raises:
+        ValueError: For none, or null motion of three.
+    """
+    wheels, null_motion = described_wheels(given) if "wheels" in given else None, given["nullSpaceGain"] is not None
+    if wheels is not None and not wheels:
+        raise ValueError(
+            "sat_args: wheels=[] has no wheels, but the flight software commands them; list at least one dyn.Wheel, or use "
+            "fsw_type = fsw.FSWModel"
+        )
+    if null_motion and (wheels is None or len(wheels) <= 3):
+        raise ValueError(
+            f"sat_args: nullSpaceGain={given['nullSpaceGain']!r} needs more than three wheels: others have no motion without "
+            "torque; leave it out, or give wheels=[dyn.Wheel(...), ...]"
+        )
+    return BODY_AXIS_WHEELS if wheels is None else wheel_allocation(len(wheels), null_motion)
+
+
 BODY_AXIS_WHEELS = Component(
     slot="allocation",
     after="control",
+    args=ARGS,
     allocation=Allocation(("motor_torque_command_B",), lambda bus, torque_B: (-torque_B,)),
+    fit=fitted_allocation,
 )
-"""Three wheels on the axes of B: the motor torques are the opposite of the torque on the body."""
+"""Three wheels on the axes of B: the motor torques are the opposite of the torque on the body. Others follow from arguments."""

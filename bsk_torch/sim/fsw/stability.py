@@ -21,8 +21,8 @@ import torch
 from torch import Tensor
 
 from bsk_torch.sim.component import Values
-from bsk_torch.sim.dyn.hub import BODY, body_inertia
-from bsk_torch.sim.dyn.wheels import MAX_SPEED, SPIN_INERTIA
+from bsk_torch.sim.dyn.hub import BODY
+from bsk_torch.sim.dyn.wheels import free_moments, largest_momentum
 
 SUGGESTED = {"P": (0.4, 1), "K": (0.08, 2), "Ki": (0.05, 2)}
 """Suggested gains: ``P h / J``, ``K h^2 / J`` and, of an integral, ``Ki h^2 / J``, with the smallest moment of inertia
@@ -121,12 +121,13 @@ def check_gains(args: Values, h: float, law: Law, gains: str, suggested: str) ->
     Raises:
         ValueError: If nothing keeps the growing rates bounded, so that numbers overflow.
     """
-    J = body_inertia(args) - SPIN_INERTIA
+    J = free_moments(args)
     unstable = ~is_stable(law, J, h).all(-1)
     if not bool(unstable.any()):
         return None
-    least, limit = J.min(-1).values, args["u_max"]
-    unbounded = (limit <= 0.0) | torch.isinf(limit) | (SPIN_INERTIA * MAX_SPEED * h / least > UNBOUNDED)
+    least, limit = J.min(-1).values, args["u_max"].reshape(len(args["u_max"]), -1)
+    endless = ((limit <= 0.0) | torch.isinf(limit)).any(-1)
+    unbounded = endless | (largest_momentum(args) * h / least > UNBOUNDED)
     overflows = unbounded & ~is_stable(law, J, h, GROWTH).all(-1)
     row = int(torch.nonzero(overflows if bool(overflows.any()) else unstable)[0])
     smallest, mass = (values[min(row, len(values) - 1)].item() for values in (least, args["mass"]))

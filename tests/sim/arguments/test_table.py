@@ -21,7 +21,10 @@ POINTING = {"groundLocationPlanetRadius", "imageTargetMinimumElevation", "imageT
 """Arguments of bsk_rl's dynamics that the flight software has here; every imaging satellite has both."""
 
 
-CRAFT = {"inertia", "checkInertia", "r_CB_B"}
+CRAFT = {
+    *("inertia", "checkInertia", "r_CB_B", "wheels", "nullSpaceGain", "nullSpaceSpeeds", "underactuated"),
+    *("rwAxes_B", "rwJs", "rwOmegaMax", "rwUMin", "rwPMax", "rwFCoulomb", "rwFStatic", "rwBetaStatic", "rwCViscous"),
+}
 """Arguments of this package alone: what bsk_rl's users change in the code of their dynamics and flight-software models."""
 
 

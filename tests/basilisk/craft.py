@@ -1,0 +1,152 @@
+"""Replay of recorded flights of spacecraft with their own bodies, wheels and thrusters.
+
+The recordings are those of ``recorders/record_craft.py``.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from bsk_torch import SatelliteTasking, act, obs, sats
+from bsk_torch.astro.attitude import mrp_to_dcm
+from bsk_torch.constants import AU, RPM, SOLAR_FLUX
+from bsk_torch.sim import dyn, fsw
+from bsk_torch.sim.component import Bus, Component
+from tests.basilisk.replay import RECORDINGS
+
+FIELDS = ("r_BN_N", "v_BN_N", "sigma_BN", "omega_BN_B", "Omega_WB_B", "motor_torque_B", "motor_torque_command_B")
+POWER = ("charge", "illumination", "storage")
+ACTIONS = ("scan", "charge", "desat", "downlink", "nadir", "drift")
+
+
+def further_panel(k: int, normal: list[float], gain: float) -> Component:
+    """A solar panel next to the one of bsk_rl."""
+    n = np.asarray(normal) / np.linalg.norm(normal)
+
+    def collect(bus: Bus) -> None:
+        to_sun = bus.r_SN_N - bus.r_BN_N
+        s_B = mrp_to_dcm(bus.sigma_BN) @ to_sun.unit()
+        cosine = torch.clamp(s_B.x * n[0] + s_B.y * n[1] + s_B.z * n[2], min=0.0)
+        bus.power = bus.power + cosine * bus.illumination * (SOLAR_FLUX * AU * AU * gain) / to_sun.dot(to_sun)
+
+    return Component(slot=f"panel{k}", after="panel", update=collect)
+
+
+def models(craft: Mapping[str, Any]) -> tuple[type[dyn.DynamicsModel], type[fsw.FSWModel]]:
+    """Models of a recorded spacecraft."""
+    panels = (craft["panels"] or [])[1:]
+    parts = tuple(further_panel(k, p["n"], p["area"] * p["efficiency"]) for k, p in enumerate(panels, 1))
+    Dyn = type("CraftDyn", (dyn.ContinuousImagingDynModel, dyn.GroundStationDynModel), {"components": parts})
+    bases = (fsw.SteeringFSWModel, fsw.ContinuousImagingFSWModel) if craft["steering"] else (fsw.ContinuousImagingFSWModel,)
+    return Dyn, type("CraftFSW", bases, {})
+
+
+def wheel(entry: Mapping[str, Any]) -> dyn.Wheel:
+    """A wheel with the numbers that Basilisk's factory ended with."""
+    names = ("Js", "u_max", "u_min", "P_max", "fCoulomb", "fStatic", "betaStatic", "cViscous")
+    numbers = {name: entry[name] for name in names}
+    on = dict(useRWfriction=True, useMinTorque=True)
+    return dyn.Wheel("custom", entry["axis"], Omega_max=entry["Omega_max"] / RPM, **numbers, **on)
+
+
+def arguments(craft: Mapping[str, Any], given: Mapping[str, Any]) -> dict[str, Any]:
+    """``sat_args`` of a recorded spacecraft."""
+    args = dict(given) | {"oe": None, "wheels": [wheel(entry) for entry in craft["wheels"]]}
+    args["wheelSpeeds"] = [entry["speed"] for entry in craft["wheels"]]
+    args |= {
+        name: [entry[key] for entry in craft["wheels"]]
+        for name, key in (
+            ("rwBasePower", "base"),
+            ("rwMechToElecEfficiency", "mech_to_elec"),
+            ("rwElecToMechEfficiency", "elec_to_mech"),
+        )
+    }
+    if craft["hub"]:
+        args |= {"mass": craft["hub"]["mass"], "inertia": craft["hub"]["inertia"], "r_CB_B": craft["hub"]["com"]}
+    if craft["control"]["null_gain"] is not None and len(craft["wheels"]) > 3:
+        args["nullSpaceGain"] = craft["control"]["null_gain"]
+    if craft["panels"]:
+        first = craft["panels"][0]
+        args |= {"panelArea": first["area"], "panelEfficiency": first["efficiency"]}
+    return args
+
+
+def fly(name: str, until: float | None = None, orbit: str = "integrated", **options: Any) -> tuple[Any, dict[str, Tensor]]:
+    """The recording, and the same fields of the replay at its times, up to ``until`` s."""
+    file = np.load(RECORDINGS / f"craft_{name}.npz")
+    craft, given = json.loads(str(file["craft"])), json.loads(str(file["sat_args"]))
+    dyn_type, fsw_type = models(craft)
+    known = {arg.name for model in (dyn_type, fsw_type) for part in model.all_components() for arg in part.args}
+    args = {key: value for key, value in arguments(craft, given).items() if key in known}
+    plan = craft["actions"]
+    length = plan[0][2]
+    forms = (act.Scan, act.Charge, act.Desat, act.Downlink, act.NadirPoint, act.Drift)
+    satellite = type(
+        "Craft",
+        (sats.Satellite,),
+        {
+            "dyn_type": dyn_type,
+            "fsw_type": fsw_type,
+            "action_spec": tuple(form(duration=length) for form in forms),
+            "observation_spec": (obs.Time(),),
+        },
+    )
+    env = SatelliteTasking(
+        satellite("craft", args),
+        num_envs=1,
+        world_args=dict(utc_init=craft["utc_init"]),
+        time_limit=plan[-1][0] + plan[-1][2],
+        sim_rate=craft["sim_rate"],
+        dtype=torch.float64,
+        seed=0,
+        orbit=orbit,
+        failure_penalty=0.0,
+        **options,
+    )
+    td = env.reset()
+    with env.record((*FIELDS, *POWER)) as recording:
+        for start, action, _ in plan:
+            if until is not None and start >= until:
+                break
+            td = env.step(td.set("action", torch.tensor([ACTIONS.index(action)])))["next"]
+    flown = recording.data
+    at = np.round(file["time"] / craft["sim_rate"]).astype(int)
+    rows = torch.from_numpy(at[at < len(flown)] if until is None else at[file["time"] <= until])
+    return file, {key: flown[key][rows] for key in (*FIELDS, *POWER)}
+
+
+def shadow(sigma: np.ndarray) -> np.ndarray:
+    """The other MRP of each attitude."""
+    return -sigma / np.maximum((sigma * sigma).sum(-1, keepdims=True), 1e-300)
+
+
+def differences(file: Any, flown: Mapping[str, Tensor]) -> dict[str, float]:
+    """Largest differences between a recording and its replay."""
+    found = {key: value.numpy() for key, value in flown.items()}
+    n = len(found["charge"])
+    state, sigma = file["state"][:n], found["sigma_BN"]
+    away = np.minimum(np.abs(sigma - state[:, 6:9]).max(-1), np.abs(shadow(sigma) - state[:, 6:9]).max(-1))
+    pairs = {
+        "r": (found["r_BN_N"], state[:, :3]),
+        "v": (found["v_BN_N"], state[:, 3:6]),
+        "omega": (found["omega_BN_B"], state[:, 9:]),
+        "Omega": (found["Omega_WB_B"], file["Omega"][:n]),
+        "u": (found["motor_torque_B"], file["u"][:n]),
+        "u_cmd": (found["motor_torque_command_B"], file["u_cmd"][:n]),
+        "charge": (found["charge"], file["power"][:n, 0]),
+        "storage": (found["storage"], file["storage"][:n]),
+    }
+    return {"sigma": float(away.max())} | {key: float(np.abs(a - b).max()) for key, (a, b) in pairs.items()}
+
+
+def bounds(file: Any) -> dict[str, float]:
+    """Largest differences allowed, by how fast neighboring flights of Basilisk itself part."""
+    e, E = (max(least, float(twin)) for least, twin in zip((1e-9, 5e-7), file["twin"].max(0), strict=True))
+    attitude = {"sigma": 10 * e, "omega": 2 * e, "Omega": 10 * E, "u": 0.2 * E, "u_cmd": 0.2 * E}
+    return attitude | {"r": 1e-7, "v": 3e-10, "charge": 200 * E, "storage": 0.0}

@@ -1,0 +1,385 @@
+"""Any number of reaction wheels about any axes: equations, limits, friction, types, and what is rejected."""
+
+from __future__ import annotations
+
+import functools
+import math
+import re
+
+import pytest
+import torch
+
+from bsk_torch import ConstellationTasking, SatelliteTasking, dyn, rand
+from bsk_torch.astro.attitude import mrp_to_dcm
+from bsk_torch.constants import RPM
+from bsk_torch.presets.nadir_scan import ScanningSatellite
+from bsk_torch.sim.component import Bus
+from bsk_torch.sim.dyn import hub, wheels
+from bsk_torch.sim.dyn.friction import LINEAR_BELOW, friction_torques
+from bsk_torch.sim.dyn.wheel_set import WheelForm, latch, wheel_effector
+from bsk_torch.sim.fsw.allocation import distribute, wheel_map
+from bsk_torch.vec3 import Mat3, Vec3
+from tests.sim.buses import N, plane, vectors, write
+from tests.sim.dyn.test_body import random_tensors
+
+PYRAMID = [dyn.Wheel("Honeywell_HR16", axis, 50.0) for axis in dyn.pyramid(0.8)]
+
+
+def planes(count: int, scale: float = 1.0) -> tuple[torch.Tensor, ...]:
+    return tuple(scale * torch.randn(N, dtype=torch.float64) for _ in range(count))
+
+
+def axes_of(form: WheelForm) -> torch.Tensor:
+    """Unit vectors, [N, W, 3], that agree with the axes of B in a form."""
+    axes = torch.randn(N, len(form.axes), 3, dtype=torch.float64)
+    axes = axes / axes.norm(dim=-1, keepdim=True)
+    for k, axis in enumerate(form.axes):
+        if axis is not None:
+            axes[:, k] = torch.eye(3, dtype=torch.float64)[axis]
+    return axes
+
+
+def random_spacecraft(form: WheelForm, torque: float) -> tuple[Bus, torch.Tensor]:
+    """Tumbling bodies with wheels, and the wheels' axes."""
+    count, axes = len(form.axes), axes_of(form)
+    inertia = tuple(0.01 + 0.1 * torch.rand(N, dtype=torch.float64) for _ in range(count))
+    spin = sum(J[:, None, None] * g[:, :, None] * g[:, None, :] for J, g in zip(inertia, axes.unbind(1), strict=True))
+    bus = write(Bus(50_000_000), sigma_BN=vectors(0.3), omega_BN_B=vectors(0.03), inertia_B=Mat3.of(random_tensors() + spin))
+    write(bus, wheel_axes_B=tuple(Vec3.of(g) for g in axes.unbind(1)), wheel_inertia=inertia, Omega_WB_B=planes(count, 100.0))
+    write(bus, motor_torque_B=planes(count, torque), wheel_coulomb=planes(count, 0.0), wheel_viscous=planes(count, 1e-3))
+    return write(bus, effectors=(wheel_effector(form),)), axes
+
+
+def momentum_and_energy(bus: Bus, axes: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """``H = [NB] (I w + sum J O g)``, [N, 3] N m s, and ``E = w . I w / 2 + sum (J O^2 / 2 + J O g . w)``, [N] J."""
+    J, speeds, omega = torch.stack(bus.wheel_inertia, -1), torch.stack(bus.Omega_WB_B, -1), bus.omega_BN_B.stack()
+    own = (bus.inertia_B @ bus.omega_BN_B).stack()
+    H = own + ((J * speeds)[..., None] * axes).sum(1)
+    along = (axes * omega[:, None]).sum(-1)
+    E = 0.5 * (own * omega).sum(-1) + (0.5 * J * speeds * speeds + J * speeds * along).sum(-1)
+    return (mrp_to_dcm(bus.sigma_BN).mT @ Vec3.of(H)).stack(), E
+
+
+@pytest.mark.parametrize("axes", [(None,), (0, 1, 2), (None,) * 4, (2, None, 2, 0, None), (None,) * 8], ids=str)
+@pytest.mark.parametrize("moved", ["free", "motors", "friction"])
+def test_momentum_and_energy_of_any_wheels(axes, moved):
+    """Momentum is kept whatever happens between hub and wheels, energy without torques; both to the error of the method.
+
+    Halving the step, at least 2^4 is won: the error of the method is the only one.
+    """
+    form = WheelForm(axes, False, False, moved == "friction", False)
+    errors = []
+    for halvings in (0, 1):
+        torch.manual_seed(20261)
+        bus, unit = random_spacecraft(form, 0.0 if moved == "free" else 0.1)
+        bus.h_ns, bus.h = bus.h_ns >> halvings, bus.h / 2**halvings
+        H, E = momentum_and_energy(bus, unit)
+        for _ in range(100 << halvings):
+            hub.rotate(bus)
+        after_H, after_E = momentum_and_energy(bus, unit)
+        errors.append((((after_H - H).norm(dim=-1) / H.norm(dim=-1)).amax(), ((after_E - E).abs() / E).amax()))
+    (coarse_H, coarse_E), (fine_H, fine_E) = errors
+    assert coarse_H < 1e-5
+    assert fine_H < max(coarse_H / 12.0, 1e-14)
+    if moved == "free":
+        assert coarse_E < 1e-5
+        assert fine_E < max(coarse_E / 12.0, 1e-14)
+    else:
+        assert coarse_E > 1e-4
+
+
+def test_accelerations_are_those_of_the_equations():
+    """The linear system of hub and wheels, solved as one by torch.linalg."""
+    form = WheelForm((None, 1, None, None), False, False, True, False)
+    bus, axes = random_spacecraft(form, 0.1)
+    L, count = vectors(0.05), 4
+    _, omega_dot, *wheel_dots = hub._attitude_rates(bus, L, bus.sigma_BN, bus.omega_BN_B, [(bus.Omega_WB_B,)])
+    J, speeds, omega = torch.stack(bus.wheel_inertia, -1), torch.stack(bus.Omega_WB_B, -1), bus.omega_BN_B.stack()
+    G, inertia = axes.mT, bus.inertia_B.stack()
+    system = torch.zeros(N, 3 + count, 3 + count, dtype=torch.float64)
+    system[:, :3, :3], system[:, :3, 3:] = inertia, G * J[:, None]
+    system[:, 3:, :3], system[:, 3:, 3:] = (G * J[:, None]).mT, torch.diag_embed(J)
+    total = (inertia @ omega[..., None] + G @ (J * speeds)[..., None])[..., 0]
+    u = torch.stack(bus.motor_torque_B, -1) - 1e-3 * 0.0
+    friction = torch.stack(friction_torques(bus, bus.Omega_WB_B, False), -1)
+    right = torch.cat([L.stack() - torch.linalg.cross(omega, total), u + friction], 1)
+    found = torch.cat([omega_dot.stack(), torch.stack(wheel_dots, -1)], 1)
+    torch.testing.assert_close(found, torch.linalg.solve(system, right), rtol=1e-10, atol=1e-12)
+
+
+LIMITS = WheelForm((None,), True, True, False, False)
+
+
+@pytest.mark.parametrize(
+    ("command", "speed", "most", "least", "power", "fastest", "expected"),
+    [
+        (0.5, 10.0, 0.2, 0.0, -1.0, 600.0, 0.2),
+        (-0.5, 10.0, 0.2, 0.0, -1.0, 600.0, -0.2),
+        (0.5, 10.0, 0.0, 0.0, -1.0, 600.0, 0.5),  # 0 is no limit, as in Basilisk
+        (0.5, 10.0, -1.0, 0.0, -1.0, 600.0, 0.5),
+        (1e-3, 10.0, 0.2, 2e-3, -1.0, 600.0, 0.0),
+        (2e-3, 10.0, 0.2, 2e-3, -1.0, 600.0, 2e-3),  # only smaller ones vanish
+        (0.2, 100.0, 0.2, 0.0, 5.0, 600.0, 0.05),
+        (-0.2, 100.0, 0.2, 0.0, 5.0, 600.0, -0.05),  # a brake is limited, too
+        (0.2, -100.0, 0.2, 0.1, 5.0, 600.0, 0.05),  # below the smallest torque, which was checked before
+        (0.05, 100.0, 0.2, 0.0, 5.0, 600.0, 0.05),
+        (0.2, 0.0, 0.2, 0.0, 5.0, 600.0, 0.2),
+        (0.2, 600.0, 0.2, 0.0, -1.0, 600.0, 0.0),
+        (-0.2, 600.0, 0.2, 0.0, -1.0, 600.0, -0.2),
+        (0.2, 700.0, 0.2, 0.0, -1.0, -1.0, 0.2),
+    ],
+)
+def test_limits_in_the_order_of_basilisk(command, speed, most, least, power, fastest, expected):
+    bus = Bus(1_000_000_000)
+    values = dict(motor_torque_command_B=command, Omega_WB_B=speed, max_motor_torque=most, min_motor_torque=least)
+    values |= dict(max_wheel_power=power, wheel_top_speed=fastest)
+    write(bus, **{name: (plane(value, 1),) for name, value in values.items()})
+    latch(LIMITS)(bus)
+    assert bus.motor_torque_B[0].item() == pytest.approx(expected, rel=1e-15)
+
+
+def one_wheel(**values: float) -> Bus:
+    """A wheel with friction; all values are its own."""
+    known = dict(
+        wheel_coulomb=0.0, wheel_viscous=0.0, wheel_static=0.0, wheel_stribeck=-1.0, wheel_speed_before=0.0, wheel_started=0.0
+    )
+    return write(Bus(1_000_000_000), **{name: (plane(value, 1),) for name, value in (known | values).items()})
+
+
+def friction(bus: Bus, speed: float) -> float:
+    return friction_torques(bus, (plane(speed, 1),), True)[0].item()
+
+
+def test_friction_opposes_motion():
+    bus = one_wheel(wheel_coulomb=0.01, wheel_viscous=1e-4)
+    assert friction(bus, 50.0) == pytest.approx(-0.015, rel=1e-14)
+    assert friction(bus, -50.0) == pytest.approx(0.015, rel=1e-14)
+    assert friction(bus, 0.0) == 0.0
+    assert friction(bus, LINEAR_BELOW / 4.0) == pytest.approx(-(0.01 + 1e-8) / 4.0, rel=1e-14)
+    assert bus.wheel_started[0].item() == 0.0
+
+
+def test_stribeck_friction_from_rest():
+    """It begins at rest, lasts while the wheel speeds up, and ends when it slows down."""
+    b, static, coulomb = 0.5, 0.02, 0.01
+    bus = one_wheel(wheel_coulomb=coulomb, wheel_static=static, wheel_stribeck=b)
+
+    def stribeck(x: float) -> float:
+        bump = math.sqrt(2.0 * math.e) * (static - coulomb) * math.exp(-0.5 * (x / b) ** 2) * x / (b * math.sqrt(2.0))
+        return bump + coulomb * math.tanh(10.0 * x / b)
+
+    assert friction(bus, 1.0) == -coulomb  # it has not been at rest
+    assert friction(bus, 0.0) == 0.0
+    assert bus.wheel_started[0].item() == 1.0
+    for speed in (0.1, 0.5, 2.0):
+        assert friction(bus, speed) == pytest.approx(-stribeck(speed), rel=1e-14)
+        bus.wheel_speed_before = (plane(speed, 1),)
+    assert friction(bus, LINEAR_BELOW / 2.0) == pytest.approx(-coulomb / 2.0, rel=1e-14)  # slower: the flag is gone
+    assert bus.wheel_started[0].item() == 0.0
+    assert friction(bus, 1.0) == -coulomb
+
+
+def test_a_slow_wheel_without_the_coefficient_has_no_stribeck_friction():
+    bus = one_wheel(wheel_coulomb=0.01, wheel_static=0.02)
+    friction(bus, 0.0)
+    assert friction(bus, 1.0) == -0.01
+
+
+# -- distribution -------------------------------------------------------------------------------------------------------------
+
+
+def test_torques_of_least_norm():
+    axes = torch.randn(N, 5, 3, dtype=torch.float64)
+    unit = axes / axes.norm(dim=-1, keepdim=True)
+    W = wheel_map({"rwAxes_B": axes})
+    bus, torque = write(Bus(1), wheel_map=tuple(Vec3.of(row) for row in W.unbind(1))), vectors()
+    (commands,) = distribute(bus, torque, False)
+    u = torch.stack(commands, -1)
+    exerted = -(u[..., None] * unit).sum(1)
+    torch.testing.assert_close(exerted, torque.stack(), rtol=0, atol=1e-12)
+    least = torch.linalg.lstsq(unit.mT, -torque.stack()[..., None], driver="gelsd").solution[..., 0]
+    torch.testing.assert_close(u, least, rtol=0, atol=1e-11)
+
+
+def test_null_motion_exerts_no_torque_and_slows_wheels():
+    axes = torch.randn(N, 6, 3, dtype=torch.float64)
+    unit = axes / axes.norm(dim=-1, keepdim=True)
+    rows, speeds = tuple(Vec3.of(row) for row in wheel_map({"rwAxes_B": axes}).unbind(1)), planes(6, 100.0)
+    bus = write(Bus(1), wheel_map=rows, null_axes_B=tuple(Vec3.of(g) for g in unit.unbind(1)), Omega_WB_B=speeds)
+    write(bus, null_speeds=planes(6, 10.0), null_gain=plane(0.02))
+    torque = vectors()
+    plain, moved = (torch.stack(distribute(bus, torque, null)[0], -1) for null in (False, True))
+    extra, excess = moved - plain, torch.stack(speeds, -1) - torch.stack(bus.null_speeds, -1)
+    torch.testing.assert_close((extra[..., None] * unit).sum(1), torch.zeros(N, 3).double(), rtol=0, atol=1e-12)
+    Z = torch.eye(6).double() - unit @ torch.linalg.inv(unit.mT @ unit) @ unit.mT
+    torch.testing.assert_close(extra, -0.02 * (Z @ excess[..., None])[..., 0], rtol=0, atol=1e-10)
+    assert ((extra * excess).sum(-1) < 0.0).all()
+
+
+# -- environments -------------------------------------------------------------------------------------------------------------
+
+
+def fly(args: dict, actions: tuple[int, ...] = (0, 2), **options) -> SatelliteTasking:
+    env = SatelliteTasking(
+        ScanningSatellite("A", args), seed=0, time_limit=900.0, **{"num_envs": 3, "backend": "eager"} | options
+    )
+    td = env.reset()
+    for action in actions:
+        td = env.step(td.set("action", torch.full(env.batch_size, action)))["next"]
+    return env
+
+
+def test_the_three_wheels_of_bsk_rl_fly_alike_however_they_are_described():
+    plain = fly({})
+    described = fly({"wheels": [dyn.Wheel("Honeywell_HR16", axis, 50.0) for axis in torch.eye(3).tolist()]})
+    for name in ("wheel_speeds", "sigma_BN", "battery_charge", "wheel_speeds_fraction"):
+        a, b = (getattr(env.satellite.dynamics, name) for env in (plain, described))
+        torch.testing.assert_close(a, b, rtol=0, atol=1e-6 if name == "battery_charge" else 1e-9)
+    assert torch.equal(plain.satellite.dynamics.rw_speeds_valid(), described.satellite.dynamics.rw_speeds_valid())
+
+
+DRAWN = dict(
+    wheels=PYRAMID,
+    rwAxes_B=lambda: torch.tensor(dyn.pyramid(0.8)) + 0.1 * torch.randn(4, 3),
+    rwFCoulomb=rand.Uniform(0.0, 1e-3, 4),
+    rwBetaStatic=0.5,
+    rwFStatic=0.01,
+    rwPMax=rand.Choice([5.0, -1.0]),
+    rwUMin=1e-4,
+    rwBasePower=rand.Uniform(0.0, 2.0, 4),
+    wheelSpeeds=[0.0, 500.0, -300.0, 900.0],
+    nullSpaceGain=0.01,
+)
+
+
+@pytest.mark.compiled
+def test_drawn_wheels_fly_alike_compiled_and_in_any_batch():
+    eager, compiled, one = fly(DRAWN), fly(DRAWN, backend="compiled"), fly(DRAWN, num_envs=1)
+    for name in ("wheel_speeds", "sigma_BN", "battery_charge"):
+        a, b, c = (getattr(env.satellite.dynamics, name) for env in (eager, compiled, one))
+        torch.testing.assert_close(a, b, rtol=1e-9, atol=1e-9)
+        torch.testing.assert_close(a[:1], c, rtol=1e-9, atol=1e-9)
+    axes = eager.satellite.sat_args["rwAxes_B"]
+    assert axes.shape == (3, 4, 3)
+    assert not torch.equal(axes[0], axes[1])
+
+
+def test_arguments_of_wheels_default_to_their_types():
+    env = fly({"wheels": [*PYRAMID, dyn.Wheel("NanoAvionics_RW0", [0, 0, 1], useRWfriction=True)]}, actions=())
+    args = env.satellite.sat_args
+    assert args["u_max"].tolist() == [[0.2] * 4 + [0.0032]] * 3
+    assert args["rwFCoulomb"][0].tolist() == [0.0] * 4 + [5e-5]
+    assert args["rwJs"][0, 4].item() == pytest.approx(2.938245e-5, rel=1e-6)
+    assert args["wheelSpeeds"].shape == (3, 5)
+
+
+def test_bsk_rls_way_to_copy_all_defaults_gives_the_wheels_of_their_types():
+    """``default_sat_args`` has the torque and the speeds of three HR16, which are no wish of the user."""
+    args = dict(ScanningSatellite.default_sat_args()) | {"wheels": PYRAMID, "u_max": 0.1}
+    own = fly(args, actions=()).satellite.sat_args
+    assert own["u_max"].tolist() == [[0.1] * 4] * 3
+    assert own["wheelSpeeds"].shape == (3, 4)
+
+
+@pytest.mark.parametrize(
+    ("type_", "momentum", "Js", "speed", "most", "least", "coulomb"),
+    [
+        ("Honeywell_HR16", 100.0, 0.15915494, 6000.0, 0.2, 1e-5, 5e-4),
+        ("Honeywell_HR14", 25.0, 0.039788736, 6000.0, 0.2, 1e-5, 5e-4),
+        ("Honeywell_HR12", 12.0, 0.019098593, 6000.0, 0.2, 1e-5, 5e-4),
+        ("BCT_RWP015", None, 2.3873241e-5, 6000.0, 0.004, 1e-5, 5e-5),
+        ("NanoAvionics_RW0", None, 2.938245e-5, 6500.0, 0.0032, 4.923e-5, 5e-5),
+    ],
+)
+def test_types_of_basilisks_factory(type_, momentum, Js, speed, most, least, coulomb):
+    """With all switches on; printed by Basilisk's ``rwFactory().create``."""
+    found = dyn.Wheel(type_, [0, 0, 2], momentum, useRWfriction=True, useMinTorque=True).arguments
+    assert found["rwJs"] == pytest.approx(Js, rel=1e-7)
+    assert (found["rwOmegaMax"], found["u_max"], found["rwUMin"], found["rwFCoulomb"]) == (speed, most, least, coulomb)
+    assert found["rwAxes_B"] == (0.0, 0.0, 1.0)
+    off = dyn.Wheel(type_, [0, 0, 2], momentum, useMaxTorque=False).arguments
+    assert (off["u_max"], off["rwUMin"], off["rwFCoulomb"]) == (-1.0, 0.0, 0.0)
+
+
+def test_types_can_be_added(monkeypatch):
+    monkeypatch.setitem(dyn.WHEEL_TYPES, "Mine", dyn.WheelType((1.0,), 3000.0, 0.05, 0.0, 1e-4))
+    assert dyn.Wheel("Mine", [1, 0, 0]).arguments["rwJs"] == pytest.approx(1.0 / (3000.0 * RPM))
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: dyn.Wheel("Honeywell_HR61", [1, 0, 0]), "'Honeywell_HR61') is unknown; did you mean 'Honeywell_HR16'"),
+        (lambda: dyn.Wheel("Honeywell_HR16", [1, 0, 0]), "needs maxMomentum or Js, one of [100.0, 75.0, 50.0] N m s"),
+        (lambda: dyn.Wheel("Honeywell_HR16", [1, 0, 0], 60.0), "maxMomentum=60 N m s must be one of [100.0, 75.0, 50.0]"),
+        (lambda: dyn.Wheel("BCT_RWP015", [0, 0, 0]), "axis=[0.0, 0.0, 0.0] must be three numbers, not all zero"),
+        (lambda: dyn.Wheel("custom", [1, 0, 0], 1.0, 0.1, Omega_max=100.0, u_max=1.0), "has Js=0.1 and maxMomentum=1; give one"),
+        (lambda: dyn.Wheel("custom", [1, 0, 0], Js=0.1, Omega_max=100.0), "needs u_max"),
+        (lambda: dyn.Wheel("custom", [1, 0, 0], Js=-0.1, Omega_max=100.0, u_max=1.0), "Js"),
+    ],
+)
+def test_wheels_that_do_not_exist_are_rejected(make, message):
+    with pytest.raises(ValueError, match=re.escape(message)):
+        make()
+
+
+FLAT = [dyn.Wheel("Honeywell_HR16", axis, 50.0) for axis in ([1, 0, 0], [0, 1, 0], [1, 1, 0])]
+
+
+@pytest.mark.parametrize(
+    ("args", "message"),
+    [
+        ({"wheels": "HR16"}, "must be a list of wheels"),
+        ({"wheels": []}, "has no wheels, but the flight software commands them"),
+        ({"wheels": FLAT}, "span 2 of 3 dimensions"),
+        ({"wheels": PYRAMID, "rwAxes_B": [[1.0, 0, 0]] * 3}, "rwAxes_B needs numbers of shape [4, 3]"),
+        ({"wheels": PYRAMID, "rwJs": [0.1] * 3}, "rwJs needs 4 numbers"),
+        ({"wheels": PYRAMID, "rwJs": 0.0}, "rwJs=0 kg m^2 is not allowed"),
+        ({"wheels": PYRAMID, "rwBetaStatic": 0.0}, "rwBetaStatic=0 is not allowed"),
+        ({"wheels": PYRAMID, "rwElecToMechEfficiency": 0.0}, "rwElecToMechEfficiency=0"),
+        ({"wheels": PYRAMID, "rwJs": 500.0}, "cannot hold reaction wheels of 500, 500, 500, 500 kg m^2"),
+        ({"wheels": PYRAMID, "u_max": 500.0}, "wheels with u_max=500 N m, in one tick, turn"),
+        ({"nullSpaceGain": 0.01}, "needs more than three wheels"),
+        ({"wheels": PYRAMID, "rwAxes_B": [[1.0, 0, 0]] * 3 + [[0.0, 0, 0]]}, "every axis needs a direction"),
+    ],
+)
+def test_impossible_wheels_are_rejected(args, message):
+    with pytest.raises(ValueError, match=re.escape(message)):
+        fly(args, actions=())
+
+
+def test_wheels_in_a_plane_can_be_asked_for():
+    env = fly({"wheels": FLAT, "underactuated": True})
+    assert torch.isfinite(env.satellite.dynamics.wheel_speeds).all()
+
+
+def test_unstable_null_motion_is_logged(caplog):
+    fly({"wheels": PYRAMID, "nullSpaceGain": 0.3}, actions=())
+    assert "nullSpaceGain=0.3 N m s is not stable at sim_rate=1 s" in caplog.text
+
+
+def test_satellites_of_a_type_have_wheels_of_one_form():
+    for first, second in (
+        ({"rwFCoulomb": 0.0}, {"rwFCoulomb": 1e-3}),
+        ({"rwAxes_B": torch.eye(3).tolist()}, {"rwAxes_B": [[1.0, 0, 0], [0, 1.0, 0], [0, 0.1, 1.0]]}),
+    ):
+        three = {"wheels": [dyn.Wheel("Honeywell_HR16", axis, 50.0) for axis in torch.eye(3).tolist()]}
+        with pytest.raises(ValueError, match=r"first satellite of the type|first one another axis"):
+            ConstellationTasking([ScanningSatellite("A", three | first), ScanningSatellite("B", three | second)], num_envs=1)
+
+
+def test_each_wheel_draws_its_power():
+    bus = write(Bus(1_000_000_000), power=plane(100.0, 1), Omega_WB_B=tuple(plane(x, 1) for x in (100.0, 100.0, -100.0)))
+    write(
+        bus,
+        motor_torque_B=tuple(plane(x, 1) for x in (0.1, -0.1, 0.1)),
+        wheel_base_power=tuple(plane(x, 1) for x in (1.0, 2.0, 3.0)),
+    )
+    write(
+        bus,
+        wheel_to_battery=tuple(plane(x, 1) for x in (0.0, 0.5, -1.0)),
+        battery_to_wheel=tuple(plane(0.8, 1) for _ in range(3)),
+    )
+    wheels.draw_power_of_wheels(bus)
+    needs = 10.0 / 0.8 + 1.0, -0.5 * 10.0 + 2.0, 10.0 / 0.8 + 3.0  # drives, returns half, and pays for the brake
+    assert bus.power.item() == pytest.approx(100.0 - functools.reduce(float.__add__, needs), rel=1e-14)
