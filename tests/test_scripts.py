@@ -156,6 +156,12 @@ STARTS: dict[str, list[Start]] = {
             r"\| NadirScan-v1 \| rule \| 2 \| - \| [\d.]+ \+- .*\n\| NadirScan-v1 \| random \| 2 \| - \| -[\d.]+ \+-",
         ),
     ],
+    "benchmarks/learner_limit.py": [
+        Start(  # the file: training_profile.py --cases NadirScan-v1:mlp --num-envs 4 --seconds 1
+            "--cases NadirScan-v1:mlp --workers 2 --seconds 0.1 --profile {root}/tests/rl/profile_of_four.json",
+            r"\| NadirScan-v1:mlp \| 2 \| True \| [\d,]+ \| \d+% \| - \|\n(.*\n){2}.* 1 \| True \| [\d,]+ \| \d+% \| [\d,]+ \|",
+        ),
+    ],
     "benchmarks/training_profile.py": [
         Start("--cases NadirScan-v1:mlp --seconds 0.2 --num-envs 2", r"\| NadirScan-v1:mlp \| all \| [\d,.]+ \| 100.0 \|"),
     ],

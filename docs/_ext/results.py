@@ -148,6 +148,17 @@ def records() -> str:
     return "\n\n".join([table(head, rows), *(command([quoted(word) for word in shlex.split(each)]) for each in commands)]) + "\n"
 
 
+def learner_limit() -> str:
+    """Return the rates of trainings with many collecting processes, simulated and measured."""
+    cells = []
+    for row in load("learner_limit")["rows"]:
+        processes = f"{row['workers']}{', ahead' if row['ahead'] else ''}" if row["workers"] else "none, the learner collects"
+        measured = whole(row["measured"]) if "measured" in row else "-"
+        cells.append([row["case"], processes, whole(row["simulated"]), f"{row['busy']:.0%}", measured])
+    head = ["training", "collecting processes", "decisions per second, simulated", "learner busy", "measured"]
+    return with_command("learner_limit", head, cells)
+
+
 def startup() -> str:
     """Return the time until the first step is done."""
     kept = {"nothing": "nothing compiled before", "everything": "everything compiled before"}
@@ -546,6 +557,7 @@ TABLES = {
     "constellations": constellations,
     "breakdown": breakdown,
     "training_profile": training_profile,
+    "learner_limit": learner_limit,
     "records": records,
     "startup": startup,
     "recordings": recordings,

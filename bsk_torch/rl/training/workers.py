@@ -98,13 +98,14 @@ def with_workers(config: Config) -> Config:
     if collector == "single" and (workers > 1 or config.ahead):
         collector = "multi"
     logger.info(
-        "workers=auto: collector=%s workers=%d, for %s%s and num_envs=%d in processes of at least %d",
+        "workers=auto: collector=%s workers=%d, for %s%s and num_envs=%d in processes of at least %d%s",
         collector,
         workers,
         cores.told,
         ", of which the learner takes one" if config.ahead else "",
         config.num_envs,
         SMALLEST_SHARE,
+        "" if config.ahead or workers == 1 else "; with ahead=true they would also collect while the learner learns",
     )
     return dataclasses.replace(config, collector=collector, workers=workers)
 
