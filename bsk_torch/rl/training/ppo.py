@@ -6,6 +6,7 @@ See :mod:`~bsk_torch.rl.training.advantages` for the returns of decisions that l
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from functools import partial
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -174,8 +175,8 @@ class Learner:
         count = len(learned) // size
         for _ in range(self.config.epochs):
             order = torch.randperm(len(learned))[: count * size].to(learned.device)
-            for rows in order.view(count, size):
-                yield learned[rows]
+            shuffled = learned.apply(partial(torch.index_select, dim=0, index=order), batch_size=[len(order), *learned.shape[1:]])
+            yield from shuffled.split(size)  # of one copy: rows of every key for each sample would take twice as long
 
     def counts(self, sample: TensorDictBase) -> Tensor | None:
         """Return which decisions of a sample count; None for all."""
