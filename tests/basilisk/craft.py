@@ -21,7 +21,7 @@ from bsk_torch.sim.component import Bus, Component
 from tests.basilisk.replay import RECORDINGS
 
 FIELDS = ("r_BN_N", "v_BN_N", "sigma_BN", "omega_BN_B", "Omega_WB_B", "motor_torque_B", "motor_torque_command_B")
-POWER = ("charge", "illumination", "storage")
+POWER = ("charge", "illumination", "storage", "pulse_command")
 ACTIONS = ("scan", "charge", "desat", "downlink", "nadir", "drift")
 
 
@@ -71,6 +71,8 @@ def arguments(craft: Mapping[str, Any], given: Mapping[str, Any]) -> dict[str, A
         args |= {"mass": craft["hub"]["mass"], "inertia": craft["hub"]["inertia"], "r_CB_B": craft["hub"]["com"]}
     if craft["control"]["null_gain"] is not None and len(craft["wheels"]) > 3:
         args["nullSpaceGain"] = craft["control"]["null_gain"]
+    if craft["thrusters"]:
+        args["thrusters"] = [dyn.Thruster(entry["r"], entry["d"], entry["thrust"]) for entry in craft["thrusters"]]
     if craft["panels"]:
         first = craft["panels"][0]
         args |= {"panelArea": first["area"], "panelEfficiency": first["efficiency"]}
@@ -142,6 +144,9 @@ def differences(file: Any, flown: Mapping[str, Tensor]) -> dict[str, float]:
         "charge": (found["charge"], file["power"][:n, 0]),
         "storage": (found["storage"], file["storage"][:n]),
     }
+    if found["pulse_command"].shape[-1] == file["on_time"].shape[-1]:  # pairs otherwise; only full pulses are commanded
+        full = file["on_time"][:n] >= json.loads(str(file["craft"]))["sim_rate"] - 1e-7
+        pairs["pulses"] = found["pulse_command"], full
     return {"sigma": float(away.max())} | {key: float(np.abs(a - b).max()) for key, (a, b) in pairs.items()}
 
 
@@ -149,4 +154,4 @@ def bounds(file: Any) -> dict[str, float]:
     """Largest differences allowed, by how fast neighboring flights of Basilisk itself part."""
     e, E = (max(least, float(twin)) for least, twin in zip((1e-9, 5e-7), file["twin"].max(0), strict=True))
     attitude = {"sigma": 10 * e, "omega": 2 * e, "Omega": 10 * E, "u": 0.2 * E, "u_cmd": 0.2 * E}
-    return attitude | {"r": 1e-7, "v": 3e-10, "charge": 200 * E, "storage": 0.0}
+    return attitude | {"r": 1e-7, "v": 3e-10, "charge": 200 * E, "storage": 0.0, "pulses": 0.0}

@@ -18,7 +18,7 @@ ARC = 1e-3
 def test_flights(name, backend):
     file, flown = fly(name, FLIGHTS[name], backend=backend)
     found, allowed = differences(file, flown), bounds(file)
-    assert all(found[key] <= allowed[key] for key in allowed), (found, allowed)
+    assert all(found[key] <= allowed[key] for key in found), (found, allowed)
     assert len(flown["charge"]) > 50
 
 
@@ -27,4 +27,4 @@ def test_an_orbit_solved_in_advance():
     """A center of mass 5 cm away: attitude and power agree as closely as with an integrated orbit."""
     file, flown = fly("steering", orbit="arc", backend="compiled")
     found, allowed = differences(file, flown), bounds(file) | {"r": ARC, "v": 1e-5}
-    assert all(found[key] <= allowed[key] for key in allowed), (found, allowed)
+    assert all(found[key] <= allowed[key] for key in found), (found, allowed)

@@ -15,11 +15,13 @@ from bsk_torch.sim.dyn.models import (
     LOSCommDynModel,
 )
 from bsk_torch.sim.dyn.relative_motion import ConjunctionDynModel, MaxRangeDynModel
+from bsk_torch.sim.dyn.thrusters import THRUSTER_TYPES, Thruster
 from bsk_torch.sim.dyn.wheel_types import WHEEL_TYPES, Wheel, WheelType, pyramid
 from bsk_torch.sim.readout.model import aliveness_checker
 from bsk_torch.sim.readout.observables import Now, observable, vital
 
 __all__ = [
+    "THRUSTER_TYPES",
     "WHEEL_TYPES",
     "AtmosphericDragDynModel",
     "BasicDynamicsModel",
@@ -36,6 +38,7 @@ __all__ = [
     "Now",
     "RSODynModel",
     "RSOInspectorDynModel",
+    "Thruster",
     "Wheel",
     "WheelType",
     "add_force",

@@ -1,11 +1,13 @@
-"""Attitude thrusters in pairs, Basilisk's thrusterDynamicEffector; bsk_rl has eight.
+"""Attitude thrusters, Basilisk's thrusterDynamicEffector: the eight of bsk_rl, which are pairs, or any others.
 
 Basilisk's integrator feels a sixth of every full pulse and nothing of shorter ones: a command of time t is latched at t + h and
 acts over (t + h, t + 2 h], but a pulse of at most h ends by t + h, so only the first of the four stages, whose time is t + h, can
 find the thruster on, and its weight is 1/6.
 
 The members of a pair have the same torque and opposite forces. Commands follow from torques alone, so both members of a pair
-always fire alike and there is never a net force: the pair is the unit here.
+always fire alike and there is never a net force: the pair is the unit of bsk_rl's eight. The torque of a pair is the same about
+any point, so this holds wherever the center of mass is. Other thrusters, which the argument ``thrusters`` lists, fire one by one,
+and may push the orbit.
 """
 
 from __future__ import annotations
@@ -13,15 +15,19 @@ from __future__ import annotations
 import functools
 import math
 import operator
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 
+from bsk_torch._checks import number
 from bsk_torch.constants import NANO
-from bsk_torch.sim.component import Bus, Component, Effector, Field
+from bsk_torch.sim.component import Arg, Bus, Component, Effector, Field, Values
+from bsk_torch.sim.dyn.hub import given_numbers
+from bsk_torch.sim.names import nearest
 from bsk_torch.vec3 import Vec3
 
 THRUST = 0.9
@@ -92,19 +98,198 @@ def latch_pulses(bus: Bus) -> None:
     bus.pulse_command = tuple(torch.zeros_like(command) for command in bus.pulse_command)
 
 
-def thrusters(pairs: ThrusterPairs) -> Component:
-    """Return the component of thrusters."""
-    names, count = ("pulse", "pulse_command"), len(pairs.positions)
-    return Component(
-        slot="thrusters",
-        update=latch_pulses,
-        state=(
-            Field("pulse", count, "-", "pairs that fire in the first stage of the next tick", many=True),
-            Field("pulse_command", count, "-", "full pulses commanded by the flight software in this tick", many=True),
-        ),
-        initial=lambda args: {name: torch.zeros(1, count, dtype=torch.float64) for name in names},
-        effector=Effector(torque=lambda bus, stage: pairs.torque(bus.pulse) if stage == 0 else None),
+THRUSTER_TYPES: dict[str, float] = {
+    "MOOG_Monarc_1": 0.9,
+    "MOOG_Monarc_5": 4.5,
+    "MOOG_Monarc_22_6": 22.0,
+    "MOOG_Monarc_22_12": 22.0,
+    "MOOG_Monarc_90LT": 90.0,
+}
+"""Thrusts, N, of the types of Basilisk's thrusterFactory. Programs may add others."""
+
+
+@dataclass(frozen=True)
+class Thruster:
+    """A thruster that pushes the body at a place, in a direction.
+
+    Raises:
+        ValueError: For an unknown type, a thrust that is not positive, or a direction of length zero.
+
+    Attributes:
+        position: Place in B, m from its origin.
+        direction: Direction of the force on the body, in B, of any length.
+        thrust: Thrust, N, or a name in :data:`THRUSTER_TYPES`.
+    """
+
+    position: Sequence[float]
+    direction: Sequence[float]
+    thrust: float | str
+
+    def __post_init__(self) -> None:
+        """Check the numbers; vectors become tuples, so that equal thrusters are equal."""
+        if isinstance(self.thrust, str) and self.thrust not in THRUSTER_TYPES:
+            raise ValueError(f"Thruster(thrust={self.thrust!r}) is unknown; {nearest(self.thrust, THRUSTER_TYPES)}")
+        thrust = THRUSTER_TYPES[self.thrust] if isinstance(self.thrust, str) else self.thrust
+        position, direction = (tuple(float(x) for x in vector) for vector in (self.position, self.direction))
+        if len(position) != 3 or not math.isfinite(math.hypot(*position)):
+            raise ValueError(f"Thruster: position={self.position!r} must be three numbers, m in B")
+        if len(direction) != 3 or not 0.0 < math.hypot(*direction) < math.inf:
+            raise ValueError(f"Thruster: direction={self.direction!r} must be three numbers, not all zero, such as [0, 0, 1]")
+        found = {"position": position, "direction": direction, "thrust": number("Thruster: thrust", thrust, 0.0, above=True)}
+        for name, value in found.items():
+            object.__setattr__(self, name, value)
+
+
+ARGS = (
+    Arg("thrusters", None, "-", "thrusters, a list of dyn.Thruster; None: bsk_rl's eight", "constant"),
+    Arg("thrusterPositions_B", None, "m", "places of the thrusters in B", low=-1e4, high=1e4, shape=(None, 3)),
+    Arg("thrusterDirections_B", None, "-", "directions of their forces in B", low=-1e9, high=1e9, shape=(None, 3)),
+    Arg("thrusterMaxThrust", None, "N", "their thrusts", low=1e-12, high=1e6, shape=(None,)),
+)
+"""Arguments of thrusters; the last three replace the numbers of ``thrusters``."""
+
+
+class ThrusterForm(NamedTuple):
+    """What decides the operations of a tick with thrusters.
+
+    Attributes:
+        size: Number of thrusters.
+        pushes: Whether they may exert a net force.
+    """
+
+    size: int
+    pushes: bool
+
+
+def described_thrusters(given: Mapping[str, Any]) -> tuple[Thruster, ...] | None:
+    """Return the thrusters that arguments as given describe; None for bsk_rl's pairs.
+
+    Raises:
+        ValueError: For entries that are not thrusters, and for numbers of thrusters without ``thrusters``.
+    """
+    listed = given["thrusters"]
+    if listed is None:
+        for arg in ARGS[1:]:
+            if given[arg.name] is not None:
+                raise ValueError(f"sat_args: {arg.name} is given without thrusters; give thrusters=[dyn.Thruster(...), ...]")
+        return None
+    if not isinstance(listed, Sequence) or not listed or not all(isinstance(part, Thruster) for part in listed):
+        raise ValueError(
+            f"sat_args: thrusters={listed!r} must be a list of thrusters, such as [dyn.Thruster([0, 0.5, 1], [1, 0, 0], 0.9)]"
+        )
+    return tuple(listed)
+
+
+def thruster_form(given: Mapping[str, Any], listed: Sequence[Thruster]) -> ThrusterForm:
+    """Return what decides the operations: opposite thrusters of equal thrust about the center of mass never push."""
+    drawn = any(given[arg.name] is not None for arg in ARGS[1:])
+    place = given_numbers(given["r_CB_B"])
+    centered = place is not None and not bool(place.any())
+    return ThrusterForm(len(listed), drawn or not centered or not _opposite(listed))
+
+
+def _opposite(listed: Sequence[Thruster]) -> bool:
+    """Return whether each thruster has an opposite one, of which it is the only one."""
+
+    def key(part: Thruster, sign: float) -> tuple[float | str, ...]:
+        return (*(sign * x + 0.0 for x in (*part.position, *part.direction)), part.thrust)
+
+    keys = {key(part, 1.0) for part in listed}
+    return len(keys) == len(listed) and all(key(part, -1.0) in keys for part in listed)
+
+
+def forces_and_arms(args: Values) -> tuple[Tensor, Tensor]:
+    """Return thrusts with their directions, [n or 1, T, 3] N, and torques about B, [n or 1, T, 3] N m, of thrusters in B."""
+    directions = args["thrusterDirections_B"]
+    forces = directions / directions.norm(dim=-1, keepdim=True) * args["thrusterMaxThrust"].unsqueeze(-1)
+    places, forces = torch.broadcast_tensors(args["thrusterPositions_B"], forces)
+    return forces, torch.linalg.cross(places, forces)
+
+
+def arms_about_center(args: Values) -> Tensor:
+    """Return the torque about the center of mass for a force of one, [n or 1, T, 3] m."""
+    directions = args["thrusterDirections_B"]
+    unit = directions / directions.norm(dim=-1, keepdim=True)
+    places, unit = torch.broadcast_tensors(args["thrusterPositions_B"] - args["r_CB_B"].unsqueeze(-2), unit)
+    return torch.linalg.cross(places, unit)
+
+
+def _fired(pulses: Sequence[Tensor], vectors: Sequence[Vec3]) -> Vec3:
+    return functools.reduce(operator.add, (vector * on for on, vector in zip(pulses, vectors, strict=True)))
+
+
+def _torque_of_set(bus: Bus, stage: int) -> Vec3 | None:
+    """Return the torque of the thrusters that fire, N m in B, in the first stage."""
+    return _fired(bus.pulse, bus.thruster_torques_B) if stage == 0 else None
+
+
+def _thrust_of_set(bus: Bus, stage: int) -> tuple[Vec3, Vec3] | None:
+    """Return the force of the thrusters that fire, N in B, and its torque about B, N m, in the first stage."""
+    return (_fired(bus.pulse, bus.thruster_forces_B), _fired(bus.pulse, bus.thruster_torques_B)) if stage == 0 else None
+
+
+def _check_directions(args: Values) -> None:
+    if bool((args["thrusterDirections_B"].norm(dim=-1) <= 0.0).any()):
+        raise ValueError("thrusterDirections_B has a direction of length zero; give three numbers in B, not all zero")
+
+
+@functools.cache
+def thruster_set(form: ThrusterForm, listed: tuple[Thruster, ...]) -> Component:
+    """Return the component of thrusters of a form; ``listed`` are the defaults of its arguments."""
+    defaults = {
+        "thrusterPositions_B": tuple(part.position for part in listed),
+        "thrusterDirections_B": tuple(part.direction for part in listed),
+        "thrusterMaxThrust": tuple(part.thrust for part in listed),
+    }
+
+    def of_set(arg: Arg) -> Arg:
+        one = (arg.shape or ())[1:]
+        return replace(arg, default=defaults[arg.name], shape=(form.size, *one), spread=not one)
+
+    def prepare(args: Values) -> dict[str, Tensor]:
+        forces, torques = forces_and_arms(args)
+        found = {"thruster_torques_B": torques.flatten(-2)}
+        return found | ({"thruster_forces_B": forces.flatten(-2)} if form.pushes else {})
+
+    vectors = ("thruster_torques_B", *(("thruster_forces_B",) if form.pushes else ()))
+    fires = Effector(thrust=_thrust_of_set) if form.pushes else Effector(torque=_torque_of_set)
+    return replace(
+        thrusters(form.size, fires),
+        args=(ARGS[0], *(of_set(arg) for arg in ARGS[1:])),
+        params=tuple(Field(name, 3 * form.size, vectors=True) for name in vectors),
+        prepare=prepare,
+        check=_check_directions,
     )
 
 
-THRUSTERS = thrusters(BSK_RL_THRUSTERS)
+def fitted_thrusters(given: Mapping[str, Any]) -> Component:
+    """Return the component of the thrusters that the arguments as given describe."""
+    listed = described_thrusters(given)
+    return THRUSTERS if listed is None else thruster_set(thruster_form(given, listed), listed)
+
+
+def thrusters(count: int, effector: Effector) -> Component:
+    """Return the component of ``count`` thrusters, or pairs of them, that fire together; ``effector`` pushes and turns."""
+    names = ("pulse", "pulse_command")
+    return Component(
+        slot="thrusters",
+        update=latch_pulses,
+        args=ARGS,
+        state=(
+            Field("pulse", count, "-", "thrusters that fire in the first stage of the next tick", many=True),
+            Field("pulse_command", count, "-", "full pulses commanded by the flight software in this tick", many=True),
+        ),
+        initial=lambda args: {name: torch.zeros(1, count, dtype=torch.float64) for name in names},
+        fit=fitted_thrusters,
+        effector=effector,
+    )
+
+
+def thruster_pairs(pairs: ThrusterPairs) -> Component:
+    """Return the component of pairs of thrusters."""
+    effector = Effector(torque=lambda bus, stage: pairs.torque(bus.pulse) if stage == 0 else None)
+    return thrusters(len(pairs.positions), effector)
+
+
+THRUSTERS = thruster_pairs(BSK_RL_THRUSTERS)
+"""The eight thrusters of bsk_rl, unless the arguments describe others."""

@@ -1,20 +1,23 @@
 """Momentum dumping: thruster pulses that take the wheels' momentum away.
 
-Basilisk's chain thrMomentumManagement, thrForceMapping, thrMomentumDumping, on the thruster pairs of
-:mod:`bsk_torch.sim.dyn.thrusters`.
+Basilisk's chain thrMomentumManagement, thrForceMapping, thrMomentumDumping, on the thrusters of
+:mod:`bsk_torch.sim.dyn.thrusters`: pairs, or any set.
 """
 
 from __future__ import annotations
 
 import functools
 import operator
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from bsk_torch.sim.component import Arg, Bus, Component, Field, Values, vec
-from bsk_torch.sim.dyn.thrusters import BSK_RL_THRUSTERS, ThrusterPairs
+from bsk_torch.sim.dyn.thrusters import BSK_RL_THRUSTERS, ThrusterPairs, arms_about_center, described_thrusters
+from bsk_torch.sim.dyn.wheels import largest_momentum
 from bsk_torch.vec3 import Vec3, only, select
 
 Pairs = tuple[Tensor, ...]
@@ -47,13 +50,17 @@ def momentum_to_dump(h: Vec3, keep: Tensor) -> Vec3:
     return h * (-excess / torch.where(size > 0.0, size, torch.ones_like(size)))
 
 
-def impulses(dH: Vec3, pairs: ThrusterPairs) -> Pairs:
-    """Return the impulse, N s, of each pair's thrusters for the change of momentum dH, N m s in B: Basilisk's thrForceMapping.
+def impulses(dH: Vec3, rows: Iterable[Sequence[Any]]) -> Pairs:
+    """Return the impulse, N s, of each thruster for the change of momentum dH, N m s in B: Basilisk's thrForceMapping.
 
     ``F = D^T (D D^T)^-1 dH``, of least norm, then ``F - min(0, min F)``: thrusters only push, and equal impulses of all of them
-    have no torque.
+    have no torque, if the thrusters are symmetric.
+
+    Args:
+        dH: Change of momentum.
+        rows: The rows of ``D^T (D D^T)^-1``, of :func:`impulse_map`.
     """
-    wanted = [dH.x * a + dH.y * b + dH.z * c for a, b, c in impulse_map(pairs)]
+    wanted = [dH.x * a + dH.y * b + dH.z * c for a, b, c in rows]
     least = torch.clamp(_least(wanted), max=0.0)
     return tuple(f - least for f in wanted)
 
@@ -66,7 +73,11 @@ def _least(values: Sequence[Tensor]) -> Tensor:
     return torch.minimum(_least(values[:half]), _least(values[half:]))
 
 
-def dump_momentum(bus: Bus, pairs: ThrusterPairs) -> None:
+Rows = Callable[[Bus], Iterable[Sequence[Any]]]
+"""Returns the rows of the map of impulses, three numbers or planes each."""
+
+
+def dump_momentum(bus: Bus, rows: Rows, thrusts: Callable[[Bus], Sequence[Any]]) -> None:
     """Fire for one tick, wait ``maxCounterValue`` ticks, until the impulse is spent; Basilisk's thrMomentumDumping.
 
     Only pulses of a whole tick reach the integrator, so only those are commanded. With on-times left T, ticks to wait c, and
@@ -85,18 +96,19 @@ def dump_momentum(bus: Bus, pairs: ThrusterPairs) -> None:
     none = tuple(torch.zeros_like(command) for command in bus.pulse_command)
     off = none, bus.dump_momentum_B, bus.dump_remaining, bus.dump_counter, bus.dump_calls
     bus.pulse_command, bus.dump_momentum_B, bus.dump_remaining, bus.dump_counter, bus.dump_calls = only(
-        on, lambda: _dump(bus, pairs), off
+        on, lambda: _dump(bus, rows(bus), thrusts(bus)), off
     )
 
 
-def _dump(bus: Bus, pairs: ThrusterPairs) -> tuple[Pairs, Vec3, Pairs, Tensor, Tensor]:
+def _dump(bus: Bus, rows: Iterable[Sequence[Any]], thrusts: Sequence[Any]) -> tuple[Pairs, Vec3, Pairs, Tensor, Tensor]:
     """Return commands, momentum to dump, on-times left, ticks to wait and number of calls after a call."""
     h, first, second = bus.h, bus.dump_calls == 0.0, bus.dump_calls == 1.0
     dH = select(first, momentum_to_dump(stored_momentum(bus), bus.momentum_to_keep), bus.dump_momentum_B)
     waiting = bus.dump_counter > 0.0
     fires = ~first & (second | ~waiting)
     remaining = tuple(
-        torch.where(second, f / pairs.thrust, left) for f, left in zip(impulses(dH, pairs), bus.dump_remaining, strict=True)
+        torch.where(second, f / thrust, left)
+        for f, thrust, left in zip(impulses(dH, rows), thrusts, bus.dump_remaining, strict=True)
     )
     full = tuple((fires & (left >= h) & (left >= bus.shortest_pulse)).to(left.dtype) for left in remaining)
     spent = tuple(torch.where(fires, torch.clamp(left - h, min=0.0), left) for left in remaining)
@@ -122,14 +134,19 @@ DESATURATION_ARGS = (
 )
 
 
-def desaturation(pairs: ThrusterPairs) -> Component:
-    """Return the component that dumps momentum by pairs of thrusters."""
-    count = len(pairs.positions)
+def desaturation(count: int, rows: Rows, thrusts: Callable[[Bus], Sequence[Any]]) -> Component:
+    """Return the component that dumps momentum by ``count`` thrusters, or pairs of them.
+
+    Args:
+        count: Number of commands.
+        rows: See :func:`impulses`.
+        thrusts: Returns the thrust of each thruster, N.
+    """
     widths = {"dump_momentum_B": 3, "dump_remaining": count, "dump_counter": 1, "dump_calls": 1}
 
     @functools.wraps(dump_momentum)
     def update(bus: Bus) -> None:
-        dump_momentum(bus, pairs)
+        dump_momentum(bus, rows, thrusts)
 
     return Component(
         slot="desaturation",
@@ -137,20 +154,86 @@ def desaturation(pairs: ThrusterPairs) -> Component:
         args=DESATURATION_ARGS,
         state=(
             vec("dump_momentum_B", "N m s"),
-            Field("dump_remaining", count, "s", "on-time left for each pair", many=True),
+            Field("dump_remaining", count, "s", "on-time left for each thruster or pair", many=True),
             Field("dump_counter", 1, "-", "ticks to wait"),
             Field("dump_calls", 1, "-", "ticks since the mode was entered"),
         ),
         params=(Field("momentum_to_keep", 1, "N m s"), Field("dump_wait"), Field("shortest_pulse", 1, "s")),
         initial=lambda args: {name: torch.zeros(1, width, dtype=torch.float64) for name, width in widths.items()},
-        prepare=lambda args: {
-            "momentum_to_keep": args["hs_min"],
-            "dump_wait": args["maxCounterValue"],
-            "shortest_pulse": args["thrMinFireTime"],
-        },
+        prepare=_prepare,
         check=_check,
+        fit=fitted_desaturation,
         flags=("desat_on",),
     )
 
 
-DESATURATION = desaturation(BSK_RL_THRUSTERS)
+def _prepare(args: Values) -> dict[str, Tensor]:
+    return {
+        "momentum_to_keep": args["hs_min"],
+        "dump_wait": args["maxCounterValue"],
+        "shortest_pulse": args["thrMinFireTime"],
+    }
+
+
+@functools.cache
+def pair_desaturation(pairs: ThrusterPairs) -> Component:
+    """Return the component that dumps momentum by pairs of thrusters."""
+    count = len(pairs.positions)
+    return desaturation(count, lambda bus: impulse_map(pairs), lambda bus: [pairs.thrust] * count)
+
+
+def _prepare_set(args: Values) -> dict[str, Tensor]:
+    return _prepare(args) | {
+        "impulse_map": torch.linalg.pinv(arms_about_center(args).mT).flatten(-2),
+        "thruster_thrust": args["thrusterMaxThrust"],
+    }
+
+
+def _check_set(args: Values) -> None:
+    """Check that the thrusters can exert a torque about every axis."""
+    _check(args)
+    values = torch.linalg.svdvals(arms_about_center(args))
+    rank = (values > 1e-9 * values[:, :1].clamp(min=1e-30)).sum(-1)
+    if bool((rank < 3).any()):
+        places = args["thrusterPositions_B"][0].tolist()
+        raise ValueError(
+            f"thrusters at {places} exert torques about {int(rank.min())} of 3 axes, so desaturation would do nothing; place "
+            "them off the lines through the center of mass, in other directions, or add some: three axes need at least three"
+        )
+
+
+def _check_set_in_tick(args: Values, h: float) -> str | None:
+    """Return words about thrusters that turn the body otherwise than desired, or never fire."""
+    arms, words = arms_about_center(args), []
+    uneven = arms.sum(-2).norm(dim=-1) > 1e-6 * arms.norm(dim=-1).sum(-1)
+    if bool(uneven.any()):
+        words.append(
+            "firing all thrusters at once exerts a torque, which the mapping of Basilisk's thrForceMapping assumes to be zero: "
+            "desaturation changes the momentum otherwise than desired; place them so that their torques cancel"
+        )
+    impulse = args["thrusterMaxThrust"] * arms.norm(dim=-1)
+    if bool((largest_momentum(args) < h * impulse.min(-1).values).any()):
+        words.append(
+            f"a pulse of a tick, {h:g} s, of a thruster changes the momentum by up to {h * impulse.max().item():.3g} N m s, and "
+            f"wheels have at most {largest_momentum(args):.3g}: shorter pulses do not act, so it never fires; use a smaller "
+            "thrust, or sim_rate"
+        )
+    return "; ".join(words) or None
+
+
+@functools.cache
+def set_desaturation(count: int) -> Component:
+    """Return the component that dumps momentum by ``count`` thrusters of any places and directions."""
+    part = desaturation(count, lambda bus: bus.impulse_map, lambda bus: bus.thruster_thrust)
+    params = (*part.params, Field("impulse_map", 3 * count, vectors=True), Field("thruster_thrust", count, "N", many=True))
+    return replace(part, params=params, prepare=_prepare_set, check=_check_set, check_tick=_check_set_in_tick)
+
+
+def fitted_desaturation(given: Mapping[str, Any]) -> Component:
+    """Return the component for the thrusters that the arguments as given describe."""
+    listed = described_thrusters(given) if "thrusters" in given else None
+    return DESATURATION if listed is None else set_desaturation(len(listed))
+
+
+DESATURATION = pair_desaturation(BSK_RL_THRUSTERS)
+"""Desaturation by bsk_rl's eight thrusters, unless the arguments describe others."""
