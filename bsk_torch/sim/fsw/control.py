@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+import dataclasses
+import functools
+from collections.abc import Mapping
+from typing import Any
+
 import torch
 from torch import Tensor
 
@@ -17,28 +22,51 @@ def feed_back(bus: Bus) -> None:
 
     The law is::
 
-        -L = K sigma_BR + P omega_BR + P Ki z - (omega_RN + Ki z) x (I omega_BN) + I (omega_BN x omega_RN - omega_RN')
+        -L = K sigma_BR + P omega_BR + P Ki z - (omega_RN + Ki z) x H + I (omega_BN x omega_RN - omega_RN') + L_k
         z = K int(sigma_BR dt) + I omega_BR   where Ki > 0, else 0
+        H = I omega_BN
 
     All vectors are in B; I is the inertia, kg m^2, K, N m, and P, N m s, are gains, omega_RN' is the reference's acceleration.
-    Source: Schaub and Junkins, section 8.4, as in Basilisk's mrpFeedback without wheel momentum.
+    L_k, N m, is the known disturbance ``knownTorquePntB_B``, if given. Source: Schaub and Junkins, section 8.4, as in Basilisk's
+    mrpFeedback.
 
-    The integral is kept within +-0.2 / Ki for each component; its first call has dt = 0, and drifting lets the clock run. Where
-    control is off the command holds.
+    The integral is kept within +-0.2 / Ki, or +-integralLimit, for each component; its first call has dt = 0, and drifting lets
+    the clock run. Where control is off the command holds.
     """
+    _feed_back(bus, with_wheels=False)
+
+
+def feed_back_with_wheels(bus: Bus) -> None:
+    """Command the torque of :func:`feed_back` with the momentum of the wheels about their axes in H, which it compensates."""
+    _feed_back(bus, with_wheels=True)
+
+
+def body_and_wheels(bus: Bus, omega_BN_B: Vec3) -> Vec3:
+    """Return the momentum of the spacecraft, ``H = I omega + sum h`` with h of each effector about its axes, N m s in B."""
+    H = times(bus.inertia_B, omega_BN_B)
+    for effector in bus.effectors:
+        H = H + effector.momentum(bus, omega_BN_B) if effector.momentum else H
+    return H
+
+
+def _feed_back(bus: Bus, with_wheels: bool) -> None:
     sigma_BR, omega_BR_B, omega_RN_B, domega_RN_B = bus.error
     on, never = bus.control_on > 0.0, bus.control_idle < 0.0
     integrates = bus.Ki > 0.0
     Ki = torch.where(integrates, bus.Ki, torch.ones_like(bus.Ki))
-    limit = 0.2 / Ki
+    limit = bus.integral_limit if bus.has("integral_limit") else 0.2 / Ki
     dt = torch.where(never, torch.zeros_like(bus.control_idle), bus.control_idle + bus.h)
     integral = (bus.control_integral_B + sigma_BR * (bus.K * dt)).map(lambda x: torch.minimum(torch.maximum(x, -limit), limit))
     zero = Vec3.zeros_like(sigma_BR.x)
     Ki_z = select(integrates, (integral + times(bus.inertia_B, omega_BR_B)) * Ki, zero)
     omega_BN_B = omega_BR_B + omega_RN_B
-    gyroscopic = (omega_RN_B + Ki_z).cross(times(bus.inertia_B, omega_BN_B))
+    turning = omega_RN_B + Ki_z
+    H = body_and_wheels(bus, omega_BN_B) if with_wheels else times(bus.inertia_B, omega_BN_B)
+    gyroscopic = turning.cross(H)
     opposite = sigma_BR * bus.K + omega_BR_B * bus.P + Ki_z * bus.P - gyroscopic
     opposite = opposite + times(bus.inertia_B, omega_BN_B.cross(omega_RN_B) - domega_RN_B)
+    if bus.has("known_torque_B"):
+        opposite = opposite + bus.known_torque_B
     write_commands(bus, commands_for(bus, -opposite), on)
     bus.control_integral_B = select(on & integrates, integral, bus.control_integral_B)
     bus.control_idle = torch.where(on, torch.zeros_like(dt), torch.where(never, bus.control_idle, bus.control_idle + bus.h))
@@ -80,6 +108,35 @@ CONTROL_AXES = Arg("controlAxes_B", (1.0, 0, 0, 0, 1.0, 0, 0, 0, 1.0), "-", "con
 CONTROL_STATE = (vec("control_integral_B"), Field("control_idle", 1, "s", "since the last call; negative: never called"))
 """State of every control law: its integral, and the time since it was called."""
 
+LAW_ARGS = (
+    Arg("integralLimit", None, "-", "bound of the integral of the law; None: 0.2 over its gain", low=0.0, high=1e12),
+    Arg("knownTorquePntB_B", None, "N m", "known disturbance that the law compensates", "vector", -1e6, 1e6),
+)
+"""Arguments of every control law."""
+
+
+def with_given_terms(law: Component, given: Mapping[str, Any]) -> Component:
+    """Return a control law with the terms that the arguments as given ask for."""
+    return _with_terms(law, given["integralLimit"] is not None, given["knownTorquePntB_B"] is not None)
+
+
+@functools.cache
+def _with_terms(law: Component, limited: bool, known: bool) -> Component:
+    params = [Field("integral_limit")] if limited else []
+    params += [vec("known_torque_B", "N m")] if known else []
+    names = [("integral_limit", "integralLimit")] * limited + [("known_torque_B", "knownTorquePntB_B")] * known
+
+    def prepare(args: Values) -> dict[str, Tensor]:
+        return law.prepare(args) | {name: args[argument] for name, argument in names}
+
+    return dataclasses.replace(law, params=(*law.params, *params), prepare=prepare) if params else law
+
+
+def fitted_feedback(given: Mapping[str, Any]) -> Component:
+    """Return MRP feedback with the terms that the arguments as given ask for."""
+    return with_given_terms(_FEEDBACK_WITH_WHEELS if given["compensateWheels"] else MRP_FEEDBACK, given)
+
+
 MRP_FEEDBACK = Component(
     slot="control",
     update=feed_back,
@@ -88,6 +145,15 @@ MRP_FEEDBACK = Component(
         Arg("Ki", -1.0, "-", "integral gain; no integral where not positive", high=1e6),
         Arg("P", 35.0, "N m s", "rate gain", low=0.0, high=1e6),
         CONTROL_AXES,
+        Arg(
+            "compensateWheels",
+            False,
+            "-",
+            "whether the law compensates the turning momentum of the wheels",
+            "constant",
+            choices=(False, True),
+        ),
+        *LAW_ARGS,
     ),
     state=CONTROL_STATE,
     params=(Field("K"), Field("Ki"), Field("P")),
@@ -95,5 +161,8 @@ MRP_FEEDBACK = Component(
     prepare=lambda args: {name: args[name] for name in ("K", "Ki", "P")},
     check=check_control_axes,
     check_tick=check_feedback,
+    fit=fitted_feedback,
     flags=("control_on",),
 )
+
+_FEEDBACK_WITH_WHEELS = dataclasses.replace(MRP_FEEDBACK, update=feed_back_with_wheels)

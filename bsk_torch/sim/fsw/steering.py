@@ -7,6 +7,8 @@ control using kinematic steering", Acta Astronautica 147, 2018.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -15,7 +17,15 @@ from bsk_torch.astro.attitude import mrp_rate
 from bsk_torch.sim.component import Arg, Bus, Component, Field, Values
 from bsk_torch.sim.dyn.hub import body_inertia
 from bsk_torch.sim.fsw.allocation import Commands, commands_for, held_commands, write_commands
-from bsk_torch.sim.fsw.control import CONTROL_AXES, CONTROL_STATE, check_control_axes, initial_control
+from bsk_torch.sim.fsw.control import (
+    CONTROL_AXES,
+    CONTROL_STATE,
+    LAW_ARGS,
+    body_and_wheels,
+    check_control_axes,
+    initial_control,
+    with_given_terms,
+)
 from bsk_torch.sim.fsw.stability import Law, check_gains, has_wheels, in_words
 from bsk_torch.vec3 import Vec3, only, select, times
 
@@ -41,15 +51,15 @@ def steer(bus: Bus) -> None:
 
     The law is::
 
-        -L = P e + Ki z - w* x H - I (w_R' + w_s' - w x w_R)
+        -L = P e + Ki z - w* x H - I (w_R' + w_s' - w x w_R) + L_k
         w* = w_s + w_R,  e = w - w*,  z = int(e dt),  H = I w + sum h
 
     with the body rate w = omega_BN, the reference's rate w_R = omega_RN and the steering rate w_s of :func:`steering_rate`, rad/s
     in B; I is the inertia of the spacecraft, kg m^2, and h the momentum of each effector about its own axes, such as
-    ``Js (w + Omega)`` of wheels.
+    ``Js (w + Omega)`` of wheels; L_k, N m, is the known disturbance ``knownTorquePntB_B``, if given.
 
-    The integral is kept within +-0.2 / servo_Ki for each component; it acts where ``servo_Ki`` is positive, and its first call
-    has dt = 0. Where control is off the command holds, and the clock of the integral runs.
+    The integral is kept within +-0.2 / servo_Ki, or +-integralLimit, for each component; it acts where ``servo_Ki`` is positive,
+    and its first call has dt = 0. Where control is off the command holds, and the clock of the integral runs.
     """
     on, never = bus.control_on > 0.0, bus.control_idle < 0.0
     waited = torch.where(never, bus.control_idle, bus.control_idle + bus.h)
@@ -60,11 +70,11 @@ def steer(bus: Bus) -> None:
         w, w_star = omega_BR_B + w_R, w_s + w_R
         e = w - w_star
         z = _integral(bus, e, torch.where(never, torch.zeros_like(waited), waited))
-        H = times(bus.inertia_B, w)
-        for effector in bus.effectors:
-            H = H + effector.momentum(bus, w) if effector.momentum else H
+        H = body_and_wheels(bus, w)
         acceleration = dw_R + dw_s - w.cross(w_R)
         opposite = e * bus.servo_P + z * bus.servo_Ki - w_star.cross(H) - times(bus.inertia_B, acceleration)
+        if bus.has("known_torque_B"):
+            opposite = opposite + bus.known_torque_B
         return commands_for(bus, -opposite), z
 
     commands, bus.control_integral_B = only(on, law, (held_commands(bus), bus.control_integral_B))
@@ -75,7 +85,8 @@ def steer(bus: Bus) -> None:
 def _integral(bus: Bus, e: Vec3, dt: Tensor) -> Vec3:
     """Return the integral of the rate error, rad; zero where ``servo_Ki`` is not positive."""
     integrates = bus.servo_Ki > 0.0
-    limit = 0.2 / torch.where(integrates, bus.servo_Ki, torch.ones_like(bus.servo_Ki))
+    usual = 0.2 / torch.where(integrates, bus.servo_Ki, torch.ones_like(bus.servo_Ki))
+    limit = bus.integral_limit if bus.has("integral_limit") else usual
     z = (bus.control_integral_B + e * dt).map(lambda x: torch.minimum(torch.maximum(x, -limit), limit))
     return select(integrates, z, Vec3.zeros_like(e.x))
 
@@ -99,6 +110,12 @@ def check_steering(args: Values, h: float) -> str | None:
 
 GAINS = ("K1", "K3", "omega_max", "servo_Ki", "servo_P")
 
+
+def fitted_steering(given: Mapping[str, Any]) -> Component:
+    """Return MRP steering with the terms that the arguments as given ask for."""
+    return with_given_terms(MRP_STEERING, given)
+
+
 MRP_STEERING = Component(
     slot="control",
     update=steer,
@@ -109,6 +126,7 @@ MRP_STEERING = Component(
         Arg("servo_Ki", 5.0, "N m/rad", "integral gain of the rate servo; no integral where not positive", high=1e6),
         Arg("servo_P", 150.0, "N m s", "gain of the rate servo", low=0.0, high=1e6),
         CONTROL_AXES,
+        *LAW_ARGS,
     ),
     state=CONTROL_STATE,
     params=tuple(Field(name) for name in GAINS),
@@ -116,5 +134,6 @@ MRP_STEERING = Component(
     prepare=lambda args: {name: args[name] for name in GAINS},
     check=check_control_axes,
     check_tick=check_steering,
+    fit=fitted_steering,
     flags=("control_on",),
 )

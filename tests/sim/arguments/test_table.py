@@ -22,6 +22,7 @@ POINTING = {"groundLocationPlanetRadius", "imageTargetMinimumElevation", "imageT
 
 
 CRAFT = {
+    *("compensateWheels", "integralLimit", "knownTorquePntB_B"),
     *("thrusters", "thrusterPositions_B", "thrusterDirections_B", "thrusterMaxThrust"),
     *("inertia", "checkInertia", "r_CB_B", "wheels", "nullSpaceGain", "nullSpaceSpeeds", "underactuated"),
     *("rwAxes_B", "rwJs", "rwOmegaMax", "rwUMin", "rwPMax", "rwFCoulomb", "rwFStatic", "rwBetaStatic", "rwCViscous"),

@@ -4,7 +4,9 @@ import torch
 
 from bsk_torch.sim.component import Bus
 from bsk_torch.sim.dyn.hub import box_inertia
+from bsk_torch.sim.dyn.wheels import SPIN_INERTIA
 from bsk_torch.sim.fsw import control, guidance
+from bsk_torch.sim.fsw.steering import MRP_STEERING, fitted_steering
 from bsk_torch.vec3 import Vec3
 from tests.sim.buses import N, plane, vectors, with_wheels, write
 
@@ -67,6 +69,35 @@ def test_feedback_with_integral():
         torch.testing.assert_close(bus.motor_torque_command_B.stack(), feedback(bus, expected), rtol=0, atol=100 * ROUNDING)
     assert (expected.abs() == 20.0).any()
     assert (expected.abs() < 20.0).any()
+
+
+def test_feedback_with_the_momentum_of_wheels_and_a_known_torque():
+    """Both enter the gyroscopic term and the sum as in Basilisk's mrpFeedback with its optional messages connected."""
+    bus = write(controlled(), Omega_WB_B=vectors(100.0), known_torque_B=vectors(1e-3))
+    control.feed_back_with_wheels(bus)
+    w_R, body = bus.error.omega_RN_B.stack(), (bus.error.omega_BR_B + bus.error.omega_RN_B).stack()
+    h = (bus.Omega_WB_B.stack() + body) * SPIN_INERTIA
+    expected = feedback(bus) - torch.linalg.cross(w_R, h) + bus.known_torque_B.stack()
+    torch.testing.assert_close(bus.motor_torque_command_B.stack(), expected, rtol=0, atol=ROUNDING)
+
+
+def test_a_given_limit_bounds_the_integral():
+    bus = write(controlled(0.01), integral_limit=plane(0.05))
+    bus.error = guidance.Error(vectors(2.0), *bus.error[1:])
+    for _ in range(2):
+        control.feed_back(bus)
+    assert bus.control_integral_B.stack().abs().amax() == 0.05
+
+
+def test_terms_of_laws_follow_from_the_arguments():
+    given = {arg.name: arg.default for law in (control.MRP_FEEDBACK, MRP_STEERING) for arg in law.args}
+    assert control.fitted_feedback(given) is control.MRP_FEEDBACK
+    assert fitted_steering(given) is MRP_STEERING
+    asked = given | {"compensateWheels": True, "integralLimit": 0.1, "knownTorquePntB_B": [0.0, 0.0, 1e-4]}
+    law = control.fitted_feedback(asked)
+    assert law.update is control.feed_back_with_wheels
+    assert [field.name for field in law.params] == ["K", "Ki", "P", "integral_limit", "known_torque_B"]
+    assert {field.name for field in fitted_steering(asked).params} >= {"servo_P", "integral_limit", "known_torque_B"}
 
 
 def test_drifting_holds_the_command_and_lets_the_clock_run():
