@@ -48,6 +48,7 @@ COLUMNS = {
     "decisions": "{decisions:.0f}",
     "simulated s per decision": "{simulated:,.0f}",
     "wall s per episode": "{wall:.2f}",
+    "decisions per CPU-second": "{rate:,.0f}",
 }
 
 
@@ -70,7 +71,7 @@ def gains(gain: Estimate, rule: Evaluation) -> dict[str, float]:
     return {"gain": gain.mean, "gain_half": gain.half_width, "relative": gain.mean / rule.mean_return.mean}
 
 
-def row(preset: str, name: str, found: Evaluation, rule: Evaluation, wall: float) -> dict[str, Any]:
+def row(preset: str, name: str, found: Evaluation, rule: Evaluation, wall: float, cpu: float) -> dict[str, Any]:
     """Figures of one policy."""
     value = found.mean_return
     return {
@@ -83,6 +84,7 @@ def row(preset: str, name: str, found: Evaluation, rule: Evaluation, wall: float
         "decisions": float(found.decisions.double().mean()),
         **({} if found.simulated is None else {"simulated": found.simulated_per_decision}),
         "wall": wall / len(found.returns),
+        "rate": float(found.decisions.sum()) / cpu,
     }
 
 
@@ -97,10 +99,10 @@ def main() -> None:
         env = bsk_torch.make(preset, num_envs=n, **world)
         rule = None
         for name, policy in policies(env, preset, options.budget).items():
-            clock = time.perf_counter()
+            clock, cpu = time.perf_counter(), time.process_time()
             found = evaluate(policy, env, seeds=range(options.first, options.first + n))
             rule = found if rule is None else rule
-            rows.append(row(preset, name, found, rule, time.perf_counter() - clock))
+            rows.append(row(preset, name, found, rule, time.perf_counter() - clock, time.process_time() - cpu))
             print(harness.cell("{preset}, {policy}: {value:.3f}", rows[-1]), flush=True)
             harness.write(options, described, cases={name: case._asdict() for name, case in CASES.items()}, rows=rows)
     print(harness.table(COLUMNS, rows))

@@ -161,13 +161,15 @@ class UniqueImageReward(ImageReward):
         """See :meth:`ImageReward.value`."""
         again = taken & self.imaged.gather(1, target)
         pays = taken & ~again
-        reward = self.reward_fn(self.scenario.priority.gather(1, target))
+        reward = self.reward_fn(self.scenario.priority_of(target))
         if self.fleet.size > 1:
             reward = reward / self.sharers(target, pays)
             slot = target.unsqueeze(-1)
             known = self.known
             self.memory["known_images"] = known.scatter(2, slot, known.gather(2, slot) | taken.unsqueeze(-1))
-        self.memory["imaged_targets"] = self.imaged | self.taken_by_any(target, pays, self.scenario.most_targets)
+            self.memory["imaged_targets"] = self.imaged | self.taken_by_any(target, pays, self.scenario.most_targets)
+        else:
+            self.memory["imaged_targets"] = self.imaged.scatter(1, target, taken | self.imaged.gather(1, target))
         self.memory["duplicates"] = self.memory["duplicates"] + again
         return torch.where(pays, reward, torch.zeros_like(reward))
 

@@ -35,7 +35,8 @@ def _relative(name: str) -> Preset:
 
 def priority(satellite: BoundSatellite, targets: Opportunities) -> Tensor:
     """Return the current priority of each target, [N, n]."""
-    return satellite.simulator.look_up(satellite.scenario.priority, targets.place)
+    place = targets.place
+    return satellite.scenario.priority_of(place.view(satellite.fleet.num_envs, -1)).view(place.shape)
 
 
 def _relative_geometry(part: slice | int) -> Preset:

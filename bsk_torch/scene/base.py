@@ -11,7 +11,7 @@ from torch import Tensor
 
 from bsk_torch._checks import no_gradient
 from bsk_torch.sim.hooks import FLEET_MEMORY, ChangeGuard, check_class, check_linked, check_tensor, overrides
-from bsk_torch.sim.places import TARGET_KIND, TARGETS, FixedPlaces
+from bsk_torch.sim.places import TARGET_KIND, TARGETS, DrawnTargets
 
 if TYPE_CHECKING:
     from bsk_torch.rand import Key
@@ -51,10 +51,9 @@ def target_places(tables: PlaceTables) -> dict[str, Places]:
     drawn, arguments = tables.drawn, tables.arguments
     if TARGETS not in drawn or "imageTargetMinimumElevation" not in arguments:
         return {}
-    targets = FixedPlaces(
-        lambda: drawn[TARGETS],
+    targets = DrawnTargets(
+        drawn,
         lambda rows: torch.sin(arguments["imageTargetMinimumElevation"][rows]).unsqueeze(-1),
-        exists=lambda: drawn["target_exists"],
         satellites=arguments.count,
         advice="all have been imaged, or too few lie below the orbit: ask for more targets, lower imageTargetMinimumElevation",
     )

@@ -91,11 +91,18 @@ class TargetScenario(Scenario):
         """Priority of every target at the current decision, [N, T]; 0 for padding."""
         return self.drawn("target_priority")
 
+    def priority_of(self, target: Tensor) -> Tensor:
+        """Return the :attr:`priority` of targets [num_envs, n]; where it is the drawn one, read as the table stores it."""
+        if type(self).priority is TargetScenario.priority:
+            return self.fleet.scenario_state.look_up("target_priority", target)
+        return self.priority.gather(1, target)
+
     @property
     def available(self) -> Tensor:
         """Whether a target exists and can be selected at the current decision, [N, T] bool."""
         if self._available is None:
-            self._available = self.drawn("target_exists").bool()
+            exists, owner = self.fleet.scenario_state.shared("target_exists")
+            self._available = exists.bool() if owner is None else exists.bool()[owner]
         return self._available
 
     def _bounds(self) -> dict[str, tuple[float, float]]:

@@ -20,6 +20,7 @@ from bsk_torch.sim.access.windows import AccessWindows
 from bsk_torch.sim.arguments.values import merge, nearest
 from bsk_torch.sim.assembly.composition import commanded_by
 from bsk_torch.sim.assembly.satellite_type import SatelliteType
+from bsk_torch.sim.draw_table import DrawTable
 from bsk_torch.sim.dyn import hub
 from bsk_torch.sim.dyn.events import notice_image
 from bsk_torch.sim.fsw.manoeuvre import burn
@@ -67,7 +68,7 @@ class Simulator:
         num_envs: int,
         *,
         horizon: float,
-        scenario_state: StateTable | None = None,
+        scenario_state: DrawTable | None = None,
         places: PlaceKinds = lambda tables: {},
     ) -> None:
         """Make room for the state of satellites; :meth:`reset` fills it.
@@ -84,7 +85,7 @@ class Simulator:
         self.columns, self.stops, self.followed = usage.columns, usage.stops, usage.followed
         self.orbit, self.has_tank, self.h_ns = satellite_type.orbit, satellite_type.has_tank, satellite_type.h_ns
         self.mode_names, self.flag_table = satellite_type.mode_names, satellite_type.flag_table
-        self.scenario_state = StateTable(num_envs, 1, self.device) if scenario_state is None else scenario_state
+        self.scenario_state = DrawTable(num_envs, 1, self.device) if scenario_state is None else scenario_state
         self.type, self.tick, self.runners = satellite_type, satellite_type.tick, satellite_type.runners
         self.uniform = satellite_type.uniform
         self.state = SatelliteState(

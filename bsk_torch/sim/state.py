@@ -189,7 +189,7 @@ class StateTable:
         """Return the tensor ``name``; KeyError if it is not declared."""
         if name not in self.fields:
             raise KeyError(f"no field of the state is called {name!r}; declared are {sorted(self.fields)}")
-        return self.__dict__[name]
+        return getattr(self, name)
 
     def __setitem__(self, name: str, value: Tensor) -> None:
         """Replace the tensor ``name``, keeping its type; ValueError for another shape."""
@@ -214,7 +214,7 @@ class StateTable:
     @property
     def nbytes(self) -> int:
         """Bytes of all tensors of the tree."""
-        return sum(self.__dict__[name].nbytes for name in self.fields) + sum(table.nbytes for table in self.tables.values())
+        return sum(getattr(self, name).nbytes for name in self.fields) + sum(table.nbytes for table in self.tables.values())
 
     # -- rows ---------------------------------------------------------------------------------------------------------
 
@@ -234,7 +234,7 @@ class StateTable:
         self.touch()
 
     def _reset_field(self, name: str, rows: Tensor) -> None:
-        field, value = self.fields[name], self.__dict__[name]
+        field, value = self.fields[name], getattr(self, name)
         if field.initial is None:
             return
         if field.planes:
@@ -252,7 +252,7 @@ class StateTable:
         rows, theirs = self.rows_of(envs), other.rows_of(source)
         for name in self.fields:
             if name in other.fields:
-                self._copy_field(name, rows, other.__dict__[name], theirs)
+                self._copy_field(name, rows, getattr(other, name), theirs)
             else:
                 self._reset_field(name, rows)
         for name, table in self.tables.items():
@@ -263,7 +263,7 @@ class StateTable:
         self.touch()
 
     def _copy_field(self, name: str, rows: Tensor, value: Tensor, source: Tensor) -> None:
-        field, mine = self.fields[name], self.__dict__[name]
+        field, mine = self.fields[name], getattr(self, name)
         if field.planes:
             mine[..., rows] = value[..., source]
         elif field.grows:
@@ -276,14 +276,14 @@ class StateTable:
     def repeat_rows(self, rows: Tensor, source: Tensor) -> None:
         """Copy the rows ``source`` [n] into ``rows`` [n], in this table and in those within, which have as many rows."""
         for name in self.fields:
-            self._copy_field(name, rows, self.__dict__[name], source)
+            self._copy_field(name, rows, getattr(self, name), source)
         for table in self.tables.values():
             table.repeat_rows(rows, source)
         self.touch()
 
     def write_rows(self, name: str, rows: Tensor, new: Tensor) -> None:
         """Put ``new`` [n, W, ...] into ``rows`` [n] of a field that grows; the narrower one is filled up with ``initial``."""
-        initial, old = self.fields[name].initial or 0.0, self.__dict__[name]
+        initial, old = self.fields[name].initial or 0.0, getattr(self, name)
         width = max(old.shape[1], new.shape[1])
         table = self.__dict__[name] = widened(old, width, initial)
         table[rows] = widened(new, width, initial)
@@ -305,7 +305,7 @@ class StateTable:
         return TensorDict(values, [self.num_envs], device=self.device)
 
     def _by_episode(self, name: str) -> Tensor:
-        value = self.__dict__[name].movedim(-1, 0) if self.fields[name].planes else self.__dict__[name]
+        value = getattr(self, name).movedim(-1, 0) if self.fields[name].planes else getattr(self, name)
         return value if self.count == 1 else value.reshape(self.num_envs, self.count, *value.shape[1:])
 
     def over(self: Table, saved: Mapping[str, Any] | TensorDictBase) -> Table:
@@ -339,7 +339,7 @@ class StateTable:
 
     def _checked(self, name: str, value: Tensor) -> Tensor:
         """Return a saved tensor as this table stores it."""
-        field, mine = self.fields[name], self.__dict__[name]
+        field, mine = self.fields[name], getattr(self, name)
         no_gradient(f"{name!r} of the saved state", value)
         if value.dtype != mine.dtype:
             raise ValueError(f"{name!r} of the saved state has dtype {value.dtype}; it must be {mine.dtype}")
@@ -361,7 +361,7 @@ class StateTable:
         """
         for name, field in self.fields.items():
             if field.low is not None or field.high is not None:
-                value = self.__dict__[name]
+                value = getattr(self, name)
                 wrong = torch.zeros_like(value, dtype=torch.bool)
                 for bound, beyond in ((field.low, torch.lt), (field.high, torch.gt)):
                     wrong = wrong if bound is None else wrong | beyond(value, bound)

@@ -10,6 +10,7 @@ import pytest
 import torch
 
 from bsk_torch import rand, scene
+from bsk_torch.sim.draw_table import DrawTable
 
 MANY = 20_000
 
@@ -27,7 +28,7 @@ class HoldingFleet:
     """What the scenario has drawn for N episodes of one satellite, and their time."""
 
     def __init__(self, n: int) -> None:
-        self.num_envs, self.sim_time, self.scenario_state = n, torch.zeros(n, dtype=torch.float64), {}
+        self.num_envs, self.sim_time, self.scenario_state = n, torch.zeros(n, dtype=torch.float64), DrawTable(n)
         self.satellites = (SimpleNamespace(name="Imager", target_types=("target",)),)
 
     def keep(self, envs: torch.Tensor, asked: dict[str, torch.Tensor]) -> None:
@@ -35,7 +36,7 @@ class HoldingFleet:
             assert value.dtype == torch.float64, name
             assert len(value) in (1, len(envs)), name
             if name not in self.scenario_state:
-                self.scenario_state[name] = torch.zeros(self.num_envs, *value.shape[1:], dtype=torch.float64)
+                self.scenario_state.declare(name, None, *value.shape[1:], dtype=torch.float64)
             self.scenario_state[name][envs] = value
 
 

@@ -9,8 +9,8 @@ from typing import Any
 import torch
 
 from bsk_torch.sim.assembly.satellite_type import SimulationOptions, Usage, satellite_type
+from bsk_torch.sim.draw_table import DrawTable
 from bsk_torch.sim.simulator import Simulator
-from bsk_torch.sim.state import StateTable
 
 OPTIONS = {option.name for option in fields(SimulationOptions)}
 
@@ -23,7 +23,7 @@ def make_simulator(
     *,
     num_envs: int,
     horizon: float = 0.0,
-    scenario_state: StateTable | None = None,
+    scenario_state: DrawTable | None = None,
     **options: Any,
 ) -> Simulator:
     """A simulator; ``options`` are those of :class:`SimulationOptions` and of :class:`Usage`."""

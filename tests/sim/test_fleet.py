@@ -10,6 +10,7 @@ from bsk_torch import rand
 from bsk_torch.rand import first_key
 from bsk_torch.sats.fleet import SatelliteFleet
 from bsk_torch.sim import dyn, fsw
+from bsk_torch.sim.draw_table import DrawTable
 from bsk_torch.sim.fleet import Fleet, share
 from bsk_torch.sim.state import StateTable
 from tests.sim.simulators import make_simulator
@@ -19,7 +20,7 @@ N = 3
 
 def part(*columns: int, n: int = N) -> SimpleNamespace:
     """A stand-in for the simulation of the satellites ``columns``."""
-    tables = {"state": StateTable(n, len(columns)), "scenario_state": StateTable(n)}
+    tables = {"state": StateTable(n, len(columns)), "scenario_state": DrawTable(n)}
     alone = {"followed": {}, "records": False, "stops": False}
     return SimpleNamespace(num_envs=n, count=len(columns), columns=columns, device=torch.device("cpu"), **alone, **tables)
 
@@ -106,7 +107,7 @@ def drawing() -> Fleet:
     """Satellites 0 and 2 of one type and 1 of another, whose arguments, world and scenario are random."""
     args, world = {"K": rand.Uniform(1.0, 2.0)}, {"utc_init": rand.random_epoch()}
     options = {"num_envs": N, "dtype": torch.float64, "sim_rate": 1.0, "horizon": 0.0}
-    scenario_state = StateTable(N)
+    scenario_state = DrawTable(N)
     scenario_state.declare("asked", None, 2)
     options |= {"backend": "eager", "scenario_state": scenario_state}
     models = dyn.BasicDynamicsModel, fsw.BasicFSWModel

@@ -29,10 +29,10 @@ from bsk_torch.sim.arguments.values import Overrides, convert, drawn_once
 from bsk_torch.sim.assembly.composition import compose
 from bsk_torch.sim.assembly.satellite_type import SatelliteType, SimulationOptions, Ticks, Usage, satellite_type
 from bsk_torch.sim.component import Arg, Component, Field
+from bsk_torch.sim.draw_table import DrawTable
 from bsk_torch.sim.fleet import EpisodeDraw, Fleet, share
 from bsk_torch.sim.run.encounters import find_pairs
 from bsk_torch.sim.simulator import Simulator
-from bsk_torch.sim.state import StateTable
 from bsk_torch.sim.world import WorldModel
 
 LIMIT = Arg("time_limit", float("inf"), "s", "time after which an episode is truncated", low=NANO)
@@ -119,7 +119,7 @@ class FleetBuilder:
         # the trial's arcs shall be as long as those of the batch: see check_memory
         sample = isinstance(self.options.time_limit, Distribution) and n < self.options.num_envs
         limit = self.draw_time_limit(first_key(min(SAMPLE if sample else n, self.options.num_envs)))
-        scenario_state, bounds = StateTable(n, 1, self.device), self.scenario._bounds()
+        scenario_state, bounds = DrawTable(n, 1, self.device), self.scenario._bounds()
         for name, value in self._scenario_draw(min(2, n)).items():
             low, high = bounds.get(name, (None, None))
             scenario_state.declare(name, None, *value.shape[1:], dtype=value.dtype, low=low, high=high)

@@ -60,10 +60,11 @@ class TargetReader:
             self.column[prop], self.norm[prop] = width, float(part["norm"])
             width += WIDTHS.get(prop, 1)
         kind = f"{self.name}.rows[" if entry.as_set else f"{self.name}.{self.name}_"
-        self._rows = [k for k, path in enumerate(description) if path.startswith(kind)]
+        rows = [k for k, path in enumerate(description) if path.startswith(kind)]
         self._mask = [k for k, path in enumerate(description) if path.startswith(f"{self.name}.mask[")]
-        if len(self._rows) != self.n * width:
-            raise ValueError(f"{self.name!r} has {len(self._rows) // self.n} columns, not {width}: a function gives several")
+        if len(rows) != self.n * width:
+            raise ValueError(f"{self.name!r} has {len(rows) // self.n} columns, not {width}: a function gives several")
+        self._rows = slice(rows[0], rows[0] + len(rows))  # adjacent: those of one observation; a slice copies nothing
 
     @classmethod
     def of(cls, env: SatelliteTasking) -> TargetReader:

@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from bsk_torch.rand import first_key
 from bsk_torch.sim.arguments.values import Arguments
 from bsk_torch.sim.component import Component
+from bsk_torch.sim.draw_table import DrawTable
 from bsk_torch.sim.places import FixedPlaces, Places, PlaceTables
 from bsk_torch.sim.state import StateTable
 
@@ -15,7 +16,7 @@ PlaceKinds = Callable[[PlaceTables], Mapping[str, object]]
 
 
 def place_kinds(
-    parts: Sequence[Component], world_args: Arguments, scenario: StateTable, arguments: StateTable, declared: PlaceKinds
+    parts: Sequence[Component], world_args: Arguments, scenario: DrawTable, arguments: StateTable, declared: PlaceKinds
 ) -> dict[str, Places]:
     """Return the places that satellites can see, by kind.
 

@@ -16,6 +16,7 @@ from torch import Tensor
 
 from bsk_torch.astro.ephemeris import coverage, earth_orientation, sun_state
 from bsk_torch.sim.component import Values
+from bsk_torch.sim.draw_table import DrawTable
 from bsk_torch.sim.state import StateTable
 from bsk_torch.vec3 import Vec3
 
@@ -35,18 +36,20 @@ class PlaceTables(NamedTuple):
         world: Arguments of the world that are the same in all environments, such as the ground stations.
     """
 
-    drawn: StateTable
+    drawn: DrawTable
     arguments: StateTable
     world: Values
 
     def of_rows(self, name: str, rows: Tensor, place: Tensor) -> Tensor:
         """Return the draws ``name`` [num_envs, P, ...] for satellites ``rows`` [n] and places [n, ...]; [n, ..., ...]."""
+        table, row = self.drawn.shared(name)
         envs = rows // self.arguments.count
-        return self.drawn[name][envs.view(-1, *[1] * (place.ndim - 1)), place]
+        envs = envs if row is None else row[envs]
+        return table[envs.view(-1, *[1] * (place.ndim - 1)), place]
 
     def of_envs(self, name: str, rows: Tensor) -> Tensor:
         """Return the draws ``name`` [num_envs, ...] of the environments of satellites ``rows`` [n], [n, ...]."""
-        return self.drawn[name][rows // self.arguments.count]
+        return self.drawn.of_envs(name, rows // self.arguments.count)
 
     def orientation(self, rows: Tensor, time: Tensor) -> Tensor:
         """Return the matrix [PN] at times [n, ...] s since the reset of satellites ``rows`` [n], [n, ..., 3, 3]."""
@@ -218,18 +221,28 @@ class FixedPlaces(Places):
     @property
     def count(self) -> int:
         """See :attr:`Places.count`."""
-        return self.r_LP_P.shape[1]
+        return self._stored()[0].shape[1]
+
+    def _stored(self) -> tuple[Tensor, Tensor | None]:
+        """Return positions [K, P, 3] m, and the row of them that belongs to each environment; None if row k belongs to k."""
+        return self.r_LP_P, None
 
     def position(self, rows: Tensor, place: Tensor, time: Tensor) -> Tensor:
         """See :meth:`Places.position`; the same at all times."""
-        table = self.r_LP_P
+        table, row = self._stored()
         if len(table) == 1:
             return table[0, place]
-        return table[(rows // self.satellites).view(-1, *[1] * (place.ndim - 1)), place]
+        envs = rows // self.satellites
+        return table[(envs if row is None else row[envs]).view(-1, *[1] * (place.ndim - 1)), place]
 
     def exists(self, rows: Tensor) -> Tensor:
         """See :meth:`Places.exists`."""
         return super().exists(rows) if self._exists is None else self._exists()[rows // self.satellites] > 0.5
+
+    @property
+    def _may_lack(self) -> bool:
+        """Whether some places may not exist."""
+        return self._exists is not None
 
     def max_speed(self, rows: Tensor) -> Tensor:
         """See :meth:`Places.max_speed`; zero."""
@@ -237,12 +250,35 @@ class FixedPlaces(Places):
 
     def sites(self, rows: Tensor) -> Sites:
         """Return the places of satellites ``rows`` [n] as tables."""
-        table, given = self.r_LP_P, self._limit(rows) if callable(self._limit) else self._limit
+        (table, row), given = self._stored(), self._limit(rows) if callable(self._limit) else self._limit
         sines = torch.as_tensor(given, dtype=table.dtype, device=table.device)
         sines = (sines if sines.ndim else sines.view(1, 1)).expand(-1, table.shape[1])
-        if len(table) == len(sines) == 1 and self._exists is None:
+        if len(table) == len(sines) == 1 and not self._may_lack:
             return Sites(table, sines)
-        r_LP_P = table[rows // self.satellites] if len(table) > 1 else table.repeat(len(rows), 1, 1)
-        if self._exists is not None:
+        envs = rows // self.satellites if row is None else row[rows // self.satellites]
+        r_LP_P = table[envs] if len(table) > 1 else table.repeat(len(rows), 1, 1)
+        if self._may_lack:
             r_LP_P.masked_fill_(~self.exists(rows).unsqueeze(-1), torch.nan)
         return Sites(r_LP_P, sines.expand(r_LP_P.shape[:2]))
+
+
+class DrawnTargets(FixedPlaces):
+    """Targets that a scenario draws, by the names :data:`TARGETS` and ``target_exists``; read as the table stores them."""
+
+    def __init__(
+        self, drawn: DrawTable, sin_min_elevation: Callable[[Tensor], Tensor], *, satellites: int, advice: str = Places.advice
+    ) -> None:
+        """Describe targets; see :class:`FixedPlaces`."""
+        super().__init__(lambda: drawn[TARGETS], sin_min_elevation, satellites=satellites, advice=advice)
+        self._drawn = drawn
+
+    def _stored(self) -> tuple[Tensor, Tensor | None]:
+        return self._drawn.shared(TARGETS)
+
+    @property
+    def _may_lack(self) -> bool:
+        return True
+
+    def exists(self, rows: Tensor) -> Tensor:
+        """See :meth:`Places.exists`."""
+        return self._drawn.of_envs("target_exists", rows // self.satellites) > 0.5
