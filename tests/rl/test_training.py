@@ -242,12 +242,16 @@ class LosingNode(Losing):
                 os.kill(int(pid), signal.SIGKILL)
 
 
+NOTICES_EARLY = {"health_check_initial_delay_ms": 0, "health_check_period_ms": 500, "health_check_timeout_ms": 2000}
+"""Settings with which Ray notices within a few seconds that a node was lost."""
+
+
 @pytest.mark.ray
 def test_a_run_continues_when_a_node_of_ray_is_lost(by_several, tmp_path, caplog, monkeypatch):
     """Two nodes of one core each have a process each; then one has both."""
     ray, utils = importlib.import_module("ray"), importlib.import_module("ray.cluster_utils")
     whole, policy = by_several
-    cluster = utils.Cluster(initialize_head=True, head_node_args={"num_cpus": 1})
+    cluster = utils.Cluster(initialize_head=True, head_node_args={"num_cpus": 1, "_system_config": NOTICES_EARLY})
     try:
         node = cluster.add_node(num_cpus=1)
         monkeypatch.setenv("RAY_ADDRESS", cluster.address)

@@ -6,6 +6,7 @@ import math
 import os
 import socket
 import textwrap
+import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from importlib.util import find_spec
@@ -20,6 +21,9 @@ PORT = 6379
 
 PATIENCE = 10.0
 """Time within which the head node must answer, s; Ray waits for two minutes, and then ends the program."""
+
+NOTICED = 120.0
+"""Time in which Ray notices that a node was lost, s; by default after five missing signs of life, 3 s apart."""
 
 LONGEST = 200
 """Most characters that messages quote of Ray's."""
@@ -67,13 +71,19 @@ def connected() -> Iterator[None]:
 
 
 def cluster_cores() -> list[int]:
-    """Return the cores of every node that answers, as many as it offers to Ray.
+    """Return the cores of every node, as many as it offers to Ray, after Ray has noticed which nodes were lost.
 
-    Ray itself takes half a minute to notice that a node was lost, and would wait for its cores.
+    That takes it about half a minute, in which it would start processes there; at most :data:`NOTICED` passes.
     """
     import ray
 
-    return [int(node["Resources"].get("CPU", 0)) for node in ray.nodes() if node["Alive"] and _answers(node)]
+    end = time.monotonic() + NOTICED
+    while True:
+        alive = [node for node in ray.nodes() if node["Alive"]]
+        answering = [node for node in alive if _answers(node)]
+        if len(answering) == len(alive) or time.monotonic() > end:
+            return [int(node["Resources"].get("CPU", 0)) for node in answering]
+        time.sleep(1.0)
 
 
 def _answers(node: Mapping[str, Any]) -> bool:

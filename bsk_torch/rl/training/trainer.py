@@ -210,13 +210,13 @@ class Training:
 
     @contextmanager
     def _collecting(self, collector: BaseCollector | None = None) -> Iterator[None]:
-        """Add to errors in collecting processes how to resume; WorkerLostError if one of a ``collector`` was lost."""
+        """Add to errors in collecting processes how to resume; WorkerLostError if one was lost."""
         try:
             yield
         except Exception as error:
             if self.config.collector == "single":
                 raise
-            loss = None if collector is None else lost_worker(collector, error)
+            loss = lost_worker(collector, error)
             if loss is not None:
                 raise WorkerLostError(loss) from error
             reason = [type(error).__name__, *str(error).strip().splitlines()[:1]][-1]

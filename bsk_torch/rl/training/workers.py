@@ -134,8 +134,11 @@ class WorkerLostError(RuntimeError):
     """A process that collects was killed, or its machine is gone; the code in it did not fail."""
 
 
-def lost_worker(collector: BaseCollector, error: Exception) -> str | None:
-    """Return which process of a collector was lost and why; None if an ``error`` has another cause, such as code that failed."""
+def lost_worker(collector: BaseCollector | None, error: Exception) -> str | None:
+    """Return which process was lost and why; None if an ``error`` has another cause, such as code that failed.
+
+    Without a collector, because it could not start, only the processes of a Ray cluster are known.
+    """
     processes = getattr(collector, "procs", None)
     if processes is None:
         return lost_actor(error)
