@@ -6,6 +6,7 @@ takes. So rows expected to run for about as long, in the same mode, share a bloc
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import NamedTuple
 
 import torch
@@ -31,17 +32,24 @@ def in_blocks(
         width: Rows of a block.
     """
     n = len(counts)
-    if expected_ticks is None:
-        rows = torch.arange(n)
-    elif n <= width:
-        rows, counts = torch.arange(n), counts.clone()
-    else:
-        rows = torch.argsort(expected_ticks if mode is None else expected_ticks * modes + mode)
-        counts = counts[rows]
     padding = -n % width
+    if expected_ticks is None or n <= width:
+        rows = _in_order(n, padding)
+        if padding:
+            return rows, torch.constant_pad_nd(counts, (0, padding), 0)
+        return rows, counts if expected_ticks is None else counts.clone()
+    rows = torch.argsort(expected_ticks if mode is None else expected_ticks * modes + mode)
+    counts = counts[rows]
     if not padding:
         return rows, counts
-    return torch.cat([rows, rows[:1].expand(padding)]), torch.cat([counts, counts.new_zeros(padding)])
+    return torch.cat([rows, rows[:1].expand(padding)]), torch.constant_pad_nd(counts, (0, padding), 0)
+
+
+@lru_cache(maxsize=32)
+def _in_order(n: int, padding: int) -> Tensor:
+    """Return the numbers of ``n`` rows, padded with the first one; kernels only read them."""
+    with torch.inference_mode(False):
+        return torch.constant_pad_nd(torch.arange(n), (0, padding), 0)
 
 
 class Tiles(NamedTuple):

@@ -134,7 +134,7 @@ def map_leaves(value: Any, function: Callable[[Tensor], Any]) -> Any:
     return {name: map_leaves(part, function) for name, part in value.items()}
 
 
-def counts(seen: TensorDictBase) -> dict[str, Tensor]:
+def counts(seen: Mapping[str, Any] | TensorDictBase) -> dict[str, Tensor]:
     """Return the counters of an environment, such as images, by name; [N, S] int64 each."""
     return dict(seen["counts"].items()) if "counts" in seen.keys() else {}  # noqa: SIM118  - a tensordict
 

@@ -26,6 +26,7 @@ from bsk_torch.scene.base import Scenario
 from bsk_torch.sim.assembly.composition import provided_by
 from bsk_torch.sim.assembly.satellite_type import SatelliteType
 from bsk_torch.sim.component import MissingMessageError
+from bsk_torch.sim.readout.observables import Function
 
 BATCHES = (5, 7, 11, 13, 17, 19)
 """Number of environments in the second trial: a number that differs from all other dimensions of observations."""
@@ -39,15 +40,17 @@ class Trial(NamedTuple):
         functions: User functions of each type, tried with one environment.
         batched: The same functions, tried with several environments; empty without functions, or for a single environment.
         nbytes: Size of an environment's state in bytes.
+        read: Observables of each type that observations read and do not list; one kernel is to compute them, too.
     """
 
     values: list[Values]
     functions: list[list[UserFunction]]
     batched: list[list[UserFunction]]
     nbytes: int
+    read: list[tuple[Function, ...]]
 
     def decide(self, satellites: Sequence[SatelliteGroup]) -> None:
-        """Set how the user functions of an environment's satellites are called, based on the trials.
+        """Set how the user functions of an environment's satellites are called, and what one kernel reads for them.
 
         Raises:
             TypeError: For a function whose result for one environment depends on other environments.
@@ -55,6 +58,8 @@ class Trial(NamedTuple):
         for satellite, alone, together in zip(satellites, self.functions, self.batched or self.functions, strict=True):
             for function, one, several in zip(satellite.user_functions(), alone, together, strict=True):
                 function.adopt(one, several, satellite.simulator.state.rows)
+        for satellite, read in zip(satellites, self.read, strict=True):
+            satellite.simulator.observer.want(read)
 
 
 class Made(NamedTuple):
@@ -168,11 +173,14 @@ def try_out(builder: FleetBuilder, rewarder: GlobalReward, communicator: Communi
     each += fleet.scenario_state.nbytes
     check_room(builder, each)
     functions = alone.start(rewarder, communicator)
+    for simulator in fleet.simulators:
+        simulator.observer.missed.clear()
     values = alone.observe()
+    read = [tuple(simulator.observer.missed) for simulator in fleet.simulators]
     if n == 1 and fleet.size == len(builder.names):
         alone.score()  # with as many environments and satellites as there will be
     if n == 1 or not any(functions):
-        return Trial(values, functions, [], each)
+        return Trial(values, functions, [], each, read)
     dimensions = {size for some in functions for function in some for size in function.dimensions()}
     together = TrialFleet(builder, next((size for size in BATCHES if size not in dimensions), BATCHES[-1]))
     batched = together.start(rewarder, communicator)
@@ -180,4 +188,4 @@ def try_out(builder: FleetBuilder, rewarder: GlobalReward, communicator: Communi
     together.observe()
     alone.become(together.fleet)
     alone.observe()
-    return Trial(values, functions, batched, each)
+    return Trial(values, functions, batched, each, read)

@@ -37,6 +37,7 @@ class EclipseTable(StateTable):
         known: Time up to which bsk_rl would have recorded transitions, [N] s.
     """
 
+    searched: Tensor
     sampled: Tensor
     known: Tensor
     starts: Tensor
@@ -46,6 +47,7 @@ class EclipseTable(StateTable):
         """Prepare an empty table for ``arcs``."""
         super().__init__(arcs.num_envs, arcs.count, arcs.device)
         self.arcs, self.visibility = arcs, visibility
+        self.__dict__["searched"] = SEARCH_STEP * torch.arange(SEARCHES, dtype=torch.float64, device=arcs.device).unsqueeze(-1)
         self.declare("sampled", 0.0, low=0.0)
         self.declare("known", 0.0, low=0.0)
         self.declare("starts", math.inf, 1, grows=True, low=0.0)
@@ -97,11 +99,16 @@ class EclipseTable(StateTable):
         later, begun = torch.maximum(self.sampled, time), self.arcs.begun
         self.sampled = torch.where(begun > 0.0, self.sampled, later) if isinstance(begun, Tensor) else later
 
-    def _next(self, table: Tensor, time: Tensor) -> Tensor:
-        """Return the first entry, [N] s, after the sample of the grid at or before ``time`` [N] s."""
-        begun, slack = self.arcs.begun, (ROUNDING if self.arcs.restarts else 0.0)
-        soonest = (torch.floor((time - begun) * (1.0 / PLAN_STEP) + slack) + 1.0 - slack) * PLAN_STEP + begun
-        return torch.where(table >= soonest.unsqueeze(-1), table, torch.inf).amin(1)
+    def _next(self, time: Tensor) -> tuple[Tensor, Tensor]:
+        """Return the next start and the next end, [N] s each, after the sample of the grid at or before ``time`` [N] s."""
+        if self.arcs.restarts:
+            begun, slack = self.arcs.begun, ROUNDING
+            soonest = (torch.floor((time - begun) * (1.0 / PLAN_STEP) + slack) + 1.0 - slack) * PLAN_STEP + begun
+        else:
+            soonest = (torch.floor(time * (1.0 / PLAN_STEP)) + 1.0) * PLAN_STEP
+        soonest = soonest.unsqueeze(-1)
+        start, end = (torch.where(table >= soonest, table, torch.inf).amin(1) for table in (self.starts, self.ends))
+        return start, end
 
     def needs(self, time: Tensor) -> Tensor:
         """Return the time, [N] s, which the arcs must reach for a query at ``time`` [N] s."""
@@ -109,22 +116,25 @@ class EclipseTable(StateTable):
 
     def unknown(self, time: Tensor) -> Tensor:
         """Return whether the next start or the next end after ``time`` [N] s lies beyond what has been searched, [N]."""
-        return torch.isinf(self._next(self.starts, time)) | torch.isinf(self._next(self.ends, time))
+        start, end = self._next(time)
+        return torch.isinf(start) | torch.isinf(end)
 
     def query(self, time: Tensor) -> tuple[Tensor, Tensor]:
         """Return start and end of the next eclipse after ``time`` [N] s, [N] s each.
 
         Within an eclipse, the end is that of the present one and the start that of the following one.
         """
-        start, end = self._next(self.starts, time), self._next(self.ends, time)
+        start, end = self._next(time)
         last = torch.maximum(start, end) + PLAN_STEP
-        found = last <= self.known
         # each search propagates the trajectory, in whole steps, and records transitions up to there
-        for k in range(SEARCHES):
-            elapsed = time - self.arcs.begun + k * SEARCH_STEP
-            reach = torch.floor((elapsed + PLAN_STEP) / PLAN_STEP + ROUNDING) * PLAN_STEP + self.arcs.begun
-            self.sampled = torch.where(found, self.sampled, torch.maximum(self.sampled, reach))
-            self.known = torch.where(found, self.known, self.sampled)
-            if k < SEARCHES - 1:
-                found = found | (last <= self.known)
+        begun = self.arcs.begun
+        elapsed = time - begun + self.searched
+        reach = torch.floor((elapsed + PLAN_STEP) / PLAN_STEP + ROUNDING) * PLAN_STEP + begun
+        after = torch.maximum(self.sampled, reach)
+        early, late = (last <= after[:-1]).unbind(0)  # found by the first search, by the first two; the third does not count
+        first, second, third = after.unbind(0)
+        searched = torch.where(early, first, torch.where(late, second, third))
+        known = last <= self.known
+        self.sampled, self.known = torch.where(known, self.sampled, searched), torch.where(known, self.known, searched)
+        found = known | early | late
         return torch.where(found, start, NOT_FOUND), torch.where(found, end, NOT_FOUND)

@@ -196,9 +196,9 @@ class LookAhead(StateTable):
             self._reach(self.flight, time, now)
 
     def _reach(self, arcs: Arcs, time: Tensor, now: Tensor) -> None:
-        missing = torch.ceil((time - arcs.end) / ARC_SEGMENT).clamp(min=0)
-        if not bool(missing.any()):
+        if bool((time <= arcs.end).all()):
             return
+        missing = torch.ceil((time - arcs.end) / ARC_SEGMENT).clamp(min=0)
         movable = torch.floor((now - KEPT_PAST - arcs.start) / ARC_SEGMENT).clamp(min=0)
         longer = int((missing - arcs.room - movable).max().clamp(min=0))
         for _ in range(longer):

@@ -57,17 +57,19 @@ class Candidates(NamedTuple):
     Attributes:
         windows: The windows.
         valid: Whether each of them answers the query.
-        tie_break: Seconds to be added to the closing time when they are sorted.
+        is_cut: Whether the end of what has been generated cuts them, those that close there included.
     """
 
     windows: Windows
     valid: Tensor
-    tie_break: Tensor
+    is_cut: Tensor
 
     @property
     def sort_key(self) -> Tensor:
         """Closing times with ties broken; infinity for windows that do not answer the query."""
-        return torch.where(self.valid, self.windows.close + self.tie_break, torch.inf)
+        close = self.windows.close
+        tie_break = torch.where(self.is_cut, self.windows.place.to(close.dtype) * TIE_BREAK, 0.0)
+        return torch.where(self.valid, close + tie_break, torch.inf)
 
 
 def candidates(windows: Windows, time: Tensor, until: Tensor, allowed: Tensor | None) -> Candidates:
@@ -81,12 +83,11 @@ def candidates(windows: Windows, time: Tensor, until: Tensor, allowed: Tensor | 
     """
     end = until.unsqueeze(-1)
     now = (time + TIME_ROUNDING).unsqueeze(-1)
-    valid = (windows.open < end) & (windows.close >= now) & (end >= now) & torch.isfinite(windows.close)
+    valid = (windows.open < end) & (windows.close >= now) & (end >= now) & (windows.close < torch.inf)
     if allowed is not None:
         valid = valid & allowed.gather(1, windows.place)
     is_cut = windows.close >= end  # those that bsk_rl ends there, too
-    tie_break = torch.where(is_cut, windows.place.to(end.dtype) * TIE_BREAK, 0.0)
-    return Candidates(Windows(windows.open, torch.minimum(windows.close, end), windows.place), valid, tie_break)
+    return Candidates(Windows(windows.open, torch.minimum(windows.close, end), windows.place), valid, is_cut)
 
 
 def next_to_close(

@@ -10,6 +10,7 @@ import functools
 import logging
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
+from weakref import WeakSet
 
 import torch
 from torch import Tensor
@@ -20,7 +21,8 @@ from bsk_torch.astro.orbit import Elements, hill_frame, hill_rate, rv_to_element
 from bsk_torch.codegen.ir import Loop, UntraceableError
 from bsk_torch.codegen.kept import Kept, of_package
 from bsk_torch.codegen.kernel import Kernel
-from bsk_torch.codegen.trace import Tracer
+from bsk_torch.codegen.passes import live_values
+from bsk_torch.codegen.trace import Proxy, Tracer
 from bsk_torch.sim.component import Bus, MissingMessageError, neighbours
 from bsk_torch.sim.environment.ephemeris import EPHEMERIS_TRACK, ephemeris_at
 from bsk_torch.sim.orbit.arcs import Arcs
@@ -141,15 +143,28 @@ def _tensor(value: Any) -> Tensor:
 KERNELS: Kept[ObserverKernel] = Kept(32)
 """Kernels of observables of the package."""
 
+TOLD: WeakSet[Function] = WeakSet()
+"""Functions of users of which the log says why no kernel computes them."""
+
+ROUNDING = 1e-6
+"""Difference between a kernel and torch that counts as rounding, absolute and relative to the largest value."""
+
 
 class Observer:
-    """Reads observables of a simulation, each at most once between two changes of its state."""
+    """Reads observables of a simulation, each at most once between two changes of its state.
+
+    Attributes:
+        wanted: Functions read at every step, which one kernel computes together, but for those that no kernel can compute.
+        missed: Functions that have been computed on tensors, one by one.
+    """
 
     def __init__(self, state: SatelliteState, arcs: Arcs, backend: str) -> None:
         """Read the ``state`` of satellites on ``arcs``."""
         self.state, self.arcs, self.kernels = state, arcs, backend == "compiled" and state.device.type == "cpu"
         self.wanted: tuple[Function, ...] = ()
+        self.missed: dict[Function, None] = {}
         self._kernel: ObserverKernel | None = None
+        self._table: Tensor | None = None
         self._values: dict[Function, Tensor] = {}
         self._now: Now | None = None
         self._version = -1  # of the state from which values were read
@@ -157,22 +172,28 @@ class Observer:
     def want(self, functions: Iterable[Function]) -> None:
         """Add functions to those read at every step, which one kernel then computes together."""
         self.wanted, self._kernel = tuple(dict.fromkeys((*self.wanted, *functions))), None
-        self._values = {}
+        self._values, self._table = {}, None
 
     def _forget_the_past(self) -> None:
         """Drop the values read before the state changed."""
-        self._values, self._now, self._version = {}, None, self.state.version
+        self._values, self._table, self._now, self._version = {}, None, None, self.state.version
 
     def read(self, function: Function) -> Tensor:
         """Return an observable, [N] or [N, 3] float64."""
         if self._version != self.state.version:
             self._forget_the_past()
-        if function not in self._values:
-            if self.kernels and function in self.wanted:
-                self._values.update(self._compute())
+        value = self._values.get(function)
+        if value is None:
+            kernel = self._built() if self.kernels and function in self.wanted else None
+            if kernel is None or function not in kernel.layout:
+                self.missed[function] = None
+                value = _tensor(function(self.now))
             else:
-                self._values[function] = _tensor(function(self.now))
-        return self._values[function]
+                if self._table is None:
+                    self._table = kernel(self.state, self.arcs)
+                value = kernel.column(self._table, function)
+            self._values[function] = value
+        return value
 
     @property
     def now(self) -> Now:
@@ -183,15 +204,58 @@ class Observer:
             self._now = now_on_tensors(self.state, self.arcs)
         return self._now
 
-    def _compute(self) -> dict[Function, Tensor]:
+    def _built(self) -> ObserverKernel | None:
+        """Return the kernel of the wanted functions that have one; None if none has."""
         if self._kernel is None:
+            functions = tuple(function for function in self.wanted if of_package([function]) or self._has_kernel(function))
             try:
-                self._kernel = ObserverKernel.of(self.state, self.wanted)
+                self._kernel = ObserverKernel.of(self.state, functions) if functions else None
+                if self._kernel is not None and (same := self._agreeing(self._kernel)) != functions:
+                    self._kernel = ObserverKernel.of(self.state, same) if same else None
             except UntraceableError as error:
                 logger.warning("%s; observations are computed on tensors instead, which is slower", error)
-                self.kernels = False
-                return {function: _tensor(function(self.now)) for function in self.wanted}
-        return self._kernel(self.state, self.arcs)
+                self._kernel = None
+            self.kernels = self._kernel is not None
+        return self._kernel
+
+    def _has_kernel(self, function: Function) -> bool:
+        """Return whether a kernel can compute a user's function; otherwise a sentence in the log names the reason."""
+        try:
+            one, two = (ObserverProgram(self.state, [function]).text for _ in range(2))
+        except UntraceableError as error:
+            _tell(function, str(error))
+            return False
+        if one != two:
+            _tell(function, "two calls compute different things, but it must follow from the present alone")
+        return one == two
+
+    def _agreeing(self, kernel: ObserverKernel) -> tuple[Function, ...]:
+        """Return the functions of a kernel without those of users that torch computes differently; the log names them."""
+        table = kernel(self.state, self.arcs)
+        same = []
+        for function in kernel.layout:
+            exact = None if of_package([function]) else _tensor(function(self.now))
+            if exact is None or _alike(exact, kernel.column(table, function)):
+                same.append(function)
+            else:
+                _tell(function, "a kernel computes other values than torch, but it must follow from the present alone")
+        return tuple(same)
+
+
+def _alike(exact: Tensor, found: Tensor) -> bool:
+    """Return whether a kernel's values are torch's but for rounding, which angles between parallel vectors magnify."""
+    if exact.shape != found.shape or exact.dtype != found.dtype:
+        return False
+    scale = float(exact.double().abs().nan_to_num(0.0, 0.0, 0.0).amax()) if exact.numel() else 0.0
+    return bool(torch.isclose(found.double(), exact.double(), 0.0, ROUNDING * (1.0 + scale), equal_nan=True).all())
+
+
+def _tell(function: Function, why: str) -> None:
+    """Log once why a user's function is computed on tensors."""
+    if function not in TOLD:
+        TOLD.add(function)
+        name = getattr(function, "__name__", repr(function))
+        logger.warning("observable %r is computed on tensors, which is slower: %s", name, why)
 
 
 def now_on_tensors(state: SatelliteState, arcs: Arcs) -> Now:
@@ -211,21 +275,17 @@ def now_on_tensors(state: SatelliteState, arcs: Arcs) -> Now:
     return now
 
 
-class ObserverKernel:
-    """The kernel that computes several observables at once."""
+class ObserverProgram:
+    """Observables traced into one program.
 
-    @classmethod
-    def of(cls, state: SatelliteState, functions: tuple[Function, ...]) -> ObserverKernel:
-        """Return the kernel of some functions, a kept one if they are the package's; see :mod:`bsk_torch.codegen.kept`."""
-        if not of_package(functions):
-            return cls(state, functions)
-        arguments = repr((state.arguments.places, state.constants))
-        key = functions, tuple(state.layout.fields.values()), arguments
-        return KERNELS.get(key, lambda: cls(state, functions))
+    Attributes:
+        arguments: Arguments that they read, in the order of the planes.
+        values: What they are, a value or several for each.
+    """
 
     def __init__(self, state: SatelliteState, functions: Sequence[Function]) -> None:
-        """Build the kernel; UntraceableError for a function that has none."""
-        program = Tracer()
+        """Trace the functions; UntraceableError for one that does something else than kernels can."""
+        self.tracer = program = Tracer()
         self.arguments: list[str] = []
         widths: dict[str, int] = {}
 
@@ -244,26 +304,71 @@ class ObserverKernel:
         tau = program.input("tau", 1)
         now = Now(Arguments(read), lambda: ephemeris_at(records, tau))
         state.layout.put(now, [program.input("state", k) for k in range(state.layout.size)])
-        values = [function(now) for function in functions]
-        self.layout = _layout(functions, values)
-        planes = [p for value in values for p in (value if isinstance(value, tuple) else (value,))]
-        self.kernel = Kernel("observation", Loop(program, [], (EPHEMERIS_TRACK,), planes, clock="start"))
-        self.width = len(planes)
+        self.values = [_traced(function(now)) for function in functions]
 
-    def __call__(self, state: SatelliteState, arcs: Arcs) -> dict[Function, Tensor]:
-        """Return the observables by function."""
+    @property
+    def planes(self) -> list[Any]:
+        """Values of all functions, one after the other."""
+        return [p for value in self.values for p in (value if isinstance(value, tuple) else (value,))]
+
+    @property
+    def loop(self) -> Loop:
+        """The loop of one tick that writes the values."""
+        return Loop(self.tracer, [], (EPHEMERIS_TRACK,), self.planes, clock="start")
+
+    @property
+    def text(self) -> list[Any]:
+        """What is computed, for comparisons."""
+        live = [(v.index, v.op, [arg.index for arg in v.args], repr(v.attr), v.dtype) for v in live_values(self.loop)]
+        return [self.arguments, live, [plane.index for plane in self.planes]]
+
+
+def _traced(value: Any) -> Any:
+    """Return what a traced function has returned; UntraceableError unless it is a value or a vector of values."""
+    parts = value if isinstance(value, tuple) else (value,)
+    if not all(isinstance(part, Proxy) for part in parts):
+        raise UntraceableError(f"it returns {type(value).__name__}, which does not follow from the present")
+    return value
+
+
+class ObserverKernel:
+    """The kernel that computes several observables at once."""
+
+    @classmethod
+    def of(cls, state: SatelliteState, functions: tuple[Function, ...]) -> ObserverKernel:
+        """Return the kernel of some functions, a kept one if they are the package's; see :mod:`bsk_torch.codegen.kept`."""
+        if not of_package(functions):
+            return cls(state, functions)
+        arguments = repr((state.arguments.places, state.constants))
+        key = functions, tuple(state.layout.fields.values()), arguments
+        return KERNELS.get(key, lambda: cls(state, functions))
+
+    def __init__(self, state: SatelliteState, functions: Sequence[Function]) -> None:
+        """Build the kernel; UntraceableError for a function that has none."""
+        program = ObserverProgram(state, functions)
+        self.arguments = tuple(program.arguments)
+        self.layout = _layout(functions, program.values)
+        self.width = len(program.planes)
+        self.kernel = Kernel("observation", program.loop)
+
+    def __call__(self, state: SatelliteState, arcs: Arcs) -> Tensor:
+        """Return the observables side by side, [N, width]; see :meth:`column`."""
         written = torch.empty(state.rows, 1, self.width, dtype=torch.float64)
         self.kernel(
             state.planes,
             1,
             [arcs.ephemeris_samples],
-            own=state.argument_planes(tuple(self.arguments)),
+            own=state.argument_planes(self.arguments),
             ticks=state.ticks,
             nanoseconds=state.h_ns,
             written=written,
         )
-        found = written.squeeze(1)
-        return {f: found[:, at] > 0.5 if is_mask else found[:, at] for f, (at, is_mask) in self.layout.items()}
+        return written.squeeze(1)
+
+    def column(self, table: Tensor, function: Function) -> Tensor:
+        """Return an observable of a table of all, [N] or [N, width]."""
+        at, is_mask = self.layout[function]
+        return table[:, at] > 0.5 if is_mask else table[:, at]
 
 
 def _layout(functions: Sequence[Function], values: Sequence[Any]) -> dict[Function, tuple[int | slice, bool]]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, ClassVar
 
 import gymnasium
@@ -106,7 +106,7 @@ class GymEnv(EpisodeView, gymnasium.Env[Any, Any]):
             actions = read_actions(self.core, torch.as_tensor(action).reshape(-1))
         else:
             actions = read_values("action", action, self.core.satellite).unsqueeze(0).to(self.core.device)
-        seen = self.core.play(actions)
+        seen = self.core.played(actions)
         terminated, truncated = bool(seen["terminated"]), bool(seen["truncated"])
         self._running = not (terminated or truncated)
         return self._observation(seen), float(seen["reward"]), terminated, truncated, self._info(seen)
@@ -121,10 +121,10 @@ class GymEnv(EpisodeView, gymnasium.Env[Any, Any]):
         check_begun(self.core, "action_masks()")
         return as_numpy(self.core.satellite.action_mask()[0])
 
-    def _observation(self, seen: TensorDictBase) -> Any:
+    def _observation(self, seen: Mapping[str, Any] | TensorDictBase) -> Any:
         return map_leaves(seen["observation"][0], as_numpy)
 
-    def _info(self, seen: TensorDictBase) -> dict[str, Any]:
+    def _info(self, seen: Mapping[str, Any] | TensorDictBase) -> dict[str, Any]:
         duration = self.latest_step_duration = float(seen["duration"])
         legal = {"action_mask": as_numpy(seen["action_mask"][0]).astype(np.int8)} if "action_mask" in seen.keys() else {}  # noqa: SIM118
         return {

@@ -1,6 +1,7 @@
 """Observables: the same numbers from the kernel, on tensors and as plain properties."""
 
 import math
+import random
 
 import pytest
 import torch
@@ -10,6 +11,7 @@ from bsk_torch import SatelliteTasking, act, dyn, obs, sats
 from bsk_torch.astro.attitude import mrp_to_dcm
 from bsk_torch.astro.ephemeris import earth_orientation, sun_position
 from bsk_torch.sim.dyn import Now, observable
+from bsk_torch.sim.readout import observables
 from bsk_torch.vec3 import Vec3, only
 
 READ = ("r_BN_N", "v_BN_P", "omega_BP_P", "omega_BH_H", "beta_angle", "true_anomaly", "wheel_speeds_fraction", "illumination")
@@ -83,14 +85,90 @@ def test_values_follow_the_state():
 
 
 @pytest.mark.compiled
-def test_what_no_kernel_can_compute_is_computed_on_tensors():
-    class Median(Watched):
-        observation_spec = (obs.SatProperties(dict(prop="median_speed"), dict(prop="r_BN_N")),)
+def test_what_no_kernel_can_compute_is_computed_on_tensors(caplog):
+    """It alone: the others stay in the kernel. One sentence names it and what has no kernel."""
 
+    class Median(Watched):
+        observation_spec = (obs.SatProperties(dict(prop="median_speed"), dict(prop="r_BN_N"), dict(prop="height_over_poles")),)
+
+    observables.TOLD.clear()
     env = flown("compiled", Median)
-    assert not env.simulator.observer.kernels
-    dynamics = env.satellite.dynamics
+    observer, dynamics = env.simulator.observer, env.satellite.dynamics
+    assert list(observer.missed) == [WatchedDynModel.median_speed.function]
+    assert WatchedDynModel.height_over_poles.function in observer._built().layout
     assert torch.equal(dynamics.median_speed, dynamics.v_BN_N.median(-1).values)
+    (told,) = (record.getMessage() for record in caplog.records if "computed on tensors" in record.getMessage())
+    assert "'median_speed'" in told and "torch.stack" in told
+
+
+class Counted:
+    """Numbers that differ from call to call."""
+
+    calls = 0
+
+    @classmethod
+    def next(cls) -> float:
+        cls.calls += 1
+        return float(cls.calls)
+
+
+class FickleDynModel(dyn.BasicDynamicsModel):
+    """Observables that follow from more than the present."""
+
+    @observable
+    def random_speed(now: Now):
+        return now.v_BN_N.norm() * random.random()
+
+    @observable
+    def counted_speed(now: Now):
+        return now.v_BN_N.norm() + Counted.next()
+
+    @observable
+    def backend(now: Now):
+        """Another value on tensors than in a kernel."""
+        return now.v_BN_N.norm() * (2.0 if isinstance(now.v_BN_N.x, torch.Tensor) else 1.0)
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize(
+    ("name", "why"),
+    [("random_speed", "two calls"), ("counted_speed", "two calls"), ("backend", "other values than torch")],
+)
+def test_functions_of_more_than_the_present_are_not_traced(name, why, caplog):
+    class Fickle(Watched):
+        observation_spec = (obs.SatProperties(dict(prop=name), dict(prop="r_BN_N")),)
+        dyn_type = FickleDynModel
+
+    observables.TOLD.clear()
+    observer = flown("compiled", Fickle).simulator.observer
+    assert getattr(FickleDynModel, name).function in observer.missed
+    assert FickleDynModel.r_BN_N.function not in observer.missed
+    assert sum(why in record.getMessage() and name in record.getMessage() for record in caplog.records) == 1
+
+
+@pytest.mark.compiled
+def test_one_kernel_computes_what_functions_of_users_read():
+    """Properties of models, functions and classes of observations read observables that they need not list."""
+
+    class Radii(obs.Observation):
+        def get_obs(self):
+            return self.satellite.dynamics.r_BN_P.norm(dim=-1)
+
+    class Reading(Watched):
+        observation_spec = (
+            obs.SatProperties(
+                dict(prop="height_on_tensors"), dict(prop="energy", fn=lambda sat: sat.dynamics.v_BN_P.square().sum(-1) / 2)
+            ),
+            Radii(),
+        )
+
+    env, eager = flown("compiled", Reading), flown("eager", Reading)
+    assert not env.simulator.observer.missed
+    assert set(eager.simulator.observer.missed) > {WatchedDynModel.r_BN_P.function, WatchedDynModel.v_BN_P.function}
+    torch.testing.assert_close(env.observe()["observation"], eager.observe()["observation"], rtol=1e-10, atol=0)
+    alone = SatelliteTasking(Reading("Watched1"), num_envs=1, seed=3, dtype=torch.float64)
+    alone.rollout(2)
+    assert alone.simulator.observer.wanted == env.simulator.observer.wanted
 
 
 def test_unknown_argument_is_named():
