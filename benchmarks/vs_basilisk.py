@@ -3,7 +3,8 @@
 Usage:
     python benchmarks/vs_basilisk.py [--basilisk PYTHON] [--only CASE ...] [--turns 5] [--seconds 10] [--out FILE.json]
 
-The cases are named by batch, those of imaging by number of targets and batch: imaging-1k-1024 has 1,000 targets.
+The cases are named by batch, those of imaging by number of targets and batch: imaging-1k-1024 has 1,000 targets. In
+gymnasium-own, the two pointing errors are custom properties in torch.
 ``PYTHON`` is an interpreter with bsk and bsk_rl (see recording.py); without it, only bsk_torch is measured. The two alternate, so
 that both run on the same machine; the figure of a case is the median over turns of the ratio of rates, with the smallest and the
 largest. Rates are simulated seconds per second of CPU time of the whole process: Basilisk runs in a thread of its own. Both play
@@ -24,9 +25,15 @@ import gymnasium
 import harness
 import torch
 from harness import Player, Step, Turn
+from torch import Tensor
 from torchrl.collectors import Collector
 
+import bsk_torch
+from bsk_torch import data, obs, scene
+from bsk_torch.astro.frames import angle_between
+from bsk_torch.presets.nadir_scan import ScanningDownlinkDynModel, ScanningSatellite, scanning_args
 from bsk_torch.rl.networks.plans import MLPPlan
+from bsk_torch.wrappers import GymEnv
 
 HIDDEN = (64, 64)
 """Layers of the policy that the collector asks."""
@@ -67,6 +74,56 @@ def wrapped(case: Case) -> Player:
     """Random actions, through Gymnasium's interface."""
     preset, _, options = harness.TASKS[case.task]
     env = gymnasium.make(f"bsk_torch/{preset}", sim_dtype=getattr(torch, case.dtype), time_limit=harness.EPISODE, **options)
+    return alone(env)
+
+
+class OwnDynModel(ScanningDownlinkDynModel):
+    """The two pointing errors as a user writes them in torch, as properties of all satellites."""
+
+    def _in_N(self, axis: str) -> Tensor:
+        return (self.BN.mT @ self.satellite.sat_args[axis].unsqueeze(-1)).squeeze(-1)
+
+    @property
+    def instrument_error(self) -> Tensor:
+        """Angle between instrument axis and nadir direction, [N] rad."""
+        return angle_between(-self.r_BN_N, self._in_N("inst_pHat_B"))
+
+    @property
+    def solar_error(self) -> Tensor:
+        """Angle between panel normal and Sun direction, [N] rad."""
+        return angle_between(self._in_N("nHat_B"), self.world.r_SN_N)
+
+
+class OwnSatellite(ScanningSatellite):
+    """The preset's satellite with custom properties in place of its observables."""
+
+    dyn_type = OwnDynModel
+    observation_spec = (
+        obs.SatProperties(
+            *ScanningSatellite.observation_spec[0].entries[:3],
+            dict(prop="instrument_error", norm=torch.pi),
+            dict(prop="solar_error", norm=torch.pi),
+        ),
+        *ScanningSatellite.observation_spec[1:],
+    )
+
+
+def own(case: Case) -> Player:
+    """Random actions, through Gymnasium's interface, with custom properties in torch."""
+    core = bsk_torch.SatelliteTasking(
+        OwnSatellite("Scanner1", scanning_args()),
+        scenario=scene.UniformNadirScanning(value_per_second=1 / harness.EPISODE),
+        rewarder=data.ScanningTimeReward(),
+        time_limit=harness.EPISODE,
+        failure_penalty=-1.0,
+        terminate_on_time_limit=True,
+        num_envs=case.batch,
+    )
+    return alone(GymEnv(core))
+
+
+def alone(env: gymnasium.Env[Any, Any]) -> Player:
+    """Random actions in one episode at a time."""
     env.reset(seed=0)
     while True:
         _, _, terminated, truncated, info = env.step(env.action_space.sample())
@@ -81,6 +138,7 @@ CASES = {
     "4096-collector": Case(4096, "float64", collected),
     "64": Case(64, "float64", directly),
     "gymnasium": Case(1, "float64", wrapped),
+    "gymnasium-own": Case(1, "float64", own),
     "64-collector": Case(64, "float64", collected),
     **{str(batch): Case(batch, "float64", directly) for batch in (1, 2, 4, 8, 16)},
     **{f"imaging-1k-{batch}": Case(batch, "float64", directly, "imaging-1k") for batch in (1024, 64, 1)},

@@ -114,7 +114,7 @@ class SatelliteTasking(Tasking):
         return self._wrapped(self.played(action, moves))
 
     def played(self, action: object, moves: Tensor | None = None) -> dict[str, Any]:
-        """Execute ``action`` as :meth:`play` does; return its entries in a dictionary, which takes less time than a tensordict."""
+        """Execute ``action`` as :meth:`play` does; return the entries as a dictionary, which is faster than a tensordict."""
         action = read("action", action, self.satellite, self.batch_size, ", one per environment")
         moves_all, moves = moves is None, torch.ones_like(self.dead) if moves is None else moves
         goes_on = form(self.satellite) is not None  # numbers of actions have none that continues the task
