@@ -19,7 +19,7 @@ from bsk_torch.sim.dyn import drag, events, hub, partitions, power, storage, thr
 from bsk_torch.sim.readout.model import Model, Simulation
 from bsk_torch.sim.readout.observables import Now, observable, vital
 from bsk_torch.sim.schedule import SCHEDULE, Schedule
-from bsk_torch.vec3 import Vec3
+from bsk_torch.vec3 import Mat3, Vec3
 
 
 class DynamicsModel(Model):
@@ -75,18 +75,18 @@ class DynamicsModel(Model):
         """Angular velocity ``omega_BN_B`` of B relative to N, [N, 3] rad/s in B."""
         return now.omega_BN_B
 
-    @property
-    def BN(self) -> Tensor:
+    @observable
+    def BN(now: Now) -> Mat3:
         """DCM from N to B, ``v_B = [BN] v_N``, [N, 3, 3]; see :func:`bsk_torch.astro.attitude.mrp_to_dcm`."""
-        return self.simulator.observer.now.BN.stack()
+        return now.BN
 
-    @property
-    def HN(self) -> Tensor:
+    @observable
+    def HN(now: Now) -> Mat3:
         """DCM from N to the Hill frame H, [N, 3, 3].
 
         Its rows are the axes of H in N: ``r / |r|``, ``h x r / |h x r|`` and ``h / |h|`` with ``h = r_BN_N x v_BN_N``.
         """
-        return self.simulator.observer.now.HN.stack()
+        return now.HN
 
     @property
     def BP(self) -> Tensor:

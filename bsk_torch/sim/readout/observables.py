@@ -109,9 +109,9 @@ class Now:
 
 
 class observable(property):  # noqa: N801  - a decorator
-    """A property of a model, written as a function of :class:`Now` that returns a plane [N] or a :class:`Vec3`.
+    """A property of a model, written as a function of :class:`Now` that returns a plane [N], a :class:`Vec3` or a :class:`Mat3`.
 
-    Read as an attribute it is a tensor [N] or [N, 3], float64.
+    Read as an attribute it is a tensor [N], [N, 3] or [N, 3, 3], float64.
     """
 
     def __init__(self, function: Function) -> None:
@@ -135,6 +135,8 @@ class vital(observable):  # noqa: N801  - a decorator
 
 def _tensor(value: Any) -> Tensor:
     """Return an observable as users get it: never a view of the state, which the next step changes."""
+    if isinstance(value, Mat3):
+        return value.stack()
     if isinstance(value, tuple):
         return torch.stack(list(value), -1)
     return value.clone() if value._is_view() else value
@@ -309,7 +311,7 @@ class ObserverProgram:
     @property
     def planes(self) -> list[Any]:
         """Values of all functions, one after the other."""
-        return [p for value in self.values for p in (value if isinstance(value, tuple) else (value,))]
+        return [plane for value in self.values for plane in _planes(value)]
 
     @property
     def loop(self) -> Loop:
@@ -323,10 +325,14 @@ class ObserverProgram:
         return [self.arguments, live, [plane.index for plane in self.planes]]
 
 
+def _planes(value: Any) -> list[Any]:
+    """Return the planes of a value: itself, or those of a vector or of the rows of a matrix."""
+    return [plane for part in value for plane in _planes(part)] if isinstance(value, tuple) else [value]
+
+
 def _traced(value: Any) -> Any:
     """Return what a traced function has returned; UntraceableError unless it is a value or a vector of values."""
-    parts = value if isinstance(value, tuple) else (value,)
-    if not all(isinstance(part, Proxy) for part in parts):
+    if not all(isinstance(plane, Proxy) for plane in _planes(value)):
         raise UntraceableError(f"it returns {type(value).__name__}, which does not follow from the present")
     return value
 
@@ -366,18 +372,19 @@ class ObserverKernel:
         return written.squeeze(1)
 
     def column(self, table: Tensor, function: Function) -> Tensor:
-        """Return an observable of a table of all, [N] or [N, width]."""
-        at, is_mask = self.layout[function]
-        return table[:, at] > 0.5 if is_mask else table[:, at]
+        """Return an observable of a table of all, [N], [N, width] or [N, 3, 3]."""
+        at, kind = self.layout[function]
+        found = table[:, at]
+        return found > 0.5 if kind is bool else found.unflatten(1, (3, 3)) if kind is Mat3 else found
 
 
-def _layout(functions: Sequence[Function], values: Sequence[Any]) -> dict[Function, tuple[int | slice, bool]]:
-    """Return the columns of each observable, and whether it is a mask."""
-    layout: dict[Function, tuple[int | slice, bool]] = {}
+def _layout(functions: Sequence[Function], values: Sequence[Any]) -> dict[Function, tuple[int | slice, type]]:
+    """Return the columns of each observable, and what it is: a truth value, a matrix, or else numbers."""
+    layout: dict[Function, tuple[int | slice, type]] = {}
     first = 0
     for function, value in zip(functions, values, strict=True):
-        wide = isinstance(value, tuple)
-        end = first + (len(value) if wide else 1)
-        layout[function] = slice(first, end) if wide else first, not wide and value.dtype == torch.bool
+        wide, end = isinstance(value, tuple), first + len(_planes(value))
+        kind = Mat3 if isinstance(value, Mat3) else bool if not wide and value.dtype == torch.bool else float
+        layout[function] = slice(first, end) if wide else first, kind
         first = end
     return layout

@@ -12,9 +12,20 @@ from bsk_torch.astro.attitude import mrp_to_dcm
 from bsk_torch.astro.ephemeris import earth_orientation, sun_position
 from bsk_torch.sim.dyn import Now, observable
 from bsk_torch.sim.readout import observables
-from bsk_torch.vec3 import Vec3, only
+from bsk_torch.vec3 import Mat3, Vec3, only
 
-READ = ("r_BN_N", "v_BN_P", "omega_BP_P", "omega_BH_H", "beta_angle", "true_anomaly", "wheel_speeds_fraction", "illumination")
+READ = (
+    "r_BN_N",
+    "v_BN_P",
+    "omega_BP_P",
+    "omega_BH_H",
+    "beta_angle",
+    "true_anomaly",
+    "wheel_speeds_fraction",
+    "illumination",
+    "BN",
+    "HN",
+)
 
 
 class WatchedDynModel(dyn.BasicDynamicsModel):
@@ -53,7 +64,7 @@ def test_kernels_and_tensors_agree():
         function = getattr(WatchedDynModel, name).function
         assert function in observer.wanted
         value = function(observer.now)
-        expected = value.stack() if isinstance(value, Vec3) else value
+        expected = value.stack() if isinstance(value, Vec3 | Mat3) else value
         # fused multiply-adds; the true anomaly of a nearly circular orbit loses three digits
         torch.testing.assert_close(getattr(dynamics, name), expected, rtol=1e-9, atol=1e-9)
     assert torch.equal(dynamics.battery_valid(), dynamics.battery_charge > 0.0)
