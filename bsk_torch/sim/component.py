@@ -219,6 +219,8 @@ class Effector:
             hub where the rate is None.
         torque: ``torque(bus, stage)`` returns an external torque, N m, in stage 0 to 3 of the Runge-Kutta step; None for none.
         force: ``force(bus, v_BN_B)`` returns an external force, N, and its torque about B, N m, where the orbit is integrated.
+        gradient: ``gradient(bus, r_CN_B)`` returns an external torque, N m, that depends on attitude and on the position of the
+            center of mass, m from the Earth's center.
         thrust: ``thrust(bus, stage)`` returns the same for a force of stage 0 to 3, None for none; the orbit must be integrated.
     """
 
@@ -229,6 +231,7 @@ class Effector:
     momentum: Callable[[Bus, Vec3 | None], Vec3] | None = None
     torque: Callable[[Bus, int], Vec3 | None] | None = None
     force: Callable[[Bus, Vec3], tuple[Vec3, Vec3]] | None = None
+    gradient: Callable[[Bus, Vec3], Vec3] | None = None
     thrust: Callable[[Bus, int], tuple[Vec3, Vec3] | None] | None = None
 
 

@@ -5,6 +5,7 @@ The recordings are those of ``recorders/record_craft.py``.
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from collections.abc import Mapping
 from typing import Any
@@ -17,8 +18,18 @@ from bsk_torch import SatelliteTasking, act, obs, sats
 from bsk_torch.astro.attitude import mrp_to_dcm
 from bsk_torch.constants import AU, RPM, SOLAR_FLUX
 from bsk_torch.sim import dyn, fsw
-from bsk_torch.sim.component import Bus, Component
+from bsk_torch.sim.component import Bus, Component, Effector
+from bsk_torch.sim.dyn import drag
+from bsk_torch.sim.dyn.thrusters import DIRECTIONS, POSITIONS, THRUST
+from bsk_torch.vec3 import Vec3
 from tests.basilisk.replay import RECORDINGS
+
+OCTET = [
+    dyn.Thruster([sign * x for x in POSITIONS[k]], [sign * x for x in DIRECTIONS[k]], THRUST)
+    for sign, order in ((1.0, (0, 1, 2, 3)), (-1.0, (1, 0, 3, 2)))
+    for k in order
+]
+"""bsk_rl's eight thrusters, in its order."""
 
 FIELDS = ("r_BN_N", "v_BN_N", "sigma_BN", "omega_BN_B", "Omega_WB_B", "motor_torque_B", "motor_torque_command_B")
 POWER = ("charge", "illumination", "storage", "pulse_command")
@@ -38,11 +49,29 @@ def further_panel(k: int, normal: list[float], gain: float) -> Component:
     return Component(slot=f"panel{k}", after="panel", update=collect)
 
 
+def facet_drag(facets: list[Any]) -> Component:
+    """Drag on facets of any place and direction, in place of those of bsk_rl; each is area, drag coefficient, normal, place."""
+
+    def push(bus: Bus, v_BN_B: Vec3) -> tuple[Vec3, Vec3]:
+        speed2 = v_BN_B.dot(v_BN_B)
+        flow, zero = v_BN_B.unit(), Vec3.zeros_like(v_BN_B.x)
+        force, torque = zero, zero
+        for area, coefficient, normal, place in facets:
+            facing = torch.clamp(flow.x * normal[0] + flow.y * normal[1] + flow.z * normal[2], min=0.0)
+            own = flow * (facing * speed2 * bus.density * (-0.5 * area * coefficient))
+            force, torque = force + own, torque + Vec3(*(torch.zeros_like(speed2) + x for x in place)).cross(own)
+        return force, torque
+
+    return dataclasses.replace(drag.DRAG, params=(), prepare=lambda args: {}, effector=Effector(force=push))
+
+
 def models(craft: Mapping[str, Any]) -> tuple[type[dyn.DynamicsModel], type[fsw.FSWModel]]:
     """Models of a recorded spacecraft."""
     panels = (craft["panels"] or [])[1:]
     parts = tuple(further_panel(k, p["n"], p["area"] * p["efficiency"]) for k, p in enumerate(panels, 1))
-    Dyn = type("CraftDyn", (dyn.ContinuousImagingDynModel, dyn.GroundStationDynModel), {"components": parts})
+    parts = (*parts, facet_drag(craft["facets"])) if craft["facets"] else parts
+    extra = (dyn.GravityGradientDynModel,) if craft["gravity_gradient"] else ()
+    Dyn = type("CraftDyn", (*extra, dyn.ContinuousImagingDynModel, dyn.GroundStationDynModel), {"components": parts})
     bases = (fsw.SteeringFSWModel, fsw.ContinuousImagingFSWModel) if craft["steering"] else (fsw.ContinuousImagingFSWModel,)
     return Dyn, type("CraftFSW", bases, {})
 
@@ -73,6 +102,10 @@ def arguments(craft: Mapping[str, Any], given: Mapping[str, Any]) -> dict[str, A
         args["nullSpaceGain"] = craft["control"]["null_gain"]
     if craft["thrusters"]:
         args["thrusters"] = [dyn.Thruster(entry["r"], entry["d"], entry["thrust"]) for entry in craft["thrusters"]]
+    elif craft["hub"]:  # the software of the recordings knows where the center of mass is: pairs fire one by one
+        args["thrusters"] = OCTET
+    args |= {"compensateWheels": craft["control"]["wheels"], "integralLimit": craft["control"]["limit"]}
+    args["knownTorquePntB_B"] = craft["control"]["known_torque"] if any(craft["control"]["known_torque"]) else None
     if craft["panels"]:
         first = craft["panels"][0]
         args |= {"panelArea": first["area"], "panelEfficiency": first["efficiency"]}
@@ -86,6 +119,8 @@ def fly(name: str, until: float | None = None, orbit: str = "integrated", **opti
     dyn_type, fsw_type = models(craft)
     known = {arg.name for model in (dyn_type, fsw_type) for part in model.all_components() for arg in part.args}
     args = {key: value for key, value in arguments(craft, given).items() if key in known}
+    if orbit == "arc":  # pairs, which do not push
+        args.pop("thrusters", None)
     plan = craft["actions"]
     length = plan[0][2]
     forms = (act.Scan, act.Charge, act.Desat, act.Downlink, act.NadirPoint, act.Drift)

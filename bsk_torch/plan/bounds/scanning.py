@@ -19,6 +19,7 @@ from bsk_torch.data import ScanningTimeReward
 from bsk_torch.env import SatelliteTasking
 from bsk_torch.sats import BoundAccessSatellite
 from bsk_torch.sim.component import neighbours
+from bsk_torch.sim.dyn.wheels import base_power_of_wheels
 from bsk_torch.sim.fsw import ContinuousImagingFSWModel
 from bsk_torch.sim.orbit.builder import ARC
 from bsk_torch.sim.orbit.grid import LEAD_NODES, NODE_SPACING
@@ -132,7 +133,7 @@ def _row_bound(
     """Solve the program of one episode: its value, and recording, downlink, charge and level of each interval."""
     h, limit = env.simulator.h, int(env.state.limit_ticks[row])
     args = {name: float(value[row]) for name, value in _scalars(env).items()}
-    args["wheels"] = float(env.satellite.sat_args["wheelSpeeds"].shape[-1])
+    args["wheels"] = float(base_power_of_wheels(env.satellite.sat_args, len(env.env_ids))[row])
     ticks = torch.arange(1, limit + 1, dtype=torch.float64)
     power, angle = sunlight(env, row, ticks)
     gain = power * args["panelArea"] * args["panelEfficiency"]
@@ -158,7 +159,7 @@ def _row_bound(
 
 def _scalars(env: SatelliteTasking) -> dict[str, Tensor]:
     names = (
-        "panelArea", "panelEfficiency", "imageAttErrorRequirement", "basePowerDraw", "rwBasePower", "instrumentPowerDraw",
+        "panelArea", "panelEfficiency", "imageAttErrorRequirement", "basePowerDraw", "instrumentPowerDraw",
         "transmitterPowerDraw", "batteryStorageCapacity", "storedCharge_Init", "dataStorageCapacity", "storageInit",
         "instrumentBaudRate", "transmitterBaudRate",
     )  # fmt: skip
@@ -196,7 +197,7 @@ def _solve(
     k, battery = len(length), args["batteryStorageCapacity"]
     store = args["dataStorageCapacity"] if math.isfinite(args["dataStorageCapacity"]) else 1e15
     eye, before, none = sparse.identity(k), sparse.eye(k, k=-1), sparse.csr_matrix((k, k))
-    base = args["basePowerDraw"] - args["wheels"] * args["rwBasePower"]
+    base = args["basePowerDraw"] - args["wheels"]
     rate, sent = args["instrumentBaudRate"] / store, -args["transmitterBaudRate"] / store
     spent = (loss.numpy() + args["instrumentPowerDraw"]) / battery
     first = np.zeros(k)

@@ -17,6 +17,7 @@ from bsk_torch.astro.interpolate import positions
 from bsk_torch.constants import AU, SOLAR_FLUX
 from bsk_torch.env import SatelliteTasking
 from bsk_torch.sim.component import neighbours
+from bsk_torch.sim.dyn.wheels import base_power_of_wheels
 from bsk_torch.sim.orbit.builder import ARC
 from bsk_torch.sim.orbit.grid import NODE_SPACING
 from bsk_torch.vec3 import Vec3
@@ -85,9 +86,9 @@ def most_power(env: SatelliteTasking, rows: Tensor) -> Tensor:
     if not known or last * env.simulator.h > env.simulator.arcs.length:
         raise ValueError(f"time_limit={last * env.simulator.h:g} s: the bound needs orbits solved to the end at reset")
     lit, flux = sunlight(env, rows, torch.arange(1, last + 1, dtype=torch.float64, device=env.device))
-    args = {name: env.satellite.sat_args[name].expand(len(env.env_ids))[rows].unsqueeze(1) for name in NEEDED}
-    wheels = env.satellite.sat_args["wheelSpeeds"].shape[-1]
-    always = args["basePowerDraw"] - wheels * args["rwBasePower"]
+    scalars = (name for name in NEEDED if not name.startswith("rw"))
+    args = {name: env.satellite.sat_args[name].expand(len(env.env_ids))[rows].unsqueeze(1) for name in scalars}
+    always = args["basePowerDraw"] - base_power_of_wheels(env.satellite.sat_args, len(env.env_ids))[rows].unsqueeze(1)
     gifts = sum(args[name].clamp(min=0.0) for name in SINKS)
     return lit * flux * (args["panelArea"] * args["panelEfficiency"]) + always + gifts
 

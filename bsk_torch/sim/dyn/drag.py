@@ -1,12 +1,16 @@
-"""Drag on flat facets and a constant disturbance torque: Basilisk's facetDragDynamicEffector and extForceTorque."""
+"""Drag on flat facets, gravity gradient, and a constant disturbance torque.
+
+Basilisk's facetDragDynamicEffector, GravityGradientEffector and extForceTorque.
+"""
 
 from __future__ import annotations
 
 import torch
 from torch import Tensor
 
+from bsk_torch.constants import MU_EARTH
 from bsk_torch.sim.component import Arg, Bus, Component, Effector, Field, Values, vec
-from bsk_torch.vec3 import Vec3
+from bsk_torch.vec3 import Vec3, times
 
 
 def _facet_areas(args: Values) -> dict[str, Tensor]:
@@ -67,6 +71,21 @@ DRAG = Component(
     at_start=True,
     effector=Effector(force=drag),
 )
+
+
+def gravity_gradient(bus: Bus, r_CN_B: Vec3) -> Vec3:
+    """Return the gravity-gradient torque, N m in B, ``L = 3 mu / |r|^3 x^ x (I x^)`` with ``x^ = r / |r|``.
+
+    The inertia I is about the center of mass, at r from the Earth's center, m (Schaub and Junkins, section 4.6), as in Basilisk's
+    GravityGradientEffector.
+    """
+    x = r_CN_B.unit()
+    distance = r_CN_B.norm()
+    return x.cross(times(bus.inertia_B, x.to(bus.dtype))) * (3.0 * MU_EARTH / (distance * distance * distance))
+
+
+GRAVITY_GRADIENT = Component(slot="gravity_gradient", after="disturbance", effector=Effector(gradient=gravity_gradient))
+"""The torque by which gravity turns a body toward the vertical."""
 
 DISTURBANCE = Component(
     slot="disturbance",

@@ -290,8 +290,14 @@ def rotate(bus: Bus) -> None:
     """
     states = _effector_states(bus)
 
+    gradients = [effector.gradient for effector in bus.effectors if effector.gradient]
+
     def rates(stage: int, offset: float, y: State) -> State:
-        return _attitude_rates(bus, _torque(bus, stage), y[0], y[1], _regrouped(states, y[2:]))
+        torque = _torque(bus, stage)
+        for gradient in gradients:  # the orbit is known at the end of the tick; its curvature within does not matter
+            r_CN_B = mrp_to_dcm(y[0]) @ (bus.r_BN_N + bus.v_BN_N * (offset - bus.h))
+            torque = torque + gradient(bus, r_CN_B).to(bus.dtype)
+        return _attitude_rates(bus, torque, y[0], y[1], _regrouped(states, y[2:]))
 
     for effector in bus.effectors:
         if effector.thrust:
@@ -336,7 +342,8 @@ def translate_and_rotate(bus: Bus, degree: int) -> None:
     constant = bus.external_force_N / bus.mass if bus.has("external_force_N") else None
     bus.force_is_felt = constant is not None
     states, c = _effector_states(bus), bus.r_CB_B if bus.has("r_CB_B") else None
-    drags, pushes = ([getattr(e, name) for e in bus.effectors if getattr(e, name)] for name in ("force", "thrust"))
+    kinds = "force", "thrust", "gradient"
+    drags, pushes, gradients = ([getattr(e, kind) for e in bus.effectors if getattr(e, kind)] for kind in kinds)
 
     def rates(stage: int, offset: float, y: State) -> State:
         r, v, sigma, omega, *rest = y
@@ -344,6 +351,8 @@ def translate_and_rotate(bus: Bus, degree: int) -> None:
         acceleration, torque = gravity(bus, center, offset, degree), _torque(bus, stage)
         if constant is not None:
             acceleration = acceleration + constant
+        for gradient in gradients:
+            torque = torque + gradient(bus, mrp_to_dcm(sigma) @ center).to(bus.dtype)
         forces = [drag(bus, mrp_to_dcm(sigma) @ v) for drag in drags]
         forces += [force for push in pushes if (force := push(bus, stage)) is not None]
         for force, own in forces:

@@ -188,6 +188,12 @@ class DisturbanceTorqueDynModel(DynamicsModel):
     components: ClassVar[tuple[Component, ...]] = (drag.DISTURBANCE,)
 
 
+class GravityGradientDynModel(DynamicsModel):
+    """Adds the torque of the gravity gradient, which bsk_rl leaves out; composed with other models."""
+
+    components: ClassVar[tuple[Component, ...]] = (drag.GRAVITY_GRADIENT,)
+
+
 class AtmosphericDragDynModel(DynamicsModel):
     """Adds drag by an exponential atmosphere for integrated orbits; see :mod:`bsk_torch.sim.dyn.drag`."""
 

@@ -172,6 +172,12 @@ def draw_power_of_wheels(bus: Bus) -> None:
     bus.power = power
 
 
+def base_power_of_wheels(args: Values, n: int) -> Tensor:
+    """Return the power that all wheels of each of n satellites always draw together, [n] W."""
+    each: Tensor = args["rwBasePower"]
+    return (each.sum(-1) if each.ndim > 1 else each * args["wheelSpeeds"].shape[-1]).expand(n)
+
+
 @functools.cache
 def wheel_power(count: int) -> Component:
     """Return the component of the power of ``count`` wheels, each with its numbers; one number stands for all."""

@@ -9,10 +9,11 @@ import torch
 
 from bsk_torch import ConstellationTasking, SatelliteTasking, act, dyn, fsw, obs, rand, sats
 from bsk_torch.astro.attitude import mrp_to_dcm
+from bsk_torch.constants import MU_EARTH
 from bsk_torch.sim.component import Bus
-from bsk_torch.sim.dyn import hub
+from bsk_torch.sim.dyn import hub, wheels
 from bsk_torch.sim.dyn.hub import HUB, fitted_hub
-from bsk_torch.vec3 import Mat3
+from bsk_torch.vec3 import Mat3, Vec3
 from tests.sim.buses import N, vectors, write
 
 GIVEN = {arg.name: arg.default for arg in HUB.args}
@@ -100,6 +101,30 @@ def test_kernels_agree_with_tensors_for_drawn_bodies(orbit):
     for name, bound in (("r_BN_N", 1e-7), ("sigma_BN", 1e-12), ("omega_BN_B", 1e-13)):
         torch.testing.assert_close(getattr(eager, name), getattr(compiled, name), rtol=0, atol=bound)
     assert eager.sigma_BN.unique(dim=0).shape[0] > 1
+
+
+@pytest.mark.parametrize("orbit", ["arc", "integrated"])
+def test_gravity_turns_a_body_toward_the_vertical(orbit):
+    """The torque is ``3 mu / r^3 x^ x (I x^)``: over a minute the momentum changes by as much."""
+
+    class Stable(Plain):
+        dyn_type = (dyn.GravityGradientDynModel, dyn.BasicDynamicsModel)
+
+    found = {}
+    for kind in (Plain, Stable):
+        args = FLIGHT | {"omega_init": [0.0] * 3, "wheelSpeeds": [0.0] * 3}
+        env = SatelliteTasking(kind("A", args), num_envs=1, seed=0, orbit=orbit, backend="eager", time_limit=60.0)
+        env.step(env.reset().set("action", torch.zeros(1, dtype=torch.int64)))
+        found[kind] = env.satellite.dynamics.omega_BN_B[0]
+    r, v = (torch.tensor(FLIGHT[name], dtype=torch.float64) for name in ("rN", "vN"))
+    x = r + 30.0 * v  # in the middle of the minute
+    sigma = torch.tensor(FLIGHT["sigma_init"], dtype=torch.float64)
+    x_B = (mrp_to_dcm(Vec3.of(sigma)) @ Vec3.of(x / x.norm())).stack()
+    inertia = torch.tensor(TENSOR, dtype=torch.float64).view(3, 3)
+    torque = 3.0 * MU_EARTH / x.norm() ** 3 * torch.linalg.cross(x_B, inertia @ x_B)
+    rate = torch.linalg.solve(inertia - wheels.SPIN_INERTIA * torch.eye(3).double(), torque) * 60.0
+    torch.testing.assert_close(found[Stable] - found[Plain], rate, rtol=0, atol=0.02 * float(rate.norm()))
+    assert rate.norm() > 1e-6
 
 
 def test_the_form_of_the_hub_follows_from_the_arguments():

@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import math
 import re
+from pathlib import Path
 
 import pytest
 import torch
@@ -21,6 +22,8 @@ from bsk_torch.sim.fsw.allocation import distribute, wheel_map
 from bsk_torch.vec3 import Mat3, Vec3
 from tests.sim.buses import N, plane, vectors, write
 from tests.sim.dyn.test_body import random_tensors
+
+PAGE = Path(__file__).parents[3] / "docs" / "how_to" / "spacecraft.md"
 
 PYRAMID = [dyn.Wheel("Honeywell_HR16", axis, 50.0) for axis in dyn.pyramid(0.8)]
 
@@ -301,6 +304,18 @@ def test_types_of_basilisks_factory(type_, momentum, Js, speed, most, least, cou
     assert (off["u_max"], off["rwUMin"], off["rwFCoulomb"]) == (-1.0, 0.0, 0.0)
 
 
+def test_the_page_lists_the_types_as_they_are():
+    rows = re.findall(r"^\| `(\w+_\w+)` \| ([^|]+) \|((?: [\d.e-]+ \|){4})$", PAGE.read_text(), re.MULTILINE)
+    listed = {
+        name: ([float(x) for x in re.findall(r"[\d.]+", momenta)], [float(x) for x in numbers.split("|")[:-1]])
+        for name, momenta, numbers in rows
+    }
+    assert listed == {
+        name: (list(kind.maxMomentum), [kind.Omega_max, kind.u_max, kind.u_min, kind.fCoulomb])
+        for name, kind in dyn.WHEEL_TYPES.items()
+    }
+
+
 def test_types_can_be_added(monkeypatch):
     monkeypatch.setitem(dyn.WHEEL_TYPES, "Mine", dyn.WheelType((1.0,), 3000.0, 0.05, 0.0, 1e-4))
     assert dyn.Wheel("Mine", [1, 0, 0]).arguments["rwJs"] == pytest.approx(1.0 / (3000.0 * RPM))
@@ -383,3 +398,11 @@ def test_each_wheel_draws_its_power():
     wheels.draw_power_of_wheels(bus)
     needs = 10.0 / 0.8 + 1.0, -0.5 * 10.0 + 2.0, 10.0 / 0.8 + 3.0  # drives, returns half, and pays for the brake
     assert bus.power.item() == pytest.approx(100.0 - functools.reduce(float.__add__, needs), rel=1e-14)
+
+
+def test_base_power_of_all_wheels():
+    """One number for each of bsk_rl's three, or a number of each wheel."""
+    speeds, each = torch.zeros(1, 4), torch.tensor([[1.0, 2.0, 3.0, 4.0], [0.0, 0.0, 0.0, 1.0]])
+    assert wheels.base_power_of_wheels({"rwBasePower": each, "wheelSpeeds": speeds}, 2).tolist() == [10.0, 1.0]
+    three = {"rwBasePower": torch.tensor([0.5]), "wheelSpeeds": torch.zeros(1, 3)}
+    assert wheels.base_power_of_wheels(three, 2).tolist() == [1.5, 1.5]
