@@ -204,7 +204,8 @@ def make_collector(
     """Return a collector that yields batches by ``actor`` without end; see :func:`merged`.
 
     Args:
-        config: Settings of where to collect, and how much at once.
+        config: Settings of where to collect, and how much at once; for Ray, call this inside of
+            :func:`~bsk_torch.rl.training.cluster.connected`.
         env: The environment to play in if that is this process; others make their own shares of it.
         actor: Writes actions and their log-probabilities.
         saved: Result of :func:`bookmarks` to resume from; None to start.
