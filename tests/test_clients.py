@@ -15,7 +15,7 @@ EXAMPLES = Path(__file__).parents[1] / "examples"
 ONE = ["--steps=200", "--num-envs=8", "--rollout=8", "--episodes=4", "--time-limit=900"]
 """Smallest size of a training with one satellite."""
 
-RULES = ["random", "greedy", "nearest", "hasty"]
+RULES = ["random", "greedy", "nearest", "hasty", "farsighted"]
 
 pytestmark = pytest.mark.compiled
 

@@ -16,7 +16,7 @@ pytestmark = pytest.mark.compiled
 SMALL = ("options.n_satellites=3", "options.n_planes=1", "options.phasing=0", "options.n_targets=300")
 CREW = ("options.n_imagers=2", "options.n_relays=1", "options.n_targets=200", "--time-limit", "100")
 SHORT = ("--time-limit", "400", "--episodes", "2", "num_envs=2", "rollout=8")
-RULES = ["random", "greedy", "nearest", "hasty"]
+RULES = ["random", "greedy", "nearest", "hasty", "farsighted"]
 
 
 @pytest.fixture(scope="module")

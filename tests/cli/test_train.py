@@ -33,7 +33,7 @@ def test_train_with_attention_knows_the_targets_and_draws_them(run, tmp_path):
     assert "imaged" in result.output
     assert (tmp_path / "ground_track.png").is_file()
     kept = json.loads((tmp_path / "evaluation.json").read_text())
-    assert set(kept) == {"random", "greedy", "nearest", "hasty", "untrained", "trained"}
+    assert set(kept) == {"random", "greedy", "nearest", "hasty", "farsighted", "untrained", "trained"}
     assert kept["greedy"]["counts"]["imaged"] >= 0.0
     config = load_config(tmp_path / "config.yaml", PPOConfig)
     assert config.network == "attention"

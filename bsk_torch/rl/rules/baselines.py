@@ -13,7 +13,7 @@ from torch import Tensor
 
 from bsk_torch.env import SatelliteTasking
 from bsk_torch.rl.rules.continuous import Bounds, bounds_of, spread
-from bsk_torch.rl.rules.imaging import by_closing, by_discounted_priority, by_priority, imaging_rule
+from bsk_torch.rl.rules.imaging import by_closing, by_discounted_priority, by_priority, by_tour, imaging_rule
 from bsk_torch.rl.rules.inspection import inspection_rule
 from bsk_torch.rl.rules.observation_columns import Columns
 
@@ -127,6 +127,7 @@ BASELINES: dict[str, Callable[[SatelliteTasking, int], TensorDictModuleBase]] = 
     "greedy": imaging_rule(by_priority),
     "nearest": imaging_rule(by_closing),
     "hasty": imaging_rule(by_discounted_priority),
+    "farsighted": imaging_rule(by_tour),
     "drift": inspection_rule("drift"),
     "circumnavigate": inspection_rule("circumnavigate"),
     "survey": inspection_rule("survey"),

@@ -92,6 +92,14 @@ class TargetReader:
 
     def read(self, observation: Observation, prop: str) -> Tensor:
         """Return a property of the targets, [N, n] in its unit; KeyError if it is not observed."""
+        return self.rows(observation)[..., self._column(prop)] * self.norm[prop]
+
+    def read_vector(self, observation: Observation, prop: str) -> Tensor:
+        """Return a property of :data:`WIDTHS` columns, [N, n, 3] in its unit; KeyError if it is not observed."""
+        first = self._column(prop)
+        return self.rows(observation)[..., first : first + WIDTHS[prop]] * self.norm[prop]
+
+    def _column(self, prop: str) -> int:
         if prop not in self.column:
             raise KeyError(f"{prop!r} of targets is not observed; {nearest(prop, self.column)}")
-        return self.rows(observation)[..., self.column[prop]] * self.norm[prop]
+        return self.column[prop]

@@ -20,6 +20,9 @@ from bsk_torch.sim.arguments.values import nearest
 TEACHERS = tuple(name for name in BASELINES if name != "random")
 """Rules that can be imitated."""
 
+CHUNK = 2048
+"""Situations that the rule judges at once: some compare all pairs of targets."""
+
 TAUGHT = "taught"
 """Key of the rule's actions."""
 
@@ -47,7 +50,7 @@ def find_teacher(name: str, env: SatelliteTasking) -> TensorDictModuleBase:
 def taught_actions(teacher: TensorDictModuleBase, situations: TensorDictBase) -> Tensor:
     """Return what the rule would do, [...], in ``situations`` [...] with ``observation`` and ``action_mask``."""
     asked = situations.select("observation", "action_mask").reshape(-1)
-    return teacher(asked)["action"].view(situations.batch_size)
+    return torch.cat([teacher(part)["action"] for part in asked.split(CHUNK)]).view(situations.batch_size)
 
 
 def imitation_loss(sample: TensorDictBase, counts: Tensor | None = None) -> Tensor:
