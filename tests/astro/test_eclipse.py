@@ -5,6 +5,7 @@ import math
 import pytest
 import torch
 
+from bsk_torch.astro import eclipse
 from bsk_torch.astro.eclipse import illumination, in_umbra, sunlight_margin, visible_fraction
 from bsk_torch.constants import AU, R_EARTH, R_SUN
 from bsk_torch.vec3 import Vec3
@@ -156,3 +157,17 @@ def test_the_margin_of_sunlight_is_positive_where_so_much_of_the_disc_is_seen(vi
     assert differ.sum() <= (3 if visible == 0.5 else 1)
     day = Vec3(-r.x, r.y, r.z)
     assert (sunlight_margin(day, SUN, visible) > 0.0).all()
+
+
+@pytest.mark.parametrize("radius", [R_EARTH + 1e5, 7e6, 4.2e7, 4e8, 1.3e9, 1.4e9, 2e9, 5e10])
+@pytest.mark.parametrize("distance", [0.98 * AU, 1.02 * AU])
+def test_what_is_clearly_light_or_dark_is_so_by_the_discs(radius, distance, monkeypatch):
+    """Bit for bit, across the whole shadow; most of the night is decided without comparing discs."""
+    angle = torch.linspace(-1.0, 1.0, 100_001, dtype=torch.float64) * min(1.5, 1.2 * math.asin(R_EARTH / radius) + 0.01)
+    r = Vec3(-radius * torch.cos(angle), radius * torch.sin(angle) * 0.6, radius * torch.sin(angle) * 0.8)
+    sun = SUN * (distance / AU)
+    found, clearly = illumination(r, sun), torch.stack(eclipse._clearly(r, sun)).any(0)
+    monkeypatch.setattr(eclipse, "_clearly", lambda r, r_sun: (torch.zeros_like(r.x, dtype=torch.bool),) * 2)
+    assert torch.equal(found, illumination(r, sun))
+    if radius < 1e7:
+        assert clearly.double().mean() > 0.98
