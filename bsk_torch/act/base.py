@@ -319,7 +319,9 @@ class ActionBuilder:
         return table
 
     def _rows_of(self, k: int, action: Tensor) -> Tensor:
-        """Return in which rows ``action`` [N] belongs to the k-th entry, [N] bool."""
+        """Return in which rows a checked ``action`` [N] belongs to the k-th entry, [N] bool."""
+        if len(self.entries) == 1:
+            return torch.ones_like(action, dtype=torch.bool)
         first = self._starts[k]
         mask = (action >= first) & (action < first + self.entries[k].n_actions)
         return mask | (action < 0) if k == self._takes_negative else mask

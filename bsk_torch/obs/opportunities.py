@@ -212,7 +212,7 @@ class OpportunityProperties(Observation):
 
 def blank(column: Tensor, rows: Tensor) -> Tensor:
     """Return the column [N, ...] with zeros where ``rows`` [N] holds."""
-    return torch.where(rows.view(-1, *[1] * (column.ndim - 1)), torch.zeros_like(column), column)
+    return column.masked_fill(rows.view(-1, *[1] * (column.ndim - 1)), 0)
 
 
 def type_of(model: object) -> type:
