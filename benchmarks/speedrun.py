@@ -17,10 +17,10 @@ Thresholds:
     "hasty + 3"        mean gain over a rule in the same episodes
     "beyond hasty"     a gain whose 95 % confidence interval lies above zero
 
-Core-seconds are those of all processes; while batches are collected ahead, the clock runs until the batch in progress is
-complete. The limit (``--seconds`` or ``--frames``) also sets the schedule of the learning rate. ``--out`` adds the row to the
-rows in the file, in place of the one with the same task, threshold, name and processor. ``--figure`` draws validation over time
-of all rows in the file with this task and threshold.
+Core-seconds are those of all processes, without Ray's. While batches are collected ahead, the clock runs until the batch in
+progress is complete. The limit (``--seconds`` or ``--frames``) also sets the schedule of the learning rate. ``--out`` adds the
+row to the rows in the file, in place of the one with the same task, threshold, name and processor. ``--figure`` draws validation
+over both times of all rows in the file with this task and threshold.
 """
 
 from __future__ import annotations
@@ -235,20 +235,22 @@ def add(path: Path, row: dict[str, Any]) -> list[dict[str, Any]]:
 
 
 def draw(rows: Sequence[Mapping[str, Any]], threshold: Threshold, path: Path) -> None:
-    """Draw validation of each seed over wall time, a color for each row."""
+    """Draw validation of each seed over wall time and over core-seconds, a color for each row."""
     from bsk_torch.viz.figures import style
 
-    figure, (panel,) = style.panels([3.4])
-    for row, color in zip(rows, itertools.cycle(style.PALETTE), strict=False):
-        for run in row["runs"]:
-            times, values = ([point[name] for point in run["curve"]] for name in ("seconds", "value"))
-            first = run is row["runs"][0]
-            panel.plot(times, values, "o-", markersize=3, linewidth=1.4, color=color, label=row["name"] if first else None)
-    panel.axhline(threshold.least or 0.0, color="0.5", linewidth=0.8)
-    panel.set_xlabel("training time, s", color=style.INK, fontsize=9.5)
-    panel.set_xlim(left=0.0)
-    style.label(panel, threshold.measure if threshold.rule is None else f"gain over {threshold.rule}")
-    panel.legend(frameon=False, fontsize=9)
+    figure, panels = style.panels([2.8, 2.8])
+    for panel, clock in zip(panels, ("seconds", "core_seconds"), strict=True):
+        for row, color in zip(rows, itertools.cycle(style.PALETTE), strict=False):
+            for run in row["runs"]:
+                times, values = ([point[name] for point in run["curve"]] for name in (clock, "value"))
+                first = run is row["runs"][0]
+                panel.plot(times, values, "o-", markersize=3, linewidth=1.4, color=color, label=row["name"] if first else None)
+        panel.axhline(threshold.least or 0.0, color="0.5", linewidth=0.8)
+        style.label(panel, threshold.measure if threshold.rule is None else f"gain over {threshold.rule}")
+        style.caption(panel, "over wall time" if clock == "seconds" else "over core-seconds")
+    panels[0].legend(frameon=False, fontsize=9)
+    panels[1].set_xlabel("time, s", color=style.INK, fontsize=9.5)
+    panels[1].set_xlim(left=0.0)
     style.headline(figure, f"{rows[0]['task']}: validation until {rows[0]['threshold']}")
     style.save(figure, path)
 

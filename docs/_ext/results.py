@@ -138,7 +138,7 @@ def records() -> str:
         runs, where = row["runs"], row["machine"]
         times = {key: " / ".join(form(run[key]) if run["reached"] else "-" for run in runs) for key, form in RECORDED.items()}
         count = f"{sum(run['reached'] for run in runs)} of {len(runs)}"
-        place = f"{where['cores']} cores, {row['processor']}"
+        place = f"{where['cores']} cores, {row['processor']}, load {where['load']:.1f}"
         rows.append(
             [row["task"], row["threshold"], row["name"], count, *times.values(), place, code(where["commit"]), row["date"]]
         )
