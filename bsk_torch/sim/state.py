@@ -393,6 +393,15 @@ def widened(table: Tensor, width: int, value: float) -> Tensor:
     return torch.nn.functional.pad(table, padding, value=value) if extra > 0 else table
 
 
+def entries(table: Tensor, row: Tensor, column: Tensor) -> Tensor:
+    """Return ``table[row, column]`` of a contiguous table [n, W, ...], for indices that broadcast and are not negative.
+
+    Tables of places exceed the processor's caches; one index instead of two takes half the time.
+    """
+    index = row * table.shape[1] + column
+    return table.flatten(0, 1).index_select(0, index.flatten()).view(*index.shape, *table.shape[2:])
+
+
 def look_up(table: Tensor, place: Tensor) -> Tensor:
     """Return the entries [N, n, ...] of a table [num_envs, P, ...] for places [N, n]; each environment has N / num_envs rows."""
     flat = place.reshape(len(table), -1)

@@ -7,7 +7,7 @@ import torch
 
 import bsk_torch
 from bsk_torch.constants import NANO
-from bsk_torch.sim.state import StateTable, widened
+from bsk_torch.sim.state import StateTable, entries, widened
 
 
 @pytest.fixture
@@ -209,3 +209,12 @@ def test_the_time_follows_the_ticks_however_they_change():
     assert torch.equal(state.sim_time, state.sim_time_ns.double() * NANO)
     env.reset()
     assert right()
+
+
+@pytest.mark.parametrize("shape", [(5, 7), (5, 7, 3)])
+def test_entries_of_a_table_are_those_of_two_indices(shape):
+    table = torch.arange(5 * 7 * 3, dtype=torch.float64)[: torch.Size(shape).numel()].view(shape)
+    row, column = torch.tensor([[4], [0], [3], [3]]), torch.randint(0, 7, (4, 6))
+    assert torch.equal(entries(table, row, column), table[row, column])
+    assert torch.equal(entries(table.flip(0), row[:, 0], column[:, 0]), table.flip(0)[row[:, 0], column[:, 0]])
+    assert entries(table, row[:0], column[:0]).shape == (0, 6, *shape[2:])

@@ -27,6 +27,7 @@ from bsk_torch.sim.access.visibility.geometry import (
 from bsk_torch.sim.access.visibility.pairs import Brackets, PlacePairs
 from bsk_torch.sim.orbit.grid import PLAN_STEP
 from bsk_torch.sim.places import Sites
+from bsk_torch.sim.state import entries
 
 SHORTEST_PASS = 0.1
 """Passes between two samples that last no longer than this, s, are dropped."""
@@ -146,7 +147,7 @@ class PassSearch:
         """Return the pairs of satellites ``row`` [m] and places ``place`` [m]; ground tracks begin ``early`` s sooner."""
         owner = row if len(self.places.r_LP_P) > 1 else torch.zeros_like(row)
         samples = Samples(self.track.r_BP_P, self.track.start - early, row)
-        return PlacePairs(samples, self.places.r_LP_P[owner, place], self.places.sin_min_elevation[owner, place])
+        return PlacePairs(samples, entries(self.places.r_LP_P, owner, place), self.places.sin_min_elevation[owner, place])
 
     def passes(self) -> Passes:
         """Return all passes, in no particular order; FloatingPointError for a ground track that no orbit has."""

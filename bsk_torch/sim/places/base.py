@@ -17,7 +17,7 @@ from torch import Tensor
 from bsk_torch.astro.ephemeris import coverage, earth_orientation, sun_state
 from bsk_torch.sim.component import Values
 from bsk_torch.sim.draw_table import DrawTable
-from bsk_torch.sim.state import StateTable
+from bsk_torch.sim.state import StateTable, entries
 from bsk_torch.vec3 import Vec3
 
 STATION_KIND, TARGET_KIND = "ground_station", "target"
@@ -233,7 +233,7 @@ class FixedPlaces(Places):
         if len(table) == 1:
             return table[0, place]
         envs = rows // self.satellites
-        return table[(envs if row is None else row[envs]).view(-1, *[1] * (place.ndim - 1)), place]
+        return entries(table, (envs if row is None else row[envs]).view(-1, *[1] * (place.ndim - 1)), place)
 
     def exists(self, rows: Tensor) -> Tensor:
         """See :meth:`Places.exists`."""
