@@ -18,7 +18,7 @@ class DrawTable(StateTable):
 
     The branches of a planner are hundreds of copies of a few episodes. Draws, such as the positions of thousands of targets,
     are most of the state. Reading a draw by its name stores it with a row for each episode again, which may be written into;
-    :meth:`shared` leaves it as it is.
+    :meth:`shared` does not.
     """
 
     def __init__(self, num_envs: int, count: int = 1, device: torch.device | str = "cpu") -> None:

@@ -146,7 +146,7 @@ KERNELS: Kept[ObserverKernel] = Kept(32)
 """Kernels of observables of the package."""
 
 TOLD: WeakSet[Function] = WeakSet()
-"""Functions of users of which the log says why no kernel computes them."""
+"""User functions whose reason for running in torch has been logged."""
 
 ROUNDING = 1e-6
 """Difference between a kernel and torch that counts as rounding, absolute and relative to the largest value."""
