@@ -16,6 +16,7 @@ from bsk_torch.constants import R_EARTH
 from bsk_torch.sim.access.passes import GroundTrack, Passes, PassSearch
 from bsk_torch.sim.access.sampled_passes import find_passes
 from bsk_torch.sim.access.visibility.tensors import TensorVisibility
+from bsk_torch.sim.draw_table import DrawTable
 from bsk_torch.sim.orbit.grid import PLAN_STEP
 from bsk_torch.sim.places import (
     AboveElevation,
@@ -79,7 +80,7 @@ def world() -> World:
         "debris": mean_elements(r.stack(), v.stack()),
         "exists": (torch.rand(SATELLITES, COUNT) < 0.8).double(),
     }
-    tables = [StateTable(SATELLITES, 1, CPU) for _ in range(2)]
+    tables = [table(SATELLITES, 1, CPU) for table in (DrawTable, StateTable)]
     for name, value in drawn.items():
         tables[0].declare(name, None, *value.shape[1:])
         tables[0][name] = value
