@@ -24,11 +24,11 @@ from bsk_torch.astro.mean_orbit import mean_elements, mean_position
 from bsk_torch.astro.orbit import Elements, elements_to_rv
 from bsk_torch.sim.access.passes import GroundTrack
 from bsk_torch.sim.access.sampled_passes import find_passes
+from bsk_torch.sim.draw_table import DrawTable
 from bsk_torch.sim.orbit.arcs import Arcs, segments_for
 from bsk_torch.sim.orbit.grid import LEAD_NODES, NODE_SPACING, PLAN_STEP
 from bsk_torch.sim.orbit.solvers import make_solver
 from bsk_torch.sim.places import ClearOfEarth, Lit, OrbitingPlaces, PlaceTables, WithinRange
-from bsk_torch.sim.state import StateTable
 
 CPU = torch.device("cpu")
 
@@ -63,7 +63,7 @@ def orbits(*shape: int) -> tuple[Tensor, Tensor]:
 
 def tables(oe: Tensor) -> PlaceTables:
     """Tables of as many environments as ``oe`` has rows."""
-    drawn, arguments = (StateTable(len(oe), 1, CPU) for _ in range(2))
+    drawn, arguments = (DrawTable(len(oe), 1, CPU) for _ in range(2))
     drawn.declare("orbits", None, *oe.shape[1:])
     drawn["orbits"] = oe
     arguments.declare("utc_init", EPOCH)

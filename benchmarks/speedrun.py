@@ -274,7 +274,7 @@ def main() -> None:
         "processor": described["processor"],
         "date": f"{datetime.now(timezone.utc):%Y-%m-%d}",
         "machine": described,
-        "command": shlex.join(["python", "benchmarks/speedrun.py", *sys.argv[1:]]),
+        "command": shlex.join(["python", "benchmarks/speedrun.py", *sys.orig_argv[2:]]),
         "runs": [run_seed(options, threshold, seed) for seed in options.seeds],
     }
     print(harness.table(COLUMNS, [shown(row)]))

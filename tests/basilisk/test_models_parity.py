@@ -13,6 +13,7 @@ from bsk_torch import NO_ACTION, ConstellationTasking, act, data, obs, rand, sat
 from bsk_torch.sim import dyn, fsw, world
 from bsk_torch.sim.assembly.composition import compose
 from tests.basilisk.replay import RECORDINGS
+from tests.support.core_arguments import SPACECRAFT
 
 BOUNDS = {"time": 0.0, "r": 1e-3, "v": 1e-6, "sigma": 1e-10, "omega": 1e-12, "observation": 1e-6, "reward": 1e-9}
 """Largest differences; an imposed attitude follows from the position on the arc alone."""
@@ -134,8 +135,8 @@ def test_the_recordings_contain_what_they_stand_for():
 DEFAULTS = np.load(RECORDINGS / "models_defaults.npz")
 MODELS, WORLDS = (json.loads(str(DEFAULTS[name])) for name in ("models", "worlds"))
 
-OTHER = {"bufferNames", "groundLocationPlanetRadius"}
-"""Arguments whose defaults are compared elsewhere, or that only name things in Basilisk."""
+OTHER = {"bufferNames", "groundLocationPlanetRadius"} | SPACECRAFT
+"""Arguments whose defaults are compared elsewhere, that only name things in Basilisk, or that bsk_rl lacks."""
 
 
 def composed(record: dict[str, Any]) -> type[sats.Satellite]:

@@ -60,7 +60,7 @@ def test_policies_are_evaluated_and_shielded(run, trained, tmp_path, monkeypatch
     kept = json.loads((tmp_path / "e.json").read_text())
     assert list(kept) == ["trained + first_target:rule", "trained", *RULES]
     assert set(kept["trained + first_target:rule"]["gain"]) == {"trained", *RULES}
-    assert len((tmp_path / "e.csv").read_text().splitlines()) == 1 + 3 * 6
+    assert len((tmp_path / "e.csv").read_text().splitlines()) == 1 + 3 * 7
 
 
 def test_the_report_shows_all_satellites(run, trained):

@@ -8,7 +8,7 @@ from __future__ import annotations
 import functools
 import logging
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -76,9 +76,13 @@ def draw(simulator: Simulator, where: str, name: str, value: Any) -> None:
     """Do what the construction of a simulation and a reset do with arguments, and check that numbers are finite."""
     arguments = simulator.type.arguments
     old: Arguments = getattr(arguments, where)
-    own = [part for part in arguments.parts if not part.args or all(arg.name in old.table for arg in part.args)]
-    new = Arguments(own, {**old.given, name: value}, where, old.columns)
-    parts = fitted(arguments.parts, {**arguments.world_args.given, **arguments.sat_args.given, **new.given})
+    given = {**old.given, name: value}
+    parts = fitted(arguments.parts, {**arguments.world_args.given, **arguments.sat_args.given, **given})
+
+    def of_title(components: Iterable[Any]) -> list[Any]:
+        return [part for part in components if not part.args or all(arg.name in old.table for arg in part.args)]
+
+    new = Arguments(of_title(arguments.parts), given, where, old.columns).of_components(of_title(parts), given)
     trial = replace(arguments, parts=parts, **{where: new})
     drawn = trial.draw(first_key(2), given=arguments.randomize(first_key(2)))
     for title in ("initial", "prepare"):

@@ -37,7 +37,7 @@ def chosen(monkeypatch, cores, **changes):
     ],
 )
 def test_processes_suit_cores_and_episodes(monkeypatch, caplog, cores, changes, expected):
-    caplog.set_level(logging.INFO)
+    caplog.set_level(logging.INFO, "bsk_torch")
     assert chosen(monkeypatch, cores, **changes) == expected
     collector, workers = expected
     assert f"workers=auto: collector={collector} workers={workers}, for {cores} available cores" in caplog.text
