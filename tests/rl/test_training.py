@@ -181,10 +181,11 @@ def test_a_lost_process_is_replaced_and_changes_nothing(by_several, tmp_path, ca
     assert not multiprocessing.active_children()
 
 
-def test_lost_processes_are_replaced_while_batches_are_collected_ahead(tmp_path):
+@pytest.mark.parametrize("enough", [None, lambda: False])  # what is asked waits for the next batch
+def test_lost_processes_are_replaced_while_batches_are_collected_ahead(tmp_path, enough):
     config = dataclasses.replace(SEVERAL, ahead=True)
     whole = Training(config, tmp_path / "whole").run()
-    assert weights(Losing(config, tmp_path / "run").run()).equal(weights(whole))
+    assert weights(Losing(config, tmp_path / "run").run(enough=enough)).equal(weights(whole))
 
 
 def test_processes_that_are_always_lost_stop_a_run_that_can_be_resumed(by_several, tmp_path):

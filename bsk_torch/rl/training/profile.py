@@ -21,7 +21,7 @@ import torch
 
 from bsk_torch.rl.training.collect import Batches, make_collector
 from bsk_torch.rl.training.config import PPOConfig
-from bsk_torch.rl.training.trainer import Training
+from bsk_torch.rl.training.trainer import Training, shut_down
 
 LEARNING, COLLECTING = "learning: ", "collecting: "
 
@@ -118,6 +118,34 @@ class Profile:
         return sum(cost for phase, cost in self.spent.items() if phase.startswith(kind))
 
 
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Let torch compute in one thread while the context lasts."""
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(threads)
+
+
+def _spent(training: Training, batches: Batches, seconds: float) -> tuple[dict[str, float], int]:
+    """Return the CPU seconds of each phase in so many ``seconds`` of training after the first batches, and its decisions."""
+    training.learner.anneal(max(0.5, training.config.imitation))  # after imitation, if there is any
+    try:
+        for _ in range(WARM_UP):
+            training.learner.learn(batches.take())
+        count, end = 0, time.thread_time() + seconds
+        with sampling() as spent:
+            while time.thread_time() < end:
+                training.learner.learn(batches.take())
+                count += training.config.batch
+    finally:
+        batches.close()
+        shut_down(batches.collector)
+    return spent, count
+
+
 def measure(config: PPOConfig, seconds: float, training_of: Callable[[PPOConfig, Path], Training] = Training) -> Profile:
     """Train for so many ``seconds`` of CPU time in a temporary folder, without imitation; see above.
 
@@ -132,22 +160,13 @@ def measure(config: PPOConfig, seconds: float, training_of: Callable[[PPOConfig,
     """
     alone = dict(collector="single", workers=1, ahead=False, evaluate_every=0, patience=None, loggers=("csv",))
     config = dataclasses.replace(config, seconds=None, frames=10**12, **alone)  # type: ignore[arg-type]
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    with tempfile.TemporaryDirectory() as folder:
+    with one_thread(), tempfile.TemporaryDirectory() as folder:
         training = training_of(config, Path(folder) / "run")
-        batches = Batches(make_collector(config, training.env, training.actor, None), False, lambda: None)
-        training.learner.anneal(max(0.5, config.imitation))  # after imitation, if there is any
-        for _ in range(WARM_UP):
-            training.learner.learn(batches.take())
-        count, end = 0, time.thread_time() + seconds
-        with sampling() as spent:
-            while time.thread_time() < end:
-                training.learner.learn(batches.take())
-                count += config.batch
-        batches.close()
-        training.lock.release()
-    torch.set_num_threads(threads)
+        try:
+            collector = make_collector(config, training.env, training.actor, None)
+            spent, count = _spent(training, Batches(collector, False, lambda: None), seconds)
+        finally:
+            training.lock.release()
     ordered = sorted(spent.items(), key=lambda item: -item[1])
     return Profile({phase: 1e6 * cost / count for phase, cost in ordered})
 

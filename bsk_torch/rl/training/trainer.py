@@ -237,13 +237,14 @@ class Training:
                 log.evaluated(self._judge())
             stale = self.config.patience is not None and self.best["waited"] >= self.config.patience
             if self.enough is not None:
-                batches.newest(batch)  # else it would be collected while the clock stands still
+                with self._collecting(batches.collector):
+                    batches.newest(batch)  # else it would be collected while the clock stands still
             reached = self._reached()
             last = stop.is_set() or stale or reached or self.progress.fraction >= 1.0
             if last or self._due(self.config.checkpoint_every):
                 self._save(batches, batch, last)
             if stop.is_set() or stale or reached:
-                early = "early: it is enough" if reached else "early: the return has not grown any more"
+                early = "early, because enough() returned True" if reached else "early, because the return has not grown any more"
                 logger.info("stopped %s", "by the user" if stop.is_set() else early)
                 return
 
