@@ -1,4 +1,4 @@
-"""Flights of spacecraft with their own bodies and wheels agree with Basilisk, within the bounds of its own sensitivity."""
+"""Flights of spacecraft with other bodies and wheels than bsk_rl's, compared with recordings of Basilisk."""
 
 from __future__ import annotations
 

@@ -1,30 +1,9 @@
-"""Arguments that the core has in addition to those of bsk_rl."""
+"""Arguments of satellites that bsk_rl lacks."""
 
-SPACECRAFT = frozenset(
-    (
-        "checkInertia",
-        "compensateWheels",
-        "inertia",
-        "integralLimit",
-        "knownTorquePntB_B",
-        "nullSpaceGain",
-        "nullSpaceSpeeds",
-        "r_CB_B",
-        "rwAxes_B",
-        "rwBetaStatic",
-        "rwCViscous",
-        "rwFCoulomb",
-        "rwFStatic",
-        "rwJs",
-        "rwOmegaMax",
-        "rwPMax",
-        "rwUMin",
-        "thrusterDirections_B",
-        "thrusterMaxThrust",
-        "thrusterPositions_B",
-        "thrusters",
-        "underactuated",
-        "wheels",
-    )
-)
-"""Arguments of bodies, wheels, thrusters and control laws."""
+SPACECRAFT = {
+    *("compensateWheels", "integralLimit", "knownTorquePntB_B"),
+    *("thrusters", "thrusterPositions_B", "thrusterDirections_B", "thrusterMaxThrust"),
+    *("inertia", "checkInertia", "r_CB_B", "wheels", "nullSpaceGain", "nullSpaceSpeeds", "underactuated"),
+    *("rwAxes_B", "rwJs", "rwOmegaMax", "rwUMin", "rwPMax", "rwFCoulomb", "rwFStatic", "rwBetaStatic", "rwCViscous"),
+}
+"""What bsk_rl's users change in the code of their dynamics and flight-software models."""

@@ -288,8 +288,12 @@ def rotate(bus: Bus) -> None:
 
     The MRP is switched to its shadow set after the whole step only, never between its stages, as in Basilisk.
     """
+    if any(effector.thrust for effector in bus.effectors):
+        raise TypeError(
+            "thrusters without opposite partners push the orbit, but it was solved in advance, without them; pass "
+            "orbit='integrated' to the environment, or write orbit = 'integrated' in the dynamics model"
+        )
     states = _effector_states(bus)
-
     gradients = [effector.gradient for effector in bus.effectors if effector.gradient]
 
     def rates(stage: int, offset: float, y: State) -> State:
@@ -299,12 +303,6 @@ def rotate(bus: Bus) -> None:
             torque = torque + gradient(bus, r_CN_B).to(bus.dtype)
         return _attitude_rates(bus, torque, y[0], y[1], _regrouped(states, y[2:]))
 
-    for effector in bus.effectors:
-        if effector.thrust:
-            raise TypeError(
-                "thrusters without opposite partners push the orbit, but it was solved in advance, without them; pass "
-                "orbit='integrated' to the environment, or write orbit = 'integrated' in the dynamics model"
-            )
     sigma, omega, *after = rk4_step(rates, (bus.sigma_BN, bus.omega_BN_B, *_leaves(states)), bus.h)
     _finish(bus, sigma, omega, _regrouped(states, tuple(after)))
     if bus.has("r_CB_B"):  # the orbit solved in advance is that of the center of mass

@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import operator
 import warnings
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import torch
 from torch import Tensor
@@ -225,12 +225,12 @@ class BasicDynamicsModel(EclipseDynModel, DisturbanceTorqueDynModel, Atmospheric
         return now.charge / now.args.batteryStorageCapacity
 
     @observable
-    def wheel_speeds(now: Now) -> Any:
+    def wheel_speeds(now: Now) -> Vec3 | tuple[Tensor, ...]:
         """Speeds ``Omega`` of the wheels relative to B about their spin axes, [N, 3] rad/s; [N, W] of other ``wheels``."""
         return now.Omega_WB_B
 
     @observable
-    def wheel_speeds_fraction(now: Now) -> Any:
+    def wheel_speeds_fraction(now: Now) -> Vec3 | tuple[Tensor, ...]:
         """Wheel speeds ``Omega / Omega_max``, [N, 3] or [N, W], where ``Omega_max`` is ``maxWheelSpeed`` (rpm) in rad/s."""
         limit = now.args.maxWheelSpeed * RPM
         return now.Omega_WB_B / limit if isinstance(now.Omega_WB_B, Vec3) else tuple(speed / limit for speed in now.Omega_WB_B)

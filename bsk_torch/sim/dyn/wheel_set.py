@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import operator
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import torch
@@ -190,7 +190,7 @@ def wheel_effector(form: WheelForm) -> Effector:
 
 
 @functools.cache
-def latch(form: WheelForm) -> Any:
+def latch(form: WheelForm) -> Callable[[Bus], None]:
     """Return the update of wheels: the torque that acts over the next tick."""
 
     def latch_motor_torques(bus: Bus) -> None:

@@ -56,6 +56,9 @@ def wheel_map(args: Values) -> Tensor:
     return torch.linalg.pinv(unit_axes(args).mT, rtol=RANK_TOLERANCE)
 
 
+SMOOTH = 0.3
+"""Largest ``k h / J`` of null motion with gain k, N m s, tick h, s, and wheel inertia J, kg m^2, that does not oscillate."""
+
 RANK_TOLERANCE = 1e-9
 """Share of the largest singular value below which axes are dependent."""
 
@@ -90,14 +93,14 @@ def _check_axes(args: Values) -> None:
 
 
 def _check_null_motion(args: Values, h: float) -> str | None:
-    """Return words about null motion that oscillates: above 1, ``k h / J`` makes the loop of a wheel unstable."""
+    """Return words about null motion that is not smooth; the loop of a wheel is unstable where ``k h / J`` exceeds 1."""
     ratio = (args["nullSpaceGain"].unsqueeze(-1) * h / args["rwJs"]).max().item()
-    if ratio < 1.0:
+    if ratio <= SMOOTH:
         return None
-    best = 0.3 * args["rwJs"].min().item() / h
     return (
-        f"nullSpaceGain={args['nullSpaceGain'].max().item():g} N m s is not stable at sim_rate={h:g} s for wheels of "
-        f"{args['rwJs'].min().item():.3g} kg m^2; {best:.2g} is"
+        f"nullSpaceGain={args['nullSpaceGain'].max().item():g} N m s {'is not stable' if ratio >= 1.0 else 'oscillates'} at "
+        f"sim_rate={h:g} s for wheels of {args['rwJs'].min().item():.3g} kg m^2; {SMOOTH * args['rwJs'].min().item() / h:.2g} is "
+        "smooth"
     )
 
 

@@ -14,20 +14,12 @@ from bsk_torch.rand import Distribution
 from bsk_torch.sim import dyn, fsw, world
 from bsk_torch.sim.arguments.sources import RANKS, in_order
 from bsk_torch.sim.arguments.table import short
+from tests.support.core_arguments import SPACECRAFT
 
 RECORDED = json.loads((Path(__file__).parents[1] / "data" / "default_args.json").read_text())
 
 POINTING = {"groundLocationPlanetRadius", "imageTargetMinimumElevation", "imageTargetMaximumRange"}
 """Arguments of bsk_rl's dynamics that the flight software has here; every imaging satellite has both."""
-
-
-CRAFT = {
-    *("compensateWheels", "integralLimit", "knownTorquePntB_B"),
-    *("thrusters", "thrusterPositions_B", "thrusterDirections_B", "thrusterMaxThrust"),
-    *("inertia", "checkInertia", "r_CB_B", "wheels", "nullSpaceGain", "nullSpaceSpeeds", "underactuated"),
-    *("rwAxes_B", "rwJs", "rwOmegaMax", "rwUMin", "rwPMax", "rwFCoulomb", "rwFStatic", "rwBetaStatic", "rwCViscous"),
-}
-"""Arguments of this package alone: what bsk_rl's users change in the code of their dynamics and flight-software models."""
 
 
 def equal(mine: Any, recorded: Any) -> bool:
@@ -56,13 +48,15 @@ def check(mine: dict[str, Any], recorded: dict[str, Any], elsewhere: set[str]) -
 @pytest.mark.parametrize(("model", "recorded"), models(dyn, "dyn"))
 def test_dynamics_have_the_defaults_of_bsk_rl(model, recorded):
     check(
-        {arg.name: arg.default for part in model.all_components() for arg in part.args}, recorded, {"utc_init"} | POINTING | CRAFT
+        {arg.name: arg.default for part in model.all_components() for arg in part.args},
+        recorded,
+        {"utc_init"} | POINTING | SPACECRAFT,
     )
 
 
 @pytest.mark.parametrize(("model", "recorded"), models(fsw, "fsw"))
 def test_flight_software_has_the_defaults_of_bsk_rl(model, recorded):
-    check({arg.name: arg.default for part in model.all_components() for arg in part.args}, recorded, POINTING | CRAFT)
+    check({arg.name: arg.default for part in model.all_components() for arg in part.args}, recorded, POINTING | SPACECRAFT)
 
 
 def test_where_an_image_is_taken_has_the_defaults_of_bsk_rl():

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+import functools
 import re
 
 import pytest
 import torch
 
-from bsk_torch import SatelliteTasking, dyn, rand
-from bsk_torch.presets.nadir_scan import ScanningSatellite
+from bsk_torch import dyn, rand
 from bsk_torch.sim.component import Bus
 from bsk_torch.sim.dyn.thrusters import (
     ARGS,
@@ -25,6 +25,11 @@ from bsk_torch.sim.dyn.thrusters import (
 from bsk_torch.sim.fsw.desaturation import impulses, set_desaturation
 from bsk_torch.vec3 import Vec3
 from tests.sim.buses import N, vectors, write
+from tests.sim.dyn import flights
+from tests.sim.dyn.flights import DESAT, SCAN
+
+fly = functools.partial(flights.fly, actions=(SCAN, DESAT))
+"""A flight that ends with desaturation."""
 
 GIVEN = {arg.name: arg.default for arg in ARGS} | {"r_CB_B": (0.0, 0.0, 0.0)}
 OCTET = [
@@ -32,17 +37,6 @@ OCTET = [
     for position, direction in zip(POSITIONS, DIRECTIONS, strict=True)
     for sign in (1.0, -1.0)
 ]
-DESAT = 3
-
-
-def fly(args: dict, actions: tuple[int, ...] = (0, DESAT), **options) -> SatelliteTasking:
-    env = SatelliteTasking(
-        ScanningSatellite("A", args), seed=0, time_limit=900.0, **{"num_envs": 3, "backend": "eager"} | options
-    )
-    td = env.reset()
-    for action in actions:
-        td = env.step(td.set("action", torch.full(env.batch_size, action)))["next"]
-    return env
 
 
 def random_args(count: int) -> dict[str, torch.Tensor]:
