@@ -1,5 +1,7 @@
 """Imitation of a rule before reinforcement learning."""
 
+import math
+
 import pytest
 import torch
 from tensordict import TensorDict
@@ -9,8 +11,9 @@ from bsk_torch.rl.marl import MAPPOConfig
 from bsk_torch.rl.marl.mappo import DECIDES, MAPPOLearner
 from bsk_torch.rl.policies.shared_policy import member_views, shared
 from bsk_torch.rl.rules.baselines import BASELINES
+from bsk_torch.rl.rules.imaging import IMAGING_RULES, ImagingRule
 from bsk_torch.rl.training.config import PPOConfig
-from bsk_torch.rl.training.imitation import TAUGHT, find_teacher, imitation_loss, taught_actions
+from bsk_torch.rl.training.imitation import TAUGHT, find_teacher, imitation_loss, taught
 from bsk_torch.rl.training.ppo import Learner
 
 SHORT = {"as_set": True, "n_targets": 200, "time_limit": 1200.0}
@@ -49,11 +52,72 @@ def chosen(learner, batch):
 def test_the_rule_is_asked_in_each_situation(played):
     env, batch = played
     teacher = find_teacher("hasty", env)
-    taught = taught_actions(teacher, batch)
+    lesson = taught(teacher, batch)
     alone = BASELINES["hasty"](env, 0)(batch[:, 3])["action"]
-    assert taught.shape == batch.shape
-    assert torch.equal(taught[:, 3], alone)
-    assert len(taught.unique()) > 2
+    assert lesson.shape == batch.shape
+    assert torch.equal(lesson[:, 3], alone)
+    assert len(lesson.unique()) > 2
+
+
+@pytest.mark.parametrize("name", ["greedy", "nearest", "hasty", "farsighted"])
+def test_a_temperature_turns_what_actions_are_worth_into_probabilities(played, name):
+    env, batch = played
+    rule = ImagingRule.of(env, IMAGING_RULES[name])
+    worths = torch.stack([rule.worths(situation["observation"], situation["action_mask"]) for situation in batch.unbind(1)], 1)
+    soft = taught(find_teacher(name, env, 0.2), batch)
+    assert soft.shape == batch["action_mask"].shape
+    assert (soft[~batch["action_mask"]] == 0.0).all()
+    assert torch.allclose(soft.sum(-1), torch.ones(batch.shape))
+    assert torch.equal(worths.argmax(-1), taught(find_teacher(name, env), batch))
+    best, second = worths.topk(2).values.unbind(-1)
+    close = second > best - 2.0  # between which a factor in probability can be seen
+    assert close.any()
+    ratio = soft.gather(-1, worths.topk(2).indices).log().diff(dim=-1).squeeze(-1)
+    assert torch.allclose(ratio[close], ((second - best) / 0.2)[close].float(), atol=1e-3)
+    cold = taught(find_teacher(name, env, 1e-6), batch)
+    assert torch.equal(cold.argmax(-1)[best > second], worths.argmax(-1)[best > second])
+
+
+def test_probabilities_are_learned_by_their_cross_entropy():
+    logits = torch.tensor([[2.0, 0.0, 5.0], [0.0, 1.0, 0.0]], requires_grad=True)
+    legal = torch.tensor([[True, True, False], [True, True, True]])
+    soft = torch.tensor([[0.7, 0.3, 0.0], [0.2, 0.3, 0.5]])
+    sample = TensorDict({"logits": logits, "action_mask": legal, TAUGHT: soft}, (2,))
+    first = -(soft[0, :2] * logits[0, :2].log_softmax(-1)).sum()
+    second = -(soft[1] * logits[1].log_softmax(-1)).sum()
+    assert torch.allclose(imitation_loss(sample), (first + second) / 2)
+    assert torch.allclose(imitation_loss(sample, torch.tensor([False, True])), second)
+    imitation_loss(sample).backward()
+    assert logits.grad[0, 2] == 0.0
+
+
+def test_a_policy_learns_how_close_a_choice_was(played):
+    torch.manual_seed(1)
+    learner = Learner(config(learning_rate=3e-3, learning_rate_schedule="constant", imitation_temperature=0.02), played[0])
+    learner.anneal(0.0)
+    batch = batch_of(played, learner)
+    soft = taught(learner.teacher, batch)
+
+    def distance():
+        return 0.5 * (chosen(learner, batch) - soft).abs().sum(-1).mean()
+
+    before = distance()
+    for _ in range(12):
+        learner.learn(batch_of(played, learner))
+    assert before > 0.1
+    assert distance() < 0.2 * before
+
+
+def test_nothing_is_estimated_for_a_training_that_only_imitates(played):
+    learner = Learner(config(imitation=1.0, imitation_temperature=0.2), played[0])
+    critic = {name: weight.clone() for name, weight in learner.critic.state_dict().items()}
+    actor = {name: weight.clone() for name, weight in learner.acting.state_dict().items()}
+    learner.anneal(0.99)
+    report = learner.learn(batch_of(played, learner))
+    assert all(torch.equal(weight, critic[name]) for name, weight in learner.critic.state_dict().items())
+    assert any(not torch.equal(weight, actor[name]) for name, weight in learner.acting.state_dict().items())
+    assert report["entropy"] > 0.0
+    assert all(math.isnan(report[name]) for name in ("loss_critic", "explained_variance", "clip_fraction"))
 
 
 def test_the_policy_learns_what_the_rule_does_and_then_what_pays(played):
@@ -61,11 +125,11 @@ def test_the_policy_learns_what_the_rule_does_and_then_what_pays(played):
     learner = Learner(config(learning_rate=3e-3, learning_rate_schedule="constant"), played[0])
     learner.anneal(0.0)
     batch = batch_of(played, learner)
-    taught = taught_actions(learner.teacher, batch)
-    before = chosen(learner, batch).gather(-1, taught.unsqueeze(-1)).mean()
+    lesson = taught(learner.teacher, batch).unsqueeze(-1)
+    before = chosen(learner, batch).gather(-1, lesson).mean()
     for _ in range(12):
         learner.learn(batch_of(played, learner))
-    after = chosen(learner, batch).gather(-1, taught.unsqueeze(-1)).mean()
+    after = chosen(learner, batch).gather(-1, lesson).mean()
     assert learner.imitates
     assert before < 0.3
     assert after > 0.8
@@ -129,6 +193,8 @@ def test_satellites_of_a_constellation_imitate_what_the_rule_fits(caplog):
         (dict(imitate="random"), r"imitate='random' must be one of"),
         (dict(imitation=0.0), r"imitation=0.0 must lie in \(0, 1\]"),
         (dict(imitation=float("nan")), r"imitation=nan must lie in"),
+        (dict(imitation_temperature=-0.1), r"imitation_temperature=-0.1 must lie in \[0, inf\)"),
+        (dict(imitate="survey", imitation_temperature=0.1), r"=0.1 needs a rule .*, one of \['greedy', .*\]"),
     ],
 )
 def test_settings_that_do_not_work(changes, message):

@@ -39,7 +39,7 @@ from bsk_torch.rl.rules.continuous import Bounds
 from bsk_torch.rl.rules.targets import image_actions
 from bsk_torch.rl.training.advantages import FINAL, estimate_advantages, final, standardize
 from bsk_torch.rl.training.config import EVALUATE_EVERY, PPOConfig
-from bsk_torch.rl.training.imitation import TAUGHT, taught_actions
+from bsk_torch.rl.training.imitation import TAUGHT, taught
 from bsk_torch.rl.training.ppo import REPORTED, Learner, averages, there
 from bsk_torch.rl.training.trainer import VALIDATION, Training
 from bsk_torch.sim.arguments.values import nearest
@@ -52,7 +52,7 @@ ALIVE, DECIDES = ("seen", "alive"), "decides"
 CRITIC_WIDTH = 32
 """Width of critics: all satellites are judged after every step, but few decide."""
 
-LEARNED_FROM = ("seen", DECIDES, "action_mask", "action", "action_log_prob", "advantage", "value_target")
+LEARNED_FROM = ("seen", DECIDES, "action_mask", "action", "action_log_prob")
 """Keys of a batch that gradient steps need."""
 
 CRITICS = ("mappo", "ippo")
@@ -271,11 +271,11 @@ class GroupLearner(Learner):
         decisions = int(team[DECIDES].sum())
         if decisions < 2:
             return {"decisions": 0}
-        team_advantages(team, self.critic, self.config.gamma, self.lmbda, self.value_norm, self.config.reward_time)
-        keys = there(LEARNED_FROM, team)
+        if self.judges:
+            team_advantages(team, self.critic, self.config.gamma, self.lmbda, self.value_norm, self.config.reward_time)
         if self.imitates:
-            team[TAUGHT] = taught_actions(self.teacher, _asked(batch[self.group], team))
-            keys = [*keys, TAUGHT]
+            team[TAUGHT] = taught(self.teacher, _asked(batch[self.group], team))
+        keys = [*there(LEARNED_FROM, team), *self._further_keys()]
         samples = self._samples(team.select(*keys).reshape(-1))
         reports = [self._descend(sample) for sample in samples if bool(sample[DECIDES].any())]
         return averages(reports) | {"decisions": decisions} if reports else {"decisions": 0}

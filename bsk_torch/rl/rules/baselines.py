@@ -13,7 +13,7 @@ from torch import Tensor
 
 from bsk_torch.env import SatelliteTasking
 from bsk_torch.rl.rules.continuous import Bounds, bounds_of, spread
-from bsk_torch.rl.rules.imaging import by_closing, by_discounted_priority, by_priority, by_tour, imaging_rule
+from bsk_torch.rl.rules.imaging import IMAGING_RULES, imaging_rule
 from bsk_torch.rl.rules.inspection import inspection_rule
 from bsk_torch.rl.rules.observation_columns import Columns
 
@@ -124,10 +124,7 @@ def scan_rule(env: SatelliteTasking, seed: int = 0) -> TensorDictModule:
 BASELINES: dict[str, Callable[[SatelliteTasking, int], TensorDictModuleBase]] = {
     "random": random_policy,
     "rule": scan_rule,
-    "greedy": imaging_rule(by_priority),
-    "nearest": imaging_rule(by_closing),
-    "hasty": imaging_rule(by_discounted_priority),
-    "farsighted": imaging_rule(by_tour),
+    **{name: imaging_rule(worth) for name, worth in IMAGING_RULES.items()},
     "drift": inspection_rule("drift"),
     "circumnavigate": inspection_rule("circumnavigate"),
     "survey": inspection_rule("survey"),

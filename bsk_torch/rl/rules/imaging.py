@@ -27,6 +27,9 @@ PATIENCE = 25.0
 FORESIGHT, TOUR = 50.0, 3
 """The same for a rule that looks beyond the next image, and the number of further images that it counts."""
 
+URGENCY = 1e6
+"""Value of an action that comes before all images; its negative is that of an action that comes after them."""
+
 Worth = Callable[[TargetReader, Observation], Tensor]
 """Function for the values of targets [N, n]; the target with the largest value is imaged first."""
 
@@ -72,6 +75,15 @@ def by_tour(see: TargetReader, observation: Observation) -> Tensor:
     return torch.where(arrival > closes, -arrival, (priority + later) * torch.exp(-arrival / FORESIGHT))
 
 
+IMAGING_RULES: dict[str, Worth] = {
+    "greedy": by_priority,
+    "nearest": by_closing,
+    "hasty": by_discounted_priority,
+    "farsighted": by_tour,
+}
+"""Rules for imaging by name."""
+
+
 @dataclass(frozen=True)
 class ImagingRule:
     """Images the highest-ranked of the existing, legal targets; without one, takes another legal action.
@@ -94,19 +106,27 @@ class ImagingRule:
         images = image_actions(env)[: see.n]
         return cls(see, images, worth, satellite.observation_description, satellite.action_description)
 
-    def decide(self, observation: Observation, action_mask: Tensor) -> Tensor:
-        """Return actions [N] for an observation and the legal actions [N, A]."""
+    def worths(self, observation: Observation, action_mask: Tensor) -> Tensor:
+        """Return the values of all actions, [N, A], for an observation and the legal actions [N, A].
+
+        A needed downlink is worth more than any image, other actions and images of padding are worth less, by :data:`URGENCY`;
+        illegal actions have the value -inf.
+        """
         legal = action_mask[:, self.images.start : self.images.stop]
         n = legal.shape[1]
-        wanted = legal & self.see.exist(observation)[:, :n]
-        worth = self.worth(self.see, observation)[:, :n].masked_fill(~wanted, -torch.inf)
-        image = self.images.start + worth.argmax(1)
-        action = torch.where(wanted.any(1), image, action_mask.long().argmax(1))
-        if "action_downlink" not in self.actions:
-            return action
-        downlink = self.actions.index("action_downlink")
-        level, opens = (read(observation, self.description, path) for path in (LEVEL, OPENS))
-        return torch.where((level > FULL) & (opens <= 0.0) & action_mask[:, downlink], downlink, action)
+        images = self.worth(self.see, observation)[:, :n]
+        worths = torch.full(action_mask.shape, -URGENCY, dtype=images.dtype, device=images.device)
+        exist = self.see.exist(observation)[:, :n]
+        worths[:, self.images.start : self.images.start + n] = torch.where(exist, images, -URGENCY)
+        if "action_downlink" in self.actions:
+            level, opens = (read(observation, self.description, path) for path in (LEVEL, OPENS))
+            downlink = self.actions.index("action_downlink")
+            worths[:, downlink] = torch.where((level > FULL) & (opens <= 0.0), URGENCY, -URGENCY).to(images.dtype)
+        return worths.masked_fill(~action_mask, -torch.inf)
+
+    def decide(self, observation: Observation, action_mask: Tensor) -> Tensor:
+        """Return actions [N] for an observation and the legal actions [N, A]: the first of those with the largest value."""
+        return self.worths(observation, action_mask).argmax(1)
 
 
 def imaging_rule(worth: Worth) -> Callable[[SatelliteTasking, int], TensorDictModule]:

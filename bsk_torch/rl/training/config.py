@@ -74,6 +74,7 @@ INTERVALS = {
     "entropy": "[0, inf)",
     "gradient_norm": "(0, inf)",
     "imitation": "(0, 1]",
+    "imitation_temperature": "[0, inf)",
 }
 """Real-valued settings, and their allowed intervals."""
 
@@ -117,7 +118,9 @@ class PPOConfig:
         minibatch: Decisions in a gradient step.
         gradient_norm: Gradients of the actor, and those of the critic, are scaled down to this norm.
         imitate: Rule that the policy learns to imitate first, such as ``"hasty"``; None for none.
-        imitation: Part of the budget in which it does.
+        imitation: Part of the budget in which it does; 1 for a training without reinforcement learning and critic.
+        imitation_temperature: The rule teaches probabilities proportional to exp(worth / temperature); the worth of an image is
+            about its discounted priority. For imaging rules only. 0: the rule teaches its actions.
         stagger: Whether the first episodes are cut at random, so that batches mix early and late decisions from the start.
         evaluate_every: Decisions between two evaluations on unseen episodes, by which the best policy is kept; 0 for none before
             the end. None for the least of :data:`EVALUATE_EVERY` and an eighth of ``frames``, or for 0 if that would be less than
@@ -157,6 +160,7 @@ class PPOConfig:
     gradient_norm: float = 0.5
     imitate: str | None = None
     imitation: float = 0.25
+    imitation_temperature: float = 0.0
     stagger: bool = True
     evaluate_every: int | None = None
     evaluate_episodes: int = 256
@@ -178,14 +182,14 @@ class PPOConfig:
         if self.evaluate_every is None:
             object.__setattr__(self, "evaluate_every", self._default_interval())
         check_network(str(self.network))
-        if self.imitate is not None:
-            check_teacher(self.imitate)
         if self.seconds is None and self.frames is None:
             raise ValueError("seconds=None and frames=None: training needs a limit")
         for name, least in LEAST_NUMBERS.items():
             _check_whole(name, getattr(self, name), least, MOST, optional=name in ("frames", "patience"))
         for name, interval in INTERVALS.items():
             _check_within(name, getattr(self, name), interval, optional=name == "seconds")
+        if self.imitate is not None:
+            check_teacher(self.imitate, self.imitation_temperature)
         for width in self.hidden:
             _check_whole("hidden", width, 1, WIDEST)
         for name in ("stagger", "beyond_limit", "ahead"):

@@ -1,19 +1,23 @@
 """Imitation of a rule before reinforcement learning.
 
 The policy plays, the rule labels each situation with its action, and the policy learns these actions: data aggregation
-(Ross et al. 2011, arXiv:1011.0686) in which the newest batch counts. The critic learns the values of what is played meanwhile.
+(Ross et al. 2011, arXiv:1011.0686) in which the newest batch counts. Rules that rank actions by what these are worth can teach
+probabilities instead, which tell how close a choice was (Hinton et al. 2015, arXiv:1503.02531). The critic learns the values of
+what is played meanwhile, unless the whole training imitates.
 """
 
 from __future__ import annotations
 
 import torch
 from tensordict import TensorDictBase
-from tensordict.nn import TensorDictModuleBase
+from tensordict.nn import TensorDictModule, TensorDictModuleBase
 from torch import Tensor
 
 from bsk_torch.env import SatelliteTasking
 from bsk_torch.env.action_forms import form
 from bsk_torch.rl.rules.baselines import BASELINES
+from bsk_torch.rl.rules.imaging import IMAGING_RULES, ImagingRule
+from bsk_torch.rl.rules.targets import Observation
 from bsk_torch.rl.training.loss import log_probabilities, log_probability
 from bsk_torch.sim.arguments.values import nearest
 
@@ -24,39 +28,65 @@ CHUNK = 2048
 """Situations that the rule judges at once: some compare all pairs of targets."""
 
 TAUGHT = "taught"
-"""Key of the rule's actions."""
+"""Key of the rule's actions, or of the probabilities that it is taken to give to all actions."""
 
 
-def check_teacher(name: str) -> None:
-    """ValueError, with the nearest name, unless there is such a rule."""
+def check_teacher(name: str, temperature: float) -> None:
+    """ValueError, with the nearest name, unless there is such a rule, which ranks all actions if it has a ``temperature``."""
     if name not in TEACHERS:
         raise ValueError(f"imitate={name!r} must be one of {list(TEACHERS)}; {nearest(str(name), TEACHERS)}")
+    if temperature and name not in IMAGING_RULES:
+        raise ValueError(
+            f"imitation_temperature={temperature:g} needs a rule that ranks actions, one of {list(IMAGING_RULES)}; "
+            f"imitation_temperature=0 imitates the actions of imitate={name!r}"
+        )
 
 
-def find_teacher(name: str, env: SatelliteTasking) -> TensorDictModuleBase:
-    """Return a rule for an environment; ValueError if it does not fit, or actions are real numbers."""
+def find_teacher(name: str, env: SatelliteTasking, temperature: float = 0.0) -> TensorDictModuleBase:
+    """Return a module for an environment that writes a rule's actions [N], or probabilities of all actions [N, A].
+
+    Args:
+        name: The rule.
+        env: The environment.
+        temperature: Probabilities are proportional to exp(worth / temperature), with what actions are worth to the rule; 0 for
+            actions.
+
+    Raises:
+        ValueError: If the rule does not fit the environment, or actions are real numbers.
+    """
     if form(env.satellite) is not None:
         raise ValueError(
             f"imitate={name!r}: rules are imitated in choices only; the actions of {env.satellite.name} are real numbers"
         )
     try:
-        return BASELINES[name](env, 0)
+        rule = BASELINES[name](env, 0)
     except (KeyError, ValueError) as error:
         reason = f"{error.args[0]}; imitate=null trains without"
         raise ValueError(f"imitate={name!r} does not fit {env.satellite.name}: {reason}") from error
+    if not temperature:
+        return rule
+    worths = ImagingRule.of(env, IMAGING_RULES[name]).worths
+
+    def probabilities(observation: Observation, action_mask: Tensor) -> Tensor:
+        return (worths(observation, action_mask) / temperature).softmax(-1, dtype=torch.float32)
+
+    return TensorDictModule(probabilities, in_keys=["observation", "action_mask"], out_keys=["probabilities"])
 
 
 @torch.no_grad()
-def taught_actions(teacher: TensorDictModuleBase, situations: TensorDictBase) -> Tensor:
-    """Return what the rule would do, [...], in ``situations`` [...] with ``observation`` and ``action_mask``."""
+def taught(teacher: TensorDictModuleBase, situations: TensorDictBase) -> Tensor:
+    """Return what a teacher writes, [...] or [..., A], in ``situations`` [...] with ``observation`` and ``action_mask``."""
     asked = situations.select("observation", "action_mask").reshape(-1)
-    return torch.cat([teacher(part)["action"] for part in asked.split(CHUNK)]).view(situations.batch_size)
+    lesson = torch.cat([teacher(part)[teacher.out_keys[0]] for part in asked.split(CHUNK)])
+    return lesson.view(*situations.batch_size, *lesson.shape[1:])
 
 
 def imitation_loss(sample: TensorDictBase, counts: Tensor | None = None) -> Tensor:
-    """Return the mean negative log-probability of what was taught, over all decisions or those that ``counts`` marks.
+    """Return the mean cross entropy of what was taught, over all decisions or those that ``counts`` marks.
 
-    ``sample`` has the actor's logits [..., A], ``action_mask`` [..., A] and :data:`TAUGHT` [...].
+    ``sample`` has the actor's logits [..., A], ``action_mask`` [..., A], and at :data:`TAUGHT` actions [...] or probabilities
+    [..., A].
     """
-    surprise = -log_probability(log_probabilities(sample["logits"], sample["action_mask"]), sample[TAUGHT])
+    table, lesson = log_probabilities(sample["logits"], sample["action_mask"]), sample[TAUGHT]
+    surprise = -(lesson * table).sum(-1) if lesson.is_floating_point() else -log_probability(table, lesson)
     return surprise.mean() if counts is None else surprise[counts].mean()

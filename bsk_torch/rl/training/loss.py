@@ -64,6 +64,15 @@ def _judged(actor: ProbabilisticTensorDictSequential, sample: TensorDictBase) ->
     return distribution.log_prob(sample["action"]), -distribution.log_prob(drawn)
 
 
+def unjudged(actor: ProbabilisticTensorDictSequential, sample: TensorDictBase, counts: Tensor | None = None) -> Terms:
+    """Return the terms that need no advantages and values, and nan for the others; arguments as for :func:`clipped_loss`."""
+    log_prob, entropy = _judged(actor, sample)
+    parts = log_prob - sample["action_log_prob"], entropy
+    log_ratio, entropy = parts if counts is None else (part[counts] for part in parts)
+    unknown = entropy.new_tensor(torch.nan)
+    return Terms(unknown, unknown, entropy.mean(), -log_ratio.detach().mean(), unknown, unknown)
+
+
 def clipped_loss(
     actor: ProbabilisticTensorDictSequential,
     critic: TensorDictModuleBase,

@@ -24,8 +24,8 @@ from bsk_torch.rl.policies.files import save_policy
 from bsk_torch.rl.training.advantages import FINAL, estimate_advantages, final, make_value_norm, standardize
 from bsk_torch.rl.training.collect import COLLECTED_CLOCK
 from bsk_torch.rl.training.config import SCHEDULES, PPOConfig
-from bsk_torch.rl.training.imitation import TAUGHT, find_teacher, imitation_loss, taught_actions
-from bsk_torch.rl.training.loss import Terms, clipped_loss
+from bsk_torch.rl.training.imitation import TAUGHT, find_teacher, imitation_loss, taught
+from bsk_torch.rl.training.loss import Terms, clipped_loss, unjudged
 
 REPORTED = ("entropy", "kl_approx", "clip_fraction", "explained_variance", "loss_critic")
 """Logged terms of the loss."""
@@ -33,8 +33,11 @@ REPORTED = ("entropy", "kl_approx", "clip_fraction", "explained_variance", "loss
 LEARNED = ("acting", "critic", "optimiser", "value_norm")
 """Attributes of a learner that checkpoints keep."""
 
-LEARNED_FROM = ("seen", "action_mask", "action", "action_log_prob", "advantage", "value_target")
+LEARNED_FROM = ("seen", "action_mask", "action", "action_log_prob")
 """Keys of a batch that gradient steps need; real numbers as actions have no mask."""
+
+VALUED = ("advantage", "value_target")
+"""Further keys, where values are learned."""
 
 
 def there(keys: Iterable[str], batch: TensorDictBase) -> list[str]:
@@ -62,7 +65,7 @@ class Learner:
         self.entropy_coefficient = config.entropy
         self.value_norm = make_value_norm().to(env.device)
         self.teacher = self.make_teacher(env)
-        self.imitates = False
+        self.imitates, self.judges = False, True
         self.recurrent = self.networks.unit is not None
         self._learn_by(self.networks.actor, self.networks.critic)
 
@@ -78,7 +81,8 @@ class Learner:
 
     def make_teacher(self, env: SatelliteTasking) -> TensorDictModuleBase | None:
         """Return the rule to imitate first; None for none. ValueError if it does not fit an environment."""
-        return find_teacher(self.config.imitate, env) if self.config.imitate else None
+        config = self.config
+        return find_teacher(config.imitate, env, config.imitation_temperature) if config.imitate else None
 
     @property
     def _length(self) -> int:
@@ -115,6 +119,7 @@ class Learner:
         """Set learning rate, weight of the entropy and what is learned for a used ``fraction`` of the budget."""
         config = self.config
         self.imitates = self.teacher is not None and fraction < config.imitation
+        self.judges = not self.imitates or config.imitation < 1.0  # else values are never needed
         self.optimiser.param_groups[0]["lr"] = config.learning_rate * SCHEDULES[config.learning_rate_schedule](fraction)
         self.entropy_coefficient = config.entropy * SCHEDULES[config.entropy_schedule](fraction)
 
@@ -144,9 +149,23 @@ class Learner:
 
     def learn(self, batch: TensorDictBase) -> dict[str, float]:
         """Several passes over a batch [N, T]; means of the terms of the loss."""
+        self.networks.normaliser(batch)
+        if self.judges:
+            self._estimate(batch)
+        if self.imitates:
+            batch[TAUGHT] = taught(self.teacher, batch)
+        keys = [*there(LEARNED_FROM, batch), *self._further_keys(), *((MEMORY, INIT) if self.recurrent else ())]
+        learned = batch.select(*keys)
+        with set_recurrent_mode(self.recurrent):
+            reports = [self._descend(sample) for sample in self._samples(learned if self.recurrent else learned.reshape(-1))]
+        self.networks.normaliser.update(batch)  # afterwards: networks learn from what they saw when they decided
+        return averages(reports)
+
+    def _estimate(self, batch: TensorDictBase) -> None:
+        """Write advantages and value targets of a batch [N, T] with normalized observations."""
         config = self.config
+        self.networks.normaliser(batch["next"])
         for situations in (batch, batch["next"]):
-            self.networks.normaliser(situations)
             situations[CLOCK] = self.clock(situations)
         batch["next", FINAL] = final(batch, config.beyond_limit)
         estimate_advantages(
@@ -159,15 +178,10 @@ class Learner:
             value_norm=self.value_norm,
         )
         standardize(batch, self.value_norm)
-        keys = [*there(LEARNED_FROM, batch), *((MEMORY, INIT) if self.recurrent else ())]
-        if self.imitates:
-            batch[TAUGHT] = taught_actions(self.teacher, batch)
-            keys.append(TAUGHT)
-        learned = batch.select(*keys)
-        with set_recurrent_mode(self.recurrent):
-            reports = [self._descend(sample) for sample in self._samples(learned if self.recurrent else learned.reshape(-1))]
-        self.networks.normaliser.update(batch)  # afterwards: networks learn from what they saw when they decided
-        return averages(reports)
+
+    def _further_keys(self) -> list[str]:
+        """Return the keys of a batch that gradient steps need in addition to :data:`LEARNED_FROM`."""
+        return [*(VALUED if self.judges else ()), *([TAUGHT] if self.imitates else ())]
 
     def _samples(self, learned: TensorDictBase) -> Iterator[TensorDictBase]:
         """Yield the samples of all gradient steps: every pass visits each decision once, in random order."""
@@ -185,11 +199,15 @@ class Learner:
     def _descend(self, sample: TensorDictBase) -> Tensor:
         """Take a gradient step; return the terms of the loss, [R]."""
         counts = self.counts(sample)
-        terms = clipped_loss(self.acting, self.critic, sample, self.config.clip, counts)
-        played = terms.objective - self.entropy_coefficient * terms.entropy
-        acting = imitation_loss(sample, counts) if self.imitates else played
+        if self.judges:
+            terms = clipped_loss(self.acting, self.critic, sample, self.config.clip, counts)
+            played = terms.objective - self.entropy_coefficient * terms.entropy
+            loss = (imitation_loss(sample, counts) if self.imitates else played) + terms.loss_critic
+        else:
+            terms = unjudged(self.acting, sample, counts)
+            loss = imitation_loss(sample, counts)
         self.optimiser.zero_grad()
-        (acting + terms.loss_critic).backward()
+        loss.backward()
         # clipped one by one, so that errors of values do not slow the actor
         for weights in self.weights:
             nn.utils.clip_grad_norm_(weights, self.config.gradient_norm)
