@@ -108,7 +108,7 @@ def next_to_close(
         block: Length of the first block; None for ``width + BLOCK_MARGIN``.
     """
     total, block = windows.close.shape[1], block or width + BLOCK_MARGIN
-    if total <= 2 * width + FULL_SORT_MARGIN:
+    if not is_long(total, width):
         return _first_to_close(candidates(windows, time, until, allowed), width)
     first = torch.searchsorted(windows.close, (time + TIME_ROUNDING).unsqueeze(-1)).squeeze(-1)
     some = _block_candidates(windows, first, block, time, until, allowed)
@@ -128,6 +128,11 @@ def next_to_close(
     else:
         late, number = _first_to_close(_block_candidates(few, first[rest], longest, time[rest], until[rest], mine), width)
     return result.put(rest, late), found.index_copy(0, rest, number)
+
+
+def is_long(total: int, width: int) -> bool:
+    """Return whether a table of ``total`` columns is looked at in blocks; a row without windows shows another padding then."""
+    return total > 2 * width + FULL_SORT_MARGIN
 
 
 def _block_candidates(

@@ -14,12 +14,14 @@ from torch import Tensor
 
 from bsk_torch.astro.interpolate import BEFORE, COUNT
 from bsk_torch.sim.access.generation import GenerationIntervals, true_windows, windows_of_bsk_rl
+from bsk_torch.sim.access.next_windows import next_windows
 from bsk_torch.sim.access.padded import tabulate
 from bsk_torch.sim.access.passes import GroundTrack, Passes, PassSearch
 from bsk_torch.sim.access.sampled_passes import find_passes
 from bsk_torch.sim.access.visibility.backend import Visibility
 from bsk_torch.sim.access.visibility.planned import PlannedOrbits
 from bsk_torch.sim.access.window_table import Windows, candidates, join_at, next_to_close
+from bsk_torch.sim.hooks import check_tensor
 from bsk_torch.sim.orbit.arcs import Arcs
 from bsk_torch.sim.orbit.grid import ARC_SEGMENT, PLAN_STEP
 from bsk_torch.sim.places import FixedPlaces, Places
@@ -157,7 +159,14 @@ class AccessWindows(StateTable):
         """Return the windows that close next; see :func:`~bsk_torch.sim.access.window_table.next_to_close`.
 
         ``time`` [N] and ``allowed`` [N, P] belong to all rows; the answer is that of ``rows`` [m], or of all.
+
+        Raises:
+            TypeError: For an ``allowed`` of another shape or type: the kernel does not look for places beyond it.
         """
+        if allowed is not None:
+            check_tensor(f"what filters allow of {kind!r}", allowed, (len(time), self.kinds[kind].count), torch.bool)
+        if self.visibility.kernels:
+            return next_windows(self._windows_of(kind), time, self.until, width, allowed, rows)
         if rows is None:
             return next_to_close(self._windows_of(kind), time, self.until, width, allowed)
         windows = self._windows_of(kind).take(rows)

@@ -12,6 +12,7 @@ from bsk_torch.astro.frames import lla_to_fixed
 from bsk_torch.constants import R_EARTH
 from bsk_torch.sim.access import window_table
 from bsk_torch.sim.access import windows as module
+from bsk_torch.sim.access.next_windows import next_windows
 from bsk_torch.sim.access.visibility.backend import make_visibility
 from bsk_torch.sim.access.window_table import Windows, next_to_close
 from bsk_torch.sim.access.windows import BEFORE_SEARCH, BEHIND_SEARCH, SEARCH_AHEAD, AccessWindows
@@ -404,8 +405,11 @@ def random_table(n: int, most: int, places: int) -> Windows:
 
 @pytest.mark.parametrize("filtered", [False, True])
 @pytest.mark.parametrize("width", [1, 3, 10])
-@pytest.mark.parametrize(("most", "spare"), [(5, 16), (40, 16), (300, 16), (300, 0), (300, 100)])
-def test_next_windows_of_random_tables(most, spare, width, filtered, monkeypatch):
+@pytest.mark.parametrize(
+    ("query", "most", "spare"),
+    [*((next_to_close, *sizes) for sizes in [(5, 16), (40, 16), (300, 16), (300, 0), (300, 100)]), (next_windows, 300, 16)],
+)
+def test_next_windows_of_random_tables(query, most, spare, width, filtered, monkeypatch):
     """Against lists; long tables, of which a block is looked at first, and short ones, and rows for which no block is enough."""
     n, places = 60, 12
     monkeypatch.setattr(window_table, "BLOCK_MARGIN", spare)
@@ -413,7 +417,7 @@ def test_next_windows_of_random_tables(most, spare, width, filtered, monkeypatch
     time = 30.0 * torch.randint(0, 200, (n,)).double()
     until = torch.where(torch.arange(n) % 3 == 0, math.inf, 60.0 * (time / 60.0).round() + 60.0 * torch.randint(-1, 8, (n,)))
     allowed = torch.rand(n, places) < 0.3 if filtered else None
-    found, number = next_to_close(windows, time, until, width, allowed)
+    found, number = query(windows, time, until, width, allowed)
     assert found.open.shape == (n, width)
     cut = 0
     for row in range(n):
@@ -425,6 +429,40 @@ def test_next_windows_of_random_tables(most, spare, width, filtered, monkeypatch
         assert shown == [(w.open, w.close, w.place) for w in padded]
         cut += any(w.cut for w in expected)
     assert cut or width == 1  # the next one of many is rarely cut
+
+
+@pytest.mark.parametrize("filtered", [False, True])
+@pytest.mark.parametrize("width", [1, 4, 32])
+@pytest.mark.parametrize("step", [60.0, 1e-7])  # of the tie break: times and broken ties may be equal
+@pytest.mark.parametrize(("n", "most"), [(1, 5), (1, 300), (60, 40), (60, 300), (1200, 150)])
+def test_the_kernel_of_next_windows_agrees_with_torch(n, most, step, width, filtered):
+    """Bit for bit: in rows with many windows, few and none, whose padding is the same, too; for all rows and for some."""
+    minutes = random_table(n, most, 12)
+    begin = 4e8 if step < 1.0 else 0.0  # s; so late, sums with tie breaks are rounded to each other
+    windows = Windows(*(begin + x / 60.0 * step for x in minutes[:2]), minutes.place)
+    time = begin + step * torch.randint(-5, 100, (n,)).double()
+    until = torch.where(torch.arange(n) % 4 == 3, math.inf, time + step * torch.randint(-3, 40, (n,)).double())
+    allowed = torch.rand(n, 24)[:, ::2] < 0.3 if filtered else None
+    expected, number = next_to_close(windows, time, until, width, allowed)
+    found, again = next_windows(windows, time, until, width, allowed)
+    assert torch.equal(again, number)
+    assert all(torch.equal(one, other) for one, other in zip(found, expected, strict=True))
+    assert n == 1 or (bool((number == 0).any()) and bool((number > 0).any()))
+    rows = torch.randint(n, (7,))
+    some, few = next_windows(windows, time, until, width, allowed, rows)
+    assert torch.equal(few, number[rows])
+    assert all(torch.equal(one, other[rows]) for one, other in zip(some, expected, strict=True))
+
+
+def test_kernels_of_next_windows_reject_what_they_would_misread(five_orbits):
+    access, time = table(five_orbits, GENERATED), torch.full((5,), 9000.0, dtype=torch.float64)
+    with pytest.raises(TypeError, match=r"filters allow of 'station' is .*\[5, 6\].*must be .*\[5, 7\] and dtype torch.bool"):
+        access.next(KIND, time, 3, torch.ones(5, 6, dtype=torch.bool))
+    windows, until = access.windows[KIND], access.until
+    with pytest.raises(TypeError, match=r"time is .*torch.float32; it must be .*\[5\] and dtype torch.float64"):
+        next_windows(windows, time.float(), until, 3, None)
+    with pytest.raises(TypeError, match=r"until is .*\[4\]"):
+        next_windows(windows, time, until[:4], 3, None)
 
 
 def test_next_windows_do_not_depend_on_the_batch(monkeypatch):

@@ -35,6 +35,8 @@ from bsk_torch.vec3 import Vec3
 class KernelVisibility:
     """See :class:`bsk_torch.sim.access.visibility.backend.Visibility`."""
 
+    kernels = True
+
     def umbra(self, orbits: PlannedOrbits, start: Tensor, count: int) -> Tensor:
         """See :meth:`Visibility.umbra`."""
         return _run_samples(umbra_kernel(), orbits, start, count, 1).squeeze(-1) > 0.5

@@ -28,6 +28,8 @@ from bsk_torch.vec3 import Vec3
 class TensorVisibility:
     """See :class:`bsk_torch.sim.access.visibility.backend.Visibility`."""
 
+    kernels = False
+
     def umbra(self, orbits: PlannedOrbits, start: Tensor, count: int) -> Tensor:
         """See :meth:`Visibility.umbra`."""
         r_BN_N, ephemeris = sample_planned(orbits, start, count)

@@ -1,0 +1,74 @@
+"""The windows that close next, by a kernel that reads no more of each row than it needs.
+
+It is written in C++, not traced: kernels that are traced compute numbers element by element, and this is a search in sorted rows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from bsk_torch.codegen.build import entry, load
+from bsk_torch.sim.access.window_table import TIME_ROUNDING, Windows, is_long
+from bsk_torch.sim.hooks import check_tensor
+
+SOURCE = Path(__file__).with_name("next_windows.cpp")
+
+SIGNATURE = "iip" + "ippp" + "pppi" + "iip" + "pppp"
+
+ROUNDING = torch.tensor(TIME_ROUNDING, dtype=torch.float64)
+
+ROWS_OF_A_THREAD = 512
+"""Rows below which a further thread would take longer to start than to run."""
+
+
+@cache
+def next_windows_kernel() -> Callable[..., None]:
+    """Return the kernel, built or loaded when it is first needed."""
+    return entry(load(SOURCE.read_text(), "search for the next windows"), SIGNATURE)
+
+
+def next_windows(
+    windows: Windows, time: Tensor, until: Tensor, width: int, allowed: Tensor | None, rows: Tensor | None = None
+) -> tuple[Windows, Tensor]:
+    """Return the same as :func:`~bsk_torch.sim.access.window_table.next_to_close`, bit for bit.
+
+    The first windows that have not closed and are not cut come in the order of the table; only where they are too few, those that
+    are cut are sorted.
+
+    Args:
+        windows: The table, [N, W].
+        time: Time of the query, [N] s.
+        until: End of what has been generated, [N] s.
+        width: Number of windows.
+        allowed: Places that count, [N, P]; None for all.
+        rows: Rows that are asked, [n]; None for all.
+
+    Raises:
+        TypeError: For times that are not float64, or of another shape than the table's: kernels read addresses.
+    """
+    shape = windows.close.shape
+    for name, tensor, wanted in (
+        ("windows.open", windows.open, shape),
+        ("windows.close", windows.close, shape),
+        ("time", time, shape[:1]),
+        ("until", until, shape[:1]),
+    ):
+        check_tensor(name, tensor, wanted, torch.float64)
+    table = [part.contiguous() for part in windows]
+    n, columns = len(time) if rows is None else len(rows), shape[1]
+    opens, close = (time.new_empty(n, width) for _ in range(2))
+    place, number = windows.place.new_empty(n, width), windows.place.new_empty(n)
+    places = 0 if allowed is None else allowed.shape[1]
+    next_windows_kernel()(
+        n, max(1, min(n // ROWS_OF_A_THREAD, torch.get_num_threads())), None if rows is None else rows.contiguous(),
+        columns, *table,
+        time.contiguous(), until.contiguous(), None if allowed is None else allowed.contiguous(), places,
+        width, is_long(columns, width), ROUNDING,
+        opens, close, place, number,
+    )  # fmt: skip
+    return Windows(opens, close, place), number
