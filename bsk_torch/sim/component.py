@@ -221,7 +221,11 @@ class Effector:
         force: ``force(bus, v_BN_B)`` returns an external force, N, and its torque about B, N m, where the orbit is integrated.
         gradient: ``gradient(bus, r_CN_B)`` returns an external torque, N m, that depends on attitude and on the position of the
             center of mass, m from the Earth's center.
-        thrust: ``thrust(bus, stage)`` returns the same for a force of stage 0 to 3, None for none; the orbit must be integrated.
+        ambient: ``ambient(bus, BN, r_BN_N)`` returns an external force, N, or None, and its torque about B, N m, that follow
+            from the attitude and the position of B, m, as those of sunlight and magnetic fields. Where the orbit was solved in
+            advance, the force only turns the body.
+        thrust: ``thrust(bus, stage)`` returns the same as ``force`` for a force of stage 0 to 3, None for none; the orbit must be
+            integrated.
     """
 
     state: tuple[str, ...] = ()
@@ -232,6 +236,7 @@ class Effector:
     torque: Callable[[Bus, int], Vec3 | None] | None = None
     force: Callable[[Bus, Vec3], tuple[Vec3, Vec3]] | None = None
     gradient: Callable[[Bus, Vec3], Vec3] | None = None
+    ambient: Callable[[Bus, Mat3, Vec3], tuple[Vec3 | None, Vec3]] | None = None
     thrust: Callable[[Bus, int], tuple[Vec3, Vec3] | None] | None = None
 
 

@@ -15,7 +15,7 @@ from bsk_torch.sim.environment import world as environment
 from bsk_torch.sim.readout.hooks import check_model
 from bsk_torch.sim.readout.surroundings import World
 
-__all__ = ["AtmosphereWorldModel", "EclipseWorldModel", "GroundStationWorldModel", "WorldModel"]
+__all__ = ["AtmosphereWorldModel", "EclipseWorldModel", "GroundStationWorldModel", "MagneticFieldWorldModel", "WorldModel"]
 
 
 class WorldModel(World):
@@ -69,6 +69,12 @@ class AtmosphereWorldModel(WorldModel):
     """Adds an exponential atmosphere."""
 
     components: ClassVar[tuple[Component, ...]] = (environment.ATMOSPHERE,)
+
+
+class MagneticFieldWorldModel(WorldModel):
+    """Adds the Earth's magnetic field, a centered dipole that turns with the Earth."""
+
+    components: ClassVar[tuple[Component, ...]] = (environment.MAGNETIC_FIELD,)
 
 
 class GroundStationWorldModel(WorldModel):

@@ -5,7 +5,6 @@ The recordings are those of ``recorders/record_craft.py``.
 
 from __future__ import annotations
 
-import dataclasses
 import json
 from collections.abc import Mapping
 from typing import Any
@@ -18,10 +17,8 @@ from bsk_torch import SatelliteTasking, act, obs, sats
 from bsk_torch.astro.attitude import mrp_to_dcm
 from bsk_torch.constants import AU, RPM, SOLAR_FLUX
 from bsk_torch.sim import dyn, fsw
-from bsk_torch.sim.component import Bus, Component, Effector
-from bsk_torch.sim.dyn import drag
+from bsk_torch.sim.component import Bus, Component
 from bsk_torch.sim.dyn.thrusters import DIRECTIONS, POSITIONS, THRUST
-from bsk_torch.vec3 import Vec3
 from tests.basilisk.replay import RECORDINGS
 
 OCTET = [
@@ -49,28 +46,12 @@ def further_panel(k: int, normal: list[float], gain: float) -> Component:
     return Component(slot=f"panel{k}", after="panel", update=collect)
 
 
-def facet_drag(facets: list[Any]) -> Component:
-    """Drag on facets of any place and direction, in place of those of bsk_rl; each is area, drag coefficient, normal, place."""
-
-    def push(bus: Bus, v_BN_B: Vec3) -> tuple[Vec3, Vec3]:
-        speed2 = v_BN_B.dot(v_BN_B)
-        flow, zero = v_BN_B.unit(), Vec3.zeros_like(v_BN_B.x)
-        force, torque = zero, zero
-        for area, coefficient, normal, place in facets:
-            facing = torch.clamp(flow.x * normal[0] + flow.y * normal[1] + flow.z * normal[2], min=0.0)
-            own = flow * (facing * speed2 * bus.density * (-0.5 * area * coefficient))
-            force, torque = force + own, torque + Vec3(*(torch.zeros_like(speed2) + x for x in place)).cross(own)
-        return force, torque
-
-    return dataclasses.replace(drag.DRAG, params=(), prepare=lambda args: {}, effector=Effector(force=push))
-
-
 def models(craft: Mapping[str, Any]) -> tuple[type[dyn.DynamicsModel], type[fsw.FSWModel]]:
     """Models of a recorded spacecraft."""
     panels = (craft["panels"] or [])[1:]
     parts = tuple(further_panel(k, p["n"], p["area"] * p["efficiency"]) for k, p in enumerate(panels, 1))
-    parts = (*parts, facet_drag(craft["facets"])) if craft["facets"] else parts
     extra = (dyn.GravityGradientDynModel,) if craft["gravity_gradient"] else ()
+    extra = (*extra, dyn.SolarPressureDynModel, dyn.TorqueBarsDynModel) if craft["case"] == "loads" else extra
     Dyn = type("CraftDyn", (*extra, dyn.ContinuousImagingDynModel, dyn.GroundStationDynModel), {"components": parts})
     bases = (fsw.SteeringFSWModel, fsw.ContinuousImagingFSWModel) if craft["steering"] else (fsw.ContinuousImagingFSWModel,)
     return Dyn, type("CraftFSW", bases, {})
@@ -106,6 +87,13 @@ def arguments(craft: Mapping[str, Any], given: Mapping[str, Any]) -> dict[str, A
         args["thrusters"] = OCTET
     args |= {"compensateWheels": craft["control"]["wheels"], "integralLimit": craft["control"]["limit"]}
     args["knownTorquePntB_B"] = craft["control"]["known_torque"] if any(craft["control"]["known_torque"]) else None
+    if craft["facets"]:
+        shares = craft.get("reflection") or [(0.0, 0.0)] * len(craft["facets"])
+        facets = zip(craft["facets"], shares, strict=True)
+        args["facets"] = [dyn.Facet(area, n, place, Cd, *light) for (area, Cd, n, place), light in facets]
+        args["dragCoeff"] = [entry[1] for entry in craft["facets"]]
+    if craft.get("bars"):
+        args["torqueBars"] = [dyn.TorqueBar(*bar) for bar in zip(craft["bars"]["axes"], craft["bars"]["max"], strict=True)]
     if craft["panels"]:
         first = craft["panels"][0]
         args |= {"panelArea": first["area"], "panelEfficiency": first["efficiency"]}
@@ -148,9 +136,12 @@ def fly(name: str, until: float | None = None, orbit: str = "integrated", **opti
     )
     td = env.reset()
     with env.record((*FIELDS, *POWER)) as recording:
-        for start, action, _ in plan:
+        for k, (start, action, _) in enumerate(plan):
             if until is not None and start >= until:
                 break
+            if craft.get("bars"):
+                dipoles = torch.tensor([craft["dipoles"][k]], dtype=torch.float64)
+                env.simulator.state.write("bar_command", torch.ones(1, dtype=torch.bool), dipoles)
             td = env.step(td.set("action", torch.tensor([ACTIONS.index(action)])))["next"]
     flown = recording.data
     at = np.round(file["time"] / craft["sim_rate"]).astype(int)

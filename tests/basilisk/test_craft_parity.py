@@ -6,7 +6,7 @@ import pytest
 
 from tests.basilisk.craft import bounds, differences, fly
 
-FLIGHTS = {"skewed": None, "steering": None, "six": None, "offset": None, "cubesat": None, "power": 690.0}
+FLIGHTS = {"skewed": None, "steering": None, "six": None, "offset": None, "cubesat": None, "power": 690.0, "loads": None}
 """Recordings, and the time, s, up to which they are compared: the battery of ``power`` loses capacity afterwards."""
 
 ARC = 1e-3

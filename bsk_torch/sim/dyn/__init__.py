@@ -1,5 +1,6 @@
 """Dynamics: the parts of a spacecraft and the models that compose them."""
 
+from bsk_torch.sim.dyn.facets import Facet, box_facets
 from bsk_torch.sim.dyn.forces import add_force
 from bsk_torch.sim.dyn.inspection import RSODynModel, RSOInspectorDynModel
 from bsk_torch.sim.dyn.models import (
@@ -14,9 +15,12 @@ from bsk_torch.sim.dyn.models import (
     GroundStationDynModel,
     ImagingDynModel,
     LOSCommDynModel,
+    SolarPressureDynModel,
+    TorqueBarsDynModel,
 )
 from bsk_torch.sim.dyn.relative_motion import ConjunctionDynModel, MaxRangeDynModel
 from bsk_torch.sim.dyn.thrusters import THRUSTER_TYPES, Thruster
+from bsk_torch.sim.dyn.torque_bars import TorqueBar
 from bsk_torch.sim.dyn.wheel_types import WHEEL_TYPES, Wheel, WheelType, pyramid
 from bsk_torch.sim.readout.model import aliveness_checker
 from bsk_torch.sim.readout.observables import Now, observable, vital
@@ -31,6 +35,7 @@ __all__ = [
     "DisturbanceTorqueDynModel",
     "DynamicsModel",
     "EclipseDynModel",
+    "Facet",
     "FullFeaturedDynModel",
     "GravityGradientDynModel",
     "GroundStationDynModel",
@@ -40,11 +45,15 @@ __all__ = [
     "Now",
     "RSODynModel",
     "RSOInspectorDynModel",
+    "SolarPressureDynModel",
     "Thruster",
+    "TorqueBar",
+    "TorqueBarsDynModel",
     "Wheel",
     "WheelType",
     "add_force",
     "aliveness_checker",
+    "box_facets",
     "observable",
     "pyramid",
     "vital",

@@ -1,15 +1,19 @@
-"""Drag on flat facets, gravity gradient, and a constant disturbance torque.
+"""Drag on bsk_rl's box, gravity gradient, and a constant disturbance torque.
 
 Basilisk's facetDragDynamicEffector, GravityGradientEffector and extForceTorque.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 import torch
 from torch import Tensor
 
 from bsk_torch.constants import MU_EARTH
 from bsk_torch.sim.component import Arg, Bus, Component, Effector, Field, Values, vec
+from bsk_torch.sim.dyn.facets import AT_REST, DRAG_COEFFICIENT, FACETS_ARG, NUMBERS, described_facets, drag_of_facets
 from bsk_torch.vec3 import Vec3, times
 
 
@@ -23,10 +27,6 @@ def _facet_areas(args: Values) -> dict[str, Tensor]:
     areas = torch.stack(torch.broadcast_tensors(w * d, h * w, h * d, panel / 2.0), -1)
     offsets = torch.stack(torch.broadcast_tensors(h / 2.0, d / 2.0, w / 2.0, h), -1)
     return {"facet_areas": areas, "facet_offsets": offsets, "drag_coefficient": args["dragCoeff"]}
-
-
-AT_REST = 1e-30
-"""Square of a speed, m^2/s^2, below which there is no flow."""
 
 
 def drag(bus: Bus, v_BN_B: Vec3) -> tuple[Vec3, Vec3]:
@@ -56,12 +56,20 @@ def _latch_density(bus: Bus) -> None:
     bus.density = bus.density_message
 
 
+def fitted_drag(given: Mapping[str, Any]) -> Component:
+    """Return the component of drag on the facets that the arguments as given describe, or on bsk_rl's box."""
+    listed = described_facets(given)
+    return DRAG if listed is None else drag_of_facets(DRAG, listed)
+
+
 DRAG = Component(
     slot="drag",
     update=_latch_density,
     args=(
-        Arg("dragCoeff", 2.2, "-", "drag coefficient", low=0.0, high=1e3),
+        DRAG_COEFFICIENT,
         Arg("panelArea", 1.0, "m^2", "area of the solar panel", low=0.0, high=1e6),
+        FACETS_ARG,
+        *NUMBERS,
     ),
     state=(Field("density", 1, "kg/m^3", "density that acts over the next tick"),),
     params=(Field("facet_areas", 4, "m^2"), Field("facet_offsets", 4, "m"), Field("drag_coefficient", 1, "-")),
@@ -69,8 +77,10 @@ DRAG = Component(
     prepare=_facet_areas,
     integrated_only=True,
     at_start=True,
+    fit=fitted_drag,
     effector=Effector(force=drag),
 )
+"""Drag on bsk_rl's box with a panel, unless the arguments describe facets."""
 
 
 def gravity_gradient(bus: Bus, r_CN_B: Vec3) -> Vec3:

@@ -283,6 +283,13 @@ def _finish(bus: Bus, sigma: Vec3, omega: Vec3, states: EffectorStates) -> None:
             setattr(bus, name, value)
 
 
+def _about_center(bus: Bus, force: Vec3 | None, torque: Vec3) -> Vec3:
+    """Return the torque about the center of mass, N m, of a force in B, N, whose torque about B is given, ``L - c x F``."""
+    if force is None or not bus.has("r_CB_B"):
+        return torque.to(bus.dtype)
+    return (torque - bus.r_CB_B.cross(force)).to(bus.dtype)
+
+
 def rotate(bus: Bus) -> None:
     """Advance attitude and effectors by one tick, a Runge-Kutta step; the orbit is solved in advance.
 
@@ -294,13 +301,16 @@ def rotate(bus: Bus) -> None:
             "orbit='integrated' to the environment, or write orbit = 'integrated' in the dynamics model"
         )
     states = _effector_states(bus)
-    gradients = [effector.gradient for effector in bus.effectors if effector.gradient]
+    gradients, ambients = ([getattr(e, kind) for e in bus.effectors if getattr(e, kind)] for kind in ("gradient", "ambient"))
 
     def rates(stage: int, offset: float, y: State) -> State:
         torque = _torque(bus, stage)
         for gradient in gradients:  # the orbit is known at the end of the tick; its curvature within does not matter
             r_CN_B = mrp_to_dcm(y[0]) @ (bus.r_BN_N + bus.v_BN_N * (offset - bus.h))
             torque = torque + gradient(bus, r_CN_B).to(bus.dtype)
+        for ambient in ambients:
+            force, own = ambient(bus, mrp_to_dcm(y[0]), bus.r_BN_N + bus.v_BN_N * (offset - bus.h))
+            torque = torque + _about_center(bus, force, own)
         return _attitude_rates(bus, torque, y[0], y[1], _regrouped(states, y[2:]))
 
     sigma, omega, *after = rk4_step(rates, (bus.sigma_BN, bus.omega_BN_B, *_leaves(states)), bus.h)
@@ -340,8 +350,8 @@ def translate_and_rotate(bus: Bus, degree: int) -> None:
     constant = bus.external_force_N / bus.mass if bus.has("external_force_N") else None
     bus.force_is_felt = constant is not None
     states, c = _effector_states(bus), bus.r_CB_B if bus.has("r_CB_B") else None
-    kinds = "force", "thrust", "gradient"
-    drags, pushes, gradients = ([getattr(e, kind) for e in bus.effectors if getattr(e, kind)] for kind in kinds)
+    kinds = "force", "thrust", "gradient", "ambient"
+    drags, pushes, gradients, ambients = ([getattr(e, kind) for e in bus.effectors if getattr(e, kind)] for kind in kinds)
 
     def rates(stage: int, offset: float, y: State) -> State:
         r, v, sigma, omega, *rest = y
@@ -353,9 +363,11 @@ def translate_and_rotate(bus: Bus, degree: int) -> None:
             torque = torque + gradient(bus, mrp_to_dcm(sigma) @ center).to(bus.dtype)
         forces = [drag(bus, mrp_to_dcm(sigma) @ v) for drag in drags]
         forces += [force for push in pushes if (force := push(bus, stage)) is not None]
+        forces += [ambient(bus, mrp_to_dcm(sigma), r) for ambient in ambients]
         for force, own in forces:
-            acceleration = acceleration + mrp_to_dcm(sigma).mT @ force / bus.mass
-            torque = torque + (own if c is None else own - c.cross(force)).to(bus.dtype)
+            if force is not None:
+                acceleration = acceleration + mrp_to_dcm(sigma).mT @ force / bus.mass
+            torque = torque + _about_center(bus, force, own)
         turned = _attitude_rates(bus, torque, sigma, omega, _regrouped(states, tuple(rest)))
         if c is not None:
             swing = c.cross(turned[1]) - omega.cross(omega.cross(c))

@@ -15,7 +15,7 @@ from bsk_torch.astro.orbit import Elements
 from bsk_torch.constants import RPM
 from bsk_torch.sim import world
 from bsk_torch.sim.component import Arg, Component, collect
-from bsk_torch.sim.dyn import drag, events, hub, partitions, power, storage, thrusters, wheels
+from bsk_torch.sim.dyn import drag, events, facets, hub, partitions, power, storage, thrusters, torque_bars, wheels
 from bsk_torch.sim.readout.model import Model, Simulation
 from bsk_torch.sim.readout.observables import Now, observable, vital
 from bsk_torch.sim.schedule import SCHEDULE, Schedule
@@ -192,6 +192,35 @@ class GravityGradientDynModel(DynamicsModel):
     """Adds the torque of the gravity gradient, which bsk_rl leaves out; composed with other models."""
 
     components: ClassVar[tuple[Component, ...]] = (drag.GRAVITY_GRADIENT,)
+
+
+class SolarPressureDynModel(EclipseDynModel):
+    """Adds the pressure of sunlight on ``facets``, which bsk_rl leaves out; composed with other models.
+
+    Where the orbit is solved in advance, sunlight turns the body but does not push its orbit.
+    """
+
+    components: ClassVar[tuple[Component, ...]] = (facets.SUNLIGHT_PRESSURE,)
+
+
+class TorqueBarsDynModel(DynamicsModel):
+    """Adds magnetic torque bars, which bsk_rl lacks, and the Earth's magnetic field; composed with other models.
+
+    Flight software, such as :class:`bsk_torch.sim.fsw.MagneticUnloadingFSWModel`, writes dipoles to the state ``bar_command``.
+    """
+
+    components: ClassVar[tuple[Component, ...]] = (torque_bars.TORQUE_BARS,)
+    requires_world: ClassVar[tuple[type[world.WorldModel], ...]] = (world.MagneticFieldWorldModel,)
+
+    @observable
+    def magnetic_field_B(now: Now) -> Vec3:
+        """Magnetic field in B, [N, 3] T, at the position of the previous tick."""
+        return now.BN @ now.magnetic_field_N
+
+    @observable
+    def bar_dipoles(now: Now) -> tuple[Tensor, ...]:
+        """Commanded dipoles of the torque bars, [N, T] A m^2."""
+        return now.bar_command
 
 
 class AtmosphericDragDynModel(DynamicsModel):

@@ -1,4 +1,4 @@
-"""The world around the spacecraft: Sun, Earth's orientation, ground stations, atmosphere, eclipse.
+"""The world around the spacecraft: Sun, Earth's orientation, ground stations, atmosphere, eclipse, magnetic field.
 
 World modules run first in a tick, so they use the position of the spacecraft one tick ago.
 """
@@ -16,9 +16,10 @@ from torch import Tensor
 from bsk_torch.astro.atmosphere import exponential_density
 from bsk_torch.astro.eclipse import illumination
 from bsk_torch.astro.frames import lla_to_fixed, rotate_z
+from bsk_torch.astro.magnetic import dipole_field
 from bsk_torch.constants import R_EARTH
 from bsk_torch.rand import random_epoch
-from bsk_torch.sim.component import Arg, Bus, Component, Field, Values
+from bsk_torch.sim.component import Arg, Bus, Component, Field, Values, vec
 from bsk_torch.sim.environment.ephemeris import move_sun_and_earth, orient_pole, turned
 from bsk_torch.sim.places import STATION_KIND, FixedPlaces, Places, PlaceTables
 from bsk_torch.vec3 import Vec3
@@ -103,6 +104,16 @@ def cast_shadow(bus: Bus) -> None:
     bus.illumination = illumination(bus.r_BN_N, bus.r_SN_N).to(bus.dtype)
 
 
+def sample_magnetic_field(bus: Bus) -> None:
+    """Write the magnetic field, T in N, at the position of one tick ago, turned as the Earth is in this tick.
+
+    See :func:`bsk_torch.astro.magnetic.dipole_field`.
+    """
+    r_P = rotate_z(bus.EN @ bus.r_BN_N, bus.cos_earth, bus.sin_earth)
+    B_P = dipole_field(r_P, bus.magnetic_dipole_P, bus.magnetic_radius)
+    bus.magnetic_field_N = (bus.EN.mT @ rotate_z(B_P, bus.cos_earth, -bus.sin_earth)).to(bus.dtype)
+
+
 STATION_ARGS = (
     Arg("groundStationsData", DEFAULT_STATIONS, "deg, m", "list of dictionaries lat, long, elev, name", "stations"),
     Arg(
@@ -174,4 +185,30 @@ ECLIPSE = Component(
     state=(Field("illumination", 1, "-", "visible fraction of the solar disc"),),
     initial=lambda args: {"illumination": torch.ones(1, dtype=torch.float64)},
     overwrites=(("illumination", "it follows from orbit and Sun"),),
+)
+
+MAGNETIC_ARGS = (
+    Arg("magneticG10", -30926.0, "nT", "coefficient g of degree 1 and order 0", low=-1e9, high=1e9),
+    Arg("magneticG11", -2318.0, "nT", "coefficient g of degree 1 and order 1", low=-1e9, high=1e9),
+    Arg("magneticH11", 5817.0, "nT", "coefficient h of degree 1 and order 1", low=-1e9, high=1e9),
+    Arg("magneticRadius", 6371200.0, "m", "radius to which they apply", low=1e-6, high=1e9),
+)
+"""A centered dipole; the defaults are those that Basilisk's simSetPlanetEnvironment sets for the Earth."""
+
+
+def _dipole(args: Values) -> dict[str, Tensor]:
+    parts = torch.broadcast_tensors(*(args[name] * 1e-9 for name in ("magneticG11", "magneticH11", "magneticG10")))
+    return {"magnetic_dipole_P": torch.stack(parts, -1), "magnetic_radius": args["magneticRadius"]}
+
+
+MAGNETIC_FIELD = Component(
+    slot="magnetic_field",
+    after="eclipse",
+    update=sample_magnetic_field,
+    args=MAGNETIC_ARGS,
+    state=(vec("magnetic_field_N", "T", "magnetic field at the position of one tick ago"),),
+    params=(vec("magnetic_dipole_P", "T", exact=True), Field("magnetic_radius", 1, "m", exact=True)),
+    initial=lambda args: {"magnetic_field_N": torch.zeros(1, 3, dtype=torch.float64)},
+    overwrites=(("magnetic_field_N", "it follows from the orbit"),),
+    prepare=_dipole,
 )

@@ -7,6 +7,7 @@ from bsk_torch.sim.fsw.models import (
     FSWModel,
     ImagingFSWModel,
     MagicOrbitalManeuverFSWModel,
+    MagneticUnloadingFSWModel,
     SteeringFSWModel,
     SteeringImagerFSWModel,
 )
@@ -24,6 +25,7 @@ __all__ = [
     "ImagingFSWModel",
     "InertialHoldFSWModel",
     "MagicOrbitalManeuverFSWModel",
+    "MagneticUnloadingFSWModel",
     "Mode",
     "RSOInspectorFSWModel",
     "SteeringFSWModel",

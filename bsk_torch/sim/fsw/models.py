@@ -7,8 +7,19 @@ from typing import ClassVar
 from torch import Tensor
 
 from bsk_torch.sim.component import Component
-from bsk_torch.sim.dyn.models import BasicDynamicsModel, DynamicsModel, ImagingDynModel
-from bsk_torch.sim.fsw import allocation, control, desaturation, guidance, imposed, instrument, manoeuvre, steering, target
+from bsk_torch.sim.dyn.models import BasicDynamicsModel, DynamicsModel, ImagingDynModel, TorqueBarsDynModel
+from bsk_torch.sim.fsw import (
+    allocation,
+    control,
+    desaturation,
+    guidance,
+    imposed,
+    instrument,
+    manoeuvre,
+    steering,
+    target,
+    unloading,
+)
 from bsk_torch.sim.fsw.desaturation import DUMP_RESET
 from bsk_torch.sim.fsw.guidance import SUN_RESET
 from bsk_torch.sim.fsw.instrument import IMAGE_RESET
@@ -87,6 +98,13 @@ class SteeringFSWModel(BasicFSWModel):
     """MRP steering with a rate servo instead of MRP feedback."""
 
     components: ClassVar[tuple[Component, ...]] = (steering.MRP_STEERING,)
+
+
+class MagneticUnloadingFSWModel(BasicFSWModel):
+    """Takes momentum from the wheels by magnetic torque bars while attitude is controlled; composed with other models."""
+
+    components: ClassVar[tuple[Component, ...]] = (unloading.UNLOADING,)
+    requires_dyn: ClassVar[tuple[type[DynamicsModel], ...]] = (TorqueBarsDynModel,)
 
 
 class ImagingFSWModel(BasicFSWModel):

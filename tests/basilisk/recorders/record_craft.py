@@ -7,8 +7,8 @@ Usage::
     python tests/basilisk/recorders/record_craft.py --list
 
 See ``recording.py`` for what it needs. What flies, and which rows are kept, is read from the present files: ``craft``,
-``sat_args`` and ``time``, which were drawn once. Everything else is recorded again. ``tests/basilisk/README.md`` describes the
-arrays.
+``sat_args`` and ``time``, which were drawn once. Everything else is recorded again. ``loads`` is the CubeSat of the file
+``craft_cubesat`` in a lower orbit, with ``LOADS``. ``tests/basilisk/README.md`` describes the arrays.
 """
 
 from __future__ import annotations
@@ -22,22 +22,53 @@ from Basilisk.architecture import messaging
 from Basilisk.fswAlgorithms import rwNullSpace
 from Basilisk.simulation import (
     GravityGradientEffector,
+    MtbEffector,
     facetDragDynamicEffector,
+    facetSRPDynamicEffector,
+    magneticFieldCenteredDipole,
     reactionWheelStateEffector,
     simpleSolarPanel,
     thrusterDynamicEffector,
 )
-from Basilisk.utilities import macros, simIncludeRW, simIncludeThruster
+from Basilisk.utilities import macros, simIncludeRW, simIncludeThruster, simSetPlanetEnvironment
 from bsk_rl import SatelliteTasking, act, data, obs, sats, scene
 from bsk_rl.sim import dyn, fsw
 from recording import Array, record_files
 
 RECORDINGS = Path(__file__).parents[1] / "recordings"
-CASES = ("skewed", "offset", "six", "cubesat", "power", "steering")
+CASES = ("skewed", "offset", "six", "cubesat", "power", "steering", "loads")
 ACTIONS = ("scan", "charge", "desat", "downlink", "nadir", "drift")
 NUDGE = 1e-13  # change of the initial attitude of the twin
 
 Craft = dict[str, Any]
+
+SIZE, REFLECTED = (0.2, 0.1, 0.34), ((0.2, 0.1), (0.0, 0.7))
+"""Sides of the CubeSat, m, and shares of light that its sides and its panel reflect diffusely and as a mirror does."""
+
+
+def surfaces() -> list[tuple[Any, ...]]:
+    """Area, drag coefficient, normal, position, and both shares of light, of the six sides and both faces of a panel."""
+    found: list[tuple[Any, ...]] = []
+    for k, sign in ((k, sign) for k in range(3) for sign in (1.0, -1.0)):
+        normal = [sign * float(k == j) for j in range(3)]
+        place = [0.5 * size * n for size, n in zip(SIZE, normal, strict=True)]
+        found.append((np.prod(SIZE) / SIZE[k], 2.2, normal, place, *REFLECTED[0]))
+    for sign in (1.0, -1.0):
+        found.append((0.06, 2.0, [0.0, 0.6 * sign, 0.8 * sign], [0.25, 0.02, -0.1], *REFLECTED[1]))
+    return found
+
+
+LOADS = {
+    "gravity_gradient": True,
+    "facets": [list(surface[:4]) for surface in surfaces()],
+    "reflection": [list(surface[4:]) for surface in surfaces()],
+    "bars": {"axes": [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.6, 0.0, 0.8]], "max": [0.2, 0.3, 0.25]},
+    "dipoles": [[0.1, -0.2, 0.05], [0.5, 0.0, -0.5], [0.0, 0.3, 0.2], [-0.2, -0.1, 0.0], [0.0, 0.0, 0.0]],
+    "actions": [[120.0 * k, name, 120.0] for k, name in enumerate(("nadir", "charge", "desat", "drift", "scan"))],
+}
+"""What pushes the CubeSat of ``loads``, and the dipoles commanded at the start of each action, A m^2."""
+
+LOW = 6638.0e3  # its distance from the Earth's center, m
 
 
 def column(values: Any) -> list[list[float]]:
@@ -75,6 +106,10 @@ def dynamics_of(craft: Craft) -> type:
                 self.gradient.addPlanetName(self.world.gravFactory.gravBodies["earth"].planetName)
                 self.scObject.addDynamicEffector(self.gradient)
                 self.simulator.AddModelToTask(self.task_name, self.gradient, ModelPriority=995)
+            if craft.get("reflection"):
+                self._add_sunlight()
+            if craft.get("bars"):
+                self._add_bars()
             if craft["nav"]:
                 nav = self.simpleNavObject
                 nav.PMatrix, nav.walkBounds = np.diag(craft["nav"]["P"]).tolist(), craft["nav"]["bounds"]
@@ -82,6 +117,39 @@ def dynamics_of(craft: Craft) -> type:
             payload = messaging.PowerStorageFaultMsgPayload(faultCapacityRatio=1.0)
             self.battery_fault = messaging.PowerStorageFaultMsg().write(payload)
             self.powerMonitor.batteryFaultInMsg.subscribeTo(self.battery_fault)
+
+        def _add_sunlight(self) -> None:
+            self.sunlight = facetSRPDynamicEffector.FacetSRPDynamicEffector()
+            self.sunlight.setNumFacets(len(craft["facets"]))
+            for (area, _, normal, place), shares in zip(craft["facets"], craft["reflection"], strict=True):
+                self.sunlight.addFacet(area, np.eye(3).tolist(), column(normal), column([1, 0, 0]), column(place), *shares)
+            self.sunlight.sunInMsg.subscribeTo(self.world.gravFactory.spiceObject.planetStateOutMsgs[self.world.sun_index])
+            self.sunlight.sunEclipseInMsg.subscribeTo(self.world.eclipseObject.eclipseOutMsgs[self.eclipse_index])
+            self.scObject.addDynamicEffector(self.sunlight)
+            self.simulator.AddModelToTask(self.task_name, self.sunlight, ModelPriority=994)
+
+        def _add_bars(self) -> None:
+            self.magnetic = magneticFieldCenteredDipole.MagneticFieldCenteredDipole()
+            simSetPlanetEnvironment.centeredDipoleMagField(self.magnetic, "earth")
+            self.magnetic.addSpacecraftToModel(self.scObject.scStateOutMsg)
+            self.magnetic.planetPosInMsg.subscribeTo(self.world.gravFactory.spiceObject.planetStateOutMsgs[self.world.body_index])
+            self.simulator.AddModelToTask(self.world.world_task_name, self.magnetic, ModelPriority=900)
+            bars, config = craft["bars"], messaging.MTBArrayConfigMsgPayload()
+            config.numMTB, config.maxMtbDipoles = len(bars["max"]), bars["max"]
+            config.GtMatrix_B = np.transpose(bars["axes"]).flatten().tolist()
+            self.bar_config = messaging.MTBArrayConfigMsg().write(config)
+            self.bar_command = messaging.MTBCmdMsg().write(messaging.MTBCmdMsgPayload())
+            self.bars = MtbEffector.MtbEffector()
+            self.bars.mtbParamsInMsg.subscribeTo(self.bar_config)
+            self.bars.mtbCmdInMsg.subscribeTo(self.bar_command)
+            self.bars.magInMsg.subscribeTo(self.magnetic.envOutMsgs[0])
+            self.scObject.addDynamicEffector(self.bars)
+            self.simulator.AddModelToTask(self.task_name, self.bars, ModelPriority=993)
+
+        def command_bars(self, dipoles: list[float]) -> None:
+            """Write the dipoles of the bars, A m^2, as flight software would."""
+            payload = messaging.MTBCmdMsgPayload(mtbDipoleCmds=dipoles)
+            self.bar_command.write(payload, self.simulator.sim_time_ns)
 
         def _add_panels(self) -> None:
             made = [self.solarPanel]
@@ -205,6 +273,8 @@ def flight_software_of(craft: Craft) -> type:
                 "lit": self.world.eclipseObject.eclipseOutMsgs[dynamics.eclipse_index],
                 **{f"rw{k}": message for k, message in enumerate(dynamics.rwStateEffector.rwOutMsgs)},
             }
+            if craft.get("bars"):
+                messages["field"] = dynamics.magnetic.envOutMsgs[0]
             self.log = {name: message.recorder() for name, message in messages.items()}
             for recorder in self.log.values():
                 simulator.AddModelToTask("LogTask", recorder)
@@ -251,7 +321,9 @@ def fly(craft: Craft, args: dict[str, Any]) -> dict[str, Array]:
     )
     env.reset(seed=1)
     satellite = env.unwrapped.satellite
-    for _, name, duration in craft["actions"]:
+    for k, (_, name, duration) in enumerate(craft["actions"]):
+        if craft.get("bars"):
+            satellite.dynamics.command_bars(craft["dipoles"][k])
         satellite.action_builder.action_spec[ACTIONS.index(name)].duration = duration
         env.step(ACTIONS.index(name))
     log, count = satellite.fsw.log, len(craft["wheels"])
@@ -267,6 +339,8 @@ def fly(craft: Craft, args: dict[str, Any]) -> dict[str, Array]:
         "power": np.c_[battery.storageLevel, battery.currentNetPower, log["lit"].illuminationFactor],
         "storage": np.array(log["store"].storageLevel),
     }
+    if craft.get("bars"):
+        found["field"] = np.array(log["field"].magField_N)
     if craft["nav"]:
         errors = log["trans"].r_BN_N - sc.r_BN_N, log["trans"].v_BN_N - sc.v_BN_N
         found["nav"] = np.c_[(*errors, log["att"].sigma_BN, log["att"].omega_BN_B)]
@@ -279,17 +353,32 @@ def shadow(sigma: Array) -> Array:
     return -sigma / np.maximum((sigma * sigma).sum(1, keepdims=True), 1e-300)
 
 
+def present(name: str) -> tuple[Craft, dict[str, Any], Array]:
+    """Spacecraft, arguments and kept times, s, of a present file."""
+    file = np.load(RECORDINGS / f"{name}.npz")
+    return json.loads(str(file["craft"])), json.loads(str(file["sat_args"])), file["time"]
+
+
+def low_cubesat() -> tuple[Craft, dict[str, Any], Array]:
+    """Spacecraft, arguments and kept times, s, of ``loads``."""
+    craft, args, _ = present("craft_cubesat")
+    r, v = np.array(args["rN"]), np.array(args["vN"])
+    ratio = LOW / np.linalg.norm(r)
+    args |= {"rN": (r * ratio).tolist(), "vN": (v / np.sqrt(ratio)).tolist()}
+    kept = [np.arange(21), np.arange(30, 601, 15), 120 * np.arange(1, 5) + 1, 120 * np.arange(1, 5) + 2]
+    return craft | LOADS | {"case": "loads"}, args, np.unique(np.concatenate(kept)).astype(float)
+
+
 def play(name: str) -> dict[str, Any]:
     """Arrays of a file; ``twin`` is how far a flight parts whose attitude begins ``NUDGE`` away, in sigma and Omega."""
-    file = np.load(RECORDINGS / f"{name}.npz")
-    craft, args = json.loads(str(file["craft"])), json.loads(str(file["sat_args"]))
+    craft, args, time = low_cubesat() if name == "craft_loads" else present(name)
     found = fly(craft, args)
     near = fly(craft, {**args, "sigma_init": (np.array(args["sigma_init"]) + NUDGE).tolist()})
     sigma, other = found["state"][:, 6:9], near["state"][:, 6:9]
     away = [np.abs(a - b).max(1) for a, b in ((sigma, other), (shadow(sigma), other))]
     found["twin"] = np.c_[np.minimum(*away), np.abs(found["Omega"] - near["Omega"]).max(1)].astype(np.float32)
-    kept = np.isin(np.round(found["time"] / craft["sim_rate"]), np.round(file["time"] / craft["sim_rate"]))
-    return {"craft": file["craft"], "sat_args": file["sat_args"], **{key: value[kept] for key, value in found.items()}}
+    kept = np.isin(np.round(found["time"] / craft["sim_rate"]), np.round(time / craft["sim_rate"]))
+    return {"craft": json.dumps(craft), "sat_args": json.dumps(args), **{key: value[kept] for key, value in found.items()}}
 
 
 if __name__ == "__main__":

@@ -1,0 +1,115 @@
+"""Magnetic torque bars: electromagnets that the Earth's magnetic field turns. Basilisk's MtbEffector.
+
+Commands of the flight software act from the tick in which they are written: there is no extra tick of delay as for wheels. The
+field is that of the position one tick ago, constant over a tick, and turns relative to the body within it. Bars take no power.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from bsk_torch._checks import number
+from bsk_torch.sim.component import Arg, Bus, Component, Effector, Field, Values
+from bsk_torch.vec3 import Mat3, Vec3
+
+MOST_BARS = 36
+"""Length of the arrays in Basilisk's messages."""
+
+
+@dataclass(frozen=True)
+class TorqueBar:
+    """A magnetic torque bar.
+
+    Raises:
+        ValueError: For an axis of length zero, or a dipole that is not positive.
+
+    Attributes:
+        axis: Direction of its dipole in B, of any length.
+        maxDipole: Largest dipole in both directions, A m^2.
+    """
+
+    axis: Sequence[float]
+    maxDipole: float
+
+    def __post_init__(self) -> None:
+        """Check the numbers; the axis becomes a tuple, so that equal bars are equal."""
+        number("TorqueBar: maxDipole", self.maxDipole, 0.0, above=True)
+        axis = tuple(float(x) for x in self.axis)
+        if len(axis) != 3 or not 0.0 < math.hypot(*axis) < math.inf:
+            raise ValueError(f"TorqueBar: axis={self.axis!r} must be three numbers, not all zero, such as [0, 0, 1]")
+        object.__setattr__(self, "axis", axis)
+
+
+ARGS = (
+    Arg("torqueBars", None, "-", "magnetic torque bars, a list of dyn.TorqueBar", "constant"),
+    Arg("barAxes_B", None, "-", "directions of their dipoles in B", low=-1e9, high=1e9, shape=(None, 3)),
+    Arg("barMaxDipoles", None, "A m^2", "their largest dipoles", low=1e-12, high=1e9, shape=(None,)),
+)
+"""Arguments of torque bars; the last two replace the numbers of ``torqueBars``."""
+
+
+def described_bars(given: Mapping[str, Any]) -> tuple[TorqueBar, ...]:
+    """Return the bars that arguments as given describe; ValueError for none, and for entries that are not bars."""
+    listed = given["torqueBars"]
+    bars = isinstance(listed, Sequence) and bool(listed) and all(isinstance(part, TorqueBar) for part in listed)
+    if not bars:
+        raise ValueError(
+            f"sat_args: torqueBars={listed!r} must be a list of bars for dyn.TorqueBarsDynModel, such as "
+            "[dyn.TorqueBar(axis, 0.2) for axis in ([1, 0, 0], [0, 1, 0], [0, 0, 1])]"
+        )
+    if len(listed) > MOST_BARS:
+        raise ValueError(f"sat_args: torqueBars has {len(listed)} bars; at most {MOST_BARS} are allowed")
+    return tuple(listed)
+
+
+def unit_bars(args: Values) -> Tensor:
+    """Return the directions of the dipoles, [n or 1, T, 3], of length one."""
+    axes: Tensor = args["barAxes_B"]
+    return axes / axes.norm(dim=-1, keepdim=True)
+
+
+def magnetic_torque(bus: Bus, BN: Mat3, r_BN_N: Vec3) -> tuple[None, Vec3]:
+    """Return the torque, N m in B, ``L = (sum_i g_i m_i) x [BN] B_N``, of the dipoles m_i, A m^2, about the axes g_i.
+
+    ``m_i`` is the command, at most the largest dipole; B_N is the magnetic field, T (Wertz, "Spacecraft attitude determination
+    and control", section 17.3).
+    """
+    dipole = Vec3.zeros_like(bus.sigma_BN.x)
+    for axis, command, most in zip(bus.bar_axes_B, bus.bar_command, bus.bar_max_dipole, strict=True):
+        dipole = dipole + axis * torch.minimum(torch.maximum(command, -most), most)
+    return None, dipole.cross(BN @ bus.magnetic_field_N)
+
+
+def _check_axes(args: Values) -> None:
+    if bool((args["barAxes_B"].norm(dim=-1) <= 0.0).any()):
+        raise ValueError("barAxes_B has an axis of length zero; give three numbers in B, not all zero")
+
+
+@functools.cache
+def bar_set(listed: tuple[TorqueBar, ...]) -> Component:
+    """Return the component of torque bars; ``listed`` are the defaults of its arguments."""
+    count = len(listed)
+    axes = replace(ARGS[1], default=tuple(bar.axis for bar in listed), shape=(count, 3))
+    dipoles = replace(ARGS[2], default=tuple(bar.maxDipole for bar in listed), shape=(count,), spread=True)
+    return Component(
+        slot="torque_bars",
+        after="disturbance",
+        args=(ARGS[0], axes, dipoles),
+        state=(Field("bar_command", count, "A m^2", "dipoles of the bars, of the flight software or a user", many=True),),
+        params=(Field("bar_axes_B", 3 * count, vectors=True), Field("bar_max_dipole", count, "A m^2", many=True)),
+        initial=lambda args: {"bar_command": torch.zeros(1, count, dtype=torch.float64)},
+        prepare=lambda args: {"bar_axes_B": unit_bars(args).flatten(-2), "bar_max_dipole": args["barMaxDipoles"]},
+        check=_check_axes,
+        effector=Effector(ambient=magnetic_torque),
+    )
+
+
+TORQUE_BARS = Component(slot="torque_bars", after="disturbance", args=ARGS, fit=lambda given: bar_set(described_bars(given)))
+"""The bars that ``torqueBars`` lists."""
