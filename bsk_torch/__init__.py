@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from bsk_torch.env.per_environment import per_environment
     from bsk_torch.presets import make
     from bsk_torch.rl.policies.shared_policy import rule
-    from bsk_torch.sim import dyn, fsw
+    from bsk_torch.sim import dyn, faults, fsw
 
 __version__ = "0.2.0"
 
@@ -29,6 +29,7 @@ __all__ = [
     "comm",
     "data",
     "dyn",
+    "faults",
     "formations",
     "fsw",
     "make",
@@ -46,6 +47,7 @@ _HOMES = {
     "GeneralSatelliteTasking": "bsk_torch.env",
     "SatelliteTasking": "bsk_torch.env",
     "dyn": "bsk_torch.sim",
+    "faults": "bsk_torch.sim",
     "fsw": "bsk_torch.sim",
     "make": "bsk_torch.presets",
     "per_environment": "bsk_torch.env.per_environment",

@@ -6,6 +6,7 @@ import functools
 from collections.abc import Sequence
 from typing import Any, TypeVar
 
+import torch
 from tensordict import TensorDict
 from torch import Tensor
 
@@ -14,6 +15,8 @@ from bsk_torch.env.assembly.types import check_world
 from bsk_torch.env.changes import Change, LiveArguments, changed, episodes, of_satellites, of_world, remembered
 from bsk_torch.env.snapshots import Snapshots, fingerprint
 from bsk_torch.sim.arguments.values import Arguments
+from bsk_torch.sim.faults.declared import Fault
+from bsk_torch.sim.names import nearest
 from bsk_torch.sim.simulator import Simulator
 
 Environment = TypeVar("Environment", bound="MadeOfArguments")
@@ -101,6 +104,40 @@ class MadeOfArguments(Snapshots):
             self.set_world_args,
             "world_args_generator",
         )
+
+    # -- faults ------------------------------------------------------------------------------------------------------
+
+    def inject(self, fault: Fault | str, envs: object = None, satellite: str | None = None) -> None:
+        """Let a fault begin now, in current episodes; it acts from the next tick on, for as long as it was declared to last.
+
+        Args:
+            fault: A fault of ``sat_args["faults"]``, or its name. One that is declared without a time never happens otherwise.
+            envs: Indices of the environments, [n], or a mask [N] (default: all).
+            satellite: Name of the satellite that has the fault (default: all that declare it).
+
+        Raises:
+            ValueError: For a fault that is not declared, or an unknown satellite.
+            IndexError: For indices out of range.
+            ResetNeededError: For episodes that have not begun.
+        """
+        name = fault.name if isinstance(fault, Fault) else fault
+        if satellite is not None and satellite not in self.names:
+            raise ValueError(f"inject: satellite={satellite!r} is unknown; {nearest(str(satellite), self.names)}")
+        rows, _ = episodes(envs, len(self.env_ids), self.env_ids)
+        rows = self.fleet.all_envs if rows is None else rows.to(self.device)
+        struck = [part for part in self.fleet.simulators if self._may_have(part, name, satellite)]
+        with self.guard:
+            self.guard.check_begun("inject(fault)", torch.zeros_like(self.state.begun).index_fill(0, rows, True))
+            for simulator in struck or self.fleet.simulators[:1]:  # which names what it has
+                columns = [k for k, column in enumerate(simulator.columns) if satellite in (None, self.names[column])]
+                own = rows.unsqueeze(-1) * simulator.count + torch.tensor(columns, device=self.device)
+                simulator.strike(name, own.flatten())
+
+    def _may_have(self, simulator: Simulator, fault: str, satellite: str | None) -> bool:
+        """Return whether a fault is declared for a type of satellites, or the ``satellite`` that shall have it is of the type."""
+        if satellite is not None:
+            return satellite in [self.names[column] for column in simulator.columns]
+        return fault in [known.name for known in simulator.state.argument("faults") or ()]
 
     # -- environments of the same kind --------------------------------------------------------------------------------
 

@@ -143,6 +143,10 @@ def anchored(component: Placed) -> tuple[str, int]:
 SCHEDULE = Schedule(
     (
         *_group(
+            "faults",
+            ("faults", "parameters changed by faults, which act after the tick of their time", "events, between two ticks"),
+        ),
+        *_group(
             "environment",
             ("earth_pole", "axes of the Earth's equator, for all that follow", "spiceInterface"),
             ("location_target", "target that the instrument is pointed at, and its access, one tick ago", "groundLocation"),

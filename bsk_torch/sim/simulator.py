@@ -23,6 +23,7 @@ from bsk_torch.sim.assembly.satellite_type import SatelliteType
 from bsk_torch.sim.draw_table import DrawTable
 from bsk_torch.sim.dyn import hub
 from bsk_torch.sim.dyn.events import notice_image
+from bsk_torch.sim.faults.component import SLOT, severities
 from bsk_torch.sim.fsw.manoeuvre import burn
 from bsk_torch.sim.fsw.models import IDLE
 from bsk_torch.sim.orbit.arcs import Arcs
@@ -178,6 +179,34 @@ class Simulator:
         inputs["present"] = None  # satellites that are not present have finite fields, too
         self.runners.first_tick(planes, torch.ones_like(rows), **inputs)
         state.planes[:, rows] = planes
+
+    # -- faults ------------------------------------------------------------------------------------------------------
+
+    def strike(self, fault: str, rows: Tensor) -> None:
+        """Let a declared fault begin now in ``rows`` [n], unless it acts there already.
+
+        Raises:
+            ValueError: For a fault that is not declared.
+        """
+        declared = self.state.argument("faults") or ()
+        names = [known.name for known in declared]
+        if fault not in names:
+            advice = nearest(fault, names) if names else "this satellite has none"
+            raise ValueError(
+                f"fault {fault!r} is not declared, so the tick has no room for it; {advice}. Declare it when the environment is "
+                "built, such as sat_args={'faults': [faults.wheel_torque(0)]}, which alone never happens"
+            )
+        state, k = self.state, names.index(fault)
+        acts = severities(declared, state.all_arguments, state.ticks, self.h_ns)[rows, k] > 0.0
+        rows = rows[~acts]
+        state.arguments[declared[k].drawn("at")][rows] = state.sim_time[rows]
+        state.arguments.touch()
+        values = {name: value[rows].cpu() if isinstance(value, Tensor) else value for name, value in state.all_arguments.items()}
+        acting = next(part for part in self.type.arguments.parts if part.slot == SLOT)
+        for name, value in acting.prepare(values).items():
+            planes = value.flatten(1).mT.expand(-1, len(rows))
+            state.parameters[self.tick.own.slices[name]].index_copy_(1, rows, planes.to(self.device))
+        state.touch()
 
     # -- commands -----------------------------------------------------------------------------------------------------
 

@@ -16,17 +16,10 @@ from torch import Tensor
 from bsk_torch import SatelliteTasking, act, obs, sats
 from bsk_torch.astro.attitude import mrp_to_dcm
 from bsk_torch.constants import AU, RPM, SOLAR_FLUX
-from bsk_torch.sim import dyn, fsw
-from bsk_torch.sim.component import Bus, Component
-from bsk_torch.sim.dyn.thrusters import DIRECTIONS, POSITIONS, THRUST
+from bsk_torch.sim import dyn, faults, fsw
+from bsk_torch.sim.component import Arg, Bus, Component, Field
+from bsk_torch.sim.dyn.thrusters import OCTET
 from tests.basilisk.replay import RECORDINGS
-
-OCTET = [
-    dyn.Thruster([sign * x for x in POSITIONS[k]], [sign * x for x in DIRECTIONS[k]], THRUST)
-    for sign, order in ((1.0, (0, 1, 2, 3)), (-1.0, (1, 0, 3, 2)))
-    for k in order
-]
-"""bsk_rl's eight thrusters, in its order."""
 
 FIELDS = ("r_BN_N", "v_BN_N", "sigma_BN", "omega_BN_B", "Omega_WB_B", "motor_torque_B", "motor_torque_command_B")
 POWER = ("charge", "illumination", "storage", "pulse_command")
@@ -35,15 +28,22 @@ ACTIONS = ("scan", "charge", "desat", "downlink", "nadir", "drift")
 
 def further_panel(k: int, normal: list[float], gain: float) -> Component:
     """A solar panel next to the one of bsk_rl."""
-    n = np.asarray(normal) / np.linalg.norm(normal)
+    n, name = np.asarray(normal) / np.linalg.norm(normal), f"panelGain{k}"
 
     def collect(bus: Bus) -> None:
         to_sun = bus.r_SN_N - bus.r_BN_N
         s_B = mrp_to_dcm(bus.sigma_BN) @ to_sun.unit()
         cosine = torch.clamp(s_B.x * n[0] + s_B.y * n[1] + s_B.z * n[2], min=0.0)
-        bus.power = bus.power + cosine * bus.illumination * (SOLAR_FLUX * AU * AU * gain) / to_sun.dot(to_sun)
+        bus.power = bus.power + cosine * bus.illumination * (SOLAR_FLUX * AU * AU * getattr(bus, name)) / to_sun.dot(to_sun)
 
-    return Component(slot=f"panel{k}", after="panel", update=collect)
+    return Component(
+        slot=f"panel{k}",
+        after="panel",
+        update=collect,
+        args=(Arg(name, gain, "m^2", "area times efficiency", low=0.0),),
+        params=(Field(name),),
+        prepare=lambda args: {name: args[name]},
+    )
 
 
 def models(craft: Mapping[str, Any]) -> tuple[type[dyn.DynamicsModel], type[fsw.FSWModel]]:
@@ -65,6 +65,33 @@ def wheel(entry: Mapping[str, Any]) -> dyn.Wheel:
     return dyn.Wheel("custom", entry["axis"], Omega_max=entry["Omega_max"] / RPM, **numbers, **on)
 
 
+def faults_of(craft: Mapping[str, Any]) -> list[faults.Fault]:
+    """The faults of a recorded spacecraft; what is repaired later lasts until then."""
+    listed = []
+    for k, entry in enumerate(craft["faults"]):
+        kind, part, value, at = (entry[key] for key in ("kind", "index", "value", "time"))
+        same = [other["time"] for other in craft["faults"] if (other["kind"], other["index"]) == (kind, part)]
+        if at > min(same):  # the repair
+            continue
+        when = dict(at=at, lasts=max(same) - at if len(same) > 1 else None, name=f"{kind}{k}")
+        if kind == "panel":
+            names = ("nHat_B", "panelArea", "panelEfficiency")
+            listed.append(faults.Fault(names, value=value, only="panel", **when))
+        elif kind == "panel_status":
+            listed.append(faults.Fault(f"panelGain{part}", factor=value, **when))
+        elif kind == "thruster":
+            listed.append(faults.thruster(part, **when))
+        elif kind == "wheel_friction":
+            listed.append(faults.wheel_friction(part, *value, **when))
+        elif kind == "wheel_available":
+            listed.append(faults.wheel_unavailable(part, **when))
+        elif kind in ("wheel_power", "wheel_torque"):
+            listed.append(faults.READY[kind](part, value, **when))
+        else:
+            listed.append(faults.READY[kind](value, **when))
+    return listed
+
+
 def arguments(craft: Mapping[str, Any], given: Mapping[str, Any]) -> dict[str, Any]:
     """``sat_args`` of a recorded spacecraft."""
     args = dict(given) | {"oe": None, "wheels": [wheel(entry) for entry in craft["wheels"]]}
@@ -84,8 +111,9 @@ def arguments(craft: Mapping[str, Any], given: Mapping[str, Any]) -> dict[str, A
     if craft["thrusters"]:
         args["thrusters"] = [dyn.Thruster(entry["r"], entry["d"], entry["thrust"]) for entry in craft["thrusters"]]
     elif craft["hub"]:  # the software of the recordings knows where the center of mass is: pairs fire one by one
-        args["thrusters"] = OCTET
+        args["thrusters"] = list(OCTET)
     args |= {"compensateWheels": craft["control"]["wheels"], "integralLimit": craft["control"]["limit"]}
+    args["faults"] = faults_of(craft) or None
     args["knownTorquePntB_B"] = craft["control"]["known_torque"] if any(craft["control"]["known_torque"]) else None
     if craft["facets"]:
         shares = craft.get("reflection") or [(0.0, 0.0)] * len(craft["facets"])
@@ -100,8 +128,8 @@ def arguments(craft: Mapping[str, Any], given: Mapping[str, Any]) -> dict[str, A
     return args
 
 
-def fly(name: str, until: float | None = None, orbit: str = "integrated", **options: Any) -> tuple[Any, dict[str, Tensor]]:
-    """The recording, and the same fields of the replay at its times, up to ``until`` s."""
+def fly(name: str, orbit: str = "integrated", **options: Any) -> tuple[Any, dict[str, Tensor]]:
+    """The recording, and the same fields of the replay at its times."""
     file = np.load(RECORDINGS / f"craft_{name}.npz")
     craft, given = json.loads(str(file["craft"])), json.loads(str(file["sat_args"]))
     dyn_type, fsw_type = models(craft)
@@ -136,17 +164,14 @@ def fly(name: str, until: float | None = None, orbit: str = "integrated", **opti
     )
     td = env.reset()
     with env.record((*FIELDS, *POWER)) as recording:
-        for k, (start, action, _) in enumerate(plan):
-            if until is not None and start >= until:
-                break
+        for k, (_, action, _) in enumerate(plan):
             if craft.get("bars"):
                 dipoles = torch.tensor([craft["dipoles"][k]], dtype=torch.float64)
                 env.simulator.state.write("bar_command", torch.ones(1, dtype=torch.bool), dipoles)
             td = env.step(td.set("action", torch.tensor([ACTIONS.index(action)])))["next"]
     flown = recording.data
     at = np.round(file["time"] / craft["sim_rate"]).astype(int)
-    rows = torch.from_numpy(at[at < len(flown)] if until is None else at[file["time"] <= until])
-    return file, {key: flown[key][rows] for key in (*FIELDS, *POWER)}
+    return file, {key: flown[key][torch.from_numpy(at)] for key in (*FIELDS, *POWER)}
 
 
 def shadow(sigma: np.ndarray) -> np.ndarray:

@@ -6,8 +6,7 @@ import pytest
 
 from tests.basilisk.craft import bounds, differences, fly
 
-FLIGHTS = {"skewed": None, "steering": None, "six": None, "offset": None, "cubesat": None, "power": 690.0, "loads": None}
-"""Recordings, and the time, s, up to which they are compared: the battery of ``power`` loses capacity afterwards."""
+FLIGHTS = ("skewed", "steering", "six", "offset", "cubesat", "power", "loads", "fault")
 
 ARC = 1e-3
 """Difference of position, m, of a solved orbit: Basilisk integrates the center of the body, which turns about that of mass."""
@@ -16,7 +15,7 @@ ARC = 1e-3
 @pytest.mark.parametrize("name", FLIGHTS)
 @pytest.mark.parametrize("backend", [pytest.param("eager", marks=pytest.mark.nightly), "compiled"])
 def test_flights(name, backend):
-    file, flown = fly(name, FLIGHTS[name], backend=backend)
+    file, flown = fly(name, backend=backend)
     found, allowed = differences(file, flown), bounds(file)
     assert all(found[key] <= allowed[key] for key in found), (found, allowed)
     assert len(flown["charge"]) > 50

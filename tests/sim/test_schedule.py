@@ -43,7 +43,13 @@ def test_every_slot_has_a_name_of_its_own_and_a_group():
     names = [slot.name for slot in SCHEDULE]
     assert len(set(names)) == len(names)
     assert all(all(slot) for slot in SCHEDULE)
-    assert list(dict.fromkeys(slot.group for slot in SCHEDULE)) == ["environment", "orbit", "dynamics", "flight software"]
+    assert list(dict.fromkeys(slot.group for slot in SCHEDULE)) == [
+        "faults",
+        "environment",
+        "orbit",
+        "dynamics",
+        "flight software",
+    ]
 
 
 @pytest.mark.parametrize(("name", "slots"), [("NadirScan-v1", NADIR_SCAN), ("AEOS-v1", AEOS)])

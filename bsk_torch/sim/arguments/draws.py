@@ -39,7 +39,8 @@ class Looked(dict[str, Any]):
 
     def get(self, name: str, default: Any = None) -> Any:
         """Return a value, or the default."""
-        self.seen.add(name)
+        if name in self:
+            self.seen.add(name)
         return super().get(name, default)
 
 

@@ -171,7 +171,7 @@ class Arguments:
         components = tuple(components)
         other = {arg.name: arg for component in components for arg in component.args}
         old = {name: arg.default for name, arg in self.table.items() if other.get(name) != arg}
-        if not old:
+        if not old and other.keys() == self.table.keys():
             return self
 
         def wanted(values: Mapping[str, Any]) -> dict[str, Any]:

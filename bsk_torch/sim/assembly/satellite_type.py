@@ -26,6 +26,7 @@ from bsk_torch.sim.assembly.composition import check_required_dyn, provided_by, 
 from bsk_torch.sim.component import Component, Field, MissingMessageError, declared
 from bsk_torch.sim.dyn.field import prepare
 from bsk_torch.sim.dyn.models import DynamicsModel
+from bsk_torch.sim.faults.component import SLOT, changing, declared_faults, planned, with_faults
 from bsk_torch.sim.fsw.models import Command, FSWModel, MagicOrbitalManeuverFSWModel
 from bsk_torch.sim.fsw.modes import Mode, mode_table
 from bsk_torch.sim.run.runners import Runners, TickLoop, make_runners
@@ -229,8 +230,10 @@ def satellite_type(
     world, around = world_of(dyn_type, world_type), world_components(dyn_type, world_type)
     own = (*dyn_type.all_components(), *fsw_type.all_components())
     arguments = Arguments(around, world_args, "world_args"), Arguments(own, sat_args, "sat_args", usage.columns)
-    looked = [Looked(args.given) for args in arguments]
+    faults = declared_faults(arguments[1].given, arguments[1].table)
+    looked = [Looked(arguments[0].given), Looked(changing(arguments[1].given, faults))]
     around, own = (fitted(some, given) for some, given in zip((around, own), looked, strict=True))
+    own = with_faults(own, faults)
     arguments = arguments[0].of_components(around, world_args), arguments[1].of_components(own, sat_args)
     own = tuple(part for part in own if not (part.mends and options.compat == "bsk_rl"))
     parts = dyn_type.schedule.ordered((*(dataclasses.replace(part, at_start=True) for part in around), *own))
@@ -251,6 +254,12 @@ def satellite_type(
         lenient=options.compat == "bsk_rl",
     )
     trial = drawing.trial(num_envs)
+    if faults:
+        parts = planned(parts, faults, trial.values, h_ns)
+        drawing = dataclasses.replace(drawing, parts=parts)
+        trial = drawing.trial(num_envs)
+        acting = next(part for part in parts if part.slot == SLOT)
+        trial = trial._replace(uniform=trial.uniform - {field.name for field in acting.params})  # env.inject changes rows
     running = _running(parts, dyn_type.schedule, on_arc, usage.recorded)
     opaque = options.device.type != "cpu"
     if opaque and not on_arc:

@@ -37,8 +37,8 @@ class Facet:
         normal: Outward normal in B, of any length.
         position: Center of pressure in B, m from its origin.
         dragCoeff: Drag coefficient.
-        diffuseCoeff: Share of sunlight that is reflected in all directions.
-        specularCoeff: Share of sunlight that is reflected as by a mirror. The rest is absorbed.
+        diffuseCoeff: Share of sunlight reflected in all directions.
+        specularCoeff: Share of sunlight reflected as by a mirror. The rest is absorbed.
     """
 
     area: float

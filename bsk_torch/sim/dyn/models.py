@@ -16,6 +16,7 @@ from bsk_torch.constants import RPM
 from bsk_torch.sim import world
 from bsk_torch.sim.component import Arg, Component, collect
 from bsk_torch.sim.dyn import drag, events, facets, hub, partitions, power, storage, thrusters, torque_bars, wheels
+from bsk_torch.sim.faults.component import FAULTS, severities
 from bsk_torch.sim.readout.model import Model, Simulation
 from bsk_torch.sim.readout.observables import Now, observable, vital
 from bsk_torch.sim.schedule import SCHEDULE, Schedule
@@ -35,7 +36,7 @@ class DynamicsModel(Model):
     Schaub and Junkins, Analytical Mechanics of Space Systems, chapters 3 and 9.
     """
 
-    components: ClassVar[tuple[Component, ...]] = (hub.HUB,)
+    components: ClassVar[tuple[Component, ...]] = (FAULTS, hub.HUB)
     world_components: ClassVar[tuple[Component, ...]] = ()
     requires_world: ClassVar[tuple[type[world.WorldModel], ...]] = (world.WorldModel,)
     orbit: ClassVar[str] = "arc"
@@ -161,6 +162,19 @@ class DynamicsModel(Model):
         ``h`` is the unit vector along ``r x v``, ``s`` that from the Earth to the Sun; texts often define ``pi / 2 - beta``.
         """
         return torch.acos(torch.clamp(now.HN.z.dot(now.r_SN_N.unit()), -1.0, 1.0))
+
+    @property
+    def fault_severity(self) -> Tensor:
+        """Share of the change of each fault that acts now, from 0 to 1, [N, F], in the order of the argument ``faults``.
+
+        Raises:
+            ValueError: For satellites without faults.
+        """
+        state = self.simulator.state
+        declared = state.argument("faults")
+        if not declared:
+            raise ValueError("fault_severity needs faults, such as sat_args={'faults': [faults.wheel_torque(0, at=600.0)]}")
+        return severities(declared, state.all_arguments, state.ticks, state.h_ns)
 
     @vital
     def altitude_valid(now: Now) -> Tensor:

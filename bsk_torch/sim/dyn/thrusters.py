@@ -27,6 +27,7 @@ from bsk_torch._checks import number
 from bsk_torch.constants import NANO
 from bsk_torch.sim.component import Arg, Bus, Component, Effector, Field, Values
 from bsk_torch.sim.dyn.hub import given_numbers
+from bsk_torch.sim.faults.declared import may_change
 from bsk_torch.sim.names import nearest
 from bsk_torch.vec3 import Vec3
 
@@ -140,6 +141,13 @@ class Thruster:
             object.__setattr__(self, name, value)
 
 
+OCTET = tuple(
+    Thruster([sign * x for x in POSITIONS[k]], [sign * x for x in DIRECTIONS[k]], THRUST)
+    for sign, order in ((1.0, (0, 1, 2, 3)), (-1.0, (1, 0, 3, 2)))
+    for k in order
+)
+"""bsk_rl's eight thrusters, in its order."""
+
 ARGS = (
     Arg("thrusters", None, "-", "thrusters, a list of dyn.Thruster; None: bsk_rl's eight", "constant"),
     Arg("thrusterPositions_B", None, "m", "places of the thrusters in B", low=-1e4, high=1e4, shape=(None, 3)),
@@ -162,13 +170,15 @@ class ThrusterForm(NamedTuple):
 
 
 def described_thrusters(given: Mapping[str, Any]) -> tuple[Thruster, ...] | None:
-    """Return the thrusters that arguments as given describe; None for bsk_rl's pairs.
+    """Return the thrusters that arguments as given describe; None for bsk_rl's pairs, whose numbers are fixed.
 
     Raises:
         ValueError: For entries that are not thrusters, and for numbers of thrusters without ``thrusters``.
     """
     listed = given["thrusters"]
     if listed is None:
+        if any(may_change(given, arg.name) for arg in ARGS[1:]):
+            return OCTET
         for arg in ARGS[1:]:
             if given[arg.name] is not None:
                 raise ValueError(f"sat_args: {arg.name} is given without thrusters; give thrusters=[dyn.Thruster(...), ...]")

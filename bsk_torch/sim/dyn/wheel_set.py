@@ -21,6 +21,7 @@ from bsk_torch.sim.component import Arg, Bus, Component, Effector, Field, Values
 from bsk_torch.sim.dyn.friction import friction_torques
 from bsk_torch.sim.dyn.hub import body_inertia, body_momentum, check_turn, described_body, given_numbers, inertia_tensor
 from bsk_torch.sim.dyn.wheel_types import TRIAD, Wheel
+from bsk_torch.sim.faults.declared import may_change
 from bsk_torch.vec3 import Mat3, Vec3
 
 Axis = int | Vec3
@@ -56,6 +57,10 @@ ARGS = (
 """Arguments of bsk_rl's three wheels, and those that describe others."""
 
 
+EACH = ("u_max", "rwBasePower", "rwMechToElecEfficiency", "rwElecToMechEfficiency", "rwAvailable")
+"""Arguments of which bsk_rl's three wheels share one number; others have one for each wheel."""
+
+
 class WheelForm(NamedTuple):
     """What decides the operations of a tick with wheels.
 
@@ -82,7 +87,8 @@ def described_wheels(given: Mapping[str, Any]) -> tuple[Wheel, ...] | None:
     """
     wheels = given["wheels"]
     if wheels is None:
-        return TRIAD if any(given[arg.name] is not None for arg in NUMBERS) else None
+        described = any(given[arg.name] is not None for arg in NUMBERS) or given.get("rwAvailable") is not None
+        return TRIAD if described or any(may_change(given, name) for name in EACH) else None
     if not isinstance(wheels, Sequence) or not all(isinstance(wheel, Wheel) for wheel in wheels):
         raise ValueError(f"sat_args: wheels={wheels!r} must be a list of wheels, such as [dyn.Wheel('BCT_RWP015', [1, 0, 0])]")
     if len(wheels) > MOST_WHEELS:
@@ -184,6 +190,8 @@ def wheel_effector(form: WheelForm) -> Effector:
         axes, speeds = axes_on(bus, form), bus.Omega_WB_B
         if omega_BN_B is not None:
             speeds = [component(axis, omega_BN_B) + speed for axis, speed in zip(axes, speeds, strict=True)]
+            if bus.has("wheel_available"):  # the software leaves out wheels that it does not command
+                speeds = [speed * on for speed, on in zip(speeds, bus.wheel_available, strict=True)]
         return along(axes, [J * speed for J, speed in zip(bus.wheel_inertia, speeds, strict=True)])
 
     return Effector(state=("Omega_WB_B",), loads=loads, inertia=inertia, rates=rates, momentum=momentum)

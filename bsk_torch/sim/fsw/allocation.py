@@ -50,10 +50,13 @@ def _chosen(where: Tensor, new: Any, old: Any) -> Any:
 def wheel_map(args: Values) -> Tensor:
     """Return the motor torques [n or 1, N, 3] for a torque of one on the wheels: ``[G]^T ([G] [G]^T)^-1``, of least norm.
 
-    The columns of [G] are the axes of the wheels. Those in a plane, with ``underactuated=True``, give the pseudo-inverse, which
-    takes what lies in the plane.
+    The columns of [G] are the axes of the available wheels. Those in a plane, with ``underactuated=True`` or after a fault, give
+    the pseudo-inverse, which takes what lies in the plane; Basilisk then commands zero, or rounding errors.
     """
-    return torch.linalg.pinv(unit_axes(args).mT, rtol=RANK_TOLERANCE)
+    axes = unit_axes(args)
+    if args.get("rwAvailable") is not None:  # others get rows of zeros
+        axes = axes * args["rwAvailable"].unsqueeze(-1)
+    return torch.linalg.pinv(axes.mT, rtol=RANK_TOLERANCE)
 
 
 SMOOTH = 0.3
@@ -68,13 +71,14 @@ def distribute(bus: Bus, torque_B: Vec3, null_motion: bool) -> Commands:
 
     ``u = -[W] L``, with [W] of :func:`wheel_map`, as Basilisk's rwMotorTorque; and with null motion
     ``u <- u - k (1 - [W] [G]) (Omega - Omega_0)``, as its rwNullSpace, which brings the wheels to their wanted speeds, as far as
-    that exerts no torque.
+    that exerts no torque. Null motion is that of all wheels, available or not, as in Basilisk.
     """
     u = [-row.dot(torque_B) for row in bus.wheel_map]
     if null_motion:
         excess = [speed - wanted for speed, wanted in zip(bus.Omega_WB_B, bus.null_speeds, strict=True)]
         total = along(list(bus.null_axes_B), excess)
-        u = [old - bus.null_gain * (x - row.dot(total)) for old, x, row in zip(u, excess, bus.wheel_map, strict=True)]
+        rows = bus.null_map if bus.has("null_map") else bus.wheel_map
+        u = [old - bus.null_gain * (x - row.dot(total)) for old, x, row in zip(u, excess, rows, strict=True)]
     return (tuple(u),)
 
 
@@ -108,23 +112,35 @@ ARGS = (
     Arg("nullSpaceGain", None, "N m s", "gain of null motion of more than three wheels; None: no such motion", low=0.0, high=1e6),
     Arg("nullSpaceSpeeds", None, "rpm", "wheel speeds wanted by null motion; None: zero", low=-1e6, high=1e6, shape=(None,)),
     Arg("underactuated", False, "-", "whether the axes of the wheels may lie in a plane", "choice", choices=(False, True)),
+    Arg("rwAvailable", None, "-", "1: wheels under command, else 0; None: all", low=0.0, high=1.0, whole=True, shape=(None,)),
 )
 
 
 @functools.cache
-def wheel_allocation(count: int, null_motion: bool) -> Component:
-    """Return the component that distributes torques among ``count`` wheels, with null motion if asked for."""
+def wheel_allocation(count: int, null_motion: bool, some: bool) -> Component:
+    """Return the component that distributes torques among ``count`` wheels, with null motion if asked for.
+
+    Where it is ``some``, not all wheels are always available.
+    """
     params = [Field("wheel_map", 3 * count, vectors=True)]
     args = list(ARGS)
     if null_motion:
         params += [Field("null_axes_B", 3 * count, vectors=True), Field("null_speeds", count, many=True), Field("null_gain")]
         args[1] = dataclasses.replace(ARGS[1], default=0.0, shape=(count,), spread=True)
+    if some:
+        args[3] = dataclasses.replace(ARGS[3], default=1.0, shape=(count,), spread=True)
+        params += [Field("wheel_available", count, many=True)]
+        params += [Field("null_map", 3 * count, vectors=True)] if null_motion else []
 
     def prepare(args: Values) -> dict[str, Tensor]:
         found = {"wheel_map": wheel_map(args).flatten(-2)}
         if null_motion:
             found |= {"null_axes_B": unit_axes(args).flatten(-2), "null_gain": args["nullSpaceGain"]}
             found |= {"null_speeds": args["nullSpaceSpeeds"] * RPM}
+        if some:
+            found |= {"wheel_available": args["rwAvailable"]}
+            everything = {name: value for name, value in args.items() if name != "rwAvailable"}
+            found |= {"null_map": wheel_map(everything).flatten(-2)} if null_motion else {}
         return found
 
     return Component(
@@ -156,7 +172,8 @@ def fitted_allocation(given: Mapping[str, Any]) -> Component:
             f"sat_args: nullSpaceGain={given['nullSpaceGain']!r} needs more than three wheels: others have no motion without "
             "torque; leave it out, or give wheels=[dyn.Wheel(...), ...]"
         )
-    return BODY_AXIS_WHEELS if wheels is None else wheel_allocation(len(wheels), null_motion)
+    some = given["rwAvailable"] is not None
+    return BODY_AXIS_WHEELS if wheels is None else wheel_allocation(len(wheels), null_motion, some)
 
 
 BODY_AXIS_WHEELS = Component(

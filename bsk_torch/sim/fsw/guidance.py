@@ -7,7 +7,9 @@ attTrackingError; frames as in Schaub and Junkins, section 8.4.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+import dataclasses
+from collections.abc import Mapping
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -16,6 +18,7 @@ from bsk_torch.astro.attitude import dcm_to_mrp, mrp_rate_to_omega, mrp_subtract
 from bsk_torch.astro.orbit import hill_frame
 from bsk_torch.sim.component import Arg, Bus, Component, Field, vec
 from bsk_torch.sim.dyn.power import AXIS_BOUNDS, check_axis, unit_rows
+from bsk_torch.sim.faults.declared import may_change
 from bsk_torch.vec3 import Mat3, Vec3, only, select
 
 
@@ -136,8 +139,26 @@ NAVIGATION = Component(slot="navigation", update=navigate, flags=("control_on",)
 SUN_RESET = {"sun_fresh": 1.0, "sun_sigma_BR": 0.0}
 """What a mode resets in which pointing at the Sun begins."""
 
+
+def fitted_sun_pointing(given: Mapping[str, Any]) -> Component:
+    """Return the component with the axis that the flight software knows, where a fault may turn the panel and not this axis."""
+    if not may_change(given, "nHat_B"):
+        return SUN_POINTING
+    return dataclasses.replace(
+        SUN_POINTING,
+        update=lambda bus: point_at(bus, bus.sun_axis_B, bus.r_SN_N, "sun"),
+        params=(vec("sun_axis_B"),),
+        prepare=lambda args: {"sun_axis_B": unit_rows(args["nHat_B"])},
+    )
+
+
 SUN_POINTING = Component(
-    slot="sun_pointing", update=point_at_sun, state=_memory("sun"), initial=lambda args: _forget("sun"), flags=("sun_on",)
+    slot="sun_pointing",
+    update=point_at_sun,
+    state=_memory("sun"),
+    initial=lambda args: _forget("sun"),
+    flags=("sun_on",),
+    fit=fitted_sun_pointing,
 )
 
 NADIR_POINTING = Component(slot="nadir_pointing", update=point_along_hill, flags=("nadir_on",))

@@ -1,0 +1,84 @@
+"""Common faults. Further keyword arguments of all of them are those of Fault: ``at``, ``lasts``, ``over`` and ``name``."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from bsk_torch.sim.faults.declared import Fault
+
+NOTHING = 1e-12
+"""Limit of a torque, N m, or thrust, N, that is lost: zero would mean that there is no limit."""
+
+
+def _named(title: str, part: int | None, given: dict[str, Any]) -> dict[str, Any]:
+    return {"name": title if part is None else f"{title}{part}"} | given
+
+
+def wheel_torque(wheel: int | None = None, torque: Any = NOTHING, **given: Any) -> Fault:
+    """Return the fault of a wheel whose motor gives at most ``torque``, N m; by default it is lost. None: all wheels."""
+    return Fault("u_max", value=torque, index=wheel, **_named("wheel_torque", wheel, given))
+
+
+def wheel_power(wheel: int | None = None, power: Any = 1.0, **given: Any) -> Fault:
+    """Return the fault of a wheel whose mechanical power is at most ``power``, W."""
+    return Fault("rwPMax", value=power, index=wheel, **_named("wheel_power", wheel, given))
+
+
+def wheel_friction(wheel: int | None = None, coulomb: Any = 2e-3, viscous: Any = 1e-5, **given: Any) -> Fault:
+    """Return the fault of a wheel with Coulomb friction, N m, and viscous friction, N m s; ``over`` lets both grow."""
+    names = ("rwFCoulomb", "rwCViscous")
+    return Fault(names, value=(coulomb, viscous), index=wheel, **_named("wheel_friction", wheel, given))
+
+
+def wheel_unavailable(wheel: int, **given: Any) -> Fault:
+    """Return the fault of a wheel that the flight software no longer commands; the wheel itself keeps turning."""
+    return Fault("rwAvailable", value=0.0, index=wheel, **_named("wheel_unavailable", wheel, given))
+
+
+def panel(share: Any = 0.0, **given: Any) -> Fault:
+    """Return the fault of solar panels that give only a share of their power."""
+    return Fault("panelEfficiency", factor=share, **_named("panel", None, given))
+
+
+def stuck_panel(normal: Sequence[float] | Any, **given: Any) -> Fault:
+    """Return the fault of panels whose normal in B is ``normal``, while the flight software points the usual one to the Sun."""
+    return Fault("nHat_B", value=normal, **{"only": "panel"} | _named("stuck_panel", None, given))
+
+
+def transmitter(share: Any = 0.0, **given: Any) -> Fault:
+    """Return the fault of a transmitter with a share of its data rate; its power is drawn all the same."""
+    return Fault("transmitterBaudRate", factor=share, **_named("transmitter", None, given))
+
+
+def instrument(share: Any = 0.0, **given: Any) -> Fault:
+    """Return the fault of an instrument with a share of its data rate; its power is drawn all the same."""
+    return Fault("instrumentBaudRate", factor=share, **{"only": "instrument"} | _named("instrument", None, given))
+
+
+def battery(share: Any, **given: Any) -> Fault:
+    """Return the fault of a battery that holds a share of its capacity; charges are still compared with all of it."""
+    return Fault("batteryStorageCapacity", factor=share, **{"only": "battery"} | _named("battery", None, given))
+
+
+def thruster(thruster: int, thrust: Any = NOTHING, **given: Any) -> Fault:
+    """Return the fault of a thruster with another thrust, N, by default none; the flight software does not know of it."""
+    return Fault("thrusterMaxThrust", value=thrust, index=thruster, **{"only": "thrusters"} | _named("thruster", thruster, given))
+
+
+READY: dict[str, Callable[..., Fault]] = {
+    function.__name__: function
+    for function in (
+        wheel_torque,
+        wheel_power,
+        wheel_friction,
+        wheel_unavailable,
+        panel,
+        stuck_panel,
+        transmitter,
+        instrument,
+        battery,
+        thruster,
+    )
+}
+"""The functions of this module by name."""
