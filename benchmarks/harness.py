@@ -144,9 +144,13 @@ def budget(options: argparse.Namespace) -> dict[str, Any]:
 def write(options: argparse.Namespace, described: dict[str, Any], **results: Any) -> None:
     """Write ``results``, the machine and the options into the file that the user named, if any."""
     if options.out:
-        given = {name: _portable(name, value) for name, value in vars(options).items()}
-        content = {"machine": described, "options": given, **results}
+        content = {"machine": described, "options": given(options), **results}
         options.out.write_text(json.dumps(content, indent=1, default=str) + "\n")
+
+
+def given(options: argparse.Namespace) -> dict[str, Any]:
+    """Return the options of a command line as a file of results has them."""
+    return {name: _portable(name, value) for name, value in vars(options).items()}
 
 
 def _portable(name: str, value: Any) -> Any:

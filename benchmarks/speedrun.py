@@ -30,8 +30,6 @@ import itertools
 import json
 import multiprocessing
 import os
-import shlex
-import sys
 import tempfile
 import time
 from collections.abc import Mapping, Sequence
@@ -230,7 +228,7 @@ def add(path: Path, row: dict[str, Any]) -> list[dict[str, Any]]:
     rows: list[dict[str, Any]] = json.loads(path.read_text())["rows"] if path.exists() else []
     kept = [each for each in rows if any(each[name] != row[name] for name in KEY)]
     rows = sorted([*kept, row], key=lambda each: (each["task"], each["threshold"]))
-    path.write_text(json.dumps({"rows": rows}, indent=1) + "\n")
+    path.write_text(json.dumps({"rows": rows}, indent=1, default=str) + "\n")
     return rows
 
 
@@ -274,7 +272,7 @@ def main() -> None:
         "processor": described["processor"],
         "date": f"{datetime.now(timezone.utc):%Y-%m-%d}",
         "machine": described,
-        "command": shlex.join(["python", "benchmarks/speedrun.py", *sys.orig_argv[2:]]),
+        "options": harness.given(options),
         "runs": [run_seed(options, threshold, seed) for seed in options.seeds],
     }
     print(harness.table(COLUMNS, [shown(row)]))

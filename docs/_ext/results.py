@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shlex
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cache
 from pathlib import Path
@@ -51,17 +50,23 @@ def load(name: str) -> dict[str, Any]:
 def made(name: str) -> str:
     """Return the command that writes a result, and what it ran on."""
     result = load(name)
-    words = [f"python benchmarks/{SCRIPTS.get(name, name)}.py"]
-    for option, value in result["options"].items():
-        if option in ("out", "basilisk"):
-            value = {"out": f"benchmarks/results/{name}.json", "basilisk": "PYTHON"}[option]
-        if value is not None:
-            first, *more = [quoted(str(v)) for v in value] if isinstance(value, list) else [quoted(str(value))]
-            words += [f"--{option.replace('_', '-')} {first}", *more]
     where = result["machine"]
     place = f"One thread on a virtual machine with {where['cores']} cores ({where['processor']}, {where['capability']})"
     versions = f"torch {where['torch']}, TorchRL {where['torchrl']}, Python {where['python']}"
-    return f"{command(words)}\n\n{place}, {versions}, commit `{where['commit']}`.\n"
+    made_by = command(invocation(SCRIPTS.get(name, name), name, result["options"]))
+    return f"{made_by}\n\n{place}, {versions}, commit `{where['commit']}`.\n"
+
+
+def invocation(script: str, name: str, options: dict[str, Any]) -> list[str]:
+    """Return the words of the command that writes a result, an option with its first value each."""
+    words = [f"python benchmarks/{script}.py"]
+    for option, value in (options | {"out": f"benchmarks/results/{name}.json"}).items():
+        if value in (None, "", []):
+            continue
+        shown = "PYTHON" if option == "basilisk" else value
+        first, *more = [quoted(str(v)) for v in shown] if isinstance(shown, list) else [quoted(str(shown))]
+        words += [f"--{option.replace('_', '-')} {first}", *more]
+    return words
 
 
 def quoted(word: str) -> str:
@@ -142,10 +147,9 @@ def records() -> str:
         rows.append(
             [row["task"], row["threshold"], row["name"], count, *times.values(), place, code(where["commit"]), row["date"]]
         )
-        if row["command"] not in commands:
-            commands.append(row["command"])
+        commands += [command(invocation("speedrun", "records", row["options"]))]
     head = ["task", "threshold", "trained by", "reached", "wall, s", "core-seconds", "decisions", "machine", "commit", "date"]
-    return "\n\n".join([table(head, rows), *(command([quoted(word) for word in shlex.split(each)]) for each in commands)]) + "\n"
+    return "\n\n".join([table(head, rows), *commands]) + "\n"
 
 
 def learner_limit() -> str:
