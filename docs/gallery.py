@@ -30,6 +30,7 @@ ARGUMENTS: dict[str, str] = {
     "examples/bsk_rl/communication_action.py": "--num-envs 2 --figure episode.png",
     "examples/bsk_rl/continuous_orbit_maneuvers.py": "--num-envs 4 --figure episode.png",
     "examples/bsk_rl/curriculum_learning.py": "--num-envs 256 --iterations 40 --figure curve.png",
+    "examples/bsk_rl/fault_environment.py": "--num-envs 4 --figure episode.png",
     "examples/bsk_rl/multiagent_envs.py": "--num-envs 2 --figure episode.png",
     "examples/bsk_rl/rllib_training.py": "--num-envs 256 --iterations 40 --figure episode.png",
     "examples/bsk_rl/rso_inspection.py": "--num-envs 4 --figure episode.png",

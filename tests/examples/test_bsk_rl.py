@@ -181,6 +181,23 @@ def test_continuous_orbit_maneuvers():
     assert all(difference <= manoeuvres.INTEGRATED[quantity] for quantity, difference in found.items()), found
 
 
+FAULTY = {
+    "fault_environment": False,
+    "fault_environment_literal": True,
+    "fault_environment_literal_charge": True,
+}
+"""Recorded episodes, and whether they are those of the page, without corrections."""
+
+
+@pytest.mark.parametrize("name", FAULTY)
+def test_fault_environment(name):
+    recorded, module = load(name), example("fault_environment")
+    env = module.make(literal=FAULTY[name], **(start(recorded) | dict(scenario=recorded.targets)))
+    Replay(env, recorded, tolerance=STEERING).run()
+    assert bool(recorded.arrays["terminated"][-1]) == FAULTY[name]
+    assert (recorded.arrays["reward"].sum() == 0.0) == ("charge" in name)  # images of no target have filled the store
+
+
 SMALL = "--num-envs 2 --time-limit 300"
 TRAINING = f"{SMALL} --iterations 2 --rollout 4"
 
@@ -199,6 +216,7 @@ STARTS = {
     "curriculum_learning": (TRAINING, "torque"),
     "rso_inspection": (SMALL, "of lit"),
     "continuous_orbit_maneuvers": (SMALL, "semi-major axis"),
+    "fault_environment": (f"{SMALL} --literal", "faults: tensor"),
     "training_with_shield": (f"{TRAINING} --n-targets 300 --shield replacement", "replaced actions"),
 }
 """Arguments of the smallest run of each file, and what it prints."""

@@ -11,13 +11,17 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from Basilisk.utilities import macros, orbitalMotion
+from Basilisk.architecture import messaging
+from Basilisk.fswAlgorithms import rwNullSpace
+from Basilisk.simulation import reactionWheelStateEffector
+from Basilisk.utilities import macros, orbitalMotion, simIncludeRW
 from bsk_rl import ConstellationTasking, GeneralSatelliteTasking, SatelliteTasking, act, comm, data, obs, sats, scene
 from bsk_rl.data.base import Data, DataStore, GlobalReward
 from bsk_rl.data.unique_image_data import UniqueImageData, UniqueImageReward, UniqueImageStore
 from bsk_rl.sim import dyn, fsw
 from bsk_rl.sim.fsw import action
-from bsk_rl.utils.orbital import random_orbit, walker_delta_args
+from bsk_rl.utils.functional import default_args
+from bsk_rl.utils.orbital import random_orbit, random_unit_vector, walker_delta_args
 
 ORBIT = 5700.0
 EARTH = orbitalMotion.REQ_EARTH * 1e3
@@ -921,3 +925,134 @@ def allowed_by_rule(env: SatelliteTasking, observation: np.ndarray) -> np.ndarra
     elif np.abs(wheels).max() > 0.7:
         mask[:] = np.arange(35) == 2
     return mask
+
+
+# -- Faults ------------------------------------------------------------------------------------------------------------------
+
+FOUR_AXES = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [3**-0.5] * 3]
+
+
+def fault_environment(literal: bool) -> SatelliteTasking:
+    """Four wheels, of which one fails at the start; ``literal`` as the page has it, otherwise with four corrections.
+
+    The page connects no command to the camera, disturbs by 1 N m, slows wheels with a gain of 0.3, and reads three wheels.
+    """
+
+    class FourWheels(dyn.FullFeaturedDynModel):
+        @property
+        def solar_angle_norm(self) -> float:
+            return angle(self.BN.T @ np.array([0, 0, -1]), sun_N(self)) / np.pi
+
+        @property
+        def wheel_speeds(self) -> np.ndarray:
+            return np.array(self.rwStateEffector.rwSpeedOutMsg.read().wheelSpeeds)[: 3 if literal else 4]
+
+        @property
+        def wheel_speeds_frac(self) -> np.ndarray:
+            return self.wheel_speeds / (self.maxWheelSpeed * macros.rpm2radsec)
+
+        @default_args(wheelSpeeds=lambda: np.random.uniform(-1500, 1500, 4), maxWheelSpeed=np.inf, u_max=0.200)
+        def setup_reaction_wheel_dyn_effector(
+            self, wheelSpeeds: Any, maxWheelSpeed: float, u_max: float, priority: int = 997, **kwargs: Any
+        ) -> None:
+            self.maxWheelSpeed, self.rwFactory = maxWheelSpeed, simIncludeRW.rwFactory()
+            self.rwStateEffector = reactionWheelStateEffector.ReactionWheelStateEffector()
+            for axis, speed in zip(FOUR_AXES, wheelSpeeds, strict=True):
+                self.rwFactory.create("Honeywell_HR16", axis, maxMomentum=50.0, Omega=speed).u_max = u_max
+            self.rwFactory.addToSpacecraft(self.scObject.ModelTag, self.rwStateEffector, self.scObject)
+            self.simulator.AddModelToTask(self.task_name, self.rwStateEffector, ModelPriority=priority)
+
+    base = fsw.SteeringImagerFSWModel
+
+    class NullMotion(base):  # type: ignore[misc, valid-type]
+        def _set_config_msgs(self) -> None:
+            super()._set_config_msgs()
+            payload, elements = messaging.RWConstellationMsgPayload(), []
+            payload.numRW = len(FOUR_AXES)
+            for axis, wheel in zip(FOUR_AXES, self.dynamics.rwFactory.rwList.values(), strict=True):
+                element = messaging.RWConfigElementMsgPayload()
+                element.gsHat_B, element.Js, element.uMax = axis, wheel.Js, wheel.u_max
+                elements.append(element)
+            payload.reactionWheels = elements
+            self.constellation = messaging.RWConstellationMsg().write(payload)
+
+        def _set_gateway_msgs(self) -> None:
+            if literal:  # the page's copy of this method leaves out what ImagingFSWModel adds: the command to the camera
+                fsw.BasicFSWModel._set_gateway_msgs(self)
+            else:
+                super()._set_gateway_msgs()
+            self.dynamics.rwStateEffector.rwMotorCmdInMsg.subscribeTo(self.rwNullSpace.rwMotorTorqueOutMsg)
+
+        class MRPControlTask(base.MRPControlTask):
+            def _create_module_data(self) -> None:
+                super()._create_module_data()
+                self.rwNullSpace = self.fsw.rwNullSpace = rwNullSpace.rwNullSpace()
+
+            def _setup_fsw_objects(self, **kwargs: Any) -> None:
+                super()._setup_fsw_objects(**kwargs)
+                self.rwNullSpace.rwMotorTorqueInMsg.subscribeTo(self.rwMotorTorque.rwMotorTorqueOutMsg)
+                self.rwNullSpace.rwSpeedsInMsg.subscribeTo(self.fsw.dynamics.rwStateEffector.rwSpeedOutMsg)
+                self.rwNullSpace.rwConfigInMsg.subscribeTo(self.fsw.constellation)
+                self.rwNullSpace.OmegaGain = 0.3 if literal else 0.05
+                self._add_model_to_task(self.rwNullSpace, priority=1193)
+
+    class Faulty(sats.ImagingSatellite):
+        observation_spec = [
+            obs.SatProperties(
+                dict(prop="omega_BP_P", norm=0.03),
+                dict(prop="c_hat_P"),
+                *ORBITAL,
+                dict(prop="battery_charge_fraction"),
+                dict(prop="solar_angle_norm"),
+                dict(prop="wheel_speeds_frac"),
+            ),
+            obs.OpportunityProperties(
+                dict(prop="priority"),
+                dict(prop="r_LP_P", norm=EARTH),
+                dict(prop="target_angle", norm=np.pi),
+                type="target",
+                n_ahead_observe=32,
+            ),
+            obs.Time(),
+            obs.Eclipse(norm=ORBIT),
+        ]
+        action_spec = [act.Desat(duration=60.0), act.Charge(duration=60.0), act.Image(n_ahead_image=32)]
+        dyn_type, fsw_type = FourWheels, NullMotion
+
+        def reset_post_sim_init(self) -> None:
+            super().reset_post_sim_init()
+            self.simulator.createNewEvent(
+                "powerFault",
+                self.dynamics.dyn_rate,
+                True,
+                conditionTime=0,
+                actionFunction=lambda sim: setattr(self.dynamics.rwFactory.rwList["RW1"], "P_max", 1.0),
+            )
+
+    arguments = Faulty.default_sat_args(
+        oe=random_orbit,
+        imageAttErrorRequirement=0.01,
+        imageRateErrorRequirement=0.01,
+        batteryStorageCapacity=80.0 * 3600 * 2,
+        storedCharge_Init=lambda: np.random.uniform(0.4, 1.0) * 80.0 * 3600 * 2,
+        u_max=0.2,
+        K1=0.5,
+        nHat_B=np.array([0, 0, -1]),
+        imageTargetMinimumElevation=np.radians(45),
+        rwBasePower=20,
+        maxWheelSpeed=1500,
+        storageInit=lambda: np.random.randint(0, 0.01 * STORE),
+        wheelSpeeds=lambda: np.random.uniform(-900, 900, 4),
+        disturbance_vector=lambda: random_unit_vector() * (1.0 if literal else 1e-4),
+    )
+    return SatelliteTasking(
+        satellite=Faulty("EO", arguments),
+        terminate_on_time_limit=True,
+        scenario=scene.UniformTargets(n_targets=1000),
+        rewarder=data.UniqueImageReward(),
+        sim_rate=0.5,
+        max_step_duration=300.0,
+        time_limit=95 * 60 * 3,
+        failure_penalty=0,
+        **QUIET,
+    )

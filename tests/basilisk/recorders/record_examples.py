@@ -385,6 +385,11 @@ EXAMPLES: dict[str, Example] = {
     "training_with_shield": Example(  # less charge than on the page, so that the rule acts
         lambda: problems.training_with_shield((1000, 1001), 0.24, 0.25), behind_shield(16), 16
     ),
+    "fault_environment": Example(lambda: problems.fault_environment(False), drawn(17, soon(32, 0.1, 0.1)), 24),
+    "fault_environment_literal": Example(lambda: problems.fault_environment(True), drawn(18, soon(32, 0.1, 0.1)), 24),
+    "fault_environment_literal_charge": Example(  # images of no target fill the store
+        lambda: problems.fault_environment(True), drawn(19, soon(32, 0.1, 0.1), first=([1], [2])), 24, seed=3
+    ),
 }
 """What is recorded, by the name of the file without ``example_``."""
 
