@@ -27,17 +27,23 @@ TEACHERS = tuple(name for name in BASELINES if name != "random")
 CHUNK = 2048
 """Situations that the rule judges at once: some compare all pairs of targets."""
 
+RANKED = tuple(name for name in IMAGING_RULES if name != "nearest")
+"""Rules to which actions have a worth, so that they can teach probabilities; to ``nearest`` they only have an order."""
+
+FAINT = 1e-30
+"""Least scale of a comparison between actions; with it, the best action gets all of the probability."""
+
 TAUGHT = "taught"
 """Key of the rule's actions, or of the probabilities that it is taken to give to all actions."""
 
 
 def check_teacher(name: str, temperature: float) -> None:
-    """ValueError, with the nearest name, unless there is such a rule, which ranks all actions if it has a ``temperature``."""
+    """ValueError, with the nearest name, unless there is such a rule, to which actions have a worth if ``temperature`` > 0."""
     if name not in TEACHERS:
         raise ValueError(f"imitate={name!r} must be one of {list(TEACHERS)}; {nearest(str(name), TEACHERS)}")
-    if temperature and name not in IMAGING_RULES:
+    if temperature and name not in RANKED:
         raise ValueError(
-            f"imitation_temperature={temperature:g} needs a rule that ranks actions, one of {list(IMAGING_RULES)}; "
+            f"imitation_temperature={temperature:g} needs a rule to which actions have a worth, one of {list(RANKED)}; "
             f"imitation_temperature=0 imitates the actions of imitate={name!r}"
         )
 
@@ -48,8 +54,9 @@ def find_teacher(name: str, env: SatelliteTasking, temperature: float = 0.0) -> 
     Args:
         name: The rule.
         env: The environment.
-        temperature: Probabilities are proportional to exp(worth / temperature), with what actions are worth to the rule; 0 for
-            actions.
+        temperature: Probabilities are proportional to exp(worth / (temperature * best)), with what actions are worth to the rule
+            and the largest worth of an image in the same decision. Without an image of positive worth, the actions of the largest
+            worth share the probability. 0 for actions.
 
     Raises:
         ValueError: If the rule does not fit the environment, or actions are real numbers.
@@ -65,10 +72,13 @@ def find_teacher(name: str, env: SatelliteTasking, temperature: float = 0.0) -> 
         raise ValueError(f"imitate={name!r} does not fit {env.satellite.name}: {reason}") from error
     if not temperature:
         return rule
-    worths = ImagingRule.of(env, IMAGING_RULES[name]).worths
+    ranking = ImagingRule.of(env, IMAGING_RULES[name])
 
     def probabilities(observation: Observation, action_mask: Tensor) -> Tensor:
-        return (worths(observation, action_mask) / temperature).softmax(-1, dtype=torch.float32)
+        worths = ranking.worths(observation, action_mask).double()
+        best = worths[:, ranking.images.start : ranking.images.stop].amax(1, keepdim=True)  # a needed downlink takes all
+        behind = worths - worths.amax(1, keepdim=True)
+        return (behind / (temperature * best).clamp(FAINT, 1.0 / FAINT)).softmax(1, dtype=torch.float32)
 
     return TensorDictModule(probabilities, in_keys=["observation", "action_mask"], out_keys=["probabilities"])
 
