@@ -11,9 +11,9 @@ from bsk_torch.rl.marl import MAPPOConfig
 from bsk_torch.rl.marl.mappo import DECIDES, MAPPOLearner
 from bsk_torch.rl.policies.shared_policy import member_views, shared
 from bsk_torch.rl.rules.baselines import BASELINES
-from bsk_torch.rl.rules.imaging import IMAGING_RULES, ImagingRule
+from bsk_torch.rl.rules.imaging import IMAGING_RULES, URGENCY, ImagingRule
 from bsk_torch.rl.training.config import PPOConfig
-from bsk_torch.rl.training.imitation import TAUGHT, find_teacher, imitation_loss, taught
+from bsk_torch.rl.training.imitation import RANKED, TAUGHT, find_teacher, imitation_loss, taught
 from bsk_torch.rl.training.ppo import Learner
 
 SHORT = {"as_set": True, "n_targets": 200, "time_limit": 1200.0}
@@ -59,7 +59,7 @@ def test_the_rule_is_asked_in_each_situation(played):
     assert len(lesson.unique()) > 2
 
 
-@pytest.mark.parametrize("name", ["greedy", "nearest", "hasty", "farsighted"])
+@pytest.mark.parametrize("name", RANKED)
 def test_a_temperature_turns_what_actions_are_worth_into_probabilities(played, name):
     env, batch = played
     rule = ImagingRule.of(env, IMAGING_RULES[name])
@@ -68,14 +68,49 @@ def test_a_temperature_turns_what_actions_are_worth_into_probabilities(played, n
     assert soft.shape == batch["action_mask"].shape
     assert (soft[~batch["action_mask"]] == 0.0).all()
     assert torch.allclose(soft.sum(-1), torch.ones(batch.shape))
-    assert torch.equal(worths.argmax(-1), taught(find_teacher(name, env), batch))
     best, second = worths.topk(2).values.unbind(-1)
-    close = second > best - 2.0  # between which a factor in probability can be seen
+    assert torch.equal(worths.argmax(-1)[best > second], taught(find_teacher(name, env), batch)[best > second])
+    close = (second > -best) & (best < URGENCY)  # between which a factor in probability can be seen
     assert close.any()
     ratio = soft.gather(-1, worths.topk(2).indices).log().diff(dim=-1).squeeze(-1)
-    assert torch.allclose(ratio[close], ((second - best) / 0.2)[close].float(), atol=1e-3)
+    assert torch.allclose(ratio[close], ((second / best - 1.0) / 0.2)[close].float(), atol=1e-3)
     cold = taught(find_teacher(name, env, 1e-6), batch)
     assert torch.equal(cold.argmax(-1)[best > second], worths.argmax(-1)[best > second])
+
+
+def ranking(monkeypatch, played, worths, temperature):
+    """What a teacher teaches if the rule gives these worths to charge, downlink, desaturation and the images that follow."""
+    env, _ = played
+    table = torch.full((1, env.action_spec.space.n), -torch.inf)
+    table[0, : len(worths)] = torch.tensor(worths)
+    monkeypatch.setattr(ImagingRule, "worths", lambda rule, observation, action_mask: table)
+    teacher = find_teacher("hasty", env, temperature)
+    return teacher(env.observation_spec.zero()[:1])["probabilities"][0, : len(worths)]
+
+
+@pytest.mark.parametrize("scale", [1.0, 1e-6])
+def test_only_the_ratio_to_the_best_image_counts(monkeypatch, played, scale):
+    lesson = ranking(monkeypatch, played, [-URGENCY, -URGENCY, -URGENCY, 0.5 * scale, 0.4 * scale, 0.0, -scale], 0.1)
+    expected = torch.tensor([0.0, 0.0, 0.0, 0.0, -2.0, -10.0, -30.0]).exp() * torch.tensor([0, 0, 0, 1, 1, 1, 1])
+    assert torch.allclose(lesson, expected / expected.sum(), atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("worths", "lesson"),
+    [
+        ([-URGENCY, -URGENCY, -URGENCY, 0.0, -0.1, -2.0], [0, 0, 0, 1, 0, 0]),
+        ([-URGENCY, -URGENCY, -URGENCY, -30.0, -20.0], [0, 0, 0, 0, 1]),
+        ([-URGENCY, -URGENCY, -URGENCY, 0.0, 0.0], [0, 0, 0, 0.5, 0.5]),
+        ([-URGENCY, URGENCY, -URGENCY, 1.0, 0.9], [0, 1, 0, 0, 0]),
+        ([-URGENCY, URGENCY, -URGENCY, 0.0, -0.5], [0, 1, 0, 0, 0]),
+        ([-URGENCY, -torch.inf, -URGENCY], [0.5, 0, 0.5]),
+        ([-URGENCY], [1]),
+    ],
+    ids=["the best is worth nothing", "none can be reached", "equal", "downlink", "downlink, no worth", "no image", "one action"],
+)
+@pytest.mark.parametrize("temperature", [1e-300, 0.1, 5.0])
+def test_without_an_image_of_worth_the_best_actions_share_the_probability(monkeypatch, played, worths, lesson, temperature):
+    assert torch.allclose(ranking(monkeypatch, played, worths, temperature), torch.tensor(lesson).float(), atol=1e-6)
 
 
 def test_probabilities_are_learned_by_their_cross_entropy():
@@ -195,6 +230,7 @@ def test_satellites_of_a_constellation_imitate_what_the_rule_fits(caplog):
         (dict(imitation=float("nan")), r"imitation=nan must lie in"),
         (dict(imitation_temperature=-0.1), r"imitation_temperature=-0.1 must lie in \[0, inf\)"),
         (dict(imitate="survey", imitation_temperature=0.1), r"=0.1 needs a rule .*, one of \['greedy', .*\]"),
+        (dict(imitate="nearest", imitation_temperature=0.1), r"one of \['greedy', 'hasty', 'farsighted'\]; .*imitate='nearest'"),
     ],
 )
 def test_settings_that_do_not_work(changes, message):

@@ -30,8 +30,8 @@ CHUNK = 2048
 RANKED = tuple(name for name in IMAGING_RULES if name != "nearest")
 """Rules to which actions have a worth, so that they can teach probabilities; to ``nearest`` they only have an order."""
 
-FAINT = 1e-30
-"""Least scale of a comparison between actions; with it, the best action gets all of the probability."""
+FAINT = 1e-60
+"""Least scale of differences between worths, in double precision: worths in single precision are zero or larger than 1e-45."""
 
 TAUGHT = "taught"
 """Key of the rule's actions, or of the probabilities that it is taken to give to all actions."""
