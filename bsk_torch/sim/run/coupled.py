@@ -16,8 +16,11 @@ from bsk_torch.sim.simulator import Checkpoint, Simulator, rows_of_samples
 if TYPE_CHECKING:
     from bsk_torch.sim.fleet import Fleet
 
-MOST_NUMBERS = 1 << 25
-"""Numbers that the traces of a run hold at once; longer runs, or those of more episodes, are made part by part."""
+MOST_NUMBERS, DEVICE_MOST_NUMBERS = 1 << 22, 1 << 25
+"""Numbers that the traces of a run hold at once; longer runs, or those of more episodes, are made part by part.
+
+On the CPU, larger traces get new pages of memory for every part, which takes longer than what is computed from them.
+"""
 
 StopCondition = Callable[[Flight], Tensor]
 """Returns the first tick of a flight, [n], at which something ends the step; more than all ticks where nothing does."""
@@ -237,10 +240,11 @@ def parts_of(fleet: Fleet, moves: Tensor, ends: Tensor) -> Iterator[Tensor | Non
         yield None
         return
     width = sum(simulator.count * simulator.tick.recorded_width for simulator in fleet.simulators)
+    most = MOST_NUMBERS if moves.device.type == "cpu" else DEVICE_MOST_NUMBERS
     envs = torch.nonzero(moves).squeeze(-1)
     ranked = envs[ends[envs].argsort(descending=True, stable=True)]
     while len(ranked):
-        size = max(1, MOST_NUMBERS // (max(1, width) * (int(ends[ranked[0]]) + 1)))
+        size = max(1, most // (max(1, width) * (int(ends[ranked[0]]) + 1)))
         yield ranked[:size].sort().values
         ranked = ranked[size:]
 
