@@ -54,7 +54,7 @@ def initial_orbit(args: Values) -> tuple[Tensor, Tensor]:
 
 
 def _check(args: Values) -> None:
-    _check_tensor(args)
+    check_tensor(args)
     given = [name for name in ("oe", "rN", "vN") if args[name] is not None]
     if given not in (["oe"], ["rN", "vN"]):
         raise KeyError(f"give the orbit as 'oe', or as both 'rN' and 'vN' with oe=None; given are {given or 'none'}")
@@ -95,7 +95,7 @@ INERTIA_SLACK = 1e-9
 """Part of the largest moment by which an inertia may break symmetry or the triangle inequality: rounding of given numbers."""
 
 
-def _check_tensor(args: Values) -> None:
+def check_tensor(args: Values) -> None:
     """Check that a given inertia is symmetric and positive, and the triangle inequality unless ``checkInertia`` is False."""
     if args["inertia"] is None:
         return

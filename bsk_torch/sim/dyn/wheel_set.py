@@ -304,10 +304,10 @@ def _check(form: WheelForm, args: Values) -> None:
                 f"{name}={args[name].max().item():g}: the first satellite of the type has none, which decides what is built; "
                 "give it a small positive number, too"
             )
-    _check_inertia(args)
+    check_inertia(args)
 
 
-def _check_inertia(args: Values) -> None:
+def check_inertia(args: Values) -> None:
     """Check that the body is heavier than its wheels, whose inertia is included in that of the body."""
     smallest = free_tensor_moments(args)[:, 0]
     if bool((smallest <= 0.0).any()):

@@ -1,5 +1,6 @@
 """Flight software: guidance, control, and the modes that actions switch between."""
 
+from bsk_torch.sim.fsw.gains import propose_gains
 from bsk_torch.sim.fsw.inspection import RSOInspectorFSWModel
 from bsk_torch.sim.fsw.models import (
     BasicFSWModel,
@@ -33,4 +34,5 @@ __all__ = [
     "Task",
     "TumblingFSWModel",
     "action",
+    "propose_gains",
 ]

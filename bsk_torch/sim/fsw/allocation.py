@@ -17,6 +17,7 @@ from torch import Tensor
 from bsk_torch.constants import RPM
 from bsk_torch.sim.component import Allocation, Arg, Bus, Component, Field, Values
 from bsk_torch.sim.dyn.wheel_set import along, described_wheels, unit_axes
+from bsk_torch.sim.fsw.stability import NULL_SHARE
 from bsk_torch.vec3 import Vec3, select
 
 Commands = tuple[Any, ...]
@@ -82,7 +83,7 @@ def distribute(bus: Bus, torque_B: Vec3, null_motion: bool) -> Commands:
     return (tuple(u),)
 
 
-def _check_axes(args: Values) -> None:
+def check_axes(args: Values) -> None:
     """Check that the axes of the wheels span space, unless they need not."""
     values = torch.linalg.svdvals(unit_axes(args))
     rank = (values > RANK_TOLERANCE * values[:, :1]).sum(-1)
@@ -98,13 +99,12 @@ def _check_axes(args: Values) -> None:
 
 def _check_null_motion(args: Values, h: float) -> str | None:
     """Return words about null motion that is not smooth; the loop of a wheel is unstable where ``k h / J`` exceeds 1."""
-    ratio = (args["nullSpaceGain"].unsqueeze(-1) * h / args["rwJs"]).max().item()
+    ratio, smallest = (args["nullSpaceGain"].unsqueeze(-1) * h / args["rwJs"]).max().item(), args["rwJs"].min().item()
     if ratio <= SMOOTH:
         return None
     return (
         f"nullSpaceGain={args['nullSpaceGain'].max().item():g} N m s {'is not stable' if ratio >= 1.0 else 'oscillates'} at "
-        f"sim_rate={h:g} s for wheels of {args['rwJs'].min().item():.3g} kg m^2; {SMOOTH * args['rwJs'].min().item() / h:.2g} is "
-        "smooth"
+        f"sim_rate={h:g} s for wheels of {smallest:.3g} kg m^2; {NULL_SHARE * smallest / h:.2g} is smooth"
     )
 
 
@@ -149,7 +149,7 @@ def wheel_allocation(count: int, null_motion: bool, some: bool) -> Component:
         args=tuple(args),
         params=tuple(params),
         prepare=prepare,
-        check=_check_axes,
+        check=check_axes,
         check_tick=_check_null_motion if null_motion else lambda args, h: None,
         allocation=Allocation(("motor_torque_command_B",), functools.partial(distribute, null_motion=null_motion)),
     )

@@ -21,12 +21,41 @@ import torch
 from torch import Tensor
 
 from bsk_torch.sim.component import Values
-from bsk_torch.sim.dyn.hub import BODY
+from bsk_torch.sim.dyn.hub import BODY, body_inertia
 from bsk_torch.sim.dyn.wheels import free_moments, largest_momentum
 
-SUGGESTED = {"P": (0.4, 1), "K": (0.08, 2), "Ki": (0.05, 2)}
-"""Suggested gains: ``P h / J``, ``K h^2 / J`` and, of an integral, ``Ki h^2 / J``, with the smallest moment of inertia
-J; about those of bsk_rl's satellite in ticks of 1 s."""
+RATE_SHARE = 0.36
+"""``P h / J`` of proposed gains with rate gain P and the smallest moment J: roots ``z^2 - z + 0.36`` of the rate loop are 0.6."""
+
+DAMPING = 1.2
+"""Damping ``P / sqrt(K J)`` of proposed gains for the largest moment of inertia J, and of those of bsk_rl's satellite."""
+
+NULL_SHARE = 0.2
+"""``k h / J`` of a proposed gain k of null motion, with the smallest wheel inertia J; see ``SMOOTH`` of the allocation."""
+
+
+def rate_gain(smallest: float, h: float) -> float:
+    """Return the rate gain P, N m s, for the smallest moment of inertia without the spin of wheels, kg m^2, and ticks of h s."""
+    return RATE_SHARE * smallest / h
+
+
+def attitude_rate(P: float, largest: float) -> float:
+    """Return the fastest rate, 1/s, at which attitude errors decay with the rate gain P, N m s, damped by :data:`DAMPING`.
+
+    With ``K = 4 a P`` and the largest moment of inertia J, kg m^2, ``P / sqrt(K J)`` is 1.2 for ``a = P / (4 1.2^2 J)``.
+    """
+    return P / (4.0 * DAMPING**2 * largest)
+
+
+def gains_at(rate: float, P: float) -> dict[str, float]:
+    """Return the gains with which errors decay at a rate, 1/s, with the rate gain P, N m s, of feedback and of steering.
+
+    Where errors are small, ``sigma = theta / 4``, and ``omega = -4 a sigma`` is ``theta' = -a theta``. Integrals cancel a
+    constant torque in about the same time: with that of feedback, both slow roots are ``a / 2``.
+    """
+    found = {"P": P, "K": 4.0 * rate * P, "Ki": 0.25 * rate / P}
+    return found | {"servo_P": P, "servo_Ki": rate * P, "K1": 4.0 * rate, "K3": 4.0 / 3.0 * rate}
+
 
 GROWTH = 1.001
 """Factor by which a tick must multiply errors for a loop to grow without bound, and not only to keep them."""
@@ -116,7 +145,7 @@ def check_gains(args: Values, h: float, law: Law, gains: str, suggested: str) ->
         h: Length of a tick, s.
         law: The control law.
         gains: The gains as text.
-        suggested: Stable gains as text, with the names of :data:`SUGGESTED` in braces.
+        suggested: Stable gains as text, with the names of :func:`gains_at` in braces.
 
     Raises:
         ValueError: If nothing keeps the growing rates bounded, so that numbers overflow.
@@ -131,7 +160,10 @@ def check_gains(args: Values, h: float, law: Law, gains: str, suggested: str) ->
     overflows = unbounded & ~is_stable(law, J, h, GROWTH).all(-1)
     row = int(torch.nonzero(overflows if bool(overflows.any()) else unstable)[0])
     smallest, mass = (values[min(row, len(values) - 1)].item() for values in (least, args["mass"]))
-    better = {name: f"{share * smallest / h**power:.2g}" for name, (share, power) in SUGGESTED.items()}
+    largest = body_inertia(args).max(-1).values
+    P = rate_gain(smallest, h)
+    proposed = gains_at(attitude_rate(P, largest[min(row, len(largest) - 1)].item()), P)
+    better = {name: f"{gain:.2g}" for name, gain in proposed.items()}
     words = (
         f"attitude control with {gains} is not stable at sim_rate={h:g} s for a body with mass={mass:g} kg, whose smallest "
         f"moment of inertia is {smallest:.3g} kg m^2 without its wheels; {suggested.format(**better)} are stable, or a "

@@ -105,7 +105,7 @@ def check_steering(args: Values, h: float) -> str | None:
     if not has_wheels(args):
         return None
     gains = in_words(args, "K1", "servo_P", "servo_Ki")
-    return check_gains(args, h, steering_law(args, h), gains, f"K1={0.2 / h:.2g}, servo_P={{P}} and servo_Ki={{Ki}}")
+    return check_gains(args, h, steering_law(args, h), gains, "K1={K1}, servo_P={servo_P} and servo_Ki={servo_Ki}")
 
 
 GAINS = ("K1", "K3", "omega_max", "servo_Ki", "servo_P")
