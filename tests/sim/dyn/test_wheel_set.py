@@ -305,8 +305,7 @@ def test_the_page_lists_the_types_as_they_are():
         for name, momenta, numbers in rows
     }
     assert listed == {
-        name: (list(kind.maxMomentum), [kind.Omega_max, kind.u_max, kind.u_min, kind.fCoulomb])
-        for name, kind in TYPES.items()
+        name: (list(kind.maxMomentum), [kind.Omega_max, kind.u_max, kind.u_min, kind.fCoulomb]) for name, kind in TYPES.items()
     }
 
 
