@@ -7,6 +7,7 @@ import math
 import torch
 from torch import Tensor
 
+from bsk_torch.sim.access.next_eclipses import next_eclipses
 from bsk_torch.sim.access.padded import tabulate
 from bsk_torch.sim.access.visibility.backend import Visibility
 from bsk_torch.sim.access.visibility.planned import PlannedOrbits
@@ -22,6 +23,9 @@ ROUNDING = 1e-9
 
 NOT_FOUND = 1.0
 """Answer to a query whose searches all fail: one second after the epoch, as bsk_rl gives it."""
+
+CONSTANTS = torch.tensor([PLAN_STEP, SEARCH_STEP, SEARCHES, ROUNDING, NOT_FOUND], dtype=torch.float64)
+"""What the kernel of queries has to know."""
 
 
 class EclipseTable(StateTable):
@@ -124,6 +128,9 @@ class EclipseTable(StateTable):
 
         Within an eclipse, the end is that of the present one and the start that of the following one.
         """
+        if self.visibility.kernels:
+            begun = self.arcs.begun if isinstance(self.arcs.begun, Tensor) else None
+            return next_eclipses(CONSTANTS, self.starts, self.ends, time, begun, self.sampled, self.known)
         start, end = self._next(time)
         last = torch.maximum(start, end) + PLAN_STEP
         # each search propagates the trajectory, in whole steps, and records transitions up to there

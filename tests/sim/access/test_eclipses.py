@@ -16,6 +16,7 @@ from bsk_torch.sim.access.visibility.planned import PlannedOrbits
 from bsk_torch.sim.environment.ephemeris import ephemeris_records
 from bsk_torch.sim.orbit.arcs import Arcs, segments_for
 from bsk_torch.sim.orbit.grid import ARC_SEGMENT, PLAN_STEP
+from bsk_torch.sim.orbit.restartable import RestartableArcs
 from bsk_torch.sim.orbit.solvers import make_solver
 from bsk_torch.vec3 import Vec3
 from tests.sim.orbit.arcs import Solved, planned
@@ -131,6 +132,52 @@ def test_rows_are_queried_independently(five_orbits):
         assert [x[row].item() for x in answers] == [x[row].item() for x in expected]
         assert together.known[row] == alone.known[row]
         assert together.sampled[row] == alone.sampled[row]
+
+
+# -- the kernel -------------------------------------------------------------------------------------------------------------
+
+
+def random_tables(n: int, restarts: bool) -> list[EclipseTable]:
+    """The same transitions and progress of searches twice: for queries by the kernel, and by torch."""
+    solver = make_solver(1.0, "eager", CPU)
+    arcs = RestartableArcs(n, 1, solver) if restarts else Arcs(n, 1, solver)
+    if restarts:
+        arcs.epoch = torch.where(torch.arange(n) % 3 == 0, 0.0, 9000.0 * torch.rand(n).double())
+    origin = arcs.begun.unsqueeze(-1) if isinstance(arcs.begun, torch.Tensor) else 0.0
+    samples = torch.randint(0, 900, (2, n, 6)).double().sort(-1).values
+    missing = torch.arange(6) >= torch.randint(0, 7, (2, n, 1))
+    starts, ends = (origin + PLAN_STEP * samples).masked_fill(missing, math.inf)
+    progress = 30_000.0 * torch.rand(2, n).double()
+    tables = [EclipseTable(arcs, make_visibility(backend, CPU)) for backend in ("compiled", "eager")]
+    for eclipses in tables:
+        eclipses.starts, eclipses.ends = starts, ends
+        eclipses.sampled, eclipses.known = (times.clone() for times in progress)
+    return tables
+
+
+@pytest.mark.parametrize("restarts", [False, True])
+@pytest.mark.parametrize("n", [1, 1200])
+def test_the_kernel_agrees_with_torch(n, restarts):
+    """Bit for bit, on the grid, next to it and between its samples; known, found by either search, and not found."""
+    one, other = random_tables(n, restarts)
+    found, failed = 0, 0
+    for offset in (0.0, 1e-9, -1e-9, 3e-8, 12.3):
+        time = other.arcs.begun + PLAN_STEP * torch.randint(1, 500, (n,)).double() + offset
+        answers, expected = one.query(time), other.query(time)
+        assert all(torch.equal(x, y) for x, y in zip(answers, expected, strict=True))
+        assert torch.equal(one.known, other.known)
+        assert torch.equal(one.sampled, other.sampled)
+        failed, found = failed + int((expected[0] == NOT_FOUND).sum()), found + int((expected[0] != NOT_FOUND).sum())
+    assert n == 1 or min(found, failed) > n
+
+
+def test_the_kernel_rejects_what_it_would_misread():
+    eclipses, _ = random_tables(5, False)
+    with pytest.raises(TypeError, match=r"time is .*torch.float32; it must be .*\[5\] and dtype torch.float64"):
+        eclipses.query(at(0.0).float())
+    eclipses.known = at(0.0, 4)
+    with pytest.raises(TypeError, match=r"known is .*\[4\]"):
+        eclipses.query(at(0.0))
 
 
 # -- arcs that move on ------------------------------------------------------------------------------------------------------

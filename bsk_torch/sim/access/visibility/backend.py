@@ -18,7 +18,7 @@ class Visibility(Protocol):
     """Visibility along planned orbits of n satellites, every 30 s or at the times at which an elevation limit is crossed."""
 
     kernels: bool
-    """Whether kernels compute it, and queries of windows too."""
+    """Whether kernels compute it, and queries of windows and eclipses too."""
 
     def umbra(self, orbits: PlannedOrbits, start: Tensor, count: int) -> Tensor:
         """Return whether satellites are in the Earth's umbra at ``count`` samples from ``start`` [n] s on, [n, count]."""

@@ -1,0 +1,54 @@
+"""The next eclipse of each satellite, by a kernel: a search of a few numbers, for which torch needs forty operations."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from bsk_torch.codegen.build import entry, load
+from bsk_torch.sim.hooks import check_tensor
+
+SOURCE = Path(__file__).with_name("next_eclipses.cpp")
+
+SIGNATURE = "ip" + "pipi" + "pppp" + "pp"
+
+
+@cache
+def next_eclipses_kernel() -> Callable[..., None]:
+    """Return the kernel, built or loaded when it is first needed."""
+    return entry(load(SOURCE.read_text(), "search for the next eclipses"), SIGNATURE)
+
+
+def next_eclipses(
+    constants: Tensor, starts: Tensor, ends: Tensor, time: Tensor, begun: Tensor | None, sampled: Tensor, known: Tensor
+) -> tuple[Tensor, Tensor]:
+    """Return the same as :meth:`~bsk_torch.sim.access.eclipses.EclipseTable.query`, bit for bit.
+
+    Args:
+        constants: The struct ``Constants`` of the kernel.
+        starts: Times of transitions into the umbra, [N, W] s.
+        ends: Times of transitions out of it, likewise.
+        time: Time of the query, [N] s.
+        begun: Time at which the current orbit began, [N] s; None for zero on orbits that never restart.
+        sampled: Time up to which bsk_rl would have propagated its trajectory, [N] s; changes.
+        known: Time up to which bsk_rl would have recorded transitions, [N] s; changes.
+
+    Raises:
+        TypeError: For times that are not float64, or of another shape: kernels read addresses.
+    """
+    for name, tensor in (("time", time), ("begun", begun), ("sampled", sampled), ("known", known)):
+        if tensor is not None:
+            check_tensor(name, tensor, starts.shape[:1], torch.float64)
+    found = time.new_empty(2, len(time))
+    start, end = found.unbind(0)
+    next_eclipses_kernel()(
+        len(time), constants,
+        starts.contiguous(), starts.shape[1], ends.contiguous(), ends.shape[1],
+        time.contiguous(), None if begun is None else begun.contiguous(), sampled, known,
+        start, end,
+    )  # fmt: skip
+    return start, end
