@@ -39,7 +39,8 @@ class SatelliteGroup(BoundSatellite):
         self.action_description = self.actions.description
         self.actions.declare(self.task)
         self.observations = ObservationBuilder(copy.deepcopy(list(self.observation_spec)), self)
-        self.simulator.observer.want((*self.observations.observables, *self.dynamics.vitals(), *self.fsw.vitals()))
+        vitals = (*self.dynamics.vitals().values(), *self.fsw.vitals().values())
+        self.simulator.observer.want((*self.observations.observables, *vitals))
 
     def user_functions(self) -> list[UserFunction]:
         """Return the user functions called by observations and satellites."""

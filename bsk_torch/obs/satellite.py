@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable
 from functools import partial
@@ -17,7 +18,7 @@ from bsk_torch.sats.one import is_ours
 from bsk_torch.sats.user_function import UserFunction
 from bsk_torch.sim.arguments.values import nearest
 from bsk_torch.sim.assembly.composition import having
-from bsk_torch.sim.readout.observables import observable, vital
+from bsk_torch.sim.readout.observables import Function, observable, vital
 
 if TYPE_CHECKING:
     from bsk_torch.sats.bound import BoundSatellite
@@ -46,6 +47,10 @@ class SatProperties(Observation):
         self.modules = [None if "fn" in entry else self._module(entry) for entry in self.entries]
         self._functions = [self._function(entry, module) for entry, module in zip(self.entries, self.modules, strict=True)]
         self._reads = [self._read(*each) for each in zip(self.entries, self.modules, self._functions, strict=True)]
+        numbered = range(len(self.entries))
+        runs = [list(run) for _, run in itertools.groupby(numbered, lambda k: self._observed(k) is None)]
+        self._runs = [(run, tuple(found for k in run if (found := self._observed(k)) is not None)) for run in runs]
+        self._norms: dict[tuple[Function, ...], Tensor] = {}
 
     @property
     def functions(self) -> list[UserFunction]:
@@ -61,6 +66,11 @@ class SatProperties(Observation):
         member = vars(owner)[entry["prop"]]
         own = is_ours(owner) or isinstance(member, observable)
         return None if own else UserFunction(f"{title}, {owner.__name__}.{entry['prop']},", ADVICE, member)
+
+    def _observed(self, k: int) -> Function | None:
+        """Return the function of the k-th entry if it is an observable; vitals are read as methods."""
+        known = None if self.modules[k] is None else getattr(type(self.modules[k]), self.entries[k]["prop"])
+        return known.function if isinstance(known, observable) and not isinstance(known, vital) else None
 
     def observables(self) -> list[Any]:
         """See :meth:`Observation.observables`."""
@@ -98,9 +108,26 @@ class SatProperties(Observation):
         return {entry["name"]: scaled(read(), entry["norm"]) for entry, read in zip(self.entries, self._reads, strict=True)}
 
     def get_vector(self) -> Tensor:
-        """See :meth:`Observation.get_vector`."""
-        rows, values = self.simulator.state.rows, self.get_obs()
-        return torch.cat([side_by_side(f"{self.name}.{name}", value, rows) for name, value in values.items()], -1)
+        """See :meth:`Observation.get_vector`; neighboring observables are read together."""
+        parts = []
+        for run, functions in self._runs:
+            numbers = self.simulator.observer.read_together(functions)
+            parts += [self._column(k) for k in run] if numbers is None else [numbers / self._norms_of(run, functions)]
+        return torch.cat(parts, -1)
+
+    def _column(self, k: int) -> Tensor:
+        """Return the k-th entry, [N, width]."""
+        entry = self.entries[k]
+        value = scaled(self._reads[k](), entry["norm"])
+        return side_by_side(f"{self.name}.{entry['name']}", value, self.simulator.state.rows)
+
+    def _norms_of(self, run: list[int], functions: tuple[Function, ...]) -> Tensor:
+        """Return the norms of a run of entries, side by side like their ``functions``, [W]."""
+        if functions not in self._norms:
+            norms = [torch.as_tensor(self.entries[k]["norm"], dtype=torch.float64) for k in run]
+            wide = [norm.expand(self._reads[k]()[:1].shape).flatten() for k, norm in zip(run, norms, strict=True)]
+            self._norms[functions] = torch.cat(wide)
+        return self._norms[functions]
 
     def _call(self, entry: dict[str, Any], module: object, function: UserFunction) -> Tensor:
         """Call a user's function or property."""

@@ -152,7 +152,7 @@ class Engine:
             models = (type(part.dynamics), type(part.fsw))
             members = (inspect.getattr_static(model, name, None) for model in models for name in names)
             functions = [member.function for member in members if isinstance(member, observable)]
-            part.simulator.observer.want((*functions, *part.dynamics.vitals(), *part.fsw.vitals()))
+            part.simulator.observer.want((*functions, *part.dynamics.vitals().values(), *part.fsw.vitals().values()))
 
     def _sources(self, table: ArgumentTable, k: int | None) -> dict[str, Any]:
         """Return arguments by name: those that determine the structure unchanged, others as functions of the episode."""

@@ -128,13 +128,13 @@ class EclipseTable(StateTable):
 
         Within an eclipse, the end is that of the present one and the start that of the following one.
         """
+        begun = self.arcs.begun
         if self.visibility.kernels:
-            begun = self.arcs.begun if isinstance(self.arcs.begun, Tensor) else None
-            return next_eclipses(CONSTANTS, self.starts, self.ends, time, begun, self.sampled, self.known)
+            restarted = begun if isinstance(begun, Tensor) else None
+            return next_eclipses(CONSTANTS, self.starts, self.ends, time, restarted, self.sampled, self.known)
         start, end = self._next(time)
         last = torch.maximum(start, end) + PLAN_STEP
         # each search propagates the trajectory, in whole steps, and records transitions up to there
-        begun = self.arcs.begun
         elapsed = time - begun + self.searched
         reach = torch.floor((elapsed + PLAN_STEP) / PLAN_STEP + ROUNDING) * PLAN_STEP + begun
         after = torch.maximum(self.sampled, reach)

@@ -70,7 +70,9 @@ class Model:
 
     def aliveness(self) -> dict[str, Tensor]:
         """Return the result [N] of every aliveness checker, by name."""
-        return {name: getattr(self, name)() for name in self.checks()}
+        found = self.simulator.observer.read_together(tuple(self.vitals().values()), bool)
+        together = {} if found is None else dict(zip(self.vitals(), found.unbind(1), strict=True))
+        return {name: together[name] if name in together else getattr(self, name)() for name in self.checks()}
 
     @classmethod
     @functools.cache
@@ -79,7 +81,8 @@ class Model:
         return tuple(name for name in dir(cls) if getattr(getattr(cls, name), "is_aliveness_checker", False))
 
     @classmethod
-    def vitals(cls) -> list[Callable[..., Any]]:
-        """Return the functions of the aliveness checks that kernels compute."""
-        checks = (getattr(cls, name) for name in cls.checks())
-        return [check.function for check in checks if hasattr(check, "function")]
+    @functools.cache
+    def vitals(cls) -> dict[str, Function]:
+        """Return the functions of the aliveness checks that kernels compute, by name."""
+        checks = {name: getattr(cls, name) for name in cls.checks()}
+        return {name: check.function for name, check in checks.items() if hasattr(check, "function")}

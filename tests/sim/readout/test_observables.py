@@ -183,6 +183,43 @@ def test_one_kernel_computes_what_functions_of_users_read():
     assert alone.simulator.observer.wanted == env.simulator.observer.wanted
 
 
+@pytest.mark.compiled
+def test_what_is_read_together_is_what_is_read_one_by_one():
+    """Bit for bit: vectors and matrices, norms of each component, masks, and properties that no kernel computes in between."""
+
+    class MaskedDynModel(WatchedDynModel):
+        @observable
+        def above_equator(now: Now):
+            return (now.PN @ now.r_BN_N).z > 0.0
+
+    class Mixed(Watched):
+        dyn_type = MaskedDynModel
+        observation_spec = (
+            obs.SatProperties(
+                dict(prop="r_BN_N", norm=[7e6, 8e6, 9e6]),
+                dict(prop="BN", norm=[[2.0, 3.0, 5.0]]),
+                dict(prop="beta_angle", norm=math.pi),
+                dict(prop="height_on_tensors", norm=0.7),
+                dict(prop="true_anomaly", norm=0.3),
+                dict(prop="battery_charge"),
+            ),
+            obs.SatProperties(dict(prop="beta_angle", norm=0.7), dict(prop="above_equator", norm=0.3), name="masks"),
+            obs.SatProperties(dict(prop="median_speed", norm=0.7), dict(prop="v_BN_P", norm=0.3), name="missed"),
+        )
+
+    env = flown("compiled", Mixed)
+    observations, observer = env.satellite.observations, env.simulator.observer
+    expected = observations.vector(observations.get_dict(), torch.float64)
+    assert torch.equal(observations.get_vector(torch.float64), expected)
+    together = [MaskedDynModel.r_BN_N.function, MaskedDynModel.BN.function]
+    assert observer.read_together(tuple(together)).shape == (9, 12)
+    assert observer.read_together((MaskedDynModel.above_equator.function, *together)) is None
+    assert observer.read_together((MaskedDynModel.above_equator.function,), bool).dtype == torch.bool
+    assert flown("eager", Mixed).simulator.observer.read_together(tuple(together)) is None
+    dynamics = env.satellite.dynamics
+    assert all(torch.equal(valid, getattr(dynamics, name)()) for name, valid in dynamics.aliveness().items())
+
+
 def test_unknown_argument_is_named():
     class Typo(dyn.BasicDynamicsModel):
         @observable
