@@ -2,7 +2,7 @@
 Faults of a reaction wheel
 ==========================
 
-An imaging satellite with four wheels, the power of one of which is limited from a time on.
+An imaging satellite with four wheels, one of them short of power from a time on.
 
 On the command line::
 

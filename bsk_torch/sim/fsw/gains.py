@@ -142,7 +142,7 @@ def _described(inertia: object, wheels: Sequence[Wheel]) -> Values:
         endless = (args[name] <= 0.0) | torch.isinf(args[name])
         if bool(endless.any()):
             k = int(torch.nonzero(endless)[0, 1])
-            raise ValueError(f"propose_gains: wheel {k} has {name}={args[name][0, k].item():g}, which is no limit; give one")
+            raise ValueError(f"propose_gains: wheel {k} has {name}={args[name][0, k].item():g}: not a limit; give one")
     check_tensor(args)
     check_axes(args)
     check_inertia(args)
