@@ -14,11 +14,12 @@ import torch
 from torch import Tensor
 
 from bsk_torch import SatelliteTasking, act, obs, sats
-from bsk_torch.astro.attitude import mrp_to_dcm
+from bsk_torch.astro.attitude import mrp_add, mrp_to_dcm
 from bsk_torch.constants import AU, RPM, SOLAR_FLUX
 from bsk_torch.sim import dyn, faults, fsw
 from bsk_torch.sim.component import Arg, Bus, Component, Field
 from bsk_torch.sim.dyn.thrusters import OCTET
+from bsk_torch.vec3 import Vec3
 from tests.basilisk.replay import RECORDINGS
 
 FIELDS = ("r_BN_N", "v_BN_N", "sigma_BN", "omega_BN_B", "Omega_WB_B", "motor_torque_B", "motor_torque_command_B")
@@ -52,6 +53,7 @@ def models(craft: Mapping[str, Any]) -> tuple[type[dyn.DynamicsModel], type[fsw.
     parts = tuple(further_panel(k, p["n"], p["area"] * p["efficiency"]) for k, p in enumerate(panels, 1))
     extra = (dyn.GravityGradientDynModel,) if craft["gravity_gradient"] else ()
     extra = (*extra, dyn.SolarPressureDynModel, dyn.TorqueBarsDynModel) if craft["case"] == "loads" else extra
+    extra = (*extra, dyn.NavigationErrorsDynModel) if craft["nav"] else extra
     Dyn = type("CraftDyn", (*extra, dyn.ContinuousImagingDynModel, dyn.GroundStationDynModel), {"components": parts})
     bases = (fsw.SteeringFSWModel, fsw.ContinuousImagingFSWModel) if craft["steering"] else (fsw.ContinuousImagingFSWModel,)
     return Dyn, type("CraftFSW", bases, {})
@@ -120,6 +122,9 @@ def arguments(craft: Mapping[str, Any], given: Mapping[str, Any]) -> dict[str, A
         facets = zip(craft["facets"], shares, strict=True)
         args["facets"] = [dyn.Facet(area, n, place, Cd, *light) for (area, Cd, n, place), light in facets]
         args["dragCoeff"] = [entry[1] for entry in craft["facets"]]
+    if craft["nav"]:
+        numbers = (craft["nav"][name] for name in ("P", "bounds", "seed"))
+        args |= dict(zip(("PMatrix", "walkBounds", "RNGSeed"), numbers, strict=True)) | {"crossTrans": True, "crossAtt": True}
     if craft.get("bars"):
         args["torqueBars"] = [dyn.TorqueBar(*bar) for bar in zip(craft["bars"]["axes"], craft["bars"]["max"], strict=True)]
     if craft["panels"]:
@@ -162,8 +167,8 @@ def fly(name: str, orbit: str = "integrated", **options: Any) -> tuple[Any, dict
         failure_penalty=0.0,
         **options,
     )
-    td = env.reset()
-    with env.record((*FIELDS, *POWER)) as recording:
+    td, fields = env.reset(), (*FIELDS, *POWER, *(("nav_errors",) if craft["nav"] else ()))
+    with env.record(fields) as recording:
         for k, (_, action, _) in enumerate(plan):
             if craft.get("bars"):
                 dipoles = torch.tensor([craft["dipoles"][k]], dtype=torch.float64)
@@ -171,7 +176,7 @@ def fly(name: str, orbit: str = "integrated", **options: Any) -> tuple[Any, dict
             td = env.step(td.set("action", torch.tensor([ACTIONS.index(action)])))["next"]
     flown = recording.data
     at = np.round(file["time"] / craft["sim_rate"]).astype(int)
-    return file, {key: flown[key][torch.from_numpy(at)] for key in (*FIELDS, *POWER)}
+    return file, {key: flown[key][torch.from_numpy(at)] for key in fields}
 
 
 def shadow(sigma: np.ndarray) -> np.ndarray:
@@ -198,11 +203,27 @@ def differences(file: Any, flown: Mapping[str, Tensor]) -> dict[str, float]:
     if found["pulse_command"].shape[-1] == file["on_time"].shape[-1]:  # pairs otherwise; only full pulses are commanded
         full = file["on_time"][:n] >= json.loads(str(file["craft"]))["sim_rate"] - 1e-7
         pairs["pulses"] = found["pulse_command"], full
+    if "nav_errors" in found:
+        errors, nav = found["nav_errors"], file["nav"][:n]
+        known = mrp_add(*(Vec3(*torch.from_numpy(v).T) for v in (sigma, errors[:, 6:9]))).stack().numpy()
+        apart = np.minimum(np.abs(known - nav[:, 6:9]).max(-1), np.abs(shadow(known) - nav[:, 6:9]).max(-1))
+        pairs |= {"nav_r": (errors[:, :3], nav[:, :3]), "nav_v": (errors[:, 3:6], nav[:, 3:6])}
+        pairs |= {"nav_sigma": (apart, 0.0), "nav_omega": (found["omega_BN_B"] + errors[:, 9:12], nav[:, 9:])}
     return {"sigma": float(away.max())} | {key: float(np.abs(a - b).max()) for key, (a, b) in pairs.items()}
 
 
 def bounds(file: Any) -> dict[str, float]:
     """Largest differences allowed, by how fast neighboring flights of Basilisk itself part."""
     e, E = (max(least, float(twin)) for least, twin in zip((1e-9, 5e-7), file["twin"].max(0), strict=True))
-    attitude = {"sigma": 10 * e, "omega": 2 * e, "Omega": 10 * E, "u": 0.2 * E, "u_cmd": 0.2 * E}
+    attitude = {
+        "nav_r": 5e-9,
+        "nav_v": 5e-12,
+        "nav_sigma": 10 * e,
+        "nav_omega": 2 * e,
+        "sigma": 10 * e,
+        "omega": 2 * e,
+        "Omega": 10 * E,
+        "u": 0.2 * E,
+        "u_cmd": 0.2 * E,
+    }
     return attitude | {"r": 1e-7, "v": 3e-10, "charge": 200 * E, "storage": 0.0, "pulses": 0.0}

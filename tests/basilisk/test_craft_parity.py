@@ -6,7 +6,7 @@ import pytest
 
 from tests.basilisk.craft import bounds, differences, fly
 
-FLIGHTS = ("skewed", "steering", "six", "offset", "cubesat", "power", "loads", "fault")
+FLIGHTS = ("skewed", "steering", "six", "offset", "cubesat", "power", "loads", "fault", "navigation")
 
 ARC = 1e-3
 """Difference of position, m, of a solved orbit: Basilisk integrates the center of the body, which turns about that of mass."""

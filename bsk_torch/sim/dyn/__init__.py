@@ -15,9 +15,11 @@ from bsk_torch.sim.dyn.models import (
     GroundStationDynModel,
     ImagingDynModel,
     LOSCommDynModel,
+    NavigationErrorsDynModel,
     SolarPressureDynModel,
     TorqueBarsDynModel,
 )
+from bsk_torch.sim.dyn.navigation import navigation_numbers
 from bsk_torch.sim.dyn.relative_motion import ConjunctionDynModel, MaxRangeDynModel
 from bsk_torch.sim.dyn.thrusters import THRUSTER_TYPES, Thruster
 from bsk_torch.sim.dyn.torque_bars import TorqueBar
@@ -42,6 +44,7 @@ __all__ = [
     "ImagingDynModel",
     "LOSCommDynModel",
     "MaxRangeDynModel",
+    "NavigationErrorsDynModel",
     "Now",
     "RSODynModel",
     "RSOInspectorDynModel",
@@ -54,6 +57,7 @@ __all__ = [
     "add_force",
     "aliveness_checker",
     "box_facets",
+    "navigation_numbers",
     "observable",
     "pyramid",
     "vital",

@@ -15,7 +15,7 @@ from bsk_torch.astro.orbit import Elements
 from bsk_torch.constants import RPM
 from bsk_torch.sim import world
 from bsk_torch.sim.component import Arg, Component, collect
-from bsk_torch.sim.dyn import drag, events, facets, hub, partitions, power, storage, thrusters, torque_bars, wheels
+from bsk_torch.sim.dyn import drag, events, facets, hub, navigation, partitions, power, storage, thrusters, torque_bars, wheels
 from bsk_torch.sim.faults.component import FAULTS, severities
 from bsk_torch.sim.readout.model import Model, Simulation
 from bsk_torch.sim.readout.observables import Now, observable, vital
@@ -235,6 +235,24 @@ class TorqueBarsDynModel(DynamicsModel):
     def bar_dipoles(now: Now) -> tuple[Tensor, ...]:
         """Commanded dipoles of the torque bars, [N, T] A m^2."""
         return now.bar_command
+
+
+class NavigationErrorsDynModel(DynamicsModel):
+    """Adds errors of the navigation, which bsk_rl leaves at zero; composed with other models.
+
+    Guidance laws read position, velocity, attitude and rate with errors; observations and all else remain true. What is known of
+    other satellites is true, too.
+    """
+
+    components: ClassVar[tuple[Component, ...]] = (navigation.NAVIGATION_ERRORS,)
+
+    @observable
+    def navigation_errors(now: Now) -> tuple[Tensor, ...]:
+        """Errors of position (m), velocity (m/s), attitude (MRP) and rate (rad/s), three each, and six unused ones, [N, 18].
+
+        Constant errors are not included.
+        """
+        return now.nav_errors
 
 
 class AtmosphericDragDynModel(DynamicsModel):

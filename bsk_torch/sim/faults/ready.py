@@ -66,6 +66,24 @@ def thruster(thruster: int, thrust: Any = NOTHING, **given: Any) -> Fault:
     return Fault("thrusterMaxThrust", value=thrust, index=thruster, **{"only": "thrusters"} | _named("thruster", thruster, given))
 
 
+def navigation(bias: Any = None, noise: Any = None, **given: Any) -> Fault:
+    """Return the fault of a navigation with constant errors, or with more noise; for ``dyn.NavigationErrorsDynModel``.
+
+    Args:
+        bias: Constant errors, 18 numbers, such as ``dyn.navigation_numbers(attitude=1e-3)``; ``over`` lets them grow.
+        noise: Factor of the standard deviations in ``PMatrix``.
+        **given: See the module.
+
+    Raises:
+        ValueError: For both, or neither; two faults have both.
+    """
+    if (bias is None) == (noise is None):
+        raise ValueError(f"faults.navigation has bias={bias!r} and noise={noise!r}; give one of them, or declare two faults")
+    if bias is not None:
+        return Fault("navigationBias", value=bias, **_named("navigation", None, given))
+    return Fault("navigationNoise", value=noise, **_named("navigation", None, given))
+
+
 READY: dict[str, Callable[..., Fault]] = {
     function.__name__: function
     for function in (
@@ -79,6 +97,7 @@ READY: dict[str, Callable[..., Fault]] = {
         instrument,
         battery,
         thruster,
+        navigation,
     )
 }
 """The functions of this module by name."""

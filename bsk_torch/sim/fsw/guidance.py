@@ -1,6 +1,7 @@
 """Guidance laws: each writes the error relative to its reference, where the flight mode has switched it on.
 
-All of them use the true attitude and position of this tick. R is the reference frame; sigma_BR is the attitude of B relative to
+All of them use the attitude, rate, position and velocity of this tick that the navigation knows: the true ones, unless there are
+errors (:mod:`bsk_torch.sim.dyn.navigation`). R is the reference frame; sigma_BR is the attitude of B relative to
 R, omega_BR the rate, and ``omega_BR_B = omega_BN_B - omega_RN_B``. Sources: Basilisk's modules hillPoint, locationPointing and
 attTrackingError; frames as in Schaub and Junkins, section 8.4.
 """
@@ -17,6 +18,7 @@ from torch import Tensor
 from bsk_torch.astro.attitude import dcm_to_mrp, mrp_rate_to_omega, mrp_subtract, mrp_to_dcm
 from bsk_torch.astro.orbit import hill_frame
 from bsk_torch.sim.component import Arg, Bus, Component, Field, vec
+from bsk_torch.sim.dyn.navigation import navigated
 from bsk_torch.sim.dyn.power import AXIS_BOUNDS, check_axis, unit_rows
 from bsk_torch.sim.faults.declared import may_change
 from bsk_torch.vec3 import Mat3, Vec3, only, select
@@ -33,13 +35,13 @@ class Error(NamedTuple):
 
 def rest(bus: Bus) -> Error:
     """Return the error without a guidance law: the reference is N itself, at rest."""
-    zero = Vec3.zeros_like(bus.sigma_BN.x)
-    return Error(bus.sigma_BN, bus.omega_BN_B, zero, zero)
+    zero, known = Vec3.zeros_like(bus.sigma_BN.x), navigated(bus)
+    return Error(known.sigma_BN, known.omega_BN_B, zero, zero)
 
 
 def navigate(bus: Bus) -> None:
     """Write the attitude [BN] of this tick, for all guidance laws, and the error as it is without one."""
-    bus.BN, bus.error = mrp_to_dcm(bus.sigma_BN), rest(bus)
+    bus.BN, bus.error = mrp_to_dcm(navigated(bus).sigma_BN), rest(bus)
 
 
 def point_at(bus: Bus, axis_B: Vec3, r_TN_N: Vec3, task: str) -> None:
@@ -61,17 +63,18 @@ def point_at(bus: Bus, axis_B: Vec3, r_TN_N: Vec3, task: str) -> None:
         r_TN_N: Position of the target in N, m.
         task: ``"sun"`` or ``"location"``, whose flag switches the law on and whose memory it uses.
     """
+    known = navigated(bus)
     on, memory, fresh = getattr(bus, f"{task}_on") > 0.0, getattr(bus, f"{task}_sigma_BR"), getattr(bus, f"{task}_fresh")
 
     def law() -> tuple[Vec3, Error]:
-        x_B = bus.BN @ (r_TN_N - bus.r_BN_N).unit().to(bus.dtype)
+        x_B = bus.BN @ (r_TN_N - known.r_BN_N).unit().to(bus.dtype)
         cosine, turn = axis_B.dot(x_B), axis_B.cross(x_B)
         # tan(phi / 4) / sin(phi) = 1 / (c + sqrt(c^2 + sin(phi)^2)) with c = 1 + cos(phi): acos would lose digits near alignment
         half = 1.0 + cosine
         sigma_BR = -turn / torch.clamp(half + torch.sqrt(half * half + turn.dot(turn)), min=1e-30)
         difference = mrp_rate_to_omega(sigma_BR, (sigma_BR - memory) / bus.h)
-        omega_BR_B = select(fresh > 0.0, Vec3.zeros_like(cosine), difference) + x_B * bus.omega_BN_B.dot(x_B)
-        return sigma_BR, Error(sigma_BR, omega_BR_B, bus.omega_BN_B - omega_BR_B, Vec3.zeros_like(cosine))
+        omega_BR_B = select(fresh > 0.0, Vec3.zeros_like(cosine), difference) + x_B * known.omega_BN_B.dot(x_B)
+        return sigma_BR, Error(sigma_BR, omega_BR_B, known.omega_BN_B - omega_BR_B, Vec3.zeros_like(cosine))
 
     memory, bus.error = only(on, law, (memory, bus.error))
     setattr(bus, f"{task}_sigma_BR", memory)
@@ -98,10 +101,11 @@ class HillMotion(NamedTuple):
 
 def hill_motion(bus: Bus) -> HillMotion:
     """Return the Hill frame H and its motion, ``f' = |r x v| / r^2`` and ``f'' = -2 (v . r) f' / r^2``."""
-    HN = hill_frame(bus.r_BN_N, bus.v_BN_N)
-    radius2, momentum = bus.r_BN_N.dot(bus.r_BN_N), bus.r_BN_N.cross(bus.v_BN_N).norm()
+    r, v, _, _ = navigated(bus)
+    HN = hill_frame(r, v)
+    radius2, momentum = r.dot(r), r.cross(v).norm()
     rate = momentum / radius2
-    acceleration = -2.0 * bus.v_BN_N.dot(bus.r_BN_N) / radius2 * rate
+    acceleration = -2.0 * v.dot(r) / radius2 * rate
     return HillMotion(HN.to(bus.dtype), rate.to(bus.dtype), acceleration.to(bus.dtype))
 
 
@@ -117,9 +121,10 @@ def point_along_hill(bus: Bus) -> None:
 
     def law() -> Error:
         HN, rate, acceleration = hill_motion(bus)
+        known = navigated(bus)
         omega_RN_B, domega_RN_B = bus.BN @ (HN.z * rate), bus.BN @ (HN.z * acceleration)
-        sigma_BR = mrp_subtract(bus.sigma_BN, dcm_to_mrp(HN))
-        return Error(sigma_BR, bus.omega_BN_B - omega_RN_B, omega_RN_B, domega_RN_B)
+        sigma_BR = mrp_subtract(known.sigma_BN, dcm_to_mrp(HN))
+        return Error(sigma_BR, known.omega_BN_B - omega_RN_B, omega_RN_B, domega_RN_B)
 
     bus.error = only(bus.nadir_on > 0.0, law, bus.error)
 

@@ -8,6 +8,7 @@ import torch
 
 from bsk_torch.astro.attitude import mrp_subtract
 from bsk_torch.sim.component import Bus, Component, vec
+from bsk_torch.sim.dyn.navigation import navigated
 from bsk_torch.sim.fsw.guidance import Error
 from bsk_torch.sim.fsw.models import FSWModel
 from bsk_torch.sim.fsw.modes import Mode
@@ -23,8 +24,8 @@ def hold(bus: Bus) -> None:
     Every command sets ``sigma_RN`` to zero, so that the reference is N itself unless a set-point follows; guidance laws, which
     run after this, replace the error. The set-point may have any length: the error is the short way round.
     """
-    zero = Vec3.zeros_like(bus.sigma_BN.x)
-    bus.error = Error(mrp_subtract(bus.sigma_BN, bus.sigma_RN), bus.omega_BN_B, zero, zero)
+    zero, known = Vec3.zeros_like(bus.sigma_BN.x), navigated(bus)
+    bus.error = Error(mrp_subtract(known.sigma_BN, bus.sigma_RN), known.omega_BN_B, zero, zero)
 
 
 ATTITUDE_SETPOINT = Component(

@@ -8,7 +8,8 @@ Usage::
 
 See ``recording.py`` for what it needs. What flies, and which rows are kept, is read from the present files: ``craft``,
 ``sat_args`` and ``time``, which were drawn once. Everything else is recorded again. ``loads`` is the CubeSat of the file
-``craft_cubesat`` in a lower orbit, with ``LOADS``. ``tests/basilisk/README.md`` describes the arrays.
+``craft_cubesat`` in a lower orbit, with ``LOADS``; ``navigation`` is that CubeSat with errors of navigation.
+``tests/basilisk/README.md`` describes the arrays.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ from bsk_rl.sim import dyn, fsw
 from recording import Array, record_files
 
 RECORDINGS = Path(__file__).parents[1] / "recordings"
-CASES = ("skewed", "offset", "six", "cubesat", "power", "steering", "loads")
+CASES = ("skewed", "offset", "six", "cubesat", "power", "steering", "loads", "navigation")
 ACTIONS = ("scan", "charge", "desat", "downlink", "nadir", "drift")
 NUDGE = 1e-13  # change of the initial attitude of the twin
 
@@ -67,6 +68,15 @@ LOADS = {
     "actions": [[120.0 * k, name, 120.0] for k, name in enumerate(("nadir", "charge", "desat", "drift", "scan"))],
 }
 """What pushes the CubeSat of ``loads``, and the dipoles commanded at the start of each action, A m^2."""
+
+
+def navigation() -> dict[str, Any]:
+    """Matrix, bounds and seed of the errors of ``navigation``, which depend on one another and reach some of their bounds."""
+    deviations = np.repeat([0.05, 1e-4, 2e-6, 5e-7, 1e-3, 1e-4], 3)
+    mixed = np.eye(18) + 0.3 * np.random.default_rng(7).standard_normal((18, 18)) / np.sqrt(18.0)
+    bounds = np.repeat([0.6, 0.0, 2e-5, 1e-5, 0.0, 0.0], 3)
+    return {"P": (deviations[:, None] * mixed).tolist(), "bounds": bounds.tolist(), "seed": 20261125}
+
 
 LOW = 6638.0e3  # its distance from the Earth's center, m
 
@@ -112,8 +122,8 @@ def dynamics_of(craft: Craft) -> type:
                 self._add_bars()
             if craft["nav"]:
                 nav = self.simpleNavObject
-                nav.PMatrix, nav.walkBounds = np.diag(craft["nav"]["P"]).tolist(), craft["nav"]["bounds"]
-                nav.RNGSeed = craft["nav"]["seed"]
+                nav.PMatrix, nav.walkBounds, nav.RNGSeed = (craft["nav"][name] for name in ("P", "bounds", "seed"))
+                nav.crossTrans = nav.crossAtt = True
             payload = messaging.PowerStorageFaultMsgPayload(faultCapacityRatio=1.0)
             self.battery_fault = messaging.PowerStorageFaultMsg().write(payload)
             self.powerMonitor.batteryFaultInMsg.subscribeTo(self.battery_fault)
@@ -371,7 +381,13 @@ def low_cubesat() -> tuple[Craft, dict[str, Any], Array]:
 
 def play(name: str) -> dict[str, Any]:
     """Arrays of a file; ``twin`` is how far a flight parts whose attitude begins ``NUDGE`` away, in sigma and Omega."""
-    craft, args, time = low_cubesat() if name == "craft_loads" else present(name)
+    if name == "craft_loads":
+        craft, args, time = low_cubesat()
+    elif name == "craft_navigation":
+        craft, args, time = present("craft_cubesat")
+        craft |= {"case": "navigation", "nav": navigation()}
+    else:
+        craft, args, time = present(name)
     found = fly(craft, args)
     near = fly(craft, {**args, "sigma_init": (np.array(args["sigma_init"]) + NUDGE).tolist()})
     sigma, other = found["state"][:, 6:9], near["state"][:, 6:9]
