@@ -14,10 +14,9 @@ import torch
 from torch import Tensor
 
 from bsk_torch import SatelliteTasking, act, obs, sats
-from bsk_torch.astro.attitude import mrp_add, mrp_to_dcm
-from bsk_torch.constants import AU, RPM, SOLAR_FLUX
+from bsk_torch.astro.attitude import mrp_add
+from bsk_torch.constants import RPM
 from bsk_torch.sim import dyn, faults, fsw
-from bsk_torch.sim.component import Arg, Bus, Component, Field
 from bsk_torch.sim.dyn.thrusters import OCTET
 from bsk_torch.vec3 import Vec3
 from tests.basilisk.replay import RECORDINGS
@@ -27,34 +26,12 @@ POWER = ("charge", "illumination", "storage", "pulse_command")
 ACTIONS = ("scan", "charge", "desat", "downlink", "nadir", "drift")
 
 
-def further_panel(k: int, normal: list[float], gain: float) -> Component:
-    """A solar panel next to the one of bsk_rl."""
-    n, name = np.asarray(normal) / np.linalg.norm(normal), f"panelGain{k}"
-
-    def collect(bus: Bus) -> None:
-        to_sun = bus.r_SN_N - bus.r_BN_N
-        s_B = mrp_to_dcm(bus.sigma_BN) @ to_sun.unit()
-        cosine = torch.clamp(s_B.x * n[0] + s_B.y * n[1] + s_B.z * n[2], min=0.0)
-        bus.power = bus.power + cosine * bus.illumination * (SOLAR_FLUX * AU * AU * getattr(bus, name)) / to_sun.dot(to_sun)
-
-    return Component(
-        slot=f"panel{k}",
-        after="panel",
-        update=collect,
-        args=(Arg(name, gain, "m^2", "area times efficiency", low=0.0),),
-        params=(Field(name),),
-        prepare=lambda args: {name: args[name]},
-    )
-
-
 def models(craft: Mapping[str, Any]) -> tuple[type[dyn.DynamicsModel], type[fsw.FSWModel]]:
     """Models of a recorded spacecraft."""
-    panels = (craft["panels"] or [])[1:]
-    parts = tuple(further_panel(k, p["n"], p["area"] * p["efficiency"]) for k, p in enumerate(panels, 1))
     extra = (dyn.GravityGradientDynModel,) if craft["gravity_gradient"] else ()
     extra = (*extra, dyn.SolarPressureDynModel, dyn.TorqueBarsDynModel) if craft["case"] == "loads" else extra
     extra = (*extra, dyn.NavigationErrorsDynModel) if craft["nav"] else extra
-    Dyn = type("CraftDyn", (*extra, dyn.ContinuousImagingDynModel, dyn.GroundStationDynModel), {"components": parts})
+    Dyn = type("CraftDyn", (*extra, dyn.ContinuousImagingDynModel, dyn.GroundStationDynModel), {})
     bases = (fsw.SteeringFSWModel, fsw.ContinuousImagingFSWModel) if craft["steering"] else (fsw.ContinuousImagingFSWModel,)
     return Dyn, type("CraftFSW", bases, {})
 
@@ -77,10 +54,10 @@ def faults_of(craft: Mapping[str, Any]) -> list[faults.Fault]:
             continue
         when = dict(at=at, lasts=max(same) - at if len(same) > 1 else None, name=f"{kind}{k}")
         if kind == "panel":
-            names = ("nHat_B", "panelArea", "panelEfficiency")
-            listed.append(faults.Fault(names, value=value, only="panel", **when))
+            names = ("panelNormals_B", "panelArea", "panelEfficiency")
+            listed.append(faults.Fault(names, value=value, index=part, only="panel", **when))
         elif kind == "panel_status":
-            listed.append(faults.Fault(f"panelGain{part}", factor=value, **when))
+            listed.append(faults.panel(value, part, **when))
         elif kind == "thruster":
             listed.append(faults.thruster(part, **when))
         elif kind == "wheel_friction":
@@ -128,8 +105,9 @@ def arguments(craft: Mapping[str, Any], given: Mapping[str, Any]) -> dict[str, A
     if craft.get("bars"):
         args["torqueBars"] = [dyn.TorqueBar(*bar) for bar in zip(craft["bars"]["axes"], craft["bars"]["max"], strict=True)]
     if craft["panels"]:
-        first = craft["panels"][0]
-        args |= {"panelArea": first["area"], "panelEfficiency": first["efficiency"]}
+        for name in ("panelArea", "panelEfficiency"):  # those of bsk_rl's single panel
+            args.pop(name, None)
+        args["panels"] = [dyn.Panel(entry["n"], entry["area"], entry["efficiency"]) for entry in craft["panels"]]
     return args
 
 

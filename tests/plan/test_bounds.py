@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 import bsk_torch
-from bsk_torch import data, presets, rand
+from bsk_torch import data, dyn, presets, rand
 from bsk_torch.astro.frames import angle_between
 from bsk_torch.env.base import ResetNeededError
 from bsk_torch.env.rollout import play_episodes
@@ -352,6 +352,8 @@ def test_tasks_that_are_not_covered_are_refused():
         imaging_bound(begun(failure_penalty=1.0))
     with pytest.raises(ValueError, match="needs ScanningTimeReward without reward_fn"):
         scanning_bound(begun("nadir_scan", rewarder=data.ScanningTimeReward(lambda seconds: seconds**2)))
+    with pytest.raises(ValueError, match="covers one solar panel"):
+        scanning_bound(begun("nadir_scan", sat_args={"panels": [dyn.Panel([0, 0, -1], 1.0, 0.2)]}))
 
 
 def test_bounds_need_episodes_that_have_begun():

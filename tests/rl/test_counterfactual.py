@@ -5,7 +5,7 @@ import torch
 from tensordict.nn import TensorDictModule
 
 import bsk_torch
-from bsk_torch import rand
+from bsk_torch import dyn, rand
 from bsk_torch.rl.evaluation.charge_bound import least_charge, longest_action, most_power, sunlight
 from bsk_torch.rl.evaluation.counterfactual import LEAST_DEMANDING, LOST, OPEN, SAVED, candidate_plans, exhaust, spliced
 from bsk_torch.rl.evaluation.evaluate import start_episodes
@@ -89,6 +89,14 @@ def test_the_bound_refuses_wheels_that_give_power_back():
     env = build(1, rwMechToElecEfficiency=0.5, storedCharge_Init=1e5)
     start_episodes(env, [DARK])
     with pytest.raises(ValueError, match="rwMechToElecEfficiency"):
+        most_power(env, torch.tensor([0]))
+
+
+@pytest.mark.compiled
+def test_the_bound_refuses_several_panels():
+    env = build(1, panels=[dyn.Panel([0, 0, -1], 0.5, 0.2)] * 2, storedCharge_Init=1e5)
+    start_episodes(env, [DARK])
+    with pytest.raises(ValueError, match="covers one solar panel"):
         most_power(env, torch.tensor([0]))
 
 

@@ -45,6 +45,8 @@ def check_bounded(env: SatelliteTasking) -> None:
     missing = [name for name in NEEDED if name not in env.satellite.sat_args]
     if missing:
         raise ValueError(f"the bound on the charge needs a satellite with the arguments {missing}, such as NadirScan-v1's")
+    if env.satellite.sat_args["panelArea"].ndim > 1:
+        raise ValueError("the bound on the charge covers one solar panel; the satellite has a list of panels")
     if bool((env.satellite.sat_args["rwMechToElecEfficiency"] > 0.0).any()):
         raise ValueError("rwMechToElecEfficiency is above 0: braking wheels give power back, which the bound does not count")
 

@@ -20,6 +20,7 @@ from bsk_torch.sim.dyn.models import (
     TorqueBarsDynModel,
 )
 from bsk_torch.sim.dyn.navigation import navigation_numbers
+from bsk_torch.sim.dyn.panels import Panel, best_direction
 from bsk_torch.sim.dyn.relative_motion import ConjunctionDynModel, MaxRangeDynModel
 from bsk_torch.sim.dyn.thrusters import THRUSTER_TYPES, Thruster
 from bsk_torch.sim.dyn.torque_bars import TorqueBar
@@ -46,6 +47,7 @@ __all__ = [
     "MaxRangeDynModel",
     "NavigationErrorsDynModel",
     "Now",
+    "Panel",
     "RSODynModel",
     "RSOInspectorDynModel",
     "SolarPressureDynModel",
@@ -56,6 +58,7 @@ __all__ = [
     "WheelType",
     "add_force",
     "aliveness_checker",
+    "best_direction",
     "box_facets",
     "navigation_numbers",
     "observable",

@@ -5,6 +5,8 @@ Basilisk's facetDragDynamicEffector, GravityGradientEffector and extForceTorque.
 
 from __future__ import annotations
 
+import dataclasses
+import functools
 from collections.abc import Mapping
 from typing import Any
 
@@ -14,6 +16,7 @@ from torch import Tensor
 from bsk_torch.constants import MU_EARTH
 from bsk_torch.sim.component import Arg, Bus, Component, Effector, Field, Values, vec
 from bsk_torch.sim.dyn.facets import AT_REST, DRAG_COEFFICIENT, FACETS_ARG, NUMBERS, described_facets, drag_of_facets
+from bsk_torch.sim.dyn.panels import AREA, Panel, described_panels, of_panels
 from bsk_torch.vec3 import Vec3, times
 
 
@@ -58,8 +61,20 @@ def _latch_density(bus: Bus) -> None:
 
 def fitted_drag(given: Mapping[str, Any]) -> Component:
     """Return the component of drag on the facets that the arguments as given describe, or on bsk_rl's box."""
-    listed = described_facets(given)
-    return DRAG if listed is None else drag_of_facets(DRAG, listed)
+    listed, several = described_facets(given), described_panels(given)
+    box = DRAG if several is None else drag_with_panels(several)
+    return box if listed is None else drag_of_facets(box, listed)
+
+
+@functools.cache
+def drag_with_panels(several: tuple[Panel, ...]) -> Component:
+    """Return the component of drag on bsk_rl's box with a panel that has the area of ``several``."""
+
+    def prepare(args: Values) -> dict[str, Tensor]:
+        return _facet_areas({**args, "panelArea": args["panelArea"].sum(-1)})
+
+    args = (of_panels(arg, several) if arg is AREA else arg for arg in DRAG.args)
+    return dataclasses.replace(DRAG, args=tuple(args), prepare=prepare)
 
 
 DRAG = Component(
@@ -67,7 +82,7 @@ DRAG = Component(
     update=_latch_density,
     args=(
         DRAG_COEFFICIENT,
-        Arg("panelArea", 1.0, "m^2", "area of the solar panel", low=0.0, high=1e6),
+        AREA,
         FACETS_ARG,
         *NUMBERS,
     ),

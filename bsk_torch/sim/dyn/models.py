@@ -15,7 +15,20 @@ from bsk_torch.astro.orbit import Elements
 from bsk_torch.constants import RPM
 from bsk_torch.sim import world
 from bsk_torch.sim.component import Arg, Component, collect
-from bsk_torch.sim.dyn import drag, events, facets, hub, navigation, partitions, power, storage, thrusters, torque_bars, wheels
+from bsk_torch.sim.dyn import (
+    drag,
+    events,
+    facets,
+    hub,
+    navigation,
+    panels,
+    partitions,
+    power,
+    storage,
+    thrusters,
+    torque_bars,
+    wheels,
+)
 from bsk_torch.sim.faults.component import FAULTS, severities
 from bsk_torch.sim.readout.model import Model, Simulation
 from bsk_torch.sim.readout.observables import Now, observable, vital
@@ -269,7 +282,7 @@ class BasicDynamicsModel(EclipseDynModel, DisturbanceTorqueDynModel, Atmospheric
         wheels.WHEELS,
         wheels.WHEEL_POWER,
         thrusters.THRUSTERS,
-        power.PANEL,
+        panels.PANEL,
         power.BASE_POWER,
         power.THRUSTER_POWER,
         power.BATTERY,
@@ -295,6 +308,11 @@ class BasicDynamicsModel(EclipseDynModel, DisturbanceTorqueDynModel, Atmospheric
         """Wheel speeds ``Omega / Omega_max``, [N, 3] or [N, W], where ``Omega_max`` is ``maxWheelSpeed`` (rpm) in rad/s."""
         limit = now.args.maxWheelSpeed * RPM
         return now.Omega_WB_B / limit if isinstance(now.Omega_WB_B, Vec3) else tuple(speed / limit for speed in now.Omega_WB_B)
+
+    @observable
+    def panel_angles(now: Now) -> tuple[Tensor, ...]:
+        """Angles of the ``panels`` that turn, about their axes, [N, T] rad."""
+        return now.panel_angle
 
     @vital
     def rw_speeds_valid(now: Now) -> Tensor:

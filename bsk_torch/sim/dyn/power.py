@@ -1,52 +1,14 @@
-"""Solar panel, power sinks and battery: Basilisk's simpleSolarPanel, simplePowerSink and simpleBattery."""
+"""Power sinks and battery: Basilisk's simplePowerSink and simpleBattery."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import torch
-from torch import Tensor
 
-from bsk_torch.astro.attitude import mrp_to_dcm
-from bsk_torch.constants import AU, SOLAR_FLUX
 from bsk_torch.rand import Uniform
-from bsk_torch.sim.component import Arg, Bus, Component, Field, Values, vec
-
-AXIS_BOUNDS = -1e9, 1e9
-"""Bounds of the components of vectors of which only the direction counts."""
+from bsk_torch.sim.component import Arg, Bus, Component, Field, Values
 
 MOST_POWER = 1e12
 """Bound of powers, W."""
-
-
-def unit_rows(vectors: Tensor) -> Tensor:
-    """Return rows [n, 3] scaled to length one."""
-    return vectors / vectors.norm(dim=-1, keepdim=True)
-
-
-def check_axis(name: str) -> Callable[[Values], None]:
-    """A check that the argument ``name`` has a direction."""
-
-    def check(args: Values) -> None:
-        if bool((args[name].norm(dim=-1) <= 0.0).any()):
-            raise ValueError(f"{name}=[0, 0, 0] has no direction; give a vector in B, such as [0, 0, 1]")
-
-    return check
-
-
-def collect_sunlight(bus: Bus) -> None:
-    """Start the power balance, W, with the solar panel.
-
-    ``P = 1361 W/m^2 (AU / d)^2 A eta nu max(n . s^, 0)`` with the area A, m^2, the efficiency eta, the illumination nu of
-    :mod:`bsk_torch.astro.eclipse`, the panel's normal n in B and the direction ``s^ = [BN] (r_SN - r_BN) / d`` of the Sun, both
-    positions at the end of the tick.
-    """
-    to_sun = bus.r_SN_N - bus.r_BN_N
-    distance2 = to_sun.dot(to_sun)
-    s_hat_B = mrp_to_dcm(bus.sigma_BN) @ (to_sun / torch.sqrt(distance2)).to(bus.dtype)
-    cosine = torch.clamp(s_hat_B.dot(bus.panel_normal_B), min=0.0)
-    flux = (SOLAR_FLUX * AU * AU / distance2).to(bus.dtype)
-    bus.power = flux * bus.panel_gain * bus.illumination * cosine
 
 
 def charge_battery(bus: Bus) -> None:
@@ -61,23 +23,6 @@ def _check_battery(args: Values) -> None:
             f"storedCharge_Init={args['storedCharge_Init'].max().item():g} W s is above "
             f"batteryStorageCapacity={args['batteryStorageCapacity'].min().item():g} W s"
         )
-
-
-PANEL = Component(
-    slot="panel",
-    update=collect_sunlight,
-    args=(
-        Arg("panelArea", 1.0, "m^2", "area of the solar panel", low=0.0, high=1e6),
-        Arg("panelEfficiency", 0.2, "-", "share of sunlight turned into power", low=0.0, high=1.0),
-        Arg("nHat_B", (0.0, 0.0, -1.0), "-", "panel normal in B", "vector", *AXIS_BOUNDS),
-    ),
-    params=(Field("panel_gain", 1, "m^2"), vec("panel_normal_B")),
-    prepare=lambda args: {
-        "panel_gain": args["panelArea"] * args["panelEfficiency"],
-        "panel_normal_B": unit_rows(args["nHat_B"]),
-    },
-    check=check_axis("nHat_B"),
-)
 
 
 def power_arg(name: str, default: float, doc: str) -> Arg:

@@ -36,14 +36,32 @@ def wheel_unavailable(wheel: int, **given: Any) -> Fault:
     return Fault("rwAvailable", value=0.0, index=wheel, **_named("wheel_unavailable", wheel, given))
 
 
-def panel(share: Any = 0.0, **given: Any) -> Fault:
-    """Return the fault of solar panels that give only a share of their power."""
-    return Fault("panelEfficiency", factor=share, **_named("panel", None, given))
+def panel(share: Any = 0.0, panel: int | None = None, **given: Any) -> Fault:
+    """Return the fault of solar panels, or of one of several ``panels``, that give only a share of their power."""
+    return Fault("panelEfficiency", factor=share, index=panel, **_named("panel", panel, given))
 
 
-def stuck_panel(normal: Sequence[float] | Any, **given: Any) -> Fault:
-    """Return the fault of panels whose normal in B is ``normal``, while the flight software points the usual one to the Sun."""
-    return Fault("nHat_B", value=normal, **{"only": "panel"} | _named("stuck_panel", None, given))
+def stuck_panel(normal: Sequence[float] | Any = None, panel: int | None = None, **given: Any) -> Fault:
+    """Return the fault of a panel that no longer points where the flight software expects it.
+
+    Args:
+        normal: Normal in B of bsk_rl's single panel, or of a fixed one of several ``panels``, from then on; the flight software
+            points the usual direction to the Sun. None for a panel that turns: it stays where it is.
+        panel: Number of the panel among ``panels``; None for the single one.
+        **given: Further arguments of Fault.
+
+    Raises:
+        ValueError: For the normal zero, and for neither a normal nor a panel.
+    """
+    named = _named("stuck_panel", panel, given)
+    if normal is None:
+        if panel is None:
+            raise ValueError("faults.stuck_panel needs a normal in B, or the number panel= of a panel that turns and shall stop")
+        return Fault("panelRates", value=0.0, index=panel, **{"only": "panel"} | named)
+    if isinstance(normal, Sequence) and not any(normal):
+        raise ValueError(f"faults.stuck_panel: normal={normal!r} must be three numbers, not all zero, such as [0, 0, 1]")
+    argument = "nHat_B" if panel is None else "panelNormals_B"
+    return Fault(argument, value=normal, index=panel, **{"only": "panel"} | named)
 
 
 def transmitter(share: Any = 0.0, **given: Any) -> Fault:

@@ -19,7 +19,7 @@ from bsk_torch.astro.attitude import dcm_to_mrp, mrp_rate_to_omega, mrp_subtract
 from bsk_torch.astro.orbit import hill_frame
 from bsk_torch.sim.component import Arg, Bus, Component, Field, vec
 from bsk_torch.sim.dyn.navigation import navigated
-from bsk_torch.sim.dyn.power import AXIS_BOUNDS, check_axis, unit_rows
+from bsk_torch.sim.dyn.panels import AXIS_BOUNDS, check_axis, unit_rows
 from bsk_torch.sim.faults.declared import may_change
 from bsk_torch.vec3 import Mat3, Vec3, only, select
 
@@ -86,6 +86,11 @@ def point_at_sun(bus: Bus) -> None:
     point_at(bus, bus.panel_normal_B, bus.r_SN_N, "sun")
 
 
+def point_axis_at_sun(bus: Bus) -> None:
+    """Point the axis that the flight software knows at the Sun."""
+    point_at(bus, bus.sun_axis_B, bus.r_SN_N, "sun")
+
+
 def point_at_location(bus: Bus) -> None:
     """Point the instrument's axis at the target's position of one tick ago."""
     point_at(bus, bus.instrument_axis_B, bus.r_LN_N, "location")
@@ -146,15 +151,8 @@ SUN_RESET = {"sun_fresh": 1.0, "sun_sigma_BR": 0.0}
 
 
 def fitted_sun_pointing(given: Mapping[str, Any]) -> Component:
-    """Return the component with the axis that the flight software knows, where a fault may turn the panel and not this axis."""
-    if not may_change(given, "nHat_B"):
-        return SUN_POINTING
-    return dataclasses.replace(
-        SUN_POINTING,
-        update=lambda bus: point_at(bus, bus.sun_axis_B, bus.r_SN_N, "sun"),
-        params=(vec("sun_axis_B"),),
-        prepare=lambda args: {"sun_axis_B": unit_rows(args["nHat_B"])},
-    )
+    """Return the component that points nHat_B at the Sun, where it is not simply the normal of the panel."""
+    return AXIS_TO_SUN if given.get("panels") is not None or may_change(given, "nHat_B") else SUN_POINTING
 
 
 SUN_POINTING = Component(
@@ -165,6 +163,14 @@ SUN_POINTING = Component(
     flags=("sun_on",),
     fit=fitted_sun_pointing,
 )
+
+AXIS_TO_SUN = dataclasses.replace(
+    SUN_POINTING,
+    update=point_axis_at_sun,
+    params=(vec("sun_axis_B"),),
+    prepare=lambda args: {"sun_axis_B": unit_rows(args["nHat_B"])},
+)
+"""Points the axis that the flight software knows: of several panels, or of one that a fault may turn."""
 
 NADIR_POINTING = Component(slot="nadir_pointing", update=point_along_hill, flags=("nadir_on",))
 

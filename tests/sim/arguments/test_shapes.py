@@ -18,24 +18,24 @@ NORMALS = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0), (0.0, 0.0, -1.0))
 def collect(bus: Bus) -> None:
     """Note how much sunlight each panel gets."""
     s_B = bus.BN @ (bus.r_SN_N - bus.r_BN_N).unit()
-    bus.sunlight = tuple(torch.clamp(n_B.dot(s_B), min=0.0) for n_B in bus.panel_normals_B)
+    bus.sunlight = tuple(torch.clamp(n_B.dot(s_B), min=0.0) for n_B in bus.cell_normals_B)
 
 
 def panels(count: int) -> Component:
     return Component(
-        slot="panels",
+        slot="cells",
         after="navigation",
         update=collect,
-        args=(Arg("panelNormals_B", NORMALS, "-", "normals of the panels", shape=(None, 3), low=-1.0, high=1.0),),
+        args=(Arg("cellNormals_B", NORMALS, "-", "normals of the panels", shape=(None, 3), low=-1.0, high=1.0),),
         state=(Field("sunlight", count, "-", "cosine of each panel's angle to the Sun", many=True),),
-        params=(Field("panel_normals_B", 3 * count, vectors=True),),
+        params=(Field("cell_normals_B", 3 * count, vectors=True),),
         initial=lambda args: {"sunlight": torch.zeros(1, count, dtype=torch.float64)},
-        prepare=lambda args: {"panel_normals_B": args["panelNormals_B"]},
+        prepare=lambda args: {"cell_normals_B": args["cellNormals_B"]},
     )
 
 
 def fitted(given) -> Component:
-    value = given["panelNormals_B"]
+    value = given["cellNormals_B"]
     return panels(value.shape[0] if isinstance(value, rand.Distribution) else len(value))
 
 
@@ -54,7 +54,7 @@ class PanelSatellite(sats.Satellite):
 
 
 def environment(normals, n: int = 3, backend: str = "eager") -> SatelliteTasking:
-    args = {"panelNormals_B": normals, "sigma_init": [0.1, 0.2, 0.3]}
+    args = {"cellNormals_B": normals, "sigma_init": [0.1, 0.2, 0.3]}
     return SatelliteTasking(PanelSatellite("A", args), num_envs=n, seed=0, time_limit=300.0, backend=backend)
 
 
@@ -64,7 +64,7 @@ def test_as_many_panels_as_are_given(count, backend):
     env = environment(NORMALS[:count], backend=backend)
     seen = env.rollout(2)["next", "observation"]
     assert seen.shape == (3, 2, count)
-    assert env.satellite.sat_args["panelNormals_B"].shape == (3, count, 3)
+    assert env.satellite.sat_args["cellNormals_B"].shape == (3, count, 3)
     s_N = env.simulator.world.r_SN_N - env.satellite.dynamics.r_BN_N
     s_B = (env.satellite.dynamics.BN @ (s_N / s_N.norm(dim=-1, keepdim=True)).unsqueeze(-1)).squeeze(-1)
     expected = (s_B @ torch.tensor(NORMALS[:count], dtype=torch.float64).mT).clamp(min=0.0)
@@ -79,20 +79,20 @@ def test_values_differ_between_environments_and_go_with_saved_states():
         drawn.append(0)
         return values[len(drawn) % 3]
 
-    args = {"panelNormals_B": draw, "sigma_init": [0.1, 0.2, 0.3]}
+    args = {"cellNormals_B": draw, "sigma_init": [0.1, 0.2, 0.3]}
     model = type("FourPanels", (dyn.BasicDynamicsModel,), {"components": (panels(4),)})
     satellite = type("Mine", (PanelSatellite,), {"dyn_type": model, "observation_spec": (obs.Time(),)})
     env = SatelliteTasking(satellite("A", args), num_envs=3, seed=0, time_limit=300.0, backend="eager")
     env.reset()
-    normals = env.satellite.sat_args["panelNormals_B"]
+    normals = env.satellite.sat_args["cellNormals_B"]
     assert normals.shape == (3, 4, 3)
     assert len({tuple(row.flatten().tolist()) for row in normals}) == 3
     saved = env.get_state()
     env.rollout(2)
     env.reset()
     env.restore(saved)
-    torch.testing.assert_close(env.satellite.sat_args["panelNormals_B"], normals, rtol=0, atol=0)
-    saved["satellites_0", "arguments", "values"][1, env.simulator.state.arguments.places["panelNormals_B"]] = 7.0
+    torch.testing.assert_close(env.satellite.sat_args["cellNormals_B"], normals, rtol=0, atol=0)
+    saved["satellites_0", "arguments", "values"][1, env.simulator.state.arguments.places["cellNormals_B"]] = 7.0
     with pytest.raises(ValueError, match="saved state"):
         env.restore(saved)
 
@@ -100,9 +100,9 @@ def test_values_differ_between_environments_and_go_with_saved_states():
 @pytest.mark.parametrize(
     ("value", "message"),
     [
-        ([1.0, 0.0, 0.0], "panelNormals_B needs numbers of shape [any, 3] for each environment (-); got shape [3]"),
-        ([[1.0, 0.0]], "panelNormals_B needs numbers of shape [any, 3] for each environment (-); got shape [1, 2]"),
-        ([[1.0, 0.0, 2.0]], "panelNormals_B=2 - is not allowed; it must lie in [-1, 1]"),
+        ([1.0, 0.0, 0.0], "cellNormals_B needs numbers of shape [any, 3] for each environment (-); got shape [3]"),
+        ([[1.0, 0.0]], "cellNormals_B needs numbers of shape [any, 3] for each environment (-); got shape [1, 2]"),
+        ([[1.0, 0.0, 2.0]], "cellNormals_B=2 - is not allowed; it must lie in [-1, 1]"),
     ],
 )
 def test_wrong_shapes_are_errors(value, message):

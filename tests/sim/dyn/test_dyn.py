@@ -10,7 +10,7 @@ import torch
 from bsk_torch.astro.attitude import mrp_to_dcm
 from bsk_torch.constants import AU, RPM
 from bsk_torch.sim.component import Bus
-from bsk_torch.sim.dyn import drag, hub, power, storage, thrusters, wheels
+from bsk_torch.sim.dyn import drag, hub, panels, power, storage, thrusters, wheels
 from bsk_torch.vec3 import Mat3, Vec3
 from tests.sim.buses import write
 
@@ -60,7 +60,7 @@ def test_panel(normal, illumination, share):
         r = [7e6, 0.0, 0.0]
         bus = a_bus(r_BN_N=r, r_SN_N=[distance + 7e6, 0.0, 0.0], sigma_BN=[0.0] * 3, panel_normal_B=normal)
         bus.panel_gain, bus.illumination = number(0.25 * 0.2), number(illumination)
-        power.collect_sunlight(bus)
+        panels.collect_sunlight(bus)
         assert bus.power.item() == pytest.approx(share * 1361.0 * 0.05 * (AU / distance) ** 2, rel=1e-12)
 
 
@@ -70,7 +70,7 @@ def test_panel_follows_the_attitude():
         r_BN_N=[0.0] * 3, r_SN_N=[AU, 0.0, 0.0], sigma_BN=[0.0, 0.0, math.tan(math.pi / 8)], panel_normal_B=[0.0, -1.0, 0.0]
     )
     bus.panel_gain, bus.illumination = number(1.0), number(1.0)
-    power.collect_sunlight(bus)
+    panels.collect_sunlight(bus)
     assert bus.power.item() == pytest.approx(1361.0, rel=1e-12)
 
 
