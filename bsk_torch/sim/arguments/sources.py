@@ -67,13 +67,34 @@ def in_order(names: Iterable[str]) -> list[str]:
     return sorted(names, key=lambda name: RANKS.get(name, len(RANKS)))
 
 
+OPTIONAL = {
+    **dict.fromkeys(
+        (
+            *("PMatrix", "walkBounds", "crossTrans", "crossAtt", "RNGSeed"),
+            *("navigationBias", "navigationNoise", "navigationStart"),
+        ),
+        "dyn.NavigationErrorsDynModel",
+    ),
+    **dict.fromkeys(("torqueBars", "barAxes_B", "barMaxDipoles"), "dyn.TorqueBarsDynModel"),
+    "barGain": "fsw.MagneticUnloadingFSWModel",
+}
+"""Arguments of optional models, and these models."""
+
+
+def hint(name: str, known: Iterable[str]) -> str:
+    """Return what to do about a name of an argument that does not exist: a model to add, or the nearest names."""
+    if name in OPTIONAL:
+        return f"it belongs to {OPTIONAL[name]}; add that to {OPTIONAL[name][:3]}_type"
+    return nearest(name, known)
+
+
 def unknown(title: str, name: str, known: Iterable[str]) -> str:
     """Return the message about a name of an argument that does not exist."""
     if name == "utc_init":
         return (
             f"{title}['utc_init'] is unknown; give it in world_args: bsk_rl, too, takes the epoch of the world for all satellites"
         )
-    return f"{title}[{name!r}] is unknown; {nearest(str(name), known)}"
+    return f"{title}[{name!r}] is unknown; {hint(str(name), known)}"
 
 
 def is_function(value: object) -> bool:

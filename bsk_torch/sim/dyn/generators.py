@@ -29,8 +29,8 @@ MODULI = 4294967087.0, 4294944443.0
 
 
 def modulo(product: Tensor, modulus: float) -> Tensor:
-    """Return a whole number modulo another one, where both are exact; the quotient may be rounded to the next one."""
-    rest = product - torch.floor(product / modulus) * modulus
+    """Return a whole number modulo another one; a quotient that rounding has moved by one is corrected."""
+    rest = product - torch.floor(product * (1.0 / modulus)) * modulus
     rest = torch.where(rest < 0.0, rest + modulus, rest)
     return torch.where(rest >= modulus, rest - modulus, rest)
 

@@ -18,10 +18,10 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
+from bsk_torch.sim.arguments.sources import hint
 from bsk_torch.sim.arguments.values import is_fixed
 from bsk_torch.sim.component import Arg, Bus, Component, Field, Layout, Values
 from bsk_torch.sim.faults.declared import CHANGING, NEVER, Fault, ticks_of
-from bsk_torch.sim.names import nearest
 
 SLOT = "faults"
 
@@ -81,7 +81,7 @@ def declared_faults(given: Mapping[str, Any], table: Mapping[str, Arg]) -> tuple
             raise ValueError(f"sat_args: {names.count(fault.name)} faults are named {fault.name!r}; give each another name=")
         for name in fault.arguments:
             if name not in table:
-                raise ValueError(f"fault {fault.name!r} changes the unknown argument {name!r}; {nearest(name, table)}")
+                raise ValueError(f"fault {fault.name!r} changes the unknown argument {name!r}; {hint(name, table)}")
             if is_fixed(table[name]) or table[name].kind in ("utc", "orbit"):
                 raise ValueError(
                     f"fault {fault.name!r} changes {name!r}, which is used only when an environment is built, or an episode "

@@ -12,7 +12,7 @@ import pytest
 from bsk_torch import make, rand, sats
 from bsk_torch.rand import Distribution
 from bsk_torch.sim import dyn, fsw, world
-from bsk_torch.sim.arguments.sources import RANKS, in_order
+from bsk_torch.sim.arguments.sources import OPTIONAL, RANKS, in_order
 from bsk_torch.sim.arguments.table import short
 from tests.support.core_arguments import SPACECRAFT
 
@@ -100,3 +100,15 @@ def test_values_are_shown_without_what_says_nothing():
     assert short(rand.Normal(0.0, 1e-4, size=3)) == "Normal(0, 0.0001, size=3)"
     assert short((1.0, 0, -0.5)) == "(1, 0, -0.5)"
     assert short(None) == "None"
+
+
+def test_arguments_of_optional_models_are_named():
+    """What an error advises is what these models declare, and no other model has."""
+    models = dyn.NavigationErrorsDynModel, dyn.TorqueBarsDynModel, fsw.MagneticUnloadingFSWModel
+    declared = {
+        arg.name: f"{model.__module__.split('.')[2]}.{model.__name__}"
+        for model in models
+        for part in vars(model)["components"]
+        for arg in part.args
+    }
+    assert declared == OPTIONAL

@@ -181,12 +181,13 @@ def pointing_error(env: SatelliteTasking) -> torch.Tensor:
     return torch.linalg.cross(model.BN[:, 2], model.HN[:, 2]).norm(dim=-1)
 
 
+@pytest.mark.compiled
 def test_the_true_attitude_has_the_opposite_of_a_constant_error():
     """A rotation of 4 atan(0.01) about the first axis of B, once known to the guidance, turns the satellite back by it."""
     bias = dyn.navigation_numbers(attitude=[0.01, 0.0, 0.0])
-    error = pointing_error(navigating({"navigationBias": bias}, backend="eager"))
+    error = pointing_error(navigating({"navigationBias": bias}, backend="compiled"))
     assert float(error) == pytest.approx(math.sin(4.0 * math.atan(0.01)), rel=2e-3)
-    assert float(pointing_error(navigating({}))) < 1e-4
+    assert float(pointing_error(navigating({}, backend="compiled"))) < 1e-4
 
 
 def test_a_fault_of_navigation_begins_in_the_tick_after_its_time():
@@ -197,9 +198,10 @@ def test_a_fault_of_navigation_begins_in_the_tick_after_its_time():
     torch.testing.assert_close(grown[5:, :12], torch.full_like(grown[5:, :12], 10.0))
 
 
+@pytest.mark.compiled
 def test_a_bias_that_begins_turns_the_satellite():
     bias = faults.navigation(dyn.navigation_numbers(attitude=[0.01, 0.0, 0.0]), at=faults.Sometimes(0.5, 100.0))
-    env = navigating({"faults": [bias]}, n=6)
+    env = navigating({"faults": [bias]}, n=6, backend="compiled")
     error = pointing_error(env)
     struck = env.satellite.dynamics.fault_severity[:, 0] > 0.0
     assert 0 < int(struck.sum()) < 6
@@ -212,8 +214,10 @@ def test_models_without_it_have_no_errors():
 
     env = SatelliteTasking(Plain("A"), num_envs=1, backend="eager")
     assert not any(name.startswith("nav_") for name in env.simulator.state.layout.fields)
-    with pytest.raises(KeyError, match="PMatrix"):
+    with pytest.raises(KeyError, match=r"PMatrix.*belongs to dyn\.NavigationErrorsDynModel; add that to dyn_type"):
         SatelliteTasking(Plain("A", {"PMatrix": NOISE}), num_envs=1, backend="eager")
+    with pytest.raises(ValueError, match=r"navigationNoise.*belongs to dyn\.NavigationErrorsDynModel"):
+        SatelliteTasking(Plain("A", {"faults": [faults.navigation(noise=2.0)]}), num_envs=1, backend="eager")
 
 
 REJECTED = {
