@@ -11,7 +11,7 @@ from bsk_torch._bsk_rl import install as _install_bsk_rl
 from bsk_torch._listed import register_listed as _register_listed
 
 if TYPE_CHECKING:
-    from bsk_torch import act, comm, data, formations, obs, rand, sats, scene
+    from bsk_torch import act, comm, craft, data, formations, obs, rand, sats, scene
     from bsk_torch.env import NO_ACTION, ConstellationTasking, GeneralSatelliteTasking, SatelliteTasking
     from bsk_torch.env.per_environment import per_environment
     from bsk_torch.presets import make
@@ -27,6 +27,7 @@ __all__ = [
     "SatelliteTasking",
     "act",
     "comm",
+    "craft",
     "data",
     "dyn",
     "faults",
