@@ -11,7 +11,7 @@ from torch import Tensor
 
 from bsk_torch._checks import no_gradient
 from bsk_torch.sim.hooks import FLEET_MEMORY, ChangeGuard, check_class, check_linked, check_tensor, overrides
-from bsk_torch.sim.places import TARGET_KIND, TARGETS, DrawnTargets
+from bsk_torch.sim.places import TARGET_KIND, TARGETS, AboveElevation, DrawnTargets, SunElevation
 
 if TYPE_CHECKING:
     from bsk_torch.rand import Key
@@ -51,11 +51,18 @@ def target_places(tables: PlaceTables) -> dict[str, Places]:
     drawn, arguments = tables.drawn, tables.arguments
     if TARGETS not in drawn or "imageTargetMinimumElevation" not in arguments:
         return {}
+
+    def sine(name: str) -> Callable[[Tensor], Tensor]:
+        return lambda rows: torch.sin(arguments[name][rows])
+
+    least, advice = sine("imageTargetMinimumElevation"), "ask for more targets, lower imageTargetMinimumElevation"
+    names = ("imageTargetMinimumSunElevation", "imageTargetMaximumSunElevation")
+    light = [SunElevation(sine(name), below=name == names[1]) for name in names if name in arguments]
     targets = DrawnTargets(
-        drawn,
-        lambda rows: torch.sin(arguments["imageTargetMinimumElevation"][rows]).unsqueeze(-1),
-        satellites=arguments.count,
-        advice="all have been imaged, or too few lie below the orbit: ask for more targets, lower imageTargetMinimumElevation",
+        tables,
+        lambda rows: least(rows).unsqueeze(-1),
+        [AboveElevation(least), *light] if light else [],
+        advice=f"all have been imaged, or too few lie below the orbit{' in the light wanted' if light else ''}: {advice}",
     )
     return {TARGET_KIND: targets}
 

@@ -94,7 +94,7 @@ def aimed(target_P: torch.Tensor, r: torch.Tensor, elevation: float, reach: floa
     write(bus, EN=pole_matrix(epoch), r_BN_N=Vec3.of(r), r_LP_P=Vec3.of(target_P), location_on=plane(location, n))
     args = {"imageTargetMinimumElevation": plane(elevation, 1), "imageTargetMaximumRange": plane(reach, 1)}
     write(bus, **target.IMAGE_TARGET.prepare(args))
-    target.aim_at_place(bus)
+    target.aim_at_place(False, False)(bus)
     return bus
 
 

@@ -267,7 +267,7 @@ class AccessWindows(StateTable):
     def _generate(self, kind: str, rows: Tensor, track: GroundTrack, intervals: GenerationIntervals) -> Passes:
         """Return the windows of ``rows`` [n] over one kind of places; bsk_rl knows fixed ones alone."""
         places = self.kinds[kind]
-        if not isinstance(places, FixedPlaces):
+        if places.clearances or not isinstance(places, FixedPlaces):
             return true_windows(track, find_passes(places, rows, track), intervals)
         search = PassSearch(self.visibility, track, places.sites(rows))
         passes = search.passes()

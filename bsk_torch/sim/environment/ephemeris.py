@@ -83,21 +83,26 @@ def orient_pole(bus: Bus) -> None:
     bus.EN = Mat3(x - z * drift.y + y * drift.z, y - x * drift.z + z * drift.x, z - y * drift.x + x * drift.y)
 
 
-def move_sun_and_earth(bus: Bus) -> None:
-    """Write the Sun's position r_SN_N, m, and velocity v_SN_N, m/s, and cosine and sine of the prime meridian, at the tick's end.
+def sun_at(bus: Bus, tau: Any) -> tuple[Vec3, Vec3]:
+    """Return the Sun's position, m, and velocity, m/s, tau seconds after the first of the two records on the bus.
 
     The Sun is on the cubic through position and velocity of two records T = 3600 s apart (Hermite), with ``s = tau / T``::
 
         r = r0 + v0 T s + c2 s^2 + c3 s^3,  c2 = 3 d - u,  c3 = u - 2 d,  d = r1 - r0 - v0 T,  u = (v1 - v0) T
     """
     start, end = bus.ephemeris
-    s = bus.ephemeris_tau * (1.0 / EPHEMERIS_TRACK.spacing)
+    s = tau * (1.0 / EPHEMERIS_TRACK.spacing)
     step = (end.r_SN_N - start.r_SN_N) - start.v_SN_N * EPHEMERIS_TRACK.spacing
     turn = (end.v_SN_N - start.v_SN_N) * EPHEMERIS_TRACK.spacing
     c2, c3 = step * 3.0 - turn, turn - step * 2.0
-    bus.r_SN_N = start.r_SN_N + (start.v_SN_N * EPHEMERIS_TRACK.spacing + (c2 + c3 * s) * s) * s
-    bus.v_SN_N = start.v_SN_N + (c2 * 2.0 + c3 * (3.0 * s)) * (s * (1.0 / EPHEMERIS_TRACK.spacing))
-    bus.cos_earth, bus.sin_earth = turned(start.earth_angle, bus.ephemeris_tau)
+    r_SN_N = start.r_SN_N + (start.v_SN_N * EPHEMERIS_TRACK.spacing + (c2 + c3 * s) * s) * s
+    return r_SN_N, start.v_SN_N + (c2 * 2.0 + c3 * (3.0 * s)) * (s * (1.0 / EPHEMERIS_TRACK.spacing))
+
+
+def move_sun_and_earth(bus: Bus) -> None:
+    """Write r_SN_N, m, and v_SN_N, m/s, of the Sun, and cosine and sine of the prime meridian, at the end of the tick."""
+    bus.r_SN_N, bus.v_SN_N = sun_at(bus, bus.ephemeris_tau)
+    bus.cos_earth, bus.sin_earth = turned(bus.ephemeris[0].earth_angle, bus.ephemeris_tau)
 
 
 def turned(angle: Any, tau: Any) -> tuple[Any, Any]:

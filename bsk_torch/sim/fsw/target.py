@@ -5,42 +5,62 @@ Targets are modules of the world, so the flight software reads their position an
 
 from __future__ import annotations
 
+import dataclasses
+import functools
 import math
+from collections.abc import Callable, Mapping
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from bsk_torch.astro.frames import rotate_z
+from bsk_torch.astro.sight import sine_of_elevation
 from bsk_torch.constants import R_EARTH
 from bsk_torch.sim.component import Arg, Bus, Component, Field, Values, vec
-from bsk_torch.sim.environment.ephemeris import turned
+from bsk_torch.sim.environment.ephemeris import sun_at, turned
 from bsk_torch.vec3 import Vec3, only
+
+QUARTER = 0.5 * math.pi
 
 FIRST_ALTITUDE = 1000.0
 """Height, m, of the place on the equator that is the target until the first task."""
 
 
-def aim_at_place(bus: Bus) -> None:
-    """Write the place L in N, m, and its access, 1 or 0, both of one tick ago.
+@functools.cache
+def aim_at_place(minimum: bool, maximum: bool) -> Callable[[Bus], None]:
+    """Return the update of targets with a minimum, a maximum, both or no limit of the Sun's elevation."""
 
-    ``r_LN = [PN]^T r_LP`` with the Earth's orientation of one tick ago. It has access where the spacecraft is above the minimum
-    elevation, ``sin(el) = p . d / (|p| |d|)`` with ``p = r_LN`` and ``d = r_BN - r_LN``, and within the maximum range,
-    ``|d| <= reach``, unless that is negative. The sine's minimum is positive, so squares are compared, without roots. Where
-    location pointing is off, position and access are zero.
-    """
-    cos, sin = turned(bus.ephemeris[0].earth_angle, bus.ephemeris_tau - bus.h)
+    def aim(bus: Bus) -> None:
+        """Write the place L in N, m, and its access, 1 or 0, both of one tick ago.
 
-    def seen() -> tuple[Vec3, Tensor]:
-        p = bus.EN.mT @ rotate_z(bus.r_LP_P, cos, -sin)
-        line, reach = bus.r_BN_N - p, bus.target_range
-        up, range2 = p.dot(line), line.dot(line)
-        rises = (up > 0.0) & (up * up > bus.target_sin2_elevation * p.dot(p) * range2)
-        near = (range2 <= reach * reach) | (reach < 0.0)
-        return p, torch.where(rises & near, torch.ones_like(up), torch.zeros_like(up))
+        ``r_LN = [PN]^T r_LP`` with the Earth's orientation of one tick ago. It has access where the spacecraft is above the
+        minimum elevation, ``sin(el) = p . d / (|p| |d|)`` with ``p = r_LN`` and ``d = r_BN - r_LN``, and within the maximum
+        range, ``|d| <= reach``, unless that is negative. That sine is positive, so squares are compared, without roots. Where
+        location pointing is off, position and access are zero.
 
-    none = Vec3.zeros_like(bus.r_BN_N.x)
-    bus.r_LN_N, access = only(bus.location_on > 0.0, seen, (none, none.x))
-    bus.target_access = access.to(bus.dtype)
+        The elevation of the Sun S, ``sin(el_S) = p . s / (|p| |s|)`` with ``s = r_SN - r_LN`` of one tick ago, must not be below
+        a minimum, nor above a maximum.
+        """
+        cos, sin = turned(bus.ephemeris[0].earth_angle, bus.ephemeris_tau - bus.h)
+
+        def seen() -> tuple[Vec3, Tensor]:
+            p = bus.EN.mT @ rotate_z(bus.r_LP_P, cos, -sin)
+            line, reach = bus.r_BN_N - p, bus.target_range
+            up, range2 = p.dot(line), line.dot(line)
+            rises = (up > 0.0) & (up * up > bus.target_sin2_elevation * p.dot(p) * range2)
+            sees = rises & ((range2 <= reach * reach) | (reach < 0.0))
+            if minimum or maximum:
+                sun = sine_of_elevation(sun_at(bus, bus.ephemeris_tau - bus.h)[0], p)
+                sees = sees & (sun >= bus.target_least_sun) if minimum else sees
+                sees = sees & (sun <= bus.target_most_sun) if maximum else sees
+            return p, torch.where(sees, torch.ones_like(up), torch.zeros_like(up))
+
+        none = Vec3.zeros_like(bus.r_BN_N.x)
+        bus.r_LN_N, access = only(bus.location_on > 0.0, seen, (none, none.x))
+        bus.target_access = access.to(bus.dtype)
+
+    return aim
 
 
 def aim_at_earth_centre(bus: Bus) -> None:
@@ -70,9 +90,54 @@ def _first_place(args: Values) -> dict[str, Tensor]:
 
 MAXIMUM_RANGE = Arg("imageTargetMaximumRange", -1.0, "m", "longest range to the target; no limit where negative", endless=True)
 
+SUN_LIMITS = (
+    Arg("imageTargetMinimumSunElevation", None, "rad", "least elevation of the Sun at the target", low=-QUARTER, high=QUARTER),
+    Arg("imageTargetMaximumSunElevation", None, "rad", "largest elevation of the Sun at the target", low=-QUARTER, high=QUARTER),
+)
+"""Light in which targets can be imaged; None: any."""
+
+SUN_PARAMETERS = ("target_least_sun", "target_most_sun")
+"""Parameters of the tick, the sines of :data:`SUN_LIMITS`."""
+
+
+def fitted_target(given: Mapping[str, Any]) -> Component:
+    """Return the component of targets in the light that the arguments as given ask for."""
+    form = tuple(given[arg.name] is not None for arg in SUN_LIMITS)
+    return lit_target(*form) if any(form) else IMAGE_TARGET
+
+
+@functools.cache
+def lit_target(minimum: bool, maximum: bool) -> Component:
+    """Return the component of targets with a minimum, a maximum, or both, of the Sun's elevation."""
+    pairs = zip(SUN_PARAMETERS, SUN_LIMITS, (minimum, maximum), strict=True)
+    limits = {parameter: arg.name for parameter, arg, has in pairs if has}
+
+    def prepare(args: Values) -> dict[str, Tensor]:
+        return IMAGE_TARGET.prepare(args) | {parameter: args[name].sin() for parameter, name in limits.items()}
+
+    def check(args: Values) -> None:
+        _check_elevation(args)
+        if minimum and maximum:
+            low, high = torch.broadcast_tensors(*(args[arg.name] for arg in SUN_LIMITS))
+            if bool((low >= high).any()):
+                k = int((low >= high).nonzero()[0])
+                raise ValueError(
+                    f"imageTargetMinimumSunElevation={low[k].item():g} rad must be below "
+                    f"imageTargetMaximumSunElevation={high[k].item():g} rad"
+                )
+
+    return dataclasses.replace(
+        IMAGE_TARGET,
+        update=aim_at_place(minimum, maximum),
+        params=(*IMAGE_TARGET.params, *(Field(name, 1, "-", exact=True) for name in limits)),
+        prepare=prepare,
+        check=check,
+    )
+
+
 IMAGE_TARGET = Component(
     slot="location_target",
-    update=aim_at_place,
+    update=aim_at_place(False, False),
     args=(
         Arg("imageTargetMinimumElevation", math.radians(45.0), "rad", "least elevation of the satellite above the target"),
         MAXIMUM_RANGE,
@@ -84,6 +149,7 @@ IMAGE_TARGET = Component(
             low=1e-9,
             high=1e9,
         ),
+        *SUN_LIMITS,
     ),
     state=(vec("r_LP_P", "m", "place that the agent has chosen, Earth-fixed", exact=True),),
     params=(Field("target_range", 1, "m", exact=True), Field("target_sin2_elevation", 1, "-", exact=True)),
@@ -93,6 +159,7 @@ IMAGE_TARGET = Component(
         "target_sin2_elevation": args["imageTargetMinimumElevation"].sin() ** 2,
     },
     check=_check_elevation,
+    fit=fitted_target,
 )
 
 EARTH_CENTRE_TARGET = Component(

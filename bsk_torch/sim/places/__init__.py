@@ -13,7 +13,7 @@ from bsk_torch.sim.places.base import (
     Sight,
     Sites,
 )
-from bsk_torch.sim.places.clearance import AboveElevation, ClearOfEarth, Lit, WithinRange
+from bsk_torch.sim.places.clearance import AboveElevation, ClearOfEarth, Lit, SunElevation, WithinRange
 from bsk_torch.sim.places.moving import GreatCirclePlaces
 from bsk_torch.sim.places.orbiting import OrbitingPlaces
 
@@ -34,5 +34,6 @@ __all__ = [
     "Places",
     "Sight",
     "Sites",
+    "SunElevation",
     "WithinRange",
 ]

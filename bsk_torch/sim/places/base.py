@@ -186,7 +186,7 @@ class Sites(NamedTuple):
 class FixedPlaces(Places):
     """Places that rest on the Earth, and see satellites above a minimum elevation.
 
-    Their windows are found by kernels, which makes them the fastest kind.
+    Their windows are found by kernels, which makes them the fastest kind; not those of places with ``clearances``.
     """
 
     def __init__(
@@ -266,11 +266,24 @@ class DrawnTargets(FixedPlaces):
     """Targets that a scenario draws, by the names :data:`TARGETS` and ``target_exists``; read as the table stores them."""
 
     def __init__(
-        self, drawn: DrawTable, sin_min_elevation: Callable[[Tensor], Tensor], *, satellites: int, advice: str = Places.advice
+        self,
+        tables: PlaceTables,
+        sin_min_elevation: Callable[[Tensor], Tensor],
+        clearances: Sequence[Clearance] = (),
+        *,
+        advice: str = Places.advice,
     ) -> None:
-        """Describe targets; see :class:`FixedPlaces`."""
-        super().__init__(lambda: drawn[TARGETS], sin_min_elevation, satellites=satellites, advice=advice)
-        self._drawn = drawn
+        """Describe targets.
+
+        Args:
+            tables: Tables of the simulation.
+            sin_min_elevation: Function of rows [n] that returns the sine of the minimum elevation, [n, 1].
+            clearances: All conditions of a clear view, that elevation included, where there are others.
+            advice: See :class:`Places`.
+        """
+        drawn = tables.drawn
+        super().__init__(lambda: drawn[TARGETS], sin_min_elevation, satellites=tables.arguments.count, advice=advice)
+        self._drawn, self.tables, self.clearances = drawn, tables, tuple(clearances)
 
     def _stored(self) -> tuple[Tensor, Tensor | None]:
         return self._drawn.shared(TARGETS)

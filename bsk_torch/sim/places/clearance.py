@@ -2,13 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
 from bsk_torch.astro.eclipse import sunlight_margin
-from bsk_torch.astro.sight import POLAR_STRETCH, elevation_clearance, line_clearance, max_central_angle, stretch
+from bsk_torch.astro.sight import (
+    POLAR_STRETCH,
+    elevation_clearance,
+    line_clearance,
+    max_central_angle,
+    sine_of_elevation,
+    stretch,
+)
 from bsk_torch.constants import R_EARTH
 from bsk_torch.sim.places.base import Sight
 from bsk_torch.vec3 import Vec3
@@ -17,25 +25,33 @@ SLACK = 1e-5
 """Angle, rad, or fraction by which screens are wider than bounds, which covers rounding."""
 
 
+Limit = float | Callable[[Tensor], Tensor]
+"""A number, or a function of the rows [n] of satellites that returns one for each, [n]."""
+
+
+def limit_in(sight: Sight, limit: Limit) -> Tensor:
+    """Return a limit for the satellites of a sight, so that it broadcasts with its tensors."""
+    if not callable(limit):
+        return torch.full_like(sight.r_BP_P.x[:1], limit)
+    return limit(sight.rows).view(-1, *[1] * (sight.r_BP_P.x.ndim - 1))
+
+
 @dataclass(frozen=True)
 class AboveElevation:
     """The satellite is above a minimum elevation over the place; ``sin_min_elevation`` is its sine."""
 
-    sin_min_elevation: float
+    sin_min_elevation: Limit
 
     def margin(self, sight: Sight) -> Tensor:
         """See :func:`bsk_torch.astro.sight.elevation_clearance`."""
-        return elevation_clearance(sight.r_BP_P, sight.r_LP_P, self._sine(sight))
-
-    def _sine(self, sight: Sight) -> Tensor:
-        return torch.full_like(sight.r_BP_P.x[:1], self.sin_min_elevation)
+        return elevation_clearance(sight.r_BP_P, sight.r_LP_P, limit_in(sight, self.sin_min_elevation))
 
     def reachable(self, sight: Sight, moved_B: Tensor, moved_L: Tensor) -> Tensor:
         """Compare the central angle with the largest one: a point at r that moves by d turns by at most asin(d / r)."""
         r_B, r_L = sight.r_BP_P.norm(), sight.r_LP_P.norm()
         turn = torch.asin((moved_B / r_B).clamp(max=1.0)) + torch.asin((moved_L / r_L).clamp(max=1.0))
         ratio = (r_L - moved_L).clamp(min=0.0) / (r_B + moved_B)
-        reach = turn + max_central_angle(ratio, self._sine(sight)) + SLACK
+        reach = turn + max_central_angle(ratio, limit_in(sight, self.sin_min_elevation)) + SLACK
         return sight.r_LP_P.dot(sight.r_BP_P) / (r_B * r_L) > torch.cos(reach.clamp(max=torch.pi))
 
 
@@ -93,4 +109,21 @@ class Lit:
 
     def reachable(self, sight: Sight, moved_B: Tensor, moved_L: Tensor) -> Tensor:
         """Return True: light changes too quickly in orbit to screen by it."""
+        return torch.ones_like(sight.r_LP_P.x, dtype=torch.bool)
+
+
+@dataclass(frozen=True)
+class SunElevation:
+    """The Sun is at or above an elevation at the place, or at or below it if ``below``; ``sine`` is that of the elevation."""
+
+    sine: Limit
+    below: bool = False
+
+    def margin(self, sight: Sight) -> Tensor:
+        """Return the difference of the sines; see :func:`bsk_torch.astro.sight.sine_of_elevation`."""
+        above = sine_of_elevation(Vec3.of(sight.tables.sun(sight.rows, sight.time)), sight.r_LP_P) - limit_in(sight, self.sine)
+        return -above if self.below else above
+
+    def reachable(self, sight: Sight, moved_B: Tensor, moved_L: Tensor) -> Tensor:
+        """Return True: the Sun moves for as long as the satellite does, which is not known here."""
         return torch.ones_like(sight.r_LP_P.x, dtype=torch.bool)
