@@ -250,6 +250,11 @@ class ActionBuilder:
         return torch.tensor(keys, device=self._all_legal.device) if shared else None
 
     @property
+    def hears_ends(self) -> bool:
+        """Whether :meth:`end` does anything."""
+        return bool(self._ending)
+
+    @property
     def description(self) -> list[str]:
         """Names of all actions in order."""
         return [name for entry in self.entries for name in entry.names()]
@@ -258,17 +263,17 @@ class ActionBuilder:
         """Return the name of an action, a number without dimensions."""
         return self.description[int(action)] if action >= 0 else "a target by its index"
 
-    def checked(self, action: Tensor, acts: Tensor) -> Tensor:
+    def checked(self, action: Tensor, acts: Tensor | None) -> Tensor:
         """Return a copy of the actions [N] as int64, with 0 if they are ignored.
 
         Raises:
-            ValueError: For an action out of range where the mask ``acts`` [N] is true.
+            ValueError: For an action out of range where the mask ``acts`` [N] is true, everywhere for None.
         """
-        n, negative = self.n_actions, self.n_negative_actions
-        action = torch.where(acts, action.to(torch.int64), 0)
-        wrong = (action < -negative) | (action >= n)
-        if bool(wrong.any()):
-            row = int(torch.nonzero(wrong)[0])
+        n, negative, action = self.n_actions, self.n_negative_actions, action.to(torch.int64, copy=True)
+        action = action if acts is None else torch.where(acts, action, 0)
+        low, high = torch.stack(torch.aminmax(action)).tolist()
+        if low < -negative or high >= n:
+            row = int(torch.nonzero((action < -negative) | (action >= n))[0])
             names = ", ".join(f"{k}: {name}" for k, name in enumerate(self.description))
             more = f", and -1 to {-negative} for a target by its index" if negative else ""
             raise ValueError(f"action {int(action[row])} of {self.satellite.title(row)} is out of range; legal are {names}{more}")

@@ -106,14 +106,15 @@ class ContinuousBuilder:
         """Declare the actions in progress in the table of tasks."""
         task.declare("action", 0.0, self.width, low=-LARGEST, high=LARGEST)
 
-    def checked(self, action: Tensor, acts: Tensor) -> Tensor:
+    def checked(self, action: Tensor, acts: Tensor | None) -> Tensor:
         """Return actions [N, A] or [N, A + 1] as float64, 0 if they are ignored, and store their dtype in the entry.
 
         Raises:
-            ValueError: For infinite or NaN values, or an invalid choice, where the mask ``acts`` [N] is true.
+            ValueError: For infinite or NaN values, or an invalid choice, where the mask ``acts`` [N] is true, everywhere for
+                None.
         """
-        self.entry.given_dtype = action.dtype
-        action = torch.where(acts.unsqueeze(-1), action.to(torch.float64), 0.0)
+        self.entry.given_dtype, action = action.dtype, action.to(torch.float64, copy=True)
+        action = action if acts is None else torch.where(acts.unsqueeze(-1), action, 0.0)
         wrong = ~torch.isfinite(action)
         if bool(wrong.any()):
             row, column = torch.nonzero(wrong)[0].tolist()
@@ -131,6 +132,11 @@ class ContinuousBuilder:
             row = int(torch.nonzero(wrong)[0])
             names = ", ".join(f"{k}: {name}" for k, name in enumerate(self.choices))
             raise ValueError(f"choice {float(choice[row]):g} of {self.satellite.title(row)} is out of range; legal are {names}")
+
+    @property
+    def hears_ends(self) -> bool:
+        """Whether :meth:`end` does anything."""
+        return overrides(self.entry, ContinuousAction, "end")
 
     def decide(self, action: Tensor, previous: Tensor, acts: Tensor) -> Decision:
         """Return the commands of ``action`` [N, A] where ``acts`` [N] bool; those of other rows are undefined.

@@ -37,6 +37,7 @@ from bsk_torch.sats.satellite import Satellite
 from bsk_torch.scene.base import Scenario
 from bsk_torch.sim.assembly.satellite_type import whole_nanoseconds
 from bsk_torch.sim.fleet import Fleet
+from bsk_torch.sim.hooks import overrides
 from bsk_torch.sim.state import outside_inference
 
 __all__ = ["ResetNeededError", "StepResult", "Tasking", "TimeLimit"]
@@ -204,7 +205,7 @@ class Tasking(Present, MadeOfArguments):
             actions: Actions of each type, [N * count].
             acts: Satellites that execute them, [N * count]; others continue their tasks.
             moves: Episodes that take part, [N].
-            all_act: Whether all satellites execute their actions.
+            all_act: Whether all satellites of all episodes execute their actions.
         """
         fleet, removed = self.fleet, self.state.removed
         start = fleet.since = fleet.ticks
@@ -222,7 +223,9 @@ class Tasking(Present, MadeOfArguments):
         expected = [soonest(satellite.task.expected, satellite.simulator.count) for satellite in self.satellites]
         result = fleet.run(moves, self.state.limit_ticks, until, expected)
         settle_all(self.satellites, result, moves, moves & self.truncated_by_time)
-        reward = checked.reward(self.rewarder, before, checked.log(self.rewarder)) * moves.unsqueeze(-1)
+        reward = checked.reward(self.rewarder, before, checked.log(self.rewarder))
+        if not all_act:
+            reward = reward * moves.unsqueeze(-1)
         totals.add(self.rewarder, reward, moves)
         self.scenario.finish_step(fleet.sim_time)
         if not self.communicator.is_silent:
@@ -256,12 +259,13 @@ class Tasking(Present, MadeOfArguments):
 
     def _over(self, dead: Tensor) -> tuple[Tensor, Tensor]:
         """Return which episodes have ended, and which were truncated, [N] each, given the dead satellites, [N, S]."""
-        ended = dead if self.agents_stay else dead | checked.terminated(self.rewarder)
-        cut, present = checked.truncated(self.rewarder), self.fleet.present
-        if present is not None:
-            ended, cut = ended & present, cut & present
-        terminated = self._all_agents_ended(ended)
-        truncated = self.truncated_by_time | cut.any(1)
+        ended, truncated, present = dead, self.truncated_by_time, self.fleet.present
+        if not self.agents_stay and overrides(self.rewarder, GlobalReward, "is_terminated"):
+            ended = dead | checked.terminated(self.rewarder)
+        if overrides(self.rewarder, GlobalReward, "is_truncated"):
+            cut = checked.truncated(self.rewarder)
+            truncated = truncated | (cut if present is None else cut & present).any(1)
+        terminated = self._all_agents_ended(ended if present is None else ended & present)
         return terminated | truncated if self.terminate_on_time_limit else terminated, truncated
 
     @property

@@ -17,7 +17,7 @@ from bsk_torch.sats.satellite import Satellite
 from bsk_torch.sats.user_function import UserFunction
 from bsk_torch.sim.dyn.events import DISARMED
 from bsk_torch.sim.fleet import NEVER
-from bsk_torch.sim.hooks import check_tensor
+from bsk_torch.sim.hooks import check_tensor, overrides
 from bsk_torch.sim.run.coupled import RunResult
 
 
@@ -41,6 +41,11 @@ class SatelliteGroup(BoundSatellite):
         self.observations = ObservationBuilder(copy.deepcopy(list(self.observation_spec)), self)
         vitals = (*self.dynamics.vitals().values(), *self.fsw.vitals().values())
         self.simulator.observer.want((*self.observations.observables, *vitals))
+
+    @property
+    def hears_ends(self) -> bool:
+        """Whether satellites or actions have hooks for the ends of actions."""
+        return self.actions.hears_ends or overrides(self, Satellite, "note_events")
 
     def user_functions(self) -> list[UserFunction]:
         """Return the user functions called by observations and satellites."""
@@ -83,14 +88,20 @@ def command(
     As in bsk_rl, a dead satellite of ``moves`` [N] no longer requires a task, unless its new task ends.
     """
     task, simulator = satellites.task, satellites.simulator
-    simulator.command(decision.retask & acts, decision.mode)
+    simulator.command(decision.retask if all_act else decision.retask & acts, decision.mode)
     satellites.actions.begin(action, acts, decision)
-    task.previous_action = torch.where(acts, decision.key, task.previous_action)
-    task.requires_retasking = task.requires_retasking & ~(acts | (task.dead & moves))
+    waits = task.requires_retasking
+    task.requires_retasking = torch.zeros_like(waits) if all_act else waits & ~(acts | (task.dead & moves))
     now = simulator.state.ticks
     ends = now + whole_ticks(decision.duration, simulator.h_ns)
     expected = ends if decision.expected is decision.duration else now + whole_ticks(decision.expected, simulator.h_ns)
-    new = {"ends": ends, "expected": expected, "action": action, "task_duration": decision.duration}
+    new = {
+        "ends": ends,
+        "expected": expected,
+        "action": action,
+        "task_duration": decision.duration,
+        "previous_action": decision.key,
+    }
     for name, value in new.items():
         where = acts if value.ndim == 1 else acts.unsqueeze(-1)
         setattr(task, name, value if all_act else torch.where(where, value, task[name]))
@@ -133,16 +144,15 @@ def settle(satellites: SatelliteGroup, event: Tensor | None, moves: Tensor, last
         last: Rows whose episode has reached its limit, [N]. The clock stops there before the end of a task is evaluated.
     """
     task, state = satellites.task, satellites.simulator.state
-    fired = (task.ends <= state.ticks - last.long()) & moves
-    was_busy = ~task.requires_retasking
-    task.requires_retasking = task.requires_retasking | fired
+    fired, waited = (task.ends <= state.ticks - last.long()) & moves, task.requires_retasking
+    over = fired if event is None else fired | event
+    task.requires_retasking = waited | over
     task.ends = torch.where(fired, NEVER, task.ends)
-    if event is None:
-        event = torch.zeros_like(fired)
-    else:
-        task.requires_retasking = task.requires_retasking | event
+    if event is None and not satellites.hears_ends:
+        return
+    event = torch.zeros_like(fired) if event is None else event
     satellites.note_events(event)
-    ended = (fired | event) & was_busy
+    ended = over & ~waited
     decision = Decision(state.mode, ended, task.task_duration, task.previous_action, task.task_duration)
     satellites.actions.end(task.action, ended, decision, event)
 

@@ -118,11 +118,11 @@ class SatelliteTasking(Tasking):
         action = read("action", action, self.satellite, self.batch_size, ", one per environment")
         moves_all, moves = moves is None, torch.ones_like(self.dead) if moves is None else moves
         goes_on = form(self.satellite) is not None  # numbers of actions have none that continues the task
-        mine = moves & acts(action, self.satellite) if goes_on else moves
+        mine, all_act = moves & acts(action, self.satellite) if goes_on else moves, moves_all and not goes_on
         with self.guard:
             self.guard.check_begun("step()")
-            action = self.satellite.actions.checked(action, mine)
-            result = self._advance([action], [mine], moves, moves_all and not goes_on)
+            action = self.satellite.actions.checked(action, None if all_act else mine)
+            result = self._advance([action], [mine], moves, all_act)
             parts = self._entries(result, reward=result.reward.to(self.dtype), **self._ends(result))
             if self.guard.origin is Origin.RESTORED:
                 self._proven(self._wrapped(parts))

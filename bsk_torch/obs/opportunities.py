@@ -166,8 +166,8 @@ class OpportunityProperties(Observation):
         known = [getattr(model, name) for name in self._needs() for model in models if hasattr(model, name)]
         return [prop.function for prop in known if isinstance(prop, observable)]
 
-    def _columns(self) -> tuple[dict[str, Tensor], Tensor]:
-        """Return properties by name, [N, n] or [N, n, width], and whether opportunities are not repetitions, [N, n] bool."""
+    def _columns(self) -> tuple[dict[str, Tensor], Opportunities]:
+        """Return properties by name, [N, n] or [N, n, width], and the opportunities that have them."""
         opportunities = self.satellite.find_next_opportunities(self.n_ahead_observe, self.type)
         columns = {}
         for entry, function in zip(self.entries, self._functions, strict=True):
@@ -179,7 +179,7 @@ class OpportunityProperties(Observation):
         if getattr(self.satellite, "may_see_nothing", False):
             nothing = opportunities.found == 0
             columns = {name: blank(column, nothing) for name, column in columns.items()}
-        return columns, opportunities.mask
+        return columns, opportunities
 
     def _call(self, given: Callable[..., object], function: UserFunction, opportunities: Opportunities) -> Tensor:
         """Call a user's function of the satellite and its opportunities, for all or for each; return [N, n] or [N, n, width]."""
@@ -198,16 +198,16 @@ class OpportunityProperties(Observation):
 
     def get_obs(self) -> Values:
         """See :meth:`Observation.get_obs`."""
-        columns, mask = self._columns()
+        columns, opportunities = self._columns()
         if self.as_set:
-            return {"rows": self._rows(columns), "mask": mask.double()}
+            return {"rows": self._rows(columns), "mask": opportunities.mask.double()}
         return {f"{self.name}_{k}": {name: column[:, k] for name, column in columns.items()} for k in range(self.n_ahead_observe)}
 
     def get_vector(self) -> Tensor:
         """See :meth:`Observation.get_vector`; one opportunity after the other."""
-        columns, mask = self._columns()
+        columns, opportunities = self._columns()
         rows = self._rows(columns).flatten(1)
-        return torch.cat([rows, mask.to(rows.dtype)], -1) if self.as_set else rows
+        return torch.cat([rows, opportunities.mask.to(rows.dtype)], -1) if self.as_set else rows
 
 
 def blank(column: Tensor, rows: Tensor) -> Tensor:

@@ -123,18 +123,29 @@ class EclipseTable(StateTable):
         start, end = self._next(time)
         return torch.isinf(start) | torch.isinf(end)
 
+    def query_if_covered(self, time: Tensor) -> tuple[Tensor, Tensor] | None:
+        """Return what :meth:`query` does; None, and note nothing, if the arcs do not reach as far as the query needs."""
+        if self.visibility.kernels:
+            return self._by_kernel(time, self.arcs.end)
+        return self.query(time) if bool((self.needs(time) <= self.arcs.end).all()) else None
+
+    def _by_kernel(self, time: Tensor, reached: Tensor | None) -> tuple[Tensor, Tensor] | None:
+        begun = self.arcs.begun if isinstance(self.arcs.begun, Tensor) else None
+        return next_eclipses(CONSTANTS, self.starts, self.ends, time, begun, reached, self.sampled, self.known)
+
     def query(self, time: Tensor) -> tuple[Tensor, Tensor]:
         """Return start and end of the next eclipse after ``time`` [N] s, [N] s each.
 
         Within an eclipse, the end is that of the present one and the start that of the following one.
         """
-        begun = self.arcs.begun
         if self.visibility.kernels:
-            restarted = begun if isinstance(begun, Tensor) else None
-            return next_eclipses(CONSTANTS, self.starts, self.ends, time, restarted, self.sampled, self.known)
+            answer = self._by_kernel(time, None)
+            assert answer is not None
+            return answer
         start, end = self._next(time)
         last = torch.maximum(start, end) + PLAN_STEP
         # each search propagates the trajectory, in whole steps, and records transitions up to there
+        begun = self.arcs.begun
         elapsed = time - begun + self.searched
         reach = torch.floor((elapsed + PLAN_STEP) / PLAN_STEP + ROUNDING) * PLAN_STEP + begun
         after = torch.maximum(self.sampled, reach)

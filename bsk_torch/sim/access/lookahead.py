@@ -190,10 +190,10 @@ class LookAhead(StateTable):
 
         Ticks interpolate between nodes on both sides of the time, so arcs reach further. ``now`` [N] s is the present.
         """
-        time = torch.where(time > now, time + REACH_AROUND, time)
-        self._reach(self.arcs, time, now)
-        if self.flight is not self.arcs:
-            self._reach(self.flight, time, now)
+        around = time + REACH_AROUND
+        for arcs in (self.arcs,) if self.flight is self.arcs else (self.arcs, self.flight):
+            if not bool((around <= arcs.end).all()):
+                self._reach(arcs, torch.where(time > now, around, time), now)
 
     def _reach(self, arcs: Arcs, time: Tensor, now: Tensor) -> None:
         if bool((time <= arcs.end).all()):
@@ -287,13 +287,17 @@ class LookAhead(StateTable):
     def next_eclipse(self, time: Tensor) -> tuple[Tensor, Tensor]:
         """Return the next start and end of an eclipse after ``time`` [N], [N] s since reset; see :meth:`EclipseTable.query`."""
         self._check_sight()
+        if not self.arcs.restarts:
+            found = self.eclipses.query_if_covered(time)
+            if found is not None:
+                return found
+            self.reach(self.eclipses.needs(time), time)
+            return self.eclipses.query(time)
         needs = self.eclipses.needs(time)
-        if self.arcs.restarts:  # an hour after the other, until both are found
-            while bool((short := self.eclipses.unknown(time) & (self.arcs.end < needs)).any()):
-                further = torch.minimum(needs, self.arcs.end + ARC_SEGMENT)
-                self.reach(torch.where(short, further, 0.0), time)
-        else:
-            self.reach(needs, time)
+        while bool((short := self.eclipses.unknown(time) & (self.arcs.end < needs)).any()):
+            # an hour after the other, until both are found
+            further = torch.minimum(needs, self.arcs.end + ARC_SEGMENT)
+            self.reach(torch.where(short, further, 0.0), time)
         return self.eclipses.query(time)
 
     @outside_inference
@@ -328,13 +332,14 @@ class LookAhead(StateTable):
         assert self.access is not None
         self._check_sight()
         access = self.access
-        wanted = torch.full(time.shape, width, dtype=torch.int64, device=self.device) if count is None else count
         if self.arcs.restarts:
+            wanted = torch.full(time.shape, width, device=self.device) if count is None else count
             self._search_certain(kind, time, torch.where(wanted > 0, wanted.clamp(min=width), 0), allowed)
         windows, found = access.next(kind, time, width, allowed)
-        short = torch.nonzero(found < wanted).squeeze(-1)
-        if not len(short):
+        few = found < (width if count is None else count)
+        if not bool(few.any()):
             return windows, found
+        short, wanted = torch.nonzero(few).squeeze(-1), torch.full_like(found, width) if count is None else count
         # a step may have been longer than all searched before it
         begin = time if may_see_nothing else torch.maximum(access.until, time)
         limit = begin + MAX_SEGMENTS * access.segment

@@ -27,9 +27,12 @@ double next(const double* times, int64_t columns, double soonest) {
 
 extern "C" void run(
     int64_t count, const Constants* constants, const double* starts, int64_t start_columns, const double* ends,
-    int64_t end_columns, const double* time, const double* begun, double* sampled, double* known, double* found_start,
-    double* found_end) {
+    int64_t end_columns, const double* time, const double* begun, const double* reached, double* sampled, double* known,
+    double* found_start, double* found_end, int64_t* late) {
     const auto [step, search_step, searches, rounding, not_found] = *constants;
+    for (int64_t row = 0; reached && row < count && !*late; ++row)
+        *late = std::max(time[row] + search_step * (searches - 1.0), known[row]) + 2.0 * step > reached[row];
+    if (*late) return;
     for (int64_t row = 0; row < count; ++row) {
         const double now = time[row], origin = begun ? begun[row] : 0.0, slack = begun ? rounding : 0.0;
         const double elapsed = now - origin, grid = std::floor(rounded(elapsed * (1.0 / step)) + slack) + 1.0 - slack;

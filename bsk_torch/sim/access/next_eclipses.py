@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
@@ -14,7 +15,7 @@ from bsk_torch.sim.hooks import check_tensor
 
 SOURCE = Path(__file__).with_name("next_eclipses.cpp")
 
-SIGNATURE = "ip" + "pipi" + "pppp" + "pp"
+SIGNATURE = "ip" + "pipi" + "ppp" + "pp" + "ppp"
 
 
 @cache
@@ -24,9 +25,16 @@ def next_eclipses_kernel() -> Callable[..., None]:
 
 
 def next_eclipses(
-    constants: Tensor, starts: Tensor, ends: Tensor, time: Tensor, begun: Tensor | None, sampled: Tensor, known: Tensor
-) -> tuple[Tensor, Tensor]:
-    """Return the same as :meth:`~bsk_torch.sim.access.eclipses.EclipseTable.query`, bit for bit.
+    constants: Tensor,
+    starts: Tensor,
+    ends: Tensor,
+    time: Tensor,
+    begun: Tensor | None,
+    reached: Tensor | None,
+    sampled: Tensor,
+    known: Tensor,
+) -> tuple[Tensor, Tensor] | None:
+    """Return the same as :meth:`~bsk_torch.sim.access.eclipses.EclipseTable.query`, bit for bit; None if arcs are too short.
 
     Args:
         constants: The struct ``Constants`` of the kernel.
@@ -34,21 +42,24 @@ def next_eclipses(
         ends: Times of transitions out of it, likewise.
         time: Time of the query, [N] s.
         begun: Time at which the current orbit began, [N] s; None for zero on orbits that never restart.
+        reached: Time which the arcs reach, [N] s, compared with what the query needs; None if they are known to be long enough.
         sampled: Time up to which bsk_rl would have propagated its trajectory, [N] s; changes.
         known: Time up to which bsk_rl would have recorded transitions, [N] s; changes.
 
     Raises:
         TypeError: For times that are not float64, or of another shape: kernels read addresses.
     """
-    for name, tensor in (("time", time), ("begun", begun), ("sampled", sampled), ("known", known)):
+    times = {"time": time, "begun": begun, "reached": reached, "sampled": sampled, "known": known}
+    for name, tensor in times.items():
         if tensor is not None:
             check_tensor(name, tensor, starts.shape[:1], torch.float64)
-    found = time.new_empty(2, len(time))
-    start, end = found.unbind(0)
+    start, end = time.new_empty(2, len(time)).unbind(0)
+    late = ctypes.c_int64()
     next_eclipses_kernel()(
         len(time), constants,
         starts.contiguous(), starts.shape[1], ends.contiguous(), ends.shape[1],
-        time.contiguous(), None if begun is None else begun.contiguous(), sampled, known,
-        start, end,
+        time.contiguous(), None if begun is None else begun.contiguous(), None if reached is None else reached.contiguous(),
+        sampled, known,
+        start, end, ctypes.addressof(late),
     )  # fmt: skip
-    return start, end
+    return None if late.value else (start, end)

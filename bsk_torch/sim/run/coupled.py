@@ -183,9 +183,10 @@ class Part:
         after they have been read.
         """
         simulator, rows, start = self.fleet.simulators[k], self.rows[k], self.starts[k]
-        of_env, apart = simulator.state.of_env, _ends_apart(simulator)
-        last = (self.ends >= self.left) & (self.ends > 0)
-        goal = self.ends - last.long() if apart else self.ends
+        of_env, apart, goal = simulator.state.of_env, _ends_apart(simulator), self.ends
+        if start is not None:
+            last = (self.ends >= self.left) & (self.ends > 0)
+            goal = self.ends - last.long() if apart else self.ends
         if k not in self.ran:
             yield self._call(k, of_env(goal))
         elif k in self.checkpoints and bool((beyond := self.ran[k] > goal).any()):

@@ -171,6 +171,25 @@ def test_the_kernel_agrees_with_torch(n, restarts):
     assert n == 1 or min(found, failed) > n
 
 
+@pytest.mark.parametrize("kernel", [0, 1])
+def test_queries_beyond_the_arcs_note_nothing(kernel):
+    """As long as they are answered, with what :meth:`EclipseTable.query` answers."""
+    eclipses, same = (random_tables(5, False)[1 - kernel] for _ in range(2))
+    for name in ("starts", "ends", "sampled", "known"):
+        setattr(same, name, getattr(eclipses, name).clone())
+    before = eclipses.sampled.clone(), eclipses.known.clone()
+    for times, covered in (([0.0] * 4 + [1e5], False), ([0.0] * 5, True)):
+        eclipses.arcs.start[:] = eclipses.known.max() + 2 * PLAN_STEP - eclipses.arcs.length
+        time = torch.tensor(times, dtype=torch.float64)
+        found = eclipses.query_if_covered(time)
+        assert (found is not None) == covered == bool((eclipses.needs(time) <= eclipses.arcs.end).all())
+        if not covered:
+            assert torch.equal(eclipses.sampled, before[0])
+            assert torch.equal(eclipses.known, before[1])
+        else:
+            assert all(torch.equal(x, y) for x, y in zip(found, same.query(time), strict=True))
+
+
 def test_the_kernel_rejects_what_it_would_misread():
     eclipses, _ = random_tables(5, False)
     with pytest.raises(TypeError, match=r"time is .*torch.float32; it must be .*\[5\] and dtype torch.float64"):
