@@ -45,7 +45,7 @@ def octet(near: float, far: float, high: float, thrust: float | str) -> list[Thr
 def cubesat(h: float = 1.0, law: str = "steering") -> dict[str, Any]:
     """Return a 6U CubeSat of 12 kg: four NanoAvionics RW0 wheels with friction, 40 Wh, deployed panels, thrusters of 1 mN.
 
-    Null motion keeps the wheels near 2000 rpm, in opposite directions, since friction disturbs most where speeds change sign.
+    Null motion keeps the wheels off zero speed, two in each direction, since friction disturbs most where speeds change sign.
     The smallest torque of these wheels is off (``useMinTorque``): with it and ticks of 1 s, pointing wanders by up to 0.2 rad.
 
     Args:
